@@ -23,6 +23,8 @@ fn errors_of_configs_name_place_key_and_remedy() {
         "optim.lr_schedule=3",
         "optim.lr_schedule=cosin",
         "optim=3",
+        "optim.states=gpu",
+        "train.precision=fp16",
         "data.source=3",
         "init.diffusion=1",
         "lora.targets=[1]",

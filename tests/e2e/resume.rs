@@ -135,6 +135,11 @@ fn killed_run_ends_the_same_with_a_worker_and_accumulation() {
 }
 
 #[test]
+fn killed_run_ends_the_same_with_states_beside_the_networks_and_narrow_products() {
+    check_kills("--set optim.states=device --set train.precision=bf16");
+}
+
+#[test]
 fn killed_run_ends_the_same_with_style() {
     let sandbox = Sandbox::new(env!("CARGO_BIN_EXE_kinegrad"));
     let labels = "[data.labels]\n\"*1\" = \"tango\"\n\"*5\" = \"waltz\"\n";

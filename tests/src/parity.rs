@@ -2,6 +2,7 @@
 
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_diffusion::Time;
+use kinegrad_kernels::optimizer::{AdamW, AdamWState, AdamWTensors};
 use kinegrad_models::parameters;
 use kinegrad_models::{Initializer, UNet1dConfig};
 use kinegrad_random::{Key, Purpose};
@@ -96,4 +97,66 @@ pub fn assert_parity(name: &str) {
         worst = worst.max(difference);
     }
     println!("{name}: output differs by {forward:.1e}, gradients by at most {worst:.1e}");
+}
+
+/// Asserts that 100 steps of the optimiser in operations of the device called `name` end where those in
+/// main memory do, fed the same gradients: weights, moving average and both running means.
+///
+/// # Panics
+/// Panics if the device cannot be opened or a value differs by more than 1e-6 of the largest.
+pub fn assert_optimizer_parity(name: &str) {
+    let (device, _) = device::open(name).unwrap_or_else(|error| panic!("{error}"));
+    let (len, steps) = (1_003, 100);
+    let key = Key::new(7, Purpose::Synthetic);
+    let mut host = [key.at(0).normals(len), vec![0.0; len], vec![0.0; len]];
+    let mut average = host[0].clone();
+    let row = |values: &[f32]| Tensor::from_data(TensorData::new(values.to_vec(), [len]), &device);
+    let mut other = AdamWTensors {
+        parameter: row(&host[0]),
+        exp_avg: row(&host[1]),
+        exp_avg_sq: row(&host[2]),
+        ema: None,
+    };
+    let mut other_average = row(&average);
+    for step in 1..=steps {
+        let numbers = AdamW {
+            betas: [0.9, 0.999],
+            eps: 1e-8,
+            weight_decay: 0.01,
+            learning_rate: 1e-3,
+            steps: step,
+            gradient_scale: 0.7,
+        };
+        // The same sign for a while, so that the weights go somewhere.
+        let mut gradient = key.at(step).normals(len);
+        gradient.iter_mut().for_each(|value| *value += 0.5);
+        // As every other step of `ema.update_every = 2`.
+        let moves = step % 2 == 0;
+        let [parameter, exp_avg, exp_avg_sq] = &mut host;
+        let state = AdamWState {
+            parameter,
+            exp_avg,
+            exp_avg_sq,
+            ema: moves.then_some((&mut average[..], 0.05)),
+        };
+        numbers.update(state, &gradient);
+        other.ema = moves.then(|| (other_average.clone(), 0.05));
+        other = numbers.update_tensors(other, row(&gradient));
+        if let Some((average, _)) = other.ema.take() {
+            other_average = average;
+        }
+    }
+    let found = [
+        other.parameter,
+        other.exp_avg,
+        other.exp_avg_sq,
+        other_average,
+    ];
+    let names = ["weights", "exp_avg", "exp_avg_sq", "moving average"];
+    let expected = host.iter().chain([&average]);
+    for ((what, found), expected) in names.into_iter().zip(found).zip(expected) {
+        let difference = error(&found.try_into_vec_as::<f32>().expect("float32"), expected);
+        assert!(difference < 1e-6, "{name}: {what} differ by {difference:e}");
+        println!("{name}: after {steps} steps {what} differ by {difference:.1e}");
+    }
 }

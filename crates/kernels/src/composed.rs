@@ -5,7 +5,7 @@ use std::ops::Range;
 use burn::tensor::Tensor;
 use burn::tensor::activation::{mish, silu};
 
-use crate::{Activation, Convolution, GroupNorm, KeyRanges, Lengths};
+use crate::{Activation, Convolution, GroupNorm, KeyRanges, Lengths, product};
 
 pub(crate) fn group_norm(x: Tensor<3>, norm: GroupNorm) -> Tensor<3> {
     let [batch, channels, time] = x.dims();
@@ -139,8 +139,7 @@ fn multiply_windows(x: Tensor<3>, weight: Tensor<3>, padding: usize, stride: usi
     let weight = weight
         .permute([2, 1, 0])
         .reshape([kernel * inputs, outputs]);
-    columns
-        .matmul(weight)
+    product(columns, weight)
         .reshape([batch, frames, outputs])
         .swap_dims(1, 2)
 }
@@ -258,10 +257,7 @@ fn masked(
         x.reshape([batch, num_heads, head_channels, frames])
     };
     let scale = (head_channels as f64).powf(-0.5);
-    let scores = heads(queries)
-        .swap_dims(2, 3)
-        .matmul(heads(keys))
-        .mul_scalar(scale);
+    let scores = product(heads(queries).swap_dims(2, 3), heads(keys)).mul_scalar(scale);
     let weights = match mask {
         // Far below every score, and finite: exactly no weight after the softmax.
         Some(mask) => {
@@ -270,9 +266,7 @@ fn masked(
         }
         None => softmax(scores),
     };
-    heads(values)
-        .matmul(weights.swap_dims(2, 3))
-        .reshape([batch, channels, time])
+    product(heads(values), weights.swap_dims(2, 3)).reshape([batch, channels, time])
 }
 
 /// Softmax over the last dimension, in primitives that are the same with and without gradients:

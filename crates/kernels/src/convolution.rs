@@ -6,7 +6,7 @@ use crate::host::convolution::ConvolutionPlan;
 use crate::host::geometry::Geometry;
 use crate::mode::fuses;
 use crate::normalization::NormTensors;
-use crate::{GroupNorm, Lengths, composed};
+use crate::{GroupNorm, Lengths, composed, product};
 
 /// A convolution over time, with what stands right before and after it.
 ///
@@ -194,7 +194,7 @@ impl Convolution {
 /// - output: `[rows, out]`
 pub fn linear(x: Tensor<2>, weight: Tensor<2>, bias: Tensor<1>) -> Tensor<2> {
     if !fuses(&x) {
-        return x.matmul(weight.transpose()) + bias.unsqueeze();
+        return product(x, weight.transpose()) + bias.unsqueeze();
     }
     // Rows as the frames of one sample: a view, as the kernels want channels side by side.
     let frames = x.unsqueeze::<3>().swap_dims(1, 2);

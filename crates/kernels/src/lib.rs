@@ -32,6 +32,7 @@ pub mod memory;
 mod mode;
 mod normalization;
 pub mod optimizer;
+mod precision;
 mod product;
 mod recurrence;
 
@@ -43,6 +44,7 @@ pub use lengths::{KeyRanges, Lengths};
 pub use linear_map::{LinearMap, SharedMap, linear_map};
 pub use mode::{Mode, ModeError, VARIABLE};
 pub use normalization::{GroupNorm, gelu, layer_norm};
+pub use precision::{Precision, product};
 pub use product::float32_product;
 pub use recurrence::{Direction, gru};
 

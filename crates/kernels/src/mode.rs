@@ -7,6 +7,8 @@ use std::thread::LocalKey;
 use burn::backend::DispatchTensorKind;
 use burn::tensor::{DType, Tensor};
 
+use crate::precision::Precision;
+
 /// The environment variable that sets the [`Mode`].
 pub const VARIABLE: &str = "KINEGRAD_KERNELS";
 
@@ -92,6 +94,7 @@ pub(crate) fn fuses<const D: usize>(x: &Tensor<D>) -> bool {
         }
     }
     Mode::current() == Mode::Fused
+        && Precision::current() == Precision::Float32
         && x.dtype() == DType::F32
         && on_flex(&x.clone().into_dispatch().kind)
 }

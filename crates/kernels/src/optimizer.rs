@@ -1,6 +1,10 @@
 //! The optimiser's step on the host's memory: one read of the gradients for their norm, then one
 //! pass for clipping, AdamW and the moving average together, in place.
 
+mod tensors;
+
+pub use tensors::AdamWTensors;
+
 use crate::host::simd::vectorized;
 use crate::host::team;
 

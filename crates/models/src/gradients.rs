@@ -1,7 +1,9 @@
 //! Gradients of several backward passes, summed on the device.
 
 use burn::module::{Module, ModuleVisitor, Param};
-use burn::tensor::{Gradients, Tensor};
+use burn::tensor::{Gradients, Tensor, Transaction};
+
+use crate::parameters;
 
 /// Takes the gradients of `module`'s parameters out of `gradients`; zeros where a parameter had no
 /// part in the loss or is frozen.
@@ -48,19 +50,25 @@ impl GradientSum {
         });
     }
 
-    /// The sums on the host; zeros for a parameter that had no part in any loss.
-    pub fn into_host<M: Module>(self, module: &M) -> Vec<Vec<f32>> {
-        let infos = crate::parameters::infos(module);
+    /// The sums on the host, in one read; zeros for a parameter that had no part in any loss.
+    pub fn into_host<M: Module>(mut self, module: &M) -> Vec<Vec<f32>> {
+        let infos = parameters::infos(module);
         assert!(self.0.len() <= infos.len(), "sums of another module");
-        let mut sums = self.0.into_iter();
-        infos
-            .iter()
-            .map(|info| match sums.next().flatten() {
-                Some(sum) => sum
-                    .try_into_vec_as::<f32>()
-                    .expect("parameters are float32"),
-                None => vec![0.0; info.len()],
-            })
-            .collect()
+        self.0.resize(infos.len(), None);
+        let there: Vec<bool> = self.0.iter().map(Option::is_some).collect();
+        let sums = self.0.into_iter().flatten();
+        let reading = sums.fold(Transaction::default(), Transaction::register);
+        let mut read = reading.execute().into_iter().map(parameters::to_host);
+        let values = infos.iter().zip(there).map(|(info, there)| match there {
+            true => read.next().expect("as many as were registered"),
+            false => vec![0.0; info.len()],
+        });
+        values.collect()
+    }
+
+    /// The sums on their device, in the module's order; none for a parameter that had no part in any
+    /// loss.
+    pub fn into_tensors(self) -> Vec<Option<Tensor<1>>> {
+        self.0
     }
 }

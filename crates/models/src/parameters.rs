@@ -6,7 +6,7 @@
 use std::collections::{BTreeMap, HashMap};
 
 use burn::module::{Module, ModuleMapper, ModuleVisitor, Param};
-use burn::tensor::{Tensor, TensorData};
+use burn::tensor::{Tensor, TensorData, Transaction};
 
 use crate::Error;
 
@@ -114,17 +114,20 @@ fn is_trainable<const D: usize>(param: &Param<Tensor<D>>) -> bool {
     param.valid().train().is_require_grad()
 }
 
-/// Copies all parameters to the host.
+/// Copies all parameters to the host, in one read.
 pub fn export<M: Module>(module: &M) -> Vec<HostParameter> {
-    struct Visitor(Vec<Vec<f32>>);
+    #[derive(Default)]
+    struct Visitor(Transaction);
     impl ModuleVisitor for Visitor {
         fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
-            self.0.push(to_host(param.val().inner()));
+            let reading = std::mem::take(&mut self.0);
+            self.0 = reading.register(param.val().inner());
         }
     }
-    let mut visitor = Visitor(Vec::new());
+    let mut visitor = Visitor::default();
     module.visit(&mut visitor);
-    let pairs = infos(module).into_iter().zip(visitor.0);
+    let values = visitor.0.execute().into_iter().map(to_host);
+    let pairs = infos(module).into_iter().zip(values);
     pairs
         .map(|(info, values)| HostParameter { info, values })
         .collect()
@@ -229,10 +232,41 @@ pub fn update<M: Module>(module: M, change: impl FnMut(usize, &mut [f32])) -> M 
     module.map(&mut Mapper { change, index: 0 })
 }
 
-fn to_host<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
-    tensor
-        .try_into_vec_as::<f32>()
-        .expect("parameters are float32")
+/// Hands the values of every parameter that is not frozen to `change`, as one row on their device, with
+/// its index among all, and puts in their place what that returns.
+pub fn map<M: Module>(module: M, change: impl FnMut(usize, Tensor<1>) -> Tensor<1>) -> M {
+    struct Mapper<F> {
+        change: F,
+        index: usize,
+    }
+    impl<F: FnMut(usize, Tensor<1>) -> Tensor<1>> ModuleMapper for Mapper<F> {
+        fn map_float<const D: usize>(&mut self, param: Param<Tensor<D>>) -> Param<Tensor<D>> {
+            let index = self.index;
+            self.index += 1;
+            if !is_trainable(&param) {
+                return param;
+            }
+            let (id, tensor, mapper) = param.consume();
+            let shape = tensor.dims();
+            let strategy = tensor.gradient_checkpointing_strategy();
+            let require_grad = tensor.is_require_grad();
+            let row = tensor.inner().reshape([shape.iter().product::<usize>()]);
+            let changed = (self.change)(index, row).reshape(shape);
+            let tensor = match strategy {
+                Some(strategy) => changed
+                    .autodiff()
+                    .with_gradient_checkpointing_strategy(strategy)
+                    .set_require_grad(require_grad),
+                None => changed,
+            };
+            Param::from_mapped_value(id, tensor, mapper)
+        }
+    }
+    module.map(&mut Mapper { change, index: 0 })
+}
+
+pub(crate) fn to_host(data: TensorData) -> Vec<f32> {
+    data.try_into_vec().expect("parameters are float32")
 }
 
 #[cfg(test)]

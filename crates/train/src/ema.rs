@@ -2,25 +2,25 @@
 
 use crate::config::EmaConfig;
 
-/// An exponential moving average over named parameters, kept on the host; it starts as a copy.
+/// How an exponential moving average over the weights moves; it starts as a copy of them. The
+/// optimiser's pass moves it:
+///
+/// ```text
+/// average += (1 - decay) (parameter - average)
+/// ```
+///
+/// which does not drift when `decay` and `1 - decay` are rounded apart.
 #[derive(Clone, Debug)]
 pub struct Ema {
     config: EmaConfig,
-    shadow: Vec<Vec<f32>>,
 }
 
 impl Ema {
-    /// An average whose current values are `shadow`: the first weights, or saved ones.
-    pub fn new(config: &EmaConfig, shadow: Vec<Vec<f32>>) -> Self {
+    /// An average that moves as the config says.
+    pub fn new(config: &EmaConfig) -> Self {
         Self {
             config: config.clone(),
-            shadow,
         }
-    }
-
-    /// The averaged weights, in the parameters' order.
-    pub fn shadow(&self) -> &[Vec<f32>] {
-        &self.shadow
     }
 
     /// The share that the update at optimiser step `step` (from 1) keeps, or `None` when that
@@ -46,11 +46,10 @@ impl Ema {
         Some(decay.min(warmed))
     }
 
-    /// The average of parameter `index` and the share of the distance to its value that it moves:
-    /// `shadow += (1 - decay) (parameter - shadow)`, the form that does not drift when `decay` and
-    /// `1 - decay` are rounded apart. The optimiser's pass moves it.
-    pub fn average(&mut self, index: usize, decay: f64) -> (&mut [f32], f64) {
-        (&mut self.shadow[index], 1.0 - decay)
+    /// The share of the distance to the weights that the average moves at optimiser step `step`
+    /// (from 1), if it moves.
+    pub fn share_at(&self, step: u64) -> Option<f64> {
+        self.decay_at(step).map(|decay| 1.0 - decay)
     }
 }
 
@@ -58,7 +57,7 @@ impl Ema {
 mod tests {
     use super::*;
     use crate::config::OptimConfig;
-    use crate::optim::AdamW;
+    use crate::optim::{AdamW, Moments};
 
     fn ema(decay: f64, inv_gamma: f64) -> Ema {
         let config = EmaConfig {
@@ -67,19 +66,20 @@ mod tests {
             inv_gamma,
             power: 1.0,
         };
-        Ema::new(&config, vec![vec![1.0, 2.0]])
+        Ema::new(&config)
     }
 
     #[test]
     fn decay_zero_copies_and_one_freezes() {
         for (decay, expected) in [(0.0, [5.0, 7.0]), (1.0, [1.0, 2.0])] {
-            let mut ema = ema(decay, 0.0);
-            let decay = ema.decay_at(1).expect("an update");
-            let mut optimizer = AdamW::new(&OptimConfig::default(), [2]);
+            let mut average = [1.0, 2.0];
+            let mut optimizer = AdamW::new(&OptimConfig::default(), 0);
             optimizer.begin_step();
-            let average = Some(ema.average(0, decay));
-            optimizer.update(0, &mut [5.0, 7.0], &[0.0; 2], 1.0, 0.0, average);
-            assert_eq!(ema.shadow()[0], expected);
+            let share = ema(decay, 0.0).share_at(1).expect("an update");
+            let moved = Some((&mut average[..], share));
+            let step = optimizer.step(0, 1.0, 0.0);
+            Moments::zeros(2).update(step, &mut [5.0, 7.0], &[0.0; 2], moved);
+            assert_eq!(average, expected);
         }
     }
 

@@ -6,7 +6,7 @@
 use burn::module::Module;
 use burn::tensor::{Device, Tensor};
 use kinegrad_data::Batch;
-use kinegrad_models::gradients;
+use kinegrad_models::GradientSum;
 use kinegrad_random::{Key, Purpose};
 
 use crate::error::Error;
@@ -117,9 +117,11 @@ pub trait Recipe {
         device: &Device,
     ) -> Loss<Self::Pending>;
 
-    /// The gradients of a loss, in the module's order; zeros for frozen parameters.
-    fn backward(&self, model: &Self::Model, loss: Loss<Self::Pending>) -> Vec<Vec<f32>> {
-        gradients(model, &mut loss.total.backward())
+    /// The gradients of a loss; none of frozen parameters.
+    fn backward(&self, model: &Self::Model, loss: Loss<Self::Pending>) -> GradientSum {
+        let mut sum = GradientSum::default();
+        sum.add(model, &mut loss.total.backward());
+        sum
     }
 
     /// The mean loss over held-out phrases, with fixed noise so that runs compare; `model` is on

@@ -1,12 +1,14 @@
 //! The training loop.
 
 mod accumulation;
+mod gradients;
 mod not_finite;
 mod owners;
 mod previews;
 pub(crate) mod restore;
+mod rows;
+mod states;
 
-use std::borrow::Cow;
 use std::path::PathBuf;
 use std::rc::Rc;
 use std::time::{Duration, Instant};
@@ -18,18 +20,16 @@ use kinegrad_models::parameters::{self, ParameterInfo};
 use kinegrad_motion::Statistics;
 
 use crate::checkpoint::{Checkpoint, CheckpointRef, Checkpoints, FORMAT, Progress, State};
-use crate::config::{Config, OptimConfig, WeightDecayGroups};
-use crate::ema::Ema;
+use crate::config::Config;
 use crate::error::Error;
 use crate::observer::{Observer, StepReport};
-use crate::optim::{AdamW, Moments, clip_factor, learning_rate, norm_of_squares, squares};
-use crate::parameter_count::is_adapter;
+use crate::optim::{Moments, clip_factor, learning_rate, norm_of_squares};
 use crate::recipe::{Measured, Recipe};
 use crate::telemetry::{LoaderLog, Metrics, Record};
 use crate::together::Together;
 use accumulation::Averaged;
-use owners::Owners;
-use restore::order_of;
+use gradients::StepGradients;
+use states::States;
 
 /// How training ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -50,10 +50,7 @@ pub struct Trainer<R: Recipe> {
     infos: Vec<ParameterInfo>,
     /// Optimiser group of each parameter.
     groups: Vec<usize>,
-    optimizer: AdamW,
-    ema: Ema,
-    /// Who keeps the states of which parameters, where ranks share them.
-    owners: Option<Owners>,
+    states: States,
     step: u64,
     progress: Progress,
     /// What is measured is written; nothing of a trainer that only times its steps.
@@ -76,6 +73,8 @@ pub struct TrainerParts<R: Recipe> {
     pub network_statistics: Option<Statistics>,
     /// Autodiff device.
     pub device: Device,
+    /// Whether it computes in main memory.
+    pub on_host: bool,
     /// Batches from the next step's on.
     pub loader: Loader,
     /// What the dataset holds.
@@ -117,64 +116,30 @@ impl<R: Recipe> Trainer<R> {
         checkpoint: Option<Checkpoint>,
     ) -> Self {
         let infos = parameters::infos(&model);
-        let optim = &parts.config.optim;
         let goes_on = checkpoint.is_some();
-        let ranks = parts.together.ranks();
-        let shares = optim.shard_states && ranks.size() > 1;
-        // Frozen parameters have no running means.
-        let trained = infos.iter().zip(parameters::trainable(&model));
-        let lengths = trained.map(|(info, trained)| if trained { info.len() } else { 0 });
-        let lengths: Vec<usize> = lengths.collect();
-        let owners = shares.then(|| Owners::new(ranks, lengths.clone()));
-        let keeps = |index| {
-            owners
-                .as_ref()
-                .is_none_or(|owners: &Owners| owners.has(index))
+        let (step, progress) = match &checkpoint {
+            Some(checkpoint) => (checkpoint.state.step, checkpoint.state.progress.clone()),
+            None => (0, Progress::default()),
         };
-        let (step, progress, optimizer, shadow) = match checkpoint {
-            Some(checkpoint) => {
-                let step = checkpoint.state.step;
-                // Files of tensors come back sorted by name; the module's order is another.
-                let order = order_of(&infos, &checkpoint);
-                let kept = order.iter().enumerate();
-                let moments = kept.clone().map(|(index, &i)| match keeps(index) {
-                    true => checkpoint.moments[i].clone(),
-                    false => Moments::default(),
-                });
-                let optimizer = AdamW::restore(optim, moments.collect(), step);
-                let shadow = kept.map(|(index, &i)| match keeps(index) {
-                    true => checkpoint.ema[i].values.clone(),
-                    false => Vec::new(),
-                });
-                let shadow = shadow.collect();
-                (step, checkpoint.state.progress, optimizer, shadow)
-            }
-            None => {
-                let lengths = lengths.iter().enumerate();
-                let lengths = lengths.map(|(index, &length)| if keeps(index) { length } else { 0 });
-                let optimizer = AdamW::new(optim, lengths);
-                let mut shadow = parameters::values(&model);
-                for (index, values) in shadow.iter_mut().enumerate() {
-                    if !keeps(index) {
-                        *values = Vec::new();
-                    }
-                }
-                (0, Progress::default(), optimizer, shadow)
-            }
+        let groups = infos.iter().map(|info| parts.recipe.group_of(&info.name));
+        let groups: Vec<usize> = groups.collect();
+        let begin = states::Begin {
+            groups: &groups,
+            config: &parts.config,
+            infos: &infos,
+            device: &parts.device,
+            on_host: parts.on_host,
+            ranks: parts.together.ranks(),
         };
-        let decaying = infos.iter().map(|info| decays(optim, info));
-        let optimizer = optimizer.with_decay_on(decaying.collect());
+        let states = States::begin(&model, checkpoint, &begin);
         let checkpoints = Checkpoints::of(&parts.folder);
         let last_saved = goes_on.then(|| checkpoints.step_path(step));
-        let groups = infos.iter().map(|info| parts.recipe.group_of(&info.name));
         Self {
             model: Some(model),
-            groups: groups.collect(),
-            optimizer,
-            ema: Ema::new(&parts.config.ema, shadow),
+            groups,
+            states,
             record: None,
             infos,
-            owners,
             parts,
             step,
             progress,
@@ -325,14 +290,17 @@ impl<R: Recipe> Trainer<R> {
         else {
             return Ok(None);
         };
-        let own = squares(&gradients);
-        let squares = match &self.owners {
+        let own = gradients.squares();
+        let squares = match self.states.owners() {
             Some(owners) => owners.numbers(&self.parts.together, |index| own[index]),
             None => own,
         };
         let grad_norm = norm_of_squares(&squares);
         if !grad_norm.is_finite() {
-            let broken = squares.iter().position(|square| !square.is_finite());
+            let broken = match &gradients {
+                StepGradients::Host(_) => squares.iter().position(|square| !square.is_finite()),
+                StepGradients::Device(rows) => rows.broken(),
+            };
             let name = broken.map_or("gradients", |index| self.infos[index].name.as_str());
             return Err(self.not_finite(self.step + 1, format!("the gradient of `{name}`")));
         }
@@ -342,11 +310,15 @@ impl<R: Recipe> Trainer<R> {
             .map(|name| learning_rate(&optim, optim.rate_of(name), self.step, train.max_steps))
             .collect();
         let rate = rates[0];
-        self.update(
+        let of_parameters = self.groups.iter().map(|&group| rates[group]);
+        let model = self.model.take().expect("held between updates");
+        self.model = Some(self.states.update(
+            model,
             &gradients,
             clip_factor(grad_norm, train.max_grad_norm),
-            &rates,
-        );
+            &of_parameters.collect::<Vec<_>>(),
+            self.parts.together.ranks(),
+        ));
         self.step += 1;
 
         observer.stepped(&StepReport {
@@ -369,78 +341,13 @@ impl<R: Recipe> Trainer<R> {
         Ok(Some(record))
     }
 
-    /// AdamW and the moving average, parameter by parameter.
-    fn update(&mut self, gradients: &[Vec<f32>], gradient_scale: f64, rates: &[f64]) {
-        self.optimizer.begin_step();
-        let groups = &self.groups;
-        let decay = self.ema.decay_at(self.step + 1);
-        let (optimizer, ema) = (&mut self.optimizer, &mut self.ema);
-        let owners = self.owners.as_ref();
-        let keeps = |index| owners.is_none_or(|owners| owners.has(index));
-        let model = self.model.take().expect("held between updates");
-        let mut own = vec![Vec::new(); gradients.len()];
-        let model = parameters::update(model, |index, values| {
-            if !keeps(index) {
-                return;
-            }
-            optimizer.update(
-                index,
-                values,
-                &gradients[index],
-                gradient_scale,
-                rates[groups[index]],
-                decay.map(|decay| ema.average(index, decay)),
-            );
-            if owners.is_some() {
-                own[index] = values.to_vec();
-            }
-        });
-        self.model = Some(match owners {
-            Some(owners) => {
-                let all = owners.gathered(self.parts.together.ranks(), &own);
-                parameters::update(model, |index, values| {
-                    values.copy_from_slice(&all[index]);
-                })
-            }
-            None => model,
-        });
-    }
-
-    /// The averaged weights of all parameters.
-    fn averages(&self) -> Cow<'_, [Vec<f32>]> {
-        match &self.owners {
-            Some(owners) => owners
-                .gathered(self.parts.together.ranks(), self.ema.shadow())
-                .into(),
-            None => self.ema.shadow().into(),
-        }
-    }
-
-    /// The optimiser's running means of all parameters.
-    fn moments(&self) -> Cow<'_, [Moments]> {
-        let moments = self.optimizer.moments();
-        let Some(owners) = &self.owners else {
-            return moments.into();
-        };
-        let all = |of: fn(&Moments) -> &Vec<f32>| {
-            let own: Vec<Vec<f32>> = moments.iter().map(|moments| of(moments).clone()).collect();
-            owners.gathered(self.parts.together.ranks(), &own)
-        };
-        let pairs = all(|moments| &moments.exp_avg).into_iter();
-        let pairs = pairs.zip(all(|moments| &moments.exp_avg_sq));
-        let moments = |(exp_avg, exp_avg_sq)| Moments {
-            exp_avg,
-            exp_avg_sq,
-        };
-        pairs.map(moments).collect::<Vec<_>>().into()
-    }
-
     /// Measures the averaged weights on the held-out phrases and records it: the loss, and the
     /// score that the best step is selected by, where that is another.
     fn measure(&mut self) -> Result<(f64, Option<f64>), Error> {
         let device = self.parts.device.clone().inner();
         let model = self.model.as_ref().expect("held between updates").valid();
-        let averaged = parameters::replace(model, self.averages().into_owned());
+        let averages = self.states.averages(self.parts.together.ranks());
+        let averaged = parameters::replace(model, averages.into_owned());
         let Measured { total, terms } = self.parts.recipe.validation_loss(&averaged, &device);
         if !total.is_finite() {
             let broken = terms.iter().find(|(_, value)| !value.is_finite());
@@ -508,7 +415,8 @@ impl<R: Recipe> Trainer<R> {
             None => Ok(()),
         };
         together.done(synced)?;
-        let (ema, moments) = (self.averages(), self.moments());
+        let ranks = together.ranks();
+        let (ema, moments) = (self.states.averages(ranks), self.states.moments(ranks));
         let saved = match together.writes() {
             true => self.write_checkpoint(&weights, &ema, &moments),
             false => Ok(()),
@@ -573,14 +481,6 @@ impl<R: Recipe> Trainer<R> {
             tensor,
             last_good,
         }
-    }
-}
-
-/// Whether weight decay falls on a parameter.
-fn decays(optim: &OptimConfig, info: &ParameterInfo) -> bool {
-    match optim.weight_decay_groups {
-        WeightDecayGroups::All => true,
-        WeightDecayGroups::Matrices => info.shape.len() >= 2 && !is_adapter(info),
     }
 }
 

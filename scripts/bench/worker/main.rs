@@ -45,7 +45,7 @@ use kinegrad_random::{Key, Purpose};
 use kinegrad_train::config::{EmaConfig, OptimConfig};
 use kinegrad_train::denoising::{DenoisingRecipe, HeldOut};
 use kinegrad_train::ema::Ema;
-use kinegrad_train::optim::{AdamW, clip_factor, global_norm};
+use kinegrad_train::optim::{AdamW, Moments, clip_factor, global_norm};
 use kinegrad_train::systems::cc_motion::recipes::{
     E2eDraws, E2eRecipe, Rollouts, diffusion_recipe,
 };
@@ -170,12 +170,12 @@ struct Training<R: Recipe> {
     model: Option<R::Model>,
     loss: LossOf<R>,
     optimizer: AdamW,
+    moments: Vec<Moments>,
     /// Learning rate of each parameter.
     rates: Vec<f64>,
     max_grad_norm: f64,
-    /// The moving average, where the row has one, and the updates done.
-    ema: Option<Ema>,
-    steps: u64,
+    /// The moving average, where the row has one.
+    ema: Option<(Ema, Vec<Vec<f32>>)>,
 }
 
 impl<R: Recipe> Training<R> {
@@ -192,22 +192,24 @@ impl<R: Recipe> Training<R> {
             optim.rate_of(group)
         };
         Self {
-            optimizer: AdamW::new(optim, infos.iter().map(ParameterInfo::len)),
+            optimizer: AdamW::new(optim, 0),
+            moments: infos
+                .iter()
+                .map(|info| Moments::zeros(info.len()))
+                .collect(),
             rates: infos.iter().map(rate).collect(),
             recipe,
             model: Some(model),
             loss: Box::new(loss),
             max_grad_norm,
             ema: None,
-            steps: 0,
         }
     }
 
     fn with_ema(self, config: &EmaConfig) -> Self {
         let model = self.model.as_ref().expect("held between updates");
-        let values = parameters::export(model).into_iter().map(|p| p.values);
         Self {
-            ema: Some(Ema::new(config, values.collect())),
+            ema: Some((Ema::new(config), parameters::values(model))),
             ..self
         }
     }
@@ -223,23 +225,20 @@ impl<R: Recipe> Work for Training<R> {
         let mut loss = (self.loss)(&self.recipe, &model);
         let value = loss.total.clone().into_scalar::<f32>();
         (loss.terms, loss.probes) = (Vec::new(), Vec::new());
-        let gradients = self.recipe.backward(&model, loss);
+        let gradients = self.recipe.backward(&model, loss).into_host(&model);
         let scale = clip_factor(global_norm(&gradients), self.max_grad_norm);
         self.optimizer.begin_step();
-        self.steps += 1;
-        let decay = self.ema.as_ref().and_then(|ema| ema.decay_at(self.steps));
-        let (optimizer, rates, ema) = (&mut self.optimizer, &self.rates, &mut self.ema);
-        self.model = Some(parameters::update(model, |index, values| {
-            let average = ema.as_mut().zip(decay);
-            let average = average.map(|(ema, decay)| ema.average(index, decay));
-            optimizer.update(
-                index,
-                values,
-                &gradients[index],
-                scale,
-                rates[index],
-                average,
-            );
+        let steps = self.optimizer.steps();
+        let (optimizer, rates, moments) = (&self.optimizer, &self.rates, &mut self.moments);
+        let mut ema = self.ema.as_mut();
+        self.model = Some(parameters::update(model, |index, parameter| {
+            let moments = &mut moments[index];
+            let average = ema.as_mut().and_then(|(ema, averages)| {
+                let share = ema.share_at(steps)?;
+                Some((&mut averages[index][..], share))
+            });
+            let step = optimizer.step(index, scale, rates[index]);
+            moments.update(step, parameter, &gradients[index], average);
         }));
         Ok(Done {
             loss: Some(value),

@@ -16,7 +16,7 @@ use kinegrad_tests::trials::GoldenTest;
 use kinegrad_tests::{trials, weights};
 use kinegrad_train::Recipe;
 use kinegrad_train::config::OptimConfig;
-use kinegrad_train::optim::{AdamW, global_norm};
+use kinegrad_train::optim::{AdamW, Moments, global_norm};
 use kinegrad_train::systems::cc_motion::losses::{ReconstructionLoss, temporal_losses};
 use kinegrad_train::systems::cc_motion::{LossConfig, RolloutMode};
 
@@ -77,7 +77,7 @@ fn losses_and_gradients(case: &Case, mode: RolloutMode) -> HashMap<String, Vec<f
     let temporal: f64 = temporal.map(|(_, term)| value(term) / weights.w_temp).sum();
     case.out("L_temp").assert_close("L_temp", &[temporal], 1e-5);
 
-    let gradients = recipe.backward(&model, loss);
+    let gradients = recipe.backward(&model, loss).into_host(&model);
     let norm = global_norm(&gradients);
     let tolerance = case.decoder_tolerance();
     case.out("global_grad_norm")
@@ -118,7 +118,7 @@ fn losses_and_gradients(case: &Case, mode: RolloutMode) -> HashMap<String, Vec<f
 fn truncated(case: &Case) {
     let (model, recipe) = (case.model(), case.recipe(RolloutMode::LastK));
     let loss = recipe.loss_of(&model, case.inputs(), case.draws());
-    let gradients = recipe.backward(&model, loss);
+    let gradients = recipe.backward(&model, loss).into_host(&model);
     let infos = parameters::infos(&model);
     let stored = case
         .golden
@@ -305,9 +305,10 @@ fn optimizer_step(case: &Case, gradients: &HashMap<String, Vec<f32>>) {
         let before = before.iter().find(|each| each.info.name == parameter);
         let before = &before.expect("a parameter").values;
         let mut after = before.clone();
-        let mut optimizer = AdamW::new(&config, [before.len()]);
+        let mut optimizer = AdamW::new(&config, 0);
         optimizer.begin_step();
-        optimizer.update(0, &mut after, &gradients[&parameter], 1.0, rate, None);
+        let step = optimizer.step(0, 1.0, rate);
+        Moments::zeros(before.len()).update(step, &mut after, &gradients[&parameter], None);
         let mask = case.golden.get(&name("aftermask", &parameter)).values;
         let delta = case.golden.get(&name("delta64", &parameter)).values;
         for (index, mask) in mask.iter().enumerate() {

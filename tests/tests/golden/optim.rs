@@ -5,7 +5,7 @@ use kinegrad_tests::trials;
 use kinegrad_tests::trials::GoldenTest;
 use kinegrad_train::config::{EmaConfig, LrSchedule, OptimConfig};
 use kinegrad_train::ema::Ema;
-use kinegrad_train::optim::{AdamW, clip_factor, global_norm, learning_rate};
+use kinegrad_train::optim::{AdamW, Moments, clip_factor, global_norm, learning_rate};
 
 const TOLERANCE: f64 = 2e-6;
 
@@ -35,21 +35,20 @@ fn golden_ema(golden: Golden) {
         let size: usize = given.shape[1..].iter().product();
         let values = given.f32s();
         let mut steps = values.chunks(size);
-        let mut ema = Ema::new(
-            &config,
-            vec![steps.next().expect("initial values").to_vec()],
-        );
-        let mut shadows = ema.shadow()[0].clone();
+        let ema = Ema::new(&config);
+        let mut average = steps.next().expect("initial values").to_vec();
+        let mut shadows = average.clone();
         for (step, values) in (1..).zip(steps) {
-            if let Some(decay) = ema.decay_at(step) {
+            if let Some(share) = ema.share_at(step) {
                 // A step that moves nothing but the average.
-                let mut optimizer = AdamW::new(&OptimConfig::default(), [size]);
+                let mut optimizer = AdamW::new(&OptimConfig::default(), 0);
                 optimizer.begin_step();
-                let average = Some(ema.average(0, decay));
+                let moved = Some((&mut average[..], share));
                 let mut values = values.to_vec();
-                optimizer.update(0, &mut values, &vec![0.0; size], 1.0, 0.0, average);
+                let step = optimizer.step(0, 1.0, 0.0);
+                Moments::zeros(size).update(step, &mut values, &vec![0.0; size], moved);
             }
-            shadows.extend(&ema.shadow()[0]);
+            shadows.extend(&average);
         }
         golden
             .reference(&format!("out.shadow.{name}"))
@@ -74,7 +73,9 @@ fn golden_adamw_with_clipping(golden: Golden) {
             .iter()
             .map(|name| golden.get(&format!("in.param.{name}")).f32s())
             .collect();
-        let mut adamw = AdamW::new(&config, values.iter().map(Vec::len));
+        let mut adamw = AdamW::new(&config, 0);
+        let moments = values.iter().map(|values| Moments::zeros(values.len()));
+        let mut moments: Vec<Moments> = moments.collect();
         let names = golden.names_under(&format!("out.adamw.{case}.step"));
         let steps = names.iter().filter(|name| name.ends_with(".total_norm"));
         let steps = steps.count();
@@ -93,15 +94,9 @@ fn golden_adamw_with_clipping(golden: Golden) {
             let scale = clip_factor(norm, max_norm);
             adamw.begin_step();
             for (index, name) in parameters.iter().enumerate() {
-                adamw.update(
-                    index,
-                    &mut values[index],
-                    &gradients[index],
-                    scale,
-                    learning_rate,
-                    None,
-                );
-                let moments = &adamw.moments()[index];
+                let numbers = adamw.step(index, scale, learning_rate);
+                let moments = &mut moments[index];
+                moments.update(numbers, &mut values[index], &gradients[index], None);
                 let clipped: Vec<f32> = gradients[index].iter().map(|g| g * scale as f32).collect();
                 for (what, actual) in [
                     ("clipped_grad", &clipped),

@@ -1,11 +1,16 @@
 //! The tiny UNet, forward and backward, on every backend of this build beside Flex. wgpu has a
 //! package of its own, `tests/wgpu`.
 
-use kinegrad_tests::parity::assert_parity;
+use kinegrad_tests::parity::{assert_optimizer_parity, assert_parity};
 
 #[test]
 fn flex_agrees_with_itself() {
     assert_parity("cpu");
+}
+
+#[test]
+fn the_optimiser_in_burns_operations_agrees_with_the_one_in_main_memory() {
+    assert_optimizer_parity("cpu");
 }
 
 #[cfg(feature = "ndarray")]

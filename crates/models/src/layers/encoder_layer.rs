@@ -1,7 +1,7 @@
 use burn::module::{Module, Param};
 use burn::tensor::Tensor;
 use burn::tensor::activation::softmax;
-use kinegrad_kernels::{Convolution, gelu, self_attention};
+use kinegrad_kernels::{Convolution, gelu, product, self_attention};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -117,11 +117,9 @@ fn masked_attention(
     let heads = queries_keys_values.reshape([batch, 3 * num_heads, head, tokens]);
     let [queries, keys, values] =
         [0, 1, 2].map(|part| heads.clone().narrow(1, part * num_heads, num_heads));
-    let scores = queries.swap_dims(2, 3).matmul(keys) / (head as f64).sqrt();
+    let scores = product(queries.swap_dims(2, 3), keys) / (head as f64).sqrt();
     let weights = softmax(scores, 3) * mask;
-    values
-        .matmul(weights.swap_dims(2, 3))
-        .reshape([batch, all / 3, tokens])
+    product(values, weights.swap_dims(2, 3)).reshape([batch, all / 3, tokens])
 }
 
 /// A layer of PyTorch's `nn.TransformerEncoder` with its names: attention, then two linear maps

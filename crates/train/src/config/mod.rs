@@ -31,8 +31,9 @@ pub use steering::SteeringConfig;
 pub use system_tables::SystemTables;
 pub(crate) use tables::validate;
 pub use tables::{
-    CheckpointConfig, ClipSample, EmaConfig, LrSchedule, OptimConfig, Padding, RunConfig,
-    SamplingConfig, SelectBy, TrainConfig, ValidationConfig, WeightDecayGroups,
+    CheckpointConfig, ClipSample, EmaConfig, LrSchedule, OptimConfig, OptimPlace, Padding,
+    RunConfig, SamplingConfig, SelectBy, TrainConfig, TrainPrecision, ValidationConfig,
+    WeightDecayGroups,
 };
 
 use kinegrad_data::DataConfig;

@@ -8,9 +8,10 @@ use super::{Config, difference};
 
 /// Keys that may differ, or the tables whose every key may. Where motion lies and how it is fetched
 /// and kept changes no batch: that it is the same is checked by itself.
-const FREE: [&str; 11] = [
+const FREE: [&str; 12] = [
     "train.max_steps",
     "run.device",
+    "optim.states",
     "optim.shard_states",
     "checkpoint.*",
     "validation.*",

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use kinegrad_diffusion::{ClipRange, SamplerConfig};
+use kinegrad_kernels::Precision;
 use kinegrad_motion::Statistics;
 use kinegrad_settings::{ABOVE_ZERO, InvalidSetting, Refused, in_range, require};
 use schemars::JsonSchema;
@@ -58,6 +59,20 @@ pub enum WeightDecayGroups {
     Matrices,
 }
 
+/// Where the optimiser's running means and the moving average of the weights are kept and moved.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum OptimPlace {
+    /// Beside the networks on a graphics processor; in main memory on the CPU, and where several ranks
+    /// train.
+    #[default]
+    Auto,
+    /// In main memory: a graphics processor holds the weights and their gradients alone.
+    Host,
+    /// Beside the networks.
+    Device,
+}
+
 /// The table `optim`: AdamW (CC-MotionGen, section 6.3; docs/sources.md, section 1.10).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
@@ -78,6 +93,9 @@ pub struct OptimConfig {
     pub lr_schedule: LrSchedule,
     /// Learning rates of parameter groups (`unet`, `decoder`) that override `learning_rate`.
     pub groups: BTreeMap<String, f64>,
+    /// Where the running means and the moving average are kept and moved; which of them changes last
+    /// bits.
+    pub states: OptimPlace,
     /// Whether each rank of a run of several keeps the running means and the moving average of a part of
     /// the parameters alone (ZeRO-1): less memory, the same bytes.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
@@ -102,7 +120,30 @@ impl Default for OptimConfig {
             warmup_steps: 1000,
             lr_schedule: LrSchedule::Cosine,
             groups: BTreeMap::new(),
+            states: OptimPlace::default(),
             shard_states: false,
+        }
+    }
+}
+
+/// The precision of a training step's products.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum TrainPrecision {
+    /// 32 bits.
+    #[default]
+    Float32,
+    /// Products of matrices in bfloat16, all else in float32: faster on a graphics processor whose matrix
+    /// units take it, slower on the CPU.
+    Bf16,
+}
+
+impl TrainPrecision {
+    /// As kernels call it.
+    pub fn of_products(self) -> Precision {
+        match self {
+            Self::Float32 => Precision::Float32,
+            Self::Bf16 => Precision::Bfloat16,
         }
     }
 }
@@ -118,6 +159,9 @@ pub struct TrainConfig {
     /// Number of batches whose gradients are averaged for one step, each by its valid frames: as one
     /// batch of them all.
     pub gradient_accumulation_steps: u64,
+    /// The precision of a step's products; weights, losses, the optimiser, validation and samples stay in
+    /// float32.
+    pub precision: TrainPrecision,
     /// Gradients are clipped to this global norm; 0 disables clipping.
     pub max_grad_norm: f64,
     /// Steps between metrics.
@@ -133,6 +177,7 @@ impl Default for TrainConfig {
             recipe: "diffusion".into(),
             max_steps: 16_400,
             gradient_accumulation_steps: 1,
+            precision: TrainPrecision::default(),
             max_grad_norm: 1.0,
             log_every_steps: 1,
             patience: 0,
@@ -375,6 +420,13 @@ pub(crate) fn validate(config: &Config, recipe: &RecipeInfo) -> Result<(), Inval
         require(recipe.groups.contains(&name.as_str()), &key, rate, allowed)?;
         in_range(key, rate, 0.0..)?;
     }
+    let shares = optim.states == OptimPlace::Device && optim.shard_states;
+    require(
+        !shares,
+        "optim.shard_states",
+        "true",
+        "false, as `optim.states` is \"device\": ranks share states in main memory",
+    )?;
     let name = &config.run.name;
     let plain = !name.contains(['/', '\\']) && !name.starts_with('.');
     require(

@@ -11,8 +11,39 @@ pub struct Moments {
     pub exp_avg_sq: Vec<f32>,
 }
 
+impl Moments {
+    /// Those of a parameter of so many elements before the first step.
+    pub fn zeros(len: usize) -> Self {
+        Self {
+            exp_avg: vec![0.0; len],
+            exp_avg_sq: vec![0.0; len],
+        }
+    }
+
+    /// Updates a parameter in place by the numbers of a step ([`AdamW::step`]), and in the same pass its
+    /// moving average, if that moves ([`crate::ema::Ema::share_at`]).
+    ///
+    /// # Panics
+    /// Panics if the lengths differ.
+    pub fn update(
+        &mut self,
+        step: kernels::AdamW,
+        parameter: &mut [f32],
+        gradient: &[f32],
+        ema: Option<(&mut [f32], f64)>,
+    ) {
+        let state = kernels::AdamWState {
+            parameter,
+            exp_avg: &mut self.exp_avg,
+            exp_avg_sq: &mut self.exp_avg_sq,
+            ema,
+        };
+        step.update(state, gradient);
+    }
+}
+
 /// Adam with decoupled weight decay (CC-MotionGen, section 6.3; docs/sources.md, section 1.10),
-/// over parameters in the module's order:
+/// over parameters in the module's order; their running means are kept where they are updated:
 ///
 /// ```text
 /// p -= lr decay p
@@ -26,27 +57,16 @@ pub struct Moments {
 #[derive(Clone, Debug)]
 pub struct AdamW {
     config: OptimConfig,
-    moments: Vec<Moments>,
     steps: u64,
     /// Whether each parameter decays; all of them where this is empty.
     decaying: Vec<bool>,
 }
 
 impl AdamW {
-    /// An optimiser before its first step, for parameters of these numbers of elements.
-    pub fn new(config: &OptimConfig, lengths: impl IntoIterator<Item = usize>) -> Self {
-        let zero = |n| Moments {
-            exp_avg: vec![0.0; n],
-            exp_avg_sq: vec![0.0; n],
-        };
-        Self::restore(config, lengths.into_iter().map(zero).collect(), 0)
-    }
-
     /// An optimiser after `steps` steps.
-    pub fn restore(config: &OptimConfig, moments: Vec<Moments>, steps: u64) -> Self {
+    pub fn new(config: &OptimConfig, steps: u64) -> Self {
         Self {
             config: config.clone(),
-            moments,
             steps,
             decaying: Vec::new(),
         }
@@ -59,36 +79,21 @@ impl AdamW {
         Self { decaying, ..self }
     }
 
-    /// The running means, in the parameters' order.
-    pub fn moments(&self) -> &[Moments] {
-        &self.moments
-    }
-
-    /// Counts a step; [`update`](Self::update) then belongs to it.
+    /// Counts a step; [`step`](Self::step) then belongs to it.
     pub fn begin_step(&mut self) {
         self.steps += 1;
     }
 
-    /// Updates parameter `index` in place from its gradient times `gradient_scale`, and in the same
-    /// pass its moving average, if that moves at this step ([`crate::ema::Ema::average`]).
-    ///
-    /// # Panics
-    /// Panics if the lengths differ.
-    pub fn update(
-        &mut self,
-        index: usize,
-        parameter: &mut [f32],
-        gradient: &[f32],
-        gradient_scale: f64,
-        learning_rate: f64,
-        ema: Option<(&mut [f32], f64)>,
-    ) {
-        let Moments {
-            exp_avg,
-            exp_avg_sq,
-        } = &mut self.moments[index];
+    /// Steps that have begun.
+    pub fn steps(&self) -> u64 {
+        self.steps
+    }
+
+    /// The numbers of this step for parameter `index`, whose gradient is multiplied by
+    /// `gradient_scale` first.
+    pub fn step(&self, index: usize, gradient_scale: f64, learning_rate: f64) -> kernels::AdamW {
         let decays = self.decaying.get(index).copied().unwrap_or(true);
-        let step = kernels::AdamW {
+        kernels::AdamW {
             betas: self.config.betas,
             eps: self.config.eps,
             weight_decay: if decays {
@@ -99,13 +104,6 @@ impl AdamW {
             learning_rate,
             steps: self.steps,
             gradient_scale,
-        };
-        let state = kernels::AdamWState {
-            parameter,
-            exp_avg,
-            exp_avg_sq,
-            ema,
-        };
-        step.update(state, gradient);
+        }
     }
 }

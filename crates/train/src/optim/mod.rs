@@ -1,4 +1,4 @@
-//! The optimiser: AdamW over named parameters, on the host and in place.
+//! The optimiser: AdamW over named parameters.
 //!
 //! Burn's own keys its state by identifiers that are random in each process and clips each tensor
 //! by itself; resuming bit for bit needs names, and the source clips by the global norm.

@@ -221,6 +221,7 @@ impl Setup {
             memory_of_samples,
             together,
         } = self;
+        let on_host = crate::device::is_host(&device_name);
         let (step, progress) = match &checkpoint {
             Some(checkpoint) => (checkpoint.state.step, checkpoint.state.progress.clone()),
             None => (0, Progress::default()),
@@ -263,6 +264,7 @@ impl Setup {
                 statistics: material.statistics,
                 network_statistics: material.network_statistics,
                 device,
+                on_host,
                 loader: (material.loader)(&config, share),
                 dataset: material.digest,
                 folder: folder.clone(),
@@ -317,6 +319,7 @@ impl Setup {
             statistics: material.statistics,
             network_statistics: material.network_statistics,
             device,
+            on_host,
             loader,
             dataset: material.digest,
             folder: folder.clone(),

@@ -10,7 +10,7 @@ use toml::Table;
 use super::folder::{exists_already, has_begun, lock, must_be_a_folder, must_hold_no_other};
 use super::setup::{Outcome, Setup};
 use crate::checkpoint::Checkpoints;
-use crate::config::{self, Config, ConfigError};
+use crate::config::{self, Config, ConfigError, OptimPlace};
 use crate::error::Error;
 use crate::memory;
 use crate::observer::Observer;
@@ -234,7 +234,7 @@ fn must_share(config: &Config, together: &Together) -> Result<(), Error> {
         config.train.gradient_accumulation_steps,
         together.ranks().size() as u64,
     );
-    Ok(require(
+    require(
         steps.is_multiple_of(size),
         "train.gradient_accumulation_steps",
         steps,
@@ -243,6 +243,12 @@ fn must_share(config: &Config, together: &Together) -> Result<(), Error> {
     .hint(
         "a step is the same whatever the number of ranks: set it to a multiple, with fewer \
          `data.batch_size` to keep what a step sees, or start fewer ranks",
+    )?;
+    Ok(require(
+        size == 1 || config.optim.states != OptimPlace::Device,
+        "optim.states",
+        "\"device\"",
+        format!("\"auto\" or \"host\", as {size} ranks add their gradients in main memory"),
     )?)
 }
 

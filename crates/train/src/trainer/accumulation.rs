@@ -2,10 +2,12 @@
 
 use std::ops::Range;
 
+use burn::tensor::Tensor;
 use kinegrad_data::Batch;
-use kinegrad_ranks::{add, split};
+use kinegrad_ranks::split;
 
 use super::Trainer;
+use super::gradients::{StepGradients, numbers};
 use super::not_finite::find_not_finite;
 use crate::error::Error;
 use crate::observer::Observer;
@@ -13,7 +15,7 @@ use crate::recipe::{Loss, Recipe, StepKey};
 
 /// A step's loss and its gradient, averaged over the micro-batches by their weight.
 pub(super) struct Averaged {
-    pub gradients: Vec<Vec<f32>>,
+    pub gradients: StepGradients,
     pub loss: f64,
     pub terms: Vec<(&'static str, f64)>,
 }
@@ -80,8 +82,7 @@ impl<R: Recipe> Trainer<R> {
         if count > 1 {
             loss /= divisor;
             terms.iter_mut().for_each(|(_, sum)| *sum /= divisor);
-            let sums = gradients.iter_mut().flatten();
-            sums.for_each(|sum| *sum = (f64::from(*sum) / divisor) as f32);
+            gradients.divide(divisor);
         }
         Ok(Some(Averaged {
             gradients,
@@ -98,7 +99,7 @@ impl<R: Recipe> Trainer<R> {
         batch: Option<Batch>,
         measured: &mut Measured,
         observer: &mut dyn Observer,
-    ) -> Result<Option<Vec<Vec<f32>>>, Error> {
+    ) -> Result<Option<StepGradients>, Error> {
         let [first, second] = split(range.end - range.start);
         if second == 0 {
             let batch = match batch {
@@ -124,19 +125,18 @@ impl<R: Recipe> Trainer<R> {
         let Some(other) = self.summed(middle..range.end, None, measured, observer)? else {
             return Ok(None);
         };
-        sum.iter_mut()
-            .zip(&other)
-            .for_each(|(sum, other)| add(sum, other));
+        sum.add(other);
         Ok(Some(sum))
     }
 
-    /// The weighted gradient of a micro-batch.
+    /// The weighted gradient of a micro-batch. The loss is read after the backward pass, so that a
+    /// device of its own does not wait between the two.
     fn gradient(
         &self,
         micro_batch: u64,
         batch: &Batch,
         measured: &mut Measured,
-    ) -> Result<Vec<Vec<f32>>, Error> {
+    ) -> Result<StepGradients, Error> {
         let recipe = &self.parts.recipe;
         let weight = recipe.weight(batch) / measured.first_weight;
         let key = StepKey {
@@ -145,35 +145,49 @@ impl<R: Recipe> Trainer<R> {
             micro_batch,
         };
         let model = self.model.as_ref().expect("held between updates");
-        let computed = recipe.loss(model, batch, key, &self.parts.device);
-        let value = f64::from(computed.total.clone().into_scalar::<f32>());
-        if !value.is_finite() {
-            let tensor = find_not_finite(model, batch, computed);
+        let precision = self.parts.config.train.precision.of_products();
+        let (names, values, sum) = precision.scope(|| {
+            let Loss {
+                total,
+                terms,
+                pending,
+                ..
+            } = recipe.loss(model, batch, key, &self.parts.device);
+            let (names, terms): (Vec<&'static str>, Vec<Tensor<1>>) = terms.into_iter().unzip();
+            let values = std::iter::once(total.clone()).chain(terms);
+            let values: Vec<Tensor<1>> = values.map(Tensor::inner).collect();
+            let share = Loss {
+                total: total.mul_scalar(weight),
+                terms: Vec::new(),
+                probes: Vec::new(),
+                pending,
+            };
+            (names, values, recipe.backward(model, share))
+        });
+        let device = self.parts.device.clone().inner();
+        let gradients = StepGradients::of(sum, model, self.states.on_device(), &device);
+        let values = numbers(values);
+        if !values[0].is_finite() {
+            // Its tensors were not kept; the same draws give them again.
+            let again = precision.scope(|| recipe.loss(model, batch, key, &self.parts.device));
+            let tensor = find_not_finite(model, batch, again);
             return Err(self.not_finite(self.step + 1, tensor));
         }
-        measured.names = computed.terms.iter().map(|(name, _)| *name).collect();
-        let terms = computed.terms.iter();
-        let terms = terms.map(|(_, term)| f64::from(term.clone().into_scalar::<f32>()));
-        measured.numbers.extend([weight, value]);
-        measured.numbers.extend(terms);
-        let share = Loss {
-            total: computed.total.mul_scalar(weight),
-            terms: Vec::new(),
-            probes: Vec::new(),
-            pending: computed.pending,
-        };
-        drop((computed.terms, computed.probes));
-        Ok(recipe.backward(model, share))
+        measured.names = names;
+        measured.numbers.push(weight);
+        measured.numbers.extend(values);
+        Ok(gradients)
     }
 
     /// The sums of the gradients of all ranks, of the parameters whose states this one keeps.
-    fn over_ranks(&self, gradients: Vec<Vec<f32>>) -> Vec<Vec<f32>> {
+    fn over_ranks(&self, gradients: StepGradients) -> StepGradients {
         let ranks = self.parts.together.ranks();
-        if ranks.size() == 1 {
-            return gradients;
-        }
-        if let Some(owners) = &self.owners {
-            return owners.sums(ranks, gradients);
+        let gradients = match gradients {
+            StepGradients::Host(gradients) if ranks.size() > 1 => gradients,
+            gradients => return gradients,
+        };
+        if let Some(owners) = self.states.owners() {
+            return StepGradients::Host(owners.sums(ranks, gradients));
         }
         let lengths: Vec<usize> = gradients.iter().map(Vec::len).collect();
         let mut all = gradients.concat();
@@ -184,6 +198,6 @@ impl<R: Recipe> Trainer<R> {
             rest = behind;
             gradient.to_vec()
         });
-        taken.collect()
+        StepGradients::Host(taken.collect())
     }
 }

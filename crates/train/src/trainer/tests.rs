@@ -7,10 +7,14 @@ use kinegrad_models::layers::Linear;
 use kinegrad_models::{Initializer, LoraConfig, UNet1dConfig};
 use kinegrad_motion::{Phrases, phrase_statistics};
 
+use kinegrad_models::parameters;
+
+use super::states::decays;
 use super::*;
-use crate::config::WeightDecayGroups;
+use crate::config::{OptimConfig, WeightDecayGroups};
 use crate::denoising::Inputs;
 use crate::observer::RunSummary;
+use crate::optim::AdamW;
 use crate::recipe::{Loss, StepKey};
 use crate::systems::BUILT_IN;
 
@@ -67,9 +71,15 @@ fn step_in(batches: usize) -> (StepReport, Vec<Vec<f32>>) {
 
 /// A trainer whose steps are so many batches of three phrases of 9, 4 and 12 frames.
 fn trainer(batches: usize) -> Trainer<Squares> {
+    trainer_with(batches, "host", true)
+}
+
+/// The same, with the optimiser's states in some place and on a device that says it is the host's.
+fn trainer_with(batches: usize, states: &str, on_host: bool) -> Trainer<Squares> {
     let overrides = [
         format!("data.batch_size={}", 3 / batches),
         format!("train.gradient_accumulation_steps={batches}"),
+        format!("optim.states={states}"),
     ];
     let overrides = overrides.into_iter().chain(
         [
@@ -97,6 +107,7 @@ fn trainer(batches: usize) -> Trainer<Squares> {
         statistics,
         network_statistics: None,
         device: device.clone(),
+        on_host,
         dataset: dataset.digest,
         folder: PathBuf::new(),
         together: Together::alone(),
@@ -122,6 +133,44 @@ fn a_stop_between_the_batches_of_a_step_leaves_the_weights() {
             .is_some()
     );
     assert_ne!(weights(&whole), before);
+}
+
+#[test]
+fn states_are_moved_alike_in_either_place() {
+    let after = |batches, states, on_host| {
+        let mut trainer = trainer_with(batches, states, on_host);
+        let mut watching = Watching::default();
+        for _ in 0..4 {
+            trainer.time_step(&mut watching).unwrap().expect("a step");
+        }
+        assert_eq!(
+            trainer.states.on_device().is_some(),
+            states != "host" && !on_host
+        );
+        let ranks = trainer.parts.together.ranks();
+        let moments = trainer.states.moments(ranks).into_owned();
+        let halves = moments.into_iter().map(|m| [m.exp_avg, m.exp_avg_sq]);
+        let mut all = parameters::values(trainer.model.as_ref().unwrap());
+        all.extend(trainer.states.averages(ranks).into_owned());
+        all.extend(halves.flatten());
+        (watching.0.expect("a report"), all.concat())
+    };
+    for batches in [1, 3] {
+        let (report, reference) = after(batches, "auto", true);
+        // Weights that go to another device, from the copy in main memory.
+        let (_, copied) = after(batches, "host", false);
+        assert_eq!(copied, reference);
+        let (other, found) = after(batches, "device", false);
+        assert!((other.grad_norm / report.grad_norm - 1.0).abs() < 1e-6);
+        assert_eq!(found.len(), reference.len());
+        for (found, expected) in found.iter().zip(&reference) {
+            let error = (found - expected).abs();
+            assert!(
+                error <= 1e-6 * expected.abs().max(1e-3),
+                "{found} {expected}"
+            );
+        }
+    }
 }
 
 #[test]
@@ -182,11 +231,11 @@ fn parameters_without_decay_stay_where_nothing_pulls() {
         weight_decay: 0.5,
         ..OptimConfig::default()
     };
-    let mut adamw = AdamW::new(&config, [2, 2]).with_decay_on(vec![true, false]);
+    let mut adamw = AdamW::new(&config, 0).with_decay_on(vec![true, false]);
     adamw.begin_step();
     let mut values = [[3.0f32; 2]; 2];
     for (index, values) in values.iter_mut().enumerate() {
-        adamw.update(index, values, &[0.0; 2], 1.0, 0.1, None);
+        Moments::zeros(2).update(adamw.step(index, 1.0, 0.1), values, &[0.0; 2], None);
     }
     assert!((values[0][0] - 2.85).abs() < 1e-6, "{values:?}");
     assert_eq!(values[1], [3.0; 2]);

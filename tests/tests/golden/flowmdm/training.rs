@@ -10,7 +10,7 @@ use kinegrad_tests::golden::{Golden, ReferenceTensors as _, compared};
 use kinegrad_tests::trials::GoldenTest;
 use kinegrad_tests::{gradients, trials};
 use kinegrad_train::config::OptimConfig;
-use kinegrad_train::optim::AdamW;
+use kinegrad_train::optim::{AdamW, Moments};
 
 use super::super::gmd::bench::process;
 use super::network::two_motions;
@@ -124,15 +124,14 @@ fn compare_step(golden: &Golden, network: &BlendedTransformer, computed: &[Vec<f
         ..OptimConfig::default()
     };
     let before = parameters::export(network);
-    let mut adamw = AdamW::new(
-        &config,
-        before.iter().map(|parameter| parameter.values.len()),
-    );
+    let mut adamw = AdamW::new(&config, 0);
     adamw.begin_step();
     let updated = golden.names_under("out.after_single_step.");
     for (index, parameter) in before.iter().enumerate() {
         let mut after = parameter.values.clone();
-        adamw.update(index, &mut after, &computed[index], 1.0, rate, None);
+        let mut moments = Moments::zeros(after.len());
+        let step = adamw.step(index, 1.0, rate);
+        moments.update(step, &mut after, &computed[index], None);
         let name = &parameter.info.name;
         if !updated.contains(name) {
             continue;

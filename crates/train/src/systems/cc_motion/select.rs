@@ -6,7 +6,7 @@ use std::sync::Arc;
 use burn::tensor::Device;
 use kinegrad_data::{Batch, Phrase, PhraseSet};
 use kinegrad_diffusion::GaussianDiffusion;
-use kinegrad_models::{MotionDecoder, MotionModel, UNet1d};
+use kinegrad_models::{GradientSum, MotionDecoder, MotionModel, UNet1d};
 
 use super::CondSource;
 use super::evaluate::{Evaluation, EvaluationSettings, evaluate};
@@ -155,7 +155,7 @@ impl<R: Recipe<Model: Networks>> Recipe for Selecting<R> {
         self.recipe.loss(model, batch, key, device)
     }
 
-    fn backward(&self, model: &Self::Model, loss: Loss<Self::Pending>) -> Vec<Vec<f32>> {
+    fn backward(&self, model: &Self::Model, loss: Loss<Self::Pending>) -> GradientSum {
         self.recipe.backward(model, loss)
     }
 

@@ -191,7 +191,7 @@ impl Recipe for E2eRecipe {
         self.loss_of(model, inputs, draws)
     }
 
-    fn backward(&self, model: &MotionModel, loss: Loss<Self::Pending>) -> Vec<Vec<f32>> {
+    fn backward(&self, model: &MotionModel, loss: Loss<Self::Pending>) -> GradientSum {
         let mut sum = GradientSum::default();
         let mut gradients = loss.total.backward();
         if let Some(PendingRollout { trace, cond }) = loss.pending {
@@ -203,7 +203,7 @@ impl Recipe for E2eRecipe {
                 .expect("it ran forwards");
         }
         sum.add(model, &mut gradients);
-        sum.into_host(model)
+        sum
     }
 
     /// The same loss without dropout, the start timesteps of the phrases covering their range

@@ -1,0 +1,327 @@
+//! What a step changes: the weights, the optimiser's running means and the moving average, in main
+//! memory or on the device of the networks.
+
+use std::borrow::Cow;
+use std::rc::Rc;
+
+use burn::module::Module;
+use burn::tensor::{Device, Tensor, TensorData};
+use kinegrad_kernels::optimizer::AdamWTensors;
+use kinegrad_models::parameters::{self, ParameterInfo};
+use kinegrad_ranks::Ranks;
+
+use super::gradients::StepGradients;
+use super::owners::Owners;
+use super::restore::order_of;
+use super::rows::{Layout, Rows};
+use crate::checkpoint::Checkpoint;
+use crate::config::{Config, OptimConfig, OptimPlace, WeightDecayGroups};
+use crate::ema::Ema;
+use crate::optim::{AdamW, Moments};
+use crate::parameter_count::is_adapter;
+
+/// The optimiser, the moving average and what they keep of each parameter.
+pub(super) struct States {
+    optimizer: AdamW,
+    ema: Ema,
+    kept: Kept,
+}
+
+/// Running means and averages, in the module's order.
+enum Kept {
+    /// In main memory.
+    Host(OnHost),
+    /// On the device of the networks.
+    Device(OnDevice),
+}
+
+/// States in main memory.
+struct OnHost {
+    /// Of the parameters that are trained and kept here.
+    moments: Vec<Moments>,
+    /// Of all parameters that are kept here.
+    averages: Vec<Vec<f32>>,
+    /// Who keeps the states of which parameters, where ranks share them.
+    owners: Option<Owners>,
+    /// The weights, where the networks are on another device: they go there and need not come back.
+    weights: Option<Vec<Vec<f32>>>,
+}
+
+/// States on the device of the networks.
+struct OnDevice {
+    weights: Rows,
+    exp_avg: Rows,
+    exp_avg_sq: Rows,
+    averages: Rows,
+    /// The weights of frozen parameters, which are their own average.
+    frozen: Vec<Vec<f32>>,
+}
+
+/// What the states of a training are begun with.
+pub(super) struct Begin<'a> {
+    pub config: &'a Config,
+    pub infos: &'a [ParameterInfo],
+    /// The autodiff device of the networks.
+    pub device: &'a Device,
+    /// Whether it computes in main memory.
+    pub on_host: bool,
+    pub ranks: &'a dyn Ranks,
+    /// Optimiser group of each parameter.
+    pub groups: &'a [usize],
+}
+
+impl States {
+    /// States of `model` at step 0, or those of a checkpoint, whose weights it has.
+    pub fn begin<M: Module>(model: &M, checkpoint: Option<Checkpoint>, begin: &Begin<'_>) -> Self {
+        let Begin {
+            config,
+            infos,
+            ranks,
+            ..
+        } = begin;
+        let optim = &config.optim;
+        // Frozen parameters have no running means.
+        let trained = infos.iter().zip(parameters::trainable(model));
+        let lengths = trained.map(|(info, trained)| if trained { info.len() } else { 0 });
+        let lengths: Vec<usize> = lengths.collect();
+        let (steps, mut moments, mut averages) = match checkpoint {
+            Some(checkpoint) => {
+                // Files of tensors come back sorted by name; the module's order is another.
+                let order = order_of(infos, &checkpoint);
+                let (mut moments, mut averages) = (checkpoint.moments, checkpoint.ema);
+                let taken = order.iter().map(|&index| {
+                    let average = std::mem::take(&mut averages[index].values);
+                    (std::mem::take(&mut moments[index]), average)
+                });
+                let (moments, averages) = taken.unzip();
+                (checkpoint.state.step, moments, averages)
+            }
+            None => {
+                let moments = lengths.iter().map(|&length| Moments::zeros(length));
+                (0, moments.collect::<Vec<_>>(), parameters::values(model))
+            }
+        };
+        let decaying = infos.iter().map(|info| decays(optim, info)).collect();
+        let optimizer = AdamW::new(optim, steps).with_decay_on(decaying);
+        let on_device = match optim.states {
+            OptimPlace::Auto => !begin.on_host && ranks.size() == 1,
+            OptimPlace::Host => false,
+            OptimPlace::Device => true,
+        };
+        let kept = if on_device {
+            let layout = Layout::new(&lengths, |index| {
+                (begin.groups[index], decays(optim, &infos[index]))
+            });
+            let device = begin.device.clone().inner();
+            let put = |values: &[Vec<f32>]| Rows::put(&layout, values, &device);
+            let (exp_avg, exp_avg_sq): (Vec<_>, Vec<_>) = moments
+                .into_iter()
+                .map(|moments| (moments.exp_avg, moments.exp_avg_sq))
+                .unzip();
+            let on_device = OnDevice {
+                weights: put(&parameters::values(model)),
+                exp_avg: put(&exp_avg),
+                exp_avg_sq: put(&exp_avg_sq),
+                averages: put(&averages),
+                frozen: {
+                    let frozen = averages.into_iter().zip(&lengths);
+                    let kept = frozen.map(|(values, &length)| match length {
+                        0 => values,
+                        _ => Vec::new(),
+                    });
+                    kept.collect()
+                },
+            };
+            Kept::Device(on_device)
+        } else {
+            let shares = optim.shard_states && ranks.size() > 1;
+            let owners = shares.then(|| Owners::new(*ranks, lengths));
+            if let Some(owners) = &owners {
+                let others = (0..infos.len()).filter(|&index| !owners.has(index));
+                others.for_each(|index| {
+                    (moments[index], averages[index]) = (Moments::default(), Vec::new());
+                });
+            }
+            Kept::Host(OnHost {
+                moments,
+                averages,
+                owners,
+                weights: (!begin.on_host).then(|| parameters::values(model)),
+            })
+        };
+        Self {
+            optimizer,
+            ema: Ema::new(&config.ema),
+            kept,
+        }
+    }
+
+    /// How gradients are laid out on the device of the networks, where they are needed there.
+    pub fn on_device(&self) -> Option<&Rc<Layout>> {
+        match &self.kept {
+            Kept::Host(_) => None,
+            Kept::Device(kept) => Some(&kept.weights.layout),
+        }
+    }
+
+    /// Who keeps the states of which parameters, where ranks share them.
+    pub fn owners(&self) -> Option<&Owners> {
+        match &self.kept {
+            Kept::Host(kept) => kept.owners.as_ref(),
+            Kept::Device(_) => None,
+        }
+    }
+
+    /// AdamW and the moving average, parameter by parameter: with gradients times `gradient_scale` and
+    /// each parameter's learning rate.
+    pub fn update<M: Module>(
+        &mut self,
+        model: M,
+        gradients: &StepGradients,
+        gradient_scale: f64,
+        rates: &[f64],
+        ranks: &dyn Ranks,
+    ) -> M {
+        self.optimizer.begin_step();
+        let share = self.ema.share_at(self.optimizer.steps());
+        let step = |index| self.optimizer.step(index, gradient_scale, rates[index]);
+        match (&mut self.kept, gradients) {
+            (Kept::Host(kept), StepGradients::Host(gradients)) => {
+                kept.update(model, ranks, |index, parameter, moments, average| {
+                    let average = share.map(|share| (average, share));
+                    moments.update(step(index), parameter, &gradients[index], average);
+                })
+            }
+            (Kept::Device(kept), StepGradients::Device(gradients)) => {
+                for (row, first) in kept.weights.layout.clone().first().enumerate() {
+                    let average = kept.averages.rows[row].clone();
+                    let state = AdamWTensors {
+                        parameter: kept.weights.rows[row].clone(),
+                        exp_avg: kept.exp_avg.rows[row].clone(),
+                        exp_avg_sq: kept.exp_avg_sq.rows[row].clone(),
+                        ema: share.map(|share| (average, share)),
+                    };
+                    let gradient = gradients.rows[row].clone();
+                    let state = step(first).update_tensors(state, gradient);
+                    kept.weights.rows[row] = state.parameter;
+                    kept.exp_avg.rows[row] = state.exp_avg;
+                    kept.exp_avg_sq.rows[row] = state.exp_avg_sq;
+                    if let Some((average, _)) = state.ema {
+                        kept.averages.rows[row] = average;
+                    }
+                }
+                parameters::map(model, |index, _| kept.weights.part(index))
+            }
+            _ => unreachable!("gradients are where the states are"),
+        }
+    }
+
+    /// The averaged weights of all parameters.
+    pub fn averages(&self, ranks: &dyn Ranks) -> Cow<'_, [Vec<f32>]> {
+        match &self.kept {
+            Kept::Host(kept) => match &kept.owners {
+                Some(owners) => owners.gathered(ranks, &kept.averages).into(),
+                None => kept.averages.as_slice().into(),
+            },
+            Kept::Device(kept) => {
+                let mut averages = kept.averages.read();
+                for (average, frozen) in averages.iter_mut().zip(&kept.frozen) {
+                    average.extend(frozen);
+                }
+                averages.into()
+            }
+        }
+    }
+
+    /// The optimiser's running means of all parameters.
+    pub fn moments(&self, ranks: &dyn Ranks) -> Cow<'_, [Moments]> {
+        let [exp_avg, exp_avg_sq] = match &self.kept {
+            Kept::Host(OnHost {
+                moments,
+                owners: None,
+                ..
+            }) => return moments.as_slice().into(),
+            Kept::Host(OnHost {
+                moments,
+                owners: Some(owners),
+                ..
+            }) => {
+                let all = |of: fn(&Moments) -> &Vec<f32>| {
+                    let own: Vec<Vec<f32>> = moments.iter().map(of).cloned().collect();
+                    owners.gathered(ranks, &own)
+                };
+                [
+                    all(|moments| &moments.exp_avg),
+                    all(|moments| &moments.exp_avg_sq),
+                ]
+            }
+            Kept::Device(kept) => [kept.exp_avg.read(), kept.exp_avg_sq.read()],
+        };
+        let moments = |(exp_avg, exp_avg_sq)| Moments {
+            exp_avg,
+            exp_avg_sq,
+        };
+        let pairs = exp_avg.into_iter().zip(exp_avg_sq);
+        pairs.map(moments).collect::<Vec<_>>().into()
+    }
+}
+
+impl OnHost {
+    /// Hands every parameter that is trained to `change` on the rank that keeps its states, with its
+    /// running means and its average.
+    fn update<M: Module>(
+        &mut self,
+        model: M,
+        ranks: &dyn Ranks,
+        mut change: impl FnMut(usize, &mut [f32], &mut Moments, &mut [f32]),
+    ) -> M {
+        let Self {
+            moments,
+            averages,
+            owners,
+            weights,
+        } = self;
+        let mut own = vec![Vec::new(); moments.len()];
+        let model = on_host(model, weights.as_mut(), |index, values| {
+            if owners.as_ref().is_some_and(|owners| !owners.has(index)) {
+                return;
+            }
+            change(index, values, &mut moments[index], &mut averages[index]);
+            if owners.is_some() {
+                own[index] = values.to_vec();
+            }
+        });
+        let Some(owners) = owners else {
+            return model;
+        };
+        let all = owners.gathered(ranks, &own);
+        on_host(model, weights.as_mut(), |index, values| {
+            values.copy_from_slice(&all[index]);
+        })
+    }
+}
+
+/// Changes the parameters that are not frozen in main memory: in place, or in the copy of them there.
+fn on_host<M: Module>(
+    model: M,
+    weights: Option<&mut Vec<Vec<f32>>>,
+    mut change: impl FnMut(usize, &mut [f32]),
+) -> M {
+    let Some(weights) = weights else {
+        return parameters::update(model, change);
+    };
+    parameters::map(model, |index, tensor| {
+        let values = &mut weights[index];
+        change(index, values);
+        let data = TensorData::new(values.clone(), [values.len()]);
+        Tensor::from_data(data, &tensor.device())
+    })
+}
+
+/// Whether weight decay falls on a parameter.
+pub(super) fn decays(optim: &OptimConfig, info: &ParameterInfo) -> bool {
+    match optim.weight_decay_groups {
+        WeightDecayGroups::All => true,
+        WeightDecayGroups::Matrices => info.shape.len() >= 2 && !is_adapter(info),
+    }
+}
