@@ -103,6 +103,9 @@ fn a_motion_goes_on_from_its_history_as_the_texts_say() {
     let array = read_array(&sandbox.path("start.npy")).expect("an array");
     assert_eq!(array.shape, [40, 22, 3]);
     assert!(array.values.iter().all(|value| value.is_finite()));
+    let record = fs::read_to_string(sandbox.path("start.json")).expect("a record");
+    let record: Value = serde_json::from_str(&record).expect("JSON");
+    assert_eq!(record["rollout"]["evaluations_per_frame"], 4.0);
 
     let on = |settings: &str| {
         draw(&format!(
@@ -164,6 +167,35 @@ fn a_motion_goes_on_from_its_history_as_the_texts_say() {
     assert_eq!(planned[..10 * 66], alone[..10 * 66]);
     assert_ne!(planned[10 * 66..], alone[10 * 66..]);
 
+    // Without a history it goes on from a held-out clip that does what is said, where there is one.
+    let held_out = fs::read_to_string(sandbox.path("walks/val.txt")).expect("a list of clips");
+    let texts = held_out.lines().map(|clip| {
+        fs::read_to_string(sandbox.path(&format!("walks/texts/{clip}.txt"))).expect("captions")
+    });
+    let texts: Vec<String> = texts.collect();
+    let mut begun = 0;
+    for caption in &captions {
+        let known = [caption.clone(), first.clone()];
+        let drawn = said(&sandbox, "--text FIRST --frames 1 --out begun", &known).succeeded();
+        let record = fs::read_to_string(sandbox.path("begun.json")).expect("a record");
+        let record: Value = serde_json::from_str(&record).expect("JSON");
+        let clip = record["condition"]["item"].as_str().expect("a clip");
+        assert!(drawn.stderr.contains(clip), "{}", drawn.stderr);
+        let does = |text: &String| {
+            text.lines()
+                .any(|line| line.starts_with(&format!("{caption}#")))
+        };
+        if texts.iter().any(does) {
+            let text = sandbox.path(&format!("walks/texts/{clip}.txt"));
+            assert!(
+                does(&fs::read_to_string(text).expect("captions")),
+                "{caption}: {clip}"
+            );
+            begun += 1;
+        }
+    }
+    assert!(begun > 1, "no caption of held-out clips");
+
     // A step may say nothing.
     let silent = format!("{plan}[[step]]\nseconds = 0.2\n");
     sandbox.write("silent.toml", &silent);
@@ -184,6 +216,16 @@ fn a_motion_goes_on_from_its_history_as_the_texts_say() {
         let path = sandbox.path(format!("{name}.npy"));
         write_values(&path, &[frames, 22, 3], &scaled).expect("written");
     }
+    // A frame that is no body, and bodies in the air.
+    let mut holed = start.clone();
+    let frame = frames - 3;
+    holed[frame * 66..(frame + 1) * 66].fill(0.0);
+    let up = start.iter().enumerate();
+    let floating = up.map(|(at, value)| if at % 3 == 1 { value + 50.0 } else { *value });
+    for (name, values) in [("holed", holed), ("floating", floating.collect())] {
+        let path = sandbox.path(format!("{name}.npy"));
+        write_values(&path, &[frames, 22, 3], &values).expect("written");
+    }
     sandbox.write("empty.toml", "step = []\n");
     sandbox.write("odd.toml", "[[step]]\nseconds = -1.0\n");
     sandbox.write(
@@ -202,6 +244,14 @@ fn a_motion_goes_on_from_its_history_as_the_texts_say() {
         (
             "--history centimetres.npy",
             ["centimetres.npy", "allowed: 0.005 to 3"],
+        ),
+        ("--history holed.npy", ["in frame 37", "is 0.0000 m long"]),
+        (
+            "--history floating.npy",
+            [
+                "floating.npy: the lowest joint",
+                "the floor, which is where y is 0",
+            ],
         ),
         ("--history nowhere.npy", ["nowhere.npy", ""]),
         (
@@ -253,6 +303,12 @@ fn rollouts_are_measured_beside_what_follows_in_held_out_clips() {
     let with = report("");
     assert_eq!(with["evaluations_per_frame"], 4.0);
     assert!(number(&with, "drawn", "bone_change") < 1e-3);
+    // What a text says is measured against what another says.
+    for texts in ["own_texts", "other_texts"] {
+        assert!(number(&with, texts, "speed_error") > 0.0);
+        assert!(number(&with, texts, "turn_error") > 0.0);
+    }
+    assert_ne!(with["own_texts"], with["other_texts"]);
     // 60 steps of training: nothing that keeps bones by itself.
     let without = report("--set evaluation.constant_bones=false");
     assert!(number(&without, "drawn", "bone_change") > 0.01);
@@ -286,6 +342,24 @@ fn rollouts_are_measured_beside_what_follows_in_held_out_clips() {
     let names = samples.map(|entry| entry.expect("an entry").file_name());
     let arrays = names.filter(|name| name.to_string_lossy().ends_with(".npy"));
     assert_eq!(arrays.count(), 2);
+}
+
+#[test]
+fn clips_too_short_to_go_on_from_are_not_measured() {
+    let sandbox = Sandbox::new(env!("CARGO_BIN_EXE_kinegrad"));
+    let clips = "[data.synthetic]\nphrases = 60\nframes = 12\n[data.validation]\nfraction = 0.25\n";
+    let config = FLOW
+        .replace(
+            "kind = \"humanml3d\"\nsource = \"walks\"",
+            "kind = \"synthetic_walks\"",
+        )
+        .replace("[data.humanml3d]", "[data.humanml3d]\nmin_frames = 10");
+    sandbox.write("c.toml", format!("{config}{clips}"));
+    sandbox
+        .run("train c.toml --set train.max_steps=2")
+        .succeeded();
+    let measured = sandbox.run("eval runs/flow");
+    measured.failed(2, &["no held-out clip of", "has 16 frames", "--source"]);
 }
 
 #[test]

@@ -135,17 +135,25 @@ pub(crate) fn parse_onto(
         return Err(FileError::unusable(file, problem, CUT_OFF));
     }
     match (fortran_order, &shape[..]) {
-        (true, &[rows, columns]) if length > 0 => {
+        (true, [_, _, ..]) if length > 0 => {
             let mut stored = Vec::new();
             decode(&mut stored, data, double);
-            values.extend((0..rows * columns).map(|i| stored[i % columns * rows + i / columns]));
-        }
-        (true, [_, _, _, ..]) => {
-            return Err(FileError::shape(file, &shape, "one or two axes"));
+            values.extend((0..stored.len()).map(|at| stored[column_major(at, &shape)]));
         }
         _ => decode(values, data, double),
     }
     Ok(shape)
+}
+
+/// Where element `at` of an array in C order is in Fortran order, the first axis changing fastest.
+fn column_major(mut at: usize, shape: &[usize]) -> usize {
+    let mut place = 0;
+    for axis in (0..shape.len()).rev() {
+        let stride: usize = shape[..axis].iter().product();
+        place += at % shape[axis] * stride;
+        at /= shape[axis];
+    }
+    place
 }
 
 /// Appends the little-endian numbers of `data`.

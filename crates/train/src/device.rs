@@ -122,7 +122,10 @@ pub fn open(name: &str) -> Result<(Device, String), InvalidSetting> {
     let Some(kind) = KINDS.iter().find(|kind| kind.name == kind_name) else {
         let features = ["ndarray", "wgpu", "vulkan", "metal", "cuda"];
         return Err(refuse(if features.contains(&kind_name) {
-            format!("this build has no such device; build with `--features {kind_name}`")
+            format!(
+                "this build has no such device; build with `--features {kind_name}`, or take another, \
+                 such as `--device cpu`"
+            )
         } else {
             "there is no such device".into()
         }));

@@ -20,6 +20,27 @@ fn floats(values: &[f32]) -> Vec<u8> {
 }
 
 #[test]
+fn three_axes_in_fortran_order_are_read_as_in_c_order() {
+    let (shape, at) = ([2, 3, 4], |[a, b, c]: [usize; 3]| {
+        (100 * a + 10 * b + c) as f32
+    });
+    let mut c_order = Vec::new();
+    let mut fortran = Vec::new();
+    for first in 0..shape[0] {
+        for second in 0..shape[1] {
+            c_order.extend((0..shape[2]).map(|third| at([first, second, third])));
+        }
+    }
+    for third in 0..shape[2] {
+        for second in 0..shape[1] {
+            fortran.extend((0..shape[0]).map(|first| at([first, second, third])));
+        }
+    }
+    let array = parse(&raw("'<f4'", true, "(2, 3, 4)", &floats(&fortran)), "f").unwrap();
+    assert_eq!((array.shape, array.values), (shape.to_vec(), c_order));
+}
+
+#[test]
 fn c_and_fortran_order_and_float64_give_the_same_array() {
     let expected = Array {
         shape: vec![2, 3],

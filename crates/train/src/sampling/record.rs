@@ -65,12 +65,14 @@ pub struct Record {
 }
 
 /// How a motion went on frame by frame.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RolloutRecord {
     /// Whether every frame has the bones of the history's last one.
     pub constant_bones: bool,
     /// Whether all poses were drawn from one noise.
     pub same_noise: bool,
+    /// Velocities asked for, of each frame.
+    pub evaluations_per_frame: f64,
     /// The texts, in order.
     pub said: Vec<SaidRecord>,
 }

@@ -10,7 +10,7 @@ use kinegrad_random::{Key, Purpose};
 use serde::Serialize;
 use serde_json::to_value;
 
-use super::report::RolloutReport;
+use super::report::{RolloutReport, TextReport};
 use super::sample::untaught_guidance;
 use super::{FlowGenerator, FlowTables, RolloutEvaluationConfig};
 use crate::captions::{ClipText, must_know_texts};
@@ -38,6 +38,10 @@ struct RolloutEvaluation {
     evaluations_per_frame: f64,
     /// The generated motion.
     drawn: RolloutReport,
+    /// How far it is from what follows, told the clips' own texts.
+    own_texts: TextReport,
+    /// The same, told the texts of other clips.
+    other_texts: TextReport,
     /// What follows in the held-out clips.
     real: RolloutReport,
 }
@@ -64,16 +68,37 @@ pub(super) fn prepare<'a>(
         &subject.checkpoint,
         "motions go on from held-out clips",
     )?;
-    let held_out = dataset.validation.evenly(own.evaluation.rollouts)?;
     let mut remarks = Vec::new();
+    let begin = beginning(own.pose.history_frames + 1);
+    let asked_for = dataset.validation.evenly(own.evaluation.rollouts)?;
+    let long_enough = asked_for
+        .iter()
+        .filter(|clip| clip.features.frames() >= begin);
+    let held_out: Vec<Arc<Clip>> = long_enough.cloned().collect();
+    if held_out.is_empty() {
+        let message = format!(
+            "no held-out clip of {} has {begin} frames",
+            subject.checkpoint.display()
+        );
+        let hint =
+            "a motion goes on from so many: hold out longer clips, or name others with `--source`";
+        return Err(Error::usage(message, hint));
+    }
+    if held_out.len() < asked_for.len() {
+        remarks.push(format!(
+            "note: {} of {} clips have fewer than {begin} frames and are left out",
+            asked_for.len() - held_out.len(),
+            asked_for.len()
+        ));
+    }
     if let Some(warning) = untaught_guidance(subject, &own) {
         remarks.push(format!("warning: {warning}"));
     }
     let asked = own.evaluation;
-    if held_out.len() < asked.rollouts {
+    if asked_for.len() < asked.rollouts {
         remarks.push(format!(
             "note: {} clips are held out for {}, fewer than {} rollouts",
-            held_out.len(),
+            asked_for.len(),
             subject.checkpoint.display(),
             asked.rollouts
         ));
@@ -90,8 +115,12 @@ pub(super) fn prepare<'a>(
         Ok(Evaluated {
             run: evaluation.run.clone(),
             report: "eval-rollouts",
-            drawn: column(Some(evaluation.step), &evaluation.drawn),
-            real: column(None, &evaluation.real),
+            drawn: column(
+                Some(evaluation.step),
+                &evaluation.drawn,
+                [evaluation.own_texts, evaluation.other_texts],
+            ),
+            real: column(None, &evaluation.real, [TextReport::default(); 2]),
             json: to_value(&evaluation).expect("plain data"),
             remarks: {
                 let each = evaluation.evaluations_per_frame;
@@ -112,47 +141,74 @@ fn evaluate(
 ) -> Result<RolloutEvaluation, Error> {
     let skeleton = generator.space().skeleton.clone();
     let needed = generator.shortest_history();
-    // The same beginnings, however long a run's histories are.
-    let begin = needed.max(RolloutReport::SHORTEST);
-    let all = held_out.len() * settings.frames;
+    let begin = beginning(needed);
+    let texts: Vec<Option<ClipText>> = held_out.iter().map(|clip| ClipText::of(clip)).collect();
+    let other = |number: usize| {
+        let others = texts[number + 1..].iter().chain(&texts[..number]);
+        others.into_iter().find(|text| **text != texts[number])
+    };
+    let told = if held_out.len() > 1 && other(0).is_some() {
+        2
+    } else {
+        1
+    };
+    let all = held_out.len() * settings.frames * told;
     let (mut drawn, mut real) = (Vec::new(), Vec::new());
-    let mut evaluations = 0;
+    let mut pairs = [Vec::new(), Vec::new()];
+    let (mut evaluations, mut done) = (0, 0);
     for (number, clip) in held_out.iter().enumerate() {
         let joints = clip.features.joints();
         let history = part(&joints, begin - needed, begin);
+        let rest = part(&joints, begin, joints.frames());
         let key = Key::new(item_seed(seed, &clip.id), Purpose::Sampling);
-        let frames = settings.frames;
-        let rollout = generator.rollout(&history, frames, sampler, &settings, key);
-        let mut rollout = rollout?;
-        rollout.push_text(&generator.text(ClipText::of(clip).as_ref())?)?;
-        let mut places = Vec::with_capacity(frames * skeleton.joints());
-        let sample = || format!("after clip `{}`", clip.id);
-        while let Some(frame) = FlowGenerator::next_frame(&mut rollout, &sample)? {
-            places.extend(frame);
-            let done = number * frames + frames - rollout.remaining();
-            if let ControlFlow::Break(()) = on_step("", done, all) {
-                return Err(Error::Interrupted);
+        let said = [Some(&texts[number]), other(number)];
+        for (which, text) in said.into_iter().enumerate().take(told) {
+            let Some(text) = text else { continue };
+            let frames = settings.frames;
+            let mut rollout = generator.rollout(&history, frames, sampler, &settings, key)?;
+            rollout.push_text(&generator.text(text.as_ref())?)?;
+            let mut places = Vec::with_capacity(frames * skeleton.joints());
+            let sample = || format!("after clip `{}`", clip.id);
+            while let Some(frame) = FlowGenerator::next_frame(&mut rollout, &sample)? {
+                places.extend(frame);
+                done += 1;
+                if let ControlFlow::Break(()) = on_step("", done, all) {
+                    return Err(Error::Interrupted);
+                }
+            }
+            let motion = Joints::new(places, skeleton.joints()).expect("whole frames");
+            let both = rest.frames().min(motion.frames());
+            if both >= RolloutReport::SHORTEST {
+                pairs[which].push((part(&motion, 0, both), part(&rest, 0, both)));
+            }
+            if which == 0 {
+                evaluations += rollout.evaluations();
+                drawn.push((bones(&skeleton, &history), motion));
             }
         }
-        evaluations += rollout.evaluations();
-        let motion = Joints::new(places, skeleton.joints()).expect("whole frames");
-        drawn.push((bones(&skeleton, &history), motion));
-        let rest = part(&joints, begin, joints.frames());
         if rest.frames() >= RolloutReport::SHORTEST {
             real.push((bones(&skeleton, &history), rest));
         }
     }
     let config = generator.config();
+    let [own_texts, other_texts] = pairs.map(|pairs| TextReport::compute(&skeleton, &pairs));
     Ok(RolloutEvaluation {
         run: config.run.name.clone(),
         step: generator.step(),
         seed,
+        evaluations_per_frame: evaluations as f64 / (held_out.len() * settings.frames) as f64,
         settings,
         sampler: sampler.clone(),
-        evaluations_per_frame: evaluations as f64 / all as f64,
         drawn: RolloutReport::compute(&skeleton, &drawn, &real),
+        own_texts,
+        other_texts,
         real: RolloutReport::compute(&skeleton, &real, &real),
     })
+}
+
+/// Frames of a clip after which rollouts begin: the same, however long a run's histories are.
+fn beginning(needed: usize) -> usize {
+    needed.max(RolloutReport::SHORTEST)
 }
 
 fn part(joints: &Joints, first: usize, end: usize) -> Joints {
@@ -166,8 +222,15 @@ fn bones(skeleton: &Skeleton, history: &Joints) -> Vec<f64> {
     super::report::bone_lengths(skeleton, last)
 }
 
-fn column(step: Option<u64>, report: &RolloutReport) -> Column {
-    let rows = report.rows().into_iter();
+fn column(step: Option<u64>, report: &RolloutReport, texts: [TextReport; 2]) -> Column {
+    let [own, other] = texts;
+    let texts = [
+        ("speed error", own.speed_error, ", m/s"),
+        ("speed error, other texts", other.speed_error, ", m/s"),
+        ("turn error", own.turn_error, ", degrees/s"),
+        ("turn error, other texts", other.turn_error, ", degrees/s"),
+    ];
+    let rows = report.rows().into_iter().chain(texts);
     let numbers = rows.map(|(name, value, unit)| Number {
         name: name.to_string(),
         value,

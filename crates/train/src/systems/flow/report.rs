@@ -83,14 +83,11 @@ impl RolloutReport {
                 };
                 height(3).zip(height(0)).map(|(last, first)| last - first)
             }),
-            speed: each(&|_, joints| {
-                let root = joints.track(0);
-                let steps = root
-                    .windows(2)
-                    .map(|pair| fps * (pair[1][0] - pair[0][0]).hypot(pair[1][2] - pair[0][2]));
-                mean(steps.collect())
+            speed: each(&|_, joints| speed(skeleton, joints)),
+            turn_rate: each(&|_, joints| {
+                let turns = turns(skeleton, joints)?.into_iter();
+                mean(turns.map(f64::abs).collect())
             }),
-            turn_rate: each(&|_, joints| turn_rate(skeleton, joints)),
             frechet_distance: match std::ptr::eq(motions, real) {
                 // From itself it is none.
                 true => None,
@@ -115,6 +112,29 @@ impl RolloutReport {
             ("turn rate", self.turn_rate, ", degrees/s"),
             ("Fréchet distance", self.frechet_distance, ""),
         ]
+    }
+}
+
+/// How far motions are from those that they should be like.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct TextReport {
+    /// Mean difference of the root's mean speeds, metres per second.
+    pub speed_error: Option<f64>,
+    /// Mean difference of the mean turns to the left, degrees per second.
+    pub turn_error: Option<f64>,
+}
+
+impl TextReport {
+    /// The report of motions, each beside the one of as many frames that it should be like.
+    pub fn compute(skeleton: &Skeleton, pairs: &[(Joints, Joints)]) -> Self {
+        let apart = |of: &dyn Fn(&Joints) -> Option<f64>| {
+            let both = pairs.iter().filter_map(|(a, b)| of(a).zip(of(b)));
+            mean(both.map(|(a, b)| (a - b).abs()).collect())
+        };
+        Self {
+            speed_error: apart(&|joints| speed(skeleton, joints)),
+            turn_error: apart(&|joints| mean(turns(skeleton, joints)?)),
+        }
     }
 }
 
@@ -159,16 +179,26 @@ fn mean_places(skeleton: &Skeleton, joints: &Joints) -> Option<Vec<f64>> {
     Some(layout.positions().map(of).collect())
 }
 
-/// Mean speed of the heading's turns, degrees per second.
-fn turn_rate(skeleton: &Skeleton, joints: &Joints) -> Option<f64> {
+/// Mean speed of the root over the ground, metres per second.
+fn speed(skeleton: &Skeleton, joints: &Joints) -> Option<f64> {
+    let fps = skeleton.description().fps;
+    let root = joints.track(0);
+    let steps = root
+        .windows(2)
+        .map(|pair| fps * (pair[1][0] - pair[0][0]).hypot(pair[1][2] - pair[0][2]));
+    mean(steps.collect())
+}
+
+/// Turns of the heading from frame to frame, degrees per second, to the left above zero.
+fn turns(skeleton: &Skeleton, joints: &Joints) -> Option<Vec<f64>> {
     let rows = features(skeleton, joints)?;
     let turn = FeatureLayout::ROOT.start;
     let fps = skeleton.description().fps;
     // The channel is the arc sine of the quaternion's part along y: half of the turn.
     let turns = rows
         .iter()
-        .map(|row| (2.0 * f64::from(row[turn])).abs().to_degrees() * fps);
-    mean(turns.collect())
+        .map(|row| (2.0 * f64::from(row[turn])).to_degrees() * fps);
+    Some(turns.collect())
 }
 
 #[cfg(test)]
@@ -209,6 +239,26 @@ mod tests {
             );
         }
         assert!(here.speed > Some(0.3) && here.turn_rate > Some(0.0));
+    }
+
+    #[test]
+    fn what_does_something_else_is_seen() {
+        let skeleton = Skeleton::humanml3d();
+        let walks = [walked(), walk(11, 60, 1).features.joints()];
+        let report =
+            |a: &Joints, b: &Joints| TextReport::compute(&skeleton, &[(a.clone(), b.clone())]);
+        let same = report(&walks[0], &walks[0]);
+        assert_eq!((same.speed_error, same.turn_error), (Some(0.0), Some(0.0)));
+        // Twice as wide is twice as fast; mirrored is turned the other way.
+        let wide = changed(&walks[0], |[x, y, z]| [2.0 * x, y, 2.0 * z]);
+        assert!(report(&walks[0], &wide).speed_error > Some(0.3));
+        let other = report(&walks[0], &walks[1]);
+        assert!(
+            other.speed_error > Some(0.0) && other.turn_error > Some(1.0),
+            "{other:?}"
+        );
+        let none = TextReport::compute(&skeleton, &[]);
+        assert_eq!(none, TextReport::default());
     }
 
     #[test]

@@ -5,7 +5,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use kinegrad_data::humanml::Clip;
-use kinegrad_data::{Dataset, read_array};
+use kinegrad_data::{Dataset, ItemSet, read_array};
 use kinegrad_diffusion::FlowSamplerConfig;
 use kinegrad_motion::humanml::{Joints, Skeleton};
 use kinegrad_random::{Key, Purpose};
@@ -81,7 +81,7 @@ pub(super) fn sample(
     )?;
     let longest = subject.config.data.target_frames;
     let space = PoseSpace::new(skeleton.clone(), &own.pose, longest);
-    let starts = starts(subject, request, receiver, &space)?;
+    let starts = starts(subject, request, receiver, &space, &script)?;
     if script.frames > longest {
         receiver.note(&format!(
             "{} frames are more than `data.target_frames`, {longest}, the longest motion that the model is \
@@ -129,6 +129,7 @@ pub(super) fn sample(
                 rollout: Some(RolloutRecord {
                     constant_bones: how.constant_bones,
                     same_noise: how.same_noise,
+                    evaluations_per_frame: rollout.evaluations() as f64 / script.frames as f64,
                     said: script.said(start),
                 }),
                 ..record(subject, request, start, index, &joints, &skeleton)
@@ -202,12 +203,14 @@ impl Script {
     }
 }
 
-/// What the motions go on from: the file of a history, or the beginnings of clips.
+/// What the motions go on from: the file of a history, or the beginnings of clips; without either that
+/// of a held-out clip which does what is said first.
 fn starts(
     subject: &Subject,
     request: &Request,
     receiver: &mut dyn Receiver,
     space: &PoseSpace,
+    script: &Script,
 ) -> Result<Vec<Start>, Error> {
     let needed = space.history + 1;
     let Conditions {
@@ -238,15 +241,21 @@ fn starts(
     let dataset = Dataset::<Clip>::open_with_progress(&data, &*receiver.reading())?;
     let chosen: Vec<Arc<Clip>> = match (item, held_out) {
         (Some(pattern), _) => clips_named(&dataset, pattern)?,
-        (None, count) => {
-            let chosen = dataset.held_out().evenly(count.unwrap_or(1))?;
-            if let (None, Some(clip)) = (count, chosen.first()) {
+        (None, Some(count)) => dataset.held_out().evenly(*count)?,
+        (None, None) => {
+            let first = script.steps.first().and_then(|(_, text)| text.as_ref());
+            let said = first.and_then(|text| text.caption.as_deref());
+            let clip = clip_that_does(dataset.held_out(), said, needed)?;
+            if let Some(clip) = &clip {
+                let does = clip
+                    .caption()
+                    .map_or("without a caption", |caption| &caption.text);
                 receiver.note(&format!(
-                    "no history given: going on from the beginning of clip `{}`",
+                    "no history given: going on from the beginning of clip `{}`: {does}",
                     clip.id
                 ));
             }
-            chosen
+            clip.into_iter().collect()
         }
     };
     let speaks = text.is_none() && text_embedding.is_none() && plan.is_none();
@@ -277,6 +286,25 @@ fn starts(
     chosen.iter().map(start).collect()
 }
 
+/// The first clip of at least `needed` frames one of whose captions is `said`, else the first clip.
+fn clip_that_does(
+    clips: &ItemSet<Clip>,
+    said: Option<&str>,
+    needed: usize,
+) -> Result<Option<Arc<Clip>>, Error> {
+    let mut first = None;
+    for position in 0..clips.len() {
+        let clip = clips.get(position)?;
+        let mut captions = clip.captions.iter();
+        let does = said.is_none_or(|said| captions.any(|caption| caption.text == said));
+        if does && clip.features.frames() >= needed {
+            return Ok(Some(clip));
+        }
+        first.get_or_insert(clip);
+    }
+    Ok(first)
+}
+
 /// What to say of guidance with a network that was always told its text.
 pub(super) fn untaught_guidance(subject: &Subject, own: &FlowTables) -> Option<String> {
     let scale = subject.config.sampling.sampler.guidance_scale;
@@ -294,6 +322,9 @@ const FURTHEST: f32 = 1e4;
 
 /// Lengths of bones, metres: of bodies, not of numbers in other units.
 const BONES: RangeInclusive<f64> = 0.005..=3.0;
+
+/// Heights of the lowest joint, metres: of a body on the floor, or in a leap.
+const LOWEST: RangeInclusive<f64> = -0.5..=1.5;
 
 /// Joints `[T, J, 3]`.
 fn read_history(path: &Path, space: &PoseSpace) -> Result<Joints, Error> {
@@ -322,23 +353,33 @@ fn read_history(path: &Path, space: &PoseSpace) -> Result<Joints, Error> {
         return Err(refused(format!("{} frames", array.shape[0])));
     }
     let found = Joints::from_f32(&array.values, joints)?;
-    let last = found.frame(found.frames() - 1);
-    let lengths = bone_lengths(&space.skeleton, last).into_iter();
-    for ((joint, name), length) in space
-        .skeleton
-        .description()
-        .joint_names
-        .iter()
-        .enumerate()
-        .skip(1)
-        .zip(lengths)
-    {
-        if !BONES.contains(&length) {
+    let names = &space.skeleton.description().joint_names;
+    for frame in found.frames() - needed..found.frames() {
+        let places = found.frame(frame);
+        let bones = bone_lengths(&space.skeleton, places)
+            .into_iter()
+            .enumerate();
+        for (bone, length) in bones {
+            if !BONES.contains(&length) {
+                return Err(refused(format!(
+                    "the bone to joint {} ({}) is {length:.4} m long in frame {frame}, allowed: {} to {} m",
+                    bone + 1,
+                    names[bone + 1],
+                    BONES.start(),
+                    BONES.end()
+                )));
+            }
+        }
+        let lowest = places
+            .iter()
+            .map(|place| place[1])
+            .fold(f64::INFINITY, f64::min);
+        if !LOWEST.contains(&lowest) {
             return Err(refused(format!(
-                "the bone to joint {joint} ({name}) is {length:.4} m long in the last frame, allowed: {} to \
-                 {} m",
-                BONES.start(),
-                BONES.end()
+                "the lowest joint is at a height of {lowest:.2} m in frame {frame}, allowed: {} to {} m \
+                 above the floor, which is where y is 0",
+                LOWEST.start(),
+                LOWEST.end()
             )));
         }
     }
