@@ -347,7 +347,8 @@ fn rollouts_are_measured_beside_what_follows_in_held_out_clips() {
 #[test]
 fn clips_too_short_to_go_on_from_are_not_measured() {
     let sandbox = Sandbox::new(env!("CARGO_BIN_EXE_kinegrad"));
-    let clips = "[data.synthetic]\nphrases = 60\nframes = 12\n[data.validation]\nfraction = 0.25\n";
+    let clips =
+        "[data.synthetic]\nphrases = 300\nframes = 12\n[data.validation]\nfraction = 0.25\n";
     let config = FLOW
         .replace(
             "kind = \"humanml3d\"\nsource = \"walks\"",

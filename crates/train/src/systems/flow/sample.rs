@@ -204,7 +204,7 @@ impl Script {
 }
 
 /// What the motions go on from: the file of a history, or the beginnings of clips; without either that
-/// of a held-out clip which does what is said first.
+/// of a clip which does what is said first, of a held-out one if there is one.
 fn starts(
     subject: &Subject,
     request: &Request,
@@ -245,7 +245,8 @@ fn starts(
         (None, None) => {
             let first = script.steps.first().and_then(|(_, text)| text.as_ref());
             let said = first.and_then(|text| text.caption.as_deref());
-            let clip = clip_that_does(dataset.held_out(), said, needed)?;
+            let sets = [dataset.held_out(), &dataset.train];
+            let clip = clip_that_does(&sets, said, needed)?;
             if let Some(clip) = &clip {
                 let does = clip
                     .caption()
@@ -288,19 +289,21 @@ fn starts(
 
 /// The first clip of at least `needed` frames one of whose captions is `said`, else the first clip.
 fn clip_that_does(
-    clips: &ItemSet<Clip>,
+    sets: &[&ItemSet<Clip>],
     said: Option<&str>,
     needed: usize,
 ) -> Result<Option<Arc<Clip>>, Error> {
     let mut first = None;
-    for position in 0..clips.len() {
-        let clip = clips.get(position)?;
-        let mut captions = clip.captions.iter();
-        let does = said.is_none_or(|said| captions.any(|caption| caption.text == said));
-        if does && clip.features.frames() >= needed {
-            return Ok(Some(clip));
+    for clips in sets {
+        for position in 0..clips.len() {
+            let clip = clips.get(position)?;
+            let mut captions = clip.captions.iter();
+            let does = said.is_none_or(|said| captions.any(|caption| caption.text == said));
+            if does && clip.features.frames() >= needed {
+                return Ok(Some(clip));
+            }
+            first.get_or_insert(clip);
         }
-        first.get_or_insert(clip);
     }
     Ok(first)
 }
