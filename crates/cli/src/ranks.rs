@@ -50,7 +50,7 @@ fn started() -> Rc<dyn Ranks> {
     if kinegrad_ranks::Mpi::is_launched()
         && let Some(mpi) = kinegrad_ranks::Mpi::start()
     {
-        share_cores();
+        share_cores(mpi.local().size);
         return Rc::new(mpi);
     }
     Rc::new(Alone)
@@ -60,18 +60,13 @@ fn number(name: &str) -> Option<usize> {
     env::var(name).ok()?.parse().ok()
 }
 
-/// Gives this process its part of the machine's cores, unless RAYON_NUM_THREADS says how many threads.
+/// Gives each of so many processes of a machine its part of the cores, unless RAYON_NUM_THREADS says how
+/// many threads.
 #[cfg(feature = "mpi")]
-fn share_cores() {
-    const LOCAL: [&str; 3] = [
-        "MPI_LOCALNRANKS",
-        "OMPI_COMM_WORLD_LOCAL_SIZE",
-        "SLURM_NTASKS_PER_NODE",
-    ];
-    let local = LOCAL.iter().find_map(|name| number(name)).unwrap_or(1);
+fn share_cores(processes: usize) {
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
-    if env::var_os("RAYON_NUM_THREADS").is_none() && local > 1 {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads((cores / local).max(1));
+    if env::var_os("RAYON_NUM_THREADS").is_none() && processes > 1 {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads((cores / processes).max(1));
         // Fails only if something has begun to compute already.
         let _ = pool.build_global();
     }

@@ -42,6 +42,19 @@ fn chunk_sum_of_squares(chunk: &[f32]) -> f64 {
     sums.iter().sum()
 }
 
+/// Divides all values, each in double precision.
+pub fn divide(values: &mut [f32], divisor: f64) {
+    team::for_each_item(values.chunks_mut(CHUNK).collect(), |chunk: &mut [f32]| {
+        vectorized(
+            #[inline(always)]
+            || {
+                let values = chunk.iter_mut();
+                values.for_each(|value| *value = (f64::from(*value) / divisor) as f32);
+            },
+        );
+    });
+}
+
 /// The numbers of one AdamW step, the same for every element of a parameter.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AdamW {
@@ -203,6 +216,15 @@ mod tests {
         assert_eq!(with(1), with(7));
         let plain: f64 = values.iter().map(|&v| f64::from(v).powi(2)).sum();
         assert!((f64::from_bits(with(2)) / plain - 1.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn values_are_divided_in_double_precision() {
+        let mut values = wave(CHUNK + 3, 0.37);
+        let expected = values.iter().map(|value| (f64::from(*value) / 3.7) as f32);
+        let expected: Vec<f32> = expected.collect();
+        divide(&mut values, 3.7);
+        assert_eq!(values, expected);
     }
 
     #[test]

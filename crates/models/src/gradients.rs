@@ -58,7 +58,13 @@ impl GradientSum {
         let there: Vec<bool> = self.0.iter().map(Option::is_some).collect();
         let sums = self.0.into_iter().flatten();
         let reading = sums.fold(Transaction::default(), Transaction::register);
-        let mut read = reading.execute().into_iter().map(parameters::to_host);
+        // A device is not asked for nothing.
+        let read = if there.contains(&true) {
+            reading.execute()
+        } else {
+            Vec::new()
+        };
+        let mut read = read.into_iter().map(parameters::to_host);
         let values = infos.iter().zip(there).map(|(info, there)| match there {
             true => read.next().expect("as many as were registered"),
             false => vec![0.0; info.len()],

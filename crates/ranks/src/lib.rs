@@ -15,6 +15,15 @@ use std::ops::Range;
 pub use self::mpi::Mpi;
 pub use tree::{add, pairwise, split};
 
+/// A process among those that share memory with it, which have its cores and graphics cards to share too.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Local {
+    /// Its number, from 0.
+    pub rank: usize,
+    /// How many there are.
+    pub size: usize,
+}
+
 /// Processes that train one run.
 pub trait Ranks: Debug {
     /// Number of this process, from 0.
@@ -23,27 +32,34 @@ pub trait Ranks: Debug {
     /// Number of processes.
     fn size(&self) -> usize;
 
+    /// This process among those on its machine.
+    fn local(&self) -> Local {
+        Local { rank: 0, size: 1 }
+    }
+
     /// What every rank says, in the order of ranks. Collective.
     fn gather(&self, own: &[u8]) -> Vec<Vec<u8>>;
 
-    /// The values of every rank, in the order of ranks. Collective.
-    fn gather_values(&self, own: &[f32]) -> Vec<Vec<f32>>;
+    /// Puts what each rank gives, `lengths[r]` values of rank r, one behind the other into `values`.
+    /// Collective.
+    fn gather_into(&self, own: &[f32], lengths: &[usize], values: &mut [f32]);
 
-    /// Of what each rank gives for each, `parts[r]` for rank r and as many from all, the sum of what is for
-    /// this one: [pairwise] over the ranks. Collective.
-    fn scatter_sums(&self, parts: Vec<Vec<f32>>) -> Vec<f32>;
+    /// Of what each rank gives for each, `lengths[r]` of `values` for rank r, one behind the other, and as many
+    /// from all: the sum of what is for this one, [pairwise] over the ranks. Collective.
+    fn scatter_sums(&self, values: &[f32], lengths: &[usize]) -> Vec<f32>;
 
     /// Replaces `values` by the sums over all ranks, which give equally many: each rank sums a part of them
     /// and sends it to all, an order of our own, where `MPI_Allreduce` has any. Collective.
-    fn sum(&self, values: &mut Vec<f32>) {
+    fn sum(&self, values: &mut [f32]) {
         let (size, length) = (self.size(), values.len());
         if size == 1 || length == 0 {
             return;
         }
-        let parts = values.chunks(length.div_ceil(size)).map(<[f32]>::to_vec);
-        let mut parts: Vec<Vec<f32>> = parts.collect();
-        parts.resize(size, Vec::new());
-        *values = self.gather_values(&self.scatter_sums(parts)).concat();
+        let share = length.div_ceil(size);
+        let of = |rank: usize| length.saturating_sub(rank * share).min(share);
+        let lengths: Vec<usize> = (0..size).map(of).collect();
+        let own = self.scatter_sums(values, &lengths);
+        self.gather_into(&own, &lengths, values);
     }
 
     /// Ends all ranks at once, after a panic: the others wait for something that does not come.
@@ -83,12 +99,12 @@ impl Ranks for Alone {
         vec![own.to_vec()]
     }
 
-    fn gather_values(&self, own: &[f32]) -> Vec<Vec<f32>> {
-        vec![own.to_vec()]
+    fn gather_into(&self, own: &[f32], _lengths: &[usize], values: &mut [f32]) {
+        values.copy_from_slice(own);
     }
 
-    fn scatter_sums(&self, mut parts: Vec<Vec<f32>>) -> Vec<f32> {
-        pairwise(&mut parts)
+    fn scatter_sums(&self, values: &[f32], _lengths: &[usize]) -> Vec<f32> {
+        values.to_vec()
     }
 
     fn abort(&self, code: i32) -> ! {

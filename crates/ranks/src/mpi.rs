@@ -1,5 +1,6 @@
 //! Processes of one MPI job.
 
+use std::cell::RefCell;
 use std::fmt;
 
 use mpi::datatype::{Partition, PartitionMut};
@@ -8,11 +9,14 @@ use mpi::topology::SimpleCommunicator;
 use mpi::traits::{Buffer, BufferMut, Communicator, CommunicatorCollectives, Equivalence};
 use mpi::{Count, Threading};
 
-use crate::{Ranks, pairwise};
+use crate::{Local, Ranks, pairwise};
 
 /// The processes that `mpirun` or `srun` has started.
 pub struct Mpi {
     world: SimpleCommunicator,
+    local: Local,
+    /// What other ranks have sent to be added, kept for the next time.
+    received: RefCell<Vec<f32>>,
     /// Ends MPI when it is dropped, last.
     _universe: Universe,
 }
@@ -23,8 +27,15 @@ impl Mpi {
         // Threads compute, and the one that trains talks.
         let (universe, _) = mpi::initialize_with_threading(Threading::Funneled)?;
         let world = universe.world();
+        let machine = world.split_shared(world.rank());
+        let local = Local {
+            rank: machine.rank() as usize,
+            size: machine.size() as usize,
+        };
         Some(Self {
             world,
+            local,
+            received: RefCell::default(),
             _universe: universe,
         })
     }
@@ -87,35 +98,38 @@ impl Ranks for Mpi {
         self.world.size() as usize
     }
 
+    fn local(&self) -> Local {
+        self.local
+    }
+
     fn gather(&self, own: &[u8]) -> Vec<Vec<u8>> {
         self.gathered(own)
     }
 
-    fn gather_values(&self, own: &[f32]) -> Vec<Vec<f32>> {
-        self.gathered(own)
+    fn gather_into(&self, own: &[f32], lengths: &[usize], values: &mut [f32]) {
+        let (counts, starts) = places(lengths.iter().copied());
+        let mut parts = PartitionMut::new(values, &counts[..], &starts[..]);
+        self.world.all_gather_varcount_into(own, &mut parts);
     }
 
-    fn scatter_sums(&self, parts: Vec<Vec<f32>>) -> Vec<f32> {
-        let (counts, starts) = places(parts.iter().map(Vec::len));
-        let sent = parts.concat();
+    fn scatter_sums(&self, values: &[f32], lengths: &[usize]) -> Vec<f32> {
+        let (counts, starts) = places(lengths.iter().copied());
         // As many from each rank as this one gives for itself.
-        let (received_counts, received_starts) =
-            places(parts.iter().map(|_| parts[self.rank()].len()));
-        let each = parts[self.rank()].len();
-        drop(parts);
-        let mut received = vec![0.0f32; each * self.size()];
-        let sent = Partition::new(&sent[..], &counts[..], &starts[..]);
+        let each = lengths[self.rank()];
+        let (received_counts, received_starts) = places(lengths.iter().map(|_| each));
+        let mut received = self.received.borrow_mut();
+        received.resize(each * self.size(), 0.0);
+        let sent = Partition::new(values, &counts[..], &starts[..]);
         let mut into = PartitionMut::new(
             &mut received[..],
             &received_counts[..],
             &received_starts[..],
         );
         self.world.all_to_all_varcount_into(&sent, &mut into);
-        if each == 0 {
-            return Vec::new();
+        if each > 0 {
+            pairwise(&mut received, each);
         }
-        let mut parts: Vec<Vec<f32>> = received.chunks(each).map(<[f32]>::to_vec).collect();
-        pairwise(&mut parts)
+        received[..each].to_vec()
     }
 
     fn abort(&self, code: i32) -> ! {

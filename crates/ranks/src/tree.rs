@@ -18,27 +18,34 @@ pub fn add(sum: &mut [f32], other: &[f32]) {
     }
 }
 
-/// The sum of some lists of equal length, formed as [`split`] says.
+/// Adds rows of `each` terms, one behind the other in `rows`, as [`split`] says; the sum is where the first
+/// one was, and of the others nothing is left.
 ///
 /// # Panics
-/// Panics without a list, or if their lengths differ.
-pub fn pairwise(parts: &mut [Vec<f32>]) -> Vec<f32> {
-    match parts {
-        [] => panic!("a sum has terms"),
-        [part] => std::mem::take(part),
-        _ => {
-            let [first, _] = split(parts.len() as u64);
-            let (left, right) = parts.split_at_mut(first as usize);
-            let mut sum = pairwise(left);
-            add(&mut sum, &pairwise(right));
-            sum
-        }
+/// Panics if `rows` is not whole rows, or empty.
+pub fn pairwise(rows: &mut [f32], each: usize) {
+    let count = rows.len() / each;
+    assert_eq!((count.max(1)) * each, rows.len(), "whole rows");
+    if count > 1 {
+        let [first, _] = split(count as u64);
+        let (left, right) = rows.split_at_mut(first as usize * each);
+        pairwise(left, each);
+        pairwise(right, each);
+        add(&mut left[..each], &right[..each]);
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// The sum of some lists.
+    fn summed(terms: &[Vec<f32>]) -> Vec<f32> {
+        let each = terms[0].len();
+        let mut rows = terms.concat();
+        pairwise(&mut rows, each);
+        rows[..each].to_vec()
+    }
 
     /// Terms whose sum depends on the order in which they are added.
     fn terms(count: u64) -> Vec<Vec<f32>> {
@@ -57,7 +64,7 @@ mod tests {
             for term in &terms(count)[1..] {
                 add(&mut expected, term);
             }
-            assert_eq!(pairwise(&mut terms(count)), expected);
+            assert_eq!(summed(&terms(count)), expected);
         }
         assert_eq!(split(5), [3, 2]);
     }
@@ -65,16 +72,12 @@ mod tests {
     #[test]
     fn branches_of_two_four_and_eight_ranks_are_those_of_one() {
         for count in [8, 16, 24, 40] {
-            let whole = pairwise(&mut terms(count));
+            let whole = summed(&terms(count));
             for ranks in [2, 4, 8] {
                 let terms = terms(count);
                 let each = (count / ranks) as usize;
-                let parts = terms.chunks(each).map(|part| pairwise(&mut part.to_vec()));
-                assert_eq!(
-                    pairwise(&mut parts.collect::<Vec<_>>()),
-                    whole,
-                    "{count} {ranks}"
-                );
+                let parts = terms.chunks(each).map(summed);
+                assert_eq!(summed(&parts.collect::<Vec<_>>()), whole, "{count} {ranks}");
             }
             let mut in_order = terms(count)[0].clone();
             terms(count)[1..]

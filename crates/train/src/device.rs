@@ -12,7 +12,19 @@ pub struct Kind {
     pub description: &'static str,
     /// Takes part in `auto`, which takes the first that works.
     automatic: bool,
+    /// Whether a machine may have several, each with an index.
+    indexed: bool,
     open: fn(index: usize) -> Device,
+}
+
+impl Kind {
+    /// What the device of this index goes by.
+    fn name_of(&self, index: usize) -> String {
+        match (self.indexed, index) {
+            (true, 1..) => format!("{}:{index}", self.name),
+            _ => self.name.to_string(),
+        }
+    }
 }
 
 /// Best first.
@@ -22,6 +34,7 @@ const KINDS: &[Kind] = &[
         name: "cuda",
         description: "NVIDIA GPU; cuda:1 is the second",
         automatic: true,
+        indexed: true,
         open: |index| Device::cuda(index),
     },
     #[cfg(feature = "metal")]
@@ -29,6 +42,7 @@ const KINDS: &[Kind] = &[
         name: "metal",
         description: "Apple GPU",
         automatic: true,
+        indexed: false,
         open: |_| Device::metal(burn::tensor::DeviceKind::DefaultDevice),
     },
     #[cfg(feature = "vulkan")]
@@ -36,6 +50,7 @@ const KINDS: &[Kind] = &[
         name: "vulkan",
         description: "GPU through Vulkan and SPIR-V",
         automatic: true,
+        indexed: false,
         open: |_| Device::vulkan(burn::tensor::DeviceKind::DefaultDevice),
     },
     #[cfg(feature = "wgpu")]
@@ -43,12 +58,14 @@ const KINDS: &[Kind] = &[
         name: "wgpu",
         description: "GPU through wgpu and WGSL",
         automatic: true,
+        indexed: false,
         open: |_| Device::wgpu(burn::tensor::DeviceKind::DefaultDevice),
     },
     Kind {
         name: "cpu",
         description: "CPU, Burn's Flex backend",
         automatic: true,
+        indexed: false,
         open: |_| Device::flex(),
     },
     #[cfg(feature = "ndarray")]
@@ -56,6 +73,7 @@ const KINDS: &[Kind] = &[
         name: "ndarray",
         description: "CPU, Burn's NdArray backend (deprecated there)",
         automatic: false,
+        indexed: false,
         open: |_| {
             // Burn deprecates the backend; it stays for comparison as long as Burn has it.
             #[allow(deprecated)]
@@ -89,6 +107,15 @@ pub fn list() -> impl Iterator<Item = (&'static Kind, bool)> {
 /// If this build has no such device, or the machine cannot run it; or the environment asks for
 /// kernels that there are not.
 pub fn open(name: &str) -> Result<(Device, String), InvalidSetting> {
+    open_for(name, 0)
+}
+
+/// As [`open`], for process `local` of a machine: where a kind has several devices and no index is given,
+/// each process takes its own.
+///
+/// # Errors
+/// As [`open`].
+pub fn open_for(name: &str, local: usize) -> Result<(Device, String), InvalidSetting> {
     Mode::from_environment().map_err(|error| {
         let found = format!("\"{}\" in the environment", error.found);
         InvalidSetting::new(VARIABLE, found, "\"fused\" or \"composed\"").hint(
@@ -105,19 +132,20 @@ pub fn open(name: &str) -> Result<(Device, String), InvalidSetting> {
         return KINDS
             .iter()
             .filter(|kind| kind.automatic)
-            .filter_map(|kind| Some((works(kind, 0)?, kind.name.to_string())))
-            .find(|(device, _)| !is_software(device))
-            .ok_or_else(|| refuse("no device works on this machine".into()));
+            .filter_map(|kind| works(kind, 0).map(|device| (kind, device)))
+            .find(|(_, device)| !is_software(device))
+            .ok_or_else(|| refuse("no device works on this machine".into()))
+            .and_then(|(kind, _)| {
+                own(kind, local).ok_or_else(|| refuse(too_few(kind.name, local)))
+            });
     }
     let (kind_name, index) = match name.split_once(':') {
         Some((kind, index)) => {
             let index = index.parse::<usize>();
-            (
-                kind,
-                index.map_err(|_| refuse("the index after `:` is not a number".into()))?,
-            )
+            let index = index.map_err(|_| refuse("the index after `:` is not a number".into()))?;
+            (kind, Some(index))
         }
-        None => (name, 0),
+        None => (name, None),
     };
     let Some(kind) = KINDS.iter().find(|kind| kind.name == kind_name) else {
         let features = ["ndarray", "wgpu", "vulkan", "metal", "cuda"];
@@ -130,9 +158,31 @@ pub fn open(name: &str) -> Result<(Device, String), InvalidSetting> {
             "there is no such device".into()
         }));
     };
-    let device = works(kind, index)
-        .ok_or_else(|| refuse("the machine has no such device, or its driver fails".into()))?;
-    Ok((device, name.to_string()))
+    let fails = || refuse("the machine has no such device, or its driver fails".into());
+    match index {
+        Some(index) => {
+            let device = works(kind, index).ok_or_else(fails)?;
+            Ok((device, name.to_string()))
+        }
+        None if local == 0 => Ok((works(kind, 0).ok_or_else(fails)?, name.to_string())),
+        None => own(kind, local).ok_or_else(|| refuse(too_few(kind.name, local))),
+    }
+}
+
+/// The device of process `local` of a machine: its own, or the only one that it is shown, as launchers do
+/// that give each process a card.
+fn own(kind: &Kind, local: usize) -> Option<(Device, String)> {
+    let index = if kind.indexed { local } else { 0 };
+    let found = works(kind, index).map(|device| (device, kind.name_of(index)));
+    let alone = || works(kind, 1).is_none().then(|| works(kind, 0)).flatten();
+    found.or_else(|| Some((alone()?, kind.name_of(0))))
+}
+
+fn too_few(kind: &str, local: usize) -> String {
+    format!(
+        "process {local} of this machine, counted from 0, finds no device `{kind}` of its own: start no more \
+         processes on a machine than it has cards"
+    )
 }
 
 /// What a graphics device calls itself.

@@ -51,6 +51,8 @@ pub struct Trainer<R: Recipe> {
     /// Optimiser group of each parameter.
     groups: Vec<usize>,
     states: States,
+    /// The gradients that ranks exchange, one behind the other.
+    exchanged: Vec<f32>,
     step: u64,
     progress: Progress,
     /// What is measured is written; nothing of a trainer that only times its steps.
@@ -138,6 +140,7 @@ impl<R: Recipe> Trainer<R> {
             model: Some(model),
             groups,
             states,
+            exchanged: Vec::new(),
             record: None,
             infos,
             parts,
@@ -301,8 +304,10 @@ impl<R: Recipe> Trainer<R> {
                 StepGradients::Host(_) => squares.iter().position(|square| !square.is_finite()),
                 StepGradients::Device(rows) => rows.broken(),
             };
-            let name = broken.map_or("gradients", |index| self.infos[index].name.as_str());
-            return Err(self.not_finite(self.step + 1, format!("the gradient of `{name}`")));
+            let what = broken.map_or("the norm of the gradient".into(), |index| {
+                format!("the gradient of `{}`", self.infos[index].name)
+            });
+            return Err(self.not_finite(self.step + 1, what));
         }
         let names = self.parts.groups;
         let rates: Vec<f64> = names

@@ -317,7 +317,8 @@ fn train_in(
         }
     }
 
-    let (device, device_name) = crate::device::open(&config.run.device)?;
+    let local = together.ranks().local().rank;
+    let (device, device_name) = crate::device::open_for(&config.run.device, local)?;
     let on_host = crate::device::is_host(&device_name);
     log::debug!("device {device_name}; {}", crate::device::kernels());
     let footprint = system.footprint(&config)?;

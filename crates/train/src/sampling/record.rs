@@ -71,7 +71,8 @@ pub struct RolloutRecord {
     pub constant_bones: bool,
     /// Whether all poses were drawn from one noise.
     pub same_noise: bool,
-    /// Velocities asked for, of each frame.
+    /// Velocities asked for, of each frame; 0 in records of before it was kept.
+    #[serde(default)]
     pub evaluations_per_frame: f64,
     /// The texts, in order.
     pub said: Vec<SaidRecord>,

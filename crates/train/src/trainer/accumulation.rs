@@ -180,24 +180,28 @@ impl<R: Recipe> Trainer<R> {
     }
 
     /// The sums of the gradients of all ranks, of the parameters whose states this one keeps.
-    fn over_ranks(&self, gradients: StepGradients) -> StepGradients {
-        let ranks = self.parts.together.ranks();
-        let gradients = match gradients {
+    fn over_ranks(&mut self, gradients: StepGradients) -> StepGradients {
+        let together = self.parts.together.clone();
+        let ranks = together.ranks();
+        let mut gradients = match gradients {
             StepGradients::Host(gradients) if ranks.size() > 1 => gradients,
             gradients => return gradients,
         };
         if let Some(owners) = self.states.owners() {
             return StepGradients::Host(owners.sums(ranks, gradients));
         }
-        let lengths: Vec<usize> = gradients.iter().map(Vec::len).collect();
-        let mut all = gradients.concat();
-        ranks.sum(&mut all);
-        let mut rest = &all[..];
-        let taken = lengths.into_iter().map(|length| {
-            let (gradient, behind) = rest.split_at(length);
+        // Kept from step to step: pages that are new each time cost more than the copy.
+        self.exchanged.clear();
+        for gradient in &gradients {
+            self.exchanged.extend_from_slice(gradient);
+        }
+        ranks.sum(&mut self.exchanged);
+        let mut rest = &self.exchanged[..];
+        for gradient in &mut gradients {
+            let (sum, behind) = rest.split_at(gradient.len());
+            gradient.copy_from_slice(sum);
             rest = behind;
-            gradient.to_vec()
-        });
-        StepGradients::Host(taken.collect())
+        }
+        StepGradients::Host(gradients)
     }
 }

@@ -4,6 +4,7 @@ use std::rc::Rc;
 
 use burn::module::Module;
 use burn::tensor::{Device, Tensor, Transaction};
+use kinegrad_kernels::optimizer;
 use kinegrad_models::GradientSum;
 use kinegrad_ranks::add;
 
@@ -51,8 +52,8 @@ impl StepGradients {
     pub fn divide(&mut self, divisor: f64) {
         match self {
             Self::Host(sums) => {
-                let sums = sums.iter_mut().flatten();
-                sums.for_each(|sum| *sum = (f64::from(*sum) / divisor) as f32);
+                let sums = sums.iter_mut();
+                sums.for_each(|sum| optimizer::divide(sum, divisor));
             }
             Self::Device(sums) => {
                 let sums = sums.rows.iter_mut();

@@ -44,6 +44,12 @@ impl Owners {
         self.of[index] == self.rank || self.lengths[index] == 0
     }
 
+    /// Elements of the parameters of each rank.
+    fn loads(&self) -> Vec<usize> {
+        let of = |rank| self.of_rank(rank).map(|index| self.lengths[index]);
+        (0..self.size).map(|rank| of(rank).sum()).collect()
+    }
+
     /// The parameters of a rank, in order.
     fn of_rank(&self, rank: usize) -> impl Iterator<Item = usize> {
         (0..self.of.len()).filter(move |&index| self.of[index] == rank)
@@ -51,13 +57,12 @@ impl Owners {
 
     /// The sums over ranks of the tensors that this rank keeps; empty in the place of the others.
     pub fn sums(&self, ranks: &dyn Ranks, tensors: Vec<Vec<f32>>) -> Vec<Vec<f32>> {
-        let part = |rank| {
-            let own = self.of_rank(rank);
-            let own = own.map(|index| &tensors[index][..self.lengths[index]]);
-            own.collect::<Vec<_>>().concat()
-        };
-        let parts = (0..self.size).map(part).collect();
-        let sums = ranks.scatter_sums(parts);
+        let lengths = self.loads();
+        let mut values = Vec::with_capacity(lengths.iter().sum());
+        for index in (0..self.size).flat_map(|rank| self.of_rank(rank)) {
+            values.extend_from_slice(&tensors[index][..self.lengths[index]]);
+        }
+        let sums = ranks.scatter_sums(&values, &lengths);
         let mut all = self.frozen(&tensors);
         self.put(self.rank, &sums, &mut all);
         all
@@ -68,9 +73,15 @@ impl Owners {
         let own = self.of_rank(self.rank);
         let own = own.map(|index| &tensors[index][..self.lengths[index]]);
         let own = own.collect::<Vec<_>>().concat();
+        let lengths = self.loads();
+        let mut values = vec![0.0; lengths.iter().sum()];
+        ranks.gather_into(&own, &lengths, &mut values);
         let mut all = self.frozen(tensors);
-        for (rank, values) in ranks.gather_values(&own).into_iter().enumerate() {
-            self.put(rank, &values, &mut all);
+        let mut rest = &values[..];
+        for (rank, length) in lengths.into_iter().enumerate() {
+            let (values, behind) = rest.split_at(length);
+            self.put(rank, values, &mut all);
+            rest = behind;
         }
         all
     }

@@ -73,11 +73,11 @@ pub(super) fn prepare<'a>(
     let asked_for = dataset.validation.evenly(own.evaluation.rollouts)?;
     let long_enough = asked_for
         .iter()
-        .filter(|clip| clip.features.frames() >= begin);
+        .filter(|clip| clip.features.frames() > begin);
     let held_out: Vec<Arc<Clip>> = long_enough.cloned().collect();
     if held_out.is_empty() {
         let message = format!(
-            "no held-out clip of {} has {begin} frames",
+            "no held-out clip of {} has more than {begin} frames",
             subject.checkpoint.display()
         );
         let hint =
@@ -86,7 +86,7 @@ pub(super) fn prepare<'a>(
     }
     if held_out.len() < asked_for.len() {
         remarks.push(format!(
-            "note: {} of {} clips have fewer than {begin} frames and are left out",
+            "note: {} of {} clips have no more than {begin} frames and are left out",
             asked_for.len() - held_out.len(),
             asked_for.len()
         ));

@@ -293,19 +293,23 @@ fn clip_that_does(
     said: Option<&str>,
     needed: usize,
 ) -> Result<Option<Arc<Clip>>, Error> {
-    let mut first = None;
+    let (mut first, mut too_short) = (None, None);
     for clips in sets {
         for position in 0..clips.len() {
             let clip = clips.get(position)?;
+            if clip.features.frames() < needed {
+                too_short.get_or_insert(clip);
+                continue;
+            }
             let mut captions = clip.captions.iter();
-            let does = said.is_none_or(|said| captions.any(|caption| caption.text == said));
-            if does && clip.features.frames() >= needed {
+            if said.is_none_or(|said| captions.any(|caption| caption.text == said)) {
                 return Ok(Some(clip));
             }
             first.get_or_insert(clip);
         }
     }
-    Ok(first)
+    // One that is too short is refused by its name.
+    Ok(first.or(too_short))
 }
 
 /// What to say of guidance with a network that was always told its text.
