@@ -206,30 +206,13 @@ pub fn replace<M: Module>(module: M, values: Vec<Vec<f32>>) -> M {
 /// to be changed in place, and puts them back on the device.
 ///
 /// On the CPU nothing is copied as long as no clone of the module is alive.
-pub fn update<M: Module>(module: M, change: impl FnMut(usize, &mut [f32])) -> M {
-    struct Mapper<F> {
-        change: F,
-        index: usize,
-    }
-    impl<F: FnMut(usize, &mut [f32])> ModuleMapper for Mapper<F> {
-        fn map_float<const D: usize>(&mut self, param: Param<Tensor<D>>) -> Param<Tensor<D>> {
-            let index = self.index;
-            self.index += 1;
-            if !is_trainable(&param) {
-                return param;
-            }
-            let (id, tensor, mapper) = param.consume();
-            let (device, shape) = (tensor.device(), tensor.dims());
-            let require_grad = tensor.is_require_grad();
-            let mut data = tensor.inner().into_data();
-            let values = data.as_mut_slice::<f32>().expect("parameters are float32");
-            (self.change)(index, values);
-            let tensor = Tensor::from_data(data, &device).set_require_grad(require_grad);
-            debug_assert_eq!(tensor.dims(), shape);
-            Param::from_mapped_value(id, tensor, mapper)
-        }
-    }
-    module.map(&mut Mapper { change, index: 0 })
+pub fn update<M: Module>(module: M, mut change: impl FnMut(usize, &mut [f32])) -> M {
+    map(module, |index, row| {
+        let device = row.device();
+        let mut data = row.into_data();
+        change(index, data.as_mut_slice().expect("parameters are float32"));
+        Tensor::from_data(data, &device)
+    })
 }
 
 /// Hands the values of every parameter that is not frozen to `change`, as one row on their device, with
