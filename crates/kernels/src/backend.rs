@@ -3,6 +3,8 @@
 //! Burn's extension macro has no optional tensors: a tensor that an operation goes without is given
 //! as any other tensor, and [`Given`] says that it does not count.
 
+use std::borrow::Cow;
+
 use burn::backend::flex::FlexTensor;
 use burn::backend::tensor::FloatTensor;
 use burn::backend::{Backend, Flex, backend_extension};
@@ -11,6 +13,7 @@ use crate::flex::{HostRows, contiguous, from_rows, of_elements, tensor};
 use crate::host::attention::{Attended, Columns, HeadGradients, Heads};
 use crate::host::convolution::{ConvolutionPlan, Input};
 use crate::host::gelu;
+use crate::host::kept;
 use crate::host::layer_norm::LayerNormRows;
 use crate::host::norm::{self, GroupNormPlan, NormGradients, NormParameters, Statistics};
 use crate::host::recurrence::{GruPlan, GruValues};
@@ -190,9 +193,13 @@ pub(crate) fn convolution(
         norm: norm.map(|(statistics, norm)| (statistics, norm.parameters())),
         lengths,
     };
+    let data = contiguous(weight);
+    if let Cow::Borrowed(data) = data {
+        kept::allow(data, shape, || weight.clone());
+    }
     let output = plan.forward(
         input,
-        &contiguous(weight),
+        &data,
         shape,
         bias.as_deref(),
         residual.as_ref().map(HostRows::view),

@@ -39,6 +39,7 @@ mod recurrence;
 pub use attention::{cross_attention, ranged_attention, self_attention};
 pub use convolution::{Convolution, concat_channels, linear};
 pub use host::activation::Activation;
+pub use host::kept::keeping_packed_weights;
 pub use invariance::batch_invariant;
 pub use lengths::{KeyRanges, Lengths};
 pub use linear_map::{LinearMap, SharedMap, linear_map};

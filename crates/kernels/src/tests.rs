@@ -5,6 +5,7 @@ mod bounds;
 mod cases;
 mod fused;
 mod invariance;
+mod kept;
 mod padding;
 mod recurrence;
 mod reference;

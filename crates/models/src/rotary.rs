@@ -16,9 +16,9 @@ use burn::tensor::{Device, Tensor, TensorData};
 pub struct Rotation {
     /// Channels of a head that turn.
     channels: usize,
-    /// `[1 or batch, 1, 1, half, time]`.
-    cos: Tensor<5>,
-    sin: Tensor<5>,
+    /// `[1 or batch, time, 1, half]`.
+    cos: Tensor<4>,
+    sin: Tensor<4>,
 }
 
 impl Rotation {
@@ -28,8 +28,13 @@ impl Rotation {
         let half = channels / 2;
         // Computed on the host in double precision, as the embedding of timesteps is.
         let frequencies = (0..half).map(|i| 10_000f64.powf(-(i as f64) / half as f64));
-        let angles: Vec<f64> = frequencies
-            .flat_map(|frequency| (0..time).map(move |t| t as f64 * frequency))
+        let frequencies: Vec<f64> = frequencies.collect();
+        let angles: Vec<f64> = (0..time)
+            .flat_map(|t| {
+                frequencies
+                    .iter()
+                    .map(move |frequency| t as f64 * frequency)
+            })
             .collect();
         let table = |of: fn(f64) -> f64| {
             let angles = &angles;
@@ -37,7 +42,7 @@ impl Rotation {
                 let factor = f64::from(u8::from(*turns));
                 angles.iter().map(move |angle| of(factor * angle) as f32)
             });
-            let data = TensorData::new(values.collect::<Vec<_>>(), [turns.len(), 1, 1, half, time]);
+            let data = TensorData::new(values.collect::<Vec<_>>(), [turns.len(), time, 1, half]);
             Tensor::from_data(data, device)
         };
         Self {
@@ -52,22 +57,20 @@ impl Rotation {
     pub fn turn(&self, x: Tensor<3>, num_heads: usize) -> Tensor<3> {
         let [batch, channels, time] = x.dims();
         let (head, half) = (channels / num_heads, self.channels / 2);
-        let heads = x.reshape([batch, num_heads, head, time]);
-        let turning = heads.clone().narrow(2, 0, self.channels);
-        let halves = turning.reshape([batch, num_heads, 2, half, time]);
-        let part = |index: usize| halves.clone().narrow(2, index, 1);
-        let (a, b) = (part(0), part(1));
-        let turned = vec![
+        // A frame's channels lie side by side in memory, as kernels write them.
+        let heads = x.swap_dims(1, 2).reshape([batch, time, num_heads, head]);
+        let part = |first, count| heads.clone().narrow(3, first, count);
+        let (a, b) = (part(0, half), part(half, half));
+        let mut turned = vec![
             a.clone() * self.cos.clone() - b.clone() * self.sin.clone(),
             a * self.sin.clone() + b * self.cos.clone(),
         ];
-        let turned = Tensor::cat(turned, 2);
-        if head == self.channels {
-            return turned.reshape([batch, channels, time]);
+        if self.channels < head {
+            turned.push(part(self.channels, head - self.channels));
         }
-        let turned = turned.reshape([batch, num_heads, self.channels, time]);
-        let rest = heads.narrow(2, self.channels, head - self.channels);
-        Tensor::cat(vec![turned, rest], 2).reshape([batch, channels, time])
+        Tensor::cat(turned, 3)
+            .reshape([batch, time, channels])
+            .swap_dims(1, 2)
     }
 }
 

@@ -7,7 +7,7 @@
 
 use burn::tensor::{Device, Tensor};
 use kinegrad_data::TEXT;
-use kinegrad_diffusion::{FlowPrediction, FlowSamplerConfig, FlowSolver, sample_flow};
+use kinegrad_diffusion::{FlowPrediction, FlowSamplerConfig, FlowSolver};
 use kinegrad_models::Initializer;
 use kinegrad_models::flow::{FlowCondition, FlowModel, History, previous_state};
 use kinegrad_motion::humanml::Skeleton;
@@ -105,14 +105,10 @@ impl Work for Drawing {
                 previous: previous_state(last.reshape([1, channels])),
                 progress: place.narrow(1, 0, 1).reshape([1]),
             };
-            let flowed = sample_flow(
-                &self.model.predictor,
-                noise,
-                &self.model.predictor.prepare(&cond),
-                FlowPrediction::Velocity,
-                &self.sampler,
-                &mut |_, _| std::ops::ControlFlow::Continue(()),
-            )?;
+            let flowed =
+                self.model
+                    .predictor
+                    .draw(noise, &cond, FlowPrediction::Velocity, &self.sampler)?;
             drawn.push(flowed.x.swap_dims(1, 2));
         }
         Ok(Done {

@@ -1,18 +1,28 @@
 //! Lines that are written as columns: what products read with one load of neighbouring columns lies
 //! in different lines of a weight.
 
+#[cfg(target_arch = "x86_64")]
+use super::simd::fetch;
+
 /// Lines that are turned at once: what they write fills a cache line.
 pub(crate) const LINES: usize = 16;
 
-/// Writes lines of the first one's length as columns: `panel[c stride + i] = lines[i][c]`.
+/// Writes lines of the first one's length as columns: `panel[c stride + i] = lines[i][c]`. `next`
+/// follows in memory what is turned after these lines, and is fetched meanwhile: weights are read once
+/// a product, from afar, and to wait for them took two thirds of the time.
 ///
 /// # Panics
 /// Panics if a line is shorter than the first, or the panel too short.
 #[inline(always)]
-pub(crate) fn write_columns(lines: [&[f32]; LINES], stride: usize, panel: &mut [f32]) {
+pub(crate) fn write_columns(
+    lines: [&[f32]; LINES],
+    stride: usize,
+    panel: &mut [f32],
+    next: &[f32],
+) {
     let length = lines[0].len();
     let lines = lines.map(|line| &line[..length]);
-    let done = turn_blocks(lines, stride, panel);
+    let done = turn_blocks(lines, stride, panel, next);
     for c in done..length {
         let out = &mut panel[c * stride..][..LINES];
         for (out, line) in out.iter_mut().zip(&lines) {
@@ -24,28 +34,31 @@ pub(crate) fn write_columns(lines: [&[f32]; LINES], stride: usize, panel: &mut [
 /// Turns as many whole blocks as it can; how much of each line that is.
 #[cfg(target_arch = "x86_64")]
 #[inline(always)]
-fn turn_blocks(lines: [&[f32]; LINES], stride: usize, panel: &mut [f32]) -> usize {
+fn turn_blocks(lines: [&[f32]; LINES], stride: usize, panel: &mut [f32], next: &[f32]) -> usize {
     let Some(simd) = pulp::x86::V3::try_new() else {
         return 0;
     };
-    let length = lines[0].len();
-    let whole = length - length % avx::SIDE;
+    let blocks = lines[0].len() / avx::SIDE;
+    // Of equal length, so that no access below is checked.
+    let lines = lines.map(|line| &line.as_chunks::<{ avx::SIDE }>().0[..blocks]);
     simd.vectorize(
         #[inline(always)]
         || {
-            for c in (0..whole).step_by(avx::SIDE) {
-                for first in [0, avx::SIDE] {
-                    let block = std::array::from_fn(|i| &lines[first + i][c..]);
-                    avx::turn(simd, block, stride, &mut panel[c * stride + first..]);
-                }
+            let panels = panel.chunks_mut(avx::SIDE * stride).take(blocks);
+            for (c, panel) in panels.enumerate() {
+                let ahead = c * avx::SIDE * LINES..(c + 1) * avx::SIDE * LINES;
+                fetch(next.get(ahead).unwrap_or_default());
+                avx::turn(simd, std::array::from_fn(|i| &lines[i][c]), stride, panel);
+                let second = std::array::from_fn(|i| &lines[avx::SIDE + i][c]);
+                avx::turn(simd, second, stride, &mut panel[avx::SIDE..]);
             }
         },
     );
-    whole
+    blocks * avx::SIDE
 }
 
 #[cfg(not(target_arch = "x86_64"))]
-fn turn_blocks(_: [&[f32]; LINES], _: usize, _: &mut [f32]) -> usize {
+fn turn_blocks(_: [&[f32]; LINES], _: usize, _: &mut [f32], _: &[f32]) -> usize {
     0
 }
 
@@ -58,16 +71,13 @@ mod avx {
 
     /// Turns a block in registers: pairs of neighbours, then pairs of pairs, then halves.
     #[inline(always)]
-    pub fn turn(simd: V3, lines: [&[f32]; SIDE], stride: usize, panel: &mut [f32]) {
+    pub fn turn(simd: V3, lines: [&[f32; SIDE]; SIDE], stride: usize, panel: &mut [f32]) {
         const FIRST_PAIRS: i32 = 0b01_00_01_00;
         const SECOND_PAIRS: i32 = 0b11_10_11_10;
         const LOW_HALVES: i32 = 0x20;
         const HIGH_HALVES: i32 = 0x31;
         let avx = simd.avx;
-        let lines = lines.map(|line| {
-            let eight: [f32; SIDE] = *line.first_chunk().expect("a line of eight");
-            pulp::cast(eight)
-        });
+        let lines = lines.map(|line| pulp::cast(*line));
         let pairs: [_; SIDE] = std::array::from_fn(|i| {
             let (a, b) = (lines[i / 2 * 2], lines[i / 2 * 2 + 1]);
             match i % 2 {
@@ -83,14 +93,14 @@ mod avx {
                 _ => avx._mm256_shuffle_ps::<SECOND_PAIRS>(a, b),
             }
         });
-        for c in 0..SIDE {
+        for (c, out) in panel.chunks_mut(stride).enumerate().take(SIDE) {
             let (a, b) = (quarters[c % 4], quarters[c % 4 + 4]);
             let column = match c / 4 {
                 0 => avx._mm256_permute2f128_ps::<LOW_HALVES>(a, b),
                 _ => avx._mm256_permute2f128_ps::<HIGH_HALVES>(a, b),
             };
             let column: [f32; SIDE] = pulp::cast(column);
-            panel[c * stride..][..SIDE].copy_from_slice(&column);
+            out[..SIDE].copy_from_slice(&column);
         }
     }
 }
@@ -108,7 +118,12 @@ mod tests {
                     .map(|i| (0..length).map(|c| value(i, c)).collect())
                     .collect();
                 let mut panel = vec![-1.0; length * stride];
-                write_columns(std::array::from_fn(|i| &lines[i][..]), stride, &mut panel);
+                write_columns(
+                    std::array::from_fn(|i| &lines[i][..]),
+                    stride,
+                    &mut panel,
+                    &[],
+                );
                 for (c, row) in panel.chunks(stride).enumerate() {
                     for (i, &found) in row.iter().enumerate() {
                         let expected = if i < LINES { value(i, c) } else { -1.0 };

@@ -6,6 +6,7 @@ pub(crate) mod columns;
 pub(crate) mod convolution;
 pub(crate) mod gelu;
 pub(crate) mod geometry;
+pub(crate) mod kept;
 pub(crate) mod layer_norm;
 pub(crate) mod narrow;
 pub(crate) mod norm;

@@ -2,6 +2,7 @@
 
 use super::columns::{LINES, write_columns};
 use super::simd::vectorized;
+use super::team;
 
 /// How a product reads a weight `[outer, inner, kernel]`.
 #[derive(Clone, Copy, Debug)]
@@ -45,6 +46,17 @@ impl Weight<'_> {
         }
     }
 
+    /// All panels of so many columns, one after the other.
+    pub fn packed(&self, width: usize) -> Vec<f32> {
+        let len = self.depth() * width;
+        let mut panels = vec![0.0; self.columns().div_ceil(width) * len];
+        let each = panels.chunks_mut(len).enumerate().collect();
+        team::for_each_item(each, |(panel, packed): (usize, &mut [f32])| {
+            self.pack(panel * width, width, packed);
+        });
+        panels
+    }
+
     /// Writes columns `first..first + width` as rows of `width`, one a depth; columns that do not
     /// exist are zeros.
     pub fn pack(&self, first: usize, width: usize, panel: &mut [f32]) {
@@ -83,7 +95,11 @@ impl Weight<'_> {
                         std::array::from_fn(|i| &lines[i * line..(i + 1) * line]);
                     let panel = &mut panel[block * LINES..];
                     match K {
-                        1 => write_columns(lines, width, panel),
+                        1 => {
+                            let next = first + (block + 1) * LINES;
+                            let next = self.data.get(next * line..).unwrap_or_default();
+                            write_columns(lines, width, panel, next);
+                        }
                         _ => turn::<K, LINES>(lines, inner, width, panel),
                     }
                 }
@@ -166,7 +182,7 @@ pub(crate) fn turn_windows(
                     });
                     if windows.len() == LINES {
                         let panel = &mut panel[k * width + block * LINES..];
-                        write_columns(lines, kernel * width, panel);
+                        write_columns(lines, kernel * width, panel, &[]);
                     } else {
                         for (i, line) in lines.iter().enumerate() {
                             for (c, value) in line.iter().enumerate() {

@@ -8,6 +8,7 @@ use std::mem::MaybeUninit;
 
 use pulp::{Arch, Simd, WithSimd};
 
+use super::kept;
 use super::packing::Weight;
 use super::rows::{Rows, SharedRows};
 use super::team;
@@ -80,6 +81,7 @@ pub(crate) fn multiply(
         return;
     }
     let width = panel_width();
+    let packed = kept::panels(&weight, windows.len());
     let panels = weight.columns().div_ceil(width);
     let wanted = (2 * rayon::current_num_threads()).div_ceil(panels);
     let parts = wanted.min(windows.len() / LEAST_ROWS).max(1);
@@ -96,6 +98,7 @@ pub(crate) fn multiply(
         let task = PanelTask {
             windows,
             weight,
+            packed: packed.as_deref().map(Vec::as_slice),
             addends,
             output,
             first_column: panel * width,
@@ -130,6 +133,8 @@ pub(crate) const fn vectors<S: Simd>() -> usize {
 struct PanelTask<'a> {
     windows: Windows<'a>,
     weight: Weight<'a>,
+    /// All panels, where they are kept.
+    packed: Option<&'a [f32]>,
     addends: Addends<'a>,
     output: OutputRows<'a>,
     first_column: usize,
@@ -160,9 +165,15 @@ impl PanelTask<'_> {
         let width = NR * S::F32_LANES;
         let depth = self.windows.depth;
         let columns = width.min(self.weight.columns() - self.first_column);
-        scratch.resize(depth * width, 0.0);
-        self.weight.pack(self.first_column, width, scratch);
-        let panel = pulp::as_arrays::<NR, _>(S::as_simd_f32s(scratch).0).0;
+        let panel = match self.packed {
+            Some(packed) => &packed[self.first_column * depth..][..width * depth],
+            None => {
+                scratch.resize(depth * width, 0.0);
+                self.weight.pack(self.first_column, width, scratch);
+                scratch
+            }
+        };
+        let panel = pulp::as_arrays::<NR, _>(S::as_simd_f32s(panel).0).0;
         for first in self.rows.clone().step_by(TILE_ROWS) {
             // Rows beyond the last are the last again; they are not written.
             let last = self.rows.end - 1;
@@ -198,7 +209,7 @@ impl PanelTask<'_> {
             .addends
             .residual
             .map(|rows| &rows.row(sample, time)[column..column + columns]);
-        let mut line = [0.0_f32; WIDEST];
+        let (whole, rest) = S::as_uninit_mut_simd_f32s(out);
         for (n, sum) in sums.iter().enumerate() {
             let lanes = n * S::F32_LANES..((n + 1) * S::F32_LANES).min(columns);
             if lanes.is_empty() {
@@ -206,14 +217,32 @@ impl PanelTask<'_> {
             }
             let mut sum = *sum;
             if let Some(bias) = bias {
-                sum = simd.add_f32s(sum, simd.partial_load_f32s(&bias[lanes.clone()]));
+                sum = simd.add_f32s(sum, load(simd, &bias[lanes.clone()]));
             }
             if let Some(residual) = residual {
-                sum = simd.add_f32s(sum, simd.partial_load_f32s(&residual[lanes.clone()]));
+                sum = simd.add_f32s(sum, load(simd, &residual[lanes]));
             }
-            simd.partial_store_f32s(&mut line[lanes], sum);
+            match whole.get_mut(n) {
+                Some(out) => {
+                    out.write(sum);
+                }
+                None => {
+                    let mut line = [0.0_f32; WIDEST];
+                    let line = &mut line[..rest.len()];
+                    simd.partial_store_f32s(line, sum);
+                    rest.write_copy_of_slice(line);
+                }
+            }
         }
-        out.write_copy_of_slice(&line[..columns]);
+    }
+}
+
+/// A vector of at most its lanes; the others are zeros.
+#[inline(always)]
+fn load<S: Simd>(simd: S, values: &[f32]) -> S::f32s {
+    match S::as_simd_f32s(values) {
+        ([whole], []) => *whole,
+        _ => simd.partial_load_f32s(values),
     }
 }
 

@@ -64,7 +64,7 @@ impl GruPlan {
         let (steps, width) = (self.time * self.batch, self.width);
         let mut states = vec![0.0; steps * width];
         let mut gates = vec![0.0; if kept { steps * KEPT * width } else { 0 }];
-        let packed = packed(values.weight, [3 * width, width, 1], false);
+        let packed = packed(values.weight, [3 * width, width], false);
         let states_rows = SharedRows::dense(&mut states, [self.time, self.batch, width]);
         let gates_rows =
             kept.then(|| SharedRows::dense(&mut gates, [self.time, self.batch, KEPT * width]));
@@ -94,7 +94,7 @@ impl GruPlan {
         let mut inputs = vec![0.0; steps * 3 * width];
         let mut recurrent = vec![0.0; steps * 3 * width];
         let mut initial = vec![0.0; self.batch * width];
-        let packed = packed(values.weight, [3 * width, width, 1], true);
+        let packed = packed(values.weight, [3 * width, width], true);
         let shape = [self.time, self.batch, 3 * width];
         let inputs_rows = SharedRows::dense(&mut inputs, shape);
         let recurrent_rows = SharedRows::dense(&mut recurrent, shape);
@@ -146,25 +146,17 @@ impl GruPlan {
     }
 }
 
-/// All panels of a weight `[outer, inner, 1]`, as a product of rows with its lines reads them, or
-/// with its columns.
-fn packed(data: &[f32], shape: [usize; 3], columns: bool) -> Vec<f32> {
+/// A weight `[outer, inner]`, as a product of rows with its lines reads it, or with its columns.
+fn packed(data: &[f32], [outer, inner]: [usize; 2], columns: bool) -> Vec<f32> {
     let weight = Weight {
         data,
-        shape,
+        shape: [outer, inner, 1],
         direction: match columns {
             true => packing::Direction::Scatter(&[0]),
             false => packing::Direction::Gather,
         },
     };
-    let width = panel_width();
-    let len = weight.depth() * width;
-    let mut panels = vec![0.0; weight.columns().div_ceil(width) * len];
-    let each = panels.chunks_mut(len).enumerate().collect();
-    team::for_each_item(each, |(panel, packed): (usize, &mut [f32])| {
-        weight.pack(panel * width, width, packed);
-    });
-    panels
+    weight.packed(panel_width())
 }
 
 /// Rows of `depth` times packed panels, to rows of whole panels.

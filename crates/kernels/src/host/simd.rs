@@ -1,4 +1,4 @@
-//! Choosing the instruction set at run time, and the exponential that vectorises.
+//! Choosing the instruction set at run time, fetching ahead, and the exponential that vectorises.
 
 use pulp::Arch;
 
@@ -8,6 +8,25 @@ use pulp::Arch;
 #[inline(always)]
 pub(crate) fn vectorized<R>(work: impl FnOnce() -> R) -> R {
     Arch::new().dispatch(work)
+}
+
+/// Asks for values to be brought near, and does not wait. Weights are read once a product, from
+/// afar and in an order that the processor does not guess.
+#[inline(always)]
+pub(crate) fn fetch(values: &[f32]) {
+    /// Elements of a cache line.
+    const CACHE_LINE: usize = 16;
+    for line in values.chunks(CACHE_LINE) {
+        #[cfg(target_arch = "x86_64")]
+        // SAFETY: it reads and writes nothing; every x86-64 has the instruction.
+        #[allow(unsafe_code)]
+        unsafe {
+            use std::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};
+            _mm_prefetch::<_MM_HINT_T0>(line.as_ptr().cast());
+        }
+        #[cfg(not(target_arch = "x86_64"))]
+        let _ = line;
+    }
 }
 
 /// `e^x` to within 2 units in the last place, without a branch or a call, so that a loop over it

@@ -204,33 +204,40 @@ impl BlendedTransformer {
             (batch, batch, batch),
             "a script, a mode and a time for each motion"
         );
-        let cond = self.cond(time, texts, script, frames);
-        stages.stage(format_args!("cond"), || cond.clone());
+        let shared = Shared::new(
+            self.told(time, texts, script),
+            script.rows(frames, &device),
+            script.ranges(frames, self.horizon, is_relative),
+            is_relative,
+        );
+        stages.stage(format_args!("cond"), || shared.cond(batch));
         let h = self.input_process_at_poseEmbedding.forward_frames(x_t);
         stages.stage(format_args!("pose_embedding"), || h.clone());
-        let h = self.seqTransEncoder_at_project_in.forward_frames(h);
-        stages.stage(format_args!("project_in"), || h.clone());
+        let project_in = &self.seqTransEncoder_at_project_in;
+        stages.stage(format_args!("project_in"), || {
+            project_in.forward_frames(h.clone())
+        });
         let absolute = self.absolute(script, is_relative, frames, &device);
         stages.stage(format_args!("absolute"), || absolute.clone());
         let told = path.and_then(|path| self.told_path(path));
+        let h = project_in.forward_frames_onto(absolute, h);
         let h = match (told, keep_path) {
-            (Some(told), Some(keep)) => h + absolute + told * keep.clone(),
-            (Some(told), None) => h + absolute + told,
-            (None, _) => h + absolute,
+            (Some(told), Some(keep)) => h + told * keep.clone(),
+            (Some(told), None) => h + told,
+            (None, _) => h,
         };
         stages.stage(format_args!("tokens"), || h.clone());
         let mut h = self.dropout.forward(h, dropout);
-        let ranges = script.ranges(frames, self.horizon, is_relative);
-        let shared = Shared::new(cond, ranges, is_relative);
         let layers = &self.seqTransEncoder_at_attn_layers_at_layers;
         let left_out = self.left_out(dropout, layers.len());
         for (index, (layer, left_out)) in layers.iter().zip(left_out).enumerate() {
             if left_out {
                 continue;
             }
-            let branch = layer.forward(h.clone(), &shared);
-            stages.stage(format_args!("layer{index}.branch"), || branch.clone());
-            h = h + branch;
+            stages.stage(format_args!("layer{index}.branch"), || {
+                layer.branch(h.clone(), &shared)
+            });
+            h = layer.forward(h, &shared);
             stages.stage(format_args!("layer{index}.sum"), || h.clone());
         }
         let h = self
@@ -279,8 +286,8 @@ impl BlendedTransformer {
         self.embed_timestep_at_time_embed_at_2.forward(inner)
     }
 
-    /// What each frame is told: `[batch, width, time]`.
-    fn cond(&self, time: &[Time], texts: Tensor<2>, script: &Script, frames: usize) -> Tensor<3> {
+    /// What motions are told, a row for each of [`Script::told`]: `[told, width]`.
+    fn told(&self, time: &[Time], texts: Tensor<2>, script: &Script) -> Tensor<2> {
         let device = texts.device();
         let time = self.embed_time(time, &device);
         let texts = match &self.embed_captions {
@@ -290,11 +297,8 @@ impl BlendedTransformer {
         let count = texts.dims()[0];
         let told = self.embed_text.forward(texts);
         let told = Tensor::cat(vec![told, Tensor::zeros([1, self.width], &device)], 0);
-        let rows = script.rows(frames, count, &device);
-        let told = told
-            .select(0, rows)
-            .reshape([script.len(), frames, self.width]);
-        told.swap_dims(1, 2) + time.unsqueeze_dim(2)
+        let [motions, texts] = script.told(count, &device);
+        time.select(0, motions) + told.select(0, texts)
     }
 
     /// What tokens of motions in absolute mode have added, zeros of the others:
@@ -306,16 +310,25 @@ impl BlendedTransformer {
         frames: usize,
         device: &Device,
     ) -> Tensor<3> {
+        let places = script.places(frames);
+        let number = 1 + places.iter().flatten().copied().max().unwrap_or_default();
+        // Segments have places in common.
+        let each: Vec<f64> = (0..number).map(|place| place as f64).collect();
+        let table = absolute_positions(&each, self.width);
         let mut values = Vec::with_capacity(script.len() * self.width * frames);
-        for (places, is_relative) in script.places(frames).into_iter().zip(is_relative) {
+        for (places, is_relative) in places.into_iter().zip(is_relative) {
             match is_relative {
                 true => values.extend(vec![0.0; self.width * frames]),
-                false => values.extend(absolute_positions(&places, self.width)),
+                false => values.extend(places.into_iter().flat_map(|place| {
+                    let channels = table.chunks(number);
+                    channels.map(move |of_places| of_places[place])
+                })),
             }
         }
-        let data = TensorData::new(values, [script.len(), self.width, frames]);
+        let data = TensorData::new(values, [script.len(), frames, self.width]);
         let scale = self.seqTransEncoder_at_pos_emb_at_absolute_at_scale.val();
-        Tensor::from_data(data, device) * scale.reshape([1, 1, 1])
+        let positions = Tensor::from_data(data, device) * scale.reshape([1, 1, 1]);
+        positions.swap_dims(1, 2)
     }
 
     /// Which sub-layers a training step leaves out.

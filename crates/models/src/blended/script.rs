@@ -59,13 +59,12 @@ impl Script {
             .map(|motion| motion.iter().map(|segment| segment.frames).sum())
     }
 
-    /// Of each frame of a motion the segment's text and the range of frames that it lasts, of
-    /// `time` frames; none of padding.
-    fn of(&self, motion: usize, time: usize) -> Vec<Option<(usize, Range<usize>)>> {
+    /// Of each frame of a motion the frames that its segment lasts, of `time` frames; none of padding.
+    fn of(&self, motion: usize, time: usize) -> Vec<Option<Range<usize>>> {
         let mut frames = Vec::with_capacity(time);
         for segment in &self.0[motion] {
             let range = frames.len()..frames.len() + segment.frames;
-            frames.extend(vec![Some((segment.text, range)); segment.frames]);
+            frames.extend(vec![Some(range); segment.frames]);
         }
         assert!(frames.len() <= time, "{} frames in {time}", frames.len());
         frames.resize(time, None);
@@ -76,28 +75,49 @@ impl Script {
         self.0[motion].len() == 1
     }
 
-    /// Row of each frame's text, `[batch * time]`; `silent` where there is none.
-    pub fn rows(&self, time: usize, silent: usize, device: &Device) -> Tensor<1, Int> {
-        let rows = (0..self.len()).flat_map(|motion| {
-            let only = self.is_single(motion).then(|| self.0[motion][0].text);
-            let frames = self.of(motion, time).into_iter();
-            frames.map(move |frame| frame.map_or(only.unwrap_or(silent), |(text, _)| text) as i64)
+    /// What is told, motion by motion: of each of its segments, and then of its padding, the motion
+    /// and the text, `silent` for none.
+    pub fn told(&self, silent: usize, device: &Device) -> [Tensor<1, Int>; 2] {
+        let told = self.0.iter().enumerate().flat_map(|(motion, segments)| {
+            let texts = segments.iter().map(|segment| segment.text);
+            let of_padding = match segments[..] {
+                [only] => only.text,
+                _ => silent,
+            };
+            let texts = texts.chain([of_padding]);
+            texts.map(move |text| (motion as i64, text as i64))
         });
-        let rows: Vec<i64> = rows.collect();
-        let count = rows.len();
-        Tensor::from_data(TensorData::new(rows, [count]), device)
+        let (motions, texts): (Vec<i64>, Vec<i64>) = told.unzip();
+        [motions, texts].map(|indices| integers(indices, device))
+    }
+
+    /// Which of [`told`](Self::told) each frame is told, `[batch * time]`.
+    pub fn rows(&self, time: usize, device: &Device) -> Tensor<1, Int> {
+        let mut rows = Vec::with_capacity(self.len() * time);
+        let (mut row, mut end) = (0, 0);
+        for segments in &*self.0 {
+            end += time;
+            for segment in segments {
+                rows.extend(vec![row; segment.frames]);
+                row += 1;
+            }
+            assert!(rows.len() <= end, "more frames than {time}");
+            rows.resize(end, row);
+            row += 1;
+        }
+        integers(rows, device)
     }
 
     /// The place of each frame in its segment, `[batch][time]`.
-    pub fn places(&self, time: usize) -> Vec<Vec<f64>> {
+    pub fn places(&self, time: usize) -> Vec<Vec<usize>> {
         let of_motion = |motion: usize| {
             let runs_on = self.is_single(motion);
             let frames = self.of(motion, time).into_iter().enumerate();
             frames
                 .map(|(t, frame)| match frame {
-                    Some((_, range)) => (t - range.start) as f64,
-                    None if runs_on => t as f64,
-                    None => 0.0,
+                    Some(segment) => t - segment.start,
+                    None if runs_on => t,
+                    None => 0,
                 })
                 .collect()
         };
@@ -112,7 +132,7 @@ impl Script {
             let frames = self.of(motion, time).into_iter().enumerate();
             frames
                 .map(|(t, frame)| {
-                    let Some((_, segment)) = frame else {
+                    let Some(segment) = frame else {
                         return t..t;
                     };
                     let near = t.saturating_sub(horizon)..(t + horizon + 1).min(end);
@@ -125,6 +145,11 @@ impl Script {
         };
         KeyRanges::new((0..self.len()).map(of_motion))
     }
+}
+
+fn integers(values: Vec<i64>, device: &Device) -> Tensor<1, Int> {
+    let count = values.len();
+    Tensor::from_data(TensorData::new(values, [count]), device)
 }
 
 #[cfg(test)]
@@ -149,13 +174,13 @@ mod tests {
             assert_eq!(relative.of(0, t), across, "{t}");
         }
         assert_eq!(relative.of(1, 4), 2..5);
-        assert_eq!(
-            script.places(8)[0],
-            [0.0, 1.0, 2.0, 0.0, 1.0, 2.0, 3.0, 0.0]
-        );
-        assert_eq!(script.places(8)[1][7], 7.0);
-        let rows = script.rows(8, 9, &Device::flex()).into_data();
-        let rows: Vec<i64> = rows.iter::<i64>().collect();
-        assert_eq!(rows, [0, 0, 0, 1, 1, 1, 1, 9, 2, 2, 2, 2, 2, 2, 2, 2]);
+        assert_eq!(script.places(8)[0], [0, 1, 2, 0, 1, 2, 3, 0]);
+        assert_eq!(script.places(8)[1][7], 7);
+        let device = Device::flex();
+        let numbers = |rows: Tensor<1, Int>| rows.into_data().iter::<i64>().collect::<Vec<_>>();
+        let told = script.told(9, &device).map(numbers);
+        assert_eq!(told, [vec![0, 0, 0, 1, 1], vec![0, 1, 9, 2, 2]]);
+        let rows = numbers(script.rows(8, &device));
+        assert_eq!(rows, [0, 0, 0, 1, 1, 1, 1, 2, 3, 3, 3, 3, 3, 4, 4, 4]);
     }
 }

@@ -1,6 +1,6 @@
 //! What a transformer with blended positions is made of: pose-centric attention and feed-forward.
 use burn::module::Module;
-use burn::tensor::Tensor;
+use burn::tensor::{Int, Tensor};
 use kinegrad_kernels::{KeyRanges, concat_channels, gelu, ranged_attention};
 
 use super::{BlendedConfig, HEAD_CHANNELS, ROTATED_CHANNELS};
@@ -11,25 +11,38 @@ use crate::rotary::Rotation;
 /// What all sub-layers of a forward pass share.
 #[derive(Clone, Debug)]
 pub struct Shared {
-    /// What each frame is told, `[batch, width, time]`.
-    pub cond: Tensor<3>,
-    /// Frames that each attends to.
-    pub ranges: KeyRanges,
+    told: Tensor<2>,
+    rows: Tensor<1, Int>,
+    ranges: KeyRanges,
     /// How queries and keys turn; none where no motion is in relative mode.
-    pub rotation: Option<Rotation>,
+    rotation: Option<Rotation>,
 }
 
 impl Shared {
-    /// Of motions that are told `cond`, attend by `ranges` and are in relative mode or not.
-    pub fn new(cond: Tensor<3>, ranges: KeyRanges, is_relative: &[bool]) -> Self {
-        let ([_, _, time], device) = (cond.dims(), cond.device());
+    /// Of motions that attend by `ranges` and are each in relative mode or not, a frame of which is told
+    /// the row of `told`, `[told, width]`, that `rows`, `[batch * time]`, names.
+    pub fn new(
+        told: Tensor<2>,
+        rows: Tensor<1, Int>,
+        ranges: KeyRanges,
+        is_relative: &[bool],
+    ) -> Self {
+        let (time, device) = (rows.dims()[0] / is_relative.len(), told.device());
         let turns = is_relative.contains(&true);
         let rotation = turns.then(|| Rotation::new(ROTATED_CHANNELS, time, is_relative, &device));
         Self {
-            cond,
+            told,
+            rows,
             ranges,
             rotation,
         }
+    }
+
+    /// What each frame is told, `[batch, width, time]`.
+    pub(super) fn cond(&self, batch: usize) -> Tensor<3> {
+        let (time, [_, width]) = (self.rows.dims()[0] / batch, self.told.dims());
+        let cond = self.told.clone().select(0, self.rows.clone());
+        cond.reshape([batch, time, width]).swap_dims(1, 2)
     }
 }
 
@@ -66,8 +79,15 @@ impl PoseCentricAttention {
     /// # Shapes
     /// - u, output: `[batch, width, time]`
     pub fn forward(&self, u: Tensor<3>, shared: &Shared) -> Tensor<3> {
-        let merged = concat_channels(u.clone(), shared.cond.clone());
-        let merged = self.custom_query_fn.forward_frames(merged);
+        self.to_out.forward_frames(self.attended(u, shared))
+    }
+
+    /// All heads: `[batch, heads * HEAD_CHANNELS, time]`.
+    fn attended(&self, u: Tensor<3>, shared: &Shared) -> Tensor<3> {
+        let (told, rows) = (shared.told.clone(), shared.rows.clone());
+        let merged = self
+            .custom_query_fn
+            .forward_frames_told(u.clone(), told, rows);
         let mut queries = self.to_q.forward_frames(merged);
         let mut keys = self.to_k.forward_frames(u.clone());
         if let Some(rotation) = &shared.rotation {
@@ -75,8 +95,7 @@ impl PoseCentricAttention {
             keys = rotation.turn(keys, self.heads);
         }
         let keys_values = concat_channels(keys, self.to_v.forward_frames(u));
-        let attended = ranged_attention(queries, keys_values, self.heads, &shared.ranges);
-        self.to_out.forward_frames(attended)
+        ranged_attention(queries, keys_values, self.heads, &shared.ranges)
     }
 }
 
@@ -130,20 +149,37 @@ impl SubLayer {
         }
     }
 
-    /// What is added to `x`.
+    /// `x` and its [`branch`](Self::branch).
     ///
     /// # Shapes
     /// - x, output: `[batch, width, time]`
     pub fn forward(&self, x: Tensor<3>, shared: &Shared) -> Tensor<3> {
+        let inner = self.inner(x.clone(), shared);
+        match self {
+            Self::Attention(layer) => layer.at_1.to_out.forward_frames_onto(x, inner),
+            Self::FeedForward(layer) => layer.at_1.ff_at_3.forward_frames_onto(x, inner),
+        }
+    }
+
+    /// What is added to `x`.
+    pub fn branch(&self, x: Tensor<3>, shared: &Shared) -> Tensor<3> {
+        let inner = self.inner(x, shared);
+        match self {
+            Self::Attention(layer) => layer.at_1.to_out.forward_frames(inner),
+            Self::FeedForward(layer) => layer.at_1.ff_at_3.forward_frames(inner),
+        }
+    }
+
+    /// All but the last map of the branch.
+    fn inner(&self, x: Tensor<3>, shared: &Shared) -> Tensor<3> {
         match self {
             Self::Attention(layer) => {
                 let u = layer.at_0_at_0.forward_tokens(x);
-                layer.at_1.forward(u, shared)
+                layer.at_1.attended(u, shared)
             }
             Self::FeedForward(layer) => {
                 let u = layer.at_0_at_0.forward_tokens(x);
-                let inner = gelu(layer.at_1.ff_at_0_at_0.forward_frames(u));
-                layer.at_1.ff_at_3.forward_frames(inner)
+                gelu(layer.at_1.ff_at_0_at_0.forward_frames(u))
             }
         }
     }

@@ -11,8 +11,14 @@ use crate::{Initializer, Stages};
 /// Numbers that the text becomes for each joint.
 const TEXT: usize = 32;
 
-/// What each joint of a frame is told: position 3, velocity 3, the whole body 8, duration 1, text.
-const INPUTS: usize = 3 + 3 + 8 + 1 + TEXT;
+/// What each joint of a frame is told of itself: position 3, velocity 3.
+const OWN: usize = 3 + 3;
+
+/// What all joints of a frame are told: the whole body 8, duration 1, text.
+const SHARED: usize = 8 + 1 + TEXT;
+
+/// What each joint of a frame is told.
+const INPUTS: usize = OWN + SHARED;
 
 /// What the encoder takes.
 #[derive(Clone, Debug)]
@@ -97,40 +103,43 @@ impl HistoryEncoder {
         } = history;
         let [batch, channels, time] = frames.dims();
         let joints = self.joints;
-        let rows = frames.swap_dims(1, 2).reshape([batch * time, channels]);
+        // Step by step, as the recurrent layer reads them.
+        let count = time * batch;
+        let rows = frames.permute([2, 0, 1]).reshape([count, channels]);
 
         // 1. What each joint of each frame is told.
         let body = whole_body(&rows, joints);
         let text = self.text_proj.forward(text);
         let duration = duration.unwrap_or_else(|| Tensor::zeros([batch, 1], &rows.device()));
         let clip = Tensor::cat(vec![duration, text], 1)
-            .unsqueeze_dim::<3>(1)
-            .expand([batch, time, 1 + TEXT])
-            .reshape([batch * time, 1 + TEXT]);
+            .unsqueeze_dim::<3>(0)
+            .expand([time, batch, 1 + TEXT])
+            .reshape([count, 1 + TEXT]);
         let shared = Tensor::cat(vec![body, clip], 1);
-        let width = shared.dims()[1];
-        let shared = shared
-            .unsqueeze_dim::<3>(1)
-            .expand([batch * time, joints, width]);
-        let inputs = Tensor::cat(
-            vec![positions(&rows, joints), velocities(&rows, joints), shared],
-            2,
-        )
-        .reshape([batch * time * joints, INPUTS]);
+        let own = Tensor::cat(vec![positions(&rows, joints), velocities(&rows, joints)], 2);
         stages.stage(format_args!("joint_inputs"), || {
-            inputs.clone().reshape([batch, time, joints, INPUTS])
+            let shared = shared.clone().unsqueeze_dim::<3>(1);
+            let shared = shared.expand([count, joints, SHARED]);
+            let inputs = Tensor::cat(vec![own.clone(), shared], 2);
+            let inputs = inputs.reshape([time, batch, joints, INPUTS]);
+            inputs.swap_dims(0, 1)
         });
 
-        // 2. Over time.
-        let latents = gelu(self.joint_mlp_at_0.forward(inputs));
-        let latents = self.joint_mlp_at_2.forward(latents);
+        // 2. Over time. What all joints are told is multiplied once a frame.
+        let latents = self
+            .joint_mlp_at_0
+            .forward_frames_sharing(own.swap_dims(1, 2), shared);
+        let latents = self.joint_mlp_at_2.forward_frames(gelu(latents));
         let context_dim = latents.dims()[1];
+        let latents = latents.swap_dims(1, 2);
         stages.stage(format_args!("joint_latents"), || {
-            latents.clone().reshape([batch, time, joints, context_dim])
+            let latents = latents.clone();
+            let latents = latents.reshape([time, batch, joints, context_dim]);
+            latents.swap_dims(0, 1)
         });
         let sequence = latents
-            .reshape([batch, time, joints * context_dim])
-            .swap_dims(1, 2);
+            .reshape([time, batch, joints * context_dim])
+            .permute([1, 2, 0]);
         let initial = Tensor::zeros([2, 1, self.gru_dim], &sequence.device());
         let states = self.gru.forward(sequence, &lengths, initial);
         stages.stage(format_args!("gru_sequence"), || {

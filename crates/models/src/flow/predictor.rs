@@ -1,7 +1,9 @@
+use std::ops::ControlFlow;
+
 use burn::module::Module;
 use burn::tensor::{Int, Tensor, TensorData};
-use kinegrad_diffusion::{Denoiser, Time};
-use kinegrad_kernels::{Convolution, gelu};
+use kinegrad_diffusion::{Denoiser, FlowPrediction, FlowSamplerConfig, Flowed, Time, sample_flow};
+use kinegrad_kernels::{Convolution, gelu, keeping_packed_weights};
 use kinegrad_motion::humanml::Skeleton;
 
 use super::{FlowConfig, Hierarchy, PREVIOUS_STATE};
@@ -139,6 +141,24 @@ impl FlowPredictor {
             null_tokens: cond.null_context.as_ref().map(tokens),
             weight: Tensor::cat(columns.to_vec(), 1).unsqueeze_dim(2),
         }
+    }
+
+    /// Poses from noise `[batch, 3, J]`, as their condition says.
+    ///
+    /// # Errors
+    /// [`sample_flow`]'s.
+    pub fn draw(
+        &self,
+        noise: Tensor<3>,
+        cond: &FlowCondition,
+        prediction: FlowPrediction,
+        sampler: &FlowSamplerConfig,
+    ) -> Result<Flowed<3>, kinegrad_diffusion::Error> {
+        let cond = self.prepare(cond);
+        keeping_packed_weights(|| {
+            let on_step = &mut |_, _: &Tensor<3>| ControlFlow::Continue(());
+            sample_flow(self, noise, &cond, prediction, sampler, on_step)
+        })
     }
 
     /// `[batch, 49, J]`.

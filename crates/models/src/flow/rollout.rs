@@ -1,10 +1,9 @@
 //! Frame after frame, each the history of the next.
 
 use std::collections::VecDeque;
-use std::ops::ControlFlow;
 
 use burn::tensor::{Device, Tensor, TensorData};
-use kinegrad_diffusion::{FlowPrediction, FlowSamplerConfig, sample_flow};
+use kinegrad_diffusion::{FlowPrediction, FlowSamplerConfig};
 use kinegrad_motion::Statistics;
 use kinegrad_motion::humanml::stream::with_bones;
 use kinegrad_motion::humanml::{
@@ -231,20 +230,17 @@ impl FlowRollout {
     /// The next target, `[J, 3]` in metres.
     fn draw(&mut self) -> Result<Vec<f32>, RolloutError> {
         let joints = self.space.skeleton.joints();
-        let cond = self.model.predictor.prepare(&self.condition());
         let number = match self.settings.same_noise {
             true => 0,
             false => self.drawn as u64,
         };
         let noise = self.key.at(number).normals(3 * joints);
         let noise = Tensor::from_data(TensorData::new(noise, [1, 3, joints]), &self.device);
-        let flowed = sample_flow(
-            &self.model.predictor,
+        let flowed = self.model.predictor.draw(
             noise,
-            &cond,
+            &self.condition(),
             self.space.prediction,
             &self.settings.sampler,
-            &mut |_, _| ControlFlow::Continue(()),
         )?;
         self.evaluations += flowed.evaluations;
         let of_joints = flowed.x.swap_dims(1, 2).into_data();

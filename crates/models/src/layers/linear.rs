@@ -1,7 +1,7 @@
 use std::ops::Range;
 
 use burn::module::{Module, Param};
-use burn::tensor::Tensor;
+use burn::tensor::{Int, Tensor};
 use kinegrad_kernels::{Convolution, linear};
 
 use crate::lora::Adaptable;
@@ -69,6 +69,50 @@ impl Linear {
             .forward(x)
     }
 
+    /// [`forward_frames`](Self::forward_frames) of inputs of which the first are each frame's own, and
+    /// the others the same in all frames of a sample: those are multiplied once.
+    ///
+    /// # Shapes
+    /// - own: `[batch, some, time]`
+    /// - shared: `[batch, in - some]`
+    /// - output: `[batch, out, time]`
+    pub fn forward_frames_sharing(&self, own: Tensor<3>, shared: Tensor<2>) -> Tensor<3> {
+        let [batch, some, time] = own.dims();
+        let shared = linear(shared, self.columns(some..self.inputs()), self.bias.val());
+        let [_, outputs] = shared.dims();
+        // By frames and then channels, as its gradient is summed faster so.
+        let shared = shared.unsqueeze_dim::<3>(1).expand([batch, time, outputs]);
+        self.forward_own(own, shared)
+    }
+
+    /// [`forward_frames_sharing`](Self::forward_frames_sharing) of frames each of which shares a row of
+    /// `told`, the one that `rows` names.
+    ///
+    /// # Shapes
+    /// - own: `[batch, some, time]`
+    /// - told: `[told, in - some]`, rows: `[batch * time]`
+    /// - output: `[batch, out, time]`
+    pub fn forward_frames_told(
+        &self,
+        own: Tensor<3>,
+        told: Tensor<2>,
+        rows: Tensor<1, Int>,
+    ) -> Tensor<3> {
+        let [batch, some, time] = own.dims();
+        let told = linear(told, self.columns(some..self.inputs()), self.bias.val());
+        let [_, outputs] = told.dims();
+        let told = told.select(0, rows).reshape([batch, time, outputs]);
+        self.forward_own(own, told)
+    }
+
+    /// The first inputs' share, added to `others`, `[batch, time, out]`.
+    fn forward_own(&self, own: Tensor<3>, others: Tensor<3>) -> Tensor<3> {
+        let [_, some, _] = own.dims();
+        Convolution::new(self.columns(0..some).unsqueeze_dim(2), 1)
+            .residual(others.swap_dims(1, 2))
+            .forward(own)
+    }
+
     /// The weight of some inputs: `[out, inputs]`.
     pub fn columns(&self, inputs: Range<usize>) -> Tensor<2> {
         let count = inputs.len();
@@ -105,6 +149,13 @@ impl Unbiased {
     pub fn forward_frames(&self, x: Tensor<3>) -> Tensor<3> {
         Convolution::new(self.weight.val().unsqueeze_dim(2), 1).forward(x)
     }
+
+    /// [`forward_frames`](Self::forward_frames), added to `residual`, `[batch, out, time]`.
+    pub fn forward_frames_onto(&self, residual: Tensor<3>, x: Tensor<3>) -> Tensor<3> {
+        Convolution::new(self.weight.val().unsqueeze_dim(2), 1)
+            .residual(residual)
+            .forward(x)
+    }
 }
 
 impl Adaptable for Linear {
@@ -119,5 +170,45 @@ impl Adaptable for Linear {
             self.weight = lora.merge(self.weight);
         }
         self
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use burn::tensor::{Device, TensorData};
+
+    use super::*;
+
+    #[test]
+    fn what_frames_share_may_be_given_once() {
+        let device = Device::flex().autodiff();
+        let values = |shape: &[usize]| {
+            let count: usize = shape.iter().product();
+            let values = (0..count).map(|i| (i as f32 * 0.7).sin()).collect();
+            TensorData::new(values, shape.to_vec())
+        };
+        let layer = Linear::new(3 + 5, 4, &Initializer::new(1, &device));
+        let shared = Tensor::<2>::from_data(values(&[2, 5]), &device).require_grad();
+        let own = Tensor::<3>::from_data(values(&[2, 3, 7]), &device);
+        let factors = Tensor::<3>::from_data(values(&[2, 4, 7]), &device);
+        let of = |y: Tensor<3>| {
+            let gradients = (y.clone() * factors.clone()).sum().backward();
+            let of_layer = layer.weight.val().grad(&gradients).expect("weight");
+            let of_shared = shared.grad(&gradients).expect("shared");
+            let of_bias = layer.bias.val().grad(&gradients).expect("bias");
+            let found = [
+                y.inner().reshape([-1]),
+                of_layer.reshape([-1]),
+                of_shared.reshape([-1]),
+                of_bias,
+            ];
+            Tensor::<1>::cat(found.to_vec(), 0)
+        };
+        let everywhere = shared.clone().unsqueeze_dim::<3>(2).expand([2, 5, 7]);
+        let plain = of(layer.forward_frames(Tensor::cat(vec![own.clone(), everywhere], 1)));
+        let sharing = of(layer.forward_frames_sharing(own, shared.clone()));
+        assert_eq!(plain.dims(), [2 * 4 * 7 + 4 * 8 + 2 * 5 + 4]);
+        let apart = (plain - sharing).abs().max().into_scalar::<f32>();
+        assert!(apart < 1e-5, "{apart}");
     }
 }

@@ -116,8 +116,11 @@ fn compare_masks(golden: &Golden) {
     let lengths = counts(golden, "in.segment_lengths");
     let time: usize = lengths.iter().sum();
     let script = Script::new([motion(&lengths, 0, 1)]);
-    let places = script.places(time);
-    golden.compare_exactly("out.segment_positions", &places[0]);
+    let places = |script: &Script, time| {
+        let places = script.places(time).concat();
+        places.into_iter().map(|p| p as f64).collect::<Vec<_>>()
+    };
+    golden.compare_exactly("out.segment_positions", &places(&script, time));
     let mask = |ranges: &KeyRanges, sample: usize, time: usize| -> Vec<f64> {
         let pairs = (0..time).flat_map(|query| (0..time).map(move |key| (query, key)));
         let allowed = pairs.map(|(query, key)| ranges.of(sample, query).contains(&key));
@@ -138,7 +141,7 @@ fn compare_masks(golden: &Golden) {
     ];
     let time = golden.get("out.batch.positions").shape[1];
     let script = Script::new(both.iter().map(|lengths| motion(lengths, 0, 1)));
-    golden.compare_exactly("out.batch.positions", &script.places(time).concat());
+    golden.compare_exactly("out.batch.positions", &places(&script, time));
     let counted: Vec<f64> = script
         .frames()
         .flat_map(|frames| (0..time).map(move |t| f64::from(u8::from(t < frames))))
@@ -180,7 +183,10 @@ fn golden_pose_centric_attention(golden: Golden) {
         let x = golden.tensor::<3>("in.x", &device).require_grad();
         let cond = golden.tensor::<3>("in.cond", &device).require_grad();
         let turned = |x: &Tensor<3>| x.clone().swap_dims(1, 2);
-        let shared = Shared::new(turned(&cond), ranges, &is_relative);
+        // Each frame is told something of its own.
+        let told = cond.clone().reshape([(batch * time) as i64, -1]);
+        let rows = Tensor::arange(0..(batch * time) as i64, &device);
+        let shared = Shared::new(told, rows, ranges, &is_relative);
         let y = layer.forward(turned(&x), &shared).swap_dims(1, 2);
         golden
             .get(&format!("out.{case}.y"))
