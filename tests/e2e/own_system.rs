@@ -255,14 +255,11 @@ impl Recipe for ToyRecipe {
     }
 
     fn validation_loss(&self, model: &Network, device: &Device) -> Measured {
-        let mut measured = Measured::default();
-        for (range, inputs) in self.0.batches(device) {
-            let share = range.len() as f64 / self.0.len() as f64;
+        self.0.mean_terms(|range, batch| {
+            let inputs = Inputs::new(&batch, device);
             let noise = self.0.noise(range, 0, &inputs.x_start);
-            let error = Self::error(model, &inputs, noise, 0.5).into_scalar::<f32>();
-            measured.add("line", f64::from(error) * share);
-        }
-        measured
+            vec![("line", Self::error(model, &inputs, noise, 0.5))]
+        })
     }
 }
 

@@ -56,10 +56,14 @@ class Ranks(unittest.TestCase):
         line = (
             f"train {ROOT}/configs/e2e_quickstart.toml {MICRO} --set train.max_steps=3 "
             f"--set init.diffusion={base}/base --set init.decoder={base}/decoder "
-            "--set sampling.count_at_end=0 --set validation.every_steps=0 --set data.batch_size=2"
+            "--set sampling.count_at_end=0 --set data.batch_size=2 "
+            # Two batches of held-out phrases, fewer than there are ranks.
+            "--set validation.every_steps=2 --set validation.batch_size=4"
         )
         self.folder.run(1, f"{line} --name alone")
-        self.equal_on(line, (2, 4), self.folder.hashes("alone"))
+        reference = self.folder.hashes("alone")
+        self.assertGreater(reference[1]["best_val_loss"], 0)
+        self.equal_on(line, (2, 4), reference)
         code, said = self.folder.fails(2, stages.replace("stages", "apart") + f" {MICRO}")
         self.assertEqual(code, 2, said)
         self.assertIn("`init.diffusion` is empty, and 2 ranks train", said)

@@ -50,7 +50,7 @@ fn started() -> Rc<dyn Ranks> {
     if kinegrad_ranks::Mpi::is_launched()
         && let Some(mpi) = kinegrad_ranks::Mpi::start()
     {
-        share_cores(mpi.local().size);
+        share_cores(mpi.local().sharing);
         return Rc::new(mpi);
     }
     Rc::new(Alone)
@@ -60,8 +60,8 @@ fn number(name: &str) -> Option<usize> {
     env::var(name).ok()?.parse().ok()
 }
 
-/// Gives each of so many processes of a machine its part of the cores, unless RAYON_NUM_THREADS says how
-/// many threads.
+/// Gives each of so many processes that may run on the same cores its part of them, unless
+/// RAYON_NUM_THREADS says how many threads.
 #[cfg(feature = "mpi")]
 fn share_cores(processes: usize) {
     let cores = std::thread::available_parallelism().map_or(1, usize::from);

@@ -5,6 +5,8 @@
 //! same bytes as one.
 
 #[cfg(feature = "mpi")]
+mod cores;
+#[cfg(feature = "mpi")]
 mod mpi;
 mod tree;
 
@@ -22,6 +24,18 @@ pub struct Local {
     pub rank: usize,
     /// How many there are.
     pub size: usize,
+    /// How many of them may run on this one's cores, itself among them: all, unless the launcher has
+    /// bound them to cores of their own.
+    pub sharing: usize,
+}
+
+/// Who is given what all have said.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Receivers {
+    /// Every rank.
+    All,
+    /// The first, which writes.
+    First,
 }
 
 /// Processes that train one run.
@@ -34,15 +48,19 @@ pub trait Ranks: Debug {
 
     /// This process among those on its machine.
     fn local(&self) -> Local {
-        Local { rank: 0, size: 1 }
+        Local {
+            rank: 0,
+            size: 1,
+            sharing: 1,
+        }
     }
 
     /// What every rank says, in the order of ranks. Collective.
     fn gather(&self, own: &[u8]) -> Vec<Vec<u8>>;
 
-    /// Puts what each rank gives, `lengths[r]` values of rank r, one behind the other into `values`.
-    /// Collective.
-    fn gather_into(&self, own: &[f32], lengths: &[usize], values: &mut [f32]);
+    /// Puts what each rank gives, `lengths[r]` values of rank r, one behind the other into `values` of
+    /// those who receive it; those of others stay as they are. Collective.
+    fn gather_into(&self, own: &[f32], lengths: &[usize], to: Receivers, values: &mut [f32]);
 
     /// Of what each rank gives for each, `lengths[r]` of `values` for rank r, one behind the other, and as many
     /// from all: the sum of what is for this one, [pairwise] over the ranks. Collective.
@@ -59,7 +77,7 @@ pub trait Ranks: Debug {
         let of = |rank: usize| length.saturating_sub(rank * share).min(share);
         let lengths: Vec<usize> = (0..size).map(of).collect();
         let own = self.scatter_sums(values, &lengths);
-        self.gather_into(&own, &lengths, values);
+        self.gather_into(&own, &lengths, Receivers::All, values);
     }
 
     /// Ends all ranks at once, after a panic: the others wait for something that does not come.
@@ -99,7 +117,7 @@ impl Ranks for Alone {
         vec![own.to_vec()]
     }
 
-    fn gather_into(&self, own: &[f32], _lengths: &[usize], values: &mut [f32]) {
+    fn gather_into(&self, own: &[f32], _: &[usize], _: Receivers, values: &mut [f32]) {
         values.copy_from_slice(own);
     }
 

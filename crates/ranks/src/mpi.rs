@@ -6,10 +6,11 @@ use std::fmt;
 use mpi::datatype::{Partition, PartitionMut};
 use mpi::environment::Universe;
 use mpi::topology::SimpleCommunicator;
-use mpi::traits::{Buffer, BufferMut, Communicator, CommunicatorCollectives, Equivalence};
+use mpi::traits::{Buffer, BufferMut, Communicator, CommunicatorCollectives, Equivalence, Root};
 use mpi::{Count, Threading};
 
-use crate::{Local, Ranks, pairwise};
+use crate::cores;
+use crate::{Local, Ranks, Receivers, pairwise};
 
 /// The processes that `mpirun` or `srun` has started.
 pub struct Mpi {
@@ -28,9 +29,14 @@ impl Mpi {
         let (universe, _) = mpi::initialize_with_threading(Threading::Funneled)?;
         let world = universe.world();
         let machine = world.split_shared(world.rank());
+        let (own, size) = (cores::own(), machine.size() as usize);
+        let mut all = vec![0; cores::WORDS * size];
+        machine.all_gather_into(&own[..], &mut all[..]);
+        let (all, _) = all.as_chunks::<{ cores::WORDS }>();
         let local = Local {
             rank: machine.rank() as usize,
-            size: machine.size() as usize,
+            size,
+            sharing: cores::sharing(&own, all),
         };
         Some(Self {
             world,
@@ -106,10 +112,18 @@ impl Ranks for Mpi {
         self.gathered(own)
     }
 
-    fn gather_into(&self, own: &[f32], lengths: &[usize], values: &mut [f32]) {
+    fn gather_into(&self, own: &[f32], lengths: &[usize], to: Receivers, values: &mut [f32]) {
         let (counts, starts) = places(lengths.iter().copied());
+        let first = self.world.process_at_rank(0);
+        if to == Receivers::First && !self.is_first() {
+            first.gather_varcount_into(own);
+            return;
+        }
         let mut parts = PartitionMut::new(values, &counts[..], &starts[..]);
-        self.world.all_gather_varcount_into(own, &mut parts);
+        match to {
+            Receivers::All => self.world.all_gather_varcount_into(own, &mut parts),
+            Receivers::First => first.gather_varcount_into_root(own, &mut parts),
+        }
     }
 
     fn scatter_sums(&self, values: &[f32], lengths: &[usize]) -> Vec<f32> {

@@ -1,6 +1,7 @@
 //! Training a denoiser on noised motion: a batch on the device, its random inputs, the loss, and
 //! the held-out motion. Recipes of all systems share it.
 
+use std::cell::OnceCell;
 use std::ops::Range;
 use std::rc::Rc;
 
@@ -349,7 +350,7 @@ impl HeldOut {
     /// The items of `samples`, which are in memory.
     ///
     /// # Panics
-    /// [`batches`](Self::batches) panics if they are not.
+    /// Measuring panics if they are not.
     pub fn new(samples: impl Samples, validation: &ValidationConfig) -> Self {
         Self {
             ids: samples.items().ids().map(String::from).collect(),
@@ -393,20 +394,6 @@ impl HeldOut {
     /// Draws of each item that a validation loss is the mean over.
     pub fn draws(&self) -> usize {
         self.draws
-    }
-
-    /// Each batch on the device, with the numbers of its items.
-    pub fn batches(&self, device: &Device) -> impl Iterator<Item = (Range<usize>, Inputs)> {
-        self.host_batches()
-            .map(|(range, batch)| (range, Inputs::new(&batch, device)))
-    }
-
-    /// Each batch, with the numbers of its items.
-    pub fn host_batches(&self) -> impl Iterator<Item = (Range<usize>, Batch)> {
-        self.ranges().map(|range| {
-            let batch = (self.collate)(range.clone());
-            (range, batch)
-        })
     }
 
     /// The numbers of the items of each batch.
@@ -462,26 +449,66 @@ impl HeldOut {
         device: &Device,
         loss: impl Fn(usize, Range<usize>, Inputs) -> Tensor<1>,
     ) -> f64 {
-        let ranks = self.together.ranks();
-        let (own, size) = (ranks.rank(), ranks.size());
         let ranges: Vec<Range<usize>> = self.ranges().collect();
         let draws = 0..self.draws;
         let jobs = draws.flat_map(|draw| ranges.iter().map(move |range| (draw, range.clone())));
         let jobs: Vec<(usize, Range<usize>)> = jobs.collect();
-        let mut measured = Vec::new();
-        for (draw, range) in jobs.iter().skip(own).step_by(size) {
+        let losses = self.measured(&jobs, |(draw, range)| {
             let inputs = Inputs::new(&(self.collate)(range.clone()), device);
-            let loss = loss(*draw, range.clone(), inputs).into_scalar::<f32>();
-            measured.extend(loss.to_le_bytes());
+            vec![loss(*draw, range.clone(), inputs)]
+        });
+        let of_items = jobs.iter().zip(losses);
+        let of_items = of_items.map(|((_, range), loss)| f64::from(loss[0]) * range.len() as f64);
+        of_items.sum::<f64>() / (self.draws * self.len()) as f64
+    }
+
+    /// The means of some terms over all items, of each batch, with the numbers of its items. Ranks share
+    /// the batches, as in [`mean`](Self::mean).
+    pub fn mean_terms(
+        &self,
+        terms: impl Fn(Range<usize>, Batch) -> Vec<(&'static str, Tensor<1>)>,
+    ) -> Measured {
+        let ranges: Vec<Range<usize>> = self.ranges().collect();
+        let terms = |range: &Range<usize>| terms(range.clone(), (self.collate)(range.clone()));
+        let names = OnceCell::new();
+        let losses = self.measured(&ranges, |range| {
+            let (said, terms) = terms(range).into_iter().unzip();
+            let _: Result<_, Vec<_>> = names.set(said);
+            terms
+        });
+        // Of more ranks than batches the last have measured nothing.
+        let names = names.get_or_init(|| {
+            let terms = terms(&ranges[0]).into_iter();
+            terms.map(|(name, _)| name).collect()
+        });
+        let mut measured = Measured::default();
+        for (range, losses) in ranges.iter().zip(losses) {
+            let share = range.len() as f64 / self.len() as f64;
+            for (name, loss) in names.iter().zip(losses) {
+                measured.add(name, f64::from(loss) * share);
+            }
+        }
+        measured
+    }
+
+    /// The losses of each job, in their order, shared among the ranks. Collective.
+    fn measured<J>(&self, jobs: &[J], measure: impl Fn(&J) -> Vec<Tensor<1>>) -> Vec<Vec<f32>> {
+        let ranks = self.together.ranks();
+        let (own, size) = (ranks.rank(), ranks.size());
+        let mut measured = Vec::new();
+        for job in jobs.iter().skip(own).step_by(size) {
+            let losses = measure(job).into_iter();
+            measured.extend(losses.flat_map(|loss| loss.into_scalar::<f32>().to_le_bytes()));
         }
         let all = self.together.gather(About::Losses, &measured);
-        let mut sum = 0.0;
-        for (number, (_, range)) in jobs.iter().enumerate() {
-            let (losses, _) = all[number % size].as_chunks::<4>();
-            let loss = f32::from_le_bytes(losses[number / size]);
-            sum += f64::from(loss) * range.len() as f64;
-        }
-        sum / (self.draws * self.len()) as f64
+        // The first rank has a job wherever there is one.
+        let count = all[0].len() / 4 / jobs.len().div_ceil(size).max(1);
+        let of = |job: usize| {
+            let (losses, _) = all[job % size].as_chunks::<4>();
+            let losses = losses.iter().skip(job / size * count).take(count);
+            losses.map(|loss| f32::from_le_bytes(*loss)).collect()
+        };
+        (0..jobs.len()).map(of).collect()
     }
 }
 

@@ -18,6 +18,7 @@ use burn::tensor::Device;
 use kinegrad_data::{Digest, Loader};
 use kinegrad_models::parameters::{self, ParameterInfo};
 use kinegrad_motion::Statistics;
+use kinegrad_ranks::Receivers;
 
 use crate::checkpoint::{Checkpoint, CheckpointRef, Checkpoints, FORMAT, Progress, State};
 use crate::config::Config;
@@ -351,7 +352,9 @@ impl<R: Recipe> Trainer<R> {
     fn measure(&mut self) -> Result<(f64, Option<f64>), Error> {
         let device = self.parts.device.clone().inner();
         let model = self.model.as_ref().expect("held between updates").valid();
-        let averages = self.states.averages(self.parts.together.ranks());
+        let averages = self
+            .states
+            .averages(self.parts.together.ranks(), Receivers::All);
         let averaged = parameters::replace(model, averages.into_owned());
         let Measured { total, terms } = self.parts.recipe.validation_loss(&averaged, &device);
         if !total.is_finite() {
@@ -421,7 +424,11 @@ impl<R: Recipe> Trainer<R> {
         };
         together.done(synced)?;
         let ranks = together.ranks();
-        let (ema, moments) = (self.states.averages(ranks), self.states.moments(ranks));
+        let to = Receivers::First;
+        let (ema, moments) = (
+            self.states.averages(ranks, to),
+            self.states.moments(ranks, to),
+        );
         let saved = match together.writes() {
             true => self.write_checkpoint(&weights, &ema, &moments),
             false => Ok(()),

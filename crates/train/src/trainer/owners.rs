@@ -4,7 +4,7 @@
 
 use std::cmp::Reverse;
 
-use kinegrad_ranks::Ranks;
+use kinegrad_ranks::{Ranks, Receivers};
 
 use crate::together::{About, Together};
 
@@ -68,15 +68,24 @@ impl Owners {
         all
     }
 
-    /// All tensors, of those that each rank keeps.
-    pub fn gathered(&self, ranks: &dyn Ranks, tensors: &[Vec<f32>]) -> Vec<Vec<f32>> {
+    /// All tensors, of those that each rank keeps; to who does not receive them, the frozen ones alone.
+    pub fn gathered(
+        &self,
+        ranks: &dyn Ranks,
+        to: Receivers,
+        tensors: &[Vec<f32>],
+    ) -> Vec<Vec<f32>> {
         let own = self.of_rank(self.rank);
         let own = own.map(|index| &tensors[index][..self.lengths[index]]);
         let own = own.collect::<Vec<_>>().concat();
         let lengths = self.loads();
-        let mut values = vec![0.0; lengths.iter().sum()];
-        ranks.gather_into(&own, &lengths, &mut values);
+        let receives = to == Receivers::All || ranks.is_first();
+        let mut values = vec![0.0; if receives { lengths.iter().sum() } else { 0 }];
+        ranks.gather_into(&own, &lengths, to, &mut values);
         let mut all = self.frozen(tensors);
+        if !receives {
+            return all;
+        }
         let mut rest = &values[..];
         for (rank, length) in lengths.into_iter().enumerate() {
             let (values, behind) = rest.split_at(length);
@@ -135,7 +144,8 @@ mod tests {
         let tensors = vec![vec![1.0, 2.0], vec![5.0; 3], vec![3.0]];
         let owners = Owners::new(&Alone, vec![2, 0, 1]);
         assert_eq!(owners.sums(&Alone, tensors.clone()), tensors);
-        assert_eq!(owners.gathered(&Alone, &tensors), tensors);
+        assert_eq!(owners.gathered(&Alone, Receivers::All, &tensors), tensors);
+        assert_eq!(owners.gathered(&Alone, Receivers::First, &tensors), tensors);
         let numbers = owners.numbers(&Together::alone(), |index| index as f64);
         assert_eq!(numbers, [0.0, 1.0, 2.0]);
     }

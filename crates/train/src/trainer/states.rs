@@ -8,7 +8,7 @@ use burn::module::Module;
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_kernels::optimizer::AdamWTensors;
 use kinegrad_models::parameters::{self, ParameterInfo};
-use kinegrad_ranks::Ranks;
+use kinegrad_ranks::{Ranks, Receivers};
 
 use super::gradients::StepGradients;
 use super::owners::Owners;
@@ -216,11 +216,11 @@ impl States {
         }
     }
 
-    /// The averaged weights of all parameters.
-    pub fn averages(&self, ranks: &dyn Ranks) -> Cow<'_, [Vec<f32>]> {
+    /// The averaged weights of all parameters, on the ranks that receive them. Collective.
+    pub fn averages(&self, ranks: &dyn Ranks, to: Receivers) -> Cow<'_, [Vec<f32>]> {
         match &self.kept {
             Kept::Host(kept) => match &kept.owners {
-                Some(owners) => owners.gathered(ranks, &kept.averages).into(),
+                Some(owners) => owners.gathered(ranks, to, &kept.averages).into(),
                 None => kept.averages.as_slice().into(),
             },
             Kept::Device(kept) => {
@@ -233,8 +233,8 @@ impl States {
         }
     }
 
-    /// The optimiser's running means of all parameters.
-    pub fn moments(&self, ranks: &dyn Ranks) -> Cow<'_, [Moments]> {
+    /// The optimiser's running means of all parameters, on the ranks that receive them. Collective.
+    pub fn moments(&self, ranks: &dyn Ranks, to: Receivers) -> Cow<'_, [Moments]> {
         let [exp_avg, exp_avg_sq] = match &self.kept {
             Kept::Host(OnHost {
                 moments,
@@ -248,7 +248,7 @@ impl States {
             }) => {
                 let all = |of: fn(&Moments) -> &Vec<f32>| {
                     let own: Vec<Vec<f32>> = moments.iter().map(of).cloned().collect();
-                    owners.gathered(ranks, &own)
+                    owners.gathered(ranks, to, &own)
                 };
                 [
                     all(|moments| &moments.exp_avg),
@@ -294,7 +294,7 @@ impl OnHost {
         let Some(owners) = owners else {
             return model;
         };
-        let all = owners.gathered(ranks, &own);
+        let all = owners.gathered(ranks, Receivers::All, &own);
         on_host(model, weights.as_mut(), |index, values| {
             values.copy_from_slice(&all[index]);
         })

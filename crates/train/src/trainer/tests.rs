@@ -148,10 +148,10 @@ fn states_are_moved_alike_in_either_place() {
             states != "host" && !on_host
         );
         let ranks = trainer.parts.together.ranks();
-        let moments = trainer.states.moments(ranks).into_owned();
+        let moments = trainer.states.moments(ranks, Receivers::All).into_owned();
         let halves = moments.into_iter().map(|m| [m.exp_avg, m.exp_avg_sq]);
         let mut all = parameters::values(trainer.model.as_ref().unwrap());
-        all.extend(trainer.states.averages(ranks).into_owned());
+        all.extend(trainer.states.averages(ranks, Receivers::All).into_owned());
         all.extend(halves.flatten());
         (watching.0.expect("a report"), all.concat())
     };

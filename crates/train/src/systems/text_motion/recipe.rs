@@ -158,14 +158,8 @@ impl Recipe for ContrastiveRecipe {
     }
 
     fn validation_loss(&self, model: &TextMotionEncoders, device: &Device) -> Measured {
-        let mut measured = Measured::default();
-        for (range, batch) in self.held_out.host_batches() {
-            let share = range.len() as f64 / self.held_out.len() as f64;
-            for (name, term) in self.terms(model, &batch, device) {
-                measured.add(name, f64::from(term.into_scalar::<f32>()) * share);
-            }
-        }
-        measured
+        self.held_out
+            .mean_terms(|_, batch| self.terms(model, &batch, device).into())
     }
 }
 

@@ -40,6 +40,7 @@ pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome
             .with_words(words.clone())
     };
     let (material, held_out) = Material::new(dataset, statistics, &config, samples)?;
+    let held_out = held_out.among(&setup.together);
     let recipe = ContrastiveRecipe::new(own.loss.margin, held_out);
     setup.train(material, recipe, model, observer)
 }

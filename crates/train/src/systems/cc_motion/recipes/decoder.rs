@@ -126,8 +126,8 @@ impl Recipe for DecoderRecipe {
     fn validation_loss(&self, model: &MotionModel, device: &Device) -> Measured {
         let phrases = self.held_out.len();
         let starts = self.rollouts.starts(phrases, |_| 0.5);
-        let mut measured = Measured::default();
-        for (range, inputs) in self.held_out.batches(device) {
+        self.held_out.mean_terms(|range, batch| {
+            let inputs = Inputs::new(&batch, device);
             let starts = &starts[range.clone()];
             let noise = |draw| self.held_out.noise(range.clone(), draw, &inputs.x_start);
             let places = |i: usize| ((range.start + i) as f64 + 0.5) / phrases as f64;
@@ -135,11 +135,7 @@ impl Recipe for DecoderRecipe {
                 self.noised(&inputs.x_start, noise(0), places),
                 self.rollouts.sample(&model.unet, &inputs, noise(1), starts),
             ];
-            let share = range.len() as f64 / phrases as f64;
-            for (name, term) in self.terms(model, &inputs, latents, starts, None) {
-                measured.add(name, f64::from(term.into_scalar::<f32>()) * share);
-            }
-        }
-        measured
+            self.terms(model, &inputs, latents, starts, None).into()
+        })
     }
 }

@@ -215,17 +215,16 @@ impl Recipe for E2eRecipe {
         let mut measured = Measured::default();
         measured.add("diffusion", denoising * self.loss.w_diff);
         let starts = self.rollouts.starts(phrases, |_| 0.5);
-        for (range, inputs) in self.held_out.batches(device) {
+        let decoded = self.held_out.mean_terms(|range, batch| {
+            let inputs = Inputs::new(&batch, device);
             let starts = &starts[range.clone()];
-            let noise = self
-                .held_out
-                .noise(range.clone(), ROLLOUT_DRAW, &inputs.x_start);
+            let noise = self.held_out.noise(range, ROLLOUT_DRAW, &inputs.x_start);
             let latent = self.rollouts.sample(&model.unet, &inputs, noise, starts);
             let decoded = model.decoder.forward(latent, None);
-            let share = range.len() as f64 / phrases as f64;
-            for (name, term) in self.decoded_terms(&decoded, &inputs, starts) {
-                measured.add(name, f64::from(term.into_scalar::<f32>()) * share);
-            }
+            self.decoded_terms(&decoded, &inputs, starts)
+        });
+        for (name, term) in decoded.terms {
+            measured.add(name, term);
         }
         measured
     }

@@ -1,0 +1,50 @@
+//! Which cores a process may run on.
+
+/// Words of a set of cores, as many as the system's own sets have bits.
+pub const WORDS: usize = 16;
+
+/// A set of cores, a bit each.
+pub type Cores = [u64; WORDS];
+
+/// The cores that this process may run on; all where that cannot be known.
+pub fn own() -> Cores {
+    #[cfg(target_os = "linux")]
+    {
+        let mut cores: Cores = [0; WORDS];
+        // SAFETY: the call writes at most as many bytes as it is told, of which the set has that many.
+        #[allow(unsafe_code)]
+        let found =
+            unsafe { libc::sched_getaffinity(0, size_of::<Cores>(), cores.as_mut_ptr().cast()) };
+        if found == 0 && cores != [0; WORDS] {
+            return cores;
+        }
+    }
+    [u64::MAX; WORDS]
+}
+
+/// How many of these sets have a core in common with `own`.
+pub fn sharing(own: &Cores, all: &[Cores]) -> usize {
+    let meets = |other: &&Cores| own.iter().zip(*other).any(|(a, b)| a & b != 0);
+    all.iter().filter(meets).count()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn processes_share_the_cores_that_both_may_run_on() {
+        let set = |cores: &[usize]| {
+            let mut set = [0; WORDS];
+            for core in cores {
+                set[core / 64] |= 1 << (core % 64);
+            }
+            set
+        };
+        let bound = [set(&[0, 1]), set(&[2, 3]), set(&[2, 3]), set(&[700])];
+        let shared = bound.each_ref().map(|own| sharing(own, &bound));
+        assert_eq!(shared, [1, 2, 2, 1]);
+        let free = [own(); 3];
+        assert_eq!(sharing(&free[0], &free), 3);
+    }
+}
