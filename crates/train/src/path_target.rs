@@ -79,15 +79,19 @@ impl PathTarget {
         steps.fold(0.0, f64::max) * fps
     }
 
-    /// What to say of a path in `file` that asks for more than the [`fastest`] that training saw.
-    pub(crate) fn too_fast(&self, file: &Path, fps: f64, fastest: Option<f64>) -> Option<String> {
-        let (speed, fastest) = (self.speed(fps), fastest?);
-        (speed > fastest).then(|| {
+    /// What to say of a path in `file` that asks for more than training saw.
+    pub(crate) fn too_fast(&self, file: &Path, fps: f64, fastest: Fastest) -> Option<String> {
+        let speed = self.speed(fps);
+        let (limit, of) = match fastest {
+            Fastest::Measured(limit) => (limit, "any motion of training"),
+            Fastest::Estimated(limit) => (limit, "five deviations from the mean of training"),
+        };
+        (speed > limit).then(|| {
             format!(
-                "{} asks for {speed:.2} m/s, {:.2} m/s more than any motion of training: give the \
-                 motion more time, or a shorter path",
+                "{} asks for {speed:.2} m/s, {:.2} m/s more than {of}: give the motion more time, or \
+                 a shorter path",
                 file.display(),
-                speed - fastest
+                speed - limit
             )
         })
     }
@@ -212,12 +216,28 @@ impl PathTarget {
     }
 }
 
-/// The fastest that a root was in training along either axis of the ground, of channels of velocity
-/// that begin with `first`, `scale` times their values; none where that is not known.
-pub(crate) fn fastest(statistics: &Statistics, first: usize, scale: f64) -> Option<f64> {
-    let [min, max] = statistics.range.as_ref()?;
-    let of = |channel: usize| min[channel].abs().max(max[channel].abs());
-    Some(of(first).max(of(first + 2)) * scale)
+/// How fast a root was in training along either axis of the ground, metres per second.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Fastest {
+    /// At most.
+    Measured(f64),
+    /// Five deviations from the mean: published statistics do not say what was the most.
+    Estimated(f64),
+}
+
+impl Fastest {
+    /// Of channels of velocity that begin with `first`, `scale` times their values.
+    pub fn of(statistics: &Statistics, first: usize, scale: f64) -> Self {
+        let most = |of: &dyn Fn(usize) -> f64| of(first).max(of(first + 2)) * scale;
+        match &statistics.range {
+            Some([min, max]) => {
+                Self::Measured(most(&|channel| min[channel].abs().max(max[channel].abs())))
+            }
+            None => Self::Estimated(most(&|channel| {
+                statistics.mean[channel].abs() + 5.0 * statistics.std[channel]
+            })),
+        }
+    }
 }
 
 /// Seconds over which a way is smoothed: a path does not sway from foot to foot.
@@ -280,4 +300,36 @@ pub(crate) fn read_path(path: &PathFile) -> Result<(PathBuf, PathPlan), Error> {
     let text = read_text(&path.file).map_err(|error| refused(error.to_string()))?;
     let plan = PathPlan::read(&text, &file, path.metres_per_unit).map_err(refused)?;
     Ok((path.file.clone(), plan))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_path_that_asks_for_more_than_training_saw_is_told() {
+        let mut statistics = Statistics::new(vec![0.1, 0.0, 0.2], vec![0.02, 1.0, 0.01], None);
+        let of = |statistics: &Statistics| Fastest::of(statistics, 0, 20.0);
+        let known = statistics.as_mut().expect("statistics");
+        // 0.1 + 5 0.02 and 0.2 + 5 0.01 metres per frame.
+        assert_eq!(of(known), Fastest::Estimated(5.0));
+        known.range = Some([vec![-0.5, -9.0, 0.0], vec![0.3, 9.0, 0.4]]);
+        assert_eq!(of(known), Fastest::Measured(10.0));
+
+        let plan = PathPlan::line(vec![[0.0, 0.0], [0.0, 30.0]]);
+        let target = PathTarget::new(&plan, 61, 20.0).expect("a path");
+        let said = |fastest| target.too_fast(Path::new("p.toml"), 20.0, fastest);
+        assert_eq!(said(Fastest::Measured(10.5)), None);
+        for (fastest, expected) in [
+            (Fastest::Measured(6.0), "4.00 m/s more than any motion"),
+            (
+                Fastest::Estimated(6.5),
+                "3.50 m/s more than five deviations",
+            ),
+        ] {
+            let said = said(fastest).expect("too fast");
+            assert!(said.contains("p.toml asks for 10.00 m/s"), "{said}");
+            assert!(said.contains(expected), "{said}");
+        }
+    }
 }

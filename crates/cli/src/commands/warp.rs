@@ -5,10 +5,10 @@ use std::process::ExitCode;
 
 use kinegrad_data::file::read_text;
 use kinegrad_data::{Digest, read_array, write_values, write_whole};
-use kinegrad_motion::feet::{ContactRule, hold};
+use kinegrad_motion::feet::{ContactRule, hold_above};
 use kinegrad_motion::humanml::{Extraction, Features, Joints, Skeleton};
 use kinegrad_motion::metrics::{mean_jerk, skating_ratio};
-use kinegrad_motion::path::{PathPlan, PathReport, Warp};
+use kinegrad_motion::path::{Along, PathPlan, PathReport, Warp};
 use kinegrad_report::table;
 use kinegrad_train::Error;
 use kinegrad_train::systems::Systems;
@@ -97,11 +97,12 @@ pub fn run(systems: Systems<'_>, arguments: WarpArguments) -> Result<ExitCode, E
         joints.joints(),
     )?;
     let held = match arguments.fix_feet {
-        true => Some(hold(
+        true => Some(hold_above(
             &warped.joints,
             &own,
             &skeleton,
             &ContactRule::default(),
+            floor_of(&own),
         )?),
         false => None,
     };
@@ -145,7 +146,7 @@ pub fn run(systems: Systems<'_>, arguments: WarpArguments) -> Result<ExitCode, E
             record.summarize();
         }
     }
-    record.doubt(joints.frames());
+    record.doubt(joints.frames(), arguments.along);
     Ok(ExitCode::SUCCESS)
 }
 
@@ -261,6 +262,12 @@ impl Quality {
     }
 }
 
+/// The floor of a motion: y = 0, or its lowest joint if that is higher.
+fn floor_of(joints: &Joints) -> f64 {
+    let heights = joints.as_slice().iter().map(|place| place[1]);
+    heights.fold(f64::INFINITY, f64::min).max(0.0)
+}
+
 impl Record {
     fn summarize(&self) {
         let number = |value: Option<f64>, digits: usize| match value {
@@ -295,7 +302,7 @@ impl Record {
     }
 
     /// Says what is doubtful.
-    fn doubt(&self, given: usize) {
+    fn doubt(&self, given: usize, along: Along) {
         if self.frames < given {
             tell!(
                 "note: the path ends after {} of {given} frames, at {:.2} m",
@@ -304,6 +311,7 @@ impl Record {
             );
         }
         match self.speed_ratio {
+            0.0 if along == Along::Own => {}
             0.0 => tell!("warning: the motion stands, and glides along the path"),
             ratio if !USUAL.contains(&ratio) => tell!(
                 "warning: the root is {ratio:.2} times as fast as it was, and feet slide in proportion: \

@@ -33,12 +33,26 @@ pub fn hold(
     skeleton: &Skeleton,
     rule: &ContactRule,
 ) -> Result<Held, FeatureError> {
+    hold_above(joints, seen, skeleton, rule, 0.0)
+}
+
+/// [`hold`] above a floor of that height.
+///
+/// # Errors
+/// As [`hold`].
+pub fn hold_above(
+    joints: &Joints,
+    seen: &Joints,
+    skeleton: &Skeleton,
+    rule: &ContactRule,
+    floor: f64,
+) -> Result<Held, FeatureError> {
     joints.must_be_of(skeleton)?;
     seen.must_be_of(skeleton)?;
     FeatureError::unless_equal("frames", joints.frames(), seen.frames())?;
     let fps = skeleton.description().fps;
     let legs = skeleton.legs();
-    let stands = |leg: &Leg| rule.contacts(&seen.track(leg.sole), fps, 0.0);
+    let stands = |leg: &Leg| rule.contacts(&seen.track(leg.sole), fps, floor);
     let contacts: Vec<Vec<bool>> = legs.iter().map(stands).collect();
     let frames: Vec<Vec<[f64; 3]>> = (0..joints.frames())
         .map(|t| joints.frame(t).to_vec())
@@ -201,8 +215,13 @@ mod tests {
         let walk = sliding_walk(&skeleton, -0.4);
         let above = walk.as_slice().iter().map(|[x, y, z]| [*x, y + 0.3, *z]);
         let flying = Joints::new(above.collect(), 22).unwrap();
-        let held = hold(&flying, &flying, &skeleton, &ContactRule::default()).unwrap();
+        let rule = ContactRule::default();
+        let held = hold(&flying, &flying, &skeleton, &rule).unwrap();
         assert_eq!(held.joints, flying);
+        // On a floor at that height it stands as often as the walk does on its own.
+        let on_floor = hold_above(&flying, &flying, &skeleton, &rule, 0.3).unwrap();
+        let own = hold(&walk, &walk, &skeleton, &rule).unwrap();
+        assert!(own.in_contact > 0.1 && on_floor.in_contact == own.in_contact);
         assert_eq!((held.in_contact, held.before, held.missed), (0.0, 0.0, 0.0));
         // Contacts of other joints count.
         let held = hold(&flying, &walk, &skeleton, &ContactRule::default()).unwrap();

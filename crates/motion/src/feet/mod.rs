@@ -15,7 +15,7 @@ mod contacts;
 #[cfg(test)]
 mod tests;
 
-pub use body::{Held, hold};
+pub use body::{Held, hold, hold_above};
 pub use contacts::{ContactRule, StepRule, runs, steadied, steps};
 
 use std::ops::Range;

@@ -1,7 +1,7 @@
 //! Paths that are drawn: the first path, line or polyline of an SVG file.
 
 use kurbo::{BezPath, PathEl};
-use roxmltree::{Document, Node};
+use roxmltree::{Document, Node, ParsingOptions};
 
 use super::polyline::MAX_METRES;
 
@@ -13,6 +13,9 @@ const SCALES: std::ops::RangeInclusive<f64> = 1e-6..=1e4;
 
 /// What of an SVG file is not drawn where it stands.
 const HIDDEN: [&str; 6] = ["defs", "clipPath", "marker", "mask", "pattern", "symbol"];
+
+/// Elements and texts of a drawing at most: entities of a document type may multiply them.
+const MOST_NODES: u32 = 1 << 20;
 
 /// What an SVG file holds.
 #[derive(Clone, Debug, PartialEq)]
@@ -36,20 +39,27 @@ pub(super) fn read_drawing(text: &str, scale: f64) -> Result<Drawing, String> {
             SCALES.end()
         ));
     }
-    let document = Document::parse(text).map_err(|error| format!("it is no SVG: {error}"))?;
+    // Drawing programs write a document type, which needs not be read.
+    let options = ParsingOptions {
+        allow_dtd: true,
+        nodes_limit: MOST_NODES,
+        ..ParsingOptions::default()
+    };
+    let document = Document::parse_with_options(text, options);
+    let document = document.map_err(|error| format!("it is no SVG: {error}"))?;
     let names = ["path", "polyline", "polygon", "line"];
     let drawn = |node: &Node| {
-        let hidden = node
-            .ancestors()
-            .any(|node| HIDDEN.contains(&node.tag_name().name()));
+        let hidden = node.ancestors().any(|node| {
+            HIDDEN.contains(&node.tag_name().name())
+                || node.attribute("display") == Some("none")
+                || style_of(&node).contains("display:none")
+        });
         node.is_element() && names.contains(&node.tag_name().name()) && !hidden
     };
     let node = document.descendants().find(drawn);
     let node = node.ok_or("it holds no `path`, `polyline`, `polygon` or `line`")?;
-    let turned = |node: Node| {
-        let style = node.attribute("style").unwrap_or_default();
-        node.has_attribute("transform") || style.contains("transform")
-    };
+    let turned =
+        |node: Node| node.has_attribute("transform") || style_of(&node).contains("transform");
     if node.ancestors().any(turned) {
         return Err(
             "its path has a `transform`, which is not read: apply it in the drawing program".into(),
@@ -95,6 +105,12 @@ pub(super) fn read_drawing(text: &str, scale: f64) -> Result<Drawing, String> {
     Ok(drawing)
 }
 
+/// A node's style without spaces.
+fn style_of(node: &Node) -> String {
+    let style = node.attribute("style").unwrap_or_default();
+    style.split_whitespace().collect()
+}
+
 /// A node's outline as a path.
 fn outline(node: &Node) -> Result<BezPath, String> {
     let name = node.tag_name().name();
@@ -138,6 +154,19 @@ mod tests {
         assert_eq!(line.points, [[0.0, 0.0], [0.0, 3.0]]);
         let plan = PathPlan::read(&svg("<polyline points='0,0 1,-1'/>"), "a.SVG", Some(2.0));
         assert_eq!(plan.unwrap().points[1], [2.0, 2.0]);
+    }
+
+    #[test]
+    fn programs_write_document_types_and_hide_what_is_not_seen() {
+        let hidden = "<path style='fill:red; display : none' d='M 0 0 L 9 9'/>\
+                      <g display='none'><path d='M 0 0 L 8 8'/></g>";
+        let drawn = svg(&format!("{hidden}<path d='M 0 0 L 0 -3'/>"));
+        let text = format!(
+            "<?xml version='1.0'?>\n<!DOCTYPE svg PUBLIC '-//W3C//DTD SVG 1.1//EN' \
+             'http://www.w3.org/Graphics/SVG/1.1/DTD/svg11.dtd'>\n{drawn}"
+        );
+        let drawing = read_drawing(&text, 1.0).unwrap();
+        assert_eq!(drawing.points, [[0.0, 0.0], [0.0, 3.0]]);
     }
 
     #[test]

@@ -16,7 +16,9 @@ pub enum PathError {
     },
 
     /// A point that is nowhere.
-    #[error("point {index} of the path (counted from 0) is [{x}, {z}]")]
+    #[error(
+        "point {index} of the path (counted from 0) is [{x}, {z}], allowed: at most 5000 m either way"
+    )]
     #[diagnostic(help("points are `[x, z]` in metres, at most 5 km from the origin"))]
     NotAPoint {
         /// The point.

@@ -2,7 +2,8 @@
 
 use kinegrad_settings::{ABOVE_ZERO, in_range, in_words, must_be_finite};
 use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
+use serde::de::Error as _;
+use serde::{Deserialize, Deserializer, Serialize};
 use toml::Table;
 
 use super::drawing::{Drawing, read_drawing};
@@ -32,6 +33,7 @@ pub enum CurveKind {
 #[serde(deny_unknown_fields)]
 pub struct PathPlan {
     /// Ground positions `[x, z]` that it leads through, metres.
+    #[serde(deserialize_with = "ground_points")]
     pub points: Vec<[f64; 2]>,
     /// What runs through them.
     #[serde(default)]
@@ -141,6 +143,17 @@ impl PathPlan {
 
 /// The points of a table with one row for each; a first row of names may say which column is x and
 /// which z.
+/// Pairs, and nothing longer.
+fn ground_points<'de, D: Deserializer<'de>>(from: D) -> Result<Vec<[f64; 2]>, D::Error> {
+    let points = Vec::<Vec<f64>>::deserialize(from)?.into_iter();
+    let pair = |point: Vec<f64>| {
+        let wrong =
+            |point: Vec<f64>| D::Error::invalid_length(point.len(), &"an array of length 2");
+        <[f64; 2]>::try_from(point).map_err(wrong)
+    };
+    points.map(pair).collect()
+}
+
 fn read_table(text: &str) -> Result<Vec<[f64; 2]>, String> {
     let mut reader = csv::ReaderBuilder::new()
         .has_headers(false)
@@ -148,7 +161,7 @@ fn read_table(text: &str) -> Result<Vec<[f64; 2]>, String> {
         .trim(csv::Trim::All)
         .comment(Some(b'#'))
         .from_reader(text.as_bytes());
-    let mut columns = [0, 1];
+    let (mut columns, mut width) = ([0, 1], 2);
     let mut points = Vec::new();
     for (number, row) in reader.records().enumerate() {
         let row = row.map_err(|error| error.to_string())?;
@@ -164,12 +177,24 @@ fn read_table(text: &str) -> Result<Vec<[f64; 2]>, String> {
                     names.join(", ")
                 ));
             };
-            columns = [x, z];
+            for name in ["x", "z"] {
+                let count = row.iter().filter(|cell| cell.eq_ignore_ascii_case(name));
+                if count.count() > 1 {
+                    return Err(format!("line {line}: several columns are named `{name}`"));
+                }
+            }
+            (columns, width) = ([x, z], row.len());
             continue;
         }
-        if number == 0 && row.len() != 2 {
+        if number == 0 && row.len() != width {
             return Err(format!(
                 "line {line}: {} columns without names: name two of them `x` and `z` in a first line",
+                row.len()
+            ));
+        }
+        if row.len() > width {
+            return Err(format!(
+                "line {line}: {} columns where the first line has {width}",
                 row.len()
             ));
         }
@@ -246,6 +271,21 @@ mod tests {
                 "p.toml",
                 "\npoints = [[0, 0], [1]]",
                 "line 2: expected a list of 2 values, found 1",
+            ),
+            (
+                "p.toml",
+                "points = [[0, 0, 1], [0, 2, 1]]",
+                "line 1: expected a list of 2 values, found 3",
+            ),
+            (
+                "p.csv",
+                "0,0\n1,2,3\n",
+                "line 2: 3 columns where the first line has 2",
+            ),
+            (
+                "p.csv",
+                "x,z,X\n0,0,1\n",
+                "line 1: several columns are named `x`",
             ),
             (
                 "p.toml",

@@ -3,7 +3,8 @@
 use std::ops::Range;
 
 use super::{Curves, Representation};
-use crate::humanml::units::{HIGHEST_ROOT, MILLIMETRE};
+use crate::humanml::kinematics::minus;
+use crate::humanml::units::MILLIMETRE;
 use crate::humanml::{FeatureLayout, Features, Joints, Root, Skeleton};
 use crate::kinematics::{differences, jerk_of};
 use crate::rotation::length;
@@ -162,8 +163,8 @@ impl Representation for JointFeatures {
     }
 }
 
-/// Positions of a skeleton's joints, `[frames, J, 3]`, metres with +y up. Those of published clips in
-/// millimetres, whose roots are more than 10 units above the floor, are converted.
+/// Positions of a skeleton's joints, `[frames, J, 3]`, metres with +y up. Those in centimetres or
+/// millimetres, as some are published, are converted: bodies are told by their size.
 #[derive(Clone, Debug)]
 pub struct JointPositions {
     /// Whose joints they are.
@@ -198,13 +199,12 @@ impl Representation for JointPositions {
 
     fn joints(&self, rows: &[f32]) -> Option<Joints> {
         let joints = Joints::from_f32(rows, self.skeleton.joints()).ok()?;
-        let frames = joints.frames();
-        let root = joints.track(0).iter().map(|place| place[1]).sum::<f64>() / frames as f64;
-        if root <= HIGHEST_ROOT {
+        let unit = unit_of(&joints);
+        if unit == 1.0 {
             return Some(joints);
         }
         let places = joints.as_slice().iter();
-        let places = places.map(|place| place.map(|value| MILLIMETRE * value));
+        let places = places.map(|place| place.map(|value| unit * value));
         Joints::new(places.collect(), joints.joints()).ok()
     }
 
@@ -214,6 +214,23 @@ impl Representation for JointPositions {
 
     fn accepts(&self, shape: &[usize], _values: &[f32]) -> bool {
         matches!(shape, [frames, joints, 3] if *frames > 0 && *joints == self.skeleton.joints())
+    }
+}
+
+/// Metres of the unit that bodies are in: their joints are a metre or less from the root.
+fn unit_of(joints: &Joints) -> f64 {
+    /// Metres in a centimetre.
+    const CENTIMETRE: f64 = 1e-2;
+    let frames = joints.frames();
+    let reach = |t: usize| {
+        let frame = joints.frame(t);
+        let from_root = frame.iter().map(|place| length(minus(*place, frame[0])));
+        from_root.fold(0.0, f64::max)
+    };
+    match (0..frames).map(reach).sum::<f64>() / frames as f64 {
+        200.0.. => MILLIMETRE,
+        10.0.. => CENTIMETRE,
+        _ => 1.0,
     }
 }
 
@@ -348,19 +365,25 @@ mod tests {
     }
 
     #[test]
-    fn positions_in_millimetres_are_read_in_metres() {
+    fn positions_in_other_units_are_read_in_metres() {
         let skeleton = Skeleton::kit();
         let representation = JointPositions {
             skeleton: skeleton.clone(),
         };
         let joints = crate::humanml::moving(&skeleton, 4);
         let metres = representation.joints(&joints.to_f32()).unwrap();
-        let large: Vec<f32> = joints.to_f32().iter().map(|value| 1e3 * value).collect();
-        let found = representation.joints(&large).unwrap();
-        let pairs = found.as_slice().iter().zip(metres.as_slice());
-        for (a, b) in pairs.flat_map(|(a, b)| a.iter().zip(b)) {
-            assert!((a - b).abs() < 1e-5, "{a} {b}");
+        for unit in [1e3, 1e2] {
+            let large: Vec<f32> = joints.to_f32().iter().map(|value| unit * value).collect();
+            let found = representation.joints(&large).unwrap();
+            let pairs = found.as_slice().iter().zip(metres.as_slice());
+            for (a, b) in pairs.flat_map(|(a, b)| a.iter().zip(b)) {
+                assert!((a - b).abs() < 1e-5, "{a} {b}");
+            }
         }
+        // On a roof.
+        let high: Vec<f32> = joints.to_f32().iter().map(|value| value + 30.0).collect();
+        let found = representation.joints(&high).unwrap();
+        assert!((found.frame(0)[0][1] - metres.frame(0)[0][1] - 30.0).abs() < 1e-4);
     }
 
     #[test]

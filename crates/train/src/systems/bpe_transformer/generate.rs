@@ -21,7 +21,7 @@ use crate::captions::{ClipText, TextInput};
 use crate::checkpoint::{State, Weights};
 use crate::config::{Config, SystemTables};
 use crate::error::Error;
-use crate::path_target::{PathTarget, fastest};
+use crate::path_target::{Fastest, PathTarget};
 use crate::systems::gmd::FeatureSpace;
 
 /// A text for some frames.
@@ -82,20 +82,16 @@ impl Composer {
         statistics_in(&self.state)
     }
 
-    /// The fastest that the root of a training clip was along either axis of the ground, metres per
-    /// second; none where the run does not know.
+    /// The fastest that a root was in training, for what asks for more.
     ///
     /// # Errors
     /// If the run is of another system.
-    pub fn fastest(&self) -> Result<Option<f64>, Error> {
+    pub(crate) fn fastest(&self) -> Result<Fastest, Error> {
         let skeleton = self.config().data.humanml3d.skeleton.skeleton();
         // Displacements of joint 0, in the facing frame, metres per frame.
         let first = skeleton.layout().velocities().start;
-        Ok(fastest(
-            statistics_in(&self.state)?,
-            first,
-            skeleton.description().fps,
-        ))
+        let statistics = statistics_in(&self.state)?;
+        Ok(Fastest::of(statistics, first, skeleton.description().fps))
     }
 
     /// One motion of all `lines`, without overlaps or transitions of its own: a following line begins
@@ -183,7 +179,7 @@ impl Composer {
                     let steering = Steering {
                         guidance: guided.then_some(Guidance {
                             objective: &control,
-                            scale: path.eta(),
+                            scale: path.eta(humanml3d.root),
                             max_shift: Some(path.max_shift),
                         }),
                         imputation: None,

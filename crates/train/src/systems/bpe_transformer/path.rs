@@ -35,8 +35,8 @@ pub struct PathConfig {
     /// For `guidance`: whether the gradient is that of the predicted clean motion through the network,
     /// multiplied by the variance of the step, and not of the noisy motion itself.
     pub through_network: bool,
-    /// For `guidance`: length of a step against the gradient. Omitted: 100 through the network, 0.002 for
-    /// the noisy motion itself.
+    /// For `guidance`: length of a step against the gradient. Omitted: 100 through the network; for the noisy
+    /// motion itself 1 of a relative root, 0.05 of an absolute one.
     pub eta: Option<f64>,
     /// For `guidance` through the network: furthest that a frame is moved in one step, over all its
     /// channels, in standard deviations of the step's noise. A relative root's early frames move all that
@@ -133,16 +133,21 @@ pub enum OverrideReading {
 }
 
 impl PathConfig {
-    /// Length of a step against the gradient.
-    pub fn eta(&self) -> f64 {
-        self.eta
-            .unwrap_or(if self.through_network { 100.0 } else { 0.002 })
+    /// Length of a step against the gradient, of motion with such a root.
+    pub fn eta(&self, root: Root) -> f64 {
+        self.eta.unwrap_or(match (self.through_network, root) {
+            (true, _) => 100.0,
+            (false, Root::Relative) => 1.0,
+            (false, Root::Absolute) => 0.05,
+        })
     }
 
     /// # Errors
     /// Names the key that cannot work with so many timesteps.
     pub fn validate(&self, num_train_timesteps: usize) -> Result<(), InvalidSetting> {
-        in_range("eta", self.eta(), 0.0..)?;
+        if let Some(eta) = self.eta {
+            in_range("eta", eta, 0.0..)?;
+        }
         in_range("until", self.until, 0..num_train_timesteps)?;
         in_range("max_shift", self.max_shift, ABOVE_ZERO)?;
         self.loss.validate().within("loss")
@@ -223,7 +228,7 @@ impl<'a> PathControl<'a> {
         let config = self.config;
         if config.method.guides() && !config.through_network {
             let gradient = self.gradient(&x_t);
-            x_t = x_t - gradient * config.eta();
+            x_t = x_t - gradient * config.eta(self.root);
         }
         if !config.method.replaces() || config.reading == OverrideReading::Sample {
             return x_t;

@@ -16,7 +16,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::to_value;
 
 use crate::error::Error;
-use crate::path_target::{PathTarget, fastest};
+use crate::path_target::{Fastest, PathTarget};
 use crate::sampling::PathRecord;
 
 /// The table `evaluation.path`: how a phrase follows the path of `kinegrad sample --path`.
@@ -107,7 +107,7 @@ impl Asked {
 
     /// What to say of it if it asks for more than training phrases with these statistics had.
     pub fn too_fast(&self, statistics: &Statistics) -> Option<String> {
-        let fastest = fastest(statistics, VELOCITY.start, 1.0);
+        let fastest = Fastest::of(statistics, VELOCITY.start, 1.0);
         self.target.too_fast(&self.file, FPS, fastest)
     }
 

@@ -9,7 +9,7 @@ use kinegrad_motion::path::PathPlan;
 use super::{PATH, path};
 use crate::checkpoint::State;
 use crate::error::Error;
-use crate::path_target::{PathTarget, fastest, in_words, read_path};
+use crate::path_target::{Fastest, PathTarget, in_words, read_path};
 use crate::sampling::{Drawn, PathFile, PathRecord, Subject, clip_files};
 use crate::systems::gmd::generate::GeneratedClip;
 use crate::systems::gmd::recipe_name::RecipeName;
@@ -50,7 +50,7 @@ impl Along {
         // Displacements of joint 0, metres per frame.
         let first = skeleton.layout().velocities().start;
         let state = State::read(&subject.checkpoint)?;
-        let fastest = fastest(&state.statistics, first, fps);
+        let fastest = Fastest::of(&state.statistics, first, fps);
         Ok(self.target.too_fast(&self.file, fps, fastest))
     }
 
