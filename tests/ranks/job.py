@@ -59,10 +59,11 @@ class Folder:
         """A job that must fail; its exit code and what it says."""
         return self.must_fail(self.start(ranks, arguments, **environment))
 
-    def fails_apart(self, first, second):
-        """A job of two ranks with arguments of their own, which must fail."""
+    def fails_apart(self, first, second, threads=1):
+        """A job of two ranks with arguments of their own, which must fail; the second with so many
+        threads."""
         one = [BINARY, *first.split()]
-        other = [BINARY, *second.split()]
+        other = ["env", f"RAYON_NUM_THREADS={threads}", BINARY, *second.split()]
         command = [*LAUNCHER, "-n", "1", *one, ":", "-n", "1", *other]
         return self.must_fail(self.launch(command, {}))
 

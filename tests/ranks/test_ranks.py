@@ -5,7 +5,7 @@ import random
 import time
 import unittest
 
-from job import ROOT, Folder, kill, terminate
+from job import LAUNCHER, ROOT, Folder, kill, terminate
 
 MICRO = "--set train.gradient_accumulation_steps=4"
 PHRASES = (
@@ -117,7 +117,10 @@ class Ranks(unittest.TestCase):
         self.folder.wait_for_step("told", 6, job)
         job.terminate()
         said, _ = job.communicate(timeout=30)
-        self.assertNotEqual(job.returncode, 0, said)
+        # What ranks return is 130; what MPICH's launcher makes of that after a signal to itself is up to it.
+        if "mpich" not in LAUNCHER[0]:
+            self.assertNotEqual(job.returncode, 0, said)
+        self.assertIn("stopped; `kinegrad train --resume runs/told` continues", said)
         self.assertTrue(self.folder.checkpoints("told"), said)
         self.folder.run(2, f"{line} --resume --set train.max_steps=400 --set train.log_every_steps=1")
 
@@ -180,7 +183,16 @@ class Ranks(unittest.TestCase):
         code, said = self.folder.fails_apart(line, f"{line} --set train.max_grad_norm=0.5")
         self.assertEqual((code, said.count("error:")), (2, 1), said)
         self.assertIn("rank 1 has another config than rank 0", said)
+        code, said = self.folder.fails_apart(line, line, threads=2)
+        self.assertEqual((code, said.count("error:")), (2, 1), said)
+        self.assertIn("rank 1 has another number of threads than rank 0", said)
         self.assertFalse((self.folder.path / "runs/apart").exists())
+
+    def test_commands_that_one_process_runs_refuse_several(self):
+        code, said = self.folder.fails(2, "data synth --out made")
+        self.assertEqual(code, 2, said)
+        self.assertIn("a launcher has started 2 processes, and each would do the same", said)
+        self.assertFalse((self.folder.path / "made").exists())
 
     def test_a_launcher_that_is_not_understood_is_refused(self):
         # What mpirun of another MPI says, which this program was not built for.

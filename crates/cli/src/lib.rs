@@ -66,6 +66,9 @@ pub fn run(
 }
 
 fn execute(systems: Systems<'_>, command: Command) -> Result<ExitCode, Error> {
+    if !matches!(command, Command::Train(_)) {
+        ranks::must_be_one()?;
+    }
     match command {
         Command::Train(arguments) => commands::train::run(systems, arguments),
         Command::Sample(arguments) => commands::sample::run(systems, *arguments),

@@ -13,15 +13,7 @@ use kinegrad_train::Error;
 /// [`Error::Usage`] if a launcher has started several and this program cannot talk to them.
 pub fn ranks() -> Result<Rc<dyn Ranks>, Error> {
     let ranks = started();
-    // What the launcher says of how many it has started.
-    let told = match env::var_os("SLURM_PROCID").is_some() {
-        true => number("SLURM_STEP_NUM_TASKS"),
-        false => None,
-    };
-    let told = ["PMI_SIZE", "OMPI_COMM_WORLD_SIZE"]
-        .iter()
-        .find_map(|name| number(name))
-        .or(told);
+    let told = launched();
     let (size, has_mpi) = (ranks.size(), cfg!(feature = "mpi"));
     match told {
         Some(told) if told > 1 && told != size => {
@@ -42,6 +34,30 @@ pub fn ranks() -> Result<Rc<dyn Ranks>, Error> {
             ))
         }
         _ => Ok(ranks),
+    }
+}
+
+/// How many processes the launcher says that it has started, if there is one.
+fn launched() -> Option<usize> {
+    let by_slurm = match env::var_os("SLURM_PROCID").is_some() {
+        true => number("SLURM_STEP_NUM_TASKS"),
+        false => None,
+    };
+    let told = ["PMI_SIZE", "OMPI_COMM_WORLD_SIZE"];
+    told.iter().find_map(|name| number(name)).or(by_slurm)
+}
+
+/// Rejects several processes, for what one does.
+///
+/// # Errors
+/// [`Error::Usage`] if a launcher has started more.
+pub fn must_be_one() -> Result<(), Error> {
+    match launched() {
+        Some(processes) if processes > 1 => Err(Error::usage(
+            format!("a launcher has started {processes} processes, and each would do the same"),
+            "`kinegrad train` alone is shared by processes: start other commands without the launcher",
+        )),
+        _ => Ok(()),
     }
 }
 

@@ -166,8 +166,8 @@ impl Together {
             if let Some(rank) = all.iter().position(|said| said != &all[0]) {
                 return Err(Error::usage(
                     format!("rank {rank} has another {name} than rank 0"),
-                    "all ranks need the same command, and see the same files: data, configs and \
-                     checkpoints belong on a file system that they share",
+                    "all ranks need the same program, command and RAYON_NUM_THREADS, and see the \
+                     same files: data, configs and checkpoints belong on a file system that they share",
                 ));
             }
         }

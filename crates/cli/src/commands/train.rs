@@ -63,8 +63,10 @@ pub fn run(systems: Systems<'_>, arguments: TrainArguments) -> Result<ExitCode, 
                 (_, Some((_, code))) => return Ok(ExitCode::from(code)),
                 (outcome, None) if together.writes() => outcome?,
                 (outcome, None) => {
+                    // From here on a signal ends this process, and so the others.
+                    let stops = progress.end_training();
                     let interrupted = outcome?.ending == Some(Ending::Interrupted);
-                    return Ok(ExitCode::from(if interrupted { 130 } else { 0 }));
+                    return Ok(ExitCode::from(if interrupted || stops { 130 } else { 0 }));
                 }
             }
         }

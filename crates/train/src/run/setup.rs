@@ -204,6 +204,12 @@ impl Setup {
             .as_ref()
             .map_or(0, |checkpoint| checkpoint.state.step);
         self.together.must_be_about_the_same(&[
+            ("version of the program", env!("CARGO_PKG_VERSION")),
+            (
+                "number of threads",
+                &rayon::current_num_threads().to_string(),
+            ),
+            ("way to compute", &crate::device::kernels().to_string()),
             ("config", &config::to_toml(&self.config)),
             ("dataset", &material.digest.to_string()),
             ("step that it goes on from", &step.to_string()),

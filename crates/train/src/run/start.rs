@@ -327,9 +327,10 @@ fn train_in(
         0 => 0,
         count => footprint.of_sampling(count.min(SAMPLES_AT_ONCE), false, on_host),
     };
+    let processes = together.ranks().local().size;
     memory::must_fit(
         "training",
-        needed,
+        needed * processes as u64,
         "choose a smaller model (`model.*`), fewer `data.batch_size`, `validation.batch_size`, \
          `data.target_frames` or, with synthetic data, `data.synthetic.phrases`; `kinegrad config \
          show` prints the estimate",

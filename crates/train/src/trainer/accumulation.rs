@@ -4,6 +4,7 @@ use std::ops::Range;
 
 use burn::tensor::Tensor;
 use kinegrad_data::Batch;
+use kinegrad_models::parameters;
 use kinegrad_ranks::split;
 
 use super::Trainer;
@@ -192,12 +193,13 @@ impl<R: Recipe> Trainer<R> {
         }
         // Kept from step to step: pages that are new each time cost more than the copy.
         self.exchanged.clear();
-        for gradient in &gradients {
+        let trained = parameters::trainable(self.model.as_ref().expect("held between updates"));
+        for (gradient, _) in gradients.iter().zip(&trained).filter(|(_, is)| **is) {
             self.exchanged.extend_from_slice(gradient);
         }
         ranks.sum(&mut self.exchanged);
         let mut rest = &self.exchanged[..];
-        for gradient in &mut gradients {
+        for (gradient, _) in gradients.iter_mut().zip(&trained).filter(|(_, is)| **is) {
             let (sum, behind) = rest.split_at(gradient.len());
             gradient.copy_from_slice(sum);
             rest = behind;

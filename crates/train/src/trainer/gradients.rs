@@ -67,17 +67,42 @@ impl StepGradients {
         match self {
             Self::Host(gradients) => optim::squares(gradients),
             Self::Device(gradients) => {
-                let squares = gradients
-                    .rows
-                    .iter()
-                    .map(|gradient| gradient.clone().square().sum());
-                numbers(squares.collect())
+                let parts: Vec<Tensor<1>> = gradients.rows.iter().map(squares_of_parts).collect();
+                let counts: Vec<usize> = parts.iter().map(|parts| parts.dims()[0]).collect();
+                let read = numbers(parts);
+                let mut rest = &read[..];
+                let of_row = |count| {
+                    let (parts, behind) = rest.split_at(count);
+                    rest = behind;
+                    parts.iter().sum()
+                };
+                counts.into_iter().map(of_row).collect()
             }
         }
     }
 }
 
-/// The values of tensors of one number each, in one read.
+/// Elements whose squares are added up on the device: in single precision a sum of many millions is off
+/// by more than its last digits.
+const PART: usize = 4096;
+
+/// The sums of the squares of a row, part by part.
+fn squares_of_parts(row: &Tensor<1>) -> Tensor<1> {
+    let [length] = row.dims();
+    let (parts, whole) = (length / PART, length / PART * PART);
+    let square = |first, count| row.clone().narrow(0, first, count).square();
+    let mut sums = Vec::new();
+    if parts > 0 {
+        let squares = square(0, whole).reshape([parts, PART]);
+        sums.push(squares.sum_dim(1).reshape([parts]));
+    }
+    if whole < length {
+        sums.push(square(whole, length - whole).sum());
+    }
+    Tensor::cat(sums, 0)
+}
+
+/// The values of tensors, one tensor after the other, in one read.
 pub(super) fn numbers(tensors: Vec<Tensor<1>>) -> Vec<f64> {
     let read = tensors
         .into_iter()
@@ -87,4 +112,31 @@ pub(super) fn numbers(tensors: Vec<Tensor<1>>) -> Vec<f64> {
         values.expect("losses are float32")
     });
     read.map(f64::from).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use burn::tensor::TensorData;
+
+    use super::*;
+
+    #[test]
+    fn the_norm_of_a_long_row_is_that_of_the_host() {
+        let device = Device::flex();
+        let lengths = [3_000_000, 5, PART, 70];
+        let value = |i: usize| 1e-3 * (1.0 + (i as f32 * 0.37).sin());
+        let host: Vec<Vec<f32>> = lengths.map(|n| (0..n).map(value).collect()).to_vec();
+        let tensors = host.iter().map(|values| {
+            let data = TensorData::new(values.clone(), [values.len()]);
+            Some(Tensor::from_data(data, &device))
+        });
+        // The last in a row of its own.
+        let layout = Layout::new(&lengths, |index| index == 3);
+        let rows = Rows::joined(&layout, &tensors.collect::<Vec<_>>(), &device);
+        let sum = |squares: Vec<f64>| squares.iter().sum::<f64>();
+        let found = StepGradients::Device(rows).squares();
+        assert_eq!(found.len(), 2);
+        let (found, expected) = (sum(found), sum(StepGradients::Host(host).squares()));
+        assert!((found / expected - 1.0).abs() < 1e-8, "{found} {expected}");
+    }
 }
