@@ -53,8 +53,8 @@ pub fn keeping_packed_weights<R>(work: impl FnOnce() -> R) -> R {
     work()
 }
 
-/// Allows a weight of this shape to be kept. As long as it exists, its owner leaves the weight where it is, and as
-/// it is.
+/// Allows a weight of this shape to be kept. As long as it exists, its owner leaves the weight where
+/// it is, and as it is.
 pub(crate) fn allow<T: Any>(weight: &[f32], shape: [usize; 3], owner: impl FnOnce() -> T) {
     KEPT.with_borrow_mut(|kept| {
         let Some(kept) = kept else { return };

@@ -209,7 +209,7 @@ impl Setup {
                 "number of threads",
                 &rayon::current_num_threads().to_string(),
             ),
-            ("way to compute", crate::device::kernels()),
+            ("value of KINEGRAD_KERNELS", crate::device::kernels()),
             ("config", &config::to_toml(&self.config)),
             ("dataset", &material.digest.to_string()),
             ("step that it goes on from", &step.to_string()),
