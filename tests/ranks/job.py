@@ -67,6 +67,12 @@ class Folder:
         command = [*LAUNCHER, "-n", "1", *one, ":", "-n", "1", *other]
         return self.must_fail(self.launch(command, {}))
 
+    def start_apart(self, arguments, **second):
+        """A job of two ranks that do the same, the second with an environment of its own."""
+        one = [BINARY, *arguments.split()]
+        other = ["env", *(f"{name}={value}" for name, value in second.items()), *one]
+        return self.launch([*LAUNCHER, "-n", "1", *one, ":", "-n", "1", *other], {})
+
     def must_fail(self, job):
         said, _ = job.communicate(timeout=120)
         assert job.returncode != 0, said

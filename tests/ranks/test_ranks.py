@@ -1,7 +1,10 @@
 """Ranks under a real launcher: the same bytes as one process, and the same end for all."""
 
+import json
 import os
 import random
+import re
+import subprocess
 import time
 import unittest
 
@@ -40,7 +43,7 @@ class Ranks(unittest.TestCase):
             self.addCleanup(folder.remove)
             folder.run(1, f"{line} --name alone")
             self.equal_on(line, (2, 4), folder.hashes("alone"))
-            # Each rank keeps the states of a part of the parameters; and goes on without.
+            # Each rank keeps the states of a part of the parameters.
             sharded = f"{line} --set optim.shard_states=true --name sharded"
             folder.run(4, f"{sharded} --set train.max_steps=6")
             self.assertEqual(folder.hashes("sharded"), folder.hashes("alone"))
@@ -64,9 +67,31 @@ class Ranks(unittest.TestCase):
         reference = self.folder.hashes("alone")
         self.assertGreater(reference[1]["best_val_loss"], 0)
         self.equal_on(line, (2, 4), reference)
-        code, said = self.folder.fails(2, stages.replace("stages", "apart") + f" {MICRO}")
-        self.assertEqual(code, 2, said)
-        self.assertIn("`init.diffusion` is empty, and 2 ranks train", said)
+
+    def test_the_models_that_fine_tuning_starts_from_are_trained_by_all_ranks(self):
+        stages = (
+            f"train {ROOT}/configs/e2e_quickstart.toml {MICRO} --set train.max_steps=2 "
+            "--set init.pretrain.diffusion_steps=4 --set init.pretrain.decoder_steps=2 "
+            "--set sampling.count_at_end=0 --set validation.every_steps=2 --set data.batch_size=2"
+        )
+        self.folder.run(1, f"{stages} --name alone")
+        said = self.folder.run(2, f"{stages} --name on2")
+        self.assertEqual(said.count("a base model is trained first"), 1, said)
+        for run in ("/base", "/decoder", ""):
+            here, there = (self.folder.hashes(f"{name}{run}") for name in ("alone", "on2"))
+            # Configs name the places of the models; these are not compared.
+            self.assertEqual(there, here, run)
+
+    def test_steps_are_selected_by_the_same_samples(self):
+        line = (
+            f"{PHRASES} --set train.max_steps=4 --set validation.every_steps=2 "
+            "--set validation.select_by=frechet --set validation.select_samples=5 "
+            "--set sampling.sampler.num_inference_steps=3"
+        )
+        self.folder.run(1, f"{line} --name alone")
+        reference = self.folder.hashes("alone")
+        self.assertGreater(reference[1]["best_score"], 0)
+        self.equal_on(line, (2, 4), reference)
 
     def test_a_run_goes_on_with_another_number_of_ranks(self):
         constant = "--set optim.lr_schedule=constant"
@@ -143,6 +168,60 @@ class Ranks(unittest.TestCase):
         # What was learned before is kept.
         steps = len([l for l in self.lines("missing") if '"loss"' in l])
         self.assertEqual(self.folder.checkpoints("missing")[-1].name, f"step-{steps:08}", said)
+
+    def test_each_rank_reads_a_part_of_the_dataset(self):
+        self.folder.run(1, "data synth --phrases 40 --frames 40 --out data")
+        line = (
+            f"{PHRASES} --set data.kind=phrases --set data.source=data --set data.target_frames=24 "
+            "--set train.max_steps=1 --set data.batch_size=1 --set data.num_workers=0 "
+            "--set validation.every_steps=0 --set data.validation.fraction=0.05"
+        )
+        reads = {}
+        for ranks in (1, 4):
+            self.folder.run(ranks, f"{line} --name on{ranks}")
+            log = self.folder.path / f"runs/on{ranks}/loader.jsonl"
+            reads[ranks] = json.loads(log.read_text().splitlines()[-1])["reads"]
+        # Motion and audio of each phrase; the others for what is held out and the batches alone.
+        self.assertEqual(reads[1], 80)
+        self.assertLess(reads[4], 40)
+        self.assertEqual(self.folder.hashes("on4"), self.folder.hashes("on1"))
+        # The third phrase is for the third rank to read, which alone says so.
+        broken = sorted((self.folder.path / "data").rglob("*.npy"))[2]
+        broken.write_bytes(broken.read_bytes()[:100])
+        code, said = self.folder.fails(4, f"{line} --name bad")
+        self.assertEqual((code, said.count("error:")), (2, 1), said)
+        self.assertIn("phrase `synthetic_00002`", said)
+        self.assertFalse((self.folder.path / "runs/bad").exists())
+        skips = f"{line} --set data.on_bad_phrase=skip"
+        said = self.folder.run(4, f"{skips} --name skips4")
+        self.assertEqual(said.count("1 bad phrases skipped"), 1, said)
+        self.folder.run(1, f"{skips} --name skips1")
+        self.assertEqual(self.folder.hashes("skips4"), self.folder.hashes("skips1"))
+
+    def test_what_is_no_number_on_one_rank_ends_all(self):
+        shim = self.folder.path / "not_a_number.so"
+        source = ROOT / "tests/ranks/not_a_number.c"
+        subprocess.run(["cc", "-shared", "-fPIC", "-fno-builtin", source, "-o", shim, "-ldl"], check=True)
+        flag = self.folder.path / "break"
+        job = self.folder.start_apart(
+            f"{PHRASES} --set train.max_steps=4000 --set validation.every_steps=0 --name broken",
+            LD_PRELOAD=shim,
+            BREAK=flag,
+        )
+        self.folder.wait_for_step("broken", 10, job)
+        flag.touch()
+        said, _ = job.communicate(timeout=30)
+        self.assertNotEqual(job.returncode, 0, said)
+        self.assertEqual(said.count("error:"), 1, said)
+        steps = len([l for l in self.lines("broken") if '"loss"' in l])
+        found = re.search(r"error: step (\d+): (.*) is not finite; last good checkpoint: (\S+)", said)
+        self.assertTrue(found, said)
+        self.assertEqual(int(found[1]), steps + 1, said)
+        # The step before the last checkpoint is good, and goes on.
+        good = self.folder.checkpoints("broken")[-1]
+        self.assertEqual(found[3], f"runs/broken/checkpoints/{good.name}")
+        self.assertLess(steps - int(good.name[5:]), 4)
+        self.folder.run(2, f"{PHRASES} --resume --name broken --set train.max_steps={steps + 2}")
 
     def test_a_full_disk_of_the_first_rank_ends_all(self):
         line = f"{PHRASES} --name full"

@@ -66,7 +66,7 @@ pub fn run(
 }
 
 fn execute(systems: Systems<'_>, command: Command) -> Result<ExitCode, Error> {
-    if !matches!(command, Command::Train(_)) {
+    if !matches!(command, Command::Train(_) | Command::Eval(_)) {
         ranks::must_be_one()?;
     }
     match command {

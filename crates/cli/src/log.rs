@@ -8,6 +8,11 @@ use crate::output;
 /// Variable of the environment with levels by module, such as `kinegrad_train=debug`.
 const VARIABLE: &str = "RUST_LOG";
 
+/// Prints nothing but errors from now on: another process says the rest.
+pub fn be_silent() {
+    ::log::set_max_level(::log::LevelFilter::Error);
+}
+
 /// Sets what is printed to standard error from now on.
 pub fn start(talk: TalkArguments) {
     if talk.quiet {

@@ -2,16 +2,49 @@
 
 use std::env;
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::process::ExitCode;
 use std::rc::Rc;
 
 use kinegrad_ranks::{Alone, Ranks};
-use kinegrad_train::Error;
+use kinegrad_train::{Error, Together};
 
-/// This process among those of its launcher, or alone.
+use crate::{log, output};
+
+/// The processes that do the command together; but for the first they are silent from now on.
 ///
 /// # Errors
 /// [`Error::Usage`] if a launcher has started several and this program cannot talk to them.
-pub fn ranks() -> Result<Rc<dyn Ranks>, Error> {
+pub fn together() -> Result<Rc<Together>, Error> {
+    let together = Together::new(ranks()?);
+    if !together.writes() {
+        output::be_silent();
+        log::be_silent();
+    }
+    Ok(together)
+}
+
+/// The outcome of a command that processes do together or, where it failed on another one, the exit code
+/// of that, which alone says what it has met. Collective.
+///
+/// # Errors
+/// That of `outcome`, on the process that says it.
+pub fn settled<T>(
+    together: &Together,
+    outcome: Result<T, Error>,
+) -> Result<Result<T, ExitCode>, Error> {
+    let ranks = together.ranks();
+    if ranks.size() == 1 {
+        return outcome.map(Ok);
+    }
+    match together.ended_by(outcome.as_ref().err()) {
+        None => outcome.map(Ok),
+        Some((rank, _)) if rank == ranks.rank() => outcome.map(Ok),
+        Some((_, code)) => Ok(Err(ExitCode::from(code))),
+    }
+}
+
+/// This process among those of its launcher, or alone.
+fn ranks() -> Result<Rc<dyn Ranks>, Error> {
     let ranks = started();
     let told = launched();
     let (size, has_mpi) = (ranks.size(), cfg!(feature = "mpi"));
@@ -55,7 +88,7 @@ pub fn must_be_one() -> Result<(), Error> {
     match launched() {
         Some(processes) if processes > 1 => Err(Error::usage(
             format!("a launcher has started {processes} processes, and each would do the same"),
-            "`kinegrad train` alone is shared by processes: start other commands without the launcher",
+            "processes share `kinegrad train` and `kinegrad eval`: start other commands without the launcher",
         )),
         _ => Ok(()),
     }

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use kinegrad_motion::Statistics;
+use kinegrad_ranks::{Alone, Sharing};
 
 use crate::item::Item;
 use crate::item_set::ItemSet;
@@ -57,9 +58,24 @@ impl<T: Listable> Dataset<T> {
     /// # Errors
     /// As [`open`](Self::open), and [`Error::Interrupted`] if `progress` says so.
     pub fn open_with_progress(config: &DataConfig, progress: OpenProgress) -> Result<Self, Error> {
+        Self::open_among(config, progress, &Alone)
+    }
+
+    /// [`open_with_progress`](Self::open_with_progress) by ranks that each read a part of the items, and
+    /// tell the others what they are. Collective.
+    ///
+    /// # Errors
+    /// As there; [`Error::OtherListing`] where they do not see the same, and [`Error::OtherReader`] where
+    /// another rank has failed.
+    pub fn open_among(
+        config: &DataConfig,
+        progress: OpenProgress,
+        sharing: &dyn Sharing<Error>,
+    ) -> Result<Self, Error> {
         config.validate()?;
         let mut survey = T::survey(config)?;
-        let gathered = survey.gather(config, Some(config.on_bad_phrase), progress)?;
+        let on_bad = Some(config.on_bad_phrase);
+        let gathered = survey.gather(config, on_bad, progress, sharing)?;
         let kind = T::KIND;
         let named = |(id, reason): &(String, String)| format!("{kind} `{id}`: {reason}");
         let (skipped, left_out) = (&gathered.skipped, &gathered.left_out);
@@ -160,11 +176,24 @@ impl<T: Item> Dataset<T> {
     /// # Errors
     /// As [`statistics`](Self::statistics), and [`Error::Interrupted`] if `progress` says so.
     pub fn statistics_with_progress(&self, progress: OpenProgress) -> Result<Statistics, Error> {
+        self.statistics_among(progress, &Alone)
+    }
+
+    /// [`statistics_with_progress`](Self::statistics_with_progress) by ranks that each measure a part of
+    /// the items. Collective.
+    ///
+    /// # Errors
+    /// As there, and [`Error::OtherReader`] where another rank has failed.
+    pub fn statistics_among(
+        &self,
+        progress: OpenProgress,
+        sharing: &dyn Sharing<Error>,
+    ) -> Result<Statistics, Error> {
         match &self.given {
             Some(given) => Ok(given.clone()),
             None => {
-                let train = &self.train;
-                let statistics = train.statistics_with_progress(&self.representation, progress)?;
+                let (train, rows) = (&self.train, &self.representation);
+                let statistics = train.statistics_among(rows, progress, sharing)?;
                 Ok(statistics.expect("a dataset has an item to train on"))
             }
         }

@@ -38,6 +38,23 @@ pub enum Error {
     #[error("interrupted")]
     #[diagnostic(help("nothing is left half-written; run it again"))]
     Interrupted,
+    /// Another rank that reads a part of the dataset has failed, and says why.
+    #[error("rank {rank} cannot read its part of the dataset")]
+    OtherReader {
+        /// The rank.
+        rank: usize,
+        /// Its exit code.
+        code: u8,
+    },
+    /// Ranks that are to read a dataset together do not see the same.
+    #[error("data.source: rank {rank} finds other {kind}s there than rank 0")]
+    #[diagnostic(help("the dataset belongs on a file system or in a bucket that all ranks see"))]
+    OtherListing {
+        /// `phrase` or `clip`.
+        kind: &'static str,
+        /// The first rank that differs.
+        rank: usize,
+    },
     /// A value of the `data` table is out of its range.
     #[error(transparent)]
     #[diagnostic(transparent)]

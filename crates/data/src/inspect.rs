@@ -3,6 +3,7 @@
 use std::ops::Range;
 
 use kinegrad_motion::{ChannelMoments, Measured, Profile, Representation, Statistics};
+use kinegrad_ranks::Alone;
 use serde::Serialize;
 
 use crate::humanml::Clip;
@@ -172,7 +173,7 @@ fn inspect_items<T: Listable>(
         left_out,
         notes,
         memory,
-    } = survey.gather(config, None, progress)?;
+    } = survey.gather(config, None, progress, &Alone)?;
     let (kind, representation) = (T::KIND, survey.representation.clone());
     let mut warnings = std::mem::take(&mut survey.warnings);
     let source = match survey.origin.files() {

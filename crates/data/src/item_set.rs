@@ -1,11 +1,15 @@
 //! Some of the items of a dataset.
 
 use std::collections::BTreeSet;
+use std::ops::Range;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use kinegrad_motion::{Measured, Statistics};
+use kinegrad_ranks::{Alone, Sharing, shared};
 use rayon::prelude::*;
+use serde::Serialize;
+use serde::de::DeserializeOwned;
 
 use crate::Error;
 use crate::item::Item;
@@ -72,6 +76,12 @@ impl<T: Item> ItemSet<T> {
     /// Panics if there are not so many.
     pub fn id(&self, position: usize) -> &str {
         &self.library.entries[self.indices[position]].id
+    }
+
+    /// Number of item `position` in what the dataset lists: the ranks that opened it together have read
+    /// those that are theirs by it.
+    pub(crate) fn number(&self, position: usize) -> usize {
+        self.library.number(self.indices[position])
     }
 
     /// Label of item `position`, without reading it.
@@ -167,17 +177,19 @@ impl<T: Item> ItemSet<T> {
         &self,
         representation: &T::Representation,
     ) -> Result<Option<Statistics>, Error> {
-        self.statistics_with_progress(representation, &unheard)
+        self.statistics_among(representation, &unheard, &Alone)
     }
 
-    /// [`statistics`](Self::statistics), telling `progress` how many items are measured.
+    /// [`statistics`](Self::statistics), telling `progress` how many items are measured, by ranks that
+    /// measure a part each. Collective.
     ///
     /// # Errors
-    /// As [`get`](Self::get), and [`Error::Interrupted`] if `progress` says so.
-    pub fn statistics_with_progress(
+    /// As [`measure_among`](Self::measure_among).
+    pub fn statistics_among(
         &self,
         representation: &T::Representation,
         progress: OpenProgress,
+        sharing: &dyn Sharing<Error>,
     ) -> Result<Option<Statistics>, Error> {
         let measure = |item: &T| Measured::of(representation, &item.rows(representation));
         let mut all: Option<Measured> = None;
@@ -185,7 +197,7 @@ impl<T: Item> ItemSet<T> {
             Some(all) => all.merge(measured),
             None => all = Some(measured),
         };
-        self.measure(measure, take, progress)?;
+        self.measure_among(measure, take, progress, sharing)?;
         Ok(all.map(|all| all.statistics(representation)))
     }
 
@@ -197,28 +209,100 @@ impl<T: Item> ItemSet<T> {
     pub fn measure<M: Send>(
         &self,
         measure: impl Fn(&T) -> M + Sync,
-        mut take: impl FnMut(M),
+        take: impl FnMut(M),
         progress: OpenProgress,
     ) -> Result<(), Error> {
-        let (total, met) = (self.len(), AtomicUsize::new(0));
-        let positions: Vec<usize> = (0..total).collect();
-        for chunk in positions.chunks(CHUNK) {
-            go_on(progress, met.load(Ordering::Relaxed), total)?;
-            let measured: Vec<M> = chunk
-                .par_iter()
-                .map(|&position| {
-                    let measured = measure(&*self.get(position)?);
-                    go_on(progress, met.fetch_add(1, Ordering::Relaxed) + 1, total)?;
-                    Ok(measured)
-                })
-                .collect::<Result<_, Error>>()?;
-            measured.into_iter().for_each(&mut take);
-        }
-        Ok(())
+        let measure = |position| Ok(measure(&*self.get(position)?));
+        let measuring = Measuring::of(self.len(), &measure, progress);
+        measuring.in_order(1, take, |positions| measuring.each(positions.collect()))
+    }
+
+    /// [`measure`](Self::measure) by ranks that measure a part each, and take all. Collective.
+    ///
+    /// # Errors
+    /// As there, and [`Error::OtherReader`] where another rank has failed.
+    pub fn measure_among<M: Send + Serialize + DeserializeOwned>(
+        &self,
+        measure: impl Fn(&T) -> M + Sync,
+        take: impl FnMut(M),
+        progress: OpenProgress,
+        sharing: &dyn Sharing<Error>,
+    ) -> Result<(), Error> {
+        let measure = |position| Ok(measure(&*self.get(position)?));
+        // Who has read an item when the dataset was opened has it in memory.
+        let owner = |position| self.number(position);
+        measure_among(self.len(), owner, measure, take, progress, sharing)
     }
 
     pub(crate) fn counters(&self) -> &Arc<crate::Counters> {
         &self.library.counters
+    }
+}
+
+/// Measures so many things, some at a time on all cores, each by the rank that is its `owner`, and hands
+/// the measures to `take` in order. Collective.
+///
+/// # Errors
+/// As `measure`; [`Error::Interrupted`] if `progress` says so; [`Error::OtherReader`].
+pub(crate) fn measure_among<M: Send + Serialize + DeserializeOwned>(
+    total: usize,
+    owner: impl Fn(usize) -> usize,
+    measure: impl Fn(usize) -> Result<M, Error> + Sync,
+    take: impl FnMut(M),
+    progress: OpenProgress,
+    sharing: &dyn Sharing<Error>,
+) -> Result<(), Error> {
+    let measuring = Measuring::of(total, &measure, progress);
+    measuring.in_order(sharing.size(), take, |positions| {
+        shared(sharing, positions, &owner, |own| measuring.each(own))
+    })
+}
+
+/// The measuring of things by their positions.
+struct Measuring<'a, F> {
+    total: usize,
+    measure: &'a F,
+    progress: OpenProgress<'a>,
+    met: AtomicUsize,
+}
+
+impl<'a, M: Send, F: Fn(usize) -> Result<M, Error> + Sync> Measuring<'a, F> {
+    fn of(total: usize, measure: &'a F, progress: OpenProgress<'a>) -> Self {
+        Self {
+            total,
+            measure,
+            progress,
+            met: AtomicUsize::new(0),
+        }
+    }
+
+    /// The measures of things, on all cores.
+    fn each(&self, positions: Vec<usize>) -> Result<Vec<M>, Error> {
+        go_on(self.progress, self.met.load(Ordering::Relaxed), self.total)?;
+        let measure = |position| {
+            let measured = (self.measure)(position)?;
+            let met = self.met.fetch_add(1, Ordering::Relaxed) + 1;
+            go_on(self.progress, met, self.total)?;
+            Ok(measured)
+        };
+        positions.into_par_iter().map(measure).collect()
+    }
+
+    /// Hands the measures to `take`, those of some for each of so many ranks at a time.
+    fn in_order(
+        &self,
+        ranks: usize,
+        mut take: impl FnMut(M),
+        some: impl Fn(Range<usize>) -> Result<Vec<M>, Error>,
+    ) -> Result<(), Error> {
+        let chunk = CHUNK * ranks;
+        for start in (0..self.total).step_by(chunk) {
+            let measured = some(start..(start + chunk).min(self.total))?;
+            // What other ranks have measured.
+            self.met.store(start + measured.len(), Ordering::Relaxed);
+            measured.into_iter().for_each(&mut take);
+        }
+        Ok(())
     }
 }
 

@@ -7,6 +7,8 @@
 use std::fmt::Debug;
 use std::sync::Arc;
 
+use serde::{Deserialize, Serialize};
+
 use crate::cache::MemoryCache;
 use crate::digest::Digest;
 use crate::files::Files;
@@ -27,7 +29,7 @@ pub(crate) struct Library<T> {
 }
 
 /// What is known of an item that can be used.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Deserialize, Serialize)]
 pub(crate) struct Entry {
     pub id: String,
     pub frames: usize,
@@ -197,6 +199,11 @@ impl<T: Item> Library<T> {
             .item;
         self.memory.put(entry.number, item.clone());
         Ok(item)
+    }
+
+    /// Number of the item of entry `index` in its origin.
+    pub fn number(&self, index: usize) -> usize {
+        self.entries[index].number
     }
 
     /// Whether the item of entry `index` needs neither reading nor making now.

@@ -3,21 +3,20 @@
 use std::sync::Arc;
 
 use kinegrad_motion::{CHANNELS, ChannelMoments, Motion, Statistics, Targets};
-use rayon::prelude::*;
+use kinegrad_ranks::Sharing;
 
 use crate::augment::Augmentation;
 use crate::batch::{AUDIO, ConditionRows, SampleShape};
+use crate::item_set::measure_among;
 use crate::loader::Samples;
 use crate::passage::{Passage, Passages, Window};
+use crate::survey::unheard;
 use crate::{
     Batch, DataConfig, Error, Phrase, PhraseSet, StatisticsOf, StyleConditions, mean_style,
 };
 
 /// Crops of each phrase that statistics are measured of.
 const CROPS: u64 = 8;
-
-/// Phrases that are measured at a time: enough for all cores, few enough for any memory.
-const CHUNK: usize = 256;
 
 /// Samples of phrases, conditioned on audio.
 #[derive(Clone, Debug)]
@@ -70,12 +69,15 @@ impl PhraseSamples {
 /// What normalises samples of `phrases`, at least one, in the channels of `targets`: measured of
 /// whole phrases, or of the crops that training with `config` sees, as `config` says.
 ///
+/// Ranks measure a part each. Collective.
+///
 /// # Errors
-/// As [`ItemSet::get`](crate::ItemSet::get).
+/// As [`ItemSet::measure_among`](crate::ItemSet::measure_among).
 pub fn target_statistics(
     phrases: PhraseSet,
     targets: Targets,
     config: &DataConfig,
+    sharing: &dyn Sharing<Error>,
 ) -> Result<Statistics, Error> {
     // The same crops in all runs, so that their losses compare.
     let sampler = Augmentation::new(config, 0);
@@ -97,17 +99,14 @@ pub fn target_statistics(
         moments.items = 1;
         Ok(moments)
     };
-    let positions: Vec<usize> = (0..passages.phrases().len()).collect();
     let mut all: Option<ChannelMoments> = None;
-    for chunk in positions.chunks(CHUNK) {
-        let measured: Result<Vec<_>, Error> = chunk.par_iter().map(|&p| measure(p)).collect();
-        for moments in measured? {
-            match &mut all {
-                Some(all) => all.merge(&moments),
-                None => all = Some(moments),
-            }
-        }
-    }
+    let take = |moments| match &mut all {
+        Some(all) => all.merge(&moments),
+        None => all = Some(moments),
+    };
+    let phrases = passages.phrases();
+    let owner = |position| phrases.number(position);
+    measure_among(phrases.len(), owner, measure, take, &unheard, sharing)?;
     Ok(targets.statistics(all.expect("at least one phrase")))
 }
 
@@ -168,6 +167,8 @@ impl Samples for PhraseSamples {
 
 #[cfg(test)]
 mod tests {
+    use kinegrad_ranks::Alone;
+
     use super::*;
     use crate::features::AUDIO_CHANNELS;
     use crate::synthetic;
@@ -191,7 +192,7 @@ mod tests {
             ..DataConfig::default()
         };
         let phrases = phrases([9, 5]);
-        let statistics = target_statistics(phrases.clone(), targets, &config).unwrap();
+        let statistics = target_statistics(phrases.clone(), targets, &config, &Alone).unwrap();
         assert_eq!((statistics.channels(), statistics.items), (28, 2));
         let given = Arc::new(statistics.clone());
         let samples = PhraseSamples::new(phrases.clone(), given, &config, 3).with_targets(targets);
@@ -277,7 +278,7 @@ mod tests {
             ..DataConfig::default()
         };
         let set = phrases([60, 45]);
-        let whole = target_statistics(set.clone(), targets, &config).unwrap();
+        let whole = target_statistics(set.clone(), targets, &config, &Alone).unwrap();
         let items = set.load().unwrap();
         let stored = phrase_statistics(items.iter().map(|item| &item.motion)).unwrap();
         for channel in 0..CHANNELS {
@@ -285,9 +286,9 @@ mod tests {
             assert!((whole.std[channel] - stored.std[channel]).abs() < 1e-9);
         }
         config.statistics = StatisticsOf::Crops;
-        let crops = target_statistics(set.clone(), targets, &config).unwrap();
+        let crops = target_statistics(set.clone(), targets, &config, &Alone).unwrap();
         assert_eq!(
-            target_statistics(set.clone(), targets, &config).unwrap(),
+            target_statistics(set.clone(), targets, &config, &Alone).unwrap(),
             crops
         );
         // What training draws lies around zero with unit deviation by these, and not by those.

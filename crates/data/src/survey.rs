@@ -1,11 +1,13 @@
 //! Meeting every item of a dataset once.
 
-use std::ops::{ControlFlow, Range};
+use std::ops::ControlFlow;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use kinegrad_motion::Statistics;
+use kinegrad_ranks::{Sharing, shared};
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
 use crate::cache::MemoryCache;
 use crate::item::Item;
@@ -74,23 +76,36 @@ pub(crate) struct Gathered<T> {
     pub memory: MemoryCache<T>,
 }
 
+/// What came of reading an item.
+#[derive(Deserialize, Serialize)]
+enum Met {
+    /// It can be used; what is odd about it.
+    Good(Entry, Option<String>),
+    /// It is in order and does not belong here; why.
+    LeftOut(String),
+    /// It cannot be used; why.
+    Bad(String),
+}
+
 impl<T: Item> Survey<T> {
     /// Reads all items, keeps so many in memory as `config` allows, and sets bad ones apart as
     /// `on_bad` says; if it says nothing, all of them, those that are not as they were recorded
-    /// too.
+    /// too. Ranks that share it read a part each, and keep that in memory.
     ///
     /// # Errors
     /// [`Error::Store`] if the store itself fails; [`Error::BadItem`] for the first bad item by id;
-    /// [`Error::Interrupted`].
+    /// [`Error::Interrupted`]; [`Error::OtherListing`]; [`Error::OtherReader`].
     pub fn gather(
         &self,
         config: &DataConfig,
         on_bad: Option<OnBadPhrase>,
         progress: OpenProgress,
+        sharing: &dyn Sharing<Error>,
     ) -> Result<Gathered<T>, Error> {
+        self.must_list_the_same(sharing)?;
         let memory = MemoryCache::new(config.cache.memory_mib << 20);
         let (total, met) = (self.listed.len(), AtomicUsize::new(0));
-        let concurrency = self.origin.concurrency();
+        let (concurrency, ranks) = (self.origin.concurrency(), sharing.size());
         let meet = |number: usize| {
             let outcome = library::meet(&*self.origin, &self.listed[number], number);
             if let Err(FileError::Store(error)) = &outcome
@@ -98,28 +113,46 @@ impl<T: Item> Survey<T> {
             {
                 return Err(Error::Store(error.clone()));
             }
-            go_on(progress, met.fetch_add(1, Ordering::Relaxed) + 1, total)?;
-            Ok(outcome.map(|(entry, read)| {
-                if read.left_out.is_none() {
+            let read = (met.fetch_add(1, Ordering::Relaxed) + 1) * ranks;
+            go_on(progress, read.min(total), total)?;
+            Ok(outcome.map(|(entry, read)| match read.left_out {
+                Some(reason) => Met::LeftOut(reason),
+                None => {
                     memory.put(number, read.item);
+                    Met::Good(entry, read.note)
                 }
-                (entry, read.note, read.left_out)
             }))
         };
-        let some = |numbers: Range<usize>| -> Result<Vec<_>, Error> {
-            numbers.into_par_iter().map(meet).collect()
+        let some = |numbers: Vec<usize>| -> Result<Vec<Met>, Error> {
+            let met: Result<Vec<_>, Error> = numbers.par_iter().map(|&n| meet(n)).collect();
+            let met = numbers.iter().zip(met?).map(|(&number, met)| match met {
+                Err(cause) if on_bad == Some(OnBadPhrase::Error) => {
+                    Err(Error::bad::<T>(&self.listed[number].id, cause))
+                }
+                Err(cause) => Ok(Met::Bad(cause.to_string())),
+                Ok(met) => Ok(met),
+            });
+            met.collect()
         };
         // Threads that wait for a network are not bound to the number of cores.
         let pool = rayon::ThreadPoolBuilder::new().num_threads(concurrency);
         let pool = (concurrency > 0).then(|| pool.build().ok()).flatten();
         let mut outcomes = Vec::with_capacity(total);
-        for start in (0..total).step_by(CHUNK) {
-            go_on(progress, start, total)?;
-            let numbers = start..(start + CHUNK).min(total);
-            outcomes.extend(match &pool {
-                Some(pool) => pool.install(|| some(numbers)),
-                None => some(numbers),
-            }?);
+        let chunk = CHUNK * ranks;
+        for start in (0..total).step_by(chunk) {
+            let numbers = start..(start + chunk).min(total);
+            outcomes.extend(shared(
+                sharing,
+                numbers,
+                |number| number,
+                |own| {
+                    go_on(progress, start, total)?;
+                    match &pool {
+                        Some(pool) => pool.install(|| some(own)),
+                        None => some(own),
+                    }
+                },
+            )?);
         }
         let mut gathered = Gathered {
             entries: Vec::with_capacity(total),
@@ -130,18 +163,31 @@ impl<T: Item> Survey<T> {
         };
         for (Listed { id, .. }, outcome) in self.listed.iter().zip(outcomes) {
             match outcome {
-                Ok((_, _, Some(reason))) => gathered.left_out.push((id.clone(), reason)),
-                Ok((entry, note, None)) => {
+                Met::LeftOut(reason) => gathered.left_out.push((id.clone(), reason)),
+                Met::Bad(cause) => gathered.skipped.push((id.clone(), cause)),
+                Met::Good(entry, note) => {
                     gathered.notes.extend(note.map(|note| (id.clone(), note)));
                     gathered.entries.push(entry);
                 }
-                Err(cause) if on_bad == Some(OnBadPhrase::Error) => {
-                    return Err(Error::bad::<T>(id, cause));
-                }
-                Err(cause) => gathered.skipped.push((id.clone(), cause.to_string())),
             }
         }
         Ok(gathered)
+    }
+
+    /// Rejects to share a dataset of which ranks do not see the same items.
+    fn must_list_the_same(&self, sharing: &dyn Sharing<Error>) -> Result<(), Error> {
+        if sharing.size() == 1 {
+            return Ok(());
+        }
+        let own = Digest::of_parts(self.listed.iter().map(|listed| listed.id.as_bytes()));
+        let all = sharing.exchange(Ok(own.as_bytes().to_vec()))?;
+        match all.iter().position(|listing| *listing != all[0]) {
+            None => Ok(()),
+            Some(rank) => Err(Error::OtherListing {
+                kind: T::KIND,
+                rank,
+            }),
+        }
     }
 
     /// The sides of the split of what was gathered, to train on and held out, and a checksum of

@@ -51,25 +51,36 @@ impl GradientSum {
     }
 
     /// The sums on the host, in one read; zeros for a parameter that had no part in any loss.
-    pub fn into_host<M: Module>(mut self, module: &M) -> Vec<Vec<f32>> {
+    pub fn into_host<M: Module>(self, module: &M) -> Vec<Vec<f32>> {
+        self.into_host_with(module, Vec::new()).0
+    }
+
+    /// [`into_host`](Self::into_host), and what other tensors hold, all in one read.
+    pub fn into_host_with<M: Module>(
+        mut self,
+        module: &M,
+        others: Vec<Tensor<1>>,
+    ) -> (Vec<Vec<f32>>, Vec<Vec<f32>>) {
         let infos = parameters::infos(module);
         assert!(self.0.len() <= infos.len(), "sums of another module");
         self.0.resize(infos.len(), None);
         let there: Vec<bool> = self.0.iter().map(Option::is_some).collect();
-        let sums = self.0.into_iter().flatten();
-        let reading = sums.fold(Transaction::default(), Transaction::register);
+        let tensors: Vec<Tensor<1>> = self.0.into_iter().flatten().chain(others).collect();
         // A device is not asked for nothing.
-        let read = if there.contains(&true) {
-            reading.execute()
-        } else {
-            Vec::new()
+        let read = match tensors.is_empty() {
+            true => Vec::new(),
+            false => {
+                let reading = Transaction::default();
+                let reading = tensors.into_iter().fold(reading, Transaction::register);
+                reading.execute()
+            }
         };
         let mut read = read.into_iter().map(parameters::to_host);
         let values = infos.iter().zip(there).map(|(info, there)| match there {
             true => read.next().expect("as many as were registered"),
             false => vec![0.0; info.len()],
         });
-        values.collect()
+        (values.collect(), read.collect())
     }
 
     /// The sums on their device, in the module's order; none for a parameter that had no part in any

@@ -1,10 +1,12 @@
 //! Range, mean and standard deviation of the channels of motion.
 
+use serde::{Deserialize, Serialize};
+
 /// Range, mean and standard deviation of each channel, as measured, in the representation's units.
 ///
 /// [`Statistics`](crate::Statistics) holds the mean and deviation that normalisation uses instead,
 /// which differ where a representation says so.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
 pub struct ChannelMoments {
     /// Mean of each channel, `[channels]`.
     pub mean: Vec<f64>,

@@ -4,6 +4,8 @@
 
 use std::ops::Range;
 
+use serde::{Deserialize, Serialize};
+
 use crate::{Error, Quaternion};
 
 /// Channels of one frame.
@@ -57,7 +59,7 @@ pub fn channel_name(channel: usize) -> String {
 ///
 /// Values may be anything, NaN included: a sample that went wrong is still a `Motion`, and
 /// [`first_non_finite`](Self::first_non_finite) or the sanity checks say so.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
 pub struct Motion {
     data: Vec<f32>,
 }

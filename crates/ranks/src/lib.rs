@@ -8,6 +8,7 @@
 mod cores;
 #[cfg(feature = "mpi")]
 mod mpi;
+mod sharing;
 mod tree;
 
 use std::fmt::Debug;
@@ -15,6 +16,7 @@ use std::ops::Range;
 
 #[cfg(feature = "mpi")]
 pub use self::mpi::Mpi;
+pub use sharing::{Sharing, from_bytes, shared, to_bytes};
 pub use tree::{add, pairwise, split};
 
 /// A process among those that share memory with it, which have its cores and graphics cards to share too.
@@ -63,22 +65,9 @@ pub trait Ranks: Debug {
     fn gather_into(&self, own: &[f32], lengths: &[usize], to: Receivers, values: &mut [f32]);
 
     /// Of what each rank gives for each, `lengths[r]` of `values` for rank r, one behind the other, and as many
-    /// from all: the sum of what is for this one, [pairwise] over the ranks. Collective.
-    fn scatter_sums(&self, values: &[f32], lengths: &[usize]) -> Vec<f32>;
-
-    /// Replaces `values` by the sums over all ranks, which give equally many: each rank sums a part of them
-    /// and sends it to all, an order of our own, where `MPI_Allreduce` has any. Collective.
-    fn sum(&self, values: &mut [f32]) {
-        let (size, length) = (self.size(), values.len());
-        if size == 1 || length == 0 {
-            return;
-        }
-        let share = length.div_ceil(size);
-        let of = |rank: usize| length.saturating_sub(rank * share).min(share);
-        let lengths: Vec<usize> = (0..size).map(of).collect();
-        let own = self.scatter_sums(values, &lengths);
-        self.gather_into(&own, &lengths, Receivers::All, values);
-    }
+    /// from all: the sum of what is for this one, [pairwise] over the ranks, in the place of `own`: an order of
+    /// our own, where `MPI_Reduce_scatter` has any. Collective.
+    fn scatter_sums(&self, values: &[f32], lengths: &[usize], own: &mut Vec<f32>);
 
     /// Ends all ranks at once, after a panic: the others wait for something that does not come.
     fn abort(&self, code: i32) -> !;
@@ -121,8 +110,9 @@ impl Ranks for Alone {
         values.copy_from_slice(own);
     }
 
-    fn scatter_sums(&self, values: &[f32], _lengths: &[usize]) -> Vec<f32> {
-        values.to_vec()
+    fn scatter_sums(&self, values: &[f32], _lengths: &[usize], own: &mut Vec<f32>) {
+        own.clear();
+        own.extend_from_slice(values);
     }
 
     fn abort(&self, code: i32) -> ! {

@@ -1,6 +1,5 @@
 //! Processes of one MPI job.
 
-use std::cell::RefCell;
 use std::fmt;
 
 use mpi::datatype::{Partition, PartitionMut};
@@ -16,8 +15,6 @@ use crate::{Local, Ranks, Receivers, pairwise};
 pub struct Mpi {
     world: SimpleCommunicator,
     local: Local,
-    /// What other ranks have sent to be added, kept for the next time.
-    received: RefCell<Vec<f32>>,
     /// Ends MPI when it is dropped, last.
     _universe: Universe,
 }
@@ -41,7 +38,6 @@ impl Mpi {
         Some(Self {
             world,
             local,
-            received: RefCell::default(),
             _universe: universe,
         })
     }
@@ -126,24 +122,19 @@ impl Ranks for Mpi {
         }
     }
 
-    fn scatter_sums(&self, values: &[f32], lengths: &[usize]) -> Vec<f32> {
+    fn scatter_sums(&self, values: &[f32], lengths: &[usize], own: &mut Vec<f32>) {
         let (counts, starts) = places(lengths.iter().copied());
         // As many from each rank as this one gives for itself.
         let each = lengths[self.rank()];
         let (received_counts, received_starts) = places(lengths.iter().map(|_| each));
-        let mut received = self.received.borrow_mut();
-        received.resize(each * self.size(), 0.0);
+        own.resize(each * self.size(), 0.0);
         let sent = Partition::new(values, &counts[..], &starts[..]);
-        let mut into = PartitionMut::new(
-            &mut received[..],
-            &received_counts[..],
-            &received_starts[..],
-        );
+        let mut into = PartitionMut::new(&mut own[..], &received_counts[..], &received_starts[..]);
         self.world.all_to_all_varcount_into(&sent, &mut into);
         if each > 0 {
-            pairwise(&mut received, each);
+            pairwise(own, each);
         }
-        received[..each].to_vec()
+        own.truncate(each);
     }
 
     fn abort(&self, code: i32) -> ! {

@@ -5,7 +5,9 @@ use std::ops::ControlFlow;
 use std::sync::Arc;
 
 use burn::tensor::Device;
-use kinegrad_data::humanml::{CaptionLabels, CaptionText, Clip, MAX_CAPTIONS, read_embedding};
+use kinegrad_data::humanml::{
+    CaptionLabels, CaptionText, Clip, ClipSet, MAX_CAPTIONS, read_embedding,
+};
 use kinegrad_data::{DataConfig, Dataset};
 use kinegrad_motion::humanml::TEXT_CHANNELS;
 use kinegrad_settings::{InvalidSetting, Refused, in_range, require};
@@ -18,6 +20,7 @@ use crate::error::Error;
 use crate::observer::Observer;
 use crate::sampling::Conditions;
 use crate::text_encoder::TextEncoder;
+use crate::together::Together;
 
 /// Most captions that an error lists.
 const LISTED: usize = 40;
@@ -276,13 +279,13 @@ pub(crate) fn text_of(
 pub(crate) fn with_captions(
     config: Config,
     dataset: &Dataset<Clip>,
+    together: &Together,
     observer: &mut dyn Observer,
 ) -> Result<Config, Error> {
     if config.data.humanml3d.text != CaptionText::Labels {
         return Ok(config);
     }
-    let found =
-        |set: &kinegrad_data::humanml::ClipSet| set.captions_with_progress(&*observer.reading());
+    let found = |set: &ClipSet| set.captions_among(&*observer.reading(), together);
     let (train, held_out) = (found(&dataset.train)?, found(&dataset.validation)?);
     let mut own = CaptionsConfig::of(&config)?;
     if own.captions.is_empty() {

@@ -233,6 +233,7 @@ impl From<kinegrad_data::Error> for Error {
     fn from(error: kinegrad_data::Error) -> Self {
         match error {
             kinegrad_data::Error::Interrupted => Self::Interrupted,
+            kinegrad_data::Error::OtherReader { rank, code } => Self::OtherRank { rank, code },
             error => Self::Data(error),
         }
     }

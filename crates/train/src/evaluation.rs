@@ -2,10 +2,12 @@
 
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
+use std::rc::Rc;
 
 use serde_json::Value;
 
 use crate::error::Error;
+use crate::together::Together;
 
 /// What is measured, beside what the system's own tables say of it. A system refuses what does not
 /// apply to its models.
@@ -19,6 +21,8 @@ pub struct EvaluationRequest {
     pub seed: u64,
     /// Whether models that hear music are held against music that says something else.
     pub listening: bool,
+    /// The processes that draw a part of the samples each; all of them find the same.
+    pub together: Rc<Together>,
 }
 
 impl EvaluationRequest {

@@ -1,6 +1,7 @@
 //! The training loop.
 
 mod accumulation;
+mod exchange;
 mod gradients;
 mod not_finite;
 mod owners;
@@ -29,6 +30,7 @@ use crate::recipe::{Measured, Recipe};
 use crate::telemetry::{LoaderLog, Metrics, Record};
 use crate::together::Together;
 use accumulation::Averaged;
+use exchange::Exchange;
 use gradients::StepGradients;
 use states::States;
 
@@ -52,8 +54,8 @@ pub struct Trainer<R: Recipe> {
     /// Optimiser group of each parameter.
     groups: Vec<usize>,
     states: States,
-    /// The gradients that ranks exchange, one behind the other.
-    exchanged: Vec<f32>,
+    /// What several ranks exchange; lent while a step is made.
+    exchange: Option<Exchange>,
     step: u64,
     progress: Progress,
     /// What is measured is written; nothing of a trainer that only times its steps.
@@ -135,13 +137,14 @@ impl<R: Recipe> Trainer<R> {
             ranks: parts.together.ranks(),
         };
         let states = States::begin(&model, checkpoint, &begin);
+        let exchange = states.exchange(&model, parts.together.ranks());
         let checkpoints = Checkpoints::of(&parts.folder);
         let last_saved = goes_on.then(|| checkpoints.step_path(step));
         Self {
             model: Some(model),
             groups,
             states,
-            exchanged: Vec::new(),
+            exchange,
             record: None,
             infos,
             parts,
@@ -287,22 +290,20 @@ impl<R: Recipe> Trainer<R> {
             self.parts.config.optim.clone(),
         );
         let Some(Averaged {
-            gradients,
+            mut gradients,
             loss,
             terms,
         }) = self.averaged(observer)?
         else {
             return Ok(None);
         };
-        let own = gradients.squares();
-        let squares = match self.states.owners() {
-            Some(owners) => owners.numbers(&self.parts.together, |index| own[index]),
-            None => own,
-        };
+        let squares = gradients.squares(&self.parts.together);
         let grad_norm = norm_of_squares(&squares);
         if !grad_norm.is_finite() {
             let broken = match &gradients {
-                StepGradients::Host(_) => squares.iter().position(|square| !square.is_finite()),
+                StepGradients::Host(_) | StepGradients::Ranks(_) => {
+                    squares.iter().position(|square| !square.is_finite())
+                }
                 StepGradients::Device(rows) => rows.broken(),
             };
             let what = broken.map_or("the norm of the gradient".into(), |index| {
@@ -320,11 +321,14 @@ impl<R: Recipe> Trainer<R> {
         let model = self.model.take().expect("held between updates");
         self.model = Some(self.states.update(
             model,
-            &gradients,
+            &mut gradients,
             clip_factor(grad_norm, train.max_grad_norm),
             &of_parameters.collect::<Vec<_>>(),
             self.parts.together.ranks(),
         ));
+        if let StepGradients::Ranks(exchange) = gradients {
+            self.exchange = Some(exchange);
+        }
         self.step += 1;
 
         observer.stepped(&StepReport {

@@ -3,24 +3,43 @@
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use std::rc::Rc;
 
 use kinegrad_report::{Column, Section, columns_csv, columns_table};
-use kinegrad_train::Error;
+use kinegrad_train::config;
 use kinegrad_train::evaluation::{self, Evaluated, EvaluationRequest, Group};
 use kinegrad_train::sampling::Subject;
 use kinegrad_train::systems::Systems;
+use kinegrad_train::{Error, Together};
 use serde_json::json;
 
-use super::sample::{checkpoint, subject, while_it_is_trained};
+use super::sample::{checkpoint, subject_for, while_it_is_trained};
 use crate::args::EvalArguments;
 use crate::progress::Denoising;
+use crate::ranks::{guarded, settled, together};
 
 /// Evaluates each run, writes the reports and prints them.
 pub fn run(systems: Systems<'_>, arguments: EvalArguments) -> Result<ExitCode, Error> {
-    while_it_is_trained(|| evaluate(systems, arguments.clone()))
+    let together = together()?;
+    let ranks = together.ranks();
+    let outcome = match ranks.size() {
+        1 => while_it_is_trained(|| evaluate(systems, arguments.clone(), &together)),
+        // Ranks that began again would have to do so together.
+        _ => guarded(ranks, || {
+            together.told(evaluate(systems, arguments, &together))
+        }),
+    };
+    Ok(match settled(&together, outcome)? {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(code) => code,
+    })
 }
 
-fn evaluate(systems: Systems<'_>, arguments: EvalArguments) -> Result<ExitCode, Error> {
+fn evaluate(
+    systems: Systems<'_>,
+    arguments: EvalArguments,
+    together: &Rc<Together>,
+) -> Result<(), Error> {
     let runs = &arguments.runs;
     let scales = arguments.draw.guidance_scale.len();
     if scales > 1 && !arguments.listening {
@@ -30,7 +49,7 @@ fn evaluate(systems: Systems<'_>, arguments: EvalArguments) -> Result<ExitCode, 
     }
     let subjects: Vec<Subject> = runs
         .iter()
-        .map(|run| subject(systems, run, &arguments.draw))
+        .map(|run| subject_for(systems, run, &arguments.draw, together))
         .collect::<Result<_, _>>()?;
     must_compare(systems, &subjects)?;
     let trajectory = arguments.trajectory_run.as_deref().map(checkpoint);
@@ -39,7 +58,9 @@ fn evaluate(systems: Systems<'_>, arguments: EvalArguments) -> Result<ExitCode, 
         trajectory: trajectory.transpose()?,
         seed: arguments.seed,
         listening: arguments.listening,
+        together: together.clone(),
     };
+    must_evaluate_the_same(together, &subjects, &request)?;
     // Whatever is wrong with any run is said before the first one costs minutes.
     let mut evaluations = Vec::with_capacity(subjects.len());
     for subject in &subjects {
@@ -51,9 +72,10 @@ fn evaluate(systems: Systems<'_>, arguments: EvalArguments) -> Result<ExitCode, 
         Some(out) => vec![out],
         None => subjects.iter().map(own).collect(),
     };
-    folders
-        .iter()
-        .try_for_each(|folder| crate::folder::make(folder))?;
+    if together.writes() {
+        let mut folders = folders.iter();
+        folders.try_for_each(|folder| crate::folder::make(folder))?;
+    }
 
     let mut evaluated = Vec::with_capacity(subjects.len());
     for (subject, evaluate) in subjects.iter().zip(evaluations) {
@@ -65,12 +87,17 @@ fn evaluate(systems: Systems<'_>, arguments: EvalArguments) -> Result<ExitCode, 
         bar.finish();
     }
     // One folder for all runs, or one for each.
-    let mut written = Vec::new();
-    for (folder, each) in folders
-        .iter()
-        .zip(evaluated.chunks(subjects.len() / folders.len()))
-    {
-        written.extend(write(folder, runs, each)?);
+    let each = evaluated.chunks(subjects.len() / folders.len());
+    let each = folders.iter().zip(each);
+    let written = match together.writes() {
+        true => each
+            .map(|(folder, each)| write(folder, runs, each))
+            .collect(),
+        false => Ok(Vec::new()),
+    };
+    let written: Vec<[PathBuf; 2]> = together.done(written)?;
+    if !together.writes() {
+        return Ok(());
     }
     if arguments.json {
         say!("{}", report(&evaluated));
@@ -82,11 +109,31 @@ fn evaluate(systems: Systems<'_>, arguments: EvalArguments) -> Result<ExitCode, 
         for remark in evaluated.iter().flat_map(|each| &each.remarks) {
             say!("\n{remark}");
         }
-        for path in written {
+        for path in written.concat() {
             say!("{}", path.display());
         }
     }
-    Ok(ExitCode::SUCCESS)
+    Ok(())
+}
+
+/// Rejects processes that are not about to evaluate the same. Collective.
+fn must_evaluate_the_same(
+    together: &Together,
+    subjects: &[Subject],
+    request: &EvaluationRequest,
+) -> Result<(), Error> {
+    let said = subjects.iter().map(|subject| {
+        let config = config::to_toml(&subject.config);
+        format!("{:?} {} {config}", subject.weights, subject.step)
+    });
+    let said: Vec<String> = said.collect();
+    let asked = format!(
+        "{:?} {} {}",
+        request.source, request.seed, request.listening
+    );
+    together.done(Ok(()))?;
+    together.must_compute_alike()?;
+    together.must_be_about_the_same(&[("run", &said.concat()), ("command", &asked)])
 }
 
 /// Rejects runs that have no measure in common.

@@ -4,12 +4,12 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use kinegrad_report::rows;
-use kinegrad_train::Error;
 use kinegrad_train::checkpoint::{Weights, resolve_checkpoint};
 use kinegrad_train::sampling::{
     self, Conditions, Given, GivenFrames, PathFile, Remark, Request, Style, Subject,
 };
 use kinegrad_train::systems::Systems;
+use kinegrad_train::{Error, Together};
 use serde::Serialize;
 
 use super::files::{Existing, Files, Written};
@@ -134,6 +134,16 @@ pub fn subject(
     run: &Path,
     arguments: &DrawArguments,
 ) -> Result<Subject, Error> {
+    subject_for(systems, run, arguments, &Together::alone())
+}
+
+/// [`subject`], on the device of a process among those of its machine.
+pub fn subject_for(
+    systems: Systems<'_>,
+    run: &Path,
+    arguments: &DrawArguments,
+    together: &Together,
+) -> Result<Subject, Error> {
     let DrawArguments {
         overrides,
         steps,
@@ -156,7 +166,8 @@ pub fn subject(
         true => Weights::Model,
         false => Weights::Ema,
     };
-    systems.trained(&checkpoint(run)?, &overrides, weights, device.as_deref())
+    let (path, local) = (checkpoint(run)?, together.ranks().local().rank);
+    systems.trained_for(&path, &overrides, weights, device.as_deref(), local)
 }
 
 /// Prints what is to be said of all motions.

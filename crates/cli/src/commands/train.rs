@@ -10,7 +10,7 @@ use kinegrad_train::checkpoint::Weights;
 use kinegrad_train::run::{self, Outcome, SAMPLES, TrainRequest, UNFINISHED_SAMPLES, remove};
 use kinegrad_train::sampling::{self, Conditions, Remark, Request};
 use kinegrad_train::systems::Systems;
-use kinegrad_train::{Ending, Error, Together};
+use kinegrad_train::{Ending, Error};
 
 use serde::Serialize;
 
@@ -20,7 +20,7 @@ use super::sample::{checkpoint, say_remark};
 use crate::args::TrainArguments;
 use crate::output;
 use crate::progress::{TrainProgress, duration};
-use crate::ranks::{guarded, ranks};
+use crate::ranks::{guarded, settled, together};
 
 /// Trains, then generates the samples of `sampling.count_at_end`.
 pub fn run(systems: Systems<'_>, arguments: TrainArguments) -> Result<ExitCode, Error> {
@@ -43,34 +43,23 @@ pub fn run(systems: Systems<'_>, arguments: TrainArguments) -> Result<ExitCode, 
         dry_run,
     };
     let started = Instant::now();
-    let together = Together::new(ranks()?);
+    let together = together()?;
     let ranks = together.ranks();
-    if !together.writes() {
-        output::be_silent();
-    }
     let mut progress = TrainProgress::new(systems);
     let outcome = guarded(ranks, || {
         run::train_together(systems, &request, &together, &mut progress)
     });
     progress.finish();
-    let outcome = match (outcome, ranks.size()) {
-        (outcome, 1) => outcome?,
-        (outcome, _) => {
-            // All end with the code of the first that met something, which alone says what.
-            let ended = together.ended_by(outcome.as_ref().err());
-            match (outcome, ended) {
-                (Err(error), Some((rank, _))) if rank == ranks.rank() => return Err(error),
-                (_, Some((_, code))) => return Ok(ExitCode::from(code)),
-                (outcome, None) if together.writes() => outcome?,
-                (outcome, None) => {
-                    // From here on a signal ends this process, and so the others.
-                    let stops = progress.end_training();
-                    let interrupted = outcome?.ending == Some(Ending::Interrupted);
-                    return Ok(ExitCode::from(if interrupted || stops { 130 } else { 0 }));
-                }
-            }
-        }
+    let outcome = match settled(&together, outcome)? {
+        Ok(outcome) => outcome,
+        Err(code) => return Ok(code),
     };
+    if !together.writes() {
+        // From here on a signal ends this process, and so the others.
+        let stops = progress.end_training();
+        let interrupted = outcome.ending == Some(Ending::Interrupted);
+        return Ok(ExitCode::from(if interrupted || stops { 130 } else { 0 }));
+    }
     if let Some(plan) = &outcome.plan {
         plan::print(plan, json);
         return Ok(ExitCode::SUCCESS);

@@ -3,6 +3,8 @@
 use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
 
+use kinegrad_ranks::{Alone, Sharing};
+
 use crate::survey::OpenProgress;
 use crate::{Error, ItemSet};
 
@@ -84,8 +86,21 @@ impl ItemSet<Clip> {
         &self,
         progress: OpenProgress,
     ) -> Result<BTreeMap<String, String>, Error> {
+        self.captions_among(progress, &Alone)
+    }
+
+    /// [`captions_with_progress`](Self::captions_with_progress) by ranks that each read a part of the
+    /// clips. Collective.
+    ///
+    /// # Errors
+    /// As there, and [`Error::OtherReader`] where another rank has failed.
+    pub fn captions_among(
+        &self,
+        progress: OpenProgress,
+        sharing: &dyn Sharing<Error>,
+    ) -> Result<BTreeMap<String, String>, Error> {
         let mut captions = BTreeMap::new();
-        self.measure(
+        self.measure_among(
             |clip| {
                 let texts = clip.captions.iter().map(|caption| caption.text.clone());
                 (clip.id.clone(), texts.collect::<Vec<_>>())
@@ -96,6 +111,7 @@ impl ItemSet<Clip> {
                 }
             },
             progress,
+            sharing,
         )?;
         Ok(captions)
     }

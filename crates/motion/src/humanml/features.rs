@@ -2,6 +2,8 @@
 
 use std::ops::Range;
 
+use serde::{Deserialize, Serialize};
+
 use super::kinematics::{forward_kinematics, from_columns};
 use super::{FeatureError, FeatureLayout, Joints, Root, Skeleton};
 use crate::Quaternion;
@@ -9,7 +11,7 @@ use crate::Quaternion;
 /// The features of one clip, `[frames, channels]`, single precision as stored, finite.
 ///
 /// Row t speaks of frame t and its change to frame t + 1, so T frames of joints make T - 1 rows.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
 pub struct Features {
     values: Vec<f32>,
     layout: FeatureLayout,

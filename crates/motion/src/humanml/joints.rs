@@ -1,9 +1,11 @@
 //! Where the joints are, frame by frame.
 
+use serde::{Deserialize, Serialize};
+
 use super::{FeatureError, Skeleton};
 
 /// Positions of all joints, `[frames, J, 3]`, metres, +y up, in double precision and finite.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
 pub struct Joints {
     values: Vec<[f64; 3]>,
     joints: usize,

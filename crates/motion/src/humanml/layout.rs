@@ -5,6 +5,7 @@
 use std::ops::Range;
 
 use kinegrad_settings::{Refused, in_range};
+use serde::{Deserialize, Serialize};
 
 use super::FeatureError;
 
@@ -26,7 +27,7 @@ const CONTACTS: usize = 4;
 /// | 67..193 | rotations of joints 1 to J-1: first, then second column of the matrix |
 /// | 193..259 | displacements of joints 0 to J-1 to the next frame in the facing frame, metres |
 /// | 259..263 | contact flags: two joints of the left foot, then of the right |
-#[derive(Clone, Copy, Debug, Eq, PartialEq)]
+#[derive(Clone, Copy, Debug, Deserialize, Eq, PartialEq, Serialize)]
 pub struct FeatureLayout {
     joints: usize,
 }

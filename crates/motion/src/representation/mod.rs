@@ -14,6 +14,8 @@ use std::ops::Range;
 pub use joints::{GroundPath, JointFeatures, JointPositions};
 pub use phrases::{Phrases, phrase_statistics};
 
+use serde::{Deserialize, Serialize};
+
 use crate::humanml::{Joints, Skeleton};
 use crate::metrics::mean_jerk;
 use crate::sanity::body;
@@ -161,12 +163,12 @@ impl Curves {
 }
 
 /// The moments and mean jerks of items, measured one after the other.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Deserialize, Serialize)]
 pub struct Measured {
     moments: ChannelMoments,
     jerks: Vec<f64>,
     /// Of each measure the values of all items.
-    movement: BTreeMap<&'static str, Vec<f64>>,
+    movement: BTreeMap<String, Vec<f64>>,
 }
 
 impl Measured {
@@ -181,7 +183,7 @@ impl Measured {
             movement: representation
                 .movement(rows)
                 .into_iter()
-                .map(|(name, value)| (name, vec![value]))
+                .map(|(name, value)| (name.to_owned(), vec![value]))
                 .collect(),
         }
     }
@@ -206,7 +208,7 @@ impl Measured {
         let movement = self.movement.into_iter();
         Statistics {
             movement: movement
-                .map(|(name, values)| (name.to_owned(), extremes(values)))
+                .map(|(name, values)| (name, extremes(values)))
                 .collect(),
             ..representation.statistics(self.moments, self.jerks)
         }

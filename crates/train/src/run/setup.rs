@@ -13,7 +13,7 @@ use kinegrad_motion::Statistics;
 use super::folder::{UNFINISHED_SAMPLES, exists_already, has_begun, remove, write_config};
 use super::plan::{Plan, Planned};
 use crate::checkpoint::{Checkpoint, Checkpoints, Progress};
-use crate::config::{self, Config};
+use crate::config::Config;
 use crate::denoising::HeldOut;
 use crate::error::Error;
 use crate::observer::{Observer, RunSummary};
@@ -199,21 +199,8 @@ impl Setup {
         }
         // All ranks have come as far as this, or end here: nothing is written before.
         self.together.done(Ok(()))?;
-        let step = self
-            .checkpoint
-            .as_ref()
-            .map_or(0, |checkpoint| checkpoint.state.step);
-        self.together.must_be_about_the_same(&[
-            ("version of the program", env!("CARGO_PKG_VERSION")),
-            (
-                "number of threads",
-                &rayon::current_num_threads().to_string(),
-            ),
-            ("value of KINEGRAD_KERNELS", crate::device::kernels()),
-            ("config", &config::to_toml(&self.config)),
-            ("dataset", &material.digest.to_string()),
-            ("step that it goes on from", &step.to_string()),
-        ])?;
+        self.together
+            .must_be_about_the_same(&[("dataset", &material.digest.to_string())])?;
         let Self {
             mut config,
             recipe: info,

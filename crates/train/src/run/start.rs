@@ -67,12 +67,7 @@ pub fn train_together(
     together: &Rc<Together>,
     observer: &mut dyn Observer,
 ) -> Result<Outcome, Error> {
-    let outcome = begun(systems, request, together, observer);
-    match together.has_agreed() {
-        true => outcome,
-        // It failed before the ranks met.
-        false => together.done(outcome),
-    }
+    together.told(begun(systems, request, together, observer))
 }
 
 fn begun(
@@ -208,24 +203,24 @@ fn saved_config(systems: Systems<'_>, folder: &Path) -> Result<Option<Config>, C
     exists.then(|| systems.load(&path, &[])).transpose()
 }
 
-/// Trains the run of a resolved config, in the folder of its name under `runs_dir`.
+/// Trains the run of a resolved config, in the folder of its name under `runs_dir`. Collective.
 ///
 /// # Errors
-/// As [`train`].
+/// As [`train_together`].
 pub fn train_config(
     systems: Systems<'_>,
     config: Config,
     runs_dir: &Path,
     resume: bool,
+    together: &Rc<Together>,
     observer: &mut dyn Observer,
 ) -> Result<Outcome, Error> {
-    let together = Together::alone();
     let begin = Begin {
         folder: runs_dir.join(&config.run.name),
         resume,
         dry_run: false,
     };
-    train_in(systems, config, begin, &together, observer)
+    train_in(systems, config, begin, together, observer)
 }
 
 /// Rejects a number of ranks that cannot share the micro-batches of a step.
@@ -321,6 +316,11 @@ fn train_in(
     let (device, device_name) = crate::device::open_for(&config.run.device, local)?;
     let on_host = crate::device::is_host(&device_name);
     log::debug!("device {device_name}; {}", crate::device::kernels());
+    if let Some(warning) = crate::device::shared_card(&device_name, together)
+        && !on_host
+    {
+        observer.warning(&warning);
+    }
     let footprint = system.footprint(&config)?;
     let needed = footprint.of_training(&config, on_host);
     let memory_of_samples = match config.sampling.count_at_end {
@@ -335,6 +335,13 @@ fn train_in(
          `data.target_frames` or, with synthetic data, `data.synthetic.phrases`; `kinegrad config \
          show` prints the estimate",
     )?;
+    together.done(Ok(()))?;
+    let step = checkpoint.as_ref().map(|checkpoint| checkpoint.state.step);
+    together.must_compute_alike()?;
+    together.must_be_about_the_same(&[
+        ("config", &config::to_toml(&config)),
+        ("step that it goes on from", &step.unwrap_or(0).to_string()),
+    ])?;
     let setup = Setup {
         dry_run,
         memory: needed,

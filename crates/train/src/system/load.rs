@@ -14,6 +14,7 @@ use crate::config::{
     self, Config, ConfigError, Place, TrainConfig, apply, lay_over, line_of, must_be_finite,
     must_be_tables, not_among, start_of,
 };
+use crate::device::open_for;
 use crate::error::Error;
 use crate::sampling::Subject;
 
@@ -181,12 +182,27 @@ impl Systems<'_> {
         weights: Weights,
         device: Option<&str>,
     ) -> Result<Subject, Error> {
+        self.trained_for(path, overrides, weights, device, 0)
+    }
+
+    /// [`trained`](Self::trained), for process `local` of a machine: see [`open_for`].
+    ///
+    /// # Errors
+    /// As [`trained`](Self::trained).
+    pub fn trained_for(
+        self,
+        path: &Path,
+        overrides: &[String],
+        weights: Weights,
+        device: Option<&str>,
+        local: usize,
+    ) -> Result<Subject, Error> {
         let state = State::read(path)?;
         let saved = self.completed(&state.config)?;
         let config = self.override_trained(&saved, overrides)?;
         let (system, _) = self.of(&config)?;
         system.validate(&config)?;
-        let (device, name) = crate::device::open(device.unwrap_or(&config.run.device))?;
+        let (device, name) = open_for(device.unwrap_or(&config.run.device), local)?;
         log::debug!("checkpoint {}, step {}", path.display(), state.step);
         log::debug!("device {name}; {}", crate::device::kernels());
         Ok(Subject {

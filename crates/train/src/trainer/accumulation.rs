@@ -4,11 +4,10 @@ use std::ops::Range;
 
 use burn::tensor::Tensor;
 use kinegrad_data::Batch;
-use kinegrad_models::parameters;
 use kinegrad_ranks::split;
 
 use super::Trainer;
-use super::gradients::{StepGradients, numbers};
+use super::gradients::StepGradients;
 use super::not_finite::find_not_finite;
 use crate::error::Error;
 use crate::observer::Observer;
@@ -61,10 +60,9 @@ impl<R: Recipe> Trainer<R> {
             ..Measured::default()
         };
         let gradients = self.summed(share, Some(batch), &mut measured, observer);
-        let Some((gradients, numbers)) = together.agree(gradients, &measured.numbers)? else {
+        let Some((mut gradients, numbers)) = together.agree(gradients, &measured.numbers)? else {
             return Ok(None);
         };
-        let mut gradients = self.over_ranks(gradients);
         let (mut loss, mut divisor) = (0.0, 0.0);
         let mut terms: Vec<(&'static str, f64)> = Vec::new();
         let numbers = numbers.concat();
@@ -83,7 +81,18 @@ impl<R: Recipe> Trainer<R> {
         if count > 1 {
             loss /= divisor;
             terms.iter_mut().for_each(|(_, sum)| *sum /= divisor);
-            gradients.divide(divisor);
+        }
+        match (self.exchange.take(), gradients) {
+            (Some(mut exchange), StepGradients::Host(own)) => {
+                exchange.sum(together.ranks(), own, divisor);
+                gradients = StepGradients::Ranks(exchange);
+            }
+            (_, own) => {
+                gradients = own;
+                if count > 1 {
+                    gradients.divide(divisor);
+                }
+            }
         }
         Ok(Some(Averaged {
             gradients,
@@ -166,8 +175,8 @@ impl<R: Recipe> Trainer<R> {
             (names, values, recipe.backward(model, share))
         });
         let device = self.parts.device.clone().inner();
-        let gradients = StepGradients::of(sum, model, self.states.on_device(), &device);
-        let values = numbers(values);
+        let on_device = self.states.on_device();
+        let (gradients, values) = StepGradients::of(sum, model, values, on_device, &device);
         if !values[0].is_finite() {
             // Its tensors were not kept; the same draws give them again.
             let again = precision.scope(|| recipe.loss(model, batch, key, &self.parts.device));
@@ -178,32 +187,5 @@ impl<R: Recipe> Trainer<R> {
         measured.numbers.push(weight);
         measured.numbers.extend(values);
         Ok(gradients)
-    }
-
-    /// The sums of the gradients of all ranks, of the parameters whose states this one keeps.
-    fn over_ranks(&mut self, gradients: StepGradients) -> StepGradients {
-        let together = self.parts.together.clone();
-        let ranks = together.ranks();
-        let mut gradients = match gradients {
-            StepGradients::Host(gradients) if ranks.size() > 1 => gradients,
-            gradients => return gradients,
-        };
-        if let Some(owners) = self.states.owners() {
-            return StepGradients::Host(owners.sums(ranks, gradients));
-        }
-        // Kept from step to step: pages that are new each time cost more than the copy.
-        self.exchanged.clear();
-        let trained = parameters::trainable(self.model.as_ref().expect("held between updates"));
-        for (gradient, _) in gradients.iter().zip(&trained).filter(|(_, is)| **is) {
-            self.exchanged.extend_from_slice(gradient);
-        }
-        ranks.sum(&mut self.exchanged);
-        let mut rest = &self.exchanged[..];
-        for (gradient, _) in gradients.iter_mut().zip(&trained).filter(|(_, is)| **is) {
-            let (sum, behind) = rest.split_at(gradient.len());
-            gradient.copy_from_slice(sum);
-            rest = behind;
-        }
-        StepGradients::Host(gradients)
     }
 }

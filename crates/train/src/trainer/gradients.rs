@@ -8,8 +8,10 @@ use kinegrad_kernels::optimizer;
 use kinegrad_models::GradientSum;
 use kinegrad_ranks::add;
 
+use super::exchange::Exchange;
 use super::rows::{Layout, Rows};
 use crate::optim;
+use crate::together::Together;
 
 /// The gradients of all parameters.
 pub(super) enum StepGradients {
@@ -17,19 +19,30 @@ pub(super) enum StepGradients {
     Host(Vec<Vec<f32>>),
     /// On the device of the networks.
     Device(Rows),
+    /// The sums over several ranks.
+    Ranks(Exchange),
 }
 
 impl StepGradients {
-    /// Gradients of `model`, on its device where they are laid out there, else in main memory.
+    /// Gradients of `model`, on its device where they are laid out there, else in main memory; and some
+    /// `numbers`, read from the device at once with them.
     pub fn of<M: Module>(
         sum: GradientSum,
         model: &M,
+        numbers: Vec<Tensor<1>>,
         on_device: Option<&Rc<Layout>>,
         device: &Device,
-    ) -> Self {
+    ) -> (Self, Vec<f64>) {
         match on_device {
-            Some(layout) => Self::Device(Rows::joined(layout, &sum.into_tensors(), device)),
-            None => Self::Host(sum.into_host(model)),
+            Some(layout) => {
+                let rows = Rows::joined(layout, &sum.into_tensors(), device);
+                (Self::Device(rows), read(numbers))
+            }
+            None => {
+                let (gradients, numbers) = sum.into_host_with(model, numbers);
+                let numbers = numbers.into_iter().flatten().map(f64::from);
+                (Self::Host(gradients), numbers.collect())
+            }
         }
     }
 
@@ -59,17 +72,19 @@ impl StepGradients {
                 let sums = sums.rows.iter_mut();
                 sums.for_each(|sum| *sum = sum.clone().div_scalar(divisor));
             }
+            Self::Ranks(_) => unreachable!("divided where they were added"),
         }
     }
 
-    /// The sum of the squares of each parameter's gradient, or of each row of them.
-    pub fn squares(&self) -> Vec<f64> {
+    /// The sum of the squares of each parameter's gradient, or of each row of them. Collective.
+    pub fn squares(&self, together: &Together) -> Vec<f64> {
         match self {
             Self::Host(gradients) => optim::squares(gradients),
+            Self::Ranks(exchange) => exchange.squares(together),
             Self::Device(gradients) => {
                 let parts: Vec<Tensor<1>> = gradients.rows.iter().map(squares_of_parts).collect();
                 let counts: Vec<usize> = parts.iter().map(|parts| parts.dims()[0]).collect();
-                let read = numbers(parts);
+                let read = read(parts);
                 let mut rest = &read[..];
                 let of_row = |count| {
                     let (parts, behind) = rest.split_at(count);
@@ -103,7 +118,7 @@ fn squares_of_parts(row: &Tensor<1>) -> Tensor<1> {
 }
 
 /// The values of tensors, one tensor after the other, in one read.
-pub(super) fn numbers(tensors: Vec<Tensor<1>>) -> Vec<f64> {
+fn read(tensors: Vec<Tensor<1>>) -> Vec<f64> {
     let read = tensors
         .into_iter()
         .fold(Transaction::default(), Transaction::register);
@@ -134,9 +149,10 @@ mod tests {
         let layout = Layout::new(&lengths, |index| index == 3);
         let rows = Rows::joined(&layout, &tensors.collect::<Vec<_>>(), &device);
         let sum = |squares: Vec<f64>| squares.iter().sum::<f64>();
-        let found = StepGradients::Device(rows).squares();
+        let alone = Together::alone();
+        let found = StepGradients::Device(rows).squares(&alone);
         assert_eq!(found.len(), 2);
-        let (found, expected) = (sum(found), sum(StepGradients::Host(host).squares()));
+        let (found, expected) = (sum(found), sum(StepGradients::Host(host).squares(&alone)));
         assert!((found / expected - 1.0).abs() < 1e-8, "{found} {expected}");
     }
 }

@@ -6,8 +6,6 @@ use std::cmp::Reverse;
 
 use kinegrad_ranks::{Ranks, Receivers};
 
-use crate::together::{About, Together};
-
 /// Which rank keeps the optimiser's state and the moving average of each parameter.
 #[derive(Clone, Debug)]
 pub(super) struct Owners {
@@ -45,27 +43,14 @@ impl Owners {
     }
 
     /// Elements of the parameters of each rank.
-    fn loads(&self) -> Vec<usize> {
+    pub fn loads(&self) -> Vec<usize> {
         let of = |rank| self.of_rank(rank).map(|index| self.lengths[index]);
         (0..self.size).map(|rank| of(rank).sum()).collect()
     }
 
     /// The parameters of a rank, in order.
-    fn of_rank(&self, rank: usize) -> impl Iterator<Item = usize> {
+    pub fn of_rank(&self, rank: usize) -> impl Iterator<Item = usize> {
         (0..self.of.len()).filter(move |&index| self.of[index] == rank)
-    }
-
-    /// The sums over ranks of the tensors that this rank keeps; empty in the place of the others.
-    pub fn sums(&self, ranks: &dyn Ranks, tensors: Vec<Vec<f32>>) -> Vec<Vec<f32>> {
-        let lengths = self.loads();
-        let mut values = Vec::with_capacity(lengths.iter().sum());
-        for index in (0..self.size).flat_map(|rank| self.of_rank(rank)) {
-            values.extend_from_slice(&tensors[index][..self.lengths[index]]);
-        }
-        let sums = ranks.scatter_sums(&values, &lengths);
-        let mut all = self.frozen(&tensors);
-        self.put(self.rank, &sums, &mut all);
-        all
     }
 
     /// All tensors, of those that each rank keeps; to who does not receive them, the frozen ones alone.
@@ -91,22 +76,6 @@ impl Owners {
             let (values, behind) = rest.split_at(length);
             self.put(rank, values, &mut all);
             rest = behind;
-        }
-        all
-    }
-
-    /// A number of each tensor, known to its owner.
-    pub fn numbers(&self, together: &Together, own: impl Fn(usize) -> f64) -> Vec<f64> {
-        let said: Vec<u8> = self
-            .of_rank(self.rank)
-            .flat_map(|index| own(index).to_le_bytes())
-            .collect();
-        let mut all = vec![0.0; self.of.len()];
-        for (rank, said) in together.gather(About::Squares, &said).iter().enumerate() {
-            let (numbers, _) = said.as_chunks::<8>();
-            for (index, number) in self.of_rank(rank).zip(numbers) {
-                all[index] = f64::from_le_bytes(*number);
-            }
         }
         all
     }
@@ -143,10 +112,7 @@ mod tests {
         // The second is frozen.
         let tensors = vec![vec![1.0, 2.0], vec![5.0; 3], vec![3.0]];
         let owners = Owners::new(&Alone, vec![2, 0, 1]);
-        assert_eq!(owners.sums(&Alone, tensors.clone()), tensors);
         assert_eq!(owners.gathered(&Alone, Receivers::All, &tensors), tensors);
         assert_eq!(owners.gathered(&Alone, Receivers::First, &tensors), tensors);
-        let numbers = owners.numbers(&Together::alone(), |index| index as f64);
-        assert_eq!(numbers, [0.0, 1.0, 2.0]);
     }
 }

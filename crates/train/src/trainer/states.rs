@@ -10,6 +10,7 @@ use kinegrad_kernels::optimizer::AdamWTensors;
 use kinegrad_models::parameters::{self, ParameterInfo};
 use kinegrad_ranks::{Ranks, Receivers};
 
+use super::exchange::Exchange;
 use super::gradients::StepGradients;
 use super::owners::Owners;
 use super::restore::order_of;
@@ -81,24 +82,37 @@ impl States {
         } = begin;
         let optim = &config.optim;
         // Frozen parameters have no running means.
-        let trained = infos.iter().zip(parameters::trainable(model));
-        let lengths = trained.map(|(info, trained)| if trained { info.len() } else { 0 });
-        let lengths: Vec<usize> = lengths.collect();
-        let (steps, mut moments, mut averages) = match checkpoint {
+        let lengths = trained_lengths(model);
+        let shares = optim.shard_states && ranks.size() > 1;
+        let owners = shares.then(|| Owners::new(*ranks, lengths.clone()));
+        let has = |index: usize| owners.as_ref().is_none_or(|owners| owners.has(index));
+        let (steps, moments, averages) = match checkpoint {
             Some(checkpoint) => {
                 // Files of tensors come back sorted by name; the module's order is another.
                 let order = order_of(infos, &checkpoint);
                 let (mut moments, mut averages) = (checkpoint.moments, checkpoint.ema);
-                let taken = order.iter().map(|&index| {
+                let taken = order.iter().enumerate().map(|(place, &index)| {
                     let average = std::mem::take(&mut averages[index].values);
-                    (std::mem::take(&mut moments[index]), average)
+                    let moments = std::mem::take(&mut moments[index]);
+                    if has(place) {
+                        (moments, average)
+                    } else {
+                        Default::default()
+                    }
                 });
                 let (moments, averages) = taken.unzip();
                 (checkpoint.state.step, moments, averages)
             }
             None => {
-                let moments = lengths.iter().map(|&length| Moments::zeros(length));
-                (0, moments.collect::<Vec<_>>(), parameters::values(model))
+                let lengths = lengths.iter().enumerate();
+                let moments = lengths.map(|(index, &length)| match has(index) {
+                    true => Moments::zeros(length),
+                    false => Moments::default(),
+                });
+                let mut averages = parameters::values(model);
+                let others = (0..infos.len()).filter(|&index| !has(index));
+                others.for_each(|index| averages[index] = Vec::new());
+                (0, moments.collect::<Vec<_>>(), averages)
             }
         };
         let decaying = infos.iter().map(|info| decays(optim, info)).collect();
@@ -134,14 +148,6 @@ impl States {
             };
             Kept::Device(on_device)
         } else {
-            let shares = optim.shard_states && ranks.size() > 1;
-            let owners = shares.then(|| Owners::new(*ranks, lengths));
-            if let Some(owners) = &owners {
-                let others = (0..infos.len()).filter(|&index| !owners.has(index));
-                others.for_each(|index| {
-                    (moments[index], averages[index]) = (Moments::default(), Vec::new());
-                });
-            }
             Kept::Host(OnHost {
                 moments,
                 averages,
@@ -164,12 +170,13 @@ impl States {
         }
     }
 
-    /// Who keeps the states of which parameters, where ranks share them.
-    pub fn owners(&self) -> Option<&Owners> {
-        match &self.kept {
-            Kept::Host(kept) => kept.owners.as_ref(),
-            Kept::Device(_) => None,
-        }
+    /// What ranks exchange in the steps of `model`, where there are several.
+    pub fn exchange<M: Module>(&self, model: &M, ranks: &dyn Ranks) -> Option<Exchange> {
+        let owners = match &self.kept {
+            Kept::Host(kept) if ranks.size() > 1 => kept.owners.clone(),
+            _ => return None,
+        };
+        Some(Exchange::new(ranks, &trained_lengths(model), owners))
     }
 
     /// AdamW and the moving average, parameter by parameter: with gradients times `gradient_scale` and
@@ -177,7 +184,7 @@ impl States {
     pub fn update<M: Module>(
         &mut self,
         model: M,
-        gradients: &StepGradients,
+        gradients: &mut StepGradients,
         gradient_scale: f64,
         rates: &[f64],
         ranks: &dyn Ranks,
@@ -187,10 +194,28 @@ impl States {
         let step = |index| self.optimizer.step(index, gradient_scale, rates[index]);
         match (&mut self.kept, gradients) {
             (Kept::Host(kept), StepGradients::Host(gradients)) => {
-                kept.update(model, ranks, |index, parameter, moments, average| {
+                kept.update(model, |index, parameter, moments, average| {
                     let average = share.map(|share| (average, share));
                     moments.update(step(index), parameter, &gradients[index], average);
                 })
+            }
+            (Kept::Host(kept), StepGradients::Ranks(exchange)) => {
+                let model = kept.update(model, |index, parameter, moments, average| {
+                    if exchange.has(index) {
+                        let average = share.map(|share| (average, share));
+                        let gradient = exchange.gradient(index);
+                        moments.update(step(index), parameter, gradient, average);
+                        exchange.put(index, parameter);
+                    }
+                });
+                match exchange.gather_weights(ranks) {
+                    false => model,
+                    true => on_host(model, kept.weights.as_mut(), |index, values| {
+                        if let Some(weights) = exchange.weights_of_other(index) {
+                            values.copy_from_slice(weights);
+                        }
+                    }),
+                }
             }
             (Kept::Device(kept), StepGradients::Device(gradients)) => {
                 for (row, first) in kept.weights.layout.clone().first().enumerate() {
@@ -267,38 +292,30 @@ impl States {
 }
 
 impl OnHost {
-    /// Hands every parameter that is trained to `change` on the rank that keeps its states, with its
-    /// running means and its average.
+    /// Hands every parameter that is trained to `change`, with its running means and its average.
     fn update<M: Module>(
         &mut self,
         model: M,
-        ranks: &dyn Ranks,
         mut change: impl FnMut(usize, &mut [f32], &mut Moments, &mut [f32]),
     ) -> M {
         let Self {
             moments,
             averages,
-            owners,
             weights,
+            ..
         } = self;
-        let mut own = vec![Vec::new(); moments.len()];
-        let model = on_host(model, weights.as_mut(), |index, values| {
-            if owners.as_ref().is_some_and(|owners| !owners.has(index)) {
-                return;
-            }
-            change(index, values, &mut moments[index], &mut averages[index]);
-            if owners.is_some() {
-                own[index] = values.to_vec();
-            }
-        });
-        let Some(owners) = owners else {
-            return model;
-        };
-        let all = owners.gathered(ranks, Receivers::All, &own);
         on_host(model, weights.as_mut(), |index, values| {
-            values.copy_from_slice(&all[index]);
+            change(index, values, &mut moments[index], &mut averages[index]);
         })
     }
+}
+
+/// Elements of each parameter; none of a frozen one.
+fn trained_lengths<M: Module>(model: &M) -> Vec<usize> {
+    let infos = parameters::infos(model).into_iter();
+    let trained = infos.zip(parameters::trainable(model));
+    let lengths = trained.map(|(info, trained)| if trained { info.len() } else { 0 });
+    lengths.collect()
 }
 
 /// Changes the parameters that are not frozen in main memory: in place, or in the copy of them there.

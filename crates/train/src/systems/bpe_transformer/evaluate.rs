@@ -1,6 +1,5 @@
 //! The evaluation of composed motion: of the texts and lengths of held-out clips, several in a row.
 
-use std::ops::ControlFlow;
 use std::sync::Arc;
 
 use kinegrad_data::humanml::Clip;
@@ -21,6 +20,7 @@ use crate::error::Error;
 use crate::evaluation::{Column, Evaluate, Evaluated, EvaluationRequest, Group, Number, OnStep};
 use crate::memory::must_fit;
 use crate::sampling::Subject;
+use crate::together::Together;
 
 /// Results of an evaluation of compositions.
 #[derive(Clone, Debug, Serialize)]
@@ -65,6 +65,7 @@ pub(super) fn prepare<'a>(
         &data,
         &subject.checkpoint,
         "texts and lengths are those of held-out clips",
+        &request.together,
     )?;
     let held_out = dataset.validation.evenly(dataset.validation.len())?;
     must_know_texts(&subject.config, &held_out)?;
@@ -76,11 +77,13 @@ pub(super) fn prepare<'a>(
         networks.of_sampling(1, false, subject.on_host),
         "compose fewer texts: `evaluation.texts`",
     )?;
-    let seed = request.seed;
+    let (seed, together) = (request.seed, request.together.clone());
     let most = data.target_frames;
     Ok(Box::new(move |on_step| {
         let composer = Composer::load(&subject.checkpoint, subject.weights, &subject.device)?;
-        let evaluation = evaluate(subject, &composer, &held_out, &asked, most, seed, on_step)?;
+        let evaluation = evaluate(
+            subject, &composer, &held_out, &asked, most, seed, &together, on_step,
+        )?;
         Ok(Evaluated {
             run: evaluation.run.clone(),
             report: "eval-compositions",
@@ -107,6 +110,7 @@ fn evaluate(
     asked: &ComposeEvaluationConfig,
     most: usize,
     seed: u64,
+    together: &Together,
     on_step: &mut OnStep<'_>,
 ) -> Result<ComposeEvaluation, Error> {
     let sampler = &subject.config.sampling.sampler;
@@ -117,23 +121,26 @@ fn evaluate(
         .integers(asked.compositions * asked.texts, held_out.len());
     let window = asked.transition_frames;
     let (mut motions, mut windows, mut segments) = (Vec::new(), Vec::new(), Vec::new());
-    for (number, chosen) in chosen.chunks(asked.texts).enumerate() {
+    let compositions = chosen.chunks(asked.texts).map(|chosen| {
         let lines = chosen.iter().map(|&clip| Line {
             text: ClipText::of(&held_out[clip]),
             frames: held_out[clip].features.frames().min(most),
         });
-        let lines: Vec<Line> = lines.collect();
-        let features = composer.compose(
-            &lines,
+        lines.collect()
+    });
+    let compositions: Vec<Vec<Line>> = compositions.collect();
+    let composed: Vec<Features> = together.each(compositions.len(), |number| {
+        let [before, count] = together.own_of(number, compositions.len());
+        composer.compose(
+            &compositions[number],
             sampler,
             asked,
             None,
             key.at(number as u64),
-            &mut |done, all| match on_step("", number * all + done, asked.compositions * all) {
-                ControlFlow::Continue(()) => ControlFlow::Continue(()),
-                ControlFlow::Break(()) => ControlFlow::Break(()),
-            },
-        )?;
+            &mut |done, all| on_step("", before * all + done, count * all),
+        )
+    })?;
+    for (lines, features) in compositions.iter().zip(composed) {
         let mut begin = 0;
         for (index, line) in lines.iter().enumerate() {
             let range = begin..begin + line.frames;
@@ -169,7 +176,11 @@ fn evaluate(
     let statistics = composer.statistics()?;
     let real_jerk = of_real.window_jerk();
     let paths = (asked.num_paths > 0)
-        .then(|| ways::evaluate(composer, held_out, asked, sampler, most, seed, on_step))
+        .then(|| {
+            ways::evaluate(
+                composer, held_out, asked, sampler, most, seed, together, on_step,
+            )
+        })
         .transpose()?;
     Ok(ComposeEvaluation {
         run: composer.config().run.name.clone(),

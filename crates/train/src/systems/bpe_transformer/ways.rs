@@ -1,7 +1,6 @@
 //! The evaluation of motion along paths: the ways of held-out clips are followed, for their captions and
 //! in their lengths.
 
-use std::ops::ControlFlow;
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -21,6 +20,7 @@ use crate::error::Error;
 use crate::evaluation::OnStep;
 use crate::path_target::{PathTarget, features_of, way};
 use crate::sampling::item_seed;
+use crate::together::Together;
 
 /// The shortest way that is followed, metres: who stays where he is follows none.
 const SHORTEST: f64 = 2.0;
@@ -125,6 +125,7 @@ pub(super) fn evaluate(
     sampler: &SamplerConfig,
     most: usize,
     seed: u64,
+    together: &Together,
     on_step: &mut OnStep<'_>,
 ) -> Result<WaysEvaluation, Error> {
     let humanml3d = &composer.config().data.humanml3d;
@@ -141,11 +142,10 @@ pub(super) fn evaluate(
         ));
     }
     let count = settings.num_paths.min(all.len());
-    let chosen = (0..count).map(|n| &all[n * all.len() / count]);
-    let (mut drawn, mut real) = (Measured::default(), Measured::default());
-    let mut seconds = 0.0;
-    for (number, clip) in chosen.enumerate() {
-        let begun = Instant::now();
+    let chosen: Vec<&Walked> = (0..count).map(|n| &all[n * all.len() / count]).collect();
+    let followed = together.each(count, |number| {
+        let [before, count] = together.own_of(number, count);
+        let (clip, begun) = (chosen[number], Instant::now());
         let line = Line {
             text: clip.text.clone(),
             frames: clip.joints.frames(),
@@ -157,16 +157,19 @@ pub(super) fn evaluate(
             settings,
             Some(target),
             Key::new(item_seed(seed, &clip.id), Purpose::Sampling),
-            &mut |done, steps| match on_step("paths", number * steps + done, count * steps) {
-                ControlFlow::Continue(()) => ControlFlow::Continue(()),
-                ControlFlow::Break(()) => ControlFlow::Break(()),
-            },
+            &mut |done, steps| on_step("paths", before * steps + done, count * steps),
         )?;
         let followed = finish(target, &features, &skeleton, &settings.path)?;
-        seconds += begun.elapsed().as_secs_f64();
+        let seconds = begun.elapsed().as_secs_f64();
+        Ok((followed.report, followed.joints, seconds))
+    })?;
+    let (mut drawn, mut real) = (Measured::default(), Measured::default());
+    let mut seconds = 0.0;
+    for (clip, (report, joints, taken)) in chosen.into_iter().zip(followed) {
+        seconds += taken;
         let root = humanml3d.root;
-        drawn.push(followed.report, &followed.joints, &skeleton, root)?;
-        let PathTarget { line, course, .. } = target;
+        drawn.push(report, &joints, &skeleton, root)?;
+        let PathTarget { line, course, .. } = &clip.target;
         let report = PathReport::of(&clip.joints, &skeleton, line, course)?;
         real.push(report, &clip.joints, &skeleton, root)?;
     }

@@ -1,6 +1,7 @@
 //! The base model and the decoder that recipe `e2e` trains first where `init.diffusion` is empty.
 
 use std::path::Path;
+use std::rc::Rc;
 
 use super::recipe_name::RecipeName;
 use super::{CcMotion, CcMotionConfig, InitConfig, PretrainConfig};
@@ -65,6 +66,7 @@ fn must_have_base(folder: &Path) -> Result<(), Error> {
 pub(super) fn run(
     config: &Config,
     folder: &Path,
+    together: &Rc<Together>,
     observer: &mut dyn Observer,
 ) -> Result<Result<InitConfig, Box<Outcome>>, Error> {
     let pretrain = tell(config, folder, observer)?;
@@ -84,7 +86,8 @@ pub(super) fn run(
         let stage = stage(config, name, recipe, &init, steps, rate)?;
         let run = folder.join(name);
         let begun = has_begun(&run)?;
-        let outcome = train_config(Systems(&[&CcMotion]), stage, folder, begun, observer)?;
+        let systems = Systems(&[&CcMotion]);
+        let outcome = train_config(systems, stage, folder, begun, together, observer)?;
         if outcome.ending == Some(Ending::Interrupted) {
             return Ok(Err(Box::new(outcome)));
         }
@@ -94,21 +97,6 @@ pub(super) fn run(
         }
     }
     Ok(Ok(init))
-}
-
-/// Rejects to train both by several ranks.
-///
-/// # Errors
-/// [`Error::Usage`].
-pub(super) fn must_be_alone(together: &Together) -> Result<(), Error> {
-    match together.ranks().size() {
-        1 => Ok(()),
-        size => Err(Error::usage(
-            format!("`init.diffusion` is empty, and {size} ranks train"),
-            "train the base model and the decoder in runs of their own, and name them in \
-             `init.diffusion` and `init.decoder`",
-        )),
-    }
 }
 
 /// Says that both are trained first, and how long.

@@ -1,6 +1,7 @@
 //! Selecting the best step by metrics of samples (`validation.select_by`).
 
 use std::ops::ControlFlow;
+use std::rc::Rc;
 use std::sync::Arc;
 
 use burn::tensor::Device;
@@ -16,6 +17,7 @@ use crate::checkpoint::State;
 use crate::config::SelectBy;
 use crate::error::Error;
 use crate::recipe::{Loss, Measured, Recipe, Score, StepKey};
+use crate::together::Together;
 
 /// Seed of the samples, the same at each validation and in all runs, so that only weights differ.
 const SEED: u64 = 0;
@@ -45,6 +47,8 @@ pub(super) struct Selection {
     diffusion: GaussianDiffusion,
     /// What a checkpoint would say.
     state: State,
+    /// The processes that draw a part of the samples each.
+    together: Rc<Together>,
 }
 
 impl Selection {
@@ -57,6 +61,7 @@ impl Selection {
         held_out: &PhraseSet,
         diffusion: &GaussianDiffusion,
         state: State,
+        together: &Rc<Together>,
     ) -> Result<Option<Self>, Error> {
         let validation = &state.config.validation;
         let by = validation.select_by;
@@ -76,6 +81,7 @@ impl Selection {
             phrases: phrases.iter().map(|one| leading(one, longest)).collect(),
             diffusion: diffusion.clone(),
             state,
+            together: together.clone(),
         }))
     }
 
@@ -91,7 +97,14 @@ impl Selection {
             sampling: self.state.config.sampling.clone(),
         };
         let go_on = &mut |_, _| ControlFlow::Continue(());
-        let evaluation = evaluate(&generator, &self.phrases, &[], &settings, go_on)?;
+        let evaluation = evaluate(
+            &generator,
+            &self.phrases,
+            &[],
+            &settings,
+            &self.together,
+            go_on,
+        )?;
         Ok(score(self.by, &evaluation))
     }
 }

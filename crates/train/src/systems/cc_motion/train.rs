@@ -26,7 +26,8 @@ use crate::run::{Material, Outcome, Setup};
 pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome, Error> {
     let own = CcMotionConfig::of(&setup.config)?;
     let mut setup = setup.with_gradients(own.model.activation_checkpointing);
-    let dataset = Dataset::<Phrase>::open_with_progress(&setup.config.data, &*observer.reading())?;
+    let (together, reading) = (setup.together.clone(), observer.reading());
+    let dataset = Dataset::<Phrase>::open_among(&setup.config.data, &*reading, &*together)?;
     for warning in &dataset.warnings {
         observer.warning(warning);
     }
@@ -46,8 +47,7 @@ pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome
         true => {
             let mut init = own.init.clone();
             if pretrains {
-                pretrain::must_be_alone(&setup.together)?;
-                init = match pretrain::run(&config, &setup.folder, observer)? {
+                init = match pretrain::run(&config, &setup.folder, &together, observer)? {
                     Ok(trained) => trained,
                     Err(interrupted) => return Ok(*interrupted),
                 };
@@ -60,12 +60,14 @@ pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome
             Some(Starts::named(&init)?.ok_or_else(missing)?)
         }
     };
-    if let Some(starts) = &starts {
+    if let Some(starts) = &starts
+        && together.writes()
+    {
+        // Another dataset, read for a warning alone.
         leaks::warn(starts, &dataset, &config.data, observer)?;
     }
     let targets = targets(&config)?;
-    let reading = observer.reading();
-    let measured = |dataset: &Dataset<Phrase>| dataset.statistics_with_progress(&*reading);
+    let measured = |dataset: &Dataset<Phrase>| dataset.statistics_among(&*reading, &*together);
     let (statistics, network_statistics) = match (&setup.checkpoint, &starts) {
         (Some(checkpoint), _) => {
             let stored = checkpoint.state.statistics_of(&Phrases)?.clone();
@@ -101,7 +103,8 @@ pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome
             let differ =
                 !targets.are_stored_channels() || config.data.statistics != StatisticsOf::Phrases;
             let own = differ.then(|| {
-                let drawn = target_statistics(dataset.train.clone(), targets, &config.data);
+                let drawn =
+                    target_statistics(dataset.train.clone(), targets, &config.data, &*together);
                 Ok::<_, Error>(wide(targets, drawn?, &of_crops))
             });
             (
@@ -131,9 +134,9 @@ pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome
         progress: Progress::default(),
         checksums: Default::default(),
     };
-    let selection = Selection::new(&dataset.validation, &diffusion, state)?;
+    let selection = Selection::new(&dataset.validation, &diffusion, state, &together)?;
     let (material, held_out) = Material::new(dataset, statistics.clone(), &config, samples)?;
-    let held_out = held_out.among(&setup.together);
+    let held_out = held_out.among(&together);
     let material = Material {
         network_statistics,
         ..material

@@ -20,6 +20,7 @@ use crate::error::Error;
 use crate::evaluation::{Column, Evaluate, Evaluated, EvaluationRequest, Group, Number, OnStep};
 use crate::memory::must_fit;
 use crate::sampling::{Subject, item_seed};
+use crate::together::Together;
 
 /// Results of an evaluation of rollouts.
 #[derive(Clone, Debug, Serialize)]
@@ -67,6 +68,7 @@ pub(super) fn prepare<'a>(
         &data,
         &subject.checkpoint,
         "motions go on from held-out clips",
+        &request.together,
     )?;
     let mut remarks = Vec::new();
     let begin = beginning(own.pose.history_frames + 1);
@@ -108,10 +110,12 @@ pub(super) fn prepare<'a>(
     let numbers = held_out.len() as u64 * asked.frames as u64 * 3 * joints as u64;
     let hint = "fewer or shorter motions: `evaluation.rollouts`, `evaluation.frames`";
     must_fit("the evaluation", numbers * size_of::<f64>() as u64, hint)?;
-    let seed = request.seed;
+    let (seed, together) = (request.seed, request.together.clone());
     Ok(Box::new(move |on_step| {
         let generator = FlowGenerator::load(&subject.checkpoint, subject.weights, &subject.device)?;
-        let evaluation = evaluate(&generator, &held_out, asked, &sampler, seed, on_step)?;
+        let evaluation = evaluate(
+            &generator, &held_out, asked, &sampler, seed, &together, on_step,
+        )?;
         Ok(Evaluated {
             run: evaluation.run.clone(),
             report: "eval-rollouts",
@@ -137,6 +141,7 @@ fn evaluate(
     settings: RolloutEvaluationConfig,
     sampler: &FlowSamplerConfig,
     seed: u64,
+    together: &Together,
     on_step: &mut OnStep<'_>,
 ) -> Result<RolloutEvaluation, Error> {
     let skeleton = generator.space().skeleton.clone();
@@ -152,18 +157,25 @@ fn evaluate(
     } else {
         1
     };
-    let all = held_out.len() * settings.frames * told;
-    let (mut drawn, mut real) = (Vec::new(), Vec::new());
-    let mut pairs = [Vec::new(), Vec::new()];
-    let (mut evaluations, mut done) = (0, 0);
-    for (number, clip) in held_out.iter().enumerate() {
+    let begun = |clip: &Clip| {
         let joints = clip.features.joints();
         let history = part(&joints, begin - needed, begin);
-        let rest = part(&joints, begin, joints.frames());
+        (history, part(&joints, begin, joints.frames()))
+    };
+    let [_, own] = together.own_of(0, held_out.len());
+    let (all, mut done) = (own * settings.frames * told, 0);
+    // Of each clip the motions by what is said, and how many velocities the first asked for.
+    let rollouts = together.each(held_out.len(), |number| {
+        let clip = &held_out[number];
+        let (history, _) = begun(clip);
         let key = Key::new(item_seed(seed, &clip.id), Purpose::Sampling);
         let said = [Some(&texts[number]), other(number)];
+        let (mut motions, mut evaluations) = (Vec::new(), 0);
         for (which, text) in said.into_iter().enumerate().take(told) {
-            let Some(text) = text else { continue };
+            let Some(text) = text else {
+                motions.push(None);
+                continue;
+            };
             let frames = settings.frames;
             let mut rollout = generator.rollout(&history, frames, sampler, &settings, key)?;
             rollout.push_text(&generator.text(text.as_ref())?)?;
@@ -176,13 +188,27 @@ fn evaluate(
                     return Err(Error::Interrupted);
                 }
             }
+            motions.push(Some(places));
+            if which == 0 {
+                evaluations = rollout.evaluations();
+            }
+        }
+        Ok((motions, evaluations))
+    })?;
+    let (mut drawn, mut real) = (Vec::new(), Vec::new());
+    let mut pairs = [Vec::new(), Vec::new()];
+    let mut evaluations = 0;
+    for (clip, (motions, asked)) in held_out.iter().zip(rollouts) {
+        let (history, rest) = begun(clip);
+        evaluations += asked;
+        for (which, places) in motions.into_iter().enumerate() {
+            let Some(places) = places else { continue };
             let motion = Joints::new(places, skeleton.joints()).expect("whole frames");
             let both = rest.frames().min(motion.frames());
             if both >= RolloutReport::SHORTEST {
                 pairs[which].push((part(&motion, 0, both), part(&rest, 0, both)));
             }
             if which == 0 {
-                evaluations += rollout.evaluations();
                 drawn.push((bones(&skeleton, &history), motion));
             }
         }

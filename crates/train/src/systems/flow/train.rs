@@ -16,6 +16,7 @@ use crate::config::{Config, SystemTables};
 use crate::error::Error;
 use crate::observer::Observer;
 use crate::run::{Material, Outcome, Setup};
+use crate::together::Together;
 
 /// Statistics of features and poses.
 pub(super) type Both = [Statistics; 2];
@@ -25,18 +26,18 @@ pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome
     let own = FlowTables::of(&setup.config)?;
     let mut setup = setup.with_gradients(own.model.activation_checkpointing);
     let data = &setup.config.data;
-    let dataset = Dataset::<Clip>::open_with_progress(data, &*observer.reading())?;
+    let dataset = Dataset::<Clip>::open_among(data, &*observer.reading(), &*setup.together)?;
     for warning in &dataset.warnings {
         observer.warning(warning);
     }
     setup.same_dataset(dataset.digest)?;
-    let config = with_captions(setup.config.clone(), &dataset, observer)?;
+    let config = with_captions(setup.config.clone(), &dataset, &setup.together, observer)?;
     setup.config = config.clone();
     let skeleton = config.data.humanml3d.skeleton.skeleton();
     let space = PoseSpace::new(skeleton, &own.pose, config.data.target_frames);
     let [features, target] = match &setup.checkpoint {
         Some(checkpoint) => statistics_in(&checkpoint.state)?,
-        None => measured(&dataset, &space, observer)?,
+        None => measured(&dataset, &space, &setup.together, observer)?,
     };
     let model = model(&config, &setup.device)?;
     let text = TextInput::of(&config)?;
@@ -66,6 +67,7 @@ pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome
 fn measured(
     dataset: &Dataset<Clip>,
     space: &PoseSpace,
+    together: &Together,
     observer: &mut dyn Observer,
 ) -> Result<Both, Error> {
     let mut all: Option<[ChannelMoments; 2]> = None;
@@ -79,7 +81,7 @@ fn measured(
     let progress = observer.reading();
     dataset
         .train
-        .measure(|clip| space.moments(clip), take, &*progress)?;
+        .measure_among(|clip| space.moments(clip), take, &*progress, together)?;
     let [features, target] = all
         .expect("a dataset has training clips")
         .map(Statistics::standard);

@@ -24,6 +24,7 @@ use kinegrad_motion::goal::Goal;
 use kinegrad_motion::humanml::{Features, Root};
 use kinegrad_random::{Key, Purpose};
 use kinegrad_settings::{Refused, in_range, in_words, must_be_finite, must_be_tables, require};
+use serde::{Deserialize, Serialize};
 use toml::Table;
 
 use super::GmdConfig;
@@ -65,7 +66,7 @@ impl ClipRequest {
 }
 
 /// One clip.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Deserialize, Serialize)]
 pub struct GeneratedClip {
     /// Its features, absolute or relative as the run's are; none of a trajectory model.
     pub features: Option<Features>,

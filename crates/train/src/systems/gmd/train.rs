@@ -49,12 +49,12 @@ pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome
     let own = GmdConfig::of(&setup.config)?;
     let mut setup = setup.with_gradients(own.model.activation_checkpointing);
     let data = &setup.config.data;
-    let dataset = Dataset::<Clip>::open_with_progress(data, &*observer.reading())?;
+    let dataset = Dataset::<Clip>::open_among(data, &*observer.reading(), &*setup.together)?;
     for warning in &dataset.warnings {
         observer.warning(warning);
     }
     setup.same_dataset(dataset.digest)?;
-    let config = with_captions(setup.config.clone(), &dataset, observer)?;
+    let config = with_captions(setup.config.clone(), &dataset, &setup.together, observer)?;
     setup.config = config.clone();
     let start = match &setup.checkpoint {
         Some(_) => None,
@@ -63,7 +63,7 @@ pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome
     let statistics = match (&setup.checkpoint, &start) {
         (Some(checkpoint), _) => statistics_in(&checkpoint.state)?.clone(),
         (None, Some(start)) => statistics_in(&start.state()?)?.clone(),
-        (None, None) => dataset.statistics_with_progress(&*observer.reading())?,
+        (None, None) => dataset.statistics_among(&*observer.reading(), &*setup.together)?,
     };
     let channels = channels_of(&config)?;
     let model = match start {

@@ -31,6 +31,7 @@ pub(super) fn prepare<'a>(
         &data,
         &subject.checkpoint,
         "texts are matched with held-out clips",
+        &request.together,
     )?;
     let held_out = dataset.validation.load()?;
     let labels = labels_of(&data)?.unwrap_or_default();

@@ -19,7 +19,8 @@ pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome
     let own = TextMotionTables::of(&config)?;
     let setup = setup.with_gradients(own.model.activation_checkpointing);
     let words = Arc::new(word_vectors(&own.words)?);
-    let dataset = Dataset::<Clip>::open_with_progress(&config.data, &*observer.reading())?;
+    let dataset =
+        Dataset::<Clip>::open_among(&config.data, &*observer.reading(), &*setup.together)?;
     for warning in &dataset.warnings {
         observer.warning(warning);
     }
@@ -29,7 +30,7 @@ pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome
             let representation = config.data.humanml3d.representation();
             checkpoint.state.statistics_of(&representation)?.clone()
         }
-        None => dataset.statistics_with_progress(&*observer.reading())?,
+        None => dataset.statistics_among(&*observer.reading(), &*setup.together)?,
     };
     let model = encoders(&config, words.width(), &setup.device)?;
     let (representation, shared) = (dataset.representation.clone(), Arc::new(statistics.clone()));

@@ -27,6 +27,7 @@ use super::generate::{Generator, keys};
 use crate::config::SamplingConfig;
 use crate::error::Error;
 use crate::sampling::item_seed;
+use crate::together::Together;
 use measures::Reference;
 
 /// Settings of an evaluation.
@@ -65,8 +66,9 @@ pub struct Evaluation {
 
 /// Generates `settings.seeds` samples for each of the `held_out` phrases and compares them with
 /// the held-out and the `training` phrases. Sample k of a phrase depends on the seed, the
-/// phrase's id and k alone: the same as from `kinegrad sample`. `on_step` is called with the
-/// denoising steps done and in all.
+/// phrase's id and k alone: the same as from `kinegrad sample`. Each rank draws those of some phrases, and
+/// all of them find the same. `on_step` is called with the denoising steps that this one has done and does
+/// in all.
 ///
 /// # Errors
 /// If the sampler's settings cannot work.
@@ -75,26 +77,27 @@ pub fn evaluate(
     held_out: &[Arc<Phrase>],
     training: &[Arc<Phrase>],
     settings: &EvaluationSettings,
+    together: &Together,
     on_step: &mut dyn FnMut(usize, usize) -> ControlFlow<()>,
 ) -> Result<Evaluation, Error> {
-    let mut raw = Vec::with_capacity(held_out.len());
-    let mut processed = Vec::with_capacity(held_out.len());
-    for (index, phrase) in held_out.iter().enumerate() {
+    let samples = together.each(held_out.len(), |index| {
+        let phrase = &held_out[index];
+        let [before, count] = together.own_of(index, held_out.len());
         let (mut drawn, mut repaired) = (Vec::new(), Vec::new());
         let seed = item_seed(settings.seed, &phrase.id);
         generator.sample_each(
             repeat_n(condition(phrase, settings), settings.seeds).zip(keys(seed, settings.seeds)),
             &settings.sampling,
-            &mut |step, total| on_step(index * total + step, held_out.len() * total),
+            &mut |step, total| on_step(before * total + step, count * total),
             &mut |sample| {
                 drawn.push(sample.raw);
                 repaired.push(sample.motion);
                 Ok(())
             },
         )?;
-        raw.push(drawn);
-        processed.push(repaired);
-    }
+        Ok((drawn, repaired))
+    })?;
+    let (raw, processed): (Vec<Vec<Motion>>, Vec<Vec<Motion>>) = samples.into_iter().unzip();
     let real: Vec<Vec<Motion>> = held_out
         .iter()
         .map(|phrase| vec![phrase.motion.clone()])

@@ -1,6 +1,7 @@
 //! The evaluation of a trained model on its held-out phrases.
 
 use std::collections::BTreeSet;
+use std::ops::ControlFlow;
 use std::sync::Arc;
 
 use kinegrad_data::{DataKind, Dataset, Phrase, PhraseSet, Songs};
@@ -44,7 +45,8 @@ pub fn prepare<'a>(
         data.kind = DataKind::Phrases;
         data.source = Some(source.clone());
     }
-    let dataset = Dataset::<Phrase>::open(&data)?;
+    let unheard = |_, _| ControlFlow::Continue(());
+    let dataset = Dataset::<Phrase>::open_among(&data, &unheard, &*request.together)?;
     if dataset.validation.is_empty() {
         let message = format!(
             "no phrase is held out for {}: all {} are trained on",
@@ -74,6 +76,7 @@ pub fn prepare<'a>(
     for frames in lengths {
         generate::must_fit(subject, wanted.seeds, frames, hint)?;
     }
+    let together = request.together.clone();
     let settings = EvaluationSettings {
         seeds: wanted.seeds,
         seed: request.seed,
@@ -90,7 +93,9 @@ pub fn prepare<'a>(
     Ok(Box::new(move |on_step| {
         let generator = Generator::load(&subject.checkpoint, subject.weights, &subject.device)?;
         let mut told = |done, all| on_step("", done, all);
-        let evaluation = evaluate(&generator, &held_out, &training, &settings, &mut told)?;
+        let evaluation = evaluate(
+            &generator, &held_out, &training, &settings, &together, &mut told,
+        )?;
         let mut evaluated = evaluated(&evaluation);
         if generator.statistics().movement.is_empty() {
             evaluated.remarks.push(format!(
@@ -150,6 +155,7 @@ fn listening<'a>(
         guidance_scales: wanted.guidance_scales.clone(),
         sampling: subject.config.sampling.clone(),
     };
+    let together = request.together.clone();
     let real = train.load()?;
     let training = listened(real.clone());
     Ok(Box::new(move |on_step| {
@@ -159,7 +165,7 @@ fn listening<'a>(
             training: &training,
             real: &real,
         };
-        let found = listening::listen(&generator, &stage, &settings, on_step)?;
+        let found = listening::listen(&generator, &stage, &settings, &together, on_step)?;
         let mut evaluated = listening::evaluated(&found);
         evaluated.remarks = remarks(&found, &held_out, all);
         Ok(evaluated)

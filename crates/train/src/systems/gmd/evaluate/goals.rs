@@ -21,6 +21,7 @@ use crate::sampling::item_seed;
 use crate::systems::gmd::generate::keys;
 use crate::systems::gmd::{ClipGenerator, ClipRequest, GeneratedClip};
 use crate::systems::text_motion::{TextMotion, TextMotionReports};
+use crate::together::Together;
 
 /// Pairs of samples whose distance the diversity is the mean of.
 const DIVERSITY_PAIRS: usize = 200;
@@ -92,7 +93,7 @@ struct Replication {
 
 /// Generates one clip for each of the `held_out` and computes their metrics, in every replication.
 /// The sample of a clip depends on the seed, its id and, with goals, on the batch that it is drawn
-/// in.
+/// in. Ranks draw some batches each, and all of them find the same.
 ///
 /// # Errors
 /// As [`ClipGenerator::sample`].
@@ -102,6 +103,7 @@ pub fn evaluate_goals(
     held_out: &[Arc<Clip>],
     settings: &GoalSettings,
     evaluator: Option<&TextMotion>,
+    together: &Together,
     on_step: &mut OnStep<'_>,
 ) -> Result<GoalEvaluation, Error> {
     let count = settings.replications;
@@ -115,6 +117,7 @@ pub fn evaluate_goals(
             settings,
             seed,
             evaluator,
+            together,
             &mut |stage, done, all| on_step(stage, number * all + done, count * all),
         )?);
     }
@@ -155,6 +158,7 @@ fn replicate(
     settings: &GoalSettings,
     seed: u64,
     evaluator: Option<&TextMotion>,
+    together: &Together,
     on_step: &mut OnStep<'_>,
 ) -> Result<Replication, Error> {
     let task = &settings.task;
@@ -172,20 +176,22 @@ fn replicate(
             repeat_n(request, repeats).zip(keys(item_seed(seed, &clip.id), repeats))
         });
         let (requests, noise): (Vec<_>, Vec<_>) = all.unzip();
-        let batches = requests.chunks(settings.batch_size);
-        let count = batches.len();
-        let mut samples = Vec::with_capacity(requests.len());
-        for (batch, (requests, noise)) in batches.zip(noise.chunks(settings.batch_size)).enumerate()
-        {
-            samples.extend(generator.sample_keyed(
+        let batches: Vec<_> = requests
+            .chunks(settings.batch_size)
+            .zip(noise.chunks(settings.batch_size))
+            .collect();
+        let samples = together.each(batches.len(), |batch| {
+            let [before, count] = together.own_of(batch, batches.len());
+            let (requests, noise) = batches[batch];
+            generator.sample_keyed(
                 trajectory,
                 requests,
                 &settings.sampling,
                 noise,
-                &mut |stage, done, all| on_step(stage, batch * all + done, count * all),
-            )?);
-        }
-        Ok::<_, Error>(samples)
+                &mut |stage, done, all| on_step(stage, before * all + done, count * all),
+            )
+        })?;
+        Ok::<_, Error>(samples.concat())
     };
     let samples = draw(&clips, 1, on_step)?;
     // Evenly from all: clips beside each other are of one kind.

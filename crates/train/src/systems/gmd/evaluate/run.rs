@@ -46,6 +46,7 @@ pub fn prepare<'a>(
         &data,
         &subject.checkpoint,
         "goals are taken from held-out clips",
+        &request.together,
     )?;
     let wanted = asked.goals;
     let held_out = dataset.validation.evenly(wanted)?;
@@ -60,15 +61,15 @@ pub fn prepare<'a>(
     must_know_texts(&subject.config, &held_out)?;
     let frames = drawn_frames(&subject.config, data.target_frames);
     let repeated = asked.variety_clips.min(held_out.len()) * asked.variety_repeats;
-    let together = asked.batch_size.min(held_out.len().max(repeated));
+    let at_once = asked.batch_size.min(held_out.len().max(repeated));
     let networks = footprint(&subject.config, frames)?;
-    let needed = networks.of_sampling(together, true, subject.on_host);
+    let needed = networks.of_sampling(at_once, true, subject.on_host);
     let hint = "draw for fewer goals together: `evaluation.batch_size`";
     must_fit("the evaluation", needed, hint)?;
     if let Some(path) = &request.trajectory {
         must_draw_paths(path)?;
     }
-    let trajectory = request.trajectory.clone();
+    let (trajectory, together) = (request.trajectory.clone(), request.together.clone());
     let run = &asked.evaluator.run;
     let evaluator = match run.as_os_str().is_empty() {
         false => {
@@ -122,6 +123,7 @@ pub fn prepare<'a>(
             &held_out,
             &settings,
             evaluator.as_ref(),
+            &together,
             on_step,
         )?;
         if let Some(reports) = &evaluation.text_motion {

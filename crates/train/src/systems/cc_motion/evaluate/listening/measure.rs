@@ -5,14 +5,14 @@ use kinegrad_motion::metrics::{
 };
 use kinegrad_motion::{FPS, Motion};
 use kinegrad_random::{Key, Purpose};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::Heard;
 use super::phrases::{Listened, bars};
 
 /// How the samples of a phrase with one condition fall in with the music: means over the samples.
 /// Phases are compared in cycles, 0 to 0.5; NaN where a sample's is not finite.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
 pub struct Score {
     /// Distance of the beat phase from that of the phrase's own music, beats.
     pub beat_phase_error: f64,

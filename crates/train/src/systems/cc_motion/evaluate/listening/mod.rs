@@ -28,6 +28,7 @@ use crate::config::SamplingConfig;
 use crate::error::Error;
 use crate::sampling::item_seed;
 use crate::systems::cc_motion::generate::{Generator, keys};
+use crate::together::Together;
 use conditions::{Music, exchanged};
 use means::conditions_of;
 use measure::Dancing;
@@ -87,7 +88,8 @@ pub(super) struct Stage<'a> {
 
 /// Measures how a model listens. All conditions of a phrase share their noise, in the loss and in
 /// the samples, so that what differs is what was heard; sample k of a phrase with its own music is
-/// that of `kinegrad sample`, unless the phrase was cut. `on_step` is called with what is done, and with steps done and in all.
+/// that of `kinegrad sample`, unless the phrase was cut. Ranks measure some phrases each. `on_step` is called
+/// with what is done, and with steps done and in all.
 ///
 /// # Errors
 /// If the sampler's settings cannot work, and [`Error::Interrupted`] after `Break`.
@@ -95,23 +97,28 @@ pub(super) fn listen(
     generator: &Generator,
     stage: &Stage<'_>,
     settings: &ListeningSettings,
+    together: &Together,
     on_step: &mut dyn FnMut(&'static str, usize, usize) -> ControlFlow<()>,
 ) -> Result<Listening, Error> {
     let held_out = stage.held_out;
     let others = exchanged(held_out, stage.training);
     let dancing: Vec<Dancing<'_>> = held_out.iter().map(Dancing::to).collect();
     let mut measured: Vec<MeasuredPhrase> = held_out.iter().map(MeasuredPhrase::new).collect();
-    let mut losses = Vec::with_capacity(held_out.len());
-    for (index, listened) in held_out.iter().enumerate() {
+    let losses = together.each(held_out.len(), |index| {
+        let [before, count] = together.own_of(index, held_out.len());
+        let listened = &held_out[index];
         let music = all_music(listened, settings.seed, others);
         let of_each = music
             .iter()
             .map(|(_, music)| loss::loss(generator, &listened.phrase, &music.audio));
-        losses.push(of_each.collect::<Vec<f64>>());
-        measured[index].tracked_beat_error = tracked::beat_error(generator, listened);
-        go_on(on_step("loss", index + 1, held_out.len()))?;
-    }
-    for (index, listened) in held_out.iter().enumerate() {
+        let of_each = of_each.collect::<Vec<f64>>();
+        let tracked = tracked::beat_error(generator, listened);
+        go_on(on_step("loss", before + 1, count))?;
+        Ok((of_each, tracked))
+    })?;
+    let scores: Vec<Vec<Score>> = together.each(held_out.len(), |index| {
+        let [before, count] = together.own_of(index, held_out.len());
+        let listened = &held_out[index];
         let music = all_music(listened, settings.seed, others);
         let heard: Vec<_> = music.iter().map(|(_, music)| &music.audio).collect();
         let samples = draw(
@@ -120,18 +127,24 @@ pub(super) fn listen(
             &heard,
             settings,
             &settings.sampling,
-            &mut |done, all| on_step("samples", index * all + done, held_out.len() * all),
+            &mut |done, all| on_step("samples", before * all + done, count * all),
         )?;
-        let samples = samples.chunks(settings.seeds);
-        for (((heard, music), samples), &loss) in music.iter().zip(samples).zip(&losses[index]) {
-            measured[index].conditions.push(MeasuredCondition {
-                heard: *heard,
-                loss,
-                score: dancing[index].score(samples, music.bars.as_ref(), settings.seed),
-            });
+        let of_each = music.iter().zip(samples.chunks(settings.seeds));
+        let scores = of_each.map(|((_, music), samples)| {
+            dancing[index].score(samples, music.bars.as_ref(), settings.seed)
+        });
+        Ok(scores.collect())
+    })?;
+    for (index, ((losses, tracked), scores)) in losses.into_iter().zip(scores).enumerate() {
+        measured[index].tracked_beat_error = tracked;
+        let music = all_music(&held_out[index], settings.seed, others);
+        for (((heard, _), loss), score) in music.into_iter().zip(losses).zip(scores) {
+            measured[index]
+                .conditions
+                .push(MeasuredCondition { heard, loss, score });
         }
     }
-    let guidance = sweep(generator, stage, &dancing, settings, on_step)?;
+    let guidance = sweep(generator, stage, &dancing, settings, together, on_step)?;
     let real = held_out.iter().zip(&dancing).map(|(listened, dancing)| {
         let motion = std::slice::from_ref(&listened.phrase.motion);
         (
@@ -165,30 +178,32 @@ fn sweep(
     stage: &Stage<'_>,
     dancing: &[Dancing<'_>],
     settings: &ListeningSettings,
+    together: &Together,
     on_step: &mut dyn FnMut(&'static str, usize, usize) -> ControlFlow<()>,
 ) -> Result<Vec<AtScale>, Error> {
     let (held_out, scales) = (stage.held_out, &settings.guidance_scales);
     let phrases: Vec<Arc<Phrase>> = held_out.iter().map(|one| one.phrase.clone()).collect();
     let reference = Reference::new(&phrases, stage.real, generator.statistics());
-    let all_phrases = scales.len() * held_out.len();
     let mut guidance = Vec::with_capacity(scales.len());
     for (place, &guidance_scale) in scales.iter().enumerate() {
         let mut sampling = settings.sampling.clone();
         sampling.sampler.guidance_scale = guidance_scale;
-        let (mut motions, mut scores) = (Vec::new(), Vec::new());
-        for (index, listened) in held_out.iter().enumerate() {
-            let before = place * held_out.len() + index;
+        let drawn = together.each(held_out.len(), |index| {
+            let [before, count] = together.own_of(index, held_out.len());
+            let (before, count) = (place * count + before, scales.len() * count);
+            let listened = &held_out[index];
             let samples = draw(
                 generator,
                 listened,
                 &[&listened.phrase.audio],
                 settings,
                 &sampling,
-                &mut |done, all| on_step("guidance", before * all + done, all_phrases * all),
+                &mut |done, all| on_step("guidance", before * all + done, count * all),
             )?;
-            scores.push(dancing[index].score(&samples, None, settings.seed));
-            motions.push(samples);
-        }
+            let score = dancing[index].score(&samples, None, settings.seed);
+            Ok((samples, score))
+        })?;
+        let (motions, scores): (Vec<Vec<Motion>>, Vec<Score>) = drawn.into_iter().unzip();
         let songs = held_out.iter().map(|one| one.song.as_str());
         guidance.push(AtScale::new(
             guidance_scale,

@@ -3,6 +3,8 @@
 //! Whatever one rank alone may meet (a signal, a file that is bad, a full disk, a number that is none) is
 //! said to all before the next thing that they do together, so that none waits for one that has gone.
 
+mod sharing;
+
 use std::cell::Cell;
 use std::rc::Rc;
 
@@ -22,14 +24,14 @@ enum Status {
 }
 
 /// What a rank has and what all ranks say, in their order; none where one of them stops.
-pub type Agreed<T> = Option<(T, Vec<Vec<f64>>)>;
+pub type Agreed<T, S = Vec<f64>> = Option<(T, Vec<S>)>;
 
 /// The ranks of a run.
 #[derive(Debug)]
 pub struct Together {
     ranks: Rc<dyn Ranks>,
-    /// Whether they have agreed on anything yet.
-    agreed: Cell<bool>,
+    /// Whether all ranks know that one of them has failed.
+    knows: Cell<bool>,
     /// See [`keeps_what_is_learned`](Self::keeps_what_is_learned).
     keeps: Cell<bool>,
 }
@@ -45,19 +47,30 @@ pub(crate) enum About {
     End = 6,
 }
 
+impl Default for Together {
+    /// A process by itself.
+    fn default() -> Self {
+        Self::of(Rc::new(Alone))
+    }
+}
+
 impl Together {
     /// The ranks of a run that has not begun.
     pub fn new(ranks: Rc<dyn Ranks>) -> Rc<Self> {
-        Rc::new(Self {
+        Rc::new(Self::of(ranks))
+    }
+
+    fn of(ranks: Rc<dyn Ranks>) -> Self {
+        Self {
             ranks,
-            agreed: Cell::new(false),
+            knows: Cell::new(false),
             keeps: Cell::new(false),
-        })
+        }
     }
 
     /// A process by itself.
     pub fn alone() -> Rc<Self> {
-        Self::new(Rc::new(Alone))
+        Rc::default()
     }
 
     /// The ranks.
@@ -68,11 +81,6 @@ impl Together {
     /// Whether this process writes what there is to write.
     pub fn writes(&self) -> bool {
         self.ranks.is_first()
-    }
-
-    /// Whether the ranks have agreed on anything yet: what fails before has still to be said.
-    pub fn has_agreed(&self) -> bool {
-        self.agreed.get()
     }
 
     /// What every rank says about one thing, in the order of ranks. Collective.
@@ -102,20 +110,34 @@ impl Together {
         own: Result<Option<T>, Error>,
         said: &[f64],
     ) -> Result<Agreed<T>, Error> {
-        self.agreed.set(true);
+        let bytes = || said.iter().flat_map(|value| value.to_le_bytes()).collect();
+        let agreed = self.verdict(own.map(|own| own.map(|own| (own, bytes()))))?;
+        let values = |message: &Vec<u8>| {
+            let (values, _) = message.as_chunks::<8>();
+            let values = values.iter().map(|value| f64::from_le_bytes(*value));
+            values.collect()
+        };
+        Ok(agreed.map(|(own, said)| (own, said.iter().map(values).collect())))
+    }
+
+    /// [`agree`](Self::agree), each rank saying some bytes with what it has.
+    fn verdict<T>(
+        &self,
+        own: Result<Option<(T, Vec<u8>)>, Error>,
+    ) -> Result<Agreed<T, Vec<u8>>, Error> {
         if self.ranks.size() == 1 {
             self.keeps.set(matches!(own, Err(Error::Data(_))));
-            return own.map(|own| own.map(|own| (own, vec![said.to_vec()])));
+            return own.map(|own| own.map(|(own, said)| (own, vec![said])));
         }
-        let (status, code) = match &own {
-            Ok(Some(_)) => (Status::Goes, 0),
-            Ok(None) => (Status::Stops, 130),
-            Err(error @ Error::Data(_)) => (Status::FailedData, error.exit_code()),
-            Err(error) => (Status::Failed, error.exit_code()),
+        let (status, code, said) = match &own {
+            Ok(Some((_, said))) => (Status::Goes, 0, said.as_slice()),
+            Ok(None) => (Status::Stops, 130, &[][..]),
+            Err(error @ Error::Data(_)) => (Status::FailedData, error.exit_code(), &[][..]),
+            Err(error) => (Status::Failed, error.exit_code(), &[][..]),
         };
         let mut message = vec![status as u8, code];
-        message.extend(said.iter().flat_map(|value| value.to_le_bytes()));
-        let all = self.gather(About::Outcome, &message);
+        message.extend(said);
+        let mut all = self.gather(About::Outcome, &message);
         let is = |message: &Vec<u8>, status: Status| message[0] == status as u8;
         let failed =
             |message: &Vec<u8>| is(message, Status::Failed) || is(message, Status::FailedData);
@@ -124,6 +146,7 @@ impl Together {
         let by_data_alone = !all.iter().any(|message| is(message, Status::Failed));
         self.keeps.set(first.is_some() && by_data_alone);
         if let Some(rank) = first {
+            self.knows.set(true);
             let code = all[rank][1];
             return Err(match own {
                 Err(error) => error,
@@ -133,15 +156,10 @@ impl Together {
         if !all.iter().all(|message| is(message, Status::Goes)) {
             return Ok(None);
         }
-        let values = |message: &Vec<u8>| {
-            let (values, _) = message[2..].as_chunks::<8>();
-            values
-                .iter()
-                .map(|value| f64::from_le_bytes(*value))
-                .collect()
-        };
-        let said = all.iter().map(values).collect();
-        Ok(own?.map(|own| (own, said)))
+        for message in &mut all {
+            message.drain(..2);
+        }
+        Ok(own?.map(|(own, _)| (own, all)))
     }
 
     /// Whether what was learned before the error that [`agree`](Self::agree) has just returned is worth
@@ -150,11 +168,24 @@ impl Together {
         self.keeps.get()
     }
 
+    /// Rejects ranks of which one and the same work may come out differently. Collective.
+    ///
+    /// # Errors
+    /// As [`must_be_about_the_same`](Self::must_be_about_the_same).
+    pub fn must_compute_alike(&self) -> Result<(), Error> {
+        let threads = rayon::current_num_threads().to_string();
+        self.must_be_about_the_same(&[
+            ("version of the program", env!("CARGO_PKG_VERSION")),
+            ("number of threads", &threads),
+            ("value of KINEGRAD_KERNELS", crate::device::kernels()),
+        ])
+    }
+
     /// Rejects ranks that are not about to do the same. Collective.
     ///
     /// # Errors
     /// [`Error::Usage`] names the first of `what` that differs, by its name.
-    pub(crate) fn must_be_about_the_same(&self, what: &[(&str, &str)]) -> Result<(), Error> {
+    pub fn must_be_about_the_same(&self, what: &[(&str, &str)]) -> Result<(), Error> {
         if self.ranks.size() == 1 {
             return Ok(());
         }
@@ -182,6 +213,18 @@ impl Together {
         let all = self.gather(About::End, &message);
         let rank = all.iter().position(|said| said[0] == 1)?;
         Some((rank, all[rank][1]))
+    }
+
+    /// An outcome of work of which all ranks do their part: says to them what this one has met by itself,
+    /// between two things that ranks do together, unless they know. Collective where it has failed.
+    ///
+    /// # Errors
+    /// The error of `outcome`.
+    pub fn told<T>(&self, outcome: Result<T, Error>) -> Result<T, Error> {
+        match &outcome {
+            Err(_) if !self.knows.get() => self.done(outcome),
+            _ => outcome,
+        }
     }
 
     /// [`agree`](Self::agree) of what either is done or fails.

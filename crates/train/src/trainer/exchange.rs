@@ -1,0 +1,139 @@
+//! What ranks exchange in a step: gradients, and new weights where each rank keeps the optimiser's state
+//! of a part of the parameters.
+
+use std::ops::Range;
+
+use kinegrad_kernels::optimizer::{self, sum_of_squares};
+use kinegrad_ranks::{Ranks, Receivers};
+
+use super::owners::Owners;
+use crate::together::{About, Together};
+
+/// The gradients of all parameters that are trained, one behind the other, in memory that is kept from step
+/// to step: pages that are new each time cost more than the copy.
+#[derive(Debug)]
+pub(super) struct Exchange {
+    /// Where each parameter stands among all; an empty place for a frozen one.
+    places: Vec<Range<usize>>,
+    /// Elements that each rank adds up, one behind the other.
+    lengths: Vec<usize>,
+    /// The first that this rank adds up.
+    first: usize,
+    /// Whose parameters are whose, where ranks keep states of a part each: then each adds up those of its
+    /// own, and nobody has the others.
+    owners: Option<Owners>,
+    all: Vec<f32>,
+    own: Vec<f32>,
+}
+
+impl Exchange {
+    /// The exchange of parameters of these lengths, none of frozen ones: each rank adds up those that it
+    /// owns or, without owners, as many elements as any other.
+    pub fn new(ranks: &dyn Ranks, lengths: &[usize], owners: Option<Owners>) -> Self {
+        let mut places = vec![0..0; lengths.len()];
+        let mut end = 0;
+        let mut put = |index: usize| {
+            places[index] = end..end + lengths[index];
+            end += lengths[index];
+        };
+        let lengths = match &owners {
+            Some(owners) => {
+                (0..ranks.size()).for_each(|rank| owners.of_rank(rank).for_each(&mut put));
+                owners.loads()
+            }
+            None => {
+                (0..lengths.len()).for_each(&mut put);
+                let share = end.div_ceil(ranks.size());
+                let of = |rank: usize| end.saturating_sub(rank * share).min(share);
+                (0..ranks.size()).map(of).collect()
+            }
+        };
+        Self {
+            places,
+            first: lengths[..ranks.rank()].iter().sum(),
+            lengths,
+            owners,
+            all: Vec::new(),
+            own: Vec::new(),
+        }
+    }
+
+    /// The sums over ranks of `gradients`, by `divisor`. Collective.
+    pub fn sum(&mut self, ranks: &dyn Ranks, gradients: Vec<Vec<f32>>, divisor: f64) {
+        self.all.resize(self.lengths.iter().sum(), 0.0);
+        for (gradient, place) in gradients.into_iter().zip(&self.places) {
+            if !place.is_empty() {
+                self.all[place.clone()].copy_from_slice(&gradient);
+            }
+        }
+        ranks.scatter_sums(&self.all, &self.lengths, &mut self.own);
+        optimizer::divide(&mut self.own, divisor);
+        if self.owners.is_none() {
+            self.gather(ranks);
+        }
+    }
+
+    /// Puts what each rank has into the place of all. Collective.
+    fn gather(&mut self, ranks: &dyn Ranks) {
+        ranks.gather_into(&self.own, &self.lengths, Receivers::All, &mut self.all);
+    }
+
+    /// Whether this rank changes parameter `index`.
+    pub fn has(&self, index: usize) -> bool {
+        self.owners.as_ref().is_none_or(|owners| owners.has(index))
+    }
+
+    /// The gradient of a parameter that this rank changes.
+    pub fn gradient(&self, index: usize) -> &[f32] {
+        let place = self.places[index].clone();
+        match &self.owners {
+            None => &self.all[place],
+            Some(_) => &self.own[place.start - self.first..place.end - self.first],
+        }
+    }
+
+    /// The sum of the squares of each parameter's gradient. Collective.
+    pub fn squares(&self, together: &Together) -> Vec<f64> {
+        let mut squares = vec![0.0; self.places.len()];
+        let own =
+            (0..squares.len()).filter(|&index| self.has(index) && !self.places[index].is_empty());
+        for index in own {
+            squares[index] = sum_of_squares(self.gradient(index));
+        }
+        let Some(owners) = &self.owners else {
+            return squares;
+        };
+        let own = owners.of_rank(together.ranks().rank());
+        let said: Vec<u8> = own.flat_map(|index| squares[index].to_le_bytes()).collect();
+        for (rank, said) in together.gather(About::Squares, &said).iter().enumerate() {
+            let (numbers, _) = said.as_chunks::<8>();
+            for (index, number) in owners.of_rank(rank).zip(numbers) {
+                squares[index] = f64::from_le_bytes(*number);
+            }
+        }
+        squares
+    }
+
+    /// Puts the new weights of a parameter that this rank has changed in the place of its gradient.
+    pub fn put(&mut self, index: usize, weights: &[f32]) {
+        if self.owners.is_some() {
+            let place = self.places[index].clone();
+            self.own[place.start - self.first..place.end - self.first].copy_from_slice(weights);
+        }
+    }
+
+    /// Gathers the new weights, if ranks change some each; whether they do. Collective.
+    pub fn gather_weights(&mut self, ranks: &dyn Ranks) -> bool {
+        let shares = self.owners.is_some();
+        if shares {
+            self.gather(ranks);
+        }
+        shares
+    }
+
+    /// The gathered weights of a parameter that another rank has changed.
+    pub fn weights_of_other(&self, index: usize) -> Option<&[f32]> {
+        let place = self.places[index].clone();
+        (!self.has(index)).then(|| &self.all[place])
+    }
+}
