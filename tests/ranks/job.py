@@ -59,18 +59,15 @@ class Folder:
         """A job that must fail; its exit code and what it says."""
         return self.must_fail(self.start(ranks, arguments, **environment))
 
-    def fails_apart(self, first, second, threads=1):
-        """A job of two ranks with arguments of their own, which must fail; the second with so many
-        threads."""
-        one = [BINARY, *first.split()]
-        other = ["env", f"RAYON_NUM_THREADS={threads}", BINARY, *second.split()]
-        command = [*LAUNCHER, "-n", "1", *one, ":", "-n", "1", *other]
-        return self.must_fail(self.launch(command, {}))
+    def fails_apart(self, first, second, **environment):
+        """A job of two ranks with arguments of their own, which must fail."""
+        return self.must_fail(self.start_apart(first, second, **environment))
 
-    def start_apart(self, arguments, **second):
-        """A job of two ranks that do the same, the second with an environment of its own."""
-        one = [BINARY, *arguments.split()]
-        other = ["env", *(f"{name}={value}" for name, value in second.items()), *one]
+    def start_apart(self, first, second, **environment):
+        """A job of two ranks with arguments of their own, the second with such an environment."""
+        one = [BINARY, *first.split()]
+        variables = [f"{name}={value}" for name, value in environment.items()]
+        other = ["env", *variables, BINARY, *second.split()]
         return self.launch([*LAUNCHER, "-n", "1", *one, ":", "-n", "1", *other], {})
 
     def must_fail(self, job):

@@ -358,6 +358,33 @@ mod tests {
         assert_eq!(told.unwrap(), dataset.statistics().unwrap());
     }
 
+    /// The first of two ranks, of which the other lists something else.
+    struct Apart;
+
+    impl Sharing<Error> for Apart {
+        fn rank(&self) -> usize {
+            0
+        }
+
+        fn size(&self) -> usize {
+            2
+        }
+
+        fn exchange(&self, own: Result<Vec<u8>, Error>) -> Result<Vec<Vec<u8>>, Error> {
+            Ok(vec![own?, b"another listing".to_vec()])
+        }
+    }
+
+    #[test]
+    fn ranks_that_do_not_see_the_same_phrases_are_refused() {
+        let (_folder, config) = dataset(3);
+        let opened = Dataset::<Phrase>::open_among(&config, &unheard, &Apart);
+        let error = opened.unwrap_err();
+        assert!(matches!(error, Error::OtherListing { .. }), "{error}");
+        let expected = "rank 1 finds other phrases there than rank 0";
+        assert!(error.to_string().contains(expected), "{error}");
+    }
+
     #[test]
     fn missing_and_cut_off_files_are_bad_phrases() {
         let (folder, config) = dataset(3);

@@ -17,7 +17,7 @@ use std::ops::Range;
 #[cfg(feature = "mpi")]
 pub use self::mpi::Mpi;
 pub use sharing::{Sharing, from_bytes, shared, to_bytes};
-pub use tree::{add, pairwise, split};
+pub use tree::{add, pairwise, pairwise_with, split};
 
 /// A process among those that share memory with it, which have its cores and graphics cards to share too.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -65,9 +65,14 @@ pub trait Ranks: Debug {
     fn gather_into(&self, own: &[f32], lengths: &[usize], to: Receivers, values: &mut [f32]);
 
     /// Of what each rank gives for each, `lengths[r]` of `values` for rank r, one behind the other, and as many
-    /// from all: the sum of what is for this one, [pairwise] over the ranks, in the place of `own`: an order of
-    /// our own, where `MPI_Reduce_scatter` has any. Collective.
-    fn scatter_sums(&self, values: &[f32], lengths: &[usize], own: &mut Vec<f32>);
+    /// from all: puts the sum of what is for this one in the place of its own, [pairwise] over the ranks, an
+    /// order of our own, where `MPI_Reduce_scatter` has any. `received` is room that is kept from one call to
+    /// the next. Collective.
+    fn scatter_sums(&self, values: &mut [f32], lengths: &[usize], received: &mut Vec<f32>);
+
+    /// Puts what each rank has in its part of `values`, `lengths[r]` of rank r, one behind the other, there on
+    /// all of them. Collective.
+    fn gather_parts(&self, values: &mut [f32], lengths: &[usize]);
 
     /// Ends all ranks at once, after a panic: the others wait for something that does not come.
     fn abort(&self, code: i32) -> !;
@@ -110,10 +115,9 @@ impl Ranks for Alone {
         values.copy_from_slice(own);
     }
 
-    fn scatter_sums(&self, values: &[f32], _lengths: &[usize], own: &mut Vec<f32>) {
-        own.clear();
-        own.extend_from_slice(values);
-    }
+    fn scatter_sums(&self, _: &mut [f32], _: &[usize], _: &mut Vec<f32>) {}
+
+    fn gather_parts(&self, _: &mut [f32], _: &[usize]) {}
 
     fn abort(&self, code: i32) -> ! {
         std::process::exit(code)

@@ -2,14 +2,16 @@
 
 use std::fmt;
 
-use mpi::datatype::{Partition, PartitionMut};
+use mpi::datatype::PartitionMut;
 use mpi::environment::Universe;
 use mpi::topology::SimpleCommunicator;
-use mpi::traits::{Buffer, BufferMut, Communicator, CommunicatorCollectives, Equivalence, Root};
-use mpi::{Count, Threading};
+use mpi::traits::{
+    AsRaw, Buffer, BufferMut, Communicator, CommunicatorCollectives, Equivalence, Root,
+};
+use mpi::{Count, Threading, ffi};
 
 use crate::cores;
-use crate::{Local, Ranks, Receivers, pairwise};
+use crate::{Local, Ranks, Receivers, pairwise_with};
 
 /// The processes that `mpirun` or `srun` has started.
 pub struct Mpi {
@@ -85,6 +87,33 @@ impl Mpi {
     }
 }
 
+/// Values, how many of them go to or come from each rank, and where those begin.
+type Parts<'a, P> = (P, &'a [Count], &'a [Count]);
+
+impl Mpi {
+    /// Sends parts of values to each rank, and puts what each sends where it belongs; the two may lie in
+    /// one list, in parts that do not overlap. Collective.
+    fn all_to_all(&self, sent: Parts<'_, *const f32>, into: Parts<'_, *mut f32>) {
+        let floats = f32::equivalent_datatype().as_raw();
+        // SAFETY: all parts lie in lists that live as long as the call, and those received in ones that
+        // are the caller's alone; each rank sends as many as the other expects.
+        #[allow(unsafe_code)]
+        unsafe {
+            ffi::MPI_Alltoallv(
+                sent.0.cast(),
+                sent.1.as_ptr(),
+                sent.2.as_ptr(),
+                floats,
+                into.0.cast(),
+                into.1.as_ptr(),
+                into.2.as_ptr(),
+                floats,
+                self.world.as_raw(),
+            );
+        }
+    }
+}
+
 impl fmt::Debug for Mpi {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "rank {} of {}", self.rank(), self.size())
@@ -122,19 +151,34 @@ impl Ranks for Mpi {
         }
     }
 
-    fn scatter_sums(&self, values: &[f32], lengths: &[usize], own: &mut Vec<f32>) {
-        let (counts, starts) = places(lengths.iter().copied());
-        // As many from each rank as this one gives for itself.
-        let each = lengths[self.rank()];
-        let (received_counts, received_starts) = places(lengths.iter().map(|_| each));
-        own.resize(each * self.size(), 0.0);
-        let sent = Partition::new(values, &counts[..], &starts[..]);
-        let mut into = PartitionMut::new(&mut own[..], &received_counts[..], &received_starts[..]);
-        self.world.all_to_all_varcount_into(&sent, &mut into);
-        if each > 0 {
-            pairwise(own, each);
-        }
-        own.truncate(each);
+    fn scatter_sums(&self, values: &mut [f32], lengths: &[usize], received: &mut Vec<f32>) {
+        let (rank, size) = (self.rank(), self.size());
+        let each = lengths[rank];
+        // Nothing is sent to oneself: it is added where it is.
+        let but_own = |length: usize, of: usize| if of == rank { 0 } else { length };
+        received.resize(each * (size - 1), 0.0);
+        let (_, starts) = places(lengths.iter().copied());
+        let sent = (0..size).map(|of| but_own(lengths[of], of) as Count);
+        let from = places((0..size).map(|of| but_own(each, of)));
+        self.all_to_all(
+            (values.as_ptr(), &sent.collect::<Vec<_>>(), &starts),
+            (received.as_mut_ptr(), &from.0, &from.1),
+        );
+        let first = starts[rank] as usize;
+        pairwise_with(&mut values[first..first + each], rank, received);
+    }
+
+    fn gather_parts(&self, values: &mut [f32], lengths: &[usize]) {
+        let (rank, size) = (self.rank(), self.size());
+        let (mut into, starts) = places(lengths.iter().copied());
+        let each = std::mem::take(&mut into[rank]);
+        let sent = (0..size).map(|of| if of == rank { 0 } else { each });
+        let from_own = vec![starts[rank]; size];
+        let values = values.as_mut_ptr();
+        self.all_to_all(
+            (values, &sent.collect::<Vec<_>>(), &from_own),
+            (values, &into, &starts),
+        );
     }
 
     fn abort(&self, code: i32) -> ! {

@@ -35,6 +35,35 @@ pub fn pairwise(rows: &mut [f32], each: usize) {
     }
 }
 
+/// Adds rows as long as `own`, which stands in `place` among them, in the order of [`pairwise`]; the others lie
+/// one behind the other in `others`, of which nothing is left. The sum is in `own`.
+///
+/// # Panics
+/// Panics if `others` is not whole rows, or there is no such place among them.
+pub fn pairwise_with(own: &mut [f32], place: usize, others: &mut [f32]) {
+    let each = own.len();
+    if each == 0 {
+        return;
+    }
+    let count = others.len() / each + 1;
+    assert_eq!((count - 1) * each, others.len(), "whole rows");
+    assert!(place < count, "a place among the rows");
+    if count > 1 {
+        let [first, _] = split(count as u64).map(|rows| rows as usize);
+        if place < first {
+            let (left, right) = others.split_at_mut((first - 1) * each);
+            pairwise_with(own, place, left);
+            pairwise(right, each);
+            add(own, &right[..each]);
+        } else {
+            let (left, right) = others.split_at_mut(first * each);
+            pairwise(left, each);
+            pairwise_with(own, place - first, right);
+            add(own, &left[..each]);
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -67,6 +96,20 @@ mod tests {
             assert_eq!(summed(&terms(count)), expected);
         }
         assert_eq!(split(5), [3, 2]);
+    }
+
+    #[test]
+    fn a_row_of_its_own_is_added_in_its_place() {
+        for count in 1..=9 {
+            let all = terms(count);
+            for place in 0..count as usize {
+                let (mut own, mut others) = (all[place].clone(), all.clone());
+                others.remove(place);
+                pairwise_with(&mut own, place, &mut others.concat());
+                assert_eq!(own, summed(&all), "{place} of {count}");
+            }
+        }
+        pairwise_with(&mut [], 2, &mut []);
     }
 
     #[test]

@@ -24,8 +24,7 @@ pub enum Error {
     /// The weights of the ranks are no longer the same.
     #[error("after step {step}, rank {rank} has other weights than rank 0")]
     #[diagnostic(help(
-        "all ranks need the same build, the same kind of processor and as many threads \
-         (RAYON_NUM_THREADS); the last checkpoint is good"
+        "all ranks need the same build and the same kind of processor; the last checkpoint is good"
     ))]
     RanksDiffer {
         /// The step.

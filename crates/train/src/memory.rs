@@ -56,6 +56,12 @@ impl Footprint {
             .saturating_add(config.data.memory())
     }
 
+    /// Bytes of main memory that a rank takes beside those of [training](Self::of_training) for what it exchanges:
+    /// the gradients that it sends, and those that it receives.
+    pub fn of_exchange(self) -> u64 {
+        self.parameters.saturating_mul(2 * NUMBER)
+    }
+
     /// Bytes of main memory that it takes to draw `items` at a time, roughly; `guided` towards
     /// goals, which differentiates the network; `on_host` where the CPU draws.
     pub fn of_sampling(self, items: usize, guided: bool, on_host: bool) -> u64 {

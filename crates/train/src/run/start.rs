@@ -323,6 +323,10 @@ fn train_in(
     }
     let footprint = system.footprint(&config)?;
     let needed = footprint.of_training(&config, on_host);
+    let exchanged = match together.ranks().size() {
+        1 => 0,
+        _ => footprint.of_exchange(),
+    };
     let memory_of_samples = match config.sampling.count_at_end {
         0 => 0,
         count => footprint.of_sampling(count.min(SAMPLES_AT_ONCE), false, on_host),
@@ -330,7 +334,7 @@ fn train_in(
     let processes = together.ranks().local().size;
     memory::must_fit(
         "training",
-        needed * processes as u64,
+        (needed + exchanged).saturating_mul(processes as u64),
         "choose a smaller model (`model.*`), fewer `data.batch_size`, `validation.batch_size`, \
          `data.target_frames` or, with synthetic data, `data.synthetic.phrases`; `kinegrad config \
          show` prints the estimate",

@@ -9,6 +9,7 @@ use std::cell::Cell;
 use std::rc::Rc;
 
 use kinegrad_data::Digest;
+use kinegrad_kernels::Mode;
 use kinegrad_ranks::{Alone, Ranks};
 
 use crate::error::Error;
@@ -173,7 +174,11 @@ impl Together {
     /// # Errors
     /// As [`must_be_about_the_same`](Self::must_be_about_the_same).
     pub fn must_compute_alike(&self) -> Result<(), Error> {
-        let threads = rayon::current_num_threads().to_string();
+        // kinegrad's own kernels add in one order whatever the number of threads.
+        let threads = match Mode::from_environment() {
+            Ok(Mode::Composed) => rayon::current_num_threads().to_string(),
+            _ => String::new(),
+        };
         self.must_be_about_the_same(&[
             ("version of the program", env!("CARGO_PKG_VERSION")),
             ("number of threads", &threads),
@@ -197,8 +202,8 @@ impl Together {
             if let Some(rank) = all.iter().position(|said| said != &all[0]) {
                 return Err(Error::usage(
                     format!("rank {rank} has another {name} than rank 0"),
-                    "all ranks need the same program, command and RAYON_NUM_THREADS, and see the \
-                     same files: data, configs and checkpoints belong on a file system that they share",
+                    "all ranks need the same program, command and environment, and see the same files: \
+                     data, configs and checkpoints belong on a file system that they share",
                 ));
             }
         }

@@ -4,7 +4,7 @@
 use std::ops::Range;
 
 use kinegrad_kernels::optimizer::{self, sum_of_squares};
-use kinegrad_ranks::{Ranks, Receivers};
+use kinegrad_ranks::Ranks;
 
 use super::owners::Owners;
 use crate::together::{About, Together};
@@ -23,7 +23,8 @@ pub(super) struct Exchange {
     /// own, and nobody has the others.
     owners: Option<Owners>,
     all: Vec<f32>,
-    own: Vec<f32>,
+    /// What other ranks have sent.
+    received: Vec<f32>,
 }
 
 impl Exchange {
@@ -54,7 +55,7 @@ impl Exchange {
             lengths,
             owners,
             all: Vec::new(),
-            own: Vec::new(),
+            received: Vec::new(),
         }
     }
 
@@ -66,16 +67,12 @@ impl Exchange {
                 self.all[place.clone()].copy_from_slice(&gradient);
             }
         }
-        ranks.scatter_sums(&self.all, &self.lengths, &mut self.own);
-        optimizer::divide(&mut self.own, divisor);
+        ranks.scatter_sums(&mut self.all, &self.lengths, &mut self.received);
+        let own = self.first..self.first + self.lengths[ranks.rank()];
+        optimizer::divide(&mut self.all[own], divisor);
         if self.owners.is_none() {
-            self.gather(ranks);
+            ranks.gather_parts(&mut self.all, &self.lengths);
         }
-    }
-
-    /// Puts what each rank has into the place of all. Collective.
-    fn gather(&mut self, ranks: &dyn Ranks) {
-        ranks.gather_into(&self.own, &self.lengths, Receivers::All, &mut self.all);
     }
 
     /// Whether this rank changes parameter `index`.
@@ -85,11 +82,7 @@ impl Exchange {
 
     /// The gradient of a parameter that this rank changes.
     pub fn gradient(&self, index: usize) -> &[f32] {
-        let place = self.places[index].clone();
-        match &self.owners {
-            None => &self.all[place],
-            Some(_) => &self.own[place.start - self.first..place.end - self.first],
-        }
+        &self.all[self.places[index].clone()]
     }
 
     /// The sum of the squares of each parameter's gradient. Collective.
@@ -117,8 +110,7 @@ impl Exchange {
     /// Puts the new weights of a parameter that this rank has changed in the place of its gradient.
     pub fn put(&mut self, index: usize, weights: &[f32]) {
         if self.owners.is_some() {
-            let place = self.places[index].clone();
-            self.own[place.start - self.first..place.end - self.first].copy_from_slice(weights);
+            self.all[self.places[index].clone()].copy_from_slice(weights);
         }
     }
 
@@ -126,14 +118,13 @@ impl Exchange {
     pub fn gather_weights(&mut self, ranks: &dyn Ranks) -> bool {
         let shares = self.owners.is_some();
         if shares {
-            self.gather(ranks);
+            ranks.gather_parts(&mut self.all, &self.lengths);
         }
         shares
     }
 
     /// The gathered weights of a parameter that another rank has changed.
     pub fn weights_of_other(&self, index: usize) -> Option<&[f32]> {
-        let place = self.places[index].clone();
-        (!self.has(index)).then(|| &self.all[place])
+        (!self.has(index)).then(|| &self.all[self.places[index].clone()])
     }
 }
