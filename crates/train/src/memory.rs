@@ -42,7 +42,7 @@ impl Footprint {
     pub fn of_training(self, config: &Config, on_host: bool) -> u64 {
         // Weights, their average, two moments, and what is copied of them for a checkpoint; where
         // the CPU trains, gradients too.
-        let copies = if on_host { 7 } else { 6 };
+        let copies = if on_host { 6 } else { 5 };
         let parameters = self.parameters.saturating_mul(copies * NUMBER);
         let of_items = |items: usize, kept: u64| kept.saturating_mul(items as u64);
         let items = match on_host {

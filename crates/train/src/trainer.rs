@@ -8,6 +8,7 @@ mod owners;
 mod previews;
 pub(crate) mod restore;
 mod rows;
+mod saving;
 mod states;
 
 use std::path::PathBuf;
@@ -21,17 +22,18 @@ use kinegrad_models::parameters::{self, ParameterInfo};
 use kinegrad_motion::Statistics;
 use kinegrad_ranks::Receivers;
 
-use crate::checkpoint::{Checkpoint, CheckpointRef, Checkpoints, FORMAT, Progress, State};
+use crate::checkpoint::{Checkpoint, Checkpoints, Progress, Weights};
 use crate::config::Config;
 use crate::error::Error;
 use crate::observer::{Observer, StepReport};
-use crate::optim::{Moments, clip_factor, learning_rate, norm_of_squares};
+use crate::optim::{clip_factor, learning_rate, norm_of_squares};
 use crate::recipe::{Measured, Recipe};
 use crate::telemetry::{LoaderLog, Metrics, Record};
 use crate::together::Together;
 use accumulation::Averaged;
 use exchange::Exchange;
 use gradients::StepGradients;
+use saving::Saving;
 use states::States;
 
 /// How training ended.
@@ -427,62 +429,21 @@ impl<R: Recipe> Trainer<R> {
             None => Ok(()),
         };
         together.done(synced)?;
-        let ranks = together.ranks();
-        let to = Receivers::First;
-        let (ema, moments) = (
-            self.states.averages(ranks, to),
-            self.states.moments(ranks, to),
-        );
-        let saved = match together.writes() {
-            true => self.write_checkpoint(&weights, &ema, &moments),
-            false => Ok(()),
-        };
-        together.done(saved)?;
+        let mut saving = Saving::begin(self);
+        saving.put(|writing| writing.weights(Weights::Model, &weights));
+        drop(weights);
+        // The first rank gathers one part after the other, whether it could write those before or not.
+        let (ranks, to) = (together.ranks(), Receivers::First);
+        let averages = self.states.averages(ranks, to);
+        saving.put(|writing| writing.weights(Weights::Ema, &averages));
+        drop(averages);
+        let moments = self.states.moments(ranks, to);
+        saving.put(|writing| writing.moments(&moments));
+        drop(moments);
+        together.done(saving.finish())?;
         let path = self.checkpoints.step_path(self.step);
         observer.saved(&path);
         self.last_saved = Some(path);
-        Ok(())
-    }
-
-    fn write_checkpoint(
-        &self,
-        weights: &[Vec<f32>],
-        ema: &[Vec<f32>],
-        moments: &[Moments],
-    ) -> Result<(), Error> {
-        let state = State {
-            format: FORMAT,
-            kinegrad: env!("CARGO_PKG_VERSION").to_string(),
-            step: self.step,
-            config: self.parts.config.clone(),
-            statistics: self.parts.statistics.clone(),
-            network_statistics: self.parts.network_statistics.clone(),
-            dataset_sha256: Some(self.parts.dataset.to_string()),
-            progress: self.progress.clone(),
-            checksums: Default::default(),
-        };
-        let checkpoint = CheckpointRef {
-            state: &state,
-            infos: &self.infos,
-            model: weights,
-            ema,
-            moments,
-        };
-        if let Some(tensor) = checkpoint.not_finite() {
-            return Err(self.not_finite(self.step, tensor));
-        }
-        let path = self.checkpoints.save(checkpoint)?;
-        self.checkpoints.set_best(self.progress.best().as_ref())?;
-        self.checkpoints.prune(
-            self.step,
-            self.parts.config.checkpoint.keep_last,
-            self.progress.best_step,
-        )?;
-        log::debug!(
-            "checkpoint of step {} written: {}",
-            self.step,
-            path.display()
-        );
         Ok(())
     }
 

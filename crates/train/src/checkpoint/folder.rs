@@ -8,6 +8,7 @@ use kinegrad_models::parameters::ParameterInfo;
 
 use super::tensors::{OPTIMIZER, Weights, write, write_flushed};
 use super::{Best, Checkpoint, CheckpointRef, State};
+use crate::optim::Moments;
 use crate::{Error, run};
 
 /// Names of what is being written or removed begin with this.
@@ -102,27 +103,34 @@ impl Checkpoints {
     /// # Errors
     /// If it cannot be written; nothing is left of it then.
     pub fn save(&self, checkpoint: CheckpointRef<'_>) -> Result<PathBuf, Error> {
-        let step = checkpoint.state.step;
-        let target = self.step_path(step);
+        let CheckpointRef {
+            state,
+            infos,
+            model,
+            ema,
+            moments,
+        } = checkpoint;
+        let mut unfinished = self.begin(state.step)?;
+        unfinished.write_weights(Weights::Model, infos, model)?;
+        unfinished.write_weights(Weights::Ema, infos, ema)?;
+        unfinished.write_moments(infos, moments)?;
+        unfinished.finish(state)
+    }
+
+    /// Begins a checkpoint, of which one part after the other is in memory.
+    ///
+    /// # Errors
+    /// If its folder cannot be made.
+    pub(crate) fn begin(&self, step: u64) -> Result<Unfinished, Error> {
         let temporary = self.path.join(format!("{UNFINISHED}{step:08}"));
         fs::create_dir_all(&self.path).map_err(Error::io("create", &self.path))?;
-        let written = remove(&temporary)
-            .and_then(|()| fs::create_dir(&temporary).map_err(Error::io("create", &temporary)))
-            .and_then(|()| write_files(&temporary, checkpoint))
-            // What cannot be read back must not replace what can.
-            .and_then(|()| State::read(&temporary).map(|_| ()))
-            // One of the same step can only be damaged, or from before a fall back to an older.
-            .and_then(|()| remove(&target))
-            .and_then(|()| {
-                fs::rename(&temporary, &target).map_err(Error::io("rename", &temporary))
-            });
-        if let Err(error) = written {
-            // The error that matters is the first.
-            let _ = fs::remove_dir_all(&temporary);
-            return Err(error);
-        }
-        flush_folder(&self.path)?;
-        Ok(target)
+        remove(&temporary)?;
+        fs::create_dir(&temporary).map_err(Error::io("create", &temporary))?;
+        Ok(Unfinished {
+            temporary,
+            target: self.step_path(step),
+            checksums: BTreeMap::new(),
+        })
     }
 
     /// Records the best step, or removes the record.
@@ -210,41 +218,90 @@ pub(crate) fn write_weights(
     }
 }
 
-fn write_files(folder: &Path, checkpoint: CheckpointRef<'_>) -> Result<(), Error> {
-    let CheckpointRef {
-        state,
-        infos,
-        model,
-        ema,
-        moments,
-    } = checkpoint;
-    let mut checksums = BTreeMap::new();
-    for (weights, values) in [(Weights::Model, model), (Weights::Ema, ema)] {
+/// A checkpoint that is being written; nothing is left of it unless it is [finished](Self::finish).
+pub(crate) struct Unfinished {
+    temporary: PathBuf,
+    target: PathBuf,
+    checksums: BTreeMap<String, String>,
+}
+
+impl Unfinished {
+    /// Writes the weights that are trained, or their average, in the order of `infos`.
+    ///
+    /// # Errors
+    /// If they cannot be written.
+    pub fn write_weights(
+        &mut self,
+        weights: Weights,
+        infos: &[ParameterInfo],
+        values: &[Vec<f32>],
+    ) -> Result<(), Error> {
         let tensors = infos
             .iter()
             .zip(values)
             .map(|(info, values)| (info.name.clone(), info.shape.as_slice(), values.as_slice()));
-        let checksum = write(&folder.join(weights.file()), tensors)?;
-        checksums.insert(weights.file().to_string(), checksum);
+        self.write(weights.file(), tensors)
     }
-    // Frozen parameters have no running means.
-    let trained = infos.iter().zip(moments);
-    let trained = trained.filter(|(info, moments)| moments.exp_avg.len() == info.len());
-    let tensors = trained.flat_map(|(info, moments)| {
-        let (name, shape) = (&info.name, info.shape.as_slice());
-        [
-            (format!("{name}.exp_avg"), shape, &moments.exp_avg[..]),
-            (format!("{name}.exp_avg_sq"), shape, &moments.exp_avg_sq[..]),
-        ]
-    });
-    let checksum = write(&folder.join(OPTIMIZER), tensors)?;
-    checksums.insert(OPTIMIZER.to_string(), checksum);
-    let state = State {
-        checksums,
-        ..state.clone()
-    };
-    write_flushed(&folder.join("state.json"), state.to_text().as_bytes())?;
-    flush_folder(folder)
+
+    /// Writes the optimiser's running means, in the order of `infos`.
+    ///
+    /// # Errors
+    /// If they cannot be written.
+    pub fn write_moments(
+        &mut self,
+        infos: &[ParameterInfo],
+        moments: &[Moments],
+    ) -> Result<(), Error> {
+        // Frozen parameters have no running means.
+        let trained = infos.iter().zip(moments);
+        let trained = trained.filter(|(info, moments)| moments.exp_avg.len() == info.len());
+        let tensors = trained.flat_map(|(info, moments)| {
+            let (name, shape) = (&info.name, info.shape.as_slice());
+            [
+                (format!("{name}.exp_avg"), shape, &moments.exp_avg[..]),
+                (format!("{name}.exp_avg_sq"), shape, &moments.exp_avg_sq[..]),
+            ]
+        });
+        self.write(OPTIMIZER, tensors)
+    }
+
+    fn write<'a>(
+        &mut self,
+        file: &str,
+        tensors: impl IntoIterator<Item = (String, &'a [usize], &'a [f32])>,
+    ) -> Result<(), Error> {
+        let checksum = write(&self.temporary.join(file), tensors)?;
+        self.checksums.insert(file.to_string(), checksum);
+        Ok(())
+    }
+
+    /// Ends it with its state, of which the checksums are filled in; when this returns it survives a crash.
+    ///
+    /// # Errors
+    /// If it cannot be written.
+    pub fn finish(self, state: &State) -> Result<PathBuf, Error> {
+        let state = State {
+            checksums: self.checksums.clone(),
+            ..state.clone()
+        };
+        let text = state.to_text();
+        write_flushed(&self.temporary.join("state.json"), text.as_bytes())?;
+        flush_folder(&self.temporary)?;
+        // What cannot be read back must not replace what can.
+        State::read(&self.temporary)?;
+        // One of the same step can only be damaged, or from before a fall back to an older.
+        remove(&self.target)?;
+        fs::rename(&self.temporary, &self.target).map_err(Error::io("rename", &self.temporary))?;
+        flush_folder(self.target.parent().unwrap_or(&self.target))?;
+        Ok(self.target.clone())
+    }
+}
+
+impl Drop for Unfinished {
+    fn drop(&mut self) {
+        // It has been renamed if it is finished.
+        let _ = fs::remove_dir_all(&self.temporary);
+    }
 }
 
 /// Removes a file or folder; one that is not there is fine. A checkpoint is renamed first, so that

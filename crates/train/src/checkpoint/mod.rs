@@ -15,7 +15,7 @@ pub use resolve::resolve_checkpoint;
 pub use state::{Best, FORMAT, Progress, State};
 pub use tensors::{Weights, read_optimizer, read_weights};
 
-pub(crate) use folder::{must_be_free, write_weights};
+pub(crate) use folder::{Unfinished, must_be_free, write_weights};
 
 use std::path::Path;
 
@@ -89,15 +89,32 @@ impl CheckpointRef<'_> {
     /// In words, the first tensor that holds an infinity or NaN: with one a checkpoint would be
     /// read as damaged.
     pub(crate) fn not_finite(&self) -> Option<String> {
-        let broken = |tensors: &[Vec<f32>]| tensors.iter().position(|values| !are_finite(values));
-        let of = |what: &str, index: usize| format!("{what} `{}`", self.infos[index].name);
-        let moments = || {
-            let means = |m: &Moments| are_finite(&m.exp_avg) && are_finite(&m.exp_avg_sq);
-            self.moments.iter().position(|moments| !means(moments))
-        };
-        broken(self.model)
-            .map(|index| of("the parameter", index))
-            .or_else(|| broken(self.ema).map(|index| of("the averaged parameter", index)))
-            .or_else(|| moments().map(|index| of("the optimiser's running mean of", index)))
+        broken_weights(Weights::Model, self.infos, self.model)
+            .or_else(|| broken_weights(Weights::Ema, self.infos, self.ema))
+            .or_else(|| broken_moments(self.infos, self.moments))
     }
+}
+
+/// In words, the first of some weights that holds an infinity or NaN.
+pub(crate) fn broken_weights(
+    weights: Weights,
+    infos: &[ParameterInfo],
+    values: &[Vec<f32>],
+) -> Option<String> {
+    let index = values.iter().position(|values| !are_finite(values))?;
+    let what = match weights {
+        Weights::Model => "the parameter",
+        Weights::Ema => "the averaged parameter",
+    };
+    Some(format!("{what} `{}`", infos[index].name))
+}
+
+/// In words, the first of some running means that holds an infinity or NaN.
+pub(crate) fn broken_moments(infos: &[ParameterInfo], moments: &[Moments]) -> Option<String> {
+    let means = |m: &Moments| are_finite(&m.exp_avg) && are_finite(&m.exp_avg_sq);
+    let index = moments.iter().position(|moments| !means(moments))?;
+    Some(format!(
+        "the optimiser's running mean of `{}`",
+        infos[index].name
+    ))
 }

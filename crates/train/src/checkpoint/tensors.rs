@@ -1,17 +1,17 @@
 use std::borrow::Cow;
 use std::collections::HashMap;
-use std::fs::File;
+use std::fs::{self, File};
 use std::io::{self, ErrorKind, Read, Seek, Write};
 use std::path::Path;
 
 use kinegrad_data::file::regular;
 use kinegrad_models::parameters::{HostParameter, ParameterInfo};
 use safetensors::tensor::Metadata;
-use safetensors::{Dtype, SafeTensors, View};
+use safetensors::{Dtype, SafeTensorError, SafeTensors, View};
 use serde::{Deserialize, Serialize};
 
 use super::are_finite;
-use super::state::{State, file_of, sha256, sha256_of};
+use super::state::{State, file_of, sha256_of};
 use crate::Error;
 use crate::memory;
 use crate::optim::Moments;
@@ -69,9 +69,20 @@ pub(super) fn write<'a>(
         .map(|(name, shape, values)| (name, HostView { shape, values }));
     // `format` is what the Python loaders of torch models look for.
     let metadata = HashMap::from([("format".to_string(), "pt".to_string())]);
-    let bytes = safetensors::serialize(views, Some(metadata)).expect("names are unique");
-    write_flushed(path, &bytes)?;
-    Ok(sha256(&bytes))
+    // The library puts one of its own in the place of this one, for its owner alone.
+    let file = File::create(path).map_err(Error::io("create", path))?;
+    let permissions = file
+        .metadata()
+        .map_err(Error::io("create", path))?
+        .permissions();
+    safetensors::serialize_to_file(views, Some(metadata), path).map_err(|error| match error {
+        SafeTensorError::IoError(error) => Error::io("write", path)(error),
+        other => unreachable!("names are unique and shapes fit: {other}"),
+    })?;
+    fs::set_permissions(path, permissions).map_err(Error::io("write", path))?;
+    let mut file = File::open(path).map_err(Error::io("open", path))?;
+    file.sync_all().map_err(Error::io("flush", path))?;
+    sha256_of(&mut file).map_err(Error::io("read", path))
 }
 
 /// Writes a file so that it survives a crash after this returns.

@@ -250,10 +250,8 @@ impl Together {
         if self.ranks.size() == 1 {
             return Ok(());
         }
-        let mut bytes = Vec::with_capacity(4 * weights.iter().map(Vec::len).sum::<usize>());
-        let values = weights.iter().flatten();
-        bytes.extend(values.flat_map(|value| value.to_le_bytes()));
-        let own = Digest::of(&bytes).to_string();
+        let parts = weights.iter().map(|values| bytemuck::cast_slice(values));
+        let own = Digest::of_parts(parts).to_string();
         let all = self.gather(About::Weights, own.as_bytes());
         let differs = |other: &Vec<u8>| other != &all[0];
         match all.iter().position(differs) {

@@ -53,51 +53,29 @@ impl Owners {
         (0..self.of.len()).filter(move |&index| self.of[index] == rank)
     }
 
-    /// All tensors, of those that each rank keeps; to who does not receive them, the frozen ones alone.
-    pub fn gathered(
+    /// All tensors, of those that each rank keeps, one after the other; to who does not receive them, the
+    /// frozen ones alone. Collective.
+    pub fn gathered<'a>(
         &self,
         ranks: &dyn Ranks,
         to: Receivers,
-        tensors: &[Vec<f32>],
+        tensors: impl Iterator<Item = &'a Vec<f32>>,
     ) -> Vec<Vec<f32>> {
-        let own = self.of_rank(self.rank);
-        let own = own.map(|index| &tensors[index][..self.lengths[index]]);
-        let own = own.collect::<Vec<_>>().concat();
-        let lengths = self.loads();
         let receives = to == Receivers::All || ranks.is_first();
-        let mut values = vec![0.0; if receives { lengths.iter().sum() } else { 0 }];
-        ranks.gather_into(&own, &lengths, to, &mut values);
-        let mut all = self.frozen(tensors);
-        if !receives {
-            return all;
-        }
-        let mut rest = &values[..];
-        for (rank, length) in lengths.into_iter().enumerate() {
-            let (values, behind) = rest.split_at(length);
-            self.put(rank, values, &mut all);
-            rest = behind;
-        }
-        all
-    }
-
-    /// The tensors of frozen parameters, which all ranks have; empty in the place of the others.
-    fn frozen(&self, tensors: &[Vec<f32>]) -> Vec<Vec<f32>> {
-        let of = |(tensor, &length): (&Vec<f32>, &usize)| match length {
-            0 => tensor.clone(),
-            _ => Vec::new(),
-        };
-        tensors.iter().zip(&self.lengths).map(of).collect()
-    }
-
-    /// Puts the values of a rank's tensors in their places.
-    fn put(&self, rank: usize, mut values: &[f32], all: &mut [Vec<f32>]) {
-        for index in self.of_rank(rank) {
-            let (tensor, rest) = values.split_at(self.lengths[index]);
-            if !tensor.is_empty() {
-                all[index] = tensor.to_vec();
+        let gather = |(index, tensor): (usize, &Vec<f32>)| {
+            let length = self.lengths[index];
+            if length == 0 {
+                // All have it.
+                return tensor.clone();
             }
-            values = rest;
-        }
+            let mut lengths = vec![0; self.size];
+            lengths[self.of[index]] = length;
+            let mut values = vec![0.0; if receives { length } else { 0 }];
+            let own = if self.has(index) { &tensor[..] } else { &[] };
+            ranks.gather_into(own, &lengths, to, &mut values);
+            values
+        };
+        tensors.enumerate().map(gather).collect()
     }
 }
 
@@ -112,7 +90,13 @@ mod tests {
         // The second is frozen.
         let tensors = vec![vec![1.0, 2.0], vec![5.0; 3], vec![3.0]];
         let owners = Owners::new(&Alone, vec![2, 0, 1]);
-        assert_eq!(owners.gathered(&Alone, Receivers::All, &tensors), tensors);
-        assert_eq!(owners.gathered(&Alone, Receivers::First, &tensors), tensors);
+        assert_eq!(
+            owners.gathered(&Alone, Receivers::All, tensors.iter()),
+            tensors
+        );
+        assert_eq!(
+            owners.gathered(&Alone, Receivers::First, tensors.iter()),
+            tensors
+        );
     }
 }

@@ -245,7 +245,7 @@ impl States {
     pub fn averages(&self, ranks: &dyn Ranks, to: Receivers) -> Cow<'_, [Vec<f32>]> {
         match &self.kept {
             Kept::Host(kept) => match &kept.owners {
-                Some(owners) => owners.gathered(ranks, to, &kept.averages).into(),
+                Some(owners) => owners.gathered(ranks, to, kept.averages.iter()).into(),
                 None => kept.averages.as_slice().into(),
             },
             Kept::Device(kept) => {
@@ -272,8 +272,7 @@ impl States {
                 ..
             }) => {
                 let all = |of: fn(&Moments) -> &Vec<f32>| {
-                    let own: Vec<Vec<f32>> = moments.iter().map(of).cloned().collect();
-                    owners.gathered(ranks, to, &own)
+                    owners.gathered(ranks, to, moments.iter().map(of))
                 };
                 [
                     all(|moments| &moments.exp_avg),

@@ -14,7 +14,7 @@ use super::*;
 use crate::config::{OptimConfig, WeightDecayGroups};
 use crate::denoising::Inputs;
 use crate::observer::RunSummary;
-use crate::optim::AdamW;
+use crate::optim::{AdamW, Moments};
 use crate::recipe::{Loss, StepKey};
 use crate::systems::BUILT_IN;
 

@@ -1,0 +1,95 @@
+//! Writing a checkpoint, of which one part after the other is in memory.
+
+use super::Trainer;
+use crate::checkpoint::{FORMAT, State, Unfinished, Weights, broken_moments, broken_weights};
+use crate::error::Error;
+use crate::optim::Moments;
+use crate::recipe::Recipe;
+
+/// A checkpoint of a trainer that is being written, by the first rank alone.
+pub(super) struct Saving<'a, R: Recipe> {
+    trainer: &'a Trainer<R>,
+    /// What is written so far; none on other ranks.
+    written: Result<Option<Unfinished>, Error>,
+}
+
+/// A checkpoint to write a part of.
+pub(super) struct Writing<'a, R: Recipe> {
+    trainer: &'a Trainer<R>,
+    unfinished: &'a mut Unfinished,
+}
+
+impl<'a, R: Recipe> Saving<'a, R> {
+    /// Begins a checkpoint of where training stands.
+    pub fn begin(trainer: &'a Trainer<R>) -> Self {
+        let writes = trainer.parts.together.writes();
+        let begun = writes.then(|| trainer.checkpoints.begin(trainer.step));
+        Self {
+            trainer,
+            written: begun.transpose(),
+        }
+    }
+
+    /// Writes a part, unless this is not the first rank or one before could not be written.
+    pub fn put(&mut self, write: impl FnOnce(&mut Writing<'_, R>) -> Result<(), Error>) {
+        let Ok(Some(unfinished)) = &mut self.written else {
+            return;
+        };
+        let mut writing = Writing {
+            trainer: self.trainer,
+            unfinished,
+        };
+        if let Err(error) = write(&mut writing) {
+            self.written = Err(error);
+        }
+    }
+
+    /// Ends it, records the best step and removes older checkpoints.
+    pub fn finish(self) -> Result<(), Error> {
+        let Self { trainer, written } = self;
+        let Some(unfinished) = written? else {
+            return Ok(());
+        };
+        let (parts, step) = (&trainer.parts, trainer.step);
+        let path = unfinished.finish(&State {
+            format: FORMAT,
+            kinegrad: env!("CARGO_PKG_VERSION").to_string(),
+            step,
+            config: parts.config.clone(),
+            statistics: parts.statistics.clone(),
+            network_statistics: parts.network_statistics.clone(),
+            dataset_sha256: Some(parts.dataset.to_string()),
+            progress: trainer.progress.clone(),
+            checksums: Default::default(),
+        })?;
+        let (checkpoints, progress) = (&trainer.checkpoints, &trainer.progress);
+        checkpoints.set_best(progress.best().as_ref())?;
+        let keep_last = parts.config.checkpoint.keep_last;
+        checkpoints.prune(step, keep_last, progress.best_step)?;
+        log::debug!("checkpoint of step {step} written: {}", path.display());
+        Ok(())
+    }
+}
+
+impl<R: Recipe> Writing<'_, R> {
+    /// Writes the weights that are trained, or their average.
+    pub fn weights(&mut self, weights: Weights, values: &[Vec<f32>]) -> Result<(), Error> {
+        let infos = &self.trainer.infos;
+        self.must_be_finite(broken_weights(weights, infos, values))?;
+        self.unfinished.write_weights(weights, infos, values)
+    }
+
+    /// Writes the optimiser's running means.
+    pub fn moments(&mut self, moments: &[Moments]) -> Result<(), Error> {
+        let infos = &self.trainer.infos;
+        self.must_be_finite(broken_moments(infos, moments))?;
+        self.unfinished.write_moments(infos, moments)
+    }
+
+    fn must_be_finite(&self, broken: Option<String>) -> Result<(), Error> {
+        match broken {
+            None => Ok(()),
+            Some(tensor) => Err(self.trainer.not_finite(self.trainer.step, tensor)),
+        }
+    }
+}
