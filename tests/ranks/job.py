@@ -13,7 +13,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 BINARY = os.environ["KINEGRAD_BINARY"]
 LAUNCHER = os.environ.get("KINEGRAD_MPIRUN", "mpirun").split()
-# Bytes are promised at equal numbers of threads.
+# One core is enough for a rank.
 ENVIRONMENT = os.environ | {"RAYON_NUM_THREADS": "1"}
 # What ranks promise to write alike.
 SAME = ("model.safetensors", "ema.safetensors", "optimizer.safetensors")

@@ -83,6 +83,13 @@ class Evaluations(unittest.TestCase):
         code, said = folder.fails_apart(f"eval runs/run {STEPS}", f"eval runs/run {STEPS} --seed 1")
         self.assertEqual((code, said.count("error:")), (2, 1), said)
         self.assertIn("rank 1 has another command than rank 0", said)
+        other = TRAINED.replace("--name run", "--name other --set run.seed=7")
+        folder.run(1, f"train {ROOT}/configs/quickstart.toml {other}")
+        code, said = folder.fails_apart(f"eval runs/run {STEPS}", f"eval runs/other {STEPS}")
+        self.assertEqual((code, said.count("error:")), (2, 1), said)
+        self.assertIn("rank 1 has another run than rank 0", said)
+        code, said = folder.fails(2, "eval")
+        self.assertEqual((code, said.count("error:")), (2, 1), said)
 
 
 if __name__ == "__main__":

@@ -1,5 +1,6 @@
 """Ranks under a real launcher: the same bytes as one process, and the same end for all."""
 
+import fcntl
 import json
 import os
 import random
@@ -185,16 +186,16 @@ class Ranks(unittest.TestCase):
         self.assertEqual(reads[1], 80)
         self.assertLess(reads[4], 40)
         self.assertEqual(self.folder.hashes("on4"), self.folder.hashes("on1"))
-        # The third phrase is for the third rank to read, which alone says so.
-        broken = sorted((self.folder.path / "data").rglob("*.npy"))[2]
-        broken.write_bytes(broken.read_bytes()[:100])
+        # The third phrase is for the third rank to read, which alone says so; the fourth is not the first.
+        for broken in sorted((self.folder.path / "data").rglob("*.npy"))[2:4]:
+            broken.write_bytes(broken.read_bytes()[:100])
         code, said = self.folder.fails(4, f"{line} --name bad")
         self.assertEqual((code, said.count("error:")), (2, 1), said)
         self.assertIn("phrase `synthetic_00002`", said)
         self.assertFalse((self.folder.path / "runs/bad").exists())
         skips = f"{line} --set data.on_bad_phrase=skip"
         said = self.folder.run(4, f"{skips} --name skips4")
-        self.assertEqual(said.count("1 bad phrases skipped"), 1, said)
+        self.assertEqual(said.count("2 bad phrases skipped"), 1, said)
         self.folder.run(1, f"{skips} --name skips1")
         self.assertEqual(self.folder.hashes("skips4"), self.folder.hashes("skips1"))
 
@@ -277,9 +278,30 @@ class Ranks(unittest.TestCase):
             self.assertEqual(job.returncode, 0, said)
             self.assertEqual(folder.hashes("apart"), folder.hashes("alone"))
 
+    def test_what_fails_before_ranks_have_met_is_said_once(self):
+        line = f"{PHRASES} --set train.max_steps=4 --name held"
+        self.folder.run(1, line)
+        more = f"{line} --resume --set train.max_steps=8"
+        with open(self.folder.path / "runs/held/lock", "r+") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            code, said = self.folder.fails(2, more)
+            self.assertEqual((code, said.count("error:")), (2, 1), said)
+            self.assertIn("another process is using the run folder", said)
+        for bad, expected in (
+            ("--set run.device=abacus", "there is no such device"),
+            ("--set train.max_steps=soon", "train.max_steps"),
+            ("--resume-nothing", "unexpected argument"),
+        ):
+            good = line.replace("held", "fresh")
+            for first in (good, f"{good} {bad}"):
+                code, said = self.folder.fails_apart(first, f"{good} {bad}")
+                self.assertIn(expected, said)
+                self.assertEqual((code, said.count("error:")), (2, 1), said)
+        self.folder.run(2, more)
+
     def test_commands_that_one_process_runs_refuse_several(self):
         code, said = self.folder.fails(2, "data synth --out made")
-        self.assertEqual(code, 2, said)
+        self.assertEqual((code, said.count("error:")), (2, 1), said)
         self.assertIn("a launcher has started 2 processes, and each would do the same", said)
         self.assertFalse((self.folder.path / "made").exists())
 

@@ -26,6 +26,8 @@ use kinegrad_train::Error;
 use serde::de::value::Error as ValueError;
 use serde::de::{DeserializeOwned, IntoDeserializer};
 
+use crate::ranks;
+
 pub use config::{CompletionsArguments, ExplainArguments, InitArguments, ManArguments};
 pub use data::{
     AudioCommand, BeatArguments, DataCommand, FeaturesArguments, InspectArguments,
@@ -525,6 +527,17 @@ pub fn replaced(command: &str, error: &clap::Error) -> Option<Error> {
     let (option, key) = REPLACED.iter().find(|(option, _)| option == found)?;
     let message = format!("`{option}` has been replaced by a config key");
     Some(Error::usage(message, format!("use `--set {key}`")))
+}
+
+/// The error of a command line that cannot be read, which one of several processes says for all; of a single
+/// one it ends the program, as does what is no error but asked for.
+pub fn unread(error: clap::Error) -> Error {
+    if !error.use_stderr() || !ranks::are_several() {
+        error.exit();
+    }
+    let text = error.render().to_string();
+    let message = text.trim_start_matches("error: ").trim_end();
+    Error::usage(message, "`kinegrad help` lists commands and options")
 }
 
 /// Parses a config enum by its serde name.

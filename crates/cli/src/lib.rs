@@ -56,13 +56,11 @@ pub fn run(
         }
         Err(error) => {
             let command = arguments.get(1).and_then(|name| name.to_str());
-            Err(args::replaced(command.unwrap_or_default(), &error).unwrap_or_else(|| error.exit()))
+            let replaced = args::replaced(command.unwrap_or_default(), &error);
+            Err(replaced.unwrap_or_else(|| args::unread(error)))
         }
     };
-    done.unwrap_or_else(|error| {
-        output::failure(&error);
-        ExitCode::from(error.exit_code())
-    })
+    done.unwrap_or_else(ranks::failed)
 }
 
 fn execute(systems: Systems<'_>, command: Command) -> Result<ExitCode, Error> {

@@ -23,11 +23,11 @@ pub fn together() -> Result<Rc<Together>, Error> {
     Ok(together)
 }
 
-/// The outcome of a command that processes do together or, where it failed on another one, the exit code
-/// of that, which alone says what it has met. Collective.
+/// The outcome of a command that processes do together or, where it failed on one of several, the exit code
+/// of all. The process that has met something has said what. Collective.
 ///
 /// # Errors
-/// That of `outcome`, on the process that says it.
+/// That of `outcome`, of a single process.
 pub fn settled<T>(
     together: &Together,
     outcome: Result<T, Error>,
@@ -36,14 +36,22 @@ pub fn settled<T>(
     if ranks.size() == 1 {
         return outcome.map(Ok);
     }
-    match together.ended_by(outcome.as_ref().err()) {
-        None => outcome.map(Ok),
-        Some((rank, _)) if rank == ranks.rank() => outcome.map(Ok),
-        Some((_, code)) => Ok(Err(ExitCode::from(code))),
+    let Some((rank, code)) = together.ended_by(outcome.as_ref().err()) else {
+        return outcome.map(Ok);
+    };
+    if let Err(error) = &outcome
+        && rank == ranks.rank()
+    {
+        output::failure(error);
     }
+    together.part();
+    Ok(Err(ExitCode::from(code)))
 }
 
 /// This process among those of its launcher, or alone.
+///
+/// # Errors
+/// [`Error::Usage`] if a launcher has started several and this program cannot talk to them.
 fn ranks() -> Result<Rc<dyn Ranks>, Error> {
     let ranks = started();
     let told = launched();
@@ -68,6 +76,29 @@ fn ranks() -> Result<Rc<dyn Ranks>, Error> {
         }
         _ => Ok(ranks),
     }
+}
+
+/// Says what has kept a command from beginning, or has ended it: once, where a launcher has started several
+/// processes. Its exit code.
+pub fn failed(error: Error) -> ExitCode {
+    if are_several()
+        && let Ok(together) = together()
+        && together.ranks().size() > 1
+    {
+        // The others may have begun: they are told.
+        let outcome: Result<(), Error> = together.told(Err(error));
+        return match settled(&together, outcome) {
+            Ok(Err(code)) => code,
+            _ => unreachable!("one of several processes has failed"),
+        };
+    }
+    output::failure(&error);
+    ExitCode::from(error.exit_code())
+}
+
+/// Whether a launcher has started several processes.
+pub fn are_several() -> bool {
+    launched().is_some_and(|processes| processes > 1)
 }
 
 /// How many processes the launcher says that it has started, if there is one.

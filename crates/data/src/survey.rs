@@ -123,21 +123,15 @@ impl<T: Item> Survey<T> {
                 }
             }))
         };
-        let some = |numbers: Vec<usize>| -> Result<Vec<Met>, Error> {
-            let met: Result<Vec<_>, Error> = numbers.par_iter().map(|&n| meet(n)).collect();
-            let met = numbers.iter().zip(met?).map(|(&number, met)| match met {
-                Err(cause) if on_bad == Some(OnBadPhrase::Error) => {
-                    Err(Error::bad::<T>(&self.listed[number].id, cause))
-                }
-                Err(cause) => Ok(Met::Bad(cause.to_string())),
-                Ok(met) => Ok(met),
-            });
-            met.collect()
+        let some = |numbers: &[usize]| -> Result<Vec<Result<Met, FileError>>, Error> {
+            numbers.par_iter().map(|&number| meet(number)).collect()
         };
         // Threads that wait for a network are not bound to the number of cores.
         let pool = rayon::ThreadPoolBuilder::new().num_threads(concurrency);
         let pool = (concurrency > 0).then(|| pool.build().ok()).flatten();
         let mut outcomes = Vec::with_capacity(total);
+        // The first that this rank has found to be bad.
+        let mut bad = None;
         let chunk = CHUNK * ranks;
         for start in (0..total).step_by(chunk) {
             let numbers = start..(start + chunk).min(total);
@@ -147,12 +141,34 @@ impl<T: Item> Survey<T> {
                 |number| number,
                 |own| {
                     go_on(progress, start, total)?;
-                    match &pool {
-                        Some(pool) => pool.install(|| some(own)),
-                        None => some(own),
-                    }
+                    let met = match &pool {
+                        Some(pool) => pool.install(|| some(&own)),
+                        None => some(&own),
+                    }?;
+                    let met = own.into_iter().zip(met).map(|(number, met)| {
+                        met.unwrap_or_else(|cause| {
+                            let said = Met::Bad(cause.to_string());
+                            bad.get_or_insert((number, cause));
+                            said
+                        })
+                    });
+                    Ok(met.collect())
                 },
             )?);
+            let is_bad = |met: &Met| matches!(met, Met::Bad(_));
+            if on_bad == Some(OnBadPhrase::Error)
+                && let Some(number) = outcomes.iter().position(is_bad)
+            {
+                return Err(match bad {
+                    Some((own, cause)) if own == number => {
+                        Error::bad::<T>(&self.listed[number].id, cause)
+                    }
+                    _ => Error::OtherReader {
+                        rank: number % ranks,
+                        code: 2,
+                    },
+                });
+            }
         }
         let mut gathered = Gathered {
             entries: Vec::with_capacity(total),

@@ -71,8 +71,8 @@ pub trait Ranks: Debug {
     fn scatter_sums(&self, values: &mut [f32], lengths: &[usize], received: &mut Vec<f32>);
 
     /// Puts what each rank has in its part of `values`, `lengths[r]` of rank r, one behind the other, there on
-    /// all of them. Collective.
-    fn gather_parts(&self, values: &mut [f32], lengths: &[usize]);
+    /// all of them; `sent` is room as well. Collective.
+    fn gather_parts(&self, values: &mut [f32], lengths: &[usize], sent: &mut Vec<f32>);
 
     /// Ends all ranks at once, after a panic: the others wait for something that does not come.
     fn abort(&self, code: i32) -> !;
@@ -117,7 +117,7 @@ impl Ranks for Alone {
 
     fn scatter_sums(&self, _: &mut [f32], _: &[usize], _: &mut Vec<f32>) {}
 
-    fn gather_parts(&self, _: &mut [f32], _: &[usize]) {}
+    fn gather_parts(&self, _: &mut [f32], _: &[usize], _: &mut Vec<f32>) {}
 
     fn abort(&self, code: i32) -> ! {
         std::process::exit(code)

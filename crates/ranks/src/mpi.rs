@@ -2,13 +2,11 @@
 
 use std::fmt;
 
-use mpi::datatype::PartitionMut;
+use mpi::datatype::{Partition, PartitionMut};
 use mpi::environment::Universe;
 use mpi::topology::SimpleCommunicator;
-use mpi::traits::{
-    AsRaw, Buffer, BufferMut, Communicator, CommunicatorCollectives, Equivalence, Root,
-};
-use mpi::{Count, Threading, ffi};
+use mpi::traits::{Communicator, CommunicatorCollectives, Root};
+use mpi::{Count, Threading};
 
 use crate::cores;
 use crate::{Local, Ranks, Receivers, pairwise_with};
@@ -25,7 +23,11 @@ impl Mpi {
     /// This process among those of its job; none if MPI has been started before.
     pub fn start() -> Option<Self> {
         // Threads compute, and the one that trains talks.
-        let (universe, _) = mpi::initialize_with_threading(Threading::Funneled)?;
+        let (universe, provided) = mpi::initialize_with_threading(Threading::Funneled)?;
+        assert!(
+            provided >= Threading::Funneled,
+            "the MPI library allows no threads beside the one that talks"
+        );
         let world = universe.world();
         let machine = world.split_shared(world.rank());
         let (own, size) = (cores::own(), machine.size() as usize);
@@ -63,56 +65,8 @@ fn places(lengths: impl Iterator<Item = usize>) -> (Vec<Count>, Vec<Count>) {
     lengths.map(place).unzip()
 }
 
-impl Mpi {
-    /// What every rank gives, in the order of ranks.
-    fn gathered<T: Equivalence + Default + Clone>(&self, own: &[T]) -> Vec<Vec<T>>
-    where
-        [T]: Buffer,
-        [T]: BufferMut,
-    {
-        let mut lengths = vec![0u64; self.size()];
-        self.world
-            .all_gather_into(&(own.len() as u64), &mut lengths[..]);
-        let (counts, starts) = places(lengths.iter().map(|length| *length as usize));
-        let mut all = vec![T::default(); lengths.iter().sum::<u64>() as usize];
-        let mut parts = PartitionMut::new(&mut all[..], &counts[..], &starts[..]);
-        self.world.all_gather_varcount_into(own, &mut parts);
-        let mut rest = &all[..];
-        let part = |count: &Count| {
-            let (part, behind) = rest.split_at(*count as usize);
-            rest = behind;
-            part.to_vec()
-        };
-        counts.iter().map(part).collect()
-    }
-}
-
-/// Values, how many of them go to or come from each rank, and where those begin.
-type Parts<'a, P> = (P, &'a [Count], &'a [Count]);
-
-impl Mpi {
-    /// Sends parts of values to each rank, and puts what each sends where it belongs; the two may lie in
-    /// one list, in parts that do not overlap. Collective.
-    fn all_to_all(&self, sent: Parts<'_, *const f32>, into: Parts<'_, *mut f32>) {
-        let floats = f32::equivalent_datatype().as_raw();
-        // SAFETY: all parts lie in lists that live as long as the call, and those received in ones that
-        // are the caller's alone; each rank sends as many as the other expects.
-        #[allow(unsafe_code)]
-        unsafe {
-            ffi::MPI_Alltoallv(
-                sent.0.cast(),
-                sent.1.as_ptr(),
-                sent.2.as_ptr(),
-                floats,
-                into.0.cast(),
-                into.1.as_ptr(),
-                into.2.as_ptr(),
-                floats,
-                self.world.as_raw(),
-            );
-        }
-    }
-}
+/// Bytes that all ranks together send in a round: counts of MPI end at two thousand million.
+const ROUND: usize = 1 << 30;
 
 impl fmt::Debug for Mpi {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -134,7 +88,25 @@ impl Ranks for Mpi {
     }
 
     fn gather(&self, own: &[u8]) -> Vec<Vec<u8>> {
-        self.gathered(own)
+        let mut lengths = vec![0u64; self.size()];
+        self.world
+            .all_gather_into(&(own.len() as u64), &mut lengths[..]);
+        let most = lengths.iter().max().copied().unwrap_or(0) as usize;
+        let mut all = vec![Vec::new(); self.size()];
+        let part = (ROUND / self.size()).max(1);
+        for first in (0..most).step_by(part) {
+            let within = |length: usize| first.min(length)..(first + part).min(length);
+            let (counts, starts) =
+                places(lengths.iter().map(|&length| within(length as usize).len()));
+            let mut round = vec![0; counts.iter().map(|&count| count as usize).sum()];
+            let mut parts = PartitionMut::new(&mut round[..], &counts[..], &starts[..]);
+            let own = &own[within(own.len())];
+            self.world.all_gather_varcount_into(own, &mut parts);
+            for ((said, &count), &start) in all.iter_mut().zip(&counts).zip(&starts) {
+                said.extend_from_slice(&round[start as usize..(start + count) as usize]);
+            }
+        }
+        all
     }
 
     fn gather_into(&self, own: &[f32], lengths: &[usize], to: Receivers, values: &mut [f32]) {
@@ -155,30 +127,31 @@ impl Ranks for Mpi {
         let (rank, size) = (self.rank(), self.size());
         let each = lengths[rank];
         // Nothing is sent to oneself: it is added where it is.
-        let but_own = |length: usize, of: usize| if of == rank { 0 } else { length };
+        let (mut counts, starts) = places(lengths.iter().copied());
+        counts[rank] = 0;
+        let from = places((0..size).map(|of| if of == rank { 0 } else { each }));
         received.resize(each * (size - 1), 0.0);
-        let (_, starts) = places(lengths.iter().copied());
-        let sent = (0..size).map(|of| but_own(lengths[of], of) as Count);
-        let from = places((0..size).map(|of| but_own(each, of)));
-        self.all_to_all(
-            (values.as_ptr(), &sent.collect::<Vec<_>>(), &starts),
-            (received.as_mut_ptr(), &from.0, &from.1),
-        );
+        let sent = Partition::new(&values[..], &counts[..], &starts[..]);
+        let mut into = PartitionMut::new(&mut received[..], &from.0[..], &from.1[..]);
+        self.world.all_to_all_varcount_into(&sent, &mut into);
         let first = starts[rank] as usize;
         pairwise_with(&mut values[first..first + each], rank, received);
     }
 
-    fn gather_parts(&self, values: &mut [f32], lengths: &[usize]) {
+    fn gather_parts(&self, values: &mut [f32], lengths: &[usize], sent: &mut Vec<f32>) {
         let (rank, size) = (self.rank(), self.size());
-        let (mut into, starts) = places(lengths.iter().copied());
-        let each = std::mem::take(&mut into[rank]);
-        let sent = (0..size).map(|of| if of == rank { 0 } else { each });
-        let from_own = vec![starts[rank]; size];
-        let values = values.as_mut_ptr();
-        self.all_to_all(
-            (values, &sent.collect::<Vec<_>>(), &from_own),
-            (values, &into, &starts),
-        );
+        let (mut counts, starts) = places(lengths.iter().copied());
+        let each = std::mem::take(&mut counts[rank]);
+        let first = starts[rank] as usize;
+        // What is sent may not lie in what is received.
+        sent.clear();
+        sent.extend_from_slice(&values[first..first + lengths[rank]]);
+        // All of it goes to each of the others.
+        let to = (0..size).map(|of| if of == rank { 0 } else { each });
+        let (to, from_first) = (to.collect::<Vec<Count>>(), vec![0; size]);
+        let sent = Partition::new(&sent[..], &to[..], &from_first[..]);
+        let mut into = PartitionMut::new(values, &counts[..], &starts[..]);
+        self.world.all_to_all_varcount_into(&sent, &mut into);
     }
 
     fn abort(&self, code: i32) -> ! {

@@ -186,14 +186,15 @@ pub(crate) fn shared_card(name: &str, together: &Together) -> Option<String> {
     // A launcher that gives each process a card shows it no other.
     let shown = std::env::var("CUDA_VISIBLE_DEVICES").unwrap_or_default();
     let machine = System::host_name().unwrap_or_default();
-    let own = format!("{machine} {name} {shown}");
+    let own = format!("`{name}` of {machine} {shown}");
     let all = together.gather(About::Plan, own.as_bytes());
-    let sharing = all.iter().filter(|other| **other == all[0]).count();
-    (sharing > 1).then(|| {
-        format!(
-            "{sharing} processes compute on one device, `{name}` of {machine}: start one for each card"
-        )
-    })
+    let sharing = |own: &&Vec<u8>| all.iter().filter(|other| other == own).count();
+    let shared = all.iter().find(|own| sharing(own) > 1)?;
+    Some(format!(
+        "{} processes compute on one device, {}: start one for each card",
+        sharing(&shared),
+        String::from_utf8_lossy(shared).trim()
+    ))
 }
 
 fn too_few(kind: &str, local: usize) -> String {

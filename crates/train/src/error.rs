@@ -58,7 +58,7 @@ pub enum Error {
     Diffusion(kinegrad_diffusion::Error),
     /// Sampling was asked to stop.
     #[error("interrupted: what was not finished is not written")]
-    #[diagnostic(help("samples that were written before are complete"))]
+    #[diagnostic(help("what was written before is complete"))]
     Interrupted,
     /// An emphasis projection cannot be made.
     #[error(transparent)]

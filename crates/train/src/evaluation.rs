@@ -7,6 +7,7 @@ use std::rc::Rc;
 use serde_json::Value;
 
 use crate::error::Error;
+use crate::memory::must_fit;
 use crate::together::Together;
 
 /// What is measured, beside what the system's own tables say of it. A system refuses what does not
@@ -26,6 +27,15 @@ pub struct EvaluationRequest {
 }
 
 impl EvaluationRequest {
+    /// Rejects an evaluation that takes so many bytes of main memory of each process of a machine.
+    ///
+    /// # Errors
+    /// As [`must_fit`].
+    pub(crate) fn must_fit(&self, needed: u64, hint: &str) -> Result<(), Error> {
+        let processes = self.together.ranks().local().size as u64;
+        must_fit("the evaluation", needed.saturating_mul(processes), hint)
+    }
+
     /// Rejects options that are set but listed in `unknown`, by their command-line names, for a run
     /// that is `what`.
     ///

@@ -6,6 +6,7 @@ use std::process::ExitCode;
 use std::rc::Rc;
 
 use kinegrad_report::{Column, Section, columns_csv, columns_table};
+use kinegrad_train::checkpoint::State;
 use kinegrad_train::config;
 use kinegrad_train::evaluation::{self, Evaluated, EvaluationRequest, Group};
 use kinegrad_train::sampling::Subject;
@@ -122,18 +123,25 @@ fn must_evaluate_the_same(
     subjects: &[Subject],
     request: &EvaluationRequest,
 ) -> Result<(), Error> {
-    let said = subjects.iter().map(|subject| {
+    let weights = |checkpoint: &Path| -> Result<String, Error> {
+        Ok(format!("{:?}", State::read(checkpoint)?.checksums))
+    };
+    let run = |subject: &Subject| {
         let config = config::to_toml(&subject.config);
-        format!("{:?} {} {config}", subject.weights, subject.step)
-    });
-    let said: Vec<String> = said.collect();
-    let asked = format!(
-        "{:?} {} {}",
-        request.source, request.seed, request.listening
-    );
-    together.done(Ok(()))?;
+        let weights = weights(&subject.checkpoint)?;
+        Ok(format!("{:?} {weights} {config}", subject.weights))
+    };
+    let runs: Result<Vec<String>, Error> = subjects.iter().map(run).collect();
+    let trajectory = request.trajectory.as_deref().map(weights).transpose();
+    let said = runs.and_then(|runs| Ok((runs.concat(), trajectory?)));
+    let (runs, trajectory) = together.done(said)?;
+    let asked = (&request.source, request.seed, request.listening);
     together.must_compute_alike()?;
-    together.must_be_about_the_same(&[("run", &said.concat()), ("command", &asked)])
+    together.must_be_about_the_same(&[
+        ("run", &runs),
+        ("trajectory run", &trajectory.unwrap_or_default()),
+        ("command", &format!("{asked:?}")),
+    ])
 }
 
 /// Rejects runs that have no measure in common.

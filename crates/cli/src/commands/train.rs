@@ -58,6 +58,9 @@ pub fn run(systems: Systems<'_>, arguments: TrainArguments) -> Result<ExitCode, 
         // From here on a signal ends this process, and so the others.
         let stops = progress.end_training();
         let interrupted = outcome.ending == Some(Ending::Interrupted);
+        if interrupted {
+            together.part();
+        }
         return Ok(ExitCode::from(if interrupted || stops { 130 } else { 0 }));
     }
     if let Some(plan) = &outcome.plan {
@@ -75,6 +78,7 @@ pub fn run(systems: Systems<'_>, arguments: TrainArguments) -> Result<ExitCode, 
     };
     if outcome.ending == Some(Ending::Interrupted) {
         summary(0);
+        together.part();
         return Ok(ExitCode::from(130));
     }
     if owes_samples(&outcome) {

@@ -316,11 +316,6 @@ fn train_in(
     let (device, device_name) = crate::device::open_for(&config.run.device, local)?;
     let on_host = crate::device::is_host(&device_name);
     log::debug!("device {device_name}; {}", crate::device::kernels());
-    if let Some(warning) = crate::device::shared_card(&device_name, together)
-        && !on_host
-    {
-        observer.warning(&warning);
-    }
     let footprint = system.footprint(&config)?;
     let needed = footprint.of_training(&config, on_host);
     let exchanged = match together.ranks().size() {
@@ -342,6 +337,11 @@ fn train_in(
     together.done(Ok(()))?;
     let step = checkpoint.as_ref().map(|checkpoint| checkpoint.state.step);
     together.must_compute_alike()?;
+    if let Some(warning) = crate::device::shared_card(&device_name, together)
+        && !on_host
+    {
+        observer.warning(&warning);
+    }
     together.must_be_about_the_same(&[
         ("config", &config::to_toml(&config)),
         ("step that it goes on from", &step.unwrap_or(0).to_string()),

@@ -220,6 +220,12 @@ impl Together {
         Some((rank, all[rank][1]))
     }
 
+    /// Waits until all ranks have come as far as this: launchers end the others as soon as one has returned a
+    /// code that is not 0. Collective.
+    pub fn part(&self) {
+        self.gather(About::End, &[]);
+    }
+
     /// An outcome of work of which all ranks do their part: says to them what this one has met by itself,
     /// between two things that ranks do together, unless they know. Collective where it has failed.
     ///

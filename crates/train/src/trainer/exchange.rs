@@ -23,7 +23,7 @@ pub(super) struct Exchange {
     /// own, and nobody has the others.
     owners: Option<Owners>,
     all: Vec<f32>,
-    /// What other ranks have sent.
+    /// What other ranks have sent, or what is sent to them.
     received: Vec<f32>,
 }
 
@@ -71,7 +71,7 @@ impl Exchange {
         let own = self.first..self.first + self.lengths[ranks.rank()];
         optimizer::divide(&mut self.all[own], divisor);
         if self.owners.is_none() {
-            ranks.gather_parts(&mut self.all, &self.lengths);
+            ranks.gather_parts(&mut self.all, &self.lengths, &mut self.received);
         }
     }
 
@@ -118,7 +118,7 @@ impl Exchange {
     pub fn gather_weights(&mut self, ranks: &dyn Ranks) -> bool {
         let shares = self.owners.is_some();
         if shares {
-            ranks.gather_parts(&mut self.all, &self.lengths);
+            ranks.gather_parts(&mut self.all, &self.lengths, &mut self.received);
         }
         shares
     }

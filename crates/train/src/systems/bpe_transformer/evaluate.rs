@@ -18,9 +18,7 @@ use crate::clips::{dataset_or, with_held_out};
 use crate::config::SystemTables;
 use crate::error::Error;
 use crate::evaluation::{Column, Evaluate, Evaluated, EvaluationRequest, Group, Number, OnStep};
-use crate::memory::must_fit;
 use crate::sampling::Subject;
-use crate::together::Together;
 
 /// Results of an evaluation of compositions.
 #[derive(Clone, Debug, Serialize)]
@@ -72,17 +70,16 @@ pub(super) fn prepare<'a>(
     let longest = held_out.iter().map(|clip| clip.features.frames()).max();
     let frames = longest.unwrap_or(0).min(data.target_frames) * asked.texts;
     let networks = footprint(&subject.config, frames)?;
-    must_fit(
-        "the evaluation",
+    request.must_fit(
         networks.of_sampling(1, false, subject.on_host),
         "compose fewer texts: `evaluation.texts`",
     )?;
-    let (seed, together) = (request.seed, request.together.clone());
+    let request = request.clone();
     let most = data.target_frames;
     Ok(Box::new(move |on_step| {
         let composer = Composer::load(&subject.checkpoint, subject.weights, &subject.device)?;
         let evaluation = evaluate(
-            subject, &composer, &held_out, &asked, most, seed, &together, on_step,
+            subject, &composer, &held_out, &asked, most, &request, on_step,
         )?;
         Ok(Evaluated {
             run: evaluation.run.clone(),
@@ -109,10 +106,10 @@ fn evaluate(
     held_out: &[Arc<Clip>],
     asked: &ComposeEvaluationConfig,
     most: usize,
-    seed: u64,
-    together: &Together,
+    request: &EvaluationRequest,
     on_step: &mut OnStep<'_>,
 ) -> Result<ComposeEvaluation, Error> {
+    let (seed, together) = (request.seed, &request.together);
     let sampler = &subject.config.sampling.sampler;
     let skeleton = subject.config.data.humanml3d.skeleton.skeleton();
     let key = Key::new(seed, Purpose::Sampling);
@@ -176,11 +173,7 @@ fn evaluate(
     let statistics = composer.statistics()?;
     let real_jerk = of_real.window_jerk();
     let paths = (asked.num_paths > 0)
-        .then(|| {
-            ways::evaluate(
-                composer, held_out, asked, sampler, most, seed, together, on_step,
-            )
-        })
+        .then(|| ways::evaluate(composer, held_out, asked, sampler, most, request, on_step))
         .transpose()?;
     Ok(ComposeEvaluation {
         run: composer.config().run.name.clone(),

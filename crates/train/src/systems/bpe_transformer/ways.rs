@@ -17,10 +17,9 @@ use super::report::distance;
 use super::{ComposeEvaluationConfig, Composer, Line};
 use crate::captions::ClipText;
 use crate::error::Error;
-use crate::evaluation::OnStep;
+use crate::evaluation::{EvaluationRequest, OnStep};
 use crate::path_target::{PathTarget, features_of, way};
 use crate::sampling::item_seed;
-use crate::together::Together;
 
 /// The shortest way that is followed, metres: who stays where he is follows none.
 const SHORTEST: f64 = 2.0;
@@ -124,10 +123,10 @@ pub(super) fn evaluate(
     settings: &ComposeEvaluationConfig,
     sampler: &SamplerConfig,
     most: usize,
-    seed: u64,
-    together: &Together,
+    request: &EvaluationRequest,
     on_step: &mut OnStep<'_>,
 ) -> Result<WaysEvaluation, Error> {
+    let (seed, together) = (request.seed, &request.together);
     let humanml3d = &composer.config().data.humanml3d;
     let skeleton = humanml3d.skeleton.skeleton();
     let fps = skeleton.description().fps;

@@ -72,6 +72,7 @@ pub(super) fn must_fit(
     subject: &Subject,
     count: usize,
     frames: usize,
+    processes: usize,
     hint: &str,
 ) -> Result<(), Error> {
     let windows = windows(&subject.config, frames)?;
@@ -82,7 +83,7 @@ pub(super) fn must_fit(
     let networks = footprint(&subject.config, frames)?;
     let needed = networks.of_sampling(batch, false, subject.on_host);
     let work = format!("drawing {batch} phrases of {frames} frames");
-    memory::must_fit(&work, needed, hint)
+    memory::must_fit(&work, needed.saturating_mul(processes as u64), hint)
 }
 
 /// Keys of the noise of the first `count` samples of one condition.

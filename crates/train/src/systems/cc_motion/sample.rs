@@ -100,7 +100,7 @@ pub(super) fn sample(
             Some((windows, _)) => (windows.len().min(WINDOWS_IN_FLIGHT), windows.length()),
             None => (request.count, drawing.heard.audio.frames()),
         };
-        must_fit(subject, count, frames, HINT)?;
+        must_fit(subject, count, frames, 1, HINT)?;
     }
     let several = drawings.len() > 1;
     let stem = |heard: &Heard| match several {
@@ -195,7 +195,7 @@ fn for_held_out(
     let chosen = dataset.held_out().first(count)?;
     let lengths: BTreeSet<usize> = chosen.iter().map(|phrase| phrase.audio.frames()).collect();
     for frames in lengths {
-        must_fit(subject, chosen.len(), frames, HELD_OUT_HINT)?;
+        must_fit(subject, chosen.len(), frames, 1, HELD_OUT_HINT)?;
     }
     let post_processing = PostProcessConfig::from(request.post_processing.unwrap_or_default());
     let generator = Generator::load(&subject.checkpoint, subject.weights, &subject.device)?

@@ -18,7 +18,6 @@ use crate::clips::{dataset_or, with_held_out};
 use crate::config::SystemTables;
 use crate::error::Error;
 use crate::evaluation::{Column, Evaluate, Evaluated, EvaluationRequest, Group, Number, OnStep};
-use crate::memory::must_fit;
 use crate::sampling::{Subject, item_seed};
 use crate::together::Together;
 
@@ -109,7 +108,7 @@ pub(super) fn prepare<'a>(
     let joints = subject.config.data.humanml3d.skeleton.skeleton().joints();
     let numbers = held_out.len() as u64 * asked.frames as u64 * 3 * joints as u64;
     let hint = "fewer or shorter motions: `evaluation.rollouts`, `evaluation.frames`";
-    must_fit("the evaluation", numbers * size_of::<f64>() as u64, hint)?;
+    request.must_fit(numbers * size_of::<f64>() as u64, hint)?;
     let (seed, together) = (request.seed, request.together.clone());
     Ok(Box::new(move |on_step| {
         let generator = FlowGenerator::load(&subject.checkpoint, subject.weights, &subject.device)?;

@@ -12,7 +12,6 @@ use super::{CondSource, EvaluationSettings, evaluate};
 use crate::config::SystemTables;
 use crate::error::Error;
 use crate::evaluation::{Evaluate, EvaluationRequest};
-use crate::memory::must_fit;
 use crate::sampling::Subject;
 use crate::systems::cc_motion::generate::{self, Generator};
 use crate::systems::cc_motion::lengths::{leading, untrained, windows};
@@ -61,8 +60,7 @@ pub fn prepare<'a>(
     held_out.truncate(wanted.phrases.unwrap_or(usize::MAX));
     let frames = held_out.iter().map(|phrase| phrase.frames() as u64);
     let of_a_seed = frames.sum::<u64>() * BYTES_A_FRAME;
-    must_fit(
-        "the evaluation",
+    request.must_fit(
         of_a_seed.saturating_mul(wanted.seeds as u64),
         "all samples are compared with each other: choose fewer `evaluation.seeds` or \
          `evaluation.phrases`",
@@ -72,9 +70,10 @@ pub fn prepare<'a>(
         return listening(subject, request, &wanted, &songs, held_out, &dataset.train);
     }
     let hint = "choose fewer `evaluation.seeds`: the samples of a phrase are drawn at a time";
+    let processes = request.together.ranks().local().size;
     let lengths: BTreeSet<usize> = held_out.iter().map(|phrase| phrase.frames()).collect();
     for frames in lengths {
-        generate::must_fit(subject, wanted.seeds, frames, hint)?;
+        generate::must_fit(subject, wanted.seeds, frames, processes, hint)?;
     }
     let together = request.together.clone();
     let settings = EvaluationSettings {
@@ -147,8 +146,10 @@ fn listening<'a>(
     }
     let longest = held_out.iter().map(|one| one.phrase.frames()).max();
     let hint = "choose fewer `evaluation.seeds`: the samples of a phrase are drawn at a time";
+    let processes = request.together.ranks().local().size;
     let at_a_time = wanted.seeds.saturating_mul(HEARD);
-    generate::must_fit(subject, at_a_time, longest.unwrap_or_default(), hint)?;
+    let longest = longest.unwrap_or_default();
+    generate::must_fit(subject, at_a_time, longest, processes, hint)?;
     let settings = ListeningSettings {
         seeds: wanted.seeds,
         seed: request.seed,

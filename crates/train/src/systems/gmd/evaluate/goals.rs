@@ -83,6 +83,17 @@ pub struct ReplicatedTextMotion {
     pub real: Replicated<TextMotionReport>,
 }
 
+/// What is evaluated, and by what.
+#[derive(Clone, Copy)]
+pub struct Models<'a> {
+    /// Draws the clips.
+    pub generator: &'a ClipGenerator,
+    /// Draws the ground paths of the first of two stages.
+    pub trajectory: Option<&'a ClipGenerator>,
+    /// Says how clips match their captions.
+    pub evaluator: Option<&'a TextMotion>,
+}
+
 /// One replication.
 struct Replication {
     drawn: GoalReport,
@@ -98,11 +109,9 @@ struct Replication {
 /// # Errors
 /// As [`ClipGenerator::sample`].
 pub fn evaluate_goals(
-    generator: &ClipGenerator,
-    trajectory: Option<&ClipGenerator>,
+    models: Models<'_>,
     held_out: &[Arc<Clip>],
     settings: &GoalSettings,
-    evaluator: Option<&TextMotion>,
     together: &Together,
     on_step: &mut OnStep<'_>,
 ) -> Result<GoalEvaluation, Error> {
@@ -111,12 +120,10 @@ pub fn evaluate_goals(
     for number in 0..count {
         let seed = settings.seed.wrapping_add(number as u64);
         replications.push(replicate(
-            generator,
-            trajectory,
+            models,
             held_out,
             settings,
             seed,
-            evaluator,
             together,
             &mut |stage, done, all| on_step(stage, number * all + done, count * all),
         )?);
@@ -137,9 +144,9 @@ pub fn evaluate_goals(
         .collect();
     Ok(GoalEvaluation {
         variety: variety.map(|each| of(each.into_iter())),
-        run: generator.config().run.name.clone(),
-        step: generator.step(),
-        trajectory_run: trajectory.map(|t| t.config().run.name.clone()),
+        run: models.generator.config().run.name.clone(),
+        step: models.generator.step(),
+        trajectory_run: models.trajectory.map(|t| t.config().run.name.clone()),
         drawn: of(replications.iter().map(|each| &each.drawn)),
         real: of(replications.iter().map(|each| &each.real)),
         text_motion: text_motion.map(|each| ReplicatedTextMotion {
@@ -152,15 +159,18 @@ pub fn evaluate_goals(
 
 /// One replication, by `seed`.
 fn replicate(
-    generator: &ClipGenerator,
-    trajectory: Option<&ClipGenerator>,
+    models: Models<'_>,
     held_out: &[Arc<Clip>],
     settings: &GoalSettings,
     seed: u64,
-    evaluator: Option<&TextMotion>,
     together: &Together,
     on_step: &mut OnStep<'_>,
 ) -> Result<Replication, Error> {
+    let Models {
+        generator,
+        trajectory,
+        evaluator,
+    } = models;
     let task = &settings.task;
     let goal = |clip: &Arc<Clip>| task.goal(clip, seed);
     let goals: Vec<Goal> = held_out.iter().map(goal).collect();

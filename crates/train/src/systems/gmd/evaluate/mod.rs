@@ -6,7 +6,7 @@ mod run;
 mod task;
 mod variety;
 
-pub use goals::{GoalEvaluation, GoalSettings, evaluate_goals};
+pub use goals::{GoalEvaluation, GoalSettings, Models, evaluate_goals};
 pub use replications::Replicated;
 pub(super) use run::prepare;
 pub use task::{GoalTask, KeyframePlacement};

@@ -7,14 +7,13 @@ use kinegrad_data::humanml::labels_of;
 use kinegrad_motion::metrics::GoalReport;
 use serde_json::to_value;
 
-use super::{GoalSettings, GoalTask, Replicated, VarietyReport, evaluate_goals};
+use super::{GoalSettings, GoalTask, Models, Replicated, VarietyReport, evaluate_goals};
 use crate::captions::must_know_texts;
 use crate::checkpoint::{Weights, resolve_checkpoint};
 use crate::clips::{dataset_or, with_held_out};
 use crate::config::SystemTables;
 use crate::error::Error;
 use crate::evaluation::{Column, Evaluate, Evaluated, EvaluationRequest, Group, Number};
-use crate::memory::must_fit;
 use crate::sampling::Subject;
 use crate::systems::gmd::generate::drawn_frames;
 use crate::systems::gmd::networks::footprint;
@@ -65,7 +64,7 @@ pub fn prepare<'a>(
     let networks = footprint(&subject.config, frames)?;
     let needed = networks.of_sampling(at_once, true, subject.on_host);
     let hint = "draw for fewer goals together: `evaluation.batch_size`";
-    must_fit("the evaluation", needed, hint)?;
+    request.must_fit(needed, hint)?;
     if let Some(path) = &request.trajectory {
         must_draw_paths(path)?;
     }
@@ -117,15 +116,12 @@ pub fn prepare<'a>(
         let load = |path: &Path| ClipGenerator::load(path, subject.weights, &subject.device);
         let generator = load(&subject.checkpoint)?;
         let trajectory = trajectory.as_deref().map(load).transpose()?;
-        let evaluation = evaluate_goals(
-            &generator,
-            trajectory.as_ref(),
-            &held_out,
-            &settings,
-            evaluator.as_ref(),
-            &together,
-            on_step,
-        )?;
+        let models = Models {
+            generator: &generator,
+            trajectory: trajectory.as_ref(),
+            evaluator: evaluator.as_ref(),
+        };
+        let evaluation = evaluate_goals(models, &held_out, &settings, &together, on_step)?;
         if let Some(reports) = &evaluation.text_motion {
             remarks.push(format!("{}: {}", evaluation.run, reports.drawn.mean));
             remarks.push(format!("held out: {}", reports.real.mean));
