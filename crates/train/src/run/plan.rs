@@ -159,8 +159,8 @@ impl Plan {
         let checkpoint_bytes = NUMBER * (2 * parameters.all + 2 * parameters.trained) as u64;
         let written = left.div_ceil(config.checkpoint.every_steps.max(1)) + 1;
         let checkpoints = (config.checkpoint.keep_last as u64 + best).min(written);
-        // A copy of the weights, and the bytes of the largest file.
-        let writing = 2 * NUMBER * (parameters.all + parameters.trained) as u64;
+        // A copy of the weights.
+        let writing = NUMBER * parameters.all as u64;
         let memory = match (before, memory::taken()) {
             (Some(before), Some(after)) if measured > 0 => {
                 (after.most + writing).max(before.now.saturating_add(memory_of_samples))
