@@ -20,12 +20,12 @@ use kinegrad_models::parameters;
 use kinegrad_motion::humanml::Joints;
 use kinegrad_motion::{Representation, Statistics};
 use kinegrad_random::{Key, Purpose};
-use kinegrad_train::checkpoint::{State, read_weights};
-use kinegrad_train::config::{Config, ConfigError, SystemTables};
+use kinegrad_train::TrainedModel;
+use kinegrad_train::config::{Config, ConfigError, OwnTables, SystemTables};
 use kinegrad_train::denoising::{HeldOut, Inputs};
 use kinegrad_train::evaluation::{Column, Evaluate, Evaluated, EvaluationRequest, Group, Number};
 use kinegrad_train::run::{Material, Outcome, Setup};
-use kinegrad_train::sampling::{Contents, Drawn, Receiver, Record, Remark, Request, Subject};
+use kinegrad_train::sampling::{Contents, Drawn, Receiver, Record, Remark, Request};
 use kinegrad_train::systems::{BUILT_IN, RecipeInfo, System, Systems};
 use kinegrad_train::{Error, Loss, Measured, Observer, Recipe, StepKey};
 use serde::{Deserialize, Serialize};
@@ -266,7 +266,7 @@ impl Recipe for ToyRecipe {
 struct Toy;
 
 fn dataset(config: &Config) -> Result<Dataset<Circle>, Error> {
-    let CircleConfig { count, frames } = ToyConfig::of(config)?.circles;
+    let CircleConfig { count, frames } = config.own::<ToyConfig>().circles;
     let mut circles: Vec<_> = (0..count).map(|index| Circle::new(index, frames)).collect();
     let held_out = circles.split_off(count - count / 3);
     Ok(Dataset::of_items(circles, held_out, Point))
@@ -280,21 +280,20 @@ fn height(rows: &[f32]) -> f64 {
 }
 
 /// Rows of drawn circles, one for each radius.
-fn draw(subject: &Subject, radii: &[f32], seed: u64) -> Result<Vec<Vec<f32>>, Error> {
-    let state = State::read(&subject.checkpoint)?;
-    let weights = read_weights(&subject.checkpoint, &state, subject.weights)?;
-    let network = parameters::load(Network::new(&subject.device), weights)?;
-    let frames = ToyConfig::of(&subject.config)?.circles.frames;
+fn draw(trained: &TrainedModel, radii: &[f32], seed: u64) -> Result<Vec<Vec<f32>>, Error> {
+    let weights = trained.read_weights()?;
+    let network = parameters::load(Network::new(&trained.device), weights)?;
+    let frames = trained.config().own::<ToyConfig>().circles.frames;
     let shape = [radii.len(), CHANNELS, frames];
     let key = Key::new(seed, Purpose::Sampling);
-    let noise = kinegrad_train::denoising::noise(key, shape, &subject.device);
+    let noise = kinegrad_train::denoising::noise(key, shape, &trained.device);
     let given: Vec<f32> = radii.iter().copied().map(condition).collect();
     let radius = TensorData::new(given, [radii.len(), 1, 1]);
-    let radius = Tensor::from_data(radius, &subject.device);
-    let steps = subject.config.sampling.sampler.num_inference_steps;
+    let radius = Tensor::from_data(radius, &trained.device);
+    let steps = trained.config().sampling.sampler.num_inference_steps;
     let drawn = euler(&network, noise, &radius, steps);
     let values = drawn.try_into_vec_as::<f32>().expect("float32");
-    let statistics = state.statistics_of(&Point)?;
+    let statistics = trained.saved.state.statistics_of(&Point)?;
     let each = values.chunks(CHANNELS * frames);
     Ok(each.map(|values| statistics.denormalize(values)).collect())
 }
@@ -323,12 +322,11 @@ impl System for Toy {
         &self,
         tables: &Table,
         place: &dyn Fn(&str) -> String,
-    ) -> Result<Table, ConfigError> {
-        Ok(ToyConfig::read(tables, place)?.to_table())
+    ) -> Result<OwnTables, ConfigError> {
+        Ok(OwnTables::new(ToyConfig::read(tables, place)?))
     }
 
-    fn validate(&self, config: &Config) -> Result<Vec<String>, Error> {
-        ToyConfig::of(config)?;
+    fn validate(&self, _: &Config) -> Result<Vec<String>, Error> {
         Ok(Vec::new())
     }
 
@@ -338,12 +336,12 @@ impl System for Toy {
 
     fn sample(
         &self,
-        subject: &Subject,
+        trained: &TrainedModel,
         request: &Request,
         receiver: &mut dyn Receiver,
     ) -> Result<Option<Remark>, Error> {
         let radii: Vec<f32> = (0..request.count).map(|i| 0.6 + 0.2 * i as f32).collect();
-        for (index, rows) in draw(subject, &radii, request.seed)?.into_iter().enumerate() {
+        for (index, rows) in draw(trained, &radii, request.seed)?.into_iter().enumerate() {
             let frames = rows.len() / CHANNELS;
             let shape = vec![frames, CHANNELS];
             let values = Contents::Array {
@@ -357,7 +355,7 @@ impl System for Toy {
                     index,
                     frames,
                     fps: 30.0,
-                    ..Record::new(self.name(), subject, request.seed)
+                    ..Record::new(self.name(), trained, request.seed)
                 },
             })?;
         }
@@ -366,14 +364,14 @@ impl System for Toy {
 
     fn evaluate<'a>(
         &self,
-        subject: &'a Subject,
+        trained: &'a TrainedModel,
         request: &EvaluationRequest,
     ) -> Result<Evaluate<'a>, Error> {
-        let held_out = dataset(&subject.config)?.validation.load()?;
+        let held_out = dataset(trained.config())?.validation.load()?;
         let seed = request.seed;
         Ok(Box::new(move |_| {
             let radii: Vec<f32> = held_out.iter().map(|circle| circle.radius).collect();
-            let drawn = draw(subject, &radii, seed)?;
+            let drawn = draw(trained, &radii, seed)?;
             let column = |circles: &mut dyn Iterator<Item = &Vec<f32>>| {
                 let heights: Vec<f64> = circles.map(|rows| height(rows)).collect();
                 let value = heights.iter().sum::<f64>() / heights.len() as f64;
@@ -391,7 +389,7 @@ impl System for Toy {
                 }
             };
             Ok(Evaluated {
-                run: subject.config.run.name.clone(),
+                run: trained.config().run.name.clone(),
                 report: "eval-circles",
                 json: serde_json::json!({ "height": height(&drawn.concat()) }),
                 real: column(&mut held_out.iter().map(|circle| &circle.rows)),
@@ -404,12 +402,12 @@ impl System for Toy {
     fn train(&self, setup: Setup, observer: &mut dyn Observer) -> Result<Outcome, Error> {
         let setup = setup.with_gradients(false);
         let dataset = dataset(&setup.config)?;
-        setup.same_dataset(dataset.digest)?;
+        setup.must_be_same_dataset(dataset.digest)?;
         let statistics = match &setup.checkpoint {
             Some(checkpoint) => checkpoint.state.statistics_of(&Point)?.clone(),
             None => dataset.statistics()?,
         };
-        let frames = ToyConfig::of(&setup.config)?.circles.frames;
+        let frames = setup.config.own::<ToyConfig>().circles.frames;
         let samples = |circles| CircleSamples {
             circles,
             statistics: Arc::new(statistics.clone()),

@@ -6,7 +6,6 @@ use std::ops::ControlFlow;
 use std::ops::Range;
 use std::path::Path;
 
-use burn::tensor::Device;
 use kinegrad_data::{AudioLayout, load_audio, read_motion};
 use kinegrad_motion::phrase::POSITION;
 use kinegrad_motion::stitch::Windows;
@@ -14,8 +13,9 @@ use kinegrad_motion::{Motion, Movement};
 use kinegrad_random::{Key, Purpose};
 use kinegrad_tests::captures::wav;
 use kinegrad_tests::sandbox::{SMALLEST, SMALLEST_WALKS, Sandbox};
-use kinegrad_train::checkpoint::Weights;
+use kinegrad_train::checkpoint::{SavedCheckpoint, Weights};
 use kinegrad_train::sampling::{Given, GivenFrames};
+use kinegrad_train::systems::BUILT_IN;
 use kinegrad_train::systems::cc_motion::generate::Generator;
 use kinegrad_train::systems::cc_motion::whole::Whole;
 use serde_json::Value;
@@ -142,8 +142,9 @@ fn windows_in_flight_change_nothing_and_ddpm_shares_its_noise() {
     .expect("features");
     let audio = audio.slice(0..95);
     let checkpoint = sandbox.path("runs/smallest/checkpoints/step-00000004");
-    let generator =
-        Generator::load(&checkpoint, Weights::Ema, &Device::flex()).expect("a generator");
+    let saved = SavedCheckpoint::read(&checkpoint).expect("a checkpoint");
+    let trained = BUILT_IN.trained(saved, &[], Weights::Ema, Some("cpu"));
+    let generator = Generator::load(&trained.expect("a model")).expect("a generator");
     for kind in ["ddim", "ddpm", "dpmpp_2m", "heun"] {
         let mut sampling = generator.config().sampling.clone();
         sampling.sampler.kind = serde_json::from_str(&format!("\"{kind}\"")).expect("a kind");

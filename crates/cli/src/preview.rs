@@ -5,7 +5,7 @@ use std::path::Path;
 use kinegrad_data::write_whole;
 use kinegrad_report::scene::{Floor, Scene};
 use kinegrad_report::{body_panels, draw_png, viewer};
-use kinegrad_train::checkpoint::Weights;
+use kinegrad_train::checkpoint::{SavedCheckpoint, Weights};
 use kinegrad_train::run::preview_page;
 use kinegrad_train::sampling::{self, Conditions, Contents, Drawn, Receiver, Request};
 use kinegrad_train::systems::Systems;
@@ -28,8 +28,9 @@ const CURVES: usize = 3;
 /// # Errors
 /// If they cannot be drawn or written; no page is left then.
 pub fn draw(systems: Systems<'_>, checkpoint: &Path, step: u64) -> Result<Vec<Preview>, Error> {
-    let subject = systems.trained(checkpoint, &[], Weights::Ema, None)?;
-    let count = match subject.config.sampling.count_at_end {
+    let saved = SavedCheckpoint::read(checkpoint)?;
+    let trained = systems.trained(saved, &[], Weights::Ema, None)?;
+    let count = match trained.config().sampling.count_at_end {
         0 => COUNT,
         count => count,
     };
@@ -39,17 +40,17 @@ pub fn draw(systems: Systems<'_>, checkpoint: &Path, step: u64) -> Result<Vec<Pr
             ..Conditions::default()
         },
         count: 1,
-        seed: subject.config.run.seed,
+        seed: trained.config().run.seed,
         ..Request::default()
     };
     let mut drawn = Scenes {
         systems,
         scene: Scene {
-            title: format!("{}: step {step}", subject.config.run.name),
+            title: format!("{}: step {step}", trained.config().run.name),
             ..Scene::default()
         },
     };
-    sampling::sample(systems, &subject, &request, &mut drawn)?;
+    sampling::sample(systems, &trained, &request, &mut drawn)?;
     let run = checkpoint.parent().and_then(Path::parent);
     let page = preview_page(run.unwrap_or(checkpoint), step);
     write_whole(&page, viewer::page(&drawn.scene).as_bytes())?;

@@ -27,7 +27,7 @@ pub fn check(
         let representation = BUILT_IN.representation_of(Path::new("motion"), &shape, &values)?;
         let statistics = match (profile, &run) {
             (Profile::Strict, Some(run)) => {
-                let state = State::read(&checkpoint(run)?)?;
+                let state = checkpoint(run)?.state;
                 Some(state.statistics_of(&*representation)?.clone())
             }
             _ => None,

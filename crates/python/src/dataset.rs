@@ -166,7 +166,7 @@ impl Dataset {
         split: &str,
     ) -> Result<Self, Error> {
         let state = match run {
-            Some(run) => Some(State::read(&checkpoint(run)?)?),
+            Some(run) => Some(checkpoint(run)?.state),
             None => None,
         };
         let config = match (&state, source) {

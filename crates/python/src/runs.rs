@@ -3,12 +3,10 @@
 use std::path::{Path, PathBuf};
 
 use kinegrad_cli::{checkpoint, while_it_is_trained};
-use kinegrad_train::Error;
-use kinegrad_train::checkpoint::{State, Weights};
+use kinegrad_train::checkpoint::{SavedCheckpoint, Weights};
 use kinegrad_train::evaluation::EvaluationRequest;
-use kinegrad_train::sampling::Subject;
 use kinegrad_train::systems::BUILT_IN;
-use kinegrad_train::telemetry;
+use kinegrad_train::{Error, TrainedModel, telemetry};
 use pyo3::prelude::*;
 
 use crate::calls::{call, call_with, json};
@@ -19,9 +17,8 @@ pub fn open_run(py: Python<'_>, path: PathBuf) -> PyResult<(PathBuf, u64, String
     call(py, || {
         while_it_is_trained(|| {
             let found = checkpoint(&path)?;
-            let state = State::read(&found)?;
-            let config = BUILT_IN.completed(&state.config)?;
-            Ok((found, state.step, json(&config)))
+            let config = BUILT_IN.completed(&found.state.config)?;
+            Ok((found.path, found.state.step, json(&config)))
         })
     })
 }
@@ -52,7 +49,7 @@ impl Model {
     ///
     /// # Errors
     /// If there is none, it is damaged, or a setting is invalid.
-    pub fn open(&self) -> Result<Subject, Error> {
+    pub fn open(&self) -> Result<TrainedModel, Error> {
         let weights = match self.weights.as_str() {
             "ema" => Weights::Ema,
             "model" => Weights::Model,
@@ -63,8 +60,8 @@ impl Model {
                 ));
             }
         };
-        let path = checkpoint(&self.run)?;
-        BUILT_IN.trained(&path, &self.settings, weights, self.device.as_deref())
+        let saved = checkpoint(&self.run)?;
+        BUILT_IN.trained(saved, &self.settings, weights, self.device.as_deref())
     }
 }
 
@@ -72,7 +69,7 @@ impl Model {
 ///
 /// # Errors
 /// If there is none.
-pub fn optional_checkpoint(run: Option<&Path>) -> Result<Option<PathBuf>, Error> {
+pub fn optional_checkpoint(run: Option<&Path>) -> Result<Option<SavedCheckpoint>, Error> {
     run.map(checkpoint).transpose()
 }
 
@@ -89,15 +86,15 @@ pub fn evaluate(
     kinegrad_kernels::memory::keep_freed();
     call_with(py, progress, |progress| {
         while_it_is_trained(|| {
-            let subject = model.open()?;
+            let trained = model.open()?;
             let request = EvaluationRequest {
                 source: source.clone(),
                 trajectory: optional_checkpoint(trajectory_run.as_deref())?,
                 seed,
                 ..EvaluationRequest::default()
             };
-            let (system, _) = BUILT_IN.of(&subject.config)?;
-            let evaluate = system.evaluate(&subject, &request)?;
+            let (system, _) = BUILT_IN.of(trained.config())?;
+            let evaluate = system.evaluate(&trained, &request)?;
             let evaluated = evaluate(&mut |stage, done, all| progress.step(stage, done, all))?;
             Ok(json(&evaluated.json))
         })

@@ -223,13 +223,13 @@ pub fn sample(
     call_with(py, progress, |progress| {
         while_it_is_trained(|| {
             let request = wanted.request()?;
-            let subject = model.open()?;
+            let trained = model.open()?;
             let mut collector = Collector {
                 progress: &mut *progress,
                 ended: false,
                 drawn: Vec::new(),
             };
-            sampling::sample(BUILT_IN, &subject, &request, &mut collector)?;
+            sampling::sample(BUILT_IN, &trained, &request, &mut collector)?;
             Ok(collector.drawn)
         })
     })

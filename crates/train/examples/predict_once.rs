@@ -11,13 +11,13 @@
 use std::path::Path;
 use std::process::ExitCode;
 
-use burn::tensor::Device;
 use kinegrad_data::Dataset;
 use kinegrad_data::humanml::Clip;
 use kinegrad_motion::humanml::Joints;
 use kinegrad_motion::metrics::mean_jerk;
 use kinegrad_train::Error;
 use kinegrad_train::checkpoint::{Weights, resolve_checkpoint};
+use kinegrad_train::systems::BUILT_IN;
 use kinegrad_train::systems::gmd::ClipGenerator;
 
 /// Held-out clips that are predicted.
@@ -41,8 +41,9 @@ fn main() -> ExitCode {
 }
 
 fn report(run: &Path, timesteps: &[usize]) -> Result<(), Error> {
-    let checkpoint = resolve_checkpoint(run, |_| {})?;
-    let generator = ClipGenerator::load(&checkpoint, Weights::Ema, &Device::flex())?;
+    let saved = resolve_checkpoint(run, |_| {})?;
+    let trained = BUILT_IN.trained(saved, &[], Weights::Ema, Some("cpu"))?;
+    let generator = ClipGenerator::load(&trained)?;
     let data = &generator.config().data;
     let clips = Dataset::<Clip>::open(data)?.validation.evenly(CLIPS)?;
     if clips.is_empty() {

@@ -4,6 +4,12 @@ use std::collections::BTreeMap;
 use std::ops::ControlFlow;
 use std::sync::Arc;
 
+use crate::config::nearest;
+use crate::error::Error;
+use crate::observer::Observer;
+use crate::sampling::Conditions;
+use crate::text_encoder::TextEncoder;
+use crate::together::Together;
 use burn::tensor::Device;
 use kinegrad_data::humanml::{
     CaptionLabels, CaptionText, Clip, ClipSet, MAX_CAPTIONS, read_embedding,
@@ -13,14 +19,6 @@ use kinegrad_motion::humanml::TEXT_CHANNELS;
 use kinegrad_settings::{InvalidSetting, Refused, in_range, require};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use toml::{Table, Value};
-
-use crate::config::{Config, ConfigError, PLAIN, from_table, nearest};
-use crate::error::Error;
-use crate::observer::Observer;
-use crate::sampling::Conditions;
-use crate::text_encoder::TextEncoder;
-use crate::together::Together;
 
 /// Most captions that an error lists.
 const LISTED: usize = 40;
@@ -34,32 +32,7 @@ pub struct CaptionsConfig {
     pub captions: Vec<String>,
 }
 
-/// Where the table stands.
-#[derive(Default, Deserialize)]
-#[serde(default)]
-struct Tables {
-    text: CaptionsConfig,
-}
-
 impl CaptionsConfig {
-    /// That of a run on clips.
-    ///
-    /// # Errors
-    /// If the config cannot be read.
-    fn of(config: &Config) -> Result<Self, ConfigError> {
-        let own = config.system.get_key_value("text").into_iter();
-        let own = own.map(|(key, table)| (key.clone(), table.clone()));
-        let tables: Tables = from_table(&Table::from_iter(own), &|_| "the run's config".into())?;
-        Ok(tables.text)
-    }
-
-    /// `config` with this table.
-    fn within(self, mut config: Config) -> Config {
-        let table = Table::try_from(self).expect(PLAIN);
-        config.system.insert("text".into(), Value::Table(table));
-        config
-    }
-
     /// # Errors
     /// Names the key that cannot be followed.
     pub(crate) fn validate(&self, data: &DataConfig) -> Result<(), InvalidSetting> {
@@ -127,17 +100,13 @@ pub(crate) enum TextInput {
 }
 
 impl TextInput {
-    /// That of the model of a config; no caption is known before the training clips are.
-    ///
-    /// # Errors
-    /// If the config cannot be read.
-    pub fn of(config: &Config) -> Result<Self, Error> {
-        Ok(match config.data.humanml3d.text {
+    /// The text input of the model of a config with this table `text`. No caption is known before
+    /// the training clips are read.
+    pub fn new(text: &CaptionsConfig, data: &DataConfig) -> Self {
+        match data.humanml3d.text {
             CaptionText::Embeddings => Self::Embedding,
-            CaptionText::Labels => {
-                Self::Labels(CaptionLabels::new(CaptionsConfig::of(config)?.captions))
-            }
-        })
+            CaptionText::Labels => Self::Labels(CaptionLabels::new(text.captions.clone())),
+        }
     }
 
     /// Values of a text.
@@ -182,12 +151,11 @@ impl TextInput {
     }
 }
 
-/// Rejects clips whose captions the model of `config` does not know.
+/// Rejects clips whose captions a model with this `input` does not know.
 ///
 /// # Errors
 /// [`Error::Usage`] with the first such clip and what the model knows.
-pub(crate) fn must_know_texts(config: &Config, clips: &[Arc<Clip>]) -> Result<(), Error> {
-    let input = TextInput::of(config)?;
+pub(crate) fn must_know_texts(input: &TextInput, clips: &[Arc<Clip>]) -> Result<(), Error> {
     for clip in clips {
         if let Some(text) = ClipText::of(clip) {
             input.values(&text).map_err(|error| match error {
@@ -272,23 +240,23 @@ pub(crate) fn text_of(
     Ok(Some(text))
 }
 
-/// `config` with the captions of the training clips, if captions are labels and it states none.
+/// The table `text` with the captions of the training clips, if captions are labels and it lists none.
 ///
 /// # Errors
 /// If there are none or too many, or a clip has one that is not known.
 pub(crate) fn with_captions(
-    config: Config,
+    mut text: CaptionsConfig,
+    data: &DataConfig,
     dataset: &Dataset<Clip>,
     together: &Together,
     observer: &mut dyn Observer,
-) -> Result<Config, Error> {
-    if config.data.humanml3d.text != CaptionText::Labels {
-        return Ok(config);
+) -> Result<CaptionsConfig, Error> {
+    if data.humanml3d.text != CaptionText::Labels {
+        return Ok(text);
     }
     let found = |set: &ClipSet| set.captions_among(&*observer.reading(), together);
     let (train, held_out) = (found(&dataset.train)?, found(&dataset.validation)?);
-    let mut own = CaptionsConfig::of(&config)?;
-    if own.captions.is_empty() {
+    if text.captions.is_empty() {
         let count = train.len();
         require(
             (1..=MAX_CAPTIONS).contains(&count),
@@ -297,12 +265,12 @@ pub(crate) fn with_captions(
             format!("\"labels\" for 1 to {MAX_CAPTIONS} distinct captions"),
         )
         .hint("\"embeddings\" is for captions of any number: docs/dataset.md")?;
-        own.captions = train.keys().cloned().collect();
+        text.captions = train.keys().cloned().collect();
         observer.note(&format!(
             "the model learns an embedding of each of {count} captions"
         ));
     }
-    let known = CaptionLabels::new(own.captions.clone());
+    let known = CaptionLabels::new(text.captions.clone());
     must_know(
         &train,
         &known,
@@ -316,7 +284,7 @@ pub(crate) fn with_captions(
                                   hold out clips whose captions are also those of clips in \
                                   `data.humanml3d.train_list`",
     )?;
-    Ok(own.within(config))
+    Ok(text)
 }
 
 /// Rejects captions, each with a clip that has it, that are not `known`.

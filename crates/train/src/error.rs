@@ -64,6 +64,15 @@ pub enum Error {
     #[error(transparent)]
     #[diagnostic(transparent)]
     Emphasis(#[from] kinegrad_motion::emphasis::EmphasisError),
+    /// A run of another system than is needed.
+    #[error("the run's recipe is `{recipe}`, needed: {known}")]
+    #[diagnostic(help("use a run of one of these recipes"))]
+    OtherRecipe {
+        /// The run's recipe.
+        recipe: String,
+        /// Those of the system.
+        known: String,
+    },
     /// A run on another representation of motion than is needed.
     #[error("the run's recipe, `{recipe}`, does not train on {expected}")]
     #[diagnostic(help("use a run of a recipe that does"))]

@@ -1,11 +1,12 @@
 //! Evaluating trained models: requests, and results that reports show side by side.
 
 use std::ops::ControlFlow;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::rc::Rc;
 
 use serde_json::Value;
 
+use crate::checkpoint::SavedCheckpoint;
 use crate::error::Error;
 use crate::memory::must_fit;
 use crate::together::Together;
@@ -17,7 +18,7 @@ pub struct EvaluationRequest {
     /// Dataset whose held-out items are used, instead of the run's own.
     pub source: Option<String>,
     /// Checkpoint of the trajectory model for two-stage sampling.
-    pub trajectory: Option<PathBuf>,
+    pub trajectory: Option<SavedCheckpoint>,
     /// Seed of the noise.
     pub seed: u64,
     /// Whether models that hear music are held against music that says something else.

@@ -10,14 +10,15 @@
 //! use std::ops::ControlFlow;
 //! use std::path::Path;
 //!
+//! use kinegrad_train::Error;
 //! use kinegrad_train::checkpoint::{Weights, resolve_checkpoint};
+//! use kinegrad_train::systems::BUILT_IN;
 //! use kinegrad_train::systems::cc_motion::generate::Generator;
-//! use kinegrad_train::{Error, device};
 //!
 //! fn main() -> Result<(), Error> {
-//!     let checkpoint = resolve_checkpoint(Path::new("runs/phrases"), |damaged| eprintln!("{damaged}"))?;
-//!     let (device, _) = device::open("cpu")?;
-//!     let generator = Generator::load(&checkpoint, Weights::Ema, &device)?;
+//!     let saved = resolve_checkpoint(Path::new("runs/phrases"), |damaged| eprintln!("{damaged}"))?;
+//!     let trained = BUILT_IN.trained(saved, &[], Weights::Ema, Some("cpu"))?;
+//!     let generator = Generator::load(&trained)?;
 //!
 //!     let layout = generator.config().data.audio_layout();
 //!     let audio = kinegrad_data::load_audio(Path::new("features.npz"), layout)?;
@@ -56,6 +57,7 @@ pub mod telemetry;
 pub mod text_encoder;
 mod text_plan;
 mod together;
+mod trained_model;
 mod trainer;
 
 pub use config::Config;
@@ -66,4 +68,5 @@ pub use path_target::{Followed, PathTarget};
 pub use recipe::{Loss, Measured, Recipe, StepKey};
 pub use text_plan::{TextPlan, TextStep};
 pub use together::Together;
+pub use trained_model::TrainedModel;
 pub use trainer::{Ending, Trainer, TrainerParts};

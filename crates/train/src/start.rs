@@ -1,15 +1,15 @@
 //! Starting from a trained model (`init.*`), shared by all systems.
 
 use std::fmt::Display;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-use burn::tensor::Device;
 use kinegrad_settings::InvalidSetting;
 use toml::Table;
 
-use crate::checkpoint::{State, Weights, resolve_checkpoint};
-use crate::config::{self, Config, SystemTables};
+use crate::checkpoint::{SavedCheckpoint, State, resolve_checkpoint};
+use crate::config::{self, Config};
 use crate::error::Error;
+use crate::system::System;
 
 /// Keys that fine-tuning may change, because the weights do not depend on them.
 const FREE_KEYS: [&str; 9] = [
@@ -28,7 +28,7 @@ const FREE_KEYS: [&str; 9] = [
 #[derive(Clone, Debug)]
 pub struct Start {
     key: &'static str,
-    path: PathBuf,
+    saved: SavedCheckpoint,
 }
 
 impl Start {
@@ -36,14 +36,19 @@ impl Start {
     /// empty.
     ///
     /// # Errors
-    /// If it is not there.
-    pub fn named(key: &'static str, path: &Path) -> Result<Option<Self>, Error> {
+    /// If it is not there, is damaged, or of a run of another system.
+    pub fn named(
+        key: &'static str,
+        path: &Path,
+        system: &dyn System,
+    ) -> Result<Option<Self>, Error> {
         if path.as_os_str().is_empty() {
             return Ok(None);
         }
-        let found = resolve_checkpoint(path, |_| {});
-        let path = found.map_err(|error| refused(key, path, &error))?;
-        Ok(Some(Self { key, path }))
+        let refused = |error| refused(key, path, &error);
+        let saved = resolve_checkpoint(path, |_| {}).map_err(refused)?;
+        let saved = saved.of(system).map_err(refused)?;
+        Ok(Some(Self { key, saved }))
     }
 
     /// The key that names it.
@@ -52,40 +57,29 @@ impl Start {
     }
 
     /// Config, step, statistics.
-    ///
-    /// # Errors
-    /// If the checkpoint is damaged.
-    pub fn state(&self) -> Result<State, Error> {
-        State::read(&self.path)
+    pub fn state(&self) -> &State {
+        &self.saved.state
     }
 
-    /// What `load` makes of the averaged weights on `device`.
+    /// The network that `load` reads from the checkpoint.
     ///
     /// # Errors
     /// Names the key and why the checkpoint does not fit.
     pub fn load<T>(
         &self,
-        device: &Device,
-        load: impl FnOnce(&Path, Weights, &Device) -> Result<T, Error>,
+        load: impl FnOnce(&SavedCheckpoint) -> Result<T, Error>,
     ) -> Result<T, Error> {
-        load(&self.path, Weights::Ema, device).map_err(|error| self.refused(&error))
+        load(&self.saved).map_err(|error| self.refused(&error))
     }
 
     /// The tables `names` of its config, every key written out.
-    ///
-    /// # Errors
-    /// If the checkpoint is damaged, or of another system.
-    pub fn tables<T: SystemTables>(&self, names: &[&str]) -> Result<Table, Error> {
-        let config = self.state()?.config;
-        tables_of::<T>(&config, names).map_err(|error| {
-            let reason = format!("its recipe is `{}`: {error}", config.train.recipe);
-            self.refused(&reason)
-        })
+    pub fn tables(&self, names: &[&str]) -> Table {
+        tables_of(&self.saved.state.config, names)
     }
 
     /// The error of a checkpoint that cannot be started from.
     pub fn refused(&self, reason: &dyn Display) -> Error {
-        refused(self.key, &self.path, reason)
+        refused(self.key, &self.saved.path, reason)
     }
 }
 
@@ -99,28 +93,18 @@ fn refused(key: &str, path: &Path, reason: &dyn Display) -> Error {
 }
 
 /// The tables `names` of a config, every key written out.
-///
-/// # Errors
-/// If the config is of another version and cannot be read.
-pub fn tables_of<T: SystemTables>(config: &Config, names: &[&str]) -> Result<Table, Error> {
-    let tables = T::of(config)?.to_table().into_iter();
+pub fn tables_of(config: &Config, names: &[&str]) -> Table {
+    let tables = config.system.to_table().into_iter();
     let tables = tables.filter(|(name, _)| names.contains(&name.as_str()));
-    Ok(tables.collect())
+    tables.collect()
 }
 
 /// Rejects a config whose networks or process, the tables `names`, are not those of its start.
 ///
 /// # Errors
 /// Names the first key that differs.
-pub fn must_agree<T: SystemTables>(
-    config: &Config,
-    start: &Config,
-    names: &[&str],
-) -> Result<(), Error> {
-    let (start, given) = (
-        tables_of::<T>(start, names)?,
-        tables_of::<T>(config, names)?,
-    );
+pub fn must_agree(config: &Config, start: &Config, names: &[&str]) -> Result<(), Error> {
+    let (start, given) = (tables_of(start, names), tables_of(config, names));
     let mut differences = config::difference(&start, &given).into_iter();
     match differences.find(|d| !FREE_KEYS.contains(&d.key.as_str())) {
         None => Ok(()),

@@ -9,7 +9,7 @@ use kinegrad_models::transformer::EncoderConfig;
 use kinegrad_models::{Backbone, Initializer, TextDenoiser, parameters};
 use kinegrad_tests::golden::{Golden, GoldenTensors, ReferenceTensors, workspace};
 use kinegrad_tests::weights;
-use kinegrad_train::checkpoint::Weights;
+use kinegrad_train::checkpoint::{SavedCheckpoint, Weights};
 use kinegrad_train::import::ImportRequest;
 use kinegrad_train::systems::System;
 use kinegrad_train::systems::gmd::{Gmd, TrainedClips};
@@ -127,7 +127,9 @@ fn imported(
             out: folder.path().join("run"),
         })
         .expect("weights that fit");
-    let trained = TrainedClips::load(&run.path, Weights::Ema, device).expect("a checkpoint");
+    let saved = SavedCheckpoint::read(&run.path).and_then(|saved| saved.of(&Gmd));
+    let saved = saved.expect("a checkpoint");
+    let trained = TrainedClips::load(&saved, Weights::Ema, device).expect("weights");
     trained.model.valid()
 }
 

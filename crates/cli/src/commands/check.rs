@@ -8,7 +8,6 @@ use kinegrad_data::{DataConfig, DataKind, read_array};
 use kinegrad_motion::{Profile, Report, Representation, Statistics};
 use kinegrad_report::table;
 use kinegrad_train::Error;
-use kinegrad_train::checkpoint::State;
 use kinegrad_train::systems::Systems;
 use miette::Diagnostic;
 use serde_json::json;
@@ -88,7 +87,7 @@ fn unusable(arguments: &CheckArguments, error: kinegrad_motion::Error) -> Error 
                  dataset, or an older version wrote them",
                 run.display()
             );
-            let state = checkpoint(run).and_then(|path| State::read(&path)).ok();
+            let state = checkpoint(run).ok().map(|saved| saved.state);
             let source = state.and_then(|state| state.config.data.source);
             let source = source.unwrap_or_else(|| "URI".to_owned());
             let hint = format!(
@@ -110,7 +109,7 @@ fn statistics(
         return Ok(None);
     }
     if let Some(run) = &arguments.run {
-        let state = State::read(&checkpoint(run)?)?;
+        let state = checkpoint(run)?.state;
         return Ok(Some(state.statistics_of(representation)?.clone()));
     }
     let Some(source) = &arguments.source else {

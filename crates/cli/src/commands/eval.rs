@@ -6,15 +6,14 @@ use std::process::ExitCode;
 use std::rc::Rc;
 
 use kinegrad_report::{Column, Section, columns_csv, columns_table};
-use kinegrad_train::checkpoint::State;
+use kinegrad_train::checkpoint::SavedCheckpoint;
 use kinegrad_train::config;
 use kinegrad_train::evaluation::{self, Evaluated, EvaluationRequest, Group};
-use kinegrad_train::sampling::Subject;
 use kinegrad_train::systems::Systems;
-use kinegrad_train::{Error, Together};
+use kinegrad_train::{Error, Together, TrainedModel};
 use serde_json::json;
 
-use super::sample::{checkpoint, subject_for, while_it_is_trained};
+use super::sample::{checkpoint, trained_for, while_it_is_trained};
 use crate::args::EvalArguments;
 use crate::progress::Denoising;
 use crate::ranks::{guarded, settled, together};
@@ -48,11 +47,11 @@ fn evaluate(
         let hint = "give one, or compare them with `--listening`";
         return Err(Error::usage(message, hint));
     }
-    let subjects: Vec<Subject> = runs
+    let models: Vec<TrainedModel> = runs
         .iter()
-        .map(|run| subject_for(systems, run, &arguments.draw, together))
+        .map(|run| trained_for(systems, run, &arguments.draw, together))
         .collect::<Result<_, _>>()?;
-    must_compare(systems, &subjects)?;
+    must_compare(systems, &models)?;
     let trajectory = arguments.trajectory_run.as_deref().map(checkpoint);
     let request = EvaluationRequest {
         source: arguments.source,
@@ -61,26 +60,26 @@ fn evaluate(
         listening: arguments.listening,
         together: together.clone(),
     };
-    must_evaluate_the_same(together, &subjects, &request)?;
+    must_evaluate_the_same(together, &models, &request)?;
     // Whatever is wrong with any run is said before the first one costs minutes.
-    let mut evaluations = Vec::with_capacity(subjects.len());
-    for subject in &subjects {
-        let (system, _) = systems.of(&subject.config)?;
-        evaluations.push(system.evaluate(subject, &request)?);
+    let mut evaluations = Vec::with_capacity(models.len());
+    for trained in &models {
+        let (system, _) = systems.of(trained.config())?;
+        evaluations.push(system.evaluate(trained, &request)?);
     }
-    let own = |subject: &Subject| run_folder(&subject.checkpoint).join("reports");
+    let own = |trained: &TrainedModel| run_folder(trained.path()).join("reports");
     let folders: Vec<PathBuf> = match arguments.out {
         Some(out) => vec![out],
-        None => subjects.iter().map(own).collect(),
+        None => models.iter().map(own).collect(),
     };
     if together.writes() {
         let mut folders = folders.iter();
         folders.try_for_each(|folder| crate::folder::make(folder))?;
     }
 
-    let mut evaluated = Vec::with_capacity(subjects.len());
-    for (subject, evaluate) in subjects.iter().zip(evaluations) {
-        let bar = Denoising::of(&subject.config.run.name);
+    let mut evaluated = Vec::with_capacity(models.len());
+    for (trained, evaluate) in models.iter().zip(evaluations) {
+        let bar = Denoising::of(&trained.config().run.name);
         evaluated.push(evaluate(&mut |stage, done, all| {
             bar.show(stage, done, all);
             ControlFlow::Continue(())
@@ -88,7 +87,7 @@ fn evaluate(
         bar.finish();
     }
     // One folder for all runs, or one for each.
-    let each = evaluated.chunks(subjects.len() / folders.len());
+    let each = evaluated.chunks(models.len() / folders.len());
     let each = folders.iter().zip(each);
     let written = match together.writes() {
         true => each
@@ -120,21 +119,17 @@ fn evaluate(
 /// Rejects processes that are not about to evaluate the same. Collective.
 fn must_evaluate_the_same(
     together: &Together,
-    subjects: &[Subject],
+    models: &[TrainedModel],
     request: &EvaluationRequest,
 ) -> Result<(), Error> {
-    let weights = |checkpoint: &Path| -> Result<String, Error> {
-        Ok(format!("{:?}", State::read(checkpoint)?.checksums))
+    let weights = |saved: &SavedCheckpoint| format!("{:?}", saved.state.checksums);
+    let run = |trained: &TrainedModel| {
+        let config = config::to_toml(trained.config());
+        format!("{:?} {} {config}", trained.weights, weights(&trained.saved))
     };
-    let run = |subject: &Subject| {
-        let config = config::to_toml(&subject.config);
-        let weights = weights(&subject.checkpoint)?;
-        Ok(format!("{:?} {weights} {config}", subject.weights))
-    };
-    let runs: Result<Vec<String>, Error> = subjects.iter().map(run).collect();
-    let trajectory = request.trajectory.as_deref().map(weights).transpose();
-    let said = runs.and_then(|runs| Ok((runs.concat(), trajectory?)));
-    let (runs, trajectory) = together.done(said)?;
+    let runs: String = models.iter().map(run).collect();
+    let trajectory = request.trajectory.as_ref().map(weights);
+    together.done(Ok(()))?;
     let asked = (&request.source, request.seed, request.listening);
     together.must_compute_alike()?;
     together.must_be_about_the_same(&[
@@ -145,10 +140,10 @@ fn must_evaluate_the_same(
 }
 
 /// Rejects runs that have no measure in common.
-fn must_compare(systems: Systems<'_>, subjects: &[Subject]) -> Result<(), Error> {
-    let mut names = Vec::with_capacity(subjects.len());
-    for subject in subjects {
-        names.push(systems.of(&subject.config)?.0.name());
+fn must_compare(systems: Systems<'_>, models: &[TrainedModel]) -> Result<(), Error> {
+    let mut names = Vec::with_capacity(models.len());
+    for trained in models {
+        names.push(systems.of(trained.config())?.0.name());
     }
     if names.windows(2).all(|pair| pair[0] == pair[1]) {
         return Ok(());

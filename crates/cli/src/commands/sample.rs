@@ -1,12 +1,13 @@
 //! `kinegrad sample`
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::ExitCode;
 
 use kinegrad_report::rows;
-use kinegrad_train::checkpoint::{Weights, resolve_checkpoint};
+use kinegrad_train::TrainedModel;
+use kinegrad_train::checkpoint::{SavedCheckpoint, Weights, resolve_checkpoint};
 use kinegrad_train::sampling::{
-    self, Conditions, Given, GivenFrames, PathFile, Remark, Request, Style, Subject,
+    self, Conditions, Given, GivenFrames, PathFile, Remark, Request, Style,
 };
 use kinegrad_train::systems::Systems;
 use kinegrad_train::{Error, Together};
@@ -55,7 +56,7 @@ fn draw(systems: Systems<'_>, arguments: SampleArguments) -> Result<ExitCode, Er
     let method = arguments.method.iter();
     draw.overrides
         .extend(method.map(|method| format!("evaluation.path.method={method}")));
-    let subject = subject(systems, &arguments.run, &draw)?;
+    let trained = trained(systems, &arguments.run, &draw)?;
     let trajectory = arguments.trajectory_run.as_deref().map(checkpoint);
     let kept = arguments.keep_from.zip(arguments.keep);
     let given = match (arguments.continue_from, kept) {
@@ -95,7 +96,7 @@ fn draw(systems: Systems<'_>, arguments: SampleArguments) -> Result<ExitCode, Er
         seed: arguments.seed,
         post_processing: arguments.postprocess,
     };
-    let remark = sampling::sample(systems, &subject, &request, &mut files)?;
+    let remark = sampling::sample(systems, &trained, &request, &mut files)?;
     match arguments.json {
         true => output::json(&Results {
             samples: files.kept(),
@@ -118,7 +119,7 @@ struct Results {
 }
 
 /// The checkpoint that a path means.
-pub fn checkpoint(path: &Path) -> Result<PathBuf, Error> {
+pub fn checkpoint(path: &Path) -> Result<SavedCheckpoint, Error> {
     resolve_checkpoint(path, |damaged| {
         // A training beside this process may have removed it.
         let gone = matches!(damaged, Error::CheckpointDamaged { path, .. } if !path.exists());
@@ -129,21 +130,21 @@ pub fn checkpoint(path: &Path) -> Result<PathBuf, Error> {
 }
 
 /// The model of a run or checkpoint, with the settings of the command line.
-pub fn subject(
+pub fn trained(
     systems: Systems<'_>,
     run: &Path,
     arguments: &DrawArguments,
-) -> Result<Subject, Error> {
-    subject_for(systems, run, arguments, &Together::alone())
+) -> Result<TrainedModel, Error> {
+    trained_for(systems, run, arguments, &Together::alone())
 }
 
-/// [`subject`], on the device of a process among those of its machine.
-pub fn subject_for(
+/// [`trained`], on the device of a process among those of its machine.
+pub fn trained_for(
     systems: Systems<'_>,
     run: &Path,
     arguments: &DrawArguments,
     together: &Together,
-) -> Result<Subject, Error> {
+) -> Result<TrainedModel, Error> {
     let DrawArguments {
         overrides,
         steps,
@@ -166,8 +167,8 @@ pub fn subject_for(
         true => Weights::Model,
         false => Weights::Ema,
     };
-    let (path, local) = (checkpoint(run)?, together.ranks().local().rank);
-    systems.trained_for(&path, &overrides, weights, device.as_deref(), local)
+    let (saved, local) = (checkpoint(run)?, together.ranks().local().rank);
+    systems.trained_for(saved, &overrides, weights, device.as_deref(), local)
 }
 
 /// Prints what is to be said of all motions.

@@ -194,8 +194,8 @@ struct DrawnSamples {
 /// Writes samples for the first held-out items to the run's folder: all of them or, if this process
 /// ends before they are drawn, none.
 fn draw_samples(systems: Systems<'_>, outcome: &Outcome) -> Result<DrawnSamples, Error> {
-    let path = checkpoint(&outcome.folder)?;
-    let subject = systems.trained(&path, &[], Weights::Ema, None)?;
+    let saved = checkpoint(&outcome.folder)?;
+    let trained = systems.trained(saved, &[], Weights::Ema, None)?;
     let request = Request {
         conditions: Conditions {
             held_out: Some(outcome.config.sampling.count_at_end),
@@ -210,11 +210,11 @@ fn draw_samples(systems: Systems<'_>, outcome: &Outcome) -> Result<DrawnSamples,
     remove(&unfinished)?;
     fs::create_dir(&unfinished).map_err(Error::io("create", &unfinished))?;
     let mut files = Files::silent(&unfinished);
-    let remark = sampling::sample(systems, &subject, &request, &mut files)?;
+    let remark = sampling::sample(systems, &trained, &request, &mut files)?;
     move_into(&unfinished, &folder)?;
     Ok(DrawnSamples {
         count: files.written(),
-        step: subject.step,
+        step: trained.saved.state.step,
         remark,
     })
 }

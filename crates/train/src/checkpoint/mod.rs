@@ -5,6 +5,7 @@
 
 mod folder;
 mod resolve;
+mod saved;
 mod state;
 mod tensors;
 #[cfg(test)]
@@ -12,6 +13,7 @@ mod tests;
 
 pub use folder::Checkpoints;
 pub use resolve::resolve_checkpoint;
+pub use saved::SavedCheckpoint;
 pub use state::{Best, FORMAT, Progress, State};
 pub use tensors::{Weights, read_optimizer, read_weights};
 

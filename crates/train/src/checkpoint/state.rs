@@ -120,6 +120,7 @@ impl State {
             path: path.to_path_buf(),
             reason,
         };
+        log::debug!("reading {}", path.join("state.json").display());
         let bytes = file_of(path, "state.json", |whole| read_file(whole, MAX_TEXT_BYTES))?;
         let text =
             String::from_utf8(bytes).map_err(|error| damaged(format!("state.json: {error}")))?;

@@ -48,6 +48,12 @@ pub(crate) fn from_table<T: DeserializeOwned>(
     table: &Table,
     place: Place<'_>,
 ) -> Result<T, ConfigError> {
+    let names: Vec<&str> = table.keys().map(String::as_str).collect();
+    log::trace!(
+        "parsing {}: {}",
+        std::any::type_name::<T>(),
+        names.join(", ")
+    );
     serde_path_to_error::deserialize(Value::Table(table.clone()))
         .map_err(|error| explain(place, &error.path().to_string(), error.inner().message()))
 }

@@ -28,7 +28,7 @@ pub use resume::{may_differ, must_continue, must_have_recipe};
 pub use resumed::Kept;
 pub(crate) use resumed::resumed;
 pub use steering::SteeringConfig;
-pub use system_tables::SystemTables;
+pub use system_tables::{OwnTables, SystemTables};
 pub(crate) use tables::validate;
 pub use tables::{
     CheckpointConfig, ClipSample, EmaConfig, LrSchedule, OptimConfig, OptimPlace, Padding,
@@ -53,11 +53,10 @@ pub struct Config {
     pub run: RunConfig,
     /// Where the motion comes from and how batches are made of it.
     pub data: DataConfig,
-    /// The tables of the run's system, every key written out: a [`SystemTables`] reads them, and
-    /// refuses those that are of nobody.
+    /// The tables of the run's system.
     #[serde(flatten)]
     #[schemars(skip)]
-    pub system: Table,
+    pub system: OwnTables,
     /// AdamW and its learning rate.
     pub optim: OptimConfig,
     /// Which training, how long.
@@ -70,6 +69,23 @@ pub struct Config {
     pub validation: ValidationConfig,
     /// Sampling settings of the trained model.
     pub sampling: SamplingConfig,
+}
+
+impl Config {
+    /// The tables of the run's system.
+    ///
+    /// # Panics
+    /// Panics if the system whose tables are `T` has not read them.
+    pub fn own<T: SystemTables>(&self) -> &T {
+        self.system.get().expect("tables that the system has read")
+    }
+
+    /// The same with other tables of the system.
+    #[must_use]
+    pub fn with_own<T: SystemTables>(self, tables: T) -> Self {
+        let system = OwnTables::new(tables);
+        Self { system, ..self }
+    }
 }
 
 /// Why a config can be written.

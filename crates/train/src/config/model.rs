@@ -145,7 +145,10 @@ mod tests {
             let help = miette::Diagnostic::help(&error).map(|help| help.to_string());
             (error.to_string(), help.unwrap_or_default())
         })?;
-        Ok(config.system["model"].as_table().expect("a table").clone())
+        Ok(config.system.to_table()["model"]
+            .as_table()
+            .expect("a table")
+            .clone())
     }
 
     #[test]

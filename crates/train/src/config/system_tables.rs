@@ -1,15 +1,104 @@
 //! The tables of a config that belong to one system.
 
+use std::any::Any;
+use std::fmt;
+use std::sync::Arc;
+
 use kinegrad_settings::{Key, keys_of};
 use schemars::JsonSchema;
-use serde::Serialize;
 use serde::de::DeserializeOwned;
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use toml::{Table, Value};
 
-use super::{Config, ConfigError, NetworkKind, PLAIN, Place, document, model};
+use super::{ConfigError, NetworkKind, PLAIN, Place, document, model};
+
+/// The tables of the system in a config. A system reads them once, in
+/// [`System::complete`](crate::system::System::complete); from then on they are a struct of its own.
+#[derive(Clone)]
+pub struct OwnTables(Arc<dyn AnyTables>);
+
+trait AnyTables: Send + Sync {
+    fn to_table(&self) -> Table;
+    fn as_any(&self) -> &dyn Any;
+}
+
+/// Tables that no system has read.
+struct Unread(Table);
+
+impl AnyTables for Unread {
+    fn to_table(&self) -> Table {
+        self.0.clone()
+    }
+
+    fn as_any(&self) -> &dyn Any {
+        self
+    }
+}
+
+impl<T: SystemTables> AnyTables for T {
+    fn to_table(&self) -> Table {
+        Table::try_from(self).expect(PLAIN)
+    }
+
+    fn as_any(&self) -> &dyn Any {
+        self
+    }
+}
+
+impl OwnTables {
+    /// Tables that a system has read.
+    pub fn new<T: SystemTables>(tables: T) -> Self {
+        Self(Arc::new(tables))
+    }
+
+    /// Tables as they were written.
+    pub(crate) fn unread(tables: Table) -> Self {
+        Self(Arc::new(Unread(tables)))
+    }
+
+    /// The struct of the system that read them; none of another system's.
+    pub fn get<T: SystemTables>(&self) -> Option<&T> {
+        self.0.as_any().downcast_ref()
+    }
+
+    /// The tables as plain data: every key written out once a system has read them.
+    pub fn to_table(&self) -> Table {
+        self.0.to_table()
+    }
+}
+
+impl Default for OwnTables {
+    fn default() -> Self {
+        Self::unread(Table::new())
+    }
+}
+
+impl fmt::Debug for OwnTables {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.to_table().fmt(formatter)
+    }
+}
+
+impl PartialEq for OwnTables {
+    fn eq(&self, other: &Self) -> bool {
+        Arc::ptr_eq(&self.0, &other.0) || self.to_table() == other.to_table()
+    }
+}
+
+impl Serialize for OwnTables {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        self.to_table().serialize(serializer)
+    }
+}
+
+impl<'de> Deserialize<'de> for OwnTables {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        Ok(Self::unread(Table::deserialize(deserializer)?))
+    }
+}
 
 /// The tables of a system as a struct: one field a table.
-pub trait SystemTables: Serialize + DeserializeOwned {
+pub trait SystemTables: Serialize + DeserializeOwned + Send + Sync + 'static {
     /// TOML of keys that kinegrad 0.1 wrote into every config, whatever its recipe, with the values
     /// that they had where nobody set them: such a key with such a value is passed over.
     const PASSED_OVER: &'static str = "";
@@ -38,15 +127,6 @@ pub trait SystemTables: Serialize + DeserializeOwned {
         document::from_table(&tables, place)
     }
 
-    /// Those of a run's config.
-    ///
-    /// # Errors
-    /// Names a key that is wrong; not for a config that
-    /// [`Systems::load`](crate::system::Systems::load) has read.
-    fn of(config: &Config) -> Result<Self, ConfigError> {
-        Self::read(&config.system, &|_| "the run's config".into())
-    }
-
     /// Their keys, with what the doc comments of the struct say of them.
     fn keys() -> Vec<Key>
     where
@@ -55,11 +135,6 @@ pub trait SystemTables: Serialize + DeserializeOwned {
         let mut keys = keys_of::<Self>();
         model::name_sizes(Self::NETWORKS, &mut keys);
         keys
-    }
-
-    /// The tables as plain data, every key written out.
-    fn to_table(self) -> Table {
-        Table::try_from(self).expect(PLAIN)
     }
 }
 

@@ -161,11 +161,26 @@ impl Setup {
         }
     }
 
+    /// Shows the warnings of the run's dataset.
+    ///
+    /// # Errors
+    /// If it is another than the one trained on so far.
+    pub fn check_dataset<T: Item>(
+        &self,
+        dataset: &Dataset<T>,
+        observer: &mut dyn Observer,
+    ) -> Result<(), Error> {
+        for warning in &dataset.warnings {
+            observer.warning(warning);
+        }
+        self.must_be_same_dataset(dataset.digest)
+    }
+
     /// Rejects to continue on another dataset than the one trained on so far.
     ///
     /// # Errors
     /// If it is another.
-    pub fn same_dataset(&self, digest: Digest) -> Result<(), Error> {
+    pub fn must_be_same_dataset(&self, digest: Digest) -> Result<(), Error> {
         let found = digest.to_string();
         let saved = self.checkpoint.as_ref();
         match saved.and_then(|checkpoint| checkpoint.state.dataset_sha256.as_ref()) {

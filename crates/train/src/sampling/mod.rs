@@ -8,9 +8,7 @@ mod seed;
 mod style;
 
 use std::ops::ControlFlow;
-use std::path::PathBuf;
 
-use burn::tensor::Device;
 use kinegrad_motion::humanml::{Joints, Skeleton};
 
 pub use clip_files::{BVH, FEATURES, MOTION, clip_files};
@@ -23,29 +21,12 @@ pub use request::{Conditions, PathFile, Request};
 pub use seed::item_seed;
 pub use style::Style;
 
-use crate::checkpoint::Weights;
-use crate::config::Config;
+use crate::TrainedModel;
 use crate::error::Error;
 use crate::observer::Reading;
 use crate::system::Systems;
 
-/// A trained model and the settings to sample it with.
-pub struct Subject {
-    /// Its checkpoint.
-    pub checkpoint: PathBuf,
-    /// Steps it was trained for.
-    pub step: u64,
-    /// The config of its run, with the `sampling` table to use.
-    pub config: Config,
-    /// Whether to use the trained weights or their moving average.
-    pub weights: Weights,
-    /// The device to run on, without gradients.
-    pub device: Device,
-    /// Whether that is the CPU, which computes in main memory.
-    pub on_host: bool,
-}
-
-/// Generates motion with the model of `subject` and passes each sample, with its [`Record`], to
+/// Generates motion with the model of `trained` and passes each sample, with its [`Record`], to
 /// `receiver`. Returns a summary of all samples.
 ///
 /// # Errors
@@ -53,14 +34,14 @@ pub struct Subject {
 /// read, if the receiver fails, and [`Error::Interrupted`] if it asks to stop.
 pub fn sample(
     systems: Systems<'_>,
-    subject: &Subject,
+    trained: &TrainedModel,
     request: &Request,
     receiver: &mut dyn Receiver,
 ) -> Result<Option<Remark>, Error> {
     request.validate()?;
-    let (system, _) = systems.of(&subject.config)?;
-    let request = request.at(system.fps(&subject.config))?;
-    system.sample(subject, &request, receiver)
+    let (system, _) = systems.of(trained.config())?;
+    let request = request.at(system.fps(trained.config()))?;
+    system.sample(trained, &request, receiver)
 }
 
 /// One sample, as files.

@@ -9,7 +9,8 @@ use kinegrad_motion::postprocess::PostProcessConfig;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use super::{Style, Subject};
+use super::Style;
+use crate::TrainedModel;
 use crate::checkpoint::Weights;
 use crate::config::{ClipSample, Padding, SteeringConfig};
 use crate::song::KnownBeats;
@@ -227,16 +228,16 @@ pub struct Condition {
 }
 
 impl Record {
-    /// The record of a sample of `system` with the model of `subject`: number 0, no frames and no
+    /// The record of a sample of `system` with the model of `trained`: number 0, no frames and no
     /// condition, which the system fills in.
-    pub fn new(system: &str, subject: &Subject, seed: u64) -> Self {
-        let config = &subject.config;
+    pub fn new(system: &str, trained: &TrainedModel, seed: u64) -> Self {
+        let config = trained.config();
         Self {
             kinegrad: env!("CARGO_PKG_VERSION").into(),
             run: config.run.name.clone(),
-            checkpoint: subject.checkpoint.clone(),
-            step: subject.step,
-            weights: subject.weights,
+            checkpoint: trained.path().to_path_buf(),
+            step: trained.saved.state.step,
+            weights: trained.weights,
             system: system.into(),
             recipe: config.train.recipe.clone(),
             seed,

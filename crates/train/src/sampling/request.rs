@@ -6,6 +6,7 @@ use kinegrad_motion::{MAX_FRAMES, PostProcessProfile};
 use kinegrad_settings::{ABOVE_ZERO, Refused, in_range};
 
 use super::{Given, GivenFrames, Style};
+use crate::checkpoint::SavedCheckpoint;
 use crate::error::Error;
 use crate::song::KnownBeats;
 
@@ -44,7 +45,7 @@ pub struct Conditions {
     /// Goal files.
     pub goals: Vec<PathBuf>,
     /// Checkpoint of the trajectory model that generates the ground path in a first stage.
-    pub trajectory: Option<PathBuf>,
+    pub trajectory: Option<SavedCheckpoint>,
     /// Text, in words.
     pub text: Option<String>,
     /// Folder of the text encoder that embeds the text.

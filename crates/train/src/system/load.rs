@@ -9,14 +9,14 @@ use super::Systems;
 use kinegrad_data::file::read_text;
 use kinegrad_settings::in_words;
 
-use crate::checkpoint::{State, Weights};
+use crate::checkpoint::{SavedCheckpoint, Weights};
 use crate::config::{
     self, Config, ConfigError, Place, TrainConfig, apply, lay_over, line_of, must_be_finite,
     must_be_tables, not_among, start_of,
 };
 use crate::device::open_for;
 use crate::error::Error;
-use crate::sampling::Subject;
+use crate::trained_model::TrainedModel;
 
 /// Tables whose keys may change once a model is trained.
 const OF_TRAINED: [&str; 2] = ["sampling.", "evaluation."];
@@ -145,7 +145,7 @@ impl Systems<'_> {
         let mut table = system.defaults(recipe, given);
         lay_over(&mut table, given.clone());
         let config: Config = config::from_table(&table, place)?;
-        let system = system.complete(&config.system, place)?;
+        let system = system.complete(&config.system.to_table(), place)?;
         let config = Config { system, ..config };
         must_be_tables(given, &config, place)?;
         Ok(config)
@@ -170,19 +170,19 @@ impl Systems<'_> {
         Ok(warnings)
     }
 
-    /// Opens the trained model of the checkpoint in `path`, with `overrides` of its run's tables
-    /// `sampling` and `evaluation`, on `device` or by default that of its run.
+    /// The trained model of the checkpoint `saved`, with `overrides` of its run's tables `sampling`
+    /// and `evaluation`, on `device` or by default that of its run.
     ///
     /// # Errors
-    /// If the checkpoint is damaged, an override is invalid, or the device is not available.
+    /// If an override is invalid, or the device is not available.
     pub fn trained(
         self,
-        path: &Path,
+        saved: SavedCheckpoint,
         overrides: &[String],
         weights: Weights,
         device: Option<&str>,
-    ) -> Result<Subject, Error> {
-        self.trained_for(path, overrides, weights, device, 0)
+    ) -> Result<TrainedModel, Error> {
+        self.trained_for(saved, overrides, weights, device, 0)
     }
 
     /// [`trained`](Self::trained), for process `local` of a machine: see [`open_for`].
@@ -191,24 +191,26 @@ impl Systems<'_> {
     /// As [`trained`](Self::trained).
     pub fn trained_for(
         self,
-        path: &Path,
+        mut saved: SavedCheckpoint,
         overrides: &[String],
         weights: Weights,
         device: Option<&str>,
         local: usize,
-    ) -> Result<Subject, Error> {
-        let state = State::read(path)?;
-        let saved = self.completed(&state.config)?;
-        let config = self.override_trained(&saved, overrides)?;
+    ) -> Result<TrainedModel, Error> {
+        let config = self.completed(&saved.state.config)?;
+        let config = self.override_trained(&config, overrides)?;
         let (system, _) = self.of(&config)?;
         system.validate(&config)?;
         let (device, name) = open_for(device.unwrap_or(&config.run.device), local)?;
-        log::debug!("checkpoint {}, step {}", path.display(), state.step);
+        log::debug!(
+            "checkpoint {}, step {}",
+            saved.path.display(),
+            saved.state.step
+        );
         log::debug!("device {name}; {}", crate::device::kernels());
-        Ok(Subject {
-            checkpoint: path.to_path_buf(),
-            step: state.step,
-            config,
+        saved.state.config = config;
+        Ok(TrainedModel {
+            saved,
             weights,
             device,
             on_host: crate::device::is_host(&name),

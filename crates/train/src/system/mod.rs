@@ -13,7 +13,8 @@ use kinegrad_motion::Representation;
 use kinegrad_settings::{InvalidSetting, Key};
 use toml::Table;
 
-use crate::config::{Config, ConfigError, Place};
+use crate::checkpoint::SavedCheckpoint;
+use crate::config::{Config, ConfigError, OwnTables, Place};
 use crate::error::Error;
 use crate::evaluation::{Evaluate, EvaluationRequest};
 use crate::import::{ImportRequest, Imported};
@@ -22,7 +23,8 @@ use crate::observer::Observer;
 use crate::parameter_count::ParameterCount;
 use crate::recipe::RecipeInfo;
 use crate::run::{Outcome, Setup};
-use crate::sampling::{Receiver, Remark, Request, Subject};
+use crate::sampling::{Receiver, Remark, Request};
+use crate::trained_model::TrainedModel;
 
 /// A method of generating motion: its config tables, networks, recipes and samplers.
 pub trait System: Sync {
@@ -57,7 +59,7 @@ pub trait System: Sync {
     ///
     /// # Errors
     /// For an unknown key or a wrong type; the error names the location.
-    fn complete(&self, tables: &Table, place: Place<'_>) -> Result<Table, ConfigError>;
+    fn complete(&self, tables: &Table, place: Place<'_>) -> Result<OwnTables, ConfigError>;
 
     /// Validates the system's own tables and returns warnings; the common tables are validated
     /// elsewhere.
@@ -145,15 +147,13 @@ pub trait System: Sync {
         ))
     }
 
-    /// Merges the adapters of the checkpoint in `path` into its weights and writes the result to
+    /// Merges the adapters of the checkpoint `saved` into its weights and writes the result to
     /// `out`, a new or empty folder, as a run with one checkpoint. Returns the checkpoint's path.
     ///
     /// # Errors
     /// If the checkpoint is damaged or has no adapters, or `out` cannot be written.
-    fn merge(&self, path: &Path, _out: &Path) -> Result<PathBuf, Error> {
-        Err(Error::NoAdapters {
-            path: path.to_path_buf(),
-        })
+    fn merge(&self, saved: SavedCheckpoint, _out: &Path) -> Result<PathBuf, Error> {
+        Err(Error::NoAdapters { path: saved.path })
     }
 
     /// Generates motion and passes each sample to `receiver`; returns a summary of all samples.
@@ -162,7 +162,7 @@ pub trait System: Sync {
     /// If a condition is not supported by the model or cannot be read, or if the receiver fails.
     fn sample(
         &self,
-        subject: &Subject,
+        trained: &TrainedModel,
         request: &Request,
         receiver: &mut dyn Receiver,
     ) -> Result<Option<Remark>, Error>;
@@ -174,7 +174,7 @@ pub trait System: Sync {
     /// If the request does not apply to its models, or nothing is held out.
     fn evaluate<'a>(
         &self,
-        subject: &'a Subject,
+        trained: &'a TrainedModel,
         request: &EvaluationRequest,
     ) -> Result<Evaluate<'a>, Error>;
 
@@ -260,7 +260,7 @@ impl<'a> Systems<'a> {
     pub fn completed(self, config: &Config) -> Result<Config, Error> {
         let (system, _) = self.of(config)?;
         Ok(Config {
-            system: system.complete(&config.system, &|_| "the saved config".into())?,
+            system: system.complete(&config.system.to_table(), &|_| "the saved config".into())?,
             ..config.clone()
         })
     }

@@ -63,12 +63,9 @@ pub(super) fn with_paths(mut tables: Table) -> Table {
 }
 
 /// Whether a run trains a network that is told paths, which one to start from need not be.
-///
-/// # Errors
-/// If the config is of another system.
-pub(super) fn tells_paths(config: &Config) -> Result<bool, Error> {
-    let told = BpeTables::of(config)?.model.network.sizes().path;
-    Ok(told || config.train.recipe == ADAPTER)
+pub(super) fn tells_paths(config: &Config) -> bool {
+    let told = config.own::<BpeTables>().model.network.sizes().path;
+    told || config.train.recipe == ADAPTER
 }
 
 /// The tables of this system.
@@ -213,7 +210,7 @@ impl SystemTables for BpeTables {
 /// # Errors
 /// For the first invalid value; the error names the key.
 pub(super) fn validate(config: &Config) -> Result<(), Error> {
-    let own = BpeTables::of(config)?;
+    let own: &BpeTables = config.own();
     let Config { data, sampling, .. } = config;
     own.model.network.sizes().validate()?;
     own.diffusion.validate()?;

@@ -10,15 +10,15 @@ use serde::Serialize;
 use serde_json::to_value;
 
 use super::networks::footprint;
+use super::networks::text_input;
 use super::report::{ComposedReport, Measured};
 use super::ways::{self, WaysEvaluation, WaysReport};
 use super::{BpeTables, ComposeEvaluationConfig, Composer, Line};
+use crate::TrainedModel;
 use crate::captions::{ClipText, must_know_texts};
 use crate::clips::{dataset_or, with_held_out};
-use crate::config::SystemTables;
 use crate::error::Error;
 use crate::evaluation::{Column, Evaluate, Evaluated, EvaluationRequest, Group, Number, OnStep};
-use crate::sampling::Subject;
 
 /// Results of an evaluation of compositions.
 #[derive(Clone, Debug, Serialize)]
@@ -47,39 +47,39 @@ struct ComposeEvaluation {
 /// # Errors
 /// If the request does not apply, or too few clips are held out.
 pub(super) fn prepare<'a>(
-    subject: &'a Subject,
+    trained: &'a TrainedModel,
     request: &EvaluationRequest,
 ) -> Result<Evaluate<'a>, Error> {
     request.refuse(
         &["--listening", "--trajectory-run"],
-        &subject.checkpoint,
+        trained.path(),
         "a run of recipe `bpe_motion`",
         "leave it out",
     )?;
-    let own = BpeTables::of(&subject.config)?;
-    let asked = own.evaluation;
-    let data = dataset_or(&subject.config.data, request.source.as_deref());
+    let own: &BpeTables = trained.config().own();
+    let asked = own.evaluation.clone();
+    let data = dataset_or(&trained.config().data, request.source.as_deref());
     let dataset = with_held_out(
         &data,
-        &subject.checkpoint,
+        trained.path(),
         "texts and lengths are those of held-out clips",
         &request.together,
     )?;
     let held_out = dataset.validation.evenly(dataset.validation.len())?;
-    must_know_texts(&subject.config, &held_out)?;
+    must_know_texts(&text_input(trained.config()), &held_out)?;
     let longest = held_out.iter().map(|clip| clip.features.frames()).max();
     let frames = longest.unwrap_or(0).min(data.target_frames) * asked.texts;
-    let networks = footprint(&subject.config, frames)?;
+    let networks = footprint(trained.config(), frames)?;
     request.must_fit(
-        networks.of_sampling(1, false, subject.on_host),
+        networks.of_sampling(1, false, trained.on_host),
         "compose fewer texts: `evaluation.texts`",
     )?;
     let request = request.clone();
     let most = data.target_frames;
     Ok(Box::new(move |on_step| {
-        let composer = Composer::load(&subject.checkpoint, subject.weights, &subject.device)?;
+        let composer = Composer::load(trained)?;
         let evaluation = evaluate(
-            subject, &composer, &held_out, &asked, most, &request, on_step,
+            trained, &composer, &held_out, &asked, most, &request, on_step,
         )?;
         Ok(Evaluated {
             run: evaluation.run.clone(),
@@ -101,7 +101,7 @@ pub(super) fn prepare<'a>(
 }
 
 fn evaluate(
-    subject: &Subject,
+    trained: &TrainedModel,
     composer: &Composer,
     held_out: &[Arc<Clip>],
     asked: &ComposeEvaluationConfig,
@@ -110,8 +110,8 @@ fn evaluate(
     on_step: &mut OnStep<'_>,
 ) -> Result<ComposeEvaluation, Error> {
     let (seed, together) = (request.seed, &request.together);
-    let sampler = &subject.config.sampling.sampler;
-    let skeleton = subject.config.data.humanml3d.skeleton.skeleton();
+    let sampler = &trained.config().sampling.sampler;
+    let skeleton = trained.config().data.humanml3d.skeleton.skeleton();
     let key = Key::new(seed, Purpose::Sampling);
     let chosen = key
         .named("texts")

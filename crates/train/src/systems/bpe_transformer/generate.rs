@@ -1,7 +1,6 @@
 //! Motion composed of texts, from a checkpoint.
 
 use std::ops::ControlFlow;
-use std::path::Path;
 
 use burn::module::Module;
 use burn::tensor::{Device, Tensor, TensorData};
@@ -14,12 +13,14 @@ use kinegrad_motion::humanml::Features;
 use kinegrad_motion::{Representation, Statistics};
 use kinegrad_random::Key;
 
+use super::networks::text_input;
 use super::networks::{statistics_in, trained};
 use super::path::{PathControl, told};
 use super::{BpeTables, ComposeEvaluationConfig};
+use crate::TrainedModel;
 use crate::captions::{ClipText, TextInput};
-use crate::checkpoint::{State, Weights};
-use crate::config::{Config, SystemTables};
+use crate::checkpoint::State;
+use crate::config::Config;
 use crate::error::Error;
 use crate::path_target::{Fastest, PathTarget};
 use crate::systems::gmd::FeatureSpace;
@@ -45,20 +46,21 @@ pub struct Composer {
 }
 
 impl Composer {
-    /// Loads the checkpoint in `path` onto `device`.
+    /// Loads the network of a trained model.
     ///
     /// # Errors
-    /// If the checkpoint is damaged, is not of recipe `bpe_motion`, or does not fit its own config.
-    pub fn load(path: &Path, weights: Weights, device: &Device) -> Result<Self, Error> {
-        let (network, state) = trained(path, weights, &device.clone().autodiff())?;
-        let own = BpeTables::of(&state.config)?;
+    /// If the checkpoint is damaged or does not fit its own config.
+    pub fn load(model: &TrainedModel) -> Result<Self, Error> {
+        let (device, state) = (&model.device, model.saved.state.clone());
+        let network = trained(&model.saved, model.weights, &device.clone().autodiff())?;
+        let own: &BpeTables = state.config.own();
         let statistics = statistics_in(&state)?;
         Ok(Self {
             plain: network.valid(),
             tracked: network.no_grad(),
             diffusion: GaussianDiffusion::new(&own.diffusion)?,
             space: FeatureSpace::new(&statistics.mean, &statistics.std, None, device),
-            text: TextInput::of(&state.config)?,
+            text: text_input(&state.config),
             state,
             device: device.clone(),
         })

@@ -15,7 +15,7 @@ use pytorch_reader::Tensor;
 use super::networks::network;
 use super::{BpeNetwork, BpeTables, BpeTransformer, RECIPE};
 use crate::checkpoint::{FORMAT, Progress, State, must_be_free, write_weights};
-use crate::config::{Config, SystemTables};
+use crate::config::{Config, OwnTables};
 use crate::error::Error;
 use crate::import::{ImportRequest, Imported};
 use crate::published::{self, mean_and_deviation, read_tensors};
@@ -181,10 +181,10 @@ fn settings(
     }
     let name = request.out.file_name().unwrap_or_default();
     config.run.name = name.to_string_lossy().into_owned();
-    let mut own = BpeTables::of(&config)?;
+    let mut own = config.own::<BpeTables>().clone();
     own.model.size = BlendedConfig::SIZES[0].0.into();
     let sizes = sizes(&request.weights, tensors, own.model.network.sizes())?;
     own.model.network = BpeNetwork::BpeTransformer(sizes);
-    config.system = own.to_table();
+    config.system = OwnTables::new(own);
     Ok((config, Statistics::new(mean, std, Some(Root::Relative))?))
 }

@@ -31,7 +31,8 @@ pub use path::{OverrideReading, PathConfig, PathMethod};
 pub use report::ComposedReport;
 pub use ways::WaysReport;
 
-use crate::config::{Config, ConfigError, Place, SystemTables};
+use crate::TrainedModel;
+use crate::config::{Config, ConfigError, OwnTables, Place, SystemTables};
 use crate::error::Error;
 use crate::evaluation::{Evaluate, EvaluationRequest};
 use crate::import::{ImportRequest, Imported};
@@ -40,7 +41,7 @@ use crate::observer::Observer;
 use crate::parameter_count::ParameterCount;
 use crate::recipe::RecipeInfo;
 use crate::run::{Outcome, Setup};
-use crate::sampling::{Receiver, Remark, Request, Subject};
+use crate::sampling::{Receiver, Remark, Request};
 use crate::start::{Start, tables_of};
 use crate::system::System;
 
@@ -93,8 +94,8 @@ impl System for BpeTransformer {
         BpeTables::keys()
     }
 
-    fn complete(&self, tables: &Table, place: Place<'_>) -> Result<Table, ConfigError> {
-        Ok(BpeTables::read(tables, place)?.to_table())
+    fn complete(&self, tables: &Table, place: Place<'_>) -> Result<OwnTables, ConfigError> {
+        Ok(OwnTables::new(BpeTables::read(tables, place)?))
     }
 
     fn validate(&self, config: &Config) -> Result<Vec<String>, Error> {
@@ -105,17 +106,16 @@ impl System for BpeTransformer {
     fn inherited(&self, config: &Config, saved: Option<&Config>) -> Result<Option<Table>, Error> {
         let tables = match saved {
             // A resumed run does not need its start any more.
-            Some(saved) => Some(tables_of::<BpeTables>(saved, &INHERITED)?),
+            Some(saved) => Some(tables_of(saved, &INHERITED)),
             None => {
-                let init = BpeTables::of(config)?.init;
-                let start = Start::named("init.diffusion", &init.diffusion)?;
-                let tables = |start: Start| start.tables::<BpeTables>(&INHERITED);
-                start.map(tables).transpose()?
+                let init = &config.own::<BpeTables>().init;
+                let start = Start::named("init.diffusion", &init.diffusion, self)?;
+                start.map(|start| start.tables(&INHERITED))
             }
         };
         Ok(tables.map(|tables| match config::tells_paths(config) {
-            Ok(true) => config::with_paths(tables),
-            _ => tables,
+            true => config::with_paths(tables),
+            false => tables,
         }))
     }
 
@@ -141,19 +141,19 @@ impl System for BpeTransformer {
 
     fn sample(
         &self,
-        subject: &Subject,
+        trained: &TrainedModel,
         request: &Request,
         receiver: &mut dyn Receiver,
     ) -> Result<Option<Remark>, Error> {
-        sample::sample(subject, request, receiver)
+        sample::sample(trained, request, receiver)
     }
 
     fn evaluate<'a>(
         &self,
-        subject: &'a Subject,
+        trained: &'a TrainedModel,
         request: &EvaluationRequest,
     ) -> Result<Evaluate<'a>, Error> {
-        evaluate::prepare(subject, request)
+        evaluate::prepare(trained, request)
     }
 
     fn train(&self, setup: Setup, observer: &mut dyn Observer) -> Result<Outcome, Error> {

@@ -1,7 +1,6 @@
 //! The network of a config.
 
 use std::collections::HashMap;
-use std::path::Path;
 
 use burn::tensor::Device;
 use kinegrad_models::blended::BlendedTransformer;
@@ -12,19 +11,24 @@ use kinegrad_motion::{Representation, Statistics};
 use super::config::{tells_paths, with_paths};
 use super::{ADAPTER, BpeTables, INHERITED};
 use crate::captions::TextInput;
-use crate::checkpoint::{State, Weights, read_weights};
-use crate::config::{Config, SystemTables};
+use crate::checkpoint::{SavedCheckpoint, State, Weights};
+use crate::config::{Config, OwnTables};
 use crate::error::Error;
 use crate::memory::Footprint;
 use crate::parameter_count::ParameterCount;
 use crate::start::{Start, must_agree};
+
+/// The text input of the network of a config.
+pub(super) fn text_input(config: &Config) -> TextInput {
+    TextInput::new(&config.own::<BpeTables>().text, &config.data)
+}
 
 /// The network with fresh weights.
 ///
 /// # Errors
 /// If it cannot be built.
 pub(super) fn network(config: &Config, device: &Device) -> Result<BlendedTransformer, Error> {
-    let own = BpeTables::of(config)?;
+    let own: &BpeTables = config.own();
     let init = Initializer::new(config.run.seed, device);
     let channels = config.data.humanml3d.representation().channels();
     let network = own
@@ -32,7 +36,7 @@ pub(super) fn network(config: &Config, device: &Device) -> Result<BlendedTransfo
         .network
         .sizes()
         .init(channels, TEXT_CHANNELS, &init)?;
-    Ok(match TextInput::of(config)?.labels() {
+    Ok(match text_input(config).labels() {
         Some(labels) => network.with_captions(labels.captions().len(), &init),
         None => network,
     })
@@ -53,14 +57,15 @@ pub(super) fn begun(
         None => network(config, device)?,
     };
     Ok(match config.train.recipe == ADAPTER {
-        true => fresh.adapting(BpeTables::of(config)?.adapter.last_layers),
+        true => fresh.adapting(config.own::<BpeTables>().adapter.last_layers),
         false => fresh,
     })
 }
 
 /// The network of a config with the weights of `start`; what the start does not have is fresh.
 fn started(start: &Start, config: &Config, device: &Device) -> Result<BlendedTransformer, Error> {
-    let (network, state) = start.load(device, trained)?;
+    let state = start.state();
+    let network = start.load(|saved| trained(saved, Weights::Ema, device))?;
     let (given, found) = (&config.data.humanml3d, &state.config.data.humanml3d);
     if (given.root, given.skeleton) != (found.root, found.skeleton) {
         let reason = "its clips have another `data.humanml3d.root` or `skeleton`";
@@ -70,11 +75,11 @@ fn started(start: &Start, config: &Config, device: &Device) -> Result<BlendedTra
         return Err(start.refused(&"it was trained with another `data.humanml3d.text`"));
     }
     let mut base = state.config.clone();
-    let known = BpeTables::of(&base)?.model.network.sizes().path;
-    if tells_paths(config)? && !known {
-        base.system = with_paths(base.system);
+    let known = base.own::<BpeTables>().model.network.sizes().path;
+    if tells_paths(config) && !known {
+        base.system = OwnTables::unread(with_paths(base.system.to_table()));
     }
-    must_agree::<BpeTables>(config, &base, &INHERITED)?;
+    must_agree(config, &base, &INHERITED)?;
     let fresh = self::network(config, device)?;
     let weights = parameters::export(&network).into_iter();
     let mut weights: HashMap<String, Vec<f32>> = weights
@@ -86,20 +91,21 @@ fn started(start: &Start, config: &Config, device: &Device) -> Result<BlendedTra
     Ok(parameters::replace(fresh, values))
 }
 
-/// That of the checkpoint in `path`.
+/// The network of a checkpoint.
 ///
 /// # Errors
 /// If the checkpoint is damaged or does not fit its own config.
 pub(super) fn trained(
-    path: &Path,
+    saved: &SavedCheckpoint,
     weights: Weights,
     device: &Device,
-) -> Result<(BlendedTransformer, State), Error> {
-    let state = State::read(path)?;
-    let values = read_weights(path, &state, weights)?;
-    statistics_in(&state)?;
-    let network = parameters::load(network(&state.config, device)?, values)?;
-    Ok((network, state))
+) -> Result<BlendedTransformer, Error> {
+    let values = saved.weights(weights)?;
+    statistics_in(&saved.state)?;
+    Ok(parameters::load(
+        network(&saved.state.config, device)?,
+        values,
+    )?)
 }
 
 /// The statistics of a run.
@@ -135,13 +141,13 @@ pub(super) fn parameter_count(config: &Config) -> Result<usize, Error> {
 /// # Errors
 /// As [`network`].
 pub(super) fn footprint(config: &Config, frames: usize) -> Result<Footprint, Error> {
-    let sizes = BpeTables::of(config)?.model.network.sizes().clone();
+    let sizes = config.own::<BpeTables>().model.network.sizes().clone();
     let channels = config.data.humanml3d.representation().channels();
     Ok(Footprint {
         parameters: parameter_count(config)? as u64,
         activations: sizes.activations(frames),
         passes: 1,
-        item: (channels * frames + TextInput::of(config)?.channels()) as u64,
+        item: (channels * frames + text_input(config).channels()) as u64,
         shared: 0,
     })
 }

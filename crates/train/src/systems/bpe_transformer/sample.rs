@@ -8,17 +8,18 @@ use kinegrad_motion::humanml::Root;
 use kinegrad_random::{Key, Purpose};
 use serde_json::to_value;
 
+use super::networks::text_input;
 use super::path::finish;
 use super::{BpeTables, BpeTransformer, Composer, Line, PathMethod, RECIPE};
-use crate::captions::{ClipText, TextInput, must_know_texts, text_of};
+use crate::TrainedModel;
+use crate::captions::{ClipText, must_know_texts, text_of};
 use crate::clips::{clips_named, dataset_or};
-use crate::config::SystemTables;
 use crate::error::Error;
 use crate::memory::must_fit;
 use crate::path_target::{PathTarget, features_of, in_words, read_path};
 use crate::sampling::{
     BVH, CompositionRecord, Condition, Drawn, FEATURES, MOTION, Names, PathRecord, Receiver,
-    Record, Remark, Request, SaidRecord, Subject, clip_files, item_seed,
+    Record, Remark, Request, SaidRecord, clip_files, item_seed,
 };
 use crate::system::System as _;
 use crate::text_plan::TextPlan;
@@ -42,7 +43,7 @@ const LEGS_SHORT: f64 = 0.02;
 /// # Errors
 /// If a condition cannot be used, or a checkpoint cannot be read.
 pub(super) fn sample(
-    subject: &Subject,
+    trained: &TrainedModel,
     request: &Request,
     receiver: &mut dyn Receiver,
 ) -> Result<Option<Remark>, Error> {
@@ -68,18 +69,18 @@ pub(super) fn sample(
             "its samples are not post-processed: leave it out",
         ));
     }
-    let own = BpeTables::of(&subject.config)?;
-    let motions = motions(subject, request, receiver)?;
+    let own: &BpeTables = trained.config().own();
+    let motions = motions(trained, request, receiver)?;
     let longest = motions.iter().map(Motion::frames).max().unwrap_or(0);
-    let mut networks = super::networks::footprint(&subject.config, longest)?;
+    let mut networks = super::networks::footprint(trained.config(), longest)?;
     let path = &own.evaluation.path;
     let tracked = conditions.path.is_some() && path.method.guides() && path.through_network;
-    if subject.config.sampling.sampler.guidance_scale != 1.0 {
+    if trained.config().sampling.sampler.guidance_scale != 1.0 {
         networks.passes = 2;
     }
     must_fit(
         &format!("drawing a motion of {longest} frames"),
-        networks.of_sampling(1, tracked, subject.on_host),
+        networks.of_sampling(1, tracked, trained.on_host),
         "ask for a shorter one",
     )?;
     let names = Names {
@@ -93,11 +94,11 @@ pub(super) fn sample(
     if path.is_none() && own.evaluation.path.method != PathMethod::default() {
         receiver.note("`evaluation.path.method` acts with `--path` alone");
     }
-    let composer = Composer::load(&subject.checkpoint, subject.weights, &subject.device)?;
-    let skeleton = subject.config.data.humanml3d.skeleton.skeleton();
+    let composer = Composer::load(trained)?;
+    let skeleton = trained.config().data.humanml3d.skeleton.skeleton();
     let fps = skeleton.description().fps;
     let fastest = composer.fastest()?;
-    let sampler = &subject.config.sampling.sampler;
+    let sampler = &trained.config().sampling.sampler;
     let all = motions.len() * request.count;
     let mut remarks = Vec::new();
     for (number, motion) in motions.iter().enumerate() {
@@ -162,7 +163,7 @@ pub(super) fn sample(
                     item: motion.item.clone(),
                     source: motion.item.as_ref().and_then(|_| {
                         let given = conditions.source.clone();
-                        given.or_else(|| subject.config.data.source.clone())
+                        given.or_else(|| trained.config().data.source.clone())
                     }),
                     text: conditions.text.clone(),
                     clip: conditions.clip.clone(),
@@ -170,7 +171,7 @@ pub(super) fn sample(
                     plan: conditions.plan.clone(),
                     ..Condition::default()
                 },
-                ..Record::new(BpeTransformer.name(), subject, request.seed)
+                ..Record::new(BpeTransformer.name(), trained, request.seed)
             };
             receiver.drawn(Drawn {
                 name: names.of(&motion.stem, index),
@@ -204,12 +205,12 @@ fn said(lines: &[Line]) -> Vec<SaidRecord> {
 
 /// What is asked for: a plan, one text, or the captions of clips.
 fn motions(
-    subject: &Subject,
+    trained: &TrainedModel,
     request: &Request,
     receiver: &mut dyn Receiver,
 ) -> Result<Vec<Motion>, Error> {
     let conditions = &request.conditions;
-    let input = TextInput::of(&subject.config)?;
+    let input = text_input(trained.config());
     let one = |lines| {
         vec![Motion {
             stem: String::new(),
@@ -229,14 +230,14 @@ fn motions(
             "the plan says what the texts are: leave out one of the two",
         )?;
         let plan = TextPlan::read(path)?;
-        if plan.step.len() > 1 && subject.config.data.humanml3d.root == Root::Absolute {
+        if plan.step.len() > 1 && trained.config().data.humanml3d.root == Root::Absolute {
             let message =
                 "a plan of several texts, and a run with `data.humanml3d.root = \"absolute\"`";
             let hint =
                 "every clip of its training begins at the origin: train with a relative root";
             return Err(Error::usage(message, hint));
         }
-        let ends = plan.ends(path, BpeTransformer.fps(&subject.config))?;
+        let ends = plan.ends(path, BpeTransformer.fps(trained.config()))?;
         let begins = [0].into_iter().chain(ends.iter().copied());
         let lengths = ends.iter().zip(begins).map(|(end, begin)| end - begin);
         let said = plan.said(path, &input)?.into_iter();
@@ -247,19 +248,21 @@ fn motions(
         return Ok(one(lines.collect()));
     }
     if conditions.item.is_some() || conditions.source.is_some() || conditions.held_out.is_some() {
-        return of_clips(subject, request, receiver);
+        return of_clips(trained, request, receiver);
     }
     if conditions.is_empty() {
         receiver.note("no condition given: drawing without a text");
     }
-    let text = text_of(conditions, &[input], &subject.device)?;
-    let frames = request.frames.unwrap_or(subject.config.data.target_frames);
+    let text = text_of(conditions, &[input], &trained.device)?;
+    let frames = request
+        .frames
+        .unwrap_or(trained.config().data.target_frames);
     Ok(one(vec![Line { text, frames }]))
 }
 
 /// A motion for each clip, of its caption and length.
 fn of_clips(
-    subject: &Subject,
+    trained: &TrainedModel,
     request: &Request,
     receiver: &mut dyn Receiver,
 ) -> Result<Vec<Motion>, Error> {
@@ -269,7 +272,7 @@ fn of_clips(
         "`--phrase` and a run on clips of joint features",
         "`--phrase` alone stands for the first caption of all of the clip",
     )?;
-    let data = dataset_or(&subject.config.data, conditions.source.as_deref());
+    let data = dataset_or(&trained.config().data, conditions.source.as_deref());
     let dataset = Dataset::<Clip>::open_with_progress(&data, &*receiver.reading())?;
     let chosen: Vec<Arc<Clip>> = match (&conditions.item, conditions.held_out) {
         (Some(pattern), _) => clips_named(&dataset, pattern)?,
@@ -279,7 +282,7 @@ fn of_clips(
             return Err(Error::usage("`--source` without `--phrase`", hint));
         }
     };
-    must_know_texts(&subject.config, &chosen)?;
+    must_know_texts(&text_input(trained.config()), &chosen)?;
     let several = chosen.len() > 1;
     let motion = |clip: &Arc<Clip>| {
         let own = || clip.features.frames().min(data.target_frames);

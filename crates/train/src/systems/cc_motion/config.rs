@@ -312,8 +312,8 @@ impl Default for EvaluationConfig {
 /// # Errors
 /// For the first invalid value; the error names the key.
 pub(super) fn validate(config: &Config) -> Result<(), Error> {
-    let own = CcMotionConfig::of(config)?;
-    let (name, recipe) = (RecipeName::of(config)?, &config.train.recipe);
+    let own: &CcMotionConfig = config.own();
+    let (name, recipe) = (RecipeName::of(config), &config.train.recipe);
     own.diffusion.validate()?;
     require(
         matches!(config.data.kind, DataKind::Phrases | DataKind::Synthetic),

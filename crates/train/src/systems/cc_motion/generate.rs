@@ -1,7 +1,6 @@
 //! Generating phrases from a checkpoint.
 
 use std::ops::ControlFlow;
-use std::path::Path;
 
 use burn::module::Module;
 use burn::tensor::{Device, Tensor, TensorData};
@@ -19,11 +18,12 @@ use super::networks::{footprint, targets};
 use super::style::Asked;
 use super::whole::{WINDOWS_IN_FLIGHT, Whole};
 use super::{CcMotionConfig, Trained};
-use crate::checkpoint::{State, Weights};
-use crate::config::{Config, SamplingConfig, SystemTables};
+use crate::TrainedModel;
+use crate::checkpoint::State;
+use crate::config::{Config, SamplingConfig};
 use crate::error::Error;
 use crate::memory;
-use crate::sampling::{Style, Subject};
+use crate::sampling::Style;
 
 /// Maximum batch size.
 const BATCH: usize = 32;
@@ -69,19 +69,19 @@ pub struct Generator {
 /// # Errors
 /// [`Error::Usage`] with both figures.
 pub(super) fn must_fit(
-    subject: &Subject,
+    trained: &TrainedModel,
     count: usize,
     frames: usize,
     processes: usize,
     hint: &str,
 ) -> Result<(), Error> {
-    let windows = windows(&subject.config, frames)?;
+    let windows = windows(trained.config(), frames)?;
     let (batch, frames) = match &windows {
         Some(windows) => (windows.len().min(WINDOWS_IN_FLIGHT), windows.length()),
         None => (count.min(BATCH), frames),
     };
-    let networks = footprint(&subject.config, frames)?;
-    let needed = networks.of_sampling(batch, false, subject.on_host);
+    let networks = footprint(trained.config(), frames)?;
+    let needed = networks.of_sampling(batch, false, trained.on_host);
     let work = format!("drawing {batch} phrases of {frames} frames");
     memory::must_fit(&work, needed.saturating_mul(processes as u64), hint)
 }
@@ -93,43 +93,41 @@ pub fn keys(seed: u64, count: usize) -> impl ExactSizeIterator<Item = Key> {
 }
 
 impl Generator {
-    /// Loads the checkpoint in `path` onto `device`.
+    /// Loads the networks of a trained model.
     ///
     /// # Errors
     /// If the checkpoint is damaged or does not fit its own config.
-    pub fn load(path: &Path, weights: Weights, device: &Device) -> Result<Self, Error> {
+    pub fn load(trained: &TrainedModel) -> Result<Self, Error> {
         let Trained {
             unet,
             decoder,
             state,
-        } = Trained::load(path, weights, device)?;
+        } = Trained::load(&trained.saved, trained.weights, &trained.device)?;
         state.statistics_of(&Phrases)?;
-        let diffusion = GaussianDiffusion::new(&CcMotionConfig::of(&state.config)?.diffusion)?;
+        let diffusion = GaussianDiffusion::new(&state.config.own::<CcMotionConfig>().diffusion)?;
         let decoder = decoder.map(|decoder| decoder.valid());
-        Self::of(unet.valid(), decoder, diffusion, state, device)
+        let device = &trained.device;
+        Ok(Self::of(unet.valid(), decoder, diffusion, state, device))
     }
 
     /// Networks without gradients on `device`, and what `state` says of their training.
-    ///
-    /// # Errors
-    /// If the state's config cannot be read.
     pub(super) fn of(
         unet: UNet1d,
         decoder: Option<MotionDecoder>,
         diffusion: GaussianDiffusion,
         state: State,
         device: &Device,
-    ) -> Result<Self, Error> {
-        Ok(Self {
+    ) -> Self {
+        Self {
             unet,
             decoder,
             diffusion,
-            targets: targets(&state.config)?,
+            targets: targets(&state.config),
             post_processing: PostProcessConfig::default(),
             style: None,
             state,
             device: device.clone(),
-        })
+        }
     }
 
     /// The same with another post-processing than the default.

@@ -7,7 +7,6 @@ use kinegrad_data::{DataConfig, DataKind, Dataset, Phrase, Songs, song_of};
 
 use super::start::Starts;
 use crate::checkpoint::State;
-use crate::error::Error;
 use crate::observer::Observer;
 
 /// Most phrases or songs that a warning names.
@@ -32,21 +31,17 @@ fn place(source: &str) -> PathBuf {
 
 /// Warns of the phrases held out of `dataset` that one of the `starts` was trained on, or where there
 /// are none of the songs: measures of them are not of what is new to the model.
-///
-/// # Errors
-/// If a checkpoint is damaged.
 pub(super) fn warn(
     starts: &Starts,
     dataset: &Dataset<Phrase>,
     data: &DataConfig,
     observer: &mut dyn Observer,
-) -> Result<(), Error> {
-    for (key, state) in starts.states()? {
-        for warning in warnings(key, &state, dataset, data) {
+) {
+    for (key, state) in starts.states() {
+        for warning in warnings(key, state, dataset, data) {
             observer.warning(&warning);
         }
     }
-    Ok(())
 }
 
 fn warnings(key: &str, state: &State, dataset: &Dataset<Phrase>, data: &DataConfig) -> Vec<String> {

@@ -31,7 +31,7 @@ pub(super) fn leading(phrase: &Arc<Phrase>, longest: usize) -> Arc<Phrase> {
 /// If the config names no network.
 pub(super) fn windows(config: &Config, frames: usize) -> Result<Option<Windows>, Error> {
     let longest = config.data.target_frames;
-    let fit = targets(config)?.orientation != OrientationTarget::CanonicalQuaternion;
+    let fit = targets(config).orientation != OrientationTarget::CanonicalQuaternion;
     Ok((fit && frames > longest).then(|| Windows::new(frames, longest)))
 }
 

@@ -4,33 +4,32 @@ use std::path::{Path, PathBuf};
 
 use kinegrad_models::{MotionModel, parameters};
 
-use super::CcMotionConfig;
 use super::networks::networks;
-use crate::checkpoint::{State, Weights, must_be_free, read_weights, write_weights};
-use crate::config::SystemTables;
+use super::{CcMotion, CcMotionConfig};
+use crate::checkpoint::{SavedCheckpoint, Weights, must_be_free, write_weights};
+use crate::config::OwnTables;
 use crate::error::Error;
 
-/// Adds the adapters of the checkpoint in `path` to the weights they sit on, and writes the result
+/// Adds the adapters of the checkpoint `saved` to the weights they sit on, and writes the result
 /// as the only checkpoint of a run in `out`, a new or an empty folder. Samples are drawn
 /// from it and trainings start from it; it has no optimiser to resume with. Returns where the
 /// checkpoint is.
 ///
 /// # Errors
 /// If the checkpoint is damaged or has no adapters, or `out` cannot be written.
-pub fn merge(path: &Path, out: &Path) -> Result<PathBuf, Error> {
-    let mut state = State::read(path)?;
-    let mut config = CcMotionConfig::of(&state.config)?;
+pub fn merge(saved: SavedCheckpoint, out: &Path) -> Result<PathBuf, Error> {
+    let saved = saved.of(&CcMotion)?;
+    let mut state = saved.state.clone();
+    let mut config = state.config.own::<CcMotionConfig>().clone();
     if config.lora.is_none() {
-        return Err(Error::NoAdapters {
-            path: path.to_path_buf(),
-        });
+        return Err(Error::NoAdapters { path: saved.path });
     }
     must_be_free(out)?;
     let device = burn::tensor::Device::flex();
     let merged = |weights: Weights| -> Result<_, Error> {
         state.statistics_of(&kinegrad_motion::Phrases)?;
         let fresh = networks(&state.config, state.normalization(), &device)?;
-        let model = parameters::load(fresh, read_weights(path, &state, weights)?)?;
+        let model = parameters::load(fresh, saved.weights(weights)?)?;
         let model = MotionModel {
             unet: model.unet.merge_adapters(),
             decoder: model.decoder,
@@ -40,6 +39,6 @@ pub fn merge(path: &Path, out: &Path) -> Result<PathBuf, Error> {
     let (infos, model) = merged(Weights::Model)?;
     let (_, ema) = merged(Weights::Ema)?;
     config.lora = None;
-    state.config.system = config.to_table();
+    state.config.system = OwnTables::new(config);
     write_weights(out, &state, &infos, &model, &ema)
 }

@@ -37,7 +37,9 @@ pub use config::{
 pub use networks::Trained;
 pub use path::{PhrasePath, PhrasePathConfig, PhrasePathMethod};
 
-use crate::config::{Config, ConfigError, Place, SystemTables};
+use crate::TrainedModel;
+use crate::checkpoint::SavedCheckpoint;
+use crate::config::{Config, ConfigError, OwnTables, Place, SystemTables};
 use crate::error::Error;
 use crate::evaluation::{Evaluate, EvaluationRequest};
 use crate::memory::Footprint;
@@ -45,7 +47,8 @@ use crate::observer::Observer;
 use crate::parameter_count::ParameterCount;
 use crate::recipe::RecipeInfo;
 use crate::run::{Outcome, Setup};
-use crate::sampling::{Receiver, Remark, Request, Subject};
+use crate::sampling::{Receiver, Remark, Request};
+use crate::start::tables_of;
 use crate::system::System;
 use recipe_name::{RECIPES, RecipeName};
 use start::Starts;
@@ -74,8 +77,8 @@ impl System for CcMotion {
         CcMotionConfig::keys()
     }
 
-    fn complete(&self, tables: &Table, place: Place<'_>) -> Result<Table, ConfigError> {
-        Ok(CcMotionConfig::read(tables, place)?.to_table())
+    fn complete(&self, tables: &Table, place: Place<'_>) -> Result<OwnTables, ConfigError> {
+        Ok(OwnTables::new(CcMotionConfig::read(tables, place)?))
     }
 
     fn validate(&self, config: &Config) -> Result<Vec<String>, Error> {
@@ -84,15 +87,18 @@ impl System for CcMotion {
     }
 
     fn inherited(&self, config: &Config, saved: Option<&Config>) -> Result<Option<Table>, Error> {
-        if !RecipeName::of(config)?.trains_through_sampler() {
+        if !RecipeName::of(config).trains_through_sampler() {
             return Ok(None);
         }
         match saved {
             // A resumed run does not need its start any more.
-            Some(saved) => start::inherited(saved).map(Some),
+            Some(saved) => Ok(Some(tables_of(
+                saved,
+                &[start::OF_BASE.as_slice(), &start::OF_DECODER].concat(),
+            ))),
             None => {
-                let starts = Starts::named(&CcMotionConfig::of(config)?.init)?;
-                starts.map(|starts| starts.tables_for(config)).transpose()
+                let starts = Starts::named(&config.own::<CcMotionConfig>().init)?;
+                Ok(starts.map(|starts| starts.tables_for(config)))
             }
         }
     }
@@ -112,7 +118,7 @@ impl System for CcMotion {
     fn parameter_count(&self, config: &Config) -> Result<usize, Error> {
         let unet = networks::denoiser(config, &Device::flex())?;
         let unet = parameters::count(&unet);
-        match RecipeName::of(config)?.trains_through_sampler() {
+        match RecipeName::of(config).trains_through_sampler() {
             false => Ok(unet),
             true => Ok(unet + networks::decoder_parameters(config)?),
         }
@@ -126,25 +132,25 @@ impl System for CcMotion {
         networks::footprint(config, config.data.target_frames)
     }
 
-    fn merge(&self, path: &Path, out: &Path) -> Result<PathBuf, Error> {
-        merge::merge(path, out)
+    fn merge(&self, saved: SavedCheckpoint, out: &Path) -> Result<PathBuf, Error> {
+        merge::merge(saved, out)
     }
 
     fn sample(
         &self,
-        subject: &Subject,
+        trained: &TrainedModel,
         request: &Request,
         receiver: &mut dyn Receiver,
     ) -> Result<Option<Remark>, Error> {
-        sample::sample(subject, request, receiver)
+        sample::sample(trained, request, receiver)
     }
 
     fn evaluate<'a>(
         &self,
-        subject: &'a Subject,
+        trained: &'a TrainedModel,
         request: &EvaluationRequest,
     ) -> Result<Evaluate<'a>, Error> {
-        evaluate::prepare(subject, request)
+        evaluate::prepare(trained, request)
     }
 
     fn train(&self, setup: Setup, observer: &mut dyn Observer) -> Result<Outcome, Error> {

@@ -1,18 +1,18 @@
 //! The networks of a checkpoint of any recipe.
 
-use std::path::Path;
-
 use burn::module::Module;
 use burn::tensor::Device;
 use kinegrad_models::decoder::{DecoderInit, Normalization};
 use kinegrad_models::parameters::ParameterInfo;
-use kinegrad_models::{DecoderConfig, Initializer, MotionDecoder, MotionModel, UNet1d, parameters};
+use kinegrad_models::{
+    DecoderConfig, Initializer, MotionDecoder, MotionModel, UNet1d, UNet1dConfig, parameters,
+};
 use kinegrad_motion::{Phrases, Statistics, Targets};
 
 use super::recipe_name::RecipeName;
 use super::{CcMotionConfig, CcMotionNetwork};
-use crate::checkpoint::{State, Weights, read_weights};
-use crate::config::{Config, SystemTables};
+use crate::checkpoint::{SavedCheckpoint, State, Weights};
+use crate::config::Config;
 use crate::error::Error;
 use crate::memory::Footprint;
 use crate::parameter_count::{ParameterCount, is_adapter};
@@ -31,15 +31,15 @@ pub struct Trained {
 }
 
 impl Trained {
-    /// Loads the checkpoint in `path` onto `device`.
+    /// Loads a checkpoint onto `device`.
     ///
     /// # Errors
     /// If the checkpoint is damaged or does not fit its own config.
-    pub fn load(path: &Path, weights: Weights, device: &Device) -> Result<Self, Error> {
-        let state = State::read(path)?;
-        let values = read_weights(path, &state, weights)?;
+    pub fn load(saved: &SavedCheckpoint, weights: Weights, device: &Device) -> Result<Self, Error> {
+        let values = saved.weights(weights)?;
+        let state = saved.state.clone();
         let config = &state.config;
-        let (unet, decoder) = match RecipeName::of(config)?.trains_through_sampler() {
+        let (unet, decoder) = match RecipeName::of(config).trains_through_sampler() {
             false => (parameters::load(denoiser(config, device)?, values)?, None),
             true => {
                 state.statistics_of(&Phrases)?;
@@ -61,19 +61,21 @@ impl Trained {
 /// # Errors
 /// If it cannot be built.
 pub(crate) fn denoiser(config: &Config, device: &Device) -> Result<UNet1d, Error> {
-    let CcMotionNetwork::Unet1d(unet) = CcMotionConfig::of(config)?.model.network;
+    let unet = unet1d(config);
     let init = Initializer::new(config.run.seed, device);
     let audio = config.data.audio_layout().channels();
     Ok(unet.init(unet.targets().channels(), audio, &init)?)
 }
 
+/// The settings of the denoiser of a config.
+pub(super) fn unet1d(config: &Config) -> &UNet1dConfig {
+    let CcMotionNetwork::Unet1d(unet) = &config.own::<CcMotionConfig>().model.network;
+    unet
+}
+
 /// The channels that the denoiser of a config predicts.
-///
-/// # Errors
-/// If the config cannot be read.
-pub(crate) fn targets(config: &Config) -> Result<Targets, Error> {
-    let CcMotionNetwork::Unet1d(unet) = CcMotionConfig::of(config)?.model.network;
-    Ok(unet.targets())
+pub(crate) fn targets(config: &Config) -> Targets {
+    unet1d(config).targets()
 }
 
 /// The decoder of a config, with fresh weights; `statistics` normalised the networks' channels.
@@ -90,8 +92,8 @@ pub(crate) fn decoder(
         std: statistics.std.clone(),
     };
     let init = Initializer::new(config.run.seed, device).at("decoder");
-    let decoder = CcMotionConfig::of(config)?.decoder;
-    Ok(decoder.init_for(targets(config)?, normalization, &init)?)
+    let decoder = &config.own::<CcMotionConfig>().decoder;
+    Ok(decoder.init_for(targets(config), normalization, &init)?)
 }
 
 /// Number of parameters of the decoder of a config.
@@ -108,19 +110,19 @@ pub(super) fn decoder_parameters(config: &Config) -> Result<usize, Error> {
 /// If one cannot be built.
 pub(super) fn parameter_count(config: &Config) -> Result<ParameterCount, Error> {
     let unet = denoiser(config, &Device::flex())?;
-    let recipe = RecipeName::of(config)?;
+    let recipe = RecipeName::of(config);
     if !recipe.trains_through_sampler() {
         return Ok(ParameterCount::trained(parameters::count(&unet)));
     }
-    let lora = CcMotionConfig::of(config)?.lora;
-    let unet = match &lora {
+    let lora = &config.own::<CcMotionConfig>().lora;
+    let unet = match lora {
         Some(lora) => unet.with_adapters(lora, &Initializer::new(0, &Device::flex()))?,
         None => unet,
     };
     let decoder = lazy_decoder(config)?;
     let infos = parameters::infos(&MotionModel { unet, decoder });
     // As in `trainable`, without the weights that would be drawn to ask them.
-    let trains = |info: &ParameterInfo| match (&lora, recipe) {
+    let trains = |info: &ParameterInfo| match (lora, recipe) {
         (Some(_), _) => is_adapter(info),
         (None, RecipeName::Decoder) => false,
         (None, RecipeName::Diffusion | RecipeName::E2e) => true,
@@ -134,9 +136,9 @@ pub(super) fn parameter_count(config: &Config) -> Result<ParameterCount, Error> 
 fn lazy_decoder(config: &Config) -> Result<MotionDecoder, Error> {
     let random = DecoderConfig {
         init: DecoderInit::Random,
-        ..CcMotionConfig::of(config)?.decoder
+        ..config.own::<CcMotionConfig>().decoder.clone()
     };
-    let targets = targets(config)?;
+    let targets = targets(config);
     let unit = Normalization {
         mean: vec![0.0; targets.channels()],
         std: vec![1.0; targets.channels()],
@@ -149,13 +151,13 @@ fn lazy_decoder(config: &Config) -> Result<MotionDecoder, Error> {
 /// # Errors
 /// If one cannot be built.
 pub(super) fn footprint(config: &Config, frames: usize) -> Result<Footprint, Error> {
-    let own = CcMotionConfig::of(config)?;
-    let CcMotionNetwork::Unet1d(network) = &own.model.network;
+    let own: &CcMotionConfig = config.own();
+    let network = unet1d(config);
     let unet = denoiser(config, &Device::flex())?;
     let a_pass = network.activations(frames);
     let audio = config.data.audio_layout().channels();
     let item = ((network.targets().channels() + audio) * frames) as u64;
-    if !RecipeName::of(config)?.trains_through_sampler() {
+    if !RecipeName::of(config).trains_through_sampler() {
         return Ok(Footprint {
             parameters: parameters::count(&unet) as u64,
             activations: a_pass,
@@ -205,12 +207,12 @@ pub(crate) fn trainable(
     device: &Device,
 ) -> Result<MotionModel, Error> {
     let MotionModel { unet, decoder } = model;
-    let unet = match CcMotionConfig::of(config)?.lora {
+    let unet = match &config.own::<CcMotionConfig>().lora {
         Some(lora) => {
             let init = Initializer::new(config.run.seed, device).at("unet");
-            unet.with_adapters(&lora, &init)?
+            unet.with_adapters(lora, &init)?
         }
-        None => match RecipeName::of(config)? {
+        None => match RecipeName::of(config) {
             RecipeName::Decoder => unet.no_grad(),
             RecipeName::Diffusion | RecipeName::E2e => unet,
         },

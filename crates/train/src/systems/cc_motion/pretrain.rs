@@ -5,7 +5,7 @@ use std::rc::Rc;
 
 use super::recipe_name::RecipeName;
 use super::{CcMotion, CcMotionConfig, InitConfig, PretrainConfig};
-use crate::config::{Config, OptimConfig, RunConfig, SystemTables, TrainConfig};
+use crate::config::{Config, OptimConfig, OwnTables, RunConfig, TrainConfig};
 use crate::error::Error;
 use crate::observer::Observer;
 use crate::run::{Outcome, has_begun, train_config};
@@ -26,18 +26,15 @@ const VALIDATIONS: u64 = 4;
 /// The `saved` config of the run in `folder`: where that is a decoder on the base model beside it
 /// and was begun on one of the same place in its run, it names the base model as `given` does.
 pub(super) fn moved(saved: Config, given: &Config, folder: &Path) -> Result<Config, Error> {
-    let mut own = CcMotionConfig::of(&saved)?;
-    let base = CcMotionConfig::of(given)?.init.diffusion;
+    let mut own = saved.own::<CcMotionConfig>().clone();
+    let base = &given.own::<CcMotionConfig>().init.diffusion;
     let whole = folder.parent().unwrap_or(folder);
     let place = Path::new(whole.file_name().unwrap_or_default()).join(BASE);
-    if base != whole.join(BASE) || !own.init.diffusion.ends_with(place) {
+    if *base != whole.join(BASE) || !own.init.diffusion.ends_with(place) {
         return Ok(saved);
     }
-    own.init.diffusion = base;
-    Ok(Config {
-        system: own.to_table(),
-        ..saved
-    })
+    own.init.diffusion = base.clone();
+    Ok(saved.with_own(own))
 }
 
 /// Rejects to train a base model again beneath a decoder that was begun on another.
@@ -105,7 +102,7 @@ pub(super) fn tell(
     folder: &Path,
     observer: &mut dyn Observer,
 ) -> Result<PretrainConfig, Error> {
-    let pretrain = CcMotionConfig::of(config)?.init.pretrain;
+    let pretrain = config.own::<CcMotionConfig>().init.pretrain.clone();
     observer.note(&format!(
         "`init.diffusion` is empty: a base model is trained first ({} steps), then a decoder ({} \
          steps), in {}",
@@ -128,14 +125,14 @@ fn stage(
     let own = CcMotionConfig {
         init: init.clone(),
         lora: None,
-        ..CcMotionConfig::of(config)?
+        ..config.own::<CcMotionConfig>().clone()
     };
     let mut stage = Config {
         run: RunConfig {
             name: name.into(),
             ..config.run.clone()
         },
-        system: own.to_table(),
+        system: OwnTables::new(own),
         optim: OptimConfig {
             learning_rate: rate,
             warmup_steps: steps / 10,

@@ -1,9 +1,6 @@
 //! The recipes of this system by name.
 
-use kinegrad_motion::{Phrases, Representation};
-
 use crate::config::Config;
-use crate::error::Error;
 use crate::recipe::RecipeInfo;
 
 /// The recipes.
@@ -34,18 +31,14 @@ pub(super) enum RecipeName {
 }
 
 impl RecipeName {
-    /// The recipe of a config.
+    /// The recipe of a config of this system.
     ///
-    /// # Errors
-    /// [`Error::OtherRepresentation`] for a config of another system.
-    pub fn of(config: &Config) -> Result<Self, Error> {
-        let name = config.train.recipe.as_str();
-        let all = [Self::Diffusion, Self::Decoder, Self::E2e];
-        let found = all.into_iter().find(|recipe| recipe.name() == name);
-        found.ok_or_else(|| Error::OtherRepresentation {
-            recipe: name.to_string(),
-            expected: Phrases.name(),
-        })
+    /// # Panics
+    /// Panics for a config of another system.
+    pub fn of(config: &Config) -> Self {
+        let all = [Self::Diffusion, Self::Decoder, Self::E2e].into_iter();
+        let mut found = all.filter(|recipe| recipe.name() == config.train.recipe);
+        found.next().expect("a recipe of this system")
     }
 
     /// Its name in configs.

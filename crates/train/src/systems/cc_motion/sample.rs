@@ -21,12 +21,13 @@ use super::path::Asked;
 use super::style::must_know;
 use super::whole::{WINDOWS_IN_FLIGHT, Whole};
 use super::{CcMotion, CcMotionConfig, CcMotionNetwork};
-use crate::config::{Config, SystemTables};
+use crate::TrainedModel;
+use crate::config::Config;
 use crate::error::Error;
 use crate::path_target::{in_words, read_path};
 use crate::sampling::{
     Condition, Conditions, Contents, Drawn, GivenFrames, GivenMotion, Kept, Names, Receiver,
-    Record, Remark, Request, Subject, WindowsRecord, item_seed,
+    Record, Remark, Request, WindowsRecord, item_seed,
 };
 use crate::song::song_features;
 use crate::system::System as _;
@@ -52,7 +53,7 @@ const HINT: &str = "draw shorter ones (`--frames`), or fewer";
 /// # Errors
 /// If a condition cannot be used, or the checkpoint cannot be read.
 pub(super) fn sample(
-    subject: &Subject,
+    trained: &TrainedModel,
     request: &Request,
     receiver: &mut dyn Receiver,
 ) -> Result<Option<Remark>, Error> {
@@ -70,11 +71,11 @@ pub(super) fn sample(
          plans of recipe `flow`",
     )?;
     if let Some(count) = request.conditions.held_out {
-        return for_held_out(subject, count, request, receiver).map(Some);
+        return for_held_out(trained, count, request, receiver).map(Some);
     }
     let style = request.conditions.style.as_ref();
     if let Some(style) = style {
-        must_know(style, &subject.config)?;
+        must_know(style, trained.config())?;
     }
     let path = request
         .conditions
@@ -82,17 +83,17 @@ pub(super) fn sample(
         .as_ref()
         .map(read_path)
         .transpose()?;
-    let conditions = conditions(request, &subject.config, receiver)?;
+    let conditions = conditions(request, trained.config(), receiver)?;
     let mut drawings = Vec::with_capacity(conditions.len());
     for mut heard in conditions {
         heard.condition.style = style.cloned();
-        drawings.push(drawing(heard, request, &subject.config, path.as_ref())?);
+        drawings.push(drawing(heard, request, trained.config(), path.as_ref())?);
     }
     let lengths = drawings.iter().map(|drawing| match &drawing.whole {
         Some((windows, _)) => windows.length(),
         None => drawing.heard.audio.frames(),
     });
-    if let Some(odd) = untrained(&subject.config, lengths) {
+    if let Some(odd) = untrained(trained.config(), lengths) {
         receiver.warning(&odd);
     }
     for drawing in &drawings {
@@ -100,7 +101,7 @@ pub(super) fn sample(
             Some((windows, _)) => (windows.len().min(WINDOWS_IN_FLIGHT), windows.length()),
             None => (request.count, drawing.heard.audio.frames()),
         };
-        must_fit(subject, count, frames, 1, HINT)?;
+        must_fit(trained, count, frames, 1, HINT)?;
     }
     let several = drawings.len() > 1;
     let stem = |heard: &Heard| match several {
@@ -116,7 +117,7 @@ pub(super) fn sample(
     };
     receiver.announced(&names, &[MOTION, RAW])?;
     let post_processing = PostProcessConfig::from(request.post_processing.unwrap_or_default());
-    let generator = Generator::load(&subject.checkpoint, subject.weights, &subject.device)?
+    let generator = Generator::load(trained)?
         .with_post_processing(post_processing)
         .with_style(style)?;
     let mut remarks = Vec::new();
@@ -139,7 +140,7 @@ pub(super) fn sample(
             for index in 0..request.count {
                 let sample = generator.sample_whole(
                     &whole,
-                    &subject.config.sampling,
+                    &trained.config().sampling,
                     key.at(index as u64),
                     &mut |done, all| {
                         let before = index.saturating_mul(all);
@@ -154,7 +155,7 @@ pub(super) fn sample(
                     path,
                     windows: Some(windows_record(windows)),
                     condition: heard.condition.clone(),
-                    ..record(subject, request, &sample)
+                    ..record(trained, request, &sample)
                 };
                 receiver.drawn(drawn(names.of(&stem, index), sample, record))?;
             }
@@ -164,14 +165,14 @@ pub(super) fn sample(
         let receiver = RefCell::new(&mut *receiver);
         generator.sample_each(
             repeat_n(heard.audio, request.count).zip(keys(seed, request.count)),
-            &subject.config.sampling,
+            &trained.config().sampling,
             &mut |done, all| receiver.borrow_mut().advance("", done, all),
             &mut |sample| {
                 let name = names.of(&stem, index);
                 let record = Record {
                     index,
                     condition: heard.condition.clone(),
-                    ..record(subject, request, &sample)
+                    ..record(trained, request, &sample)
                 };
                 index += 1;
                 receiver.borrow_mut().drawn(drawn(name, sample, record))
@@ -185,21 +186,20 @@ pub(super) fn sample(
 /// are held out, and checks them. They are those that `kinegrad sample --phrase` generates with the
 /// same seed.
 fn for_held_out(
-    subject: &Subject,
+    trained: &TrainedModel,
     count: usize,
     request: &Request,
     receiver: &mut dyn Receiver,
 ) -> Result<Remark, Error> {
     let dataset =
-        Dataset::<Phrase>::open_with_progress(&subject.config.data, &*receiver.reading())?;
+        Dataset::<Phrase>::open_with_progress(&trained.config().data, &*receiver.reading())?;
     let chosen = dataset.held_out().first(count)?;
     let lengths: BTreeSet<usize> = chosen.iter().map(|phrase| phrase.audio.frames()).collect();
     for frames in lengths {
-        must_fit(subject, chosen.len(), frames, 1, HELD_OUT_HINT)?;
+        must_fit(trained, chosen.len(), frames, 1, HELD_OUT_HINT)?;
     }
     let post_processing = PostProcessConfig::from(request.post_processing.unwrap_or_default());
-    let generator = Generator::load(&subject.checkpoint, subject.weights, &subject.device)?
-        .with_post_processing(post_processing);
+    let generator = Generator::load(trained)?.with_post_processing(post_processing);
     let header = ["sample", "document", "strict", "fails"];
     let mut rows = vec![header.map(String::from).to_vec()];
     let mut done_before = 0;
@@ -214,7 +214,7 @@ fn for_held_out(
         let mut samples = Vec::with_capacity(phrases.len());
         generator.sample_each(
             conditions.into_iter(),
-            &subject.config.sampling,
+            &trained.config().sampling,
             &mut |done, all| {
                 let steps = done_before * all + phrases.len() * done;
                 receiver.advance("", steps, chosen.len() * all)
@@ -226,11 +226,11 @@ fn for_held_out(
         )?;
         for (phrase, sample) in phrases.iter().zip(samples) {
             rows.push(checked(&phrase.id, &sample.motion, generator.statistics())?);
-            let windows = windows(&subject.config, phrase.audio.frames())?;
+            let windows = windows(trained.config(), phrase.audio.frames())?;
             let record = Record {
                 windows: windows.as_ref().map(windows_record),
-                condition: of_item(&phrase.id, &subject.config.data),
-                ..record(subject, request, &sample)
+                condition: of_item(&phrase.id, &trained.config().data),
+                ..record(trained, request, &sample)
             };
             receiver.drawn(drawn(phrase.id.clone(), sample, record))?;
         }
@@ -266,12 +266,12 @@ fn checked(name: &str, motion: &Motion, statistics: &Statistics) -> Result<Vec<S
 }
 
 /// What every sample's record says.
-fn record(subject: &Subject, request: &Request, sample: &Sample) -> Record {
+fn record(trained: &TrainedModel, request: &Request, sample: &Sample) -> Record {
     Record {
         frames: sample.motion.frames(),
         fps: FPS,
         post_processing: Some(request.post_processing.unwrap_or_default().into()),
-        ..Record::new(CcMotion.name(), subject, request.seed)
+        ..Record::new(CcMotion.name(), trained, request.seed)
     }
 }
 
@@ -344,11 +344,11 @@ fn drawing(
         }
     };
     let length = frames.min(trained);
-    let evaluation = CcMotionConfig::of(config)?.evaluation;
+    let evaluation = &config.own::<CcMotionConfig>().evaluation;
     let path = path.map(|path| Asked::new(path, frames, &evaluation.path));
     let path = path.transpose()?;
     let must_join = given.is_some() || path.is_some() || (is_song && frames > length);
-    if must_join && targets(config)?.orientation == OrientationTarget::CanonicalQuaternion {
+    if must_join && targets(config).orientation == OrientationTarget::CanonicalQuaternion {
         let message = "a run with `model.orientation_target = \"canonical_quaternion\"` draws each motion \
                        from its own first heading: windows of a song, given frames and paths do \
                        not fit together";
@@ -416,7 +416,7 @@ fn of_song(song: &Path, request: &Request, config: &Config) -> Result<Heard, Err
             "leave it out; data.audio_features = [\"document\", \"beats\"] trains with them",
         ));
     }
-    let CcMotionNetwork::Unet1d(unet) = &CcMotionConfig::of(config)?.model.network;
+    let CcMotionNetwork::Unet1d(unet) = &config.own::<CcMotionConfig>().model.network;
     if let (Beats::Tracked, Some(option)) = (unet.beats, known.given().first()) {
         return Err(Error::usage(
             format!("`{option}` with a run that finds the beats itself"),

@@ -89,7 +89,7 @@ impl Selection {
     fn score(&self, networks: &impl Networks, device: &Device) -> Result<Score, Error> {
         let (unet, decoder) = networks.networks();
         let (diffusion, state) = (self.diffusion.clone(), self.state.clone());
-        let generator = Generator::of(unet, decoder, diffusion, state, device)?;
+        let generator = Generator::of(unet, decoder, diffusion, state, device);
         let settings = EvaluationSettings {
             seeds: 1,
             seed: SEED,

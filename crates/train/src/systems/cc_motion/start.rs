@@ -7,19 +7,19 @@ use kinegrad_settings::{Refused, require};
 use toml::Table;
 
 use super::leaks::is_of_one_source;
-use super::networks::{Trained, decoder, denoiser, targets, trainable};
+use super::networks::{Trained, decoder, denoiser, targets, trainable, unet1d};
 use super::recipe_name::RecipeName;
-use super::{CcMotionConfig, CcMotionNetwork, InitConfig};
-use crate::checkpoint::State;
-use crate::config::{Config, PLAIN, SystemTables};
+use super::{CcMotion, CcMotionConfig, InitConfig};
+use crate::checkpoint::{State, Weights};
+use crate::config::{Config, PLAIN};
 use crate::error::Error;
-use crate::start::{Start, must_agree, tables_of};
+use crate::start::{Start, must_agree};
 
 /// Tables that follow from the run that `init.diffusion` names.
-const OF_BASE: [&str; 2] = ["model", "diffusion"];
+pub(super) const OF_BASE: [&str; 2] = ["model", "diffusion"];
 
 /// Tables that follow from the run that `init.decoder` names.
-const OF_DECODER: [&str; 1] = ["decoder"];
+pub(super) const OF_DECODER: [&str; 1] = ["decoder"];
 
 /// The checkpoints that a fine-tuning starts from.
 #[derive(Clone, Debug)]
@@ -34,34 +34,28 @@ impl Starts {
     /// # Errors
     /// If one is not there.
     pub fn named(init: &InitConfig) -> Result<Option<Self>, Error> {
-        let Some(diffusion) = Start::named("init.diffusion", &init.diffusion)? else {
+        let Some(diffusion) = Start::named("init.diffusion", &init.diffusion, &CcMotion)? else {
             return Ok(None);
         };
-        let decoder = Start::named("init.decoder", &init.decoder)?;
+        let decoder = Start::named("init.decoder", &init.decoder, &CcMotion)?;
         Ok(Some(Self { diffusion, decoder }))
     }
 
-    /// What the start's configs say of networks and process: it stands beneath the new config.
-    ///
-    /// # Errors
-    /// If a checkpoint is damaged.
-    pub fn tables(&self) -> Result<Table, Error> {
-        let mut tables = self.diffusion.tables::<CcMotionConfig>(&OF_BASE)?;
+    /// The tables of networks and process of the start's configs: defaults of the new config.
+    pub fn tables(&self) -> Table {
+        let mut tables = self.diffusion.tables(&OF_BASE);
         if let Some(decoder) = &self.decoder {
-            tables.extend(decoder.tables::<CcMotionConfig>(&OF_DECODER)?);
+            tables.extend(decoder.tables(&OF_DECODER));
         }
-        Ok(tables)
+        tables
     }
 
     /// [`tables`](Self::tables), and the split and the labels of the base where it was trained on the dataset of
     /// `config`: what it has seen is not held out.
-    ///
-    /// # Errors
-    /// As [`tables`](Self::tables).
-    pub fn tables_for(&self, config: &Config) -> Result<Table, Error> {
-        let mut tables = self.tables()?;
-        let base = self.diffusion.state()?.config.data;
-        if is_of_one_source(&base, &config.data) {
+    pub fn tables_for(&self, config: &Config) -> Table {
+        let mut tables = self.tables();
+        let base = &self.diffusion.state().config.data;
+        if is_of_one_source(base, &config.data) {
             let split = Table::try_from(&base.validation).expect(PLAIN);
             let mut data = Table::from_iter([("validation".to_string(), split.into())]);
             if !base.labels.is_empty() {
@@ -70,30 +64,25 @@ impl Starts {
             }
             tables.insert("data".into(), data.into());
         }
-        Ok(tables)
+        tables
     }
 
     /// The state of the denoiser's checkpoint: what its data were normalised by, and how they were
     /// augmented and split.
     ///
     /// # Errors
-    /// If the checkpoint is damaged, or of other motion than phrases.
-    pub fn state(&self) -> Result<State, Error> {
-        let state = self.diffusion.state()?;
+    /// If it is of other motion than phrases.
+    pub fn state(&self) -> Result<&State, Error> {
+        let state = self.diffusion.state();
         state.statistics_of(&Phrases)?;
         Ok(state)
     }
 
     /// Key and state of each checkpoint.
-    ///
-    /// # Errors
-    /// If one is damaged.
-    pub fn states(&self) -> Result<Vec<(&'static str, State)>, Error> {
+    pub fn states(&self) -> impl Iterator<Item = (&'static str, &State)> {
         let starts = [Some(&self.diffusion), self.decoder.as_ref()];
         let starts = starts.into_iter().flatten();
-        starts
-            .map(|start| Ok((start.key(), start.state()?)))
-            .collect()
+        starts.map(|start| (start.key(), start.state()))
     }
 
     /// The networks with the start's averaged weights on an autodiff device.
@@ -101,8 +90,9 @@ impl Starts {
     /// # Errors
     /// Names the key whose checkpoint does not fit, and why.
     pub fn networks(&self, config: &Config, device: &Device) -> Result<MotionModel, Error> {
-        let base = self.diffusion.load(device, Trained::load)?;
-        must_agree::<CcMotionConfig>(config, &base.state.config, &OF_BASE)?;
+        let load = |saved: &_| Trained::load(saved, Weights::Ema, device);
+        let base = self.diffusion.load(load)?;
+        must_agree(config, &base.state.config, &OF_BASE)?;
         must_hear(config, &base.state.config)?;
         base.state.statistics_of(&Phrases)?;
         let statistics = base.state.normalization();
@@ -111,11 +101,11 @@ impl Starts {
         let unet = parameters::replace(denoiser(config, device)?, parameters::values(&base.unet));
         let mut decoder = decoder(config, statistics, device)?;
         if let Some(given) = &self.decoder {
-            let start = given.load(device, Trained::load)?;
+            let start = given.load(load)?;
             let Some(trained) = start.decoder else {
                 return Err(given.refused(&"its recipe is `diffusion`, it holds no decoder"));
             };
-            must_agree::<CcMotionConfig>(config, &start.state.config, &OF_DECODER)?;
+            must_agree(config, &start.state.config, &OF_DECODER)?;
             let found = start.state.normalization();
             if (&found.mean, &found.std) != (&statistics.mean, &statistics.std) {
                 return Err(given.refused(
@@ -146,7 +136,7 @@ fn must_hear(config: &Config, start: &Config) -> Result<(), Error> {
 /// # Errors
 /// Names the first.
 pub(super) fn must_use(config: &Config) -> Result<(), Error> {
-    let (recipe, init) = (RecipeName::of(config)?, CcMotionConfig::of(config)?.init);
+    let (recipe, init) = (RecipeName::of(config), &config.own::<CcMotionConfig>().init);
     let name = recipe.name();
     for (key, path) in [
         ("init.diffusion", &init.diffusion),
@@ -159,7 +149,7 @@ pub(super) fn must_use(config: &Config) -> Result<(), Error> {
             "leave the key out: recipe `{name}` starts from new weights"
         ))?;
     }
-    let CcMotionNetwork::Unet1d(unet) = &CcMotionConfig::of(config)?.model.network;
+    let unet = unet1d(config);
     let learns = unet.beats == Beats::Given || config.data.audio_layout().beats;
     let allowed = "\"given\", or `data.audio_features = [\"document\", \"beats\"]`";
     require(
@@ -174,7 +164,7 @@ pub(super) fn must_use(config: &Config) -> Result<(), Error> {
     let allowed = "0 with `model.beats = \"tracked\"`";
     require(learns, "data.augment.audio_noise", noise, allowed)
         .hint("the tracker would learn from beats with noise; `audio_masks` vary the music")?;
-    let (orientation, augment) = (targets(config)?.orientation, &config.data.augment);
+    let (orientation, augment) = (targets(config).orientation, &config.data.augment);
     let flips = augment.flip_quaternion && orientation != OrientationTarget::Quaternion;
     let of_one_sign = "false with this `model.orientation_target`";
     require(!flips, "data.augment.flip_quaternion", true, of_one_sign)
@@ -184,12 +174,4 @@ pub(super) fn must_use(config: &Config) -> Result<(), Error> {
     require(!turns, "data.augment.rotate_yaw", true, turned_back)
         .hint("each sample is turned to face +z, whichever way it was turned before")?;
     Ok(())
-}
-
-/// What the config of a resumed run says of networks and process.
-///
-/// # Errors
-/// If the config is of another version and cannot be read.
-pub(super) fn inherited(saved: &Config) -> Result<Table, Error> {
-    tables_of::<CcMotionConfig>(saved, &[OF_BASE.as_slice(), &OF_DECODER].concat())
 }

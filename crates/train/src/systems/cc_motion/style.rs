@@ -6,22 +6,17 @@ use std::collections::BTreeSet;
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_data::{Dataset, LABEL, Phrase, STYLE, StyleConditions, is_label};
 use kinegrad_kernels::Lengths;
-use kinegrad_models::{AudioCondition, StyleCondition, StyleConditioning, UNet1dConfig};
+use kinegrad_models::{AudioCondition, StyleCondition, StyleConditioning};
 use kinegrad_motion::Statistics;
 use kinegrad_settings::{Refused, require};
 
+use super::networks::unet1d;
 use super::{CcMotionConfig, CcMotionNetwork};
-use crate::config::{Config, SystemTables};
+use crate::config::Config;
 use crate::denoising::Conditions;
 use crate::error::Error;
 use crate::observer::Observer;
 use crate::sampling::Style;
-
-/// The network of a config.
-fn network(config: &Config) -> Result<UNet1dConfig, Error> {
-    let CcMotionNetwork::Unet1d(unet) = CcMotionConfig::of(config)?.model.network;
-    Ok(unet)
-}
 
 /// `config` with the labels of the training phrases, if its network is told labels and states none.
 /// Says which phrases have none that the network knows.
@@ -34,7 +29,7 @@ pub(super) fn with_labels(
     dataset: &Dataset<Phrase>,
     observer: &mut dyn Observer,
 ) -> Result<Config, Error> {
-    let mut own = CcMotionConfig::of(&config)?;
+    let mut own = config.own::<CcMotionConfig>().clone();
     let CcMotionNetwork::Unet1d(unet) = &mut own.model.network;
     if !unet.style.has_label() {
         return Ok(config);
@@ -70,7 +65,7 @@ pub(super) fn with_labels(
             ),
             format!(
                 "it knows {}; `data.labels` gives phrases other labels, or none",
-                listed(&unet.style_labels)
+                listed(&unet.style_labels.clone())
             ),
         ));
     }
@@ -88,10 +83,7 @@ pub(super) fn with_labels(
             "{without} of {all} training phrases have no label: they train the null label"
         ));
     }
-    Ok(Config {
-        system: own.to_table(),
-        ..config
-    })
+    Ok(config.with_own(own))
 }
 
 fn listed(labels: &[String]) -> String {
@@ -107,13 +99,13 @@ pub(super) fn conditions(
     config: &Config,
     statistics: &Statistics,
 ) -> Result<StyleConditions, Error> {
-    let unet = network(config)?;
+    let unet = unet1d(config);
     let mut conditions = StyleConditions::default();
     if unet.style.has_numbers() {
         conditions = conditions.with_numbers(statistics);
     }
     if unet.style.has_label() {
-        conditions = conditions.with_labels(unet.style_labels);
+        conditions = conditions.with_labels(unet.style_labels.clone());
     }
     Ok(conditions)
 }
@@ -187,7 +179,7 @@ impl Asked {
 /// # Errors
 /// [`Error::Usage`], for an unknown label with those that it knows.
 pub(super) fn must_know(style: &Style, config: &Config) -> Result<(), Error> {
-    let unet = network(config)?;
+    let unet = unet1d(config);
     let (there, asked) = match style {
         Style::Numbers(_) => (unet.style.has_numbers(), "eight numbers"),
         Style::Label(_) => (unet.style.has_label(), "a label"),
@@ -198,7 +190,10 @@ pub(super) fn must_know(style: &Style, config: &Config) -> Result<(), Error> {
                 "train with `model.style` = \"numbers\", \"label\" or \"both\"".to_string()
             }
             StyleConditioning::Numbers => "this run takes eight numbers".to_string(),
-            _ => format!("this run takes a label: {}", listed(&unet.style_labels)),
+            _ => format!(
+                "this run takes a label: {}",
+                listed(&unet.style_labels.clone())
+            ),
         };
         let named = serde_json::to_string(&unet.style).unwrap_or_default();
         let message = format!("`--style` is {asked}, and `model.style` of the run is {named}");
@@ -207,7 +202,7 @@ pub(super) fn must_know(style: &Style, config: &Config) -> Result<(), Error> {
     match style {
         Style::Label(label) if !unet.style_labels.contains(label) => Err(Error::usage(
             format!("`--style` is `{label}`, a label that the run does not know"),
-            format!("it knows {}", listed(&unet.style_labels)),
+            format!("it knows {}", listed(&unet.style_labels.clone())),
         )),
         _ => Ok(()),
     }

@@ -17,24 +17,22 @@ use super::select::{Selecting, Selection};
 use super::start::Starts;
 use super::{CcMotionConfig, leaks, pretrain, style};
 use crate::checkpoint::{FORMAT, Progress, State};
-use crate::config::{Config, SystemTables};
+use crate::config::Config;
 use crate::error::Error;
 use crate::observer::Observer;
 use crate::run::{Material, Outcome, Setup};
 
 /// Trains as the setup's config says.
 pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome, Error> {
-    let own = CcMotionConfig::of(&setup.config)?;
+    let own: CcMotionConfig = setup.config.own::<CcMotionConfig>().clone();
     let mut setup = setup.with_gradients(own.model.activation_checkpointing);
     let (together, reading) = (setup.together.clone(), observer.reading());
-    let dataset = Dataset::<Phrase>::open_among(&setup.config.data, &*reading, &*together)?;
-    for warning in &dataset.warnings {
-        observer.warning(warning);
-    }
-    setup.same_dataset(dataset.digest)?;
+    let data = &setup.config.data;
+    let dataset = Dataset::<Phrase>::open_among(data, &*observer.reading(), &*setup.together)?;
+    setup.check_dataset(&dataset, observer)?;
     let config = style::with_labels(setup.config.clone(), &dataset, observer)?;
     setup.config = config.clone();
-    let recipe = RecipeName::of(&config)?;
+    let recipe = RecipeName::of(&config);
     let pretrains = recipe == RecipeName::E2e && own.init.diffusion.as_os_str().is_empty();
     if setup.dry_run && pretrains {
         pretrain::tell(&config, &setup.folder, observer)?;
@@ -64,9 +62,9 @@ pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome
         && together.writes()
     {
         // Another dataset, read for a warning alone.
-        leaks::warn(starts, &dataset, &config.data, observer)?;
+        leaks::warn(starts, &dataset, &config.data, observer);
     }
-    let targets = targets(&config)?;
+    let targets = targets(&config);
     let measured = |dataset: &Dataset<Phrase>| dataset.statistics_among(&*reading, &*together);
     let (statistics, network_statistics) = match (&setup.checkpoint, &starts) {
         (Some(checkpoint), _) => {
@@ -78,8 +76,11 @@ pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome
             let before = &state.config.data.augment;
             let wide =
                 |targets, statistics| widened(statistics, targets, &config.data.augment, before);
-            let own = state.network_statistics.map(|own| wide(targets, own));
-            let mut statistics = state.statistics;
+            let own = state
+                .network_statistics
+                .clone()
+                .map(|own| wide(targets, own));
+            let mut statistics = state.statistics.clone();
             if statistics.movement.is_empty() {
                 // Of a start of before it was measured.
                 statistics.movement = measured(&dataset)?.movement;

@@ -140,7 +140,7 @@ impl SystemTables for FlowTables {
 /// # Errors
 /// For the first invalid value; the error names the key.
 pub(super) fn validate(config: &Config) -> Result<(), Error> {
-    let own = FlowTables::of(config)?;
+    let own: &FlowTables = config.own();
     let Config { data, sampling, .. } = config;
     own.model.network.sizes().validate()?;
     own.text.validate(data)?;

@@ -10,15 +10,16 @@ use kinegrad_random::{Key, Purpose};
 use serde::Serialize;
 use serde_json::to_value;
 
+use super::networks::text_input;
 use super::report::{RolloutReport, TextReport};
 use super::sample::untaught_guidance;
 use super::{FlowGenerator, FlowTables, RolloutEvaluationConfig};
+use crate::TrainedModel;
 use crate::captions::{ClipText, must_know_texts};
 use crate::clips::{dataset_or, with_held_out};
-use crate::config::SystemTables;
 use crate::error::Error;
 use crate::evaluation::{Column, Evaluate, Evaluated, EvaluationRequest, Group, Number, OnStep};
-use crate::sampling::{Subject, item_seed};
+use crate::sampling::item_seed;
 use crate::together::Together;
 
 /// Results of an evaluation of rollouts.
@@ -51,21 +52,21 @@ struct RolloutEvaluation {
 /// # Errors
 /// If the request does not apply, or nothing is held out.
 pub(super) fn prepare<'a>(
-    subject: &'a Subject,
+    trained: &'a TrainedModel,
     request: &EvaluationRequest,
 ) -> Result<Evaluate<'a>, Error> {
     request.refuse(
         &["--listening", "--trajectory-run"],
-        &subject.checkpoint,
+        trained.path(),
         "a run of recipe `flow`",
         "leave it out",
     )?;
-    let own = FlowTables::of(&subject.config)?;
-    let sampler = FlowSamplerConfig::of(&subject.config.sampling.sampler)?;
-    let data = dataset_or(&subject.config.data, request.source.as_deref());
+    let own: &FlowTables = trained.config().own();
+    let sampler = FlowSamplerConfig::of(&trained.config().sampling.sampler)?;
+    let data = dataset_or(&trained.config().data, request.source.as_deref());
     let dataset = with_held_out(
         &data,
-        &subject.checkpoint,
+        trained.path(),
         "motions go on from held-out clips",
         &request.together,
     )?;
@@ -79,7 +80,7 @@ pub(super) fn prepare<'a>(
     if held_out.is_empty() {
         let message = format!(
             "no held-out clip of {} has more than {begin} frames",
-            subject.checkpoint.display()
+            trained.path().display()
         );
         let hint =
             "a motion goes on from so many: hold out longer clips, or name others with `--source`";
@@ -92,26 +93,26 @@ pub(super) fn prepare<'a>(
             asked_for.len()
         ));
     }
-    if let Some(warning) = untaught_guidance(subject, &own) {
+    if let Some(warning) = untaught_guidance(trained, own) {
         remarks.push(format!("warning: {warning}"));
     }
-    let asked = own.evaluation;
+    let asked = own.evaluation.clone();
     if asked_for.len() < asked.rollouts {
         remarks.push(format!(
             "note: {} clips are held out for {}, fewer than {} rollouts",
             asked_for.len(),
-            subject.checkpoint.display(),
+            trained.path().display(),
             asked.rollouts
         ));
     }
-    must_know_texts(&subject.config, &held_out)?;
-    let joints = subject.config.data.humanml3d.skeleton.skeleton().joints();
+    must_know_texts(&text_input(trained.config()), &held_out)?;
+    let joints = trained.config().data.humanml3d.skeleton.skeleton().joints();
     let numbers = held_out.len() as u64 * asked.frames as u64 * 3 * joints as u64;
     let hint = "fewer or shorter motions: `evaluation.rollouts`, `evaluation.frames`";
     request.must_fit(numbers * size_of::<f64>() as u64, hint)?;
     let (seed, together) = (request.seed, request.together.clone());
     Ok(Box::new(move |on_step| {
-        let generator = FlowGenerator::load(&subject.checkpoint, subject.weights, &subject.device)?;
+        let generator = FlowGenerator::load(trained)?;
         let evaluation = evaluate(
             &generator, &held_out, asked, &sampler, seed, &together, on_step,
         )?;

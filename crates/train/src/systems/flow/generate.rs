@@ -1,7 +1,5 @@
 //! Motion that goes on, from a checkpoint.
 
-use std::path::Path;
-
 use burn::module::Module;
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_diffusion::{Error as Diffusion, FlowSamplerConfig};
@@ -11,10 +9,12 @@ use kinegrad_motion::humanml::{Extraction, FeatureError, Joints, TEXT_CHANNELS};
 use kinegrad_random::Key;
 
 use super::networks::model;
+use super::networks::text_input;
 use super::{FlowTables, RolloutEvaluationConfig, statistics_in};
+use crate::TrainedModel;
 use crate::captions::{ClipText, TextInput};
-use crate::checkpoint::{State, Weights, read_weights};
-use crate::config::{Config, SystemTables};
+use crate::checkpoint::State;
+use crate::config::Config;
 use crate::error::Error;
 
 /// A trained pair of networks, ready to go on from histories.
@@ -27,15 +27,15 @@ pub struct FlowGenerator {
 }
 
 impl FlowGenerator {
-    /// Loads the checkpoint in `path` onto `device`.
+    /// Loads the networks of a trained model.
     ///
     /// # Errors
-    /// If the checkpoint is damaged, is not of recipe `flow`, or does not fit its own config.
-    pub fn load(path: &Path, weights: Weights, device: &Device) -> Result<Self, Error> {
-        let state = State::read(path)?;
-        let own = FlowTables::of(&state.config)?;
+    /// If the checkpoint is damaged or does not fit its own config.
+    pub fn load(trained: &TrainedModel) -> Result<Self, Error> {
+        let (device, state) = (&trained.device, trained.saved.state.clone());
+        let own: &FlowTables = state.config.own();
         let [features, target] = statistics_in(&state)?;
-        let values = read_weights(path, &state, weights)?;
+        let values = trained.read_weights()?;
         let network = model(&state.config, &device.clone().autodiff())?;
         Ok(Self {
             model: parameters::load(network, values)?.valid(),
@@ -48,7 +48,7 @@ impl FlowGenerator {
                 history: own.pose.history_frames,
                 longest: state.config.data.target_frames,
             },
-            text: TextInput::of(&state.config)?,
+            text: text_input(&state.config),
             state,
             device: device.clone(),
         })

@@ -24,15 +24,16 @@ pub use generate::FlowGenerator;
 pub use report::{RolloutReport, bone_lengths};
 pub use windows::{HISTORY, PLACE, PoseSpace, PoseWindows};
 
+use crate::TrainedModel;
 use crate::checkpoint::State;
-use crate::config::{Config, ConfigError, Place, SystemTables};
+use crate::config::{Config, ConfigError, OwnTables, Place, SystemTables};
 use crate::error::Error;
 use crate::evaluation::{Evaluate, EvaluationRequest};
 use crate::memory::Footprint;
 use crate::observer::Observer;
 use crate::recipe::RecipeInfo;
 use crate::run::{Outcome, Setup};
-use crate::sampling::{Receiver, Remark, Request, Subject};
+use crate::sampling::{Receiver, Remark, Request};
 use crate::system::System;
 
 /// Name of the recipe.
@@ -68,8 +69,8 @@ impl System for Flow {
         FlowTables::keys()
     }
 
-    fn complete(&self, tables: &Table, place: Place<'_>) -> Result<Table, ConfigError> {
-        Ok(FlowTables::read(tables, place)?.to_table())
+    fn complete(&self, tables: &Table, place: Place<'_>) -> Result<OwnTables, ConfigError> {
+        Ok(OwnTables::new(FlowTables::read(tables, place)?))
     }
 
     fn validate(&self, config: &Config) -> Result<Vec<String>, Error> {
@@ -87,19 +88,19 @@ impl System for Flow {
 
     fn sample(
         &self,
-        subject: &Subject,
+        trained: &TrainedModel,
         request: &Request,
         receiver: &mut dyn Receiver,
     ) -> Result<Option<Remark>, Error> {
-        sample::sample(subject, request, receiver)
+        sample::sample(trained, request, receiver)
     }
 
     fn evaluate<'a>(
         &self,
-        subject: &'a Subject,
+        trained: &'a TrainedModel,
         request: &EvaluationRequest,
     ) -> Result<Evaluate<'a>, Error> {
-        evaluate::prepare(subject, request)
+        evaluate::prepare(trained, request)
     }
 
     fn train(&self, setup: Setup, observer: &mut dyn Observer) -> Result<Outcome, Error> {

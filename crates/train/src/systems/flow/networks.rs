@@ -6,20 +6,25 @@ use kinegrad_models::{Initializer, parameters};
 
 use super::FlowTables;
 use crate::captions::TextInput;
-use crate::config::{Config, SystemTables};
+use crate::config::Config;
 use crate::error::Error;
 use crate::memory::Footprint;
+
+/// The text input of the network of a config.
+pub(super) fn text_input(config: &Config) -> TextInput {
+    TextInput::new(&config.own::<FlowTables>().text, &config.data)
+}
 
 /// Both networks with fresh weights.
 ///
 /// # Errors
 /// If they cannot be built.
 pub(super) fn model(config: &Config, device: &Device) -> Result<FlowModel, Error> {
-    let own = FlowTables::of(config)?;
+    let own: &FlowTables = config.own();
     let skeleton = config.data.humanml3d.skeleton.skeleton();
     let init = Initializer::new(config.run.seed, device);
     let model = own.model.network.sizes().init(&skeleton, &init)?;
-    Ok(match TextInput::of(config)?.labels() {
+    Ok(match text_input(config).labels() {
         Some(labels) => model.with_captions(labels.captions().len(), &init),
         None => model,
     })
@@ -39,7 +44,7 @@ pub(super) fn parameter_count(config: &Config) -> Result<usize, Error> {
 /// # Errors
 /// As [`model`].
 pub(super) fn footprint(config: &Config) -> Result<Footprint, Error> {
-    let own = FlowTables::of(config)?;
+    let own: &FlowTables = config.own();
     let skeleton = config.data.humanml3d.skeleton.skeleton();
     let (sizes, joints) = (own.model.network.sizes(), skeleton.joints());
     let history = own.pose.history_frames;
@@ -50,7 +55,7 @@ pub(super) fn footprint(config: &Config) -> Result<Footprint, Error> {
         parameters: parameter_count(config)? as u64,
         activations: (history * of_frame + recurrent + joints * of_token) as u64,
         passes: 1,
-        item: (history * skeleton.layout().channels() + TextInput::of(config)?.channels()) as u64,
+        item: (history * skeleton.layout().channels() + text_input(config).channels()) as u64,
         shared: 0,
     })
 }

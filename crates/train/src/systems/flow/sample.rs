@@ -10,15 +10,16 @@ use kinegrad_diffusion::FlowSamplerConfig;
 use kinegrad_motion::humanml::{Joints, Skeleton};
 use kinegrad_random::{Key, Purpose};
 
+use super::networks::text_input;
 use super::report::bone_lengths;
 use super::{Flow, FlowGenerator, FlowTables, PoseSpace};
+use crate::TrainedModel;
 use crate::captions::{ClipText, TextInput, must_know_texts, text_of};
 use crate::clips::{clips_named, dataset_or};
-use crate::config::SystemTables;
 use crate::error::Error;
 use crate::sampling::{
     BVH, Condition, Conditions, Contents, Drawn, MOTION, Names, Receiver, Record, Remark, Request,
-    RolloutRecord, SaidRecord, Subject, item_seed,
+    RolloutRecord, SaidRecord, item_seed,
 };
 use crate::system::System as _;
 use crate::text_plan::TextPlan;
@@ -41,7 +42,7 @@ struct Start {
 /// # Errors
 /// If a condition cannot be used, or a checkpoint cannot be read.
 pub(super) fn sample(
-    subject: &Subject,
+    trained: &TrainedModel,
     request: &Request,
     receiver: &mut dyn Receiver,
 ) -> Result<Option<Remark>, Error> {
@@ -67,21 +68,21 @@ pub(super) fn sample(
             "its samples are not post-processed: leave it out",
         ));
     }
-    let own = FlowTables::of(&subject.config)?;
-    let sampler = FlowSamplerConfig::of(&subject.config.sampling.sampler)?;
-    let skeleton = subject.config.data.humanml3d.skeleton.skeleton();
-    let input = TextInput::of(&subject.config)?;
+    let own: &FlowTables = trained.config().own();
+    let sampler = FlowSamplerConfig::of(&trained.config().sampling.sampler)?;
+    let skeleton = trained.config().data.humanml3d.skeleton.skeleton();
+    let input = text_input(trained.config());
     let plan = conditions.plan.as_deref().map(TextPlan::read).transpose()?;
     let script = Script::of(
-        subject,
+        trained,
         request,
         plan.as_ref(),
         &input,
         own.evaluation.frames,
     )?;
-    let longest = subject.config.data.target_frames;
+    let longest = trained.config().data.target_frames;
     let space = PoseSpace::new(skeleton.clone(), &own.pose, longest);
-    let starts = starts(subject, request, receiver, &space, &script)?;
+    let starts = starts(trained, request, receiver, &space, &script)?;
     if script.frames > longest {
         receiver.note(&format!(
             "{} frames are more than `data.target_frames`, {longest}, the longest motion that the model is \
@@ -89,7 +90,7 @@ pub(super) fn sample(
             script.frames
         ));
     }
-    if let Some(warning) = untaught_guidance(subject, &own) {
+    if let Some(warning) = untaught_guidance(trained, own) {
         receiver.warning(&warning);
     }
     let names = Names {
@@ -99,7 +100,7 @@ pub(super) fn sample(
     if conditions.held_out.is_none() {
         receiver.announced(&names, &[MOTION, BVH])?;
     }
-    let generator = FlowGenerator::load(&subject.checkpoint, subject.weights, &subject.device)?;
+    let generator = FlowGenerator::load(trained)?;
     let all = starts.len() * request.count * script.frames;
     let (mut done, mut evaluations) = (0, 0);
     for start in &starts {
@@ -132,7 +133,7 @@ pub(super) fn sample(
                     evaluations_per_frame: rollout.evaluations() as f64 / script.frames as f64,
                     said: script.said(start),
                 }),
-                ..record(subject, request, start, index, &joints, &skeleton)
+                ..record(trained, request, start, index, &joints, &skeleton)
             };
             receiver.drawn(drawn(
                 names.of(&start.stem, index),
@@ -169,7 +170,7 @@ impl Script {
     }
 
     fn of(
-        subject: &Subject,
+        trained: &TrainedModel,
         request: &Request,
         plan: Option<&TextPlan>,
         input: &TextInput,
@@ -179,7 +180,7 @@ impl Script {
             let inputs = std::slice::from_ref(input);
             return Ok(Self {
                 frames: request.frames.unwrap_or(default),
-                steps: vec![(0, text_of(&request.conditions, inputs, &subject.device)?)],
+                steps: vec![(0, text_of(&request.conditions, inputs, &trained.device)?)],
             });
         };
         if request.frames.is_some() {
@@ -191,7 +192,7 @@ impl Script {
             .plan
             .as_deref()
             .unwrap_or(Path::new("the plan"));
-        let ends = plan.ends(path, Flow.fps(&subject.config))?;
+        let ends = plan.ends(path, Flow.fps(trained.config()))?;
         let begins = [0].into_iter().chain(ends.iter().copied());
         // A step that says nothing is no caption of a clip either.
         let said = plan.said(path, input)?.into_iter().map(Some);
@@ -206,7 +207,7 @@ impl Script {
 /// What the motions go on from: the file of a history, or the beginnings of clips; without either that
 /// of a clip which does what is said first, of a held-out one if there is one.
 fn starts(
-    subject: &Subject,
+    trained: &TrainedModel,
     request: &Request,
     receiver: &mut dyn Receiver,
     space: &PoseSpace,
@@ -237,7 +238,7 @@ fn starts(
             seed: request.seed,
         }]);
     }
-    let data = dataset_or(&subject.config.data, source.as_deref());
+    let data = dataset_or(&trained.config().data, source.as_deref());
     let dataset = Dataset::<Clip>::open_with_progress(&data, &*receiver.reading())?;
     let chosen: Vec<Arc<Clip>> = match (item, held_out) {
         (Some(pattern), _) => clips_named(&dataset, pattern)?,
@@ -261,7 +262,7 @@ fn starts(
     };
     let speaks = text.is_none() && text_embedding.is_none() && plan.is_none();
     if speaks {
-        must_know_texts(&subject.config, &chosen)?;
+        must_know_texts(&text_input(trained.config()), &chosen)?;
     }
     let several = chosen.len() > 1;
     let start = |clip: &Arc<Clip>| {
@@ -313,8 +314,8 @@ fn clip_that_does(
 }
 
 /// What to say of guidance with a network that was always told its text.
-pub(super) fn untaught_guidance(subject: &Subject, own: &FlowTables) -> Option<String> {
-    let scale = subject.config.sampling.sampler.guidance_scale;
+pub(super) fn untaught_guidance(trained: &TrainedModel, own: &FlowTables) -> Option<String> {
+    let scale = trained.config().sampling.sampler.guidance_scale;
     let guided = scale != 1.0 && own.pose.cond_drop_prob == 0.0;
     guided.then(|| {
         format!(
@@ -397,7 +398,7 @@ fn read_history(path: &Path, space: &PoseSpace) -> Result<Joints, Error> {
 }
 
 fn record(
-    subject: &Subject,
+    trained: &TrainedModel,
     request: &Request,
     start: &Start,
     index: usize,
@@ -412,7 +413,7 @@ fn record(
         condition: Condition {
             item: start.item.clone(),
             source: conditions.source.clone().or_else(|| {
-                let own = || subject.config.data.source.clone();
+                let own = || trained.config().data.source.clone();
                 start.item.as_ref().and_then(|_| own())
             }),
             history: conditions.history.clone(),
@@ -422,7 +423,7 @@ fn record(
             plan: conditions.plan.clone(),
             ..Condition::default()
         },
-        ..Record::new(Flow.name(), subject, request.seed)
+        ..Record::new(Flow.name(), trained, request.seed)
     }
 }
 

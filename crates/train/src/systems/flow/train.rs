@@ -8,11 +8,12 @@ use kinegrad_motion::humanml::Root;
 use kinegrad_motion::{ChannelMoments, Statistics};
 
 use super::networks::model;
+use super::networks::text_input;
 use super::recipe::FlowRecipe;
 use super::windows::{PoseSpace, PoseWindows};
 use super::{FlowTables, statistics_in};
-use crate::captions::{TextInput, with_captions};
-use crate::config::{Config, SystemTables};
+use crate::captions::with_captions;
+use crate::config::Config;
 use crate::error::Error;
 use crate::observer::Observer;
 use crate::run::{Material, Outcome, Setup};
@@ -23,15 +24,14 @@ pub(super) type Both = [Statistics; 2];
 
 /// Trains as the setup's config says.
 pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome, Error> {
-    let own = FlowTables::of(&setup.config)?;
+    let mut own = setup.config.own::<FlowTables>().clone();
     let mut setup = setup.with_gradients(own.model.activation_checkpointing);
     let data = &setup.config.data;
     let dataset = Dataset::<Clip>::open_among(data, &*observer.reading(), &*setup.together)?;
-    for warning in &dataset.warnings {
-        observer.warning(warning);
-    }
-    setup.same_dataset(dataset.digest)?;
-    let config = with_captions(setup.config.clone(), &dataset, &setup.together, observer)?;
+    setup.check_dataset(&dataset, observer)?;
+    let (data, together) = (&setup.config.data, &setup.together);
+    own.text = with_captions(own.text, data, &dataset, together, observer)?;
+    let config = setup.config.clone().with_own(own.clone());
     setup.config = config.clone();
     let skeleton = config.data.humanml3d.skeleton.skeleton();
     let space = PoseSpace::new(skeleton, &own.pose, config.data.target_frames);
@@ -40,7 +40,7 @@ pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome
         None => measured(&dataset, &space, &setup.together, observer)?,
     };
     let model = model(&config, &setup.device)?;
-    let text = TextInput::of(&config)?;
+    let text = text_input(&config);
     let shared = [&features, &target].map(|statistics| Arc::new(statistics.clone()));
     let samples = move |clips, config: &Config| {
         let [features, target] = shared.clone();

@@ -188,9 +188,9 @@ impl SystemTables for GmdConfig {
 /// # Errors
 /// For the first invalid value; the error names the key.
 pub(super) fn validate(config: &Config) -> Result<(), Error> {
-    let own = GmdConfig::of(config)?;
+    let own: &GmdConfig = config.own();
     let Config { data, sampling, .. } = config;
-    let (name, recipe) = (RecipeName::of(config)?, &config.train.recipe);
+    let (name, recipe) = (RecipeName::of(config), &config.train.recipe);
     own.diffusion.validate()?;
     require(
         matches!(data.kind, DataKind::Humanml3d | DataKind::SyntheticWalks),

@@ -28,14 +28,15 @@ use serde::{Deserialize, Serialize};
 use toml::Table;
 
 use super::GmdConfig;
-use super::networks::{TrainedClips, channels_of};
+use super::networks::{TrainedClips, channels_of, text_input};
 use super::padding::Padded;
 use super::recipe_name::RecipeName;
 use super::space::FeatureSpace;
 use super::stage::{StageModel, StageSteering};
+use crate::TrainedModel;
 use crate::captions::{ClipText, TextInput};
-use crate::checkpoint::{State, Weights};
-use crate::config::{Config, PLAIN, Padding, SamplingConfig, SystemTables, line_of};
+use crate::checkpoint::State;
+use crate::config::{Config, PLAIN, Padding, SamplingConfig, line_of};
 use crate::error::Error;
 use crate::evaluation::OnStep;
 
@@ -134,18 +135,20 @@ pub struct ClipGenerator {
 }
 
 impl ClipGenerator {
-    /// Loads the checkpoint in `path` onto `device`.
+    /// Loads the networks of a trained model.
     ///
     /// # Errors
-    /// If the checkpoint is damaged, is not of a recipe on clips, or does not fit its own config.
-    pub fn load(path: &Path, weights: Weights, device: &Device) -> Result<Self, Error> {
+    /// If the checkpoint is damaged or does not fit its own config.
+    pub fn load(trained: &TrainedModel) -> Result<Self, Error> {
+        let device = &trained.device;
         let TrainedClips {
             model,
             projection,
             state,
-        } = TrainedClips::load(path, weights, &device.clone().autodiff())?;
-        let channels = channels_of(&state.config)?;
-        let own = GmdConfig::of(&state.config)?;
+        } = TrainedClips::load(&trained.saved, trained.weights, &device.clone().autodiff())?;
+        let channels = channels_of(&state.config);
+        let own: &GmdConfig = state.config.own();
+        let longest = own.model.network.longest();
         Ok(Self {
             plain: model.valid(),
             tracked: model.no_grad(),
@@ -156,10 +159,10 @@ impl ClipGenerator {
                 projection.as_ref(),
                 device,
             ),
-            text: TextInput::of(&state.config)?,
+            text: text_input(&state.config),
             state,
             channels,
-            longest: own.model.network.longest(),
+            longest,
             device: device.clone(),
         })
     }
@@ -249,7 +252,7 @@ impl ClipGenerator {
         let mut told = |done, all| on_step("motion", done, all);
         let aim = Aim::of(&goals, paths.as_deref());
         let x = self.draw(&texts, aim, (own, &lengths), sampling, keys, &mut told)?;
-        let samples: Vec<GeneratedClip> = match RecipeName::of(self.config())? {
+        let samples: Vec<GeneratedClip> = match RecipeName::of(self.config()) {
             RecipeName::Trajectory => {
                 let of_path = |ground| GeneratedClip {
                     features: None,
@@ -280,7 +283,7 @@ impl ClipGenerator {
         let (own, other) = (self.config(), trajectory.config());
         let same = (own.data.humanml3d.skeleton, own.data.humanml3d.root)
             == (other.data.humanml3d.skeleton, other.data.humanml3d.root);
-        match RecipeName::of(own)? == RecipeName::Motion && same {
+        match RecipeName::of(own) == RecipeName::Motion && same {
             true => Ok(()),
             false => Err(Error::usage(
                 format!(
@@ -370,7 +373,7 @@ impl ClipGenerator {
         let model = StageModel {
             space: &self.space,
             channels,
-            of_motion: RecipeName::of(self.config())? == RecipeName::Motion,
+            of_motion: RecipeName::of(self.config()) == RecipeName::Motion,
             frames,
             device: &self.device,
         };

@@ -17,7 +17,7 @@ use super::networks::{channels_of, text_denoiser};
 use super::recipe_name::RecipeName;
 use super::{Gmd, GmdConfig};
 use crate::checkpoint::{FORMAT, Progress, State, must_be_free, write_weights};
-use crate::config::{Config, SystemTables};
+use crate::config::{Config, OwnTables};
 use crate::error::Error;
 use crate::import::{ImportRequest, Imported};
 use crate::published::{self, array, mean_and_deviation, part_of, read_tensors};
@@ -123,7 +123,7 @@ pub fn import(request: &ImportRequest) -> Result<Imported, Error> {
         let channels = sizes.channels;
         let allowed = format!("[{channels}, {channels}], the network's channels");
         let matrix = array(path, allowed, |shape| shape == [channels, channels])?;
-        let emphasis = GmdConfig::of(&config)?.emphasis;
+        let emphasis = config.own::<GmdConfig>().emphasis.clone();
         // Rejects what cannot be undone.
         EmphasisProjection::from_matrix(&matrix, channels, emphasis.scale, &emphasis.channels)?;
         model = model.in_space_of(matrix, &device);
@@ -328,7 +328,7 @@ fn settings(
     }
     config.data.humanml3d.skeleton = skeleton;
     config.data.humanml3d.root = architecture.root();
-    let channels = channels_of(&config)?;
+    let channels = channels_of(&config);
     if channels != sizes.channels {
         return Err(Error::Foreign {
             path: request.weights.clone(),
@@ -344,7 +344,7 @@ fn settings(
         .unwrap_or_default()
         .to_string_lossy()
         .into_owned();
-    let mut own = GmdConfig::of(&config)?;
+    let mut own = config.own::<GmdConfig>().clone();
     own.model.size = sizes.size.into();
     own.model.network = sizes.network.clone();
     if let Some(most) = sizes.network.longest() {
@@ -354,7 +354,7 @@ fn settings(
         own.emphasis.kind = EmphasisKind::None;
     }
     let statistics = Statistics::new(mean, std, Some(architecture.root()))?;
-    config.system = own.to_table();
+    config.system = OwnTables::new(own);
     Ok((config, statistics))
 }
 

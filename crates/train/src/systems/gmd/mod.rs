@@ -31,7 +31,8 @@ pub use networks::{TrainedClips, channels_of, model_in_space, text_denoiser};
 pub use space::{FeatureSpace, GroundObjective};
 pub use stage::{StageModel, StageSteering};
 
-use crate::config::{Config, ConfigError, Place, SystemTables};
+use crate::TrainedModel;
+use crate::config::{Config, ConfigError, OwnTables, Place, SystemTables};
 use crate::error::Error;
 use crate::evaluation::{Evaluate, EvaluationRequest};
 use crate::import::{ImportRequest, Imported};
@@ -40,7 +41,7 @@ use crate::observer::Observer;
 use crate::parameter_count::ParameterCount;
 use crate::recipe::RecipeInfo;
 use crate::run::{Outcome, Setup};
-use crate::sampling::{Receiver, Remark, Request, Subject};
+use crate::sampling::{Receiver, Remark, Request};
 use crate::start::{Start, tables_of};
 use crate::system::System;
 use networks::INHERITED;
@@ -79,8 +80,8 @@ impl System for Gmd {
         GmdConfig::keys()
     }
 
-    fn complete(&self, tables: &Table, place: Place<'_>) -> Result<Table, ConfigError> {
-        Ok(GmdConfig::read(tables, place)?.to_table())
+    fn complete(&self, tables: &Table, place: Place<'_>) -> Result<OwnTables, ConfigError> {
+        Ok(OwnTables::new(GmdConfig::read(tables, place)?))
     }
 
     fn validate(&self, config: &Config) -> Result<Vec<String>, Error> {
@@ -91,12 +92,11 @@ impl System for Gmd {
     fn inherited(&self, config: &Config, saved: Option<&Config>) -> Result<Option<Table>, Error> {
         match saved {
             // A resumed run does not need its start any more.
-            Some(saved) => tables_of::<GmdConfig>(saved, &INHERITED).map(Some),
+            Some(saved) => Ok(Some(tables_of(saved, &INHERITED))),
             None => {
-                let init = GmdConfig::of(config)?.init;
-                let start = Start::named("init.diffusion", &init.diffusion)?;
-                let tables = |start: Start| start.tables::<GmdConfig>(&INHERITED);
-                start.map(tables).transpose()
+                let init = &config.own::<GmdConfig>().init;
+                let start = Start::named("init.diffusion", &init.diffusion, self)?;
+                Ok(start.map(|start| start.tables(&INHERITED)))
             }
         }
     }
@@ -123,19 +123,19 @@ impl System for Gmd {
 
     fn sample(
         &self,
-        subject: &Subject,
+        trained: &TrainedModel,
         request: &Request,
         receiver: &mut dyn Receiver,
     ) -> Result<Option<Remark>, Error> {
-        sample::sample(subject, request, receiver)
+        sample::sample(trained, request, receiver)
     }
 
     fn evaluate<'a>(
         &self,
-        subject: &'a Subject,
+        trained: &'a TrainedModel,
         request: &EvaluationRequest,
     ) -> Result<Evaluate<'a>, Error> {
-        evaluate::prepare(subject, request)
+        evaluate::prepare(trained, request)
     }
 
     fn train(&self, setup: Setup, observer: &mut dyn Observer) -> Result<Outcome, Error> {

@@ -1,7 +1,5 @@
 //! The networks of runs on clips: built from a config, read from a checkpoint, started from one.
 
-use std::path::Path;
-
 use burn::tensor::Device;
 use kinegrad_models::{Initializer, TextDenoiser, parameters};
 use kinegrad_motion::emphasis::EmphasisProjection;
@@ -11,8 +9,8 @@ use kinegrad_motion::{Representation, Statistics};
 use super::GmdConfig;
 use super::recipe_name::RecipeName;
 use crate::captions::TextInput;
-use crate::checkpoint::{State, Weights, read_weights};
-use crate::config::{Config, SystemTables};
+use crate::checkpoint::{SavedCheckpoint, State, Weights};
+use crate::config::Config;
 use crate::error::Error;
 use crate::memory::Footprint;
 use crate::parameter_count::ParameterCount;
@@ -22,14 +20,16 @@ use crate::start::{Start, must_agree};
 pub(super) const MATRIX: &str = "projection.matrix";
 
 /// Channels that the networks of a run of `config` take and give.
-///
-/// # Errors
-/// [`Error::OtherRepresentation`] for a run of another system.
-pub fn channels_of(config: &Config) -> Result<usize, Error> {
-    Ok(match RecipeName::of(config)? {
+pub fn channels_of(config: &Config) -> usize {
+    match RecipeName::of(config) {
         RecipeName::Motion => config.data.humanml3d.representation().channels(),
         RecipeName::Trajectory => TRAJECTORY_CHANNELS,
-    })
+    }
+}
+
+/// The text input of the network of a config.
+pub(super) fn text_input(config: &Config) -> TextInput {
+    TextInput::new(&config.own::<GmdConfig>().text, &config.data)
 }
 
 /// The denoiser of a config with fresh weights, in the space of normalised motion.
@@ -41,10 +41,10 @@ pub fn text_denoiser(
     channels: usize,
     device: &Device,
 ) -> Result<TextDenoiser, Error> {
-    let backbone = GmdConfig::of(config)?.model.network;
+    let backbone = &config.own::<GmdConfig>().model.network;
     let init = Initializer::new(config.run.seed, device);
-    let denoiser = TextDenoiser::new(&backbone, channels, &init)?;
-    Ok(match TextInput::of(config)?.labels() {
+    let denoiser = TextDenoiser::new(backbone, channels, &init)?;
+    Ok(match text_input(config).labels() {
         Some(labels) => denoiser.with_captions(labels.captions().len(), &init),
         None => denoiser,
     })
@@ -56,7 +56,7 @@ pub fn text_denoiser(
 /// If it cannot be built.
 pub(super) fn parameter_count(config: &Config) -> Result<usize, Error> {
     // Parameters are lazy: no weight is drawn and no memory taken.
-    let denoiser = text_denoiser(config, channels_of(config)?, &Device::flex())?;
+    let denoiser = text_denoiser(config, channels_of(config), &Device::flex())?;
     Ok(parameters::count(&denoiser))
 }
 
@@ -77,12 +77,12 @@ pub(super) fn parameters_in_space(config: &Config) -> Result<ParameterCount, Err
 /// # Errors
 /// As [`parameter_count`].
 pub(super) fn footprint(config: &Config, frames: usize) -> Result<Footprint, Error> {
-    let network = GmdConfig::of(config)?.model.network;
+    let network = &config.own::<GmdConfig>().model.network;
     Ok(Footprint {
         parameters: parameter_count(config)? as u64,
         activations: network.activations(frames),
         passes: 1,
-        item: (channels_of(config)? * frames + TextInput::of(config)?.channels()) as u64,
+        item: (channels_of(config) * frames + text_input(config).channels()) as u64,
         shared: 0,
     })
 }
@@ -92,10 +92,10 @@ pub(super) fn footprint(config: &Config, frames: usize) -> Result<Footprint, Err
 /// # Errors
 /// If it cannot be built.
 pub fn model_in_space(config: &Config, device: &Device) -> Result<TextDenoiser, Error> {
-    let channels = channels_of(config)?;
+    let channels = channels_of(config);
     let model = text_denoiser(config, channels, device)?;
-    let projection = match RecipeName::of(config)? {
-        RecipeName::Motion => GmdConfig::of(config)?.emphasis.projection(channels)?,
+    let projection = match RecipeName::of(config) {
+        RecipeName::Motion => config.own::<GmdConfig>().emphasis.projection(channels)?,
         RecipeName::Trajectory => None,
     };
     Ok(match projection {
@@ -115,20 +115,20 @@ pub struct TrainedClips {
 }
 
 impl TrainedClips {
-    /// Loads the checkpoint in `path` onto `device`.
+    /// Loads a checkpoint onto `device`.
     ///
     /// # Errors
-    /// If the checkpoint is damaged, is not of a recipe on clips, or does not fit its own config.
-    pub fn load(path: &Path, weights: Weights, device: &Device) -> Result<Self, Error> {
-        let state = State::read(path)?;
-        let channels = channels_of(&state.config)?;
-        let values = read_weights(path, &state, weights)?;
+    /// If the checkpoint is damaged or does not fit its own config.
+    pub fn load(saved: &SavedCheckpoint, weights: Weights, device: &Device) -> Result<Self, Error> {
+        let channels = channels_of(&saved.state.config);
+        let state = saved.state.clone();
+        let values = saved.weights(weights)?;
         let mut model = text_denoiser(&state.config, channels, device)?;
         // The stored matrix counts, whatever the config would make today.
         let matrix = values.iter().find(|p| p.info.name == MATRIX);
         let projection = match matrix {
             Some(matrix) => {
-                let emphasis = GmdConfig::of(&state.config)?.emphasis;
+                let emphasis = &state.config.own::<GmdConfig>().emphasis;
                 let projection = EmphasisProjection::from_matrix(
                     &matrix.values,
                     channels,
@@ -167,13 +167,13 @@ pub(super) fn started(
     config: &Config,
     device: &Device,
 ) -> Result<TextDenoiser, Error> {
-    let trained = start.load(device, TrainedClips::load)?;
+    let trained = start.load(|saved| TrainedClips::load(saved, Weights::Ema, device))?;
     let base = &trained.state.config;
     let (given, recipe) = (&config.train.recipe, &base.train.recipe);
     if given != recipe {
         return Err(start.refused(&format!("its recipe is `{recipe}`, not `{given}`")));
     }
-    must_agree::<GmdConfig>(config, base, &INHERITED)?;
+    must_agree(config, base, &INHERITED)?;
     let (given, found) = (&config.data.humanml3d, &base.data.humanml3d);
     if (given.root, given.skeleton) != (found.root, found.skeleton) {
         let reason = "its clips have another `data.humanml3d.root` or `skeleton`";
@@ -183,7 +183,7 @@ pub(super) fn started(
         let reason = "it was trained with another `data.humanml3d.text`";
         return Err(start.refused(&reason));
     }
-    let fresh = text_denoiser(config, channels_of(config)?, device)?;
+    let fresh = text_denoiser(config, channels_of(config), device)?;
     let fresh = match &trained.projection {
         Some(projection) => fresh.in_space_of(projection.matrix().to_vec(), device),
         None => fresh,

@@ -1,9 +1,6 @@
 //! The recipes of this system by name.
 
-use kinegrad_motion::Representation;
-
 use crate::config::Config;
-use crate::error::Error;
 use crate::recipe::RecipeInfo;
 
 /// The recipes.
@@ -31,16 +28,12 @@ impl RecipeName {
     /// All of them.
     pub const ALL: [Self; 2] = [Self::Motion, Self::Trajectory];
 
-    /// The recipe of a config.
+    /// The recipe of a config of this system.
     ///
-    /// # Errors
-    /// [`Error::OtherRepresentation`] for a config of another system.
-    pub fn of(config: &Config) -> Result<Self, Error> {
-        let name = config.train.recipe.as_str();
-        Self::named(name).ok_or_else(|| Error::OtherRepresentation {
-            recipe: name.to_string(),
-            expected: config.data.humanml3d.representation().name(),
-        })
+    /// # Panics
+    /// Panics for a config of another system.
+    pub fn of(config: &Config) -> Self {
+        Self::named(&config.train.recipe).expect("a recipe of this system")
     }
 
     /// The recipe of that name; none where it is of another system.

@@ -3,7 +3,7 @@
 mod along;
 mod items;
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use kinegrad_motion::goal::Goal;
 use kinegrad_motion::humanml::Skeleton;
@@ -14,15 +14,16 @@ use super::Gmd;
 use super::generate::{
     ClipGenerator, ClipRequest, GeneratedClip, drawn_frames, read_goal_and_digest,
 };
-use super::networks::footprint;
+use super::networks::{footprint, text_input};
 use super::recipe_name::RecipeName;
-use crate::captions::{ClipText, TextInput, text_of};
-use crate::checkpoint::State;
+use crate::TrainedModel;
+use crate::captions::{ClipText, text_of};
+use crate::checkpoint::SavedCheckpoint;
 use crate::error::Error;
 use crate::memory::must_fit;
 use crate::sampling::{
     BVH, BatchRecord, Condition, Contents, Drawn, FEATURES, GoalRecord, MOTION, Names, Receiver,
-    Record, Remark, Request, SamplerRecord, Subject, clip_files,
+    Record, Remark, Request, SamplerRecord, clip_files,
 };
 use crate::system::System as _;
 
@@ -35,7 +36,7 @@ const PATH: &str = ".path.npy";
 /// # Errors
 /// If a condition cannot be used, or a checkpoint cannot be read.
 pub(super) fn sample(
-    subject: &Subject,
+    trained: &TrainedModel,
     request: &Request,
     receiver: &mut dyn Receiver,
 ) -> Result<Option<Remark>, Error> {
@@ -61,10 +62,10 @@ pub(super) fn sample(
         ));
     }
     if let Some(count) = conditions.held_out {
-        return items::for_held_out(subject, count, request.seed, receiver);
+        return items::for_held_out(trained, count, request.seed, receiver);
     }
     if conditions.item.is_some() || conditions.source.is_some() {
-        return items::for_items(subject, request, receiver);
+        return items::for_items(trained, request, receiver);
     }
     let mut goals = Vec::with_capacity(conditions.goals.len());
     let mut files = Vec::with_capacity(conditions.goals.len());
@@ -78,8 +79,10 @@ pub(super) fn sample(
     }
     let along = match &conditions.path {
         Some(file) => {
-            let frames = request.frames.unwrap_or(subject.config.data.target_frames);
-            Some(Along::read(file, subject, frames)?)
+            let frames = request
+                .frames
+                .unwrap_or(trained.config().data.target_frames);
+            Some(Along::read(file, trained, frames)?)
         }
         None => None,
     };
@@ -106,15 +109,19 @@ pub(super) fn sample(
     if conditions.is_empty() {
         receiver.note("no condition given: drawing without a text and without a goal");
     }
-    let skeleton = subject.config.data.humanml3d.skeleton.skeleton();
-    let mut inputs = vec![TextInput::of(&subject.config)?];
-    if let Some(checkpoint) = &conditions.trajectory {
-        inputs.push(TextInput::of(&State::read(checkpoint)?.config)?);
-    }
-    let text = text_of(conditions, &inputs, &subject.device)?;
+    let skeleton = trained.config().data.humanml3d.skeleton.skeleton();
+    let trajectory = conditions.trajectory.clone();
+    let trajectory = trajectory
+        .map(|saved| trajectory_model(trained, saved))
+        .transpose()?;
+    let mut inputs = vec![text_input(trained.config())];
+    inputs.extend(trajectory.iter().map(|model| text_input(model.config())));
+    let text = text_of(conditions, &inputs, &trained.device)?;
     let frames = match goals.iter().map(|goal| goal.frames).max() {
         Some(frames) => frames,
-        None => request.frames.unwrap_or(subject.config.data.target_frames),
+        None => request
+            .frames
+            .unwrap_or(trained.config().data.target_frames),
     };
     let clips = request.count.saturating_mul(goals.len().max(1));
     for (path, goal) in sources.iter().zip(&goals) {
@@ -123,35 +130,27 @@ pub(super) fn sample(
         }
     }
     if let Some(along) = &along
-        && let Some(warning) = along.too_fast(subject)?
+        && let Some(warning) = along.too_fast(trained)
     {
         receiver.warning(&warning);
     }
     let hint = "all clips are drawn as one batch: ask for fewer (`--count`, `--goal`), or shorter";
-    must_fit_as_batch(subject, clips, frames, !goals.is_empty(), hint)?;
+    must_fit_as_batch(trained, clips, frames, !goals.is_empty(), hint)?;
     let names = Names {
         stems: vec![String::new()],
         count: clips,
     };
-    let extensions: &[&str] = match RecipeName::of(&subject.config)? {
+    let extensions: &[&str] = match RecipeName::of(trained.config()) {
         RecipeName::Trajectory => &[MOTION],
         RecipeName::Motion => &[MOTION, FEATURES, BVH, PATH],
     };
     receiver.announced(&names, extensions)?;
     let requests = requests(request.count, frames, &goals, text.as_ref());
-    let load =
-        |checkpoint: &Path| ClipGenerator::load(checkpoint, subject.weights, &subject.device);
-    let trajectory = match &conditions.trajectory {
-        Some(checkpoint) => {
-            must_draw_paths(checkpoint)?;
-            Some(load(checkpoint)?)
-        }
-        None => None,
-    };
-    let samples = load(&subject.checkpoint)?.sample(
+    let trajectory = trajectory.as_ref().map(ClipGenerator::load).transpose()?;
+    let samples = ClipGenerator::load(trained)?.sample(
         trajectory.as_ref(),
         &requests,
-        &subject.config.sampling,
+        &trained.config().sampling,
         request.seed,
         &mut |stage, done, all| receiver.advance(stage, done, all),
     )?;
@@ -161,17 +160,20 @@ pub(super) fn sample(
         let frames = clip.goal.as_ref().map_or(frames, |goal| goal.frames);
         let steered = clip.goal.is_some();
         let goal = files.get(index / request.count);
-        let record = record(subject, request.seed, index, frames, &skeleton);
+        let record = record(trained, request.seed, index, frames, &skeleton);
         let record = Record {
             sampler: SamplerRecord {
-                steering: steered.then(|| subject.config.sampling.steering.clone()),
+                steering: steered.then(|| trained.config().sampling.steering.clone()),
                 ..record.sampler
             },
             condition: Condition {
                 goal: goal.map(|goal| goal.file.clone()),
                 goal_content: clip.goal.clone(),
                 goal_sha256: goal.map(|goal| goal.sha256.clone()),
-                trajectory: conditions.trajectory.clone(),
+                trajectory: conditions
+                    .trajectory
+                    .as_ref()
+                    .map(|saved| saved.path.clone()),
                 text: conditions.text.clone(),
                 clip: conditions.clip.clone(),
                 text_embedding: conditions.text_embedding.clone(),
@@ -197,32 +199,35 @@ pub(super) fn sample(
 
 /// Rejects clips that take more memory than is free as one batch.
 fn must_fit_as_batch(
-    subject: &Subject,
+    trained: &TrainedModel,
     clips: usize,
     frames: usize,
     guided: bool,
     hint: &str,
 ) -> Result<(), Error> {
-    let networks = footprint(&subject.config, drawn_frames(&subject.config, frames))?;
+    let networks = footprint(trained.config(), drawn_frames(trained.config(), frames))?;
     must_fit(
         &format!("drawing {clips} clips of {frames} frames"),
-        networks.of_sampling(clips, guided, subject.on_host),
+        networks.of_sampling(clips, guided, trained.on_host),
         hint,
     )
 }
 
-/// Rejects a checkpoint that is not of a trajectory model.
+/// The trajectory model of a checkpoint, beside the motion model `trained`.
 ///
 /// # Errors
-/// [`Error::Usage`], or if the checkpoint is damaged.
-pub(super) fn must_draw_paths(checkpoint: &Path) -> Result<(), Error> {
-    let recipe = State::read(checkpoint)?.config.train.recipe;
+/// [`Error::Usage`] for a checkpoint of another recipe.
+pub(super) fn trajectory_model(
+    trained: &TrainedModel,
+    saved: SavedCheckpoint,
+) -> Result<TrainedModel, Error> {
+    let recipe = &saved.state.config.train.recipe;
     if recipe == RecipeName::Trajectory.name() {
-        return Ok(());
+        return Ok(trained.beside(saved.of(&Gmd)?));
     }
     let message = format!(
         "`--trajectory-run` is {}, a run of recipe `{recipe}`",
-        checkpoint.display()
+        saved.path.display()
     );
     Err(Error::usage(
         message,
@@ -253,19 +258,19 @@ fn requests(
 
 /// What every clip's record says.
 fn record(
-    subject: &Subject,
+    trained: &TrainedModel,
     seed: u64,
     index: usize,
     frames: usize,
     skeleton: &Skeleton,
 ) -> Record {
-    let record = Record::new(Gmd.name(), subject, seed);
+    let record = Record::new(Gmd.name(), trained, seed);
     Record {
         index,
         frames,
         fps: skeleton.description().fps,
         sampler: SamplerRecord {
-            padding: Some(subject.config.sampling.padding),
+            padding: Some(trained.config().sampling.padding),
             ..record.sampler
         },
         ..record

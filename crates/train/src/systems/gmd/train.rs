@@ -9,11 +9,11 @@ use kinegrad_models::TextDenoiser;
 use kinegrad_motion::Statistics;
 use kinegrad_motion::emphasis::EmphasisProjection;
 
-use super::GmdConfig;
-use super::networks::{channels_of, model_in_space, started, statistics_in};
+use super::networks::{channels_of, model_in_space, started, statistics_in, text_input};
 use super::recipes::{JointMotion, clip_recipe};
-use crate::captions::{TextInput, with_captions};
-use crate::config::{Config, SystemTables};
+use super::{Gmd, GmdConfig};
+use crate::captions::with_captions;
+use crate::config::Config;
 use crate::error::Error;
 use crate::observer::Observer;
 use crate::run::{Material, Outcome, Setup};
@@ -46,33 +46,32 @@ fn joint_motion(
 
 /// Trains as the setup's config says.
 pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome, Error> {
-    let own = GmdConfig::of(&setup.config)?;
+    let mut own = setup.config.own::<GmdConfig>().clone();
     let mut setup = setup.with_gradients(own.model.activation_checkpointing);
     let data = &setup.config.data;
     let dataset = Dataset::<Clip>::open_among(data, &*observer.reading(), &*setup.together)?;
-    for warning in &dataset.warnings {
-        observer.warning(warning);
-    }
-    setup.same_dataset(dataset.digest)?;
-    let config = with_captions(setup.config.clone(), &dataset, &setup.together, observer)?;
+    setup.check_dataset(&dataset, observer)?;
+    let (data, together) = (&setup.config.data, &setup.together);
+    own.text = with_captions(own.text, data, &dataset, together, observer)?;
+    let config = setup.config.clone().with_own(own.clone());
     setup.config = config.clone();
     let start = match &setup.checkpoint {
         Some(_) => None,
-        None => Start::named("init.diffusion", &own.init.diffusion)?,
+        None => Start::named("init.diffusion", &own.init.diffusion, &Gmd)?,
     };
     let statistics = match (&setup.checkpoint, &start) {
         (Some(checkpoint), _) => statistics_in(&checkpoint.state)?.clone(),
-        (None, Some(start)) => statistics_in(&start.state()?)?.clone(),
+        (None, Some(start)) => statistics_in(start.state())?.clone(),
         (None, None) => dataset.statistics_among(&*observer.reading(), &*setup.together)?,
     };
-    let channels = channels_of(&config)?;
+    let channels = channels_of(&config);
     let model = match start {
         Some(start) => started(&start, &config, &setup.device)?,
         None => model_in_space(&config, &setup.device)?,
     };
     let joint_motion = joint_motion(&own, &config, &model, &statistics)?;
     let diffusion = GaussianDiffusion::new(&own.diffusion)?;
-    let text = TextInput::of(&config)?;
+    let text = text_input(&config);
     let (representation, shared) = (dataset.representation.clone(), Arc::new(statistics.clone()));
     let samples = move |clips, config: &Config| {
         let (data, seed) = (&config.data, config.run.seed);

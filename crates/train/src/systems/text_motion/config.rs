@@ -110,7 +110,7 @@ impl SystemTables for TextMotionTables {
 /// # Errors
 /// For the first invalid value; the error names the key.
 pub(super) fn validate(config: &Config) -> Result<(), Error> {
-    let own = TextMotionTables::of(config)?;
+    let own: &TextMotionTables = config.own();
     let data = &config.data;
     own.model.network.sizes().validate()?;
     in_range("words.width", own.words.width, 1..=4096)?;

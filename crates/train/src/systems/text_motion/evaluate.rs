@@ -7,29 +7,29 @@ use kinegrad_motion::metrics::text_motion::TextMotionReport;
 use serde_json::json;
 
 use super::TextMotion;
+use crate::TrainedModel;
 use crate::clips::{dataset_or, with_held_out};
 use crate::error::Error;
 use crate::evaluation::{Column, Evaluate, Evaluated, EvaluationRequest, Group, Number};
-use crate::sampling::Subject;
 
 /// An evaluation of the encoders on the held-out clips themselves.
 ///
 /// # Errors
 /// If the request does not apply, or nothing is held out.
 pub(super) fn prepare<'a>(
-    subject: &'a Subject,
+    trained: &'a TrainedModel,
     request: &EvaluationRequest,
 ) -> Result<Evaluate<'a>, Error> {
     request.refuse(
         &["--listening", "--trajectory-run"],
-        &subject.checkpoint,
+        trained.path(),
         "a run of recipe `text_motion`",
         "its encoders generate nothing: leave it out",
     )?;
-    let data = dataset_or(&subject.config.data, request.source.as_deref());
+    let data = dataset_or(&trained.config().data, request.source.as_deref());
     let dataset = with_held_out(
         &data,
-        &subject.checkpoint,
+        trained.path(),
         "texts are matched with held-out clips",
         &request.together,
     )?;
@@ -37,7 +37,7 @@ pub(super) fn prepare<'a>(
     let labels = labels_of(&data)?.unwrap_or_default();
     let (seed, frames) = (request.seed, data.target_frames);
     Ok(Box::new(move |_| {
-        let evaluator = TextMotion::of_run(&subject.checkpoint, subject.weights, &subject.device)?;
+        let evaluator = TextMotion::of_run(&trained.saved, trained.weights, &trained.device)?;
         let evaluator = evaluator.with_labels(labels);
         let clips: Vec<&Clip> = held_out.iter().map(Arc::as_ref).collect();
         let cut = clips.iter().map(|clip| {
@@ -46,7 +46,7 @@ pub(super) fn prepare<'a>(
         });
         let real: Vec<_> = cut.collect();
         let report = evaluator.reports(&real, &real, &clips, seed)?.real;
-        let run = subject.config.run.name.clone();
+        let run = trained.config().run.name.clone();
         Ok(Evaluated {
             run: run.clone(),
             report: "eval-text-motion",

@@ -2,7 +2,6 @@
 //! captions.
 
 use std::borrow::Cow;
-use std::path::Path;
 
 use burn::tensor::{Device, Int, Tensor, TensorData};
 use kinegrad_data::humanml::{Clip, ClipLabels, read_word_vectors};
@@ -14,10 +13,9 @@ use kinegrad_motion::metrics::text_motion::{MAX_WORDS, TextMotionReport, Token, 
 use kinegrad_random::{Key, Purpose};
 use serde::Serialize;
 
+use super::TextMotionTables;
 use super::networks::{encoders, word_vectors};
-use super::{RECIPE, TextMotionTables};
-use crate::checkpoint::{State, Weights, read_weights};
-use crate::config::SystemTables;
+use crate::checkpoint::{SavedCheckpoint, Weights};
 use crate::error::Error;
 use crate::published::{load, mean_and_deviation, read_tensors};
 use crate::systems::gmd::EvaluatorFiles;
@@ -70,22 +68,19 @@ impl TextMotion {
         Self::new(encoders, statistics, words, PUBLISHED_FRAMES, device)
     }
 
-    /// The evaluator that the checkpoint in `path` of a run of recipe `text_motion` holds.
+    /// The evaluator of a checkpoint of recipe `text_motion`, its config read.
     ///
     /// # Errors
-    /// If the checkpoint is damaged or of another recipe, or its word vectors cannot be read.
-    pub fn of_run(path: &Path, weights: Weights, device: &Device) -> Result<Self, Error> {
-        let state = State::read(path)?;
-        let recipe = &state.config.train.recipe;
-        if recipe != RECIPE {
-            return Err(Error::usage(
-                format!("{} is of a run of recipe `{recipe}`", path.display()),
-                format!("`evaluation.evaluator.run` takes a run of recipe `{RECIPE}`"),
-            ));
-        }
-        let words = word_vectors(&TextMotionTables::of(&state.config)?.words)?;
+    /// If the checkpoint is damaged, or its word vectors cannot be read.
+    pub fn of_run(
+        saved: &SavedCheckpoint,
+        weights: Weights,
+        device: &Device,
+    ) -> Result<Self, Error> {
+        let state = &saved.state;
+        let words = word_vectors(&state.config.own::<TextMotionTables>().words)?;
         let fresh = encoders(&state.config, words.width(), device)?;
-        let encoders = parameters::load(fresh, read_weights(path, &state, weights)?)?;
+        let encoders = parameters::load(fresh, saved.weights(weights)?)?;
         let representation = state.config.data.humanml3d.representation();
         let statistics = state.statistics_of(&representation)?.clone();
         let padded_frames = state.config.data.target_frames;

@@ -19,14 +19,15 @@ use toml::Table;
 pub use config::{TextMotionLossConfig, TextMotionNetwork, TextMotionTables, WordsConfig};
 pub use evaluator::{TextMotion, TextMotionReports};
 
-use crate::config::{Config, ConfigError, Place, SystemTables};
+use crate::TrainedModel;
+use crate::config::{Config, ConfigError, OwnTables, Place, SystemTables};
 use crate::error::Error;
 use crate::evaluation::{Evaluate, EvaluationRequest};
 use crate::memory::Footprint;
 use crate::observer::Observer;
 use crate::recipe::RecipeInfo;
 use crate::run::{Outcome, Setup};
-use crate::sampling::{Receiver, Remark, Request, Subject};
+use crate::sampling::{Receiver, Remark, Request};
 use crate::system::System;
 
 /// Name of the recipe.
@@ -62,8 +63,8 @@ impl System for TextMotionSystem {
         TextMotionTables::keys()
     }
 
-    fn complete(&self, tables: &Table, place: Place<'_>) -> Result<Table, ConfigError> {
-        Ok(TextMotionTables::read(tables, place)?.to_table())
+    fn complete(&self, tables: &Table, place: Place<'_>) -> Result<OwnTables, ConfigError> {
+        Ok(OwnTables::new(TextMotionTables::read(tables, place)?))
     }
 
     fn validate(&self, config: &Config) -> Result<Vec<String>, Error> {
@@ -81,11 +82,11 @@ impl System for TextMotionSystem {
 
     fn sample(
         &self,
-        subject: &Subject,
+        trained: &TrainedModel,
         _: &Request,
         _: &mut dyn Receiver,
     ) -> Result<Option<Remark>, Error> {
-        let name = &subject.config.run.name;
+        let name = &trained.config().run.name;
         Err(Error::usage(
             format!("`{name}` is a run of recipe `{RECIPE}`, which generates nothing"),
             "sample a run of `gmd_motion`, and name this one when evaluating it: `--set \
@@ -95,10 +96,10 @@ impl System for TextMotionSystem {
 
     fn evaluate<'a>(
         &self,
-        subject: &'a Subject,
+        trained: &'a TrainedModel,
         request: &EvaluationRequest,
     ) -> Result<Evaluate<'a>, Error> {
-        evaluate::prepare(subject, request)
+        evaluate::prepare(trained, request)
     }
 
     fn train(&self, setup: Setup, observer: &mut dyn Observer) -> Result<Outcome, Error> {

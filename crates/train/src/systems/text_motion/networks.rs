@@ -7,7 +7,7 @@ use kinegrad_models::{Initializer, parameters};
 use kinegrad_motion::metrics::text_motion::{MAX_WORDS, WordVectors};
 
 use super::{TextMotionTables, WordsConfig};
-use crate::config::{Config, SystemTables};
+use crate::config::Config;
 use crate::error::Error;
 use crate::memory::Footprint;
 
@@ -30,7 +30,7 @@ pub(super) fn word_vectors(words: &WordsConfig) -> Result<WordVectors, Error> {
 
 /// The sizes of the encoders for word vectors of `width`.
 pub(super) fn sizes(config: &Config, width: usize) -> Result<TextMotionConfig, Error> {
-    let own = TextMotionTables::of(config)?;
+    let own: &TextMotionTables = config.own();
     Ok(own.model.network.sizes().config(channels(config), width))
 }
 
@@ -49,7 +49,7 @@ pub(super) fn encoders(
 /// # Errors
 /// If the word vectors cannot be read, whose width counts.
 pub(super) fn parameter_count(config: &Config) -> Result<usize, Error> {
-    let words = word_vectors(&TextMotionTables::of(config)?.words)?;
+    let words = word_vectors(&config.own::<TextMotionTables>().words)?;
     // Parameters are lazy: no weight is drawn and no memory taken.
     let encoders = encoders(config, words.width(), &Device::flex())?;
     Ok(parameters::count(&encoders))
@@ -60,7 +60,7 @@ pub(super) fn parameter_count(config: &Config) -> Result<usize, Error> {
 /// # Errors
 /// As [`parameter_count`].
 pub(super) fn footprint(config: &Config) -> Result<Footprint, Error> {
-    let own = TextMotionTables::of(config)?;
+    let own: &TextMotionTables = config.own();
     let width = word_vectors(&own.words)?.width();
     let sizes = sizes(config, width)?;
     let (frames, words) = (config.data.target_frames, MAX_WORDS + 2);

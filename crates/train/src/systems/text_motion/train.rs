@@ -8,7 +8,7 @@ use kinegrad_data::humanml::{Clip, ClipSamples};
 use super::TextMotionTables;
 use super::networks::{channels, encoders, word_vectors};
 use super::recipe::ContrastiveRecipe;
-use crate::config::{Config, SystemTables};
+use crate::config::Config;
 use crate::error::Error;
 use crate::observer::Observer;
 use crate::run::{Material, Outcome, Setup};
@@ -16,15 +16,12 @@ use crate::run::{Material, Outcome, Setup};
 /// Trains as the setup's config says.
 pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome, Error> {
     let config = setup.config.clone();
-    let own = TextMotionTables::of(&config)?;
+    let own: &TextMotionTables = config.own();
     let setup = setup.with_gradients(own.model.activation_checkpointing);
     let words = Arc::new(word_vectors(&own.words)?);
-    let dataset =
-        Dataset::<Clip>::open_among(&config.data, &*observer.reading(), &*setup.together)?;
-    for warning in &dataset.warnings {
-        observer.warning(warning);
-    }
-    setup.same_dataset(dataset.digest)?;
+    let data = &setup.config.data;
+    let dataset = Dataset::<Clip>::open_among(data, &*observer.reading(), &*setup.together)?;
+    setup.check_dataset(&dataset, observer)?;
     let statistics = match &setup.checkpoint {
         Some(checkpoint) => {
             let representation = config.data.humanml3d.representation();

@@ -9,10 +9,9 @@ use kinegrad_data::{DataKind, Dataset, Phrase, PhraseSet, Songs};
 use super::listening::{self, Heard, Listened, Listening, ListeningSettings, Stage};
 use super::report::evaluated;
 use super::{CondSource, EvaluationSettings, evaluate};
-use crate::config::SystemTables;
+use crate::TrainedModel;
 use crate::error::Error;
 use crate::evaluation::{Evaluate, EvaluationRequest};
-use crate::sampling::Subject;
 use crate::systems::cc_motion::generate::{self, Generator};
 use crate::systems::cc_motion::lengths::{leading, untrained, windows};
 use crate::systems::cc_motion::{CcMotionConfig, EvaluationConfig};
@@ -29,17 +28,17 @@ const HEARD: usize = Heard::ALL.len();
 /// # Errors
 /// If the request does not apply, or nothing is held out.
 pub fn prepare<'a>(
-    subject: &'a Subject,
+    trained: &'a TrainedModel,
     request: &EvaluationRequest,
 ) -> Result<Evaluate<'a>, Error> {
     request.refuse(
         &["--trajectory-run"],
-        &subject.checkpoint,
+        trained.path(),
         "a run on phrases",
         "only models that follow goals take a path from a first stage",
     )?;
-    let wanted = CcMotionConfig::of(&subject.config)?.evaluation;
-    let mut data = subject.config.data.clone();
+    let wanted = trained.config().own::<CcMotionConfig>().evaluation.clone();
+    let mut data = trained.config().data.clone();
     if let Some(source) = &request.source {
         data.kind = DataKind::Phrases;
         data.source = Some(source.clone());
@@ -49,7 +48,7 @@ pub fn prepare<'a>(
     if dataset.validation.is_empty() {
         let message = format!(
             "no phrase is held out for {}: all {} are trained on",
-            subject.checkpoint.display(),
+            trained.path().display(),
             dataset.train.len()
         );
         let hint = "its config's `data.validation` holds out none of them; give a dataset that it \
@@ -67,30 +66,33 @@ pub fn prepare<'a>(
     )?;
     if request.listening {
         let songs = Songs::read(&data)?;
-        return listening(subject, request, &wanted, &songs, held_out, &dataset.train);
+        return listening(trained, request, &wanted, &songs, held_out, &dataset.train);
     }
     let hint = "choose fewer `evaluation.seeds`: the samples of a phrase are drawn at a time";
     let processes = request.together.ranks().local().size;
     let lengths: BTreeSet<usize> = held_out.iter().map(|phrase| phrase.frames()).collect();
     for frames in lengths {
-        generate::must_fit(subject, wanted.seeds, frames, processes, hint)?;
+        generate::must_fit(trained, wanted.seeds, frames, processes, hint)?;
     }
     let together = request.together.clone();
     let settings = EvaluationSettings {
         seeds: wanted.seeds,
         seed: request.seed,
         cond: wanted.cond,
-        sampling: subject.config.sampling.clone(),
+        sampling: trained.config().sampling.clone(),
     };
     let training = dataset.train.load()?;
     let drawn = |phrase: &Arc<Phrase>| {
-        let windows = windows(&subject.config, phrase.frames())?;
+        let windows = windows(trained.config(), phrase.frames())?;
         Ok(windows.map_or(phrase.frames(), |windows| windows.length()))
     };
     let lengths = held_out.iter().map(drawn);
-    let odd = untrained(&subject.config, lengths.collect::<Result<Vec<_>, Error>>()?);
+    let odd = untrained(
+        trained.config(),
+        lengths.collect::<Result<Vec<_>, Error>>()?,
+    );
     Ok(Box::new(move |on_step| {
-        let generator = Generator::load(&subject.checkpoint, subject.weights, &subject.device)?;
+        let generator = Generator::load(trained)?;
         let mut told = |done, all| on_step("", done, all);
         let evaluation = evaluate(
             &generator, &held_out, &training, &settings, &together, &mut told,
@@ -112,7 +114,7 @@ pub fn prepare<'a>(
 /// An evaluation of listening on the `held_out` phrases with beats, of each as much as training
 /// shows at a time.
 fn listening<'a>(
-    subject: &'a Subject,
+    trained: &'a TrainedModel,
     request: &EvaluationRequest,
     wanted: &EvaluationConfig,
     songs: &Songs,
@@ -125,7 +127,7 @@ fn listening<'a>(
                     in other orders and with another song's";
         return Err(Error::usage(message, hint));
     }
-    let frames = subject.config.data.target_frames;
+    let frames = trained.config().data.target_frames;
     let beats_per_bar = wanted.beats_per_bar.map(|beats| beats as f64);
     let listened = |phrases: Vec<Arc<Phrase>>| -> Vec<Listened> {
         let cut = phrases.iter().map(|phrase| leading(phrase, frames));
@@ -138,7 +140,7 @@ fn listening<'a>(
         let message = format!(
             "none of the {all} held-out phrases of {} has beats: their phase advances by less than \
              a beat in the {frames} frames that training shows at a time",
-            subject.checkpoint.display()
+            trained.path().display()
         );
         let hint = "prepare them with the beats of their songs, or give another dataset with \
                     `--source URI`";
@@ -149,18 +151,18 @@ fn listening<'a>(
     let processes = request.together.ranks().local().size;
     let at_a_time = wanted.seeds.saturating_mul(HEARD);
     let longest = longest.unwrap_or_default();
-    generate::must_fit(subject, at_a_time, longest, processes, hint)?;
+    generate::must_fit(trained, at_a_time, longest, processes, hint)?;
     let settings = ListeningSettings {
         seeds: wanted.seeds,
         seed: request.seed,
         guidance_scales: wanted.guidance_scales.clone(),
-        sampling: subject.config.sampling.clone(),
+        sampling: trained.config().sampling.clone(),
     };
     let together = request.together.clone();
     let real = train.load()?;
     let training = listened(real.clone());
     Ok(Box::new(move |on_step| {
-        let generator = Generator::load(&subject.checkpoint, subject.weights, &subject.device)?;
+        let generator = Generator::load(trained)?;
         let stage = Stage {
             held_out: &held_out,
             training: &training,

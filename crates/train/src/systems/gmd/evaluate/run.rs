@@ -1,49 +1,47 @@
 //! The evaluation of a trained model on goals taken from held-out clips.
 
-use std::path::Path;
-
 use kinegrad_data::ValidationSplit;
 use kinegrad_data::humanml::labels_of;
 use kinegrad_motion::metrics::GoalReport;
 use serde_json::to_value;
 
+use super::super::networks::text_input;
 use super::{GoalSettings, GoalTask, Models, Replicated, VarietyReport, evaluate_goals};
+use crate::TrainedModel;
 use crate::captions::must_know_texts;
 use crate::checkpoint::{Weights, resolve_checkpoint};
 use crate::clips::{dataset_or, with_held_out};
-use crate::config::SystemTables;
 use crate::error::Error;
 use crate::evaluation::{Column, Evaluate, Evaluated, EvaluationRequest, Group, Number};
-use crate::sampling::Subject;
 use crate::systems::gmd::generate::drawn_frames;
 use crate::systems::gmd::networks::footprint;
-use crate::systems::gmd::sample::must_draw_paths;
+use crate::systems::gmd::sample::trajectory_model;
 use crate::systems::gmd::{ClipGenerator, EvaluationSplit, GmdConfig};
-use crate::systems::text_motion::TextMotion;
+use crate::systems::text_motion::{TextMotion, TextMotionSystem};
 
 /// An evaluation of position control.
 ///
 /// # Errors
 /// If the request does not apply, or nothing is held out.
 pub fn prepare<'a>(
-    subject: &'a Subject,
+    trained: &'a TrainedModel,
     request: &EvaluationRequest,
 ) -> Result<Evaluate<'a>, Error> {
     request.refuse(
         &["--listening"],
-        &subject.checkpoint,
+        trained.path(),
         "a run on clips",
         "only models of phrases hear music",
     )?;
-    let asked = GmdConfig::of(&subject.config)?.evaluation;
-    let mut data = dataset_or(&subject.config.data, request.source.as_deref());
+    let asked = &trained.config().own::<GmdConfig>().evaluation;
+    let mut data = dataset_or(&trained.config().data, request.source.as_deref());
     if asked.split == EvaluationSplit::Test {
         data.humanml3d.validation_list = data.humanml3d.test_list.clone();
         data.validation = ValidationSplit::default();
     }
     let dataset = with_held_out(
         &data,
-        &subject.checkpoint,
+        trained.path(),
         "goals are taken from held-out clips",
         &request.together,
     )?;
@@ -54,34 +52,38 @@ pub fn prepare<'a>(
         remarks.push(format!(
             "note: {} clips are held out for {}, fewer than {wanted} goals",
             held_out.len(),
-            subject.checkpoint.display()
+            trained.path().display()
         ));
     }
-    must_know_texts(&subject.config, &held_out)?;
-    let frames = drawn_frames(&subject.config, data.target_frames);
+    must_know_texts(&text_input(trained.config()), &held_out)?;
+    let frames = drawn_frames(trained.config(), data.target_frames);
     let repeated = asked.variety_clips.min(held_out.len()) * asked.variety_repeats;
     let at_once = asked.batch_size.min(held_out.len().max(repeated));
-    let networks = footprint(&subject.config, frames)?;
-    let needed = networks.of_sampling(at_once, true, subject.on_host);
+    let networks = footprint(trained.config(), frames)?;
+    let needed = networks.of_sampling(at_once, true, trained.on_host);
     let hint = "draw for fewer goals together: `evaluation.batch_size`";
     request.must_fit(needed, hint)?;
-    if let Some(path) = &request.trajectory {
-        must_draw_paths(path)?;
-    }
-    let (trajectory, together) = (request.trajectory.clone(), request.together.clone());
+    let trajectory = request.trajectory.clone();
+    let trajectory = trajectory
+        .map(|saved| trajectory_model(trained, saved))
+        .transpose()?;
+    let together = request.together.clone();
     let run = &asked.evaluator.run;
     let evaluator = match run.as_os_str().is_empty() {
         false => {
-            let checkpoint = resolve_checkpoint(run, |_| {})?;
-            Some(TextMotion::of_run(
-                &checkpoint,
-                Weights::Ema,
-                &subject.device,
-            )?)
+            let saved = resolve_checkpoint(run, |_| {})?;
+            let recipe = saved.state.config.train.recipe.clone();
+            let saved = saved.of(&TextMotionSystem).map_err(|_| {
+                Error::usage(
+                    format!("{} is of a run of recipe `{recipe}`", run.display()),
+                    "`evaluation.evaluator.run` takes a run of recipe `text_motion`",
+                )
+            })?;
+            Some(TextMotion::of_run(&saved, Weights::Ema, &trained.device)?)
         }
         true => {
             let files = asked.evaluator.is_given().then_some(&asked.evaluator);
-            let read = |files| TextMotion::read(files, &subject.device);
+            let read = |files| TextMotion::read(files, &trained.device);
             files.map(read).transpose()?
         }
     };
@@ -100,7 +102,7 @@ pub fn prepare<'a>(
             margin: asked.margin,
             frames: data.target_frames,
         },
-        sampling: subject.config.sampling.clone(),
+        sampling: trained.config().sampling.clone(),
         seed: request.seed,
         batch_size: asked.batch_size,
         replications: asked.replications,
@@ -113,9 +115,8 @@ pub fn prepare<'a>(
         None => "eval-goals",
     };
     Ok(Box::new(move |on_step| {
-        let load = |path: &Path| ClipGenerator::load(path, subject.weights, &subject.device);
-        let generator = load(&subject.checkpoint)?;
-        let trajectory = trajectory.as_deref().map(load).transpose()?;
+        let generator = ClipGenerator::load(trained)?;
+        let trajectory = trajectory.as_ref().map(ClipGenerator::load).transpose()?;
         let models = Models {
             generator: &generator,
             trajectory: trajectory.as_ref(),

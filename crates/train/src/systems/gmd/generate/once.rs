@@ -11,7 +11,6 @@ use kinegrad_settings::in_range;
 
 use super::ClipGenerator;
 use crate::captions::ClipText;
-use crate::config::SystemTables as _;
 use crate::error::Error;
 use crate::sampling::item_seed;
 use crate::systems::gmd::GmdConfig;
@@ -32,13 +31,18 @@ impl ClipGenerator {
         guidance_scale: f64,
         seed: u64,
     ) -> Result<Vec<Features>, Error> {
-        if RecipeName::of(self.config())? != RecipeName::Motion {
+        if RecipeName::of(self.config()) != RecipeName::Motion {
             return Err(Error::usage(
                 format!("`{}` predicts paths", self.config().run.name),
                 "name a run of recipe `gmd_motion`",
             ));
         }
-        let last = GmdConfig::of(self.config())?.diffusion.num_train_timesteps - 1;
+        let last = self
+            .config()
+            .own::<GmdConfig>()
+            .diffusion
+            .num_train_timesteps
+            - 1;
         in_range("timestep", timestep, 0..=last)?;
         let (batch, channels) = (clips.len(), self.channels);
         let humanml3d = &self.config().data.humanml3d;

@@ -7,10 +7,10 @@ use kinegrad_motion::humanml::Skeleton;
 use kinegrad_motion::path::PathPlan;
 
 use super::{PATH, path};
-use crate::checkpoint::State;
+use crate::TrainedModel;
 use crate::error::Error;
 use crate::path_target::{Fastest, PathTarget, in_words, read_path};
-use crate::sampling::{Drawn, PathFile, PathRecord, Subject, clip_files};
+use crate::sampling::{Drawn, PathFile, PathRecord, clip_files};
 use crate::systems::gmd::generate::GeneratedClip;
 use crate::systems::gmd::recipe_name::RecipeName;
 
@@ -26,8 +26,8 @@ impl Along {
     ///
     /// # Errors
     /// If it is no path, or the run's clips have no body.
-    pub fn read(file: &PathFile, subject: &Subject, frames: usize) -> Result<Self, Error> {
-        if RecipeName::of(&subject.config)? == RecipeName::Trajectory {
+    pub fn read(file: &PathFile, trained: &TrainedModel, frames: usize) -> Result<Self, Error> {
+        if RecipeName::of(trained.config()) == RecipeName::Trajectory {
             return Err(Error::usage(
                 "`--path` with a run of recipe `gmd_trajectory`",
                 "it draws ground paths itself: give a run of recipe `gmd_motion`, and this one as \
@@ -35,23 +35,19 @@ impl Along {
             ));
         }
         let (file, plan) = read_path(file)?;
-        let skeleton = subject.config.data.humanml3d.skeleton.skeleton();
+        let skeleton = trained.config().data.humanml3d.skeleton.skeleton();
         let target = PathTarget::new(&plan, frames, skeleton.description().fps)?;
         Ok(Self { file, plan, target })
     }
 
     /// What to say of it if it asks for more than the training clips of the run had.
-    ///
-    /// # Errors
-    /// If the checkpoint is damaged.
-    pub fn too_fast(&self, subject: &Subject) -> Result<Option<String>, Error> {
-        let skeleton = subject.config.data.humanml3d.skeleton.skeleton();
+    pub fn too_fast(&self, trained: &TrainedModel) -> Option<String> {
+        let skeleton = trained.config().data.humanml3d.skeleton.skeleton();
         let fps = skeleton.description().fps;
         // Displacements of joint 0, metres per frame.
         let first = skeleton.layout().velocities().start;
-        let state = State::read(&subject.checkpoint)?;
-        let fastest = Fastest::of(&state.statistics, first, fps);
-        Ok(self.target.too_fast(&self.file, fps, fastest))
+        let fastest = Fastest::of(&trained.saved.state.statistics, first, fps);
+        self.target.too_fast(&self.file, fps, fastest)
     }
 
     /// Its file, for messages.

@@ -6,12 +6,14 @@ use std::sync::Arc;
 use kinegrad_data::humanml::Clip;
 use kinegrad_data::{DataConfig, Dataset};
 
+use super::super::networks::text_input;
 use super::{drawn, must_fit_as_batch, record};
+use crate::TrainedModel;
 use crate::captions::{ClipText, must_know_texts};
 use crate::clips::{clips_named, dataset_or};
 use crate::error::Error;
 use crate::sampling::{
-    BVH, Condition, FEATURES, MOTION, Names, Receiver, Record, Remark, Request, Subject, item_seed,
+    BVH, Condition, FEATURES, MOTION, Names, Receiver, Record, Remark, Request, item_seed,
 };
 use crate::systems::gmd::generate::{ClipGenerator, ClipRequest, keys};
 use crate::systems::gmd::recipe_name::RecipeName;
@@ -19,12 +21,12 @@ use crate::systems::gmd::recipe_name::RecipeName;
 /// Generates one clip for each of `count` held-out clips, or training clips if none are held out,
 /// conditioned on its caption.
 pub(super) fn for_held_out(
-    subject: &Subject,
+    trained: &TrainedModel,
     count: usize,
     seed: u64,
     receiver: &mut dyn Receiver,
 ) -> Result<Option<Remark>, Error> {
-    let config = &subject.config;
+    let config = trained.config();
     let dataset = Dataset::<Clip>::open_with_progress(&config.data, &*receiver.reading())?;
     let chosen = dataset.held_out().evenly(count)?;
     let hint = "all are drawn as one batch: draw fewer at the end of training \
@@ -35,14 +37,14 @@ pub(super) fn for_held_out(
         frames: None,
         data: &config.data,
     };
-    items.must_fit(subject, hint)?;
+    items.must_fit(trained, hint)?;
     let name = |clip: &Clip, _| clip.id.clone();
-    items.draw(subject, seed, receiver, &name)
+    items.draw(trained, seed, receiver, &name)
 }
 
 /// Generates the requested clips for captions of items of a dataset.
 pub(super) fn for_items(
-    subject: &Subject,
+    trained: &TrainedModel,
     request: &Request,
     receiver: &mut dyn Receiver,
 ) -> Result<Option<Remark>, Error> {
@@ -63,7 +65,7 @@ pub(super) fn for_items(
         let hint = "name a clip with `--phrase ID`; `kinegrad data inspect URI` lists them";
         return Err(Error::usage("`--source` without `--phrase`", hint));
     };
-    let data = dataset_or(&subject.config.data, conditions.source.as_deref());
+    let data = dataset_or(&trained.config().data, conditions.source.as_deref());
     let dataset = Dataset::<Clip>::open_with_progress(&data, &*receiver.reading())?;
     let chosen = clips_named(&dataset, pattern)?;
     let items = Items {
@@ -74,7 +76,7 @@ pub(super) fn for_items(
     };
     let hint = "all are drawn as one batch: name fewer (`--phrase`), ask for fewer (`--count`), or \
                 shorter (`--frames`)";
-    items.must_fit(subject, hint)?;
+    items.must_fit(trained, hint)?;
     let stem = |clip: &Clip| match chosen.len() {
         1 => String::new(),
         _ => format!("-{}", clip.id),
@@ -83,13 +85,13 @@ pub(super) fn for_items(
         stems: chosen.iter().map(|clip| stem(clip)).collect(),
         count: request.count,
     };
-    let extensions: &[&str] = match RecipeName::of(&subject.config)? {
+    let extensions: &[&str] = match RecipeName::of(trained.config()) {
         RecipeName::Trajectory => &[MOTION],
         RecipeName::Motion => &[MOTION, FEATURES, BVH],
     };
     receiver.announced(&names, extensions)?;
     let name = |clip: &Clip, index| names.of(&stem(clip), index);
-    items.draw(subject, request.seed, receiver, &name)
+    items.draw(trained, request.seed, receiver, &name)
 }
 
 /// Clips whose first captions are conditions.
@@ -104,10 +106,10 @@ struct Items<'a> {
 }
 
 impl Items<'_> {
-    fn must_fit(&self, subject: &Subject, hint: &str) -> Result<(), Error> {
+    fn must_fit(&self, trained: &TrainedModel, hint: &str) -> Result<(), Error> {
         let clips = self.clips.len().saturating_mul(self.count);
         let frames = self.frames.unwrap_or(self.data.target_frames);
-        must_fit_as_batch(subject, clips, frames, false, hint)
+        must_fit_as_batch(trained, clips, frames, false, hint)
     }
 
     fn frames_of(&self, clip: &Clip) -> usize {
@@ -118,12 +120,12 @@ impl Items<'_> {
     /// Draws them as one batch. Sample k of a clip depends on the seed, the clip's id and k alone.
     fn draw(
         &self,
-        subject: &Subject,
+        trained: &TrainedModel,
         seed: u64,
         receiver: &mut dyn Receiver,
         name: &dyn Fn(&Clip, usize) -> String,
     ) -> Result<Option<Remark>, Error> {
-        must_know_texts(&subject.config, self.clips)?;
+        must_know_texts(&text_input(trained.config()), self.clips)?;
         let mut requests = Vec::new();
         let mut noise = Vec::new();
         for clip in self.clips {
@@ -135,15 +137,15 @@ impl Items<'_> {
             requests.extend(repeat_n(request, self.count));
             noise.extend(keys(item_seed(seed, &clip.id), self.count));
         }
-        let generator = ClipGenerator::load(&subject.checkpoint, subject.weights, &subject.device)?;
+        let generator = ClipGenerator::load(trained)?;
         let samples = generator.sample_keyed(
             None,
             &requests,
-            &subject.config.sampling,
+            &trained.config().sampling,
             &noise,
             &mut |stage, done, all| receiver.advance(stage, done, all),
         )?;
-        let skeleton = subject.config.data.humanml3d.skeleton.skeleton();
+        let skeleton = trained.config().data.humanml3d.skeleton.skeleton();
         for (clip, samples) in self.clips.iter().zip(samples.chunks(self.count)) {
             for (index, sample) in samples.iter().enumerate() {
                 let record = Record {
@@ -152,7 +154,7 @@ impl Items<'_> {
                         source: self.data.source.clone(),
                         ..Condition::default()
                     },
-                    ..record(subject, seed, index, self.frames_of(clip), &skeleton)
+                    ..record(trained, seed, index, self.frames_of(clip), &skeleton)
                 };
                 receiver.drawn(drawn(name(clip, index), sample, &skeleton, record))?;
             }

@@ -1,0 +1,57 @@
+use std::path::{Path, PathBuf};
+
+use kinegrad_models::parameters::HostParameter;
+
+use super::{State, Weights, read_weights};
+use crate::error::Error;
+use crate::system::System;
+
+/// A checkpoint whose `state.json` has been read and verified.
+#[derive(Clone, Debug)]
+pub struct SavedCheckpoint {
+    /// Its folder.
+    pub path: PathBuf,
+    /// Config, step, statistics.
+    pub state: State,
+}
+
+impl SavedCheckpoint {
+    /// Reads `state.json` of the checkpoint in `path`.
+    ///
+    /// # Errors
+    /// If it is missing or damaged.
+    pub fn read(path: &Path) -> Result<Self, Error> {
+        Ok(Self {
+            path: path.to_path_buf(),
+            state: State::read(path)?,
+        })
+    }
+
+    /// The same with the tables of `system` read.
+    ///
+    /// # Errors
+    /// If the run is of another system, or its config is of another version and cannot be read.
+    pub fn of(mut self, system: &dyn System) -> Result<Self, Error> {
+        let config = &mut self.state.config;
+        let name = &config.train.recipe;
+        let recipes = system.recipes().iter();
+        if !recipes.clone().any(|recipe| recipe.name == name) {
+            let known: Vec<&str> = recipes.map(|recipe| recipe.name).collect();
+            return Err(Error::OtherRecipe {
+                recipe: name.clone(),
+                known: known.join(", "),
+            });
+        }
+        let tables = config.system.to_table();
+        config.system = system.complete(&tables, &|_| "the saved config".into())?;
+        Ok(self)
+    }
+
+    /// The trained weights, or their moving average.
+    ///
+    /// # Errors
+    /// If the file is missing or damaged.
+    pub fn weights(&self, weights: Weights) -> Result<Vec<HostParameter>, Error> {
+        read_weights(&self.path, &self.state, weights)
+    }
+}

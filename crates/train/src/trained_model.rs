@@ -1,0 +1,53 @@
+//! A trained model, as samplers and evaluations get it.
+
+use burn::tensor::Device;
+
+use crate::checkpoint::{SavedCheckpoint, Weights};
+use crate::config::Config;
+use crate::error::Error;
+use kinegrad_models::parameters::HostParameter;
+use std::path::Path;
+
+/// A checkpoint that is sampled or evaluated, and the device to do it on.
+#[derive(Clone, Debug)]
+pub struct TrainedModel {
+    /// The checkpoint. Its config has the tables of its system read, and the overrides of sampling
+    /// and evaluation settings applied.
+    pub saved: SavedCheckpoint,
+    /// The trained weights, or their moving average.
+    pub weights: Weights,
+    /// The device to run on, without gradients.
+    pub device: Device,
+    /// Whether that is the CPU, which computes in main memory.
+    pub on_host: bool,
+}
+
+impl TrainedModel {
+    /// The config of its run.
+    pub fn config(&self) -> &Config {
+        &self.saved.state.config
+    }
+
+    /// The checkpoint's folder.
+    pub fn path(&self) -> &Path {
+        &self.saved.path
+    }
+
+    /// The weights to use.
+    ///
+    /// # Errors
+    /// If the file is missing or damaged.
+    pub fn read_weights(&self) -> Result<Vec<HostParameter>, Error> {
+        self.saved.weights(self.weights)
+    }
+
+    /// The model of another checkpoint of the same weights and device.
+    #[must_use]
+    pub fn beside(&self, saved: SavedCheckpoint) -> Self {
+        Self {
+            saved,
+            device: self.device.clone(),
+            ..*self
+        }
+    }
+}
