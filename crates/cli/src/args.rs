@@ -18,7 +18,6 @@ use std::fmt::Display;
 use std::path::PathBuf;
 use std::str::FromStr;
 
-use clap::error::{ContextKind, ContextValue, ErrorKind};
 use clap::{ArgAction, Args, Command as Line, CommandFactory, FromArgMatches, Parser, Subcommand};
 use kinegrad_capture::prepare::Units;
 use kinegrad_motion::{PostProcessProfile, Profile};
@@ -486,47 +485,6 @@ where
         true => "allowed: a whole number, 0 or more".to_string(),
         false => "allowed: a number, such as 1.5".to_string(),
     })
-}
-
-/// Former options of `kinegrad sample` and `kinegrad eval`, and the config keys that replace them.
-const REPLACED: [(&str, &str); 18] = [
-    ("--seeds", "evaluation.seeds=N"),
-    ("--phrases", "evaluation.phrases=N"),
-    ("--cond", "evaluation.cond=noise"),
-    ("--goals", "evaluation.goals=N"),
-    ("--keyframes", "evaluation.keyframes=N"),
-    ("--obstacles", "evaluation.obstacles=N"),
-    ("--evaluator", "evaluation.evaluator.weights=FILE"),
-    ("--evaluator-mean", "evaluation.evaluator.mean=FILE"),
-    ("--evaluator-std", "evaluation.evaluator.std=FILE"),
-    ("--word-vectors", "evaluation.evaluator.word_vectors=FILE"),
-    ("--sampler", "sampling.sampler.kind=NAME"),
-    ("--eta", "sampling.sampler.eta=ETA"),
-    (
-        "--timestep-spacing",
-        "sampling.sampler.timestep_spacing=NAME",
-    ),
-    ("--final-alpha", "sampling.sampler.final_alpha=NAME"),
-    (
-        "--recompute-epsilon",
-        "sampling.sampler.recompute_epsilon=BOOL",
-    ),
-    ("--clip", "sampling.clip=NAME"),
-    ("--classifier-scale", "sampling.steering.scale=SCALE"),
-    ("--no-imputation", "sampling.steering.imputation=false"),
-];
-
-/// The error for an option that a config key has replaced.
-pub fn replaced(command: &str, error: &clap::Error) -> Option<Error> {
-    let found = error.get(ContextKind::InvalidArg);
-    let (ErrorKind::UnknownArgument, "eval" | "sample", Some(ContextValue::String(found))) =
-        (error.kind(), command, found)
-    else {
-        return None;
-    };
-    let (option, key) = REPLACED.iter().find(|(option, _)| option == found)?;
-    let message = format!("`{option}` has been replaced by a config key");
-    Some(Error::usage(message, format!("use `--set {key}`")))
 }
 
 /// The error of a command line that cannot be read, which one of several processes says for all; of a single

@@ -48,17 +48,12 @@ pub fn run(
     arguments: impl IntoIterator<Item = impl Into<OsString> + Clone>,
 ) -> ExitCode {
     kinegrad_kernels::memory::keep_freed();
-    let arguments: Vec<OsString> = arguments.into_iter().map(Into::into).collect();
-    let done = match Arguments::read(&arguments) {
+    let done = match Arguments::read(arguments) {
         Ok(arguments) => {
             log::start(arguments.talk);
             execute(systems, arguments.command)
         }
-        Err(error) => {
-            let command = arguments.get(1).and_then(|name| name.to_str());
-            let replaced = args::replaced(command.unwrap_or_default(), &error);
-            Err(replaced.unwrap_or_else(|| args::unread(error)))
-        }
+        Err(error) => Err(args::unread(error)),
     };
     done.unwrap_or_else(ranks::failed)
 }

@@ -42,8 +42,6 @@ pub struct CcMotionConfig {
 }
 
 impl SystemTables for CcMotionConfig {
-    const PASSED_OVER: &'static str = include_str!("passed_over.toml");
-
     const NETWORKS: &'static [NetworkKind] = &[NetworkKind::of::<UNet1dConfig>()];
 }
 
