@@ -3,29 +3,23 @@
 mod config;
 mod data;
 #[cfg(test)]
-mod documented;
+mod documented_tests;
 mod matching;
 mod reading;
 mod reports;
 mod talk;
 mod text;
 mod train;
+mod values;
 mod view;
 mod warp;
 
 use std::any::TypeId;
-use std::fmt::Display;
 use std::path::PathBuf;
-use std::str::FromStr;
 
 use clap::{ArgAction, Args, Command as Line, CommandFactory, FromArgMatches, Parser, Subcommand};
 use kinegrad_capture::prepare::Units;
 use kinegrad_motion::{PostProcessProfile, Profile};
-use kinegrad_train::Error;
-use serde::de::value::Error as ValueError;
-use serde::de::{DeserializeOwned, IntoDeserializer};
-
-use crate::ranks;
 
 pub use config::{CompletionsArguments, ExplainArguments, InitArguments, ManArguments};
 pub use data::{
@@ -38,9 +32,11 @@ pub use reading::ReadingArguments;
 pub use reports::{PlotArguments, ReportArguments, RunsArguments};
 pub use talk::TalkArguments;
 pub use text::{EmbedArguments, TextCommand};
-pub use train::TrainArguments;
+pub use train::{DEFAULT_CONFIG, TrainArguments};
 pub use view::ViewArguments;
 pub use warp::WarpArguments;
+
+use values::{named, number};
 
 /// Train and fine-tune motion-generation models.
 #[derive(Debug, Parser)]
@@ -363,7 +359,7 @@ pub struct CheckArguments {
     /// Dataset whose statistics `strict` uses
     #[arg(long, value_name = "URI")]
     pub source: Option<String>,
-    /// Also check raw model output, PATH.raw.npy, in folders
+    /// Also check NAME.raw.npy, the raw model output, beside each NAME.npy
     #[arg(long)]
     pub raw: bool,
     /// Print JSON
@@ -472,35 +468,6 @@ fn with_numbers(command: Line) -> Line {
         argument.allow_negative_numbers(true)
     });
     command.mut_subcommands(with_numbers)
-}
-
-/// A number from the command line.
-fn number<N: FromStr + 'static>(text: &str) -> Result<N, String>
-where
-    N::Err: Display,
-{
-    let is_whole = TypeId::of::<N>() != TypeId::of::<f64>();
-    text.parse().map_err(|error: N::Err| match is_whole {
-        true if text.parse::<u128>().is_ok() => format!("{error}, allowed: at most {}", u64::MAX),
-        true => "allowed: a whole number, 0 or more".to_string(),
-        false => "allowed: a number, such as 1.5".to_string(),
-    })
-}
-
-/// The error of a command line that cannot be read, which one of several processes says for all; of a single
-/// one it ends the program, as does what is no error but asked for.
-pub fn unread(error: clap::Error) -> Error {
-    if !error.use_stderr() || !ranks::are_several() {
-        error.exit();
-    }
-    let text = error.render().to_string();
-    let message = text.trim_start_matches("error: ").trim_end();
-    Error::usage(message, "`kinegrad help` lists commands and options")
-}
-
-/// Parses a config enum by its serde name.
-fn named<T: DeserializeOwned>(name: &str) -> Result<T, ValueError> {
-    T::deserialize(name.into_deserializer())
 }
 
 #[cfg(test)]

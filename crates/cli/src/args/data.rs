@@ -6,7 +6,7 @@ use clap::{Args, Subcommand};
 use kinegrad_data::humanml::SkeletonName;
 use kinegrad_train::song::KnownBeats;
 
-use super::named;
+use super::values::named;
 
 #[derive(Debug, Subcommand)]
 pub enum DataCommand {

@@ -6,7 +6,7 @@ use clap::Args;
 use kinegrad_capture::UpAxis;
 use kinegrad_matching::{CoarseRatio, Length, Preset};
 
-use super::named;
+use super::values::named;
 
 /// New motion from examples, without training (GenMM): patches of the examples are matched with a
 /// start of noise and averaged, from coarse to fine. The result is made of the examples' own

@@ -4,7 +4,7 @@ use clap::Args;
 use kinegrad_capture::UpAxis;
 use kinegrad_capture::prepare::Units;
 
-use super::named;
+use super::values::named;
 
 /// What files do not say of themselves.
 #[derive(Debug, Args)]

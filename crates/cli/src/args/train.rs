@@ -6,7 +6,8 @@ use clap::Args;
 use kinegrad_train::Error;
 use kinegrad_train::run::Target;
 
-use crate::commands::init::default_config;
+/// The config of a `kinegrad train` that names none.
+pub const DEFAULT_CONFIG: &str = "kinegrad.toml";
 
 /// The run is written to RUNS_DIR/NAME: the resolved config, metrics.jsonl, TensorBoard events and
 /// checkpoints. Ctrl-C writes a checkpoint before exiting; `--resume` continues bit for bit.
@@ -92,5 +93,20 @@ impl TrainArguments {
                 )
             }),
         }
+    }
+}
+
+/// The config of a training that names none.
+///
+/// # Errors
+/// If there is none in this folder.
+fn default_config() -> Result<PathBuf, Error> {
+    let path = PathBuf::from(DEFAULT_CONFIG);
+    match path.exists() {
+        true => Ok(path),
+        false => Err(Error::usage(
+            format!("no config is given, and there is no {DEFAULT_CONFIG} in this folder"),
+            "`kinegrad init` writes one; or name another: `kinegrad train CONFIG.toml`",
+        )),
     }
 }

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::Args;
 use kinegrad_motion::path::{Along, Turning};
 
-use super::named;
+use super::values::named;
 
 /// Moves a motion onto a path over the ground, without any model: each frame is turned about the
 /// vertical and moved so that the root is on the path. Heights and bones stay as they are.

@@ -7,7 +7,6 @@ pub mod data;
 pub mod devices;
 pub mod eval;
 pub mod explain;
-pub mod files;
 pub mod import;
 pub mod init;
 pub mod matching;

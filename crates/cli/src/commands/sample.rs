@@ -12,8 +12,8 @@ use kinegrad_train::systems::Systems;
 use kinegrad_train::{Error, Together};
 use serde::Serialize;
 
-use super::files::{Existing, Files, Written};
 use crate::args::{DrawArguments, SampleArguments};
+use crate::io::{Existing, Files, Written};
 use crate::{interrupt, output};
 
 /// Generates motion and writes it to files.

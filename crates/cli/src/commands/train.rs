@@ -14,13 +14,14 @@ use kinegrad_train::{Ending, Error};
 
 use serde::Serialize;
 
-use super::files::Files;
 use super::plan;
 use super::sample::{checkpoint, say_remark};
 use crate::args::TrainArguments;
+use crate::io::Files;
 use crate::output;
-use crate::progress::{TrainProgress, duration};
+use crate::progress::duration;
 use crate::ranks::{guarded, settled, together};
+use crate::train_progress::TrainProgress;
 
 /// Trains, then generates the samples of `sampling.count_at_end`.
 pub fn run(systems: Systems<'_>, arguments: TrainArguments) -> Result<ExitCode, Error> {

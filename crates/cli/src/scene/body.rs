@@ -3,6 +3,8 @@
 use kinegrad_motion::humanml::Joints;
 use kinegrad_report::scene::{Contact, Curves, Figure};
 
+use crate::io::is_foot;
+
 /// Height of the person that the thresholds of contacts are for, metres.
 const PERSON: f64 = 1.7;
 
@@ -50,14 +52,8 @@ pub fn figure(
     }
 }
 
-/// Whether a joint of this name is a foot's: of the tips of its chain only those that carry weight.
-pub fn is_foot(name: &str) -> bool {
-    let name = name.rsplit(':').next().unwrap_or(name).to_lowercase();
-    (name.contains("foot") || name.contains("toe")) && !name.ends_with("end")
-}
-
 /// The largest height from the lowest to the highest joint, of a frame now and then.
-pub fn height(joints: &Joints) -> f64 {
+fn height(joints: &Joints) -> f64 {
     let step = joints.frames().div_ceil(50);
     let heights = (0..joints.frames()).step_by(step).map(|t| {
         let places = || joints.frame(t).iter().map(|place| place[1]);
@@ -123,17 +119,5 @@ mod tests {
         assert_eq!(contact.joint, 1);
         let standing: Vec<usize> = (0..30).filter(|t| contact.frames[*t]).collect();
         assert_eq!(standing, (0..9).chain(21..30).collect::<Vec<_>>());
-    }
-
-    #[test]
-    fn feet_are_known_by_their_names() {
-        for (name, is) in [
-            ("left_foot", true),
-            ("RightToeBase", true),
-            ("LeftToe_End", false),
-            ("Hips", false),
-        ] {
-            assert_eq!(is_foot(name), is, "{name}");
-        }
     }
 }
