@@ -7,10 +7,10 @@ mod documented_tests;
 mod matching;
 mod reading;
 mod reports;
-mod talk;
 mod text;
 mod train;
 mod values;
+mod verbosity;
 mod view;
 mod warp;
 
@@ -30,9 +30,9 @@ pub use data::{
 pub use matching::MatchArguments;
 pub use reading::ReadingArguments;
 pub use reports::{PlotArguments, ReportArguments, RunsArguments};
-pub use talk::TalkArguments;
 pub use text::{EmbedArguments, TextCommand};
 pub use train::{DEFAULT_CONFIG, TrainArguments};
+pub use verbosity::VerbosityArgs;
 pub use view::ViewArguments;
 pub use warp::WarpArguments;
 
@@ -51,7 +51,7 @@ pub struct Arguments {
     #[command(subcommand)]
     pub command: Command,
     #[command(flatten)]
-    pub talk: TalkArguments,
+    pub verbosity: VerbosityArgs,
 }
 
 #[derive(Debug, Subcommand)]

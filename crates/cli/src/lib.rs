@@ -52,7 +52,7 @@ pub fn run(
     kinegrad_kernels::memory::keep_freed();
     let done = match Arguments::read(arguments) {
         Ok(arguments) => {
-            log::start(arguments.talk);
+            log::start(arguments.verbosity);
             execute(systems, arguments.command)
         }
         Err(error) => Err(unread(error)),

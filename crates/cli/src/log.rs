@@ -2,7 +2,7 @@
 
 use std::io::Write as _;
 
-use crate::args::TalkArguments;
+use crate::args::VerbosityArgs;
 use crate::output;
 
 /// Variable of the environment with levels by module, such as `kinegrad_train=debug`.
@@ -14,11 +14,11 @@ pub fn be_silent() {
 }
 
 /// Sets what is printed to standard error from now on.
-pub fn start(talk: TalkArguments) {
-    if talk.quiet {
+pub fn start(verbosity: VerbosityArgs) {
+    if verbosity.quiet {
         output::be_quiet();
     }
-    let default = match talk.verbose {
+    let default = match verbosity.verbose {
         true => "kinegrad=debug,kinegrad_train=debug,kinegrad_data=debug,kinegrad_cli=debug",
         false => "off",
     };

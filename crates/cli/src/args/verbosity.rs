@@ -4,7 +4,7 @@ use clap::Args;
 
 /// Options of every command.
 #[derive(Clone, Copy, Debug, Default, Args)]
-pub struct TalkArguments {
+pub struct VerbosityArgs {
     /// Print no progress and no notes, only results, warnings and errors
     #[arg(
         short,
