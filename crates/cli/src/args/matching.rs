@@ -97,7 +97,7 @@ pub struct MatchArguments {
     pub content: Option<PathBuf>,
     /// Hold feet still where those of the examples rest
     #[arg(long, conflicts_with = "looping")]
-    pub feet: bool,
+    pub lock_feet: bool,
     /// Axis of the files that points up: y or z [default: the one along which feet are below the
     /// root]
     #[arg(long, value_parser = named::<UpAxis>, value_name = "AXIS")]

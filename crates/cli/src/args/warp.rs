@@ -19,7 +19,7 @@ use super::values::named;
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
-  kinegrad warp walk.npy --path circle.toml --fix-feet --out circle
+  kinegrad warp walk.npy --path circle.toml --lock-feet --out circle
   kinegrad warp walk.npy --path corridor.csv --along own --out corridor
   kinegrad warp walk.features.npy --path map.svg --metres-per-unit 0.01 --out map")]
 pub struct WarpArguments {
@@ -48,7 +48,7 @@ pub struct WarpArguments {
     pub sharp: bool,
     /// Hold feet still where they stand in the motion, by two-bone inverse kinematics
     #[arg(long)]
-    pub fix_feet: bool,
+    pub lock_feet: bool,
     /// Metres of a unit of a drawing
     #[arg(long, value_name = "METRES")]
     pub metres_per_unit: Option<f64>,

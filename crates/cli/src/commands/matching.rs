@@ -193,7 +193,7 @@ fn job(
         parts,
         keyframes,
         fixed: fixed.collect::<Result<_, Error>>()?,
-        feet: arguments.feet,
+        feet: arguments.lock_feet,
     })
 }
 

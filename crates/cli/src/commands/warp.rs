@@ -96,7 +96,7 @@ pub fn run(systems: Systems<'_>, arguments: WarpArguments) -> Result<ExitCode, E
         joints.as_slice()[..frames * joints.joints()].to_vec(),
         joints.joints(),
     )?;
-    let held = match arguments.fix_feet {
+    let held = match arguments.lock_feet {
         true => Some(hold_above(
             &warped.joints,
             &own,
@@ -281,7 +281,7 @@ impl Record {
         }
         let Some(feet) = &self.feet else { return };
         if feet.in_contact == 0.0 {
-            tell!("warning: no foot stands in this motion: `--fix-feet` held none");
+            tell!("warning: no foot stands in this motion: `--lock-feet` held none");
         }
         if feet.legs_short > LEGS_SHORT {
             tell!(
