@@ -99,7 +99,7 @@ fn a_motion_goes_on_from_its_history_as_the_texts_say() {
     let [first, second] = [&captions[0], &captions[1]];
     let draw = |arguments: &str| said(&sandbox, arguments, &captions).succeeded();
     // From a clip of the dataset, for two seconds: 40 frames.
-    draw("--phrase walk_00003 --seconds 2 --out start");
+    draw("--item walk_00003 --seconds 2 --out start");
     let array = read_array(&sandbox.path("start.npy")).expect("an array");
     assert_eq!(array.shape, [40, 22, 3]);
     assert!(array.values.iter().all(|value| value.is_finite()));
@@ -138,7 +138,7 @@ fn a_motion_goes_on_from_its_history_as_the_texts_say() {
         assert_ne!(on(other), same, "{other} changes nothing");
     }
     // Another history: another motion, not only elsewhere.
-    draw("--phrase walk_00005 --seconds 2 --out start");
+    draw("--item walk_00005 --seconds 2 --out start");
     let other = on("--text FIRST");
     let about_root = |values: &[f32]| -> Vec<f32> {
         let frames = values.chunks_exact(66);
@@ -255,8 +255,8 @@ fn a_motion_goes_on_from_its_history_as_the_texts_say() {
         ),
         ("--history nowhere.npy", ["nowhere.npy", ""]),
         (
-            "--history start.npy --phrase walk_00003",
-            ["`--history` with `--phrase`", ""],
+            "--history start.npy --item walk_00003",
+            ["`--history` with `--item`", ""],
         ),
         (
             "--plan empty.toml",

@@ -77,7 +77,7 @@ fn from_a_dataset_on_disk_to_checked_samples_and_pictures() {
     let phrase = &sandbox.list("set/motion")[0];
     let sample = |out: &str| {
         let settings = "--steps 5 --frames 20 --seed 1";
-        let phrase = format!("--source set --phrase {phrase}");
+        let phrase = format!("--source set --item {phrase}");
         let finished = sandbox.run(&format!(
             "sample runs/smallest --out {out} {phrase} {settings}"
         ));

@@ -269,7 +269,7 @@ def test_errors_are_those_of_the_command_line(binary, phrases, runs, tmp_path):
         (
             kinegrad.UsageError,
             lambda: phrases.sample(phrase="nobody"),
-            ["sample", phrases.path, "--phrase", "nobody", "--out", tmp_path / "x"],
+            ["sample", phrases.path, "--item", "nobody", "--out", tmp_path / "x"],
         ),
         (
             kinegrad.CheckpointError,

@@ -123,7 +123,7 @@ pub enum Command {
 Examples:
   kinegrad sample runs/quickstart --out dance
   kinegrad sample runs/gmd_motion --trajectory-run runs/gmd_trajectory --goal goal.toml --out walk
-  kinegrad sample runs/phrases --phrase C_5_00158 --count 4 --steps 50 --out dance
+  kinegrad sample runs/phrases --item C_5_00158 --count 4 --steps 50 --out dance
   kinegrad sample runs/phrases --set sampling.sampler.kind=dpmpp_2m --steps 10 --out dance
   kinegrad sample runs/phrases --audio song.mp3 --out dance
   kinegrad sample runs/phrases --audio song.mp3 --start 30 --frames 120 --out dance
@@ -148,13 +148,13 @@ pub struct SampleArguments {
     /// Phrase whose audio features are the condition; `*` matches any text, and each matching
     /// phrase is written to PATH-ID.npy
     #[arg(long, value_name = "ID", conflicts_with = "cond")]
-    pub phrase: Option<String>,
+    pub item: Option<String>,
     /// Audio features to use as the condition
     #[arg(long, value_name = "FEATURES.npz", conflicts_with = "source")]
     pub cond: Option<PathBuf>,
     /// Song (mp3, wav, flac, ogg) to use as the condition; features are computed over the whole
     /// song
-    #[arg(long, value_name = "SONG", conflicts_with_all = ["source", "phrase", "cond"])]
+    #[arg(long, value_name = "SONG", conflicts_with_all = ["source", "item", "cond"])]
     pub audio: Option<PathBuf>,
     /// Position in the song, in seconds, at which the motion starts
     #[arg(
@@ -234,7 +234,7 @@ pub struct SampleArguments {
     pub count: usize,
     /// Frames to generate, at most the length of the condition [default: its full length, which of a
     /// song is all that is left of it; for a clip without a goal, the length that the run was
-    /// trained on, or with `--phrase` the clip's own if that is shorter]
+    /// trained on, or with `--item` the clip's own if that is shorter]
     #[arg(long, value_name = "T")]
     pub frames: Option<usize>,
     /// Seconds to generate, in the place of `--frames`

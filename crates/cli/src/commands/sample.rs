@@ -69,7 +69,7 @@ fn draw(systems: Systems<'_>, arguments: SampleArguments) -> Result<ExitCode, Er
     let request = Request {
         conditions: Conditions {
             source: arguments.source,
-            item: arguments.phrase,
+            item: arguments.item,
             audio_features: arguments.cond,
             song: arguments.audio,
             start: arguments.start,

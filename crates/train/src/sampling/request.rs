@@ -130,7 +130,7 @@ impl Conditions {
         let continues = |given: &Given| given.frames == GivenFrames::Last;
         [
             ("--source", self.source.is_some()),
-            ("--phrase", self.item.is_some()),
+            ("--item", self.item.is_some()),
             ("--cond", self.audio_features.is_some()),
             ("--audio", self.song.is_some()),
             ("--goal", !self.goals.is_empty()),
@@ -221,10 +221,10 @@ impl Conditions {
 
 /// Conditions that exclude each other, with what they are conditions on.
 const CONTRADICTORY: [(&str, &str, &str); 11] = [
-    ("audio", "--cond", "--phrase"),
+    ("audio", "--cond", "--item"),
     ("audio", "--cond", "--source"),
     ("audio", "--audio", "--cond"),
-    ("audio", "--audio", "--phrase"),
+    ("audio", "--audio", "--item"),
     ("audio", "--audio", "--source"),
     ("text", "--text", "--text-embedding"),
     ("text", "--text", "--plan"),
@@ -264,7 +264,7 @@ mod tests {
             ),
             (
                 conditions(|c| c.item = Some("a".into())),
-                "`--audio` with `--phrase`",
+                "`--audio` with `--item`",
             ),
             (
                 conditions(|c| c.audio_features = Some("a.npz".into())),

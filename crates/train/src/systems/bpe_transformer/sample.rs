@@ -60,7 +60,7 @@ pub(super) fn sample(
         ],
         "a run of recipe `bpe_motion`",
         "its conditions are texts: `--text`, `--text-embedding FILE#KEY`, `--plan PLAN.toml` for several \
-         one after another, or `--phrase ID` for a clip's caption",
+         one after another, or `--item ID` for a clip's caption",
     )?;
     if request.post_processing.is_some() {
         return Err(Error::usage(
@@ -224,7 +224,7 @@ fn motions(
             return Err(Error::usage("`--plan` with a length", hint));
         }
         conditions.refuse(
-            &["--phrase", "--source"],
+            &["--item", "--source"],
             "`--plan` and a run of recipe `bpe_motion`",
             "the plan says what the texts are: leave out one of the two",
         )?;
@@ -266,8 +266,8 @@ fn of_clips(
     let conditions = &request.conditions;
     conditions.refuse(
         &["--text", "--text-embedding"],
-        "`--phrase` and a run on clips of joint features",
-        "`--phrase` alone stands for the first caption of all of the clip",
+        "`--item` and a run on clips of joint features",
+        "`--item` alone stands for the first caption of all of the clip",
     )?;
     let data = dataset_or(&subject.config.data, conditions.source.as_deref());
     let dataset = Dataset::<Clip>::open_with_progress(&data, &*receiver.reading())?;
@@ -275,8 +275,8 @@ fn of_clips(
         (Some(pattern), _) => clips_named(&dataset, pattern)?,
         (None, Some(count)) => dataset.held_out().evenly(count)?,
         (None, None) => {
-            let hint = "name a clip with `--phrase ID`; `kinegrad data inspect URI` lists them";
-            return Err(Error::usage("`--source` without `--phrase`", hint));
+            let hint = "name a clip with `--item ID`; `kinegrad data inspect URI` lists them";
+            return Err(Error::usage("`--source` without `--item`", hint));
         }
     };
     must_know_texts(&subject.config, &chosen)?;

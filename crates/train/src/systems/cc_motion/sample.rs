@@ -182,7 +182,7 @@ pub(super) fn sample(
 }
 
 /// Generates one sample for each of the first `count` held-out phrases, or training phrases if none
-/// are held out, and checks them. They are those that `kinegrad sample --phrase` generates with the
+/// are held out, and checks them. They are those that `kinegrad sample --item` generates with the
 /// same seed.
 fn for_held_out(
     subject: &Subject,
@@ -463,8 +463,8 @@ fn of_phrases(
         data.kind = DataKind::Phrases;
         data.source = Some(source.clone());
         if conditions.item.is_none() {
-            let hint = "name one with `--phrase ID`; `kinegrad data inspect URI` lists them";
-            return Err(Error::usage("`--source` without `--phrase`", hint));
+            let hint = "name one with `--item ID`; `kinegrad data inspect URI` lists them";
+            return Err(Error::usage("`--source` without `--item`", hint));
         }
     }
     let dataset = Dataset::<Phrase>::open_with_progress(&data, &*receiver.reading())?;

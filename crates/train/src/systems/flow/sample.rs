@@ -58,7 +58,7 @@ pub(super) fn sample(
             "--path",
         ],
         "a run of recipe `flow`",
-        "its conditions are a history, `--history MOTION.npy` or `--phrase ID`, and texts, `--text`, \
+        "its conditions are a history, `--history MOTION.npy` or `--item ID`, and texts, `--text`, \
          `--text-embedding FILE#KEY` or `--plan PLAN.toml`",
     )?;
     if request.post_processing.is_some() {
@@ -224,7 +224,7 @@ fn starts(
         ..
     } = &request.conditions;
     if let Some(path) = history {
-        let clip = [("--phrase", item.is_some()), ("--source", source.is_some())];
+        let clip = [("--item", item.is_some()), ("--source", source.is_some())];
         if let Some((other, _)) = clip.into_iter().find(|(_, given)| *given) {
             let hint = "both say what the motion goes on from: leave out one of the two";
             return Err(Error::usage(format!("`--history` with `{other}`"), hint));

@@ -51,7 +51,7 @@ pub(super) fn sample(
             "--plan",
         ],
         "a run on clips of joint features",
-        "its condition is a text: `--text`, `--text-embedding FILE#KEY`, or `--phrase ID` for a clip's \
+        "its condition is a text: `--text`, `--text-embedding FILE#KEY`, or `--item ID` for a clip's \
          caption",
     )?;
     if request.post_processing.is_some() {
