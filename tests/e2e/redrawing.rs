@@ -41,7 +41,7 @@ fn described(record: &Value) -> (Vec<String>, String) {
     for (key, option) in [
         ("item", "--item"),
         ("source", "--source"),
-        ("audio_features", "--cond"),
+        ("audio_features", "--audio-features"),
         ("trajectory", "--trajectory-run"),
         ("text", "--text"),
         ("clip", "--clip"),

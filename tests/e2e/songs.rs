@@ -122,7 +122,7 @@ fn what_fits_into_one_window_is_drawn_as_a_phrase() {
         .succeeded();
     sandbox
         .run(&format!(
-            "{draw} --cond features/cond/features.npz --out phrase"
+            "{draw} --audio-features features/cond/features.npz --out phrase"
         ))
         .succeeded();
     assert_eq!(motion(&sandbox, "song.npy"), motion(&sandbox, "phrase.npy"));

@@ -149,7 +149,7 @@ def test_samples_of_songs_and_their_features(command, phrases, song, tmp_path):
     assert features.tempo == pytest.approx(arrays["tempo"][0]) and features.seconds == 4.0
 
     (tmp_path / "npz").mkdir()
-    compare(command, phrases, tmp_path / "npz", ["--cond", written], audio_features=written)
+    compare(command, phrases, tmp_path / "npz", ["--audio-features", written], audio_features=written)
 
 
 def test_samples_of_clips(command, clips, runs, tmp_path):

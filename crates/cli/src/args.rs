@@ -129,7 +129,7 @@ Examples:
   kinegrad sample runs/phrases --audio song.mp3 --start 30 --frames 120 --out dance
   kinegrad sample runs/phrases --audio song.mp3 --start 33 --continue-from dance.npy --out more
   kinegrad sample runs/phrases --keep 0..30,90..120 --keep-from dance.npy --out between
-  kinegrad sample runs/phrases/checkpoints/step-00000750 --cond features.npz --out dance
+  kinegrad sample runs/phrases/checkpoints/step-00000750 --audio-features features.npz --out dance
   kinegrad sample runs/flow --history walk.npy --text \"a person walks\" --seconds 20 --out on
   kinegrad sample runs/bpe --plan plan.toml --path path.toml --method override --out walk")]
 pub struct SampleArguments {
@@ -147,14 +147,14 @@ pub struct SampleArguments {
     pub source: Option<String>,
     /// Phrase whose audio features are the condition; `*` matches any text, and each matching
     /// phrase is written to PATH-ID.npy
-    #[arg(long, value_name = "ID", conflicts_with = "cond")]
+    #[arg(long, value_name = "ID", conflicts_with = "audio_features")]
     pub item: Option<String>,
     /// Audio features to use as the condition
-    #[arg(long, value_name = "FEATURES.npz", conflicts_with = "source")]
-    pub cond: Option<PathBuf>,
+    #[arg(long, value_name = "FILE.npz", conflicts_with = "source")]
+    pub audio_features: Option<PathBuf>,
     /// Song (mp3, wav, flac, ogg) to use as the condition; features are computed over the whole
     /// song
-    #[arg(long, value_name = "SONG", conflicts_with_all = ["source", "item", "cond"])]
+    #[arg(long, value_name = "SONG", conflicts_with_all = ["source", "item", "audio_features"])]
     pub audio: Option<PathBuf>,
     /// Position in the song, in seconds, at which the motion starts
     #[arg(

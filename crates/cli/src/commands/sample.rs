@@ -70,7 +70,7 @@ fn draw(systems: Systems<'_>, arguments: SampleArguments) -> Result<ExitCode, Er
         conditions: Conditions {
             source: arguments.source,
             item: arguments.item,
-            audio_features: arguments.cond,
+            audio_features: arguments.audio_features,
             song: arguments.audio,
             start: arguments.start,
             beats: arguments.beats.known(),

@@ -131,7 +131,7 @@ impl Conditions {
         [
             ("--source", self.source.is_some()),
             ("--item", self.item.is_some()),
-            ("--cond", self.audio_features.is_some()),
+            ("--audio-features", self.audio_features.is_some()),
             ("--audio", self.song.is_some()),
             ("--goal", !self.goals.is_empty()),
             ("--trajectory-run", self.trajectory.is_some()),
@@ -221,9 +221,9 @@ impl Conditions {
 
 /// Conditions that exclude each other, with what they are conditions on.
 const CONTRADICTORY: [(&str, &str, &str); 11] = [
-    ("audio", "--cond", "--item"),
-    ("audio", "--cond", "--source"),
-    ("audio", "--audio", "--cond"),
+    ("audio", "--audio-features", "--item"),
+    ("audio", "--audio-features", "--source"),
+    ("audio", "--audio", "--audio-features"),
     ("audio", "--audio", "--item"),
     ("audio", "--audio", "--source"),
     ("text", "--text", "--text-embedding"),
@@ -268,7 +268,7 @@ mod tests {
             ),
             (
                 conditions(|c| c.audio_features = Some("a.npz".into())),
-                "`--audio` with `--cond`",
+                "`--audio` with `--audio-features`",
             ),
             (
                 conditions(|c| {
@@ -276,7 +276,7 @@ mod tests {
                     c.audio_features = Some("a.npz".into());
                     c.source = Some("phrases".into());
                 }),
-                "`--cond` with `--source`",
+                "`--audio-features` with `--source`",
             ),
             (
                 conditions(|c| {

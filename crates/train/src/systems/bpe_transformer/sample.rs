@@ -49,7 +49,7 @@ pub(super) fn sample(
     let conditions = &request.conditions;
     conditions.refuse(
         &[
-            "--cond",
+            "--audio-features",
             "--audio",
             "--goal",
             "--trajectory-run",

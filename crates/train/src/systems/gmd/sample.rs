@@ -42,7 +42,7 @@ pub(super) fn sample(
     let conditions = &request.conditions;
     conditions.refuse(
         &[
-            "--cond",
+            "--audio-features",
             "--audio",
             "--continue-from",
             "--keep",
