@@ -157,7 +157,7 @@ fn a_motion_goes_on_from_its_history_as_the_texts_say() {
         "[[step]]\nseconds = 0.5\ntext = \"{first}\"\n[[step]]\nseconds = 0.5\ntext = \"{second}\"\n"
     );
     sandbox.write("plan.toml", &plan);
-    draw("--history start.npy --plan plan.toml --out planned");
+    draw("--history start.npy --prompts plan.toml --out planned");
     draw("--history start.npy --frames 20 --text FIRST --out alone");
     let (planned, alone) = (
         values(&sandbox, "planned.npy"),
@@ -199,7 +199,7 @@ fn a_motion_goes_on_from_its_history_as_the_texts_say() {
     // A step may say nothing.
     let silent = format!("{plan}[[step]]\nseconds = 0.2\n");
     sandbox.write("silent.toml", &silent);
-    draw("--history start.npy --plan silent.toml --out quiet");
+    draw("--history start.npy --prompts silent.toml --out quiet");
     let quiet = values(&sandbox, "quiet.npy");
     assert_eq!(quiet.len(), 24 * 66);
 
@@ -259,17 +259,17 @@ fn a_motion_goes_on_from_its_history_as_the_texts_say() {
             ["`--history` with `--item`", ""],
         ),
         (
-            "--plan empty.toml",
+            "--prompts empty.toml",
             ["empty.toml: it has no step", "[[step]]"],
         ),
-        ("--plan odd.toml", ["step[0].seconds", "more than 0"]),
+        ("--prompts odd.toml", ["step[0].seconds", "more than 0"]),
         (
-            "--plan unknown.toml",
+            "--prompts unknown.toml",
             ["unknown.toml: step[0]", "nobody says this"],
         ),
         (
-            "--plan plan.toml --frames 3",
-            ["`--plan` with a length", ""],
+            "--prompts plan.toml --frames 3",
+            ["`--prompts` with a length", ""],
         ),
         ("--text nobody", ["`nobody` is no caption", ""]),
         ("--goal plan.toml", ["`--goal` with", "--history"]),

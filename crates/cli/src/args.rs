@@ -131,7 +131,7 @@ Examples:
   kinegrad sample runs/phrases --keep 0..30,90..120 --keep-from dance.npy --out between
   kinegrad sample runs/phrases/checkpoints/step-00000750 --audio-features features.npz --out dance
   kinegrad sample runs/flow --history walk.npy --text \"a person walks\" --seconds 20 --out on
-  kinegrad sample runs/bpe --plan plan.toml --path path.toml --method override --out walk")]
+  kinegrad sample runs/bpe --prompts plan.toml --path path.toml --method override --out walk")]
 pub struct SampleArguments {
     /// Folder of a run (its best checkpoint is used) or of a checkpoint
     #[arg(value_name = "RUN_OR_CHECKPOINT")]
@@ -191,11 +191,10 @@ pub struct SampleArguments {
     /// Texts one after another, each with its length, for runs of recipe `flow` or `bpe_motion`
     #[arg(
         long,
-        visible_alias = "compose",
-        value_name = "PLAN.toml",
+        value_name = "PROMPTS.toml",
         conflicts_with_all = ["text", "text_embedding"]
     )]
-    pub plan: Option<PathBuf>,
+    pub prompts: Option<PathBuf>,
     /// Path over the ground that the motion follows (.toml, .csv or .svg)
     #[arg(long, value_name = "FILE")]
     pub path: Option<PathBuf>,

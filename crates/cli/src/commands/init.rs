@@ -75,7 +75,7 @@ impl Template {
         match self.name {
             "prepare" | "bodies" => format!("kinegrad data prepare {path}"),
             "goal" => format!("kinegrad sample RUN --goal {path} --out walk"),
-            "compose" => format!("kinegrad sample RUN --plan {path} --out walk"),
+            "compose" => format!("kinegrad sample RUN --prompts {path} --out walk"),
             _ if file == Path::new(DEFAULT_CONFIG) => "kinegrad train".to_owned(),
             _ => format!("kinegrad train {path}"),
         }

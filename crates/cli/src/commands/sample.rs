@@ -80,7 +80,7 @@ fn draw(systems: Systems<'_>, arguments: SampleArguments) -> Result<ExitCode, Er
             clip: arguments.clip,
             text_embedding: arguments.text_embedding,
             history: arguments.history,
-            plan: arguments.plan,
+            plan: arguments.prompts,
             path: arguments.path.map(|file| PathFile {
                 file,
                 metres_per_unit: arguments.metres_per_unit,

@@ -59,7 +59,7 @@ pub(super) fn sample(
             "--history",
         ],
         "a run of recipe `bpe_motion`",
-        "its conditions are texts: `--text`, `--text-embedding FILE#KEY`, `--plan PLAN.toml` for several \
+        "its conditions are texts: `--text`, `--text-embedding FILE#KEY`, `--prompts PROMPTS.toml` for several \
          one after another, or `--item ID` for a clip's caption",
     )?;
     if request.post_processing.is_some() {
@@ -221,11 +221,11 @@ fn motions(
     if let Some(path) = &conditions.plan {
         if request.frames.is_some() {
             let hint = "the plan says how long the motion is: leave `--frames` or `--seconds` out";
-            return Err(Error::usage("`--plan` with a length", hint));
+            return Err(Error::usage("`--prompts` with a length", hint));
         }
         conditions.refuse(
             &["--item", "--source"],
-            "`--plan` and a run of recipe `bpe_motion`",
+            "`--prompts` and a run of recipe `bpe_motion`",
             "the plan says what the texts are: leave out one of the two",
         )?;
         let plan = TextPlan::read(path)?;

@@ -63,7 +63,7 @@ pub(super) fn sample(
             "--text",
             "--text-embedding",
             "--history",
-            "--plan",
+            "--prompts",
         ],
         "a run on phrases",
         "goals and texts are conditions of recipes `gmd_motion` and `gmd_trajectory`, histories and \

@@ -59,7 +59,7 @@ pub(super) fn sample(
         ],
         "a run of recipe `flow`",
         "its conditions are a history, `--history MOTION.npy` or `--item ID`, and texts, `--text`, \
-         `--text-embedding FILE#KEY` or `--plan PLAN.toml`",
+         `--text-embedding FILE#KEY` or `--prompts PROMPTS.toml`",
     )?;
     if request.post_processing.is_some() {
         return Err(Error::usage(
@@ -184,7 +184,7 @@ impl Script {
         };
         if request.frames.is_some() {
             let hint = "the plan says how long the motion is: leave `--frames` or `--seconds` out";
-            return Err(Error::usage("`--plan` with a length", hint));
+            return Err(Error::usage("`--prompts` with a length", hint));
         }
         let path = request
             .conditions

@@ -48,7 +48,7 @@ pub(super) fn sample(
             "--keep",
             "--style",
             "--history",
-            "--plan",
+            "--prompts",
         ],
         "a run on clips of joint features",
         "its condition is a text: `--text`, `--text-embedding FILE#KEY`, or `--item ID` for a clip's \
