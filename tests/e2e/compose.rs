@@ -163,7 +163,7 @@ fn compositions_are_evaluated_beside_real_clips() {
             "sample runs/bpe --text nothing --out x",
             "`nothing` is no caption that the run knows",
         ),
-        ("eval runs/bpe --listening", "`--listening` with"),
+        ("eval runs/bpe --audio-ablation", "`--audio-ablation` with"),
         (
             "sample runs/bpe --set evaluation.bpe_denoising_step=1001 --out x",
             "`evaluation.bpe_denoising_step` is 1001",

@@ -259,7 +259,7 @@ pub struct DrawArguments {
     /// Number of denoising steps [default: from the run's config]
     #[arg(long, value_name = "N")]
     pub steps: Option<usize>,
-    /// Classifier-free guidance scale; 1 disables guidance; `eval --listening` compares several,
+    /// Classifier-free guidance scale; 1 disables guidance; `eval --audio-ablation` compares several,
     /// with commas between them [default: from the run's config]
     #[arg(long, value_name = "SCALE", value_delimiter = ',')]
     pub guidance_scale: Vec<f64>,
@@ -372,7 +372,7 @@ pub struct CheckArguments {
 /// Writes eval.json and eval.csv, or eval-noise.json and eval-noise.csv with
 /// evaluation.cond=noise.
 ///
-/// With `--listening`, loss and samples with each phrase's own music are held against silence, its
+/// With `--audio-ablation`, loss and samples with each phrase's own music are held against silence, its
 /// frames shuffled, reversed and half a beat ahead, and another song's, with intervals; the reports
 /// are eval-listening.json and eval-listening.csv.
 ///
@@ -386,7 +386,7 @@ Examples:
   kinegrad eval runs/phrases
   kinegrad eval runs/one runs/two --set evaluation.seeds=4 --out comparison
   kinegrad eval runs/phrases --set evaluation.cond=noise --json
-  kinegrad eval runs/phrases --listening --guidance-scale 1,1.5,2,3,4
+  kinegrad eval runs/phrases --audio-ablation --guidance-scale 1,1.5,2,3,4
   kinegrad eval runs/gmd_motion --trajectory-run runs/gmd_trajectory --set evaluation.obstacles=2")]
 pub struct EvalArguments {
     /// Folders of runs (the best checkpoint of each is used) or of checkpoints
@@ -397,7 +397,7 @@ pub struct EvalArguments {
     pub trajectory_run: Option<PathBuf>,
     /// Measure whether the model hears when the beats of its music fall
     #[arg(long)]
-    pub listening: bool,
+    pub audio_ablation: bool,
     #[command(flatten)]
     pub draw: DrawArguments,
     /// Random seed of the noise

@@ -44,7 +44,7 @@ fn draw(systems: Systems<'_>, arguments: SampleArguments) -> Result<ExitCode, Er
     let scales = arguments.draw.guidance_scale.len();
     if scales > 1 {
         let message = format!("`--guidance-scale` names {scales} scales");
-        let hint = "give one; `kinegrad eval --listening` compares several";
+        let hint = "give one; `kinegrad eval --audio-ablation` compares several";
         return Err(Error::usage(message, hint));
     }
     let mut files = Files::new(&arguments.out, existing)?.locking_feet(arguments.lock_feet);

@@ -30,7 +30,7 @@ pub fn prepare<'a>(
     request: &EvaluationRequest,
 ) -> Result<Evaluate<'a>, Error> {
     request.refuse(
-        &["--listening"],
+        &["--audio-ablation"],
         &subject.checkpoint,
         "a run on clips",
         "only models of phrases hear music",
