@@ -44,7 +44,7 @@ fn described(record: &Value) -> (Vec<String>, String) {
         ("audio_features", "--audio-features"),
         ("trajectory", "--trajectory-run"),
         ("text", "--text"),
-        ("clip", "--clip"),
+        ("clip", "--text-encoder"),
         ("text_embedding", "--text-embedding"),
     ] {
         if let Some(value) = text(&condition[key]) {

@@ -173,13 +173,13 @@ pub struct SampleArguments {
     /// Run of recipe `gmd_trajectory` that generates the ground path in a first stage
     #[arg(long, value_name = "RUN")]
     pub trajectory_run: Option<PathBuf>,
-    /// Text to use as the condition, embedded with `--clip`; for runs with
+    /// Text to use as the condition, embedded with `--text-encoder`; for runs with
     /// `data.humanml3d.text = "labels"` one of the captions that they were trained on
     #[arg(long, value_name = "SENTENCE", conflicts_with = "text_embedding")]
     pub text: Option<String>,
     /// Folder with CLIP ViT-B/32, which embeds the text
     #[arg(long, value_name = "DIR", requires = "text")]
-    pub clip: Option<PathBuf>,
+    pub text_encoder: Option<PathBuf>,
     /// Text embedding to use as the condition: 512 values in tensor KEY of a safetensors file, or
     /// row N of it with KEY:N
     #[arg(long, value_name = "FILE#KEY")]

@@ -20,9 +20,9 @@ pub enum TextCommand {
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
-  kinegrad text embed --clip clip-vit-base-patch32 --dataset HumanML3D \\
+  kinegrad text embed --text-encoder clip-vit-base-patch32 --dataset HumanML3D \\
     --out HumanML3D/text_embeddings.safetensors
-  kinegrad text embed --clip clip-vit-base-patch32 \"a person walks in a circle\" --out text.safetensors")]
+  kinegrad text embed --text-encoder clip-vit-base-patch32 \"a person walks in a circle\" --out text.safetensors")]
 pub struct EmbedArguments {
     /// Sentences
     #[arg(value_name = "SENTENCE", required_unless_present_any = ["dataset", "file"])]
@@ -35,7 +35,7 @@ pub struct EmbedArguments {
     pub file: Option<PathBuf>,
     /// Folder with CLIP ViT-B/32
     #[arg(long, value_name = "DIR")]
-    pub clip: PathBuf,
+    pub text_encoder: PathBuf,
     /// File to write
     #[arg(long, value_name = "FILE.safetensors")]
     pub out: PathBuf,

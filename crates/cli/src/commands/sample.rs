@@ -77,7 +77,7 @@ fn draw(systems: Systems<'_>, arguments: SampleArguments) -> Result<ExitCode, Er
             goals: arguments.goal,
             trajectory: trajectory.transpose()?,
             text: arguments.text,
-            clip: arguments.clip,
+            clip: arguments.text_encoder,
             text_embedding: arguments.text_embedding,
             history: arguments.history,
             plan: arguments.prompts,

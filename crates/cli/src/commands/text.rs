@@ -25,7 +25,7 @@ pub fn embed(arguments: EmbedArguments) -> Result<ExitCode, Error> {
     must_be_new([out], &[], arguments.overwrite, "--out")?;
     let (named, texts) = texts(&arguments)?;
     let (device, _) = device::open(&arguments.device)?;
-    let encoder = TextEncoder::read(&arguments.clip, &device)?;
+    let encoder = TextEncoder::read(&arguments.text_encoder, &device)?;
     // Many captions occur several times.
     let mut distinct: Vec<&str> = texts.iter().map(String::as_str).collect();
     distinct.sort_unstable();

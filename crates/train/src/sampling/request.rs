@@ -136,7 +136,7 @@ impl Conditions {
             ("--goal", !self.goals.is_empty()),
             ("--trajectory-run", self.trajectory.is_some()),
             ("--text", self.text.is_some()),
-            ("--clip", self.clip.is_some()),
+            ("--text-encoder", self.clip.is_some()),
             ("--text-embedding", self.text_embedding.is_some()),
             ("--history", self.history.is_some()),
             ("--prompts", self.plan.is_some()),
@@ -192,7 +192,7 @@ impl Conditions {
         }
         if self.clip.is_some() && self.text.is_none() {
             return Err(Error::usage(
-                "`--clip` without `--text`",
+                "`--text-encoder` without `--text`",
                 "it embeds a text: pass `--text SENTENCE` too",
             ));
         }
