@@ -308,7 +308,7 @@ fn the_profile_says_how_a_sample_is_repaired() {
     let draw = "sample runs/smallest --steps 2";
     for (profile, hemisphere) in [
         ("default", Some("continuous")),
-        ("document", Some("positive_w")),
+        ("ccmotion", Some("positive_w")),
         ("none", None),
     ] {
         sandbox
@@ -329,6 +329,6 @@ fn the_profile_says_how_a_sample_is_repaired() {
         motion(&sandbox, "none.npy"),
         motion(&sandbox, "none.raw.npy")
     );
-    let document = motion(&sandbox, "document.npy");
-    assert!((0..document.frames()).all(|t| document.quaternion(t).w >= 0.0));
+    let literal = motion(&sandbox, "ccmotion.npy");
+    assert!((0..literal.frames()).all(|t| literal.quaternion(t).w >= 0.0));
 }

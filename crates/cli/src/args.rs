@@ -221,7 +221,7 @@ pub struct SampleArguments {
     /// Phrase that the frames of `--keep` are taken from
     #[arg(long, value_name = "MOTION.npy", requires = "keep")]
     pub keep_from: Option<PathBuf>,
-    /// Repairs of the generated phrase: `default`, `document` (CC-MotionGen's to the letter) or
+    /// Repairs of the generated phrase: `default`, `ccmotion` (CC-MotionGen's to the letter) or
     /// `none` [default: default]
     #[arg(long, value_name = "PROFILE", value_parser = named::<PostProcessProfile>)]
     pub postprocess: Option<PostProcessProfile>,
@@ -347,10 +347,10 @@ pub struct CheckArguments {
     /// `[T, 251]`, joint positions `[T, 22, 3]` or `[T, 21, 3]`, or ground paths `[T, 2]`
     #[arg(required = true, value_name = "PATH")]
     pub paths: Vec<PathBuf>,
-    /// Which checks to run: `document`, for phrases CC-MotionGen's five checks on means over all
+    /// Which checks to run: `ccmotion`, for phrases CC-MotionGen's five checks on means over all
     /// frames of the channels, or `strict`, with bounds from training motion, for phrases on every
     /// frame and on how positions and rotations move
-    #[arg(long, value_parser = named::<Profile>, default_value = "document")]
+    #[arg(long, value_parser = named::<Profile>, default_value = "ccmotion")]
     pub profile: Profile,
     /// Run or checkpoint whose training statistics `strict` uses
     #[arg(long, value_name = "RUN", conflicts_with = "source")]

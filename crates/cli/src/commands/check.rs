@@ -96,7 +96,7 @@ fn unusable(arguments: &CheckArguments, error: kinegrad_motion::Error) -> Error 
             let source = source.unwrap_or_else(|| "URI".to_owned());
             let hint = format!(
                 "measure the motion itself: `--source {source}` in place of `--run`, or use \
-                 `--profile document`"
+                 `--profile ccmotion`"
             );
             Error::usage(message, hint)
         }

@@ -24,7 +24,7 @@ struct Sample {
     seconds: f64,
     /// None where a position is not finite.
     scene: Option<Scene>,
-    document: Option<Report>,
+    ccmotion: Option<Report>,
     strict: Option<Report>,
 }
 
@@ -69,7 +69,7 @@ fn read(systems: Systems<'_>, run: &Run, path: &Path) -> Result<Sample, Error> {
     };
     Ok(Sample {
         seconds: array.frames as f64 / representation.fps(),
-        document: check(Profile::Document),
+        ccmotion: check(Profile::Document),
         strict: statistics.and_then(|_| check(Profile::Strict)),
         scene: figure.map(|figure| Scene {
             title: name.to_string(),
@@ -88,7 +88,7 @@ fn statistics<'a>(run: &'a Run, representation: &dyn Representation) -> Option<&
 
 /// Both verdicts on each sample, with the checks that fail.
 fn table(samples: &[Sample]) -> Table {
-    let header = ["sample", "length", "document", "strict", "fails"];
+    let header = ["sample", "length", "ccmotion", "strict", "fails"];
     let verdict = |report: &Option<Report>| match report {
         None => Cell::from("-"),
         Some(report) if report.passed => Cell::new("ok", Tone::Good),
@@ -98,9 +98,9 @@ fn table(samples: &[Sample]) -> Table {
         vec![
             Cell::from(sample.name.as_str()),
             Cell::from(format!("{:.1} s", sample.seconds)),
-            verdict(&sample.document),
+            verdict(&sample.ccmotion),
             verdict(&sample.strict),
-            Cell::from(failing([&sample.document, &sample.strict])),
+            Cell::from(failing([&sample.ccmotion, &sample.strict])),
         ]
     };
     Table {

@@ -200,7 +200,7 @@ fn for_held_out(
     let post_processing = PostProcessConfig::from(request.post_processing.unwrap_or_default());
     let generator = Generator::load(&subject.checkpoint, subject.weights, &subject.device)?
         .with_post_processing(post_processing);
-    let header = ["sample", "document", "strict", "fails"];
+    let header = ["sample", "ccmotion", "strict", "fails"];
     let mut rows = vec![header.map(String::from).to_vec()];
     let mut done_before = 0;
     // Phrases of one length form a batch, if they are not longer than training saw; each has the first sample that is drawn for its name.
