@@ -71,7 +71,7 @@ pub struct MatchArguments {
     #[arg(long, conflicts_with = "content")]
     pub sigma: Option<f64>,
     /// Steps of matching at each level [default: from the preset]
-    #[arg(long, alias = "steps", value_name = "N")]
+    #[arg(long, value_name = "N")]
     pub num_steps: Option<usize>,
     /// Lead the end of the motion into its beginning
     #[arg(long = "loop")]
