@@ -6,7 +6,7 @@ mod previews;
 mod samples;
 
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::ExitCode;
 
 use kinegrad_data::file::read_text;

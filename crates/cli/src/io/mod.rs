@@ -7,8 +7,8 @@ mod outputs;
 mod samples;
 
 pub use bvh::{
-    BvhReading, CENTIMETRES, Capture, as_bvh, bvh_file, bvh_text, guess_units, guess_up, is_bvh,
-    is_foot, read_bvh,
+    BvhReading, CENTIMETRES, as_bvh, bvh_file, bvh_text, guess_units, guess_up, is_bvh, is_foot,
+    read_bvh,
 };
 pub use find::{files_in, is_companion, motion_files, with_raw};
 pub use motion::{Motion, MotionArray, not_finite};
