@@ -11,7 +11,7 @@ use kinegrad_train::Reading;
 
 use crate::output;
 
-/// Time between lines of a count where there is no terminal.
+/// Time between lines of a count without a terminal.
 const LINE_INTERVAL: Duration = Duration::from_secs(20);
 
 /// Seconds as `1h02m`, `3m20s` or `5s`.
@@ -24,8 +24,8 @@ pub fn duration(seconds: f64) -> String {
     }
 }
 
-/// A flag that Ctrl-C sets, saying `message`, once something is `under_way`; a second Ctrl-C, or
-/// one before, ends the process.
+/// A flag that Ctrl-C sets, printing `message`, while `under_way` is set; a second Ctrl-C, or one
+/// before, ends the process.
 pub fn stop_on_ctrl_c(message: &'static str, under_way: Arc<AtomicBool>) -> Arc<AtomicBool> {
     let stop = Arc::new(AtomicBool::new(false));
     let flag = stop.clone();
@@ -35,17 +35,17 @@ pub fn stop_on_ctrl_c(message: &'static str, under_way: Arc<AtomicBool>) -> Arc<
         }
         tell!("\n{message}; again to stop at once");
     };
-    // Fails only if a handler is set already; then that one decides.
+    // Fails only if there is a handler already.
     let _ = ctrlc::set_handler(handler);
     stop
 }
 
-/// Counts things done: a bar on a terminal, a line now and then elsewhere.
+/// A count: a bar on a terminal, a line every 20 seconds elsewhere.
 pub struct Count {
     bar: ProgressBar,
     what: &'static str,
-    /// When the last line was written.
-    told: Mutex<Instant>,
+    /// Time of the last line.
+    printed: Mutex<Instant>,
 }
 
 impl Count {
@@ -55,27 +55,27 @@ impl Count {
         Self {
             bar: bar(&template),
             what,
-            told: Mutex::new(Instant::now()),
+            printed: Mutex::new(Instant::now()),
         }
     }
 
-    /// So many of so many are done.
+    /// Shows `done` of `total`.
     pub fn show(&self, done: usize, total: usize) {
         self.bar.set_length(total as u64);
         self.bar.set_position(done as u64);
         if done == total {
             self.bar.finish_and_clear();
         } else if self.bar.is_hidden()
-            && let Ok(mut told) = self.told.try_lock()
-            && told.elapsed() >= LINE_INTERVAL
+            && let Ok(mut printed) = self.printed.try_lock()
+            && printed.elapsed() >= LINE_INTERVAL
         {
-            *told = Instant::now();
+            *printed = Instant::now();
             tell!("{} of {} {}", grouped(done), grouped(total), self.what);
         }
     }
 }
 
-/// What shows how many phrases or clips of a dataset have been read, until a `stop` is asked for.
+/// Shows the number of items read, until `stop` is set.
 pub fn reading(stop: Arc<AtomicBool>) -> Box<Reading> {
     let count = Count::new("phrases read");
     Box::new(move |read, total| {
@@ -87,35 +87,34 @@ pub fn reading(stop: Arc<AtomicBool>) -> Box<Reading> {
     })
 }
 
-/// A bar for the drawing of samples. Shows nothing where standard error is no terminal.
+/// A bar of denoising steps, if standard error is a terminal.
 pub struct Denoising(ProgressBar);
 
 impl Denoising {
-    /// Shows nothing yet; `run` stands before the bar, where several are drawn from.
+    /// Shows nothing yet; `run` is printed before the bar.
     pub fn of(run: &str) -> Self {
         let template = "{prefix}{msg}{bar:24} {pos}/{len} denoising steps  {elapsed}<{eta}";
         Self(bar(template).with_prefix(spaced(run)))
     }
 
-    /// So many of so many steps are done, of a stage if there are several.
+    /// Shows `done` of `all` steps of a stage.
     pub fn show(&self, stage: &str, done: usize, all: usize) {
         self.0.set_message(spaced(stage));
         self.0.set_length(all as u64);
         self.0.set_position(done as u64);
     }
 
-    /// Takes the bar away.
+    /// Removes the bar.
     pub fn finish(self) {
         self.0.finish_and_clear();
     }
 }
 
-/// A word with room behind it, or nothing.
+/// A word with spaces behind it, or nothing.
 fn spaced(word: &str) -> String {
-    if word.is_empty() {
-        String::new()
-    } else {
-        format!("{word}  ")
+    match word {
+        "" => String::new(),
+        word => format!("{word}  "),
     }
 }
 

@@ -25,7 +25,7 @@ use crate::output::unusable;
 use body::figure as body;
 pub use music::{Music, song};
 
-/// Most figures of a scene: more can neither be told apart nor drawn in time.
+/// Largest number of figures in a scene.
 const MOST_FIGURES: usize = 16;
 
 /// What motion files do not say themselves, and what is shown with them.
@@ -44,7 +44,7 @@ pub struct Reading {
 }
 
 impl Reading {
-    /// As options say.
+    /// Those of the options.
     pub fn of(arguments: &ReadingArguments) -> Self {
         Self {
             bvh: BvhReading {
@@ -81,7 +81,7 @@ pub fn motions(paths: &[PathBuf], raw: bool) -> Result<Vec<PathBuf>, Error> {
     Ok(files)
 }
 
-/// Says for which motions there is no raw model output.
+/// Warns of motions without raw model output.
 fn warn_of_no_raw(files: &[PathBuf]) {
     let is_raw = |file: &Path| file.to_string_lossy().ends_with(".raw.npy");
     let without = files
@@ -103,11 +103,10 @@ fn warn_of_no_raw(files: &[PathBuf]) {
     );
 }
 
-/// The scene of these `motions`, one figure each.
+/// The scene of `motions`, one figure each.
 ///
 /// # Errors
-/// For the first file that cannot be shown, a goal that cannot be read or a song that cannot be
-/// decoded.
+/// If a motion, the goal or the song cannot be read.
 pub fn read(systems: Systems<'_>, motions: &[PathBuf], reading: &Reading) -> Result<Scene, Error> {
     let figures = motions.iter().zip(names(motions));
     let figures = figures
@@ -128,8 +127,8 @@ pub fn read(systems: Systems<'_>, motions: &[PathBuf], reading: &Reading) -> Res
     })
 }
 
-/// A name for each file: its stem, that of its folder for the `ID/trajectory.npy` of datasets, and
-/// both where names are alike.
+/// A name for each file: its stem, the folder of `ID/trajectory.npy` in datasets, or both if names
+/// are alike.
 fn names(paths: &[PathBuf]) -> Vec<String> {
     let stem = |path: &Path| {
         let stem = path.file_stem().unwrap_or_default();
@@ -148,7 +147,7 @@ fn names(paths: &[PathBuf]) -> Vec<String> {
     paths.iter().map(name).collect()
 }
 
-/// The figure in a file, with its origins where they are known; an error if it cannot be shown.
+/// The figure in a file, with the source frames of a matched motion.
 fn figure(
     systems: Systems<'_>,
     path: &Path,
@@ -218,7 +217,7 @@ pub fn as_bvh(
     bvh_file(out, &joints, &skeleton, lock_feet)
 }
 
-/// The figure of finite rows of a representation; none if a position is not finite.
+/// The figure of rows of a representation; none if a position is not finite.
 pub fn of(representation: &dyn Representation, rows: &[f32], name: String) -> Option<Figure> {
     let joints = representation.joints(rows)?;
     let fps = representation.fps();
@@ -264,7 +263,7 @@ pub fn curve_panels(figure: &Figure) -> impl Iterator<Item = Panel> {
     })
 }
 
-/// Unit quaternions of phrases; where there is none, that of the frame before.
+/// Unit quaternions of phrases; a zero quaternion takes that of the frame before.
 fn orientations(rows: &[f32]) -> Vec<[f32; 4]> {
     let mut last = [1.0, 0.0, 0.0, 0.0];
     let frames = rows.chunks_exact(CHANNELS).map(|frame| {
@@ -292,7 +291,7 @@ fn points(places: &Joints, name: String, fps: f64) -> Result<Figure, Error> {
     Ok(body(name, fps, places, joint_names, parents, Some(&[])))
 }
 
-/// What a goal has on the floor.
+/// A goal on the floor.
 pub fn floor(goal: &Goal) -> Floor {
     let single = |place: [f64; 2]| place.map(|value| value as f32);
     let path = goal.trajectory.iter().flat_map(|path| &path.points);

@@ -12,29 +12,27 @@ use kinegrad_train::{Error, Observer, Preview, Reading, RunSummary, StepReport};
 use crate::progress::{bar, duration, reading, stop_on_ctrl_c};
 use crate::{output, preview};
 
-/// Share of the old value in the smoothed loss.
+/// Weight of the old value in the smoothed loss.
 const SMOOTHING: f64 = 0.98;
 
-/// Lines of progress that a whole training prints where there is no terminal.
+/// Lines of progress of a whole training without a terminal.
 const LINES: u64 = 20;
 
 /// Shows a training on standard error.
 pub struct TrainProgress<'a> {
-    /// What previews are drawn with.
     systems: Systems<'a>,
-    /// Hidden where standard error is no terminal.
+    /// Hidden if standard error is no terminal.
     bar: ProgressBar,
     smoothed: Option<f64>,
     started: Instant,
     steps_here: u64,
     stop: Arc<AtomicBool>,
-    /// Whether there is anything yet that a checkpoint would save.
+    /// There is something that a checkpoint would save.
     trains: Arc<AtomicBool>,
 }
 
 impl<'a> TrainProgress<'a> {
-    /// Shows nothing yet. Ctrl-C ends the process, once the training has begun it asks for a stop,
-    /// and a second one ends the process.
+    /// Shows nothing yet. Ctrl-C ends the process; during training the first one requests a stop.
     pub fn new(systems: Systems<'a>) -> Self {
         let trains = Arc::new(AtomicBool::new(false));
         let message = "stopping after this step and writing a checkpoint";
@@ -50,18 +48,17 @@ impl<'a> TrainProgress<'a> {
         }
     }
 
-    /// A line that stays, above the bar.
+    /// Prints a line above the bar.
     pub fn line(&self, text: &str) {
         self.bar.suspend(|| tell!("{text}"));
     }
 
-    /// Takes the bar away.
+    /// Removes the bar.
     pub fn finish(&self) {
         self.bar.finish_and_clear();
     }
 
-    /// Says that nothing is left that a checkpoint would save: Ctrl-C ends the process from now on.
-    /// Whether it has asked for a stop already.
+    /// Makes Ctrl-C end the process from now on. True if a stop was requested before.
     pub fn end_training(&self) -> bool {
         self.trains.store(false, Ordering::SeqCst);
         self.stop_requested()
