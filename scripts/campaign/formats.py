@@ -192,7 +192,7 @@ class Formats:
         ]
         yield Format("motion npy", "motion.npy", motions, mutated, commands)
         features = [seeds.features(24, False), seeds.features(24, True)]
-        command = ["sample", RUN, "--cond", "cond.npz", *ONE_STEP]
+        command = ["sample", RUN, "--audio-features", "cond.npz", *ONE_STEP]
         yield Format("features npz", "cond.npz", features, mutated_archive, [command])
 
     def weights(self) -> Iterator[Format]:

@@ -65,7 +65,7 @@ fn the_order_of_the_music_matters_to_samples_of_aligned_runs_alone() {
         for cond in ["own", "reversed", "rolled"] {
             sandbox
                 .run(&format!(
-                    "sample runs/{run} --cond {cond}.npz --steps 3 --seed 5 --out {run}-{cond} -q"
+                    "sample runs/{run} --audio-features {cond}.npz --steps 3 --seed 5 --out {run}-{cond} -q"
                 ))
                 .succeeded();
         }

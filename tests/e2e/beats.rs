@@ -269,7 +269,7 @@ fn models_hear_beats_and_refuse_what_has_none() {
     assert!(heard.channel(167).iter().all(|known| *known == 1.0));
     sandbox
         .run(&format!(
-            "sample runs/hears --cond features/song/features.npz --out cond {draw}"
+            "sample runs/hears --audio-features features/song/features.npz --out cond {draw}"
         ))
         .succeeded();
     sandbox
@@ -277,7 +277,7 @@ fn models_hear_beats_and_refuse_what_has_none() {
         .succeeded();
     sandbox
         .run(&format!(
-            "sample runs/hears --cond plain_features/song/features.npz --out x {draw}"
+            "sample runs/hears --audio-features plain_features/song/features.npz --out x {draw}"
         ))
         .failed(
             2,

@@ -88,7 +88,7 @@ fn a_model_learns_the_captions_of_its_clips_and_is_asked_for_one() {
     assert_eq!(table.shape(), [3, 512]);
 
     let id = ids(&sandbox.path("walks"), "train.txt")[2].clone();
-    let of_clip = drawn(&sandbox, &format!("--phrase {id} --frames 16"));
+    let of_clip = drawn(&sandbox, &format!("--item {id} --frames 16"));
     assert!(of_clip != drawn(&sandbox, ""));
     // A sample needs no dataset.
     fs::remove_dir_all(sandbox.path("walks")).expect("a folder");

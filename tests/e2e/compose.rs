@@ -86,7 +86,7 @@ fn a_plan_is_drawn_as_one_motion_and_its_texts_matter() {
     let known = captions(&sandbox);
     let draw = |name: &str, steps: &[(f64, &str)]| {
         sandbox.write(&format!("{name}.toml"), plan(steps));
-        let line = format!("sample runs/bpe --plan {name}.toml --seed 5 --out {name}");
+        let line = format!("sample runs/bpe --prompts {name}.toml --seed 5 --out {name}");
         sandbox.run(&line).succeeded();
         let array = read_array(&sandbox.path(format!("{name}.features.npy"))).expect("features");
         assert_eq!(array.shape[1], 263);
@@ -115,7 +115,7 @@ fn a_plan_is_drawn_as_one_motion_and_its_texts_matter() {
         change(70, 90)
     );
     // All positions absolute: segments do not see each other.
-    let line = "sample runs/bpe --seed 5 --set evaluation.bpe_denoising_step=-1 --plan";
+    let line = "sample runs/bpe --seed 5 --set evaluation.bpe_denoising_step=-1 --prompts";
     for name in ["first", "other"] {
         let line = format!("{line} {name}.toml --out apart-{name}");
         sandbox.run(&line).succeeded();
@@ -163,7 +163,7 @@ fn compositions_are_evaluated_beside_real_clips() {
             "sample runs/bpe --text nothing --out x",
             "`nothing` is no caption that the run knows",
         ),
-        ("eval runs/bpe --listening", "`--listening` with"),
+        ("eval runs/bpe --audio-ablation", "`--audio-ablation` with"),
         (
             "sample runs/bpe --set evaluation.bpe_denoising_step=1001 --out x",
             "`evaluation.bpe_denoising_step` is 1001",
@@ -172,7 +172,7 @@ fn compositions_are_evaluated_beside_real_clips() {
         sandbox.run(line).failed(2, &[expected]);
     }
     sandbox.write("long.toml", plan(&[(1.0, "nothing"), (1.0, "nothing")]));
-    let line = "sample runs/bpe --plan long.toml --out x";
+    let line = "sample runs/bpe --prompts long.toml --out x";
     sandbox
         .run(line)
         .failed(2, &["long.toml: step[0]: `nothing` is no caption"]);

@@ -158,7 +158,7 @@ fn sample_draws_what_eval_measures_with_another_noise_for_each_phrase() {
     let evaluation = &evaluations(&finished.succeeded().stdout)[0];
     sandbox
         .run(&format!(
-            "sample runs/smallest --phrase *_000* --out s/d {settings}"
+            "sample runs/smallest --item *_000* --out s/d {settings}"
         ))
         .succeeded();
     let state = sandbox.list("runs/smallest/checkpoints");

@@ -99,7 +99,7 @@ fn a_motion_goes_on_from_its_history_as_the_texts_say() {
     let [first, second] = [&captions[0], &captions[1]];
     let draw = |arguments: &str| said(&sandbox, arguments, &captions).succeeded();
     // From a clip of the dataset, for two seconds: 40 frames.
-    draw("--phrase walk_00003 --seconds 2 --out start");
+    draw("--item walk_00003 --seconds 2 --out start");
     let array = read_array(&sandbox.path("start.npy")).expect("an array");
     assert_eq!(array.shape, [40, 22, 3]);
     assert!(array.values.iter().all(|value| value.is_finite()));
@@ -138,7 +138,7 @@ fn a_motion_goes_on_from_its_history_as_the_texts_say() {
         assert_ne!(on(other), same, "{other} changes nothing");
     }
     // Another history: another motion, not only elsewhere.
-    draw("--phrase walk_00005 --seconds 2 --out start");
+    draw("--item walk_00005 --seconds 2 --out start");
     let other = on("--text FIRST");
     let about_root = |values: &[f32]| -> Vec<f32> {
         let frames = values.chunks_exact(66);
@@ -157,7 +157,7 @@ fn a_motion_goes_on_from_its_history_as_the_texts_say() {
         "[[step]]\nseconds = 0.5\ntext = \"{first}\"\n[[step]]\nseconds = 0.5\ntext = \"{second}\"\n"
     );
     sandbox.write("plan.toml", &plan);
-    draw("--history start.npy --plan plan.toml --out planned");
+    draw("--history start.npy --prompts plan.toml --out planned");
     draw("--history start.npy --frames 20 --text FIRST --out alone");
     let (planned, alone) = (
         values(&sandbox, "planned.npy"),
@@ -199,7 +199,7 @@ fn a_motion_goes_on_from_its_history_as_the_texts_say() {
     // A step may say nothing.
     let silent = format!("{plan}[[step]]\nseconds = 0.2\n");
     sandbox.write("silent.toml", &silent);
-    draw("--history start.npy --plan silent.toml --out quiet");
+    draw("--history start.npy --prompts silent.toml --out quiet");
     let quiet = values(&sandbox, "quiet.npy");
     assert_eq!(quiet.len(), 24 * 66);
 
@@ -255,21 +255,21 @@ fn a_motion_goes_on_from_its_history_as_the_texts_say() {
         ),
         ("--history nowhere.npy", ["nowhere.npy", ""]),
         (
-            "--history start.npy --phrase walk_00003",
-            ["`--history` with `--phrase`", ""],
+            "--history start.npy --item walk_00003",
+            ["`--history` with `--item`", ""],
         ),
         (
-            "--plan empty.toml",
+            "--prompts empty.toml",
             ["empty.toml: it has no step", "[[step]]"],
         ),
-        ("--plan odd.toml", ["step[0].seconds", "more than 0"]),
+        ("--prompts odd.toml", ["step[0].seconds", "more than 0"]),
         (
-            "--plan unknown.toml",
+            "--prompts unknown.toml",
             ["unknown.toml: step[0]", "nobody says this"],
         ),
         (
-            "--plan plan.toml --frames 3",
-            ["`--plan` with a length", ""],
+            "--prompts plan.toml --frames 3",
+            ["`--prompts` with a length", ""],
         ),
         ("--text nobody", ["`nobody` is no caption", ""]),
         ("--goal plan.toml", ["`--goal` with", "--history"]),

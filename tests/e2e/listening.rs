@@ -1,4 +1,4 @@
-//! `kinegrad eval --listening`: what is printed and written, what models can hear, what is refused.
+//! `kinegrad eval --audio-ablation`: what is printed and written, what models can hear, what is refused.
 
 use std::fs;
 
@@ -67,7 +67,7 @@ fn a_network_that_tracks_beats_is_measured_by_its_tracker_too() {
         "--set model.audio_conditioning=aligned --set model.beats=tracked \
          --set data.audio_features=[\"document\",\"beats\"]",
     );
-    let line = "eval runs/told runs/tracking --listening --steps 2 --out both";
+    let line = "eval runs/told runs/tracking --audio-ablation --steps 2 --out both";
     let finished = sandbox.run(line).succeeded();
     let title = "beat-phase error of the network's tracker, beats";
     assert!(finished.stdout.contains(title), "{}", finished.stdout);
@@ -93,7 +93,7 @@ fn document_models_hear_a_set_of_frames_and_aligned_ones_their_order() {
         "ordered",
         "--set model.audio_conditioning=aligned --set data.audio_features=[\"document\",\"beats\"]",
     );
-    let line = "eval runs/set runs/ordered --listening --steps 3 --out both \
+    let line = "eval runs/set runs/ordered --audio-ablation --steps 3 --out both \
                 --guidance-scale 1,2.5";
     let finished = sandbox.run(line).succeeded();
     for text in [
@@ -213,7 +213,7 @@ fn document_models_hear_a_set_of_frames_and_aligned_ones_their_order() {
 fn the_same_seed_measures_the_same() {
     let sandbox = sandbox();
     train(&sandbox, "smallest", "--set train.max_steps=4");
-    let line = "eval runs/smallest --listening --json --steps 2 --set evaluation.seeds=1";
+    let line = "eval runs/smallest --audio-ablation --json --steps 2 --set evaluation.seeds=1";
     let first = sandbox.run(line).succeeded().stdout;
     assert_eq!(sandbox.run(line).succeeded().stdout, first);
     let reports = "runs/smallest/reports";
@@ -286,7 +286,7 @@ fn phrases_are_grouped_by_song_and_those_without_beats_left_out() {
             "train c.toml --name two {of_set} --set data.validation.patterns=[\"a_*\",\"b_*\"]"
         ))
         .succeeded();
-    let line = "eval runs/two --listening --steps 2 --set evaluation.seeds=1 \
+    let line = "eval runs/two --audio-ablation --steps 2 --set evaluation.seeds=1 \
                 --set evaluation.beats_per_bar=5";
     let finished = sandbox.run(line).succeeded();
     let told = "1 of 5 held-out phrases have no beats and are left out";
@@ -325,7 +325,7 @@ fn phrases_are_grouped_by_song_and_those_without_beats_left_out() {
         ))
         .succeeded();
     let finished = sandbox
-        .run("eval runs/one --listening --steps 2 --set evaluation.seeds=1")
+        .run("eval runs/one --audio-ablation --steps 2 --set evaluation.seeds=1")
         .succeeded();
     let told = "the intervals say nothing of other songs";
     assert!(finished.stdout.contains(told), "{}", finished.stdout);
@@ -338,15 +338,17 @@ fn phrases_are_grouped_by_song_and_those_without_beats_left_out() {
             "train c.toml --name none {of_set} --set data.validation.patterns=[\"b_00040\"]"
         ))
         .succeeded();
-    sandbox.run("eval runs/none --listening --steps 2").failed(
-        2,
-        &[
-            "none of the 1 held-out phrases",
-            "runs/none",
-            "beat",
-            "hint:",
-        ],
-    );
+    sandbox
+        .run("eval runs/none --audio-ablation --steps 2")
+        .failed(
+            2,
+            &[
+                "none of the 1 held-out phrases",
+                "runs/none",
+                "beat",
+                "hint:",
+            ],
+        );
     assert!(!sandbox.path("runs/none/reports").exists());
 }
 
@@ -369,7 +371,7 @@ fn bad_input_is_refused_before_anything_is_written() {
         }
     };
     refused(
-        "eval runs/all --listening",
+        "eval runs/all --audio-ablation",
         &[
             "no phrase is held out",
             "runs/all",
@@ -378,35 +380,35 @@ fn bad_input_is_refused_before_anything_is_written() {
         ],
     );
     refused(
-        "eval runs/walks --listening",
-        &["--listening", "runs/walks", "a run on clips", "hint:"],
+        "eval runs/walks --audio-ablation",
+        &["--audio-ablation", "runs/walks", "a run on clips", "hint:"],
     );
     refused(
-        "eval runs/smallest --listening --set evaluation.cond=noise",
-        &["--listening", "evaluation.cond", "noise", "hint:"],
+        "eval runs/smallest --audio-ablation --set evaluation.cond=noise",
+        &["--audio-ablation", "evaluation.cond", "noise", "hint:"],
     );
     refused(
         "eval runs/smallest --guidance-scale 1,2,3",
-        &["`--guidance-scale` names 3 scales", "--listening"],
+        &["`--guidance-scale` names 3 scales", "--audio-ablation"],
     );
     refused(
         "sample runs/smallest --out s --guidance-scale 1,2",
-        &["`--guidance-scale` names 2 scales", "eval --listening"],
+        &["`--guidance-scale` names 2 scales", "eval --audio-ablation"],
     );
     refused(
-        "eval runs/smallest --listening --guidance-scale 1,two",
+        "eval runs/smallest --audio-ablation --guidance-scale 1,two",
         &["two", "a number"],
     );
     refused(
-        "eval runs/smallest --listening --guidance-scale 1,-2",
+        "eval runs/smallest --audio-ablation --guidance-scale 1,-2",
         &["evaluation.guidance_scales", "-2"],
     );
     refused(
-        "eval runs/smallest --listening --set evaluation.beats_per_bar=0",
+        "eval runs/smallest --audio-ablation --set evaluation.beats_per_bar=0",
         &["evaluation.beats_per_bar", "0", "hint:"],
     );
     refused(
-        "eval runs/walks --listening --guidance-scale 1,2",
+        "eval runs/walks --audio-ablation --guidance-scale 1,2",
         &["evaluation.guidance_scales"],
     );
 }

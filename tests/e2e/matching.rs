@@ -257,7 +257,7 @@ fn what_cannot_be_matched_is_refused_and_leaves_nothing() {
         ("none.bvh", &["none.bvh cannot be read"][..]),
         ("dance.c3d", &["dance.c3d is no .bvh or .npy file"]),
         ("none.npy", &["none.npy"]),
-        ("phrase.npy", &["phrase.npy", "has no joints"]),
+        ("phrase.npy", &["phrase.npy", "has no body"]),
         ("odd.npy", &["odd.npy: an array of shape [40, 7]"]),
         ("gap.npy", &["gap.npy: a position is not finite"]),
         ("clip.npy short.npy", &["short.npy: frames: 1 at 20"]),
@@ -349,14 +349,11 @@ fn what_cannot_be_matched_is_refused_and_leaves_nothing() {
             "new.npy",
             &["is to be a clip of joint features, and dance.bvh is none"],
         ),
-        ("dance.bvh", &["dance.bvh is an example itself"]),
-        (
-            "./dance.bvh --overwrite",
-            &["./dance.bvh is an example itself"],
-        ),
+        ("dance.bvh", &["dance.bvh is read itself"]),
+        ("./dance.bvh --overwrite", &["./dance.bvh is read itself"]),
         (
             "one.bvh --overwrite --keyframes from.toml",
-            &["one.bvh has a pose of the key frames"],
+            &["one.bvh is read itself"],
         ),
         (
             "new.bvh --svg from.svg --parts from.svg --overwrite",

@@ -58,7 +58,7 @@ fn a_record_says_how_a_sample_was_made_and_makes_it_again() {
     assert_eq!(record["post_processing"]["normalize_quaternions"], true);
     // What it says draws the same again.
     let again = format!(
-        "sample {} --phrase {phrase} --out again --steps 3 --seed 7 --guidance-scale 1.5 -q",
+        "sample {} --item {phrase} --out again --steps 3 --seed 7 --guidance-scale 1.5 -q",
         record["checkpoint"].as_str().expect("a path")
     );
     let again = sandbox.run(&again).succeeded();
@@ -77,7 +77,7 @@ fn a_record_says_how_a_sample_was_made_and_makes_it_again() {
         assert_eq!(record["condition"]["item"], stem);
         assert_eq!(record["index"], 0);
         let again = format!(
-            "sample {} --phrase {stem} --out again-{stem} --steps {} --seed {}",
+            "sample {} --item {stem} --out again-{stem} --steps {} --seed {}",
             record["checkpoint"].as_str().expect("a path"),
             record["sampler"]["num_inference_steps"],
             record["seed"],

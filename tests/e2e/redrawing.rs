@@ -39,12 +39,12 @@ fn described(record: &Value) -> (Vec<String>, String) {
     let mut give = |option: &str, value: String| arguments.extend([option.into(), value]);
     let condition = &record["condition"];
     for (key, option) in [
-        ("item", "--phrase"),
+        ("item", "--item"),
         ("source", "--source"),
-        ("audio_features", "--cond"),
+        ("audio_features", "--audio-features"),
         ("trajectory", "--trajectory-run"),
         ("text", "--text"),
-        ("clip", "--clip"),
+        ("clip", "--text-encoder"),
         ("text_embedding", "--text-embedding"),
     ] {
         if let Some(value) = text(&condition[key]) {
@@ -136,8 +136,8 @@ fn phrases_are_drawn_again_from_their_records() {
     assert!(at_end.iter().all(|record| record["seed"] == 9));
     for draw in [
         "--out drawn/one --seed 4 --steps 3",
-        "--out drawn/some --phrase synthetic_0000* --count 2 --frames 21 --no-ema",
-        "--out drawn/others --phrase synthetic_0001* --frames 30 --guidance-scale 1.5 \
+        "--out drawn/some --item synthetic_0000* --count 2 --frames 21 --no-ema",
+        "--out drawn/others --item synthetic_0001* --frames 30 --guidance-scale 1.5 \
          --set sampling.clip=six --set sampling.sampler.kind=ddpm",
     ] {
         sandbox
@@ -175,7 +175,7 @@ fn clips_are_drawn_again_from_their_records() {
         format!(
             "--out drawn/told --text-embedding walks/text_embeddings.safetensors#{clip} --count 2"
         ),
-        format!("--out drawn/some --source walks --phrase {ten} --count 2 --frames 13"),
+        format!("--out drawn/some --source walks --item {ten} --count 2 --frames 13"),
         "--out drawn/led --goal a.toml --goal b.toml --count 2 --steps 5".to_string(),
         "--out drawn/staged --goal b.toml --trajectory-run runs/gmd_trajectory --seed 3"
             .to_string(),
@@ -197,11 +197,11 @@ fn clips_are_drawn_again_from_their_records() {
         record["condition"]["goal_sha256"] == digest.to_string()
     }));
     sandbox
-        .run("sample runs/gmd_motion --phrase nobody --out x")
+        .run("sample runs/gmd_motion --item nobody --out x")
         .failed(2, &["the dataset has no clip `nobody`"]);
     sandbox
         .run(&format!(
-            "sample runs/gmd_motion --phrase {clip} --goal a.toml --out x"
+            "sample runs/gmd_motion --item {clip} --goal a.toml --out x"
         ))
-        .failed(2, &["`--goal` with `--phrase`"]);
+        .failed(2, &["`--goal` with `--item`"]);
 }

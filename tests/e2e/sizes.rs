@@ -187,7 +187,7 @@ fn pipes_devices_and_endless_files_are_not_read() {
             "data prepare in.toml --out set",
             "sample runs/w --goal in.toml --out d",
             "sample runs/w --text-embedding in.pt#key --out d",
-            "sample runs/r --cond in.npz --out d",
+            "sample runs/r --audio-features in.npz --out d",
             "check in.npy",
             "plot in.npy --out p.svg",
             "train c.toml --name x --set data.validation.ids_file=in.toml",

@@ -122,7 +122,7 @@ fn what_fits_into_one_window_is_drawn_as_a_phrase() {
         .succeeded();
     sandbox
         .run(&format!(
-            "{draw} --cond features/cond/features.npz --out phrase"
+            "{draw} --audio-features features/cond/features.npz --out phrase"
         ))
         .succeeded();
     assert_eq!(motion(&sandbox, "song.npy"), motion(&sandbox, "phrase.npy"));
@@ -309,7 +309,7 @@ fn the_profile_says_how_a_sample_is_repaired() {
     let draw = "sample runs/smallest --steps 2";
     for (profile, hemisphere) in [
         ("default", Some("continuous")),
-        ("document", Some("positive_w")),
+        ("ccmotion", Some("positive_w")),
         ("none", None),
     ] {
         sandbox
@@ -330,6 +330,6 @@ fn the_profile_says_how_a_sample_is_repaired() {
         motion(&sandbox, "none.npy"),
         motion(&sandbox, "none.raw.npy")
     );
-    let document = motion(&sandbox, "document.npy");
-    assert!((0..document.frames()).all(|t| document.quaternion(t).w >= 0.0));
+    let literal = motion(&sandbox, "ccmotion.npy");
+    assert!((0..literal.frames()).all(|t| literal.quaternion(t).w >= 0.0));
 }

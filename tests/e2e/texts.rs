@@ -51,7 +51,7 @@ const JUMP: &str = "someone is jumping";
 #[test]
 fn sentences_become_rows() {
     let sandbox = sandbox();
-    let embed = ["text", "embed", "--clip", "clip", "--out"];
+    let embed = ["text", "embed", "--text-encoder", "clip", "--out"];
     let said = run(
         &sandbox,
         &[&embed[..], &["two.safetensors", WALK, JUMP]].concat(),
@@ -84,7 +84,8 @@ fn a_dataset_is_embedded_trained_on_and_asked_in_words() {
     let embeddings = "walks/text_embeddings.safetensors";
     let given = tensors(&sandbox, embeddings);
     fs::remove_file(sandbox.path(embeddings)).expect("a file");
-    let embed = "text embed --clip clip --dataset walks --out walks/text_embeddings.safetensors";
+    let embed =
+        "text embed --text-encoder clip --dataset walks --out walks/text_embeddings.safetensors";
     sandbox.run(embed).succeeded();
     // Of the same clips with as many captions, and no row is another's.
     let found = tensors(&sandbox, embeddings);
@@ -113,18 +114,18 @@ fn a_dataset_is_embedded_trained_on_and_asked_in_words() {
         run(&sandbox, &[&draw[..], options].concat()).succeeded();
         fs::read(sandbox.path("drawn.npy")).expect("a motion")
     };
-    let told = drawn(&["--text", WALK, "--clip", "clip"]);
+    let told = drawn(&["--text", WALK, "--text-encoder", "clip"]);
     let record = fs::read(sandbox.path("drawn.json")).expect("a record");
     let record: Value = serde_json::from_slice(&record).expect("JSON");
     assert_eq!(record["condition"]["text"], WALK);
     assert_eq!(record["condition"]["clip"], "clip");
-    assert!(told != drawn(&["--text", JUMP, "--clip", "clip"]));
+    assert!(told != drawn(&["--text", JUMP, "--text-encoder", "clip"]));
     assert!(told != drawn(&[]));
     // As with an embedding that was computed before.
     let one = [
         "text",
         "embed",
-        "--clip",
+        "--text-encoder",
         "clip",
         "--out",
         "one.safetensors",
@@ -134,8 +135,11 @@ fn a_dataset_is_embedded_trained_on_and_asked_in_words() {
     assert!(told == drawn(&["--text-embedding", "one.safetensors#text"]));
 
     let no_clip = [&draw[..], &["--text", WALK]].concat();
-    run(&sandbox, &no_clip).failed(2, &["`--text` without `--clip`", "--clip DIR"]);
-    let no_text = [&draw[..], &["--clip", "clip"]].concat();
+    run(&sandbox, &no_clip).failed(
+        2,
+        &["`--text` without `--text-encoder`", "--text-encoder DIR"],
+    );
+    let no_text = [&draw[..], &["--text-encoder", "clip"]].concat();
     run(&sandbox, &no_text).failed(2, &["--text"]);
 }
 
@@ -146,7 +150,7 @@ fn what_is_no_text_encoder_is_refused_and_nothing_is_written() {
         let arguments = [
             "text",
             "embed",
-            "--clip",
+            "--text-encoder",
             folder,
             "--out",
             "no.safetensors",
@@ -166,7 +170,7 @@ fn what_is_no_text_encoder_is_refused_and_nothing_is_written() {
     fs::remove_file(sandbox.path("clip/vocab.json")).expect("a file");
     embed("clip", &["no vocab.json with merges.txt"]);
 
-    let embed = "text embed --clip clip --out no.safetensors";
+    let embed = "text embed --text-encoder clip --out no.safetensors";
     sandbox.run(embed).failed(2, &["SENTENCE"]);
     sandbox
         .run(&format!("{embed} --dataset nowhere"))

@@ -77,7 +77,7 @@ fn from_a_dataset_on_disk_to_checked_samples_and_pictures() {
     let phrase = &sandbox.list("set/motion")[0];
     let sample = |out: &str| {
         let settings = "--steps 5 --frames 20 --seed 1";
-        let phrase = format!("--source set --phrase {phrase}");
+        let phrase = format!("--source set --item {phrase}");
         let finished = sandbox.run(&format!(
             "sample runs/smallest --out {out} {phrase} {settings}"
         ));
@@ -97,7 +97,7 @@ fn from_a_dataset_on_disk_to_checked_samples_and_pictures() {
     let guided = "--guidance-scale 3 --set sampling.sampler.kind=ddpm \
                   --set sampling.sampler.eta=0.5";
     for names in ["one", "d --count 3"] {
-        let sample = format!("sample runs/smallest --cond {features} --steps 4 {guided}");
+        let sample = format!("sample runs/smallest --audio-features {features} --steps 4 {guided}");
         sandbox.run(&format!("{sample} --out {names}")).succeeded();
     }
     assert!(sandbox.path("d-002.raw.npy").exists());

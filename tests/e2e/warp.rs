@@ -63,11 +63,11 @@ fn a_walk_follows_paths_of_every_kind() {
         assert!(sandbox.path(name).is_file(), "{name}");
     }
     // Results are motions themselves: features above, positions here.
-    warp("walk.features.npy --path corner.csv --out whole --fix-feet --along own");
+    warp("walk.features.npy --path corner.csv --out whole --lock-feet --along own");
     sandbox
         .run("check whole.features.npy whole.npy")
         .succeeded();
-    warp("line.npy --path corner.csv --out corner --fix-feet --heading face --along own");
+    warp("line.npy --path corner.csv --out corner --lock-feet --heading face --along own");
     let corner = frames(&sandbox, "corner.npy");
     assert!(corner.len() <= walked.len());
     for frame in &corner {

@@ -50,7 +50,7 @@ def test_bvh_refuses(tmp_path):
 def test_checks_are_those_of_the_command_line(phrases, command, tmp_path):
     (sample,) = phrases.sample(progress=False)
     (path, _, *_) = sample.save(tmp_path / "x")
-    for profile, options in [("document", []), ("strict", ["--run", phrases.path])]:
+    for profile, options in [("ccmotion", []), ("strict", ["--run", phrases.path])]:
         code = 0 if kinegrad.check(sample.motion, profile, phrases.path)["passed"] else 1
         text = command("check", path, "--profile", profile, "--json", *options, code=code)
         (expected,) = json.loads(text)["files"]

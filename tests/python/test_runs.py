@@ -149,7 +149,7 @@ def test_samples_of_songs_and_their_features(command, phrases, song, tmp_path):
     assert features.tempo == pytest.approx(arrays["tempo"][0]) and features.seconds == 4.0
 
     (tmp_path / "npz").mkdir()
-    compare(command, phrases, tmp_path / "npz", ["--cond", written], audio_features=written)
+    compare(command, phrases, tmp_path / "npz", ["--audio-features", written], audio_features=written)
 
 
 def test_samples_of_clips(command, clips, runs, tmp_path):
@@ -269,7 +269,7 @@ def test_errors_are_those_of_the_command_line(binary, phrases, runs, tmp_path):
         (
             kinegrad.UsageError,
             lambda: phrases.sample(phrase="nobody"),
-            ["sample", phrases.path, "--phrase", "nobody", "--out", tmp_path / "x"],
+            ["sample", phrases.path, "--item", "nobody", "--out", tmp_path / "x"],
         ),
         (
             kinegrad.CheckpointError,

@@ -19,7 +19,7 @@ EVALUATIONS = {
     ),
     "listening": (
         "quickstart",
-        f"--listening --guidance-scale 1,2 --set evaluation.phrases=5 --set evaluation.seeds=1 {STEPS}",
+        f"--audio-ablation --guidance-scale 1,2 --set evaluation.phrases=5 --set evaluation.seeds=1 {STEPS}",
         "eval-listening.json",
     ),
     "clips": (

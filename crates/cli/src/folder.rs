@@ -1,29 +1,28 @@
-//! Folders of what is written: whatever a command writes where it is told to, the folders above it
-//! are made.
+//! Folders of output files.
 
 use std::fs::{self, File};
 use std::path::Path;
 
 use kinegrad_train::Error;
 
-/// Makes a folder, and those above it.
+/// Creates a folder and its parents.
 ///
 /// # Errors
-/// If it cannot be made.
+/// If it cannot be created.
 pub fn make(folder: &Path) -> Result<(), Error> {
-    // A file in the folder where the command runs has an empty one.
+    // The parent of a file name alone is empty.
     if folder.as_os_str().is_empty() {
         return Ok(());
     }
     fs::create_dir_all(folder).map_err(|error| {
         Error::usage(
             format!("cannot create the folder {}: {error}", folder.display()),
-            "name a place below a folder that can be written (`--out`)",
+            "choose a place in a folder that can be written (`--out`)",
         )
     })
 }
 
-/// Makes the folder of a file.
+/// Creates the folder of a file.
 ///
 /// # Errors
 /// As [`make`].
@@ -31,10 +30,10 @@ pub fn make_for(file: &Path) -> Result<(), Error> {
     file.parent().map_or(Ok(()), make)
 }
 
-/// [`make_for`], and tries whether a file can be written there.
+/// [`make_for`], and a test that a file can be written there.
 ///
 /// # Errors
-/// As [`make`]; if `file` is a folder, or its folder takes no file.
+/// As [`make`]; if `file` is a folder, or cannot be written.
 pub fn must_take(file: &Path) -> Result<(), Error> {
     make_for(file)?;
     if file.is_dir() {

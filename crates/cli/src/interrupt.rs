@@ -1,16 +1,16 @@
-//! Ctrl-C while files are made: the process ends at once, but never while a file is written.
+//! Ctrl-C: the process ends at once, but not while a file is written.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, PoisonError};
 
-/// Held while files are written; whether what is under way looks at [`STOP`].
+/// Locked while files are written; true while the work checks [`STOP`].
 static WRITING: Mutex<bool> = Mutex::new(false);
 
-/// Whether what is under way should stop.
+/// A stop was requested.
 static STOP: AtomicBool = AtomicBool::new(false);
 
-/// Ends the process with exit code 130 on Ctrl-C, after the files that are being written, or asks
-/// what is [`stoppable`] to stop.
+/// Makes Ctrl-C end the process with exit code 130, once no file is being written, or stop
+/// [`stoppable`] work.
 pub fn end_between_files() {
     let handler = || {
         let stoppable = WRITING.lock().unwrap_or_else(PoisonError::into_inner);
@@ -21,18 +21,17 @@ pub fn end_between_files() {
         tell!("\ninterrupted");
         std::process::exit(130);
     };
-    // Fails only if a handler is set already; then that one decides.
+    // Fails only if there is a handler already.
     let _ = ctrlc::set_handler(handler);
 }
 
-/// Does what must not be interrupted.
+/// Runs `work` without interruption.
 pub fn not_during<T>(work: impl FnOnce() -> T) -> T {
     let _whole = WRITING.lock().unwrap_or_else(PoisonError::into_inner);
     work()
 }
 
-/// Does what takes long and may leave something behind: it ends soon after what it is given says
-/// so, and clears up.
+/// Runs long work that stops and cleans up soon after the function it is given returns true.
 pub fn stoppable<T>(work: impl FnOnce(&dyn Fn() -> bool) -> T) -> T {
     let set = |on| *WRITING.lock().unwrap_or_else(PoisonError::into_inner) = on;
     set(true);

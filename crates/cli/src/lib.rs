@@ -23,16 +23,18 @@ mod args;
 mod commands;
 mod folder;
 mod interrupt;
+mod io;
 mod log;
 mod preview;
 mod progress;
 mod ranks;
 mod runs;
+mod scene;
+mod train_progress;
 
-pub use commands::files::{Existing, Files, bvh_text, must_be_finite};
 pub use commands::sample::{checkpoint, while_it_is_trained};
 pub use commands::train::draw_samples_at_end;
-mod scene;
+pub use io::{Existing, Files, bvh_text, must_be_finite};
 
 use std::ffi::OsString;
 use std::process::ExitCode;
@@ -48,19 +50,25 @@ pub fn run(
     arguments: impl IntoIterator<Item = impl Into<OsString> + Clone>,
 ) -> ExitCode {
     kinegrad_kernels::memory::keep_freed();
-    let arguments: Vec<OsString> = arguments.into_iter().map(Into::into).collect();
-    let done = match Arguments::read(&arguments) {
+    let done = match Arguments::read(arguments) {
         Ok(arguments) => {
-            log::start(arguments.talk);
+            log::start(arguments.verbosity);
             execute(systems, arguments.command)
         }
-        Err(error) => {
-            let command = arguments.get(1).and_then(|name| name.to_str());
-            let replaced = args::replaced(command.unwrap_or_default(), &error);
-            Err(replaced.unwrap_or_else(|| args::unread(error)))
-        }
+        Err(error) => Err(unread(error)),
     };
     done.unwrap_or_else(ranks::failed)
+}
+
+/// The error of a command line that cannot be read. Of several processes one prints it; a single one
+/// ends here, as it does after `--help`.
+fn unread(error: clap::Error) -> Error {
+    if !error.use_stderr() || !ranks::are_several() {
+        error.exit();
+    }
+    let text = error.render().to_string();
+    let message = text.trim_start_matches("error: ").trim_end();
+    Error::usage(message, "`kinegrad help` lists commands and options")
 }
 
 fn execute(systems: Systems<'_>, command: Command) -> Result<ExitCode, Error> {

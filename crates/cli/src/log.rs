@@ -1,29 +1,29 @@
-//! What goes on inside, for those who ask: `--verbose`, RUST_LOG.
+//! Log lines of `--verbose` and RUST_LOG.
 
 use std::io::Write as _;
 
-use crate::args::TalkArguments;
+use crate::args::VerbosityArgs;
 use crate::output;
 
-/// Variable of the environment with levels by module, such as `kinegrad_train=debug`.
+/// Environment variable with levels by module, such as `kinegrad_train=debug`.
 const VARIABLE: &str = "RUST_LOG";
 
-/// Prints nothing but errors from now on: another process says the rest.
+/// Turns everything but errors off: another process prints the rest.
 pub fn be_silent() {
     ::log::set_max_level(::log::LevelFilter::Error);
 }
 
-/// Sets what is printed to standard error from now on.
-pub fn start(talk: TalkArguments) {
-    if talk.quiet {
+/// Starts logging to standard error.
+pub fn start(verbosity: VerbosityArgs) {
+    if verbosity.quiet {
         output::be_quiet();
     }
-    let default = match talk.verbose {
+    let default = match verbosity.verbose {
         true => "kinegrad=debug,kinegrad_train=debug,kinegrad_data=debug,kinegrad_cli=debug",
         false => "off",
     };
     let environment = env_logger::Env::default().filter_or(VARIABLE, default);
-    // Fails only if there is a logger already, as in a program of several command lines.
+    // Fails only if there is a logger already.
     let _ = env_logger::Builder::from_env(environment)
         .format(|out, record| {
             let level = record.level().as_str().to_lowercase();

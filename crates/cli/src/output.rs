@@ -12,20 +12,18 @@ use serde::Serialize;
 
 use crate::folder;
 
-/// Prints a line of results to standard output.
-///
-/// Unlike `println!`, it does not panic where nobody reads on, as in `kinegrad ... | head`.
+/// Prints a line of results to standard output. Unlike `println!` it does not panic on a closed pipe,
+/// as in `kinegrad ... | head`.
 macro_rules! say {
     ($($text:tt)*) => { $crate::output::result(format_args!($($text)*)) };
 }
 
-/// Prints a line about what is going on to standard error, or drops it where that is full: no
-/// training ends for it.
+/// Prints a line of progress to standard error; a failure to write is ignored.
 macro_rules! tell {
     ($($text:tt)*) => { $crate::output::remark(format_args!($($text)*)) };
 }
 
-/// See [`say!`]. Where a result is lost though somebody reads, the program ends with exit code 1.
+/// See [`say!`]. If a result cannot be written, the program ends with exit code 1.
 pub fn result(text: fmt::Arguments<'_>) {
     if let Err(error) = writeln!(io::stdout(), "{text}")
         && error.kind() != ErrorKind::BrokenPipe
@@ -37,29 +35,29 @@ pub fn result(text: fmt::Arguments<'_>) {
     }
 }
 
-/// Whether only results, warnings and errors are printed.
+/// Only results, warnings and errors are printed.
 static QUIET: AtomicBool = AtomicBool::new(false);
 
-/// Prints no more progress and notes from now on.
+/// Turns progress and notes off.
 pub fn be_quiet() {
     QUIET.store(true, Ordering::Relaxed);
 }
 
-/// Whether errors alone are printed.
+/// Only errors are printed.
 static SILENT: AtomicBool = AtomicBool::new(false);
 
-/// Prints nothing but errors from now on: another rank says the rest.
+/// Turns everything but errors off: another rank prints the rest.
 pub fn be_silent() {
     be_quiet();
     SILENT.store(true, Ordering::Relaxed);
 }
 
-/// Whether progress and notes are not printed.
+/// True if progress and notes are turned off.
 pub fn is_quiet() -> bool {
     QUIET.load(Ordering::Relaxed)
 }
 
-/// See [`tell!`]. A quiet command drops it, unless it is a warning or an error by its first word.
+/// See [`tell!`]. A quiet command prints warnings and errors only, known by the first word.
 pub fn remark(text: fmt::Arguments<'_>) {
     if is_quiet() {
         let text = text.to_string();
@@ -77,7 +75,7 @@ fn always(text: fmt::Arguments<'_>) {
     let _ = writeln!(io::stderr(), "{text}");
 }
 
-/// A number of parameters in words: what it counts, where that is not one network that is trained.
+/// A number of parameters, with its parts if there are several.
 pub fn parameters(count: &ParameterCount) -> String {
     let mut parts: Vec<String> = count
         .networks
@@ -113,13 +111,13 @@ pub fn failure(error: &Error) {
     }
 }
 
-/// Plots the panels to `out`, `columns` side by side, each of `size` pixels.
+/// Plots panels of `size` pixels to `out`, `columns` side by side.
 pub fn draw(panels: &[Panel], columns: usize, size: (u32, u32), out: &Path) -> Result<(), Error> {
     folder::make_for(out)?;
     kinegrad_report::draw(panels, columns, size, out).map_err(unusable)
 }
 
-/// The error of something that was given and cannot be used.
+/// A library's error as one of the user's input.
 pub fn unusable(error: impl Diagnostic) -> Error {
     let hint = error.help().map(|hint| hint.to_string());
     Error::usage(error.to_string(), hint.unwrap_or_default())

@@ -1,4 +1,4 @@
-//! Samples that are looked at while a run is trained.
+//! Previews: samples during training.
 
 use std::path::Path;
 
@@ -13,20 +13,20 @@ use kinegrad_train::{Error, Preview};
 
 use crate::scene;
 
-/// Items that previews are drawn for where no samples at the end say how many.
+/// Number of previews if `sampling.count_at_end` is 0.
 const COUNT: usize = 4;
 
 /// Size of a panel in a picture, pixels.
 const PANEL: (u32, u32) = (420, 240);
 
-/// Charts that a picture of a lone root has beside its path.
+/// Curves beside the path of a motion without a body.
 const CURVES: usize = 3;
 
-/// Draws samples of the averaged weights of a checkpoint for the first held-out items, writes them as
-/// a page into its run's folder, and returns a picture of each.
+/// Samples a checkpoint's averaged weights for the first held-out items, writes them as a page into
+/// the run's folder, and returns a picture of each.
 ///
 /// # Errors
-/// If they cannot be drawn or written; no page is left then.
+/// If they cannot be sampled or written; no page is left then.
 pub fn draw(systems: Systems<'_>, checkpoint: &Path, step: u64) -> Result<Vec<Preview>, Error> {
     let saved = SavedCheckpoint::read(checkpoint)?;
     let trained = systems.trained(saved, &[], Weights::Ema, None)?;
@@ -57,7 +57,6 @@ pub fn draw(systems: Systems<'_>, checkpoint: &Path, step: u64) -> Result<Vec<Pr
     let previews = drawn.scene.figures.iter().filter_map(|figure| {
         let mut panels = body_panels(figure, &Floor::default());
         if panels.len() == 1 {
-            // A path alone says little.
             panels.extend(scene::curve_panels(figure).take(CURVES));
         }
         let png = draw_png(&panels, 2, PANEL)?;
@@ -71,7 +70,7 @@ pub fn draw(systems: Systems<'_>, checkpoint: &Path, step: u64) -> Result<Vec<Pr
     Ok(previews.collect())
 }
 
-/// Takes samples as figures.
+/// Collects samples as figures.
 struct Scenes<'a> {
     systems: Systems<'a>,
     scene: Scene,

@@ -1,164 +1,18 @@
-//! Progress of training: a bar on a terminal, lines elsewhere.
+//! Progress: a bar on a terminal, lines elsewhere.
 
 use std::ops::ControlFlow;
-use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use kinegrad_report::grouped;
-use kinegrad_train::systems::Systems;
-use kinegrad_train::{Error, Observer, Preview, Reading, RunSummary, StepReport};
-
-use crate::preview;
+use kinegrad_train::Reading;
 
 use crate::output;
 
-/// Share of the old value in the smoothed loss.
-const SMOOTHING: f64 = 0.98;
-
-/// Lines of progress that a whole training prints where there is no terminal.
-const LINES: u64 = 20;
-
-/// Time between lines of a count where there is no terminal.
+/// Time between lines of a count without a terminal.
 const LINE_INTERVAL: Duration = Duration::from_secs(20);
-
-/// Shows a training on standard error.
-pub struct TrainProgress<'a> {
-    /// What previews are drawn with.
-    systems: Systems<'a>,
-    /// Hidden where standard error is no terminal.
-    bar: ProgressBar,
-    smoothed: Option<f64>,
-    started: Instant,
-    steps_here: u64,
-    stop: Arc<AtomicBool>,
-    /// Whether there is anything yet that a checkpoint would save.
-    trains: Arc<AtomicBool>,
-}
-
-impl<'a> TrainProgress<'a> {
-    /// Shows nothing yet. Ctrl-C ends the process, once the training has begun it asks for a stop,
-    /// and a second one ends the process.
-    pub fn new(systems: Systems<'a>) -> Self {
-        let trains = Arc::new(AtomicBool::new(false));
-        let message = "stopping after this step and writing a checkpoint";
-        let stop = stop_on_ctrl_c(message, trains.clone());
-        Self {
-            systems,
-            trains,
-            bar: ProgressBar::hidden(),
-            smoothed: None,
-            started: Instant::now(),
-            steps_here: 0,
-            stop,
-        }
-    }
-
-    /// A line that stays, above the bar.
-    pub fn line(&self, text: &str) {
-        self.bar.suspend(|| tell!("{text}"));
-    }
-
-    /// Takes the bar away.
-    pub fn finish(&self) {
-        self.bar.finish_and_clear();
-    }
-
-    /// Says that nothing is left that a checkpoint would save: Ctrl-C ends the process from now on.
-    /// Whether it has asked for a stop already.
-    pub fn end_training(&self) -> bool {
-        self.trains.store(false, Ordering::SeqCst);
-        self.stop_requested()
-    }
-}
-
-impl Observer for TrainProgress<'_> {
-    fn started(&mut self, summary: &RunSummary) {
-        self.trains.store(true, Ordering::SeqCst);
-        tell!(
-            "run {}: {} on {}, {} phrases to train on, {} held out",
-            summary.name,
-            output::parameters(&summary.parameters),
-            summary.device,
-            summary.train_phrases,
-            summary.validation_phrases,
-        );
-        if !summary.skipped.is_empty() {
-            tell!("warning: {} bad phrases skipped:", summary.skipped.len());
-            for (id, reason) in &summary.skipped {
-                tell!("  {id}: {reason}");
-            }
-        }
-        if summary.step > 0 {
-            let RunSummary {
-                step, max_steps, ..
-            } = summary;
-            tell!("continuing after step {step} of {max_steps}");
-        }
-        self.started = Instant::now();
-        (self.smoothed, self.steps_here) = (None, 0);
-        self.finish();
-        let template = "{bar:24} {pos}/{len} steps  {msg}  {elapsed}<{eta}";
-        self.bar = bar(template).with_position(summary.step);
-        self.bar.set_length(summary.max_steps);
-        self.bar.reset_eta();
-    }
-
-    fn stepped(&mut self, report: &StepReport) {
-        let old = self.smoothed.unwrap_or(report.loss);
-        let smoothed = SMOOTHING * old + (1.0 - SMOOTHING) * report.loss;
-        self.smoothed = Some(smoothed);
-        self.steps_here += 1;
-        let seconds = self.started.elapsed().as_secs_f64();
-        let speed = self.steps_here as f64 / seconds;
-        let message = format!(
-            "loss {:.4} (smoothed {smoothed:.4})  lr {:.2e}  {speed:.2} it/s",
-            report.loss, report.learning_rate
-        );
-        let (step, max) = (report.step, report.max_steps);
-        let every = (max / LINES).max(1);
-        if !self.bar.is_hidden() {
-            self.bar.set_position(step);
-            self.bar.set_message(message);
-        } else if step.is_multiple_of(every) || step == max {
-            let left = duration((max - step) as f64 / speed);
-            tell!("step {step}/{max}  {message}  ETA {left}");
-        }
-    }
-
-    fn validated(&mut self, step: u64, val_loss: f64, best: bool) {
-        let mark = if best { "  best so far" } else { "" };
-        self.line(&format!("step {step}  val_loss {val_loss:.5}{mark}"));
-    }
-
-    fn saved(&mut self, path: &Path) {
-        self.line(&format!("saved {}", path.display()));
-    }
-
-    fn preview(&mut self, checkpoint: &Path, step: u64) -> Result<Vec<Preview>, Error> {
-        let previews = preview::draw(self.systems, checkpoint, step)?;
-        self.line(&format!("drew {} previews", previews.len()));
-        Ok(previews)
-    }
-
-    fn note(&mut self, text: &str) {
-        self.line(text);
-    }
-
-    fn warning(&mut self, text: &str) {
-        self.line(&format!("warning: {text}"));
-    }
-
-    fn reading(&self) -> Box<Reading> {
-        reading(self.stop.clone())
-    }
-
-    fn stop_requested(&self) -> bool {
-        self.stop.load(Ordering::SeqCst)
-    }
-}
 
 /// Seconds as `1h02m`, `3m20s` or `5s`.
 pub fn duration(seconds: f64) -> String {
@@ -170,8 +24,8 @@ pub fn duration(seconds: f64) -> String {
     }
 }
 
-/// A flag that Ctrl-C sets, saying `message`, once something is `under_way`; a second Ctrl-C, or
-/// one before, ends the process.
+/// A flag that Ctrl-C sets, printing `message`, while `under_way` is set; a second Ctrl-C, or one
+/// before, ends the process.
 pub fn stop_on_ctrl_c(message: &'static str, under_way: Arc<AtomicBool>) -> Arc<AtomicBool> {
     let stop = Arc::new(AtomicBool::new(false));
     let flag = stop.clone();
@@ -181,17 +35,17 @@ pub fn stop_on_ctrl_c(message: &'static str, under_way: Arc<AtomicBool>) -> Arc<
         }
         tell!("\n{message}; again to stop at once");
     };
-    // Fails only if a handler is set already; then that one decides.
+    // Fails only if there is a handler already.
     let _ = ctrlc::set_handler(handler);
     stop
 }
 
-/// Counts things done: a bar on a terminal, a line now and then elsewhere.
+/// A count: a bar on a terminal, a line every 20 seconds elsewhere.
 pub struct Count {
     bar: ProgressBar,
     what: &'static str,
-    /// When the last line was written.
-    told: Mutex<Instant>,
+    /// Time of the last line.
+    printed: Mutex<Instant>,
 }
 
 impl Count {
@@ -201,27 +55,27 @@ impl Count {
         Self {
             bar: bar(&template),
             what,
-            told: Mutex::new(Instant::now()),
+            printed: Mutex::new(Instant::now()),
         }
     }
 
-    /// So many of so many are done.
+    /// Shows `done` of `total`.
     pub fn show(&self, done: usize, total: usize) {
         self.bar.set_length(total as u64);
         self.bar.set_position(done as u64);
         if done == total {
             self.bar.finish_and_clear();
         } else if self.bar.is_hidden()
-            && let Ok(mut told) = self.told.try_lock()
-            && told.elapsed() >= LINE_INTERVAL
+            && let Ok(mut printed) = self.printed.try_lock()
+            && printed.elapsed() >= LINE_INTERVAL
         {
-            *told = Instant::now();
+            *printed = Instant::now();
             tell!("{} of {} {}", grouped(done), grouped(total), self.what);
         }
     }
 }
 
-/// What shows how many phrases or clips of a dataset have been read, until a `stop` is asked for.
+/// Shows the number of items read, until `stop` is set.
 pub fn reading(stop: Arc<AtomicBool>) -> Box<Reading> {
     let count = Count::new("phrases read");
     Box::new(move |read, total| {
@@ -233,40 +87,39 @@ pub fn reading(stop: Arc<AtomicBool>) -> Box<Reading> {
     })
 }
 
-/// A bar for the drawing of samples. Shows nothing where standard error is no terminal.
+/// A bar of denoising steps, if standard error is a terminal.
 pub struct Denoising(ProgressBar);
 
 impl Denoising {
-    /// Shows nothing yet; `run` stands before the bar, where several are drawn from.
+    /// Shows nothing yet; `run` is printed before the bar.
     pub fn of(run: &str) -> Self {
         let template = "{prefix}{msg}{bar:24} {pos}/{len} denoising steps  {elapsed}<{eta}";
         Self(bar(template).with_prefix(spaced(run)))
     }
 
-    /// So many of so many steps are done, of a stage if there are several.
+    /// Shows `done` of `all` steps of a stage.
     pub fn show(&self, stage: &str, done: usize, all: usize) {
         self.0.set_message(spaced(stage));
         self.0.set_length(all as u64);
         self.0.set_position(done as u64);
     }
 
-    /// Takes the bar away.
+    /// Removes the bar.
     pub fn finish(self) {
         self.0.finish_and_clear();
     }
 }
 
-/// A word with room behind it, or nothing.
+/// A word with spaces behind it, or nothing.
 fn spaced(word: &str) -> String {
-    if word.is_empty() {
-        String::new()
-    } else {
-        format!("{word}  ")
+    match word {
+        "" => String::new(),
+        word => format!("{word}  "),
     }
 }
 
 /// A bar on standard error, if that is a terminal.
-fn bar(template: &str) -> ProgressBar {
+pub fn bar(template: &str) -> ProgressBar {
     let style = ProgressStyle::with_template(template).expect("a valid template");
     let target = match output::is_quiet() {
         true => ProgressDrawTarget::hidden(),

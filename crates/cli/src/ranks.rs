@@ -1,4 +1,4 @@
-//! The processes that a launcher has started to train one run.
+//! The processes that a launcher started for one run.
 
 use std::env;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -10,10 +10,10 @@ use kinegrad_train::{Error, Together};
 
 use crate::{log, output};
 
-/// The processes that do the command together; but for the first they are silent from now on.
+/// The processes of this command. All but the first print nothing but errors.
 ///
 /// # Errors
-/// [`Error::Usage`] if a launcher has started several and this program cannot talk to them.
+/// [`Error::Usage`] if a launcher started several and this program cannot reach them.
 pub fn together() -> Result<Rc<Together>, Error> {
     let together = Together::new(ranks()?);
     if !together.writes() {
@@ -23,11 +23,11 @@ pub fn together() -> Result<Rc<Together>, Error> {
     Ok(together)
 }
 
-/// The outcome of a command that processes do together or, where it failed on one of several, the exit code
-/// of all. The process that has met something has said what. Collective.
+/// The outcome of a command of several processes or, if one failed and printed its error, the exit code
+/// of all. Collective.
 ///
 /// # Errors
-/// That of `outcome`, of a single process.
+/// That of `outcome`, if there is one process.
 pub fn settled<T>(
     together: &Together,
     outcome: Result<T, Error>,
@@ -48,10 +48,7 @@ pub fn settled<T>(
     Ok(Err(ExitCode::from(code)))
 }
 
-/// This process among those of its launcher, or alone.
-///
-/// # Errors
-/// [`Error::Usage`] if a launcher has started several and this program cannot talk to them.
+/// The ranks of the launcher, or this process alone.
 fn ranks() -> Result<Rc<dyn Ranks>, Error> {
     let ranks = started();
     let told = launched();
@@ -78,14 +75,13 @@ fn ranks() -> Result<Rc<dyn Ranks>, Error> {
     }
 }
 
-/// Says what has kept a command from beginning, or has ended it: once, where a launcher has started several
-/// processes. Its exit code.
+/// Prints an error, once for all processes, and returns the exit code.
 pub fn failed(error: Error) -> ExitCode {
     if are_several()
         && let Ok(together) = together()
         && together.ranks().size() > 1
     {
-        // The others may have begun: they are told.
+        // The others may be running.
         let outcome: Result<(), Error> = together.told(Err(error));
         return match settled(&together, outcome) {
             Ok(Err(code)) => code,
@@ -96,12 +92,12 @@ pub fn failed(error: Error) -> ExitCode {
     ExitCode::from(error.exit_code())
 }
 
-/// Whether a launcher has started several processes.
+/// True if a launcher started several processes.
 pub fn are_several() -> bool {
     launched().is_some_and(|processes| processes > 1)
 }
 
-/// How many processes the launcher says that it has started, if there is one.
+/// The launcher's number of processes, if there is a launcher.
 fn launched() -> Option<usize> {
     let by_slurm = match env::var_os("SLURM_PROCID").is_some() {
         true => number("SLURM_STEP_NUM_TASKS"),
@@ -111,10 +107,10 @@ fn launched() -> Option<usize> {
     told.iter().find_map(|name| number(name)).or(by_slurm)
 }
 
-/// Rejects several processes, for what one does.
+/// Rejects several processes.
 ///
 /// # Errors
-/// [`Error::Usage`] if a launcher has started more.
+/// [`Error::Usage`] if a launcher started several.
 pub fn must_be_one() -> Result<(), Error> {
     match launched() {
         Some(processes) if processes > 1 => Err(Error::usage(
@@ -140,19 +136,18 @@ fn number(name: &str) -> Option<usize> {
     env::var(name).ok()?.parse().ok()
 }
 
-/// Gives each of so many processes that may run on the same cores its part of them, unless
-/// RAYON_NUM_THREADS says how many threads.
+/// Divides the cores among the processes that share them, unless RAYON_NUM_THREADS is set.
 #[cfg(feature = "mpi")]
 fn share_cores(processes: usize) {
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     if env::var_os("RAYON_NUM_THREADS").is_none() && processes > 1 {
         let pool = rayon::ThreadPoolBuilder::new().num_threads((cores / processes).max(1));
-        // Fails only if something has begun to compute already.
+        // Fails only if the pool is in use already.
         let _ = pool.build_global();
     }
 }
 
-/// Does `work` with the others; a panic ends them too, which else would wait for this one.
+/// Runs `work`; a panic ends the other processes too, which would wait for this one.
 pub fn guarded<T>(ranks: &dyn Ranks, work: impl FnOnce() -> T) -> T {
     if ranks.size() == 1 {
         return work();

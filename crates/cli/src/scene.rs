@@ -1,20 +1,17 @@
 //! From files to a [`Scene`]: motions of every representation and BVH files, goals and songs.
 
 mod body;
-mod bvh;
 mod music;
 mod origins;
 
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 
-use kinegrad_capture::UpAxis;
-use kinegrad_capture::prepare::Units;
-use kinegrad_data::{Array, read_array};
+use kinegrad_capture::Bvh;
 use kinegrad_motion::goal::{Goal, Obstacle};
 use kinegrad_motion::humanml::Joints;
 use kinegrad_motion::phrase::QUATERNION;
-use kinegrad_motion::{CHANNELS, Phrases, Representation};
+use kinegrad_motion::{CHANNELS, Motion as Phrase, Phrases, Representation};
 use kinegrad_report::Panel;
 use kinegrad_report::scene::{Curves, Figure, Floor, Scene};
 use kinegrad_train::Error;
@@ -22,21 +19,20 @@ use kinegrad_train::systems::Systems;
 use kinegrad_train::systems::gmd::read_goal;
 
 use crate::args::ReadingArguments;
+use crate::io::{BvhReading, CENTIMETRES, Motion, bvh_file, motion_files, not_finite, with_raw};
+use crate::output::unusable;
 
-pub use body::figure as body;
-pub use bvh::{as_bvh, guess_units, guess_up};
+use body::figure as body;
 pub use music::{Music, song};
 
-/// Most figures of a scene: more can neither be told apart nor drawn in time.
+/// Largest number of figures in a scene.
 const MOST_FIGURES: usize = 16;
 
-/// How files are read.
+/// What motion files do not say themselves, and what is shown with them.
 #[derive(Debug)]
 pub struct Reading {
-    /// Length of a unit of BVH files; guessed if absent.
-    pub units: Option<Units>,
-    /// Axis of BVH files that points up; guessed if absent.
-    pub up: Option<UpAxis>,
+    /// Unit and vertical of BVH files.
+    pub bvh: BvhReading,
     /// Frames per second of joint positions whose skeleton is unknown.
     pub fps: f64,
     /// Title; the names of the motions if absent.
@@ -48,23 +44,14 @@ pub struct Reading {
 }
 
 impl Reading {
-    /// As options say.
+    /// Those of the options.
     pub fn of(arguments: &ReadingArguments) -> Self {
         Self {
-            units: arguments.units,
-            up: arguments.up,
+            bvh: BvhReading {
+                units: arguments.units,
+                up: arguments.up,
+            },
             fps: arguments.fps,
-            ..Self::default()
-        }
-    }
-}
-
-impl Default for Reading {
-    fn default() -> Self {
-        Self {
-            units: None,
-            up: None,
-            fps: 30.0,
             title: None,
             goal: None,
             music: None,
@@ -72,35 +59,15 @@ impl Default for Reading {
     }
 }
 
-/// The motion files meant by `paths`, folders searched through; with `raw`, the raw model output
-/// behind each that has one. Folders give neither raw output, features and paths beside samples,
-/// nor the BVH file of a sample that is there as an array.
+/// The motion files at `paths`; with `raw`, each with its raw model output behind it.
 ///
 /// # Errors
 /// If there is nothing at a path, or too much.
 pub fn motions(paths: &[PathBuf], raw: bool) -> Result<Vec<PathBuf>, Error> {
-    let mut files = Vec::new();
-    for path in paths {
-        let before = files.len();
-        collect(path, &mut files);
-        if files.len() == before {
-            let message = format!("there is no motion file at {}", path.display());
-            let hint = "give a .npy file such as `kinegrad sample` writes, a .bvh file, or a \
-                        folder of them";
-            return Err(Error::usage(message, hint));
-        }
-    }
+    let mut files = motion_files(paths, &["npy", "bvh"])?;
     if raw {
         warn_of_no_raw(&files);
-        files = files
-            .into_iter()
-            .flat_map(|file| {
-                let beside = file.with_extension("raw.npy");
-                let has_one = file != beside && beside.is_file();
-                [Some(file), has_one.then_some(beside)]
-            })
-            .flatten()
-            .collect();
+        files = with_raw(files);
     }
     if files.len() > MOST_FIGURES {
         return Err(Error::usage(
@@ -114,7 +81,7 @@ pub fn motions(paths: &[PathBuf], raw: bool) -> Result<Vec<PathBuf>, Error> {
     Ok(files)
 }
 
-/// Says for which motions there is no raw model output.
+/// Warns of motions without raw model output.
 fn warn_of_no_raw(files: &[PathBuf]) {
     let is_raw = |file: &Path| file.to_string_lossy().ends_with(".raw.npy");
     let without = files
@@ -136,33 +103,10 @@ fn warn_of_no_raw(files: &[PathBuf]) {
     );
 }
 
-fn collect(path: &Path, files: &mut Vec<PathBuf>) {
-    if path.is_file() {
-        files.push(path.to_path_buf());
-        return;
-    }
-    let entries = std::fs::read_dir(path).into_iter().flatten().flatten();
-    let mut inside: Vec<PathBuf> = entries.map(|entry| entry.path()).collect();
-    inside.sort();
-    for path in inside {
-        let name = path.file_name().unwrap_or_default().to_string_lossy();
-        let beside = [".raw.npy", ".features.npy", ".path.npy"];
-        let is_motion = match path.extension().and_then(|ending| ending.to_str()) {
-            Some("npy") => !beside.iter().any(|ending| name.ends_with(ending)),
-            Some("bvh") => !path.with_extension("npy").exists(),
-            _ => path.is_dir(),
-        };
-        if is_motion {
-            collect(&path, files);
-        }
-    }
-}
-
-/// The scene of these `motions`, one figure each.
+/// The scene of `motions`, one figure each.
 ///
 /// # Errors
-/// For the first file that cannot be shown, a goal that cannot be read or a song that cannot be
-/// decoded.
+/// If a motion, the goal or the song cannot be read.
 pub fn read(systems: Systems<'_>, motions: &[PathBuf], reading: &Reading) -> Result<Scene, Error> {
     let figures = motions.iter().zip(names(motions));
     let figures = figures
@@ -183,8 +127,8 @@ pub fn read(systems: Systems<'_>, motions: &[PathBuf], reading: &Reading) -> Res
     })
 }
 
-/// A name for each file: its stem, that of its folder for the `ID/trajectory.npy` of datasets, and
-/// both where names are alike.
+/// A name for each file: its stem, the folder of `ID/trajectory.npy` in datasets, or both if names
+/// are alike.
 fn names(paths: &[PathBuf]) -> Vec<String> {
     let stem = |path: &Path| {
         let stem = path.file_stem().unwrap_or_default();
@@ -203,53 +147,77 @@ fn names(paths: &[PathBuf]) -> Vec<String> {
     paths.iter().map(name).collect()
 }
 
-/// The figure in a file, with its origins where they are known; an error if it cannot be shown.
-pub fn figure(
+/// The figure in a file, with the source frames of a matched motion.
+fn figure(
     systems: Systems<'_>,
     path: &Path,
     name: String,
     reading: &Reading,
 ) -> Result<Figure, Error> {
-    let mut figure = match is_bvh(path) {
-        true => bvh::figure(path, name, reading)?,
-        false => of_array(systems, path, name, reading)?,
-    };
+    let motion = Motion::read(systems, path, &reading.bvh)?;
+    let mut figure = of_motion(&motion, name, reading.fps)?;
     figure.origins = origins::beside(path, figure.frames());
     Ok(figure)
 }
 
-fn of_array(
-    systems: Systems<'_>,
-    path: &Path,
-    name: String,
-    reading: &Reading,
-) -> Result<Figure, Error> {
-    let array = read_array(path)?;
-    let known = systems.representation_of(path, &array.shape, &array.values);
-    let figure = match (known, array.shape.as_slice()) {
-        (Ok(representation), _) => of(&*representation, &array.values, name),
-        (Err(_), &[frames, joints, 3]) if frames > 0 && joints > 0 => {
-            Some(points(&array, joints, name, reading.fps)?)
+/// The figure of a motion; points move at `fps`.
+///
+/// # Errors
+/// If it cannot be shown.
+pub fn of_motion(motion: &Motion, name: String, fps: f64) -> Result<Figure, Error> {
+    match motion {
+        Motion::Array(array) => {
+            of(&*array.representation, &array.values, name).ok_or_else(|| not_finite(&array.path))
         }
-        (Err(error), _) => return Err(error),
-    };
-    figure.ok_or_else(|| not_finite(path))
+        Motion::Points(joints, _) => points(joints, name, fps),
+        Motion::Bvh(capture) => {
+            let joints = capture.bvh.joints().iter();
+            let parents = joints.map(|joint| joint.parent).collect();
+            let fps = 1.0 / capture.bvh.frame_time();
+            let places = capture.joints()?;
+            Ok(body(name, fps, &places, capture.names(), parents, None))
+        }
+    }
 }
 
-/// Whether a file is a BVH file by its name.
-pub fn is_bvh(path: &Path) -> bool {
-    let ending = path.extension();
-    ending.is_some_and(|ending| ending.eq_ignore_ascii_case("bvh"))
-}
-
-fn not_finite(path: &Path) -> Error {
+/// The error of feet that cannot be locked.
+fn no_legs(path: &Path, what: &str) -> Error {
     Error::usage(
-        format!("{}: a position is not finite", path.display()),
-        "`kinegrad check` says what is wrong with a motion",
+        format!("{}: `--lock-feet` with {what}", path.display()),
+        "leave it out: only joint features and joint positions of 22 or 21 joints have known legs",
     )
 }
 
-/// The figure of finite rows of a representation; none if a position is not finite.
+/// A motion as BVH in centimetres with +y up, which will be at `out`. With `lock_feet`, feet stay
+/// where they stand.
+///
+/// # Errors
+/// If it cannot be read, or its skeleton is unknown.
+pub fn as_bvh(
+    systems: Systems<'_>,
+    path: &Path,
+    reading: &BvhReading,
+    out: &Path,
+    lock_feet: bool,
+) -> Result<Bvh, Error> {
+    let array = match Motion::read(systems, path, reading)? {
+        Motion::Array(array) => array,
+        Motion::Bvh(_) if lock_feet => return Err(no_legs(path, "a BVH file")),
+        Motion::Bvh(capture) => return capture.in_centimetres(),
+        Motion::Points(_, error) => return Err(error),
+    };
+    if array.representation.name() == Phrases.name() {
+        if lock_feet {
+            return Err(no_legs(path, "a phrase, which has no body"));
+        }
+        let phrase = Phrase::new(array.values)?;
+        return Bvh::from_phrase(&phrase, CENTIMETRES).map_err(unusable);
+    }
+    let (joints, skeleton) = array.body()?;
+    bvh_file(out, &joints, &skeleton, lock_feet)
+}
+
+/// The figure of rows of a representation; none if a position is not finite.
 pub fn of(representation: &dyn Representation, rows: &[f32], name: String) -> Option<Figure> {
     let joints = representation.joints(rows)?;
     let fps = representation.fps();
@@ -295,7 +263,7 @@ pub fn curve_panels(figure: &Figure) -> impl Iterator<Item = Panel> {
     })
 }
 
-/// Unit quaternions of phrases; where there is none, that of the frame before.
+/// Unit quaternions of phrases; a zero quaternion takes that of the frame before.
 fn orientations(rows: &[f32]) -> Vec<[f32; 4]> {
     let mut last = [1.0, 0.0, 0.0, 0.0];
     let frames = rows.chunks_exact(CHANNELS).map(|frame| {
@@ -309,21 +277,21 @@ fn orientations(rows: &[f32]) -> Vec<[f32; 4]> {
     frames.collect()
 }
 
-/// Joints of no known skeleton: points.
-fn points(array: &Array, joints: usize, name: String, fps: f64) -> Result<Figure, Error> {
+/// Joints of an unknown skeleton.
+fn points(places: &Joints, name: String, fps: f64) -> Result<Figure, Error> {
     if !(fps.is_finite() && fps > 0.0) {
         return Err(Error::usage(
             format!("`--fps` is {fps}"),
             "frames per second are a positive number, such as 30",
         ));
     }
-    let places = Joints::from_f32(&array.values, joints)?;
+    let joints = places.joints();
     let joint_names = (0..joints).map(|joint| format!("joint_{joint}")).collect();
     let parents = vec![None; joints];
-    Ok(body(name, fps, &places, joint_names, parents, Some(&[])))
+    Ok(body(name, fps, places, joint_names, parents, Some(&[])))
 }
 
-/// What a goal has on the floor.
+/// A goal on the floor.
 pub fn floor(goal: &Goal) -> Floor {
     let single = |place: [f64; 2]| place.map(|value| value as f32);
     let path = goal.trajectory.iter().flat_map(|path| &path.points);
@@ -361,32 +329,6 @@ mod tests {
         assert_eq!(names(&paths(["x/a.npy", "y/a.npy"])), ["x/a", "y/a"]);
         let of_dataset = paths(["d/motion/one/trajectory.npy", "d/motion/two/trajectory.npy"]);
         assert_eq!(names(&of_dataset), ["one", "two"]);
-    }
-
-    #[test]
-    fn a_folder_gives_each_motion_once() {
-        let folder = tempfile::tempdir().unwrap();
-        for name in [
-            "a.npy",
-            "a.raw.npy",
-            "a.bvh",
-            "a.features.npy",
-            "a.path.npy",
-            "b.bvh",
-            "c.txt",
-        ] {
-            std::fs::write(folder.path().join(name), "").unwrap();
-        }
-        let found = |raw| -> Vec<String> {
-            let files = motions(&[folder.path().to_path_buf()], raw).unwrap();
-            let names = files.iter().map(|file| file.file_name().unwrap());
-            names
-                .map(|name| name.to_string_lossy().into_owned())
-                .collect()
-        };
-        assert_eq!(found(false), ["a.npy", "b.bvh"]);
-        assert_eq!(found(true), ["a.npy", "a.raw.npy", "b.bvh"]);
-        assert!(motions(&[folder.path().join("none")], false).is_err());
     }
 
     #[test]

@@ -32,7 +32,7 @@ pub enum Error {
     #[error("the profile `strict` compares with training motion, whose statistics are missing")]
     #[diagnostic(help(
         "name the run that holds them with `--run`, or the motion itself with `--source`, \
-         or use `--profile document`"
+         or use `--profile ccmotion`"
     ))]
     StatisticsNeeded,
 
@@ -42,7 +42,7 @@ pub enum Error {
          older version of kinegrad wrote them"
     )]
     #[diagnostic(help(
-        "measure the training motion itself with `--source`, or use `--profile document`"
+        "measure the training motion itself with `--source`, or use `--profile ccmotion`"
     ))]
     MovementUnknown,
 

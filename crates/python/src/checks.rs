@@ -39,11 +39,11 @@ pub fn check(
 
 fn profile_of(name: &str) -> Result<Profile, Error> {
     match name {
-        "document" => Ok(Profile::Document),
+        "ccmotion" => Ok(Profile::Document),
         "strict" => Ok(Profile::Strict),
         _ => Err(Error::usage(
             format!("the profile is \"{name}\""),
-            "\"document\" and \"strict\" are allowed",
+            "\"ccmotion\" and \"strict\" are allowed",
         )),
     }
 }

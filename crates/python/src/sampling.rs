@@ -72,11 +72,11 @@ impl Wanted {
     fn post_processing(&self) -> Result<Option<PostProcessProfile>, Error> {
         match self.postprocess.as_str() {
             "default" => Ok(None),
-            "document" => Ok(Some(PostProcessProfile::Document)),
+            "ccmotion" => Ok(Some(PostProcessProfile::Document)),
             "none" => Ok(Some(PostProcessProfile::None)),
             other => Err(Error::usage(
                 format!("`postprocess` is \"{other}\""),
-                "\"default\", \"document\" and \"none\" are allowed",
+                "\"default\", \"ccmotion\" and \"none\" are allowed",
             )),
         }
     }

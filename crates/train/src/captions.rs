@@ -224,15 +224,15 @@ pub(crate) fn text_of(
         }
         (Some(_), None) if embeds => {
             return Err(Error::usage(
-                "`--text` without `--clip`, and the run is told embeddings of texts",
-                "name a folder with CLIP ViT-B/32, `--clip DIR`, or pass an embedding of the text, \
+                "`--text` without `--text-encoder`, and the run is told embeddings of texts",
+                "name a folder with CLIP ViT-B/32, `--text-encoder DIR`, or pass an embedding of the text, \
                  `--text-embedding FILE#KEY`: docs/gmd.md",
             ));
         }
         (_, Some(_)) => {
             return Err(Error::usage(
-                "`--clip` with a run with `data.humanml3d.text = \"labels\"`",
-                "it needs no embedding of the text: leave `--clip` out",
+                "`--text-encoder` with a run with `data.humanml3d.text = \"labels\"`",
+                "it needs no embedding of the text: leave `--text-encoder` out",
             ));
         }
         _ => {}

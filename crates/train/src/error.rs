@@ -104,7 +104,7 @@ pub enum Error {
     /// A text encoder that cannot be used.
     #[error("{}: {reason}", path.display())]
     #[diagnostic(help(
-        "`--clip` takes a local folder with CLIP ViT-B/32 as the model hub has it: config.json, \
+        "`--text-encoder` takes a local folder with CLIP ViT-B/32 as the model hub has it: config.json, \
          model.safetensors, vocab.json and merges.txt (docs/dataset.md)"
     ))]
     TextEncoder {
@@ -122,7 +122,7 @@ pub enum Error {
     )]
     #[diagnostic(help(
         "the weights belong to another network: check `--arch`; `evaluation.evaluator.weights` \
-         is the published `finest.tar` of the same dataset, `--clip` a folder with CLIP ViT-B/32"
+         is the published `finest.tar` of the same dataset, `--text-encoder` a folder with CLIP ViT-B/32"
     ))]
     ForeignWeights {
         /// The file.

@@ -50,7 +50,7 @@ impl EvaluationRequest {
         hint: &str,
     ) -> Result<(), Error> {
         let given = [
-            ("--listening", self.listening),
+            ("--audio-ablation", self.listening),
             ("--trajectory-run", self.trajectory.is_some()),
         ];
         let mut given = given.into_iter();

@@ -1,4 +1,4 @@
-//! Texts one after another: the file of `kinegrad sample --plan`, for motion that goes on by changing
+//! Texts one after another: the file of `kinegrad sample --prompts`, for motion that goes on by changing
 //! texts and for motion that is composed of them.
 
 use std::path::Path;

@@ -1,12 +1,12 @@
-//! Arguments of the commands that help to get going.
+//! Arguments of `init`, `config`, `completions` and `man`.
 
 use std::path::PathBuf;
 
-use clap::Args;
+use clap::{Args, Subcommand};
 use clap_complete::Shell;
 
-/// Without NAME, writes the quickstart to kinegrad.toml, which `kinegrad train` takes where no
-/// config is given; others are written to NAME.toml. A file that is there is not overwritten.
+/// Without NAME, writes the quickstart to kinegrad.toml, the config of a `kinegrad train` that names
+/// none; others go to NAME.toml. Existing files are not overwritten.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -14,19 +14,39 @@ Examples:
   kinegrad init --list
   kinegrad init gmd_motion_tiny && kinegrad train gmd_motion_tiny.toml")]
 pub struct InitArguments {
-    /// Which config, plan or goal to write: a name that `--list` prints
+    /// Config, plan or goal to write: a name that `--list` prints
     #[arg(value_name = "NAME")]
     pub name: Option<String>,
     /// File to write [default: kinegrad.toml, or NAME.toml]
     #[arg(long, value_name = "FILE.toml")]
     pub out: Option<PathBuf>,
-    /// List what can be written
+    /// List the names
     #[arg(long, conflicts_with_all = ["name", "out"])]
     pub list: bool,
 }
 
-/// Says what keys of a training config, of a plan of `kinegrad data prepare` and of a goal mean,
-/// which values they may have, and their defaults. docs/config.md has all of them.
+#[derive(Debug, Subcommand)]
+pub enum ConfigCommand {
+    /// Print a config with all defaults filled in, and the number of model parameters
+    Show(ShowArguments),
+    /// Explain config keys: meaning, allowed values, default
+    Explain(ExplainArguments),
+}
+
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Example:
+  kinegrad config show kinegrad.toml --set model.size=base")]
+pub struct ShowArguments {
+    /// Config file
+    pub config: PathBuf,
+    /// Override a key of the config
+    #[arg(long = "set", value_name = "KEY=VALUE")]
+    pub overrides: Vec<String>,
+}
+
+/// Prints meaning, allowed values and default of keys: of a training config, of a plan of `kinegrad
+/// data prepare`, and of a goal. docs/config.md lists all of them.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -34,15 +54,14 @@ Examples:
   kinegrad config explain sampling
   kinegrad config explain")]
 pub struct ExplainArguments {
-    /// A key, a table, or the last part of a key; without it, every key is listed in a line
+    /// A key, a table, or the last part of a key [default: list all keys]
     #[arg(value_name = "KEY")]
     pub key: Option<String>,
-    /// Print every key as a page of Markdown
+    /// Print all keys as Markdown
     #[arg(long, conflicts_with = "key")]
     pub markdown: bool,
 }
 
-/// Prints a script that completes commands and options in a shell.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -50,7 +69,7 @@ Examples:
   kinegrad completions zsh > ~/.zfunc/_kinegrad
   kinegrad completions fish > ~/.config/fish/completions/kinegrad.fish")]
 pub struct CompletionsArguments {
-    /// The shell
+    /// Shell
     pub shell: Shell,
 }
 
@@ -60,7 +79,7 @@ pub struct CompletionsArguments {
 Example:
   kinegrad man --out ~/.local/share/man/man1 && man kinegrad-train")]
 pub struct ManArguments {
-    /// Folder to write them to
+    /// Output folder
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
 }

@@ -6,25 +6,24 @@ use clap::{Args, Subcommand};
 use kinegrad_data::humanml::SkeletonName;
 use kinegrad_train::song::KnownBeats;
 
-use super::named;
+use super::values::named;
 
 #[derive(Debug, Subcommand)]
 pub enum DataCommand {
-    /// Create a synthetic dataset: phrases with smooth motion that follows the beat of their audio
-    /// features, or walks in the HumanML3D layout
+    /// Create a synthetic dataset: phrases that follow the beat of their audio features, or walks in
+    /// the HumanML3D layout
     Synth(SynthArguments),
-    /// Create a dataset from motion captures, following a plan: phrases with their songs, or clips of
-    /// full-body motion with captions
+    /// Create a dataset from motion captures: phrases with their songs, or clips with captions
     Prepare(PrepareArguments),
     /// Summarise a dataset and list problems
     Inspect(InspectArguments),
 }
 
-/// A plan with [[take]] reads BVH, C3D, npy and npz captures and mp3, wav, flac and ogg songs and
-/// cuts them into phrases. A plan with [[capture]] reads full-body BVH captures, gives them one
-/// skeleton and cuts them into clips with captions, in the HumanML3D layout. Either is written with a
-/// manifest to a folder or bucket; docs/dataset.md describes plans. An interrupted run continues where
-/// it stopped when it is run again. Exits with 1 if a take failed.
+/// A plan with [[take]] cuts captures (BVH, C3D, npy, npz) and songs (mp3, wav, flac, ogg) into
+/// phrases. A plan with [[capture]] retargets full-body BVH captures to one skeleton and cuts them
+/// into clips with captions, in the HumanML3D layout. The dataset and its manifest are written to a
+/// folder or bucket; docs/dataset.md describes plans. The same command continues after an
+/// interruption. The exit code is 1 if a take failed.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -33,13 +32,13 @@ Examples:
   kinegrad init bodies
   kinegrad data prepare bodies.toml")]
 pub struct PrepareArguments {
-    /// The plan
+    /// Plan
     #[arg(value_name = "PLAN.toml")]
     pub plan: PathBuf,
     /// Output folder, gs:// or s3:// URI [default: the plan's `output`]
     #[arg(long, value_name = "URI")]
     pub out: Option<String>,
-    /// Process every take again, even if it is up to date
+    /// Process unchanged takes again
     #[arg(long)]
     pub again: bool,
     /// Remove phrases or clips of takes that are no longer in the plan
@@ -71,18 +70,17 @@ pub struct FeaturesArguments {
     /// Output folder
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
-    /// Replace files that exist
+    /// Replace existing files
     #[arg(long)]
     pub overwrite: bool,
-    /// Position in the songs, in seconds, at which the features start; they are computed over the
-    /// whole song, then cut
+    /// Position in the songs, in seconds, at which the features start
     #[arg(long, value_name = "SECONDS", default_value_t = 0.0)]
     pub start: f64,
     /// Length of the features in seconds [default: to the end of the song]
     #[arg(long, value_name = "SECONDS")]
     pub duration: Option<f64>,
-    /// Also write beat features, `beats` [7, T]: sine and cosine of the position in the beat and in
-    /// the bar, whether the bar is known, a mark on each beat, the tempo in octaves above 120
+    /// Also write beat features, `beats` [7, T]: sine and cosine of the position in beat and bar,
+    /// whether the bar is known, a mark on each beat, and the tempo in octaves above 120
     #[arg(long = "beats")]
     pub with_beats: bool,
     #[command(flatten)]
@@ -92,24 +90,23 @@ pub struct FeaturesArguments {
     pub plot: bool,
 }
 
-/// What is known of the beats of a song.
+/// The known beats of a song.
 #[derive(Clone, Debug, Args)]
 pub struct BeatArguments {
-    /// Tempo of the song in beats per minute, roughly: settles whether a beat is counted as one, two
-    /// or a half
+    /// Approximate tempo of the song in beats per minute; selects between the tracked tempo, its
+    /// double and its half
     #[arg(long, value_name = "BPM")]
     pub tempo: Option<f64>,
     /// Beats in a bar of the song [default: 4]
     #[arg(long, value_name = "N", requires = "downbeat")]
     pub beats_per_bar: Option<u32>,
-    /// Moment in the song, in seconds, at which a bar begins; without one, the beat features do not
-    /// tell the bar
+    /// Position in the song, in seconds, at which a bar begins; without it the bar is unknown
     #[arg(long, value_name = "SECONDS", allow_negative_numbers = true)]
     pub downbeat: Option<f64>,
 }
 
 impl BeatArguments {
-    /// What they say.
+    /// The same for the library.
     pub fn known(&self) -> KnownBeats {
         KnownBeats {
             tempo: self.tempo,
@@ -124,7 +121,7 @@ impl BeatArguments {
 Example:
   kinegrad data synth --out phrases --phrases 64 --frames 120 --seed 0")]
 pub struct SynthArguments {
-    /// Output folder; it must not exist or be empty
+    /// Output folder; new or empty
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
     /// Create walks in the HumanML3D layout instead of phrases
@@ -150,21 +147,21 @@ Examples:
   kinegrad data inspect phrases
   kinegrad data inspect gs://bucket/dances --where 'tempo > 100 and split = train' --plot tempo.png")]
 pub struct InspectArguments {
-    /// The dataset: a folder, or a file://, gs://, s3://, http:// or https:// URI; endpoint and
-    /// credentials are read from the environment
+    /// Dataset: a folder, or a file://, gs://, s3://, http:// or https:// URI; endpoint and
+    /// credentials come from the environment
     #[arg(value_name = "URI")]
     pub source: String,
-    /// List the phrases of the manifest that match a condition on its columns, such as
-    /// `tempo > 100` or `split = train and not flags like *no_audio*`, without reading the phrases
+    /// List the items of the manifest that match a condition on its columns, such as `tempo > 100`
+    /// or `split = train and not flags like *no_audio*`; reads the manifest alone
     #[arg(long = "where", value_name = "CONDITION")]
     pub condition: Option<String>,
-    /// Plot tempo, length and beats of the manifest's phrases that match the condition
+    /// Plot tempo, length and beats of the items that match the condition
     #[arg(long, value_name = "FILE.png|FILE.svg")]
     pub plot: Option<PathBuf>,
-    /// Read the dataset as clips in the HumanML3D layout [default: found out from its files]
+    /// Read the dataset as clips in the HumanML3D layout [default: detected]
     #[arg(long, conflicts_with_all = ["condition", "plot"])]
     pub humanml3d: bool,
-    /// Skeleton of the clips: humanml3d or kit [default: found out from the features of a clip]
+    /// Skeleton of the clips: humanml3d or kit [default: detected]
     #[arg(long, value_parser = named::<SkeletonName>, conflicts_with_all = ["condition", "plot"])]
     pub skeleton: Option<SkeletonName>,
     /// Print JSON

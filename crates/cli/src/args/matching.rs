@@ -6,17 +6,15 @@ use clap::Args;
 use kinegrad_capture::UpAxis;
 use kinegrad_matching::{CoarseRatio, Length, Preset};
 
-use super::named;
+use super::values::named;
 
-/// New motion from examples, without training (GenMM): patches of the examples are matched with a
-/// start of noise and averaged, from coarse to fine. The result is made of the examples' own
-/// movements in another order; several examples are mixed. They may be motions of any skeleton,
-/// not only people; all of them have the same joints.
+/// Generative motion matching (GenMM): starts from noise, and from coarse to fine replaces patches by
+/// the nearest patches of the examples and averages them. The result reorders and mixes the
+/// movements of the examples. Any skeleton will do; all examples must have the same joints.
 ///
-/// The new file has the hierarchy, channels and units of the first example, at about 30 frames a
-/// second: faster captures are thinned. Examples may be clips of joint features as well (.npy, such as
-/// HumanML3D's), and the new file a clip of them. Beside it, NEW.json records how it was made, with measures of
-/// coverage, diversity and what is copied. docs/matching.md describes them.
+/// The new file has hierarchy, channels and units of the first example, at about 30 frames per second.
+/// Clips of joint features (.npy, such as HumanML3D's) give a new clip. NEW.json records settings
+/// and measures of coverage, diversity and copying; docs/matching.md describes them.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -30,80 +28,77 @@ Examples:
   kinegrad match proud-walk.bvh --content walk.bvh --out new.bvh
   kinegrad match clip.npy --out new.npy")]
 pub struct MatchArguments {
-    /// Motions to learn from (.bvh, or .npy of joint features)
+    /// Example motions (.bvh, or .npy of joint features)
     #[arg(required = true, value_name = "EXAMPLE.bvh")]
     pub examples: Vec<PathBuf>,
-    /// File to write: .bvh, or .npy where the examples are clips
+    /// File to write: .bvh, or .npy if the examples are clips
     #[arg(long, value_name = "NEW.bvh")]
     pub out: PathBuf,
-    /// Replace files that exist
+    /// Replace existing files
     #[arg(long)]
     pub overwrite: bool,
-    /// Length: times all examples together (2x), frames at the rate of the new file (300), or
-    /// seconds (12.5s) [default: 2x; with `--fix` or `--content` the length of that motion]
+    /// Length: a multiple of all examples together (2x), frames (300), or seconds (12.5s)
+    /// [default: 2x; with `--fix` or `--content` the length of that motion]
     #[arg(long)]
     pub length: Option<Length>,
     /// Random seed of the noise
     #[arg(long, default_value_t = 0, conflicts_with = "content")]
     pub seed: u64,
-    /// Settings to start from: `published` (the published program's) or `paper` (the paper's: by
-    /// body parts, with contacts of the feet)
+    /// Default settings: `published` (of the published program) or `paper` (by body parts, with foot
+    /// contacts)
     #[arg(long, value_parser = named::<Preset>, default_value = "published")]
     pub preset: Preset,
-    /// From mixing (0) to copying long stretches (1), in place of `--coarse-ratio` and `--alpha`
+    /// From mixing (0) to copying long stretches (1); sets `--coarse-ratio` and `--alpha`
     #[arg(long, value_name = "0..1", conflicts_with_all = ["coarse_ratio", "alpha"])]
     pub coherence: Option<f64>,
     /// Frames of a patch, odd [default: from the preset, 11]
     #[arg(long, value_name = "FRAMES")]
     pub patch_size: Option<usize>,
-    /// Length of the coarsest level: patch sizes of the longest example (5x), or a part of each
-    /// length (0.15) [default: from the preset]
+    /// Length of the coarsest level: in patch sizes (5x), or as a part of the example (0.15)
+    /// [default: from the preset]
     #[arg(long, value_name = "RATIO")]
     pub coarse_ratio: Option<CoarseRatio>,
-    /// Length of a level divided by that of the next finer one [default: from the preset, 0.75]
+    /// Ratio of the lengths of a level and the next finer one [default: from the preset, 0.75]
     #[arg(long, value_name = "FACTOR")]
     pub pyr_factor: Option<f64>,
-    /// Completeness: the smaller, the more of the examples appears; `none` turns it off [default:
-    /// from the preset, 0.01]
+    /// Completeness: smaller values use more of the examples; `none` turns it off [default: from the
+    /// preset, 0.01]
     #[arg(long, value_parser = alpha)]
     pub alpha: Option<Completeness>,
-    /// Standard deviation of the noise to start with [default: from the preset]
+    /// Standard deviation of the initial noise [default: from the preset]
     #[arg(long, conflicts_with = "content")]
     pub sigma: Option<f64>,
-    /// Steps of matching at each level [default: from the preset]
-    #[arg(long, alias = "steps", value_name = "N")]
+    /// Matching steps per level [default: from the preset]
+    #[arg(long, value_name = "N")]
     pub num_steps: Option<usize>,
-    /// Lead the end of the motion into its beginning
+    /// Make a loop
     #[arg(long = "loop")]
     pub looping: bool,
-    /// See the body from its heading: walks in all directions are alike, and the motion turns as they
-    /// do. For examples that turn around
+    /// Match motion relative to the heading, so that walks in all directions are alike; for examples
+    /// that turn around
     #[arg(long)]
     pub heading: bool,
-    /// Match body parts each by itself: `whole`, `auto` (trunk and limbs), or a TOML file of parts
+    /// Body parts that are matched separately: `whole`, `auto` (trunk and limbs), or a TOML file
     /// [default: from the preset]
     #[arg(long, value_name = "PARTS")]
     pub parts: Option<PathBuf>,
-    /// Poses that the motion takes at given times
+    /// Poses of the motion at given times
     #[arg(long, value_name = "KEYFRAMES.toml")]
     pub keyframes: Option<PathBuf>,
-    /// Part that follows a motion, as legs=walk.bvh: a part of `--parts`, a joint with all that
-    /// hangs on it, or `legs`, `arms` or `head`
+    /// Part that follows a motion, as legs=walk.bvh: a part of `--parts`, a joint with all joints
+    /// below it, or `legs`, `arms` or `head`
     #[arg(long, value_name = "PART=MOTION.bvh", value_parser = fixed)]
     pub fix: Vec<(String, PathBuf)>,
-    /// Motion whose coarse course the new one follows, in the manner of the examples; it starts from
-    /// there in place of noise
+    /// Motion to restyle: it replaces the initial noise
     #[arg(long, value_name = "MOTION.bvh")]
     pub content: Option<PathBuf>,
-    /// Hold feet still where those of the examples rest
+    /// Lock feet while those of the examples stand
     #[arg(long, conflicts_with = "looping")]
-    pub feet: bool,
-    /// Axis of the files that points up: y or z [default: the one along which feet are below the
-    /// root]
+    pub lock_feet: bool,
+    /// Axis of the files that points up: y or z [default: guessed from the feet]
     #[arg(long, value_parser = named::<UpAxis>, value_name = "AXIS")]
     pub up: Option<UpAxis>,
-    /// Draw where each frame comes from, which frames of the examples appear, and the way from
-    /// above
+    /// Plot the source frame of each frame, the used frames of the examples, and the root path
     #[arg(long, value_name = "FILE.svg")]
     pub svg: Option<PathBuf>,
     /// Print the record as JSON
@@ -111,7 +106,7 @@ pub struct MatchArguments {
     pub json: bool,
 }
 
-/// Completeness from the command line; none where it is turned off.
+/// Completeness; none if it is turned off.
 #[derive(Clone, Copy, Debug)]
 pub struct Completeness(pub Option<f64>);
 

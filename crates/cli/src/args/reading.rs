@@ -1,20 +1,19 @@
-//! Options of the commands that draw motion of any kind.
+//! Options for reading motion of any kind.
 
 use clap::Args;
 use kinegrad_capture::UpAxis;
 use kinegrad_capture::prepare::Units;
 
-use super::named;
+use super::values::named;
 
-/// What files do not say of themselves.
+/// Facts that motion files do not contain.
 #[derive(Debug, Args)]
 pub struct ReadingArguments {
-    /// Length of a unit of the BVH files: m, cm, mm, inch, cmu, or a number of metres [default:
-    /// the unit that makes the figure most like a person]
+    /// Unit of BVH files: m, cm, mm, inch, cmu, or a number of metres [default: guessed from the
+    /// height of the body]
     #[arg(long, value_parser = units)]
     pub units: Option<Units>,
-    /// Axis of the BVH files that points up: y or z [default: the one along which feet are below
-    /// the root]
+    /// Axis of BVH files that points up: y or z [default: guessed from the feet]
     #[arg(long, value_parser = named::<UpAxis>, value_name = "AXIS")]
     pub up: Option<UpAxis>,
     /// Frames per second of joint positions whose skeleton is unknown

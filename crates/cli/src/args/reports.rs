@@ -6,11 +6,11 @@ use clap::Args;
 
 use super::reading::ReadingArguments;
 
-/// Motion files are plotted as the path from above and curves over time: all channels, quaternion
-/// norm and jerk of phrases `[T, 25]`; poses from the side, when the feet stand, root, feet and jerk
-/// of joint features `[T, 263]` or `[T, 251]` and of joint positions `[T, 22, 3]` or `[T, 21, 3]`;
-/// height and speed of the root of joint positions `[T, J, 3]` of any other skeleton, drawn as
-/// points, and of BVH files; place and speed of ground paths `[T, 2]`. Runs are plotted as loss curves.
+/// Motion is plotted as the root path, top view, and as curves over time. Phrases `[T, 25]`: all
+/// channels, quaternion norm and jerk. Joint features `[T, 263]` or `[T, 251]` and joint positions
+/// `[T, 22, 3]` or `[T, 21, 3]`: poses from the side, foot contacts, root, feet and jerk. Other joint
+/// positions `[T, J, 3]` and BVH files: height and speed of the root. Ground paths `[T, 2]`: position
+/// and speed. Runs are plotted as loss curves.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -19,11 +19,10 @@ Examples:
   kinegrad plot capture.bvh --units cm --out capture.svg
   kinegrad plot runs/quickstart --out losses.svg")]
 pub struct PlotArguments {
-    /// Motion file: phrase `[T, 25]`, joint features `[T, 263]` or `[T, 251]`, joint positions
-    /// `[T, J, 3]` or ground path `[T, 2]` (.npy), or a capture (.bvh); or the folder of a run
+    /// Motion file (.npy or .bvh), or folder of a run
     #[arg(value_name = "MOTION|RUN")]
     pub input: PathBuf,
-    /// Goal to draw on the floor: key frames, trajectory and obstacles
+    /// Goal to plot on the floor: key frames, trajectory and obstacles
     #[arg(long, value_name = "GOAL.toml")]
     pub goal: Option<PathBuf>,
     #[command(flatten)]
@@ -33,9 +32,8 @@ pub struct PlotArguments {
     pub out: PathBuf,
 }
 
-/// The page holds losses, validation, evaluation reports, samples with their checks as moving
-/// thumbnails, the resolved config, hardware, versions, times and checkpoints. It is one HTML file
-/// that needs no network, and can be made while the run is trained.
+/// One HTML file that needs no network: losses, evaluation reports, moving samples with their checks,
+/// the resolved config, hardware, versions, times and checkpoints. It can be written during training.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -50,8 +48,8 @@ pub struct ReportArguments {
     pub out: Option<PathBuf>,
 }
 
-/// Runs are found in the folder and in those below it; the stages of a fine-tuning, which are runs
-/// in the folder of another, are listed too.
+/// Searches the folder and those below it. Stages of a fine-tuning, which are runs inside the folder
+/// of another, are listed too.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:

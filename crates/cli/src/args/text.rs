@@ -10,36 +10,36 @@ pub enum TextCommand {
     Embed(EmbedArguments),
 }
 
-/// Embeds texts with CLIP's text encoder, read from a local folder as the model hub has it:
-/// `config.json`, `model.safetensors`, `vocab.json` and `merges.txt` of `openai/clip-vit-base-patch32`.
-/// Of a text the first 20 tokens count.
+/// Embeds texts with CLIP's text encoder from a local folder with `config.json`,
+/// `model.safetensors`, `vocab.json` and `merges.txt` of `openai/clip-vit-base-patch32`. Only the
+/// first 20 tokens of a text are used.
 ///
-/// Sentences become rows of the tensor `text`, which `kinegrad sample --text-embedding FILE#text:N`
-/// takes, N from 0. The captions of a dataset in the HumanML3D layout become one tensor per clip;
-/// trainings read them from `text_embeddings.safetensors` in its folder.
+/// Sentences become rows of the tensor `text`, for `kinegrad sample --text-embedding FILE#text:N`, N
+/// from 0. The captions of a dataset in the HumanML3D layout become one tensor per clip; training
+/// reads them from `text_embeddings.safetensors` in the dataset's folder.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
-  kinegrad text embed --clip clip-vit-base-patch32 --dataset HumanML3D \\
+  kinegrad text embed --text-encoder clip-vit-base-patch32 --dataset HumanML3D \\
     --out HumanML3D/text_embeddings.safetensors
-  kinegrad text embed --clip clip-vit-base-patch32 \"a person walks in a circle\" --out text.safetensors")]
+  kinegrad text embed --text-encoder clip-vit-base-patch32 \"a person walks in a circle\" --out text.safetensors")]
 pub struct EmbedArguments {
     /// Sentences
     #[arg(value_name = "SENTENCE", required_unless_present_any = ["dataset", "file"])]
     pub sentences: Vec<String>,
-    /// Folder of a dataset whose captions, `texts/ID.txt`, are embedded
+    /// Dataset folder whose captions, `texts/ID.txt`, are embedded
     #[arg(long, value_name = "FOLDER", conflicts_with_all = ["sentences", "file"])]
     pub dataset: Option<PathBuf>,
-    /// File with a sentence per line; empty lines are passed over
+    /// File with one sentence per line
     #[arg(long, value_name = "FILE.txt", conflicts_with = "sentences")]
     pub file: Option<PathBuf>,
-    /// Folder with CLIP ViT-B/32
+    /// Folder of CLIP ViT-B/32
     #[arg(long, value_name = "DIR")]
-    pub clip: PathBuf,
+    pub text_encoder: PathBuf,
     /// File to write
     #[arg(long, value_name = "FILE.safetensors")]
     pub out: PathBuf,
-    /// Replace the file if it exists
+    /// Replace an existing file
     #[arg(long)]
     pub overwrite: bool,
     /// Device to run on

@@ -6,13 +6,14 @@ use clap::Args;
 use kinegrad_train::Error;
 use kinegrad_train::run::Target;
 
-use crate::commands::init::default_config;
+/// The config of a `kinegrad train` that names none.
+pub const DEFAULT_CONFIG: &str = "kinegrad.toml";
 
-/// The run is written to RUNS_DIR/NAME: the resolved config, metrics.jsonl, TensorBoard events and
-/// checkpoints. Ctrl-C writes a checkpoint before exiting; `--resume` continues bit for bit.
+/// Writes the run to RUNS_DIR/NAME: resolved config, metrics.jsonl, TensorBoard events, checkpoints.
+/// Ctrl-C writes a checkpoint before exiting; `--resume` continues bit for bit.
 ///
-/// A resumed run goes on with the config that is saved in its folder. Only `--set` changes that; a
-/// config file that says otherwise draws a warning.
+/// A resumed run uses the config saved in its folder. Only `--set` changes it; a config file that
+/// differs gives a warning.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -22,7 +23,7 @@ Examples:
   kinegrad train --resume runs/phrases
   kinegrad train --resume runs/phrases --set train.max_steps=2000")]
 pub struct TrainArguments {
-    /// The config file [default: kinegrad.toml, as `kinegrad init` writes it]
+    /// Config file [default: kinegrad.toml, which `kinegrad init` writes]
     pub config: Option<PathBuf>,
     /// Override a config key, for example optim.learning_rate=2e-4
     #[arg(long = "set", value_name = "KEY=VALUE")]
@@ -33,15 +34,15 @@ pub struct TrainArguments {
     /// Folder that contains the runs [default: runs]
     #[arg(long, value_name = "DIR")]
     pub runs_dir: Option<PathBuf>,
-    /// Device to train on, see `kinegrad devices` [default: `run.device`]
+    /// Training device, see `kinegrad devices` [default: `run.device`]
     #[arg(long)]
     pub device: Option<String>,
-    /// Resume a run from its latest valid checkpoint: the run in the folder RUN, which needs no
-    /// config file, or without RUN that of the config file
+    /// Resume from the latest valid checkpoint: of the folder RUN, without a config file, or of the
+    /// config file's run
     #[arg(long, value_name = "RUN", num_args = 0..=1)]
     pub resume: Option<Option<PathBuf>>,
-    /// Validate everything, time a few steps, and print what the run would take: parameters,
-    /// memory, time, disk; writes nothing
+    /// Validate everything, time a few steps, and print an estimate of parameters, memory, time and
+    /// disk space; writes nothing
     #[arg(long)]
     pub dry_run: bool,
     /// Print the summary as one line of JSON
@@ -50,7 +51,7 @@ pub struct TrainArguments {
 }
 
 impl TrainArguments {
-    /// Which run is asked for.
+    /// The run to train.
     ///
     /// # Errors
     /// [`Error::Usage`] for options that contradict each other.
@@ -92,5 +93,20 @@ impl TrainArguments {
                 )
             }),
         }
+    }
+}
+
+/// The config of a training that names none.
+///
+/// # Errors
+/// If there is none in this folder.
+fn default_config() -> Result<PathBuf, Error> {
+    let path = PathBuf::from(DEFAULT_CONFIG);
+    match path.exists() {
+        true => Ok(path),
+        false => Err(Error::usage(
+            format!("no config is given, and there is no {DEFAULT_CONFIG} in this folder"),
+            "`kinegrad init` writes one; or name another: `kinegrad train CONFIG.toml`",
+        )),
     }
 }

@@ -6,11 +6,10 @@ use clap::Args;
 
 use super::reading::ReadingArguments;
 
-/// Writes one HTML file that needs no network: the figures move in 3D beside one another, with
-/// their curves, and with the song in step. Motions are what `kinegrad sample` writes (phrases
-/// `[T, 25]`, joint features, joint positions `[T, J, 3]`, ground paths `[T, 2]`) and BVH files of
-/// any skeleton. docs/viewing.md describes the page. The same motions are written as animated
-/// pictures, videos and files for other programs.
+/// Writes one HTML file that needs no network: motions side by side in 3D, with their curves and in
+/// sync with the song. Motions are outputs of `kinegrad sample` (phrases `[T, 25]`, joint features,
+/// joint positions `[T, J, 3]`, ground paths `[T, 2]`) and BVH files of any skeleton. They are also
+/// written as pictures, videos and files for other programs. docs/viewing.md describes the page.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -35,10 +34,10 @@ pub struct ViewArguments {
         requires = "audio"
     )]
     pub start: f64,
-    /// Goal to draw on the floor: keyframes, trajectory and obstacles
+    /// Goal to show on the floor: key frames, trajectory and obstacles
     #[arg(long, value_name = "GOAL.toml")]
     pub goal: Option<PathBuf>,
-    /// Also show NAME.raw.npy, the raw model output, beside each NAME.npy
+    /// Also show NAME.raw.npy, the model output, beside each NAME.npy
     #[arg(long)]
     pub raw: bool,
     #[command(flatten)]
@@ -46,26 +45,26 @@ pub struct ViewArguments {
     /// Title of the page [default: the names of the motions]
     #[arg(long)]
     pub title: Option<String>,
-    /// Page to write [default: beside the first motion, with its name; none if another file is
-    /// asked for]
+    /// Page to write [default: beside the first motion, with its name, unless another file is
+    /// written]
     #[arg(long, value_name = "PAGE.html")]
     pub out: Option<PathBuf>,
     /// Write an animated picture
     #[arg(long, value_name = "FILE.gif")]
     pub gif: Option<PathBuf>,
-    /// Write a video with the song, by ffmpeg
+    /// Write a video with the song; needs ffmpeg
     #[arg(long, value_name = "FILE.mp4")]
     pub mp4: Option<PathBuf>,
     /// Write an animated skeleton as binary glTF, for Blender, game engines and web viewers
     #[arg(long, value_name = "FILE.glb")]
     pub glb: Option<PathBuf>,
-    /// Write the motion as BVH in centimetres with +y up; of one motion
+    /// Write one motion as BVH in centimetres with +y up
     #[arg(long, value_name = "FILE.bvh")]
     pub bvh: Option<PathBuf>,
-    /// Hold feet where they stand in the BVH file
+    /// Lock feet in the BVH file while they stand
     #[arg(long, requires = "bvh")]
     pub lock_feet: bool,
-    /// Write over files that are there
+    /// Replace existing files
     #[arg(long)]
     pub overwrite: bool,
 }

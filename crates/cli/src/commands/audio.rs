@@ -12,6 +12,7 @@ use kinegrad_train::song::song_features;
 use rayon::prelude::*;
 
 use crate::args::FeaturesArguments;
+use crate::io::must_be_new;
 use crate::output::{self, draw};
 
 /// A song on its way to features.
@@ -48,9 +49,12 @@ pub fn features(arguments: FeaturesArguments) -> Result<ExitCode, Error> {
             ));
         }
     }
-    if !arguments.overwrite {
-        must_be_new(&songs, arguments.plot)?;
-    }
+    let files = songs.iter().flat_map(|song| {
+        let picture = arguments.plot.then(|| song.picture());
+        [Some(song.features()), picture].into_iter().flatten()
+    });
+    let files: Vec<PathBuf> = files.collect();
+    must_be_new(&files, &[], arguments.overwrite, "--out")?;
     let each = songs.par_iter().map(|song| one(song, &arguments));
     let mut code = 0;
     let mut rows = Vec::new();
@@ -96,21 +100,6 @@ fn songs(arguments: &FeaturesArguments) -> Result<Vec<Song>, Error> {
         });
     }
     Ok(songs)
-}
-
-/// Rejects songs whose features are there already, before any is computed.
-fn must_be_new(songs: &[Song], plot: bool) -> Result<(), Error> {
-    let files = songs.iter().flat_map(|song| {
-        let picture = plot.then(|| song.picture());
-        [Some(song.features()), picture]
-    });
-    let exists = files.flatten().find(|file| file.exists());
-    exists.map_or(Ok(()), |file| {
-        Err(Error::usage(
-            format!("{} exists already", file.display()),
-            "replace it with `--overwrite`, or name another folder with `--out`",
-        ))
-    })
 }
 
 fn one(song: &Song, arguments: &FeaturesArguments) -> Result<[String; 6], Error> {

@@ -1,10 +1,10 @@
 //! `kinegrad check`
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::ExitCode;
 
 use kinegrad_data::humanml::SkeletonName;
-use kinegrad_data::{DataConfig, DataKind, read_array};
+use kinegrad_data::{DataConfig, DataKind};
 use kinegrad_motion::{Profile, Report, Representation, Statistics};
 use kinegrad_report::table;
 use kinegrad_train::Error;
@@ -14,26 +14,32 @@ use serde_json::json;
 
 use super::sample::checkpoint;
 use crate::args::CheckArguments;
+use crate::io::{BvhReading, Motion, is_bvh, motion_files, with_raw};
 use crate::output;
-use crate::scene;
 
 /// Checks each file; exit code 1 if any fails.
 pub fn run(systems: Systems<'_>, arguments: CheckArguments) -> Result<ExitCode, Error> {
     let mut reports = Vec::new();
-    for path in motion_files(&arguments.paths, arguments.raw)? {
-        if scene::is_bvh(&path) {
+    let mut files = motion_files(&arguments.paths, &["npy"])?;
+    if arguments.raw {
+        files = with_raw(files);
+    }
+    for path in files {
+        if is_bvh(&path) {
             return Err(Error::usage(
                 format!("{} is a BVH file, which cannot be checked", path.display()),
                 "motion arrays (.npy) are checked; `kinegrad view` and `kinegrad plot` show a BVH \
                  file",
             ));
         }
-        let array = read_array(&path)?;
-        let representation = systems
-            .representation_of(&path, &array.shape, &array.values)
-            .map_err(|error| unknown(&path, &array.shape, error))?;
-        let statistics = statistics(&arguments, &*representation)?;
-        let report = representation
+        let array = match Motion::read(systems, &path, &BvhReading::default())? {
+            Motion::Array(array) => array,
+            Motion::Points(joints, error) => return Err(unknown(&path, joints.joints(), &error)),
+            Motion::Bvh(_) => unreachable!("refused above"),
+        };
+        let statistics = statistics(&arguments, &*array.representation)?;
+        let report = array
+            .representation
             .check(&array.values, arguments.profile, statistics.as_ref())
             .map_err(|error| unusable(&arguments, error))?;
         reports.push((path.display().to_string(), report));
@@ -56,11 +62,8 @@ pub fn run(systems: Systems<'_>, arguments: CheckArguments) -> Result<ExitCode, 
     Ok(ExitCode::from(u8::from(passed < reports.len())))
 }
 
-/// The error of an array of no known representation; that of joints says what can be done with them.
-fn unknown(path: &Path, shape: &[usize], error: Error) -> Error {
-    let &[_, joints, 3] = shape else {
-        return error;
-    };
+/// The error of joints of an unknown skeleton.
+fn unknown(path: &Path, joints: usize, error: &Error) -> Error {
     let known = error.help().map(|hint| hint.to_string());
     Error::usage(
         format!(
@@ -92,7 +95,7 @@ fn unusable(arguments: &CheckArguments, error: kinegrad_motion::Error) -> Error 
             let source = source.unwrap_or_else(|| "URI".to_owned());
             let hint = format!(
                 "measure the motion itself: `--source {source}` in place of `--run`, or use \
-                 `--profile document`"
+                 `--profile ccmotion`"
             );
             Error::usage(message, hint)
         }
@@ -128,49 +131,6 @@ fn statistics(
         None => data.validation.fraction = Some(0.0),
     }
     Ok(Some(kinegrad_data::statistics(&data)?))
-}
-
-/// The files meant by `paths`, folders searched through, with `raw` model output or without.
-fn motion_files(paths: &[PathBuf], raw: bool) -> Result<Vec<PathBuf>, Error> {
-    let mut files = Vec::new();
-    for path in paths {
-        let before = files.len();
-        collect(path, raw, &mut files);
-        if files.len() == before {
-            let message = format!("there is no motion file at {}", path.display());
-            let hint = "give a .npy file such as `kinegrad sample` writes, or a folder of them";
-            return Err(Error::usage(message, hint));
-        }
-    }
-    Ok(files)
-}
-
-fn collect(path: &Path, raw: bool, files: &mut Vec<PathBuf>) {
-    if path.is_file() {
-        files.push(path.to_path_buf());
-        return;
-    }
-    let entries = std::fs::read_dir(path).into_iter().flatten().flatten();
-    let mut inside: Vec<PathBuf> = entries.map(|entry| entry.path()).collect();
-    inside.sort();
-    for path in inside {
-        let is_array = path.extension().is_some_and(|extension| extension == "npy");
-        if path.is_dir() || (is_array && !is_left_out(&path, raw)) {
-            collect(&path, raw, files);
-        }
-    }
-}
-
-/// Whether a file in a folder says of a sample what another file beside it says too.
-fn is_left_out(path: &Path, raw: bool) -> bool {
-    let name = path.file_name().unwrap_or_default().to_string_lossy();
-    let stem_of = |ending: &&str| name.strip_suffix(*ending);
-    let companion = [".raw.npy", ".features.npy", ".path.npy"];
-    let Some(stem) = companion.iter().find_map(stem_of) else {
-        return false;
-    };
-    let beside = path.with_file_name(format!("{stem}.npy")).exists();
-    beside && !(raw && name.ends_with(".raw.npy"))
 }
 
 fn report_table(report: &Report) -> String {

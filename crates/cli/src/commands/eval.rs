@@ -42,9 +42,9 @@ fn evaluate(
 ) -> Result<(), Error> {
     let runs = &arguments.runs;
     let scales = arguments.draw.guidance_scale.len();
-    if scales > 1 && !arguments.listening {
+    if scales > 1 && !arguments.audio_ablation {
         let message = format!("`--guidance-scale` names {scales} scales");
-        let hint = "give one, or compare them with `--listening`";
+        let hint = "give one, or compare them with `--audio-ablation`";
         return Err(Error::usage(message, hint));
     }
     let models: Vec<TrainedModel> = runs
@@ -57,7 +57,7 @@ fn evaluate(
         source: arguments.source,
         trajectory: trajectory.transpose()?,
         seed: arguments.seed,
-        listening: arguments.listening,
+        listening: arguments.audio_ablation,
         together: together.clone(),
     };
     must_evaluate_the_same(together, &models, &request)?;

@@ -8,11 +8,8 @@ use std::process::ExitCode;
 use kinegrad_train::Error;
 
 use super::nearest;
-use crate::args::InitArguments;
+use crate::args::{DEFAULT_CONFIG, InitArguments};
 use crate::folder;
-
-/// The config of a `kinegrad train` that names none.
-pub const DEFAULT_CONFIG: &str = "kinegrad.toml";
 
 /// What `init` writes unless asked for something else.
 const FIRST: &str = "quickstart";
@@ -78,7 +75,7 @@ impl Template {
         match self.name {
             "prepare" | "bodies" => format!("kinegrad data prepare {path}"),
             "goal" => format!("kinegrad sample RUN --goal {path} --out walk"),
-            "compose" => format!("kinegrad sample RUN --plan {path} --out walk"),
+            "compose" => format!("kinegrad sample RUN --prompts {path} --out walk"),
             _ if file == Path::new(DEFAULT_CONFIG) => "kinegrad train".to_owned(),
             _ => format!("kinegrad train {path}"),
         }
@@ -160,21 +157,6 @@ fn write_new(file: &Path, text: &str) -> Result<(), Error> {
         let _ = std::fs::remove_file(file);
         Error::io("write", file)(error)
     })
-}
-
-/// The config of a training that names none.
-///
-/// # Errors
-/// If there is none in this folder.
-pub fn default_config() -> Result<PathBuf, Error> {
-    let path = PathBuf::from(DEFAULT_CONFIG);
-    match path.exists() {
-        true => Ok(path),
-        false => Err(Error::usage(
-            format!("no config is given, and there is no {DEFAULT_CONFIG} in this folder"),
-            "`kinegrad init` writes one; or name another: `kinegrad train CONFIG.toml`",
-        )),
-    }
 }
 
 #[cfg(test)]

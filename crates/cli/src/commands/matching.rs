@@ -1,10 +1,8 @@
 //! `kinegrad match`
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use kinegrad_capture::UpAxis;
-use kinegrad_data::write_whole;
 use kinegrad_matching::{
     Example, Fixed, Job, Keyframe, Looping, Made, PartChoice, Preset, Settings,
 };
@@ -13,8 +11,8 @@ use kinegrad_train::Error;
 use kinegrad_train::systems::Systems;
 
 use crate::args::MatchArguments;
+use crate::io::{Content, guess_units, guess_up, is_bvh, must_be_new, write_all};
 use crate::output::unusable;
-use crate::scene::{guess_units, guess_up, is_bvh};
 use crate::{folder, interrupt, output};
 
 mod motions;
@@ -56,18 +54,21 @@ pub fn run(systems: Systems<'_>, arguments: MatchArguments) -> Result<ExitCode, 
     for path in outputs.into_iter().flatten() {
         folder::must_take(path)?;
     }
+    let content = match &features {
+        Some(features) => Content::features(features),
+        None => Content::Text(made.bvh.to_text()),
+    };
+    let written = [
+        (arguments.out.clone(), content),
+        (record_path.clone(), Content::Text(described)),
+    ];
     interrupt::not_during(|| {
         if let Some(svg) = &arguments.svg {
             let names = arguments.examples.iter().map(|path| name(path));
-            let metres = metres(&examples[0], job.up);
+            let metres = guess_units(&examples[0].bvh, job.up).metres();
             picture::draw(&made, &names.collect::<Vec<_>>(), metres, svg)?;
         }
-        match &features {
-            Some(features) => motions::write(features, &arguments.out)?,
-            None => write_whole(&arguments.out, made.bvh.to_text().as_bytes())?,
-        }
-        write_whole(&record_path, described.as_bytes())?;
-        Ok::<(), Error>(())
+        write_all(&written)
     })?;
     match arguments.json {
         true => output::json(&record),
@@ -96,7 +97,7 @@ fn no_clip(arguments: &MatchArguments) -> Error {
 }
 
 /// Refuses outputs that are there, or are read.
-fn must_be_writable(arguments: &MatchArguments, record: &Path) -> Result<(), Error> {
+fn must_be_writable(arguments: &MatchArguments, record: &PathBuf) -> Result<(), Error> {
     let out = &arguments.out;
     if !is_bvh(out) && !is_clip(out) {
         let message = format!("`--out {}` does not end in .bvh or .npy", out.display());
@@ -106,52 +107,36 @@ fn must_be_writable(arguments: &MatchArguments, record: &Path) -> Result<(), Err
     if let Some(svg) = &arguments.svg {
         check_ending(svg).map_err(unusable)?;
     }
-    let outputs = [Some(out.as_path()), Some(record), arguments.svg.as_deref()];
-    for path in outputs.into_iter().flatten() {
-        if let Some(problem) = read_too(arguments, path) {
-            let message = format!("{} {problem}", path.display());
-            return Err(Error::usage(message, "name another file with `--out`"));
-        }
-    }
-    for path in outputs.into_iter().flatten() {
-        if path.exists() && !arguments.overwrite {
-            let message = format!("{} exists already", path.display());
-            let hint = "replace it with `--overwrite`, or name another file with `--out`";
-            return Err(Error::usage(message, hint));
-        }
-    }
-    Ok(())
+    let outputs = [Some(out), Some(record), arguments.svg.as_ref()];
+    let outputs = outputs.into_iter().flatten();
+    let read = files_read(arguments);
+    must_be_new(outputs, &read, arguments.overwrite, "--out")
 }
 
-/// Why a file must not be written over: what is read of it. Files are compared, not names.
-fn read_too(arguments: &MatchArguments, written: &Path) -> Option<&'static str> {
-    let written = written.canonicalize().ok()?;
-    let is_it = |path: &Path| path.canonicalize().is_ok_and(|path| path == written);
-    if arguments.examples.iter().any(|path| is_it(path)) {
-        return Some("is an example itself");
-    }
-    if arguments.fix.iter().any(|(_, path)| is_it(path)) {
-        return Some("is what a part follows");
-    }
-    if arguments.content.as_deref().is_some_and(is_it) {
-        return Some("is the content itself");
-    }
-    if [&arguments.parts, &arguments.keyframes]
-        .into_iter()
-        .any(|path| path.as_deref().is_some_and(is_it))
+/// The files that a motion is made of.
+fn files_read(arguments: &MatchArguments) -> Vec<PathBuf> {
+    let MatchArguments {
+        examples,
+        fix,
+        content,
+        parts,
+        keyframes,
+        ..
+    } = arguments;
+    let fixed = fix.iter().map(|(_, path)| path);
+    let named = [content, parts, keyframes].into_iter().flatten();
+    let mut read: Vec<PathBuf> = examples.iter().chain(fixed).chain(named).cloned().collect();
+    // A file of key frames that cannot be read is an error later.
+    if let Some(path) = keyframes
+        && let Ok(text) = kinegrad_data::file::read_text(path)
+        && let Ok(keyframes) = Keyframe::read(&text, &path.display().to_string())
     {
-        return Some("is read itself");
+        let sources = keyframes
+            .iter()
+            .filter_map(|keyframe| keyframe.file.as_ref());
+        read.extend(sources.map(|file| path.with_file_name(file)));
     }
-    // What cannot be read is said when it is needed.
-    let path = arguments.keyframes.as_ref()?;
-    let text = kinegrad_data::file::read_text(path).ok()?;
-    let keyframes = Keyframe::read(&text, &path.display().to_string()).ok()?;
-    let mut sources = keyframes
-        .iter()
-        .filter_map(|keyframe| keyframe.file.as_ref());
-    sources
-        .any(|file| is_it(&path.with_file_name(file)))
-        .then_some("has a pose of the key frames")
+    read
 }
 
 /// Reads a motion that the new one takes something of; clips have the skeleton of the first example.
@@ -202,13 +187,13 @@ fn job(
         length: arguments.length,
         seed: arguments.seed,
         content: content.transpose()?,
-        up: up(arguments, &examples[0]),
+        up: arguments.up.unwrap_or_else(|| guess_up(&examples[0].bvh)),
         contacts: is_paper,
         heading: arguments.heading,
         parts,
         keyframes,
         fixed: fixed.collect::<Result<_, Error>>()?,
-        feet: arguments.feet,
+        feet: arguments.lock_feet,
     })
 }
 
@@ -243,26 +228,6 @@ fn keyframes(systems: Systems<'_>, path: &Path) -> Result<Vec<(Keyframe, Option<
         Ok((keyframe, source.transpose()?))
     };
     keyframes.into_iter().map(with_source).collect()
-}
-
-/// The axis that points up: as given, or by the feet.
-fn up(arguments: &MatchArguments, first: &Example) -> UpAxis {
-    arguments.up.unwrap_or_else(|| {
-        let joints = first.bvh.joints().iter();
-        let names: Vec<String> = joints.map(|joint| joint.name.clone()).collect();
-        guess_up(&names, &places(first))
-    })
-}
-
-/// Metres of a unit of the file, if the body is as tall as a person.
-fn metres(first: &Example, up: UpAxis) -> f64 {
-    guess_units(&places(first), up).metres()
-}
-
-/// Where the joints are in the first frame.
-fn places(example: &Example) -> Vec<[f64; 3]> {
-    let world = example.bvh.world(0).into_iter();
-    world.map(|pose| pose.position).collect()
 }
 
 /// A file's name without its folder and extension.

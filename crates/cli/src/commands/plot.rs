@@ -3,7 +3,6 @@
 use std::path::Path;
 use std::process::ExitCode;
 
-use kinegrad_data::read_array;
 use kinegrad_motion::Representation;
 use kinegrad_report::scene::Floor;
 use kinegrad_report::{Panel, Series, body_panels, check_ending};
@@ -13,6 +12,7 @@ use kinegrad_train::systems::gmd::read_goal;
 use kinegrad_train::telemetry::{Record, read_metrics};
 
 use crate::args::PlotArguments;
+use crate::io::Motion;
 use crate::output::{draw, unusable};
 use crate::scene::{self, Reading};
 
@@ -71,14 +71,16 @@ fn motion_panels(
     floor: &Floor,
 ) -> Result<Vec<Panel>, Error> {
     let name = path.file_stem().unwrap_or_default().to_string_lossy();
-    if !scene::is_bvh(path) {
-        let array = read_array(path)?;
-        let known = systems.representation_of(path, &array.shape, &array.values);
-        if let Ok(representation) = known {
-            return Ok(known_panels(&*representation, &array.values, &name, floor));
-        }
+    let motion = Motion::read(systems, path, &reading.bvh)?;
+    if let Motion::Array(array) = &motion {
+        return Ok(known_panels(
+            &*array.representation,
+            &array.values,
+            &name,
+            floor,
+        ));
     }
-    let figure = scene::figure(systems, path, name.into_owned(), reading)?;
+    let figure = scene::of_motion(&motion, name.into_owned(), reading.fps)?;
     let body = body_panels(&figure, floor).into_iter();
     Ok(body.chain(scene::curve_panels(&figure)).collect())
 }

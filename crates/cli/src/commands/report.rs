@@ -6,7 +6,7 @@ mod previews;
 mod samples;
 
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::ExitCode;
 
 use kinegrad_data::file::read_text;
@@ -17,6 +17,7 @@ use kinegrad_train::{Error, config};
 
 use crate::args::ReportArguments;
 use crate::folder;
+use crate::io::files_in;
 use crate::runs::{Run, Standing, is_run};
 
 /// Gathers everything about a run in one page.
@@ -236,18 +237,4 @@ fn configuration(run: &Run) -> Section {
         text: text.unwrap_or_default(),
     });
     section
-}
-
-/// The files of a folder with one of these endings, by name; none where there is no folder.
-fn files_in(folder: &Path, endings: &[&str]) -> Vec<PathBuf> {
-    let entries = fs::read_dir(folder).into_iter().flatten().flatten();
-    let paths = entries.map(|entry| entry.path());
-    let mut paths: Vec<PathBuf> = paths
-        .filter(|path| {
-            let ending = path.extension().unwrap_or_default();
-            path.is_file() && endings.iter().any(|known| ending == *known)
-        })
-        .collect();
-    paths.sort();
-    paths
 }

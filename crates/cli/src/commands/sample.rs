@@ -13,8 +13,8 @@ use kinegrad_train::systems::Systems;
 use kinegrad_train::{Error, Together};
 use serde::Serialize;
 
-use super::files::{Existing, Files, Written};
 use crate::args::{DrawArguments, SampleArguments};
+use crate::io::{Existing, Files, Written};
 use crate::{interrupt, output};
 
 /// Generates motion and writes it to files.
@@ -45,7 +45,7 @@ fn draw(systems: Systems<'_>, arguments: SampleArguments) -> Result<ExitCode, Er
     let scales = arguments.draw.guidance_scale.len();
     if scales > 1 {
         let message = format!("`--guidance-scale` names {scales} scales");
-        let hint = "give one; `kinegrad eval --listening` compares several";
+        let hint = "give one; `kinegrad eval --audio-ablation` compares several";
         return Err(Error::usage(message, hint));
     }
     let mut files = Files::new(&arguments.out, existing)?.locking_feet(arguments.lock_feet);
@@ -70,18 +70,18 @@ fn draw(systems: Systems<'_>, arguments: SampleArguments) -> Result<ExitCode, Er
     let request = Request {
         conditions: Conditions {
             source: arguments.source,
-            item: arguments.phrase,
-            audio_features: arguments.cond,
+            item: arguments.item,
+            audio_features: arguments.audio_features,
             song: arguments.audio,
             start: arguments.start,
             beats: arguments.beats.known(),
             goals: arguments.goal,
             trajectory: trajectory.transpose()?,
             text: arguments.text,
-            clip: arguments.clip,
+            clip: arguments.text_encoder,
             text_embedding: arguments.text_embedding,
             history: arguments.history,
-            plan: arguments.plan,
+            plan: arguments.prompts,
             path: arguments.path.map(|file| PathFile {
                 file,
                 metres_per_unit: arguments.metres_per_unit,

@@ -12,6 +12,7 @@ use kinegrad_train::{Error, device};
 
 use crate::args::EmbedArguments;
 use crate::interrupt;
+use crate::io::must_be_new;
 use crate::progress::Count;
 
 /// Name of the tensor of sentences that are of no clip.
@@ -21,14 +22,10 @@ const TENSOR: &str = "text";
 pub fn embed(arguments: EmbedArguments) -> Result<ExitCode, Error> {
     interrupt::end_between_files();
     let out = &arguments.out;
-    if out.exists() && !arguments.overwrite {
-        let message = format!("{} exists already", out.display());
-        let hint = "replace it with `--overwrite`, or name another file with `--out`";
-        return Err(Error::usage(message, hint));
-    }
+    must_be_new([out], &[], arguments.overwrite, "--out")?;
     let (named, texts) = texts(&arguments)?;
     let (device, _) = device::open(&arguments.device)?;
-    let encoder = TextEncoder::read(&arguments.clip, &device)?;
+    let encoder = TextEncoder::read(&arguments.text_encoder, &device)?;
     // Many captions occur several times.
     let mut distinct: Vec<&str> = texts.iter().map(String::as_str).collect();
     distinct.sort_unstable();

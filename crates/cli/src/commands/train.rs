@@ -14,13 +14,14 @@ use kinegrad_train::{Ending, Error};
 
 use serde::Serialize;
 
-use super::files::Files;
-use super::plan;
+use super::estimate;
 use super::sample::{checkpoint, say_remark};
 use crate::args::TrainArguments;
+use crate::io::Files;
 use crate::output;
-use crate::progress::{TrainProgress, duration};
+use crate::progress::duration;
 use crate::ranks::{guarded, settled, together};
+use crate::train_progress::TrainProgress;
 
 /// Trains, then generates the samples of `sampling.count_at_end`.
 pub fn run(systems: Systems<'_>, arguments: TrainArguments) -> Result<ExitCode, Error> {
@@ -63,8 +64,8 @@ pub fn run(systems: Systems<'_>, arguments: TrainArguments) -> Result<ExitCode, 
         }
         return Ok(ExitCode::from(if interrupted || stops { 130 } else { 0 }));
     }
-    if let Some(plan) = &outcome.plan {
-        plan::print(plan, json);
+    if let Some(estimate) = &outcome.plan {
+        estimate::print(estimate, json);
         return Ok(ExitCode::SUCCESS);
     }
     let seconds = started.elapsed().as_secs_f64();

@@ -9,6 +9,7 @@ use kinegrad_train::Error;
 use kinegrad_train::systems::Systems;
 
 use crate::args::ViewArguments;
+use crate::io::must_be_new;
 use crate::output::unusable;
 use crate::scene::{self, Music, Reading};
 use crate::{folder, interrupt};
@@ -63,8 +64,9 @@ pub fn run(systems: Systems<'_>, arguments: ViewArguments) -> Result<ExitCode, E
         refused.map_err(unusable)?;
     }
     let bvh = outputs.iter().find(|(kind, _)| *kind == Kind::Bvh);
-    let bvh =
-        bvh.map(|(_, out)| scene::as_bvh(systems, &motions[0], &reading, out, arguments.lock_feet));
+    let bvh = bvh.map(|(_, out)| {
+        scene::as_bvh(systems, &motions[0], &reading.bvh, out, arguments.lock_feet)
+    });
     let bvh = bvh.transpose()?.map(|bvh| bvh.to_text());
     outputs
         .iter()
@@ -116,13 +118,8 @@ fn outputs(arguments: &ViewArguments, motions: &[PathBuf]) -> Result<Vec<(Kind, 
         outputs.push((Kind::Page, motions[0].with_extension("html")));
     }
     for (kind, path) in &outputs {
-        must_be_writable(*kind, path, arguments.overwrite)?;
-        if motions.contains(path) {
-            return Err(Error::usage(
-                format!("{} is the motion itself", path.display()),
-                "name another file",
-            ));
-        }
+        must_end(*kind, path)?;
+        must_be_new([path], motions, arguments.overwrite, kind.names()[0])?;
     }
     let bvh = outputs.iter().any(|(kind, _)| *kind == Kind::Bvh);
     if bvh && motions.len() > 1 {
@@ -134,19 +131,13 @@ fn outputs(arguments: &ViewArguments, motions: &[PathBuf]) -> Result<Vec<(Kind, 
     Ok(outputs)
 }
 
-fn must_be_writable(kind: Kind, path: &Path, overwrite: bool) -> Result<(), Error> {
+fn must_end(kind: Kind, path: &Path) -> Result<(), Error> {
     let [option, ending] = kind.names();
     let found = path.extension();
     if !found.is_some_and(|found| found.eq_ignore_ascii_case(ending)) {
         return Err(Error::usage(
             format!("`{option} {}` does not end in .{ending}", path.display()),
             format!("`{option} {}`", path.with_extension(ending).display()),
-        ));
-    }
-    if path.exists() && !overwrite {
-        return Err(Error::usage(
-            format!("{} exists already", path.display()),
-            format!("replace it with `--overwrite`, or name another file with `{option}`"),
         ));
     }
     Ok(())

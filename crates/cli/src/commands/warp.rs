@@ -3,8 +3,8 @@
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
+use kinegrad_data::Digest;
 use kinegrad_data::file::read_text;
-use kinegrad_data::{Digest, read_array, write_values, write_whole};
 use kinegrad_motion::feet::{ContactRule, hold_above};
 use kinegrad_motion::humanml::{Extraction, Features, Joints, Skeleton};
 use kinegrad_motion::metrics::{mean_jerk, skating_ratio};
@@ -15,7 +15,7 @@ use kinegrad_train::systems::Systems;
 use serde::Serialize;
 
 use crate::args::WarpArguments;
-use crate::commands::files::{self, note_deviation};
+use crate::io::{Content, MotionArray, bvh_file, must_be_new, stem, write_all};
 use crate::output::unusable;
 use crate::{folder, interrupt, output};
 
@@ -96,7 +96,7 @@ pub fn run(systems: Systems<'_>, arguments: WarpArguments) -> Result<ExitCode, E
         joints.as_slice()[..frames * joints.joints()].to_vec(),
         joints.joints(),
     )?;
-    let held = match arguments.fix_feet {
+    let held = match arguments.lock_feet {
         true => Some(hold_above(
             &warped.joints,
             &own,
@@ -152,28 +152,11 @@ pub fn run(systems: Systems<'_>, arguments: WarpArguments) -> Result<ExitCode, E
 
 /// Where the results go: joints, features, BVH and record.
 fn outputs(arguments: &WarpArguments) -> Result<[PathBuf; 4], Error> {
-    let text = arguments.out.to_string_lossy();
-    let stem = text.strip_suffix(".npy").unwrap_or(&text);
-    if stem.is_empty() || stem.ends_with(['/', '.']) {
-        let message = format!("`--out {text}` names no file: it is the beginning of a path");
-        return Err(Error::usage(message, "such as `--out warped/walk`"));
-    }
+    let stem = stem(&arguments.out)?;
     let outputs = [".npy", ".features.npy", ".bvh", ".json"];
     let outputs = outputs.map(|ending| PathBuf::from(format!("{stem}{ending}")));
-    let read = [&arguments.motion, &arguments.path];
-    let read = read.map(|path| path.canonicalize().ok());
-    for path in &outputs {
-        let there = path.canonicalize().ok();
-        if there.is_some() && read.contains(&there) {
-            let message = format!("{} is read itself", path.display());
-            return Err(Error::usage(message, "choose another `--out`"));
-        }
-        if there.is_some() && !arguments.overwrite {
-            let message = format!("{} exists already", path.display());
-            let hint = "replace it with `--overwrite`, or choose another `--out`";
-            return Err(Error::usage(message, hint));
-        }
-    }
+    let read = [arguments.motion.clone(), arguments.path.clone()];
+    must_be_new(&outputs, &read, arguments.overwrite, "--out")?;
     Ok(outputs)
 }
 
@@ -197,30 +180,12 @@ fn read_path(arguments: &WarpArguments) -> Result<(String, PathPlan), Error> {
 
 /// The joints of a motion and their skeleton.
 fn read_motion(systems: Systems<'_>, path: &Path) -> Result<(Joints, Skeleton), Error> {
-    let array = read_array(path)?;
-    let representation = systems.representation_of(path, &array.shape, &array.values)?;
-    let Some(skeleton) = representation.skeleton().cloned() else {
-        let message = format!(
-            "{}: a {} has no body that a path could turn",
-            path.display(),
-            representation.name()
-        );
-        let hint = "give joint positions `[T, J, 3]` or joint features of a skeleton, such as \
-                    `kinegrad sample` of a run on clips writes";
-        return Err(Error::usage(message, hint));
-    };
-    match representation.joints(&array.values) {
-        Some(joints) if joints.frames() > 1 => Ok((joints, skeleton)),
-        Some(_) => {
-            let message = format!("{} has a single frame", path.display());
-            Err(Error::usage(message, "give a motion of two frames or more"))
-        }
-        None => {
-            let message = format!("{}: a position is not finite", path.display());
-            let hint = "`kinegrad check` says what is wrong with a motion";
-            Err(Error::usage(message, hint))
-        }
+    let (joints, skeleton) = MotionArray::read(systems, path)?.body()?;
+    if joints.frames() < 2 {
+        let message = format!("{} has a single frame", path.display());
+        return Err(Error::usage(message, "give a motion of two frames or more"));
     }
+    Ok((joints, skeleton))
 }
 
 fn write(
@@ -228,27 +193,21 @@ fn write(
     features: &Features,
     skeleton: &Skeleton,
     record: &Record,
-    [motion, rows, figure, described]: &[PathBuf; 4],
+    outputs: &[PathBuf; 4],
 ) -> Result<(), Error> {
-    let bvh = files::bvh(joints, skeleton)?;
-    note_deviation(figure, &bvh, joints, skeleton);
-    let shape = [features.frames(), features.layout().channels()];
-    let text = serde_json::to_string_pretty(record).expect("plain data") + "\n";
-    let written = write_values(
-        motion,
-        &[joints.frames(), joints.joints(), 3],
-        &joints.to_f32(),
-    )
-    .and_then(|()| write_values(rows, &shape, features.as_slice()))
-    .and_then(|()| write_whole(figure, bvh.to_text().as_bytes()))
-    .and_then(|()| write_whole(described, text.as_bytes()));
-    // All of them or none.
-    if written.is_err() {
-        for path in [motion, rows, figure, described] {
-            let _ = std::fs::remove_file(path);
-        }
-    }
-    Ok(written?)
+    let bvh = bvh_file(&outputs[2], joints, skeleton, false)?;
+    let record = serde_json::to_string_pretty(record).expect("plain data") + "\n";
+    let contents = [
+        Content::Array {
+            shape: vec![joints.frames(), joints.joints(), 3],
+            values: &joints.to_f32(),
+        },
+        Content::features(features),
+        Content::Text(bvh.to_text()),
+        Content::Text(record),
+    ];
+    let files: Vec<_> = outputs.iter().cloned().zip(contents).collect();
+    write_all(&files)
 }
 
 impl Quality {
@@ -322,7 +281,7 @@ impl Record {
         }
         let Some(feet) = &self.feet else { return };
         if feet.in_contact == 0.0 {
-            tell!("warning: no foot stands in this motion: `--fix-feet` held none");
+            tell!("warning: no foot stands in this motion: `--lock-feet` held none");
         }
         if feet.legs_short > LEGS_SHORT {
             tell!(

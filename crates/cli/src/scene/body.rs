@@ -1,22 +1,24 @@
-//! Bodies of joints: when their feet stand, and curves where no representation gives any.
+//! Bodies: foot contacts, and curves of motion without a known representation.
 
 use kinegrad_motion::humanml::Joints;
 use kinegrad_report::scene::{Contact, Curves, Figure};
 
+use crate::io::is_foot;
+
 /// Height of the person that the thresholds of contacts are for, metres.
 const PERSON: f64 = 1.7;
 
-/// A joint that stands is at most this far above its lowest place, metres.
+/// Largest height of a standing joint above its lowest position, metres.
 const LOW: f64 = 0.05;
 
-/// A joint that stands moves at most this fast, metres per second.
+/// Largest speed of a standing joint, metres per second.
 const SLOW: f64 = 0.4;
 
-/// The figure of a body's joints. `feet` are the joints that can stand on the ground; by default
+/// The figure of a body's joints. `feet` are the joints that can stand on the ground, by default
 /// those named as feet and toes.
 ///
-/// A foot stands where it is within 5 cm of its own lowest place and slower than 0.4 m/s, for a
-/// person 1.7 m tall; thresholds grow with the figure.
+/// A foot stands if it is within 5 cm of its lowest position and slower than 0.4 m/s, for a person
+/// 1.7 m tall; thresholds scale with the height.
 pub fn figure(
     name: String,
     fps: f64,
@@ -50,14 +52,8 @@ pub fn figure(
     }
 }
 
-/// Whether a joint of this name is a foot's: of the tips of its chain only those that carry weight.
-pub fn is_foot(name: &str) -> bool {
-    let name = name.rsplit(':').next().unwrap_or(name).to_lowercase();
-    (name.contains("foot") || name.contains("toe")) && !name.ends_with("end")
-}
-
-/// The largest height from the lowest to the highest joint, of a frame now and then.
-pub fn height(joints: &Joints) -> f64 {
+/// The largest height from the lowest to the highest joint, over about 50 frames.
+fn height(joints: &Joints) -> f64 {
     let step = joints.frames().div_ceil(50);
     let heights = (0..joints.frames()).step_by(step).map(|t| {
         let places = || joints.frame(t).iter().map(|place| place[1]);
@@ -69,7 +65,7 @@ pub fn height(joints: &Joints) -> f64 {
 fn stands(track: &[[f64; 3]], fps: f64, size: f64) -> Vec<bool> {
     let mut heights: Vec<f64> = track.iter().map(|place| place[1]).collect();
     heights.sort_by(f64::total_cmp);
-    // A single frame that dips through the floor does not count.
+    // Ignores single frames below the floor.
     let lowest = heights[heights.len() / 50];
     let speed = |t: usize| {
         let (from, to) = (t.saturating_sub(1), (t + 1).min(track.len() - 1));
@@ -123,17 +119,5 @@ mod tests {
         assert_eq!(contact.joint, 1);
         let standing: Vec<usize> = (0..30).filter(|t| contact.frames[*t]).collect();
         assert_eq!(standing, (0..9).chain(21..30).collect::<Vec<_>>());
-    }
-
-    #[test]
-    fn feet_are_known_by_their_names() {
-        for (name, is) in [
-            ("left_foot", true),
-            ("RightToeBase", true),
-            ("LeftToe_End", false),
-            ("Hips", false),
-        ] {
-            assert_eq!(is_foot(name), is, "{name}");
-        }
     }
 }

@@ -10,7 +10,7 @@ use kinegrad_train::memory::must_fit;
 
 use crate::output::unusable;
 
-/// Largest song that is read, bytes.
+/// Largest file of a song, bytes.
 const LARGEST: u64 = 1 << 30;
 
 /// A song and where the motion starts in it.
@@ -22,8 +22,8 @@ pub struct Music {
     pub start: f64,
 }
 
-/// The song with its beats during `seconds` of motion. What is smaller goes into the page: the
-/// file, or its part that belongs to the motion as uncompressed mono.
+/// The song with its beats during `seconds` of motion: the file, or if that is smaller the part
+/// during the motion as uncompressed mono.
 ///
 /// # Errors
 /// If the song cannot be decoded, or the motion would start outside of it.
@@ -38,7 +38,7 @@ pub fn song(music: &Music, seconds: f64) -> Result<Song, Error> {
                 "`--start` is {start}, the song has {length:.1} s: {}",
                 path.display()
             ),
-            "seconds from the beginning of the song to that of the motion",
+            "give the second of the song at which the motion starts",
         ));
     }
     let from = (start * rate) as usize;
@@ -98,7 +98,7 @@ fn wav(samples: &[f32]) -> Vec<u8> {
     bytes.extend([2u16, 16].map(u16::to_le_bytes).concat());
     bytes.extend(b"data");
     bytes.extend(data.to_le_bytes());
-    // As files of 16 bits are read; a conversion to integers keeps to their range.
+    // The conversion to an integer saturates.
     let level = |sample: &f32| ((sample * 32768.0).round() as i16).to_le_bytes();
     bytes.extend(samples.iter().flat_map(level));
     bytes

@@ -1,4 +1,4 @@
-//! Where the frames of a motion come from, as the record beside it says that `kinegrad match` wrote.
+//! Source frames of a motion, from the record that `kinegrad match` wrote beside it.
 
 use std::path::{Path, PathBuf};
 
@@ -6,10 +6,10 @@ use kinegrad_data::file::read_file;
 use kinegrad_report::scene::{Origins, Run};
 use serde::Deserialize;
 
-/// Largest record that is read, bytes.
+/// Largest record, bytes.
 const LARGEST: u64 = 1 << 26;
 
-/// What is read of a record.
+/// The parts of a record that are read.
 #[derive(Deserialize)]
 struct Record {
     examples: Vec<PathBuf>,
@@ -24,8 +24,7 @@ struct Part {
     runs: Vec<[usize; 4]>,
 }
 
-/// The origins of the motion in a file, which has so many frames. None if there is no such record
-/// beside it, or it is of another motion.
+/// The source frames of the motion of `frames` frames in a file; none without a record of it.
 pub fn beside(motion: &Path, frames: usize) -> Option<Origins> {
     let bytes = read_file(&motion.with_extension("json"), LARGEST).ok()?;
     let record: Record = serde_json::from_slice(&bytes).ok()?;

@@ -98,8 +98,8 @@ fn every_kind_of_problem_is_listed_and_none_stops_the_rest() {
         (0, "NaN in frame 5, channel position.z"),
         (1, "strict check quaternion_norm"),
         (2, "strict check quaternion_sign"),
-        (3, "document check phase"),
-        (4, "document check velocity_coherence"),
+        (3, "ccmotion check phase"),
+        (4, "ccmotion check velocity_coherence"),
         (5, "motion has 30 frames, audio 20"),
         (6, "not a readable .npz archive"),
     ] {

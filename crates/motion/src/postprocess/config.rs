@@ -61,6 +61,7 @@ pub enum PostProcessProfile {
     #[default]
     Default,
     /// [`PostProcessConfig::document`], CC-MotionGen's to the letter.
+    #[serde(rename = "ccmotion")]
     Document,
     /// [`PostProcessConfig::none`]: the raw output of the model.
     None,

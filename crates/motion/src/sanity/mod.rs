@@ -32,6 +32,7 @@ pub enum Profile {
     /// poses move. A phrase that is not finite fails them too,
     /// by a sixth line `finite` that appears only then.
     #[default]
+    #[serde(rename = "ccmotion")]
     Document,
     /// Every frame, the channels against the poses, and how the poses move against how those of the
     /// training phrases do.
@@ -45,7 +46,7 @@ impl std::fmt::Display for Profile {
     }
 }
 
-/// Checks a phrase. The profile `document` needs no `statistics`.
+/// Checks a phrase. The profile `ccmotion` needs no `statistics`.
 ///
 /// # Errors
 /// If the profile is strict, [`Error::StatisticsNeeded`] without `statistics`, and

@@ -62,7 +62,7 @@ def write_bvh(path: PathArgument, positions: ArrayLike, units_per_metre: float =
 
 def check(
     motion: ArrayLike | PathArgument,
-    profile: Literal["document", "strict"] = "document",
+    profile: Literal["ccmotion", "strict"] = "ccmotion",
     run: PathArgument | None = None,
 ) -> dict[str, Any]:
     """Checks motion for physical sanity, as `kinegrad check` does.
@@ -70,7 +70,7 @@ def check(
     Args:
         motion: A phrase `[T, 25]`, joint features `[T, 263]` or `[T, 251]`, joint positions
             `[T, J, 3]` in metres, or the path of a `.npy` file of one.
-        profile: `"document"`, which looks at the channels of phrases alone, or `"strict"`, which
+        profile: `"ccmotion"`, which looks at the channels of phrases alone, or `"strict"`, which
             looks at how positions and rotations move, with bounds from training motion.
         run: Run or checkpoint whose training statistics `"strict"` uses.
 

@@ -178,7 +178,7 @@ class Run:
         continue_from: PathArgument | None = None,
         keep: str | Sequence[tuple[int, int]] | None = None,
         keep_from: PathArgument | None = None,
-        postprocess: Literal["default", "document", "none"] = "default",
+        postprocess: Literal["default", "ccmotion", "none"] = "default",
         style: str | Sequence[float] | None = None,
         count: int = 1,
         frames: int | None = None,
@@ -220,7 +220,7 @@ class Run:
             keep: Frames that the sample takes from `keep_from` as they are, at the same places:
                 `"0..30,90..120"` or `[(0, 30), (90, 120)]`, without the ends.
             keep_from: Motion file that the frames of `keep` are taken from.
-            postprocess: Repairs of the generated phrase: `"default"`, `"document"` (CC-MotionGen's
+            postprocess: Repairs of the generated phrase: `"default"`, `"ccmotion"` (CC-MotionGen's
                 to the letter) or `"none"`.
             style: Style of the sample, for runs with `model.style`: a label, such as `"waltz"`, or
                 eight numbers in the units of the motion's style channels.

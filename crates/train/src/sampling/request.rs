@@ -131,16 +131,16 @@ impl Conditions {
         let continues = |given: &Given| given.frames == GivenFrames::Last;
         [
             ("--source", self.source.is_some()),
-            ("--phrase", self.item.is_some()),
-            ("--cond", self.audio_features.is_some()),
+            ("--item", self.item.is_some()),
+            ("--audio-features", self.audio_features.is_some()),
             ("--audio", self.song.is_some()),
             ("--goal", !self.goals.is_empty()),
             ("--trajectory-run", self.trajectory.is_some()),
             ("--text", self.text.is_some()),
-            ("--clip", self.clip.is_some()),
+            ("--text-encoder", self.clip.is_some()),
             ("--text-embedding", self.text_embedding.is_some()),
             ("--history", self.history.is_some()),
-            ("--plan", self.plan.is_some()),
+            ("--prompts", self.plan.is_some()),
             ("--path", self.path.is_some()),
             (
                 "--continue-from",
@@ -193,7 +193,7 @@ impl Conditions {
         }
         if self.clip.is_some() && self.text.is_none() {
             return Err(Error::usage(
-                "`--clip` without `--text`",
+                "`--text-encoder` without `--text`",
                 "it embeds a text: pass `--text SENTENCE` too",
             ));
         }
@@ -222,14 +222,14 @@ impl Conditions {
 
 /// Conditions that exclude each other, with what they are conditions on.
 const CONTRADICTORY: [(&str, &str, &str); 11] = [
-    ("audio", "--cond", "--phrase"),
-    ("audio", "--cond", "--source"),
-    ("audio", "--audio", "--cond"),
-    ("audio", "--audio", "--phrase"),
+    ("audio", "--audio-features", "--item"),
+    ("audio", "--audio-features", "--source"),
+    ("audio", "--audio", "--audio-features"),
+    ("audio", "--audio", "--item"),
     ("audio", "--audio", "--source"),
     ("text", "--text", "--text-embedding"),
-    ("text", "--text", "--plan"),
-    ("text", "--text-embedding", "--plan"),
+    ("text", "--text", "--prompts"),
+    ("text", "--text-embedding", "--prompts"),
     ("position", "--goal", "--path"),
     ("position", "--keep", "--path"),
     ("position", "--continue-from", "--path"),
@@ -265,11 +265,11 @@ mod tests {
             ),
             (
                 conditions(|c| c.item = Some("a".into())),
-                "`--audio` with `--phrase`",
+                "`--audio` with `--item`",
             ),
             (
                 conditions(|c| c.audio_features = Some("a.npz".into())),
-                "`--audio` with `--cond`",
+                "`--audio` with `--audio-features`",
             ),
             (
                 conditions(|c| {
@@ -277,7 +277,7 @@ mod tests {
                     c.audio_features = Some("a.npz".into());
                     c.source = Some("phrases".into());
                 }),
-                "`--cond` with `--source`",
+                "`--audio-features` with `--source`",
             ),
             (
                 conditions(|c| {

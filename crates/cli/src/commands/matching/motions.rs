@@ -4,20 +4,13 @@
 use std::path::Path;
 
 use kinegrad_capture::Bvh;
-use kinegrad_data::file::read_file;
-use kinegrad_data::{read_array, write_values};
 use kinegrad_matching::Example;
 use kinegrad_motion::humanml::{Extraction, Features, Joints, Root, Skeleton};
 use kinegrad_motion::{JointFeatures, Representation};
 use kinegrad_train::Error;
 use kinegrad_train::systems::Systems;
 
-use crate::commands::files::{self, CENTIMETRES};
-use crate::output::unusable;
-use crate::scene::is_bvh;
-
-/// Largest file that is read, bytes.
-const LARGEST: u64 = 1 << 30;
+use crate::io::{CENTIMETRES, MotionArray, as_bvh, is_bvh, read_bvh};
 
 /// The joints of a clip, which its file does not name.
 #[derive(Clone, Debug)]
@@ -56,11 +49,7 @@ pub fn read(systems: Systems<'_>, path: &Path) -> Result<Motion, Error> {
         let hint = "examples are motions as BVH, or clips of joint features as .npy";
         return Err(Error::usage(message, hint));
     }
-    let bytes = read_file(path, LARGEST).map_err(|error| {
-        let message = format!("{file} cannot be read: {error}");
-        Error::usage(message, "give a BVH file that is there")
-    })?;
-    let bvh = Bvh::parse(&bytes, &file).map_err(unusable)?;
+    let bvh = read_bvh(path)?;
     let example = Example { file, bvh };
     Ok(Motion {
         example,
@@ -69,24 +58,14 @@ pub fn read(systems: Systems<'_>, path: &Path) -> Result<Motion, Error> {
 }
 
 fn read_clip(systems: Systems<'_>, path: &Path, file: String) -> Result<Motion, Error> {
-    let array = read_array(path)?;
-    let representation = systems.representation_of(path, &array.shape, &array.values)?;
-    let Some(skeleton) = representation.skeleton().cloned() else {
-        let message = format!("{file}: a {} has no joints", representation.name());
-        let hint = "examples are motions as BVH, or clips of joint features as .npy";
-        return Err(Error::usage(message, hint));
-    };
-    let Some(joints) = representation.joints(&array.values) else {
-        let message = format!("{file}: a position is not finite");
-        let hint = "`kinegrad check` says what is wrong with a motion";
-        return Err(Error::usage(message, hint));
-    };
-    let bvh = files::bvh(&joints, &skeleton)?;
+    let array = MotionArray::read(systems, path)?;
+    let (joints, skeleton) = array.body()?;
+    let bvh = as_bvh(&joints, &skeleton)?;
     let absolute = JointFeatures {
         skeleton: skeleton.clone(),
         root: Root::Absolute,
     };
-    let root = match representation.name() == absolute.name() {
+    let root = match array.representation.name() == absolute.name() {
         true => Root::Absolute,
         false => Root::Relative,
     };
@@ -124,13 +103,4 @@ impl Clip {
         let features = extraction.features_of_all_frames(&self.skeleton, &joints)?;
         Ok(features.with_root(self.root))
     }
-}
-
-/// Writes features as an array.
-///
-/// # Errors
-/// If the file cannot be written.
-pub fn write(features: &Features, path: &Path) -> Result<(), Error> {
-    let shape = [features.frames(), features.layout().channels()];
-    Ok(write_values(path, &shape, features.as_slice())?)
 }

@@ -5,7 +5,7 @@ use kinegrad_report::page::{Block, Section};
 use kinegrad_report::viewer::Thumbnail;
 use kinegrad_train::run::PREVIEWS;
 
-use super::files_in;
+use crate::io::files_in;
 use crate::runs::Run;
 
 /// The previews of the last step that has any, as moving thumbnails.

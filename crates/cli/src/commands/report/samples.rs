@@ -2,7 +2,6 @@
 
 use std::path::{Path, PathBuf};
 
-use kinegrad_data::read_array;
 use kinegrad_motion::{Profile, Report, Representation, Statistics};
 use kinegrad_report::page::{Block, Cell, Section, Table, Tone};
 use kinegrad_report::scene::Scene;
@@ -11,7 +10,7 @@ use kinegrad_train::Error;
 use kinegrad_train::run::SAMPLES;
 use kinegrad_train::systems::Systems;
 
-use super::files_in;
+use crate::io::{MotionArray, files_in, is_companion};
 use crate::runs::Run;
 use crate::scene;
 
@@ -19,16 +18,13 @@ use crate::scene;
 const CHECKED: usize = 200;
 const MOVING: usize = 12;
 
-/// Endings of files that lie beside a sample and are no sample of their own.
-const BESIDE: [&str; 3] = [".raw.npy", ".features.npy", ".path.npy"];
-
 /// A sample that was read.
 struct Sample {
     name: String,
     seconds: f64,
     /// None where a position is not finite.
     scene: Option<Scene>,
-    document: Option<Report>,
+    ccmotion: Option<Report>,
     strict: Option<Report>,
 }
 
@@ -37,10 +33,7 @@ pub fn section(systems: Systems<'_>, run: &Run) -> Section {
     let mut section = Section::new("Samples");
     let files: Vec<PathBuf> = files_in(&run.folder.join(SAMPLES), &["npy"])
         .into_iter()
-        .filter(|path| {
-            let name = path.to_string_lossy();
-            !BESIDE.iter().any(|ending| name.ends_with(ending))
-        })
+        .filter(|path| !is_companion(path))
         .collect();
     let mut samples = Vec::new();
     for path in files.iter().take(CHECKED) {
@@ -64,19 +57,19 @@ pub fn section(systems: Systems<'_>, run: &Run) -> Section {
 }
 
 fn read(systems: Systems<'_>, run: &Run, path: &Path) -> Result<Sample, Error> {
-    let array = read_array(path)?;
-    let representation = systems.representation_of(path, &array.shape, &array.values)?;
+    let array = MotionArray::read(systems, path)?;
+    let representation = &*array.representation;
     let name = path.file_stem().unwrap_or_default().to_string_lossy();
-    let figure = scene::of(&*representation, &array.values, name.to_string());
-    let statistics = statistics(run, &*representation);
+    let figure = scene::of(representation, &array.values, name.to_string());
+    let statistics = statistics(run, representation);
     let check = |profile| {
         let report = representation.check(&array.values, profile, statistics);
         // Statistics that came with a dataset say too little for the strict profile.
         report.ok()
     };
     Ok(Sample {
-        seconds: array.shape[0] as f64 / representation.fps(),
-        document: check(Profile::Document),
+        seconds: array.frames as f64 / representation.fps(),
+        ccmotion: check(Profile::Document),
         strict: statistics.and_then(|_| check(Profile::Strict)),
         scene: figure.map(|figure| Scene {
             title: name.to_string(),
@@ -95,7 +88,7 @@ fn statistics<'a>(run: &'a Run, representation: &dyn Representation) -> Option<&
 
 /// Both verdicts on each sample, with the checks that fail.
 fn table(samples: &[Sample]) -> Table {
-    let header = ["sample", "length", "document", "strict", "fails"];
+    let header = ["sample", "length", "ccmotion", "strict", "fails"];
     let verdict = |report: &Option<Report>| match report {
         None => Cell::from("-"),
         Some(report) if report.passed => Cell::new("ok", Tone::Good),
@@ -105,9 +98,9 @@ fn table(samples: &[Sample]) -> Table {
         vec![
             Cell::from(sample.name.as_str()),
             Cell::from(format!("{:.1} s", sample.seconds)),
-            verdict(&sample.document),
+            verdict(&sample.ccmotion),
             verdict(&sample.strict),
-            Cell::from(failing([&sample.document, &sample.strict])),
+            Cell::from(failing([&sample.ccmotion, &sample.strict])),
         ]
     };
     Table {

@@ -50,7 +50,7 @@ pub(super) fn sample(
     let conditions = &request.conditions;
     conditions.refuse(
         &[
-            "--cond",
+            "--audio-features",
             "--audio",
             "--goal",
             "--trajectory-run",
@@ -60,8 +60,8 @@ pub(super) fn sample(
             "--history",
         ],
         "a run of recipe `bpe_motion`",
-        "its conditions are texts: `--text`, `--text-embedding FILE#KEY`, `--plan PLAN.toml` for several \
-         one after another, or `--phrase ID` for a clip's caption",
+        "its conditions are texts: `--text`, `--text-embedding FILE#KEY`, `--prompts PROMPTS.toml` for several \
+         one after another, or `--item ID` for a clip's caption",
     )?;
     if request.post_processing.is_some() {
         return Err(Error::usage(
@@ -222,11 +222,11 @@ fn motions(
     if let Some(path) = &conditions.plan {
         if request.frames.is_some() {
             let hint = "the plan says how long the motion is: leave `--frames` or `--seconds` out";
-            return Err(Error::usage("`--plan` with a length", hint));
+            return Err(Error::usage("`--prompts` with a length", hint));
         }
         conditions.refuse(
-            &["--phrase", "--source"],
-            "`--plan` and a run of recipe `bpe_motion`",
+            &["--item", "--source"],
+            "`--prompts` and a run of recipe `bpe_motion`",
             "the plan says what the texts are: leave out one of the two",
         )?;
         let plan = TextPlan::read(path)?;
@@ -269,8 +269,8 @@ fn of_clips(
     let conditions = &request.conditions;
     conditions.refuse(
         &["--text", "--text-embedding"],
-        "`--phrase` and a run on clips of joint features",
-        "`--phrase` alone stands for the first caption of all of the clip",
+        "`--item` and a run on clips of joint features",
+        "`--item` alone stands for the first caption of all of the clip",
     )?;
     let data = dataset_or(&trained.config().data, conditions.source.as_deref());
     let dataset = Dataset::<Clip>::open_with_progress(&data, &*receiver.reading())?;
@@ -278,8 +278,8 @@ fn of_clips(
         (Some(pattern), _) => clips_named(&dataset, pattern)?,
         (None, Some(count)) => dataset.held_out().evenly(count)?,
         (None, None) => {
-            let hint = "name a clip with `--phrase ID`; `kinegrad data inspect URI` lists them";
-            return Err(Error::usage("`--source` without `--phrase`", hint));
+            let hint = "name a clip with `--item ID`; `kinegrad data inspect URI` lists them";
+            return Err(Error::usage("`--source` without `--item`", hint));
         }
     };
     must_know_texts(&text_input(trained.config()), &chosen)?;

@@ -42,8 +42,6 @@ pub struct CcMotionConfig {
 }
 
 impl SystemTables for CcMotionConfig {
-    const PASSED_OVER: &'static str = include_str!("passed_over.toml");
-
     const NETWORKS: &'static [NetworkKind] = &[NetworkKind::of::<UNet1dConfig>()];
 }
 
@@ -283,10 +281,10 @@ pub struct EvaluationConfig {
     pub phrases: Option<usize>,
     /// The audio condition.
     pub cond: CondSource,
-    /// Guidance scales that `kinegrad eval --listening` also draws samples at.
+    /// Guidance scales that `kinegrad eval --audio-ablation` also draws samples at.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub guidance_scales: Vec<f64>,
-    /// Beats in a bar of the held-out phrases, for `kinegrad eval --listening`; by default what the
+    /// Beats in a bar of the held-out phrases, for `kinegrad eval --audio-ablation`; by default what the
     /// dataset's manifest or its beat features say, else 4.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub beats_per_bar: Option<usize>,

@@ -64,7 +64,7 @@ pub(super) fn sample(
             "--text",
             "--text-embedding",
             "--history",
-            "--plan",
+            "--prompts",
         ],
         "a run on phrases",
         "goals and texts are conditions of recipes `gmd_motion` and `gmd_trajectory`, histories and \
@@ -183,7 +183,7 @@ pub(super) fn sample(
 }
 
 /// Generates one sample for each of the first `count` held-out phrases, or training phrases if none
-/// are held out, and checks them. They are those that `kinegrad sample --phrase` generates with the
+/// are held out, and checks them. They are those that `kinegrad sample --item` generates with the
 /// same seed.
 fn for_held_out(
     trained: &TrainedModel,
@@ -200,7 +200,7 @@ fn for_held_out(
     }
     let post_processing = PostProcessConfig::from(request.post_processing.unwrap_or_default());
     let generator = Generator::load(trained)?.with_post_processing(post_processing);
-    let header = ["sample", "document", "strict", "fails"];
+    let header = ["sample", "ccmotion", "strict", "fails"];
     let mut rows = vec![header.map(String::from).to_vec()];
     let mut done_before = 0;
     // Phrases of one length form a batch, if they are not longer than training saw; each has the first sample that is drawn for its name.
@@ -463,8 +463,8 @@ fn of_phrases(
         data.kind = DataKind::Phrases;
         data.source = Some(source.clone());
         if conditions.item.is_none() {
-            let hint = "name one with `--phrase ID`; `kinegrad data inspect URI` lists them";
-            return Err(Error::usage("`--source` without `--phrase`", hint));
+            let hint = "name one with `--item ID`; `kinegrad data inspect URI` lists them";
+            return Err(Error::usage("`--source` without `--item`", hint));
         }
     }
     let dataset = Dataset::<Phrase>::open_with_progress(&data, &*receiver.reading())?;

@@ -56,7 +56,7 @@ pub(super) fn prepare<'a>(
     request: &EvaluationRequest,
 ) -> Result<Evaluate<'a>, Error> {
     request.refuse(
-        &["--listening", "--trajectory-run"],
+        &["--audio-ablation", "--trajectory-run"],
         trained.path(),
         "a run of recipe `flow`",
         "leave it out",

@@ -49,7 +49,7 @@ pub(super) fn sample(
     let conditions = &request.conditions;
     conditions.refuse(
         &[
-            "--cond",
+            "--audio-features",
             "--audio",
             "--goal",
             "--trajectory-run",
@@ -59,8 +59,8 @@ pub(super) fn sample(
             "--path",
         ],
         "a run of recipe `flow`",
-        "its conditions are a history, `--history MOTION.npy` or `--phrase ID`, and texts, `--text`, \
-         `--text-embedding FILE#KEY` or `--plan PLAN.toml`",
+        "its conditions are a history, `--history MOTION.npy` or `--item ID`, and texts, `--text`, \
+         `--text-embedding FILE#KEY` or `--prompts PROMPTS.toml`",
     )?;
     if request.post_processing.is_some() {
         return Err(Error::usage(
@@ -185,7 +185,7 @@ impl Script {
         };
         if request.frames.is_some() {
             let hint = "the plan says how long the motion is: leave `--frames` or `--seconds` out";
-            return Err(Error::usage("`--plan` with a length", hint));
+            return Err(Error::usage("`--prompts` with a length", hint));
         }
         let path = request
             .conditions
@@ -225,7 +225,7 @@ fn starts(
         ..
     } = &request.conditions;
     if let Some(path) = history {
-        let clip = [("--phrase", item.is_some()), ("--source", source.is_some())];
+        let clip = [("--item", item.is_some()), ("--source", source.is_some())];
         if let Some((other, _)) = clip.into_iter().find(|(_, given)| *given) {
             let hint = "both say what the motion goes on from: leave out one of the two";
             return Err(Error::usage(format!("`--history` with `{other}`"), hint));

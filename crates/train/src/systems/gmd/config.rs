@@ -175,8 +175,6 @@ impl EvaluatorFiles {
 }
 
 impl SystemTables for GmdConfig {
-    const PASSED_OVER: &'static str = include_str!("passed_over.toml");
-
     const NETWORKS: &'static [NetworkKind] = &[
         NetworkKind::of::<GmdUnetConfig>(),
         NetworkKind::of::<EncoderConfig>(),

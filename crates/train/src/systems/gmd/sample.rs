@@ -43,16 +43,16 @@ pub(super) fn sample(
     let conditions = &request.conditions;
     conditions.refuse(
         &[
-            "--cond",
+            "--audio-features",
             "--audio",
             "--continue-from",
             "--keep",
             "--style",
             "--history",
-            "--plan",
+            "--prompts",
         ],
         "a run on clips of joint features",
-        "its condition is a text: `--text`, `--text-embedding FILE#KEY`, or `--phrase ID` for a clip's \
+        "its condition is a text: `--text`, `--text-embedding FILE#KEY`, or `--item ID` for a clip's \
          caption",
     )?;
     if request.post_processing.is_some() {

@@ -21,7 +21,7 @@ pub(super) fn prepare<'a>(
     request: &EvaluationRequest,
 ) -> Result<Evaluate<'a>, Error> {
     request.refuse(
-        &["--listening", "--trajectory-run"],
+        &["--audio-ablation", "--trajectory-run"],
         trained.path(),
         "a run of recipe `text_motion`",
         "its encoders generate nothing: leave it out",

@@ -72,7 +72,7 @@ impl ProfileRates {
             if checks.iter().any(|rate| rate.name == named.name) {
                 continue;
             }
-            // The line `finite` of the profile `document` stands only where it fails: a report
+            // The line `finite` of the profile `ccmotion` stands only where it fails: a report
             // without a line passed it, with a value of 0.
             let lines = || reports.iter().filter_map(|report| report.check(named.name));
             let failed = lines().filter(|check| !check.passed).count();
@@ -334,7 +334,7 @@ mod tests {
             panic!("{:?}", phase.value)
         };
         assert!((high - expected).abs() < 1e-12);
-        // In the profile `document` the line stands in one report of four.
+        // In the profile `ccmotion` the line stands in one report of four.
         for profile in [&measures.document, &measures.strict] {
             let finite = profile.check("finite").unwrap();
             assert_eq!(finite.pass_rate, 0.75);

@@ -122,7 +122,7 @@ fn listening<'a>(
     train: &PhraseSet,
 ) -> Result<Evaluate<'a>, Error> {
     if wanted.cond != CondSource::Phrases {
-        let message = "`--listening` with `evaluation.cond = \"noise\"`";
+        let message = "`--audio-ablation` with `evaluation.cond = \"noise\"`";
         let hint = "it is about music: it compares each phrase's own with silence, with its frames \
                     in other orders and with another song's";
         return Err(Error::usage(message, hint));

@@ -28,7 +28,7 @@ pub fn prepare<'a>(
     request: &EvaluationRequest,
 ) -> Result<Evaluate<'a>, Error> {
     request.refuse(
-        &["--listening"],
+        &["--audio-ablation"],
         trained.path(),
         "a run on clips",
         "only models of phrases hear music",

@@ -57,13 +57,13 @@ pub(super) fn for_items(
             "--text",
             "--text-embedding",
         ],
-        "`--phrase` and a run on clips of joint features",
-        "`--phrase` alone stands for the first caption of all of the clip; beside a goal, name the \
+        "`--item` and a run on clips of joint features",
+        "`--item` alone stands for the first caption of all of the clip; beside a goal, name the \
          caption with `--text` or `--text-embedding FILE#KEY`",
     )?;
     let Some(pattern) = &conditions.item else {
-        let hint = "name a clip with `--phrase ID`; `kinegrad data inspect URI` lists them";
-        return Err(Error::usage("`--source` without `--phrase`", hint));
+        let hint = "name a clip with `--item ID`; `kinegrad data inspect URI` lists them";
+        return Err(Error::usage("`--source` without `--item`", hint));
     };
     let data = dataset_or(&trained.config().data, conditions.source.as_deref());
     let dataset = Dataset::<Clip>::open_with_progress(&data, &*receiver.reading())?;
@@ -74,7 +74,7 @@ pub(super) fn for_items(
         frames: request.frames,
         data: &data,
     };
-    let hint = "all are drawn as one batch: name fewer (`--phrase`), ask for fewer (`--count`), or \
+    let hint = "all are drawn as one batch: name fewer (`--item`), ask for fewer (`--count`), or \
                 shorter (`--frames`)";
     items.must_fit(trained, hint)?;
     let stem = |clip: &Clip| match chosen.len() {

@@ -1,11 +1,11 @@
-//! How much a command says.
+//! Options of every command.
 
 use clap::Args;
 
-/// Options of every command.
+/// The amount of output.
 #[derive(Clone, Copy, Debug, Default, Args)]
-pub struct TalkArguments {
-    /// Print no progress and no notes, only results, warnings and errors
+pub struct VerbosityArgs {
+    /// Print only results, warnings and errors
     #[arg(
         short,
         long,
@@ -14,7 +14,7 @@ pub struct TalkArguments {
         display_order = 1000
     )]
     pub quiet: bool,
-    /// Print what is read, written and chosen; RUST_LOG sets the level by module
+    /// Print details; RUST_LOG sets the level by module
     #[arg(short, long, global = true, display_order = 1000)]
     pub verbose: bool,
 }

@@ -1,22 +1,16 @@
 //! The files of samples.
 
 use std::fs;
-use std::path::{MAIN_SEPARATOR, Path, PathBuf};
+use std::path::{Path, PathBuf};
 
-use kinegrad_capture::Bvh;
-use kinegrad_data::{write_values, write_whole};
-use kinegrad_motion::feet::{ContactRule, hold};
-use kinegrad_motion::humanml::{Joints, Skeleton};
 use kinegrad_train::Error;
 use kinegrad_train::sampling::{Contents, Drawn, Names, Receiver, Record};
 use serde::Serialize;
 
+use super::bvh::{bvh_file, bvh_text};
+use super::outputs::{Content, stem, write_all};
 use crate::interrupt;
-use crate::output::unusable;
 use crate::progress::Denoising;
-
-/// Units of a BVH file in a metre.
-pub const CENTIMETRES: f64 = 100.0;
 
 /// Extension of a sample's record.
 const RECORD: &str = ".json";
@@ -61,26 +55,8 @@ impl Files {
     /// # Errors
     /// If `out` names a folder: the files would have no name.
     pub fn new(out: &Path, existing: Existing) -> Result<Self, Error> {
-        let text = out.to_string_lossy();
-        let stem = text.strip_suffix(".npy").unwrap_or(&text);
-        let name = stem.rsplit(['/', MAIN_SEPARATOR]).next();
-        if matches!(name, None | Some("" | "." | "..")) {
-            let folder = match stem {
-                "" => "./",
-                folder => folder,
-            };
-            return Err(Error::usage(
-                format!(
-                    "`--out {text}` names no file: it is the beginning of a path, such as dances/one"
-                ),
-                format!(
-                    "for files in that folder: `--out {}`",
-                    Path::new(folder).join("sample").display()
-                ),
-            ));
-        }
         Ok(Self {
-            stem: stem.to_string(),
+            stem: stem(out)?,
             existing,
             notes: true,
             tell: |written| {
@@ -150,45 +126,28 @@ impl Files {
     /// If one cannot be written.
     pub fn write(&self, drawn: &Drawn) -> Result<Vec<PathBuf>, Error> {
         let mut files = Vec::with_capacity(drawn.files.len() + 1);
-        let mut write = || {
-            for (extension, contents) in &drawn.files {
-                let path = self.path(&drawn.name, extension);
-                self.write_contents(&path, contents)?;
-                files.push(path);
-            }
-            let path = self.path(&drawn.name, RECORD);
-            let record = serde_json::to_string_pretty(&drawn.record).expect("plain data") + "\n";
-            write_whole(&path, record.as_bytes())?;
-            files.push(path);
-            Ok(())
-        };
-        match write() {
-            Ok(()) => Ok(files),
-            Err(error) => {
-                for file in files {
-                    let _ = fs::remove_file(file);
-                }
-                Err(error)
-            }
+        for (extension, contents) in &drawn.files {
+            let path = self.path(&drawn.name, extension);
+            let content = self.content(&path, contents)?;
+            files.push((path, content));
         }
+        let record = serde_json::to_string_pretty(&drawn.record).expect("plain data") + "\n";
+        files.push((self.path(&drawn.name, RECORD), Content::Text(record)));
+        write_all(&files)?;
+        Ok(files.into_iter().map(|(path, _)| path).collect())
     }
 
-    fn write_contents(&self, path: &Path, contents: &Contents) -> Result<(), Error> {
-        match contents {
-            Contents::Array { shape, values } => write_values(path, shape, values)?,
-            Contents::Figure { joints, skeleton } => {
-                let bvh = bvh(joints, skeleton)?;
-                if self.notes {
-                    note_deviation(path, &bvh, joints, skeleton);
-                }
-                let bvh = match self.lock_feet {
-                    true => with_locked_feet(path, &bvh, joints, skeleton)?,
-                    false => bvh,
-                };
-                write_whole(path, bvh.to_text().as_bytes())?;
-            }
-        }
-        Ok(())
+    fn content<'a>(&self, path: &Path, contents: &'a Contents) -> Result<Content<'a>, Error> {
+        Ok(match contents {
+            Contents::Array { shape, values } => Content::Array {
+                shape: shape.clone(),
+                values,
+            },
+            Contents::Figure { joints, skeleton } => Content::Text(match self.notes {
+                true => bvh_file(path, joints, skeleton, self.lock_feet)?.to_text(),
+                false => bvh_text(joints, skeleton)?,
+            }),
+        })
     }
 }
 
@@ -206,71 +165,6 @@ pub fn must_be_finite(drawn: &Drawn, stem: &str) -> Result<(), Error> {
         }
     }
     Ok(())
-}
-
-/// The text of the BVH file of joint positions, in centimetres.
-///
-/// # Errors
-/// If they cannot be written as BVH.
-pub fn bvh_text(joints: &Joints, skeleton: &Skeleton) -> Result<String, Error> {
-    Ok(bvh(joints, skeleton)?.to_text())
-}
-
-/// Joint positions as BVH, in centimetres.
-///
-/// # Errors
-/// If they cannot be written as BVH.
-pub fn bvh(joints: &Joints, skeleton: &Skeleton) -> Result<Bvh, Error> {
-    Bvh::from_joints(joints, skeleton, CENTIMETRES).map_err(unusable)
-}
-
-/// What a BVH file may differ from its clip without a word, metres.
-const EXACT: f64 = 1e-3;
-
-/// Says how far the joints of a BVH file are from those it was made of, where that is noticeable.
-pub fn note_deviation(path: &Path, bvh: &Bvh, joints: &Joints, skeleton: &Skeleton) {
-    let deviation = bvh.deviation(joints, skeleton, CENTIMETRES);
-    if let Some(worst) = deviation.filter(|worst| worst.metres > EXACT) {
-        tell!(
-            "note: {}: joints are up to {:.3} m from the motion's (`{}` in frame {}), as its bones \
-             change their lengths, which BVH cannot hold; `kinegrad view MOTION.npy --glb FILE.glb` \
-             writes them exactly",
-            path.display(),
-            worst.metres,
-            worst.joint,
-            worst.frame
-        );
-    }
-}
-
-/// `bvh`, which was made of `joints` and will be at `path`, with feet that stay where they stand in
-/// them; says how far they slid.
-///
-/// # Errors
-/// If the joints are not those of the skeleton.
-pub fn with_locked_feet(
-    path: &Path,
-    bvh: &Bvh,
-    joints: &Joints,
-    skeleton: &Skeleton,
-) -> Result<Bvh, Error> {
-    // Bones of one length, which the clip's need not have: locked before, feet would slide again.
-    let rigid = bvh.joints_of(skeleton, CENTIMETRES);
-    let rigid = rigid.expect("a file that was made of these joints");
-    let held = hold(&rigid, joints, skeleton, &ContactRule::default())?;
-    let short = match held.missed > EXACT {
-        true => format!("; legs are up to {:.3} m too short to stay", held.missed),
-        false => String::new(),
-    };
-    tell!(
-        "note: {}: feet stand in {:.0} % of the frames and slid by {:.2} m/s meanwhile, now by {:.2} \
-         m/s{short}",
-        path.display(),
-        100.0 * held.in_contact,
-        held.before,
-        held.after
-    );
-    self::bvh(&held.joints, skeleton)
 }
 
 /// Extension of BVH files.

@@ -1,0 +1,90 @@
+//! Arguments of `kinegrad eval` and `kinegrad check`.
+
+use std::path::PathBuf;
+
+use clap::Args;
+use kinegrad_motion::Profile;
+
+use super::sample::DrawArguments;
+use super::values::named;
+
+/// Folders are searched for motion files. Of a sample only PATH.npy is checked, not its other forms
+/// (PATH.raw.npy, see `--raw`, PATH.features.npy and PATH.path.npy). The shape of the array selects
+/// the representation: phrases `[T, 25]`, joint features `[T, 263]` or `[T, 251]`, joint positions
+/// `[T, 22, 3]` or `[T, 21, 3]`, or ground paths `[T, 2]`. BVH files and joints of other skeletons
+/// cannot be checked; `kinegrad view` and `kinegrad plot` show them.
+///
+/// The `strict` profile compares with statistics of training motion, from `--run` or `--source`.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  kinegrad check dance.npy
+  kinegrad check runs/quickstart/samples --profile strict --run runs/quickstart
+  kinegrad check dance.npy --json")]
+pub struct CheckArguments {
+    /// Motion files (.npy), or folders of them
+    #[arg(required = true, value_name = "PATH")]
+    pub paths: Vec<PathBuf>,
+    /// Checks: `ccmotion`, CC-MotionGen's five on means over all frames; or `strict`, on every frame,
+    /// with bounds from training motion
+    #[arg(long, value_parser = named::<Profile>, default_value = "ccmotion")]
+    pub profile: Profile,
+    /// Run or checkpoint with the training statistics for `strict`
+    #[arg(long, value_name = "RUN", conflicts_with = "source")]
+    pub run: Option<PathBuf>,
+    /// Dataset that gives the statistics for `strict`
+    #[arg(long, value_name = "URI")]
+    pub source: Option<String>,
+    /// Also check NAME.raw.npy, the model output, beside each NAME.npy
+    #[arg(long)]
+    pub raw: bool,
+    /// Print JSON
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Generates samples for the held-out items of each run's dataset and prints their metrics beside
+/// those of real motion; docs/evaluation.md defines them. The tables `evaluation` and `sampling` of
+/// a run's config set the number and kind of samples; `--set` overrides them. Writes eval.json and
+/// eval.csv, or eval-noise.json and eval-noise.csv with evaluation.cond=noise.
+///
+/// `--audio-ablation` compares loss and samples under each phrase's own music with silence, shuffled
+/// and reversed frames, a shift by half a beat and another song; it writes eval-listening.json and
+/// eval-listening.csv.
+///
+/// Runs of recipe `gmd_motion` or `gmd_trajectory` are evaluated on goals taken from held-out clips.
+/// They write eval-goals.json and eval-goals.csv, or with a trajectory run
+/// eval-goals-two-stage.json and eval-goals-two-stage.csv.
+#[derive(Clone, Debug, Args)]
+#[command(after_help = "\
+Examples:
+  kinegrad eval runs/phrases
+  kinegrad eval runs/one runs/two --set evaluation.seeds=4 --out comparison
+  kinegrad eval runs/phrases --set evaluation.cond=noise --json
+  kinegrad eval runs/phrases --audio-ablation --guidance-scale 1,1.5,2,3,4
+  kinegrad eval runs/gmd_motion --trajectory-run runs/gmd_trajectory --set evaluation.obstacles=2")]
+pub struct EvalArguments {
+    /// Runs (the best checkpoint of each is used) or checkpoints
+    #[arg(required = true, value_name = "RUN")]
+    pub runs: Vec<PathBuf>,
+    /// Run of recipe `gmd_trajectory` that generates the ground paths first
+    #[arg(long, value_name = "RUN")]
+    pub trajectory_run: Option<PathBuf>,
+    /// Measure the dependence on the audio condition
+    #[arg(long)]
+    pub audio_ablation: bool,
+    #[command(flatten)]
+    pub draw: DrawArguments,
+    /// Random seed of the noise
+    #[arg(long, default_value_t = 0)]
+    pub seed: u64,
+    /// Dataset with the held-out motion, split as in the run's config [default: the run's dataset]
+    #[arg(long, value_name = "URI")]
+    pub source: Option<String>,
+    /// Print JSON
+    #[arg(long)]
+    pub json: bool,
+    /// Output folder [default: RUN/reports of each run]
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+}

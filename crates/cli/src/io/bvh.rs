@@ -1,0 +1,303 @@
+//! BVH files: read with a guess of their units and vertical, and written in centimetres.
+
+use std::path::Path;
+
+use kinegrad_capture::prepare::Units;
+use kinegrad_capture::{Bvh, UpAxis};
+use kinegrad_data::file::read_file;
+use kinegrad_motion::feet::{ContactRule, hold};
+use kinegrad_motion::humanml::{Joints, Skeleton};
+use kinegrad_train::Error;
+
+use crate::output::unusable;
+
+/// Largest file that is read, bytes.
+const LARGEST: u64 = 1 << 30;
+
+/// Height of a person's joints, metres: what the unit is guessed by.
+const PERSON: f64 = 1.6;
+
+/// Units of a written BVH file in a metre.
+pub const CENTIMETRES: f64 = 100.0;
+
+/// Distance between a BVH file and its motion that is not mentioned, metres.
+const EXACT: f64 = 1e-3;
+
+/// Whether a file is a BVH file by its name.
+pub fn is_bvh(path: &Path) -> bool {
+    let ending = path.extension();
+    ending.is_some_and(|ending| ending.eq_ignore_ascii_case("bvh"))
+}
+
+/// Reads a BVH file.
+///
+/// # Errors
+/// If it cannot be read or is no BVH file.
+pub fn read_bvh(path: &Path) -> Result<Bvh, Error> {
+    let file = path.display().to_string();
+    let bytes = read_file(path, LARGEST).map_err(|error| {
+        let message = format!("{file} cannot be read: {error}");
+        Error::usage(message, "give a BVH file that is there")
+    })?;
+    Bvh::parse(&bytes, &file).map_err(unusable)
+}
+
+/// The unit and vertical of BVH files; guessed from the body if absent.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct BvhReading {
+    /// Length of a unit.
+    pub units: Option<Units>,
+    /// Axis that points up.
+    pub up: Option<UpAxis>,
+}
+
+/// A BVH file, the metres of its unit, and its vertical.
+pub struct Capture {
+    /// The motion in the file's own units and axes.
+    pub bvh: Bvh,
+    metres: f64,
+    up: UpAxis,
+}
+
+impl Capture {
+    /// Reads a BVH file, and prints the unit and vertical if they are guesses.
+    ///
+    /// # Errors
+    /// As [`read_bvh`].
+    pub fn read(path: &Path, reading: &BvhReading) -> Result<Self, Error> {
+        let bvh = read_bvh(path)?;
+        let up = reading.up.unwrap_or_else(|| guess_up(&bvh));
+        let units = reading.units.unwrap_or_else(|| guess_units(&bvh, up));
+        if reading.units.is_none() || reading.up.is_none() {
+            let axis = if up == UpAxis::Y { "y" } else { "z" };
+            tell!(
+                "note: {} is read in {} with {axis} up; `--units` and `--up` say otherwise",
+                path.display(),
+                in_words(units)
+            );
+        }
+        let metres = units.metres();
+        Ok(Self { bvh, metres, up })
+    }
+
+    /// Joint positions in metres with +y up.
+    ///
+    /// # Errors
+    /// If there are none.
+    pub fn joints(&self) -> Result<Joints, Error> {
+        let world = (0..self.bvh.frames()).flat_map(|t| self.bvh.world(t));
+        let metres = |place: [f64; 3]| self.up.to_y_up(place.map(|value| value * self.metres));
+        let places = world.map(|pose| metres(pose.position));
+        Ok(Joints::new(places.collect(), self.bvh.joints().len())?)
+    }
+
+    /// Names of the joints.
+    pub fn names(&self) -> Vec<String> {
+        names(&self.bvh)
+    }
+
+    /// The same motion in centimetres with +y up.
+    ///
+    /// # Errors
+    /// If it cannot be converted.
+    pub fn in_centimetres(&self) -> Result<Bvh, Error> {
+        let converted = self.bvh.converted(CENTIMETRES * self.metres, self.up);
+        converted.map_err(unusable)
+    }
+}
+
+/// The text of the BVH file of joint positions, in centimetres.
+///
+/// # Errors
+/// If they cannot be written as BVH.
+pub fn bvh_text(joints: &Joints, skeleton: &Skeleton) -> Result<String, Error> {
+    Ok(as_bvh(joints, skeleton)?.to_text())
+}
+
+/// Joint positions as BVH, in centimetres.
+///
+/// # Errors
+/// If they cannot be written as BVH.
+pub fn as_bvh(joints: &Joints, skeleton: &Skeleton) -> Result<Bvh, Error> {
+    Bvh::from_joints(joints, skeleton, CENTIMETRES).map_err(unusable)
+}
+
+/// Joint positions as the BVH file `path`, in centimetres; prints how far it is from them. With
+/// `lock_feet`, feet stay where they stand.
+///
+/// # Errors
+/// If they cannot be written as BVH.
+pub fn bvh_file(
+    path: &Path,
+    joints: &Joints,
+    skeleton: &Skeleton,
+    lock_feet: bool,
+) -> Result<Bvh, Error> {
+    let bvh = as_bvh(joints, skeleton)?;
+    note_deviation(path, &bvh, joints, skeleton);
+    match lock_feet {
+        true => with_locked_feet(path, &bvh, joints, skeleton),
+        false => Ok(bvh),
+    }
+}
+
+/// Says how far the joints of a BVH file are from those it was made of, where that is noticeable.
+fn note_deviation(path: &Path, bvh: &Bvh, joints: &Joints, skeleton: &Skeleton) {
+    let deviation = bvh.deviation(joints, skeleton, CENTIMETRES);
+    if let Some(worst) = deviation.filter(|worst| worst.metres > EXACT) {
+        tell!(
+            "note: {}: joints are up to {:.3} m from the motion's (`{}` in frame {}), as its bones \
+             change their lengths, which BVH cannot hold; `kinegrad view MOTION.npy --glb FILE.glb` \
+             writes them exactly",
+            path.display(),
+            worst.metres,
+            worst.joint,
+            worst.frame
+        );
+    }
+}
+
+/// `bvh`, which was made of `joints` and will be at `path`, with feet that stay where they stand in
+/// them; says how far they slid.
+fn with_locked_feet(
+    path: &Path,
+    bvh: &Bvh,
+    joints: &Joints,
+    skeleton: &Skeleton,
+) -> Result<Bvh, Error> {
+    // Bones of one length, which the clip's need not have: locked before, feet would slide again.
+    let rigid = bvh.joints_of(skeleton, CENTIMETRES);
+    let rigid = rigid.expect("a file that was made of these joints");
+    let held = hold(&rigid, joints, skeleton, &ContactRule::default())?;
+    let short = match held.missed > EXACT {
+        true => format!("; legs are up to {:.3} m too short to stay", held.missed),
+        false => String::new(),
+    };
+    tell!(
+        "note: {}: feet stand in {:.0} % of the frames and slid by {:.2} m/s meanwhile, now by {:.2} \
+         m/s{short}",
+        path.display(),
+        100.0 * held.in_contact,
+        held.before,
+        held.after
+    );
+    as_bvh(&held.joints, skeleton)
+}
+
+/// The axis along which feet are further below the body's middle; y where no joint is named as a
+/// foot. The root is no measure: some files leave it at the origin.
+pub fn guess_up(bvh: &Bvh) -> UpAxis {
+    up_of(&names(bvh), &first_frame(bvh))
+}
+
+fn up_of(names: &[String], places: &[[f64; 3]]) -> UpAxis {
+    let feet = names.iter().zip(places).filter(|(name, _)| is_foot(name));
+    let middle = |axis: usize| {
+        let mut along: Vec<f64> = places.iter().map(|place| place[axis]).collect();
+        along.sort_by(f64::total_cmp);
+        along[along.len() / 2]
+    };
+    let drop = |axis: usize| {
+        feet.clone()
+            .map(|(_, place)| middle(axis) - place[axis])
+            .sum::<f64>()
+    };
+    match drop(2) > 1.5 * drop(1).max(0.0) && drop(2) > 0.0 {
+        true => UpAxis::Z,
+        false => UpAxis::Y,
+    }
+}
+
+/// The unit in which the figure is most nearly as tall as a person. It stands on the ground, at 0,
+/// unless it reaches below: one without legs is as tall as it reaches above.
+pub fn guess_units(bvh: &Bvh, up: UpAxis) -> Units {
+    units_of(&first_frame(bvh), up)
+}
+
+fn units_of(places: &[[f64; 3]], up: UpAxis) -> Units {
+    let heights = || places.iter().map(|place| up.to_y_up(*place)[1]);
+    let tall = heights().fold(f64::NEG_INFINITY, f64::max) - heights().fold(0.0, f64::min);
+    let off = |units: &Units| (tall * units.metres() / PERSON).ln().abs();
+    let known = [Units::Cm, Units::M, Units::Mm, Units::Inch, Units::Cmu];
+    let best = known.into_iter().min_by(|a, b| off(a).total_cmp(&off(b)));
+    best.filter(|units| off(units).is_finite())
+        .unwrap_or_default()
+}
+
+fn in_words(units: Units) -> &'static str {
+    match units {
+        Units::M => "metres",
+        Units::Cm => "centimetres",
+        Units::Mm => "millimetres",
+        Units::Inch => "inches",
+        Units::Cmu => "units of the CMU database",
+        Units::Metres(_) => "the given unit",
+    }
+}
+
+/// Whether a joint of this name is a foot's: of the tips of its chain only those that carry weight.
+pub fn is_foot(name: &str) -> bool {
+    let name = name.rsplit(':').next().unwrap_or(name).to_lowercase();
+    (name.contains("foot") || name.contains("toe")) && !name.ends_with("end")
+}
+
+fn names(bvh: &Bvh) -> Vec<String> {
+    let joints = bvh.joints().iter();
+    joints.map(|joint| joint.name.clone()).collect()
+}
+
+fn first_frame(bvh: &Bvh) -> Vec<[f64; 3]> {
+    let world = bvh.world(0).into_iter();
+    world.map(|pose| pose.position).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn units_and_axis_are_those_of_a_person() {
+        let names = ["Hips", "Head", "LeftFoot", "RightFoot"].map(String::from);
+        let standing = |scale: f64, up: usize| -> Vec<[f64; 3]> {
+            let heights = [0.95, 1.6, 0.05, 0.08];
+            let place = |height: f64| {
+                let mut place = [0.3 * scale; 3];
+                place[up] = height * scale;
+                place
+            };
+            heights.map(place).to_vec()
+        };
+        for units in [Units::M, Units::Cm, Units::Mm, Units::Inch, Units::Cmu] {
+            for (axis, up) in [(1, UpAxis::Y), (2, UpAxis::Z)] {
+                let places = standing(1.0 / units.metres(), axis);
+                assert_eq!(up_of(&names, &places), up);
+                assert_eq!(units_of(&places, up), units);
+            }
+        }
+        // A root at the origin, far from the body.
+        let mut afar = standing(100.0, 1);
+        afar.iter_mut().for_each(|place| place[2] -= 400.0);
+        afar.insert(0, [0.0; 3]);
+        let named: Vec<String> = ["Root".to_string()].into_iter().chain(names).collect();
+        assert_eq!(up_of(&named, &afar), UpAxis::Y);
+        assert_eq!(units_of(&[[0.0; 3]], UpAxis::Y), Units::Cm);
+        // Hips and head alone, in centimetres.
+        let bust = [[0.0, 90.0, 0.0], [0.0, 102.0, 0.0]];
+        assert_eq!(units_of(&bust, UpAxis::Y), Units::Cm);
+        // The hips are the origin, and feet are below.
+        let hung = [[0.0; 3], [0.0, 24.0, 0.0], [0.0, -37.0, 0.0]];
+        assert_eq!(units_of(&hung, UpAxis::Y), Units::Inch);
+    }
+
+    #[test]
+    fn feet_are_known_by_their_names() {
+        for (name, is) in [
+            ("left_foot", true),
+            ("RightToeBase", true),
+            ("LeftToe_End", false),
+            ("Hips", false),
+        ] {
+            assert_eq!(is_foot(name), is, "{name}");
+        }
+    }
+}

@@ -1,0 +1,122 @@
+//! Finds motion files.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use kinegrad_train::Error;
+
+/// Endings of the files beside a sample that hold the same motion in another form.
+const COMPANIONS: [&str; 3] = [".raw.npy", ".features.npy", ".path.npy"];
+
+/// Whether a file is named as one beside a sample.
+pub fn is_companion(path: &Path) -> bool {
+    let name = path.to_string_lossy();
+    COMPANIONS.iter().any(|ending| name.ends_with(ending))
+}
+
+/// The files at `paths`. Folders are searched for files with these endings; of a sample in a folder
+/// only the array itself counts, not the files beside it.
+///
+/// # Errors
+/// If there is no motion at a path.
+pub fn motion_files(paths: &[PathBuf], endings: &[&str]) -> Result<Vec<PathBuf>, Error> {
+    let mut files = Vec::new();
+    for path in paths {
+        let before = files.len();
+        collect(path, endings, &mut files);
+        if files.len() == before {
+            let message = format!("there is no motion file at {}", path.display());
+            let bvh = match endings.contains(&"bvh") {
+                true => ", a .bvh file,",
+                false => "",
+            };
+            let hint = format!(
+                "give a .npy file such as `kinegrad sample` writes{bvh} or a folder of them"
+            );
+            return Err(Error::usage(message, hint));
+        }
+    }
+    Ok(files)
+}
+
+fn collect(path: &Path, endings: &[&str], files: &mut Vec<PathBuf>) {
+    if path.is_file() {
+        files.push(path.to_path_buf());
+        return;
+    }
+    let entries = fs::read_dir(path).into_iter().flatten().flatten();
+    let mut inside: Vec<PathBuf> = entries.map(|entry| entry.path()).collect();
+    inside.sort();
+    for path in inside {
+        let ending = path.extension().and_then(|ending| ending.to_str());
+        let is_motion =
+            ending.is_some_and(|ending| endings.contains(&ending)) && !has_sample(&path);
+        if is_motion || path.is_dir() {
+            collect(&path, endings, files);
+        }
+    }
+}
+
+/// Whether a file holds a sample in another form, and the sample itself is there.
+fn has_sample(path: &Path) -> bool {
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let mut endings = COMPANIONS.iter().chain([&".bvh"]);
+    let stem = endings.find_map(|ending| name.strip_suffix(*ending));
+    stem.is_some_and(|stem| path.with_file_name(format!("{stem}.npy")).exists())
+}
+
+/// The files, each with the raw model output beside it, if there is any, behind it.
+pub fn with_raw(files: Vec<PathBuf>) -> Vec<PathBuf> {
+    let each = files.into_iter().flat_map(|file| {
+        let raw = Some(file.with_extension("raw.npy"));
+        [Some(file), raw.filter(|raw| raw.is_file())]
+    });
+    each.flatten().collect()
+}
+
+/// The files of a folder with one of these endings, by name; none where there is no folder.
+pub fn files_in(folder: &Path, endings: &[&str]) -> Vec<PathBuf> {
+    let entries = fs::read_dir(folder).into_iter().flatten().flatten();
+    let paths = entries.map(|entry| entry.path());
+    let mut paths: Vec<PathBuf> = paths
+        .filter(|path| {
+            let ending = path.extension().unwrap_or_default();
+            path.is_file() && endings.iter().any(|known| ending == *known)
+        })
+        .collect();
+    paths.sort();
+    paths
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_folder_gives_each_motion_once() {
+        let folder = tempfile::tempdir().unwrap();
+        for name in [
+            "a.npy",
+            "a.raw.npy",
+            "a.bvh",
+            "a.features.npy",
+            "a.path.npy",
+            "b.bvh",
+            "c.txt",
+            "d.raw.npy",
+        ] {
+            std::fs::write(folder.path().join(name), "").unwrap();
+        }
+        let found = |raw| -> Vec<String> {
+            let files = motion_files(&[folder.path().to_path_buf()], &["npy", "bvh"]).unwrap();
+            let files = if raw { with_raw(files) } else { files };
+            let names = files.iter().map(|file| file.file_name().unwrap());
+            names
+                .map(|name| name.to_string_lossy().into_owned())
+                .collect()
+        };
+        assert_eq!(found(false), ["a.npy", "b.bvh", "d.raw.npy"]);
+        assert_eq!(found(true), ["a.npy", "a.raw.npy", "b.bvh", "d.raw.npy"]);
+        assert!(motion_files(&[folder.path().join("none")], &["npy"]).is_err());
+    }
+}

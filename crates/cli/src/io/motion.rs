@@ -1,0 +1,111 @@
+//! Reads a motion of any kind.
+
+use std::path::{Path, PathBuf};
+
+use kinegrad_data::{Array, read_array};
+use kinegrad_motion::Representation;
+use kinegrad_motion::humanml::{Joints, Skeleton};
+use kinegrad_train::Error;
+use kinegrad_train::systems::Systems;
+
+use super::bvh::{BvhReading, Capture, is_bvh};
+
+/// A motion that was read from a file.
+pub enum Motion {
+    /// An array of a known representation.
+    Array(MotionArray),
+    /// Joint positions `[T, J, 3]` of an unknown skeleton, and the error of commands that need one.
+    Points(Joints, Error),
+    /// A BVH file.
+    Bvh(Capture),
+}
+
+impl Motion {
+    /// Reads a BVH file, or an array of any kind.
+    ///
+    /// # Errors
+    /// If the file cannot be read or is no motion.
+    pub fn read(systems: Systems<'_>, path: &Path, reading: &BvhReading) -> Result<Self, Error> {
+        if is_bvh(path) {
+            return Capture::read(path, reading).map(Self::Bvh);
+        }
+        let array = read_array(path)?;
+        match (recognise(systems, path, &array), &array.shape[..]) {
+            (Ok(representation), _) => {
+                Ok(Self::Array(MotionArray::new(path, representation, array)))
+            }
+            (Err(error), &[frames, joints, 3]) if frames > 0 && joints > 0 => {
+                let places = Joints::from_f32(&array.values, joints)?;
+                Ok(Self::Points(places, error))
+            }
+            (Err(error), _) => Err(error),
+        }
+    }
+}
+
+fn recognise(
+    systems: Systems<'_>,
+    path: &Path,
+    array: &Array,
+) -> Result<Box<dyn Representation>, Error> {
+    systems.representation_of(path, &array.shape, &array.values)
+}
+
+/// An array of a known representation.
+pub struct MotionArray {
+    /// The file.
+    pub path: PathBuf,
+    /// The meaning of a row.
+    pub representation: Box<dyn Representation>,
+    /// Number of rows.
+    pub frames: usize,
+    /// The rows.
+    pub values: Vec<f32>,
+}
+
+impl MotionArray {
+    fn new(path: &Path, representation: Box<dyn Representation>, array: Array) -> Self {
+        Self {
+            path: path.to_path_buf(),
+            representation,
+            frames: array.shape[0],
+            values: array.values,
+        }
+    }
+
+    /// Reads a `.npy` file.
+    ///
+    /// # Errors
+    /// If the file cannot be read, or no system knows its representation.
+    pub fn read(systems: Systems<'_>, path: &Path) -> Result<Self, Error> {
+        let array = read_array(path)?;
+        let representation = recognise(systems, path, &array)?;
+        Ok(Self::new(path, representation, array))
+    }
+
+    /// Joint positions and their skeleton.
+    ///
+    /// # Errors
+    /// If the representation has no body, or a position is not finite.
+    pub fn body(&self) -> Result<(Joints, Skeleton), Error> {
+        let Some(skeleton) = self.representation.skeleton() else {
+            let (path, name) = (self.path.display(), self.representation.name());
+            return Err(Error::usage(
+                format!("{path}: a {name} has no body"),
+                "give joint features, or joint positions of 22 or 21 joints, such as `kinegrad \
+                 sample` of a run on clips writes",
+            ));
+        };
+        let joints = self.representation.joints(&self.values);
+        let joints = joints.ok_or_else(|| not_finite(&self.path))?;
+        Ok((joints, skeleton.clone()))
+    }
+}
+
+/// The error of a motion with a position that is not finite.
+pub fn not_finite(path: &Path) -> Error {
+    Error::usage(
+        format!("{}: a position is not finite", path.display()),
+        "`kinegrad check` says what is wrong with a motion",
+    )
+}

@@ -1,0 +1,106 @@
+//! Files to write: named, refused if they are there, written together.
+
+use std::fs;
+use std::path::{MAIN_SEPARATOR, Path, PathBuf};
+
+use kinegrad_data::{write_values, write_whole};
+use kinegrad_motion::humanml::Features;
+use kinegrad_train::Error;
+
+/// The beginning of the names of files that `--out` gives, without `.npy`.
+///
+/// # Errors
+/// If it names a folder.
+pub fn stem(out: &Path) -> Result<String, Error> {
+    let text = out.to_string_lossy();
+    let stem = text.strip_suffix(".npy").unwrap_or(&text);
+    let name = stem.rsplit(['/', MAIN_SEPARATOR]).next();
+    if !matches!(name, None | Some("" | "." | "..")) {
+        return Ok(stem.to_string());
+    }
+    let folder = Path::new(if stem.is_empty() { "./" } else { stem });
+    Err(Error::usage(
+        format!("`--out {text}` names no file: it is the beginning of a path, such as dances/one"),
+        format!(
+            "for files in that folder: `--out {}`",
+            folder.join("sample").display()
+        ),
+    ))
+}
+
+/// Refuses outputs that are read as well, or exist and must not be replaced; `option` names them.
+///
+/// # Errors
+/// Names the first.
+pub fn must_be_new<'a>(
+    outputs: impl IntoIterator<Item = &'a PathBuf, IntoIter: Clone>,
+    read: &[PathBuf],
+    overwrite: bool,
+    option: &str,
+) -> Result<(), Error> {
+    let outputs = outputs.into_iter();
+    // Files are compared, not names.
+    let read: Vec<PathBuf> = read
+        .iter()
+        .filter_map(|path| path.canonicalize().ok())
+        .collect();
+    for path in outputs.clone() {
+        if path.canonicalize().is_ok_and(|there| read.contains(&there)) {
+            let message = format!("{} is read itself", path.display());
+            return Err(Error::usage(
+                message,
+                format!("name another file with `{option}`"),
+            ));
+        }
+    }
+    match outputs.into_iter().find(|path| !overwrite && path.exists()) {
+        Some(path) => Err(Error::usage(
+            format!("{} exists already", path.display()),
+            format!("replace it with `--overwrite`, or name another file with `{option}`"),
+        )),
+        None => Ok(()),
+    }
+}
+
+/// The content of a file.
+pub enum Content<'a> {
+    /// A `.npy` array.
+    Array {
+        /// Length of each axis.
+        shape: Vec<usize>,
+        /// Values, last axis fastest.
+        values: &'a [f32],
+    },
+    /// A text.
+    Text(String),
+}
+
+impl<'a> Content<'a> {
+    /// Joint features `[T, C]`.
+    pub fn features(features: &'a Features) -> Self {
+        Self::Array {
+            shape: vec![features.frames(), features.layout().channels()],
+            values: features.as_slice(),
+        }
+    }
+}
+
+/// Writes all files, or removes those that were written.
+///
+/// # Errors
+/// If one cannot be written.
+pub fn write_all(files: &[(PathBuf, Content<'_>)]) -> Result<(), Error> {
+    for (i, (path, content)) in files.iter().enumerate() {
+        let written = match content {
+            Content::Array { shape, values } => write_values(path, shape, values),
+            Content::Text(text) => write_whole(path, text.as_bytes()),
+        };
+        if let Err(error) = written {
+            for (path, _) in &files[..i] {
+                let _ = fs::remove_file(path);
+            }
+            return Err(error.into());
+        }
+    }
+    Ok(())
+}
