@@ -99,7 +99,7 @@ fn a_model_learns_the_captions_of_its_clips_and_is_asked_for_one() {
     }
     assert!(all[0] == told(&sandbox, "  A person walks"));
     let record = json_of(&sandbox, "drawn.json");
-    assert_eq!(record["condition"]["text"], "  A person walks");
+    assert_eq!(record["condition"]["text"]["text"], "  A person walks");
 }
 
 #[test]

@@ -118,7 +118,7 @@ fn a_motion_goes_on_from_its_history_as_the_texts_say() {
     let record = fs::read_to_string(sandbox.path("on.json")).expect("a record");
     let record: Value = serde_json::from_str(&record).expect("JSON");
     assert_eq!(record["condition"]["history"], "start.npy");
-    assert_eq!(record["condition"]["text"], first.as_str());
+    assert_eq!(record["condition"]["text"]["text"], first.as_str());
     assert_eq!(record["rollout"]["same_noise"], false);
     assert_eq!(record["rollout"]["said"][0]["text"], first.as_str());
     // It begins where the history ends.
@@ -179,7 +179,7 @@ fn a_motion_goes_on_from_its_history_as_the_texts_say() {
         let drawn = said(&sandbox, "--text FIRST --frames 1 --out begun", &known).succeeded();
         let record = fs::read_to_string(sandbox.path("begun.json")).expect("a record");
         let record: Value = serde_json::from_str(&record).expect("JSON");
-        let clip = record["condition"]["item"].as_str().expect("a clip");
+        let clip = record["condition"]["item"]["id"].as_str().expect("a clip");
         assert!(drawn.stderr.contains(clip), "{}", drawn.stderr);
         let does = |text: &String| {
             text.lines()

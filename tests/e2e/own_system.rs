@@ -25,7 +25,7 @@ use kinegrad_train::config::{Config, ConfigError, OwnTables, SystemTables};
 use kinegrad_train::denoising::{HeldOut, Inputs};
 use kinegrad_train::evaluation::{Column, Evaluate, Evaluated, EvaluationRequest, Group, Number};
 use kinegrad_train::run::{Material, Outcome, Setup};
-use kinegrad_train::sampling::{Contents, Drawn, Receiver, Record, Remark, Request};
+use kinegrad_train::sampling::{Generated, Job, Request, Run, SampleSink, Sampler, Summary};
 use kinegrad_train::systems::{BUILT_IN, RecipeInfo, System, Systems};
 use kinegrad_train::{Error, Loss, Measured, Observer, Recipe, StepKey};
 use serde::{Deserialize, Serialize};
@@ -298,6 +298,33 @@ fn draw(trained: &TrainedModel, radii: &[f32], seed: u64) -> Result<Vec<Vec<f32>
     Ok(each.map(|values| statistics.denormalize(values)).collect())
 }
 
+/// A request for circles.
+struct ToySampler<'a> {
+    trained: &'a TrainedModel,
+    radii: Vec<f32>,
+    jobs: [Job; 1],
+}
+
+impl Sampler for ToySampler<'_> {
+    fn jobs(&self) -> &[Job] {
+        &self.jobs
+    }
+
+    fn extensions(&self) -> &'static [&'static str] {
+        Generated::ROWS
+    }
+
+    fn sample(&self, run: &mut Run<'_>) -> Result<Option<Summary>, Error> {
+        let circles = draw(self.trained, &self.radii, run.request.seed)?;
+        for (index, values) in circles.into_iter().enumerate() {
+            let shape = vec![values.len() / CHANNELS, CHANNELS];
+            let record = run.record(0, index);
+            run.pass(0, index, Generated::Rows { shape, values }, record)?;
+        }
+        Ok(None)
+    }
+}
+
 impl System for Toy {
     fn name(&self) -> &'static str {
         "toy"
@@ -334,32 +361,35 @@ impl System for Toy {
         Ok(CHANNELS * CHANNELS + 2 * CHANNELS)
     }
 
-    fn sample(
+    fn accepts(&self, _: &str) -> &'static [&'static str] {
+        &["radius"]
+    }
+
+    fn sampler<'a>(
         &self,
-        trained: &TrainedModel,
-        request: &Request,
-        receiver: &mut dyn Receiver,
-    ) -> Result<Option<Remark>, Error> {
-        let radii: Vec<f32> = (0..request.count).map(|i| 0.6 + 0.2 * i as f32).collect();
-        for (index, rows) in draw(trained, &radii, request.seed)?.into_iter().enumerate() {
-            let frames = rows.len() / CHANNELS;
-            let shape = vec![frames, CHANNELS];
-            let values = Contents::Array {
-                shape,
-                values: rows,
-            };
-            receiver.drawn(Drawn {
-                name: format!("-{index}"),
-                files: vec![(".npy", values)],
-                record: Record {
-                    index,
-                    frames,
-                    fps: 30.0,
-                    ..Record::new(self.name(), trained, request.seed)
-                },
-            })?;
-        }
-        Ok(None)
+        trained: &'a TrainedModel,
+        request: &'a Request,
+        _: &mut dyn SampleSink,
+    ) -> Result<Box<dyn Sampler + 'a>, Error> {
+        let given = request.other("radius");
+        let radii = match given.map(|value| value.as_f64().filter(|radius| *radius > 0.0)) {
+            None => (0..request.count).map(|i| 0.6 + 0.2 * i as f32).collect(),
+            Some(Some(radius)) => vec![radius as f32; request.count],
+            Some(None) => {
+                let message = format!("option `condition radius={}`", given.expect("just read"));
+                return Err(Error::usage(message, "give a positive number"));
+            }
+        };
+        let job = Job {
+            name: None,
+            conditions: request.conditions.clone(),
+            frames: trained.config().own::<ToyConfig>().circles.frames,
+        };
+        Ok(Box::new(ToySampler {
+            trained,
+            radii,
+            jobs: [job],
+        }))
     }
 
     fn evaluate<'a>(
@@ -504,13 +534,28 @@ fn a_system_of_ones_own_has_every_command() {
 
     kinegrad(here, "sample @/whole/toy --count 3 --out @/drawn.npy");
     let drawn = |index: usize| {
-        let array = read_array(&here.join(format!("drawn-{index}.npy"))).expect("an array");
+        let array = read_array(&here.join(format!("drawn-{index:03}.npy"))).expect("an array");
         assert_eq!(array.shape, [20, CHANNELS]);
         array.values
     };
     for (index, radius) in [0.6, 0.8, 1.0].into_iter().enumerate() {
         let found = height(&drawn(index));
         assert!((found - radius).abs() < 0.05, "{found} at radius {radius}");
+    }
+    // A condition of its own.
+    kinegrad(
+        here,
+        "sample @/whole/toy --condition radius=0.9 --out @/asked",
+    );
+    let asked = read_array(&here.join("asked.npy")).expect("an array");
+    let found = height(&asked.values);
+    assert!((found - 0.9).abs() < 0.05, "{found} at radius 0.9");
+    let record = fs::read_to_string(here.join("asked.json")).expect("a record");
+    let record: serde_json::Value = serde_json::from_str(&record).expect("JSON");
+    assert_eq!(record["condition"]["radius"], 0.9);
+    for bad in ["radius=-1", "radius=wide", "width=2"] {
+        let line = format!("sample @/whole/toy --condition {bad} --out @/bad");
+        kinegrad_ends(here, &line, 2);
     }
 
     kinegrad(here, "eval @/whole/toy --out @/evaluated");
@@ -520,7 +565,7 @@ fn a_system_of_ones_own_has_every_command() {
     // Those held out are the three largest of nine: 1.1, 1.2 and 1.3 metres.
     assert!((found.expect("a height") - 1.2).abs() < 0.1, "{report}");
 
-    kinegrad(here, "check @/drawn-0.npy");
+    kinegrad(here, "check @/drawn-000.npy");
     // A real circle is as smooth as those that were trained on; every frame by itself is not.
     let smooth = Circle::new(2, 20).rows.clone();
     let mut jerky = smooth.clone();
@@ -530,7 +575,7 @@ fn a_system_of_ones_own_has_every_command() {
         let line = format!("check @/{name}.npy --profile strict --run @/whole/toy");
         kinegrad_ends(here, &line, expected);
     }
-    kinegrad(here, "plot @/drawn-0.npy --out @/drawn.svg");
+    kinegrad(here, "plot @/drawn-000.npy --out @/drawn.svg");
     let picture = fs::read_to_string(here.join("drawn.svg")).expect("a picture");
     assert!(picture.contains("path from above") && picture.contains("height (m)"));
     kinegrad(here, "plot @/whole/toy --out @/losses.svg");

@@ -31,7 +31,9 @@ fn a_record_says_how_a_sample_was_made_and_makes_it_again() {
         .succeeded();
     assert_eq!(drawn.stdout, "d.npy\nd.raw.npy\nd.json\n");
     let record = record(&sandbox, "d.json");
-    let phrase = record["condition"]["item"].as_str().expect("a phrase");
+    let phrase = record["condition"]["item"]["id"]
+        .as_str()
+        .expect("a phrase");
     assert!(
         drawn.stderr.contains(&format!(
             "no condition given: using held-out phrase {phrase}"
@@ -74,7 +76,7 @@ fn a_record_says_how_a_sample_was_made_and_makes_it_again() {
     for stem in records {
         let file = format!("runs/smallest/samples/{stem}");
         let record = self::record(&sandbox, &format!("{file}.json"));
-        assert_eq!(record["condition"]["item"], stem);
+        assert_eq!(record["condition"]["item"]["id"], stem);
         assert_eq!(record["index"], 0);
         let again = format!(
             "sample {} --item {stem} --out again-{stem} --steps {} --seed {}",
@@ -142,7 +144,7 @@ fn an_impossible_goal_draws_a_warning_in_words() {
         assert!(drawn.stderr.contains(part), "{}", drawn.stderr);
     }
     let record = record(&sandbox, "far.json");
-    assert_eq!(record["condition"]["goal"], "goal.toml");
+    assert_eq!(record["condition"]["goal"]["file"], "goal.toml");
     assert_eq!(
         (&record["system"], &record["frames"]),
         (&"gmd".into(), &16.into())

@@ -38,16 +38,16 @@ fn described(record: &Value) -> (Vec<String>, String) {
     ];
     let mut give = |option: &str, value: String| arguments.extend([option.into(), value]);
     let condition = &record["condition"];
-    for (key, option) in [
-        ("item", "--item"),
-        ("source", "--source"),
-        ("audio_features", "--audio-features"),
-        ("trajectory", "--trajectory-run"),
-        ("text", "--text"),
-        ("clip", "--text-encoder"),
-        ("text_embedding", "--text-embedding"),
+    for (value, option) in [
+        (&condition["item"]["id"], "--item"),
+        (&condition["item"]["source"], "--source"),
+        (&condition["audio_features"], "--audio-features"),
+        (&condition["trajectory"]["checkpoint"], "--trajectory-run"),
+        (&condition["text"]["text"], "--text"),
+        (&condition["text"]["text_encoder"], "--text-encoder"),
+        (&condition["text_embedding"], "--text-embedding"),
     ] {
-        if let Some(value) = text(&condition[key]) {
+        if let Some(value) = text(value) {
             give(option, value);
         }
     }
@@ -189,12 +189,14 @@ fn clips_are_drawn_again_from_their_records() {
     // A goal is known by its contents, wherever its file is.
     let mut goals = records
         .iter()
-        .filter(|record| record["condition"]["goal"].is_string());
+        .filter(|record| record["condition"]["goal"].is_object());
     assert_eq!(goals.clone().count(), 5);
     assert!(goals.all(|record| {
-        let file = record["condition"]["goal"].as_str().expect("a path");
+        let file = record["condition"]["goal"]["file"]
+            .as_str()
+            .expect("a path");
         let digest = Digest::of(&fs::read(sandbox.path(file)).expect("a goal"));
-        record["condition"]["goal_sha256"] == digest.to_string()
+        record["condition"]["goal"]["sha256"] == digest.to_string()
     }));
     sandbox
         .run("sample runs/gmd_motion --item nobody --out x")

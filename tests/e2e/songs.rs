@@ -3,7 +3,6 @@
 
 use std::fs;
 use std::ops::ControlFlow;
-use std::ops::Range;
 use std::path::Path;
 
 use kinegrad_data::{AudioLayout, load_audio, read_motion};
@@ -14,7 +13,7 @@ use kinegrad_random::{Key, Purpose};
 use kinegrad_tests::captures::wav;
 use kinegrad_tests::sandbox::{SMALLEST, SMALLEST_WALKS, Sandbox};
 use kinegrad_train::checkpoint::{SavedCheckpoint, Weights};
-use kinegrad_train::sampling::{Given, GivenFrames};
+use kinegrad_train::sampling::KnownFramesCondition;
 use kinegrad_train::systems::BUILT_IN;
 use kinegrad_train::systems::cc_motion::generate::Generator;
 use kinegrad_train::systems::cc_motion::whole::Whole;
@@ -221,7 +220,7 @@ fn kept_frames_are_those_of_the_motion_to_the_bit() {
             assert_ne!(between.frame(20), first.frame(20));
         }
         assert_eq!(
-            record(&sandbox, "between.json")["condition"]["kept"],
+            record(&sandbox, "between.json")["condition"]["known_frames"],
             serde_json::json!({
                 "motion": "first.npy", "frames": [[0, 5], [40, 52]], "continued": false
             })
@@ -236,7 +235,7 @@ fn kept_frames_are_those_of_the_motion_to_the_bit() {
         for t in 0..6 {
             assert_eq!(more.frame(t), first.frame(84 + t), "frame {t}");
         }
-        let kept = &record(&sandbox, "more.json")["condition"]["kept"];
+        let kept = &record(&sandbox, "more.json")["condition"]["known_frames"];
         assert_eq!(kept["frames"], serde_json::json!([[0, 6]]));
         assert_eq!(kept["continued"], true);
         // The first new frame is no further away than frames are from each other.
@@ -294,11 +293,8 @@ fn frames_that_cannot_be_kept_are_refused() {
             .run(&format!("sample runs/smallest {arguments} --out wrong"))
             .failed(2, &[option, "clips of joint features"]);
     }
-    let given = Given::these(Path::new("m.npy"), "1..2").expect("a range");
-    assert_eq!(
-        given.frames,
-        GivenFrames::These(Vec::from([Range { start: 1, end: 2 }]))
-    );
+    let given = KnownFramesCondition::kept(Path::new("m.npy"), "1..2").expect("a range");
+    assert_eq!(given.frames, [[1, 2]]);
 }
 
 #[test]

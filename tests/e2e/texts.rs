@@ -117,8 +117,8 @@ fn a_dataset_is_embedded_trained_on_and_asked_in_words() {
     let told = drawn(&["--text", WALK, "--text-encoder", "clip"]);
     let record = fs::read(sandbox.path("drawn.json")).expect("a record");
     let record: Value = serde_json::from_slice(&record).expect("JSON");
-    assert_eq!(record["condition"]["text"], WALK);
-    assert_eq!(record["condition"]["clip"], "clip");
+    assert_eq!(record["condition"]["text"]["text"], WALK);
+    assert_eq!(record["condition"]["text"]["text_encoder"], "clip");
     assert!(told != drawn(&["--text", JUMP, "--text-encoder", "clip"]));
     assert!(told != drawn(&[]));
     // As with an embedding that was computed before.

@@ -77,7 +77,7 @@ def test_samples_of_which_frames_are_given(command, phrases, song, tmp_path):
     )
     given = np.load(first)
     assert (sample.motion[9:12] == given[9:12]).all() and (sample.motion[5] != given[5]).any()
-    assert sample.record["condition"]["kept"]["frames"] == [[0, 4], [9, 12]]
+    assert sample.record["condition"]["known_frames"]["frames"] == [[0, 4], [9, 12]]
     (sample,) = compare(
         command,
         phrases,
@@ -87,7 +87,7 @@ def test_samples_of_which_frames_are_given(command, phrases, song, tmp_path):
         continue_from=first,
         steps=2,
     )
-    length = sample.record["condition"]["kept"]["frames"][0][1]
+    length = sample.record["condition"]["known_frames"]["frames"][0][1]
     assert (sample.motion[:length] == given[-length:]).all()
     assert sample.record["windows"]["count"] > 1
     for bad in [
@@ -268,7 +268,7 @@ def test_errors_are_those_of_the_command_line(binary, phrases, runs, tmp_path):
     cases = [
         (
             kinegrad.UsageError,
-            lambda: phrases.sample(phrase="nobody"),
+            lambda: phrases.sample(item="nobody"),
             ["sample", phrases.path, "--item", "nobody", "--out", tmp_path / "x"],
         ),
         (

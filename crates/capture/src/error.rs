@@ -67,7 +67,7 @@ pub enum Error {
 
     /// Another preparation is writing the same dataset.
     #[error("{output}: another preparation is writing there")]
-    #[diagnostic(help("wait until it has ended, or write to another place with `--out`"))]
+    #[diagnostic(help("wait until it has ended, or write to another place with option `out`"))]
     Busy {
         /// The dataset.
         output: String,

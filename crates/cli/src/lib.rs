@@ -21,10 +21,12 @@ mod output;
 
 mod args;
 mod commands;
+mod conditions;
 mod folder;
 mod interrupt;
 mod io;
 mod log;
+mod options;
 mod preview;
 mod progress;
 mod ranks;
@@ -34,7 +36,9 @@ mod train_progress;
 
 pub use commands::sample::{checkpoint, while_it_is_trained};
 pub use commands::train::draw_samples_at_end;
+pub use conditions::ConditionArguments;
 pub use io::{Existing, Files, bvh_text, must_be_finite};
+pub use options::as_arguments;
 
 use std::ffi::OsString;
 use std::process::ExitCode;

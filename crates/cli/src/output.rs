@@ -11,6 +11,7 @@ use miette::Diagnostic;
 use serde::Serialize;
 
 use crate::folder;
+use crate::options::as_flags;
 
 /// Prints a line of results to standard output. Unlike `println!` it does not panic on a closed pipe,
 /// as in `kinegrad ... | head`.
@@ -72,6 +73,7 @@ pub fn remark(text: fmt::Arguments<'_>) {
 }
 
 fn always(text: fmt::Arguments<'_>) {
+    let text = as_flags(&text.to_string());
     let _ = writeln!(io::stderr(), "{text}");
 }
 

@@ -7,7 +7,7 @@ use kinegrad_report::scene::{Floor, Scene};
 use kinegrad_report::{body_panels, draw_png, viewer};
 use kinegrad_train::checkpoint::{SavedCheckpoint, Weights};
 use kinegrad_train::run::preview_page;
-use kinegrad_train::sampling::{self, Conditions, Contents, Drawn, Receiver, Request};
+use kinegrad_train::sampling::{Contents, Request, Sample, SampleSink};
 use kinegrad_train::systems::Systems;
 use kinegrad_train::{Error, Preview};
 
@@ -34,27 +34,19 @@ pub fn draw(systems: Systems<'_>, checkpoint: &Path, step: u64) -> Result<Vec<Pr
         0 => COUNT,
         count => count,
     };
-    let request = Request {
-        conditions: Conditions {
-            held_out: Some(count),
-            ..Conditions::default()
-        },
-        count: 1,
-        seed: trained.config().run.seed,
-        ..Request::default()
-    };
-    let mut drawn = Scenes {
+    let request = Request::held_out(count, trained.config().run.seed);
+    let mut scenes = Scenes {
         systems,
         scene: Scene {
             title: format!("{}: step {step}", trained.config().run.name),
             ..Scene::default()
         },
     };
-    sampling::sample(systems, &trained, &request, &mut drawn)?;
+    systems.sample(&trained, &request, &mut scenes)?;
     let run = checkpoint.parent().and_then(Path::parent);
     let page = preview_page(run.unwrap_or(checkpoint), step);
-    write_whole(&page, viewer::page(&drawn.scene).as_bytes())?;
-    let previews = drawn.scene.figures.iter().filter_map(|figure| {
+    write_whole(&page, viewer::page(&scenes.scene).as_bytes())?;
+    let previews = scenes.scene.figures.iter().filter_map(|figure| {
         let mut panels = body_panels(figure, &Floor::default());
         if panels.len() == 1 {
             panels.extend(scene::curve_panels(figure).take(CURVES));
@@ -76,20 +68,22 @@ struct Scenes<'a> {
     scene: Scene,
 }
 
-impl Receiver for Scenes<'_> {
+impl SampleSink for Scenes<'_> {
     fn stepped(&mut self, _stage: &'static str, _done: usize, _all: usize) {}
 
-    fn drawn(&mut self, drawn: Drawn) -> Result<(), Error> {
+    fn sample(&mut self, sample: Sample) -> Result<(), Error> {
         // The motion itself comes first.
-        let Some((_, Contents::Array { shape, values })) = drawn.files.first() else {
+        let Some((_, Contents::Array { shape, values })) = sample.files.first() else {
             return Ok(());
         };
-        let path = Path::new(&drawn.name);
+        let path = Path::new(&sample.name);
         let representation = self.systems.representation_of(path, shape, values)?;
-        let figure = scene::of(&*representation, values, drawn.name.clone());
+        let figure = scene::of(&*representation, values, sample.name.clone());
         self.scene
             .figures
-            .push(figure.ok_or(Error::SampleNotFinite { sample: drawn.name })?);
+            .push(figure.ok_or(Error::SampleNotFinite {
+                sample: sample.name,
+            })?);
         Ok(())
     }
 }

@@ -75,7 +75,7 @@ pub enum Error {
     #[error("{what}: this build of kinegrad lacks the feature `{feature}`")]
     #[diagnostic(help(
         "install the wheel, which has it: `pip install kinegrad`; or build it with \
-         `cargo build --release --features full` (or `--features {feature}`)"
+         `cargo build --release --features full` (or option `features {feature}`)"
     ))]
     Feature {
         /// The requested object.

@@ -147,7 +147,7 @@ impl Figure {
             figure.must_be_written(motion)?;
         }
         if options.heading {
-            figure.must_travel_upright(motions(), "`--heading`")?;
+            figure.must_travel_upright(motions(), "option `heading`")?;
         }
         let shifts = |joint: &usize| ranges[*joint] * figure.scale > STILL;
         let carries =

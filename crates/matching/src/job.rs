@@ -289,7 +289,7 @@ impl Job {
         let problem = format!(
             "frames: {found} at {rate:.0} a second, allowed: at least `patch_size`, which is {p}"
         );
-        let hint = "give a longer motion, or a smaller `--patch-size`";
+        let hint = "give a longer motion, or a smaller option `patch_size`";
         Err(Error::file(&example.file, problem, hint))
     }
 
@@ -311,11 +311,11 @@ impl Job {
         let others = given
             .iter()
             .map(|(other, frames)| (other.file.as_str(), *frames));
-        let mut others = others.chain(asked.map(|frames| ("`--length`", frames)));
+        let mut others = others.chain(asked.map(|frames| ("option `length`", frames)));
         if let Some((other, found)) = others.find(|(_, found)| *found != frames) {
             let file = &given[0].0.file;
             let problem = format!("has {frames} frames, and {other} {found}");
-            let hint = "a part that is fixed and a content set the length: leave `--length` out, and \
+            let hint = "a part that is fixed and a content set the length: leave option `length` out, and \
                         give motions of one length";
             return Err(Error::file(file, problem, hint));
         }

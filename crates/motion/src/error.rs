@@ -31,8 +31,8 @@ pub enum Error {
     /// The strict profile was asked for without the training phrases' statistics.
     #[error("the profile `strict` compares with training motion, whose statistics are missing")]
     #[diagnostic(help(
-        "name the run that holds them with `--run`, or the motion itself with `--source`, \
-         or use `--profile ccmotion`"
+        "name the run that holds them with option `run`, or the motion itself with option `source`, \
+         or use option `profile ccmotion`"
     ))]
     StatisticsNeeded,
 
@@ -42,7 +42,7 @@ pub enum Error {
          older version of kinegrad wrote them"
     )]
     #[diagnostic(help(
-        "measure the training motion itself with `--source`, or use `--profile ccmotion`"
+        "measure the training motion itself with option `source`, or use option `profile ccmotion`"
     ))]
     MovementUnknown,
 

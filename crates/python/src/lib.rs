@@ -40,7 +40,7 @@ mod _kinegrad {
     #[pymodule_export]
     use super::runs::{evaluate, open_run, read_metrics};
     #[pymodule_export]
-    use super::sampling::{Drawn, sample};
+    use super::sampling::{Sample, sample};
     #[pymodule_export]
     use super::skeletons::{read_bvh, write_bvh};
     #[pymodule_export]

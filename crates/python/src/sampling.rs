@@ -3,11 +3,11 @@
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use kinegrad_cli::{Existing, Files, bvh_text, must_be_finite, while_it_is_trained};
-use kinegrad_motion::PostProcessProfile;
-use kinegrad_train::sampling::{
-    self, Conditions, Contents, Given, GivenFrames, PathFile, Receiver, Request, Style,
+use kinegrad_cli::{
+    ConditionArguments, Existing, Files, bvh_text, must_be_finite, while_it_is_trained,
 };
+use kinegrad_motion::PostProcessProfile;
+use kinegrad_train::sampling::{self, Contents, Request, SampleSink};
 use kinegrad_train::song::KnownBeats;
 use kinegrad_train::systems::BUILT_IN;
 use kinegrad_train::{Error, Reading};
@@ -16,24 +16,24 @@ use pyo3::prelude::*;
 
 use crate::arrays::array;
 use crate::calls::{Progress, call, call_with, json, until_interrupted};
-use crate::runs::{Model, optional_checkpoint};
+use crate::runs::Model;
 
 /// What a sample is conditioned on, and how many are drawn.
 #[derive(FromPyObject)]
 #[pyo3(from_item_all)]
 pub struct Wanted {
     source: Option<String>,
-    phrase: Option<String>,
+    item: Option<String>,
     audio_features: Option<PathBuf>,
     audio: Option<PathBuf>,
     start: f64,
     goal: Vec<PathBuf>,
     trajectory_run: Option<PathBuf>,
     text: Option<String>,
-    clip: Option<PathBuf>,
+    text_encoder: Option<PathBuf>,
     text_embedding: Option<String>,
     history: Option<PathBuf>,
-    plan: Option<PathBuf>,
+    prompts: Option<PathBuf>,
     path: Option<PathBuf>,
     metres_per_unit: Option<f64>,
     held_out: Option<usize>,
@@ -49,25 +49,6 @@ pub struct Wanted {
 }
 
 impl Wanted {
-    fn given(&self) -> Result<Option<Given>, Error> {
-        match (&self.continue_from, &self.keep_from, &self.keep) {
-            (None, None, None) => Ok(None),
-            (Some(motion), None, None) => Ok(Some(Given {
-                motion: motion.clone(),
-                frames: GivenFrames::Last,
-            })),
-            (None, Some(motion), Some(frames)) => Given::these(motion, frames).map(Some),
-            (Some(_), _, _) => Err(Error::usage(
-                "`continue_from` with `keep`",
-                "a sample goes on from a motion, or keeps frames of one: leave out one of the two",
-            )),
-            (None, _, _) => Err(Error::usage(
-                "`keep` or `keep_from` alone",
-                "pass both: which frames are kept, and of which motion",
-            )),
-        }
-    }
-
     /// The profile, if it is another one than the default.
     fn post_processing(&self) -> Result<Option<PostProcessProfile>, Error> {
         match self.postprocess.as_str() {
@@ -83,28 +64,30 @@ impl Wanted {
 
     fn request(&self) -> Result<Request, Error> {
         Ok(Request {
-            conditions: Conditions {
+            conditions: ConditionArguments {
                 source: self.source.clone(),
-                item: self.phrase.clone(),
+                item: self.item.clone(),
                 audio_features: self.audio_features.clone(),
-                song: self.audio.clone(),
+                audio: self.audio.clone(),
                 start: self.start,
                 beats: KnownBeats::default(),
-                goals: self.goal.clone(),
-                trajectory: optional_checkpoint(self.trajectory_run.as_deref())?,
+                goal: self.goal.clone(),
+                trajectory_run: self.trajectory_run.clone(),
                 text: self.text.clone(),
-                clip: self.clip.clone(),
+                text_encoder: self.text_encoder.clone(),
                 text_embedding: self.text_embedding.clone(),
+                prompts: self.prompts.clone(),
                 history: self.history.clone(),
-                plan: self.plan.clone(),
-                path: self.path.clone().map(|file| PathFile {
-                    file,
-                    metres_per_unit: self.metres_per_unit,
-                }),
-                given: self.given()?,
-                style: self.style.as_deref().map(Style::parse).transpose()?,
+                path: self.path.clone(),
+                metres_per_unit: self.metres_per_unit,
+                style: self.style.clone(),
+                continue_from: self.continue_from.clone(),
+                keep: self.keep.clone(),
+                keep_from: self.keep_from.clone(),
                 held_out: self.held_out,
-            },
+                other: Vec::new(),
+            }
+            .conditions()?,
             count: self.count,
             frames: self.frames,
             seconds: self.seconds,
@@ -116,13 +99,13 @@ impl Wanted {
 
 /// A sample.
 #[pyclass(frozen, module = "kinegrad._kinegrad")]
-pub struct Drawn(Arc<sampling::Drawn>);
+pub struct Sample(Arc<sampling::Sample>);
 
 /// The ending of an array's file, and the array.
 type NamedArray<'a, 'py> = (&'a str, Bound<'py, PyArrayDyn<f32>>);
 
 #[pymethods]
-impl Drawn {
+impl Sample {
     /// What tells it from the other samples of its call.
     #[getter]
     fn name(&self) -> String {
@@ -184,10 +167,10 @@ impl Drawn {
 struct Collector<'a> {
     progress: &'a mut Progress,
     ended: bool,
-    drawn: Vec<Drawn>,
+    samples: Vec<Sample>,
 }
 
-impl Receiver for Collector<'_> {
+impl SampleSink for Collector<'_> {
     fn stepped(&mut self, stage: &'static str, done: usize, all: usize) {
         self.ended |= self.progress.step(stage, done, all).is_break();
     }
@@ -204,9 +187,9 @@ impl Receiver for Collector<'_> {
         self.ended
     }
 
-    fn drawn(&mut self, drawn: sampling::Drawn) -> Result<(), Error> {
-        must_be_finite(&drawn, "")?;
-        self.drawn.push(Drawn(Arc::new(drawn)));
+    fn sample(&mut self, sample: sampling::Sample) -> Result<(), Error> {
+        must_be_finite(&sample, "")?;
+        self.samples.push(Sample(Arc::new(sample)));
         Ok(())
     }
 }
@@ -218,7 +201,7 @@ pub fn sample(
     model: Model,
     wanted: Wanted,
     progress: Option<Py<PyAny>>,
-) -> PyResult<Vec<Drawn>> {
+) -> PyResult<Vec<Sample>> {
     kinegrad_kernels::memory::keep_freed();
     call_with(py, progress, |progress| {
         while_it_is_trained(|| {
@@ -227,10 +210,10 @@ pub fn sample(
             let mut collector = Collector {
                 progress: &mut *progress,
                 ended: false,
-                drawn: Vec::new(),
+                samples: Vec::new(),
             };
-            sampling::sample(BUILT_IN, &trained, &request, &mut collector)?;
-            Ok(collector.drawn)
+            BUILT_IN.sample(&trained, &request, &mut collector)?;
+            Ok(collector.samples)
         })
     })
 }

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use crate::config::nearest;
 use crate::error::Error;
 use crate::observer::Observer;
-use crate::sampling::Conditions;
+use crate::sampling::Condition;
 use crate::text_encoder::TextEncoder;
 use crate::together::Together;
 use burn::tensor::Device;
@@ -139,7 +139,7 @@ impl TextInput {
             return Err(Error::usage(
                 "an embedding, for a run with `data.humanml3d.text = \"labels\"`",
                 format!(
-                    "name a caption with `--text CAPTION`: the run knows {}",
+                    "name a caption with option `text`: the run knows {}",
                     listed(labels.captions())
                 ),
             ));
@@ -193,30 +193,35 @@ fn listed(captions: &[String]) -> String {
     text
 }
 
-/// The text that is asked for, if any, in the form that models with these `inputs` take.
+/// The text of a text condition, in the form that models with these `inputs` take.
 ///
 /// # Errors
 /// [`Error::Usage`] for a text that one of them does not know, and where the encoder that it needs is
 /// missing or superfluous; if a file cannot be read.
 pub(crate) fn text_of(
-    conditions: &Conditions,
+    condition: &Condition,
     inputs: &[TextInput],
     device: &Device,
 ) -> Result<Option<ClipText>, Error> {
-    let embedding = conditions.text_embedding.as_deref().map(read_embedding);
-    let mut text = ClipText {
-        caption: conditions.text.clone(),
-        embedding: embedding.transpose()?,
-    };
-    if text == ClipText::default() {
-        return Ok(None);
+    let mut text = ClipText::default();
+    let mut encoder = None;
+    match condition {
+        Condition::Text {
+            text: caption,
+            text_encoder,
+        } => {
+            text.caption = Some(caption.clone());
+            encoder = text_encoder.as_deref();
+        }
+        Condition::TextEmbedding(embedding) => text.embedding = Some(read_embedding(embedding)?),
+        _ => return Ok(None),
     }
     for input in inputs {
-        // Refuses what a model does not know, before anything is read.
+        // Refuses a text that a model does not know before anything is read.
         input.values(&text)?;
     }
     let embeds = inputs.iter().any(|input| input.labels().is_none());
-    match (&text.caption, &conditions.clip) {
+    match (&text.caption, encoder) {
         (Some(caption), Some(folder)) if embeds => {
             let encoder = TextEncoder::read(folder, device)?;
             let mut embedded = encoder.embed(&[caption], &mut |_| ControlFlow::Continue(()))?;
@@ -224,15 +229,15 @@ pub(crate) fn text_of(
         }
         (Some(_), None) if embeds => {
             return Err(Error::usage(
-                "`--text` without `--text-encoder`, and the run is told embeddings of texts",
-                "name a folder with CLIP ViT-B/32, `--text-encoder DIR`, or pass an embedding of the text, \
-                 `--text-embedding FILE#KEY`: docs/gmd.md",
+                "option `text` without option `text_encoder`, and the run takes embeddings of texts",
+                "name a folder with CLIP ViT-B/32 (option `text_encoder`), or pass an embedding of \
+                 the text (option `text_embedding`): docs/gmd.md",
             ));
         }
         (_, Some(_)) => {
             return Err(Error::usage(
-                "`--text-encoder` with a run with `data.humanml3d.text = \"labels\"`",
-                "it needs no embedding of the text: leave `--text-encoder` out",
+                "option `text_encoder` with a run with `data.humanml3d.text = \"labels\"`",
+                "it needs no embedding of the text: leave the encoder out",
             ));
         }
         _ => {}

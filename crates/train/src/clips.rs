@@ -7,7 +7,9 @@ use std::sync::Arc;
 use kinegrad_data::humanml::Clip;
 use kinegrad_data::{DataConfig, DataKind, Dataset, ValidationSplit};
 
+use crate::TrainedModel;
 use crate::error::Error;
+use crate::sampling::{Request, SampleSink};
 use crate::together::Together;
 
 /// `own`, the dataset of a run on clips, or the one at `source` in its place, whose own lists say what
@@ -39,7 +41,8 @@ pub(crate) fn with_held_out(
     let dataset = Dataset::<Clip>::open_among(data, &unheard, together)?;
     if dataset.validation.is_empty() {
         let message = format!("no clip is held out for {}", checkpoint.display());
-        let hint = format!("{purpose}: give a dataset that holds out some with `--source URI`");
+        let hint =
+            format!("{purpose}: give a dataset that holds out some with option `source URI`");
         return Err(Error::usage(message, hint));
     }
     Ok(dataset)
@@ -61,4 +64,28 @@ pub(crate) fn clips_named(dataset: &Dataset<Clip>, pattern: &str) -> Result<Vec<
         return Err(Error::usage(message, hint));
     }
     Ok(chosen)
+}
+
+/// The clips that a request names by id, or held-out ones, with the dataset they are of; none if it
+/// names neither.
+///
+/// # Errors
+/// If there are none, or one cannot be read.
+pub(crate) fn requested(
+    trained: &TrainedModel,
+    request: &Request,
+    sink: &mut dyn SampleSink,
+) -> Result<Option<(DataConfig, Vec<Arc<Clip>>)>, Error> {
+    let (item, held_out) = (request.item(), request.held_out_items());
+    if item.is_none() && held_out.is_none() {
+        return Ok(None);
+    }
+    let source = item.and_then(|(_, source)| source);
+    let data = dataset_or(&trained.config().data, source);
+    let dataset = Dataset::<Clip>::open_with_progress(&data, &*sink.reading())?;
+    let clips = match (item, held_out) {
+        (Some((pattern, _)), _) => clips_named(&dataset, pattern)?,
+        (None, count) => dataset.held_out().evenly(count.unwrap_or(0))?,
+    };
+    Ok(Some((data, clips)))
 }

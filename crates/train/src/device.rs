@@ -154,8 +154,8 @@ pub fn open_for(name: &str, local: usize) -> Result<(Device, String), InvalidSet
         let features = ["ndarray", "wgpu", "vulkan", "metal", "cuda"];
         return Err(refuse(if features.contains(&kind_name) {
             format!(
-                "this build has no such device; build with `--features {kind_name}`, or take another, \
-                 such as `--device cpu`"
+                "this build has no such device; build with option `features {kind_name}`, or take another, \
+                 such as option `device cpu`"
             )
         } else {
             "there is no such device".into()

@@ -104,7 +104,7 @@ pub enum Error {
     /// A text encoder that cannot be used.
     #[error("{}: {reason}", path.display())]
     #[diagnostic(help(
-        "`--text-encoder` takes a local folder with CLIP ViT-B/32 as the model hub has it: config.json, \
+        "option `text_encoder` takes a local folder with CLIP ViT-B/32 as the model hub has it: config.json, \
          model.safetensors, vocab.json and merges.txt (docs/dataset.md)"
     ))]
     TextEncoder {
@@ -121,8 +121,8 @@ pub enum Error {
         differences.join("\n  ")
     )]
     #[diagnostic(help(
-        "the weights belong to another network: check `--arch`; `evaluation.evaluator.weights` \
-         is the published `finest.tar` of the same dataset, `--text-encoder` a folder with CLIP ViT-B/32"
+        "the weights belong to another network: check option `arch`; `evaluation.evaluator.weights` \
+         is the published `finest.tar` of the same dataset, option `text_encoder` a folder with CLIP ViT-B/32"
     ))]
     ForeignWeights {
         /// The file.
@@ -168,7 +168,7 @@ pub enum Error {
     },
     /// Checkpoints exist and none can be used.
     #[error("no good checkpoint is left in {}:\n{tried}", path.display())]
-    #[diagnostic(help("start again under another `--name`"))]
+    #[diagnostic(help("start again under another option `name`"))]
     NoGoodCheckpoint {
         /// Folder of the checkpoints.
         path: PathBuf,
@@ -229,7 +229,7 @@ fn io_hint(source: &std::io::Error) -> &'static str {
     use std::io::ErrorKind;
     match source.kind() {
         ErrorKind::StorageFull | ErrorKind::FileTooLarge | ErrorKind::QuotaExceeded => {
-            "free some space; the last good checkpoint is untouched, `--resume` continues from it"
+            "free some space; the last good checkpoint is untouched, option `resume` continues from it"
         }
         ErrorKind::OutOfMemory => "free memory, or give this process more of it",
         ErrorKind::PermissionDenied => "check the folder's owner and rights",

@@ -66,7 +66,7 @@ pub use observer::{Observer, Preview, Reading, RunSummary, StepReport};
 pub use parameter_count::ParameterCount;
 pub use path_target::{Followed, PathTarget};
 pub use recipe::{Loss, Measured, Recipe, StepKey};
-pub use text_plan::{TextPlan, TextStep};
+pub use text_plan::{TextPlan, TextStep, TimedPrompt};
 pub use together::Together;
 pub use trained_model::TrainedModel;
 pub use trainer::{Ending, Trainer, TrainerParts};

@@ -14,8 +14,10 @@ use kinegrad_motion::path::{
     Turning, Warp, headings_of, placed, savgol, smoothed, unwrapped,
 };
 
+use serde_json::Value;
+
 use crate::error::Error;
-use crate::sampling::PathFile;
+use crate::sampling::{PathFile, PathRecord};
 
 /// Where a motion of so many frames is to be.
 #[derive(Clone, Debug)]
@@ -290,6 +292,46 @@ pub(crate) fn features_of(
     Ok(unscaled
         .features_of_all_frames(skeleton, joints)?
         .with_root(root))
+}
+
+/// The path of a request, for a motion of some frames.
+pub(crate) struct FollowedPath {
+    file: PathBuf,
+    plan: PathPlan,
+    /// The positions that the motion is to have.
+    pub target: PathTarget,
+}
+
+impl FollowedPath {
+    /// The path of `file` for `frames` frames at `fps` frames per second.
+    ///
+    /// # Errors
+    /// If it is no path.
+    pub fn read(file: &PathFile, frames: usize, fps: f64) -> Result<Self, Error> {
+        let (file, plan) = read_path(file)?;
+        let target = PathTarget::new(&plan, frames, fps)?;
+        Ok(Self { file, plan, target })
+    }
+
+    /// Its file.
+    pub fn file(&self) -> &Path {
+        &self.file
+    }
+
+    /// A doubt about a path that is faster than training motion.
+    pub fn too_fast(&self, fps: f64, fastest: Fastest) -> Option<String> {
+        self.target.too_fast(&self.file, fps, fastest)
+    }
+
+    /// The record of a motion on the path.
+    pub fn record(&self, report: PathReport, settings: Option<Value>) -> PathRecord {
+        PathRecord {
+            file: self.file.clone(),
+            content: self.plan.clone(),
+            settings,
+            report,
+        }
+    }
 }
 
 /// The path of a request, with its file.

@@ -33,44 +33,50 @@ pub struct KnownBeats {
 }
 
 impl KnownBeats {
-    /// The options of the command line that are given.
+    /// Whether nothing is known.
+    pub fn is_empty(&self) -> bool {
+        self.given().is_empty()
+    }
+
+    /// Names of the facts that are given.
     pub fn given(&self) -> Vec<&'static str> {
         let options = [
-            ("--tempo", self.tempo.is_some()),
-            ("--beats-per-bar", self.beats_per_bar.is_some()),
-            ("--downbeat", self.downbeat.is_some()),
+            ("tempo", self.tempo.is_some()),
+            ("beats_per_bar", self.beats_per_bar.is_some()),
+            ("downbeat", self.downbeat.is_some()),
         ];
         let given = options.into_iter().filter(|(_, given)| *given);
         given.map(|(name, _)| name).collect()
     }
 
-    /// Rejects what is no tempo, bar or moment; names the options of the command line.
+    /// Rejects what is no tempo, bar or moment.
     ///
     /// # Errors
     /// [`Error::Usage`] for the first.
     pub fn validate(&self) -> Result<(), Error> {
         if let Some(tempo) = self.tempo.filter(|tempo| !TEMPI.contains(tempo)) {
-            let message = format!("`--tempo` is {tempo}, allowed: {TEMPI:?} beats per minute");
+            let message = format!("option `tempo` is {tempo}, allowed: {TEMPI:?} beats per minute");
             return Err(Error::usage(
                 message,
                 "count the beats of 15 seconds, times four",
             ));
         }
         if self.beats_per_bar == Some(0) {
-            let message = "`--beats-per-bar` is 0, allowed: 1 or more";
+            let message = "option `beats_per_bar` is 0, allowed: 1 or more";
             return Err(Error::usage(
                 message,
                 "3 for a waltz, 4 for most other music",
             ));
         }
         if let Some(downbeat) = self.downbeat.filter(|seconds| !seconds.is_finite()) {
-            let message = format!("`--downbeat` is {downbeat}, allowed: seconds into the song");
+            let message =
+                format!("option `downbeat` is {downbeat}, allowed: seconds into the song");
             return Err(Error::usage(message, "give a moment at which a bar begins"));
         }
         if self.beats_per_bar.is_some() && self.downbeat.is_none() {
             return Err(Error::usage(
-                "`--beats-per-bar` without `--downbeat`",
-                "pass `--downbeat SECONDS` too: bars are not tracked",
+                "option `beats_per_bar` without option `downbeat`",
+                "pass option `downbeat` too: bars are not tracked",
             ));
         }
         Ok(())
@@ -128,13 +134,16 @@ mod tests {
             downbeat,
         };
         for (wrong, expected) in [
-            (known(Some(0.0), None, None), "`--tempo` is 0"),
-            (known(Some(f64::NAN), None, None), "`--tempo` is NaN"),
-            (known(None, Some(0), Some(1.0)), "`--beats-per-bar` is 0"),
-            (known(None, Some(3), None), "`--beats-per-bar` without"),
+            (known(Some(0.0), None, None), "option `tempo` is 0"),
+            (known(Some(f64::NAN), None, None), "option `tempo` is NaN"),
+            (
+                known(None, Some(0), Some(1.0)),
+                "option `beats_per_bar` is 0",
+            ),
+            (known(None, Some(3), None), "option `beats_per_bar` without"),
             (
                 known(None, None, Some(f64::INFINITY)),
-                "`--downbeat` is inf",
+                "option `downbeat` is inf",
             ),
         ] {
             let error = wrong.validate().expect_err(expected).to_string();
@@ -143,6 +152,6 @@ mod tests {
         known(Some(90.0), Some(3), Some(-0.5))
             .validate()
             .expect("a waltz");
-        assert_eq!(known(None, None, Some(0.0)).given(), ["--downbeat"]);
+        assert_eq!(known(None, None, Some(0.0)).given(), ["downbeat"]);
     }
 }

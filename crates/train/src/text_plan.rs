@@ -13,6 +13,7 @@ use toml::Table;
 use crate::captions::{ClipText, TextInput};
 use crate::config::line_of;
 use crate::error::Error;
+use crate::sampling::{Request, SaidRecord};
 
 /// Texts one after another, each with its length.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -121,6 +122,61 @@ impl TextPlan {
             Ok(said)
         };
         self.step.iter().enumerate().map(of_step).collect()
+    }
+}
+
+/// A text for some frames of a motion.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TimedPrompt {
+    /// The text; none for motion without one.
+    pub text: Option<ClipText>,
+    /// Its frames, at least 1.
+    pub frames: usize,
+}
+
+impl TimedPrompt {
+    /// The texts of a motion and the frames in which they begin, for its record.
+    pub(crate) fn records(prompts: &[Self]) -> Vec<SaidRecord> {
+        let mut from = 0;
+        let record = |prompt: &Self| {
+            let begins = from;
+            from += prompt.frames;
+            SaidRecord {
+                from: begins,
+                text: prompt.text.as_ref().and_then(|text| text.caption.clone()),
+            }
+        };
+        prompts.iter().map(record).collect()
+    }
+
+    /// The texts of the file that a request names, for a model with this text `input`; none if it
+    /// names no file.
+    ///
+    /// # Errors
+    /// If the request sets a length too, the file cannot be read, or a text is not known.
+    pub(crate) fn requested(
+        request: &Request,
+        input: &TextInput,
+        fps: f64,
+    ) -> Result<Option<Vec<Self>>, Error> {
+        let Some(path) = request.prompts() else {
+            return Ok(None);
+        };
+        if request.frames.is_some() {
+            let hint = "the file sets the length of the motion: leave option `frames` or option \
+                        `seconds` out";
+            return Err(Error::usage("option `prompts` with a length", hint));
+        }
+        let plan = TextPlan::read(path)?;
+        let ends = plan.ends(path, fps)?;
+        let begins = [0].into_iter().chain(ends.iter().copied());
+        let lengths = ends.iter().zip(begins).map(|(end, begin)| end - begin);
+        let texts = plan.said(path, input)?.into_iter();
+        let prompts = texts.zip(lengths).map(|(text, frames)| Self {
+            text: (text != ClipText::default()).then_some(text),
+            frames,
+        });
+        Ok(Some(prompts.collect()))
     }
 }
 

@@ -124,6 +124,9 @@ pub struct SampleArguments {
     /// Lock feet in the BVH file while they stand; the arrays do not change
     #[arg(long)]
     pub lock_feet: bool,
+    /// Condition of a system outside of kinegrad
+    #[arg(long = "condition", value_name = "NAME=VALUE", hide = true)]
+    pub conditions: Vec<String>,
     /// Samples per condition
     #[arg(long, default_value_t = 1, value_name = "N")]
     pub count: usize,

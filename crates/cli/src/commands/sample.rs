@@ -6,14 +6,13 @@ use std::process::ExitCode;
 use kinegrad_report::rows;
 use kinegrad_train::TrainedModel;
 use kinegrad_train::checkpoint::{SavedCheckpoint, Weights, resolve_checkpoint};
-use kinegrad_train::sampling::{
-    self, Conditions, Given, GivenFrames, PathFile, Remark, Request, Style,
-};
+use kinegrad_train::sampling::{Request, Summary};
 use kinegrad_train::systems::Systems;
 use kinegrad_train::{Error, Together};
 use serde::Serialize;
 
 use crate::args::{DrawArguments, SampleArguments};
+use crate::conditions::ConditionArguments;
 use crate::io::{Existing, Files, Written};
 use crate::{interrupt, output};
 
@@ -57,55 +56,47 @@ fn draw(systems: Systems<'_>, arguments: SampleArguments) -> Result<ExitCode, Er
     draw.overrides
         .extend(method.map(|method| format!("evaluation.path.method={method}")));
     let trained = trained(systems, &arguments.run, &draw)?;
-    let trajectory = arguments.trajectory_run.as_deref().map(checkpoint);
-    let kept = arguments.keep_from.zip(arguments.keep);
-    let given = match (arguments.continue_from, kept) {
-        (Some(motion), _) => Some(Given {
-            motion,
-            frames: GivenFrames::Last,
-        }),
-        (None, Some((motion, frames))) => Some(Given::these(&motion, &frames)?),
-        (None, None) => None,
+    let conditions = ConditionArguments {
+        source: arguments.source,
+        item: arguments.item,
+        audio_features: arguments.audio_features,
+        audio: arguments.audio,
+        start: arguments.start,
+        beats: arguments.beats.known(),
+        goal: arguments.goal,
+        trajectory_run: arguments.trajectory_run,
+        text: arguments.text,
+        text_encoder: arguments.text_encoder,
+        text_embedding: arguments.text_embedding,
+        prompts: arguments.prompts,
+        history: arguments.history,
+        path: arguments.path,
+        metres_per_unit: arguments.metres_per_unit,
+        style: arguments.style,
+        continue_from: arguments.continue_from,
+        keep: arguments.keep,
+        keep_from: arguments.keep_from,
+        held_out: None,
+        other: arguments.conditions,
     };
     let request = Request {
-        conditions: Conditions {
-            source: arguments.source,
-            item: arguments.item,
-            audio_features: arguments.audio_features,
-            song: arguments.audio,
-            start: arguments.start,
-            beats: arguments.beats.known(),
-            goals: arguments.goal,
-            trajectory: trajectory.transpose()?,
-            text: arguments.text,
-            clip: arguments.text_encoder,
-            text_embedding: arguments.text_embedding,
-            history: arguments.history,
-            plan: arguments.prompts,
-            path: arguments.path.map(|file| PathFile {
-                file,
-                metres_per_unit: arguments.metres_per_unit,
-            }),
-            given,
-            style: arguments.style.as_deref().map(Style::parse).transpose()?,
-            held_out: None,
-        },
+        conditions: conditions.conditions()?,
         count: arguments.count,
         frames: arguments.frames,
         seconds: arguments.seconds,
         seed: arguments.seed,
         post_processing: arguments.postprocess,
     };
-    let remark = sampling::sample(systems, &trained, &request, &mut files)?;
+    let summary = systems.sample(&trained, &request, &mut files)?;
     match arguments.json {
         true => output::json(&Results {
             samples: files.kept(),
-            remark: remark.map(|remark| match remark {
-                Remark::Text(text) => serde_json::json!(text),
-                Remark::Table(table) => serde_json::json!(table),
+            remark: summary.map(|summary| match summary {
+                Summary::Text(text) => serde_json::json!(text),
+                Summary::Table(table) => serde_json::json!(table),
             }),
         }),
-        false => say_remark(remark),
+        false => say_summary(summary),
     }
     Ok(ExitCode::SUCCESS)
 }
@@ -172,10 +163,10 @@ pub fn trained_for(
 }
 
 /// Prints what is to be said of all motions.
-pub fn say_remark(remark: Option<Remark>) {
-    match remark {
-        Some(Remark::Text(text)) => say!("{text}"),
-        Some(Remark::Table(table)) => say!("{}", rows(table)),
+pub fn say_summary(summary: Option<Summary>) {
+    match summary {
+        Some(Summary::Text(text)) => say!("{text}"),
+        Some(Summary::Table(table)) => say!("{}", rows(table)),
         None => {}
     }
 }

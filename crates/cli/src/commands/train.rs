@@ -8,14 +8,14 @@ use std::time::Instant;
 use kinegrad_report::facts;
 use kinegrad_train::checkpoint::Weights;
 use kinegrad_train::run::{self, Outcome, SAMPLES, TrainRequest, UNFINISHED_SAMPLES, remove};
-use kinegrad_train::sampling::{self, Conditions, Remark, Request};
+use kinegrad_train::sampling::{self, Request};
 use kinegrad_train::systems::Systems;
 use kinegrad_train::{Ending, Error};
 
 use serde::Serialize;
 
 use super::estimate;
-use super::sample::{checkpoint, say_remark};
+use super::sample::{checkpoint, say_summary};
 use crate::args::TrainArguments;
 use crate::io::Files;
 use crate::output;
@@ -94,7 +94,7 @@ pub fn run(systems: Systems<'_>, arguments: TrainArguments) -> Result<ExitCode, 
             let folder = outcome.folder.join(SAMPLES);
             let DrawnSamples { count, step, .. } = drawn;
             say!("\n{count} samples of step {step} in {}", folder.display());
-            say_remark(drawn.remark);
+            say_summary(drawn.summary);
         }
         summary(drawn.count);
         return Ok(ExitCode::SUCCESS);
@@ -189,7 +189,7 @@ struct DrawnSamples {
     count: usize,
     /// Steps of the checkpoint that they were drawn with.
     step: u64,
-    remark: Option<Remark>,
+    summary: Option<sampling::Summary>,
 }
 
 /// Writes samples for the first held-out items to the run's folder: all of them or, if this process
@@ -197,26 +197,19 @@ struct DrawnSamples {
 fn draw_samples(systems: Systems<'_>, outcome: &Outcome) -> Result<DrawnSamples, Error> {
     let saved = checkpoint(&outcome.folder)?;
     let trained = systems.trained(saved, &[], Weights::Ema, None)?;
-    let request = Request {
-        conditions: Conditions {
-            held_out: Some(outcome.config.sampling.count_at_end),
-            ..Conditions::default()
-        },
-        count: 1,
-        seed: outcome.config.run.seed,
-        ..Request::default()
-    };
+    let count = outcome.config.sampling.count_at_end;
+    let request = Request::held_out(count, outcome.config.run.seed);
     let folder = outcome.folder.join(SAMPLES);
     let unfinished = outcome.folder.join(UNFINISHED_SAMPLES);
     remove(&unfinished)?;
     fs::create_dir(&unfinished).map_err(Error::io("create", &unfinished))?;
     let mut files = Files::silent(&unfinished);
-    let remark = sampling::sample(systems, &trained, &request, &mut files)?;
+    let summary = systems.sample(&trained, &request, &mut files)?;
     move_into(&unfinished, &folder)?;
     Ok(DrawnSamples {
         count: files.written(),
         step: trained.saved.state.step,
-        remark,
+        summary,
     })
 }
 

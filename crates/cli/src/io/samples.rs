@@ -4,7 +4,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use kinegrad_train::Error;
-use kinegrad_train::sampling::{Contents, Drawn, Names, Receiver, Record};
+use kinegrad_train::sampling::{Contents, Names, Record, Sample, SampleSink};
 use serde::Serialize;
 
 use super::bvh::{bvh_file, bvh_text};
@@ -27,7 +27,7 @@ pub struct Written {
 /// What is done with files that exist.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Existing {
-    /// Nothing is drawn.
+    /// Nothing is sample.
     Refused,
     /// They are replaced.
     Replaced,
@@ -114,9 +114,9 @@ impl Files {
     }
 
     /// Where the motion of a sample is written.
-    pub fn motion_path(&self, drawn: &Drawn) -> PathBuf {
-        let extension = drawn.files.first().map_or("", |(extension, _)| extension);
-        self.path(&drawn.name, extension)
+    pub fn motion_path(&self, sample: &Sample) -> PathBuf {
+        let extension = sample.files.first().map_or("", |(extension, _)| extension);
+        self.path(&sample.name, extension)
     }
 
     /// Writes all files of a sample and returns them, the motion first and the record last; or
@@ -124,15 +124,15 @@ impl Files {
     ///
     /// # Errors
     /// If one cannot be written.
-    pub fn write(&self, drawn: &Drawn) -> Result<Vec<PathBuf>, Error> {
-        let mut files = Vec::with_capacity(drawn.files.len() + 1);
-        for (extension, contents) in &drawn.files {
-            let path = self.path(&drawn.name, extension);
+    pub fn write(&self, sample: &Sample) -> Result<Vec<PathBuf>, Error> {
+        let mut files = Vec::with_capacity(sample.files.len() + 1);
+        for (extension, contents) in &sample.files {
+            let path = self.path(&sample.name, extension);
             let content = self.content(&path, contents)?;
             files.push((path, content));
         }
-        let record = serde_json::to_string_pretty(&drawn.record).expect("plain data") + "\n";
-        files.push((self.path(&drawn.name, RECORD), Content::Text(record)));
+        let record = serde_json::to_string_pretty(&sample.record).expect("plain data") + "\n";
+        files.push((self.path(&sample.name, RECORD), Content::Text(record)));
         write_all(&files)?;
         Ok(files.into_iter().map(|(path, _)| path).collect())
     }
@@ -155,12 +155,12 @@ impl Files {
 ///
 /// # Errors
 /// Names the first file.
-pub fn must_be_finite(drawn: &Drawn, stem: &str) -> Result<(), Error> {
-    for (extension, contents) in &drawn.files {
+pub fn must_be_finite(sample: &Sample, stem: &str) -> Result<(), Error> {
+    for (extension, contents) in &sample.files {
         if let Contents::Array { values, .. } = contents
             && !values.iter().all(|value| value.is_finite())
         {
-            let sample = format!("{stem}{}{extension}", drawn.name);
+            let sample = format!("{stem}{}{extension}", sample.name);
             return Err(Error::SampleNotFinite { sample });
         }
     }
@@ -170,13 +170,13 @@ pub fn must_be_finite(drawn: &Drawn, stem: &str) -> Result<(), Error> {
 /// Extension of BVH files.
 const BVH: &str = ".bvh";
 
-impl Receiver for Files {
+impl SampleSink for Files {
     fn stepped(&mut self, stage: &'static str, done: usize, all: usize) {
         let bar = self.bar.get_or_insert_with(|| Denoising::of(""));
         bar.show(stage, done, all);
     }
 
-    fn announced(&mut self, names: &Names, extensions: &[&str]) -> Result<(), Error> {
+    fn reserve_outputs(&mut self, names: &Names, extensions: &[&str]) -> Result<(), Error> {
         if self.lock_feet && !extensions.contains(&BVH) {
             return Err(Error::usage(
                 "`--lock-feet`, but this run draws no bodies: nothing was drawn",
@@ -223,16 +223,16 @@ impl Receiver for Files {
         ))
     }
 
-    fn drawn(&mut self, drawn: Drawn) -> Result<(), Error> {
+    fn sample(&mut self, sample: Sample) -> Result<(), Error> {
         if let Some(bar) = self.bar.take() {
             bar.finish();
         }
-        must_be_finite(&drawn, &self.stem)?;
-        let files = interrupt::not_during(|| self.write(&drawn))?;
+        must_be_finite(&sample, &self.stem)?;
+        let files = interrupt::not_during(|| self.write(&sample))?;
         self.written += 1;
         let written = Written {
             files,
-            record: drawn.record,
+            record: sample.record,
         };
         (self.tell)(&written);
         if self.keeps {

@@ -35,7 +35,7 @@ impl Figure {
         let legs = self.legs(&parents);
         if legs.is_empty() {
             let problem = "no joint with two bones above it is called a foot, toe or ankle";
-            let hint = "leave `--lock-feet` out: this skeleton has no feet that are known";
+            let hint = "leave option `lock_feet` out: this skeleton has no feet that are known";
             return Err(Error::file(&self.file, problem, hint));
         }
         let rests = examples

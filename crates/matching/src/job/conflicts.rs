@@ -19,7 +19,7 @@ impl Job {
                 "`{}` follows it, whose end need not lead into its beginning",
                 fixed.part
             );
-            let hint = "leave `--loop` or `--fix` out";
+            let hint = "leave option `loop` or option `fix` out";
             return Err(Error::file(&fixed.motion.file, problem, hint));
         }
         let (keys, fixed) = held.split_at(self.keyframes.len());
@@ -41,7 +41,7 @@ impl Job {
                         self.fixed[place].motion.file
                     );
                     let hint =
-                        "give parts that share no joint; `--parts` divides the body otherwise";
+                        "give parts that share no joint; option `parts` divides the body otherwise";
                     return Err(Error::file(&self.fixed[index].motion.file, problem, hint));
                 }
             }

@@ -76,7 +76,7 @@ impl PathPlan {
             Some("svg") => {
                 let scale = metres_per_unit.ok_or(
                     "a drawing has no metres: state the length of its unit, as \
-                     `--metres-per-unit 0.01`",
+                     option `metres_per_unit 0.01`",
                 )?;
                 let Drawing { points, closed } = read_drawing(text, scale)?;
                 Self {
@@ -88,7 +88,7 @@ impl PathPlan {
         };
         if metres_per_unit.is_some() && ending.as_deref() != Some("svg") {
             return Err(
-                "`--metres-per-unit` is for drawings (.svg): this file is in metres".into(),
+                "option `metres_per_unit` is for drawings (.svg): this file is in metres".into(),
             );
         }
         plan.validate().map_err(|error| error.to_string())?;
@@ -310,7 +310,7 @@ mod tests {
             (
                 "p.svg",
                 "<svg/>",
-                "a drawing has no metres: state the length of its unit, as `--metres-per-unit 0.01`",
+                "a drawing has no metres: state the length of its unit, as option `metres_per_unit 0.01`",
             ),
         ] {
             let found = PathPlan::read(text, file, None).unwrap_err();

@@ -39,7 +39,7 @@ class StepReport(TypedDict):
 class Sample:
     """A generated motion."""
 
-    def __init__(self, drawn: _kinegrad.Drawn) -> None:
+    def __init__(self, drawn: _kinegrad.Sample) -> None:
         self._drawn = drawn
         self._arrays = dict(drawn.arrays())
 
@@ -160,16 +160,16 @@ class Run:
     def sample(
         self,
         *,
-        phrase: str | None = None,
+        item: str | None = None,
         audio: PathArgument | None = None,
         start: float = 0.0,
         audio_features: PathArgument | None = None,
         goal: PathArgument | Sequence[PathArgument] | None = None,
         text: str | None = None,
-        clip: PathArgument | None = None,
+        text_encoder: PathArgument | None = None,
         text_embedding: str | None = None,
         history: PathArgument | None = None,
-        plan: PathArgument | None = None,
+        prompts: PathArgument | None = None,
         path: PathArgument | None = None,
         metres_per_unit: float | None = None,
         trajectory_run: PathArgument | Run | None = None,
@@ -194,20 +194,20 @@ class Run:
         """Generates motion; the same request as `kinegrad sample`, and the same arrays.
 
         Args:
-            phrase: Phrase of the dataset whose audio features are the condition, or clip whose first
+            item: Phrase of the dataset whose audio features are the condition, or clip whose first
                 caption is; `*` matches any text. By default the first held-out phrase.
             audio: Song to use as the condition, of any length; from `start` to its end if there is
                 no `frames`.
             start: Position in the song, in seconds, at which the motion starts.
             audio_features: `features.npz` to use as the condition.
             goal: Goal file or files for position control of a clip.
-            text: Text to use as the condition, embedded with `clip`; for runs with `data.humanml3d.text = "labels"` one of
+            text: Text to use as the condition, embedded with `text_encoder`; for runs with `data.humanml3d.text = "labels"` one of
                 the captions that they were trained on.
-            clip: Folder with CLIP ViT-B/32, which embeds the text.
+            text_encoder: Folder with CLIP ViT-B/32, which embeds the text.
             text_embedding: Text embedding to use as the condition, `FILE#KEY`.
             history: Joints that the motion goes on from, `[T, J, 3]` in metres, for runs of recipe
                 `flow`.
-            plan: File of texts one after another, each with its length, for runs of recipe `flow` or
+            prompts: File of texts one after another, each with its length, for runs of recipe `flow` or
                 `bpe_motion`.
             path: Path over the ground that the motion follows (.toml, .csv or .svg), for runs of recipe
                 `bpe_motion`; `settings` says how, as `{"evaluation.path.method": "override"}`.
@@ -255,17 +255,17 @@ class Run:
             kept = ",".join(f"{start}..{end}" for start, end in keep)
         wanted = {
             "source": source,
-            "phrase": phrase,
+            "item": item,
             "audio_features": audio_features,
             "audio": audio,
             "start": float(start),
             "goal": goals,
             "trajectory_run": _run_path(trajectory_run),
             "text": text,
-            "clip": clip,
+            "text_encoder": text_encoder,
             "text_embedding": text_embedding,
             "history": history,
-            "plan": plan,
+            "prompts": prompts,
             "path": path,
             "metres_per_unit": None if metres_per_unit is None else float(metres_per_unit),
             "held_out": held_out,

@@ -188,7 +188,7 @@ pub(crate) fn must_be_free(out: &Path) -> Result<(), Error> {
                 "{} exists already and is not an empty folder",
                 out.display()
             ),
-            "choose another `--out`",
+            "choose another option `out`",
         )),
         false => Ok(()),
     }

@@ -121,7 +121,7 @@ pub(crate) fn apply(table: &mut Table, argument: &str) -> Result<(), ConfigError
             .entry(parent.to_string())
             .or_insert_with(|| Value::Table(Table::new()));
         current = entry.as_table_mut().ok_or_else(|| ConfigError::Value {
-            place: format!("--set {argument}"),
+            place: format!("option `set {argument}`"),
             key: key.to_string(),
             message: format!("`{parent}` is a value, not a table"),
             hint: "keys are written table.key".into(),

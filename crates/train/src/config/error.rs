@@ -9,7 +9,7 @@ pub enum ConfigError {
     /// The file is not there or cannot be read.
     #[error("cannot read the config {}: {source}", path.display())]
     #[diagnostic(help(
-        "`kinegrad init` writes a config to start from; `kinegrad init --list` lists those that \
+        "`kinegrad init` writes a config to start from; `kinegrad init` with option `list` lists those that \
          there are"
     ))]
     Read {
@@ -55,7 +55,7 @@ pub enum ConfigError {
     },
     /// An override of what a trained model has been trained with.
     #[error(
-        "`--set {argument}`: the model is trained, only keys of `sampling` and `evaluation` can be set"
+        "option `set {argument}`: the model is trained, only keys of `sampling` and `evaluation` can be set"
     )]
     #[diagnostic(help("{hint}"))]
     Trained {
@@ -65,8 +65,8 @@ pub enum ConfigError {
         hint: String,
     },
     /// An override that is not `KEY=VALUE`.
-    #[error("`--set {argument}` is not KEY=VALUE")]
-    #[diagnostic(help("for example `--set optim.learning_rate=2e-4`"))]
+    #[error("option `set {argument}` is not KEY=VALUE")]
+    #[diagnostic(help("for example option `set optim.learning_rate=2e-4`"))]
     Override {
         /// The argument found.
         argument: String,

@@ -56,7 +56,7 @@ pub fn must_have_recipe(saved: &Config, given: &Config) -> Result<(), InvalidSet
 fn refused(key: impl Display, found: String, saved: &str) -> InvalidSetting {
     let saved = format!("{saved}, which the run was started with");
     InvalidSetting::new(key, found, saved).hint(format!(
-        "a resumed run continues as it was; only {} may differ. `kinegrad train --resume RUN` takes \
+        "a resumed run continues as it was; only {} may differ. `kinegrad train` with option `resume RUN` takes \
          all others from the run itself; for other settings start a new run",
         FREE.join(", ")
     ))

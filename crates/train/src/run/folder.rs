@@ -54,7 +54,7 @@ pub(super) fn must_be_a_folder(folder: &Path) -> Result<(), Error> {
                 "{} cannot be a run's folder: a file is there, or in the place of a folder above it",
                 folder.display()
             ),
-            "choose another `--name` or `--runs-dir`",
+            "choose another option `name` or option `runs_dir`",
         )),
     }
 }
@@ -91,7 +91,7 @@ pub(super) fn must_hold_no_other(folder: &Path) -> Result<(), Error> {
                     folder.display(),
                     name.display()
                 ),
-                "choose another `--name` or `--runs-dir`, or move away what is in that folder",
+                "choose another option `name` or option `runs_dir`, or move away what is in that folder",
             ));
         }
     }
@@ -125,7 +125,7 @@ pub fn remove(path: &Path) -> Result<(), Error> {
 pub(super) fn exists_already(name: &str, folder: &Path) -> Error {
     Error::usage(
         format!("the run `{name}` exists already: {}", folder.display()),
-        "add `--resume` to continue it, or choose another `--name`",
+        "add option `resume` to continue it, or choose another option `name`",
     )
 }
 

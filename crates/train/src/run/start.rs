@@ -79,7 +79,7 @@ fn begun(
     let size = together.ranks().size();
     if request.dry_run && size > 1 {
         return Err(Error::usage(
-            format!("`--dry-run` with {size} ranks"),
+            format!("option `dry_run` with {size} ranks"),
             "plan the run in one process, without the launcher",
         ));
     }
@@ -143,7 +143,7 @@ fn resumed(
         let (file, set) = (path.display(), given.trim_matches('"'));
         observer.warning(&format!(
             "`{key}` is {given} in {file} and {saved} in the run's saved config, which counts; \
-             `--set {key}={set}` takes the new value"
+             option `set {key}={set}` takes the new value"
         ));
     }
     let text = toml::to_string(&table).expect("a config is a table of plain values");
@@ -283,7 +283,7 @@ fn train_in(
     match (exists, resume) {
         (true, false) => return Err(exists_already(&name, &folder)),
         (false, true) if !folder.exists() => {
-            let hint = "without `--resume` a new run of that name is started".into();
+            let hint = "without option `resume` a new run of that name is started".into();
             return Err(Error::RunMissing { path: folder, hint });
         }
         _ => {}

@@ -3,17 +3,15 @@
 use std::path::PathBuf;
 
 use kinegrad_diffusion::SamplerConfig;
-use kinegrad_motion::goal::Goal;
 use kinegrad_motion::path::{PathPlan, PathReport};
 use kinegrad_motion::postprocess::PostProcessConfig;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use super::Style;
+use super::{Condition, condition};
 use crate::TrainedModel;
 use crate::checkpoint::Weights;
 use crate::config::{ClipSample, Padding, SteeringConfig};
-use crate::song::KnownBeats;
 
 /// How a sample was made: enough to draw it again.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -58,8 +56,9 @@ pub struct Record {
     /// The path that it follows.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub path: Option<PathRecord>,
-    /// What the sample is conditioned on.
-    pub condition: Condition,
+    /// The conditions, a map by their names; empty for an unconditional sample.
+    #[serde(with = "condition::as_map")]
+    pub condition: Vec<Condition>,
     /// What it was drawn together with; left out where that does not matter.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub batch: Option<BatchRecord>,
@@ -142,18 +141,6 @@ pub struct WindowsRecord {
     pub in_flight: usize,
 }
 
-/// Frames of another motion that a sample has as they are.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Kept {
-    /// The motion's file.
-    pub motion: PathBuf,
-    /// First frame and end of each run of frames in the sample.
-    pub frames: Vec<[usize; 2]>,
-    /// Whether they are the last frames of that motion, which the sample continues, and not those
-    /// of the same places.
-    pub continued: bool,
-}
-
 /// The sampler's settings.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SamplerRecord {
@@ -168,63 +155,6 @@ pub struct SamplerRecord {
     /// Guidance and imputation for goals; none without a goal.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub steering: Option<SteeringConfig>,
-}
-
-/// What a sample is conditioned on. Everything is left out for an unconditional sample.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(default)]
-pub struct Condition {
-    /// Id of the phrase or clip whose audio features or caption are the condition.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub item: Option<String>,
-    /// Dataset that contains the item; left out for synthetic ones.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub source: Option<String>,
-    /// File of audio features.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub audio_features: Option<PathBuf>,
-    /// Song.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub song: Option<PathBuf>,
-    /// Position in the song, in seconds, at which the motion starts.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub start: Option<f64>,
-    /// The style that was asked for.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub style: Option<Style>,
-    /// Frames that were given.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub kept: Option<Kept>,
-    /// What was known of the song's beats.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub beats: Option<KnownBeats>,
-    /// File of joints that the motion goes on from.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub history: Option<PathBuf>,
-    /// Texts one after another, with their lengths.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub plan: Option<PathBuf>,
-    /// Goal file.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub goal: Option<PathBuf>,
-    /// What the goal file said.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub goal_content: Option<Goal>,
-    /// SHA-256 of the goal file's contents.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub goal_sha256: Option<String>,
-    /// Checkpoint of the trajectory model that generated the ground path.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub trajectory: Option<PathBuf>,
-    /// Text.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub text: Option<String>,
-    /// Folder of the text encoder that embedded it.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub clip: Option<PathBuf>,
-    /// Text embedding, `FILE#KEY`.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub text_embedding: Option<String>,
 }
 
 impl Record {
@@ -255,7 +185,7 @@ impl Record {
             rollout: None,
             composition: None,
             path: None,
-            condition: Condition::default(),
+            condition: Vec::new(),
             batch: None,
         }
     }

@@ -1,324 +1,347 @@
-//! What samples are asked for.
+//! Requests for samples.
 
-use std::path::PathBuf;
+use std::path::Path;
 
 use kinegrad_motion::{MAX_FRAMES, PostProcessProfile};
 use kinegrad_settings::{ABOVE_ZERO, Refused, in_range};
 
-use super::{Given, GivenFrames, Style};
-use crate::checkpoint::SavedCheckpoint;
+use super::{Condition, GoalCondition, KnownFramesCondition, PathFile, Style, TrajectoryCondition};
 use crate::error::Error;
-use crate::song::KnownBeats;
 
-/// A request for samples. Systems reject conditions that their models do not support.
+/// A request for samples.
 #[derive(Clone, Debug, Default)]
 pub struct Request {
-    /// The conditions.
-    pub conditions: Conditions,
+    /// The conditions; without any the system chooses one, or samples unconditionally.
+    pub conditions: Vec<Condition>,
     /// Samples per condition.
     pub count: usize,
     /// Frames to generate.
     pub frames: Option<usize>,
-    /// Seconds to generate, in the place of `frames`: [`sample`](super::sample) makes frames of them.
+    /// Seconds to generate, instead of `frames`: [`sample`](super::sample) converts them.
     pub seconds: Option<f64>,
     /// Seed of the noise.
     pub seed: u64,
-    /// Repairs of the generated motion, for models with such; the default ones if not said.
+    /// Post-processing, for models that have one; the default profile if `None`.
     pub post_processing: Option<PostProcessProfile>,
 }
 
-/// The sources of conditions.
-#[derive(Clone, Debug, Default)]
-pub struct Conditions {
-    /// Dataset that contains the item, instead of the run's own.
-    pub source: Option<String>,
-    /// Id of the item, or a pattern.
-    pub item: Option<String>,
-    /// File of audio features.
-    pub audio_features: Option<PathBuf>,
-    /// Song.
-    pub song: Option<PathBuf>,
-    /// Position in the song, in seconds, at which the motion starts.
-    pub start: f64,
-    /// What is known of the song's beats.
-    pub beats: KnownBeats,
-    /// Goal files.
-    pub goals: Vec<PathBuf>,
-    /// Checkpoint of the trajectory model that generates the ground path in a first stage.
-    pub trajectory: Option<SavedCheckpoint>,
-    /// Text, in words.
-    pub text: Option<String>,
-    /// Folder of the text encoder that embeds the text.
-    pub clip: Option<PathBuf>,
-    /// Text embedding, `FILE#KEY`.
-    pub text_embedding: Option<String>,
-    /// File of joints that the motion goes on from.
-    pub history: Option<PathBuf>,
-    /// File of texts with their lengths, one after another.
-    pub plan: Option<PathBuf>,
-    /// File of a path over the ground.
-    pub path: Option<PathFile>,
-    /// Frames of a phrase that the sample has as they are.
-    pub given: Option<Given>,
-    /// The style, for models that are conditioned on one.
-    pub style: Option<Style>,
-    /// Use the first so many held-out items of the run's own dataset.
-    pub held_out: Option<usize>,
-}
-
-/// A path over the ground, in a file.
-#[derive(Clone, Debug, PartialEq)]
-pub struct PathFile {
-    /// The file.
-    pub file: PathBuf,
-    /// Metres of a unit, where it is a drawing.
-    pub metres_per_unit: Option<f64>,
-}
-
 impl Request {
+    /// A request for one sample for each of the first `count` held-out items.
+    pub fn held_out(count: usize, seed: u64) -> Self {
+        Self {
+            conditions: vec![Condition::HeldOut(count)],
+            count: 1,
+            seed,
+            ..Self::default()
+        }
+    }
+
     /// Rejects requests that contradict themselves, whatever the model.
     ///
     /// # Errors
-    /// [`Error::Usage`] for the first contradiction; it names the options of the command line.
+    /// [`Error::Usage`] for the first contradiction.
     pub fn validate(&self) -> Result<(), Error> {
         if self.count == 0 {
             return Err(Error::usage(
-                "`--count` is 0",
+                "option `count` is 0",
                 "ask for at least one sample",
             ));
         }
         if let Some(frames) = self.frames {
-            in_range("--frames", frames, 1..=MAX_FRAMES)
+            in_range("option `frames`", frames, 1..=MAX_FRAMES)
                 .hint("leave it out for the length of the condition, or of the training")?;
         }
         if let Some(seconds) = self.seconds {
             if self.frames.is_some() {
-                let hint = "both say how long the motion is: leave out one of the two";
-                return Err(Error::usage("`--seconds` with `--frames`", hint));
+                let hint = "both set the length of the motion: leave out one of the two";
+                return Err(Error::usage("option `seconds` with option `frames`", hint));
             }
-            in_range("--seconds", seconds, ABOVE_ZERO)
+            in_range("option `seconds`", seconds, ABOVE_ZERO)
                 .hint("leave it out for the length of the condition, or of the training")?;
         }
-        self.conditions.validate()
+        self.validate_conditions()
     }
 
-    /// The same with frames for the seconds, at so many frames a second.
+    fn validate_conditions(&self) -> Result<(), Error> {
+        for (index, one) in self.conditions.iter().enumerate() {
+            for other in &self.conditions[..index] {
+                let same = one.name() == other.name() && !matches!(one, Condition::Goal(_));
+                let role = one.role().filter(|role| other.role() == Some(role));
+                let role = role.filter(|_| one.name() != other.name());
+                // Items of phrases are their audio features; those of clips have none.
+                let audio = |a: &Condition, b: &Condition| {
+                    matches!(a, Condition::Item { .. }) && b.role() == Some("audio")
+                };
+                let role = match audio(one, other) || audio(other, one) {
+                    true => Some("audio"),
+                    false => role,
+                };
+                if let Condition::HeldOut(_) = one {
+                    return Err(with_held_out(other));
+                }
+                if let Condition::HeldOut(_) = other {
+                    return Err(with_held_out(one));
+                }
+                if same || role.is_some() {
+                    let what = role.unwrap_or(one.name());
+                    return Err(Error::usage(
+                        format!("option `{}` with option `{}`", one.name(), other.name()),
+                        format!("a motion has one {what} condition: leave out one of the two"),
+                    ));
+                }
+            }
+        }
+        match self.conditions.iter().find_map(invalid) {
+            Some(error) => Err(error),
+            None => Ok(()),
+        }
+    }
+
+    /// The same with frames instead of seconds, at `fps` frames per second.
     ///
     /// # Errors
     /// If that is no frame or too many.
-    pub(super) fn at(&self, fps: f64) -> Result<Self, Error> {
+    pub(crate) fn at(&self, fps: f64) -> Result<Self, Error> {
         let Some(seconds) = self.seconds else {
             return Ok(self.clone());
         };
         let frames = (seconds * fps).round();
-        in_range("--seconds", seconds, 1.0 / fps..=MAX_FRAMES as f64 / fps)?;
+        in_range(
+            "option `seconds`",
+            seconds,
+            1.0 / fps..=MAX_FRAMES as f64 / fps,
+        )?;
         Ok(Self {
             frames: Some(frames as usize),
             seconds: None,
             ..self.clone()
         })
     }
+
+    /// Whether the system chooses the condition.
+    pub fn is_unconditional(&self) -> bool {
+        self.conditions.is_empty()
+    }
+
+    /// Id or pattern of an item, and its dataset where that is not the run's.
+    pub fn item(&self) -> Option<(&str, Option<&str>)> {
+        self.conditions
+            .iter()
+            .find_map(|condition| match condition {
+                Condition::Item { id, source } => Some((id.as_str(), source.as_deref())),
+                _ => None,
+            })
+    }
+
+    /// Number of held-out items.
+    pub fn held_out_items(&self) -> Option<usize> {
+        self.conditions
+            .iter()
+            .find_map(|condition| match condition {
+                Condition::HeldOut(count) => Some(*count),
+                _ => None,
+            })
+    }
+
+    /// The goals.
+    pub fn goals(&self) -> impl Iterator<Item = &GoalCondition> {
+        self.conditions
+            .iter()
+            .filter_map(|condition| match condition {
+                Condition::Goal(goal) => Some(goal),
+                _ => None,
+            })
+    }
+
+    /// The trajectory model.
+    pub fn trajectory(&self) -> Option<&TrajectoryCondition> {
+        self.conditions
+            .iter()
+            .find_map(|condition| match condition {
+                Condition::Trajectory(trajectory) => Some(trajectory),
+                _ => None,
+            })
+    }
+
+    /// The file of a history.
+    pub fn history(&self) -> Option<&Path> {
+        self.conditions
+            .iter()
+            .find_map(|condition| match condition {
+                Condition::History(file) => Some(file.as_path()),
+                _ => None,
+            })
+    }
+
+    /// The file of texts over time.
+    pub fn prompts(&self) -> Option<&Path> {
+        self.conditions
+            .iter()
+            .find_map(|condition| match condition {
+                Condition::Prompts(file) => Some(file.as_path()),
+                _ => None,
+            })
+    }
+
+    /// The path.
+    pub fn path(&self) -> Option<&PathFile> {
+        self.conditions
+            .iter()
+            .find_map(|condition| match condition {
+                Condition::Path(path) => Some(path),
+                _ => None,
+            })
+    }
+
+    /// The known frames.
+    pub fn known_frames(&self) -> Option<&KnownFramesCondition> {
+        self.conditions
+            .iter()
+            .find_map(|condition| match condition {
+                Condition::KnownFrames(known) => Some(known),
+                _ => None,
+            })
+    }
+
+    /// The style.
+    pub fn style(&self) -> Option<&Style> {
+        self.conditions
+            .iter()
+            .find_map(|condition| match condition {
+                Condition::Style(style) => Some(style),
+                _ => None,
+            })
+    }
+
+    /// The text conditions, as the record of a sample keeps them.
+    pub fn text_conditions(&self) -> impl Iterator<Item = Condition> {
+        let texts = self.conditions.iter();
+        texts
+            .filter(|condition| condition.role() == Some("text"))
+            .cloned()
+    }
+
+    /// The value of a condition of a system outside of kinegrad.
+    pub fn other(&self, name: &str) -> Option<&serde_json::Value> {
+        self.conditions
+            .iter()
+            .find_map(|condition| match condition {
+                Condition::Other(other) if other.name == name => Some(&other.value),
+                _ => None,
+            })
+    }
 }
 
-impl Conditions {
-    /// Whether none is given, so that the system chooses one.
-    pub fn is_empty(&self) -> bool {
-        !self.given().iter().any(|(_, given)| *given) && self.held_out.is_none()
-    }
+fn with_held_out(other: &Condition) -> Error {
+    Error::usage(
+        format!("option `{}` with held-out items", other.name()),
+        "held-out items have their own conditions: leave out one of the two",
+    )
+}
 
-    /// The conditions by their command-line names, and whether each is given.
-    fn given(&self) -> [(&'static str, bool); 15] {
-        let continues = |given: &Given| given.frames == GivenFrames::Last;
-        [
-            ("--source", self.source.is_some()),
-            ("--item", self.item.is_some()),
-            ("--audio-features", self.audio_features.is_some()),
-            ("--audio", self.song.is_some()),
-            ("--goal", !self.goals.is_empty()),
-            ("--trajectory-run", self.trajectory.is_some()),
-            ("--text", self.text.is_some()),
-            ("--text-encoder", self.clip.is_some()),
-            ("--text-embedding", self.text_embedding.is_some()),
-            ("--history", self.history.is_some()),
-            ("--prompts", self.plan.is_some()),
-            ("--path", self.path.is_some()),
-            (
-                "--continue-from",
-                self.given.as_ref().is_some_and(continues),
-            ),
-            (
-                "--keep",
-                self.given.as_ref().is_some_and(|given| !continues(given)),
-            ),
-            ("--style", self.style.is_some()),
-        ]
-    }
-
-    fn validate(&self) -> Result<(), Error> {
-        let given = self.given();
-        let is_given = |name: &str| given.iter().any(|(known, given)| *known == name && *given);
-        for (kind, one, other) in CONTRADICTORY {
-            if is_given(one) && is_given(other) {
-                return Err(Error::usage(
-                    format!("`{one}` with `{other}`"),
-                    format!("a motion has one {kind} condition: leave out one of the two"),
-                ));
-            }
-        }
-        if self.held_out.is_some() && given.iter().any(|(_, given)| *given) {
-            let (name, _) = given.iter().find(|(_, given)| *given).expect("just found");
-            return Err(Error::usage(
-                format!("`{name}` with held-out items"),
-                "held-out items have their own conditions: leave out one of the two",
-            ));
-        }
-        if self.held_out == Some(0) {
-            return Err(Error::usage(
-                "0 held-out items are asked for",
-                "ask for at least one",
-            ));
-        }
-        let start = self.start;
-        if !(start.is_finite() && start >= 0.0) {
-            return Err(Error::usage(
-                format!("`--start` is {start}"),
+/// The error of a condition that no model can follow.
+fn invalid(condition: &Condition) -> Option<Error> {
+    match condition {
+        Condition::HeldOut(0) => Some(Error::usage(
+            "0 held-out items are asked for",
+            "ask for at least one",
+        )),
+        Condition::Song { start, .. } if !(start.is_finite() && *start >= 0.0) => {
+            Some(Error::usage(
+                format!("option `start` is {start}"),
                 "give a position in the song, in seconds from 0",
-            ));
+            ))
         }
-        if let (None, Some(option)) = (&self.song, self.beats.given().first()) {
-            return Err(Error::usage(
-                format!("`{option}` without `--audio`"),
-                "it is about the beats of a song: pass `--audio SONG` too",
-            ));
-        }
-        if self.clip.is_some() && self.text.is_none() {
-            return Err(Error::usage(
-                "`--text-encoder` without `--text`",
-                "it embeds a text: pass `--text SENTENCE` too",
-            ));
-        }
-        self.beats.validate()?;
-        if start > 0.0 && self.song.is_none() {
-            return Err(Error::usage(
-                "`--start` without `--audio`",
-                "it is a position in a song: pass `--audio SONG` too",
-            ));
-        }
-        Ok(())
-    }
-
-    /// Rejects conditions that are set but listed in `unknown`, by their command-line names.
-    ///
-    /// # Errors
-    /// [`Error::Usage`] for the first that is set.
-    pub fn refuse(&self, unknown: &[&str], why: &str, hint: &str) -> Result<(), Error> {
-        let mut given = self.given().into_iter();
-        match given.find(|(name, given)| *given && unknown.contains(name)) {
-            Some((name, _)) => Err(Error::usage(format!("`{name}` with {why}"), hint)),
-            None => Ok(()),
-        }
+        Condition::Song { beats, .. } => beats.validate().err(),
+        _ => None,
     }
 }
-
-/// Conditions that exclude each other, with what they are conditions on.
-const CONTRADICTORY: [(&str, &str, &str); 11] = [
-    ("audio", "--audio-features", "--item"),
-    ("audio", "--audio-features", "--source"),
-    ("audio", "--audio", "--audio-features"),
-    ("audio", "--audio", "--item"),
-    ("audio", "--audio", "--source"),
-    ("text", "--text", "--text-embedding"),
-    ("text", "--text", "--prompts"),
-    ("text", "--text-embedding", "--prompts"),
-    ("position", "--goal", "--path"),
-    ("position", "--keep", "--path"),
-    ("position", "--continue-from", "--path"),
-];
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::song::KnownBeats;
 
     #[test]
     fn requests_that_contradict_themselves_are_refused() {
-        let song = || Some(PathBuf::from("song.mp3"));
-        let conditions = |change: fn(&mut Conditions)| {
-            let mut conditions = Conditions {
-                song: Some("song.mp3".into()),
-                ..Conditions::default()
-            };
-            change(&mut conditions);
-            Request {
-                conditions,
-                count: 1,
-                ..Request::default()
-            }
+        let song = |start: f64, beats: KnownBeats| Condition::Song {
+            file: "song.mp3".into(),
+            start,
+            beats,
         };
-        let cases: [(Request, &str); 10] = [
-            (Request::default(), "`--count` is 0"),
+        let plain = || song(12.5, KnownBeats::default());
+        let item = || Condition::Item {
+            id: "a".into(),
+            source: None,
+        };
+        let features = || Condition::AudioFeatures("a.npz".into());
+        let text = || Condition::Text {
+            text: "a".into(),
+            text_encoder: None,
+        };
+        let goal = || {
+            Condition::Goal(GoalCondition {
+                file: "g".into(),
+                goal: None,
+                sha256: None,
+            })
+        };
+        let path = || {
+            Condition::Path(PathFile {
+                file: "p".into(),
+                metres_per_unit: None,
+            })
+        };
+        let request = |conditions: Vec<Condition>| Request {
+            conditions,
+            count: 1,
+            ..Request::default()
+        };
+        let slow = KnownBeats {
+            tempo: Some(-1.0),
+            ..KnownBeats::default()
+        };
+        for (request, expected) in [
+            (Request::default(), "option `count` is 0"),
             (
                 Request {
                     frames: Some(0),
-                    ..conditions(|_| {})
+                    ..request(vec![plain()])
                 },
-                "`--frames` is 0",
+                "`option `frames`` is 0",
             ),
             (
-                conditions(|c| c.item = Some("a".into())),
-                "`--audio` with `--item`",
+                request(vec![plain(), item()]),
+                "option `item` with option `song`",
             ),
             (
-                conditions(|c| c.audio_features = Some("a.npz".into())),
-                "`--audio` with `--audio-features`",
+                request(vec![features(), plain()]),
+                "option `song` with option `audio_features`",
             ),
             (
-                conditions(|c| {
-                    c.song = None;
-                    c.audio_features = Some("a.npz".into());
-                    c.source = Some("phrases".into());
-                }),
-                "`--audio-features` with `--source`",
+                request(vec![text(), Condition::Prompts("p".into())]),
+                "option `prompts` with option `text`",
+            ),
+            (request(vec![item(), item()]), "option `item` with"),
+            (
+                request(vec![goal(), path()]),
+                "option `path` with option `goal`",
             ),
             (
-                conditions(|c| {
-                    c.song = None;
-                    c.start = 3.0;
-                }),
-                "`--start` without `--audio`",
+                request(vec![song(f64::NAN, KnownBeats::default())]),
+                "option `start` is NaN",
             ),
-            (conditions(|c| c.start = f64::NAN), "`--start` is NaN"),
+            (request(vec![song(0.0, slow)]), "option `tempo` is -1"),
             (
-                conditions(|c| c.beats.tempo = Some(-1.0)),
-                "`--tempo` is -1",
+                request(vec![plain(), Condition::HeldOut(2)]),
+                "option `song` with held-out items",
             ),
-            (
-                conditions(|c| {
-                    c.song = None;
-                    c.beats.downbeat = Some(1.0);
-                }),
-                "`--downbeat` without `--audio`",
-            ),
-            (
-                conditions(|c| c.held_out = Some(2)),
-                "`--audio` with held-out items",
-            ),
-        ];
-        for (request, expected) in cases {
+        ] {
             let error = request.validate().expect_err(expected);
             assert!(error.to_string().starts_with(expected), "{error}");
         }
-        let good = Request {
-            conditions: Conditions {
-                song: song(),
-                start: 12.5,
-                ..Conditions::default()
-            },
-            count: 1,
-            frames: Some(30),
-            ..Request::default()
-        };
-        good.validate().expect("a song from a moment on");
-        assert!(!good.conditions.is_empty());
-        assert!(Conditions::default().is_empty());
+        for good in [vec![plain()], vec![item(), text()], vec![goal(), goal()]] {
+            request(good).validate().expect("conditions that agree");
+        }
     }
 }

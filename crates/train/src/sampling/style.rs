@@ -53,7 +53,7 @@ impl Style {
 
 fn wrong(text: &str, problem: &str) -> Error {
     Error::usage(
-        format!("`--style {text}`: {problem}"),
+        format!("option `style {text}`: {problem}"),
         "a label such as `waltz`, or eight numbers with commas between them, are allowed",
     )
 }
@@ -81,7 +81,10 @@ mod tests {
         ] {
             let error = Style::parse(text).expect_err(text).to_string();
             assert!(error.contains(problem), "{text}: {error}");
-            assert!(error.starts_with(&format!("`--style {text}`")), "{error}");
+            assert!(
+                error.starts_with(&format!("option `style {text}`")),
+                "{error}"
+            );
         }
     }
 

@@ -82,7 +82,7 @@ impl Systems<'_> {
         for argument in overrides {
             apply(&mut table, argument)?;
             // Read after each one, so that an error belongs to it.
-            config = self.whole(&table, &|_| format!("--set {argument}"))?;
+            config = self.whole(&table, &|_| format!("option `set {argument}`"))?;
         }
         Ok(config)
     }
@@ -107,7 +107,7 @@ impl Systems<'_> {
                 });
             }
             apply(&mut table, argument)?;
-            changed = self.whole(&table, &|_| format!("--set {argument}"))?;
+            changed = self.whole(&table, &|_| format!("option `set {argument}`"))?;
         }
         Ok(changed)
     }
@@ -118,7 +118,7 @@ impl Systems<'_> {
         let meant = self.suggestion(key, &config.train.recipe);
         let meant = meant.filter(|hint| OF_TRAINED.iter().any(|table| hint.contains(table)));
         meant.unwrap_or_else(|| {
-            "for example `--set sampling.sampler.num_inference_steps=50`; other settings are for \
+            "for example option `set sampling.sampler.num_inference_steps=50`; other settings are for \
              `kinegrad train`"
                 .into()
         })
@@ -316,7 +316,7 @@ mod tests {
     fn an_override_is_blamed_for_its_own_error() {
         let text = error("", &["run.seed=3", "run.sead=3"]);
         assert!(
-            text.contains("--set run.sead=3: unknown key `run.sead`"),
+            text.contains("option `set run.sead=3`: unknown key `run.sead`"),
             "{text}"
         );
         assert!(error("", &["run.seed"]).contains("is not KEY=VALUE"));

@@ -3,6 +3,7 @@
 mod guide;
 mod keys;
 mod load;
+mod sample;
 
 pub(crate) use keys::names;
 pub use keys::{ConfigKey, toml_text};
@@ -23,7 +24,7 @@ use crate::observer::Observer;
 use crate::parameter_count::ParameterCount;
 use crate::recipe::RecipeInfo;
 use crate::run::{Outcome, Setup};
-use crate::sampling::{Receiver, Remark, Request};
+use crate::sampling::{Request, SampleSink, Sampler};
 use crate::trained_model::TrainedModel;
 
 /// A method of generating motion: its config tables, networks, recipes and samplers.
@@ -156,16 +157,23 @@ pub trait System: Sync {
         Err(Error::NoAdapters { path: saved.path })
     }
 
-    /// Generates motion and passes each sample to `receiver`; returns a summary of all samples.
+    /// Names of the conditions that a recipe accepts ([`Condition::name`]), and `postprocess` if its
+    /// samples are post-processed; none of a recipe that generates nothing.
+    ///
+    /// [`Condition::name`]: crate::sampling::Condition::name
+    fn accepts(&self, recipe: &str) -> &'static [&'static str];
+
+    /// Resolves a request, whose conditions are all accepted: reads what they name and checks that it
+    /// fits the model. Notes and doubts go to `sink`.
     ///
     /// # Errors
-    /// If a condition is not supported by the model or cannot be read, or if the receiver fails.
-    fn sample(
+    /// If a condition cannot be read or does not fit the model.
+    fn sampler<'a>(
         &self,
-        trained: &TrainedModel,
-        request: &Request,
-        receiver: &mut dyn Receiver,
-    ) -> Result<Option<Remark>, Error>;
+        trained: &'a TrainedModel,
+        request: &'a Request,
+        sink: &mut dyn SampleSink,
+    ) -> Result<Box<dyn Sampler + 'a>, Error>;
 
     /// Validates the request and returns a function that evaluates a trained model on held-out
     /// motion.

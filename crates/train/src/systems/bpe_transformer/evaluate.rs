@@ -13,12 +13,13 @@ use super::networks::footprint;
 use super::networks::text_input;
 use super::report::{ComposedReport, Measured};
 use super::ways::{self, WaysEvaluation, WaysReport};
-use super::{BpeTables, ComposeEvaluationConfig, Composer, Line};
+use super::{BpeTables, ComposeEvaluationConfig, Composer};
 use crate::TrainedModel;
 use crate::captions::{ClipText, must_know_texts};
 use crate::clips::{dataset_or, with_held_out};
 use crate::error::Error;
 use crate::evaluation::{Column, Evaluate, Evaluated, EvaluationRequest, Group, Number, OnStep};
+use crate::text_plan::TimedPrompt;
 
 /// Results of an evaluation of compositions.
 #[derive(Clone, Debug, Serialize)]
@@ -119,13 +120,13 @@ fn evaluate(
     let window = asked.transition_frames;
     let (mut motions, mut windows, mut segments) = (Vec::new(), Vec::new(), Vec::new());
     let compositions = chosen.chunks(asked.texts).map(|chosen| {
-        let lines = chosen.iter().map(|&clip| Line {
+        let lines = chosen.iter().map(|&clip| TimedPrompt {
             text: ClipText::of(&held_out[clip]),
             frames: held_out[clip].features.frames().min(most),
         });
         lines.collect()
     });
-    let compositions: Vec<Vec<Line>> = compositions.collect();
+    let compositions: Vec<Vec<TimedPrompt>> = compositions.collect();
     let composed: Vec<Features> = together.each(compositions.len(), |number| {
         let [before, count] = together.own_of(number, compositions.len());
         composer.compose(

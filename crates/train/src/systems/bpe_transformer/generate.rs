@@ -18,21 +18,13 @@ use super::networks::{statistics_in, trained};
 use super::path::{PathControl, told};
 use super::{BpeTables, ComposeEvaluationConfig};
 use crate::TrainedModel;
-use crate::captions::{ClipText, TextInput};
+use crate::captions::TextInput;
 use crate::checkpoint::State;
 use crate::config::Config;
 use crate::error::Error;
 use crate::path_target::{Fastest, PathTarget};
 use crate::systems::gmd::FeatureSpace;
-
-/// A text for some frames.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Line {
-    /// What is said; nothing without.
-    pub text: Option<ClipText>,
-    /// How long, at least a frame.
-    pub frames: usize,
-}
+use crate::text_plan::TimedPrompt;
 
 /// A trained network, ready to compose motion.
 pub struct Composer {
@@ -108,7 +100,7 @@ impl Composer {
     /// Panics without a line, or for one without a frame.
     pub fn compose(
         &self,
-        lines: &[Line],
+        lines: &[TimedPrompt],
         sampler: &SamplerConfig,
         settings: &ComposeEvaluationConfig,
         target: Option<&PathTarget>,
@@ -226,14 +218,14 @@ impl Composer {
         match self.plain.knows_paths() {
             true => Ok(()),
             false => Err(Error::usage(
-                "`--method tokens`, and a run whose network is told no paths",
+                "option `method tokens`, and a run whose network is told no paths",
                 "teach it with recipe `path_adapter`, or use another method (docs/compose.md)",
             )),
         }
     }
 
     /// What the lines are told, `[lines, text channels, 1]`; zeros where nothing is.
-    fn told(&self, lines: &[Line]) -> Result<Tensor<3>, Error> {
+    fn told(&self, lines: &[TimedPrompt]) -> Result<Tensor<3>, Error> {
         let channels = self.text.channels();
         let mut values = Vec::with_capacity(lines.len() * channels);
         for line in lines {

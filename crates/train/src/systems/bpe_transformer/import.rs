@@ -46,19 +46,21 @@ fn is_known_stranger(name: &str) -> bool {
 pub(super) fn import(request: &ImportRequest) -> Result<Imported, Error> {
     let (Some(mean), Some(std)) = (&request.mean, &request.std) else {
         let message = "the statistics of the weights' training data are missing";
-        let hint =
-            "give `--mean Mean.npy --std Std.npy`, those of HumanML3D with its relative root";
+        let hint = "give option `mean Mean.npy` and option `std Std.npy`, those of HumanML3D with its relative root";
         return Err(Error::usage(message, hint));
     };
     if request.projection.is_some() {
-        let message = format!("`--projection` with `--arch {}`", request.architecture);
+        let message = format!(
+            "option `projection` with option `arch {}`",
+            request.architecture
+        );
         return Err(Error::usage(
             message,
-            "it is of `--arch gmd_motion`: leave it out",
+            "it is of option `arch gmd_motion`: leave it out",
         ));
     }
     if request.last {
-        let message = format!("`--last` with `--arch {}`", request.architecture);
+        let message = format!("option `last` with option `arch {}`", request.architecture);
         return Err(Error::usage(
             message,
             "its files have one set of weights: leave it out",

@@ -14,12 +14,13 @@ use serde::Serialize;
 
 use super::path::finish;
 use super::report::distance;
-use super::{ComposeEvaluationConfig, Composer, Line};
+use super::{ComposeEvaluationConfig, Composer};
 use crate::captions::ClipText;
 use crate::error::Error;
 use crate::evaluation::{EvaluationRequest, OnStep};
 use crate::path_target::{PathTarget, features_of, way};
 use crate::sampling::item_seed;
+use crate::text_plan::TimedPrompt;
 
 /// The shortest way that is followed, metres: who stays where he is follows none.
 const SHORTEST: f64 = 2.0;
@@ -145,7 +146,7 @@ pub(super) fn evaluate(
     let followed = together.each(count, |number| {
         let [before, count] = together.own_of(number, count);
         let (clip, begun) = (chosen[number], Instant::now());
-        let line = Line {
+        let line = TimedPrompt {
             text: clip.text.clone(),
             frames: clip.joints.frames(),
         };

@@ -23,7 +23,7 @@ use crate::checkpoint::State;
 use crate::config::{Config, SamplingConfig};
 use crate::error::Error;
 use crate::memory;
-use crate::sampling::Style;
+use crate::sampling::{Needs, Style};
 
 /// Maximum batch size.
 const BATCH: usize = 32;
@@ -64,7 +64,30 @@ pub struct Generator {
     pub(super) state: State,
 }
 
-/// Rejects `count` samples of `frames` frames if a batch of them takes more memory than is free.
+/// The memory of a batch of `count` samples of `frames` frames.
+///
+/// # Errors
+/// If a network cannot be built.
+pub(super) fn needs(
+    trained: &TrainedModel,
+    count: usize,
+    frames: usize,
+    hint: &'static str,
+) -> Result<Needs, Error> {
+    let (batch, frames) = match windows(trained.config(), frames) {
+        Some(windows) => (windows.len().min(WINDOWS_IN_FLIGHT), windows.length()),
+        None => (count.min(BATCH), frames),
+    };
+    let networks = footprint(trained.config(), frames)?;
+    Ok(Needs {
+        work: format!("sampling {batch} phrases of {frames} frames"),
+        bytes: networks.of_sampling(batch, false, trained.on_host),
+        hint,
+    })
+}
+
+/// Rejects `count` samples of `frames` frames by each of `processes` if a batch of them takes more
+/// memory than is free.
 ///
 /// # Errors
 /// [`Error::Usage`] with both figures.
@@ -73,17 +96,11 @@ pub(super) fn must_fit(
     count: usize,
     frames: usize,
     processes: usize,
-    hint: &str,
+    hint: &'static str,
 ) -> Result<(), Error> {
-    let windows = windows(trained.config(), frames)?;
-    let (batch, frames) = match &windows {
-        Some(windows) => (windows.len().min(WINDOWS_IN_FLIGHT), windows.length()),
-        None => (count.min(BATCH), frames),
-    };
-    let networks = footprint(trained.config(), frames)?;
-    let needed = networks.of_sampling(batch, false, trained.on_host);
-    let work = format!("drawing {batch} phrases of {frames} frames");
-    memory::must_fit(&work, needed.saturating_mul(processes as u64), hint)
+    let needs = needs(trained, count, frames, hint)?;
+    let bytes = needs.bytes.saturating_mul(processes as u64);
+    memory::must_fit(&needs.work, bytes, hint)
 }
 
 /// Keys of the noise of the first `count` samples of one condition.
@@ -249,7 +266,7 @@ impl Generator {
                     "read it in the layout of the run's `data.audio_features`",
                 ));
             }
-            if let Some(windows) = windows(self.config(), frames)? {
+            if let Some(windows) = windows(self.config(), frames) {
                 for (number, (audio, key)) in conditions.iter().zip(keys).enumerate() {
                     let whole = Whole {
                         audio,

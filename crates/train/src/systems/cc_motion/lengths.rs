@@ -8,7 +8,6 @@ use kinegrad_motion::stitch::Windows;
 
 use super::networks::targets;
 use crate::config::Config;
-use crate::error::Error;
 
 /// The first frames of a phrase, at most `longest`: as validation has it.
 pub(super) fn leading(phrase: &Arc<Phrase>, longest: usize) -> Arc<Phrase> {
@@ -26,13 +25,10 @@ pub(super) fn leading(phrase: &Arc<Phrase>, longest: usize) -> Arc<Phrase> {
 /// The windows of the training length that a motion of `frames` frames is drawn in; none if it is
 /// not longer. Nor if each sample of the model is in the frame of its own first heading: such
 /// windows do not fit together.
-///
-/// # Errors
-/// If the config names no network.
-pub(super) fn windows(config: &Config, frames: usize) -> Result<Option<Windows>, Error> {
+pub(super) fn windows(config: &Config, frames: usize) -> Option<Windows> {
     let longest = config.data.target_frames;
     let fit = targets(config).orientation != OrientationTarget::CanonicalQuaternion;
-    Ok((fit && frames > longest).then(|| Windows::new(frames, longest)))
+    (fit && frames > longest).then(|| Windows::new(frames, longest))
 }
 
 /// A sentence on those of the `frames` of windows or samples that training did not show, if there are
@@ -98,7 +94,7 @@ mod tests {
         let windows_of = |frames, target: &str| {
             let overrides = ["data.target_frames=60", target].map(String::from);
             let config = BUILT_IN.parse("", "c.toml", &overrides).expect("a config");
-            windows(&config, frames).expect("a network")
+            windows(&config, frames)
         };
         let plain = "model.orientation_target=rotation_6d";
         assert_eq!(

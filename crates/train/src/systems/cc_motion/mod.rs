@@ -47,7 +47,7 @@ use crate::observer::Observer;
 use crate::parameter_count::ParameterCount;
 use crate::recipe::RecipeInfo;
 use crate::run::{Outcome, Setup};
-use crate::sampling::{Receiver, Remark, Request};
+use crate::sampling::{Request, SampleSink, Sampler};
 use crate::start::tables_of;
 use crate::system::System;
 use recipe_name::{RECIPES, RecipeName};
@@ -136,13 +136,17 @@ impl System for CcMotion {
         merge::merge(saved, out)
     }
 
-    fn sample(
+    fn accepts(&self, _: &str) -> &'static [&'static str] {
+        sample::ACCEPTS
+    }
+
+    fn sampler<'a>(
         &self,
-        trained: &TrainedModel,
-        request: &Request,
-        receiver: &mut dyn Receiver,
-    ) -> Result<Option<Remark>, Error> {
-        sample::sample(trained, request, receiver)
+        trained: &'a TrainedModel,
+        request: &'a Request,
+        sink: &mut dyn SampleSink,
+    ) -> Result<Box<dyn Sampler + 'a>, Error> {
+        Ok(Box::new(sample::Phrases::new(trained, request, sink)?))
     }
 
     fn evaluate<'a>(

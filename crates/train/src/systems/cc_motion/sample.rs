@@ -8,235 +8,335 @@ use std::path::{Path, PathBuf};
 use kinegrad_data::{AudioFeatures, DataConfig, DataKind, Dataset, Phrase, load_audio};
 use kinegrad_models::Beats;
 use kinegrad_motion::path::PathPlan;
-use kinegrad_motion::phrase::FPS;
 use kinegrad_motion::postprocess::PostProcessConfig;
 use kinegrad_motion::stitch::Windows;
-use kinegrad_motion::{CHANNELS, Motion, OrientationTarget, Profile, Report, Statistics, check};
+use kinegrad_motion::{Motion, OrientationTarget, Profile, Report, Statistics, check};
 use kinegrad_random::{Key, Purpose};
 
-use super::generate::{Generator, Sample, keys, must_fit};
+use super::CcMotionConfig;
+use super::generate::{Generator, Sample, keys, needs};
 use super::lengths::{untrained, windows};
-use super::networks::targets;
+use super::networks::{targets, unet1d};
 use super::path::Asked;
 use super::style::must_know;
 use super::whole::{WINDOWS_IN_FLIGHT, Whole};
-use super::{CcMotion, CcMotionConfig, CcMotionNetwork};
 use crate::TrainedModel;
 use crate::config::Config;
 use crate::error::Error;
-use crate::path_target::{in_words, read_path};
+use crate::path_target::read_path;
 use crate::sampling::{
-    Condition, Conditions, Contents, Drawn, GivenFrames, GivenMotion, Kept, Names, Receiver,
-    Record, Remark, Request, WindowsRecord, item_seed,
+    Condition, Generated, Job, KnownFrames, Needs, Record, Request, Run, SampleSink, Sampler,
+    Summary, WindowsRecord, item_seed,
 };
-use crate::song::song_features;
-use crate::system::System as _;
+use crate::song::{KnownBeats, song_features};
 
-/// Extension of the post-processed motion.
-const MOTION: &str = ".npy";
+/// Conditions of phrases.
+pub(super) const ACCEPTS: &[&str] = &[
+    "item",
+    "audio_features",
+    "song",
+    "style",
+    "path",
+    "continue_from",
+    "keep",
+    "postprocess",
+];
 
-/// Extension of the raw model output.
-const RAW: &str = ".raw.npy";
-
-/// What to do where held-out samples do not fit into memory.
-const HELD_OUT_HINT: &str = "draw none at the end of training (`sampling.count_at_end = 0`), or \
+/// Hint for held-out samples that do not fit into memory.
+const HELD_OUT_HINT: &str = "sample none at the end of training (`sampling.count_at_end = 0`), or \
                              prepare shorter phrases";
 
-/// Of the frames of a window, that of which one part in so many continues another motion at most.
+/// Of the frames of a window, one part in so many continues another motion at most.
 const CONTINUED_SHARE: usize = 4;
 
-/// What to do where samples do not fit into memory.
-const HINT: &str = "draw shorter ones (`--frames`), or fewer";
+/// Hint for samples that do not fit into memory.
+const HINT: &str = "ask for shorter ones (option `frames`), or fewer";
 
-/// Generates the requested phrases, each post-processed and as raw model output.
-///
-/// # Errors
-/// If a condition cannot be used, or the checkpoint cannot be read.
-pub(super) fn sample(
-    trained: &TrainedModel,
-    request: &Request,
-    receiver: &mut dyn Receiver,
-) -> Result<Option<Remark>, Error> {
-    request.conditions.refuse(
-        &[
-            "--goal",
-            "--trajectory-run",
-            "--text",
-            "--text-embedding",
-            "--history",
-            "--prompts",
-        ],
-        "a run on phrases",
-        "goals and texts are conditions of recipes `gmd_motion` and `gmd_trajectory`, histories and \
-         plans of recipe `flow`",
-    )?;
-    if let Some(count) = request.conditions.held_out {
-        return for_held_out(trained, count, request, receiver).map(Some);
-    }
-    let style = request.conditions.style.as_ref();
-    if let Some(style) = style {
-        must_know(style, trained.config())?;
-    }
-    let path = request
-        .conditions
-        .path
-        .as_ref()
-        .map(read_path)
-        .transpose()?;
-    let conditions = conditions(request, trained.config(), receiver)?;
-    let mut drawings = Vec::with_capacity(conditions.len());
-    for mut heard in conditions {
-        heard.condition.style = style.cloned();
-        drawings.push(drawing(heard, request, trained.config(), path.as_ref())?);
-    }
-    let lengths = drawings.iter().map(|drawing| match &drawing.whole {
-        Some((windows, _)) => windows.length(),
-        None => drawing.heard.audio.frames(),
-    });
-    if let Some(odd) = untrained(trained.config(), lengths) {
-        receiver.warning(&odd);
-    }
-    for drawing in &drawings {
-        let (count, frames) = match &drawing.whole {
-            Some((windows, _)) => (windows.len().min(WINDOWS_IN_FLIGHT), windows.length()),
-            None => (request.count, drawing.heard.audio.frames()),
-        };
-        must_fit(trained, count, frames, 1, HINT)?;
-    }
-    let several = drawings.len() > 1;
-    let stem = |heard: &Heard| match several {
-        true => format!("-{}", heard.name),
-        false => String::new(),
-    };
-    let names = Names {
-        stems: drawings
-            .iter()
-            .map(|drawing| stem(&drawing.heard))
-            .collect(),
-        count: request.count,
-    };
-    receiver.announced(&names, &[MOTION, RAW])?;
-    let post_processing = PostProcessConfig::from(request.post_processing.unwrap_or_default());
-    let generator = Generator::load(trained)?
-        .with_post_processing(post_processing)
-        .with_style(style)?;
-    let mut remarks = Vec::new();
-    for Drawing { heard, whole, path } in drawings {
-        let too_fast = |path: &Asked| path.too_fast(generator.statistics());
-        if let Some(warning) = path.as_ref().and_then(too_fast) {
-            receiver.warning(&warning);
-        }
-        let seed = item_seed(request.seed, &heard.name);
-        let stem = stem(&heard);
-        if let Some((windows, given)) = &whole {
-            let whole = Whole {
-                audio: &heard.audio,
-                windows: windows.clone(),
-                given: given.as_ref(),
-                path: path.as_ref().map(|path| &path.followed),
-                in_flight: WINDOWS_IN_FLIGHT,
-            };
-            let key = Key::new(seed, Purpose::Sampling);
-            for index in 0..request.count {
-                let sample = generator.sample_whole(
-                    &whole,
-                    &trained.config().sampling,
-                    key.at(index as u64),
-                    &mut |done, all| {
-                        let before = index.saturating_mul(all);
-                        let wanted = request.count.saturating_mul(all);
-                        receiver.advance("windows", before.saturating_add(done), wanted)
-                    },
-                )?;
-                let path = path.as_ref().map(|path| path.record(&sample.motion));
-                remarks.extend(path.as_ref().map(|path| in_words(&path.report)));
-                let record = Record {
-                    index,
-                    path,
-                    windows: Some(windows_record(windows)),
-                    condition: heard.condition.clone(),
-                    ..record(trained, request, &sample)
-                };
-                receiver.drawn(drawn(names.of(&stem, index), sample, record))?;
-            }
-            continue;
-        }
-        let mut index = 0;
-        let receiver = RefCell::new(&mut *receiver);
-        generator.sample_each(
-            repeat_n(heard.audio, request.count).zip(keys(seed, request.count)),
-            &trained.config().sampling,
-            &mut |done, all| receiver.borrow_mut().advance("", done, all),
-            &mut |sample| {
-                let name = names.of(&stem, index);
-                let record = Record {
-                    index,
-                    condition: heard.condition.clone(),
-                    ..record(trained, request, &sample)
-                };
-                index += 1;
-                receiver.borrow_mut().drawn(drawn(name, sample, record))
-            },
-        )?;
-    }
-    Ok((!remarks.is_empty()).then(|| Remark::Text(remarks.join("\n"))))
+/// A request for phrases.
+pub(super) struct Phrases<'a> {
+    trained: &'a TrainedModel,
+    request: &'a Request,
+    jobs: Vec<Job>,
+    /// One for each job.
+    tasks: Vec<Task>,
 }
 
-/// Generates one sample for each of the first `count` held-out phrases, or training phrases if none
-/// are held out, and checks them. They are those that `kinegrad sample --item` generates with the
-/// same seed.
-fn for_held_out(
-    trained: &TrainedModel,
-    count: usize,
-    request: &Request,
-    receiver: &mut dyn Receiver,
-) -> Result<Remark, Error> {
-    let dataset =
-        Dataset::<Phrase>::open_with_progress(&trained.config().data, &*receiver.reading())?;
-    let chosen = dataset.held_out().first(count)?;
-    let lengths: BTreeSet<usize> = chosen.iter().map(|phrase| phrase.audio.frames()).collect();
-    for frames in lengths {
-        must_fit(trained, chosen.len(), frames, 1, HELD_OUT_HINT)?;
-    }
-    let post_processing = PostProcessConfig::from(request.post_processing.unwrap_or_default());
-    let generator = Generator::load(trained)?.with_post_processing(post_processing);
-    let header = ["sample", "ccmotion", "strict", "fails"];
-    let mut rows = vec![header.map(String::from).to_vec()];
-    let mut done_before = 0;
-    // Phrases of one length form a batch, if they are not longer than training saw; each has the first sample that is drawn for its name.
-    for phrases in chosen.chunk_by(|a, b| a.audio.frames() == b.audio.frames()) {
-        let conditions: Vec<_> = phrases
-            .iter()
-            .flat_map(|phrase| {
-                keys(item_seed(request.seed, &phrase.id), 1).map(|key| (phrase.audio.clone(), key))
-            })
-            .collect();
-        let mut samples = Vec::with_capacity(phrases.len());
-        generator.sample_each(
-            conditions.into_iter(),
-            &trained.config().sampling,
-            &mut |done, all| {
-                let steps = done_before * all + phrases.len() * done;
-                receiver.advance("", steps, chosen.len() * all)
-            },
-            &mut |sample| {
-                samples.push(sample);
-                Ok(())
-            },
-        )?;
-        for (phrase, sample) in phrases.iter().zip(samples) {
-            rows.push(checked(&phrase.id, &sample.motion, generator.statistics())?);
-            let windows = windows(trained.config(), phrase.audio.frames())?;
-            let record = Record {
-                windows: windows.as_ref().map(windows_record),
-                condition: of_item(&phrase.id, &trained.config().data),
-                ..record(trained, request, &sample)
-            };
-            receiver.drawn(drawn(phrase.id.clone(), sample, record))?;
+/// The input of a job.
+struct Task {
+    /// The condition in file names and in the seed of the noise.
+    name: String,
+    audio: AudioFeatures,
+    /// The windows and the known frames, of motion that is not sampled as one.
+    whole: Option<(Windows, Option<KnownFrames>)>,
+    path: Option<Asked>,
+}
+
+/// An audio condition.
+struct Audio {
+    name: String,
+    features: AudioFeatures,
+    condition: Condition,
+}
+
+impl<'a> Phrases<'a> {
+    /// Reads the conditions of a request.
+    ///
+    /// # Errors
+    /// If one cannot be used.
+    pub fn new(
+        trained: &'a TrainedModel,
+        request: &'a Request,
+        sink: &mut dyn SampleSink,
+    ) -> Result<Self, Error> {
+        let config = trained.config();
+        let mut resolved = Self {
+            trained,
+            request,
+            jobs: Vec::new(),
+            tasks: Vec::new(),
+        };
+        if let Some(count) = request.held_out_items() {
+            let dataset = Dataset::<Phrase>::open_with_progress(&config.data, &*sink.reading())?;
+            for phrase in dataset.held_out().first(count)? {
+                let windows = windows(config, phrase.audio.frames());
+                resolved.push(
+                    of_phrase(&phrase, &config.data),
+                    Vec::new(),
+                    windows.map(|windows| (windows, None)),
+                    None,
+                );
+            }
+            return Ok(resolved);
         }
-        done_before += phrases.len();
+        if let Some(style) = request.style() {
+            must_know(style, config)?;
+        }
+        let path = request.path().map(read_path).transpose()?;
+        for audio in audio(request, config, sink)? {
+            resolved.resolve(audio, path.as_ref())?;
+        }
+        let lengths = resolved.tasks.iter().map(|task| match &task.whole {
+            Some((windows, _)) => windows.length(),
+            None => task.audio.frames(),
+        });
+        if let Some(doubt) = untrained(config, lengths) {
+            sink.warning(&doubt);
+        }
+        Ok(resolved)
     }
-    Ok(Remark::Table(rows))
+
+    fn push(
+        &mut self,
+        audio: Audio,
+        others: Vec<Condition>,
+        whole: Option<(Windows, Option<KnownFrames>)>,
+        path: Option<Asked>,
+    ) {
+        self.jobs.push(Job {
+            name: Some(audio.name.clone()),
+            frames: audio.features.frames(),
+            conditions: [audio.condition].into_iter().chain(others).collect(),
+        });
+        self.tasks.push(Task {
+            name: audio.name,
+            audio: audio.features,
+            whole,
+            path,
+        });
+    }
+
+    /// Adds the job of an audio condition: in windows, if it is longer than the training length, if
+    /// frames are known or if it follows a path.
+    fn resolve(&mut self, audio: Audio, path: Option<&(PathBuf, PathPlan)>) -> Result<(), Error> {
+        let (request, config) = (self.request, self.trained.config());
+        let (frames, trained) = (audio.features.frames(), config.data.target_frames);
+        let is_song = matches!(audio.condition, Condition::Song { .. });
+        let mut others = Vec::new();
+        others.extend(request.style().cloned().map(Condition::Style));
+        let length = frames.min(trained);
+        let mut known = None;
+        if let Some(condition) = request.known_frames() {
+            let read = condition.read(frames, length / CONTINUED_SHARE)?;
+            let mut condition = condition.clone();
+            condition.frames = read.frames.iter().map(|r| [r.start, r.end]).collect();
+            others.push(Condition::KnownFrames(condition));
+            known = Some(read);
+        }
+        let evaluation = &config.own::<CcMotionConfig>().evaluation;
+        let path = path.map(|path| Asked::new(path, frames, &evaluation.path));
+        let path = path.transpose()?;
+        let must_join = known.is_some() || path.is_some();
+        if (must_join || (is_song && frames > length))
+            && targets(config).orientation == OrientationTarget::CanonicalQuaternion
+        {
+            let message = "a run with `model.orientation_target = \"canonical_quaternion\"` samples \
+                           each motion from its own first heading: windows of a song, known frames \
+                           and paths do not fit together";
+            let hint = "sample parts of a song (option `frames`), or train with `rotation_6d`";
+            return Err(Error::usage(message, hint));
+        }
+        let windows = match must_join {
+            true => Some(Windows::new(frames, length)),
+            false => windows(config, frames),
+        };
+        let whole = windows.map(|windows| (windows, known));
+        self.push(audio, others, whole, path);
+        Ok(())
+    }
+
+    /// The record of a phrase.
+    fn record(&self, run: &Run<'_>, job: usize, index: usize) -> Record {
+        let windows = self.tasks[job].whole.as_ref();
+        Record {
+            post_processing: Some(self.post_processing()),
+            windows: windows.map(|(windows, _)| WindowsRecord {
+                frames: windows.length(),
+                count: windows.len(),
+                in_flight: WINDOWS_IN_FLIGHT,
+            }),
+            ..run.record(job, index)
+        }
+    }
+
+    fn post_processing(&self) -> PostProcessConfig {
+        self.request.post_processing.unwrap_or_default().into()
+    }
+
+    /// One sample for each held-out phrase, with a table of its checks. They are the first samples
+    /// that a request for the phrases by their ids generates with the same seed.
+    fn held_out(&self, run: &mut Run<'_>, generator: &Generator) -> Result<Summary, Error> {
+        let sampling = &self.trained.config().sampling;
+        let header = ["sample", "ccmotion", "strict", "fails"];
+        let mut rows = vec![header.map(String::from).to_vec()];
+        let (mut first, all) = (0, self.tasks.len());
+        // Phrases of one length form a batch.
+        for tasks in self
+            .tasks
+            .chunk_by(|a, b| a.audio.frames() == b.audio.frames())
+        {
+            let conditions: Vec<_> = tasks
+                .iter()
+                .flat_map(|task| {
+                    let seed = item_seed(self.request.seed, &task.name);
+                    keys(seed, 1).map(|key| (task.audio.clone(), key))
+                })
+                .collect();
+            let mut samples = Vec::with_capacity(tasks.len());
+            generator.sample_each(
+                conditions.into_iter(),
+                sampling,
+                &mut |done, steps| run.step("", first * steps + tasks.len() * done, all * steps),
+                &mut |sample| {
+                    samples.push(sample);
+                    Ok(())
+                },
+            )?;
+            for (offset, sample) in samples.into_iter().enumerate() {
+                let job = first + offset;
+                let name = &self.tasks[job].name;
+                rows.push(checked(name, &sample.motion, generator.statistics())?);
+                let record = self.record(run, job, 0);
+                run.pass(job, 0, generated(sample), record)?;
+            }
+            first += tasks.len();
+        }
+        Ok(Summary::Table(rows))
+    }
+}
+
+impl Sampler for Phrases<'_> {
+    fn jobs(&self) -> &[Job] {
+        &self.jobs
+    }
+
+    fn extensions(&self) -> &'static [&'static str] {
+        Generated::PHRASE
+    }
+
+    fn needs(&self) -> Result<Vec<Needs>, Error> {
+        if self.request.held_out_items().is_some() {
+            let lengths: BTreeSet<usize> = self.jobs.iter().map(|job| job.frames).collect();
+            let (trained, count) = (self.trained, self.jobs.len());
+            let lengths = lengths.into_iter();
+            return lengths
+                .map(|frames| needs(trained, count, frames, HELD_OUT_HINT))
+                .collect();
+        }
+        let of_task = |task: &Task| {
+            let (count, frames) = match &task.whole {
+                Some((windows, _)) => (windows.len().min(WINDOWS_IN_FLIGHT), windows.length()),
+                None => (self.request.count, task.audio.frames()),
+            };
+            needs(self.trained, count, frames, HINT)
+        };
+        self.tasks.iter().map(of_task).collect()
+    }
+
+    fn sample(&self, run: &mut Run<'_>) -> Result<Option<Summary>, Error> {
+        let generator = Generator::load(self.trained)?
+            .with_post_processing(self.post_processing())
+            .with_style(self.request.style())?;
+        if self.request.held_out_items().is_some() {
+            return self.held_out(run, &generator).map(Some);
+        }
+        let (sampling, count) = (&self.trained.config().sampling, self.request.count);
+        for (job, task) in self.tasks.iter().enumerate() {
+            let too_fast = |path: &Asked| path.too_fast(generator.statistics());
+            if let Some(doubt) = task.path.as_ref().and_then(too_fast) {
+                run.sink.warning(&doubt);
+            }
+            let seed = item_seed(self.request.seed, &task.name);
+            if let Some((windows, known)) = &task.whole {
+                let whole = Whole {
+                    audio: &task.audio,
+                    windows: windows.clone(),
+                    given: known.as_ref(),
+                    path: task.path.as_ref().map(|path| &path.followed),
+                    in_flight: WINDOWS_IN_FLIGHT,
+                };
+                let key = Key::new(seed, Purpose::Sampling);
+                for index in 0..count {
+                    let sample = generator.sample_whole(
+                        &whole,
+                        sampling,
+                        key.at(index as u64),
+                        &mut |done, all| {
+                            let before = index.saturating_mul(all);
+                            let wanted = count.saturating_mul(all);
+                            run.step("windows", before.saturating_add(done), wanted)
+                        },
+                    )?;
+                    let path = task.path.as_ref();
+                    let record = Record {
+                        path: path.map(|path| path.record(&sample.motion)),
+                        ..self.record(run, job, index)
+                    };
+                    run.pass(job, index, generated(sample), record)?;
+                }
+                continue;
+            }
+            let (mut index, run) = (0, RefCell::new(&mut *run));
+            generator.sample_each(
+                repeat_n(task.audio.clone(), count).zip(keys(seed, count)),
+                sampling,
+                &mut |done, all| run.borrow_mut().step("", done, all),
+                &mut |sample| {
+                    let mut run = run.borrow_mut();
+                    let record = self.record(&run, job, index);
+                    index += 1;
+                    run.pass(job, index - 1, generated(sample), record)
+                },
+            )?;
+        }
+        Ok(None)
+    }
+}
+
+fn generated(sample: Sample) -> Generated {
+    Generated::Phrase {
+        motion: sample.motion,
+        raw: sample.raw,
+    }
 }
 
 /// A line of both profiles' verdicts.
@@ -265,240 +365,156 @@ fn checked(name: &str, motion: &Motion, statistics: &Statistics) -> Result<Vec<S
     ])
 }
 
-/// What every sample's record says.
-fn record(trained: &TrainedModel, request: &Request, sample: &Sample) -> Record {
-    Record {
-        frames: sample.motion.frames(),
-        fps: FPS,
-        post_processing: Some(request.post_processing.unwrap_or_default().into()),
-        ..Record::new(CcMotion.name(), trained, request.seed)
+/// The condition of a phrase of a dataset.
+fn of_phrase(phrase: &Phrase, data: &DataConfig) -> Audio {
+    Audio {
+        name: phrase.id.clone(),
+        features: phrase.audio.clone(),
+        condition: Condition::Item {
+            id: phrase.id.clone(),
+            source: data.source.clone(),
+        },
     }
 }
 
-fn windows_record(windows: &Windows) -> WindowsRecord {
-    WindowsRecord {
-        frames: windows.length(),
-        count: windows.len(),
-        in_flight: WINDOWS_IN_FLIGHT,
-    }
-}
-
-/// The condition of an item of a dataset.
-fn of_item(id: &str, data: &DataConfig) -> Condition {
-    Condition {
-        item: Some(id.to_string()),
-        source: data.source.clone(),
-        ..Condition::default()
-    }
-}
-
-fn drawn(name: String, sample: Sample, record: Record) -> Drawn {
-    let array = |motion: Motion| Contents::Array {
-        shape: vec![motion.frames(), CHANNELS],
-        values: motion.into_vec(),
-    };
-    Drawn {
-        name,
-        files: vec![(MOTION, array(sample.motion)), (RAW, array(sample.raw))],
-        record,
-    }
-}
-
-/// An audio condition.
-struct Heard {
-    /// What stands for it in file names, and in the seed of its noise.
-    name: String,
-    audio: AudioFeatures,
-    condition: Condition,
-}
-
-/// What is drawn for an audio condition.
-struct Drawing {
-    heard: Heard,
-    /// The windows and the given frames, of motion that is not drawn as one.
-    whole: Option<(Windows, Option<GivenMotion>)>,
-    /// The path that it follows.
-    path: Option<Asked>,
-}
-
-/// What is drawn for `heard`: in windows, if it is longer than what training saw, if frames are given or
-/// if it follows a path.
-fn drawing(
-    mut heard: Heard,
+/// The audio conditions, cut to the requested number of frames.
+fn audio(
     request: &Request,
     config: &Config,
-    path: Option<&(PathBuf, PathPlan)>,
-) -> Result<Drawing, Error> {
-    let (frames, trained) = (heard.audio.frames(), config.data.target_frames);
-    let is_song = request.conditions.song.is_some();
-    let given = match &request.conditions.given {
-        None => None,
-        Some(given) => {
-            let motion = given.read(frames, trained.min(frames) / CONTINUED_SHARE)?;
-            heard.condition.kept = Some(Kept {
-                motion: given.motion.clone(),
-                frames: motion.frames.iter().map(|r| [r.start, r.end]).collect(),
-                continued: given.frames == GivenFrames::Last,
-            });
-            Some(motion)
-        }
-    };
-    let length = frames.min(trained);
-    let evaluation = &config.own::<CcMotionConfig>().evaluation;
-    let path = path.map(|path| Asked::new(path, frames, &evaluation.path));
-    let path = path.transpose()?;
-    let must_join = given.is_some() || path.is_some() || (is_song && frames > length);
-    if must_join && targets(config).orientation == OrientationTarget::CanonicalQuaternion {
-        let message = "a run with `model.orientation_target = \"canonical_quaternion\"` draws each motion \
-                       from its own first heading: windows of a song, given frames and paths do \
-                       not fit together";
-        let hint = "draw parts of a song (`--frames`), or train with `rotation_6d`";
-        return Err(Error::usage(message, hint));
-    }
-    let windows = match given.is_some() || path.is_some() {
-        true => Some(Windows::new(frames, length)),
-        false => windows(config, frames)?,
-    };
-    let whole = windows.map(|windows| (windows, given));
-    Ok(Drawing { heard, whole, path })
-}
-
-/// The conditions, cut to the requested number of frames.
-fn conditions(
-    request: &Request,
-    config: &Config,
-    receiver: &mut dyn Receiver,
-) -> Result<Vec<Heard>, Error> {
-    let Conditions {
-        audio_features,
-        song,
-        ..
-    } = &request.conditions;
-    let found = match (audio_features, song) {
-        (Some(path), _) => vec![Heard {
-            name: "cond".to_string(),
-            audio: load_audio(path, config.data.audio_layout())?,
-            condition: Condition {
-                audio_features: Some(path.clone()),
-                ..Condition::default()
-            },
-        }],
-        (None, Some(song)) => vec![of_song(song, request, config)?],
-        (None, None) => of_phrases(&request.conditions, config, receiver)?,
+    sink: &mut dyn SampleSink,
+) -> Result<Vec<Audio>, Error> {
+    let given = request
+        .conditions
+        .iter()
+        .find_map(|condition| match condition {
+            Condition::AudioFeatures(file) => Some(of_features(file, config)),
+            Condition::Song { file, start, beats } => {
+                Some(of_song(file, *start, beats, request.frames, config))
+            }
+            _ => None,
+        });
+    let found = match given {
+        Some(audio) => vec![audio?],
+        None => of_phrases(request, config, sink)?,
     };
     let Some(frames) = request.frames else {
         return Ok(found);
     };
-    let cut = |heard: Heard| {
-        let Heard { name, audio, .. } = &heard;
-        if frames == 0 || frames > audio.frames() {
+    let cut = |audio: Audio| {
+        let found = audio.features.frames();
+        if frames == 0 || frames > found {
             let message = format!(
-                "`--frames` is {frames}, the condition `{name}` has {} frames",
-                audio.frames()
+                "option `frames` is {frames}, the condition `{}` has {found} frames",
+                audio.name
             );
             return Err(Error::usage(message, "ask for 1 up to that many"));
         }
-        Ok(Heard {
-            audio: audio.slice(0..frames),
-            ..heard
+        Ok(Audio {
+            features: audio.features.slice(0..frames),
+            ..audio
         })
     };
     found.into_iter().map(cut).collect()
 }
 
+fn of_features(file: &Path, config: &Config) -> Result<Audio, Error> {
+    Ok(Audio {
+        name: "cond".to_string(),
+        features: load_audio(file, config.data.audio_layout())?,
+        condition: Condition::AudioFeatures(file.to_path_buf()),
+    })
+}
+
 /// The features of a whole song, from the requested start: of a part alone they would be
 /// normalised otherwise than what the model was trained on.
-fn of_song(song: &Path, request: &Request, config: &Config) -> Result<Heard, Error> {
-    let (layout, known) = (config.data.audio_layout(), &request.conditions.beats);
+fn of_song(
+    song: &Path,
+    begins: f64,
+    known: &KnownBeats,
+    frames: Option<usize>,
+    config: &Config,
+) -> Result<Audio, Error> {
+    let layout = config.data.audio_layout();
     if let (false, Some(option)) = (layout.beats, known.given().first()) {
         return Err(Error::usage(
-            format!("`{option}` with a run that hears no beat features"),
+            format!("option `{option}` with a run without beat features"),
             "leave it out; data.audio_features = [\"document\", \"beats\"] trains with them",
         ));
     }
-    let CcMotionNetwork::Unet1d(unet) = &config.own::<CcMotionConfig>().model.network;
-    if let (Beats::Tracked, Some(option)) = (unet.beats, known.given().first()) {
+    if let (Beats::Tracked, Some(option)) = (unet1d(config).beats, known.given().first()) {
         return Err(Error::usage(
-            format!("`{option}` with a run that finds the beats itself"),
-            "leave it out; `model.beats = \"given\"` trains models that are told them",
+            format!("option `{option}` with a run that tracks the beats itself"),
+            "leave it out; `model.beats = \"given\"` trains models that are given them",
         ));
     }
     let features = song_features(song, known)?.1;
     let audio = AudioFeatures::of_song(&features, layout, known.pulse(&features).as_ref());
-    let begins = request.conditions.start;
     let start = begins * kinegrad_audio::FPS;
     let left = audio.frames() as f64 - start;
     let name = song.file_stem().unwrap_or_default().to_string_lossy();
     if !(start >= 0.0 && left >= 1.0) {
         let message = format!(
-            "`--start` is {begins}, the song {name} has {:.1} seconds",
+            "option `start` is {begins}, the song {name} has {:.1} seconds",
             audio.frames() as f64 / kinegrad_audio::FPS
         );
         return Err(Error::usage(message, "give a moment within the song"));
     }
     let start = start.round() as usize;
-    let end = match request.frames {
+    let end = match frames {
         Some(frames) => audio.frames().min(start + frames),
         None => audio.frames(),
     };
-    Ok(Heard {
+    Ok(Audio {
         name: name.into_owned(),
-        audio: audio.slice(start..end),
-        condition: Condition {
-            song: Some(song.to_path_buf()),
-            start: Some(begins),
-            beats: (!known.given().is_empty()).then(|| known.clone()),
-            ..Condition::default()
+        features: audio.slice(start..end),
+        condition: Condition::Song {
+            file: song.to_path_buf(),
+            start: begins,
+            beats: known.clone(),
         },
     })
 }
 
+/// The phrases that a request names, or the first held-out one.
 fn of_phrases(
-    conditions: &Conditions,
+    request: &Request,
     config: &Config,
-    receiver: &mut dyn Receiver,
-) -> Result<Vec<Heard>, Error> {
+    sink: &mut dyn SampleSink,
+) -> Result<Vec<Audio>, Error> {
     let mut data = config.data.clone();
-    if let Some(source) = &conditions.source {
+    let item = request.item();
+    if let Some((_, Some(source))) = item {
         data.kind = DataKind::Phrases;
-        data.source = Some(source.clone());
-        if conditions.item.is_none() {
-            let hint = "name one with `--item ID`; `kinegrad data inspect URI` lists them";
-            return Err(Error::usage("`--source` without `--item`", hint));
-        }
+        data.source = Some(source.to_owned());
     }
-    let dataset = Dataset::<Phrase>::open_with_progress(&data, &*receiver.reading())?;
+    let dataset = Dataset::<Phrase>::open_with_progress(&data, &*sink.reading())?;
     let mut found = Vec::new();
     for side in [&dataset.validation, &dataset.train] {
-        match &conditions.item {
+        match item {
             None if found.is_empty() && !side.is_empty() => found.push(side.get(0)?),
             None => {}
-            Some(pattern) => {
+            Some((pattern, _)) => {
                 let chosen = side.filter(|id| kinegrad_data::matches(pattern, id));
                 found.extend(chosen.load()?);
             }
         }
     }
     if found.is_empty() {
-        let wanted = conditions.item.as_deref().unwrap_or_default();
+        let (wanted, _) = item.unwrap_or_default();
         let message = format!("the dataset has no phrase `{wanted}`");
         let hint = "`kinegrad data inspect URI` lists the phrases";
         return Err(Error::usage(message, hint));
     }
-    if conditions.item.is_none() {
+    if item.is_none() {
         let side = match dataset.validation.is_empty() {
             true => "training phrase",
             false => "held-out phrase",
         };
         let id = &found[0].id;
-        receiver.note(&format!("no condition given: using {side} {id}"));
+        sink.note(&format!("no condition given: using {side} {id}"));
     }
-    let found = found.into_iter();
     Ok(found
-        .map(|phrase| Heard {
-            name: phrase.id.clone(),
-            audio: phrase.audio.clone(),
-            condition: of_item(&phrase.id, &data),
-        })
+        .iter()
+        .map(|phrase| of_phrase(phrase, &data))
         .collect())
 }

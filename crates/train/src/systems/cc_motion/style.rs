@@ -196,12 +196,12 @@ pub(super) fn must_know(style: &Style, config: &Config) -> Result<(), Error> {
             ),
         };
         let named = serde_json::to_string(&unet.style).unwrap_or_default();
-        let message = format!("`--style` is {asked}, and `model.style` of the run is {named}");
+        let message = format!("option `style` is {asked}, and `model.style` of the run is {named}");
         return Err(Error::usage(message, hint));
     }
     match style {
         Style::Label(label) if !unet.style_labels.contains(label) => Err(Error::usage(
-            format!("`--style` is `{label}`, a label that the run does not know"),
+            format!("option `style` is `{label}`, a label that the run does not know"),
             format!("it knows {}", listed(&unet.style_labels.clone())),
         )),
         _ => Ok(()),

@@ -53,7 +53,7 @@ pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome
             let missing = || {
                 let allowed = format!("a trained denoiser for recipe `{}`", recipe.name());
                 InvalidSetting::new("init.diffusion", "empty", allowed)
-                    .hint("name a run or checkpoint: `--set init.diffusion=runs/phrases`")
+                    .hint("name a run or checkpoint: option `set init.diffusion=runs/phrases`")
             };
             Some(Starts::named(&init)?.ok_or_else(missing)?)
         }

@@ -27,7 +27,7 @@ use super::generate::{Generator, Sample};
 use super::path::PhrasePath;
 use crate::config::SamplingConfig;
 use crate::error::Error;
-use crate::sampling::GivenMotion;
+use crate::sampling::KnownFrames;
 
 /// Windows that the network sees at a time.
 pub const WINDOWS_IN_FLIGHT: usize = 8;
@@ -40,7 +40,7 @@ pub struct Whole<'a> {
     /// Its windows; each hears its own part of the audio.
     pub windows: Windows,
     /// Frames that are given.
-    pub given: Option<&'a GivenMotion>,
+    pub given: Option<&'a KnownFrames>,
     /// The path that it follows.
     pub path: Option<&'a PhrasePath>,
     /// Windows that the network sees at a time. More are faster and take more memory; on the CPU
@@ -70,7 +70,7 @@ impl Generator {
         key: Key,
         on_windows: &mut dyn FnMut(usize, usize) -> ControlFlow<()>,
     ) -> Result<Sample, Error> {
-        let physical = whole.given.map(GivenMotion::known);
+        let physical = whole.given.map(KnownFrames::known);
         let normalized = whole.given.map(|given| self.normalized(&given.known()));
         let latents = self.latents(whole, normalized.as_ref(), sampling, key, on_windows)?;
         let raw = match &self.decoder {

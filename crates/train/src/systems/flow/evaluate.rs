@@ -82,8 +82,7 @@ pub(super) fn prepare<'a>(
             "no held-out clip of {} has more than {begin} frames",
             trained.path().display()
         );
-        let hint =
-            "a motion goes on from so many: hold out longer clips, or name others with `--source`";
+        let hint = "a motion goes on from so many: hold out longer clips, or name others with option `source`";
         return Err(Error::usage(message, hint));
     }
     if held_out.len() < asked_for.len() {

@@ -33,7 +33,7 @@ use crate::memory::Footprint;
 use crate::observer::Observer;
 use crate::recipe::RecipeInfo;
 use crate::run::{Outcome, Setup};
-use crate::sampling::{Receiver, Remark, Request};
+use crate::sampling::{Request, SampleSink, Sampler};
 use crate::system::System;
 
 /// Name of the recipe.
@@ -86,13 +86,17 @@ impl System for Flow {
         networks::footprint(config)
     }
 
-    fn sample(
+    fn accepts(&self, recipe: &str) -> &'static [&'static str] {
+        sample::accepts(recipe)
+    }
+
+    fn sampler<'a>(
         &self,
-        trained: &TrainedModel,
-        request: &Request,
-        receiver: &mut dyn Receiver,
-    ) -> Result<Option<Remark>, Error> {
-        sample::sample(trained, request, receiver)
+        trained: &'a TrainedModel,
+        request: &'a Request,
+        sink: &mut dyn SampleSink,
+    ) -> Result<Box<dyn Sampler + 'a>, Error> {
+        Ok(Box::new(sample::Rollouts::new(trained, request, sink)?))
     }
 
     fn evaluate<'a>(

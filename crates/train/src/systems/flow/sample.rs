@@ -1,4 +1,4 @@
-//! Sampling motion that goes on from a history.
+//! Sampling motion that continues a history.
 
 use std::ops::RangeInclusive;
 use std::path::Path;
@@ -7,285 +7,254 @@ use std::sync::Arc;
 use kinegrad_data::humanml::Clip;
 use kinegrad_data::{Dataset, ItemSet, read_array};
 use kinegrad_diffusion::FlowSamplerConfig;
-use kinegrad_motion::humanml::{Joints, Skeleton};
+use kinegrad_motion::humanml::Joints;
 use kinegrad_random::{Key, Purpose};
 
 use super::networks::text_input;
 use super::report::bone_lengths;
 use super::{Flow, FlowGenerator, FlowTables, PoseSpace};
 use crate::TrainedModel;
-use crate::captions::{ClipText, TextInput, must_know_texts, text_of};
-use crate::clips::{clips_named, dataset_or};
+use crate::captions::{ClipText, must_know_texts, text_of};
+use crate::clips::requested;
 use crate::error::Error;
 use crate::sampling::{
-    BVH, Condition, Conditions, Contents, Drawn, MOTION, Names, Receiver, Record, Remark, Request,
-    RolloutRecord, SaidRecord, item_seed,
+    Condition, Generated, Job, Record, Request, RolloutRecord, Run, SampleSink, Sampler, Summary,
+    item_seed,
 };
 use crate::system::System as _;
-use crate::text_plan::TextPlan;
+use crate::text_plan::TimedPrompt;
 
-/// What a motion goes on from.
+/// Conditions of rollouts.
+pub(super) fn accepts(_: &str) -> &'static [&'static str] {
+    &["history", "item", "text", "text_embedding", "prompts"]
+}
+
+/// A request for rollouts.
+pub(super) struct Rollouts<'a> {
+    trained: &'a TrainedModel,
+    request: &'a Request,
+    sampler: FlowSamplerConfig,
+    jobs: Vec<Job>,
+    /// One for each job.
+    starts: Vec<Start>,
+}
+
+/// The beginning of a rollout.
 struct Start {
     history: Joints,
-    /// What stands for it among several.
-    stem: String,
-    /// Its clip's id, if it is of one.
-    item: Option<String>,
-    /// What its clip is told.
-    caption: Option<ClipText>,
-    /// Seed of its noise.
+    prompts: Vec<TimedPrompt>,
+    /// Seed of the noise.
     seed: u64,
 }
 
-/// Generates the requested motions: joints and BVH of each. Returns how often the network was asked.
-///
-/// # Errors
-/// If a condition cannot be used, or a checkpoint cannot be read.
-pub(super) fn sample(
-    trained: &TrainedModel,
-    request: &Request,
-    receiver: &mut dyn Receiver,
-) -> Result<Option<Remark>, Error> {
-    let conditions = &request.conditions;
-    conditions.refuse(
-        &[
-            "--audio-features",
-            "--audio",
-            "--goal",
-            "--trajectory-run",
-            "--continue-from",
-            "--keep",
-            "--style",
-            "--path",
-        ],
-        "a run of recipe `flow`",
-        "its conditions are a history, `--history MOTION.npy` or `--item ID`, and texts, `--text`, \
-         `--text-embedding FILE#KEY` or `--prompts PROMPTS.toml`",
-    )?;
-    if request.post_processing.is_some() {
-        return Err(Error::usage(
-            "`--postprocess` with a run of recipe `flow`",
-            "its samples are not post-processed: leave it out",
-        ));
-    }
-    let own: &FlowTables = trained.config().own();
-    let sampler = FlowSamplerConfig::of(&trained.config().sampling.sampler)?;
-    let skeleton = trained.config().data.humanml3d.skeleton.skeleton();
-    let input = text_input(trained.config());
-    let plan = conditions.plan.as_deref().map(TextPlan::read).transpose()?;
-    let script = Script::of(
-        trained,
-        request,
-        plan.as_ref(),
-        &input,
-        own.evaluation.frames,
-    )?;
-    let longest = trained.config().data.target_frames;
-    let space = PoseSpace::new(skeleton.clone(), &own.pose, longest);
-    let starts = starts(trained, request, receiver, &space, &script)?;
-    if script.frames > longest {
-        receiver.note(&format!(
-            "{} frames are more than `data.target_frames`, {longest}, the longest motion that the model is \
-             told of: it is told that length, and goes on",
-            script.frames
-        ));
-    }
-    if let Some(warning) = untaught_guidance(trained, own) {
-        receiver.warning(&warning);
-    }
-    let names = Names {
-        stems: starts.iter().map(|start| start.stem.clone()).collect(),
-        count: request.count,
-    };
-    if conditions.held_out.is_none() {
-        receiver.announced(&names, &[MOTION, BVH])?;
-    }
-    let generator = FlowGenerator::load(trained)?;
-    let all = starts.len() * request.count * script.frames;
-    let (mut done, mut evaluations) = (0, 0);
-    for start in &starts {
-        for index in 0..request.count {
-            let key = Key::new(start.seed, Purpose::Sampling).at(index as u64);
-            let (history, how) = (&start.history, &own.evaluation);
-            let mut rollout = generator.rollout(history, script.frames, &sampler, how, key)?;
-            let mut frames = Vec::with_capacity(script.frames * skeleton.joints());
-            let mut steps = script.steps.iter().peekable();
-            while rollout.remaining() > 0 {
-                let drawn = script.frames - rollout.remaining();
-                if let Some((_, text)) = steps.next_if(|(begin, _)| *begin == drawn) {
-                    let text = text.as_ref().or(start.caption.as_ref());
-                    rollout.push_text(&generator.text(text)?)?;
-                }
-                let sample = || format!("`{}`", names.of(&start.stem, index));
-                let frame = FlowGenerator::next_frame(&mut rollout, &sample)?;
-                frames.extend(frame.expect("frames remain"));
-                done += 1;
-                if receiver.advance("", done, all).is_break() {
-                    return Err(Error::Interrupted);
-                }
-            }
-            evaluations += rollout.evaluations();
-            let joints = Joints::new(frames, skeleton.joints()).expect("whole frames");
-            let record = Record {
-                rollout: Some(RolloutRecord {
-                    constant_bones: how.constant_bones,
-                    same_noise: how.same_noise,
-                    evaluations_per_frame: rollout.evaluations() as f64 / script.frames as f64,
-                    said: script.said(start),
-                }),
-                ..record(trained, request, start, index, &joints, &skeleton)
-            };
-            receiver.drawn(drawn(
-                names.of(&start.stem, index),
-                joints,
-                &skeleton,
-                record,
-            ))?;
-        }
-    }
-    let each = evaluations as f64 / all as f64;
-    Ok(Some(Remark::Text(format!(
-        "{all} frames, {each:.1} velocity evaluations each"
-    ))))
-}
-
-/// What is said when.
-struct Script {
-    frames: usize,
-    /// From which frame on what is said; nothing of a start's own caption.
-    steps: Vec<(usize, Option<ClipText>)>,
-}
-
-impl Script {
-    /// What was said when, to a motion from `start`.
-    fn said(&self, start: &Start) -> Vec<SaidRecord> {
-        let said = |(from, text): &(usize, Option<ClipText>)| {
-            let text = text.as_ref().or(start.caption.as_ref());
-            SaidRecord {
-                from: *from,
-                text: text.and_then(|text| text.caption.clone()),
-            }
-        };
-        self.steps.iter().map(said).collect()
-    }
-
-    fn of(
-        trained: &TrainedModel,
-        request: &Request,
-        plan: Option<&TextPlan>,
-        input: &TextInput,
-        default: usize,
+impl<'a> Rollouts<'a> {
+    /// Reads the conditions of a request.
+    ///
+    /// # Errors
+    /// If one cannot be used.
+    pub fn new(
+        trained: &'a TrainedModel,
+        request: &'a Request,
+        sink: &mut dyn SampleSink,
     ) -> Result<Self, Error> {
-        let Some(plan) = plan else {
-            let inputs = std::slice::from_ref(input);
-            return Ok(Self {
-                frames: request.frames.unwrap_or(default),
-                steps: vec![(0, text_of(&request.conditions, inputs, &trained.device)?)],
-            });
+        let config = trained.config();
+        let own: &FlowTables = config.own();
+        let mut rollouts = Self {
+            trained,
+            request,
+            sampler: FlowSamplerConfig::of(&config.sampling.sampler)?,
+            jobs: Vec::new(),
+            starts: Vec::new(),
         };
-        if request.frames.is_some() {
-            let hint = "the plan says how long the motion is: leave `--frames` or `--seconds` out";
-            return Err(Error::usage("`--prompts` with a length", hint));
+        let input = text_input(config);
+        let texts: Vec<Condition> = request.text_conditions().collect();
+        let mut prompts = TimedPrompt::requested(request, &input, Flow.fps(config))?;
+        let mut frames = request.frames.unwrap_or(own.evaluation.frames);
+        match &prompts {
+            Some(prompts) => frames = prompts.iter().map(|prompt| prompt.frames).sum(),
+            None => {
+                let text = texts.first();
+                let text = text.map(|text| text_of(text, &[input.clone()], &trained.device));
+                let text = text.transpose()?.flatten();
+                prompts = text.map(|text| {
+                    let text = Some(text);
+                    vec![TimedPrompt { text, frames }]
+                });
+            }
         }
-        let path = request
-            .conditions
-            .plan
-            .as_deref()
-            .unwrap_or(Path::new("the plan"));
-        let ends = plan.ends(path, Flow.fps(trained.config()))?;
-        let begins = [0].into_iter().chain(ends.iter().copied());
-        // A step that says nothing is no caption of a clip either.
-        let said = plan.said(path, input)?.into_iter().map(Some);
-        let steps = begins.zip(said).collect();
-        Ok(Self {
-            frames: ends.last().copied().unwrap_or_default(),
-            steps,
-        })
+        let skeleton = config.data.humanml3d.skeleton.skeleton();
+        let longest = config.data.target_frames;
+        let space = PoseSpace::new(skeleton, &own.pose, longest);
+        if let Some(file) = request.history() {
+            if request.item().is_some() {
+                let hint = "both are beginnings of the motion: leave out one of the two";
+                let message = "option `history` with option `item`";
+                return Err(Error::usage(message, hint));
+            }
+            let history = read_history(file, &space)?;
+            let history_condition = Condition::History(file.to_path_buf());
+            let prompts = prompts.unwrap_or_else(|| vec![TimedPrompt { text: None, frames }]);
+            let conditions = [history_condition].into_iter().chain(texts).collect();
+            rollouts.push(None, conditions, frames, history, prompts);
+        } else {
+            let needed = space.history + 1;
+            let (source, clips) = match requested(trained, request, sink)? {
+                Some((data, clips)) => (data.source, clips),
+                None => rollouts.chosen(prompts.as_deref(), needed, sink)?,
+            };
+            if prompts.is_none() {
+                must_know_texts(&input, &clips)?;
+            }
+            for clip in &clips {
+                let found = clip.features.frames();
+                if found < needed {
+                    let message = format!("clip `{}` has {found} frames", clip.id);
+                    let hint =
+                        format!("a rollout needs {needed} frames of history: name a longer clip");
+                    return Err(Error::usage(message, hint));
+                }
+                let item = Condition::Item {
+                    id: clip.id.clone(),
+                    source: source.clone(),
+                };
+                let own = || {
+                    vec![TimedPrompt {
+                        text: ClipText::of(clip),
+                        frames,
+                    }]
+                };
+                rollouts.push(
+                    Some(clip.id.clone()),
+                    [item].into_iter().chain(texts.clone()).collect(),
+                    frames,
+                    clip.features.slice(0..needed).joints(),
+                    prompts.clone().unwrap_or_else(own),
+                );
+            }
+        }
+        if frames > longest {
+            sink.note(&format!(
+                "{frames} frames are more than `data.target_frames`, {longest}, the largest length \
+                 that the model is trained with: it is given that length"
+            ));
+        }
+        if let Some(doubt) = untaught_guidance(trained, own) {
+            sink.warning(&doubt);
+        }
+        Ok(rollouts)
+    }
+
+    /// The clip that a rollout without a history begins with: one whose caption is the first text, a
+    /// held-out one if there is one.
+    fn chosen(
+        &self,
+        prompts: Option<&[TimedPrompt]>,
+        needed: usize,
+        sink: &mut dyn SampleSink,
+    ) -> Result<(Option<String>, Vec<Arc<Clip>>), Error> {
+        let data = &self.trained.config().data;
+        let dataset = Dataset::<Clip>::open_with_progress(data, &*sink.reading())?;
+        let first = prompts.and_then(|prompts| prompts.first()?.text.as_ref());
+        let caption = first.and_then(|text| text.caption.as_deref());
+        let sets = [dataset.held_out(), &dataset.train];
+        let clip = clip_that_does(&sets, caption, needed)?;
+        if let Some(clip) = &clip {
+            let caption = clip
+                .caption()
+                .map_or("without a caption", |caption| &caption.text);
+            sink.note(&format!(
+                "no history given: continuing the beginning of clip `{}`: {caption}",
+                clip.id
+            ));
+        }
+        Ok((data.source.clone(), clip.into_iter().collect()))
+    }
+
+    fn push(
+        &mut self,
+        name: Option<String>,
+        conditions: Vec<Condition>,
+        frames: usize,
+        history: Joints,
+        prompts: Vec<TimedPrompt>,
+    ) {
+        let seed = match &name {
+            Some(id) => item_seed(self.request.seed, id),
+            None => self.request.seed,
+        };
+        self.jobs.push(Job {
+            name,
+            conditions,
+            frames,
+        });
+        self.starts.push(Start {
+            history,
+            prompts,
+            seed,
+        });
     }
 }
 
-/// What the motions go on from: the file of a history, or the beginnings of clips; without either that
-/// of a clip which does what is said first, of a held-out one if there is one.
-fn starts(
-    trained: &TrainedModel,
-    request: &Request,
-    receiver: &mut dyn Receiver,
-    space: &PoseSpace,
-    script: &Script,
-) -> Result<Vec<Start>, Error> {
-    let needed = space.history + 1;
-    let Conditions {
-        history,
-        source,
-        item,
-        held_out,
-        text,
-        text_embedding,
-        plan,
-        ..
-    } = &request.conditions;
-    if let Some(path) = history {
-        let clip = [("--item", item.is_some()), ("--source", source.is_some())];
-        if let Some((other, _)) = clip.into_iter().find(|(_, given)| *given) {
-            let hint = "both say what the motion goes on from: leave out one of the two";
-            return Err(Error::usage(format!("`--history` with `{other}`"), hint));
-        }
-        return Ok(vec![Start {
-            history: read_history(path, space)?,
-            stem: String::new(),
-            item: None,
-            caption: None,
-            seed: request.seed,
-        }]);
+impl Sampler for Rollouts<'_> {
+    fn jobs(&self) -> &[Job] {
+        &self.jobs
     }
-    let data = dataset_or(&trained.config().data, source.as_deref());
-    let dataset = Dataset::<Clip>::open_with_progress(&data, &*receiver.reading())?;
-    let chosen: Vec<Arc<Clip>> = match (item, held_out) {
-        (Some(pattern), _) => clips_named(&dataset, pattern)?,
-        (None, Some(count)) => dataset.held_out().evenly(*count)?,
-        (None, None) => {
-            let first = script.steps.first().and_then(|(_, text)| text.as_ref());
-            let said = first.and_then(|text| text.caption.as_deref());
-            let sets = [dataset.held_out(), &dataset.train];
-            let clip = clip_that_does(&sets, said, needed)?;
-            if let Some(clip) = &clip {
-                let does = clip
-                    .caption()
-                    .map_or("without a caption", |caption| &caption.text);
-                receiver.note(&format!(
-                    "no history given: going on from the beginning of clip `{}`: {does}",
-                    clip.id
-                ));
+
+    fn extensions(&self) -> &'static [&'static str] {
+        Generated::JOINTS
+    }
+
+    fn sample(&self, run: &mut Run<'_>) -> Result<Option<Summary>, Error> {
+        let config = self.trained.config();
+        let how = &config.own::<FlowTables>().evaluation;
+        let skeleton = config.data.humanml3d.skeleton.skeleton();
+        let generator = FlowGenerator::load(self.trained)?;
+        let count = self.request.count;
+        let all = count * self.jobs.iter().map(|job| job.frames).sum::<usize>();
+        let (mut done, mut evaluations) = (0, 0);
+        for (job, start) in self.starts.iter().enumerate() {
+            let length = self.jobs[job].frames;
+            for index in 0..count {
+                let key = Key::new(start.seed, Purpose::Sampling).at(index as u64);
+                let mut rollout =
+                    generator.rollout(&start.history, length, &self.sampler, how, key)?;
+                let mut frames = Vec::with_capacity(length * skeleton.joints());
+                for prompt in &start.prompts {
+                    rollout.push_text(&generator.text(prompt.text.as_ref())?)?;
+                    for _ in 0..prompt.frames {
+                        let sample = || format!("`{}`", run.name(job, index));
+                        let frame = FlowGenerator::next_frame(&mut rollout, &sample)?;
+                        frames.extend(frame.expect("frames remain"));
+                        done += 1;
+                        if run.step("", done, all).is_break() {
+                            return Err(Error::Interrupted);
+                        }
+                    }
+                }
+                evaluations += rollout.evaluations();
+                let record = Record {
+                    rollout: Some(RolloutRecord {
+                        constant_bones: how.constant_bones,
+                        same_noise: how.same_noise,
+                        evaluations_per_frame: rollout.evaluations() as f64 / length as f64,
+                        said: TimedPrompt::records(&start.prompts),
+                    }),
+                    ..run.record(job, index)
+                };
+                let clip = Generated::Clip {
+                    joints: Joints::new(frames, skeleton.joints()).expect("whole frames"),
+                    skeleton: skeleton.clone(),
+                    features: None,
+                    path: None,
+                };
+                run.pass(job, index, clip, record)?;
             }
-            clip.into_iter().collect()
         }
-    };
-    let speaks = text.is_none() && text_embedding.is_none() && plan.is_none();
-    if speaks {
-        must_know_texts(&text_input(trained.config()), &chosen)?;
+        let each = evaluations as f64 / all as f64;
+        Ok(Some(Summary::Text(format!(
+            "{all} frames, {each:.1} velocity evaluations each"
+        ))))
     }
-    let several = chosen.len() > 1;
-    let start = |clip: &Arc<Clip>| {
-        let frames = clip.features.frames();
-        if frames < needed {
-            let message = format!("clip `{}` has {frames} frames", clip.id);
-            let hint = format!("a motion goes on from {needed} frames: name a longer clip");
-            return Err(Error::usage(message, hint));
-        }
-        let stem = match (held_out, several) {
-            (Some(_), _) => clip.id.clone(),
-            (None, true) => format!("-{}", clip.id),
-            (None, false) => String::new(),
-        };
-        Ok(Start {
-            history: clip.features.slice(0..needed).joints(),
-            stem,
-            item: Some(clip.id.clone()),
-            caption: ClipText::of(clip).filter(|_| speaks),
-            seed: item_seed(request.seed, &clip.id),
-        })
-    };
-    chosen.iter().map(start).collect()
 }
 
 /// The first clip of at least `needed` frames one of whose captions is `said`, else the first clip.
@@ -395,50 +364,4 @@ fn read_history(path: &Path, space: &PoseSpace) -> Result<Joints, Error> {
     let rows = space.rows(&found);
     rows.map_err(|error| refused(error.to_string()))?;
     Ok(found)
-}
-
-fn record(
-    trained: &TrainedModel,
-    request: &Request,
-    start: &Start,
-    index: usize,
-    joints: &Joints,
-    skeleton: &Skeleton,
-) -> Record {
-    let conditions = &request.conditions;
-    Record {
-        index,
-        frames: joints.frames(),
-        fps: skeleton.description().fps,
-        condition: Condition {
-            item: start.item.clone(),
-            source: conditions.source.clone().or_else(|| {
-                let own = || trained.config().data.source.clone();
-                start.item.as_ref().and_then(|_| own())
-            }),
-            history: conditions.history.clone(),
-            text: conditions.text.clone(),
-            clip: conditions.clip.clone(),
-            text_embedding: conditions.text_embedding.clone(),
-            plan: conditions.plan.clone(),
-            ..Condition::default()
-        },
-        ..Record::new(Flow.name(), trained, request.seed)
-    }
-}
-
-fn drawn(name: String, joints: Joints, skeleton: &Skeleton, record: Record) -> Drawn {
-    let array = Contents::Array {
-        shape: vec![joints.frames(), joints.joints(), 3],
-        values: joints.to_f32(),
-    };
-    let figure = Contents::Figure {
-        joints,
-        skeleton: Box::new(skeleton.clone()),
-    };
-    Drawn {
-        name,
-        files: vec![(MOTION, array), (BVH, figure)],
-        record,
-    }
 }

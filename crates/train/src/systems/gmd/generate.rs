@@ -61,7 +61,7 @@ pub struct ClipRequest {
 }
 
 impl ClipRequest {
-    fn length(&self) -> usize {
+    pub(super) fn length(&self) -> usize {
         self.goal.as_ref().map_or(self.frames, |goal| goal.frames)
     }
 }
@@ -310,7 +310,7 @@ impl ClipGenerator {
         if let Some(most) = self.longest {
             in_range("frames", frames, 1..=most).hint(
                 "`model.padded_frames` is the maximum length of the network: shorten the goal, or use \
-                 fewer `--frames` without one",
+                 fewer option `frames` without one",
             )?;
         }
         let (batch, channels) = (texts.len(), self.channels);

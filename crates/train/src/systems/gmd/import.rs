@@ -83,8 +83,8 @@ impl Architecture {
 pub fn import(request: &ImportRequest) -> Result<Imported, Error> {
     let (Some(mean), Some(std)) = (&request.mean, &request.std) else {
         let message = "the statistics of the weights' training data are missing";
-        let hint = "give `--mean M.npy --std S.npy`, those that the model was trained with: for an \
-                    absolute root Mean_abs_3d.npy and Std_abs_3d.npy, for `--arch mdm` Mean.npy and \
+        let hint = "give option `mean M.npy` and option `std S.npy`, those that the model was trained with: for an \
+                    absolute root Mean_abs_3d.npy and Std_abs_3d.npy, for option `arch mdm` Mean.npy and \
                     Std.npy";
         return Err(Error::usage(message, hint));
     };
@@ -92,14 +92,14 @@ pub fn import(request: &ImportRequest) -> Result<Imported, Error> {
     let mut warnings = Vec::new();
     match (architecture, &request.projection) {
         (Architecture::Unet(RecipeName::Motion), None) => warnings.push(
-            "no `--projection`: published motion models work in a projected space and do not work \
+            "no option `projection`: published motion models work in a projected space and do not work \
              without their projection matrix"
                 .to_string(),
         ),
         (Architecture::Unet(RecipeName::Motion), Some(_)) | (_, None) => {}
         (_, Some(_)) => {
-            let message = format!("`--projection` with `--arch {}`", request.architecture);
-            let hint = "only the motion models of `--arch gmd_motion` use a projection";
+            let message = format!("option `projection` with option `arch {}`", request.architecture);
+            let hint = "only the motion models of option `arch gmd_motion` use a projection";
             return Err(Error::usage(message, hint));
         }
     }

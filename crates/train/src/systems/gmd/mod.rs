@@ -41,7 +41,7 @@ use crate::observer::Observer;
 use crate::parameter_count::ParameterCount;
 use crate::recipe::RecipeInfo;
 use crate::run::{Outcome, Setup};
-use crate::sampling::{Receiver, Remark, Request};
+use crate::sampling::{Request, SampleSink, Sampler};
 use crate::start::{Start, tables_of};
 use crate::system::System;
 use networks::INHERITED;
@@ -121,13 +121,17 @@ impl System for Gmd {
         import::import(request)
     }
 
-    fn sample(
+    fn accepts(&self, recipe: &str) -> &'static [&'static str] {
+        sample::accepts(recipe)
+    }
+
+    fn sampler<'a>(
         &self,
-        trained: &TrainedModel,
-        request: &Request,
-        receiver: &mut dyn Receiver,
-    ) -> Result<Option<Remark>, Error> {
-        sample::sample(trained, request, receiver)
+        trained: &'a TrainedModel,
+        request: &'a Request,
+        sink: &mut dyn SampleSink,
+    ) -> Result<Box<dyn Sampler + 'a>, Error> {
+        Ok(Box::new(sample::Clips::new(trained, request, sink)?))
     }
 
     fn evaluate<'a>(

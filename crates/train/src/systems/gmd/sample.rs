@@ -1,216 +1,372 @@
 //! Sampling clips conditioned on text, with or without goals.
 
-mod along;
-mod items;
+use std::iter::repeat_n;
 
-use std::path::PathBuf;
-
-use kinegrad_motion::goal::Goal;
+use kinegrad_motion::goal::{Goal, Trajectory};
 use kinegrad_motion::humanml::Skeleton;
 use kinegrad_motion::metrics::{GoalReport, GoalSample};
 
-use self::along::Along;
 use super::Gmd;
 use super::generate::{
-    ClipGenerator, ClipRequest, GeneratedClip, drawn_frames, read_goal_and_digest,
+    ClipGenerator, ClipRequest, GeneratedClip, drawn_frames, keys, read_goal_and_digest,
 };
 use super::networks::{footprint, text_input};
 use super::recipe_name::RecipeName;
 use crate::TrainedModel;
-use crate::captions::{ClipText, text_of};
+use crate::captions::{ClipText, must_know_texts, text_of};
 use crate::checkpoint::SavedCheckpoint;
+use crate::clips::requested;
 use crate::error::Error;
-use crate::memory::must_fit;
+use crate::path_target::{Fastest, FollowedPath};
 use crate::sampling::{
-    BVH, BatchRecord, Condition, Contents, Drawn, FEATURES, GoalRecord, MOTION, Names, Receiver,
-    Record, Remark, Request, SamplerRecord, clip_files,
+    BatchRecord, Condition, Generated, GoalCondition, GoalRecord, Job, Needs, PathFile, Record,
+    Request, Run, SampleSink, Sampler, SamplerRecord, Summary, item_seed,
 };
-use crate::system::System as _;
 
-/// Extension of the ground path of the first stage.
-const PATH: &str = ".path.npy";
-
-/// Generates the requested clips as one batch: joints, features and BVH of a motion model, the path
-/// of a trajectory model. Returns how near the goals the clips have come.
-///
-/// # Errors
-/// If a condition cannot be used, or a checkpoint cannot be read.
-pub(super) fn sample(
-    trained: &TrainedModel,
-    request: &Request,
-    receiver: &mut dyn Receiver,
-) -> Result<Option<Remark>, Error> {
-    let conditions = &request.conditions;
-    conditions.refuse(
-        &[
-            "--audio-features",
-            "--audio",
-            "--continue-from",
-            "--keep",
-            "--style",
-            "--history",
-            "--prompts",
+/// Conditions of clips, and of ground paths.
+pub(super) fn accepts(recipe: &str) -> &'static [&'static str] {
+    match recipe == RecipeName::Trajectory.name() {
+        true => &["item", "text", "text_embedding", "goal"],
+        false => &[
+            "item",
+            "text",
+            "text_embedding",
+            "goal",
+            "path",
+            "trajectory",
         ],
-        "a run on clips of joint features",
-        "its condition is a text: `--text`, `--text-embedding FILE#KEY`, or `--item ID` for a clip's \
-         caption",
-    )?;
-    if request.post_processing.is_some() {
-        return Err(Error::usage(
-            "`--postprocess` with a run on clips of joint features",
-            "their samples are not post-processed: leave it out",
-        ));
     }
-    if let Some(count) = conditions.held_out {
-        return items::for_held_out(trained, count, request.seed, receiver);
-    }
-    if conditions.item.is_some() || conditions.source.is_some() {
-        return items::for_items(trained, request, receiver);
-    }
-    let mut goals = Vec::with_capacity(conditions.goals.len());
-    let mut files = Vec::with_capacity(conditions.goals.len());
-    for path in &conditions.goals {
-        let (goal, digest) = read_goal_and_digest(path)?;
-        goals.push(goal);
-        files.push(GoalRecord {
-            file: path.clone(),
-            sha256: digest.to_string(),
-        });
-    }
-    let along = match &conditions.path {
-        Some(file) => {
-            let frames = request
-                .frames
-                .unwrap_or(trained.config().data.target_frames);
-            Some(Along::read(file, trained, frames)?)
-        }
-        None => None,
-    };
-    if goals.is_empty() && along.is_none() && conditions.trajectory.is_some() {
-        let hint = "the first stage generates a path for a goal: pass `--goal GOAL.toml` too";
-        return Err(Error::usage("`--trajectory-run` without `--goal`", hint));
-    }
-    if let (Some(_), Some(goal)) = (request.frames, goals.first()) {
-        let hint = format!(
-            "the goal says how long the clip is: `frames = {}`",
-            goal.frames
-        );
-        return Err(Error::usage(
-            "`--frames` or `--seconds` with `--goal`",
-            hint,
-        ));
-    }
-    let sources = conditions
-        .goals
-        .iter()
-        .chain(along.as_ref().map(Along::file));
-    let sources: Vec<PathBuf> = sources.cloned().collect();
-    goals.extend(along.as_ref().map(Along::goal));
-    if conditions.is_empty() {
-        receiver.note("no condition given: drawing without a text and without a goal");
-    }
-    let skeleton = trained.config().data.humanml3d.skeleton.skeleton();
-    let trajectory = conditions.trajectory.clone();
-    let trajectory = trajectory
-        .map(|saved| trajectory_model(trained, saved))
-        .transpose()?;
-    let mut inputs = vec![text_input(trained.config())];
-    inputs.extend(trajectory.iter().map(|model| text_input(model.config())));
-    let text = text_of(conditions, &inputs, &trained.device)?;
-    let frames = match goals.iter().map(|goal| goal.frames).max() {
-        Some(frames) => frames,
-        None => request
-            .frames
-            .unwrap_or(trained.config().data.target_frames),
-    };
-    let clips = request.count.saturating_mul(goals.len().max(1));
-    for (path, goal) in sources.iter().zip(&goals) {
-        for doubt in goal.doubts(skeleton.description().fps) {
-            receiver.warning(&format!("{}: {doubt}", path.display()));
-        }
-    }
-    if let Some(along) = &along
-        && let Some(warning) = along.too_fast(trained)
-    {
-        receiver.warning(&warning);
-    }
-    let hint = "all clips are drawn as one batch: ask for fewer (`--count`, `--goal`), or shorter";
-    must_fit_as_batch(trained, clips, frames, !goals.is_empty(), hint)?;
-    let names = Names {
-        stems: vec![String::new()],
-        count: clips,
-    };
-    let extensions: &[&str] = match RecipeName::of(trained.config()) {
-        RecipeName::Trajectory => &[MOTION],
-        RecipeName::Motion => &[MOTION, FEATURES, BVH, PATH],
-    };
-    receiver.announced(&names, extensions)?;
-    let requests = requests(request.count, frames, &goals, text.as_ref());
-    let trajectory = trajectory.as_ref().map(ClipGenerator::load).transpose()?;
-    let samples = ClipGenerator::load(trained)?.sample(
-        trajectory.as_ref(),
-        &requests,
-        &trained.config().sampling,
-        request.seed,
-        &mut |stage, done, all| receiver.advance(stage, done, all),
-    )?;
-    let mut remarks = Vec::new();
-    for (index, (sample, clip)) in samples.iter().zip(&requests).enumerate() {
-        let name = names.of("", index);
-        let frames = clip.goal.as_ref().map_or(frames, |goal| goal.frames);
-        let steered = clip.goal.is_some();
-        let goal = files.get(index / request.count);
-        let record = record(trained, request.seed, index, frames, &skeleton);
-        let record = Record {
-            sampler: SamplerRecord {
-                steering: steered.then(|| trained.config().sampling.steering.clone()),
-                ..record.sampler
-            },
-            condition: Condition {
-                goal: goal.map(|goal| goal.file.clone()),
-                goal_content: clip.goal.clone(),
-                goal_sha256: goal.map(|goal| goal.sha256.clone()),
-                trajectory: conditions
-                    .trajectory
-                    .as_ref()
-                    .map(|saved| saved.path.clone()),
-                text: conditions.text.clone(),
-                clip: conditions.clip.clone(),
-                text_embedding: conditions.text_embedding.clone(),
-                ..Condition::default()
-            },
-            batch: steered.then(|| BatchRecord {
-                count: request.count,
-                goals: files.clone(),
-            }),
-            ..record
-        };
-        let mut drawn = drawn(name, sample, &skeleton, record);
-        if let Some(along) = &along {
-            remarks.push(along.place(&mut drawn, sample, &skeleton)?);
-        }
-        receiver.drawn(drawn)?;
-    }
-    Ok(match along {
-        Some(_) => Some(Remark::Text(remarks.join("\n"))),
-        None => report(&samples, &requests, &skeleton).map(Remark::Text),
-    })
 }
 
-/// Rejects clips that take more memory than is free as one batch.
-fn must_fit_as_batch(
-    trained: &TrainedModel,
-    clips: usize,
-    frames: usize,
-    guided: bool,
-    hint: &str,
-) -> Result<(), Error> {
-    let networks = footprint(trained.config(), drawn_frames(trained.config(), frames))?;
-    must_fit(
-        &format!("drawing {clips} clips of {frames} frames"),
-        networks.of_sampling(clips, guided, trained.on_host),
-        hint,
-    )
+/// Hint for clips that do not fit into memory.
+const HINT: &str = "all clips are one batch: ask for fewer (options `count`, `goal`, `item`), or \
+                    shorter (option `frames`)";
+
+/// Hint for held-out clips that do not fit into memory.
+const HELD_OUT_HINT: &str = "all are one batch: sample fewer at the end of training \
+                             (`sampling.count_at_end`), or train on shorter clips \
+                             (`data.target_frames`)";
+
+/// A request for clips: all are sampled as one batch.
+pub(super) struct Clips<'a> {
+    trained: &'a TrainedModel,
+    request: &'a Request,
+    jobs: Vec<Job>,
+    /// One for each job.
+    clips: Vec<ClipRequest>,
+    /// Goal files, in order.
+    goals: Vec<GoalRecord>,
+    path: Option<FollowedPath>,
+    trajectory: Option<TrainedModel>,
+    /// Frames of the longest clip, for the estimate of memory.
+    longest: usize,
+}
+
+impl<'a> Clips<'a> {
+    /// Reads the conditions of a request.
+    ///
+    /// # Errors
+    /// If one cannot be used.
+    pub fn new(
+        trained: &'a TrainedModel,
+        request: &'a Request,
+        sink: &mut dyn SampleSink,
+    ) -> Result<Self, Error> {
+        let mut clips = Self {
+            trained,
+            request,
+            jobs: Vec::new(),
+            clips: Vec::new(),
+            goals: Vec::new(),
+            path: None,
+            trajectory: None,
+            longest: 0,
+        };
+        match requested(trained, request, sink)? {
+            Some((data, chosen)) => {
+                clips.must_stand_alone()?;
+                must_know_texts(&text_input(trained.config()), &chosen)?;
+                clips.longest = request.frames.unwrap_or(data.target_frames);
+                for clip in &chosen {
+                    let own = || clip.features.frames().min(data.target_frames);
+                    let condition = Condition::Item {
+                        id: clip.id.clone(),
+                        source: data.source.clone(),
+                    };
+                    clips.push(
+                        Some(clip.id.clone()),
+                        vec![condition],
+                        ClipRequest {
+                            frames: request.frames.unwrap_or_else(own),
+                            goal: None,
+                            text: ClipText::of(clip),
+                        },
+                    );
+                }
+            }
+            None => clips.resolve(sink)?,
+        }
+        Ok(clips)
+    }
+
+    /// Rejects conditions beside an item.
+    fn must_stand_alone(&self) -> Result<(), Error> {
+        let others = self.request.conditions.iter();
+        let mut others = others.filter(|condition| {
+            !matches!(condition, Condition::Item { .. } | Condition::HeldOut(_))
+        });
+        match others.next() {
+            None => Ok(()),
+            Some(other) => Err(Error::usage(
+                format!("option `item` with option `{}`", other.name()),
+                "an item stands for the first caption of its clip; beside a goal, name the caption \
+                 with option `text` or option `text_embedding`",
+            )),
+        }
+    }
+
+    /// Reads goals, path and text.
+    fn resolve(&mut self, sink: &mut dyn SampleSink) -> Result<(), Error> {
+        let (trained, request) = (self.trained, self.request);
+        let config = trained.config();
+        let skeleton = config.data.humanml3d.skeleton.skeleton();
+        let fps = skeleton.description().fps;
+        // Each with the file that doubts about it name.
+        let mut goals = Vec::new();
+        for GoalCondition { file, .. } in request.goals() {
+            let (goal, digest) = read_goal_and_digest(file)?;
+            let sha256 = digest.to_string();
+            self.goals.push(GoalRecord {
+                file: file.clone(),
+                sha256: sha256.clone(),
+            });
+            let condition = GoalCondition {
+                file: file.clone(),
+                goal: Some(goal.clone()),
+                sha256: Some(sha256),
+            };
+            goals.push((file.clone(), goal, Condition::Goal(condition)));
+        }
+        if let Some(file) = request.path() {
+            let frames = request.frames.unwrap_or(config.data.target_frames);
+            let path = FollowedPath::read(file, frames, fps)?;
+            let goal = along(&path);
+            let file = PathFile {
+                file: path.file().to_path_buf(),
+                ..file.clone()
+            };
+            goals.push((file.file.clone(), goal, Condition::Path(file)));
+            self.path = Some(path);
+        }
+        if goals.is_empty() && request.trajectory().is_some() {
+            let hint = "the first stage generates a path for a goal: pass option `goal` too";
+            let message = "option `trajectory` without option `goal`";
+            return Err(Error::usage(message, hint));
+        }
+        if let (Some(_), Some(goal)) = (request.frames, request.goals().next()) {
+            let frames = goals[0].1.frames;
+            let hint = format!(
+                "{} sets the length of the clip: `frames = {frames}`",
+                goal.file.display()
+            );
+            return Err(Error::usage(
+                "option `frames` or option `seconds` with option `goal`",
+                hint,
+            ));
+        }
+        if request.is_unconditional() {
+            sink.note("no condition given: sampling without a text and without a goal");
+        }
+        let trajectory = request.trajectory().and_then(|given| given.saved.clone());
+        let trajectory = trajectory.map(|saved| trajectory_model(trained, *saved));
+        self.trajectory = trajectory.transpose()?;
+        let mut inputs = vec![text_input(config)];
+        let of_stage = self.trajectory.iter();
+        inputs.extend(of_stage.map(|model| text_input(model.config())));
+        let text = request.text_conditions().next();
+        let text = text.map(|condition| text_of(&condition, &inputs, &trained.device));
+        let text = text.transpose()?.flatten();
+        for (file, goal, _) in &goals {
+            for doubt in goal.doubts(fps) {
+                sink.warning(&format!("{}: {doubt}", file.display()));
+            }
+        }
+        if let Some(path) = &self.path {
+            // Displacements of joint 0, metres per frame.
+            let first = skeleton.layout().velocities().start;
+            let fastest = Fastest::of(&trained.saved.state.statistics, first, fps);
+            if let Some(doubt) = path.too_fast(fps, fastest) {
+                sink.warning(&doubt);
+            }
+        }
+        let shared: Vec<Condition> = request.text_conditions().collect();
+        let stage = request.trajectory().cloned().map(Condition::Trajectory);
+        let shared = shared.into_iter().chain(stage);
+        let frames = request.frames.unwrap_or(config.data.target_frames);
+        let goals: Vec<_> = goals
+            .into_iter()
+            .map(|(_, goal, condition)| (Some(goal), Some(condition)))
+            .collect();
+        let goals = match goals.is_empty() {
+            true => vec![(None, None)],
+            false => goals,
+        };
+        for (goal, condition) in goals {
+            let request = ClipRequest {
+                frames,
+                goal,
+                text: text.clone(),
+            };
+            self.longest = self.longest.max(request.length());
+            let conditions = condition.into_iter().chain(shared.clone()).collect();
+            self.push(None, conditions, request);
+        }
+        Ok(())
+    }
+
+    fn push(&mut self, name: Option<String>, conditions: Vec<Condition>, clip: ClipRequest) {
+        self.jobs.push(Job {
+            name,
+            conditions,
+            frames: clip.length(),
+        });
+        self.clips.push(clip);
+    }
+
+    fn steered(&self) -> bool {
+        self.clips.iter().any(|clip| clip.goal.is_some())
+    }
+
+    /// The record of a clip.
+    fn record(&self, run: &Run<'_>, job: usize, index: usize) -> Record {
+        let (own, steered) = (
+            &self.trained.config().sampling,
+            self.clips[job].goal.is_some(),
+        );
+        let record = run.record(job, index);
+        Record {
+            sampler: SamplerRecord {
+                padding: Some(own.padding),
+                steering: steered.then(|| own.steering.clone()),
+                ..record.sampler
+            },
+            batch: steered.then(|| BatchRecord {
+                count: self.request.count,
+                goals: self.goals.clone(),
+            }),
+            ..record
+        }
+    }
+
+    /// A clip cut to its length, on its path, with its record.
+    fn finished(
+        &self,
+        sample: &GeneratedClip,
+        record: Record,
+        skeleton: &Skeleton,
+    ) -> Result<(Generated, Record), Error> {
+        let frames = record.frames;
+        let Some(features) = &sample.features else {
+            return Ok((Generated::Ground(sample.ground[..frames].to_vec()), record));
+        };
+        let features = features.slice(0..frames);
+        let first = sample.path.as_ref().map(|path| path[..frames].to_vec());
+        let mut record = record;
+        let (joints, first) = match &self.path {
+            None => (features.joints(), first),
+            Some(path) => {
+                let placed = path.target.placed(&features.joints(), skeleton)?;
+                record.path = Some(path.record(placed.report, None));
+                let first = first.map(|first| path.target.on_path(&first));
+                (placed.joints, first)
+            }
+        };
+        let clip = Generated::Clip {
+            joints,
+            skeleton: skeleton.clone(),
+            features: Some(features),
+            path: first,
+        };
+        Ok((clip, record))
+    }
+}
+
+impl Sampler for Clips<'_> {
+    fn jobs(&self) -> &[Job] {
+        &self.jobs
+    }
+
+    fn extensions(&self) -> &'static [&'static str] {
+        match (RecipeName::of(self.trained.config()), self.is_one_batch()) {
+            (RecipeName::Trajectory, _) => Generated::ROWS,
+            (RecipeName::Motion, true) => Generated::CLIP_OF_STAGES,
+            (RecipeName::Motion, false) => Generated::CLIP,
+        }
+    }
+
+    /// Goals are numbered through, as the guidance of each depends on the keyframes of all.
+    fn is_one_batch(&self) -> bool {
+        self.jobs.iter().all(|job| job.name.is_none())
+    }
+
+    fn needs(&self) -> Result<Vec<Needs>, Error> {
+        let (trained, frames) = (self.trained, self.longest);
+        let clips = self.jobs.len().saturating_mul(self.request.count);
+        let networks = footprint(trained.config(), drawn_frames(trained.config(), frames))?;
+        Ok(vec![Needs {
+            work: format!("sampling {clips} clips of {frames} frames"),
+            bytes: networks.of_sampling(clips, self.steered(), trained.on_host),
+            hint: match self.request.held_out_items() {
+                Some(_) => HELD_OUT_HINT,
+                None => HINT,
+            },
+        }])
+    }
+
+    fn sample(&self, run: &mut Run<'_>) -> Result<Option<Summary>, Error> {
+        let (count, seed) = (self.request.count, self.request.seed);
+        let mut requests = Vec::new();
+        for clip in &self.clips {
+            requests.extend(repeat_n(clip.clone(), count));
+        }
+        let noise: Vec<_> = match self.is_one_batch() {
+            true => keys(seed, requests.len()).collect(),
+            false => {
+                let names = self.jobs.iter().filter_map(|job| job.name.as_deref());
+                names
+                    .flat_map(|id| keys(item_seed(seed, id), count))
+                    .collect()
+            }
+        };
+        let trajectory = self.trajectory.as_ref().map(ClipGenerator::load);
+        let samples = ClipGenerator::load(self.trained)?.sample_keyed(
+            trajectory.transpose()?.as_ref(),
+            &requests,
+            &self.trained.config().sampling,
+            &noise,
+            &mut |stage, done, all| run.step(stage, done, all),
+        )?;
+        let skeleton = self.trained.config().data.humanml3d.skeleton.skeleton();
+        for (number, sample) in samples.iter().enumerate() {
+            let (job, index) = (number / count, number % count);
+            let record = self.record(run, job, index);
+            let (clip, record) = self.finished(sample, record, &skeleton)?;
+            run.pass(job, index, clip, record)?;
+        }
+        Ok(report(&samples, &requests, &skeleton).map(Summary::Text))
+    }
+}
+
+/// The path as a goal with a position for each frame, from the origin.
+fn along(path: &FollowedPath) -> Goal {
+    let points = path.target.at_origin().course.points;
+    Goal {
+        trajectory: Some(Trajectory {
+            first_frame: 0,
+            points,
+        }),
+        ..Goal::new(path.target.course.frames())
+    }
 }
 
 /// The trajectory model of a checkpoint, beside the motion model `trained`.
@@ -226,7 +382,7 @@ pub(super) fn trajectory_model(
         return Ok(trained.beside(saved.of(&Gmd)?));
     }
     let message = format!(
-        "`--trajectory-run` is {}, a run of recipe `{recipe}`",
+        "option `trajectory` is {}, a run of recipe `{recipe}`",
         saved.path.display()
     );
     Err(Error::usage(
@@ -235,78 +391,7 @@ pub(super) fn trajectory_model(
     ))
 }
 
-/// `count` clips for each goal, or of `frames` frames for none.
-fn requests(
-    count: usize,
-    frames: usize,
-    goals: &[Goal],
-    text: Option<&ClipText>,
-) -> Vec<ClipRequest> {
-    let request = |goal: Option<&Goal>| ClipRequest {
-        frames: goal.map_or(frames, |goal| goal.frames),
-        goal: goal.cloned(),
-        text: text.cloned(),
-    };
-    match goals.is_empty() {
-        true => vec![request(None); count],
-        false => goals
-            .iter()
-            .flat_map(|goal| vec![request(Some(goal)); count])
-            .collect(),
-    }
-}
-
-/// What every clip's record says.
-fn record(
-    trained: &TrainedModel,
-    seed: u64,
-    index: usize,
-    frames: usize,
-    skeleton: &Skeleton,
-) -> Record {
-    let record = Record::new(Gmd.name(), trained, seed);
-    Record {
-        index,
-        frames,
-        fps: skeleton.description().fps,
-        sampler: SamplerRecord {
-            padding: Some(trained.config().sampling.padding),
-            ..record.sampler
-        },
-        ..record
-    }
-}
-
-/// The files of a clip, cut to the record's length.
-fn drawn(name: String, sample: &GeneratedClip, skeleton: &Skeleton, record: Record) -> Drawn {
-    let frames = record.frames;
-    let mut files = match &sample.features {
-        None => vec![(MOTION, path(&sample.ground[..frames]))],
-        Some(features) => {
-            let features = features.slice(0..frames);
-            let joints = features.joints();
-            clip_files(features, joints, skeleton)
-        }
-    };
-    if let Some(drawn) = &sample.path {
-        files.push((PATH, path(&drawn[..frames])));
-    }
-    Drawn {
-        name,
-        files,
-        record,
-    }
-}
-
-/// `[frames, 2]`, x and z.
-fn path(ground: &[[f64; 2]]) -> Contents {
-    Contents::Array {
-        shape: vec![ground.len(), 2],
-        values: ground.iter().flatten().map(|&value| value as f32).collect(),
-    }
-}
-
-/// How near the goals the clips have come.
+/// Distances of the clips from their goals.
 fn report(
     samples: &[GeneratedClip],
     requests: &[ClipRequest],

@@ -27,7 +27,7 @@ use crate::memory::Footprint;
 use crate::observer::Observer;
 use crate::recipe::RecipeInfo;
 use crate::run::{Outcome, Setup};
-use crate::sampling::{Receiver, Remark, Request};
+use crate::sampling::{Request, SampleSink, Sampler};
 use crate::system::System;
 
 /// Name of the recipe.
@@ -80,18 +80,17 @@ impl System for TextMotionSystem {
         networks::footprint(config)
     }
 
-    fn sample(
+    fn accepts(&self, _: &str) -> &'static [&'static str] {
+        &[]
+    }
+
+    fn sampler<'a>(
         &self,
-        trained: &TrainedModel,
-        _: &Request,
-        _: &mut dyn Receiver,
-    ) -> Result<Option<Remark>, Error> {
-        let name = &trained.config().run.name;
-        Err(Error::usage(
-            format!("`{name}` is a run of recipe `{RECIPE}`, which generates nothing"),
-            "sample a run of `gmd_motion`, and name this one when evaluating it: `--set \
-             evaluation.evaluator.run=RUN`",
-        ))
+        _: &'a TrainedModel,
+        _: &'a Request,
+        _: &mut dyn SampleSink,
+    ) -> Result<Box<dyn Sampler + 'a>, Error> {
+        unreachable!("a recipe that accepts no conditions is not sampled")
     }
 
     fn evaluate<'a>(

@@ -52,7 +52,7 @@ pub fn prepare<'a>(
             dataset.train.len()
         );
         let hint = "its config's `data.validation` holds out none of them; give a dataset that it \
-                    does with `--source URI`, or train with another `data.validation`";
+                    does with option `source URI`, or train with another `data.validation`";
         return Err(Error::usage(message, hint));
     }
     let mut held_out = dataset.validation.load()?;
@@ -83,7 +83,7 @@ pub fn prepare<'a>(
     };
     let training = dataset.train.load()?;
     let drawn = |phrase: &Arc<Phrase>| {
-        let windows = windows(trained.config(), phrase.frames())?;
+        let windows = windows(trained.config(), phrase.frames());
         Ok(windows.map_or(phrase.frames(), |windows| windows.length()))
     };
     let lengths = held_out.iter().map(drawn);
@@ -122,7 +122,7 @@ fn listening<'a>(
     train: &PhraseSet,
 ) -> Result<Evaluate<'a>, Error> {
     if wanted.cond != CondSource::Phrases {
-        let message = "`--audio-ablation` with `evaluation.cond = \"noise\"`";
+        let message = "option `audio_ablation` with `evaluation.cond = \"noise\"`";
         let hint = "it is about music: it compares each phrase's own with silence, with its frames \
                     in other orders and with another song's";
         return Err(Error::usage(message, hint));
@@ -143,7 +143,7 @@ fn listening<'a>(
             trained.path().display()
         );
         let hint = "prepare them with the beats of their songs, or give another dataset with \
-                    `--source URI`";
+                    option `source URI`";
         return Err(Error::usage(message, hint));
     }
     let longest = held_out.iter().map(|one| one.phrase.frames()).max();

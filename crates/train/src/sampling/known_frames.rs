@@ -1,137 +1,135 @@
-//! Frames of the motion that are given.
+//! Frames of another motion that a sample contains unchanged.
 
 use std::ops::Range;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use kinegrad_data::read_motion;
 use kinegrad_motion::kinematics::make_sign_continuous;
 use kinegrad_motion::stitch::Known;
 use kinegrad_motion::{CHANNELS, Motion, Quaternion, channel_name};
 
+use super::KnownFramesCondition;
 use crate::error::Error;
 
-/// Frames of a phrase that the sample has as they are.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Given {
-    /// The phrase's file.
-    pub motion: PathBuf,
-    /// Which of its frames.
-    pub frames: GivenFrames,
-}
-
-/// Which frames of a phrase are given.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum GivenFrames {
-    /// The last ones, with which the sample begins.
-    Last,
-    /// These, ascending and apart; they have the same places in the sample.
-    These(Vec<Range<usize>>),
-}
-
-/// Given frames, read.
+/// Known frames of a sample.
 #[derive(Clone, Debug, PartialEq)]
-pub struct GivenMotion {
+pub struct KnownFrames {
     /// As the stored numbers, `[frames, 25]`; zeros elsewhere.
     pub motion: Motion,
     /// The frames of the sample that are given.
     pub frames: Vec<Range<usize>>,
 }
 
-impl Given {
+impl KnownFramesCondition {
+    /// The last frames of `motion`, which the sample continues.
+    pub fn continued(motion: &Path) -> Self {
+        Self {
+            motion: motion.to_path_buf(),
+            frames: Vec::new(),
+            continued: true,
+        }
+    }
+
     /// The frames `text` of a phrase: ranges such as `0..30,90..120`, without their ends.
     ///
     /// # Errors
     /// [`Error::Usage`] if these are not ascending ranges.
-    pub fn these(motion: &Path, text: &str) -> Result<Self, Error> {
+    pub fn kept(motion: &Path, text: &str) -> Result<Self, Error> {
         let wrong = |found: &str| {
             Error::usage(
-                format!("`--keep {text}`: `{found}` is no range of frames after those before it"),
-                "ranges ascend and do not overlap, and their ends do not count: `--keep \
-                 0..30,90..120` keeps the frames 0 to 29 and 90 to 119",
+                format!(
+                    "option `keep {text}`: `{found}` is no range of frames after those before it"
+                ),
+                "ranges ascend and do not overlap, and their ends do not count: \
+                 option `keep 0..30,90..120` keeps the frames 0 to 29 and 90 to 119",
             )
         };
-        let mut frames: Vec<Range<usize>> = Vec::new();
+        let mut frames: Vec<[usize; 2]> = Vec::new();
         for part in text.split(',') {
             let ends = part.trim().split_once("..");
-            let ends = ends.and_then(|(a, b)| Some(a.parse().ok()?..b.parse().ok()?));
-            let after = frames.last().map_or(0, |last| last.end);
+            let ends = ends.and_then(|(a, b)| Some([a.parse().ok()?, b.parse().ok()?]));
+            let after = frames.last().map_or(0, |last| last[1]);
             let range = ends
-                .filter(|range: &Range<usize>| !range.is_empty() && range.start >= after)
+                .filter(|[start, end]: &[usize; 2]| start < end && *start >= after)
                 .ok_or_else(|| wrong(part))?;
             frames.push(range);
         }
         Ok(Self {
             motion: motion.to_path_buf(),
-            frames: GivenFrames::These(frames),
+            frames,
+            continued: false,
         })
     }
 
-    /// The option of the command line that asks for it.
-    pub fn option(&self) -> &'static str {
-        match self.frames {
-            GivenFrames::Last => "--continue-from",
-            GivenFrames::These(_) => "--keep",
+    fn option(&self) -> &'static str {
+        match self.continued {
+            true => "continue_from",
+            false => "keep",
         }
     }
 
-    /// Reads the frames for a sample of `frames` frames, of which at most `most_last` continue
+    /// Reads the frames for a sample of `frames` frames; at most `most_last` of them continue
     /// another phrase.
     ///
     /// # Errors
     /// If the file is no phrase, has numbers that are not finite, is too short for the frames, or if
-    /// nothing would be left to draw.
-    pub fn read(&self, frames: usize, most_last: usize) -> Result<GivenMotion, Error> {
+    /// nothing would be left to sample.
+    pub fn read(&self, frames: usize, most_last: usize) -> Result<KnownFrames, Error> {
         let phrase = read_motion(&self.motion)?;
         let (name, option) = (self.motion.display(), self.option());
         if let Some((frame, channel)) = phrase.first_non_finite() {
             let channel = channel_name(channel);
             return Err(Error::usage(
                 format!("{name}: {channel} of frame {frame} is not finite"),
-                "`kinegrad check` says which frames of a motion are sound",
+                "`kinegrad check` reports which frames of a motion are sound",
             ));
         }
-        let (of, given) = match &self.frames {
-            GivenFrames::Last => {
+        let (of, known) = match self.continued {
+            true => {
                 let last = phrase.frames().min(most_last.max(1));
                 (
                     phrase.frames() - last,
-                    Vec::from([Range {
+                    vec![Range {
                         start: 0,
                         end: last,
-                    }]),
+                    }],
                 )
             }
-            GivenFrames::These(frames) => (0, frames.clone()),
+            false => {
+                let ranges = self.frames.iter().map(|[start, end]| *start..*end);
+                (0, ranges.collect())
+            }
         };
-        let end = given.last().map_or(0, |range| range.end);
+        let end = known.last().map_or(0, |range: &Range<usize>| range.end);
         if of + end > phrase.frames() || end > frames {
             let (what, has) = match of + end > phrase.frames() {
                 true => (name.to_string(), phrase.frames()),
                 false => ("the sample".to_string(), frames),
             };
             return Err(Error::usage(
-                format!("`{option}` reaches to frame {end}, {what} has {has} frames"),
-                "keep frames that both have; `--frames` sets the length of the sample",
+                format!("option `{option}` reaches to frame {end}, {what} has {has} frames"),
+                "keep frames that both have; option `frames` sets the length of the sample",
             ));
         }
-        if given.iter().map(Range::len).sum::<usize>() == frames {
+        if known.iter().map(Range::len).sum::<usize>() == frames {
             return Err(Error::usage(
-                format!("`{option}` gives all {frames} frames"),
-                "nothing is left to draw: keep fewer frames, or ask for a longer sample (`--frames`)",
+                format!("option `{option}` gives all {frames} frames"),
+                "nothing is left to sample: keep fewer frames, or ask for a longer sample (option \
+                 `frames`)",
             ));
         }
         let mut motion = Motion::new(vec![0.0; frames * CHANNELS])?;
-        for t in given.iter().cloned().flatten() {
+        for t in known.iter().cloned().flatten() {
             motion.frame_mut(t).copy_from_slice(phrase.frame(of + t));
         }
-        Ok(GivenMotion {
+        Ok(KnownFrames {
             motion,
-            frames: given,
+            frames: known,
         })
     }
 }
 
-impl GivenMotion {
+impl KnownFrames {
     /// Number of given frames.
     pub fn count(&self) -> usize {
         self.frames.iter().map(Range::len).sum()
@@ -201,7 +199,7 @@ mod tests {
             let frames = angles.iter().flat_map(|angle| facing(*angle));
             Motion::new(frames.collect()).expect("frames")
         };
-        let given = GivenMotion {
+        let given = KnownFrames {
             motion: motion(&[0.0; 12]),
             frames: vec![0..2, 10..12],
         };
@@ -220,9 +218,9 @@ mod tests {
 
     #[test]
     fn ranges_ascend() {
-        let these = |text: &str| Given::these(Path::new("m.npy"), text);
+        let these = |text: &str| KnownFramesCondition::kept(Path::new("m.npy"), text);
         let given = these("0..30, 90..120").expect("ranges");
-        assert_eq!(given.frames, GivenFrames::These(vec![0..30, 90..120]));
+        assert_eq!(given.frames, [[0, 30], [90, 120]]);
         for bad in [
             "",
             "3",
@@ -234,7 +232,10 @@ mod tests {
             "-1..3",
         ] {
             let error = these(bad).expect_err(bad).to_string();
-            assert!(error.starts_with(&format!("`--keep {bad}`")), "{error}");
+            assert!(
+                error.starts_with(&format!("option `keep {bad}`")),
+                "{error}"
+            );
         }
     }
 }

@@ -1,0 +1,235 @@
+//! Conditions: what samples are generated for.
+
+use std::fmt;
+use std::path::PathBuf;
+
+use kinegrad_motion::goal::Goal;
+use serde::de::{Deserializer, MapAccess, Visitor};
+use serde::ser::{SerializeMap, Serializer};
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+
+use super::Style;
+use crate::checkpoint::SavedCheckpoint;
+use crate::song::KnownBeats;
+
+/// A condition of a sample: as it is asked for, as it was resolved, and as the record of the sample
+/// keeps it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Condition {
+    /// Items of a dataset: their audio features, captions or first frames.
+    Item {
+        /// Id of the item, or a pattern in a request.
+        id: String,
+        /// The dataset; that of the run if `None`.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        source: Option<String>,
+    },
+    /// The first so many held-out items of the run's dataset.
+    HeldOut(usize),
+    /// A file of audio features.
+    AudioFeatures(PathBuf),
+    /// A song.
+    Song {
+        /// Its file.
+        file: PathBuf,
+        /// Position in the song at which the motion starts, seconds.
+        start: f64,
+        /// Facts about its beats that are given and not tracked.
+        #[serde(default, skip_serializing_if = "KnownBeats::is_empty")]
+        beats: KnownBeats,
+    },
+    /// The style of a phrase.
+    Style(Style),
+    /// A text.
+    Text {
+        /// The text, in words.
+        text: String,
+        /// Folder of the text encoder that embeds it, for models that are given embeddings.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        text_encoder: Option<PathBuf>,
+    },
+    /// The embedding of a text, `FILE#KEY`.
+    TextEmbedding(String),
+    /// A file of texts over time.
+    Prompts(PathBuf),
+    /// Position control of the root.
+    Goal(GoalCondition),
+    /// A trajectory model that generates the ground path in a first stage.
+    Trajectory(TrajectoryCondition),
+    /// A file of joints that the motion continues.
+    History(PathBuf),
+    /// A path over the ground.
+    Path(PathFile),
+    /// Frames of another motion that the sample contains unchanged.
+    KnownFrames(KnownFramesCondition),
+    /// A condition of a system outside of kinegrad.
+    #[serde(untagged)]
+    Other(OtherCondition),
+}
+
+/// A condition of a system outside of kinegrad: its name and its value, in one entry of a map.
+#[derive(Clone, Debug, PartialEq)]
+pub struct OtherCondition {
+    /// Its name.
+    pub name: String,
+    /// Its value.
+    pub value: Value,
+}
+
+impl Serialize for OtherCondition {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let mut map = serializer.serialize_map(Some(1))?;
+        map.serialize_entry(&self.name, &self.value)?;
+        map.end()
+    }
+}
+
+impl<'de> Deserialize<'de> for OtherCondition {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let map = serde_json::Map::deserialize(deserializer)?;
+        let entry = map.into_iter().next();
+        let (name, value) = entry.ok_or_else(|| serde::de::Error::custom("an empty condition"))?;
+        Ok(Self { name, value })
+    }
+}
+
+/// A goal file and, once it is read, its contents.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct GoalCondition {
+    /// The file, as given.
+    pub file: PathBuf,
+    /// The goal.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub goal: Option<Goal>,
+    /// SHA-256 of the file's contents.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sha256: Option<String>,
+}
+
+/// The checkpoint of a trajectory model.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct TrajectoryCondition {
+    /// Its folder.
+    pub checkpoint: PathBuf,
+    /// The checkpoint itself, in a request.
+    #[serde(skip)]
+    pub saved: Option<Box<SavedCheckpoint>>,
+}
+
+impl TrajectoryCondition {
+    /// The condition on a checkpoint that was read.
+    pub fn new(saved: SavedCheckpoint) -> Self {
+        Self {
+            checkpoint: saved.path.clone(),
+            saved: Some(Box::new(saved)),
+        }
+    }
+}
+
+impl PartialEq for TrajectoryCondition {
+    fn eq(&self, other: &Self) -> bool {
+        self.checkpoint == other.checkpoint
+    }
+}
+
+/// A path over the ground, in a file.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct PathFile {
+    /// The file.
+    pub file: PathBuf,
+    /// Metres per unit of a drawing.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub metres_per_unit: Option<f64>,
+}
+
+/// Frames of another motion that the sample contains unchanged.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct KnownFramesCondition {
+    /// The motion's file.
+    pub motion: PathBuf,
+    /// First frame and end of each run of frames, ascending and apart. In a request of `continued` frames they are empty: the last
+    /// ones of the motion.
+    pub frames: Vec<[usize; 2]>,
+    /// Whether the sample continues the motion: it begins with these frames. Otherwise they are at
+    /// the same positions in both.
+    pub continued: bool,
+}
+
+impl Condition {
+    /// Its name: the key in a record, and what a recipe says that it accepts.
+    pub fn name(&self) -> &str {
+        match self {
+            Self::Item { .. } => "item",
+            Self::HeldOut(_) => "held_out",
+            Self::AudioFeatures(_) => "audio_features",
+            Self::Song { .. } => "song",
+            Self::Style(_) => "style",
+            Self::Text { .. } => "text",
+            Self::TextEmbedding(_) => "text_embedding",
+            Self::Prompts(_) => "prompts",
+            Self::Goal(_) => "goal",
+            Self::Trajectory(_) => "trajectory",
+            Self::History(_) => "history",
+            Self::Path(_) => "path",
+            Self::KnownFrames(known) if known.continued => "continue_from",
+            Self::KnownFrames(_) => "keep",
+            Self::Other(other) => &other.name,
+        }
+    }
+
+    /// The subject of which a sample has one condition.
+    pub(super) fn role(&self) -> Option<&'static str> {
+        match self {
+            Self::AudioFeatures(_) | Self::Song { .. } => Some("audio"),
+            Self::Text { .. } | Self::TextEmbedding(_) | Self::Prompts(_) => Some("text"),
+            Self::Goal(_) | Self::Path(_) | Self::KnownFrames(_) => Some("position"),
+            _ => None,
+        }
+    }
+}
+
+/// A request for samples of a condition, in JSON: one map, a condition an entry.
+pub(super) mod as_map {
+    use super::*;
+
+    pub fn serialize<S: Serializer>(
+        conditions: &[Condition],
+        serializer: S,
+    ) -> Result<S::Ok, S::Error> {
+        let mut map = serializer.serialize_map(Some(conditions.len()))?;
+        for condition in conditions {
+            let entry = serde_json::to_value(condition).map_err(serde::ser::Error::custom)?;
+            let Value::Object(entry) = entry else {
+                unreachable!("conditions have a value each");
+            };
+            for (name, value) in entry {
+                map.serialize_entry(&name, &value)?;
+            }
+        }
+        map.end()
+    }
+
+    pub fn deserialize<'de, D: Deserializer<'de>>(
+        deserializer: D,
+    ) -> Result<Vec<Condition>, D::Error> {
+        struct Entries;
+        impl<'de> Visitor<'de> for Entries {
+            type Value = Vec<Condition>;
+            fn expecting(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+                formatter.write_str("a map of conditions")
+            }
+            fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Self::Value, A::Error> {
+                let mut conditions = Vec::new();
+                while let Some((name, value)) = map.next_entry::<String, Value>()? {
+                    let entry = Value::Object([(name, value)].into_iter().collect());
+                    conditions
+                        .push(serde_json::from_value(entry).map_err(serde::de::Error::custom)?);
+                }
+                Ok(conditions)
+            }
+        }
+        deserializer.deserialize_map(Entries)
+    }
+}

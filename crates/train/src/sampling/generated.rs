@@ -1,0 +1,114 @@
+//! Generated motion and its files.
+
+use kinegrad_motion::CHANNELS;
+use kinegrad_motion::Motion;
+use kinegrad_motion::humanml::{Features, Joints, Skeleton};
+
+use super::Contents;
+
+/// Extension of the motion: a phrase, joint positions or a ground path.
+const MOTION: &str = ".npy";
+
+/// Extension of a phrase before post-processing.
+const RAW: &str = ".raw.npy";
+
+/// Extension of joint features.
+const FEATURES: &str = ".features.npy";
+
+/// Extension of the animated skeleton.
+const BVH: &str = ".bvh";
+
+/// Extension of the ground path of a first stage.
+const PATH: &str = ".path.npy";
+
+/// What a sampler generates.
+#[derive(Clone, Debug)]
+pub enum Generated {
+    /// A phrase, `[T, 25]`.
+    Phrase {
+        /// Post-processed.
+        motion: Motion,
+        /// The raw model output.
+        raw: Motion,
+    },
+    /// A clip of a body.
+    Clip {
+        /// Joint positions, which may be elsewhere on the ground than the features.
+        joints: Joints,
+        /// Its skeleton.
+        skeleton: Skeleton,
+        /// Joint features, of models that generate them.
+        features: Option<Features>,
+        /// The ground path of a first stage, x and z in metres.
+        path: Option<Vec<[f64; 2]>>,
+    },
+    /// A ground path, x and z in metres.
+    Ground(Vec<[f64; 2]>),
+    /// Rows of numbers of another representation.
+    Rows {
+        /// Shape.
+        shape: Vec<usize>,
+        /// Values, row-major.
+        values: Vec<f32>,
+    },
+}
+
+impl Generated {
+    /// Extensions of the files of a phrase.
+    pub const PHRASE: &[&str] = &[MOTION, RAW];
+    /// Extensions of the files of joint positions.
+    pub const JOINTS: &[&str] = &[MOTION, BVH];
+    /// Extensions of the files of a clip.
+    pub const CLIP: &[&str] = &[MOTION, FEATURES, BVH];
+    /// Extensions of the files of a clip of two stages.
+    pub const CLIP_OF_STAGES: &[&str] = &[MOTION, FEATURES, BVH, PATH];
+    /// Extensions of the files of rows and ground paths.
+    pub const ROWS: &[&str] = &[MOTION];
+
+    /// Its files by extension, the motion first.
+    pub fn files(self) -> Vec<(&'static str, Contents)> {
+        match self {
+            Self::Phrase { motion, raw } => {
+                let array = |motion: Motion| Contents::Array {
+                    shape: vec![motion.frames(), CHANNELS],
+                    values: motion.into_vec(),
+                };
+                vec![(MOTION, array(motion)), (RAW, array(raw))]
+            }
+            Self::Clip {
+                joints,
+                skeleton,
+                features,
+                path,
+            } => {
+                let positions = Contents::Array {
+                    shape: vec![joints.frames(), joints.joints(), 3],
+                    values: joints.to_f32(),
+                };
+                let rows = features.map(|features| Contents::Array {
+                    shape: vec![features.frames(), features.layout().channels()],
+                    values: features.into_vec(),
+                });
+                let figure = Contents::Figure {
+                    joints,
+                    skeleton: Box::new(skeleton),
+                };
+                let mut files = vec![(MOTION, positions)];
+                files.extend(rows.map(|rows| (FEATURES, rows)));
+                files.push((BVH, figure));
+                files.extend(path.map(|path| (PATH, ground(&path))));
+                files
+            }
+            Self::Ground(path) => vec![(MOTION, ground(&path))],
+            Self::Rows { shape, values } => vec![(MOTION, Contents::Array { shape, values })],
+        }
+    }
+}
+
+/// `[frames, 2]`, x and z.
+fn ground(path: &[[f64; 2]]) -> Contents {
+    Contents::Array {
+        shape: vec![path.len(), 2],
+        values: path.iter().flatten().map(|&value| value as f32).collect(),
+    }
+}

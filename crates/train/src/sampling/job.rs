@@ -1,0 +1,127 @@
+//! Samplers: what a system resolves a request to, and how it generates it.
+
+use std::ops::ControlFlow;
+
+use super::{Condition, Generated, Names, Record, Request, Sample, SampleSink, Summary};
+use crate::TrainedModel;
+use crate::error::Error;
+
+/// Samples of one condition.
+#[derive(Clone, Debug)]
+pub struct Job {
+    /// The condition in file names; none where it is the only one.
+    pub name: Option<String>,
+    /// The resolved conditions, for the record.
+    pub conditions: Vec<Condition>,
+    /// Frames of a sample.
+    pub frames: usize,
+}
+
+/// Memory that sampling takes.
+#[derive(Clone, Debug)]
+pub struct Needs {
+    /// The work, such as `sampling 4 clips of 60 frames`.
+    pub work: String,
+    /// Bytes of main memory.
+    pub bytes: u64,
+    /// A hint for where they are not free.
+    pub hint: &'static str,
+}
+
+/// A request that a system has resolved: its conditions are read, and are known to fit the model.
+pub trait Sampler {
+    /// The jobs, in the order of their samples.
+    fn jobs(&self) -> &[Job];
+
+    /// Extensions of the files of a sample, the motion first.
+    fn extensions(&self) -> &'static [&'static str];
+
+    /// Whether the samples of all jobs are one batch, and are numbered through.
+    fn is_one_batch(&self) -> bool {
+        false
+    }
+
+    /// The memory that sampling takes, of each part.
+    ///
+    /// # Errors
+    /// If a network cannot be built.
+    fn needs(&self) -> Result<Vec<Needs>, Error> {
+        Ok(Vec::new())
+    }
+
+    /// Loads the model, generates all samples and passes each to `run`. Returns a summary.
+    ///
+    /// # Errors
+    /// If the checkpoint cannot be read, a sample is not finite, or the sink fails.
+    fn sample(&self, run: &mut Run<'_>) -> Result<Option<Summary>, Error>;
+}
+
+/// A run of a sampler: the request, and where samples go.
+pub struct Run<'a> {
+    /// The trained model.
+    pub trained: &'a TrainedModel,
+    /// The request, its length in frames.
+    pub request: &'a Request,
+    /// The receiver of samples, notes and progress.
+    pub sink: &'a mut dyn SampleSink,
+    pub(crate) system: &'static str,
+    pub(crate) fps: f64,
+    pub(crate) jobs: &'a [Job],
+    pub(crate) names: Names,
+    pub(crate) is_one_batch: bool,
+    /// Distances from paths, a line a sample.
+    pub(crate) paths: Vec<String>,
+}
+
+impl Run<'_> {
+    /// The name of a sample of a job.
+    pub fn name(&self, job: usize, index: usize) -> String {
+        match self.is_one_batch {
+            true => self.names.of("", job * self.request.count + index),
+            false => self.names.of(&self.names.stems[job], index),
+        }
+    }
+
+    /// Shows the progress of a stage, and whether to go on.
+    pub fn step(&mut self, stage: &'static str, done: usize, all: usize) -> ControlFlow<()> {
+        self.sink.advance(stage, done, all)
+    }
+
+    /// The record of a sample of a job. The sampler fills in the fields of its system.
+    pub fn record(&self, job: usize, index: usize) -> Record {
+        let Job {
+            conditions, frames, ..
+        } = &self.jobs[job];
+        Record {
+            index: match self.is_one_batch {
+                true => job * self.request.count + index,
+                false => index,
+            },
+            frames: *frames,
+            fps: self.fps,
+            condition: conditions.clone(),
+            ..Record::new(self.system, self.trained, self.request.seed)
+        }
+    }
+
+    /// Passes a sample on.
+    ///
+    /// # Errors
+    /// If it cannot be stored.
+    pub fn pass(
+        &mut self,
+        job: usize,
+        index: usize,
+        generated: Generated,
+        record: Record,
+    ) -> Result<(), Error> {
+        let path = record.path.as_ref();
+        self.paths
+            .extend(path.map(|path| crate::path_target::in_words(&path.report)));
+        self.sink.sample(Sample {
+            name: self.name(job, index),
+            files: generated.files(),
+            record,
+        })
+    }
+}

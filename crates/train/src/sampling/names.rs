@@ -1,0 +1,61 @@
+//! Names of the files of samples.
+
+/// Names of the samples of a request: `count` for each of the stems, numbered if there are several.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Names {
+    /// What stands for a condition; empty if there is one.
+    pub stems: Vec<String>,
+    /// Samples of each.
+    pub count: usize,
+}
+
+impl Names {
+    /// The name of a sample of a stem, from 0.
+    pub fn of(&self, stem: &str, index: usize) -> String {
+        match self.count {
+            1 => stem.to_string(),
+            _ => format!("{stem}-{index:03}"),
+        }
+    }
+
+    /// Whether a sample has that name.
+    pub fn contains(&self, name: &str) -> bool {
+        self.stems.iter().any(|stem| {
+            let index = name.strip_prefix(stem.as_str());
+            match (self.count, index) {
+                (_, None) => false,
+                (1, Some(rest)) => rest.is_empty(),
+                (count, Some(rest)) => rest
+                    .strip_prefix('-')
+                    .and_then(|number| number.parse().ok())
+                    .is_some_and(|index: usize| index < count && self.of(stem, index) == name),
+            }
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_are_numbered_where_there_are_several() {
+        let stems = || vec![String::new(), "-a".to_string()];
+        let one = Names {
+            stems: stems(),
+            count: 1,
+        };
+        assert_eq!(one.of("-a", 0), "-a");
+        assert!(one.contains("") && one.contains("-a"));
+        assert!(!one.contains("-a-000") && !one.contains("-b"));
+        let many = Names {
+            stems: stems(),
+            count: 1200,
+        };
+        assert_eq!(many.of("-a", 7), "-a-007");
+        assert!(many.contains("-a-007") && many.contains("-1199"));
+        for other in ["", "-a", "-a-7", "-1200", "-a-1200", "-a-0007", "-b-000"] {
+            assert!(!many.contains(other), "{other}");
+        }
+    }
+}

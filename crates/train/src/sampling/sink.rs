@@ -1,0 +1,97 @@
+//! Receivers of samples.
+
+use std::ops::ControlFlow;
+
+use kinegrad_motion::humanml::{Joints, Skeleton};
+
+use super::{Names, Record};
+use crate::error::Error;
+use crate::observer::Reading;
+
+/// One sample, as files.
+#[derive(Clone, Debug)]
+pub struct Sample {
+    /// Suffix that distinguishes it from other samples of the request; empty for a single sample.
+    pub name: String,
+    /// Its files by extension, such as `.npy`; the first is the motion itself.
+    pub files: Vec<(&'static str, Contents)>,
+    /// How it was generated.
+    pub record: Record,
+}
+
+/// Contents of a file.
+#[derive(Clone, Debug)]
+pub enum Contents {
+    /// A row-major float32 array.
+    Array {
+        /// Shape.
+        shape: Vec<usize>,
+        /// Values.
+        values: Vec<f32>,
+    },
+    /// An animated skeleton, written as BVH.
+    Figure {
+        /// Joint positions.
+        joints: Joints,
+        /// The skeleton.
+        skeleton: Box<Skeleton>,
+    },
+}
+
+/// A summary of all samples of a request.
+#[derive(Clone, Debug)]
+pub enum Summary {
+    /// Lines of text.
+    Text(String),
+    /// A table whose first row is the header.
+    Table(Vec<Vec<String>>),
+}
+
+/// Receives samples and progress.
+pub trait SampleSink {
+    /// Called after each denoising step with the number of steps done and in total; `stage` is
+    /// empty if there is only one.
+    fn stepped(&mut self, stage: &'static str, done: usize, all: usize);
+
+    /// Called with each sample.
+    ///
+    /// # Errors
+    /// If it cannot be stored; sampling stops then.
+    fn sample(&mut self, sample: Sample) -> Result<(), Error>;
+
+    /// Called before sampling with the names of all samples and the extensions of their files.
+    ///
+    /// # Errors
+    /// If they cannot be stored, for example because files of these names exist; nothing is sampled
+    /// then.
+    fn reserve_outputs(&mut self, _names: &Names, _extensions: &[&str]) -> Result<(), Error> {
+        Ok(())
+    }
+
+    /// Called with a choice that the request leaves open.
+    fn note(&mut self, _text: &str) {}
+
+    /// Called with a doubt about the request.
+    fn warning(&mut self, _text: &str) {}
+
+    /// Returns a callback for the progress of opening a dataset, as
+    /// [`Observer::reading`](crate::Observer::reading).
+    fn reading(&self) -> Box<Reading> {
+        Box::new(|_, _| ControlFlow::Continue(()))
+    }
+
+    /// Whether to stop, asked after each denoising step. Sampling ends with
+    /// [`Error::Interrupted`] then.
+    fn stop_requested(&self) -> bool {
+        false
+    }
+
+    /// [`stepped`](Self::stepped), and whether to go on.
+    fn advance(&mut self, stage: &'static str, done: usize, all: usize) -> ControlFlow<()> {
+        self.stepped(stage, done, all);
+        match self.stop_requested() {
+            true => ControlFlow::Break(()),
+            false => ControlFlow::Continue(()),
+        }
+    }
+}

@@ -1,0 +1,98 @@
+//! From a request to samples.
+
+use super::{System, Systems};
+use crate::TrainedModel;
+use crate::error::Error;
+use crate::memory::must_fit;
+use crate::sampling::{Names, Request, Run, SampleSink, Sampler, Summary};
+
+impl Systems<'_> {
+    /// Generates motion with the model `trained` and passes each sample, with its
+    /// [`Record`](crate::sampling::Record), to `sink`. Returns a summary of all samples.
+    ///
+    /// # Errors
+    /// If the request contradicts itself, if the model does not accept a condition or it cannot be read,
+    /// if the sink fails, and [`Error::Interrupted`] if it asks to stop.
+    pub fn sample(
+        self,
+        trained: &TrainedModel,
+        request: &Request,
+        sink: &mut dyn SampleSink,
+    ) -> Result<Option<Summary>, Error> {
+        request.validate()?;
+        let (system, recipe) = self.of(trained.config())?;
+        let request = request.at(system.fps(trained.config()))?;
+        must_accept(system, recipe.name, &request)?;
+        let sampler = system.sampler(trained, &request, sink)?;
+        for needs in sampler.needs()? {
+            must_fit(&needs.work, needs.bytes, needs.hint)?;
+        }
+        let names = names(&*sampler, &request);
+        if request.held_out_items().is_none() {
+            sink.reserve_outputs(&names, sampler.extensions())?;
+        }
+        let mut run = Run {
+            trained,
+            request: &request,
+            sink,
+            system: system.name(),
+            fps: system.fps(trained.config()),
+            jobs: sampler.jobs(),
+            names,
+            is_one_batch: sampler.is_one_batch(),
+            paths: Vec::new(),
+        };
+        let summary = sampler.sample(&mut run)?;
+        Ok(match run.paths.is_empty() {
+            true => summary,
+            false => Some(Summary::Text(run.paths.join("\n"))),
+        })
+    }
+}
+
+/// Rejects conditions and post-processing that the recipe does not accept.
+fn must_accept(system: &dyn System, recipe: &str, request: &Request) -> Result<(), Error> {
+    let accepted = system.accepts(recipe);
+    if accepted.is_empty() {
+        return Err(Error::usage(
+            format!("recipe `{recipe}` generates nothing"),
+            "sample a run of another recipe",
+        ));
+    }
+    let given = request.conditions.iter().map(|condition| condition.name());
+    let post_processing = request.post_processing.map(|_| "postprocess");
+    let mut given = given.chain(post_processing);
+    match given.find(|name| *name != "held_out" && !accepted.contains(name)) {
+        None => Ok(()),
+        Some(name) => {
+            let accepted: Vec<String> = accepted
+                .iter()
+                .map(|name| format!("option `{name}`"))
+                .collect();
+            Err(Error::usage(
+                format!("option `{name}` with a run of recipe `{recipe}`"),
+                format!("it accepts {}", accepted.join(", ")),
+            ))
+        }
+    }
+}
+
+/// Names of the samples: held-out items are named by their ids, several conditions by theirs.
+fn names(sampler: &dyn Sampler, request: &Request) -> Names {
+    let (jobs, held_out) = (sampler.jobs(), request.held_out_items().is_some());
+    if sampler.is_one_batch() {
+        return Names {
+            stems: vec![String::new()],
+            count: jobs.len() * request.count,
+        };
+    }
+    let stem = |name: &Option<String>| match name {
+        Some(name) if held_out => name.clone(),
+        Some(name) if jobs.len() > 1 => format!("-{name}"),
+        _ => String::new(),
+    };
+    Names {
+        stems: jobs.iter().map(|job| stem(&job.name)).collect(),
+        count: request.count,
+    }
+}
