@@ -24,8 +24,9 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
-def test_the_page_of_the_package_is_there():
-    assert ROOT / "docs" / "python.md" in PAGES
+@pytest.mark.parametrize("page", ["README.md", "docs/python.md"])
+def test_pages_with_python_are_found(page):
+    assert ROOT / page in PAGES
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)

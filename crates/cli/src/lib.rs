@@ -109,3 +109,8 @@ fn execute(systems: Systems<'_>, command: Command) -> Result<ExitCode, Error> {
         Command::Man(arguments) => commands::shell::man(arguments),
     }
 }
+
+// The README's Rust is compiled as a doctest.
+#[cfg(doctest)]
+#[doc = include_str!("../../../README.md")]
+struct Readme;
