@@ -1,4 +1,4 @@
-//! New motion from examples: what is written, and what is refused.
+//! New motion from examples: files and refusals.
 
 use std::fmt::Write;
 use std::fs;
@@ -193,7 +193,7 @@ fn clips_of_joint_features_are_matched_and_written() {
     assert_eq!(new.shape, [frames, 263]);
     // It is plausible motion, and its parts fit one another.
     sandbox.run("check new.npy").succeeded();
-    // The same as BVH is as far from it as a file's decimals.
+    // The BVH file differs by its decimals only.
     let options = "--overwrite --seed 0";
     sandbox
         .run(&format!("match {walks} --out new.bvh {options}"))

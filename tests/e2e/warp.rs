@@ -1,4 +1,4 @@
-//! Motions moved onto paths: what is written, and what is refused.
+//! Motions moved onto paths: files and refusals.
 
 use std::fs;
 
