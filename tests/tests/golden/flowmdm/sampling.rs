@@ -1,4 +1,4 @@
-//! When positions are relative in a draw, and whole draws.
+//! The timesteps with relative positions, and complete sampling.
 
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_diffusion::{
@@ -156,7 +156,7 @@ fn golden_composition_sampling(golden: Golden) {
             tolerance,
         );
     }
-    // Whole draws of 25 steps.
+    // Complete sampling with 25 steps.
     let timesteps = golden.get("in.respaced25.t").indices();
     let start = motions(&golden, "in.respaced25.noise_start", &device);
     let run = |composed: &Composed<'_>, scale: f64| {
