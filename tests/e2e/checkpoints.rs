@@ -247,7 +247,7 @@ fn a_full_disk_leaves_the_last_good_checkpoint() {
     sandbox
         .run(&format!("{TRAIN} --set optim.lr_schedule=constant"))
         .succeeded();
-    // A limit on the size of files stands for the disk: smaller than the weights, larger than
+    // A limit on the size of files replaces the full disk: smaller than the weights, larger than
     // the metrics. The signal that would end the process is ignored, so writing fails instead.
     let size = fs::metadata(checkpoint(&sandbox, 12).join("model.safetensors"))
         .expect("size")

@@ -46,7 +46,7 @@ fn condition<'a>(evaluation: &'a Value, heard: &str) -> &'a Value {
     found.expect(heard)
 }
 
-/// A mean that lies within its interval.
+/// A mean within its interval.
 fn mean(estimate: &Value) -> f64 {
     let number = |key: &str| estimate[key].as_f64().expect(key);
     let [mean, low, high] = ["mean", "low", "high"].map(number);

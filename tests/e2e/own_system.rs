@@ -458,7 +458,7 @@ every_steps = 20
 num_inference_steps = 8
 "#;
 
-/// Runs a command line of all systems, this one among them; `@` stands for `folder`.
+/// Runs a command line with all systems, including this one; `@` is replaced by `folder`.
 fn kinegrad(folder: &Path, line: &str) {
     kinegrad_ends(folder, line, 0);
 }

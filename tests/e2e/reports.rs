@@ -430,7 +430,7 @@ fn joints_of_any_skeleton_and_captures_are_plotted_and_not_checked() {
         holds(&picture, &["path from above", "height (m)"]);
         assert!(!picture.contains("on the ground\n"), "no foot is known");
         assert_eq!(picture.contains("poses "), joints > 1, "{joints} joints");
-        // A dot for each joint of each pose, beside those of the path.
+        // A dot for each joint of each pose, in addition to the path's.
         let dots = picture.matches("<circle").count() - 2;
         assert!(
             dots.is_multiple_of(joints) && (dots > 0) == (joints > 1),

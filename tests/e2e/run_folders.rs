@@ -140,7 +140,7 @@ fn samples_are_added_to_what_the_folder_holds() {
     sandbox.run(&format!("{train}=2")).succeeded();
     let drawn = samples(&sandbox);
     let bytes = || fs::read(sandbox.path("runs/smallest/samples").join(&drawn[1])).expect("bytes");
-    // The motion: its record stands first.
+    // The second file is the motion; the first is its record.
     let before = bytes();
     let mine = sandbox.write("runs/smallest/samples/notes.txt", "mine");
     sandbox.run(&format!("{train}=4 --resume")).succeeded();
@@ -217,7 +217,7 @@ fn samples_of_an_earlier_end_are_drawn_again_after_a_kill() {
     wait_for(&mut child, "a later checkpoint", || later.exists());
     child.kill().expect("a kill");
     child.wait().expect("an end");
-    // As long as it has come: it ends at once.
+    // The run already has as many steps, so it ends at once.
     sandbox
         .run(&format!("{train} --set train.max_steps=5 --resume"))
         .succeeded();

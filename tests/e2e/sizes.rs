@@ -31,7 +31,7 @@ fn training_that_does_not_fit_is_refused_with_an_estimate() {
         sandbox
             .run(&format!("train c.toml {settings}"))
             .failed(2, &ESTIMATE);
-        // As a comment beside the config.
+        // As a comment of the config.
         let shown = sandbox.run(&format!("config show c.toml {settings}"));
         let estimate = shown.succeeded().stdout;
         assert!(estimate.contains("# memory: about "), "{estimate}");

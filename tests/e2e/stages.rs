@@ -142,7 +142,7 @@ fn a_start_that_a_recipe_does_not_use_is_refused_in_new_runs_alone() {
         assert!(!sandbox.path("runs").exists());
     }
 
-    // A run that an older version has started with such a setting.
+    // A run with such a setting in its stored config.
     let train = "train c.toml --set train.max_steps=4";
     sandbox.run(train).succeeded();
     fs::remove_dir_all(sandbox.path("runs/smallest/checkpoints")).expect("checkpoints");

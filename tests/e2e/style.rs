@@ -260,8 +260,8 @@ fn style_is_fine_tuned_and_merged() {
         let run = format!("{tune} --name {mode} --set rollout.mode={mode} {settings}");
         sandbox.run(&run).succeeded();
     }
-    // Recomputing each step gives the weights of one graph over all of them, up to rounding; here
-    // it is enough that both trained the style.
+    // Recomputing each step gives the weights of one graph over all steps, up to rounding. This
+    // test only requires that both train the style.
     let tuned = state(&sandbox, "full");
     let base = state(&sandbox, "base");
     for key in ["style", "style_labels"] {

@@ -23,7 +23,7 @@ impl Folder {
         }
     }
 
-    /// The folder `root`; whether a file that it lacks is an error.
+    /// The folder `root`. If it is `complete`, a missing file is an error.
     pub fn new(root: impl Into<PathBuf>, complete: bool) -> Self {
         let root = root.into();
         Self { root, complete }

@@ -178,7 +178,7 @@ pub fn bound(what: &str, error: f64, tolerance: f64) {
     keep(what, error, tolerance);
 }
 
-/// [`bound`] on what was counted before.
+/// [`bound`] without counting.
 #[track_caller]
 pub(crate) fn keep(what: &str, error: f64, tolerance: f64) {
     report(what, error, tolerance);

@@ -18,7 +18,7 @@ use kinegrad_tests::{gradients, trials, weights};
 
 const FORWARD: f64 = 2e-5;
 const INPUTS: f64 = 1e-6;
-/// Of inputs that a linear map of the text is part of.
+/// For inputs that contain a linear map of the text.
 const TEXT_INPUTS: f64 = 1e-5;
 const SAMPLING: f64 = 5e-5;
 const GRADIENT: f64 = 1e-4;

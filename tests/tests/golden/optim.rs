@@ -111,7 +111,7 @@ fn golden_adamw_with_clipping(golden: Golden) {
                 }
             }
         }
-        // One case has the change of all steps together.
+        // One case has the total change of all steps.
         if case == "strong" {
             for (index, name) in parameters.iter().enumerate() {
                 let moved = values[index].iter().zip(&before[index]);

@@ -26,7 +26,7 @@ pub fn tests() -> Vec<GoldenTest> {
     ]
 }
 
-/// Of files in single precision.
+/// For files in single precision.
 const TOLERANCE: f64 = 1e-5;
 
 fn points(golden: &Golden, name: &str) -> Vec<[f64; 2]> {
@@ -296,7 +296,7 @@ fn golden_override(golden: Golden) {
     let headings = golden.get("in.path_heading").values;
     let (mean, std) = (golden.get("in.mean").values, golden.get("in.std").values);
     let normalized = |channel: usize, value: f64| (value - mean[channel]) / std[channel];
-    // The whole skeleton moved, in joints; each sample of `[batch, J, 3, frames]` by itself.
+    // The complete skeleton, moved, as joints; each sample of `[batch, J, 3, frames]` separately.
     let sample = golden.get("in.joint_sample");
     let [batch, count, 3, frames] = sample.shape[..] else {
         panic!("{:?}", sample.shape)

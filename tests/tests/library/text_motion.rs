@@ -15,7 +15,7 @@ use kinegrad_tests::weights;
 use kinegrad_train::Error;
 use kinegrad_train::systems::text_motion::TextMotion;
 
-/// Of embeddings and metrics, absolute.
+/// Absolute, for embeddings and metrics.
 const TOLERANCE: f64 = 1e-5;
 
 /// The file of weights, inputs and outputs.

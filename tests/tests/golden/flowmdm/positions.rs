@@ -169,7 +169,7 @@ fn golden_pose_centric_attention(golden: Golden) {
             "relative" => vec![true; batch],
             _ => (0..batch).map(|element| element == 1).collect(),
         };
-        // The file says which frames are allowed; they are ranges.
+        // The allowed frames of the file are ranges.
         let allowed = golden.get(&format!("out.{case}.allowed")).values;
         let ranges = KeyRanges::new(allowed.chunks(time * time).map(|sample| {
             let range = |row: &[f64]| {

@@ -63,7 +63,7 @@ pub struct Step {
     /// The predicted clean motion: that of a network that predicts clean motion; with the known
     /// values in it if the network predicts noise.
     pub pred_original_sample: Tensor<3>,
-    /// Where the step was guided.
+    /// Set if the step was guided.
     pub scaled_gradient: Option<Tensor<3>>,
 }
 
