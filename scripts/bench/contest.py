@@ -1,4 +1,4 @@
-"""Processes that do a row's steps in turn, and what comes of it."""
+"""Processes that run a row's steps in turn, and the results."""
 
 import array
 import json

@@ -1,4 +1,4 @@
-"""How busy the machine is with other work, which makes times useless."""
+"""The load of the machine by other work, which makes times useless."""
 
 import os
 from collections.abc import Iterable

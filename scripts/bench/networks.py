@@ -1,4 +1,4 @@
-"""The networks of a row in PyTorch, with the names and sizes that kinegrad has."""
+"""The networks of a row in PyTorch, with kinegrad's names and sizes."""
 
 from collections.abc import Callable
 from typing import Any

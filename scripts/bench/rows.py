@@ -1,5 +1,5 @@
-"""What is measured. A new row is an entry of `ROWS`; a new network is also one of `DENOISERS` in
-`networks.py`, and what `bench_worker.rs` loads."""
+"""The rows of the benchmark. A new row is an entry of `ROWS`; a new network also needs an entry of
+`DENOISERS` in `networks.py` and an arm in `worker/main.rs`."""
 
 from dataclasses import dataclass
 from typing import Any

@@ -1,4 +1,4 @@
-"""Makes what both sides of a row load: weights, unless another row made them, and inputs.
+"""Writes the files of a row: weights, unless another row wrote them, and inputs.
 
     torch_inputs.py FOLDER      reads FOLDER/row.json
 """

@@ -1,8 +1,8 @@
-"""PyTorch's side of `scripts/bench/run`: does one step whenever it is told to.
+"""PyTorch's worker of `scripts/bench/run`: runs one step per request.
 
     torch_worker.py FOLDER DEVICE [--compile]
 
-Files and answers are those of kinegrad's side, `worker/main.rs`.
+Files and answers are those of kinegrad's worker, `worker/main.rs`.
 """
 
 import argparse

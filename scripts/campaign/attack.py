@@ -1,4 +1,4 @@
-"""What every attack is, and what those on runs share."""
+"""The base of all attacks, and of attacks on runs."""
 
 from case import Case, Setting
 from judge import INVALID, SUCCESS

@@ -1,4 +1,4 @@
-"""One case of an attack, and what all cases share."""
+"""One case of an attack, and the shared state of all cases."""
 
 import array
 import math

@@ -1,4 +1,4 @@
-"""Damage inside of archives, tensors and checksums, which stay whole around it."""
+"""Damage inside archives, tensors and checksums that stay valid around it."""
 
 import io
 import json

@@ -1,4 +1,4 @@
-"""A dataset that changes between a stop and the resume: refused, or the same run."""
+"""A dataset that changes between stop and resume: refused, or the same run."""
 
 import shutil
 import struct

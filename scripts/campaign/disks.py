@@ -1,4 +1,4 @@
-"""Disks that are full, and files that may not grow: no damage, and the run resumes."""
+"""Full disks and limited file sizes: no damage, and the run resumes."""
 
 import contextlib
 import os

@@ -1,4 +1,4 @@
-"""Findings: one folder each with what is needed to see the fault again."""
+"""Findings: one folder each with the files that reproduce the fault."""
 
 import os
 import re

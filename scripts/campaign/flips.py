@@ -1,4 +1,4 @@
-"""Damage to the files of a run: noticed, and never in the weights."""
+"""Damage to the files of a run: detected, and never in the weights."""
 
 import shutil
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""What is wrong with the way a process ended, whatever it was given."""
+"""Faults in the end of a process, for any input."""
 
 import re
 import signal

@@ -1,4 +1,4 @@
-"""Runs that are killed again and again end like one that never stopped."""
+"""Runs that are killed repeatedly end like an uninterrupted run."""
 
 import contextlib
 import os

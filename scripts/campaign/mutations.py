@@ -1,4 +1,4 @@
-"""Damaged files of every format, and things that are no files at all."""
+"""Damaged files of every format, and paths that are no regular files."""
 
 import os
 import random

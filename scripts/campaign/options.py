@@ -1,4 +1,4 @@
-"""Every option of every command, with every value, alone; what is required has a valid value."""
+"""Every option of every command with every value, alone; required options have valid values."""
 
 import random
 import re

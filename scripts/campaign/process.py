@@ -1,4 +1,4 @@
-"""One child process: started in a group of its own, watched, limited, and always ended."""
+"""One child process: started in its own group, watched, limited, and always ended."""
 
 import contextlib
 import os

@@ -1,4 +1,4 @@
-"""What the program says of itself: its recipes, kinds, keys and options."""
+"""The program's recipes, kinds, keys and options, read from its own output."""
 
 import re
 import tomllib

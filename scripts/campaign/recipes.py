@@ -1,7 +1,7 @@
 """A config for each recipe of the program that trains in a fraction of a second.
 
-The recipes are those the program names. A config comes from one that is shipped in `configs`, on
-synthetic data, made as small as the program accepts.
+The recipes are those that the program names. A config is one of `configs` on synthetic data, made as
+small as the program accepts.
 """
 
 import re

@@ -1,4 +1,4 @@
-"""Two processes on one run: one does the work, the other is refused or only reads."""
+"""Two processes on one run: one works, the other is refused or only reads."""
 
 import time
 

@@ -1,4 +1,4 @@
-"""Runs on disk: whether their checkpoints are whole, and whether two are the same."""
+"""Runs on disk: integrity of their checkpoints, and equality of two runs."""
 
 import hashlib
 import json

@@ -1,4 +1,4 @@
-"""Shares the time among the attacks: each worker takes a case of the attack that is most behind."""
+"""Shares the time among the attacks: each worker takes a case of the most delayed attack."""
 
 import threading
 import time

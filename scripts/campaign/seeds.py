@@ -1,4 +1,4 @@
-"""Small valid files of the formats that no command of the program writes."""
+"""Small valid files of the formats that the program does not write."""
 
 import io
 import math

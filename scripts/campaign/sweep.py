@@ -1,4 +1,4 @@
-"""The whole sweep: every key of every recipe with every value, shown, trained, resumed, sampled."""
+"""The sweep: every key of every recipe with every value, shown, trained, resumed, sampled."""
 
 import random
 import re

@@ -1,4 +1,4 @@
-"""Values that settings and options are given, of their type and beyond."""
+"""Values of settings and options, of their type and out of range."""
 
 VALUES = [
     "0", "1", "-1", "2", "3", "0.5", "-0.0", "1e-300", "1e300", "1e20", "65536", "2147483648",

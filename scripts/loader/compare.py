@@ -3,7 +3,7 @@
 
     scripts/loader/run [--rounds N] [--seconds S] [--phrases N] [--workers 0,1,2,4]
 
-Both sides of a row stay open and are measured in turn. The sums of an epoch must agree.
+Both processes of a row stay open and are measured in turn. The sums of an epoch must agree.
 """
 
 import argparse

@@ -1,10 +1,9 @@
-"""PyTorch's side of `scripts/loader/run`: a `DataLoader` over the phrases of a folder.
+"""PyTorch's process of `scripts/loader/run`: a `DataLoader` over the phrases of a folder.
 
     torch_loader.py FOLDER WORKERS CACHED WARM_UP_EPOCHS
 
-Loads as CC-MotionGen, section 6.1, does (docs/sources.md, section 1.1), with the normalisation of
-motion that kinegrad does. Answers are those of kinegrad's side,
-`crates/data/examples/loader_speed.rs`.
+Loads like CC-MotionGen, section 6.1 (docs/sources.md, section 1.1), with kinegrad's normalisation of
+motion. Answers are those of kinegrad's process, `crates/data/examples/loader_speed.rs`.
 """
 
 import json

@@ -3,10 +3,10 @@
 
     python3 scripts/peer/check_gmd.py GOLDEN_DIR
 
-GOLDEN_DIR holds `unet_motion_tiny`, `unet_traj_tiny`, `unet_traj_xxs_plain_tiny`, `mdm_unet_tiny`,
+GOLDEN_DIR contains `unet_motion_tiny`, `unet_traj_tiny`, `unet_traj_xxs_plain_tiny`, `mdm_unet_tiny`,
 `schedule_cosine1000` and `trajectory_loss`, each `.safetensors`. `data_fixtures/gmd` is compared
-too. Outputs are compared absolutely, all else against the largest entry of a tensor. Exits
-with 1 where an error is above its tolerance.
+too. Outputs are compared absolutely, other tensors relative to their largest entry. Exits
+with 1 if an error is above its tolerance.
 """
 
 import argparse

@@ -3,9 +3,9 @@
 
     python3 scripts/peer/check_golden.py GOLDEN_DIR
 
-GOLDEN_DIR holds `03_unet`, `03_unet_mult1248_hashed`, `04_decoder`, `05_diffusion_loss`,
+GOLDEN_DIR contains `03_unet`, `03_unet_mult1248_hashed`, `04_decoder`, `05_diffusion_loss`,
 `06_temporal_loss`, `07_e2e` and `08_ddim`, each `.safetensors`: the full set or the reduced one.
-Errors are `max|a - ref| / max|ref|` over a tensor, against the float64 reference. Exits with 1 where
+Errors are `max|a - ref| / max|ref|` over a tensor, against the float64 reference. Exits with 1 if
 one is above its tolerance.
 """
 

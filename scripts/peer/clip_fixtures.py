@@ -1,11 +1,11 @@
 #!/usr/bin/env python3
 """Writes the files of `data_fixtures/clip`: a tiny text encoder of CLIP with random weights, in the
-layout of the model hub, and what the Python package `transformers` makes of some sentences.
+layout of the model hub, and embeddings of some sentences by the Python package `transformers`.
 
     python3 scripts/peer/clip_fixtures.py [FOLDER]
 
 With `--merges FILE`, the vocabulary is that of a published list of merges, and with `--full` the
-network has the sizes of ViT-B/32: too large to be committed, for a check by hand
+network has the sizes of ViT-B/32: too large to be committed, for a manual check
 
     python3 scripts/peer/clip_fixtures.py /tmp/clip --merges bpe_simple_vocab_16e6.txt --full
     KINEGRAD_CLIP=/tmp/clip cargo test -p kinegrad-train --lib text_encoder

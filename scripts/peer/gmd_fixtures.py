@@ -3,8 +3,8 @@
 
     python3 scripts/peer/gmd_fixtures.py [FOLDER]
 
-The README there says what they hold. Everything is computed in float64 from float32 weights and
-inputs, and stored in float32.
+The README there describes them. Values are computed in float64 from float32 weights and inputs, and
+stored in float32.
 """
 
 import json

@@ -1,4 +1,4 @@
-"""Files of reference tensors, and a report of how far something is from them."""
+"""Files of reference tensors, and a report of errors against them."""
 
 import json
 import struct

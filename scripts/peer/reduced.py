@@ -3,18 +3,18 @@
 
     python3 scripts/peer/reduced.py GOLDEN_DIR FOLDER [--seed SEED] [--only PART ...]
 
-GOLDEN_DIR holds the full references, FOLDER receives the reduced ones (`data_fixtures/golden`).
+GOLDEN_DIR contains the full references, FOLDER receives the reduced ones (`data_fixtures/golden`).
 First the peer, in float64, must agree with the full references of the networks. Then, for each:
 
-- inputs are drawn anew, with the sizes and standard deviations of the full file's;
-- weights are not stored but come from a hash (`golden.hashed`); only the sampler's, where such
-  weights would make float32 useless, are those of a small network that is fitted here;
-- results are computed by the peer in float64. A file of `ccmotion` holds `out64.*`, and in `out.*`
-  a float32 run; all other results are rounded to float32.
+- inputs are new random numbers with the sizes and standard deviations of the full file's;
+- weights are not stored but come from a hash (`golden.hashed`); the sampler's are those of a small
+  fitted network, because hashed weights would make float32 useless there;
+- results are computed by the peer in float64. A file of `ccmotion` has `out64.*`, and in `out.*` a
+  float32 run; all other results are rounded to float32.
 
-At last a float32 run of the peer must agree with what was written. Recordings are packed, their
-tensors thinned out (`reduced_audio`), and all other files copied. Another SEED makes other inputs
-and weights of networks; the rest does not depend on it.
+Finally a float32 run of the peer must agree with the written files. Recordings are compressed and
+some of their tensors omitted (`reduced_audio`); all other files are copied. Another SEED changes
+inputs and weights of networks; the rest does not depend on it.
 """
 
 import argparse

@@ -1,7 +1,7 @@
-"""The reference clips in fewer bytes: recordings as FLAC, and without tensors that are large and
-whose stage another tensor of the same clip covers.
+"""The reference clips in fewer bytes: recordings as FLAC, without large tensors whose stage another
+tensor of the same clip covers.
 
-One clip of several seconds, `chords`, and the two shortest keep everything.
+One clip of several seconds, `chords`, and the two shortest keep all tensors.
 """
 
 import shutil

@@ -4,7 +4,7 @@
     python scripts/peer/samplers.py data_fixtures/samplers/diffusers.safetensors
 
 The network is `s tanh(W x + v t / 1000)` of each frame, in double precision. States are those of the
-variance-preserving process: where a scheduler scales its samples by sqrt(sigma^2 + 1), that is undone.
+variance-preserving process: the factor sqrt(sigma^2 + 1) of some schedulers is removed.
 """
 
 import json

@@ -1,4 +1,4 @@
-"""Files for other programs, read by programs that are not ours: `scripts/test_bvh` runs this.
+"""Files for other programs, read by foreign programs: `scripts/test_bvh` runs this.
 
 KINEGRAD_BINARY is the binary. Every length is compared in metres.
 """

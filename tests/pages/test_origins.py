@@ -1,4 +1,4 @@
-"""Where the frames of a motion come from that `kinegrad match` made, in a browser."""
+"""Source frames of a motion of `kinegrad match`, in a browser."""
 
 import json
 

@@ -1,4 +1,4 @@
-"""What `kinegrad view` writes, in a browser."""
+"""Pages of `kinegrad view`, in a browser."""
 
 import array
 import math

@@ -1,4 +1,4 @@
-"""What the tests of the Python package share: the command line to compare with, and tiny runs."""
+"""Shared fixtures of the Python tests: the command line to compare with, and tiny runs."""
 
 import os
 import subprocess

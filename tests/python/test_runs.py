@@ -1,4 +1,4 @@
-"""Runs from Python are those of the command line, byte for byte."""
+"""Runs from Python equal those of the command line, byte for byte."""
 
 import json
 import os

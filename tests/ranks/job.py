@@ -1,4 +1,4 @@
-"""A job of several ranks in a folder of its own."""
+"""A job of several ranks in its own folder."""
 
 import hashlib
 import json

@@ -1,4 +1,4 @@
-"""Evaluations whose samples ranks share: the same numbers as of one process."""
+"""Evaluations with samples shared by ranks: the same numbers as with one process."""
 
 import json
 import unittest

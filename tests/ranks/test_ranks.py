@@ -1,4 +1,4 @@
-"""Ranks under a real launcher: the same bytes as one process, and the same end for all."""
+"""Ranks under a real launcher: the same bytes as one process, and the same exit for all."""
 
 import fcntl
 import json

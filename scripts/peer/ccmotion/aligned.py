@@ -1,4 +1,4 @@
-"""Aligned audio conditioning: what each level of the denoiser hears of its own frames.
+"""Aligned audio conditioning: each level of the denoiser is conditioned on its own frames.
 
 The counterpart of kinegrad's `model.audio_conditioning = "aligned"`, with its state-dict names, for
 batches without padding.

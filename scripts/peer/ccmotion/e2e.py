@@ -1,4 +1,4 @@
-"""One step of end-to-end training: denoiser and decoder together, through the sampler
+"""One step of end-to-end training: denoiser and decoder, through the sampler
 (CC-MotionGen, sections 7.1 to 7.4; docs/sources.md, section 1.8)."""
 
 import copy

@@ -1,7 +1,7 @@
 """Generative motion matching in PyTorch, from the formulas in docs/sources/genmm.md.
 
-As the published program does it: every patch is formed and every mean of patches taken by
-convolutions with one-hot kernels (the package `unfoldNd`), and distances are products of matrices.
+Like the published program: patches and means of patches are convolutions with one-hot kernels (the
+package `unfoldNd`), and distances are products of matrices.
 Motions are tensors [frames, channels].
 """
 

@@ -1,13 +1,13 @@
 #!/usr/bin/env python3
-"""Writes checkpoints as training programs for GMD's networks leave them.
+"""Writes checkpoints like those of training programs for GMD's networks.
 
     cd scripts/peer
     python3 -m gmd.checkpoint WEIGHTS.safetensors OUT.pt [--bare] [--without KEY] [--extra KEY] ...
 
-WEIGHTS holds a network under `model.`, as the reference files and `data_fixtures/gmd` do. Besides
-the weights a checkpoint has what an importer must pass over: parts of the text encoder and the
-table of sinusoids, which stands twice and shares its memory. It was trained on a GPU, and the
-weights that training moves are parameters, not plain tensors.
+WEIGHTS contains a network under `model.`, like the reference files and `data_fixtures/gmd`. Besides
+the weights, a checkpoint contains tensors that an importer must ignore: parts of the text encoder
+and the table of sinusoids, twice and with shared memory. The tensors are on a GPU, and trained
+weights are parameters, not plain tensors.
 """
 
 import argparse

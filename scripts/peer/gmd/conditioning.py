@@ -1,5 +1,5 @@
-"""What both denoisers make of timestep and text, and classifier-free guidance over it (GMD appendix
-D)."""
+"""The conditioning of both denoisers on timestep and text, and classifier-free guidance (GMD
+appendix D)."""
 
 import math
 from collections.abc import Callable

@@ -1,5 +1,5 @@
-"""Everything that a reference file of a denoiser holds, computed from the file's inputs and
-weights, by the file's keys."""
+"""The contents of a reference file of a denoiser, computed from the file's inputs and weights, by
+the file's keys."""
 
 import torch
 from torch import Tensor, nn

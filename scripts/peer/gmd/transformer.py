@@ -1,8 +1,8 @@
 """The transformer of the Human Motion Diffusion Model (<https://arxiv.org/abs/2209.14916>, section
 3 and figure 2), GMD's baseline.
 
-One token carries timestep and text; it goes before the frames, and its output is dropped. Layers
-normalise behind each addition. There is no dropout and no mask.
+One token with timestep and text precedes the frames; its output is dropped. Layers are post-norm.
+There is no dropout and no mask.
 """
 
 from dataclasses import dataclass

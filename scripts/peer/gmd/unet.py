@@ -1,8 +1,8 @@
 """The 1D UNet with adaptive group normalisation (GMD appendix D, table D.1, figures D.1 and D.2).
 
-Uses the names of the published checkpoints. Kernels: 5 in blocks, 1 on the way around a block and
-at the very end, 3 going down, 4 going up. The last level's skip is concatenated right behind the
-middle, and the first level's is not used.
+Uses the names of the published checkpoints. Kernels: 5 in blocks, 1 in shortcuts and at the end, 3
+for downsampling, 4 for upsampling. The last level's skip is concatenated right after the middle,
+and the first level's is not used.
 """
 
 from dataclasses import dataclass
