@@ -38,7 +38,7 @@ def gmd_unet(model: dict[str, Any]) -> UNetDenoiser:
 
 
 def flow(model: dict[str, Any]) -> FlowModel:
-    """Motion that goes on."""
+    """Autoregressive flow matching."""
     return FlowModel(FlowConfig(**{key: size for key, size in model.items() if key != "kind"}))
 
 

@@ -75,7 +75,7 @@ def deflate(folder: Path) -> None:
 
 
 def row(args: argparse.Namespace, folder: str, kind: str, workers: int, cached: bool) -> float:
-    """Prints a row; gives its ratio."""
+    """Prints a row; returns its ratio."""
     memory = "1024" if cached else "0"
     epochs = str(WARM_UP_EPOCHS_PER_WORKER * max(workers, 1) if cached else 1)
     ours = [args.worker, "measure", folder, str(workers), memory, epochs]

@@ -67,7 +67,7 @@ SENTENCES = [
 
 
 def letters() -> list[str]:
-    """What stands for each byte: itself where it is visible, in the order of the published vocabulary."""
+    """The character of each byte: itself if visible, in the order of the published vocabulary."""
     visible = [*range(33, 127), *range(161, 173), *range(174, 256)]
     hidden = [byte for byte in range(256) if byte not in visible]
     return [chr(byte) for byte in visible] + [chr(256 + n) for n in range(len(hidden))]
@@ -109,7 +109,7 @@ def learned_merges(count: int) -> list[tuple[str, str]]:
 
 
 def read_merges(path: Path) -> list[tuple[str, str]]:
-    """The merges that the published model uses of the published list."""
+    """The part of the published list of merges that the published model uses."""
     lines = path.read_text("utf-8").split("\n")[1 : 49152 - 256 - 2 + 1]
     return [(one, other) for one, other in (line.split() for line in lines)]
 

@@ -47,11 +47,11 @@ NETWORKS: dict[str, tuple[Callable[[Golden, torch.dtype], dict[str, Tensor]], Ca
     "gmd/unet_motion_tiny": (gmd.unet_values, gmd.bare_network),
     "gmd/unet_traj_xxs_plain_tiny": (gmd.unet_values, gmd.bare_network),
 }
-"""How a file's results are computed, and the network whose weights it describes."""
+"""The computation of a file's results, and the network whose weights it describes."""
 
 
 def check(folder: Path, dtype: torch.dtype) -> None:
-    """Compares the peer with the networks' files of a folder; exits where they disagree."""
+    """Compares the peer with the networks' files of a folder; exits if they disagree."""
     report = Report()
     part = folder / "ccmotion"
     check_golden.check_unet(report, Golden(part, "03_unet"), "unet", 2e-4, dtype)
@@ -72,8 +72,8 @@ def seed_of(seed: int, name: str) -> int:
 
 
 def inputs(full: Golden, seed: int) -> dict[str, Tensor]:
-    """Normal values of the full file's sizes and spread; timesteps of each half of the process;
-    what is the same everywhere, as it is."""
+    """Normal values of the full file's sizes and deviations; timesteps of each half of the process;
+    constant tensors unchanged."""
     generator = torch.Generator().manual_seed(seed)
     drawn: dict[str, Tensor] = {}
     for key in sorted(full.keys("in.")):
@@ -90,7 +90,7 @@ def inputs(full: Golden, seed: int) -> dict[str, Tensor]:
 
 
 def weights(full: Golden, name: str, seed: int) -> tuple[dict[str, str], dict[str, Tensor]]:
-    """What metadata and tensors say of the weights."""
+    """Metadata and tensors of the weights."""
     if name == "ccmotion/08_ddim":
         tensors = {f"model.{key}": value for key, value in fitted(seed).items()}
         return {"unet": json.dumps(SIZES)}, tensors
@@ -109,7 +109,7 @@ def weights(full: Golden, name: str, seed: int) -> tuple[dict[str, str], dict[st
 
 
 def results(full: Golden, golden: Golden, name: str) -> dict[str, Tensor]:
-    """Under the keys of the full file."""
+    """Results under the keys of the full file."""
     compute = NETWORKS[name][0]
     single, double = compute(golden, torch.float32), compute(golden, torch.float64)
     stored: dict[str, Tensor] = {}
@@ -148,7 +148,7 @@ def networks(source: Path, folder: Path, seed: int) -> None:
 
 
 def copied(source: Path, folder: Path) -> None:
-    """The files that stay whole."""
+    """The unreduced files."""
     for family in ("ccmotion", "flow", "flowmdm", "genmm", "gmd", "humanml", "paths"):
         (folder / family).mkdir(parents=True, exist_ok=True)
         for path in sorted((source / family).iterdir()):
@@ -158,13 +158,13 @@ def copied(source: Path, folder: Path) -> None:
 
 def audio(source: Path, folder: Path) -> None:
     """The clips."""
-    import reduced_audio  # needs soundfile, and nothing else does
+    import reduced_audio  # only this needs soundfile
 
     reduced_audio.reduce(source / "audio", folder / "audio")
 
 
 def main() -> None:
-    """Writes what is asked for, or everything."""
+    """Writes the selected parts, or everything."""
     parts = {
         "networks": lambda args: networks(args.golden_dir, args.folder, args.seed),
         "copied": lambda args: copied(args.golden_dir, args.folder),

@@ -17,7 +17,7 @@ from conftest import ROOT
 
 
 def files(folder):
-    """The files of a folder by name, without what says where or when they were written."""
+    """The files of a folder by name, without paths and times."""
     return {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
 
 

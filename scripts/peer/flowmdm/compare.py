@@ -19,7 +19,7 @@ SEGMENT = 100
 
 
 def peer(frames: int, steps: int) -> None:
-    """Prints what the program prints."""
+    """Prints the program's output."""
     import torch
     from network import Network
 

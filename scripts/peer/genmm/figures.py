@@ -117,7 +117,7 @@ def windows(apart: np.ndarray, size: int) -> np.ndarray:
 
 
 def segmented(apart: np.ndarray) -> float:
-    """The least cost a frame of segments that each follow a stretch of the example."""
+    """The least cost per frame of segments that each follow a stretch of the example."""
     frames = len(apart)
     # sums[k][e]: the cheapest stretch of k frames that ends before frame e.
     sums = {}

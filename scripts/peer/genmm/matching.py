@@ -59,7 +59,7 @@ def step(motion: torch.Tensor, known: torch.Tensor, size: int, alpha: float | No
 
 PATCH_SIZE, FACTOR = 11, 0.75
 AT_A_TIME = 1024
-"""Patches whose distances are held at a time; with completeness all are computed twice."""
+"""Patches whose distances are in memory at a time; with completeness all are computed twice."""
 
 
 def first_length(example: int, frames: int, patches_coarse: float = 5) -> int:
