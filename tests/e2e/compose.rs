@@ -114,7 +114,7 @@ fn a_plan_is_drawn_as_one_motion_and_its_texts_matter() {
         change(0, 20),
         change(70, 90)
     );
-    // All positions absolute: segments do not see each other.
+    // All positions absolute: segments are independent.
     let line = "sample runs/bpe --seed 5 --set evaluation.bpe_denoising_step=-1 --prompts";
     for name in ["first", "other"] {
         let line = format!("{line} {name}.toml --out apart-{name}");

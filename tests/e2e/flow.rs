@@ -137,7 +137,7 @@ fn a_motion_goes_on_from_its_history_as_the_texts_say() {
     ] {
         assert_ne!(on(other), same, "{other} changes nothing");
     }
-    // Another history: another motion, not only elsewhere.
+    // Another history gives another motion, not only another position.
     draw("--item walk_00005 --seconds 2 --out start");
     let other = on("--text FIRST");
     let about_root = |values: &[f32]| -> Vec<f32> {
