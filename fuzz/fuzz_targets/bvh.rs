@@ -1,4 +1,4 @@
-//! Biovision hierarchies: `Bvh::parse` and what follows from a file that it takes.
+//! Biovision hierarchies: `Bvh::parse` and the processing of an accepted file.
 
 #![no_main]
 
@@ -6,8 +6,8 @@ use kinegrad_capture::{Bvh, RootSource, UpAxis};
 use kinegrad_fuzz::{MIB, bounded};
 use libfuzzer_sys::fuzz_target;
 
-// A joint takes six bytes of text at least and 150 bytes here, and a list of them three times that
-// while it grows; a frame of one digit takes two bytes and becomes a pose.
+// A joint has at least six bytes of text and takes 150 bytes in memory, three times that while its
+// list grows. A frame of one digit has two bytes and becomes a pose.
 const MULTIPLE: usize = 100;
 
 fuzz_target!(|bytes: &[u8]| {

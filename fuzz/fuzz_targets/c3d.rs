@@ -1,4 +1,4 @@
-//! C3D files: `C3d::parse` and what follows from a file that it takes.
+//! C3D files: `C3d::parse` and the processing of an accepted file.
 
 #![no_main]
 
@@ -6,9 +6,8 @@ use kinegrad_capture::{C3d, MarkerMap, RootSource};
 use kinegrad_fuzz::{MIB, bounded};
 use libfuzzer_sys::fuzz_target;
 
-// A parameter takes four bytes at least, since the next may begin behind its name, and 100 bytes
-// here, and a list of them three times that while it grows. Labels may share their bytes in the
-// file.
+// A parameter has at least four bytes, since the next may begin right after its name, and takes 100
+// bytes in memory, three times that while its list grows. Labels may share their bytes in the file.
 const MULTIPLE: usize = 100;
 
 fuzz_target!(|bytes: &[u8]| {

@@ -6,12 +6,12 @@ use kinegrad_data::{AUDIO_CHANNELS, parse_features};
 use kinegrad_fuzz::{MIB, bounded};
 use libfuzzer_sys::fuzz_target;
 
-/// Deflated data unpack to at most so many times their length.
+/// Largest expansion factor of deflated data.
 const MOST_UNPACKED: usize = 1032;
 
-// At the same time, in multiples of what the archive can hold: 1 for a member unpacked, 1 for its
-// values in Fortran order, and up to 3.8 for those of all members, where a member of a wrong shape
-// makes them move. The list of the members takes less than 0.2.
+// Live at once, in multiples of the archive's capacity: 1 for an unpacked member, 1 for its values
+// in Fortran order, and up to 3.8 for those of all members if a member of a wrong shape moves them.
+// The list of members takes less than 0.2.
 fuzz_target!(|bytes: &[u8]| {
     let limit = MIB + 6 * MOST_UNPACKED * bytes.len();
     let parsed = bounded(limit, || parse_features(bytes, "fuzzed.npz"));

@@ -1,4 +1,4 @@
-//! Bounds on the memory that a parser may take for the bytes it is given.
+//! Bounds on the memory of a parser for a given input size.
 
 mod counting;
 
@@ -10,11 +10,10 @@ static ALLOCATOR: Counting = Counting::new();
 /// One mebibyte.
 pub const MIB: usize = 1 << 20;
 
-/// Runs `work` and gives back its result.
+/// Runs `work` and returns its result.
 ///
-/// # Panics
-/// Panics if the bytes allocated and not yet freed ever exceeded those before `work` by more than
-/// `limit`, or if one allocation alone asked for more.
+/// # Panics Panics if the bytes allocated and not yet freed ever exceeded those before `work` by
+/// more than `limit`, or if a single allocation requested more.
 pub fn bounded<T>(limit: usize, work: impl FnOnce() -> T) -> T {
     let before = ALLOCATOR.start();
     let result = work();

@@ -1,8 +1,8 @@
 """Compares features.npz files with librosa 0.11 under CC-MotionGen's definitions.
 
 compare.py KINEGRAD SONG...  Runs `KINEGRAD audio features` and librosa in turn, librosa once
-beforehand on noise so that its compilation is not counted. Our time is that of the whole process,
-starting and writing included; librosa's begins with the loading of the song.
+beforehand on noise so that its compilation is not counted. kinegrad's time is that of the whole
+process, including start and output; librosa's begins with loading the song.
 """
 
 import subprocess

@@ -1,4 +1,4 @@
-"""Processes that do a row's steps in turn, and what comes of it."""
+"""Processes that run a row's steps in turn, and the results."""
 
 import array
 import json
@@ -20,9 +20,9 @@ from rows import Row
 ROOT = Path(__file__).resolve().parents[2]
 HERE = Path(__file__).resolve().parent
 TOLERANCE = 1e-3
-"""Largest relative difference of first losses, and of samples against their largest value."""
+"""Largest relative difference of first losses, and of samples relative to their largest value."""
 SETTLE_SECONDS = 0.1
-"""Before each step: the threads of the side that worked last go on spinning for a moment."""
+"""Pause before each step: the threads of the previous process still spin."""
 
 
 class Failure(Exception):
@@ -31,22 +31,22 @@ class Failure(Exception):
 
 @dataclass(frozen=True)
 class Setting:
-    """What all rows share."""
+    """Shared settings of all rows."""
 
     python: str
     """Interpreter that has torch."""
     worker: Path
-    """kinegrad's side."""
+    """kinegrad's worker."""
     device: str
     threads: int
     folder: Path
     """For files."""
     against: Path | None = None
-    """Another build of kinegrad's side, which then stands in PyTorch's place."""
+    """Another build of kinegrad's worker, in place of PyTorch."""
 
     def environment(self) -> dict[str, str]:
-        """Of every process. How OpenMP's threads wait is left as it is: told not to spin, PyTorch
-        takes twice as long for these steps."""
+        """Environment of every process. OpenMP's wait policy is not changed: without spinning,
+        PyTorch takes twice as long for these steps."""
         paths = [str(ROOT / "scripts" / "peer"), os.environ.get("PYTHONPATH")]
         return os.environ | {
             "OMP_NUM_THREADS": str(self.threads),
@@ -70,7 +70,7 @@ class Setting:
 
 @dataclass
 class Side:
-    """What one process measured."""
+    """The measurements of one process."""
 
     parameters: int
     start_kib: int | None
@@ -79,17 +79,17 @@ class Side:
     losses: list[float | None] = field(default_factory=list)
     """Of every round."""
     peak_kib: int | None = None
-    """Largest resident set of the steps; on a GPU, device memory held."""
+    """Peak resident set of the steps; on a GPU, allocated device memory."""
 
     def counted_mib(self, row: Row) -> float | None:
-        """The peak less what is not counted."""
+        """The peak without uncounted memory."""
         if self.peak_kib is None or self.start_kib is None:
             return None
         return (self.peak_kib - self.start_kib) / 1024 - row.floor_bytes / 1024**2
 
     @property
     def peak_mib(self) -> float | None:
-        """The peak as it is."""
+        """The raw peak."""
         return None if self.peak_kib is None else self.peak_kib / 1024
 
 
@@ -121,7 +121,7 @@ class Worker:
             self.process.stdin.write(line + "\n")
             self.process.stdin.flush()
         except BrokenPipeError:
-            pass  # the answer says why
+            pass  # the answer has the reason
         return self._answer()
 
     def step(self) -> float:
@@ -150,7 +150,7 @@ class Worker:
         raise Failure(f"{self.name} ended with {code}:\n{reason}")
 
     def _device_memory(self) -> int | None:
-        """KiB in use on the GPU by all processes, where that can be known."""
+        """KiB in use on the GPU by all processes, if known."""
         if not self.on_gpu:
             return None
         query = ["nvidia-smi", "--query-gpu=memory.used", "--format=csv,noheader,nounits"]
@@ -161,7 +161,7 @@ class Worker:
         return int(answer.split()[0]) * 1024
 
     def _count_device_memory(self, before: int | None) -> None:
-        """What the GPU's memory grew by while only this process worked is this process's."""
+        """Assigns the growth of GPU memory to this process, which alone was working."""
         after = self._device_memory()
         if self.on_gpu and (before is None or after is None):
             self.held_kib = None
@@ -188,7 +188,7 @@ def workers(row: Row, setting: Setting, names: list[str]) -> Iterator[list[Worke
 
 
 def prepare(row: Row, setting: Setting) -> Path:
-    """The folder with everything both sides load."""
+    """The folder with the files of both workers."""
     folder = setting.folder / row.name
     if folder.exists():
         return folder
@@ -210,9 +210,9 @@ class Measured:
     sides: dict[str, Side]
     """By contender."""
     differences: dict[str, float]
-    """How far the others' losses or samples are from kinegrad's."""
+    """Difference of the others' losses or samples from kinegrad's."""
     quiet: bool
-    """Whether the machine did nothing else in the rounds that count."""
+    """True if the machine was quiet in the counted rounds."""
 
 
 def measure(row: Row, setting: Setting, rounds: int) -> Measured:
@@ -237,8 +237,8 @@ def measure(row: Row, setting: Setting, rounds: int) -> Measured:
 
 
 def timed_rounds(contenders: list[Worker], rounds: int) -> bool:
-    """Times so many rounds in which the machine does nothing else, trying up to twice as many;
-    whether half as many were found. If not, the disturbed ones count too."""
+    """Times rounds on a quiet machine, with up to twice as many tries. Returns True if at least
+    half were quiet; else the disturbed ones count too."""
     processes = [os.getpid(), *(worker.process.pid for worker in contenders)]
     quiet: list[dict[str, float]] = []
     disturbed: list[dict[str, float]] = []
@@ -282,7 +282,7 @@ def loss_difference(ours: Side, theirs: Side) -> float:
 
 
 def sample_differences(contenders: list[Worker], folder: Path) -> dict[str, float]:
-    """Of the samples: the largest difference to kinegrad's, against the largest value."""
+    """Largest difference of samples from kinegrad's, relative to the largest value."""
     samples = {}
     for worker in contenders:
         path = folder / "sample"

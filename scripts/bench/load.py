@@ -1,4 +1,4 @@
-"""How busy the machine is with other work, which makes times useless."""
+"""The load of the machine by other work, which makes times useless."""
 
 import os
 from collections.abc import Iterable
@@ -8,21 +8,21 @@ from time import monotonic
 
 TICKS_PER_SECOND = os.sysconf("SC_CLK_TCK")
 TOLERABLE = 0.1
-"""Share of the machine that other work may take during a round."""
+"""Limit of the share of other work during a round."""
 
 
 @dataclass(frozen=True)
 class Load:
-    """Seconds since some fixed moment."""
+    """Seconds since a fixed time."""
 
     wall: float
     all_processes: float
-    """CPU time of everything on the machine, and what a host withheld."""
+    """CPU time of all processes, including time stolen by a host."""
     ours: float
-    """CPU time of the processes that are meant to work."""
+    """CPU time of the measured processes."""
 
     def elsewhere_since(self, earlier: "Load") -> float:
-        """The share of the machine that other work took since then."""
+        """The share of other work since then."""
         everything = self.all_processes - earlier.all_processes
         others = everything - (self.ours - earlier.ours)
         capacity = (self.wall - earlier.wall) * (os.cpu_count() or 1)
@@ -30,14 +30,14 @@ class Load:
 
 
 def load_now(processes: Iterable[int]) -> Load | None:
-    """The load, where the system has `/proc`."""
+    """The load, if the system has `/proc`."""
     try:
         first = Path("/proc/stat").read_text().splitlines()[0]
         # user, nice, system, idle, iowait, irq, softirq, steal; the rest is part of user.
         values = [int(value) for value in first.split()[1:9]]
         ours = 0
         for process in processes:
-            # The name may hold spaces; utime and stime are the 12th and 13th field after it.
+            # The name may contain spaces; utime and stime are the 12th and 13th field after it.
             fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
             ours += int(fields[11]) + int(fields[12])
     except OSError:

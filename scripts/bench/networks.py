@@ -1,4 +1,4 @@
-"""The networks of a row in PyTorch, with the names and sizes that kinegrad has."""
+"""The networks of a row in PyTorch, with kinegrad's names and sizes."""
 
 from collections.abc import Callable
 from typing import Any
@@ -38,7 +38,7 @@ def gmd_unet(model: dict[str, Any]) -> UNetDenoiser:
 
 
 def flow(model: dict[str, Any]) -> FlowModel:
-    """Motion that goes on."""
+    """Autoregressive flow matching."""
     return FlowModel(FlowConfig(**{key: size for key, size in model.items() if key != "kind"}))
 
 

@@ -1,4 +1,4 @@
-"""What is printed."""
+"""The printed report."""
 
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass
@@ -47,7 +47,7 @@ class Result:
     difference: float
     document_seconds: float | None
     quiet: bool
-    """Whether the machine did nothing else in these rounds."""
+    """True if the machine was quiet in these rounds."""
 
     @classmethod
     def of(cls, row: Row, measured: Measured, against: str, reference: float | None) -> "Result":
@@ -92,7 +92,7 @@ class Result:
 
 
 def ratio(ours: float | None, theirs: float | None) -> float | None:
-    """Of two numbers, if there are any that make a ratio."""
+    """The ratio of two numbers, if defined."""
     return None if ours is None or theirs is None or theirs <= 0 else ours / theirs
 
 
@@ -122,7 +122,7 @@ def table(results: list[Result], rows: list[Row]) -> str:
 
 
 def document_table(results: list[Result]) -> str | None:
-    """Sampling times beside those that CC-MotionGen claims, if they were measured."""
+    """Sampling times and those that CC-MotionGen claims, if measured."""
     measured = [r for r in results if r.document_seconds is not None]
     if not measured:
         return None
@@ -139,7 +139,7 @@ def pair(values: Iterable[float | None], form: str) -> str:
 
 
 def number(value: float | None, form: str) -> str:
-    """A number, if there is one."""
+    """A number, or a dash."""
     return "-" if value is None else format(value, form)
 
 

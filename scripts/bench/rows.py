@@ -1,5 +1,5 @@
-"""What is measured. A new row is an entry of `ROWS`; a new network is also one of `DENOISERS` in
-`networks.py`, and what `bench_worker.rs` loads."""
+"""The rows of the benchmark. A new row is an entry of `ROWS`; a new network also needs an entry of
+`DENOISERS` in `networks.py` and an arm in `worker/main.rs`."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -7,9 +7,9 @@ from typing import Any
 FRAMES = 120
 PADDED_FRAMES = 224
 ADAM_BYTES_PER_PARAMETER = 16
-"""Weight, gradient and two moments, which every framework holds while it trains."""
+"""Weight, gradient and two moments, which every framework keeps during training."""
 AVERAGE_BYTES_PER_PARAMETER = 4
-"""The moving average, where a row keeps one."""
+"""The moving average, if a row has one."""
 
 
 @dataclass(frozen=True)
@@ -18,7 +18,7 @@ class Row:
 
     name: str
     what: str
-    """In words, for the reader of the table."""
+    """Description in the table."""
     parameters: int
     model: dict[str, Any]
     """kinegrad's table `model`, every size given."""
@@ -31,15 +31,15 @@ class Row:
     """After the warm-up."""
     warm_up: int = 2
     quick: bool = False
-    """Whether it belongs to the quick subset."""
+    """True for rows of the quick subset."""
     memory_against: str | None = None
     """The row whose PyTorch memory this one's is compared with, if not its own."""
     document_seconds: float | None = None
-    """What CC-MotionGen says a step takes on a CPU."""
+    """Time of a step on a CPU according to CC-MotionGen."""
 
     @property
     def trains(self) -> bool:
-        """Whether there is a loss."""
+        """True if the row has a loss."""
         return self.task["kind"] not in ("sample", "draw_flow", "match")
 
     @property
@@ -51,7 +51,7 @@ class Row:
         return (ADAM_BYTES_PER_PARAMETER + average) * self.parameters
 
     def spec(self, weights: str) -> dict[str, Any]:
-        """What both workers read."""
+        """The file that both workers read."""
         return {
             "weights": weights,
             "model": self.model,
@@ -106,7 +106,7 @@ def train_gmd() -> dict[str, Any]:
 
 
 def flow() -> dict[str, Any]:
-    """Motion that goes on, at the document's widths."""
+    """Autoregressive flow matching, at the document's widths."""
     return {
         "kind": "flow",
         "joint_dim": 128,
@@ -141,7 +141,7 @@ def end_to_end(mode: str) -> dict[str, Any]:
 
 
 def ddim(steps: int) -> dict[str, Any]:
-    """One batch drawn by deterministic DDIM."""
+    """One batch sampled by deterministic DDIM."""
     sampler = {"kind": "ddim", "num_inference_steps": steps, "eta": 0.0}
     return {"kind": "sample", "sampler": sampler | {"timestep_spacing": "linspace"}}
 
@@ -160,8 +160,7 @@ GMD_MOTION = gmd_unet(263, 512, [2, 2, 2, 2])
 FLOW_PARAMETERS = 2_459_779
 HISTORY_FRAMES = 15
 DANCES = {"gangnam": (371, 405, 92), "salsa": (648, 393, 118)}
-"""Frames and channels of the two dances that GenMM's figures are of, and how many of the channels never
-change."""
+"""Frames and channels of two dances of GenMM's paper, and the number of constant channels."""
 DOCUMENT_CPU_SECONDS = {5: 5.2, 10: 9.8, 20: 18.5, 50: 45.3}
 
 ROWS: list[Row] = [

@@ -1,4 +1,4 @@
-"""Makes what both sides of a row load: weights, unless another row made them, and inputs.
+"""Writes the files of a row: weights, unless another row wrote them, and inputs.
 
     torch_inputs.py FOLDER      reads FOLDER/row.json
 """
@@ -35,8 +35,8 @@ def unet1d(row: dict[str, Any]) -> dict[str, Tensor]:
 
 
 def gmd_unet(row: dict[str, Any]) -> dict[str, Tensor]:
-    """Clips of several lengths, zero behind their ends, with text features. All floats have three
-    axes, as on kinegrad's side."""
+    """Clips of several lengths, zero after their ends, with text features. All floats have three
+    axes, as in kinegrad."""
     batch, frames = row["batch_size"], row["frames"]
     shape = (batch, row["model"]["motion_channels"], frames)
     shortest, longest = GMD_LENGTHS

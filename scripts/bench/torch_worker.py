@@ -1,8 +1,8 @@
-"""PyTorch's side of `scripts/bench/run`: does one step whenever it is told to.
+"""PyTorch's worker of `scripts/bench/run`: runs one step per request.
 
     torch_worker.py FOLDER DEVICE [--compile]
 
-Files and answers are those of kinegrad's side, `worker/main.rs`.
+Files and answers are those of kinegrad's worker, `worker/main.rs`.
 """
 
 import argparse
@@ -31,7 +31,7 @@ class Work(Protocol):
     """A task with its networks."""
 
     def step(self) -> float | None:
-        """One step; its loss, where there is one."""
+        """One step; returns its loss, if any."""
 
 
 class Training:
@@ -100,7 +100,7 @@ class EndToEnd:
 
 
 class Sampling:
-    """Draws one batch of motion: DDIM, eta 0."""
+    """Samples one batch of motion: DDIM, eta 0."""
 
     def __init__(self, model: nn.Module, inputs: dict[str, Tensor], row: dict[str, Any]) -> None:
         self.model = model
@@ -124,7 +124,7 @@ class Sampling:
 
 
 def windows(inputs: dict[str, Tensor]) -> dict[str, Tensor]:
-    """Histories and what goes with them, as the flow networks take them here."""
+    """Histories and their conditions, as inputs of the flow networks."""
     return {
         "history": inputs["history"].transpose(1, 2),
         "text": inputs["cond"].squeeze(2),
@@ -134,7 +134,7 @@ def windows(inputs: dict[str, Tensor]) -> dict[str, Tensor]:
 
 
 class FlowTraining:
-    """Trains the networks of motion that goes on."""
+    """Trains the networks of autoregressive flow matching."""
 
     def __init__(self, model: FlowModel, inputs: dict[str, Tensor], row: dict[str, Any]) -> None:
         task = row["task"]
@@ -155,7 +155,7 @@ class FlowTraining:
 
 
 class FlowDrawing:
-    """Draws the next poses of histories, one after the other."""
+    """Samples the next poses of histories, one after the other."""
 
     def __init__(self, model: FlowModel, inputs: dict[str, Tensor], row: dict[str, Any]) -> None:
         self.model = model.eval()
@@ -174,7 +174,7 @@ class FlowDrawing:
 
 
 class Matching:
-    """Makes a new motion of an example."""
+    """Synthesises a motion from an example."""
 
     def __init__(self, _: nn.Module, inputs: dict[str, Tensor], row: dict[str, Any]) -> None:
         self.example, self.noise = inputs["example"][0], inputs["noise"][0]
@@ -209,7 +209,7 @@ def load_model(row: dict[str, Any], device: str) -> nn.Module:
 
 
 def status(field: str) -> int | None:
-    """A memory figure of this process in KiB, where the system has `/proc`."""
+    """A memory figure of this process in KiB, if the system has `/proc`."""
     try:
         lines = Path("/proc/self/status").read_text().splitlines()
     except OSError:
@@ -218,8 +218,8 @@ def status(field: str) -> int | None:
 
 
 def reset_peak() -> None:
-    """The peak shall be that of the steps, not of reading files; where it cannot be set back, it
-    is the larger of both."""
+    """Excludes the reading of files from the peak. If the peak cannot be reset, it is the larger of
+    both."""
     try:
         Path("/proc/self/clear_refs").write_text("5")
     except OSError:

@@ -1,4 +1,4 @@
-"""What every attack is, and what those on runs share."""
+"""The base of all attacks, and of attacks on runs."""
 
 from case import Case, Setting
 from judge import INVALID, SUCCESS
@@ -14,13 +14,13 @@ class Attack:
     weight: float
     """Share of the time."""
     on_disk = False
-    """Whether it matters that its folders are on a disk."""
+    """True if its folders must be on a disk."""
 
     def __init__(self, setting: Setting) -> None:
         self.setting = setting
 
     def total(self) -> int | None:
-        """How many cases there are, if not as many as there is time for."""
+        """Number of cases; None if limited only by time."""
         return None
 
     def attack(self, case: Case) -> None:
@@ -47,7 +47,7 @@ class RunAttack(Attack):
         return recipe
 
     def training(self, case: Case, recipe: Recipe) -> list[str]:
-        """The command that trains, or resumes if there is a run."""
+        """The training command; it resumes if there is a run."""
         resume = ["--resume"] if (case.folder / "runs/small").exists() else []
         return ["train", f"shared/recipes/{recipe.name}/config.toml", "--runs-dir", "runs", *resume]
 
@@ -82,13 +82,13 @@ class RunAttack(Attack):
             case.wrong("leftovers", left[0].rpartition("/")[2], ", ".join(left), "none", ended)
 
     def sound(self, case: Case, ended: Ended) -> None:
-        """No checkpoint under its final name may be damaged, at any moment."""
+        """No checkpoint under its final name may ever be damaged."""
         if faults := damaged_checkpoints(case.folder / "runs"):
             found = "; ".join(faults)
             case.wrong("damaged checkpoint", "after an end", found, "whole checkpoints", ended)
 
     def half_run(self, case: Case, recipe: Recipe) -> bool:
-        """Leaves a run that was killed after some checkpoint; whether there is one."""
+        """Creates a run that is killed after some checkpoint; returns True on success."""
         wanted = case.random.randint(1, 3)
         folder = case.folder / "runs/small"
         with self.setting.turns.taken():

@@ -1,4 +1,4 @@
-"""One case of an attack, and what all cases share."""
+"""One case of an attack, and the shared state of all cases."""
 
 import array
 import math
@@ -26,7 +26,7 @@ RESIDENT_ROOM = 1 << 30
 
 
 class Turns:
-    """So many processes at once."""
+    """A limit on concurrent processes."""
 
     def __init__(self, count: int) -> None:
         self.count, self.free = count, count
@@ -34,7 +34,7 @@ class Turns:
 
     @contextmanager
     def taken(self, wanted: int = 1) -> Iterator[None]:
-        """Holds so many turns, or all there are."""
+        """Acquires a number of slots, at most all."""
         wanted = min(wanted, self.count)
         with self.changed:
             self.changed.wait_for(lambda: self.free >= wanted)
@@ -49,10 +49,10 @@ class Turns:
 
 @dataclass
 class Setting:
-    """What all cases share."""
+    """Shared state of all cases."""
 
     root: Path
-    """Of the repository."""
+    """Root of the repository."""
     out: Path
     binary: Path
     seed: int
@@ -61,9 +61,9 @@ class Setting:
     say: Callable[[str], None]
     recipes: list[Recipe] = field(default_factory=list)
     memory: Path = Path()
-    """Folders of cases under way that need no disk: in memory, if there is a place."""
+    """Folders of active cases that need no disk: in memory, if possible."""
     address_space: int = 2 << 30
-    """Bytes that the largest valid command takes."""
+    """Memory of the largest valid command, bytes."""
     resident: int = 256 << 20
 
     @property
@@ -73,7 +73,7 @@ class Setting:
 
     @property
     def work(self) -> Path:
-        """Folders of the cases under way."""
+        """Folders of active cases."""
         return self.out / "work"
 
     @property
@@ -82,7 +82,7 @@ class Setting:
         return Limits(memory=self.address_space + ROOM)
 
     def environment(self) -> dict[str, str]:
-        """Of every process: no settings of the user's, one thread."""
+        """Environment of every process: no user settings, one thread."""
         home = self.out / "home"
         home.mkdir(exist_ok=True)
         return {
@@ -101,7 +101,7 @@ class Stopped(Exception):
 
 
 class Case:
-    """A case: a folder, random numbers of its own, and what happened in it."""
+    """A case: a folder, its random numbers and its events."""
 
     variables = VARIABLES
     over = threading.Event()
@@ -111,7 +111,7 @@ class Case:
         self.seed = setting.seed
         self.random = random.Random(f"{setting.seed}/{attack}/{number}")
         self.label = attack
-        """What it is about, for the name of a finding."""
+        """The subject, for the name of a finding."""
         self.folder = (setting.work if on_disk else setting.memory) / f"{attack}-{number}"
         self.history: list[str] = []
         self.counts: Counter[str] = Counter()
@@ -135,7 +135,7 @@ class Case:
             shutil.rmtree(self.folder)
 
     def start(self, arguments: list[str], limits: Limits | None = None) -> Process:
-        """Starts the program; the caller holds the turns."""
+        """Starts the program; the caller has acquired the slots."""
         if self.over.is_set():
             raise Stopped
         self.history.append("kinegrad " + shlex.join(arguments))
@@ -155,8 +155,8 @@ class Case:
         writes: str | None = None,
         enough: Callable[[float], bool] | None = None,
     ) -> Ended:
-        """Runs the program to its end, or until `enough` says so, and judges that; with exit code 0
-        it must have written `writes`."""
+        """Runs the program to its end, or until `enough` returns True, and judges the end. With
+        exit code 0 it must have written `writes`."""
         with self.setting.turns.taken():
             process = self.start([str(argument) for argument in arguments], limits)
             ended = process.wait(enough=enough)
@@ -166,7 +166,7 @@ class Case:
     def judge(
         self, ended: Ended, allowed: tuple[int, ...] = USUAL, writes: str | None = None
     ) -> None:
-        """Records what is wrong with an end."""
+        """Records the faults of an end."""
         if self.over.is_set():
             raise Stopped
         self.counts["commands"] += 1
@@ -189,7 +189,7 @@ class Case:
             self.setting.say(f"FOUND {name} in {self.attack}/{self.number}: {fault.found}")
 
     def must_be_finite(self, ended: Ended, pattern: str) -> None:
-        """Arrays that were written must hold finite numbers."""
+        """Written arrays must contain finite numbers."""
         for path in sorted(self.folder.glob(pattern)) if ended.code == SUCCESS else []:
             if not finite(path.read_bytes()):
                 found = f"exit code 0, and a number in {path.name} is not finite"
@@ -204,7 +204,7 @@ class Case:
 
 
 def finite(content: bytes) -> bool:
-    """Whether all numbers of an npy file of float32 are finite."""
+    """True if all numbers of an npy file of float32 are finite."""
     start = 10 + int.from_bytes(content[8:10], "little")
     if b"<f4" not in content[:start]:
         return True

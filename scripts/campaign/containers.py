@@ -1,4 +1,4 @@
-"""Damage inside of archives, tensors and checksums, which stay whole around it."""
+"""Damage inside archives, tensors and checksums that stay valid around it."""
 
 import io
 import json
@@ -24,7 +24,7 @@ def mutated_archive(r: random.Random, content: bytes, others: list[bytes]) -> by
     with zipfile.ZipFile(io.BytesIO(content)) as archive:
         members = [(info.filename, archive.read(info)) for info in archive.infolist()]
     place = r.randrange(len(members))
-    # The pickle comes first, and is what decides about the rest.
+    # The pickle is first and describes the rest.
     if r.random() < 0.4:
         named = [n for n, (name, _) in enumerate(members) if name.endswith((".pkl", "version"))]
         place = r.choice(named or [place])
@@ -50,7 +50,7 @@ def mutated_archive(r: random.Random, content: bytes, others: list[bytes]) -> by
 
 
 def mutated_tensors(r: random.Random, content: bytes, others: list[bytes]) -> bytes:
-    """A safetensors file with a damaged header of the right length, or damage of its own."""
+    """A safetensors file with a damaged header of the right length, or other damage."""
     if r.random() < 0.35:
         return mutated(r, content, others)
     size = struct.unpack("<Q", content[:8])[0]

@@ -1,4 +1,4 @@
-"""A dataset that changes between a stop and the resume: refused, or the same run."""
+"""A dataset that changes between stop and resume: refused, or the same run."""
 
 import shutil
 import struct
@@ -124,7 +124,7 @@ def changed(case: Case, data: Path, path: Path, change: str) -> None:
 
 
 def added(data: Path, path: Path) -> None:
-    """Adds an item like one that is there: every path with its name, under another."""
+    """Adds a copy of an item: every path with its name, under another name."""
     named = path.stem if path.parent.parent == data else path.parent.name
     for other in sorted(data.rglob(f"{named}*")):
         target = other.with_name(other.name.replace(named, f"{named}9"))

@@ -1,4 +1,4 @@
-"""Disks that are full, and files that may not grow: no damage, and the run resumes."""
+"""Full disks and limited file sizes: no damage, and the run resumes."""
 
 import contextlib
 import os
@@ -71,12 +71,12 @@ class Disks(RunAttack):
 
 
 def sizes(run: Path) -> list[int]:
-    """Of the files of a run."""
+    """Sizes of the files of a run, bytes."""
     return [path.stat().st_size for path in sorted(run.rglob("*")) if path.is_file()]
 
 
 def can_mount(folder: Path) -> bool:
-    """Whether a file system can be mounted."""
+    """True if a file system can be mounted."""
     if os.geteuid() != 0:
         return False
     try:
@@ -88,7 +88,7 @@ def can_mount(folder: Path) -> bool:
 
 @contextlib.contextmanager
 def small_disk(folder: Path) -> Iterator[Callable[[int], None]]:
-    """A file system of its own in the folder; gives what resizes it."""
+    """Mounts a file system in the folder; yields a function that resizes it."""
     folder.mkdir(parents=True, exist_ok=True)
     subprocess.run(
         ["mount", "-t", "tmpfs", "-o", "size=64m", "campaign", str(folder)],

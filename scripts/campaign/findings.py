@@ -1,4 +1,4 @@
-"""Findings: one folder each with what is needed to see the fault again."""
+"""Findings: one folder each with the files that reproduce the fault."""
 
 import os
 import re
@@ -28,7 +28,7 @@ class Findings:
         self.lock = threading.Lock()
 
     def add(self, case: "object", fault: Fault, ended: Ended | None) -> str | None:
-        """Keeps a finding, if there are not enough of its kind; its name."""
+        """Keeps a finding if few of its kind exist; returns its name."""
         key = (case.attack, fault.kind, fault.signature)
         with self.lock:
             self.counts[key] += 1
@@ -91,12 +91,12 @@ class Findings:
 
     @property
     def total(self) -> int:
-        """How often something was wrong."""
+        """Number of findings."""
         return sum(self.counts.values())
 
 
 def copied(source: Path, target: Path) -> None:
-    """Copies a folder; links stay links, pipes are made again, what is too large is left out."""
+    """Copies a folder; links stay links, pipes are created again, large files are omitted."""
     target.mkdir(parents=True, exist_ok=True)
     room = LARGEST_INPUT
     for path in sorted(source.rglob("*")):

@@ -1,4 +1,4 @@
-"""Damage to the files of a run: noticed, and never in the weights."""
+"""Damage to the files of a run: detected, and never in the weights."""
 
 import shutil
 from pathlib import Path
@@ -12,7 +12,7 @@ KINDS = ["bit", "bit", "bit", "cut", "zeros", "removed", "empty", "longer"]
 NOT_NEEDED = [
     "metrics.jsonl", "loader.jsonl", "environment.jsonl", "events.out.tfevents.kinegrad", "best.json", "lock",
 ]
-"""Files of a run without which it goes on."""
+"""Files of a run that a resume does not need."""
 
 
 class Flips(RunAttack):

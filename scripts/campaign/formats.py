@@ -19,12 +19,12 @@ Damage = Callable[[random.Random, bytes, list[bytes]], bytes]
 
 ONE_STEP = ["--steps", "1", "--out", "out", "--overwrite"]
 RUN = "{run}"
-"""Stands for the run of a recipe, in a command that is tried with each."""
+"""Placeholder for the run of a recipe, in a command that is tried with each."""
 
 
 @dataclass
 class Format:
-    """One kind of file, in the place where the program reads it."""
+    """One kind of file, at the path where the program reads it."""
 
     name: str
     file: str
@@ -33,9 +33,9 @@ class Format:
     damage: Damage
     commands: list[list[str]]
     staged: Path | None = None
-    """What must lie beside it, copied into the folder."""
+    """Files that must be next to it, copied into the folder."""
     sealed: Callable[[Path], None] | None = None
-    """Makes the checksums right again."""
+    """Restores valid checksums."""
 
     def stage(self, folder: Path) -> None:
         """Fills the folder of a case, but for the file."""
@@ -52,7 +52,7 @@ class Format:
 
 WRITES = {"sample": "out*.npy", "plot": "out.svg", "import": "out", "audio": "out", "merge": "out",
           "match": "out.bvh"}
-"""By command, what it has written when it exits with 0."""
+"""Output files of each command with exit code 0."""
 
 
 class Formats:
@@ -66,7 +66,7 @@ class Formats:
         self.missing: list[str] = []
 
     def all(self) -> list[Format]:
-        """Those that can be attacked; the rest are told of."""
+        """Formats that can be attacked; the others are reported."""
         kept = []
         for form in [*self.captures(), *self.songs(), *self.arrays(), *self.weights(),
                      *self.datasets(), *self.of_runs(), *self.settings()]:
@@ -97,7 +97,7 @@ class Formats:
             (folder / f"{index}{Path(form.file).suffix}").write_bytes(content)
 
     def takes(self, form: Format, command: list[str]) -> bool:
-        """Whether the program takes one of the valid files."""
+        """True if the program accepts one of the valid files."""
         for content in form.seeds:
             folder = self.setting.memory / "valid"
             shutil.rmtree(folder, ignore_errors=True)
@@ -115,7 +115,7 @@ class Formats:
         return False
 
     def staged(self, name: str, files: dict[str, bytes]) -> Path:
-        """A folder of files to lie beside a damaged one."""
+        """A folder of files that accompany a damaged one."""
         folder = self.staging / name
         for path, content in files.items():
             (folder / path).parent.mkdir(parents=True, exist_ok=True)
@@ -123,7 +123,7 @@ class Formats:
         return folder
 
     def captures(self) -> Iterator[Format]:
-        """What `data prepare` reads."""
+        """Inputs of `data prepare`."""
         prepare = [["data", "prepare", "plan.toml"]]
         markers = [seeds.c3d(kind, scale, 72, analog) for kind, scale, analog in [
             (84, -0.1, 0), (84, 0.1, 3), (85, -0.1, 0), (86, -0.1, 0), (86, 0.1, 2)]]
@@ -163,7 +163,7 @@ class Formats:
             yield Format(f"dances {name}", name, [content], mutated_text, prepare, staged)
 
     def songs(self) -> Iterator[Format]:
-        """What `audio features` reads."""
+        """Inputs of `audio features`."""
         tones = self.fixtures / "audio"
         golden = self.fixtures / "golden/audio"
         waves = [seeds.wav(*form) for form in [
@@ -196,7 +196,7 @@ class Formats:
         yield Format("features npz", "cond.npz", features, mutated_archive, [command])
 
     def weights(self) -> Iterator[Format]:
-        """What `import` reads, and text embeddings."""
+        """Inputs of `import`, and text embeddings."""
         files = [path.read_bytes() for path in sorted((self.fixtures / "gmd").glob("*.pt"))]
         ones = seeds.npy((263,), [1.0] * 263)
         staged = self.staged("import", {"m.npy": ones, "s.npy": ones})
@@ -244,7 +244,7 @@ class Formats:
         yield from self.statistics_of_walks(made / "walks", listed)
 
     def statistics_of_walks(self, walks: Path, listed: list[list[str]]) -> Iterator[Format]:
-        """Statistics beside a dataset."""
+        """Statistics of a dataset."""
         ones = seeds.npy((263,), [1.0] * 263)
         staged = self.staging / "walks Mean"
         shutil.copytree(walks, staged / "set", dirs_exist_ok=True)
@@ -345,7 +345,7 @@ def archive(arrays: dict[str, bytes]) -> bytes:
 
 
 def seal_state(checkpoint: Path) -> None:
-    """Seals what `state.json` holds."""
+    """Updates the checksums of `state.json`."""
     body = (checkpoint / "state.json").read_bytes().decode(errors="replace")
     (checkpoint / "state.json").write_text(sealed(body))
 

@@ -1,4 +1,4 @@
-"""What is wrong with the way a process ended, whatever it was given."""
+"""Faults in the end of a process, for any input."""
 
 import re
 import signal
@@ -20,7 +20,7 @@ class Fault:
     kind: str
     """panic, abort, crash, hang, memory, exit code, no sentence, wrong bytes, lost run, ..."""
     signature: str
-    """Equal for what is likely the same fault."""
+    """Key that is equal for probably equal faults."""
     found: str
     expected: str
 
@@ -28,15 +28,15 @@ class Fault:
 def judged(
     ended: Ended, label: str, allowed: tuple[int, ...], most_memory: int
 ) -> list[Fault]:
-    """The faults of a process that may exit with the `allowed` codes; `label` says what it was
-    given."""
+    """The faults of a process that may exit with the `allowed` codes; `label` describes its
+    input."""
     faults = []
     name = f"{ended.arguments[0]}, {label}"
     lines = [line for line in ended.stderr.splitlines() if ALLOCATION.search(line)]
     if lines:
         faults.append(Fault("allocation", name, lines[0], "memory within bounds"))
     elif place := LOCATION.search(ended.stderr) or PANIC.search(ended.stderr):
-        # A place in the standard library says little about the fault.
+        # A location in the standard library does not identify the fault.
         where = f"{place[1]}, {label}" if "/rustc/" in place[1] else place[1]
         faults.append(Fault("panic", where, f"a panic at {place[1]}", "no panic"))
     if ended.hang and ended.limits.much and ended.hang.startswith(WORKING):
@@ -52,7 +52,7 @@ def judged(
 
 
 def faults_of_code(ended: Ended, allowed: tuple[int, ...]) -> list[Fault]:
-    """What is wrong with the exit code, and with what was said about it."""
+    """Faults of the exit code and of its message."""
     signed = " ".join(ended.arguments[:1]) + ": " + pattern(ended)
     expected = "exit code " + " or ".join(map(str, allowed))
     if ended.code < 0:
@@ -64,7 +64,7 @@ def faults_of_code(ended: Ended, allowed: tuple[int, ...]) -> list[Fault]:
     if ended.code not in allowed:
         kind = "exit code" if ended.code in DOCUMENTED else "undocumented exit code"
         return [Fault(kind, f"{ended.code} {signed}", f"exit code {ended.code}", expected)]
-    # `check` tells what failed on standard output.
+    # `check` reports failures on standard output.
     silent = "error: " not in ended.stderr and (ended.code == INVALID or not ended.stdout.strip())
     if ended.code in (FAILED, INVALID) and silent:
         found = f"exit code {ended.code} without a sentence"
@@ -73,7 +73,7 @@ def faults_of_code(ended: Ended, allowed: tuple[int, ...]) -> list[Fault]:
 
 
 def last_line(text: str) -> str:
-    """The last line that says something."""
+    """The last nonempty line."""
     lines = [line for line in text.strip().splitlines() if line.strip()]
     return lines[-1].strip() if lines else ""
 

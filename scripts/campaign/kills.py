@@ -1,4 +1,4 @@
-"""Runs that are killed again and again end like one that never stopped."""
+"""Runs that are killed repeatedly end like an uninterrupted run."""
 
 import contextlib
 import os
@@ -12,7 +12,7 @@ from recipes import Recipe
 from runs import checkpoints
 
 KILLS = 8
-"""A run is let go after so many."""
+"""Number of kills after which a run may end."""
 ATTEMPTS = 40
 
 
@@ -75,7 +75,7 @@ class Kills(RunAttack):
 
 
 def writes(folder: os.PathLike[str]) -> bool:
-    """Whether something is being written in a run of the folder."""
+    """True if a run of the folder is writing a checkpoint."""
     for run in ("small", "small/base", "small/decoder"):
         with contextlib.suppress(OSError):
             names = os.listdir(f"{folder}/runs/{run}/checkpoints")

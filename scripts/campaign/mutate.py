@@ -18,7 +18,7 @@ MOST_BYTES = 1 << 20
 
 
 def place_in(r: random.Random, content: bytes) -> int:
-    """A place, often near the beginning or the end, where formats keep their counts."""
+    """A position, often near the start or the end, where formats have their counts."""
     size = len(content)
     if size == 0:
         return 0
@@ -88,7 +88,7 @@ def delete(r: random.Random, content: bytearray, _: list[bytes]) -> None:
 
 
 def double(r: random.Random, content: bytearray, _: list[bytes]) -> None:
-    """A block is there twice, or many times."""
+    """Repeats a block."""
     place = place_in(r, content)
     block = content[place:place + r.choice([1, 4, 16, 64, 512])]
     content[place:place] = block * r.choice([1, 1, 1, 2, 100, 2000])
@@ -134,7 +134,7 @@ def number(r: random.Random, content: bytes, _: list[bytes]) -> bytes:
     found = list(NUMBER.finditer(content))
     if not found:
         return content
-    # Headers hold what counts: favour the first numbers.
+    # Headers contain the sizes: favour the first numbers.
     one = r.choice(found[:12]) if r.random() < 0.4 else r.choice(found)
     return content[:one.start()] + r.choice(NUMBERS).encode() + content[one.end():]
 

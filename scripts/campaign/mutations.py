@@ -1,4 +1,4 @@
-"""Damaged files of every format, and things that are no files at all."""
+"""Damaged files of every format, and paths that are no regular files."""
 
 import os
 import random
@@ -10,10 +10,10 @@ from process import Limits
 
 SPECIAL = ["empty", "folder", "pipe", "zeros without end", "noise without end", "5 GiB", "dangling"]
 EVERY = 60
-"""Of so many cases one is special, until all have been."""
+"""One case in this many is special, until all have been used."""
 SPARSE_BYTES = 5 << 30
 SHARES = {"checkpoint": 0.4, "ids": 0.2, "capture": 1.6, "c3d": 1.5, "metrics.jsonl": 0.6}
-"""How often a format is taken, where that is not once: what is slow less often."""
+"""Weight of a format, if not 1: slow ones are less frequent."""
 
 
 class Mutations(Attack):
@@ -27,7 +27,7 @@ class Mutations(Attack):
         formats = Formats(setting)
         self.formats = formats.all()
         self.left_out = formats.missing
-        """Formats of which no command takes a valid file."""
+        """Formats without a command that accepts a valid file."""
         self.shares = [SHARES.get(form.name.split()[0], 1.0) for form in self.formats]
         self.special = [
             (form, kind, command) for form in self.formats for kind in SPECIAL
@@ -36,7 +36,7 @@ class Mutations(Attack):
         random.Random(f"{setting.seed}/special").shuffle(self.special)
 
     def attack(self, case: Case) -> None:
-        """Gives the program one file."""
+        """Runs the program with one file."""
         limits = Limits(cpu=20, wall=6, memory=self.setting.bounded.memory)
         turn, rest = divmod(case.number, EVERY)
         if rest == EVERY - 1 and turn < len(self.special):
@@ -68,7 +68,7 @@ class Mutations(Attack):
 
 
 def put_special(case: Case, form: Format, kind: str) -> None:
-    """Puts something that is no file of the format in its place."""
+    """Replaces the file by something that is no regular file of the format."""
     path = case.folder / form.file
     path.unlink(missing_ok=True)
     if kind == "empty":

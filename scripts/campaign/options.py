@@ -1,4 +1,4 @@
-"""Every option of every command, with every value, alone; what is required has a valid value."""
+"""Every option of every command with every value, alone; required options have valid values."""
 
 import random
 import re
@@ -14,8 +14,8 @@ from values import LONG, WORDS
 OPTION = re.compile(r"^ +(?:-\w, )?(--[\w-]+)(?: <([^>]*)>)?", re.MULTILINE)
 USAGE = re.compile(r"^Usage: kinegrad (.*)$", re.MULTILINE)
 REQUIRED = re.compile(r"(--[\w-]+) <([^>]*)>|<([^>]*)>|\[(CONFIG)\]")
-"""What stands in a usage and is given a valid value: `train` can do without its config, which would
-say the same of every option."""
+"""Placeholders of a usage that get a valid value. `train` also runs without its config, but then
+every option has the same error."""
 LONG_ENOUGH = 3.0
 MANY_FILES = 400
 
@@ -30,7 +30,7 @@ class Options(Attack):
         super().__init__(setting)
         program = Program(setting.binary, setting.out, setting.environment())
         self.units: list[tuple[str, list[str]]] = []
-        """What is tried, and the command line."""
+        """The tried option, and the command line."""
         for command, help_text in program.commands():
             usage = USAGE.search(help_text)
             if not usage:
@@ -51,7 +51,7 @@ class Options(Attack):
         random.Random(f"{setting.seed}/{self.name}").shuffle(self.units)
 
     def required(self, usage: str, recipe: str) -> list[str]:
-        """Valid values of what a command requires."""
+        """Valid values of a command's required arguments."""
         words = []
         for option, name, place, config in REQUIRED.findall(usage.replace("...", "")):
             if option:
@@ -93,5 +93,5 @@ def valid(name: str, recipe: str, output: bool) -> str:
 
 
 def many_files(folder: Path) -> bool:
-    """Whether a command is writing file after file."""
+    """True if a command keeps writing files."""
     return sum(1 for path in folder.rglob("*") if path.is_file()) > MANY_FILES

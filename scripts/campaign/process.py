@@ -1,4 +1,4 @@
-"""One child process: started in a group of its own, watched, limited, and always ended."""
+"""One child process: started in its own group, watched, limited, and always ended."""
 
 import contextlib
 import os
@@ -23,28 +23,28 @@ MOST_OUTPUT = 1 << 20
 CLOCK_TICKS = os.sysconf("SC_CLK_TCK")
 
 alive: set[int] = set()
-"""Groups of all processes that run, for the end of the campaign."""
+"""Groups of all running processes, for the end of the campaign."""
 _alive_lock = threading.Lock()
 
 
 @dataclass(frozen=True)
 class Limits:
-    """What a process may use."""
+    """Limits of a process."""
 
     cpu: float = 20.0
     """Seconds of work after which it hangs."""
     wall: float = 20.0
     """Seconds that it may sleep, all threads together, after which it hangs."""
     much: bool = False
-    """Whether it was asked for so much that work for as long as it may is no fault."""
+    """True if the request is so large that running until the limit is no fault."""
     memory: int | None = None
     """Bytes of address space."""
     file_size: int | None = None
     """Bytes of the largest file it may write."""
     file_size_signal: bool = False
-    """Whether a write beyond that kills it; otherwise the write fails."""
+    """True if a write beyond that kills it; otherwise the write fails."""
     def command(self) -> list[str]:
-        """What starts a program under these limits: they hold from its first instruction on."""
+        """The launcher of a program under these limits, which apply from its first instruction."""
         given = {"as": self.memory, "fsize": self.file_size, "core": 0}
         options = [f"--{name}={size}" for name, size in given.items() if size is not None]
         return ["prlimit", *options, "--"]
@@ -52,7 +52,7 @@ class Limits:
 
 @dataclass
 class Ended:
-    """How a process ended."""
+    """The end of a process."""
 
     arguments: list[str]
     code: int
@@ -62,11 +62,11 @@ class Ended:
     seconds: float
     cpu: float
     peak: int
-    """Bytes of the largest resident set."""
+    """Peak resident set, bytes."""
     hang: str | None
     """Why it was ended for hanging."""
     killed: bool
-    """Whether the campaign sent it a signal."""
+    """True if the campaign sent it a signal."""
     limits: Limits = field(default_factory=Limits)
     peak_address_space: int = 0
 
@@ -116,12 +116,12 @@ class Process:
                 os.kill(self.pid, number)
 
     def end(self) -> None:
-        """Ends the whole group."""
+        """Ends the process group."""
         with contextlib.suppress(ProcessLookupError, PermissionError):
             os.killpg(self.pid, signal.SIGKILL)
 
     def ended(self) -> bool:
-        """Whether it has ended by now."""
+        """True if it has ended."""
         if self._status is None:
             # Looks first: until it is waited for, its number is no other group's.
             if os.waitid(os.P_PID, self.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT):
@@ -135,8 +135,8 @@ class Process:
         enough: Callable[[float], bool] | None = None,
         tick: float = TICK,
     ) -> Ended:
-        """Waits until it ends or hangs, or `enough`, asked every `tick` with its seconds of work,
-        says so."""
+        """Waits until it ends or hangs, or until `enough`, called every `tick` with its seconds of
+        work, returns True."""
         poll = select.poll()
         handle = os.pidfd_open(self.pid) if self._status is None else None
         if handle is not None:
@@ -227,7 +227,7 @@ class Process:
                     self.peak_address_space = 1024 * int(line.split()[1])
 
     def _drain(self, number: int) -> bool:
-        """Reads what is in a pipe; whether there was anything."""
+        """Reads a pipe; returns True if it had data."""
         some = False
         try:
             # A program that writes without an end must not keep its watcher.

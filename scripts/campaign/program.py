@@ -1,4 +1,4 @@
-"""What the program says of itself: its recipes, kinds, keys and options."""
+"""The program's recipes, kinds, keys and options, read from its own output."""
 
 import re
 import tomllib
@@ -8,13 +8,13 @@ from pathlib import Path
 from process import Ended, Limits, Process
 
 NOTHING = "zzz"
-"""No key and no value of the program's."""
+"""A string that is no key and no value of the program."""
 AMONG = re.compile(r"is not among ([^\n]*)")
 ALLOWED = re.compile(r"unknown key [^\n]*allowed: ([^\n]*)")
 
 
 class Program:
-    """The program as asked before the attacks."""
+    """The program's description, read before the attacks."""
 
     def __init__(self, binary: Path, folder: Path, environment: dict[str, str]) -> None:
         self.binary, self.folder, self.environment = binary, folder, environment

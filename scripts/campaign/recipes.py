@@ -1,7 +1,7 @@
 """A config for each recipe of the program that trains in a fraction of a second.
 
-The recipes are those the program names. A config comes from one that is shipped in `configs`, on
-synthetic data, made as small as the program accepts.
+The recipes are those that the program names. A config is one of `configs` on synthetic data, made as
+small as the program accepts.
 """
 
 import re
@@ -19,7 +19,7 @@ SMALL = [
     "validation.draws=1", "sampling.sampler.num_inference_steps=3", "rollout.steps=2",
     "init.pretrain.diffusion_steps=3", "init.pretrain.decoder_steps=3",
 ]
-"""Settings of the loop; a recipe without one of these keys goes without it."""
+"""Settings of the loop; a recipe ignores keys that it lacks."""
 LENGTH = [
     "train.max_steps=12", "checkpoint.every_steps=2", "checkpoint.keep_last=2",
     "validation.every_steps=4", "sampling.count_at_end=1",
@@ -50,7 +50,7 @@ class Recipe:
     """That it took."""
     shown: dict[str, object]
     generates: bool
-    """Whether its runs can be sampled; others can only be evaluated."""
+    """True if its runs can be sampled; others can only be evaluated."""
 
     def use(self, run: object, out: str = "sample") -> list[str]:
         """The shortest command that uses the weights of a run; samples are called `out`."""
@@ -68,7 +68,7 @@ def recipes_of(program: Program, configs: Path, shared: Path) -> tuple[list[Reci
     shipped = [path for path in sorted(configs.glob("*.toml")) if is_config(program, path, kinds)]
     done: list[Recipe] = []
     waiting = list(names)
-    # A recipe that starts from another's run comes after that one.
+    # A recipe that is initialised from another's run comes after it.
     while waiting:
         before = len(done)
         for name in list(waiting):
@@ -81,7 +81,7 @@ def recipes_of(program: Program, configs: Path, shared: Path) -> tuple[list[Reci
 
 
 def is_config(program: Program, path: Path, kinds: list[str]) -> bool:
-    """Whether a file is a config to train with."""
+    """True if a file is a training config."""
     return any(program.show(path, [f"data.kind={kind}"]).code == 0 for kind in kinds)
 
 
@@ -119,7 +119,7 @@ def small_recipe(
 
 
 def parameters(shown: str) -> int:
-    """How many a network has, of what `config show` prints."""
+    """Number of a network's parameters, from `config show`."""
     numbers = PARAMETERS.findall(shown)
     return sum(int(number.replace(",", "")) for number in numbers) if numbers else 1 << 60
 
@@ -127,7 +127,7 @@ def parameters(shown: str) -> int:
 def with_accepted(
     program: Program, base: Path, settings: list[str], more: list[str]
 ) -> list[str]:
-    """The settings, with each of `more` that the program takes beside them."""
+    """The settings, with each of `more` that the program accepts in addition."""
     for setting in more:
         if program.show(base, [*settings, setting]).code == 0:
             settings = [*settings, setting]
@@ -135,8 +135,8 @@ def with_accepted(
 
 
 def shrunk(program: Program, base: Path, settings: list[str], networks: bool) -> list[str]:
-    """The settings, with those that make the run small; with `networks`, each number of a network
-    is the least that lessens the number of parameters."""
+    """The settings, with those that make the run small. With `networks`, each size of a network is
+    the smallest that reduces the number of parameters."""
     settings = with_accepted(program, base, settings, SMALL)
     if not networks:
         return settings
@@ -162,7 +162,7 @@ def shrunk(program: Program, base: Path, settings: list[str], networks: bool) ->
 def starts(
     program: Program, base: Path, settings: list[str], done: list[Recipe]
 ) -> list[list[str]]:
-    """What a run may start from: nothing, or the run of another recipe."""
+    """The possible initialisations of a run: none, or the run of another recipe."""
     shown = parsed(program.show(base, settings).stdout)
     empty = [key for key, value in leaves(shown) if key.startswith("init.") and value == ""]
     others = [[f"{key}={recipe.reference}"] for key in empty for recipe in done]
@@ -170,10 +170,10 @@ def starts(
 
 
 def trains(program: Program, folder: Path, config: Path) -> tuple[Path, float] | None:
-    """The run that a config gives, and the seconds it takes."""
+    """The run of a config, and its seconds."""
     runs = folder / "runs"
     shutil.rmtree(runs, ignore_errors=True)
-    # A run's nested runs hold its path, which must be the cases' own: `runs/small`.
+    # A run's nested runs contain its path, which must be that of the cases: `runs/small`.
     trainer = Program(program.binary, folder, program.environment)
     ended = trainer.run("train", config, "--runs-dir", "runs", watch=True)
     if ended.code != 0:

@@ -1,4 +1,4 @@
-"""Two processes on one run: one does the work, the other is refused or only reads."""
+"""Two processes on one run: one works, the other is refused or only reads."""
 
 import time
 
@@ -51,7 +51,7 @@ class Rivals(RunAttack):
             self.complete(case, recipe)
 
     def command(self, recipe: Recipe, what: str) -> list[str]:
-        """One of a pair."""
+        """One process of a pair."""
         if what == "sample":
             return recipe.use("runs/small")
         if what == "plot":

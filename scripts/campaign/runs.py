@@ -1,13 +1,13 @@
-"""Runs on disk: whether their checkpoints are whole, and whether two are the same."""
+"""Runs on disk: integrity of their checkpoints, and equality of two runs."""
 
 import hashlib
 import json
 from pathlib import Path
 
 CLOCK = ("time", "elapsed_seconds", "steps_per_second")
-"""What the clock writes into metrics (docs/training.md)."""
+"""Time values in metrics (docs/training.md)."""
 OF_THE_CLOCK = ("environment.jsonl", "loader.jsonl", "lock")
-"""Files that hold times, or nothing."""
+"""Files that contain times, or nothing."""
 SEAL = ',\n  "state_sha256": "'
 UNFINISHED = ".writing-"
 
@@ -18,7 +18,7 @@ def checkpoints(run: Path) -> list[Path]:
 
 
 def damage(checkpoint: Path) -> str | None:
-    """What is wrong with a checkpoint; none if it is whole."""
+    """The faults of a checkpoint; none if it is valid."""
     try:
         text = (checkpoint / "state.json").read_text()
         body = text[:text.rfind(SEAL)]
@@ -51,7 +51,7 @@ def resealed(checkpoint: Path, body: str | None = None) -> None:
 
 
 def damaged_checkpoints(runs: Path) -> list[str]:
-    """Those under a final name in all runs of a folder that are not whole."""
+    """Invalid checkpoints under a final name in all runs of a folder."""
     faults = []
     for state in sorted(runs.rglob("checkpoints/step-*")):
         if state.is_dir() and (reason := damage(state)):
@@ -60,7 +60,7 @@ def damaged_checkpoints(runs: Path) -> list[str]:
 
 
 def leftovers(runs: Path) -> list[str]:
-    """What was being written and never finished."""
+    """Partial files."""
     return [str(path.relative_to(runs)) for path in sorted(runs.rglob(f"{UNFINISHED}*"))]
 
 
@@ -77,7 +77,7 @@ def contents(run: Path) -> dict[str, bytes]:
 
 
 def without_clock(metrics: bytes) -> bytes:
-    """Metrics less what the clock wrote."""
+    """Metrics without times."""
     lines = []
     for line in metrics.splitlines():
         try:
@@ -89,7 +89,7 @@ def without_clock(metrics: bytes) -> bytes:
 
 
 def differences(run: Path, reference: dict[str, bytes]) -> list[str]:
-    """How a run differs from the contents of another."""
+    """The differences of a run from the contents of another."""
     mine = contents(run)
     missing = [f"{name} is missing" for name in reference if name not in mine]
     more = [f"{name} should not be there" for name in mine if name not in reference]
@@ -98,7 +98,7 @@ def differences(run: Path, reference: dict[str, bytes]) -> list[str]:
 
 
 def last_differs(run: Path, reference: Path) -> list[str]:
-    """How the last checkpoint of a run differs from that of another."""
+    """The differences of the last checkpoint of a run from that of another."""
     mine, others = checkpoints(run), checkpoints(reference)
     if not mine or mine[-1].name != others[-1].name:
         return [f"the last checkpoint is {mine[-1].name if mine else 'missing'}"]
@@ -106,7 +106,7 @@ def last_differs(run: Path, reference: Path) -> list[str]:
 
 
 def steps_logged(run: Path) -> int:
-    """How many lines of metrics there are."""
+    """Number of lines of metrics."""
     try:
         return (run / "metrics.jsonl").read_bytes().count(b"\n")
     except OSError:

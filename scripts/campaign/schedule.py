@@ -1,4 +1,4 @@
-"""Shares the time among the attacks: each worker takes a case of the attack that is most behind."""
+"""Shares the time among the attacks: each worker takes a case of the most delayed attack."""
 
 import threading
 import time
@@ -11,11 +11,11 @@ from case import Case, Setting, Stopped
 from process import end_all
 
 AFTER = 5.0
-"""Seconds that the cases under way have at the end."""
+"""Seconds for active cases at the end."""
 
 
 class Progress:
-    """What has been done of an attack."""
+    """The progress of an attack."""
 
     def __init__(self, attack: Attack) -> None:
         self.attack, self.total = attack, attack.total()
@@ -27,7 +27,7 @@ class Progress:
 
     @property
     def waiting(self) -> bool:
-        """Whether there are cases left."""
+        """True if there are cases left."""
         return self.total is None or self.started < self.total
 
     def record(self) -> dict[str, object]:
@@ -46,7 +46,7 @@ class Progress:
 
 
 class Schedule:
-    """All attacks, for so many seconds on so many workers."""
+    """All attacks, for a time on a number of workers."""
 
     def __init__(
         self, setting: Setting, attacks: list[Attack], jobs: int, say: Callable[[str], None]
@@ -81,7 +81,7 @@ class Schedule:
                 self.stop(workers)
 
     def stop(self, workers: list[threading.Thread]) -> None:
-        """Ends what is under way."""
+        """Ends active cases."""
         Case.over.set()
         end_all()
         for worker in workers:
@@ -129,7 +129,7 @@ class Schedule:
             progress.slowest = max(progress.slowest, case.slowest)
 
     def line(self) -> str:
-        """Where the campaign stands."""
+        """The progress of the campaign."""
         parts = [
             f"{p.attack.name} {p.done}" + (f" of {p.total}" if p.total is not None else "")
             for p in self.progress

@@ -1,4 +1,4 @@
-"""Small valid files of the formats that no command of the program writes."""
+"""Small valid files of the formats that the program does not write."""
 
 import io
 import math
@@ -114,7 +114,7 @@ def npy(
 
 
 def phrase(frames: int) -> list[float]:
-    """Motion at rest: the identity rotation, all else zero."""
+    """Motion at rest: the identity rotation, other channels zero."""
     row = [0.0] * 25
     row[1], row[9] = 1.0, 1.0
     return row * frames

@@ -41,7 +41,7 @@ class Signals(RunAttack):
             case.judge(ended)
             case.counts["signals"] += 1
             self.sound(case, ended)
-            # Before it does and says anything, it has no answer to signals.
+            # Before its first output, it has no signal handler.
             silent = not ended.stderr.strip() and not ended.stdout.strip()
             unready = silent and ended.code in [-number for number in NUMBERS]
             if ended.killed and ended.code not in (INTERRUPTED, SUCCESS) and not unready:
@@ -54,7 +54,7 @@ class Signals(RunAttack):
             if alone and not checkpoints(case.folder / "runs/small"):
                 case.wrong("no checkpoint", number.name, "no checkpoint", "a checkpoint", ended)
             if ended.code == SUCCESS:
-                # It says that it had ended.
+                # It reports that it had ended.
                 self.compare(case, recipe, ended, exact=False)
                 return
         self.complete(case, recipe, exact=False)

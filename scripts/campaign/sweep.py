@@ -1,4 +1,4 @@
-"""The whole sweep: every key of every recipe with every value, shown, trained, resumed, sampled."""
+"""The sweep: every key of every recipe with every value, shown, trained, resumed, sampled."""
 
 import random
 import re
@@ -14,13 +14,13 @@ from runs import steps_logged
 from values import LONG, VALUES, WORDS_OF_SETTINGS
 
 LONG_ENOUGH = 2.0
-"""Seconds of work after which a run that makes progress is let be."""
+"""Seconds of work after which a run that makes progress is accepted."""
 KNOWN_ENOUGH = 4.0
 """Seconds of work of a setting that hung twice."""
 MUCH = 4000
-"""A number above this may ask for more work than there is time for."""
+"""A number above this may require more work than the time allows."""
 MUCH_ENOUGH = 6.0
-"""Seconds of work that such a run has, to show that it does not break at once."""
+"""Seconds of work of such a run, which shows that it does not fail at once."""
 
 
 # Settings such as a learning rate of 1e9 make weights whose samples overflow. That is documented to
@@ -103,7 +103,7 @@ class Sweep(Attack):
     def after(
         self, case: Case, recipe: Recipe, key: str, train: list[str], limits: Limits
     ) -> None:
-        """What a run that ended well must allow."""
+        """The requirements on a run that ended with 0."""
         runs = [path for path in (case.folder / "runs").glob("*") if path.is_dir()]
         if not runs:
             found = "exit code 0, and no run in the folder of runs"
@@ -122,7 +122,7 @@ class Sweep(Attack):
         case.must_be_finite(used, "sample*.npy")
 
     def must(self, case: Case, key: str, what: str, ended: Ended) -> None:
-        """Records what ended with another exit code than 0."""
+        """Records an exit code other than 0."""
         if what == "sample" and ended.code == FAILED and OVERFLOWED in ended.stderr:
             case.counts["samples overflowed"] += 1
             return
@@ -133,7 +133,7 @@ class Sweep(Attack):
 
 
 class Progress:
-    """Whether a training goes on."""
+    """True if a training makes progress."""
 
     def __init__(self, folder: Path, most: float) -> None:
         self.folder, self.most = folder, most
@@ -141,9 +141,9 @@ class Progress:
         """Seconds of work when the first step was seen."""
 
     def is_enough(self, cpu: float) -> bool:
-        """Whether it has worked for long enough and goes on: it made a second step, or its steps
-        are so long that none would fit into its time."""
-        # Of a run or of the longest of its stages. Checkpoints come and go: nothing looks into them.
+        """True if it has worked for long enough and makes progress: it made a second step, or its
+        steps are longer than its time."""
+        # Of a run or of its longest stage. Checkpoints are not read, because they are replaced.
         runs = self.folder / "runs"
         logs = [*runs.glob("*/metrics.jsonl"), *runs.glob("*/*/metrics.jsonl")]
         steps = max((steps_logged(log.parent) for log in logs), default=0)
@@ -160,7 +160,7 @@ class Combinations(Sweep):
     weight = 3
 
     def total(self) -> int | None:
-        """As many as there is time for."""
+        """Limited by time only."""
         return None
 
     def attack(self, case: Case) -> None:
@@ -173,7 +173,7 @@ class Combinations(Sweep):
 
 
 def asks_much(setting: str) -> bool:
-    """Whether a setting is a large number."""
+    """True if a setting is a large number."""
     try:
         return float(setting.partition("=")[2]) > MUCH
     except ValueError:

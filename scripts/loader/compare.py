@@ -3,7 +3,7 @@
 
     scripts/loader/run [--rounds N] [--seconds S] [--phrases N] [--workers 0,1,2,4]
 
-Both sides of a row stay open and are measured in turn. The sums of an epoch must agree.
+Both processes of a row stay open and are measured in turn. The sums of an epoch must agree.
 """
 
 import argparse
@@ -75,7 +75,7 @@ def deflate(folder: Path) -> None:
 
 
 def row(args: argparse.Namespace, folder: str, kind: str, workers: int, cached: bool) -> float:
-    """Prints a row; gives its ratio."""
+    """Prints a row; returns its ratio."""
     memory = "1024" if cached else "0"
     epochs = str(WARM_UP_EPOCHS_PER_WORKER * max(workers, 1) if cached else 1)
     ours = [args.worker, "measure", folder, str(workers), memory, epochs]

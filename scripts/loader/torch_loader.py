@@ -1,10 +1,9 @@
-"""PyTorch's side of `scripts/loader/run`: a `DataLoader` over the phrases of a folder.
+"""PyTorch's process of `scripts/loader/run`: a `DataLoader` over the phrases of a folder.
 
     torch_loader.py FOLDER WORKERS CACHED WARM_UP_EPOCHS
 
-Loads as CC-MotionGen, section 6.1, does (docs/sources.md, section 1.1), with the normalisation of
-motion that kinegrad does. Answers are those of kinegrad's side,
-`crates/data/examples/loader_speed.rs`.
+Loads like CC-MotionGen, section 6.1 (docs/sources.md, section 1.1), with kinegrad's normalisation of
+motion. Answers are those of kinegrad's process, `crates/data/examples/loader_speed.rs`.
 """
 
 import json
@@ -22,7 +21,7 @@ BATCH_SIZE = 32
 FRAMES = 120
 FEATURES = ("mel", "chroma", "mfcc", "rms", "spectral_centroid", "onset_strength")
 ENDLESS = 10**12
-"""Samples: more than any measurement draws."""
+"""Number of samples: more than any measurement uses."""
 
 
 class Phrases(Dataset[tuple[Tensor, Tensor]]):
@@ -36,7 +35,7 @@ class Phrases(Dataset[tuple[Tensor, Tensor]]):
         self.ids = sorted(path.name for path in (folder / "motion").iterdir())
         self.cached = cached
         self.cache: dict[int, tuple[Tensor, Tensor]] = {}
-        """Each worker process has one of its own."""
+        """Each worker process has its own."""
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -61,15 +60,15 @@ class Phrases(Dataset[tuple[Tensor, Tensor]]):
 
 
 def batches(phrases: Phrases, workers: int) -> Iterator[tuple[Tensor, Tensor]]:
-    """Batches without end. The sampler is that of `shuffle=True`, one permutation after another,
-    without the pause that `DataLoader` makes after each."""
+    """Endless batches. The sampler is that of `shuffle=True`, one permutation after another,
+    without `DataLoader`'s pause after each."""
     sampler = RandomSampler(phrases, num_samples=ENDLESS)
     loader = DataLoader(phrases, batch_size=BATCH_SIZE, sampler=sampler, num_workers=workers)
     return iter(loader)
 
 
 def main() -> None:
-    """Measures whenever it is told to."""
+    """Measures on request."""
     folder, workers, cached, epochs = Path(sys.argv[1]), *map(int, sys.argv[2:])
     phrases = Phrases(folder, bool(cached))
     stream = batches(phrases, workers)
@@ -84,7 +83,7 @@ def main() -> None:
         next(stream)
     for line in sys.stdin:
         seconds = float(line)
-        # What was made ahead while nobody waited does not count.
+        # Batches that were prepared in advance do not count.
         for _ in range(2 * workers + 1):
             next(stream)
         start, samples = time.perf_counter(), 0

@@ -3,10 +3,10 @@
 
     python3 scripts/peer/check_gmd.py GOLDEN_DIR
 
-GOLDEN_DIR holds `unet_motion_tiny`, `unet_traj_tiny`, `unet_traj_xxs_plain_tiny`, `mdm_unet_tiny`,
+GOLDEN_DIR contains `unet_motion_tiny`, `unet_traj_tiny`, `unet_traj_xxs_plain_tiny`, `mdm_unet_tiny`,
 `schedule_cosine1000` and `trajectory_loss`, each `.safetensors`. `data_fixtures/gmd` is compared
-too. Outputs are compared absolutely, all else against the largest entry of a tensor. Exits
-with 1 where an error is above its tolerance.
+too. Outputs are compared absolutely, other tensors relative to their largest entry. Exits
+with 1 if an error is above its tolerance.
 """
 
 import argparse
@@ -50,7 +50,7 @@ def absolute(report: Report, group: str, tolerance: float, name: str, a: Tensor,
 
 
 def gradients(report: Report, group: str, golden: Golden, found: dict[str, Tensor]) -> None:
-    """Compares all gradients that the file holds."""
+    """Compares all gradients of the file."""
     for key in golden.keys("grad."):
         reference, name = golden[key], key.removeprefix("grad.")
         if reference.abs().max() < ZERO_GRADIENT:
@@ -71,7 +71,7 @@ def check_unet(report: Report, folder: Path, name: str, dtype: torch.dtype = tor
 def check_denoiser(
     report: Report, folder: Path, name: str, dtype: torch.dtype = torch.float32
 ) -> None:
-    """The whole model: conditioning, padding, outputs, guidance and gradients."""
+    """The complete model: conditioning, padding, outputs, guidance and gradients."""
     golden = Golden(folder, name)
     values = denoiser_values(golden, dtype)
     bounds = {"out.y_cfg": ("guidance", 2e-4), "out.pe_rows": ("sinusoid rows", 1e-5)}
@@ -128,7 +128,7 @@ def check_sizes(report: Report) -> None:
 
 
 def check_checkpoint(report: Report, folder: Path, name: str) -> None:
-    """What the networks of a checkpoint answer, in float32 against float64."""
+    """The outputs of a checkpoint's networks, in float32 against float64."""
     golden = Golden(folder, name)
     config = golden.json("config")
     padded_frames = config.pop("padded_frames")

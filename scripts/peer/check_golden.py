@@ -3,9 +3,9 @@
 
     python3 scripts/peer/check_golden.py GOLDEN_DIR
 
-GOLDEN_DIR holds `03_unet`, `03_unet_mult1248_hashed`, `04_decoder`, `05_diffusion_loss`,
+GOLDEN_DIR contains `03_unet`, `03_unet_mult1248_hashed`, `04_decoder`, `05_diffusion_loss`,
 `06_temporal_loss`, `07_e2e` and `08_ddim`, each `.safetensors`: the full set or the reduced one.
-Errors are `max|a - ref| / max|ref|` over a tensor, against the float64 reference. Exits with 1 where
+Errors are `max|a - ref| / max|ref|` over a tensor, against the float64 reference. Exits with 1 if
 one is above its tolerance.
 """
 
@@ -58,7 +58,7 @@ def check_unet(
 
 
 def network_bound(key: str, grad_tolerance: float) -> tuple[str, float]:
-    """What a key of a network's file stands for, and its tolerance."""
+    """The meaning of a key of a network's file, and its tolerance."""
     if key.startswith("grad."):
         return "gradients", grad_tolerance
     if ".tap." in key:
@@ -83,7 +83,7 @@ def check_ddim(report: Report, golden: Golden, dtype: torch.dtype = torch.float3
 
 
 def ddim_bound(key: str) -> tuple[str, float]:
-    """What a key of 08_ddim stands for, and its tolerance."""
+    """The meaning of a key of 08_ddim, and its tolerance."""
     if ".timesteps_" in key:
         return "timesteps", 0.0
     if ".step." in key:
@@ -169,7 +169,7 @@ class EndToEnd:
         )
 
     def check_graph(self, case: str, config: EndToEndConfig) -> None:
-        """Losses and gradients where the whole rollout is differentiated."""
+        """Losses and gradients with a fully differentiated rollout."""
         golden, report = self.golden, self.report
         group = f"{case} {config.mode.value}"
         group += " (last_k = all)" if config.mode is RolloutMode.LAST_K else ""
@@ -269,7 +269,7 @@ class EndToEnd:
 
 
 def decoder_tolerance(case: str) -> float:
-    """Of gradients in or right behind the decoder; `cosine1000` decodes latents of 1e5."""
+    """Tolerance of gradients in or right after the decoder; `cosine1000` decodes latents of 1e5."""
     return 5e-3 if case == "cosine1000" else 2e-4
 
 
@@ -308,7 +308,7 @@ def check_e2e(report: Report, golden: Golden) -> None:
 
 
 def check_prediction_types(report: Report) -> None:
-    """A rollout with the exact answer of each prediction type reaches the motion it is made of."""
+    """A rollout with the exact output of each prediction type reaches the original motion."""
     schedule = NoiseSchedule.cosine(1000)
     generator = torch.Generator().manual_seed(0)
     x_start, noise = torch.randn(2, 2, 25, 16, generator=generator, dtype=torch.float64)

@@ -1,11 +1,11 @@
 #!/usr/bin/env python3
 """Writes the files of `data_fixtures/clip`: a tiny text encoder of CLIP with random weights, in the
-layout of the model hub, and what the Python package `transformers` makes of some sentences.
+layout of the model hub, and embeddings of some sentences by the Python package `transformers`.
 
     python3 scripts/peer/clip_fixtures.py [FOLDER]
 
 With `--merges FILE`, the vocabulary is that of a published list of merges, and with `--full` the
-network has the sizes of ViT-B/32: too large to be committed, for a check by hand
+network has the sizes of ViT-B/32: too large to be committed, for a manual check
 
     python3 scripts/peer/clip_fixtures.py /tmp/clip --merges bpe_simple_vocab_16e6.txt --full
     KINEGRAD_CLIP=/tmp/clip cargo test -p kinegrad-train --lib text_encoder
@@ -67,7 +67,7 @@ SENTENCES = [
 
 
 def letters() -> list[str]:
-    """What stands for each byte: itself where it is visible, in the order of the published vocabulary."""
+    """The character of each byte: itself if visible, in the order of the published vocabulary."""
     visible = [*range(33, 127), *range(161, 173), *range(174, 256)]
     hidden = [byte for byte in range(256) if byte not in visible]
     return [chr(byte) for byte in visible] + [chr(256 + n) for n in range(len(hidden))]
@@ -109,7 +109,7 @@ def learned_merges(count: int) -> list[tuple[str, str]]:
 
 
 def read_merges(path: Path) -> list[tuple[str, str]]:
-    """The merges that the published model uses of the published list."""
+    """The part of the published list of merges that the published model uses."""
     lines = path.read_text("utf-8").split("\n")[1 : 49152 - 256 - 2 + 1]
     return [(one, other) for one, other in (line.split() for line in lines)]
 

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Trains a few end-to-end steps on random data and prints one line of JSON.
 
-`scripts/rollout_memory` runs this in a process of its own and reads the peak of its memory.
+`scripts/rollout_memory` runs this in a separate process and reads its peak memory.
 """
 
 import argparse

@@ -1,5 +1,5 @@
 """Writes `data_fixtures/flowmdm/checkpoint.pt`: weights as the published program saves them, tiny and
-random, with its names, among them those that are no parameters.
+random, with its names, including those that are no parameters.
 
     python3 scripts/peer/flowmdm_fixture.py data_fixtures/flowmdm
 """

@@ -3,8 +3,8 @@
 
     python3 scripts/peer/gmd_fixtures.py [FOLDER]
 
-The README there says what they hold. Everything is computed in float64 from float32 weights and
-inputs, and stored in float32.
+The README there describes them. Values are computed in float64 from float32 weights and inputs, and
+stored in float32.
 """
 
 import json
@@ -113,7 +113,7 @@ def answer(
 
 
 def without_text(given: dict[str, Tensor]) -> dict[str, Tensor]:
-    """The same with the features that stand for no text."""
+    """The same with the features of an empty text."""
     return given | {"in.text_features": torch.zeros_like(given["in.text_features"])}
 
 
@@ -129,7 +129,7 @@ def write(path: Path, tensors: dict[str, Tensor], config: object, **more: object
 
 
 def checkpoint(folder: Path, name: str, config: UNetConfig, seed: int, *, bare: bool) -> None:
-    """A checkpoint, and what its network answers."""
+    """A checkpoint, and its network's outputs."""
     generator = torch.Generator().manual_seed(seed)
     model = UNetDenoiser(config, PADDED_FRAMES)
     randomize(model, generator)
@@ -177,8 +177,8 @@ def transformer(folder: Path) -> None:
 
 
 def transformer_checkpoint(folder: Path) -> None:
-    """A checkpoint of the transformer for HumanML3D's features, in half precision, and what it
-    answers."""
+    """A checkpoint of the transformer for HumanML3D's features, in half precision, and its
+    outputs."""
     generator = torch.Generator().manual_seed(5)
     model = TransformerDenoiser(PUBLISHED)
     randomize(model, generator)

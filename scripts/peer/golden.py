@@ -1,4 +1,4 @@
-"""Files of reference tensors, and a report of how far something is from them."""
+"""Files of reference tensors, and a report of errors against them."""
 
 import json
 import struct
@@ -32,7 +32,7 @@ class Golden:
     def unwritten(
         cls, folder: Path, metadata: dict[str, str], tensors: dict[str, Tensor]
     ) -> "Golden":
-        """A file of `folder` that is not there yet."""
+        """A missing file of `folder`."""
         golden = cls.__new__(cls)
         golden.folder, golden.metadata, golden.tensors = folder, metadata, tensors
         return golden
@@ -49,11 +49,11 @@ class Golden:
         return json.loads(self.metadata[key])
 
     def keys(self, prefix: str) -> list[str]:
-        """All keys that start with `prefix`, but for other readings of the documentation."""
+        """All keys that start with `prefix`, except other readings of the documentation."""
         return [key for key in self.tensors if key.startswith(prefix) and ".alt." not in key]
 
     def reference(self, key: str) -> Tensor:
-        """The float64 twin of `out.X` or `grad.X`, or the entry itself where there is none."""
+        """The float64 twin of `out.X` or `grad.X`, or the entry itself if there is none."""
         kind, _, rest = key.partition(".")
         return self.tensors.get(f"{kind}64.{rest}", self.tensors[key])
 
@@ -82,7 +82,7 @@ class Report:
     def enter(self, group: str, tolerance: float, name: str, error: float) -> None:
         """Enters one error, already scaled."""
         worst, _, where, count = self.groups.get(group, (-1.0, tolerance, "", 0))
-        if not error <= worst:  # also where it is not a number
+        if not error <= worst:  # also if it is NaN
             worst, where = error, name
         self.groups[group] = (worst, tolerance, where, count + 1)
 
@@ -116,7 +116,7 @@ def hashed(name: str, shape: torch.Size, position: int, seed: int) -> Tensor:
 
 
 def checksums(weights: dict[str, Tensor]) -> dict[str, Tensor]:
-    """What a file says about hashed weights."""
+    """The description of hashed weights in a file."""
     return {
         "check.num_parameters": torch.tensor(sum(w.numel() for w in weights.values())),
         "check.sum64_of_all_parameters": sum(w.double().sum() for w in weights.values()),

@@ -3,18 +3,18 @@
 
     python3 scripts/peer/reduced.py GOLDEN_DIR FOLDER [--seed SEED] [--only PART ...]
 
-GOLDEN_DIR holds the full references, FOLDER receives the reduced ones (`data_fixtures/golden`).
+GOLDEN_DIR contains the full references, FOLDER receives the reduced ones (`data_fixtures/golden`).
 First the peer, in float64, must agree with the full references of the networks. Then, for each:
 
-- inputs are drawn anew, with the sizes and standard deviations of the full file's;
-- weights are not stored but come from a hash (`golden.hashed`); only the sampler's, where such
-  weights would make float32 useless, are those of a small network that is fitted here;
-- results are computed by the peer in float64. A file of `ccmotion` holds `out64.*`, and in `out.*`
-  a float32 run; all other results are rounded to float32.
+- inputs are new random numbers with the sizes and standard deviations of the full file's;
+- weights are not stored but come from a hash (`golden.hashed`); the sampler's are those of a small
+  fitted network, because hashed weights would make float32 useless there;
+- results are computed by the peer in float64. A file of `ccmotion` has `out64.*`, and in `out.*` a
+  float32 run; all other results are rounded to float32.
 
-At last a float32 run of the peer must agree with what was written. Recordings are packed, their
-tensors thinned out (`reduced_audio`), and all other files copied. Another SEED makes other inputs
-and weights of networks; the rest does not depend on it.
+Finally a float32 run of the peer must agree with the written files. Recordings are compressed and
+some of their tensors omitted (`reduced_audio`); all other files are copied. Another SEED changes
+inputs and weights of networks; the rest does not depend on it.
 """
 
 import argparse
@@ -47,11 +47,11 @@ NETWORKS: dict[str, tuple[Callable[[Golden, torch.dtype], dict[str, Tensor]], Ca
     "gmd/unet_motion_tiny": (gmd.unet_values, gmd.bare_network),
     "gmd/unet_traj_xxs_plain_tiny": (gmd.unet_values, gmd.bare_network),
 }
-"""How a file's results are computed, and the network whose weights it describes."""
+"""The computation of a file's results, and the network whose weights it describes."""
 
 
 def check(folder: Path, dtype: torch.dtype) -> None:
-    """Compares the peer with the networks' files of a folder; exits where they disagree."""
+    """Compares the peer with the networks' files of a folder; exits if they disagree."""
     report = Report()
     part = folder / "ccmotion"
     check_golden.check_unet(report, Golden(part, "03_unet"), "unet", 2e-4, dtype)
@@ -72,8 +72,8 @@ def seed_of(seed: int, name: str) -> int:
 
 
 def inputs(full: Golden, seed: int) -> dict[str, Tensor]:
-    """Normal values of the full file's sizes and spread; timesteps of each half of the process;
-    what is the same everywhere, as it is."""
+    """Normal values of the full file's sizes and deviations; timesteps of each half of the process;
+    constant tensors unchanged."""
     generator = torch.Generator().manual_seed(seed)
     drawn: dict[str, Tensor] = {}
     for key in sorted(full.keys("in.")):
@@ -90,7 +90,7 @@ def inputs(full: Golden, seed: int) -> dict[str, Tensor]:
 
 
 def weights(full: Golden, name: str, seed: int) -> tuple[dict[str, str], dict[str, Tensor]]:
-    """What metadata and tensors say of the weights."""
+    """Metadata and tensors of the weights."""
     if name == "ccmotion/08_ddim":
         tensors = {f"model.{key}": value for key, value in fitted(seed).items()}
         return {"unet": json.dumps(SIZES)}, tensors
@@ -109,7 +109,7 @@ def weights(full: Golden, name: str, seed: int) -> tuple[dict[str, str], dict[st
 
 
 def results(full: Golden, golden: Golden, name: str) -> dict[str, Tensor]:
-    """Under the keys of the full file."""
+    """Results under the keys of the full file."""
     compute = NETWORKS[name][0]
     single, double = compute(golden, torch.float32), compute(golden, torch.float64)
     stored: dict[str, Tensor] = {}
@@ -148,7 +148,7 @@ def networks(source: Path, folder: Path, seed: int) -> None:
 
 
 def copied(source: Path, folder: Path) -> None:
-    """The files that stay whole."""
+    """The unreduced files."""
     for family in ("ccmotion", "flow", "flowmdm", "genmm", "gmd", "humanml", "paths"):
         (folder / family).mkdir(parents=True, exist_ok=True)
         for path in sorted((source / family).iterdir()):
@@ -158,13 +158,13 @@ def copied(source: Path, folder: Path) -> None:
 
 def audio(source: Path, folder: Path) -> None:
     """The clips."""
-    import reduced_audio  # needs soundfile, and nothing else does
+    import reduced_audio  # only this needs soundfile
 
     reduced_audio.reduce(source / "audio", folder / "audio")
 
 
 def main() -> None:
-    """Writes what is asked for, or everything."""
+    """Writes the selected parts, or everything."""
     parts = {
         "networks": lambda args: networks(args.golden_dir, args.folder, args.seed),
         "copied": lambda args: copied(args.golden_dir, args.folder),

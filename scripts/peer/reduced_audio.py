@@ -1,7 +1,7 @@
-"""The reference clips in fewer bytes: recordings as FLAC, and without tensors that are large and
-whose stage another tensor of the same clip covers.
+"""The reference clips in fewer bytes: recordings as FLAC, without large tensors whose stage another
+tensor of the same clip covers.
 
-One clip of several seconds, `chords`, and the two shortest keep everything.
+One clip of several seconds, `chords`, and the two shortest keep all tensors.
 """
 
 import shutil
@@ -14,14 +14,14 @@ from safetensors.torch import save_file
 from golden import Golden
 
 SMALL = 8192
-"""Bytes of a recording that stays as it is."""
+"""Size of an unchanged recording, bytes."""
 
 POWER = ["mel_power"]
 """`mel_db` is the same in decibels."""
 MEL = ["mel_power", "mel_db"]
 """The first 128 rows of `stacked` are `mel_db` scaled to 0..1."""
 SPECTRUM = ["stft_mag_frames", "stft_mag_frames_idx"]
-"""`mel_full_db` or `stacked` comes of it."""
+"""`mel_full_db` or `stacked` is computed from it."""
 CQT = ["cqt_mag"]
 """`chroma_unnorm` is its sum over octaves."""
 STAGES = [*SPECTRUM, *MEL, *CQT, "mel_full_db", "mfcc_raw", "chroma_unnorm"]

@@ -4,7 +4,7 @@
     python scripts/peer/samplers.py data_fixtures/samplers/diffusers.safetensors
 
 The network is `s tanh(W x + v t / 1000)` of each frame, in double precision. States are those of the
-variance-preserving process: where a scheduler scales its samples by sqrt(sigma^2 + 1), that is undone.
+variance-preserving process: the factor sqrt(sigma^2 + 1) of some schedulers is removed.
 """
 
 import json
@@ -26,7 +26,7 @@ def main(path):
     generator = torch.Generator().manual_seed(9)
     draw = lambda *shape: torch.randn(*shape, generator=generator, dtype=torch.float64)
     w, v, s, x_T = draw(3, 3) / 2, draw(3), 1.5, draw(*SHAPE)
-    # What the reader will have: single precision.
+    # Single precision, as in the written file.
     w, v, x_T = (x.float().double() for x in (w, v, x_T))
 
     def network(x, t):
@@ -47,7 +47,7 @@ def main(path):
             tensors[f"dpmpp_2m.{prediction_type}.{name}"] = torch.stack(states)
 
             if prediction_type == "sample":
-                continue  # diffusers' Heun has no such network
+                continue  # diffusers' Heun does not support it
             scheduler = HeunDiscreteScheduler(**betas, prediction_type=prediction_type)
             scheduler.set_timesteps(timesteps=timesteps)
             sigmas = scheduler.sigmas.double()
@@ -55,7 +55,7 @@ def main(path):
             for index, t in enumerate(scheduler.timesteps):
                 y = scheduler.scale_model_input(x, t)
                 x = scheduler.step(network(y.double(), t.item()), t, x).prev_sample
-                # Every second call ends a step, and the last one, which stands alone, does.
+                # Every second call ends a step, and so does the single last one.
                 if index % 2 == 1 or index + 1 == len(scheduler.timesteps):
                     states.append(x / (sigmas[index + 1] ** 2 + 1).sqrt())
             assert len(states) == steps

@@ -1,4 +1,4 @@
-"""Joint positions of a GLB file, by its nodes and its animation alone."""
+"""Joint positions of a GLB file, from its nodes and its animation alone."""
 
 import numpy as np
 import pygltflib

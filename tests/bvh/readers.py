@@ -1,4 +1,4 @@
-"""Joint positions of a BVH file, by two readers that know nothing of this project or of one another.
+"""Joint positions of a BVH file, by two independent foreign readers.
 
 Each returns a dictionary of joint names to arrays [frames, 3] in the file's units, +y up.
 """

@@ -1,4 +1,4 @@
-"""Files for other programs, read by programs that are not ours: `scripts/test_bvh` runs this.
+"""Files for other programs, read by foreign programs: `scripts/test_bvh` runs this.
 
 KINEGRAD_BINARY is the binary. Every length is compared in metres.
 """
@@ -20,7 +20,7 @@ NAMES = """pelvis left_hip right_hip spine1 left_knee right_knee spine2 left_ank
 left_foot right_foot neck left_collar right_collar head left_shoulder right_shoulder left_elbow
 right_elbow left_wrist right_wrist""".split()
 PARENTS = [-1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19]
-# Where each bone of a person lies at rest, in metres.
+# Rest position of each bone of a person, in metres.
 REST = np.array([
     [0, 0, 0], [.06, -.09, 0], [-.06, -.09, 0], [0, .12, -.03], [.04, -.38, 0], [-.04, -.38, 0],
     [0, .14, .02], [-.02, -.4, -.04], [.02, -.4, -.04], [0, .06, .02], [.03, -.06, .12],

@@ -1,5 +1,5 @@
-//! Networks that hear when something sounds (`model.audio_conditioning = "aligned"`), beside those
-//! that do not.
+//! Aligned audio conditioning (`model.audio_conditioning = "aligned"`) compared with conditioning
+//! without time.
 
 use std::fs;
 use std::path::Path;
@@ -10,8 +10,8 @@ use kinegrad_tests::sandbox::{SMALLEST, Sandbox};
 /// Clips of 10 to 24 frames give batches of different lengths.
 const SETTINGS: &str = "--set train.max_steps=12 --set data.augment.min_frames=10";
 
-/// Frames of a sample: no more than training saw, as longer ones are drawn in windows, which tell
-/// early from late music.
+/// Frames of a sample: no more than in training, because longer ones are sampled in windows, which
+/// separate early from late music.
 const FRAMES: usize = 23;
 
 /// A sandbox with a run of each conditioning and the features of a phrase, 37 frames long.
@@ -31,7 +31,7 @@ fn trained() -> Sandbox {
     sandbox
 }
 
-/// The features with the frames of `order`, as a file.
+/// The features reordered by `order`, as a file.
 fn write_ordered(sandbox: &Sandbox, name: &str, order: impl Iterator<Item = usize>) {
     let path = sandbox.path("set/audio_features/synthetic_00001/features.npz");
     let features = read_features(&path).expect("features").slice(0..FRAMES);
@@ -97,7 +97,7 @@ fn a_fine_tuning_hears_as_its_base_does() {
         .succeeded();
     let motion = read_motion(&sandbox.path("tuned.npy")).expect("a motion");
     assert_eq!(motion.frames(), 31);
-    // An older config says nothing, and means what it meant.
+    // An older config lacks the key and keeps its meaning.
     let saved = fs::read_to_string(sandbox.path("runs/document/config.toml")).expect("a config");
     let older: Vec<&str> = saved
         .lines()

@@ -80,7 +80,7 @@ fn values_out_of_range_name_key_value_and_range() {
             "optim.betas=[0.9,nan]",
             &["`optim.betas[1]`", "NaN is not a finite number"],
         ),
-        // A key that this recipe does not use.
+        // A key without effect in this recipe.
         ("loss.w_diff=nan", &["`loss.w_diff`", "finite"]),
         (
             "optim.learning_rate=-1.0",
@@ -206,7 +206,7 @@ fn unknown_kernels_in_the_environment_are_named() {
     );
 }
 
-/// Writes a good phrase of `frames`, then lets `spoil` change its files.
+/// Writes a valid phrase of `frames`, then lets `spoil` change its files.
 fn phrase(sandbox: &Sandbox, id: &str, frames: usize) {
     let mut frame = [0.0f32; 25];
     frame[9] = 1.0;
@@ -295,7 +295,7 @@ fn bad_phrases_are_named_by_id_and_channel_or_skipped_and_counted() {
     }
     let train = format!("{PHRASES} --set train.max_steps=2 --set data.validation.fraction=0.0");
 
-    // Not a number in one channel of one frame.
+    // NaN in one channel of one frame.
     phrase(&sandbox, "nan", 30);
     let mut frame = [0.0f32; 25];
     frame[9] = 1.0;

@@ -1,5 +1,5 @@
-//! Motion on the beats of its song, and beats as features: `data prepare`, `audio features`,
-//! training and `sample --audio`.
+//! Motion aligned to the beats of its song, and beats as features: `data prepare`, `audio
+//! features`, training and `sample --audio`.
 
 use std::f64::consts::TAU;
 use std::fs;
@@ -10,13 +10,13 @@ use kinegrad_motion::phrase::PHASE;
 use kinegrad_tests::captures::clicks;
 use kinegrad_tests::sandbox::{SMALLEST, Sandbox};
 
-/// Beats of the song that are danced.
+/// Number of danced beats.
 const DANCED: usize = 48;
 
-/// Frames of capture for a beat.
+/// Frames of capture per beat.
 const CAPTURED: usize = 20;
 
-/// Moments of the 54 beats of a song that slows down from 138 to 109 beats a minute.
+/// Times of the 54 beats of a song that slows down from 138 to 109 beats a minute.
 fn slowing() -> Vec<f64> {
     let length = |k: usize| 0.434 + 0.116 * k as f64 / 54.0;
     (0..54)
@@ -65,12 +65,12 @@ fn concentration(differences: &[f64]) -> f64 {
     f64::hypot(mean(f64::sin), mean(f64::cos))
 }
 
-/// Beats from the first of `beats` to a moment.
+/// Beats from the first of `beats` to a time.
 fn position(beats: &[f64], seconds: f64) -> f64 {
     kinegrad_audio::pulse::position(beats, seconds)
 }
 
-/// Of all phrases: concentration of the written beat phase against the true one, and against that
+/// Over all phrases: concentration of the written beat phase relative to the true one and to that
 /// of the features, and the largest distance of a frame's motion from that of its beat, in beats.
 fn measured(sandbox: &Sandbox) -> (f64, f64, f64) {
     let (mut of_truth, mut of_features, mut motion_off) = (Vec::new(), Vec::new(), 0.0f64);
@@ -148,7 +148,7 @@ fn segments_dance_on_the_beats_of_a_song_that_slows_down() {
 
 #[test]
 fn even_beats_are_used_where_the_counts_disagree_or_the_plan_says_so() {
-    // 44 stated where 48 are heard.
+    // 44 stated, 48 tracked.
     let few = sandbox(44, "");
     let said = few.run("data prepare plan.toml").succeeded().stdout;
     assert!(
@@ -209,7 +209,7 @@ fn models_hear_beats_and_refuse_what_has_none() {
             "{train} --name odd --set data.source=set --set data.audio_features=[\"beats\"]"
         ))
         .failed(2, &["data.audio_features", "[\"document\", \"beats\"]"]);
-    // The 163 are there with or without the others.
+    // The 163 features are the same with or without the beats.
     sandbox
         .run(&format!("{train} --name deaf --set data.source=set"))
         .succeeded();
@@ -283,7 +283,7 @@ fn models_hear_beats_and_refuse_what_has_none() {
             2,
             &["array `beats` is missing", "beat features are asked for"],
         );
-    // Without beats, the features are those of a dataset as ever.
+    // Without beats, the features are the usual ones.
     load_audio(
         &sandbox.path("plain_features/song/features.npz"),
         AudioLayout::DOCUMENT,

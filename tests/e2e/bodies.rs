@@ -1,4 +1,4 @@
-//! From full-body captures to clips that train: `data prepare` with `[[capture]]`.
+//! From full-body captures to training clips: `data prepare` with `[[capture]]`.
 
 use std::fs;
 
@@ -13,7 +13,7 @@ const PLAN: &str = "output = \"set\"\n\
     words.content = { walk = \"walks\" }\nwords.style = { slow = \"slowly\" }\n\
     [[capture]]\nmotion = \"captures/*.bvh\"\nlabels.name = \"{content}_{style}_{take}\"\n";
 
-/// Walks as BVH files with the names of kinegrad's own skeleton, and a plan for them.
+/// Walks as BVH files with the joint names of kinegrad's skeleton, and their plan.
 fn with_captures() -> Sandbox {
     let sandbox = Sandbox::new(env!("CARGO_BIN_EXE_kinegrad"));
     sandbox.write("c.toml", SMALLEST_WALKS);
@@ -60,7 +60,7 @@ fn captures_become_clips_that_train() {
     let report: serde_json::Value = serde_json::from_str(&again.stdout).expect("JSON");
     assert_eq!((&report["kept"], &report["clips"]), (&6.into(), &12.into()));
     let inspected = sandbox.run("data inspect set").succeeded();
-    // The long take, of 249 frames, is cut in two.
+    // The take of 249 frames is cut in two.
     for text in ["HumanML3D", "10, 2", "60 to 125"] {
         assert!(
             inspected.stdout.contains(text),

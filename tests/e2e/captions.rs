@@ -7,7 +7,7 @@ use kinegrad_data::humanml::write_walks;
 use kinegrad_tests::sandbox::{Sandbox, smallest_walks_on_disk};
 use serde_json::{Value, json};
 
-/// What the clips of the dataset are said to show, in turns.
+/// Captions of the clips, in turn.
 const CAPTIONS: [&str; 3] = ["a person walks.", "someone jumps", "a man sits down"];
 
 const LABELS: &str = "--set data.humanml3d.text=labels";
@@ -48,14 +48,14 @@ fn json_of(sandbox: &Sandbox, file: &str) -> Value {
     serde_json::from_slice(&bytes(sandbox, file)).expect("JSON")
 }
 
-/// Draws with these options and returns the motion.
+/// Samples with these options and returns the motion.
 fn drawn(sandbox: &Sandbox, options: &str) -> Vec<u8> {
     let draw = format!("sample runs/smallest --steps 3 --overwrite --out drawn {options}");
     sandbox.run(&draw).succeeded();
     bytes(sandbox, "drawn.npy")
 }
 
-/// [`drawn`] for a text, which may have spaces.
+/// [`drawn`] for a text that may contain spaces.
 fn told(sandbox: &Sandbox, text: &str) -> Vec<u8> {
     let draw = "sample runs/smallest --steps 3 --overwrite --out drawn --text";
     let arguments = draw.split(' ').chain([text]);
@@ -136,7 +136,7 @@ fn what_the_model_does_not_know_is_refused() {
     ])
     .failed(2, &["--text-embedding"]);
 
-    // A model of embeddings, of another caption, and of none.
+    // A model with embeddings, with another caption, and without captions.
     sandbox
         .run("train c.toml --name told --set train.max_steps=4")
         .succeeded();
@@ -179,7 +179,7 @@ fn what_the_model_does_not_know_is_refused() {
         "--set init.diffusion=runs/smallest",
         &["text.captions", "3 captions", "init.diffusion"],
     );
-    // The start's own table.
+    // The table of the initial checkpoint.
     sandbox
         .run(&format!(
             "train c.toml --name tuned --set train.max_steps=2 --set init.diffusion=runs/smallest \

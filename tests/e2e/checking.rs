@@ -1,4 +1,4 @@
-//! Which files of a folder are checked, and as what a folder is inspected.
+//! The files of a folder that are checked, and the detected kind of a folder.
 
 use std::fs;
 
@@ -48,7 +48,7 @@ fn each_sample_of_a_folder_is_checked_once() {
     let with_raw = checked(&sandbox, "--raw");
     assert_eq!(with_raw.len(), 5);
     assert!(with_raw.contains(&"samples/dance.raw.npy".to_owned()));
-    // What is named is checked.
+    // A named file is checked.
     let named = sandbox.run("check samples/dance.raw.npy --json").stdout;
     assert!(named.contains("dance.raw.npy"), "{named}");
 }

@@ -1,4 +1,4 @@
-//! Damaged checkpoints, full disks, locks, losses that are no number.
+//! Damaged checkpoints, full disks, locks, non-finite losses.
 
 use std::fs;
 use std::path::PathBuf;
@@ -247,7 +247,7 @@ fn a_full_disk_leaves_the_last_good_checkpoint() {
     sandbox
         .run(&format!("{TRAIN} --set optim.lr_schedule=constant"))
         .succeeded();
-    // A limit on the size of files stands for the disk: smaller than the weights, larger than
+    // A limit on the size of files replaces the full disk: smaller than the weights, larger than
     // the metrics. The signal that would end the process is ignored, so writing fails instead.
     let size = fs::metadata(checkpoint(&sandbox, 12).join("model.safetensors"))
         .expect("size")
@@ -292,7 +292,7 @@ fn a_second_process_on_the_same_run_is_refused() {
         .failed(2, &["another process is using"]);
     child.kill().expect("a kill");
     child.wait().expect("an end");
-    // The lock died with its process.
+    // The lock ended with its process.
     let mut again = sandbox.start(&format!("{long} --resume"));
     sleep(Duration::from_millis(300));
     assert!(
@@ -405,7 +405,7 @@ fn weights_larger_than_the_memory_are_not_read() {
     let sandbox = sandbox();
     sandbox.run(TRAIN).succeeded();
     let folder = checkpoint(&sandbox, 12);
-    // A file of 10 TB, and a header that says so.
+    // A file of 10 TB with a matching header.
     let header =
         r#"{"x":{"dtype":"F32","shape":[2500000000000],"data_offsets":[0,10000000000000]}}"#;
     let mut bytes = (header.len() as u64).to_le_bytes().to_vec();

@@ -1,4 +1,4 @@
-//! Clips shorter than what a model draws.
+//! Clips shorter than the model's length.
 
 use kinegrad_data::read_array;
 
@@ -27,14 +27,14 @@ fn a_clip_is_drawn_at_the_length_of_training_and_cut() {
         short[..],
         "18 frames are drawn as 18"
     );
-    // With padding as in training a short clip is another one, not the beginning of a long one.
+    // With padding as in training, a short clip is not the beginning of a long one.
     let (padded, long) = (drawn(7, "zeros"), drawn(16, "zeros"));
     assert_eq!(long, whole);
     assert_eq!(padded.len(), short.len());
     assert_ne!(padded, short);
 
-    // Several goals of unlike lengths, padded, and as published: the frames behind a goal that ends
-    // early are left to the model there, and the first stage's path is followed to the end.
+    // Several goals of different lengths, padded and as published. As published, frames after the
+    // end of a short goal are free, and the first stage's path is followed to the end.
     sandbox.write(
         "short.toml",
         GOAL.replace("frames = 16", "frames = 9").replace("15", "5"),

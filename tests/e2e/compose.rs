@@ -1,4 +1,4 @@
-//! Motion composed of several texts: trained, drawn by a plan, evaluated.
+//! Motion composed of several prompts: training, sampling, evaluation.
 
 use std::fs;
 
@@ -6,7 +6,7 @@ use kinegrad_data::read_array;
 use kinegrad_tests::sandbox::Sandbox;
 use serde_json::Value;
 
-/// Walks of a few captions, which the model learns an embedding of each. Clips, training length and
+/// Walks with a few captions; the model learns an embedding of each. Clips, training length and
 /// padding differ.
 pub const COMPOSE: &str = r#"
 [run]
@@ -49,7 +49,7 @@ texts = 3
 transition_frames = 20
 "#;
 
-/// The config on disk beside its walks.
+/// Writes the config and its walks.
 pub fn sandbox() -> Sandbox {
     let sandbox = Sandbox::new(env!("CARGO_BIN_EXE_kinegrad"));
     sandbox
@@ -99,8 +99,8 @@ fn a_plan_is_drawn_as_one_motion_and_its_texts_matter() {
     assert_eq!(joints.shape, [90, 22, 3]);
     let again = draw("again", &[(2.0, a), (1.5, b), (1.0, a)]);
     assert_eq!(first, again, "the same to the bit");
-    // Another last text changes the last frames most, and far before them nothing but what the
-    // mode without borders carries there.
+    // Another last text changes the last frames most; far before them, only relative steps have an
+    // effect.
     let other = draw("other", &[(2.0, a), (1.5, b), (1.0, b)]);
     let change = |from: usize, to: usize| {
         let pairs = first.values.iter().zip(&other.values).enumerate();
@@ -114,7 +114,7 @@ fn a_plan_is_drawn_as_one_motion_and_its_texts_matter() {
         change(0, 20),
         change(70, 90)
     );
-    // All positions absolute: segments do not see each other.
+    // All positions absolute: segments are independent.
     let line = "sample runs/bpe --seed 5 --set evaluation.bpe_denoising_step=-1 --prompts";
     for name in ["first", "other"] {
         let line = format!("{line} {name}.toml --out apart-{name}");
@@ -194,7 +194,7 @@ fn a_trained_network_is_taught_to_follow_paths() {
         let path = sandbox.path(format!("{name}.features.npy"));
         read_array(&path).expect("features").values
     };
-    // Learning at a rate of nothing: what reads the path stays at zero.
+    // With a learning rate of zero, the path layers stay at zero.
     let adapt = "train c.toml --set train.recipe=path_adapter --set init.diffusion=runs/bpe";
     let line = format!("{adapt} --set run.name=told --set optim.learning_rate=1e-30");
     sandbox.run(&line).succeeded();
@@ -205,10 +205,10 @@ fn a_trained_network_is_taught_to_follow_paths() {
         features(line, &format!("{}-{path}", run.replace('/', "-")))
     };
     assert_eq!(told("runs/told", "left"), told("runs/told", "right"));
-    // Taught, the two ways differ; without one it draws what its base draws.
+    // After training, two paths differ; without a path the samples are those of the base.
     let line = format!("{adapt} --set run.name=taught --set optim.learning_rate=1e-2");
     sandbox.run(&line).succeeded();
-    // Stopped half way and resumed it is the same, to the bit.
+    // Stopped halfway and resumed, the bytes are the same.
     let line = line.replace("=taught", "=halves");
     let half = format!("{line} --set train.max_steps=20 --set optim.lr_schedule=constant");
     let whole = half.replace("=halves", "=whole").replace("=20", "=40");

@@ -1,4 +1,4 @@
-//! What is said of configs that cannot be read, as a snapshot.
+//! Errors about unreadable configs, as a snapshot.
 
 use kinegrad_tests::sandbox::{SMALLEST, Sandbox};
 

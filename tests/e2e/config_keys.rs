@@ -24,7 +24,7 @@ fn the_page_of_all_keys_is_what_the_program_says() {
         found == page,
         "docs/config.md is out of step: write it again with KINEGRAD_UPDATE=1"
     );
-    // What Rust calls things is no word of the page.
+    // The page contains no Rust type names.
     for line in page.lines() {
         assert!(!line.contains("::"), "{line}");
     }

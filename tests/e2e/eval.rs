@@ -1,4 +1,4 @@
-//! Evaluating runs: what is printed and written, and what is refused.
+//! Evaluation of runs: output, files and refusals.
 
 use std::fs;
 
@@ -8,7 +8,7 @@ use kinegrad_motion::metrics::diversity;
 use kinegrad_tests::sandbox::{SMALLEST, Sandbox};
 use serde_json::Value;
 
-/// A sandbox with the run `smallest`, four of whose twelve phrases are held out.
+/// A sandbox with the run `smallest`; four of its twelve phrases are held out.
 fn trained() -> Sandbox {
     let sandbox = Sandbox::new(env!("CARGO_BIN_EXE_kinegrad"));
     sandbox.write("c.toml", SMALLEST);
@@ -125,8 +125,8 @@ fn a_run_is_measured_beside_the_real_phrases() {
     let real = &evaluation["real"];
     assert!(real["frechet_held_out"].as_f64().expect("a distance") < 1e-5);
     assert!(real["same_phrase_diversity"].is_null());
-    // Eight phrases to train on do not tell how calm a dance may be: of the real ones that are held
-    // out, two fail by the lower bound of one measure, and none by another.
+    // Eight training phrases underestimate the range of movement: two real held-out phrases fail by
+    // the lower bound of one measure, none by another.
     let checks = real["strict"]["checks"].as_array().expect("checks");
     for check in checks {
         let expected = match check["name"].as_str() {
@@ -209,7 +209,7 @@ fn runs_stand_side_by_side() {
     assert_eq!(evaluations[0]["real"], evaluations[1]["real"]);
     assert!(!sandbox.path("runs/smallest/reports").exists());
 
-    // Two checkpoints of one run have the same name, so they stand under what was typed.
+    // Two checkpoints of one run have the same name, so they are listed by their arguments.
     let steps = sandbox.list("runs/smallest/checkpoints");
     let step = steps.iter().find(|name| name.starts_with("step-"));
     let step = format!("runs/smallest/checkpoints/{}", step.expect("a checkpoint"));

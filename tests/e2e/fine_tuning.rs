@@ -1,5 +1,5 @@
 //! Decoder training, fine-tuning through the sampler, adapters: from a base run to samples, and
-//! what is refused.
+//! refusals.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -96,7 +96,7 @@ fn fine_tuning_trains_both_networks_at_their_own_rates() {
     }
     let lines = metrics(&run);
     let trained = &lines[2];
-    // The start's decoder had no projection; the run's has.
+    // The initial decoder has no projection; the run's decoder has one.
     for line in &lines {
         let coherence = line.get("loss_velocity_coherence");
         assert!(
@@ -122,7 +122,7 @@ fn fine_tuning_trains_both_networks_at_their_own_rates() {
     assert!(mean_norm(&velocity_errors(&raw)) < 1e-4);
     assert!(mean_norm(&acceleration_errors(&raw)) < 1e-2);
 
-    // The run stands alone: without its starts it goes on, and can be sampled.
+    // The run is self-contained: it resumes and samples without its initial checkpoints.
     for start in ["base", "decoder"] {
         fs::remove_dir_all(sandbox.path(format!("runs/{start}"))).expect("removed");
     }
@@ -274,7 +274,7 @@ fn adapters_alone_are_trained_and_merge_into_plain_weights() {
         .run(&format!("{again} --runs-dir m --resume"))
         .failed(2, &["cannot be resumed"]);
     assert!(!sandbox.path("m/adapted/config.toml").exists());
-    // What was merged can be started from.
+    // A merged run can initialise another.
     sandbox
         .run(&e2e("on", "").replace("diffusion=runs/base", "diffusion=runs/merged"))
         .succeeded();

@@ -1,4 +1,4 @@
-//! Motion that goes on frame by frame: trained, drawn from histories by texts, evaluated.
+//! Autoregressive motion: training, sampling from histories and texts, evaluation.
 
 use std::fs;
 
@@ -6,7 +6,7 @@ use kinegrad_data::{read_array, write_values};
 use kinegrad_tests::sandbox::{Finished, Sandbox, finish};
 use serde_json::Value;
 
-/// Walks of a few captions, which the model learns an embedding of each.
+/// Walks with a few captions; the model learns an embedding of each.
 pub const FLOW: &str = r#"
 [run]
 name = "flow"
@@ -50,7 +50,7 @@ rollouts = 3
 frames = 40
 "#;
 
-/// The config on disk beside its walks.
+/// Writes the config and its walks.
 pub fn sandbox() -> Sandbox {
     let sandbox = Sandbox::new(env!("CARGO_BIN_EXE_kinegrad"));
     sandbox
@@ -70,7 +70,7 @@ fn values(sandbox: &Sandbox, name: &str) -> Vec<f32> {
     read_array(&sandbox.path(name)).expect("an array").values
 }
 
-/// A caption that the run knows.
+/// A caption of the run.
 fn captions(sandbox: &Sandbox) -> Vec<String> {
     let config = fs::read_to_string(sandbox.path("runs/flow/config.toml")).expect("a config");
     let config: toml::Table = config.parse().expect("TOML");
@@ -121,7 +121,7 @@ fn a_motion_goes_on_from_its_history_as_the_texts_say() {
     assert_eq!(record["condition"]["text"]["text"], first.as_str());
     assert_eq!(record["rollout"]["same_noise"], false);
     assert_eq!(record["rollout"]["said"][0]["text"], first.as_str());
-    // It begins where the history ends.
+    // It starts where the history ends.
     let last = &array.values[39 * 66..];
     let apart = last.iter().zip(&same[..66]).map(|(a, b)| (a - b).abs());
     assert!(apart.fold(0.0, f32::max) < 0.5, "a jump at the first frame");
@@ -137,7 +137,7 @@ fn a_motion_goes_on_from_its_history_as_the_texts_say() {
     ] {
         assert_ne!(on(other), same, "{other} changes nothing");
     }
-    // Another history: another motion, not only elsewhere.
+    // Another history gives another motion, not only another position.
     draw("--item walk_00005 --seconds 2 --out start");
     let other = on("--text FIRST");
     let about_root = |values: &[f32]| -> Vec<f32> {
@@ -152,7 +152,7 @@ fn a_motion_goes_on_from_its_history_as_the_texts_say() {
     };
     assert_ne!(about_root(&other), about_root(&same));
 
-    // A plan says one text after the other: up to the change all is as without.
+    // A sequence of prompts: up to the change, frames equal those of the first prompt alone.
     let plan = format!(
         "[[step]]\nseconds = 0.5\ntext = \"{first}\"\n[[step]]\nseconds = 0.5\ntext = \"{second}\"\n"
     );
@@ -167,7 +167,7 @@ fn a_motion_goes_on_from_its_history_as_the_texts_say() {
     assert_eq!(planned[..10 * 66], alone[..10 * 66]);
     assert_ne!(planned[10 * 66..], alone[10 * 66..]);
 
-    // Without a history it goes on from a held-out clip that does what is said, where there is one.
+    // Without a history, it continues a held-out clip with the caption, if there is one.
     let held_out = fs::read_to_string(sandbox.path("walks/val.txt")).expect("a list of clips");
     let texts = held_out.lines().map(|clip| {
         fs::read_to_string(sandbox.path(format!("walks/texts/{clip}.txt"))).expect("captions")
@@ -196,14 +196,14 @@ fn a_motion_goes_on_from_its_history_as_the_texts_say() {
     }
     assert!(begun > 1, "no caption of held-out clips");
 
-    // A step may say nothing.
+    // A prompt may be empty.
     let silent = format!("{plan}[[step]]\nseconds = 0.2\n");
     sandbox.write("silent.toml", &silent);
     draw("--history start.npy --prompts silent.toml --out quiet");
     let quiet = values(&sandbox, "quiet.npy");
     assert_eq!(quiet.len(), 24 * 66);
 
-    // What cannot be used is refused by name, and nothing is written.
+    // An unusable option is refused by name, and nothing is written.
     write_values(&sandbox.path("short.npy"), &[6, 22, 3], &[0.5; 6 * 66]).expect("written");
     write_values(&sandbox.path("wide.npy"), &[9, 21, 3], &[0.5; 9 * 63]).expect("written");
     let mut broken = vec![0.5; 9 * 66];
@@ -216,7 +216,7 @@ fn a_motion_goes_on_from_its_history_as_the_texts_say() {
         let path = sandbox.path(format!("{name}.npy"));
         write_values(&path, &[frames, 22, 3], &scaled).expect("written");
     }
-    // A frame that is no body, and bodies in the air.
+    // A frame without a body, and bodies above the ground.
     let mut holed = start.clone();
     let frame = frames - 3;
     holed[frame * 66..(frame + 1) * 66].fill(0.0);
@@ -303,13 +303,13 @@ fn rollouts_are_measured_beside_what_follows_in_held_out_clips() {
     let with = report("");
     assert_eq!(with["evaluations_per_frame"], 4.0);
     assert!(number(&with, "drawn", "bone_change") < 1e-3);
-    // What a text says is measured against what another says.
+    // The effect of a text is measured against another text.
     for texts in ["own_texts", "other_texts"] {
         assert!(number(&with, texts, "speed_error") > 0.0);
         assert!(number(&with, texts, "turn_error") > 0.0);
     }
     assert_ne!(with["own_texts"], with["other_texts"]);
-    // 60 steps of training: nothing that keeps bones by itself.
+    // After 60 training steps, bone lengths are not constant by themselves.
     let without = report("--set evaluation.constant_bones=false");
     assert!(number(&without, "drawn", "bone_change") > 0.01);
     for name in ["jerk", "speed", "turn_rate", "lowest_joint", "height_drift"] {
@@ -323,7 +323,7 @@ fn rollouts_are_measured_beside_what_follows_in_held_out_clips() {
     sandbox
         .run("eval runs/flow --trajectory-run runs/flow")
         .failed(2, &["--trajectory-run"]);
-    // Numbers that run away are no mistake of the request.
+    // Diverging samples are not an input error.
     let away = "sampling.sampler.guidance_scale=1e38";
     sandbox
         .run(&format!("eval runs/flow --set {away}"))
@@ -404,7 +404,7 @@ fn settings_that_cannot_work_are_refused_by_name() {
         sandbox.run(&train).failed(2, &texts);
     }
     assert!(!sandbox.path("runs").exists());
-    // And a solver of flows is none of a diffusion process.
+    // A flow solver is no sampler of a diffusion process.
     sandbox.write(
         "d.toml",
         "[data]\nkind = \"synthetic\"\n[sampling.sampler]\nkind = \"euler\"\n",

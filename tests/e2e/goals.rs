@@ -1,4 +1,4 @@
-//! Models of clips from training to motion: goals, published weights, evaluation, bad input.
+//! Clip models from training to motion: goals, published weights, evaluation, bad input.
 
 use std::fs;
 use std::path::Path;
@@ -48,7 +48,7 @@ fn two_stages_lead_to_a_goal_in_four_files() {
     let bvh = fs::read(sandbox.path("walk.bvh")).expect("a file");
     let bvh = Bvh::parse(&bvh, "walk.bvh").expect("what was written can be read");
     assert_eq!(bvh.frames(), 16);
-    // The bones of an untrained network's bodies keep no length.
+    // Bone lengths of an untrained network's samples vary.
     let note = "note: walk.bvh: joints are up to ";
     assert!(said.stderr.contains(note), "{}", said.stderr);
 
@@ -109,7 +109,7 @@ fn the_second_stage_is_guided_and_imputed_as_its_config_says() {
     }
     let record = fs::read_to_string(sandbox.path("walk.json")).expect("a record");
     assert!(record.contains("second_stage_guidance"), "{record}");
-    // The first stage has as many steps as it is given, and the second its own.
+    // The stages have independent numbers of steps.
     let (twice, follows) = drawn("around", &format!("{steering}.first_stage_steps=8"));
     assert_ne!(twice, path);
     assert_ne!(follows, both);
@@ -138,7 +138,7 @@ fn positions_are_checked_with_the_statistics_of_the_features_trained_on() {
     let mut values = joints.to_f32();
     let shape = [joints.frames(), joints.joints(), 3];
     write_values(&sandbox.path("walk.npy"), &shape, &values).expect("a file");
-    // The same way in a fifth of the time.
+    // The same path in a fifth of the time.
     for (index, value) in values.iter_mut().enumerate() {
         let frame = index / (3 * joints.joints());
         *value += if index % 3 == 2 {
@@ -173,7 +173,7 @@ fn runs_are_measured_on_goals_of_held_out_clips() {
     let report = &report["evaluations"][0];
     assert_eq!(report["real"]["average_error"], 0.0);
     assert!(report["drawn"]["average_error"].as_f64() > Some(0.0));
-    // Without the first stage it is another report: the two are compared.
+    // Without the first stage the report has another name, so both can be compared.
     sandbox
         .run("eval runs/gmd_motion --set evaluation.goals=2 --set evaluation.keyframes=3")
         .succeeded();
@@ -271,7 +271,7 @@ fn goals_are_taken_from_the_list_that_is_named() {
     };
     let test = "--set evaluation.split=test";
     evaluate(test).failed(2, &["walks/test.txt", "test_list"]);
-    // A clip to train on is none to be evaluated on.
+    // A training clip cannot be evaluated.
     fs::copy(
         sandbox.path("walks/train.txt"),
         sandbox.path("walks/test.txt"),
@@ -286,13 +286,13 @@ fn goals_are_taken_from_the_list_that_is_named() {
     };
     let (test, validation) = (report(test), report(""));
     assert_eq!(test["drawn"], validation["drawn"], "the same clips");
-    // Other keyframes, and another seed's.
+    // Other keyframes, and another seed.
     let error = |report: &Value| report["drawn"]["average_error"].as_f64().expect("an error");
     let even = report("--set evaluation.keyframe_placement=even");
     let other = report("--seed 3");
     assert_ne!(error(&even), error(&validation));
     assert_ne!(error(&other), error(&validation));
-    // Two replications are those of two seeds.
+    // Two replications equal two seeds.
     let both = report("--set evaluation.replications=2");
     let next = report("--seed 1");
     let mean = (error(&validation) + error(&next)) / 2.0;
@@ -489,7 +489,7 @@ fn losses_and_samples_at_the_end_are_those_of_every_system() {
     let (plain, validated) = loss("");
     let (absolute, _) = loss("--set diffusion.loss_type=l1");
     assert!((plain - absolute).abs() > 1e-3, "{plain} {absolute}");
-    // The weights of the timesteps change what is trained on, not what is measured first.
+    // Timestep weights change training, not the first validation.
     let (weighted, same) = loss("--set diffusion.snr_gamma=5");
     assert!((plain - weighted).abs() > 1e-3, "{plain} {weighted}");
     assert!(

@@ -51,7 +51,7 @@ fn published_weights_become_a_run() {
         let state: Value = serde_json::from_str(&state).expect("JSON");
         state["config"]["sampling"].clone()
     };
-    // As in the published program, unless something else is asked for.
+    // As in the published program, unless set otherwise.
     assert_eq!(sampling_of("gmd")["padding"], "drawn");
     let sampling = sampling_of("other");
     assert_eq!(sampling["padding"], "zeros");
@@ -91,7 +91,7 @@ fn published_weights_of_the_transformer_become_a_run() {
         .run(&format!("{import} --projection m.npy"))
         .failed(2, &["`--projection` with `--arch mdm`"]);
     let said = sandbox.run(import).succeeded();
-    // Three of the text encoder, and the table twice.
+    // Three tensors of the text encoder, and the table twice.
     assert!(
         said.stdout.contains("5 tensors of other parts ignored"),
         "{}",
@@ -102,7 +102,7 @@ fn published_weights_of_the_transformer_become_a_run() {
         .run("sample runs/mdm --frames 24 --steps 3 --out walk")
         .succeeded();
     assert_eq!(shape(&sandbox.path("walk.npy")), [24, 22, 3]);
-    // The root is relative: positions cannot be asked for.
+    // The root is relative, so positions cannot be given.
     sandbox.write("goal.toml", GOAL);
     sandbox
         .run("sample runs/mdm --goal goal.toml --steps 3 --out way")
@@ -126,7 +126,7 @@ fn weights_that_do_not_fit_are_refused_with_all_differences() {
     import("goal.toml", "gmd_trajectory", statistics).failed(2, &["goal.toml"]);
     // A tensor of 4 GiB that repeats one number.
     import("checkpoint_expanded.pt", "gmd_trajectory", statistics).failed(2, &["can hold"]);
-    // A pickle that says that the rest of the file, 20 GiB, is one value.
+    // A pickle that declares the remaining 20 GiB of the file as one value.
     let mut claim = vec![0x80, 4, 0x8e];
     claim.extend((20_u64 << 30).to_le_bytes());
     fs::write(sandbox.path("claim.pt"), &claim).expect("written");
@@ -136,9 +136,9 @@ fn weights_that_do_not_fit_are_refused_with_all_differences() {
     file.and_then(|file| file.set_len(21 << 30))
         .expect("longer");
     import("claim.pt", "gmd_trajectory", statistics).failed(2, &["at most 2147483648 are read"]);
-    // What is left is compared below, and this would be read into memory.
+    // The remaining files are compared below, and this one would be read into memory.
     fs::remove_file(sandbox.path("claim.pt")).expect("a file");
-    // Deviations of places that vary as little as steps do.
+    // Deviations of absolute positions as small as those of steps.
     let mut relative = [1.0; 263];
     relative[1..3].fill(0.02);
     relative[193..259].fill(0.02);
@@ -155,7 +155,7 @@ fn weights_that_do_not_fit_are_refused_with_all_differences() {
     import("checkpoint_tiny.pt", "gmd_trajectory", statistics).failed(2, &["12", "263"]);
     write_values(&sandbox.path("s.npy"), &[263], &[1.0; 263]).expect("a file");
 
-    // One name changed within the pickle is one parameter missing and another not known.
+    // A changed name in the pickle is one missing and one unknown parameter.
     let path = sandbox.path("checkpoint_bare.pt");
     let bytes = fs::read(&path).expect("a fixture");
     fs::write(
@@ -178,7 +178,7 @@ fn weights_that_do_not_fit_are_refused_with_all_differences() {
     );
 }
 
-/// An archive whose first file that holds `name` holds `other`, of the same length, in its place.
+/// An archive in whose first file containing `name` it is replaced by `other`, of the same length.
 fn renamed(mut archive: Vec<u8>, name: &[u8], other: &[u8]) -> Vec<u8> {
     let place = |archive: &[u8], text: &[u8]| {
         archive
@@ -186,7 +186,7 @@ fn renamed(mut archive: Vec<u8>, name: &[u8], other: &[u8]) -> Vec<u8> {
             .position(|window| window == text)
             .expect("the text is there")
     };
-    // The pickle is the archive's first file: its local header says where it lies.
+    // The pickle is the archive's first file: its local header has the offset.
     let number = |archive: &[u8], at: usize, bytes: usize| {
         (0..bytes).fold(0usize, |n, i| n | usize::from(archive[at + i]) << (8 * i))
     };

@@ -39,14 +39,14 @@ fn evaluations(text: &str) -> Vec<Value> {
     report["evaluations"].as_array().expect("a list").clone()
 }
 
-/// What a run was measured to do with something heard.
+/// Measures of a run with one kind of audio.
 fn condition<'a>(evaluation: &'a Value, heard: &str) -> &'a Value {
     let conditions = evaluation["conditions"].as_array().expect("conditions");
     let found = conditions.iter().find(|each| each["heard"] == heard);
     found.expect(heard)
 }
 
-/// A mean that lies within its interval.
+/// A mean within its interval.
 fn mean(estimate: &Value) -> f64 {
     let number = |key: &str| estimate[key].as_f64().expect(key);
     let [mean, low, high] = ["mean", "low", "high"].map(number);
@@ -160,7 +160,7 @@ fn document_models_hear_a_set_of_frames_and_aligned_ones_their_order() {
             .map(|scale| scale["guidance_scale"].as_f64().expect("a scale"))
             .collect();
         assert_eq!(named, [1.0, 2.5]);
-        // The run's own scale is 1: these are the same samples.
+        // The run's scale is 1, so these are the same samples.
         assert_eq!(scales[0]["beat_phase_error"], own["beat_phase_error"]);
         assert_ne!(scales[1]["beat_phase_error"], own["beat_phase_error"]);
         assert!(scales[1]["measures"]["diversity"].is_number());
@@ -227,11 +227,11 @@ fn the_same_seed_measures_the_same() {
     );
     let other = sandbox.run(&format!("{line} --seed 1")).succeeded().stdout;
     assert_ne!(other, first);
-    // The loss knows no seed, but which frames are shuffled does.
+    // The loss does not depend on the seed, the shuffled order does.
     let [first, other] = [first, other].map(|text| evaluations(&text).remove(0));
     let of = |evaluation: &Value, heard| condition(evaluation, heard)["loss"]["mean"].clone();
     assert_eq!(of(&first, "own"), of(&other, "own"));
-    // One guidance scale is that of all samples, and no comparison.
+    // One guidance scale applies to all samples; there is no comparison.
     let guided = sandbox
         .run(&format!("{line} --guidance-scale 2"))
         .succeeded();
@@ -244,8 +244,8 @@ fn the_same_seed_measures_the_same() {
     );
 }
 
-/// A dataset of two songs held out, `a` with three phrases, the last of 20 frames, and `b` with one;
-/// a phrase of `b` without beats; and six phrases of `c`.
+/// A dataset with two held-out songs: `a` has three phrases, the last of 20 frames; `b` has one,
+/// and a phrase without beats. Six phrases of `c` are for training.
 fn songs(sandbox: &Sandbox) {
     let fast = (0..)
         .find(|&index| {
@@ -318,7 +318,7 @@ fn phrases_are_grouped_by_song_and_those_without_beats_left_out() {
     let own = mean(&condition(&found, "own")["loss"]);
     assert!((own - expected).abs() < 1e-9, "{own} {expected}");
 
-    // With one song held out, another one's music is that of phrases to train on.
+    // With one held-out song, the other music is that of training phrases.
     sandbox
         .run(&format!(
             "train c.toml --name one {of_set} --set data.validation.patterns=[\"b_00000\"]"
@@ -332,7 +332,7 @@ fn phrases_are_grouped_by_song_and_those_without_beats_left_out() {
     let found = evaluations(&read(&sandbox, "runs/one/reports/eval-listening.json")).remove(0);
     mean(&condition(&found, "other_song")["loss"]);
 
-    // Nothing to be in time with.
+    // No beats to compare with.
     sandbox
         .run(&format!(
             "train c.toml --name none {of_set} --set data.validation.patterns=[\"b_00040\"]"

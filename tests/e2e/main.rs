@@ -1,5 +1,5 @@
-//! The binary, from the command line to what it leaves on disk. Each test has a folder of its own;
-//! none changes the environment or the current directory of this process.
+//! The binary, from the command line to its files. Each test has its own folder; none changes the
+//! environment or the current directory of this process.
 
 mod aligned;
 mod bad_input;

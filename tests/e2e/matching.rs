@@ -1,4 +1,4 @@
-//! New motion from examples: what is written, and what is refused.
+//! New motion from examples: files and refusals.
 
 use std::fmt::Write;
 use std::fs;
@@ -19,7 +19,7 @@ const JOINTS: [(&str, Option<usize>, [i32; 3]); 9] = [
     ("RightArm", Some(5), [-18, 0, 0]),
 ];
 
-/// A walk as BVH, of so many frames at 60 a second.
+/// A walk as BVH, at 60 frames per second.
 fn walk(frames: usize) -> String {
     let mut text = "HIERARCHY\n".to_string();
     let mut open: Vec<usize> = Vec::new();
@@ -191,9 +191,9 @@ fn clips_of_joint_features_are_matched_and_written() {
     assert_eq!(sum, frames as u64);
     let new = read_array(&sandbox.path("new.npy")).expect("a clip");
     assert_eq!(new.shape, [frames, 263]);
-    // It is plausible motion, and its parts fit one another.
+    // It is plausible and coherent motion.
     sandbox.run("check new.npy").succeeded();
-    // The same as BVH is as far from it as a file's decimals.
+    // The BVH file differs by its decimals only.
     let options = "--overwrite --seed 0";
     sandbox
         .run(&format!("match {walks} --out new.bvh {options}"))

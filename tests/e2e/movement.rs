@@ -1,5 +1,5 @@
-//! What the strict checks see: motions that are broken on purpose, samples of a decoder that has
-//! learned nothing, and runs of before the movement was measured.
+//! The strict checks: intentionally broken motions, samples of an untrained decoder, and runs
+//! without stored movement statistics.
 
 use std::fs;
 
@@ -27,7 +27,7 @@ fn failed(file: &Value) -> Vec<&str> {
         .collect()
 }
 
-/// The phrase with other poses, and channels that agree with them.
+/// The phrase with other poses and consistent channels.
 fn posed(
     motion: &Motion,
     pose: impl Fn(usize, [f64; 3], Quaternion, f64) -> ([f64; 3], Quaternion, f64),
@@ -51,7 +51,7 @@ fn posed(
     derive(&positions, &quaternions, &phases, &style).expect("a phrase")
 }
 
-/// The phrase broken in many ways: a name, the motion, the checks it must fail.
+/// Broken variants of the phrase: name, motion, checks it must fail.
 fn broken(good: &Motion) -> Vec<(&'static str, Motion, Vec<&'static str>)> {
     let (place, still) = (good.vector(0, POSITION), good.quaternion(0));
     let noise = Key::new(5, Purpose::Noise).normals(3 * good.frames());
@@ -189,7 +189,7 @@ fn motions_broken_on_purpose_fail_by_name_and_real_ones_pass() {
                 assert!(failed.contains(&check), "{index} {name}: {failed:?}");
             }
         }
-        // The checks of the channels let most of them through, and say so of themselves.
+        // The channel checks pass most of them.
         let document = sandbox.run("check broken --json");
         let document = parsed(&document.stdout);
         assert_eq!(document["passed"], 14, "{document:#}");
@@ -203,7 +203,7 @@ fn construction_is_not_learning() {
     sandbox
         .run("train c.toml --name base --set train.max_steps=8")
         .succeeded();
-    // The warm-up begins at zero: the one step changes nothing, the decoder is as it was made.
+    // The warm-up starts at zero, so the single step does not change the decoder.
     sandbox
         .run(
             "train c.toml --name untrained --set train.recipe=decoder \
@@ -237,8 +237,7 @@ fn construction_is_not_learning() {
     }
 }
 
-/// Takes the movement out of the statistics of every checkpoint of a run, as if it had been written
-/// before they held it.
+/// Removes the movement from the statistics of every checkpoint of a run.
 fn forget_movement(sandbox: &Sandbox, run: &str) {
     for step in sandbox.list(&format!("{run}/checkpoints")) {
         let path = sandbox.path(format!("{run}/checkpoints/{step}/state.json"));
@@ -247,7 +246,7 @@ fn forget_movement(sandbox: &Sandbox, run: &str) {
         };
         let begins = text.find("    \"movement\": {").expect("movement");
         let ends = begins + text[begins..].find("\n    }").expect("its end") + "\n    }".len();
-        // It stands last among the statistics, after a comma.
+        // It is the last of the statistics, after a comma.
         let before = text[..begins].trim_end();
         let (before, after) = match text[ends..].strip_prefix(',') {
             Some(after) => (before, after),
@@ -287,7 +286,7 @@ fn runs_of_before_the_movement_was_measured_say_what_to_do() {
             "--source set",
         ],
     );
-    // An evaluation has the training phrases at hand.
+    // An evaluation can read the training phrases.
     let after = parsed(&sandbox.run(evaluate).succeeded().stdout);
     assert_eq!(after, before);
     let printed = sandbox.run("eval runs/old --steps 3").succeeded().stdout;
@@ -303,7 +302,7 @@ fn runs_of_before_the_movement_was_measured_say_what_to_do() {
     let table = resumed.stdout.lines().find(|line| line.contains("_00000"));
     let verdict = table.and_then(|line| line.split('|').nth(2)).map(str::trim);
     assert_eq!(verdict, Some("-"), "{}", resumed.stdout);
-    // What starts from it knows again.
+    // A run initialised from it has the statistics again.
     let tuned = sandbox
         .run(&format!(
             "train c.toml --name tuned {data} --set train.recipe=decoder \

@@ -1,4 +1,4 @@
-//! What helps to get going: `init`, `completions`, `man`, and a training that names no config.
+//! First steps: `init`, `completions`, `man`, and training without a config.
 
 use std::fs;
 use std::process::Command;
@@ -49,7 +49,7 @@ fn every_config_that_is_listed_can_be_written_and_shown() {
         sandbox.run(&format!("init {name}")).succeeded();
         if !matches!(name, "prepare" | "bodies" | "goal" | "compose") {
             let show = format!("config show {name}.toml --set data.source=set");
-            // What it starts from is not there, of which it warns.
+            // Its initial checkpoint is missing, which gives a warning.
             let shown = sandbox.run(&show).succeeded();
             assert!(shown.stdout.contains("[train]"), "{}", shown.stdout);
         }

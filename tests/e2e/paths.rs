@@ -1,4 +1,4 @@
-//! Motion along paths, of models of every kind: measured in the positions that come out.
+//! Motion along paths, for every kind of model, measured in the written positions.
 
 use std::fs;
 
@@ -10,7 +10,7 @@ use serde_json::Value;
 
 use crate::{compose, goals};
 
-/// A quarter of a circle of 2 m that begins away from the origin and leads along -x.
+/// A quarter circle of 2 m that starts away from the origin with heading -x.
 fn quarter() -> String {
     let point = |k: u32| {
         let (sin, cos) = (f64::from(k) * std::f64::consts::FRAC_PI_2 / 8.0).sin_cos();
@@ -41,7 +41,7 @@ fn record(sandbox: &Sandbox, file: &str) -> Value {
     serde_json::from_str(&text).expect("JSON")
 }
 
-/// The table of that name with a column of drawn motion, wherever a report has it.
+/// The table of that name with a column of generated motion, wherever it is in the report.
 fn within<'v>(value: &'v Value, name: &str) -> Option<&'v Value> {
     match value {
         Value::Object(table) => match table.get(name) {
@@ -80,7 +80,7 @@ fn ways_of_held_out_clips_are_followed_and_measured() {
         );
         assert_eq!(found["real"], free["real"]);
     }
-    // All of a network that knows no paths is trained on with them.
+    // All weights of a network without paths are fine-tuned with paths.
     sandbox
         .run("train c.toml --name plain --set train.max_steps=4")
         .succeeded();
@@ -95,7 +95,7 @@ fn ways_of_held_out_clips_are_followed_and_measured() {
         .succeeded();
     let told = eval("tokens");
     assert_ne!(told["drawn"], free["drawn"]);
-    // Features are of the motion that the joints are of, wherever it was moved to.
+    // Features and joints describe the same motion after the move.
     sandbox.write("quarter.toml", quarter());
     for method in ["warp", "override", "tokens", "tokens_warp"] {
         let line = format!(
@@ -154,7 +154,7 @@ fn clips_of_goals_follow_a_path_from_a_file() {
         assert_eq!(record["path"]["file"], "quarter.toml");
         assert_eq!(record["condition"]["path"]["file"], "quarter.toml");
     }
-    // Of a first stage the way that it drew, which is near the path, is beside the clip.
+    // The first stage's trajectory, which is near the path, is written next to the clip.
     let line = format!("{sample} --trajectory-run runs/gmd_trajectory --out staged");
     sandbox.run(&line).succeeded();
     let first = read_array(&sandbox.path("staged.path.npy")).expect("a path");

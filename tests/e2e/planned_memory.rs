@@ -1,4 +1,4 @@
-//! What `kinegrad train --dry-run` says of memory and time, held against trainings.
+//! The estimates of `kinegrad train --dry-run` for memory and time, compared with trainings.
 
 use std::thread::sleep;
 use std::time::Duration;
@@ -6,7 +6,7 @@ use std::time::Duration;
 use kinegrad_tests::sandbox::{SMALLEST, SMALLEST_WALKS, Sandbox};
 use serde_json::Value;
 
-/// Bytes of main memory that a command takes at its most.
+/// Peak of main memory of a command, bytes.
 fn most_memory(sandbox: &Sandbox, arguments: &str) -> u64 {
     let mut child = sandbox.start(arguments);
     let status = format!("/proc/{}/status", child.id());

@@ -1,4 +1,4 @@
-//! What `data prepare` makes of plans: refusals, reports, and datasets written again.
+//! Plans of `data prepare`: refusals, reports, and rewritten datasets.
 
 use std::fs;
 
@@ -18,7 +18,7 @@ fn an_interrupted_preparation_goes_on_and_a_changed_take_is_made_again() {
         .run("data prepare plan.toml --out whole")
         .succeeded();
     sandbox.run("data prepare plan.toml --out set").succeeded();
-    // As after a kill: one take is not noted, the manifest not written.
+    // As after a kill: one take is not recorded, the manifest is not written.
     fs::remove_file(sandbox.path("set/prepare/takes/two.json")).expect("a note");
     fs::remove_file(sandbox.path("set/manifest.parquet")).expect("a manifest");
     fs::remove_dir_all(sandbox.path("set/motion/two_00015")).expect("a phrase");
@@ -38,7 +38,7 @@ fn an_interrupted_preparation_goes_on_and_a_changed_take_is_made_again() {
         all
     };
     assert_eq!(same("set"), same("whole"));
-    // A phrase that was lost is made again.
+    // A lost phrase is written again.
     fs::remove_dir_all(sandbox.path("set/audio_features/one_00015")).expect("a phrase");
     let again = sandbox.run("data prepare plan.toml --out set").succeeded();
     assert!(

@@ -1,5 +1,5 @@
-//! From captures and songs to datasets that train: `data prepare`, `audio features`,
-//! `data inspect --where`, `sample --audio`.
+//! From captures and songs to training datasets: `data prepare`, `audio features`, `data inspect
+//! --where`, `sample --audio`.
 
 use std::fs;
 
@@ -21,7 +21,7 @@ fn with_captures() -> Sandbox {
     sandbox
 }
 
-/// The weights that a short training on `source` ends with.
+/// The final weights of a short training on `source`.
 fn weights(
     sandbox: &Sandbox,
     name: &str,
@@ -197,7 +197,7 @@ fn a_resumed_run_refuses_another_dataset() {
         .failed(2, &["not the one trained on so far", "hint:"]);
     sandbox.write("captures/two.bvh", bvh(300));
     sandbox.run("data prepare plan.toml").succeeded();
-    // The same files, with other phrases held out.
+    // The same files with another held-out split.
     sandbox.write("plan.toml", PLAN.replace("two_*", "one_*"));
     sandbox.run("data prepare plan.toml").succeeded();
     sandbox
@@ -205,7 +205,7 @@ fn a_resumed_run_refuses_another_dataset() {
         .failed(2, &["not the one trained on so far"]);
     sandbox.write("plan.toml", PLAN);
     sandbox.run("data prepare plan.toml").succeeded();
-    // The same dataset may have moved.
+    // The dataset may have moved.
     fs::rename(sandbox.path("set"), sandbox.path("moved")).expect("moved");
     let moved = resume.replace("data.source=set", "data.source=moved");
     sandbox.run(&moved).succeeded();
@@ -284,7 +284,7 @@ fn songs_become_features_pictures_and_motion() {
         sandbox.run(&line).failed(2, &[found, "hint:"]);
     }
     assert!(!sandbox.path("wrong").exists());
-    // What is there stays, unless it is to be replaced; with two songs too.
+    // Existing files stay unless they are to be replaced, with two songs too.
     let kept = fs::read(sandbox.path("cut/a/features.npz")).expect("features");
     sandbox.write("songs/b.wav", wav(3));
     let again = "audio features songs/b.wav songs/a.wav --out cut";

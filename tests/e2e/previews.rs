@@ -1,4 +1,4 @@
-//! Samples that are drawn while a run is trained.
+//! Samples during training.
 
 use std::fs;
 
@@ -90,11 +90,11 @@ fn a_resumed_run_draws_what_is_missing_and_nothing_twice() {
     sandbox.run(&format!("{train}=6 --resume")).succeeded();
     assert_eq!(pictures(&sandbox, "smallest"), once);
     assert!(contents(&pages) == before);
-    // Whether and how often may change.
+    // The interval may change.
     let later = train.replace("every_steps=4", "every_steps=7");
     sandbox.run(&format!("{later}=7 --resume")).succeeded();
     assert_eq!(pictures(&sandbox, "smallest"), 2 * once);
-    // As if the process had ended before it drew them.
+    // As if the process had ended before sampling.
     fs::remove_file(pages.join("step-00000007.html")).expect("removed");
     sandbox.run(&format!("{later}=8 --resume")).succeeded();
     assert!(pages.join("step-00000007.html").exists());

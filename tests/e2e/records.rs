@@ -1,5 +1,4 @@
-//! `kinegrad sample`: the records beside samples, files that exist, the condition that nobody gave,
-//! Ctrl-C; how much the commands say.
+//! `kinegrad sample`: records, existing files, missing conditions, Ctrl-C, verbosity.
 
 use kinegrad_tests::sandbox::{SMALLEST, SMALLEST_WALKS, Sandbox, contents, wait_for};
 use serde_json::Value;
@@ -7,7 +6,7 @@ use serde_json::Value;
 /// A sandbox with a trained run.
 fn trained(config: &str, settings: &str) -> Sandbox {
     let sandbox = Sandbox::new(env!("CARGO_BIN_EXE_kinegrad"));
-    // As short as the trainings are.
+    // As short as the trainings.
     let config = config.replace("warmup_steps = 5", "warmup_steps = 1");
     sandbox.write("c.toml", config);
     let train = format!("train c.toml --set train.max_steps=2 {settings}");
@@ -58,7 +57,7 @@ fn a_record_says_how_a_sample_was_made_and_makes_it_again() {
     assert_eq!(record["sampler"]["num_inference_steps"], 3);
     assert_eq!(record["sampler"]["guidance_scale"], 1.5);
     assert_eq!(record["post_processing"]["normalize_quaternions"], true);
-    // What it says draws the same again.
+    // The recorded command samples the same again.
     let again = format!(
         "sample {} --item {phrase} --out again --steps 3 --seed 7 --guidance-scale 1.5 -q",
         record["checkpoint"].as_str().expect("a path")
@@ -67,7 +66,7 @@ fn a_record_says_how_a_sample_was_made_and_makes_it_again() {
     assert_eq!(again.stderr, "");
     let [one, other] = ["d.npy", "again.npy"].map(|file| std::fs::read(sandbox.path(file)));
     assert_eq!(one.expect("a file"), other.expect("a file"));
-    // The samples at the end of training have records too, by which they are drawn again.
+    // Samples at the end of training have records too, which reproduce them.
     let held_out = sandbox.list("runs/smallest/samples");
     let records = held_out
         .iter()
@@ -193,7 +192,7 @@ fn the_saved_config_wins_on_resume() {
     let sandbox = trained(SMALLEST, "");
     let metrics = || std::fs::read(sandbox.path("runs/smallest/metrics.jsonl")).expect("metrics");
     let before = metrics();
-    // The trap: the file says 40 steps, the run was started for 2.
+    // The file has 40 steps, the run was started with 2.
     let resumed = sandbox.run("train c.toml --resume").succeeded();
     for part in [
         "warning: `train.max_steps` is 40 in c.toml and 2 in the run's saved config",
@@ -207,7 +206,7 @@ fn the_saved_config_wins_on_resume() {
         resumed.stdout
     );
     assert_eq!(metrics(), before);
-    // What must not change is refused, and the way without the file is named.
+    // A forbidden change is refused, and the error names the command without the file.
     sandbox
         .run("train c.toml --resume --set optim.warmup_steps=2")
         .failed(
@@ -226,7 +225,7 @@ fn the_saved_config_wins_on_resume() {
         (&summary["steps"], &summary["ended"]),
         (&5.into(), &"finished".into())
     );
-    // What was set stays.
+    // Earlier settings stay.
     let again = sandbox
         .run("train --resume runs/smallest --json")
         .succeeded();
@@ -273,7 +272,7 @@ fn a_dry_run_says_what_a_run_would_take_and_writes_nothing() {
     let plan: Value = serde_json::from_str(&json.stdout).expect("one line of JSON");
     assert!(plan["step_seconds"].as_f64().expect("measured") > 0.0);
     assert_eq!(plan["train_items"], 10);
-    // A base model and a decoder come before: the last training is planned all the same.
+    // With a base model and a decoder trained first, the last training is estimated too.
     let e2e = "train c.toml --dry-run --json --set train.recipe=e2e --set data.target_frames=16 \
                --set rollout.steps=2 --set lora.rank=2";
     let plan = sandbox.run(e2e).succeeded();
@@ -293,7 +292,7 @@ fn a_dry_run_says_what_a_run_would_take_and_writes_nothing() {
         contents(&sandbox.path(".")) == before,
         "something was written"
     );
-    // The checkpoint is as large as was said.
+    // The checkpoint has the estimated size.
     sandbox
         .run("train c.toml --set train.max_steps=2")
         .succeeded();

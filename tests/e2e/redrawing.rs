@@ -1,4 +1,4 @@
-//! Every record of a sample describes a command that draws the very same files.
+//! Every record of a sample describes a command that reproduces its files.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -8,7 +8,7 @@ use kinegrad_data::humanml::write_walks;
 use kinegrad_tests::sandbox::{SMALLEST, Sandbox, contents, smallest_walks_on_disk};
 use serde_json::Value;
 
-/// Two goals of unlike lengths and numbers of keyframes.
+/// Two goals of different lengths and numbers of keyframes.
 const GOALS: [&str; 2] = [
     "frames = 16\n[[keyframe]]\nframe = 8\nx = 0.1\nz = 0.4\n",
     "frames = 12\n[[keyframe]]\nframe = 5\nx = 0.2\nz = 0.3\n[[keyframe]]\nframe = 11\nx = 0.0\n\
@@ -28,8 +28,7 @@ fn settings(table: &str, value: &Value, arguments: &mut Vec<String>) {
     }
 }
 
-/// The command that a record describes, and the suffix of the sample's files among those that it
-/// writes.
+/// The command of a record, and the suffix of the sample's files among its outputs.
 fn described(record: &Value) -> (Vec<String>, String) {
     let text = |value: &Value| value.as_str().map(String::from);
     let mut arguments = vec![
@@ -88,7 +87,7 @@ fn described(record: &Value) -> (Vec<String>, String) {
     (arguments, suffix)
 }
 
-/// Draws again what each record below `folder` describes, and compares all files of the samples.
+/// Repeats the sampling of each record below `folder`, and compares all files.
 fn redraw(sandbox: &Sandbox, folder: &str) -> Vec<Value> {
     let files = contents(&sandbox.path(folder));
     let mut records = Vec::new();
@@ -186,7 +185,7 @@ fn clips_are_drawn_again_from_their_records() {
     }
     let records = redraw(&sandbox, "drawn");
     assert_eq!(records.len(), 3 + 1 + 2 + 20 + 4 + 1);
-    // A goal is known by its contents, wherever its file is.
+    // A goal is identified by its contents, not by its path.
     let mut goals = records
         .iter()
         .filter(|record| record["condition"]["goal"].is_object());

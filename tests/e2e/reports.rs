@@ -20,7 +20,7 @@ fn page(sandbox: &Sandbox, arguments: &str, out: &str) -> String {
     assert_eq!(written.stdout.trim(), out);
     let page = fs::read_to_string(sandbox.path(out)).expect("a page");
     assert!(page.starts_with("<!doctype html>") && page.trim_end().ends_with("</html>"));
-    // The name of a format is no address that is asked.
+    // A format's namespace is not a requested address.
     let named = page.replace("http://www.w3.org/2000/svg", "");
     for outside in ["http://", "https://", "src=\"", "@import"] {
         assert!(!named.contains(outside), "{outside}");
@@ -80,7 +80,7 @@ fn a_page_gathers_what_a_run_holds() {
     assert_eq!(starts[0]["device"], "cpu");
     assert!(starts[0]["cores"].as_u64() > Some(0));
 
-    // One whose positions are not finite fails, and those beside it move.
+    // A motion with non-finite positions fails; the others play.
     let samples = sandbox.list("runs/smallest/samples");
     let is_motion = |name: &&String| name.ends_with(".npy") && !name.ends_with(".raw.npy");
     let name = samples.iter().find(is_motion).expect("a sample").clone();
@@ -102,7 +102,7 @@ fn a_page_gathers_what_a_run_holds() {
     assert_eq!(scenes(&spoiled) + 1, scenes(&page));
     fs::write(&path, kept).expect("written");
 
-    // A sample that is none is named, and the rest is there.
+    // An invalid sample is named, and the rest is shown.
     sandbox.write("runs/smallest/samples/bad<b>.npy", "none");
     fs::write(sandbox.path("runs/smallest/reports/broken.csv"), "a,b\n1\n").expect("written");
     let again = self::page(&sandbox, "runs/smallest --out made.html", "made.html");
@@ -137,7 +137,7 @@ fn a_page_is_made_of_any_run() {
         ],
     );
 
-    // With the stages before it, and its weights merged.
+    // With its earlier stages and merged weights.
     let stages = "train c.toml --name whole --set train.recipe=e2e --set train.max_steps=4 \
         --set init.pretrain.diffusion_steps=4 --set init.pretrain.decoder_steps=4 \
         --set decoder.hidden_dim=32 --set rollout.steps=2 --set lora.rank=2";
@@ -165,7 +165,7 @@ fn a_page_is_made_of_any_run() {
         ],
     );
 
-    // Stopped in a stage, before its own folder holds anything.
+    // Stopped in a stage, before its own folder has files.
     fs::remove_dir_all(sandbox.path("runs/whole/checkpoints")).expect("removed");
     for file in ["config.toml", "lock", "metrics.jsonl"] {
         fs::remove_file(sandbox.path("runs/whole").join(file)).expect("removed");
@@ -204,7 +204,7 @@ fn previews_move_where_there_are_no_samples() {
         let moving = whole.matches("class=\"kg kg-small\"").count();
         assert!((1..=4).contains(&moving), "{moving}");
         assert!(!whole.contains("<h2>Samples</h2>"));
-        // One that is none is named, and the one before it is shown.
+        // An invalid one is named, and the previous one is shown.
         sandbox.write(&format!("{run}/previews/step-00000004.html"), "<p>mine");
         let older = page(&sandbox, &run, &out);
         holds(
@@ -258,7 +258,7 @@ fn a_page_needs_a_run_and_a_place() {
             .failed(2, &[text]);
     }
     assert!(sandbox.list("empty").is_empty());
-    // A folder that is not there is made.
+    // A missing folder is created.
     sandbox
         .run("report runs/smallest --out no/such/page.html")
         .succeeded();
@@ -300,7 +300,7 @@ fn runs_are_listed_with_their_states() {
     let text = fs::read_to_string(&config).expect("a config");
     fs::write(&config, text.replace("max_steps = 4", "max_steps = 9")).expect("written");
     sandbox.write("runs/new/lock", "");
-    // Nothing but a config that cannot be read.
+    // Only an unreadable config.
     sandbox.write("runs/lost/config.toml", "[train\n");
     sandbox.write("runs/notes.txt", "mine");
 
@@ -352,7 +352,7 @@ fn runs_are_listed_with_their_states() {
     assert!(own.contains("done") && own.lines().count() == 3, "{own}");
 }
 
-/// Values that wander a little.
+/// Values of a small random walk.
 fn wandering(count: usize) -> Vec<f32> {
     (0..count).map(|i| (i as f32 * 0.37).sin()).collect()
 }
@@ -430,7 +430,7 @@ fn joints_of_any_skeleton_and_captures_are_plotted_and_not_checked() {
         holds(&picture, &["path from above", "height (m)"]);
         assert!(!picture.contains("on the ground\n"), "no foot is known");
         assert_eq!(picture.contains("poses "), joints > 1, "{joints} joints");
-        // A dot for each joint of each pose, beside those of the path.
+        // A dot for each joint of each pose, in addition to the path's.
         let dots = picture.matches("<circle").count() - 2;
         assert!(
             dots.is_multiple_of(joints) && (dots > 0) == (joints > 1),

@@ -1,4 +1,4 @@
-//! A run that is killed and resumed ends byte for byte like one that never stopped.
+//! A run that is killed and resumed ends with the same bytes as an uninterrupted one.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -18,7 +18,7 @@ fn sandbox() -> Sandbox {
     sandbox
 }
 
-/// The bytes of the tensors of the last checkpoint, and the metrics without what the clock wrote.
+/// The bytes of the tensors of the last checkpoint, and the metrics without times.
 #[derive(PartialEq)]
 struct Result {
     tensors: Vec<(String, Vec<u8>)>,
@@ -65,7 +65,7 @@ fn assert_same(one: &Result, other: &Result) {
     assert_eq!(one.metrics, other.metrics);
 }
 
-/// A number in 0..1 that differs from run to run: when a run is killed is meant to be random.
+/// A number in 0..1 that differs between runs: the moment of a kill is random on purpose.
 fn chance() -> f64 {
     let now = std::time::SystemTime::now()
         .duration_since(std::time::UNIX_EPOCH)
@@ -73,7 +73,7 @@ fn chance() -> f64 {
     f64::from(now.subsec_nanos() % 1_000_003) / 1_000_003.0
 }
 
-/// Trains with `arguments` in `runs`, killing the process at least [`KILLS`] times on the way.
+/// Trains with `arguments` in `runs`, killing the process at least [`KILLS`] times.
 fn train_with_kills(sandbox: &Sandbox, arguments: &str, runs: &str, uninterrupted: Duration) {
     let mut longest = uninterrupted / 3;
     for attempt in 0..8 {
@@ -159,7 +159,7 @@ const FINE_TUNING: &str = "--set train.recipe=e2e --set train.max_steps=16 \
     --set decoder.hidden_dim=32 --set decoder.coherence=projection --set rollout.steps=3 \
     --set data.augment.audio_replace_prob=0.3";
 
-/// What networks predict, what normalises it, what decays and what the best step is selected by.
+/// Prediction targets, normalisation, weight decay and the criterion of the best step.
 const TARGETS: &str = "--set model.phase_target=sin_cos --set model.orientation_target=rotation_6d \
     --set data.statistics=crops --set optim.weight_decay_groups=matrices \
     --set validation.select_by=frechet --set validation.select_samples=2 \
@@ -175,7 +175,7 @@ fn killed_fine_tuning_with_other_targets_ends_the_same() {
     check_kills(&format!("{FINE_TUNING} {TARGETS}"));
 }
 
-/// A network that hears time, in clips of 10 to 24 frames.
+/// A network with aligned audio, on clips of 10 to 24 frames.
 const ALIGNED: &str = "--set model.audio_conditioning=aligned --set data.augment.min_frames=10 \
     --set data.audio_features=[\"document\",\"beats\"]";
 
@@ -189,7 +189,7 @@ fn killed_fine_tuning_with_aligned_conditioning_ends_the_same() {
     check_kills(&format!("{FINE_TUNING} {ALIGNED} --set lora.rank=2"));
 }
 
-/// A network that tracks the beats itself, predicts harmonics of the bar, and hears masked music at
+/// A network that tracks beats, predicts harmonics of the bar, and is trained on masked music at
 /// other speeds.
 const TRACKED: &str = "--set model.audio_conditioning=aligned --set model.beats=tracked \
     --set data.audio_features=[\"document\",\"beats\"] --set model.phase_target=harmonics \

@@ -1,4 +1,4 @@
-//! What a run's folder holds beside checkpoints: files of others, damaged metrics, samples.
+//! Other contents of a run's folder: foreign files, damaged metrics, samples.
 
 use std::fs;
 use std::path::PathBuf;
@@ -95,7 +95,7 @@ const DRAWN: &str = "train c.toml --set train.max_steps=2 --set validation.every
     --set sampling.count_at_end=1 --set sampling.sampler.kind=ddpm \
     --set sampling.sampler.num_inference_steps=1000 --set data.target_frames=36";
 
-/// Starts a training and waits until it draws its samples.
+/// Starts a training and waits until it samples.
 fn drawing(sandbox: &Sandbox, arguments: &str) -> Child {
     let mut child = sandbox.start(arguments);
     let begun = sandbox.path("runs/smallest/.writing-samples");
@@ -120,7 +120,7 @@ fn a_signal_while_samples_are_drawn_ends_the_run_and_resuming_draws_them() {
     let sandbox = sandbox();
     let child = drawing(&sandbox, DRAWN);
     let resume = format!("{DRAWN} --resume");
-    // The process that draws has the run to itself.
+    // The sampling process locks the run.
     sandbox
         .run(&resume)
         .failed(2, &["another process is using the run folder"]);
@@ -140,7 +140,7 @@ fn samples_are_added_to_what_the_folder_holds() {
     sandbox.run(&format!("{train}=2")).succeeded();
     let drawn = samples(&sandbox);
     let bytes = || fs::read(sandbox.path("runs/smallest/samples").join(&drawn[1])).expect("bytes");
-    // The motion: its record stands first.
+    // The second file is the motion; the first is its record.
     let before = bytes();
     let mine = sandbox.write("runs/smallest/samples/notes.txt", "mine");
     sandbox.run(&format!("{train}=4 --resume")).succeeded();
@@ -181,7 +181,7 @@ fn samples_need_a_name() {
 #[test]
 fn a_slow_start_does_not_overwrite_a_run_that_was_begun_meanwhile() {
     let sandbox = sandbox();
-    // A dataset that takes seconds to make, before the run's folder is.
+    // A dataset that takes seconds to generate, before the run's folder exists.
     let slow = sandbox
         .command(
             "train c.toml --set data.synthetic.phrases=12000 --set data.validation.fraction=0.001"
@@ -217,7 +217,7 @@ fn samples_of_an_earlier_end_are_drawn_again_after_a_kill() {
     wait_for(&mut child, "a later checkpoint", || later.exists());
     child.kill().expect("a kill");
     child.wait().expect("an end");
-    // As long as it has come: it ends at once.
+    // The run already has as many steps, so it ends at once.
     sandbox
         .run(&format!("{train} --set train.max_steps=5 --resume"))
         .succeeded();

@@ -1,4 +1,4 @@
-//! Work that takes more memory than there is, and files without an end: refused with exit code 2.
+//! Work beyond the available memory, and endless files: refused with exit code 2.
 
 use std::fs;
 use std::process::Command;
@@ -13,7 +13,7 @@ fn sandbox() -> Sandbox {
     sandbox
 }
 
-/// What is said of work that does not fit.
+/// The error for work that does not fit.
 const ESTIMATE: [&str; 3] = ["needs about", "GiB of memory are free", "hint:"];
 
 #[test]
@@ -31,7 +31,7 @@ fn training_that_does_not_fit_is_refused_with_an_estimate() {
         sandbox
             .run(&format!("train c.toml {settings}"))
             .failed(2, &ESTIMATE);
-        // As a comment beside the config.
+        // As a comment of the config.
         let shown = sandbox.run(&format!("config show c.toml {settings}"));
         let estimate = shown.succeeded().stdout;
         assert!(estimate.contains("# memory: about "), "{estimate}");
@@ -168,7 +168,7 @@ fn pipes_devices_and_endless_files_are_not_read() {
     let pipe = sandbox.path("pipe");
     let made = Command::new("mkfifo").arg(&pipe).status().expect("mkfifo");
     assert!(made.success());
-    // Of 5 GiB, though it takes no room.
+    // A sparse file of 5 GiB.
     let sparse = fs::File::create(sandbox.path("sparse")).expect("a file");
     sparse.set_len(5 << 30).expect("room");
     for file in ["pipe", "/dev/zero", "sparse"] {
@@ -203,7 +203,7 @@ fn pipes_devices_and_endless_files_are_not_read() {
     }
 }
 
-/// Runs the binary with so many mebibytes of addresses.
+/// Runs the binary with a limit on its address space, in MiB.
 fn run_with(sandbox: &Sandbox, mebibytes: u64, arguments: &str) -> Finished {
     let (limit, binary) = (mebibytes << 10, env!("CARGO_BIN_EXE_kinegrad"));
     let mut command = Command::new("bash");
@@ -240,14 +240,14 @@ fn an_evaluation_is_measured_by_the_samples_of_a_phrase() {
         2,
         &["drawing 32 phrases of 3000 frames", "`evaluation.seeds`"],
     );
-    // Drawn in windows it fits.
+    // In windows it fits.
     eval("windows").succeeded();
 }
 
 #[test]
 fn a_song_that_does_not_fit_is_refused() {
     let sandbox = sandbox();
-    // Silence, which takes no room on disk.
+    // Silence, as a sparse file.
     let silence = |name: &str, seconds: u32| {
         let length = seconds * 44_100 * 2;
         let mut song = wav(0);

@@ -1,5 +1,5 @@
-//! `kinegrad sample` in windows: whole songs, motion that goes on, frames that are kept;
-//! post-processing profiles.
+//! `kinegrad sample` in windows: whole songs, continued motion, known frames; post-processing
+//! profiles.
 
 use std::fs;
 use std::ops::ControlFlow;
@@ -225,7 +225,7 @@ fn kept_frames_are_those_of_the_motion_to_the_bit() {
                 "motion": "first.npy", "frames": [[0, 5], [40, 52]], "continued": false
             })
         );
-        // It goes on from the last frames, wherever those are.
+        // It continues from the last frames, wherever they are.
         sandbox
             .run(&format!(
                 "{draw} --start 2 --continue-from first.npy --out more"
@@ -238,7 +238,7 @@ fn kept_frames_are_those_of_the_motion_to_the_bit() {
         let kept = &record(&sandbox, "more.json")["condition"]["known_frames"];
         assert_eq!(kept["frames"], serde_json::json!([[0, 6]]));
         assert_eq!(kept["continued"], true);
-        // The first new frame is no further away than frames are from each other.
+        // The first new frame is as near as consecutive frames are.
         let step = |t: usize| {
             let apart = POSITION.map(|c| more.frame(t + 1)[c] - more.frame(t)[c]);
             apart.map(|d| d * d).sum::<f32>().sqrt()
@@ -299,7 +299,7 @@ fn frames_that_cannot_be_kept_are_refused() {
 
 #[test]
 fn the_profile_says_how_a_sample_is_repaired() {
-    // Of a rotation, which is short where the network is unsure.
+    // The columns of a rotation are short where the network is uncertain.
     let settings = "--set train.max_steps=2 --set model.orientation_target=rotation_6d";
     let sandbox = trained(settings);
     let draw = "sample runs/smallest --steps 2";

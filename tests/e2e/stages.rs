@@ -1,5 +1,5 @@
-//! Fine-tuning with the trainings before it: stopped in one of them, begun from elsewhere, and
-//! with files of one lost.
+//! Fine-tuning with its earlier stages: stopped in one of them, started from elsewhere, and with
+//! lost files.
 
 use std::fs;
 use std::path::PathBuf;
@@ -20,7 +20,7 @@ fn weights(sandbox: &Sandbox) -> PathBuf {
     sandbox.path("runs/smallest/checkpoints/step-00000004/model.safetensors")
 }
 
-/// Takes away what a run writes after its decoder's step 6, or after the decoder's config.
+/// Removes the files that a run writes after its decoder's step 6, or after the decoder's config.
 fn stop_in_the_decoder(sandbox: &Sandbox, after_checkpoint: bool) {
     let run = sandbox.path("runs/smallest");
     fs::remove_dir_all(run.join("checkpoints")).expect("checkpoints");
@@ -35,7 +35,7 @@ fn stop_in_the_decoder(sandbox: &Sandbox, after_checkpoint: bool) {
 fn a_run_stopped_in_its_decoder_resumes_from_anywhere() {
     let sandbox = sandbox();
     let train = format!("train c.toml {SETTINGS}");
-    // What a process leaves that is killed before its first config is written.
+    // The files of a process that is killed before it writes its first config.
     for name in ["lock", ".writing-config.toml"] {
         sandbox.write(&format!("runs/smallest/base/{name}"), "");
     }
@@ -96,7 +96,7 @@ fn a_lost_config_of_a_base_model_is_no_lost_run() {
     sandbox
         .run(&train)
         .failed(2, &["exists already", "--resume"]);
-    // Its checkpoints say how it was trained.
+    // Its checkpoints contain its training settings.
     sandbox.run(&format!("{train} --resume")).succeeded();
     assert!(whole == fs::read(weights(&sandbox)).expect("weights"));
 
@@ -142,7 +142,7 @@ fn a_start_that_a_recipe_does_not_use_is_refused_in_new_runs_alone() {
         assert!(!sandbox.path("runs").exists());
     }
 
-    // A run that an older version has started with such a setting.
+    // A run with such a setting in its stored config.
     let train = "train c.toml --set train.max_steps=4";
     sandbox.run(train).succeeded();
     fs::remove_dir_all(sandbox.path("runs/smallest/checkpoints")).expect("checkpoints");

@@ -1,4 +1,4 @@
-//! Style: what a run is told in training, what a sample is asked for, and what is refused.
+//! Style: conditions in training and sampling, and refusals.
 
 use std::fs;
 
@@ -6,7 +6,7 @@ use kinegrad_tests::captures::{self, PLAN, wav};
 use kinegrad_tests::sandbox::{SMALLEST, SMALLEST_WALKS, Sandbox, finish};
 use serde_json::{Value, json};
 
-/// Labels of most phrases; some have none, and the one that is held out has its own.
+/// Labels of most phrases; some have none, and the held-out phrase has its own.
 const LABELS: &str = "
 [data.labels]
 \"*0\" = \"waltz\"
@@ -17,7 +17,7 @@ const LABELS: &str = "
 \"*_00010\" = \"\"
 ";
 
-/// Eight numbers within what synthetic dances have.
+/// Eight numbers in the range of synthetic dances.
 const NUMBERS: &str = "0.8,0.3,0.5,0.1,0.6,0.2,-0.1,0.15";
 
 fn sandbox() -> Sandbox {
@@ -52,7 +52,7 @@ fn state(sandbox: &Sandbox, run: &str) -> Value {
     )
 }
 
-/// Draws with these options and returns the raw motion.
+/// Samples with these options and returns the raw motion.
 fn drawn(sandbox: &Sandbox, run: &str, options: &str) -> Vec<u8> {
     let draw = format!("sample runs/{run} --frames 20 --steps 3 --overwrite --out drawn {options}");
     sandbox.run(&draw).succeeded();
@@ -90,7 +90,7 @@ fn a_sample_has_the_style_that_it_is_asked_for() {
             assert_ne!(all[one], all[other], "{one} {other}");
         }
     }
-    // The same again, and what the record says.
+    // The same sample again, and its record.
     assert_eq!(of("--style waltz"), all[1]);
     let said = record(&sandbox, "drawn.json");
     assert_eq!(said["condition"]["style"], "waltz");
@@ -106,7 +106,7 @@ fn a_sample_has_the_style_that_it_is_asked_for() {
             .is_none()
     );
 
-    // A scale of its own: the same as that of all, nothing, more.
+    // A separate guidance scale: equal to the common one, zero, larger.
     let guided = of("--style waltz --guidance-scale 2");
     let scale = |style: &str| of(&format!("--style waltz --guidance-scale 2 {style}"));
     assert_eq!(scale("--style-guidance-scale 2"), guided);
@@ -118,7 +118,7 @@ fn a_sample_has_the_style_that_it_is_asked_for() {
     );
     // Without a style it changes nothing.
     assert_eq!(of("--style-guidance-scale 5"), all[0]);
-    // Of several in a batch, each is as alone.
+    // A sample does not depend on its batch.
     let draw = "sample runs/smallest --frames 20 --steps 3 --count 2 --style waltz --out two";
     sandbox.run(draw).succeeded();
     assert_eq!(bytes(&sandbox, "two-000.raw.npy"), all[1]);
@@ -260,8 +260,8 @@ fn style_is_fine_tuned_and_merged() {
         let run = format!("{tune} --name {mode} --set rollout.mode={mode} {settings}");
         sandbox.run(&run).succeeded();
     }
-    // Recomputing each step gives the weights of one graph over all of them, up to rounding; here
-    // it is enough that both trained the style.
+    // Recomputing each step gives the weights of one graph over all steps, up to rounding. This
+    // test only requires that both train the style.
     let tuned = state(&sandbox, "full");
     let base = state(&sandbox, "base");
     for key in ["style", "style_labels"] {
@@ -277,7 +277,7 @@ fn style_is_fine_tuned_and_merged() {
     sandbox
         .run("sample runs/merged --style foxtrot --out wrong")
         .failed(2, &["`slow waltz`, `tango`, `waltz`"]);
-    // A dance that the base does not know.
+    // A dance unknown to the base.
     sandbox.write(
         "other.toml",
         format!("{SMALLEST}\n[data.labels]\n\"*1\" = \"rumba\"\n"),
@@ -290,7 +290,7 @@ fn style_is_fine_tuned_and_merged() {
 
 #[test]
 fn dropping_all_styles_and_having_none_are_told_apart_by_the_metrics() {
-    // Style changes the loss; whether it is dropped changes it too; without style nothing does.
+    // Style and style dropout change the loss; without style nothing does.
     let losses = |settings: &str| {
         let sandbox = trained(settings);
         let text = fs::read_to_string(sandbox.path("runs/smallest/metrics.jsonl"));

@@ -1,5 +1,5 @@
-//! Networks that predict phase and orientation in other forms than files hold them, statistics of
-//! crops, and how the best step and the split of a fine-tuning are chosen.
+//! Other prediction targets for phase and orientation, statistics of crops, and the selection of
+//! the best step and of a fine-tuning's split.
 
 use std::fs;
 use std::path::Path;
@@ -152,7 +152,7 @@ fn runs_without_the_options_hold_one_set_of_statistics() {
     let found = state(&sandbox.path("runs/base"));
     assert!(found.get("network_statistics").is_none());
     assert!(found["progress"].get("best_score").is_none());
-    // A config from before the options.
+    // A config without these options.
     let path = sandbox.path("runs/base/config.toml");
     let text = fs::read_to_string(&path).expect("a config");
     let new = [
@@ -289,7 +289,7 @@ fn fine_tuning_holds_out_what_its_base_did_or_says_what_leaks() {
     assert!(told.contains("synthetic_00007"), "{told}");
     assert!(!told.contains("synthetic_00002"), "{told}");
 
-    // Phrases of another seed are others, whatever they are called.
+    // Phrases of another seed differ, whatever their names.
     let made = format!("{other} --set data.synthetic.seed=77");
     let quiet = sandbox.run(&decoder("made", &made)).succeeded();
     assert!(!quiet.stderr.contains("was trained on"), "{}", quiet.stderr);
@@ -354,7 +354,7 @@ fn samples_longer_than_training_saw_are_drawn_in_windows_or_told() {
         (&record["frames"], &record["windows"]["frames"]),
         (&40.into(), &24.into())
     );
-    // Samples that each face the way they begin do not fit together.
+    // Windows with independent headings do not fit together.
     let headings = "--set model.orientation_target=canonical_quaternion";
     sandbox.run(&base("headings", headings)).succeeded();
     let told = sandbox

@@ -78,7 +78,7 @@ fn an_evaluator_learns_captions_and_measures_a_model_of_clips() {
             .as_f64()
             .expect("some")
     };
-    // Two steps of training: nothing is drawn that a caption describes.
+    // After two training steps, samples do not match captions.
     assert!(of("real") > of("drawn"), "{} {}", of("real"), of("drawn"));
     assert_eq!(measured["text_motion"]["real"]["samples"], 33);
 

@@ -1,4 +1,4 @@
-//! Texts in words: their embeddings by CLIP's text encoder, and samples that are asked for with them.
+//! Prompts: their embeddings by CLIP's text encoder, and samples conditioned on them.
 
 use std::fs;
 use std::path::PathBuf;
@@ -64,7 +64,7 @@ fn sentences_become_rows() {
     };
     assert_eq!((name.as_str(), &shape[..]), ("text", &[2, 512][..]));
     assert!(values[..2048] != values[2048..]);
-    // The same of a file, with lines that are no sentence.
+    // The same from a file, with lines that are not prompts.
     sandbox.write("lines.txt", format!("\u{feff}{WALK}\r\n\n  {JUMP}  \n"));
     let of_file = [&embed[..], &["file.safetensors", "--file", "lines.txt"]].concat();
     run(&sandbox, &of_file).succeeded();
@@ -87,7 +87,7 @@ fn a_dataset_is_embedded_trained_on_and_asked_in_words() {
     let embed =
         "text embed --text-encoder clip --dataset walks --out walks/text_embeddings.safetensors";
     sandbox.run(embed).succeeded();
-    // Of the same clips with as many captions, and no row is another's.
+    // The same clips with as many captions; no two rows are equal.
     let found = tensors(&sandbox, embeddings);
     let sizes = |all: &[(String, Vec<usize>, Vec<u8>)]| -> Vec<(String, Vec<usize>)> {
         let each = all.iter();
@@ -121,7 +121,7 @@ fn a_dataset_is_embedded_trained_on_and_asked_in_words() {
     assert_eq!(record["condition"]["text"]["text_encoder"], "clip");
     assert!(told != drawn(&["--text", JUMP, "--text-encoder", "clip"]));
     assert!(told != drawn(&[]));
-    // As with an embedding that was computed before.
+    // The same as with a precomputed embedding.
     let one = [
         "text",
         "embed",

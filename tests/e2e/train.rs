@@ -1,4 +1,4 @@
-//! The whole way: make data, train, sample, check, plot.
+//! The complete sequence: make data, train, sample, check, plot.
 
 use std::fs;
 use std::path::Path;
@@ -147,7 +147,7 @@ fn from_a_dataset_on_disk_to_checked_samples_and_pictures() {
 fn every_shipped_config_is_valid() {
     let sandbox = sandbox();
     let configs = fs::read_dir(workspace().join("configs")).expect("configs");
-    // What the fine-tuning configs start from, under the names they have there.
+    // The initial checkpoints of the fine-tuning configs, under their names there.
     sandbox.write("c.toml", SMALLEST);
     for (name, settings) in [
         ("phrases", "train.max_steps=1"),
@@ -165,21 +165,21 @@ fn every_shipped_config_is_valid() {
         let path = config.expect("an entry").path();
         let plans = [("prepare.toml", "captures"), ("bodies.toml", "bandai")];
         if let Some((_, captures)) = plans.iter().find(|(plan, _)| path.ends_with(plan)) {
-            // A plan; its captures are not there.
+            // A plan without its captures.
             let plan = format!("data prepare {}", path.display());
             sandbox.run(&plan).failed(2, &[captures]);
             seen += 1;
             continue;
         }
         if path.ends_with("goal.toml") || path.ends_with("compose.toml") {
-            // A goal, a plan of texts: tested where those are.
+            // Goals and prompt files have tests of their own.
             seen += 1;
             continue;
         }
         let show = format!("config show {} --set data.source=set", path.display());
         let shown = sandbox.run(&show).succeeded();
         assert!(shown.stdout.starts_with("# model: "), "{}", shown.stdout);
-        // What is shown is itself a config, and the same one.
+        // The printed config is valid and equal.
         sandbox.write("shown.toml", &shown.stdout);
         assert_eq!(
             sandbox.run("config show shown.toml").succeeded().stdout,
@@ -213,7 +213,7 @@ fn the_named_sizes_have_the_documented_numbers_of_parameters() {
     }
 }
 
-/// Each recipe's losses with and without the kernels, which are the same numbers to rounding.
+/// Each recipe's losses with and without the kernels are equal up to rounding.
 #[test]
 fn kernels_change_no_loss() {
     let sandbox = sandbox();

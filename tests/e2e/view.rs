@@ -1,4 +1,4 @@
-//! Pages of motion: what is written, and what is refused. `tests/pages` opens them in a browser.
+//! Pages of motion: files and refusals. `tests/pages` opens them in a browser.
 
 use std::fs;
 
@@ -99,7 +99,7 @@ fn ctrl_c_ends_a_film_and_leaves_nothing_behind() {
     use std::os::unix::fs::PermissionsExt;
     let sandbox = sandbox();
     sandbox.write("long.bvh", capture(9000));
-    // In place of ffmpeg: it begins a film, and takes pictures as long as there are any.
+    // A stand-in for ffmpeg that reads all pictures.
     let script = "#!/bin/sh\n[ \"$1\" = -version ] && exit 0\nfor last; do :; done\n\
                   echo half > \"${last#file:}\"\nexec cat > /dev/null\n";
     let program = sandbox.write("programs/ffmpeg", script);
@@ -205,7 +205,7 @@ fn raw_output_that_is_not_there_is_missed_aloud() {
 #[test]
 fn a_bvh_file_of_bones_that_change_says_how_far_it_is_off() {
     let sandbox = sandbox();
-    // The bones of what `sandbox` writes have no lengths to speak of.
+    // Bones of the motion from `sandbox` have almost no length.
     let said = sandbox
         .run("view walk.npy --bvh off.bvh")
         .succeeded()
@@ -227,7 +227,7 @@ fn a_bvh_file_of_bones_that_change_says_how_far_it_is_off() {
     let named = note.split('`').nth(1).unwrap();
     let frame = note.split("in frame ").nth(1).unwrap();
     let frame: usize = frame.split(')').next().unwrap().parse().unwrap();
-    // Read back, that joint is as far from the motion as it says.
+    // Read back, that joint differs from the motion by the reported distance.
     let bytes = fs::read(sandbox.path("off.bvh")).unwrap();
     let bvh = kinegrad_capture::Bvh::parse(&bytes, "off.bvh").unwrap();
     let skeleton = kinegrad_motion::humanml::Skeleton::humanml3d();
@@ -316,7 +316,7 @@ fn feet_that_slide_are_held_in_a_bvh_file() {
         speed: Box::new(|_| 1.1),
         turning: Box::new(|t| 0.4 * (1.3 * t).sin()),
     };
-    // It slides back, so that its strides are longer than its way: 2.7 cm a frame.
+    // It slides back, so its strides are longer than its path: 2.7 cm a frame.
     let places = walk(&course, &skeleton, 70);
     let frames = places.chunks(skeleton.joints()).enumerate();
     let slid = frames.flat_map(|(t, frame)| {
@@ -345,7 +345,7 @@ fn feet_that_slide_are_held_in_a_bvh_file() {
     let (after, said) = skating("--lock-feet");
     assert!(said.contains("note: slid.bvh: feet stand in"), "{said}");
     println!("skating {before} before, {after} after: {said}");
-    // A foot that has just left is low and quick, whether it slid or not.
+    // A foot that has just left the ground is low and fast, sliding or not.
     assert!(before > 0.8 && after < 0.2, "{before} {after}");
 
     sandbox

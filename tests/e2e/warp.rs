@@ -1,4 +1,4 @@
-//! Motions moved onto paths: what is written, and what is refused.
+//! Motions moved onto paths: files and refusals.
 
 use std::fs;
 
@@ -62,7 +62,7 @@ fn a_walk_follows_paths_of_every_kind() {
     for name in ["line.features.npy", "line.bvh", "line.json"] {
         assert!(sandbox.path(name).is_file(), "{name}");
     }
-    // Results are motions themselves: features above, positions here.
+    // Results are motions too: features above, positions here.
     warp("walk.features.npy --path corner.csv --out whole --lock-feet --along own");
     sandbox
         .run("check whole.features.npy whole.npy")

@@ -1,4 +1,4 @@
-"""The browser, the binary, and pages that must load nothing and complain of nothing."""
+"""The browser, the binary, and pages that must load no resources and log no errors."""
 
 import os
 import shutil

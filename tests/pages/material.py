@@ -1,4 +1,4 @@
-"""Motions and songs for the pages, and what they hold, computed without kinegrad."""
+"""Motions and songs for the pages, and their contents, computed without kinegrad."""
 
 import array
 import ast

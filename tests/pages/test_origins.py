@@ -1,4 +1,4 @@
-"""Where the frames of a motion come from that `kinegrad match` made, in a browser."""
+"""Source frames of a motion of `kinegrad match`, in a browser."""
 
 import json
 
@@ -44,7 +44,7 @@ def test_parts_and_examples_have_charts_with_cursors_that_follow(matched, show):
     assert [part["name"] for part in shown["parts"]] == [part["name"] for part in record["parts"]]
     assert [part["runs"] for part in shown["parts"]] == [part["runs"] for part in record["parts"]]
     assert shown["examples"] == [{"name": "one", "frames": 60}, {"name": "two", "frames": 45}]
-    # Every moment of every part has a colour, and the examples have it where they appear.
+    # Every frame of every part has a colour, and so have its source frames in the examples.
     rows = len(record["parts"])
     assert all(map(strong, colours(page, 0, [[0.6, (row + 0.2) / rows] for row in range(rows)])))
     seen = [False] * 60
@@ -55,7 +55,7 @@ def test_parts_and_examples_have_charts_with_cursors_that_follow(matched, show):
     clear = [frame for frame in range(5, 55) if len(set(seen[frame - 2:frame + 3])) == 1]
     found = colours(page, 1, [[(frame + 0.5) / 60, 0.08] for frame in clear])
     assert list(map(strong, found)) == [seen[frame] for frame in clear]
-    # The cursor is at the frame of the example that the first part shows.
+    # The cursor is at the source frame of the first part.
     for frame in (10, 150):
         page.evaluate(f"{FIRST}.seek({frame})")
         page.wait_for_timeout(100)

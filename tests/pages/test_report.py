@@ -29,7 +29,7 @@ def report(kinegrad, tmp_path_factory):
 
 @pytest.fixture
 def opened(browser):
-    """Opens a page and fails where it logs an error or asks for anything beside itself."""
+    """Opens a page and fails if it logs an error or requests another resource."""
     problems, contexts = [], []
 
     def open_page(path, width=1280, colors="light"):
@@ -63,7 +63,7 @@ def test_sections_and_charts_are_there(report, opened):
     assert titles[-1] == "Config"
     charts = page.locator("figure.chart")
     assert charts.count() >= 4
-    # Every curve lies within its picture.
+    # Every curve is within its picture.
     for box in page.evaluate(
         """() => [...document.querySelectorAll("figure.chart polyline")].map(line => {
             const own = line.getBBox(), view = line.ownerSVGElement.viewBox.baseVal;
@@ -130,7 +130,7 @@ def test_previews_move_where_there_are_no_samples(watched, opened):
 
 
 def test_what_samples_fail_is_read_on_a_narrow_screen(kinegrad, tmp_path, opened):
-    # A network that has learned nothing stands still.
+    # An untrained network does not move.
     settings = ["--set=train.max_steps=1", "--set=sampling.count_at_end=2"]
     kinegrad("train", CONFIG, *settings, cwd=tmp_path)
     kinegrad("report", tmp_path / "runs" / "quickstart", cwd=tmp_path)

@@ -1,4 +1,4 @@
-"""Videos: what ffmpeg made is read by ffprobe."""
+"""Videos of ffmpeg, read by ffprobe."""
 
 import json
 import subprocess

@@ -1,4 +1,4 @@
-"""What `kinegrad view` writes, in a browser."""
+"""Pages of `kinegrad view`, in a browser."""
 
 import array
 import math
@@ -49,10 +49,10 @@ def decoded(png):
 
 
 def coloured(page, columns=1):
-    """Where strong colours are, for each of `columns` parts of the stage: sets of pixels."""
+    """Pixels with strong colours, for each of `columns` parts of the stage."""
     width, height, pixels = decoded(page.locator(".kg-stage").first.screenshot())
     parts = [set() for _ in range(columns)]
-    # Below the labels, which have the colours of the figures too.
+    # Below the labels, which have the figures' colours too.
     for y in range(40, height):
         for x in range(width):
             if max(pixels[y][x]) - min(pixels[y][x]) > 70:
@@ -61,7 +61,8 @@ def coloured(page, columns=1):
 
 
 def until(page, condition, seconds=8):
-    """Waits for `condition`; Playwright's own way evaluates text in the page, which may not."""
+    """Waits for `condition`. Playwright's own function evaluates text in the page, which the policy
+    forbids."""
     end = time.monotonic() + seconds
     while not page.evaluate(condition):
         assert time.monotonic() < end, condition
@@ -108,7 +109,7 @@ def test_a_phrase_moves_as_in_its_file_and_in_step_with_its_song(phrase, show):
             f"[{FIRST}.frame, {FIRST}.audio.currentTime, !{FIRST}.audio.paused])))")
         assert moving
         behind = song - 1.5 - frame / 30
-        # Round the end of the loop the song begins again with the motion.
+        # At the end of the loop the song restarts with the motion.
         assert abs(behind) < 0.12 or abs(abs(behind) - frames / 30) < 0.12
     page.get_by_role("button", name="Pause").click()
     assert page.evaluate(f"{FIRST}.audio.paused")
@@ -154,7 +155,7 @@ def test_keys_step_seek_and_play(phrase, show):
     assert page.get_by_role("button", name="Loop").get_attribute("aria-pressed") == "false"
     page.keyboard.press("m")
     assert page.evaluate(f"{FIRST}.audio.muted")
-    # The slider has the focus: its keys are ours, once.
+    # The slider has the focus: each key acts once.
     page.get_by_role("slider", name="Frame").focus()
     before = frame()
     page.keyboard.press("ArrowRight")
@@ -188,7 +189,7 @@ def test_dark_and_light_are_as_the_reader_likes(phrase, show):
 
 
 def test_a_clip_with_a_goal_walks_over_key_frames_and_round_obstacles(kinegrad, show, tmp_path):
-    # It stands for half a second before it goes.
+    # It rests for half a second before it moves.
     values = walk(60)
     for frame in range(1, 10):
         values[66 * frame:66 * (frame + 1)] = values[:66]
@@ -228,7 +229,7 @@ def test_a_capture_of_66_joints_is_posed_as_its_angles_say(kinegrad, show, tmp_p
     page.evaluate(f"{FIRST}.seek(20)")
     page.wait_for_timeout(100)
     [after] = coloured(page)
-    # A body is there, and it moves.
+    # A body is visible and moves.
     assert len(before) > 800 and len(after) > 800
     assert len(before ^ after) > 0.3 * len(before)
 
@@ -351,7 +352,8 @@ def lift(values, by, scale=1.0):
 
 
 def spots(page):
-    """For each pane its name, and how far its figure's joints lie within the pane at this frame."""
+    """For each pane its name, and the distance of its figure's joints from the pane's border at
+    this frame."""
     return page.evaluate(f"""(() => {{
       const viewer = {FIRST};
       viewer.show();
@@ -391,7 +393,7 @@ def test_figures_of_any_size_and_height_are_seen_whole(kinegrad, show, tmp_path)
             for name, seen in zip(figures, spots(page), strict=True):
                 assert min(seen[side] for side in ("left", "right", "top", "bottom")) > 0, (name, frame, seen)
                 assert not following or seen["tall"] > 0.3, (name, frame, seen)
-    # Only what comes from another origin has a ground of its own; nothing is moved.
+    # Only motions with another origin have their own ground; nothing is moved.
     grounds = [seen["ground"] for seen in spots(page)]
     lowest = min(figures["high"][1::3])
     assert grounds[0] == grounds[3] == grounds[4] == 0 and grounds[1] == pytest.approx(lowest, abs=1e-3)

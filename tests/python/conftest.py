@@ -1,4 +1,4 @@
-"""What the tests of the Python package share: the command line to compare with, and tiny runs."""
+"""Shared fixtures of the Python tests: the command line to compare with, and tiny runs."""
 
 import os
 import subprocess
@@ -46,7 +46,7 @@ count_at_end = 2
 num_inference_steps = 4
 """
 
-# What makes the shipped configs of clips small.
+# Settings that make the shipped configs of clips small.
 SMALL = [
     "data.synthetic.phrases=24",
     "data.validation.fraction=0.3",
@@ -67,7 +67,7 @@ def binary():
 
 @pytest.fixture(scope="session")
 def command(binary):
-    """Runs the command line and returns what it printed."""
+    """Runs the command line and returns its output."""
 
     def run(*arguments, code=0):
         done = subprocess.run(
@@ -81,7 +81,7 @@ def command(binary):
 
 @pytest.fixture(scope="session")
 def runs(tmp_path_factory, command):
-    """Folder of the runs `phrases`, `clips` and `paths`, with `phrases.toml` beside them."""
+    """Folder of the runs `phrases`, `clips` and `paths`, and of `phrases.toml`."""
     folder = tmp_path_factory.mktemp("runs")
     config = folder / "phrases.toml"
     config.write_text(PHRASES)

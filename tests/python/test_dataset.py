@@ -1,4 +1,4 @@
-"""Datasets from Python: their items, the batches of training, and processes that are forked."""
+"""Datasets from Python: items, training batches, and forked processes."""
 
 import multiprocessing
 import pickle

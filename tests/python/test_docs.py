@@ -17,7 +17,7 @@ PAGES = [
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    """A working directory with a config that trains in a second, in the place of the quickstart."""
+    """A working directory with a config that trains in a second, in place of the quickstart."""
     text = PHRASES.replace('name = "phrases"', 'name = "quickstart"')
     (tmp_path / "kinegrad.toml").write_text(text)
     monkeypatch.chdir(tmp_path)

@@ -89,7 +89,7 @@ def test_metrics_of_sets():
     a, b = np.array([[0.0], [2.0]]), np.array([[3.0], [9.0]])
     expected = 25 + (18**0.5 - 2**0.5) ** 2
     assert metrics.frechet_distance(a, b) == pytest.approx(expected)
-    # Strided and other dtypes are read as they stand.
+    # Strided arrays and other dtypes are accepted.
     assert metrics.frechet_distance(a[::-1].astype(np.int64), b[::-1]) == pytest.approx(expected)
     assert metrics.frechet_distance(a, np.full((2, 1), np.nan)) is None
     with pytest.raises(kinegrad.UsageError, match="features"):

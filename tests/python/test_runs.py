@@ -1,4 +1,4 @@
-"""Runs from Python are those of the command line, byte for byte."""
+"""Runs from Python equal those of the command line, byte for byte."""
 
 import json
 import os
@@ -17,7 +17,7 @@ from conftest import ROOT
 
 
 def files(folder):
-    """The files of a folder by name, without what says where or when they were written."""
+    """The files of a folder by name, without paths and times."""
     return {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
 
 

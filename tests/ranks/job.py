@@ -1,4 +1,4 @@
-"""A job of several ranks in a folder of its own."""
+"""A job of several ranks in its own folder."""
 
 import hashlib
 import json
@@ -15,7 +15,7 @@ BINARY = os.environ["KINEGRAD_BINARY"]
 LAUNCHER = os.environ.get("KINEGRAD_MPIRUN", "mpirun").split()
 # One core is enough for a rank.
 ENVIRONMENT = os.environ | {"RAYON_NUM_THREADS": "1"}
-# What ranks promise to write alike.
+# Files that are equal for any number of ranks.
 SAME = ("model.safetensors", "ema.safetensors", "optimizer.safetensors")
 
 
@@ -49,14 +49,14 @@ class Folder:
         )
 
     def run(self, ranks, arguments):
-        """A job that must succeed; what it says."""
+        """A job that must succeed; returns its output."""
         job = self.start(ranks, arguments)
         said, _ = job.communicate(timeout=600)
         assert job.returncode == 0, f"{ranks} ranks, {arguments}: {job.returncode}\n{said}"
         return said
 
     def fails(self, ranks, arguments, **environment):
-        """A job that must fail; its exit code and what it says."""
+        """A job that must fail; returns its exit code and output."""
         return self.must_fail(self.start(ranks, arguments, **environment))
 
     def fails_apart(self, first, second, **environment):
@@ -64,7 +64,7 @@ class Folder:
         return self.must_fail(self.start_apart(first, second, **environment))
 
     def start_apart(self, first, second, **environment):
-        """A job of two ranks with arguments of their own, the second with such an environment."""
+        """A job of two ranks with separate arguments, the second with its own environment."""
         one = [BINARY, *first.split()]
         variables = [f"{name}={value}" for name, value in environment.items()]
         other = ["env", *variables, BINARY, *second.split()]
@@ -86,7 +86,7 @@ class Folder:
         return newest.name, progress, *(digest(name) for name in SAME)
 
     def ranks_of(self, job):
-        """Processes of the binary below a job, by what they were started with."""
+        """Processes of the binary below a job, by their arguments."""
         found = []
         for entry in Path("/proc").iterdir():
             try:
@@ -100,7 +100,7 @@ class Folder:
         return sorted(found)
 
     def wait_for_step(self, run, step, job):
-        """Waits until a run has logged so many steps."""
+        """Waits until a run has logged a number of steps."""
         log = self.path / "runs" / run / "metrics.jsonl"
         until = time.time() + 120
         while time.time() < until and job.poll() is None:

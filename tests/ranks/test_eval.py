@@ -1,4 +1,4 @@
-"""Evaluations whose samples ranks share: the same numbers as of one process."""
+"""Evaluations with samples shared by ranks: the same numbers as with one process."""
 
 import json
 import unittest
@@ -10,7 +10,7 @@ TRAINED = (
     "--set data.batch_size=4 --set data.synthetic.phrases=300 --set data.validation.fraction=0.03 --name run"
 )
 STEPS = "--set sampling.sampler.num_inference_steps=3"
-# Config, options of the evaluation, and its report. Numbers of things that ranks do not divide.
+# Config, options of the evaluation, and its report. Counts are not divisible by the ranks.
 EVALUATIONS = {
     "phrases": (
         "quickstart",
@@ -45,7 +45,7 @@ EVALUATIONS = {
 
 
 def without_times(value):
-    """A report but for what took how long."""
+    """A report without times."""
     if isinstance(value, dict):
         return {key: without_times(each) for key, each in value.items() if key != "seconds"}
     if isinstance(value, list):

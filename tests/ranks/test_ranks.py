@@ -1,4 +1,4 @@
-"""Ranks under a real launcher: the same bytes as one process, and the same end for all."""
+"""Ranks under a real launcher: the same bytes as one process, and the same exit for all."""
 
 import fcntl
 import json
@@ -22,7 +22,7 @@ CLIPS = (
     "--set data.synthetic.phrases=20 --set sampling.count_at_end=0 --set validation.every_steps=0 "
     "--set train.log_every_steps=1"
 )
-# How often a rank is killed; 20 for figures.
+# Number of kills; 20 for reported figures.
 KILLS = int(os.environ.get("KINEGRAD_KILLS", "3"))
 
 
@@ -44,7 +44,7 @@ class Ranks(unittest.TestCase):
             self.addCleanup(folder.remove)
             folder.run(1, f"{line} --name alone")
             self.equal_on(line, (2, 4), folder.hashes("alone"))
-            # Each rank keeps the states of a part of the parameters.
+            # Each rank has the optimiser states of a part of the parameters.
             sharded = f"{line} --set optim.shard_states=true --name sharded"
             folder.run(4, f"{sharded} --set train.max_steps=6")
             self.assertEqual(folder.hashes("sharded"), folder.hashes("alone"))
@@ -80,7 +80,7 @@ class Ranks(unittest.TestCase):
         self.assertEqual(said.count("a base model is trained first"), 1, said)
         for run in ("/base", "/decoder", ""):
             here, there = (self.folder.hashes(f"{name}{run}") for name in ("alone", "on2"))
-            # Configs name the places of the models; these are not compared.
+            # Configs contain paths of models; they are not compared.
             self.assertEqual(there, here, run)
 
     def test_steps_are_selected_by_the_same_samples(self):
@@ -143,7 +143,7 @@ class Ranks(unittest.TestCase):
         self.folder.wait_for_step("told", 6, job)
         job.terminate()
         said, _ = job.communicate(timeout=30)
-        # What ranks return is 130; what MPICH's launcher makes of that after a signal to itself is up to it.
+        # Ranks return 130; the exit code of MPICH's launcher after a signal to itself is its own.
         if "mpich" not in LAUNCHER[0]:
             self.assertNotEqual(job.returncode, 0, said)
         self.assertIn("stopped; `kinegrad train --resume runs/told` continues", said)
@@ -166,7 +166,7 @@ class Ranks(unittest.TestCase):
         said, _ = job.communicate(timeout=30)
         self.assertNotEqual(job.returncode, 0, said)
         self.assertEqual(said.count("error:"), 1, said)
-        # What was learned before is kept.
+        # Earlier progress is kept.
         steps = len([l for l in self.lines("missing") if '"loss"' in l])
         self.assertEqual(self.folder.checkpoints("missing")[-1].name, f"step-{steps:08}", said)
 
@@ -186,7 +186,7 @@ class Ranks(unittest.TestCase):
         self.assertEqual(reads[1], 80)
         self.assertLess(reads[4], 40)
         self.assertEqual(self.folder.hashes("on4"), self.folder.hashes("on1"))
-        # The third phrase is for the third rank to read, which alone says so; the fourth is not the first.
+        # The third rank reads the third phrase and alone reports it; the fourth is not the first.
         for broken in sorted((self.folder.path / "data").rglob("*.npy"))[2:4]:
             broken.write_bytes(broken.read_bytes()[:100])
         code, said = self.folder.fails(4, f"{line} --name bad")
@@ -215,7 +215,7 @@ class Ranks(unittest.TestCase):
         found = re.search(r"error: step (\d+): (.*) is not finite; last good checkpoint: (\S+)", said)
         self.assertTrue(found, said)
         self.assertEqual(int(found[1]), steps + 1, said)
-        # The step before the last checkpoint is good, and goes on.
+        # The step before the last checkpoint is valid, and the run resumes.
         good = self.folder.checkpoints("broken")[-1]
         self.assertEqual(found[3], f"runs/broken/checkpoints/{good.name}")
         self.assertLess(steps - int(good.name[5:]), 4)
@@ -262,7 +262,7 @@ class Ranks(unittest.TestCase):
         self.assertIn("rank 1 has another config than rank 0", said)
         code, said = self.folder.fails_apart(line, line, KINEGRAD_KERNELS="composed")
         self.assertEqual((code, said.count("error:")), (2, 1), said)
-        # Burn's operations might depend on threads too: either is said.
+        # Burn's operations may depend on threads too: either message is accepted.
         self.assertRegex(said, "rank 1 has another (value of KINEGRAD_KERNELS|number of threads)")
         self.assertFalse((self.folder.path / "runs/apart").exists())
 
@@ -306,7 +306,7 @@ class Ranks(unittest.TestCase):
         self.assertFalse((self.folder.path / "made").exists())
 
     def test_a_launcher_that_is_not_understood_is_refused(self):
-        # What mpirun of another MPI says, which this program was not built for.
+        # The message of another MPI's mpirun, for which this program was not built.
         line = f"{PHRASES} --set train.max_steps=4"
         code, said = self.folder.fails(1, line, OMPI_COMM_WORLD_SIZE="2")
         self.assertEqual(code, 2, said)

@@ -1,8 +1,8 @@
-//! Captures and songs that tests make up, and a plan that pairs them.
+//! Synthetic captures and songs for tests, and a plan that pairs them.
 
 use crate::sandbox::Sandbox;
 
-/// A BVH file of a root that walks a circle of so many frames at 60 per second, in centimetres.
+/// A BVH file of a root that walks a circle, at 60 frames per second, in centimetres.
 pub fn bvh(frames: usize) -> String {
     let mut text = String::from(
         "HIERARCHY\nROOT Hips\n{\n OFFSET 0 90 0\n CHANNELS 6 Xposition Yposition Zposition \
@@ -32,7 +32,7 @@ pub fn wav(seconds: usize) -> Vec<u8> {
     encoded(&samples)
 }
 
-/// Clicks at these moments in seconds over a tone, as 16-bit WAV at 44100 Hz.
+/// Clicks at the given times in seconds over a tone, as 16-bit WAV at 44100 Hz.
 pub fn clicks(moments: &[f64], seconds: f64) -> Vec<u8> {
     let rate = 44_100.0;
     let samples: Vec<i16> = (0..(seconds * rate) as usize)

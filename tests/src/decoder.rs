@@ -1,4 +1,4 @@
-//! Decoders of the golden files, whose latents are not normalised.
+//! Decoders of the golden files. Their latents are not normalised.
 
 use burn::tensor::Device;
 use kinegrad_models::decoder::{DecoderInit, Normalization};

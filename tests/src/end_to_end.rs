@@ -30,8 +30,7 @@ pub struct Case {
 impl Case {
     /// The case `name` of the file.
     ///
-    /// # Panics
-    /// Panics at a name that is no case.
+    /// # Panics Panics if there is no case of that name.
     pub fn of(golden: Golden, name: &'static str) -> Self {
         let (schedule, timesteps) = match name {
             "linear50" => (BetaSchedule::Linear, 50),
@@ -116,7 +115,7 @@ impl Case {
         vec![self.diffusion.config.num_train_timesteps - 1; batch]
     }
 
-    /// What the file has in the place of random numbers.
+    /// The file's values in place of random numbers.
     pub fn draws(&self) -> E2eDraws {
         let timesteps = self.golden.get(&format!("in.{}.t", self.name));
         E2eDraws {

@@ -1,15 +1,14 @@
-//! Networks described by golden files of Guided Motion Diffusion, which say their sizes by their
-//! weights' shapes alone.
+//! Networks of golden files of Guided Motion Diffusion, whose sizes follow from the shapes of the
+//! weights.
 
 use kinegrad_models::gmd::GmdUnetConfig;
 
 use crate::golden::Golden;
 use crate::weights::shape;
 
-/// The UNet whose weights stand under `prefix`, its channels and the width of its condition.
+/// The UNet whose weights are under `prefix`, its channels and the width of its condition.
 ///
-/// # Panics
-/// Panics if they are not those of one.
+/// # Panics Panics if the weights are not those of a UNet.
 pub fn unet(golden: &Golden, prefix: &str) -> (GmdUnetConfig, usize, usize) {
     let shape = |name: &str| shape(golden, &format!("{prefix}{name}"));
     let size = |name: &str, axis: usize| shape(name).expect("a weight of this name")[axis];

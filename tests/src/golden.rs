@@ -15,7 +15,7 @@ impl GoldenTensors for Golden {
     }
 }
 
-/// A reference as a tensor, and beside one.
+/// A reference as a tensor, and its comparison with a tensor.
 pub trait ReferenceTensors {
     /// The values on `device`.
     fn tensor<const D: usize>(&self, device: &Device) -> Tensor<D>;
@@ -68,8 +68,7 @@ impl ReferenceTensors for Reference {
 
 /// The values of a float32 tensor on the host.
 ///
-/// # Panics
-/// Panics at another type.
+/// # Panics Panics if the type is another.
 pub fn values<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
     tensor.try_into_vec_as::<f32>().expect("a float32 tensor")
 }

@@ -1,4 +1,4 @@
-//! Gradients of networks beside those of golden files.
+//! Gradients of networks compared with those of golden files.
 
 use burn::module::Module;
 use kinegrad_models::parameters;
@@ -11,13 +11,12 @@ const ZERO: f64 = 1e-6;
 /// Compares the stored gradients (`grad.model.*`) of `module`'s parameters with `gradients`, which
 /// are in the module's order: `tolerance` of the largest of each parameter.
 ///
-/// # Panics
-/// Panics if one differs, or if a stored one is of no parameter.
+/// # Panics Panics if one differs, or if a stored gradient belongs to no parameter.
 pub fn compare<M: Module>(golden: &Golden, module: &M, gradients: &[Vec<f32>], tolerance: f64) {
     compare_under(golden, module, gradients, "grad.model.", tolerance);
 }
 
-/// [`compare`] with the gradients that are stored under `prefix`.
+/// [`compare`] with the gradients under `prefix`.
 ///
 /// # Panics
 /// As [`compare`].

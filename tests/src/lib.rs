@@ -1,4 +1,4 @@
-//! What the golden, parity and end-to-end tests share.
+//! Shared code of the golden, parity and end-to-end tests.
 
 pub mod captures;
 pub mod decoder;

@@ -8,7 +8,7 @@ use kinegrad_models::{Initializer, UNet1dConfig};
 use kinegrad_random::{Key, Purpose};
 use kinegrad_train::device;
 
-/// A UNet as small as its 32 groups allow, with every kind of block.
+/// The smallest UNet that its 32 groups allow, with every kind of block.
 pub fn tiny() -> UNet1dConfig {
     UNet1dConfig {
         model_channels: 32,
@@ -72,7 +72,7 @@ fn error(actual: &[f32], reference: &[f32]) -> f32 {
         actual.iter().all(|v| v.is_finite()),
         "a value is not finite"
     );
-    // Gradients that vanish by construction hold rounding noise alone.
+    // Gradients that vanish by construction contain only rounding noise.
     if scale < 1e-6 { worst } else { worst / scale }
 }
 
@@ -99,8 +99,8 @@ pub fn assert_parity(name: &str) {
     println!("{name}: output differs by {forward:.1e}, gradients by at most {worst:.1e}");
 }
 
-/// Asserts that 100 steps of the optimiser in operations of the device called `name` end where those in
-/// main memory do, fed the same gradients: weights, moving average and both running means.
+/// Asserts that 100 optimiser steps on the device called `name` give the results of those in main
+/// memory for the same gradients: weights, moving average and both moments.
 ///
 /// # Panics
 /// Panics if the device cannot be opened or a value differs by more than 1e-6 of the largest.
@@ -127,10 +127,10 @@ pub fn assert_optimizer_parity(name: &str) {
             steps: step,
             gradient_scale: 0.7,
         };
-        // The same sign for a while, so that the weights go somewhere.
+        // The same sign for several steps, so that the weights move.
         let mut gradient = key.at(step).normals(len);
         gradient.iter_mut().for_each(|value| *value += 0.5);
-        // As every other step of `ema.update_every = 2`.
+        // As with `ema.update_every = 2`.
         let moves = step % 2 == 0;
         let [parameter, exp_avg, exp_avg_sq] = &mut host;
         let state = AdamWState {

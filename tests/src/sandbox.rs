@@ -1,4 +1,4 @@
-//! Running the binary in a folder of its own.
+//! Running the binary in its own folder.
 
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
@@ -14,10 +14,10 @@ pub struct Sandbox {
     binary: PathBuf,
 }
 
-/// What the binary left behind.
+/// The result of the binary.
 #[derive(Clone, Debug)]
 pub struct Finished {
-    /// Exit code; `None` when a signal ended it.
+    /// Exit code; `None` if a signal ended it.
     pub code: Option<i32>,
     /// Standard output.
     pub stdout: String,
@@ -61,7 +61,7 @@ draws = 2
 "#;
 
 /// A config that trains a network on synthetic walks in about a second: two levels, 16 frames. The
-/// recipe is left open: `train.recipe` is `gmd_motion` or `gmd_trajectory`.
+/// recipe is not set: `train.recipe` is `gmd_motion` or `gmd_trajectory`.
 pub const SMALLEST_WALKS: &str = r#"
 [run]
 name = "smallest"
@@ -155,7 +155,7 @@ impl Sandbox {
             .expect("the binary starts")
     }
 
-    /// Names in a folder, sorted; empty where it does not exist.
+    /// Names in a folder, sorted; empty if it does not exist.
     pub fn list(&self, folder: &str) -> Vec<String> {
         let entries = std::fs::read_dir(self.path(folder))
             .into_iter()
@@ -189,16 +189,16 @@ pub fn contents(folder: &Path) -> Vec<(String, Vec<u8>)> {
     found
 }
 
-/// Waits until something has come that `process` brings.
+/// Waits for a result of `process`.
 ///
 /// # Panics
 ///
-/// When the process ends before, or after two minutes without.
+/// Panics if the process ends without it, or after two minutes.
 #[track_caller]
 pub fn wait_for(process: &mut Child, what: &str, mut come: impl FnMut() -> bool) {
     let deadline = Instant::now() + Duration::from_secs(120);
     while !come() {
-        // It may have come just before the end.
+        // It may have arrived just before the end.
         if let Some(status) = process.try_wait().expect("a status") {
             assert!(come(), "{status} before {what}");
             return;
@@ -232,7 +232,7 @@ impl Finished {
         self
     }
 
-    /// Asserts the exit code, and that standard error holds each of the texts.
+    /// Asserts the exit code, and that standard error contains each of the texts.
     #[track_caller]
     pub fn failed(self, code: i32, texts: &[&str]) -> Self {
         assert_eq!(

@@ -1,4 +1,4 @@
-//! What the stages of a forward pass gave.
+//! The outputs of the stages of a forward pass.
 
 use std::collections::HashMap;
 use std::fmt::Arguments;
@@ -13,7 +13,7 @@ use crate::golden::values;
 pub struct Noted(HashMap<String, (Vec<usize>, Vec<f32>)>);
 
 impl Noted {
-    /// The shape that the stage `name` gave.
+    /// The shape of the stage `name`.
     ///
     /// # Panics
     /// Panics if there was no such stage.
@@ -21,7 +21,7 @@ impl Noted {
         &self.get(name).0
     }
 
-    /// The values that the stage `name` gave.
+    /// The values of the stage `name`.
     ///
     /// # Panics
     /// Panics if there was no such stage.

@@ -1,5 +1,5 @@
-//! The program of golden tests: each test declares the reference files that it reads, and none
-//! passes that compared nothing.
+//! The program of golden tests. Each test declares its reference files, and a test that compares
+//! nothing fails.
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -10,7 +10,7 @@ use libtest_mimic::{Arguments, FormatSetting, Trial};
 #[cfg(test)]
 mod tests;
 
-/// What a test may take of a reference file that it declares.
+/// The forms in which a test receives a declared reference file.
 pub trait Opened {
     /// Opens the file.
     ///
@@ -31,8 +31,7 @@ impl Opened for PathBuf {
     }
 }
 
-/// A golden test: a name, the files it reads, and what it does with them. Made by
-/// [`trials!`](crate::trials!).
+/// A golden test: a name, its files and its body. Made by [`trials!`](crate::trials!).
 pub struct GoldenTest {
     name: String,
     files: &'static [&'static str],
@@ -40,7 +39,7 @@ pub struct GoldenTest {
 }
 
 impl GoldenTest {
-    /// The test `name` of `module`, as `module_path!` gives it.
+    /// The test `name` of `module`, a value of `module_path!`.
     pub fn new(
         module: &str,
         name: &str,
@@ -54,9 +53,9 @@ impl GoldenTest {
         Self { name, files, body }
     }
 
-    /// The test on the files of `folder`. Where it lacks one, the test is ignored, and that is its
-    /// kind in the listing; in a folder that must be complete it fails, and so it does where it is
-    /// run all the same. A `silent` test does not print its measured errors.
+    /// The test on the files of `folder`. If one is missing, the test is listed as ignored; it
+    /// fails if the folder must be complete or if it is run anyway. A `silent` test does not print
+    /// its measured errors.
     pub fn trial(self, folder: &Folder, silent: bool) -> Trial {
         let Self { name, files, body } = self;
         let absent = files.iter().filter(|file| !folder.path(file).exists());
@@ -78,9 +77,8 @@ impl GoldenTest {
     }
 }
 
-/// Golden tests, each with the files that it reads; the functions take what these hold, as
-/// [`Opened`] says. A test whose function has another name, or more arguments, names it behind an
-/// arrow.
+/// Golden tests, each with its files; the functions take their contents (see [`Opened`]). A test
+/// whose function has another name, or more arguments, names it after an arrow.
 ///
 /// ```
 /// use kinegrad_tests::golden::Golden;
@@ -112,14 +110,14 @@ macro_rules! trials {
     };
 }
 
-/// Runs the tests that the command line asks for, as `cargo test` and `cargo nextest` mean it, and
-/// says how many there were.
+/// Runs the tests that the command line selects, like `cargo test` and `cargo nextest`, and prints
+/// their number.
 pub fn run(tests: Vec<GoldenTest>) -> ExitCode {
     let arguments = Arguments::from_args();
     let folder = Folder::in_use();
     let trial = |test: GoldenTest| test.trial(&folder, !arguments.nocapture);
     let conclusion = libtest_mimic::run(&arguments, tests.into_iter().map(trial).collect());
-    // A list and JSON are read by programs.
+    // Lists and JSON are for programs.
     if !arguments.list && arguments.format != Some(FormatSetting::Json) {
         let run = conclusion.num_passed + conclusion.num_failed;
         println!(

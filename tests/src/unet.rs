@@ -3,11 +3,9 @@
 use kinegrad_models::{Initializer, UNet1d, UNet1dConfig};
 use serde_json::Value;
 
-/// The network that a golden file's JSON describes, for 25 motion channels and without dropout,
-/// with fresh weights.
+/// The network of a golden file's JSON, for 25 motion channels, without dropout, with new weights.
 ///
-/// # Panics
-/// Panics if the text is not such a description.
+/// # Panics Panics if the text is not a description of a network.
 pub fn fresh(json: &str, init: &Initializer) -> UNet1d {
     let json: Value = serde_json::from_str(json).expect("the description is JSON");
     let number = |key: &str| json[key].as_u64().expect("a number") as usize;

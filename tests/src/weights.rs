@@ -4,13 +4,13 @@ use kinegrad_models::parameters::{HostParameter, ParameterInfo};
 
 use crate::golden::Golden;
 
-/// Where a file's parameters stand.
+/// The prefix of a file's parameters.
 const PARAMETERS: &str = "model.";
 
 /// The weights under `prefix`, by state-dict name.
 ///
-/// # Panics
-/// Panics if there are none, or if generated ones are not those that the file counts and sums up.
+/// # Panics Panics if there are none, or if the generated weights have another count or sum than
+/// the file states.
 pub fn weights(golden: &Golden, prefix: &str) -> Vec<HostParameter> {
     match layout(golden) {
         Some(layout) => {
@@ -39,7 +39,7 @@ pub fn weights(golden: &Golden, prefix: &str) -> Vec<HostParameter> {
     }
 }
 
-/// The shape of the parameter `name`, which begins with `model.`, where the file has it.
+/// The shape of the parameter `name`, which begins with `model.`, if the file contains it.
 pub fn shape(golden: &Golden, name: &str) -> Option<Vec<usize>> {
     match layout(golden) {
         Some(layout) => {
@@ -51,7 +51,7 @@ pub fn shape(golden: &Golden, name: &str) -> Option<Vec<usize>> {
     }
 }
 
-/// Names and shapes of the parameters that a file leaves out, in their order.
+/// Names and shapes of the parameters that a file omits, in order.
 fn layout(golden: &Golden) -> Option<Vec<ParameterInfo>> {
     let shapes = golden.find_metadata("param_shapes")?;
     let shapes: Vec<Vec<usize>> = serde_json::from_str(shapes).expect("a list of shapes");
@@ -65,15 +65,14 @@ fn layout(golden: &Golden) -> Option<Vec<ParameterInfo>> {
     )
 }
 
-/// Names of the parameters that a file leaves out, in the order that they are numbered by.
+/// Names of the parameters that a file omits, in their numbered order.
 pub fn order(golden: &Golden) -> Vec<String> {
     serde_json::from_str(golden.metadata("param_order")).expect("a list of names")
 }
 
-/// The parameters of `layout`, which are all that the file's network has.
+/// The parameters of `layout`, which is complete.
 ///
-/// # Panics
-/// Panics if they are not those that the file counts and sums up.
+/// # Panics Panics if they have another count or sum than the file states.
 pub fn generated(golden: &Golden, layout: &[ParameterInfo]) -> Vec<HostParameter> {
     let seed = golden.metadata("hash_seed").parse().expect("a number");
     let numbered = layout.iter().zip(0u32..);
@@ -81,7 +80,7 @@ pub fn generated(golden: &Golden, layout: &[ParameterInfo]) -> Vec<HostParameter
         .map(|(info, position)| hashed(info, position, seed))
         .collect();
     let all = parameters.iter().flat_map(|parameter| &parameter.values);
-    // Not counted as compared: a test has to compare something else than its own weights.
+    // Not counted: a test must compare more than its own weights.
     let expected = |name: &str| golden.get(&format!("check.{name}")).scalar();
     assert_eq!(all.clone().count() as f64, expected("num_parameters"));
     let sum: f64 = all.map(|&value| f64::from(value)).sum();
@@ -90,8 +89,8 @@ pub fn generated(golden: &Golden, layout: &[ParameterInfo]) -> Vec<HostParameter
     parameters
 }
 
-/// Parameter number `position`: a hash of its number and the element's, scaled by what the
-/// parameter is.
+/// Parameter number `position`: a hash of its number and the element's, scaled by the kind of
+/// parameter.
 fn hashed(info: &ParameterInfo, position: u32, seed: u32) -> HostParameter {
     let fan_in: usize = info.shape.iter().skip(1).product();
     let is_norm = info.shape.len() == 1 && info.name.ends_with("weight");

@@ -1,4 +1,4 @@
-//! Sampling keeps no graph alive.
+//! Sampling keeps no graph in memory.
 
 use std::sync::{Mutex, PoisonError};
 
@@ -26,14 +26,14 @@ fn resident() -> Option<u64> {
         .map(|pages| pages * 4096)
 }
 
-/// Held by the test that runs: each measures the memory of the whole process.
+/// A lock of the running test: each test measures the memory of the whole process.
 static ALONE: Mutex<()> = Mutex::new(());
 
 #[test]
 fn memory_stays_flat_over_200_sampler_calls() {
     let _alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
     let (cpu, _) = device::open("cpu").expect("the CPU");
-    // The weights of a network in training, as validation and sampling take them.
+    // The weights of a network in training, as used by validation and sampling.
     let trained = tiny()
         .init(25, 163, &Initializer::new(0, &cpu.clone().autodiff()))
         .expect("a network");

@@ -1,4 +1,4 @@
-//! What the worker loads.
+//! The files that the worker loads.
 
 use std::collections::HashMap;
 use std::fs;
@@ -52,7 +52,7 @@ impl NamedTensors {
         })
     }
 
-    /// Clips with a mask `[batch, 1, time]` and a text each.
+    /// Clips, each with a mask `[batch, 1, time]` and a text.
     pub fn clips(&self) -> Result<Inputs> {
         Ok(Inputs {
             x_start: self.tensor("motion")?,
@@ -73,7 +73,7 @@ impl NamedTensors {
     }
 }
 
-/// The weights of a file, named as in it.
+/// The weights of a file by their names.
 pub fn read_weights(path: &Path) -> Result<Vec<HostParameter>> {
     let bytes = fs::read(path)?;
     let file = SafeTensors::deserialize(&bytes)?;

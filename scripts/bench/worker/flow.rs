@@ -1,4 +1,4 @@
-//! Motion that goes on: a training step, and poses drawn. The inputs are
+//! Autoregressive flow matching: a training step, and sampled poses. The inputs are
 //!
 //! ```text
 //! history  [batch, 263, time]   cond   [batch, 512, 1]    place  [batch, 2, 1]: progress, duration
@@ -19,7 +19,7 @@ use kinegrad_train::systems::flow::{HISTORY, PLACE, PoseConfig};
 use crate::files::NamedTensors;
 use crate::{Done, Network, Result, Work, count};
 
-/// The networks of a row, with weights of their own.
+/// The networks of a row and their weights.
 pub fn model(network: &Network, device: &Device) -> Result<FlowModel> {
     let Network::Flow(sizes) = network else {
         return Err("the task is one of motion that goes on".into());
@@ -28,7 +28,7 @@ pub fn model(network: &Network, device: &Device) -> Result<FlowModel> {
     Ok(sizes.init(&Skeleton::humanml3d(), &init)?)
 }
 
-/// The recipe, and its loss of the inputs.
+/// The recipe and its loss for the inputs.
 pub fn training(
     inputs: &NamedTensors,
 ) -> Result<(FlowRecipe, impl Fn(&FlowRecipe, &FlowModel) -> Loss + use<>)> {
@@ -57,7 +57,7 @@ pub fn training(
     Ok((recipe, loss))
 }
 
-/// Histories, and the noise that their next poses start from.
+/// Histories, and the start noise of their next poses.
 pub struct Drawing {
     model: FlowModel,
     sampler: FlowSamplerConfig,

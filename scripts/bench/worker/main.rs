@@ -1,4 +1,4 @@
-//! kinegrad's side of `scripts/bench/run`: does one step whenever it is told to.
+//! kinegrad's worker of `scripts/bench/run`: runs one step per request.
 //!
 //! ```text
 //! bench_worker FOLDER DEVICE
@@ -7,7 +7,7 @@
 //! FOLDER/inputs.safetensors   motion, cond, noise, timesteps, x_T; those of flow.rs and matching.rs
 //! ```
 //!
-//! It answers each line of its input with one line of JSON, and says one when it has loaded all:
+//! It answers each line of its input with one line of JSON, and prints one after loading:
 //!
 //! ```text
 //!             {"parameters", "start_kib"}
@@ -61,7 +61,7 @@ use matching::{Example, Matching};
 
 type Result<T> = std::result::Result<T, Box<dyn Error>>;
 
-/// What is measured.
+/// A row of the benchmark.
 #[derive(Deserialize)]
 struct Row {
     /// File of weights by state-dict name.
@@ -71,17 +71,17 @@ struct Row {
     task: Task,
 }
 
-/// Which network a step is of.
+/// The network of a step.
 #[derive(Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case")]
 enum Network {
-    /// One of Guided Motion Diffusion.
+    /// A denoiser of Guided Motion Diffusion.
     GmdUnet(Gmd),
-    /// One of motion under audio.
+    /// An audio-conditioned denoiser.
     Unet1d(UNet1dConfig),
-    /// One of motion that goes on.
+    /// Autoregressive flow matching.
     Flow(FlowConfig),
-    /// None: patches of an example are matched.
+    /// No network: patches of an example are matched.
     Matching(Example),
 }
 
@@ -108,7 +108,7 @@ impl Gmd {
     }
 }
 
-/// What a step does.
+/// The work of a step.
 #[derive(Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case")]
 enum Task {
@@ -123,7 +123,7 @@ enum Task {
         max_grad_norm: f64,
         rollout: RolloutConfig,
     },
-    /// Trains a network of Guided Motion Diffusion on noised clips, its moving average with it.
+    /// Trains a network of Guided Motion Diffusion on noised clips and updates its moving average.
     TrainGmd {
         diffusion: DiffusionConfig,
         trajectory_scale: f64,
@@ -131,17 +131,17 @@ enum Task {
         max_grad_norm: f64,
         ema: EmaConfig,
     },
-    /// Trains a network of motion that goes on.
+    /// Trains the networks of autoregressive flow matching.
     TrainFlow {
         optim: OptimConfig,
         max_grad_norm: f64,
         ema: EmaConfig,
     },
-    /// Draws the next poses of histories, one after the other.
+    /// Samples the next poses of histories, one after the other.
     DrawFlow { steps: usize },
-    /// Draws one batch of motion.
+    /// Samples one batch of motion.
     Sample { sampler: SamplerConfig },
-    /// Makes a motion of an example, with the settings of GenMM's published program.
+    /// Synthesises a motion from an example, with the settings of GenMM's published program.
     Match,
 }
 
@@ -154,7 +154,7 @@ trait Work {
     fn step(&mut self) -> Result<Done>;
 }
 
-/// What a step leads to.
+/// The result of a step.
 #[derive(Default)]
 struct Done {
     loss: Option<f32>,
@@ -163,10 +163,10 @@ struct Done {
 
 type LossOf<R> = Box<dyn Fn(&R, &<R as Recipe>::Model) -> Loss<<R as Recipe>::Pending>>;
 
-/// The updates of [`kinegrad_train::Trainer`], of a batch that stays the same.
+/// The updates of [`kinegrad_train::Trainer`] on a constant batch.
 struct Training<R: Recipe> {
     recipe: R,
-    /// `None` only while an update holds it.
+    /// `None` only during an update.
     model: Option<R::Model>,
     loss: LossOf<R>,
     optimizer: AdamW,
@@ -174,7 +174,7 @@ struct Training<R: Recipe> {
     /// Learning rate of each parameter.
     rates: Vec<f64>,
     max_grad_norm: f64,
-    /// The moving average, where the row has one.
+    /// The moving average, if the row has one.
     ema: Option<(Ema, Vec<Vec<f32>>)>,
 }
 
@@ -247,7 +247,7 @@ impl<R: Recipe> Work for Training<R> {
     }
 }
 
-/// A sampler and its start.
+/// A sampler and its start noise.
 struct Sampling {
     unet: UNet1d,
     diffusion: GaussianDiffusion,
@@ -269,7 +269,7 @@ impl Work for Sampling {
             &self.cond.clone().into(),
             &self.sampler,
             &ClipRange::None,
-            Key::new(0, Purpose::Noise), // no noise is drawn: eta is 0
+            Key::new(0, Purpose::Noise), // no noise is used: eta is 0
             &mut |_, _, _| std::ops::ControlFlow::Continue(()),
         )?;
         Ok(Done {
@@ -279,7 +279,7 @@ impl Work for Sampling {
     }
 }
 
-/// The task of `row`, everything it needs loaded onto `device`.
+/// The task of `row`, loaded onto `device`.
 fn load(row: Row, folder: &Path, device: &Device) -> Result<Box<dyn Work>> {
     let diffusion = GaussianDiffusion::new(&DiffusionConfig {
         prediction_type: row.prediction_type,
@@ -409,7 +409,7 @@ fn count<M: Module>(model: &M) -> usize {
         .sum()
 }
 
-/// A memory figure of this process in KiB, where the system has `/proc`.
+/// A memory figure of this process in KiB, if the system has `/proc`.
 fn status(field: &str) -> Option<u64> {
     let text = fs::read_to_string("/proc/self/status").ok()?;
     let line = text.lines().find(|line| line.starts_with(field))?;
@@ -432,8 +432,8 @@ fn main() -> Result<()> {
     let (folder, (device, _)) = (Path::new(folder), kinegrad_train::device::open(device)?);
     let row = serde_json::from_str(&fs::read_to_string(folder.join("row.json"))?)?;
     let mut work = load(row, folder, &device)?;
-    // The peak shall be that of the steps, not of reading files; where it cannot be set back, it
-    // is the larger of both.
+    // Excludes the reading of files from the peak. If the peak cannot be reset, it is the larger of
+    // both.
     let _ = fs::write("/proc/self/clear_refs", "5");
     say(&json!({"parameters": work.parameters(), "start_kib": start_kib}))?;
 

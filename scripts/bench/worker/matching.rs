@@ -1,4 +1,4 @@
-//! A motion made of an example.
+//! A motion synthesised from an example.
 
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_matching::{Frames, Preset, Request, Settings, synthesize_from};
@@ -13,12 +13,12 @@ use crate::{Done, Result, Work};
 pub struct Example {
     frames: usize,
     channels: usize,
-    /// Channels that never change.
+    /// Constant channels.
     #[serde(rename = "still")]
     _still: usize,
 }
 
-/// An example, and the noise that a motion of twice its length starts from.
+/// An example, and the start noise of a motion of twice its length.
 pub struct Matching {
     examples: [Frames; 1],
     noise: Frames,

@@ -1,4 +1,4 @@
-"""Aligned audio conditioning: what each level of the denoiser hears of its own frames.
+"""Aligned audio conditioning: each level of the denoiser is conditioned on its own frames.
 
 The counterpart of kinegrad's `model.audio_conditioning = "aligned"`, with its state-dict names, for
 batches without padding.
@@ -28,7 +28,7 @@ class AudioLevel(nn.Module):
 
 
 class AudioEncoder(nn.Module):
-    """Features `[B, inputs, T]` to what each level hears, `[B, width, ceil(T / 2^level)]`."""
+    """Features `[B, inputs, T]` to the condition of each level, `[B, width, ceil(T / 2^level)]`."""
 
     def __init__(self, inputs: int, widths: list[int]) -> None:
         super().__init__()

@@ -1,4 +1,4 @@
-"""The motion decoder: from a latent motion to a physically shaped one, frame by frame
+"""The motion decoder: from a latent to a motion in physical units, frame by frame
 (CC-MotionGen, section 3.3; docs/sources.md, section 1.6)."""
 
 import torch

@@ -21,7 +21,7 @@ Denoiser = Callable[[Tensor, Tensor, Tensor], Tensor]
 
 
 class PredictionType(Enum):
-    """What the network's output means."""
+    """The prediction type."""
 
     EPSILON = "epsilon"
     SAMPLE = "sample"
@@ -40,7 +40,7 @@ class RolloutMode(Enum):
 
 
 class NoiseSchedule:
-    """Tables over the timesteps 0..T in float64; a value is rounded once, where it is used."""
+    """Tables over the timesteps 0..T in float64; a value is rounded once, at its use."""
 
     def __init__(self, betas: np.ndarray) -> None:
         abar = np.cumprod(1.0 - betas)
@@ -78,7 +78,7 @@ class NoiseSchedule:
     def target(
         self, x_start: Tensor, noise: Tensor, timesteps: Tensor, prediction_type: PredictionType
     ) -> Tensor:
-        """What the network should have answered at `x_t`."""
+        """The target of the network at `x_t`."""
         match prediction_type:
             case PredictionType.EPSILON:
                 return noise
@@ -89,7 +89,7 @@ class NoiseSchedule:
                 return signal * noise - sigma * x_start
 
     def _per_sample(self, timesteps: Tensor, like: Tensor) -> tuple[Tensor, Tensor]:
-        # Kept there: a copy in each step would make the host wait for a GPU.
+        # Stays on the device: a copy in each step would make the host wait for a GPU.
         if like.device not in self._on_device:
             signal, sigma = map(torch.from_numpy, (self.sqrt_abar, self.sqrt_one_minus_abar))
             self._on_device[like.device] = (signal.to(like.device), sigma.to(like.device))
@@ -115,7 +115,7 @@ def ddim_step(
     timestep: int,
     next_timestep: int | None,
 ) -> Tensor:
-    """From `x_t` to the next timestep, or to clean motion where that is None."""
+    """From `x_t` to the next timestep, or to clean motion if that is None."""
     signal = float(schedule.sqrt_abar[timestep])
     sigma = float(schedule.sqrt_one_minus_abar[timestep])
     match prediction_type:
@@ -145,7 +145,8 @@ def rollout(
     mode: RolloutMode,
     last_k: int = 1,
 ) -> Tensor:
-    """Samples in `steps` DDIM steps from noise `x [B, 25, T]`, with gradients as `mode` says."""
+    """Samples in `steps` DDIM steps from noise `x [B, 25, T]`, with gradients according to
+    `mode`."""
     timesteps = rollout_timesteps(schedule.num_train_timesteps, steps)
 
     def step(x: Tensor, index: int) -> Tensor:

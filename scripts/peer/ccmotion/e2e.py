@@ -1,4 +1,4 @@
-"""One step of end-to-end training: denoiser and decoder together, through the sampler
+"""One step of end-to-end training: denoiser and decoder, through the sampler
 (CC-MotionGen, sections 7.1 to 7.4; docs/sources.md, section 1.8)."""
 
 import copy
@@ -36,7 +36,7 @@ class EndToEndConfig:
 
 @dataclass
 class Batch:
-    """Motion with everything random about the step already drawn."""
+    """Motion with all random numbers of the step."""
 
     motion: Tensor
     """`[B, 25, T]`"""
@@ -47,7 +47,7 @@ class Batch:
     noise: Tensor
     """`[B, 25, T]`, of the diffusion loss"""
     x_T: Tensor
-    """`[B, 25, T]`, where the rollout starts"""
+    """`[B, 25, T]`, start of the rollout"""
 
 
 @dataclass

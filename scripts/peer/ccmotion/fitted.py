@@ -1,7 +1,7 @@
 """A small denoiser fitted for a few seconds, whose samples can be compared.
 
-With weights at random, a sampler that clips is chaotic: float32 and float64 part within 20 steps.
-A network that has learned to tell noise from motion brings them together again.
+With random weights, a sampler that clips is chaotic: float32 and float64 diverge within 20 steps.
+With a network that has learned to predict noise, they agree.
 """
 
 import torch

@@ -63,7 +63,7 @@ def coherence(quantity: Tensor, derivative: Tensor, scale: float) -> Tensor:
 
 
 def quat_delta(quaternion: Tensor) -> Tensor:
-    """How far consecutive rotations are from `|q . q'| >= 0.95`."""
+    """Violation of `|q . q'| >= 0.95` by consecutive rotations."""
     dot = (quaternion[:, 1:] * quaternion[:, :-1]).sum(dim=-1)
     return torch.relu(0.95 - dot.abs()).mean()
 

@@ -1,5 +1,5 @@
-"""Everything that a reference file of the denoiser, its loss or its sampler holds, computed from
-the file's inputs and weights.
+"""The contents of a reference file of the denoiser, its loss or its sampler, computed from the
+file's inputs and weights.
 
 Keys are those of the files without the `64` of a float64 run: `out.X`, `grad.X`, `gradnorm.X`.
 """

@@ -28,10 +28,10 @@ class UNetConfig:
     time_dim: int = 256
     ctx_dim: int = 256
     aligned: bool = False
-    """Whether each level hears its own frames, instead of a set of all."""
+    """True if each level is conditioned on its own frames, instead of the set of all."""
 
     def heard(self, level: int) -> int:
-        """Channels of what a level hears."""
+        """Channels of a level's audio condition."""
         return min(self.base * self.mult[level], self.ctx_dim) if self.aligned else self.ctx_dim
 
 
@@ -183,7 +183,7 @@ class DecoderLevel(nn.Module):
 
 
 class UNet1d(nn.Module):
-    """The whole network; see the module's text."""
+    """The network; see the module's docstring."""
 
     def __init__(self, config: UNetConfig) -> None:
         super().__init__()

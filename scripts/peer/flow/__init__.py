@@ -1,1 +1,1 @@
-"""The history encoder and the flow predictor of the document on motion that goes on."""
+"""The history encoder and the flow predictor of autoregressive flow matching."""

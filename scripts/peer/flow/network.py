@@ -1,5 +1,5 @@
 """The history encoder and the predictor of the next pose (docs/sources/flow.md). Features are those of
-HumanML3D's 22 joints, a row each frame; joints are tokens: `[B, J, channels]`."""
+HumanML3D's 22 joints, one row per frame; joints are tokens: `[B, J, channels]`."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""A training step of flow matching, and poses drawn by Euler's method."""
+"""A training step of flow matching, and poses sampled by Euler's method."""
 
 import copy
 

@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
-"""Times a guided prediction of a long composed motion beside the same network in PyTorch, in turn on the
-same cores, and compares what each takes of memory beyond its weights.
+"""Times a guided prediction of a long composed motion in kinegrad and PyTorch, in turn on the same
+cores, and compares memory beyond the weights.
 
     scripts/peer/flowmdm/compare.py [--rounds N] [--frames T] COMPOSE_SPEED
 
@@ -19,7 +19,7 @@ SEGMENT = 100
 
 
 def peer(frames: int, steps: int) -> None:
-    """Prints what the program prints."""
+    """Prints the program's output."""
     import torch
     from network import Network
 

@@ -1,5 +1,5 @@
 """The transformer with blended positional encodings in PyTorch, from the formulas of
-docs/sources/flowmdm.md: what kinegrad's is timed beside. One motion of several texts."""
+docs/sources/flowmdm.md, for comparison with kinegrad's. One motion of several texts."""
 
 import math
 

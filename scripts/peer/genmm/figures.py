@@ -4,8 +4,8 @@
     scripts/peer/genmm/figures.py [--seeds N] [--joints Hips,Spine] EXAMPLE.bvh
 
 prints mean and standard deviation for K 5 and E 3, K 4 and E 5, and alpha 10. Measures are those of
-docs/sources/genmm.md, on the rotations of the named joints, of all without names. `--first-place`
-leaves the place of frame 1 in frame 0, as the published program does. Needs torch.
+docs/sources/genmm.md, on the rotations of the named joints, by default of all. `--first-place`
+keeps the position of frame 1 in frame 0, as the published program does. Needs torch.
 """
 
 import argparse
@@ -117,7 +117,7 @@ def windows(apart: np.ndarray, size: int) -> np.ndarray:
 
 
 def segmented(apart: np.ndarray) -> float:
-    """The least cost a frame of segments that each follow a stretch of the example."""
+    """The least cost per frame of segments that each follow a stretch of the example."""
     frames = len(apart)
     # sums[k][e]: the cheapest stretch of k frames that ends before frame e.
     sums = {}

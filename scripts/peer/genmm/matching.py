@@ -1,7 +1,7 @@
 """Generative motion matching in PyTorch, from the formulas in docs/sources/genmm.md.
 
-As the published program does it: every patch is formed and every mean of patches taken by
-convolutions with one-hot kernels (the package `unfoldNd`), and distances are products of matrices.
+Like the published program: patches and means of patches are convolutions with one-hot kernels (the
+package `unfoldNd`), and distances are products of matrices.
 Motions are tensors [frames, channels].
 """
 
@@ -59,7 +59,7 @@ def step(motion: torch.Tensor, known: torch.Tensor, size: int, alpha: float | No
 
 PATCH_SIZE, FACTOR = 11, 0.75
 AT_A_TIME = 1024
-"""Patches whose distances are held at a time; with completeness all are computed twice."""
+"""Patches whose distances are in memory at a time; with completeness all are computed twice."""
 
 
 def first_length(example: int, frames: int, patches_coarse: float = 5) -> int:

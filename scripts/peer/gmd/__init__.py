@@ -1,2 +1,2 @@
-"""The denoisers of Guided Motion Diffusion and of its transformer baseline, and the evaluator that
-they are measured by, in PyTorch, for comparison."""
+"""The denoisers of Guided Motion Diffusion and of its transformer baseline, and their evaluator, in
+PyTorch, for comparison."""

@@ -1,13 +1,13 @@
 #!/usr/bin/env python3
-"""Writes checkpoints as training programs for GMD's networks leave them.
+"""Writes checkpoints like those of training programs for GMD's networks.
 
     cd scripts/peer
     python3 -m gmd.checkpoint WEIGHTS.safetensors OUT.pt [--bare] [--without KEY] [--extra KEY] ...
 
-WEIGHTS holds a network under `model.`, as the reference files and `data_fixtures/gmd` do. Besides
-the weights a checkpoint has what an importer must pass over: parts of the text encoder and the
-table of sinusoids, which stands twice and shares its memory. It was trained on a GPU, and the
-weights that training moves are parameters, not plain tensors.
+WEIGHTS contains a network under `model.`, like the reference files and `data_fixtures/gmd`. Besides
+the weights, a checkpoint contains tensors that an importer must ignore: parts of the text encoder
+and the table of sinusoids, twice and with shared memory. The tensors are on a GPU, and trained
+weights are parameters, not plain tensors.
 """
 
 import argparse
@@ -23,13 +23,13 @@ from .conditioning import sinusoid_rows
 
 GPU = "cuda:0"
 PERTURBATION = 0.02
-"""How far `model` is from `model_avg`, as a standard deviation."""
+"""Standard deviation of the difference between `model` and `model_avg`."""
 TEXT_ENCODER = {
     "clip_model.positional_embedding": (3, 4),
     "clip_model.transformer.resblocks.0.attn.in_proj_weight": (12, 4),
     "clip_model.logit_scale": (),
 }
-"""A few keys of the text encoder, much smaller than they are."""
+"""A few keys of the text encoder, much smaller than the real ones."""
 TABLE = "sequence_pos_encoder.pe"
 
 
@@ -56,7 +56,7 @@ def state_dict(
     text_encoder: bool = True,
     parameters: bool = False,
 ) -> "OrderedDict[str, Tensor]":
-    """A module's state: its weights and what else is in it."""
+    """A module's state: its weights and other entries."""
     state: OrderedDict[str, Tensor] = OrderedDict()
     if table_rows > 0:
         width = weights["embed_text.bias"].numel()
@@ -67,13 +67,13 @@ def state_dict(
     if text_encoder:
         for name, shape in TEXT_ENCODER.items():
             state[name] = torch.randn(shape, generator=generator)
-    # As `Module.state_dict` leaves it; a reader of the pickle meets it as the dictionary's state.
+    # As in `Module.state_dict`; in the pickle it is the dictionary's state.
     state._metadata = OrderedDict({"": {"version": 1}, "unet": {"version": 1}})
     return state
 
 
 def change(state: dict[str, Tensor], args: argparse.Namespace) -> None:
-    """Makes `state` one that an importer must refuse."""
+    """Changes `state` so that an importer must refuse it."""
     for name in args.without:
         del state[name]
     for name in args.extra:
@@ -89,7 +89,7 @@ def change(state: dict[str, Tensor], args: argparse.Namespace) -> None:
 
 def save(content: Any, path: Path, location: str = GPU) -> None:
     """Writes a file whose tensors claim to come from the device `location`."""
-    # Taggers are asked by priority, PyTorch's own begin at 10.
+    # Taggers are called by priority; PyTorch's own start at 10.
     registry = torch.serialization._package_registry
     before = list(registry)
     torch.serialization.register_package(0, lambda storage: location, lambda storage, tag: None)

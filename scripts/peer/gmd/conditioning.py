@@ -1,5 +1,5 @@
-"""What both denoisers make of timestep and text, and classifier-free guidance over it (GMD appendix
-D)."""
+"""The conditioning of both denoisers on timestep and text, and classifier-free guidance (GMD
+appendix D)."""
 
 import math
 from collections.abc import Callable
@@ -39,8 +39,8 @@ class TimestepEmbedding(nn.Module):
 def guided(
     denoiser: Denoiser, x_t: Tensor, timesteps: Tensor, text_features: Tensor, scale: Tensor
 ) -> Tensor:
-    """`uncond + scale (cond - uncond)`, a `scale [B]` for each sample. Features of zero stand for
-    no text."""
+    """`uncond + scale (cond - uncond)`, a `scale [B]` for each sample. Zero features mean no
+    text."""
     cond = denoiser(x_t, timesteps, text_features)
     uncond = denoiser(x_t, timesteps, torch.zeros_like(text_features))
     return uncond + scale[:, None, None] * (cond - uncond)

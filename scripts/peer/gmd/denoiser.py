@@ -1,4 +1,4 @@
-"""The UNet with everything around it: timestep, text, and padding to a fixed length (GMD appendix
+"""The complete model around the UNet: timestep, text, and padding to a fixed length (GMD appendix
 D)."""
 
 from torch import Tensor, nn

@@ -1,5 +1,5 @@
-"""Everything that a reference file of a denoiser holds, computed from the file's inputs and
-weights, by the file's keys."""
+"""The contents of a reference file of a denoiser, computed from the file's inputs and weights, by
+the file's keys."""
 
 import torch
 from torch import Tensor, nn
@@ -11,7 +11,7 @@ from .denoiser import UNetDenoiser
 from .unet import UNet, UNetConfig
 
 TAIL = 4
-"""Frames beyond the motion's end that a file shows of the padded input and output."""
+"""Frames after the motion's end that a file contains of the padded input and output."""
 
 
 def multipliers(golden: Golden) -> tuple[float, ...]:
@@ -73,7 +73,7 @@ def whole_network(golden: Golden) -> UNetDenoiser:
 
 
 def denoiser_values(golden: Golden, dtype: torch.dtype) -> dict[str, Tensor]:
-    """The whole model: conditioning, padding, outputs, guidance and all gradients."""
+    """The complete model: conditioning, padding, outputs, guidance and all gradients."""
     model = whole_network(golden).to(dtype)
     calls: list[tuple[Tensor, Tensor, Tensor]] = []
     model.unet.register_forward_hook(lambda _m, args, out: calls.append((*args, out)))

@@ -1,6 +1,6 @@
 """The text-motion evaluator of C. Guo et al., "Generating Diverse and Natural 3D Human Motions from
-Text" (2022): two encoders whose embeddings lie close together where a caption describes a motion,
-and the metrics over them.
+Text" (2022): two encoders whose embeddings are close if a caption describes a motion, and the
+metrics on them.
 """
 
 from dataclasses import dataclass

@@ -13,7 +13,7 @@ TRAJECTORY_CHANNELS = 4
 
 
 def cosine_schedule() -> NoiseSchedule:
-    """Of the published models."""
+    """Value of the published models."""
     return NoiseSchedule.cosine(beta_min=0.0, beta_max=0.999)
 
 

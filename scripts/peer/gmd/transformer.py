@@ -1,8 +1,8 @@
 """The transformer of the Human Motion Diffusion Model (<https://arxiv.org/abs/2209.14916>, section
 3 and figure 2), GMD's baseline.
 
-One token carries timestep and text; it goes before the frames, and its output is dropped. Layers
-normalise behind each addition. There is no dropout and no mask.
+One token with timestep and text precedes the frames; its output is dropped. Layers are post-norm.
+There is no dropout and no mask.
 """
 
 from dataclasses import dataclass
@@ -49,7 +49,7 @@ class OutputProcess(nn.Module):
 
 
 class TransformerDenoiser(nn.Module):
-    """The whole network; see the module's text."""
+    """The network; see the module's docstring."""
 
     def __init__(self, config: TransformerConfig) -> None:
         super().__init__()
@@ -71,8 +71,8 @@ class TransformerDenoiser(nn.Module):
         self.output_process = OutputProcess(config)
 
     def tokens(self, x_t: Tensor, timesteps: Tensor, text_features: Tensor) -> Tensor:
-        """What the first layer receives: the condition, then the frames, with their positions added
-        from 0 on: `[B, 1 + T, latent_dim]`."""
+        """The input of the first layer: the condition, then the frames, plus positions from 0 on:
+        `[B, 1 + T, latent_dim]`."""
         emb = self.embed_timestep(timesteps) + self.embed_text(text_features)
         tokens = torch.cat([emb[:, None], self.input_process(x_t)], dim=1)
         positions = torch.arange(tokens.shape[1], device=tokens.device)

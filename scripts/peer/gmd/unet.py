@@ -1,8 +1,8 @@
 """The 1D UNet with adaptive group normalisation (GMD appendix D, table D.1, figures D.1 and D.2).
 
-Uses the names of the published checkpoints. Kernels: 5 in blocks, 1 on the way around a block and
-at the very end, 3 going down, 4 going up. The last level's skip is concatenated right behind the
-middle, and the first level's is not used.
+Uses the names of the published checkpoints. Kernels: 5 in blocks, 1 in shortcuts and at the end, 3
+for downsampling, 4 for upsampling. The last level's skip is concatenated right after the middle,
+and the first level's is not used.
 """
 
 from dataclasses import dataclass
@@ -19,13 +19,13 @@ class UNetConfig:
 
     motion_channels: int = 263
     width: int = 512
-    """Of the conditioning inside the network; levels are multiples of it."""
+    """Width of the conditioning inside the network; levels are multiples of it."""
     multipliers: tuple[float, ...] = (2, 2, 2, 2)
     cond_dim: int = 512
-    """Width of the conditioning that comes in."""
+    """Width of the input conditioning."""
     adagn: bool = True
-    """Scale and shift from the conditioning behind the first norm; without, a shift behind the
-    first activation."""
+    """Scale and shift from the conditioning after the first norm; without, a shift after the first
+    activation."""
     zero_init: bool = True
     """AdaGN linears, second convolutions and the very last convolution start at zero, so that the
     network's first answer is zero."""
@@ -114,8 +114,7 @@ class Resample(nn.Module):
 def level(
     config: UNetConfig, in_channels: int, out_channels: int, resample: nn.Module
 ) -> nn.Module:
-    """Two residual blocks and what changes the length; the identity stands where others have
-    attention."""
+    """Two residual blocks and the change of length; the identity is in place of attention."""
     return nn.ModuleList(
         [
             ResBlock(config, in_channels, out_channels),
@@ -127,7 +126,7 @@ def level(
 
 
 class UNet(nn.Module):
-    """The whole network; see the module's text."""
+    """The network; see the module's docstring."""
 
     def __init__(self, config: UNetConfig) -> None:
         super().__init__()

@@ -1,8 +1,8 @@
 //! Reference tensors computed elsewhere.
 //!
 //! A golden test reads all numbers and sizes from its file, so that the same test passes on files
-//! made with another seed. Whatever compares here notes how much it compared, so that a test that
-//! compared nothing can be told from one that passed: see [`counting`].
+//! made with another seed. Comparisons are counted, so that a test that compared nothing does not
+//! pass: see [`counting`].
 
 mod folder;
 mod record;
@@ -19,7 +19,7 @@ pub use reference::{Reference, bound, differences, wide};
 
 use reference::keep;
 
-/// One file of reference tensors, held in memory.
+/// One file of reference tensors, in memory.
 pub struct Golden {
     path: PathBuf,
     bytes: Vec<u8>,
@@ -29,8 +29,7 @@ pub struct Golden {
 impl Golden {
     /// The file at `path`.
     ///
-    /// # Panics
-    /// Panics if it is not there or cannot be parsed.
+    /// # Panics Panics if it is missing or cannot be parsed.
     pub fn read(path: &Path) -> Self {
         let bytes = std::fs::read(path).expect("golden file is readable");
         let (_, header) = SafeTensors::read_metadata(&bytes).expect("golden file has a header");
@@ -50,7 +49,7 @@ impl Golden {
             .unwrap_or_else(|| panic!("{} has no metadata `{key}`", self.path.display()))
     }
 
-    /// A string of the file's metadata, or `None` if the file leaves it out.
+    /// A string of the file's metadata, or `None` if the file lacks it.
     pub fn find_metadata(&self, key: &str) -> Option<&str> {
         self.metadata.get(key).map(String::as_str)
     }
@@ -71,7 +70,7 @@ impl Golden {
         names
     }
 
-    /// Names that begin with `prefix`, sorted, with the prefix taken off.
+    /// Names that begin with `prefix`, sorted, without the prefix.
     ///
     /// # Panics
     /// Panics if there are none: a loop over them would compare nothing.
@@ -85,7 +84,7 @@ impl Golden {
         under
     }
 
-    /// Whether the file holds a tensor of that name.
+    /// True if the file contains a tensor of that name.
     pub fn has(&self, name: &str) -> bool {
         self.parsed().tensor(name).is_ok()
     }
@@ -114,8 +113,8 @@ impl Golden {
         }
     }
 
-    /// The float64 twin of `out.{name}` or `grad.{name}` (the reference), or the entry itself
-    /// where the file holds only one.
+    /// The float64 twin of `out.{name}` or `grad.{name}` (the reference), or the entry itself if
+    /// the file contains only one.
     pub fn reference(&self, name: &str) -> Reference {
         let twin = match name.split_once('.') {
             Some((kind, rest)) => format!("{kind}64.{rest}"),
@@ -128,7 +127,7 @@ impl Golden {
         }
     }
 
-    /// The tensor `name`, or `None` if the file leaves it out.
+    /// The tensor `name`, or `None` if the file lacks it.
     pub fn find(&self, name: &str) -> Option<Reference> {
         self.has(name).then(|| self.get(name))
     }

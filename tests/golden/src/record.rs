@@ -1,4 +1,4 @@
-//! What the test on this thread has compared so far.
+//! The number of comparisons of the test on this thread.
 
 use std::cell::Cell;
 
@@ -7,14 +7,14 @@ thread_local! {
     static SILENT: Cell<bool> = const { Cell::new(false) };
 }
 
-/// Notes that so many values were compared with reference values. The functions of this crate that
-/// compare note it themselves; a test that does so by `assert_eq!` calls this beside it.
+/// Adds to the number of values compared with reference values. The comparing functions of this
+/// crate call it; a test that compares by `assert_eq!` calls it too.
 pub fn compared(values: usize) {
     COMPARED.set(COMPARED.get() + values);
 }
 
-/// Runs `body` and answers how many values it compared, on this thread; what it compares on others
-/// is not counted. A `silent` body's measured errors are not printed.
+/// Runs `body` and returns the number of values it compared on this thread; other threads are not
+/// counted. A `silent` body's measured errors are not printed.
 pub fn counting(silent: bool, body: impl FnOnce()) -> usize {
     COMPARED.set(0);
     SILENT.set(silent);
@@ -23,7 +23,7 @@ pub fn counting(silent: bool, body: impl FnOnce()) -> usize {
     COMPARED.replace(0)
 }
 
-/// Prints a measured error beside its bound.
+/// Prints a measured error and its bound.
 pub(crate) fn report(what: &str, error: f64, tolerance: f64) {
     if !SILENT.get() {
         println!("{what}: error {error:.1e} of {tolerance:.0e}");

@@ -1,4 +1,4 @@
-//! One reference tensor, and beside what was found.
+//! One reference tensor and its comparisons.
 
 use crate::record::{compared, report};
 
@@ -33,8 +33,7 @@ impl Reference {
 
     /// The values as vectors of N.
     ///
-    /// # Panics
-    /// Panics if some are left over.
+    /// # Panics Panics if the length is not a multiple of N.
     pub fn vectors<const N: usize>(&self) -> Vec<[f64; N]> {
         let (vectors, rest) = self.values.as_chunks::<N>();
         assert!(rest.is_empty(), "{:?} in vectors of {N}", self.shape);
@@ -50,8 +49,8 @@ impl Reference {
         differences(what, actual, &self.values).fold(0.0, f64::max)
     }
 
-    /// `max|actual - reference| / max|reference|`; where the reference is 0 everywhere, the
-    /// difference itself.
+    /// `max|actual - reference| / max|reference|`; the difference itself if the reference is 0
+    /// everywhere.
     ///
     /// # Panics
     /// As [`largest_difference`](Self::largest_difference).
@@ -115,8 +114,7 @@ impl Reference {
 
     /// The part `index` of the first axis.
     ///
-    /// # Panics
-    /// Panics if there are not so many.
+    /// # Panics Panics if `index` is out of range.
     pub fn part(&self, index: usize) -> Self {
         let (&parts, shape) = self.shape.split_first().expect("an axis");
         let size = self.values.len() / parts;
@@ -146,11 +144,10 @@ impl Reference {
     }
 }
 
-/// The differences of two lists, place by place.
+/// The elementwise differences of two lists.
 ///
-/// # Panics
-/// Panics if the sizes differ, and later where a value of either is not finite: a NaN would be lost
-/// on the way to the largest difference.
+/// # Panics Panics if the sizes differ, and later if a value of either is not finite, because a
+/// maximum ignores NaN.
 #[track_caller]
 pub fn differences<'a>(
     what: &'a str,
@@ -172,17 +169,16 @@ pub fn wide(values: &[f32]) -> Vec<f64> {
     values.iter().map(|&value| f64::from(value)).collect()
 }
 
-/// Asserts that an error keeps its bound, and counts as one value compared.
+/// Asserts that an error is within its bound, and counts one compared value.
 ///
-/// # Panics
-/// Panics if it does not, or if it is not a number.
+/// # Panics Panics if it is not, or if it is NaN.
 #[track_caller]
 pub fn bound(what: &str, error: f64, tolerance: f64) {
     compared(1);
     keep(what, error, tolerance);
 }
 
-/// [`bound`] on what was counted before.
+/// [`bound`] without counting.
 #[track_caller]
 pub(crate) fn keep(what: &str, error: f64, tolerance: f64) {
     report(what, error, tolerance);

@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use super::{free_port, request};
 use crate::golden::workspace;
 
-/// How long an emulator may take to start.
+/// Start timeout of an emulator.
 const PATIENCE: Duration = Duration::from_secs(60);
 
 /// The bucket that every emulator has.
@@ -18,7 +18,7 @@ const BUCKET: &str = "bucket";
 #[derive(Debug)]
 pub struct Emulator {
     process: Child,
-    /// Where it listens.
+    /// Its address.
     pub address: SocketAddr,
 }
 
@@ -28,11 +28,9 @@ impl Emulator {
         format!("http://{}", self.address)
     }
 
-    /// Puts an object into the bucket of fake-gcs-server, by the only interface that it is written
-    /// to by.
+    /// Puts an object into the bucket of fake-gcs-server, through its only write interface.
     ///
-    /// # Panics
-    /// Panics if the server does not take it.
+    /// # Panics Panics if the server refuses it.
     pub fn upload(&self, key: &str, bytes: &[u8]) {
         let head = format!(
             "POST /upload/storage/v1/b/{BUCKET}/o?uploadType=media&name={} HTTP/1.1\r\nHost: {}\r\n\

@@ -1,4 +1,4 @@
-//! A web server and proxy that fails on purpose.
+//! A web server and proxy that injects faults.
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream};
@@ -10,7 +10,7 @@ use std::time::Duration;
 
 use super::request;
 
-/// What answers the requests that are let through.
+/// The source of answers for requests without a fault.
 #[derive(Clone, Debug)]
 pub enum Upstream {
     /// The files of a folder.
@@ -19,27 +19,27 @@ pub enum Upstream {
     Server(SocketAddr),
 }
 
-/// A way to fail.
+/// A fault.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Fault {
-    /// This status instead of an answer.
+    /// This status code instead of an answer.
     Status(u16),
     /// The connection is reset before an answer.
     Reset,
-    /// The answer breaks off in the middle of its body.
+    /// The answer ends in the middle of its body.
     Truncate,
-    /// Half of the body comes, and then nothing for a long time.
+    /// Half of the body, then a long pause.
     Stall,
-    /// One byte of the body is another one.
+    /// One byte of the body is changed.
     Corrupt,
-    /// The answer takes a while to come.
+    /// The answer is delayed.
     Slow,
 }
 
-/// The faults still to be injected, and what was asked for.
+/// The remaining faults, and the requests.
 #[derive(Debug, Default)]
 struct Plan {
-    /// Part of the path, fault, and how often.
+    /// Part of the path, fault, and count.
     faults: Vec<(String, Fault, usize)>,
     injected: usize,
     requests: Vec<String>,
@@ -57,7 +57,7 @@ pub struct FaultyServer {
 }
 
 impl FaultyServer {
-    /// Serves what `upstream` has, without faults yet.
+    /// Serves `upstream`, at first without faults.
     ///
     /// # Panics
     /// Panics if there is no loopback port.
@@ -74,7 +74,7 @@ impl FaultyServer {
                 }
                 let (plan, upstream, stop) = (shared.clone(), upstream.clone(), stop.clone());
                 if let Ok(stream) = stream {
-                    // A client that goes away is no concern of the server's.
+                    // Ignores clients that disconnect.
                     std::thread::spawn(move || serve(stream, &upstream, &plan, &stop));
                 }
             }
@@ -94,33 +94,29 @@ impl FaultyServer {
 
     /// The next `times` requests whose path contains `path` fail.
     ///
-    /// # Panics
-    /// Panics if a thread of the server has.
+    /// # Panics Panics if a thread of the server panicked.
     pub fn inject(&self, path: &str, fault: Fault, times: usize) {
         let mut plan = self.plan.lock().expect("the plan");
         plan.faults.push((path.to_owned(), fault, times));
     }
 
-    /// The most requests that were answered at the same time since this was last asked.
+    /// The peak of concurrent requests since the last call.
     ///
-    /// # Panics
-    /// Panics if a thread of the server has.
+    /// # Panics Panics if a thread of the server panicked.
     pub fn take_most_under_way(&self) -> usize {
         std::mem::take(&mut self.plan.lock().expect("the plan").most_under_way)
     }
 
-    /// How many faults were injected so far.
+    /// Number of injected faults so far.
     ///
-    /// # Panics
-    /// Panics if a thread of the server has.
+    /// # Panics Panics if a thread of the server panicked.
     pub fn injected(&self) -> usize {
         self.plan.lock().expect("the plan").injected
     }
 
     /// Number of requests so far whose path contains `path`.
     ///
-    /// # Panics
-    /// Panics if a thread of the server has.
+    /// # Panics Panics if a thread of the server panicked.
     pub fn requests(&self, path: &str) -> usize {
         let plan = self.plan.lock().expect("the plan");
         plan.requests.iter().filter(|p| p.contains(path)).count()
@@ -147,8 +143,8 @@ fn serve(stream: TcpStream, upstream: &Upstream, plan: &Mutex<Plan>, stop: &Atom
     answer(stream, &head, &body, upstream, under_way, stop);
 }
 
-/// A request that is being answered. It is dropped before the answer is written: who has read the
-/// answer may ask again at once.
+/// A request that is being answered. It is dropped before the answer is written, because a client
+/// that has read the answer may send the next request at once.
 struct UnderWay<'a>(&'a Mutex<Plan>);
 
 impl<'a> UnderWay<'a> {
@@ -265,7 +261,7 @@ fn read_request(stream: &TcpStream) -> Option<(String, Vec<u8>)> {
     Some((head, body))
 }
 
-/// The head with the name of the server it goes to, by which some choose what to answer.
+/// The head with the target's host name, by which some servers choose the answer.
 fn addressed(head: &str, server: SocketAddr) -> String {
     let lines = head.split_inclusive("\r\n").map(|line| {
         match line.to_ascii_lowercase().starts_with("host:") {
@@ -276,7 +272,7 @@ fn addressed(head: &str, server: SocketAddr) -> String {
     lines.collect()
 }
 
-/// Closes a connection so that the other end sees it reset: with a lingering time of zero.
+/// Closes a connection with a linger time of zero, which resets it.
 fn reset(stream: TcpStream) {
     let socket = socket2::Socket::from(stream);
     let _ = socket.set_linger(Some(Duration::ZERO));

@@ -10,7 +10,7 @@ pub use faulty::{Fault, FaultyServer, Upstream};
 use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream};
 
-/// A port that was free a moment ago.
+/// A free port; another process may take it.
 fn free_port() -> u16 {
     let listener = TcpListener::bind("127.0.0.1:0").expect("a loopback port");
     listener.local_addr().expect("an address").port()

@@ -23,7 +23,7 @@ fn folder(with_file: bool, complete: bool) -> (tempfile::TempDir, Folder) {
     (root, folder)
 }
 
-/// What comes of a trial, and what is printed about it.
+/// The outcome of a trial and its output.
 fn outcome(trial: Trial, arguments: &[&str]) -> (Conclusion, String) {
     let log = tempfile::NamedTempFile::new().expect("a file");
     let arguments = ["golden"].iter().chain(arguments);
@@ -52,7 +52,7 @@ fn a_test_that_compares_passes_under_the_name_of_its_module() {
 #[test]
 fn a_test_that_compares_nothing_fails() {
     let (_root, folder) = folder(true, false);
-    // A count from before on the same thread is not its own.
+    // Earlier counts on the same thread are excluded.
     compared(3);
     let (conclusion, printed) = outcome(test(|_| ()).trial(&folder, true), &["--test-threads=1"]);
     assert_eq!((conclusion.num_passed, conclusion.num_failed), (0, 1));

@@ -1,6 +1,6 @@
 //! Every tensor of the reference clips, against librosa 0.11.
 //!
-//! `data_fixtures/golden/audio` holds them as FLAC and without what [`left_out`] names. The
+//! `data_fixtures/golden/audio` contains them as FLAC and without the tensors of [`left_out`]. The
 //! tolerances are the reference data's own.
 
 use std::path::{Path, PathBuf};
@@ -34,7 +34,7 @@ pub fn tests() -> Vec<GoldenTest> {
     ]
 }
 
-/// What the small set leaves out of a clip, as large as it is and covered by what comes of it.
+/// Tensors that the small set omits, because they are large and later tensors cover them.
 fn left_out(clip: &str) -> &'static [&'static str] {
     match clip {
         "chords" | "edge_short" | "edge_single_frame" => &[],
@@ -62,7 +62,7 @@ struct Clip {
     complete: bool,
 }
 
-/// What the two signals of a clip that needs resampling may differ by, in the stacked tensor.
+/// Tolerances of the stacked tensor for a clip that is resampled.
 struct Resampled {
     mel_max: f64,
     mel_mean: f64,
@@ -85,7 +85,7 @@ const FROM_22K: Resampled = Resampled {
 };
 
 impl Opened for Clip {
-    /// The clip whose tensors stand at `tensors`.
+    /// The clip with the tensors at `tensors`.
     fn open(tensors: &Path) -> Self {
         let recording = ["wav", "flac"]
             .map(|extension| tensors.with_extension(extension))
@@ -110,7 +110,7 @@ impl Clip {
         self.golden.get(key).values
     }
 
-    /// Whether the small set leaves the tensor out.
+    /// True if the small set omits the tensor.
     fn leaves_out(&self, key: &str) -> bool {
         !self.complete && left_out(&self.name()).contains(&key) && !self.golden.has(key)
     }
@@ -160,7 +160,7 @@ fn correlation(a: &[f64], b: &[f64]) -> f64 {
         / (product(a, a, mean_a, mean_a) * product(b, b, mean_b, mean_b)).sqrt()
 }
 
-/// Everything of a clip that does not need resampling, or whose converted signal is stored.
+/// Every tensor of a clip without resampling, or with a stored converted signal.
 fn check_clip(clip: Clip) {
     let signal = match clip.golden.find("y_44100") {
         Some(stored) => stored.f32s(),
@@ -219,7 +219,7 @@ fn check_beats(clip: &Clip, onset_median: &[f32]) {
     check_links(clip, &search);
 }
 
-/// The links agree, or the reference's is as good: its single-precision scores can tie.
+/// The links agree, or have equal scores: single-precision scores can tie.
 fn check_links(clip: &Clip, search: &beats::Search) {
     let reference = clip.get("beat_backlink");
     assert_eq!(search.backlinks.len(), reference.len(), "{}", clip.name());
@@ -262,7 +262,7 @@ fn check_stacked(clip: &Clip, analysis: &Analysis) {
     for (i, c) in MFCC.enumerate() {
         let raw: Vec<f64> = analysis.mfcc.channel(i).map(f64::from).collect();
         if deviation(&raw) < 1e-3 {
-            // A constant row: the reference holds rounding debris.
+            // A constant row: the reference contains rounding noise.
             assert!(found(c).iter().all(|v| v.abs() <= 1.0), "{}", clip.name());
         } else {
             let error = largest_difference("stacked mfcc", &found(c), row(c));
@@ -272,7 +272,7 @@ fn check_stacked(clip: &Clip, analysis: &Analysis) {
     check_chroma(clip, &analysis.chroma, &features, &reference);
 }
 
-/// Frames with next to no energy hold magnified leakage and are only checked for their range.
+/// Frames with almost no energy contain magnified leakage, so only their range is checked.
 fn check_chroma(clip: &Clip, unnormalised: &FrameMatrix, features: &Features, reference: &[f64]) {
     assert_eq!(
         chroma::normalise(unnormalised.clone()).channel_major(),
@@ -319,7 +319,7 @@ fn deviation(values: &[f64]) -> f64 {
     (values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / n).sqrt()
 }
 
-/// The whole way from the file, with this crate's resampler in place of the reference's.
+/// All stages from the file, with this crate's resampler in place of the reference's.
 fn check_resampled(clip: Clip, allowed: &Resampled) {
     let signal = clip.decoded();
     clip.golden

@@ -44,7 +44,7 @@ fn cases(golden: &Golden, prefix: &str) -> Vec<String> {
     cases
 }
 
-/// Compares the loss of `case` and answers it.
+/// Compares the loss of `case` and returns it.
 fn compare_loss(golden: &Golden, case: &str, y: Tensor<3>, target: Tensor<3>) -> Tensor<1> {
     let loss = (y - target).square().mean();
     let value = f64::from(loss.clone().into_scalar::<f32>());
@@ -72,7 +72,7 @@ fn compare_gradients(
     }
 }
 
-/// A gradient that is zero by construction holds rounding noise only; it is compared absolutely.
+/// A gradient that is zero by construction contains only rounding noise; it is compared absolutely.
 fn compare_or_zero(reference: &Reference, what: &str, gradient: &[f32]) {
     let scale = reference.values.iter().fold(0.0f64, |m, v| m.max(v.abs()));
     if scale > VANISHING {
@@ -135,7 +135,7 @@ fn golden_attention_block(golden: Golden) {
         // Two cases have no weights of their own; they share those of `attn_cross_len`.
         let own = golden.has(&format!("model.{case}.qkv.weight"));
         let owner = if own { case.as_str() } else { "attn_cross_len" };
-        // The case without context has no input of its own either.
+        // The case without context shares its input too.
         let has_x = golden.has(&format!("in.{case}.x"));
         let inputs = if has_x {
             case.as_str()

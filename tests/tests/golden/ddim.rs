@@ -92,7 +92,7 @@ fn golden_ddim_sampling(golden: Golden) {
             .expect("a sample")
         };
         let alternative = format!("{case}.alt.x_final_alpha_next_1");
-        // The small file leaves the other reading of the last step out.
+        // The small file omits the other reading of the last step.
         if complete || golden.has(&alternative) {
             let drawn = draw(&to_clean_motion);
             let reference = golden.reference(&alternative);

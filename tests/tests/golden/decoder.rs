@@ -20,7 +20,7 @@ fn golden_decoder(golden: Golden) {
     let infos = parameters::infos(&decoder);
 
     for (case, tolerance) in [("unit", 1e-5), ("large", 2e-4)] {
-        // Golden files hold [batch, time, channels].
+        // Golden files have [batch, time, channels].
         let x = golden.tensor::<3>(&format!("in.{case}.x"), &device);
         let x = x.require_grad();
         let y = decoder

@@ -73,8 +73,8 @@ impl Steps {
         self.golden.get(&format!("in.t.{case}")).indices()
     }
 
-    /// Compares each `out.{kind}.{schedule}.{prediction}.{clip}.{timesteps}` with what `actual`
-    /// makes of the process, clip, model output, x_t and timesteps named by the key.
+    /// Compares each `out.{kind}.{schedule}.{prediction}.{clip}.{timesteps}` with the result of
+    /// `actual` for the process, clip, model output, x_t and timesteps of the key.
     fn compare(
         &self,
         kind: &str,
@@ -82,7 +82,7 @@ impl Steps {
         actual: impl Fn(&GaussianDiffusion, &ClipRange, Tensor<3>, Tensor<3>, &[usize]) -> Tensor<3>,
     ) {
         for case in self.golden.names_under(&format!("out.{kind}.")) {
-            // The clip's bound may hold a point: take the parts from both ends.
+            // The clip's bound may contain a point, so parts are taken from both ends.
             let (schedule, rest) = case.split_once('.').expect("schedule");
             let (prediction, rest) = rest.split_once('.').expect("prediction type");
             let (clip, at) = rest.rsplit_once('.').expect("clip and timesteps");
@@ -170,7 +170,7 @@ fn golden_ddpm_step(golden: Golden) {
             step(diffusion, &prediction, timesteps, Some(noise.clone()))
         },
     );
-    // The same numbers by another way: from the jump's cumulative products, not from the tables.
+    // The same numbers from the jump's cumulative products instead of the tables.
     steps.compare(
         "p_mean",
         TOLERANCE,
@@ -189,7 +189,7 @@ fn golden_ddpm_step(golden: Golden) {
     );
 }
 
-/// DDIM with eta 1 and one timestep per jump draws from the same posterior.
+/// DDIM with eta 1 and one timestep per jump samples from the same posterior.
 fn golden_ddpm_step_by_ddim(golden: Golden) {
     let steps = Steps::of(golden);
     let noise = steps.tensor("in.step_noise");

@@ -55,7 +55,7 @@ fn assert_close(what: &str, actual: &[f32], reference: &[f32], tolerance: f64) {
     }
 }
 
-/// The recipe's loss, term by term, and its gradients, as far as the golden file has them.
+/// The recipe's loss, term by term, and its gradients that the golden file contains.
 fn losses_and_gradients(case: &Case, mode: RolloutMode) -> HashMap<String, Vec<f32>> {
     let (model, recipe, weights) = (case.model(), case.recipe(mode), LossConfig::document());
     let loss = recipe.loss_of(&model, case.inputs(), case.draws());
@@ -90,7 +90,7 @@ fn losses_and_gradients(case: &Case, mode: RolloutMode) -> HashMap<String, Vec<f
     let mut found = HashMap::new();
     for (info, gradient) in parameters::infos(&model).into_iter().zip(gradients) {
         let name = info.name;
-        // Rounding noise is left where a gradient is zero.
+        // A zero gradient contains rounding noise.
         if zero.iter().any(|zero| name.ends_with(zero.as_str())) {
             continue;
         }
@@ -126,7 +126,8 @@ fn truncated(case: &Case) {
     for name in stored {
         let index = infos.iter().position(|info| info.name == name);
         let gradient = &gradients[index.expect("a parameter")];
-        // No tolerance is given for these: that of the decoder, through which they come.
+        // These have no tolerance of their own; the decoder's applies, because they pass through
+        // it.
         case.golden
             .get(&format!("truncgrad64.{}.{name}", case.name))
             .assert_close_f32(
@@ -137,7 +138,7 @@ fn truncated(case: &Case) {
     }
 }
 
-/// Notes every call of a network, and makes its output a place whose gradient can be read.
+/// Records every call of a network, and makes the gradient of its output readable.
 struct Noting<'a> {
     unet: &'a UNet1d,
     calls: RefCell<Vec<Call>>,
@@ -241,7 +242,7 @@ fn states_and_their_gradients(case: &Case) {
     }
 }
 
-/// What each step's call of the network contributes, as the checkpointed backward pass finds it.
+/// The contribution of each step's network call in the checkpointed backward pass.
 fn gradients_of_each_step(case: &Case) {
     let model = case.model();
     let timesteps = rollout_timesteps(&case.starts(), case.steps());

@@ -18,12 +18,12 @@ use kinegrad_tests::{gradients, trials, weights};
 
 const FORWARD: f64 = 2e-5;
 const INPUTS: f64 = 1e-6;
-/// Of inputs that a linear map of the text is part of.
+/// For inputs that contain a linear map of the text.
 const TEXT_INPUTS: f64 = 1e-5;
 const SAMPLING: f64 = 5e-5;
 const GRADIENT: f64 = 1e-4;
 
-/// The files do not say how many heads there are.
+/// The number of heads is not in the files.
 const HEADS: usize = 4;
 
 /// The tests of this file.
@@ -37,7 +37,7 @@ pub fn tests() -> Vec<GoldenTest> {
     ]
 }
 
-/// Networks of the sizes that a file's weights have. A part that the file lacks has other sizes.
+/// Networks with the sizes of a file's weights. A part that the file lacks has other sizes.
 fn model(golden: &Golden, encoder: &str, predictor: &str, device: &Device) -> FlowModel {
     let other = FlowConfig::tiny();
     let width = |name: String, axis: usize, other: usize| {
@@ -81,7 +81,7 @@ fn turned(x: Tensor<3>) -> Tensor<3> {
     x.swap_dims(1, 2)
 }
 
-/// What a predictor of a file is given, and the previous state as the leaf of its graph.
+/// The inputs of a file's predictor, with the previous state as a leaf of the graph.
 fn condition(golden: &Golden, context: Tensor<3>, device: &Device) -> FlowCondition {
     FlowCondition {
         context: turned(context),
@@ -91,13 +91,13 @@ fn condition(golden: &Golden, context: Tensor<3>, device: &Device) -> FlowCondit
     }
 }
 
-/// Compares a stage that gave `[batch, channels, joints]`.
+/// Compares a stage of shape `[batch, channels, joints]`.
 fn compare_turned(golden: &Golden, name: &str, x: Tensor<3>, tolerance: f64) {
     let reference = golden.get(name);
     reference.assert_within(name, turned(x), tolerance, 0.0);
 }
 
-/// Compares a stage as it is, or turned.
+/// Compares a stage as it is, or transposed.
 fn compare_stage(golden: &Golden, stages: &Noted, name: &str, tolerance: f64) {
     let reference = golden.get(&format!("out.{name}"));
     assert_eq!(stages.shape(name), reference.shape, "{name}: shape");
@@ -175,7 +175,7 @@ fn golden_flow_predictor(golden: Golden) {
     let state = previous_state(golden.tensor("in.last_features", &device));
     compare_turned(&golden, "in.prev_state", state, INPUTS);
 
-    // The path and what is read off it.
+    // The path and the conversions.
     let t = golden.get("in.t").values;
     let [noise, x_start] = ["in.x0", "in.x1"].map(|name| turned(golden.tensor(name, &device)));
     let x_t = FlowPrediction::add_noise(noise.clone(), x_start.clone(), &t);
@@ -242,8 +242,7 @@ fn golden_flow_predictor_prenorm(golden: Golden) {
     compare_turned(&golden, "out.v", v, FORWARD);
 }
 
-/// Compares the state before each step and after the last with a file's, which has them on its
-/// first axis.
+/// Compares the states before each step and after the last with those on a file's first axis.
 fn compare_states<const D: usize>(golden: &Golden, name: &str, states: Vec<Tensor<D>>) {
     let reference = golden.get(name);
     assert_eq!(states.len(), reference.shape[0], "{name}: states");
@@ -309,7 +308,7 @@ fn compare_linear(golden: &Golden, device: &Device) {
     })
     .expect("not stopped");
     compare_states(golden, "out.linear.midpoint16", states);
-    // Of order 5, so that sixteen steps are exact in single precision.
+    // Order 5: sixteen steps are exact in single precision.
     let config = FlowSamplerConfig {
         kind: FlowSolver::Dopri5,
         num_inference_steps: 16,

@@ -1,4 +1,4 @@
-//! Generative motion matching (GenMM): its pieces, every step of seven runs, and the runs whole.
+//! Generative motion matching (GenMM): its parts, every step of seven runs, and the complete runs.
 
 use std::path::PathBuf;
 
@@ -13,8 +13,8 @@ use kinegrad_tests::golden::{Golden, compared};
 use kinegrad_tests::trials;
 use kinegrad_tests::trials::GoldenTest;
 
-/// Absolute, for values in single precision. Distances divided by completeness are as large as 5 and
-/// are themselves up to 2.9e-5 from float64 in the files: there it is relative as well.
+/// Absolute, for values in single precision. Distances divided by completeness are as large as 5,
+/// and the stored ones are up to 2.9e-5 from float64: for them it is relative too.
 const TOLERANCE: f64 = 1e-5;
 
 /// The tests of this file.
@@ -95,7 +95,7 @@ fn golden_resampling(golden: Golden) {
     }
 }
 
-/// Patch length of the pieces.
+/// Patch length of the parts.
 const P: usize = 5;
 
 fn golden_patch_distances(golden: Golden) {
@@ -196,7 +196,7 @@ fn golden_rotations_of_six_numbers(golden: Golden) {
     );
 }
 
-/// A run: each step from its stored input, then all of it from the stored noise.
+/// A run: each step from its stored input, then the complete run from the stored noise.
 fn run(golden: Golden) {
     let params = golden.get("params").values;
     let [p, alpha, sigma, pyr_factor, num_steps, looping] = params[..] else {

@@ -1,4 +1,4 @@
-//! Every tensor of the reference clips of HumanML3D and of the root's two readings.
+//! Every tensor of the reference clips of HumanML3D and of the relative and absolute root.
 //!
 //! The tolerances are the reference data's own.
 
@@ -170,8 +170,8 @@ fn features_become_joints(file: File) {
 
     let absolute = features.to_absolute();
     file.compare("out.features_abs", &wide(absolute.as_slice()), 1e-5);
-    // The stored joints lack the place on the ground that the root's own positions have:
-    // they are compared about the root, and the root with its way.
+    // The stored joints lack the root's ground position, so they are compared about the root, and
+    // the root separately.
     let stored = file.features("out.features_abs", Root::Absolute);
     let positions = stored.root_positions();
     file.compare("out.root_pos", positions.as_flattened(), 1e-5);
@@ -184,7 +184,7 @@ fn features_become_joints(file: File) {
     let expected = about_root(&file.joints("out.joints_from_abs"));
     file.bound("out.joints_from_abs", &about_root(&joints), &expected, 1e-5);
 
-    // The published way back: features of those joints, the last row twice.
+    // The published conversion back: features of those joints, the last row twice.
     let back = Extraction::default()
         .features_in_place(&skeleton, &joints)
         .expect("a clip of several frames");
@@ -208,8 +208,8 @@ fn golden_statistics_share_deviations_within_groups(file: File) {
 
     let expected = file.0.get("out.normalised_first8");
     let (rows, channels) = (expected.shape[0], expected.shape[1]);
-    // With the stored mean and deviation: those of one precision divided by a small deviation
-    // leave the tolerance.
+    // With the stored mean and deviation, because rounding divided by a small deviation exceeds the
+    // tolerance.
     let [mean, std] = ["out.mean", "out.std_grouped"].map(|key| file.0.get(key).values);
     let stored = Statistics::new(mean, std, Some(Root::Relative)).expect("sound statistics");
     let normalised = stored.normalize(features.slice(0..rows).as_slice());

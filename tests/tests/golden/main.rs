@@ -1,4 +1,4 @@
-//! Everything that is compared with reference tensors computed elsewhere.
+//! All comparisons with reference tensors computed elsewhere.
 
 mod audio;
 mod blocks;

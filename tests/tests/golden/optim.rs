@@ -9,7 +9,7 @@ use kinegrad_train::optim::{AdamW, Moments, clip_factor, global_norm, learning_r
 
 const TOLERANCE: f64 = 2e-6;
 
-/// Three roundings of a parameter, some hundredths of which it has moved.
+/// Three roundings of a parameter that has moved by some hundredths.
 const CHANGE: f64 = 1e-5;
 
 /// The tests of this file.
@@ -40,7 +40,7 @@ fn golden_ema(golden: Golden) {
         let mut shadows = average.clone();
         for (step, values) in (1..).zip(steps) {
             if let Some(share) = ema.share_at(step) {
-                // A step that moves nothing but the average.
+                // A step that changes only the average.
                 let mut optimizer = AdamW::new(&OptimConfig::default(), 0);
                 optimizer.begin_step();
                 let moved = Some((&mut average[..], share));
@@ -111,7 +111,7 @@ fn golden_adamw_with_clipping(golden: Golden) {
                 }
             }
         }
-        // One case has the change of all steps together.
+        // One case has the total change of all steps.
         if case == "strong" {
             for (index, name) in parameters.iter().enumerate() {
                 let moved = values[index].iter().zip(&before[index]);

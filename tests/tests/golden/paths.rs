@@ -1,5 +1,5 @@
-//! Paths over the ground: by arc length, splines, what they say of each frame, smoothing, motions moved
-//! onto them, and when feet stand.
+//! Paths on the ground: arc length, splines, features of frames, smoothing, warping, and foot
+//! contacts.
 
 use kinegrad_motion::feet::{StepRule, steps};
 use kinegrad_motion::humanml::{Joints, Root, Skeleton};
@@ -26,7 +26,7 @@ pub fn tests() -> Vec<GoldenTest> {
     ]
 }
 
-/// Of files in single precision.
+/// For files in single precision.
 const TOLERANCE: f64 = 1e-5;
 
 fn points(golden: &Golden, name: &str) -> Vec<[f64; 2]> {
@@ -123,7 +123,7 @@ fn golden_path_features(golden: Golden) {
         );
         golden.compare_lists(&out("features"), &columns(0, 5), &first, TOLERANCE);
         golden.compare_lists(&out("features"), &columns(5, 6), &last, 1e-4);
-        // What a path that stands still for a while has not.
+        // Undefined for a path that rests for a while.
         if !golden.has(&out("heading_unwrapped")) {
             continue;
         }
@@ -226,7 +226,7 @@ fn golden_warp(golden: Golden) {
                 .apply(&clip, &skeleton, &path)
                 .expect("a body of 22 joints");
             let expected = golden.get(&out(&format!("{name}.delta"))).values;
-            // Whole turns do not count.
+            // Whole turns are ignored.
             let turned = warped.turned.iter().zip(&expected);
             let turned = turned.map(|(found, expected)| expected + wrapped(found - expected));
             let turned: Vec<f64> = turned.collect();
@@ -240,7 +240,7 @@ fn golden_warp(golden: Golden) {
     }
     let standing = joints(&golden, "in.standing.joints");
     let line = Polyline::new(points(&golden, "in.line.points")).expect("a path");
-    // It has no way of its own to be turned by.
+    // Its root does not move, so it has no heading of its own.
     let face = Warp {
         turning: Turning::Face,
         ..Warp::default()
@@ -296,7 +296,7 @@ fn golden_override(golden: Golden) {
     let headings = golden.get("in.path_heading").values;
     let (mean, std) = (golden.get("in.mean").values, golden.get("in.std").values);
     let normalized = |channel: usize, value: f64| (value - mean[channel]) / std[channel];
-    // The whole skeleton moved, in joints; each sample of `[batch, J, 3, frames]` by itself.
+    // The complete skeleton, moved, as joints; each sample of `[batch, J, 3, frames]` separately.
     let sample = golden.get("in.joint_sample");
     let [batch, count, 3, frames] = sample.shape[..] else {
         panic!("{:?}", sample.shape)
@@ -324,7 +324,7 @@ fn golden_override(golden: Golden) {
     let mut samples = Rows::of(&golden, "in.feature_sample");
     samples.iter_mut().for_each(clean);
     golden.compare("out.abs_override_clean", &Rows::concat(samples), TOLERANCE);
-    // Relative roots, of which the path is moved to where features begin.
+    // Relative roots; the path is moved to the origin of the features.
     let relative = root_channels(&track, &headings, Root::Relative);
     golden.compare("out.rel_root_features", relative.as_flattened(), TOLERANCE);
     let with_heights: Vec<[f64; 4]> = relative.iter().map(|[a, x, z]| [*a, *x, *z, 0.0]).collect();

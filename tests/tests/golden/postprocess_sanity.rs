@@ -1,5 +1,5 @@
-//! Post-processor and document checks against golden file 10 (docs/sources.md, sections 1.12 and
-//! 1.13).
+//! Post-processor and checks of the profile `ccmotion` against golden file 10 (docs/sources.md,
+//! sections 1.12 and 1.13).
 
 use kinegrad_motion::{Hemisphere, Motion, PostProcessConfig, Profile, Value, check, process};
 use kinegrad_tests::golden::{Golden, compared};
@@ -33,7 +33,7 @@ fn motion(golden: &Golden, name: &str) -> Motion {
     Motion::new(golden.get(&format!("in.{name}.motion")).f32s()).expect("whole frames")
 }
 
-/// The settings that an option of the file stands for.
+/// The settings of an option of the file.
 fn config(option: &str) -> PostProcessConfig {
     let document = PostProcessConfig::document();
     match option {

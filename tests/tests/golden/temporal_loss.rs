@@ -1,5 +1,5 @@
-//! The temporal losses against golden file 06_temporal_loss: values, gradients, and the finite
-//! gradients at the places where naive formulas have none.
+//! The temporal losses against golden file 06_temporal_loss: values, gradients, and finite
+//! gradients where naive formulas have none.
 
 use burn::tensor::{Device, Tensor};
 use kinegrad_tests::golden::{Golden, GoldenTensors, ReferenceTensors};

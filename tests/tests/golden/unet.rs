@@ -1,4 +1,4 @@
-//! The whole UNet1D, forward and backward, against golden files 03_unet and
+//! The complete UNet1D, forward and backward, against golden files 03_unet and
 //! 03_unet_mult1248_hashed.
 
 use std::collections::BTreeSet;
@@ -25,7 +25,7 @@ pub fn tests() -> Vec<GoldenTest> {
     ]
 }
 
-/// The file's network with fresh weights.
+/// The file's network with new weights.
 fn fresh(golden: &Golden, device: &Device) -> UNet1d {
     unet::fresh(golden.metadata("config"), &Initializer::new(0, device))
 }
@@ -105,7 +105,7 @@ fn golden_unet(golden: Golden) {
     compare(&golden, &model, &device, 2e-4);
 }
 
-/// What comes out of each part, where the file has it.
+/// The output of each part, if the file has it.
 fn golden_unet_stages(golden: Golden) {
     let device = Device::flex();
     let model = build(&golden, weights(&golden, "model."), &device);
@@ -130,7 +130,7 @@ fn golden_unet_stages(golden: Golden) {
     }
 }
 
-/// Weights from a hash, of the shapes that the network itself has.
+/// Weights from a hash, with the network's shapes.
 fn golden_unet_hashed(golden: Golden) {
     let device = Device::flex().autodiff();
     let infos = parameters::infos(&fresh(&golden, &device));

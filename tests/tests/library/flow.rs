@@ -1,4 +1,4 @@
-//! A small flow model learns to go on walking.
+//! A small flow model learns to continue walking.
 
 use burn::module::Module;
 use burn::tensor::{Device, Tensor, TensorData};
@@ -104,7 +104,7 @@ impl Adam {
     }
 }
 
-/// The losses of a training and the model that it leaves.
+/// The losses of a training and the trained model.
 fn trained(next: NextPose, walks: &[Vec<Vec<f32>>]) -> (Vec<f32>, FlowModel, FlowSpace) {
     let targets = walks.iter().map(|rows| {
         let of_rows = rows.iter().map(|row| next.of_row(row).expect("a row"));
@@ -147,7 +147,7 @@ fn trained(next: NextPose, walks: &[Vec<Vec<f32>>]) -> (Vec<f32>, FlowModel, Flo
     (losses, model.valid(), space)
 }
 
-/// Way of the root on the ground, metres.
+/// Path length of the root on the ground, metres.
 fn way(frames: &[Vec<[f64; 3]>]) -> f64 {
     let steps = frames.windows(2).map(|pair| {
         let [a, b] = [pair[0][0], pair[1][0]];
@@ -166,7 +166,7 @@ fn a_small_model_learns_to_go_on_walking() {
         let mean = |losses: &[f32]| losses.iter().sum::<f32>() / losses.len() as f32;
         let (first, last) = (mean(&losses[..10]), mean(&losses[STEPS - 40..]));
         println!("{next}: loss {first} to {last}");
-        // Of data and noise of unit variance, it is 2 where nothing is predicted.
+        // For data and noise of unit variance, predicting 0 has a loss of 2.
         assert!(last < 0.5 * first, "{next}: {first} to {last}");
 
         let truth: Vec<Vec<[f64; 3]>> = (HISTORY..HISTORY + 40)

@@ -1,4 +1,4 @@
-//! A training that is stopped before it has begun.
+//! A training that is stopped before its first step.
 
 use std::ops::ControlFlow;
 use std::path::Path;
@@ -10,7 +10,7 @@ use kinegrad_train::run::{Target, TrainRequest, train};
 use kinegrad_train::systems::BUILT_IN;
 use kinegrad_train::{Error, Observer, Reading, RunSummary, StepReport};
 
-/// Stops after so many items that were read, those measured included.
+/// Stops after a number of items read, including those read for statistics.
 struct Stopping {
     after: usize,
     read: Arc<AtomicUsize>,
@@ -42,7 +42,7 @@ impl Observer for Stopping {
 #[test]
 fn a_stop_while_items_are_read_or_measured_leaves_nothing() {
     for config in [SMALLEST, SMALLEST_WALKS] {
-        // Of 12 items; 14 calls open the dataset, so the second stop comes while it is measured.
+        // 12 items; 14 calls open the dataset, so the second stop is during its statistics.
         for after in [5, 17] {
             let folder = tempfile::tempdir().expect("a folder");
             let path = folder.path().join("c.toml");

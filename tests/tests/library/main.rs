@@ -1,4 +1,4 @@
-//! What is tested across crates without reference tensors of the golden set.
+//! Tests across crates without golden files.
 
 mod flow;
 mod gmd_fixtures;

@@ -1,5 +1,5 @@
-//! The tiny UNet, forward and backward, on every backend of this build beside Flex. wgpu has a
-//! package of its own, `tests/wgpu`.
+//! The tiny UNet, forward and backward, on every backend of this build except Flex. wgpu has its
+//! own package, `tests/wgpu`.
 
 use kinegrad_tests::parity::{assert_optimizer_parity, assert_parity};
 

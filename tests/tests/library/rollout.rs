@@ -12,7 +12,8 @@ use kinegrad_models::{
 };
 use kinegrad_random::{Key, Purpose};
 
-/// Network H of the golden files, 3,704,569 parameters; or one of its size that hears in time.
+/// Network H of the golden files, 3,704,569 parameters; or one of its size with aligned audio
+/// conditioning.
 fn network(audio_conditioning: AudioConditioning, device: &Device) -> UNet1d {
     let config = UNet1dConfig {
         model_channels: 32,

@@ -51,7 +51,7 @@ fn every_state_is_that_of_diffusers() {
             for (count, steps) in [("few", 5), ("many", 20)] {
                 let name = format!("{prefix}.{name}.{count}");
                 if !file.has(&name) {
-                    // diffusers' Heun takes no networks that predict the sample.
+                    // diffusers' Heun does not support sample prediction.
                     assert!(kind == SamplerKind::Heun && prediction_type == PredictionType::Sample);
                     continue;
                 }

@@ -1,5 +1,4 @@
-//! Datasets in buckets and on web servers: the same phrases as from a folder, whatever goes wrong
-//! on the way.
+//! Datasets in buckets and on web servers: the same phrases as from a folder, despite faults.
 
 use std::fs;
 use std::path::Path;
@@ -16,7 +15,7 @@ use std::sync::Arc;
 
 const PHRASES: usize = 12;
 
-/// A dataset in a folder, with a manifest if asked for, and an empty cache beside it.
+/// A dataset in a folder, optionally with a manifest, and an empty cache.
 fn dataset(with_manifest: bool) -> tempfile::TempDir {
     let folder = tempfile::tempdir().expect("a folder");
     let set = folder.path().join("set");
@@ -96,7 +95,7 @@ fn batches(dataset: &Dataset<Phrase>, config: &DataConfig) -> Result<Vec<Vec<f32
         .collect()
 }
 
-/// A dataset copied into a bucket gives what its folder gives, cold, warm and without a cache.
+/// A dataset copied into a bucket equals its folder, with a cold and a warm cache and without one.
 fn bucket_equals_folder(emulator: &Emulator, scheme: &str, with_manifest: bool) {
     let folder = dataset(with_manifest);
     let set = folder.path().join("set");
@@ -284,7 +283,7 @@ fn phrases_of_a_batch_that_are_far_away_are_read_at_once() {
     config.cache.memory_mib = 0;
     config.cache.disk_mib = 0;
     config.num_workers = 1;
-    // A request that is tried again while the first try is answered counts twice.
+    // A request that is retried while the first try is answered counts twice.
     config.store.timeout_seconds = 30.0;
     let most_with = |concurrency| {
         let mut config = config.clone();
@@ -302,7 +301,7 @@ fn phrases_of_a_batch_that_are_far_away_are_read_at_once() {
     assert!(most_with(4) > 2);
 }
 
-/// Opens a dataset that keeps nothing, lets `change` happen and goes on.
+/// Opens a dataset without a cache, applies `change` and continues.
 fn changed_under_way(change: impl Fn(&Path)) -> (String, Vec<Vec<f32>>) {
     let (folder, _server, mut config) = web(true);
     config.cache.memory_mib = 0;

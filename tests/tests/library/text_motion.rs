@@ -1,6 +1,6 @@
 //! The text-motion evaluator against the same networks in PyTorch, with small random weights.
 //!
-//! `data_fixtures/gmd/README.md` says what the file holds and how it was made.
+//! `data_fixtures/gmd/README.md` describes the file.
 
 use burn::tensor::Device;
 use kinegrad_data::humanml::{Caption, Clip};
@@ -15,10 +15,10 @@ use kinegrad_tests::weights;
 use kinegrad_train::Error;
 use kinegrad_train::systems::text_motion::TextMotion;
 
-/// Of embeddings and metrics, absolute.
+/// Absolute, for embeddings and metrics.
 const TOLERANCE: f64 = 1e-5;
 
-/// The file of weights, inputs and answers.
+/// The file of weights, inputs and outputs.
 struct Fixture {
     file: Golden,
     config: serde_json::Value,
@@ -169,8 +169,8 @@ fn pools_are_drawn_at_random() {
     let fixture = Fixture::open();
     let evaluator = fixture.evaluator();
     let (features, captions) = (fixture.clips(), fixture.strings("captions"));
-    // Two kinds of clips, one behind the other: in pools of neighbours all captions are equal, and every
-    // motion is right whichever caption it has.
+    // Two kinds of clips, one after the other: in pools of neighbours all captions are equal, so
+    // every motion matches every caption.
     let top = |of_caption: [usize; 2], seed| {
         let motions = [0, 1].map(|kind| vec![features[of_caption[kind]].clone(); 32]);
         let clips = [0, 1].map(|kind| {
@@ -232,7 +232,7 @@ fn weights_that_are_not_the_networks_are_refused_by_name() {
         message,
         "the weights do not fit:\n  `motion_encoder.input_emb.weight` has shape [7, 4], [7, 5] needed"
     );
-    // What no weight says is as published.
+    // Settings that weights do not determine are as published.
     let message = refused(&|weight| {
         weight.info.name = weight.info.name.replace("text_encoder.hidden", "h");
     });

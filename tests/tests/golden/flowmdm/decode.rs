@@ -1,4 +1,4 @@
-//! From what the network draws to motion, and the jerk of transitions.
+//! From the network's samples to motion, and the jerk of transitions.
 
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_models::blended::Composed;

@@ -1,4 +1,4 @@
-//! Draws with the files' own noise.
+//! Sampling with the files' noise.
 
 use std::ops::ControlFlow;
 
@@ -13,7 +13,7 @@ use kinegrad_tests::golden::{Golden, GoldenTensors as _};
 use super::super::gmd::bench::process;
 use super::{counts, motion, network};
 
-/// A draw from `start` along timesteps, with a given noise for each step, at a guidance scale.
+/// Sampling from `start` along timesteps, with a given noise for each step, at a guidance scale.
 pub struct Drawing<'a> {
     pub golden: &'a Golden,
     pub composed: &'a Composed<'a>,
@@ -22,7 +22,7 @@ pub struct Drawing<'a> {
 }
 
 impl Drawing<'_> {
-    /// All states behind the start, and the last predicted motions.
+    /// All states after the start, and the last predicted motions.
     pub fn along(&self, start: Tensor<3>, timesteps: &[usize], noise: &str) -> [Vec<Tensor<3>>; 2] {
         let device = start.device();
         let noise = self.golden.get(noise);
@@ -60,7 +60,7 @@ impl Drawing<'_> {
         [states, predicted]
     }
 
-    /// The first `steps` states of a draw along `timesteps`, of which there may be one more.
+    /// The first `steps` states of sampling along `timesteps`, of which there may be one more.
     pub fn around(
         &self,
         start: Tensor<3>,
@@ -94,7 +94,7 @@ impl Drawing<'_> {
     }
 }
 
-/// What the composition files have in common.
+/// The common part of the composition files.
 pub fn composition(golden: &Golden) -> (BlendedTransformer, Script, Tensor<3>, f64) {
     let device = Device::flex();
     let network = network(golden, &device);

@@ -1,5 +1,5 @@
-//! The transformer with blended positional encodings, its draws and its metrics against the golden
-//! files of `flowmdm`. The tolerances are the reference data's own.
+//! The transformer with blended positional encodings, its samples and its metrics against the
+//! golden files of `flowmdm`. The tolerances are the reference data's own.
 
 mod decode;
 mod drawing;
@@ -53,7 +53,7 @@ fn flags(golden: &Golden, name: &str) -> Vec<bool> {
         .collect()
 }
 
-/// The network of a file: its sizes are those of its weights.
+/// The network of a file, with the sizes of its weights.
 fn network(golden: &Golden, device: &Device) -> BlendedTransformer {
     let shape = |name: &str| weights::shape(golden, &format!("model.{name}")).expect(name);
     let layer =
@@ -82,7 +82,7 @@ fn switch(golden: &Golden) -> Switch {
     }
 }
 
-/// A motion of so many segments, told texts from `first` on, `stride` rows apart.
+/// A motion of several segments, with the texts from `first` on, `stride` rows apart.
 fn motion(lengths: &[usize], first: usize, stride: usize) -> Vec<Segment> {
     let numbered = lengths.iter().enumerate();
     let segment = |(index, frames): (usize, &usize)| Segment {

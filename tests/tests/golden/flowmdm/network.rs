@@ -27,7 +27,7 @@ struct Case<'a> {
     script: &'a Script,
     is_relative: Vec<bool>,
     time: Vec<Time>,
-    /// Of each text whether it is dropped.
+    /// For each text, true if it is dropped.
     dropped: Vec<bool>,
 }
 
@@ -172,8 +172,8 @@ fn golden_blended_single_text(golden: Golden) {
     }
 }
 
-/// The script of a file with `in.lengths0` and `in.lengths1`, whose texts lie
-/// `[segments, batch, width]`.
+/// The segments of a file with `in.lengths0` and `in.lengths1`; texts have the shape `[segments,
+/// batch, width]`.
 pub fn two_motions(golden: &Golden) -> Script {
     let both = ["in.lengths0", "in.lengths1"].map(|name| counts(golden, name));
     Script::new([motion(&both[0], 0, 2), motion(&both[1], 1, 2)])

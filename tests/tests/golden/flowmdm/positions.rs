@@ -95,7 +95,7 @@ fn golden_blended_positions(golden: Golden) {
     ] {
         golden.get(name).assert_within(name, found, tolerance, 0.0);
     }
-    // Fifty frames on, the products are the same.
+    // Fifty frames later, the products are the same.
     let shifted = Rotation::new(32, time + 50, &[true], &device);
     let late = |name: &str| {
         let x = flat(name);
@@ -111,7 +111,7 @@ fn golden_blended_positions(golden: Golden) {
     compare_masks(&golden);
 }
 
-/// Which frames attend to which, and what they are told.
+/// The attention ranges of frames, and their conditions.
 fn compare_masks(golden: &Golden) {
     let lengths = counts(golden, "in.segment_lengths");
     let time: usize = lengths.iter().sum();
@@ -169,7 +169,7 @@ fn golden_pose_centric_attention(golden: Golden) {
             "relative" => vec![true; batch],
             _ => (0..batch).map(|element| element == 1).collect(),
         };
-        // The file says which frames are allowed; they are ranges.
+        // The allowed frames of the file are ranges.
         let allowed = golden.get(&format!("out.{case}.allowed")).values;
         let ranges = KeyRanges::new(allowed.chunks(time * time).map(|sample| {
             let range = |row: &[f64]| {
@@ -183,7 +183,7 @@ fn golden_pose_centric_attention(golden: Golden) {
         let x = golden.tensor::<3>("in.x", &device).require_grad();
         let cond = golden.tensor::<3>("in.cond", &device).require_grad();
         let turned = |x: &Tensor<3>| x.clone().swap_dims(1, 2);
-        // Each frame is told something of its own.
+        // Each frame has its own condition.
         let told = cond.clone().reshape([(batch * time) as i64, -1]);
         let rows = Tensor::arange(0..(batch * time) as i64, &device);
         let shared = Shared::new(told, rows, ranges, &is_relative);

@@ -1,4 +1,4 @@
-//! When positions are relative in a draw, and whole draws.
+//! The timesteps with relative positions, and complete sampling.
 
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_diffusion::{
@@ -140,8 +140,8 @@ fn golden_composition_sampling(golden: Golden) {
     for (name, tolerance) in [("around_switch", 2e-5), ("last", 1e-3)] {
         let start = motions(&golden, &format!("in.{name}.x"), &device);
         let timesteps = golden.get(&format!("in.{name}.t")).indices();
-        // A draw's path ends at clean motion: the last of these steps lands one timestep on, and so
-        // the path goes further.
+        // A complete path ends at clean motion. Here the last step ends at the next timestep, so
+        // the path has one more.
         let mut path = timesteps.clone();
         if let Some(next) = timesteps.last().and_then(|t| t.checked_sub(1)) {
             path.push(next);
@@ -156,7 +156,7 @@ fn golden_composition_sampling(golden: Golden) {
             tolerance,
         );
     }
-    // Whole draws of 25 steps.
+    // Complete sampling with 25 steps.
     let timesteps = golden.get("in.respaced25.t").indices();
     let start = motions(&golden, "in.respaced25.noise_start", &device);
     let run = |composed: &Composed<'_>, scale: f64| {

@@ -24,7 +24,7 @@ pub fn tests() -> Vec<GoldenTest> {
     ]
 }
 
-/// The mean over elements of the mean squared error over what counts of each, `[batch]` first.
+/// The mean over samples of the mean squared error over valid elements, `[batch]` first.
 fn training_loss(x_start: &Tensor<3>, y: Tensor<3>, script: &Script) -> Tensor<1> {
     let [_, channels, time] = y.dims();
     let device = y.device();
@@ -115,7 +115,7 @@ fn golden_blended_training(golden: Golden) {
     gradients::compare_under(&golden, &network, &computed, "grad.single.model.", 2e-4);
 }
 
-/// One step of AdamW: where a gradient is not rounding, its step is compared.
+/// One step of AdamW. Entries whose gradient is rounding noise are not compared.
 fn compare_step(golden: &Golden, network: &BlendedTransformer, computed: &[Vec<f32>]) {
     let rate = golden.get("in.lr").scalar();
     let config = OptimConfig {

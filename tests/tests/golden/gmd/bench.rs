@@ -1,4 +1,4 @@
-//! The reference's toy denoiser, and what steps of the process are tried with it on.
+//! The reference's toy denoiser, and the inputs of single steps.
 
 use burn::tensor::{Device, Tensor};
 use kinegrad_diffusion::{
@@ -12,7 +12,7 @@ use kinegrad_tests::golden::{Golden, GoldenTensors, Reference, ReferenceTensors,
 use kinegrad_tests::{gmd, weights};
 use kinegrad_train::systems::gmd::FeatureSpace;
 
-/// The process of the published models, for networks that predict this.
+/// The process of the published models with this prediction type.
 pub fn process(prediction_type: PredictionType) -> GaussianDiffusion {
     GaussianDiffusion::new(&DiffusionConfig {
         beta_schedule: BetaSchedule::Cosine,
@@ -56,18 +56,18 @@ impl Denoiser for Toy {
     }
 }
 
-/// Where a step leads.
+/// The result of a step.
 pub struct Step {
     /// The less noisy motion.
     pub prev_sample: Tensor<3>,
-    /// The clean motion predicted on the way: that of the network where it predicts the clean
-    /// motion, with the known values in it where it predicts noise.
+    /// The predicted clean motion: that of a network that predicts clean motion; with the known
+    /// values in it if the network predicts noise.
     pub pred_original_sample: Tensor<3>,
-    /// Where the step was guided.
+    /// Set if the step was guided.
     pub scaled_gradient: Option<Tensor<3>>,
 }
 
-/// A toy denoiser on both devices and what it works on.
+/// A toy denoiser on both devices and its inputs.
 pub struct Bench<'a> {
     pub golden: &'a Golden,
     pub device: Device,
@@ -78,7 +78,7 @@ pub struct Bench<'a> {
 }
 
 impl<'a> Bench<'a> {
-    /// The denoiser under `prefix`; one of noise has its predicted motion clamped.
+    /// The denoiser under `prefix`; the predicted motion of an epsilon denoiser is clamped.
     pub fn new(golden: &'a Golden, prefix: &str, prediction_type: PredictionType) -> Self {
         let device = Device::flex();
         Self {
@@ -99,7 +99,7 @@ impl<'a> Bench<'a> {
         self.golden.get(name).flat().tensor(&self.device)
     }
 
-    /// The timesteps that the leading axis of the outputs follows.
+    /// The timesteps of the leading axis of the outputs.
     pub fn timesteps(&self) -> Vec<usize> {
         self.golden.get("in.timesteps").indices()
     }
@@ -152,7 +152,7 @@ impl<'a> Bench<'a> {
     }
 }
 
-/// The first `channels` statistics of a file, and its projection where the network has one.
+/// The first `channels` statistics of a file, and its projection if the network has one.
 pub fn space(golden: &Golden, channels: usize, projected: bool, device: &Device) -> FeatureSpace {
     let numbers = |name: &str| golden.get(name).values[..channels].to_vec();
     let projection = projected.then(|| {
@@ -166,7 +166,7 @@ pub fn space(golden: &Golden, channels: usize, projected: bool, device: &Device)
     FeatureSpace::new(&mean, &std, projection.as_ref(), device)
 }
 
-/// The whole model whose weights stand under `prefix`, over clips padded to `padded_frames`.
+/// The complete model with the weights under `prefix`, over clips padded to `padded_frames`.
 pub fn whole_model(
     golden: &Golden,
     prefix: &str,
@@ -183,7 +183,7 @@ pub fn whole_model(
     parameters::load(network, weights(golden, prefix)).expect("the weights fit")
 }
 
-/// The timesteps that a file's draws keep, noisiest first.
+/// The timesteps of a file's samples, noisiest first.
 pub fn kept_timesteps(golden: &Golden) -> Vec<usize> {
     let mut kept = golden.get("in.timesteps").indices();
     kept.reverse();

@@ -1,4 +1,4 @@
-//! Draws at the full length, cut to a clip's. The tolerances are the reference data's own.
+//! Samples at the full length, cut to a clip's length. The tolerances are the reference data's own.
 
 use std::ops::ControlFlow;
 
@@ -28,7 +28,7 @@ pub fn tests() -> Vec<GoldenTest> {
     ]
 }
 
-/// A draw of `frames` frames by the model padded to `padded`, with the first frames of the noise.
+/// A sample of `frames` frames by the model padded to `padded`, with the first frames of the noise.
 fn draw(golden: &Golden, frames: usize, padded: usize) -> Tensor<3> {
     let device = Device::flex();
     let model = whole_model(golden, "model.", padded, &device);

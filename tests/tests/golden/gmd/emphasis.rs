@@ -19,13 +19,13 @@ pub fn tests() -> Vec<GoldenTest> {
     ]
 }
 
-/// What differs between the files' tolerances.
+/// The tolerances that differ between the files.
 struct Tolerances {
     projected: f64,
     round_trip: f64,
 }
 
-/// Everything that a file says about one projection, under keys that begin with `prefix`.
+/// All tensors of a file for one projection, under keys that begin with `prefix`.
 fn check_projection(golden: &Golden, prefix: &str, scale: f64, tolerances: &Tolerances) {
     let key = |name: &str| format!("{prefix}{name}");
     let draws = golden.get("in.G");

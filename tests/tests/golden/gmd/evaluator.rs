@@ -42,12 +42,12 @@ fn golden_gmd2_motions_of_different_lengths(golden: Golden) {
     let lengths = golden.get("in.lengths").indices();
     let motions: Tensor<3> = golden.tensor("in.motions", &device);
     let [batch, time, _] = motions.dims();
-    // Without contact flags, of which the network knows nothing.
+    // Without contact flags, which are no input of the network.
     let motions = motions
         .narrow(2, 0, encoders.config().channels)
         .swap_dims(1, 2);
     let order = golden.get("out.order").indices();
-    // Content of the first `extra` frames behind each clip's end, zeros after them.
+    // The first `extra` frames after each clip's end keep their content; later frames are zero.
     let with_tail = |extra: usize| {
         let mask = lengths.iter().flat_map(|length| {
             (0..time).map(move |frame| f32::from(u8::from(frame < length + extra)))
@@ -57,7 +57,7 @@ fn golden_gmd2_motions_of_different_lengths(golden: Golden) {
     };
     for (name, extra) in [("zero", 0), ("tail3", 3), ("full", time)] {
         let found = encoders.motions(with_tail(extra), &lengths);
-        // The file's order is that of falling length.
+        // The file is ordered by decreasing length.
         for (place, &clip) in order.iter().enumerate() {
             let expected = golden.get(&format!("out.{name}.motion")).part(place);
             let what = format!("{name}, clip {clip}");

@@ -1,4 +1,4 @@
-//! Steps that are led by the gradient of a goal.
+//! Steps guided by the gradient of a goal.
 
 use burn::tensor::Tensor;
 use kinegrad_diffusion::{Guidance, Objective, PredictionType, Steering};
@@ -15,7 +15,7 @@ pub fn tests() -> Vec<GoldenTest> {
     trials![golden_gmd_guidance("gmd/guidance.safetensors"),]
 }
 
-/// The goals of the file, one for each sample; with its obstacles where they count.
+/// The goals of the file, one for each sample, with its obstacles if they are used.
 pub fn goals(golden: &Golden, obstacles: bool) -> Vec<Goal> {
     let (mask, target) = (golden.get("in.target_mask"), golden.get("in.target_xz"));
     let [batch, frames] = mask.shape[..] else {
@@ -132,7 +132,7 @@ fn golden_gmd_guidance(golden: Golden) {
     }
 }
 
-/// What guidance starts from: the prediction and the variance of each step.
+/// The inputs of guidance: prediction and variance of each step.
 fn unguided(bench: &Bench<'_>, x_t: Tensor<3>) {
     let timesteps = bench.timesteps();
     let variances = &bench.diffusion.schedule.posterior_variance;

@@ -1,4 +1,4 @@
-//! The loss of a goal and its gradient, taken through the denoiser by hand in double precision.
+//! The loss of a goal and its gradient through the denoiser, derived by hand in double precision.
 
 use kinegrad_motion::goal::{GuidanceConfig, GuidanceLoss, GuidanceNorm};
 use kinegrad_tests::golden::Golden;
@@ -16,7 +16,7 @@ pub fn tests() -> Vec<GoldenTest> {
 }
 
 /// The reference's denoiser of the trajectory, `s tanh(W x + v t / 1000)`, on one frame of noise,
-/// and what the reference makes of it: the clamped prediction of the start.
+/// and the clamped prediction of the clean motion.
 struct Denoiser {
     weights: Vec<f64>,
     time: Vec<f64>,
@@ -39,7 +39,7 @@ impl Denoiser {
                     0.0
                 };
                 let slope = direct - noise_share * self.size * (1.0 - wave * wave) * weight;
-                // A clamped prediction does not move.
+                // A clamped prediction has no gradient.
                 if start.abs() > 6.0 { 0.0 } else { slope }
             };
             let slopes = weights.iter().enumerate().map(slope).collect();

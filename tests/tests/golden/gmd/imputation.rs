@@ -1,4 +1,4 @@
-//! Steps that known values are put into, with and without guidance.
+//! Steps with imputed values, with and without guidance.
 
 use burn::tensor::Tensor;
 use kinegrad_diffusion::{Guidance, Imputation, PredictionType, Space, Steering};
@@ -64,7 +64,7 @@ fn golden_gmd_imputation_of_motion(golden: Golden) {
 }
 
 /// The stages of the step at timestep 500: the prediction in metres, in the network's space with
-/// the target in it, and the mean that this leads to.
+/// the target in it, and the resulting mean.
 fn stages(bench: &Bench<'_>, variant: &str, x_t: Tensor<3>, known: &Imputation<'_>) {
     let none = Steering::default();
     let step = bench.step(x_t.clone(), 500, None, None, &none);
@@ -116,7 +116,7 @@ fn golden_gmd_imputation_of_trajectories(golden: Golden) {
     }
 }
 
-/// The goals that values in metres `[batch, channels, frames]` state where the mask is 1.
+/// The goals from values in metres `[batch, channels, frames]` where the mask is 1.
 fn goals_of(target: &Tensor<3>, mask: &Reference) -> Vec<Goal> {
     let [batch, channels, frames] = target.dims();
     let target = target
@@ -178,7 +178,7 @@ fn golden_gmd_guided_imputation(golden: Golden) {
             }
         };
         for (index, &timestep) in bench.timesteps().iter().enumerate() {
-            // The motion model has the key points alone in this file.
+            // In this file the motion model has only the keyframes.
             let name = match (kind, timestep) {
                 ("traj", 100..) => "in.mask_dense",
                 _ => "in.mask_points",

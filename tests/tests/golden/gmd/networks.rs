@@ -31,7 +31,7 @@ fn sequence_first(x: Tensor<3>) -> Tensor<3> {
     x.permute([1, 2, 0])
 }
 
-/// Compares what every stage gave.
+/// Compares the output of every stage.
 fn compare_stages(golden: &Golden, stages: &Noted) {
     let names = golden.names_under("out.");
     let whole = ["y", "loss"];
@@ -146,8 +146,8 @@ fn golden_gmd_whole_model(golden: Golden) {
     gradients::compare(&golden, &network, &computed, GRADIENT);
 }
 
-/// Compares what the UNet is given and what it answers about the frames behind the clip's end, of
-/// which the file has the first.
+/// Compares input and output of the UNet for the frames after the clip's end, of which the file has
+/// the first.
 fn compare_padding(golden: &Golden, stages: &Noted) {
     let frames: usize = golden.metadata("nframes").parse().expect("a number");
     for (name, stage, start) in [

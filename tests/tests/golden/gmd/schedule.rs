@@ -13,10 +13,10 @@ use super::bench::process;
 /// Relative, for tables computed in f64.
 const TOLERANCE: f64 = 1e-12;
 
-/// Absolute, where the reference subtracts a number near 1 from 1.
+/// Absolute, if the reference subtracts a number near 1 from 1.
 const CANCELLED: f64 = 1e-15;
 
-/// Of factors that are rounded to single precision.
+/// Relative, for factors rounded to single precision.
 const SINGLE: f64 = 1e-6;
 
 /// The tests of this file.
@@ -89,7 +89,7 @@ fn golden_gmd_schedule(golden: Golden) {
     let substituted = of_both(&|t| a[t] / root[t] + b[t]);
     same("out.coef_c_eps_xt", &substituted);
     same("out.coef_d_eps", &of_both(&|t| a[t] * noise[t] / root[t]));
-    // What the appendix prints, which the substitution does not give.
+    // The formula printed in the appendix, which differs from the substitution.
     let printed = of_both(&|t| a[t] / abar[t] + b[t]);
     same("out.coef_c_literal", &printed);
     let mut both = printed.iter().zip(&substituted);

@@ -1,4 +1,4 @@
-//! The trajectory's loss with its first channels weighted.
+//! The trajectory loss with weighted first channels.
 
 use burn::tensor::{Device, Tensor};
 use kinegrad_diffusion::{LossType, PredictionType};

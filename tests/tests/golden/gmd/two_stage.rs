@@ -1,5 +1,5 @@
-//! Whole draws in two stages: the trajectory model's path, the hand-over, and the motion along it.
-//! The tolerances are the reference data's own.
+//! Complete sampling in two stages: the trajectory model's path, the transfer, and the motion along
+//! it. The tolerances are the reference data's own.
 
 use std::ops::ControlFlow;
 
@@ -34,14 +34,14 @@ pub fn tests() -> Vec<GoldenTest> {
     ]
 }
 
-/// What a variant of the file differs in.
+/// The settings of a variant of the file.
 struct Variant {
     name: &'static str,
-    /// `demo` or `eval`: whose keyframes.
+    /// Source of the keyframes: `demo` or `eval`.
     keyframes: &'static str,
     norm: GuidanceNorm,
     obstacles: bool,
-    /// Whether anything, and whether the second stage, is guided.
+    /// Guidance of any stage, and of the second stage.
     guided: [bool; 2],
     text: bool,
     motion_until: usize,
@@ -102,8 +102,7 @@ fn golden_gmd2_two_stage_guided_text(golden: Golden) {
     compare(&golden, &evaluation("d_eval", true, true));
 }
 
-/// The goals of `demo` or `eval`; of keyframes in the same frame, which are the same ones, the
-/// first.
+/// The goals of `demo` or `eval`. Keyframes in the same frame are equal; the first is used.
 fn goals(golden: &Golden, program: &str, obstacles: bool) -> Vec<Goal> {
     let frames = golden.get("in.motion.x_T").shape[3];
     let places = golden.get(&format!("in.{program}.keyframes"));
@@ -147,7 +146,7 @@ fn golden_gmd2_goals_as_lines_and_points(golden: Golden) {
             golden.compare(&format!("out.{program}.traj_mask_{name}"), &mask, 0.0);
             let frames = goals[0].frames;
             let (mean, std) = (golden.get("in.mean").values, golden.get("in.std").values);
-            // Where the mask is 0 the file has something of no meaning.
+            // Values where the mask is 0 have no meaning.
             let place = format!("out.{program}.traj_{name}");
             let reference = golden.get(&place).values;
             let values = wide(&values.concat()).into_iter().zip(&mask).enumerate();
@@ -174,8 +173,8 @@ fn golden_gmd2_respaced_schedule(golden: Golden) {
     golden.compare_exactly("out.schedule.timestep_map", &map);
 }
 
-/// One stage of a draw: all samples, noisiest first, and the predicted clean motions with the known
-/// values in them.
+/// One stage of sampling: all states, noisiest first, and the predicted clean motions with the
+/// known values in them.
 #[expect(
     clippy::too_many_arguments,
     reason = "each is another thing, named at the call"
@@ -199,7 +198,7 @@ fn draw(
         sampling: noise_of_steps(golden, &format!("in.{stage}.noise"), device),
         imputation: match stage {
             "traj" => noise_of_steps(golden, "in.traj.noise_q", device),
-            // A model of clean motion needs none, but the sampler asks.
+            // A model of clean motion needs none, but the sampler requires it.
             _ => noise_of_steps(golden, &format!("in.{stage}.noise"), device),
         },
     };
