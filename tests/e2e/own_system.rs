@@ -565,13 +565,8 @@ fn a_system_of_ones_own_has_every_command() {
     // The held-out circles are the three largest of nine: 1.1, 1.2 and 1.3 metres.
     assert!((found.expect("a height") - 1.2).abs() < 0.1, "{report}");
 
-<<<<<<< HEAD
     kinegrad(here, "check @/drawn-000.npy");
     // A real circle is as smooth as those that were trained on; every frame by itself is not.
-=======
-    kinegrad(here, "check @/drawn-0.npy");
-    // A real circle is as smooth as the training circles; independent frames are not.
->>>>>>> h-docs3
     let smooth = Circle::new(2, 20).rows.clone();
     let mut jerky = smooth.clone();
     jerky.iter_mut().step_by(2).for_each(|value| *value += 0.3);
