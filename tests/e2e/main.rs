@@ -28,6 +28,7 @@ mod planned_memory;
 mod plans;
 mod preparation;
 mod previews;
+mod reads;
 mod records;
 mod redrawing;
 mod reports;

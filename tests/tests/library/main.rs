@@ -6,6 +6,7 @@ mod interrupted;
 mod parity;
 mod rollout;
 mod samplers;
+mod sources;
 #[cfg(feature = "stores")]
 mod stores;
 mod text_motion;

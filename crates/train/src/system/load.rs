@@ -79,12 +79,28 @@ impl Systems<'_> {
             let start = start_of(spans.get_ref(), key);
             config::place(origin, start.map(|start| line_of(text, start)))
         })?;
-        for argument in overrides {
-            apply(&mut table, argument)?;
-            // Read after each one, so that an error belongs to it.
-            config = self.whole(&table, &|_| format!("option `set {argument}`"))?;
+        if !overrides.is_empty() {
+            config = self.overridden(&mut table, overrides)?;
         }
         Ok(config)
+    }
+
+    /// The config of `table` with `overrides`, which an error names.
+    fn overridden(self, table: &mut Table, overrides: &[String]) -> Result<Config, ConfigError> {
+        let before = table.clone();
+        let place = |argument: &str| format!("option `set {argument}`");
+        for argument in overrides {
+            apply(table, argument)?;
+        }
+        let last = overrides.last().map_or("", String::as_str);
+        self.whole(table, &|_| place(last)).map_err(|error| {
+            let mut table = before;
+            let mut blamed = overrides.iter().map(|argument| {
+                apply(&mut table, argument)?;
+                self.whole(&table, &|_| place(argument))
+            });
+            blamed.find_map(Result::err).unwrap_or(error)
+        })
     }
 
     /// A trained run's config with `overrides` of its sampling and evaluation settings.
@@ -96,8 +112,6 @@ impl Systems<'_> {
         config: &Config,
         overrides: &[String],
     ) -> Result<Config, ConfigError> {
-        let mut table = Table::try_from(config).expect(config::PLAIN);
-        let mut changed = config.clone();
         for argument in overrides {
             let key = argument.trim_start();
             if !OF_TRAINED.iter().any(|table| key.starts_with(table)) {
@@ -106,10 +120,14 @@ impl Systems<'_> {
                     argument: argument.clone(),
                 });
             }
-            apply(&mut table, argument)?;
-            changed = self.whole(&table, &|_| format!("option `set {argument}`"))?;
         }
-        Ok(changed)
+        match overrides.is_empty() {
+            true => Ok(config.clone()),
+            false => {
+                let mut table = Table::try_from(config).expect(config::PLAIN);
+                self.overridden(&mut table, overrides)
+            }
+        }
     }
 
     /// A hint for an override of a trained model that is of none of its tables that may change.
@@ -197,8 +215,10 @@ impl Systems<'_> {
         device: Option<&str>,
         local: usize,
     ) -> Result<TrainedModel, Error> {
-        let config = self.completed(&saved.state.config)?;
-        let config = self.override_trained(&config, overrides)?;
+        let config = match overrides.is_empty() {
+            true => self.completed(&saved.state.config)?,
+            false => self.override_trained(&saved.state.config, overrides)?,
+        };
         let (system, _) = self.of(&config)?;
         system.validate(&config)?;
         let (device, name) = open_for(device.unwrap_or(&config.run.device), local)?;
