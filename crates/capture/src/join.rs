@@ -10,6 +10,7 @@
 //! w = 1 - u^3 (10 - 15 u + 6 u^2),    u = frames since the border / fade_frames
 //! ```
 
+use kinegrad_settings::InvalidSetting;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -42,8 +43,8 @@ impl Joining {
     /// Checks every number.
     ///
     /// # Errors
-    /// [`Error::Setting`] if `max_step_seconds` is not positive.
-    pub fn check(&self) -> Result<(), Error> {
+    /// If `max_step_seconds` is not positive.
+    pub fn check(&self) -> Result<(), InvalidSetting> {
         let seconds = self.max_step_seconds;
         let allowed = "a positive number of seconds of capture";
         require(seconds > 0.0, "max_step_seconds", seconds, allowed)

@@ -1,6 +1,7 @@
 //! The musical phase: position in the bar.
 
 use kinegrad_audio::pulse::position;
+use kinegrad_settings::InvalidSetting;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -61,8 +62,8 @@ impl Beats {
     /// Checks every number.
     ///
     /// # Errors
-    /// [`Error::Setting`] if one is out of range.
-    pub fn check(&self) -> Result<(), Error> {
+    /// Names the one that is out of range.
+    pub fn check(&self) -> Result<(), InvalidSetting> {
         let beats_per_bar = match self {
             Self::Grid(grid) => {
                 let allowed = "a positive number of seconds";

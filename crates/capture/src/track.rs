@@ -5,6 +5,8 @@ use std::ops::RangeInclusive;
 use kinegrad_motion::Quaternion;
 use kinegrad_motion::kinematics::make_sign_continuous;
 
+use kinegrad_settings::InvalidSetting;
+
 use crate::Error;
 use crate::error::require;
 
@@ -217,7 +219,7 @@ pub fn resample(source: &dyn RootSource, rate: f64) -> Result<RootTrack, Error> 
     RootTrack::from_poses(poses, rate)
 }
 
-fn check_rate(rate: f64) -> Result<(), Error> {
+fn check_rate(rate: f64) -> Result<(), InvalidSetting> {
     let allowed = "from 0.1 to 100000 frames per second";
     require(RATES.contains(&rate), "rate", rate, allowed)
 }

@@ -1,11 +1,12 @@
 //! Joint maps: which joints of a capture are the joints of the skeleton that clips have.
 
 use std::collections::BTreeMap;
+use std::path::Path;
 
 use kinegrad_motion::humanml::Skeleton;
+use kinegrad_settings::read_toml;
 use serde::{Deserialize, Serialize};
 
-use crate::prepare::with_line;
 use crate::{Bvh, RootPose};
 
 /// The built-in maps by their names.
@@ -137,7 +138,7 @@ impl Source {
 }
 
 /// A map as its file writes it.
-#[derive(Deserialize)]
+#[derive(Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 struct MapFile {
     joints: BTreeMap<String, Source>,
@@ -188,19 +189,19 @@ impl FoundJoints {
 }
 
 impl JointMap {
-    /// The map called `name`, of the TOML text of its file.
+    /// The map in the TOML text of `file`, whose stem is its name.
     ///
     /// # Errors
-    /// What is wrong with it, with what is allowed.
-    pub fn parse(name: &str, text: &str, skeleton: &Skeleton) -> Result<Self, String> {
-        let file: MapFile = toml::from_str(text).map_err(|error| with_line(text, &error))?;
+    /// Names the file and the key, with the value found and what is allowed.
+    pub fn parse(file: &str, text: &str, skeleton: &Skeleton) -> Result<Self, String> {
+        let map = read_toml::<MapFile>(text, file, "docs/dataset.md describes joint maps");
+        let mut sources = map.map_err(|error| error.to_string())?.joints;
         let names = &skeleton.description().joint_names;
-        let mut sources = file.joints;
         let joints = names.iter().map(|joint| {
             let source = sources.remove(joint);
             source.map(|source| (joint.clone(), source)).ok_or_else(|| {
                 format!(
-                    "joints.{joint} is missing; a joint that the captures lack lies between \
+                    "{file}: joints.{joint} is missing; a joint that the captures lack lies between \
                          two others: {joint} = {{ from = \"JOINT\", to = \"JOINT\", at = 0.5 }}"
                 )
             })
@@ -208,12 +209,13 @@ impl JointMap {
         let joints = joints.collect::<Result<_, _>>()?;
         if let Some((odd, _)) = sources.pop_first() {
             return Err(format!(
-                "joints.{odd}: no joint of {}; allowed: {}",
+                "{file}: joints.{odd}: no joint of {}; allowed: {}",
                 skeleton.description().name,
                 names.join(", ")
             ));
         }
-        let name = name.to_owned();
+        let name = Path::new(file).file_stem().unwrap_or_default();
+        let name = name.to_string_lossy().into_owned();
         Ok(Self { name, joints })
     }
 

@@ -56,8 +56,11 @@ fn joints_that_are_lacking_lie_between_others() {
             ),
             "found at = 1000000000, allowed: -1 to 2",
         ),
-        (text.replace("head = \"Head\"", "head = true"), "line 18: "),
-        (text + "\n[odd]\n", "unknown key `odd`"),
+        (
+            text.replace("head = \"Head\"", "head = true"),
+            "own:18: `joints.head`: ",
+        ),
+        (text + "\n[odd]\n", ": unknown key `odd`"),
     ] {
         let message = JointMap::parse("own", &broken, &skeleton).unwrap_err();
         assert!(message.contains(part), "{part}: {message}");

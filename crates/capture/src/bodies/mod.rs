@@ -269,10 +269,9 @@ fn read_map(plan: &Plan, map: &str) -> Result<JointMap, String> {
         return JointMap::built_in(map);
     }
     let path = plan.resolve(map);
-    let in_file = |problem: String| format!("{}: {problem}", path.display());
-    let text = kinegrad_data::file::read_text(&path).map_err(|e| in_file(e.to_string()))?;
-    let name = path.file_stem().unwrap_or_default().to_string_lossy();
-    JointMap::parse(&name, &text, &Skeleton::humanml3d()).map_err(in_file)
+    let file = path.display().to_string();
+    let text = kinegrad_data::file::read_text(&path).map_err(|e| format!("{file}: {e}"))?;
+    JointMap::parse(&file, &text, &Skeleton::humanml3d())
 }
 
 fn tables(plan: &Plan) -> Result<Tables, String> {

@@ -2,13 +2,13 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use kinegrad_data::check_id;
+use kinegrad_settings::{InvalidSetting, in_range, require};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::captions::{TAKE, placeholders};
 use crate::UpAxis;
-use crate::prepare::Units;
+use crate::prepare::{LEAST_FPS, SMALLEST_UNIT, Units, check_end, check_name, check_number};
 
 /// The columns of the manifest that labels do not take.
 const COLUMNS: [&str; 14] = [
@@ -194,58 +194,47 @@ impl Phrases {
 }
 
 impl ClipsPlan {
-    /// In an error, the key and what is wrong with it.
-    pub(crate) fn check(&self) -> Result<(), String> {
-        let (least, most) = (self.min_frames, self.max_frames);
-        match FRAMES.contains(&least) && FRAMES.contains(&most) && least <= most {
-            true => Ok(()),
-            false => Err(format!(
-                "clips.min_frames = {least}, clips.max_frames = {most}: {} to {} allowed, the first \
-                 at most the second",
-                FRAMES.start(),
-                FRAMES.end()
-            )),
-        }
+    /// # Errors
+    /// Names the key.
+    pub(crate) fn check(&self) -> Result<(), InvalidSetting> {
+        in_range("clips.min_frames", self.min_frames, FRAMES)?;
+        in_range(
+            "clips.max_frames",
+            self.max_frames,
+            self.min_frames..=*FRAMES.end(),
+        )
     }
 }
 
 impl CapturePlan {
-    /// In an error, the key and what is wrong with it.
-    pub(crate) fn check(&self) -> Result<(), String> {
-        if let Some(name) = &self.name {
-            check_id(&name.replace("{name}", "x")).map_err(|error| error.to_string())?;
-        }
-        for (key, value, least) in [
-            ("motion_start_seconds", Some(self.motion_start_seconds), 0.0),
-            ("units", self.units.map(Units::metres), 1e-9),
-            ("fps", self.fps, 0.1),
-        ] {
-            if let Some(value) = value
-                && !(least..=1e5).contains(&value)
-            {
-                return Err(format!("{key} = {value}: a number from {least} allowed"));
-            }
-        }
-        let after = |end: f64| end > self.motion_start_seconds && end.is_finite();
-        if !self.motion_end_seconds.is_none_or(after) {
-            return Err("motion_end_seconds must come after motion_start_seconds".to_owned());
-        }
+    /// # Errors
+    /// Names the key.
+    pub(crate) fn check(&self) -> Result<(), InvalidSetting> {
+        check_name(self.name.as_deref())?;
+        check_end(self.motion_start_seconds, self.motion_end_seconds)?;
+        check_number("units", self.units.map(Units::metres), SMALLEST_UNIT)?;
+        check_number("fps", self.fps, LEAST_FPS)?;
         let pattern = self.labels.name.as_deref().unwrap_or_default();
-        let named = placeholders(pattern).map_err(|problem| format!("labels.name: {problem}"))?;
-        let labels = named.iter().map(String::as_str);
-        let labels = labels.filter(|label| *label != TAKE);
-        let given = self
+        let key = "labels.name";
+        let odd = |problem| InvalidSetting::new(key, format!("\"{pattern}\""), problem);
+        let labels = placeholders(pattern).map_err(odd)?;
+        let labels = labels.iter().filter(|label| *label != TAKE);
+        let labels = labels.map(|label| (key, label));
+        let fixed = self
             .labels
             .fixed
             .keys()
-            .chain(self.labels.json_names.keys());
-        labels
-            .chain(given.map(String::as_str))
-            .try_for_each(check_label)?;
-        if !self.labels.json_names.is_empty() && self.labels.json.is_none() {
-            return Err("labels.json_names is for labels.json, which is not given".to_owned());
+            .map(|label| ("labels.fixed", label));
+        let names = self.labels.json_names.keys();
+        let names = names.map(|label| ("labels.json_names", label));
+        for (key, label) in labels.chain(fixed).chain(names) {
+            check_label(label).map_err(|problem| {
+                InvalidSetting::new(key, format!("a label `{label}`"), problem)
+            })?;
         }
-        Ok(())
+        let needed = self.labels.json_names.is_empty() || self.labels.json.is_some();
+        let allowed = "the file that `labels.json_names` is about";
+        require(needed, "labels.json", "missing", allowed)
     }
 }
 
@@ -256,39 +245,35 @@ pub(crate) fn check_label(label: &str) -> Result<(), String> {
     match begins && label.chars().all(letters) && !COLUMNS.contains(&label) {
         true => Ok(()),
         false => Err(format!(
-            "a label called `{label}`: small letters, digits and _ allowed, but for {}",
+            "small letters, digits and _, but for {}",
             COLUMNS.join(", ")
         )),
     }
 }
 
 impl CaptionsPlan {
-    /// In an error, the key and what is wrong with it.
-    pub(crate) fn check(&self) -> Result<(), String> {
+    /// # Errors
+    /// Names the key.
+    pub(crate) fn check(&self) -> Result<(), InvalidSetting> {
         let mut used = BTreeSet::new();
-        for template in &self.templates {
-            let named = placeholders(template);
-            used.extend(named.map_err(|problem| format!("captions.templates: {problem}"))?);
-            if template.contains(['#', '\n']) || template.trim().is_empty() {
-                return Err(format!(
-                    "captions.templates: `{template}`: a sentence without # and line ends allowed"
-                ));
-            }
+        for (index, template) in self.templates.iter().enumerate() {
+            let key = format!("captions.templates[{index}]");
+            let found = format!("\"{template}\"");
+            let odd = |problem| InvalidSetting::new(&key, &found, problem);
+            used.extend(placeholders(template).map_err(odd)?);
+            let plain = !template.contains(['#', '\n']) && !template.trim().is_empty();
+            require(plain, key, found, "a sentence without # and line ends")?;
         }
         for (label, words) in &self.words {
-            if !used.contains(label) {
-                return Err(format!(
-                    "captions.words.{label}: no template has {{{label}}} in it"
-                ));
-            }
+            let key = format!("captions.words.{label}");
+            let allowed = format!("labels of templates, and none has {{{label}}} in it");
+            require(used.contains(label), &key, "given", allowed)?;
             for (value, phrases) in words {
                 let odd = |phrase: &String| phrase.contains(['#', '\n', '{', '}']);
-                if phrases.all().is_empty() || phrases.all().iter().any(odd) {
-                    return Err(format!(
-                        "captions.words.{label}.{value}: a phrase without #, braces and line ends \
-                         allowed, or a list of them"
-                    ));
-                }
+                let sound = !phrases.all().is_empty() && !phrases.all().iter().any(odd);
+                let allowed = "a phrase without #, braces and line ends, or a list of them";
+                let found = format!("{:?}", phrases.all());
+                require(sound, format!("{key}.{value}"), found, allowed)?;
             }
         }
         Ok(())

@@ -4,6 +4,8 @@ use std::fmt::Write;
 
 use kinegrad_motion::Quaternion;
 
+use kinegrad_settings::InvalidSetting;
+
 use super::euler::degrees;
 use super::{Axis, Bvh, CHANNELS, Channel, Joint};
 use crate::Error;
@@ -140,7 +142,7 @@ fn check(
     frame_time: f64,
     root: &[[f64; 3]],
     rotations: &[Quaternion],
-) -> Result<(), Error> {
+) -> Result<(), InvalidSetting> {
     let allowed = "a positive number of seconds: 0.05 for 20 frames per second";
     require_positive("frame_time", frame_time, allowed)?;
     for (index, joint) in figure.iter().enumerate() {

@@ -36,8 +36,7 @@ use serde::Serialize;
 
 pub use grid::{Grid, GridReport};
 pub use plan::Plan;
-pub(crate) use plan::SplitPlan;
-pub(crate) use plan::with_line;
+pub(crate) use plan::{LEAST_FPS, SMALLEST_UNIT, SplitPlan, check_end, check_name, check_number};
 pub use report::{Rejection, TakeReport};
 pub use units::Units;
 

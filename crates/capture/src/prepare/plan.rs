@@ -9,7 +9,7 @@ use kinegrad_data::file::read_text;
 use kinegrad_data::{
     AudioGroup, AudioLayout, MAX_FRAMES, MIN_FRAMES, StoreConfig, check_groups, check_id, is_label,
 };
-use kinegrad_settings::{in_words, must_be_finite, must_be_tables};
+use kinegrad_settings::{ABOVE_ZERO, Document, InvalidSetting, Refused, in_range, require};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use toml::Table;
@@ -17,10 +17,17 @@ use toml::Table;
 use super::grid::Grid;
 use super::units::Units;
 use crate::bodies::{CaptionsPlan, CapturePlan, ClipsPlan};
+use crate::error::PLANS;
 use crate::{BeatGrid, Beats, Error, Joining, MarkerMap, UpAxis};
 
-/// Metres of the smallest unit that makes sense.
-const SMALLEST_UNIT: f64 = 1e-9;
+/// Metres of the smallest unit of a plan.
+pub(crate) const SMALLEST_UNIT: f64 = 1e-9;
+
+/// The smallest frame rate of a plan.
+pub(crate) const LEAST_FPS: f64 = 0.1;
+
+/// The largest number of seconds, metres or frames per second of a plan.
+const MOST: f64 = 1e5;
 
 /// The keys of plans of phrases and of plans of clips.
 const OF_PHRASES: [&str; 4] = ["phrases", "joining", "take", "choreonet"];
@@ -211,17 +218,6 @@ fn waltz() -> Vec<String> {
     vec!["W".to_owned()]
 }
 
-/// What is wrong with a file's `text`, and in which line.
-pub(crate) fn with_line(text: &str, error: &toml::de::Error) -> String {
-    let place = error.span().map(|span| {
-        let before = &text.as_bytes()[..span.start.min(text.len())];
-        let line = before.iter().filter(|&&byte| byte == b'\n').count() + 1;
-        format!("line {line}: ")
-    });
-    let place = place.unwrap_or_default();
-    format!("{place}{}", in_words(error.message()))
-}
-
 impl Plan {
     /// Reads the plan at `path` and checks what can be checked without opening another file.
     ///
@@ -229,17 +225,17 @@ impl Plan {
     /// [`Error::Plan`] with the line or key, what was found and what is allowed.
     pub fn read(path: &Path) -> Result<Self, Error> {
         let text = read_text(path).map_err(|problem| Error::plan(path, problem))?;
-        let wrong = |error: toml::de::Error| Error::plan(path, with_line(&text, &error));
-        let given: Table = text.parse().map_err(wrong)?;
-        let mut plan: Self = toml::from_str(&text).map_err(wrong)?;
-        let read = Table::try_from(&plan).expect("a plan is plain data");
-        must_be_finite(&given)
-            .and_then(|()| must_be_tables(&given, &read))
-            .map_err(|unfit| Error::plan(path, unfit))?;
+        let file = path.display().to_string();
+        let document = Document::parse(&text, &file)?;
+        let mut plan: Self = document.read(PLANS)?;
         plan.folder = path.parent().unwrap_or(Path::new("")).to_owned();
-        one_kind(&given)
-            .and_then(|()| plan.check())
-            .map_err(|problem| Error::plan(path, problem))?;
+        one_kind(&document.table).map_err(|problem| Error::plan(path, problem))?;
+        let checked = plan.check().hint(PLANS);
+        checked.map_err(|setting| document.refuse(setting))?;
+        if !plan.is_of_clips() && plan.takes.is_empty() && plan.choreonet.is_empty() {
+            let problem = "no [[take]], [[choreonet]] or [[capture]]: nothing to prepare";
+            return Err(Error::plan(path, problem));
+        }
         Ok(plan)
     }
 
@@ -258,61 +254,39 @@ impl Plan {
         self.captions.clone().unwrap_or_default()
     }
 
-    fn check_clips(&self) -> Result<(), String> {
-        self.clips().check()?;
-        self.captions().check()?;
-        for capture in &self.captures {
-            let sound = capture.check();
-            sound.map_err(|problem| format!("capture `{}`: {problem}", capture.motion))?;
-        }
-        Ok(())
-    }
-
-    fn check(&self) -> Result<(), String> {
-        let frames = self.phrases.frames;
-        if !(MIN_FRAMES..=MAX_FRAMES).contains(&frames) {
-            return Err(format!(
-                "phrases.frames = {frames}: {MIN_FRAMES} to {MAX_FRAMES} allowed"
-            ));
-        }
-        if self.phrases.hop == 0 {
-            return Err("phrases.hop = 0: at least 1 allowed".to_owned());
-        }
-        check_groups("phrases.audio_features", &self.phrases.audio_features)
-            .map_err(|refused| refused.to_string())?;
-        let fraction = self.split.fraction;
-        if !(0.0..1.0).contains(&fraction) {
-            return Err(format!(
-                "split.fraction = {fraction}: from 0 to below 1 allowed"
-            ));
-        }
-        let test = self.split.test_fraction.unwrap_or_default();
-        if !(0.0..1.0).contains(&test) {
-            return Err(format!(
-                "split.test_fraction = {test}: from 0 to below 1 allowed"
-            ));
-        }
+    fn check(&self) -> Result<(), InvalidSetting> {
+        in_range(
+            "phrases.frames",
+            self.phrases.frames,
+            MIN_FRAMES..=MAX_FRAMES,
+        )?;
+        in_range("phrases.hop", self.phrases.hop, 1..)?;
+        check_groups("phrases.audio_features", &self.phrases.audio_features)?;
+        in_range("split.fraction", self.split.fraction, 0.0..1.0)?;
+        let test = self.split.test_fraction;
+        in_range("split.test_fraction", test.unwrap_or_default(), 0.0..1.0)?;
         if self.is_of_clips() {
-            return self.check_clips();
+            self.clips().check()?;
+            self.captions().check()?;
+            let mut captures = self.captures.iter().enumerate();
+            return captures.try_for_each(|(index, capture)| {
+                capture.check().within(&format!("capture[{index}]"))
+            });
         }
-        if !self.split.test.is_empty() || self.split.test_fraction.is_some() {
-            return Err(
-                "split.test and split.test_fraction are for clips, and this plan has no [[capture]]"
-                    .to_owned(),
-            );
+        for (key, given) in [
+            ("split.test", !self.split.test.is_empty()),
+            ("split.test_fraction", test.is_some()),
+        ] {
+            require(
+                !given,
+                key,
+                "given",
+                "in plans of clips, which have [[capture]]",
+            )?;
         }
-        let joining = self.joining.check();
-        joining.map_err(|error| format!("joining: {}", error.with_hint()))?;
-        if self.takes.is_empty() && self.choreonet.is_empty() {
-            return Err("no [[take]], [[choreonet]] or [[capture]]: nothing to prepare".to_owned());
-        }
-        for (index, take) in self.takes.iter().enumerate() {
-            let named = take.name.as_deref().or(take.motion.as_deref());
-            let label = named.map_or(format!("take {index}"), |name| format!("take `{name}`"));
-            let sound = take.check();
-            sound.map_err(|problem| format!("{label}: {problem}"))?;
-        }
-        Ok(())
+        self.joining.check().within("joining")?;
+        let mut takes = self.takes.iter().enumerate();
+        takes.try_for_each(|(index, take)| take.check().within(&format!("take[{index}]")))
     }
 
     /// `path` from where the plan stands.
@@ -333,98 +307,123 @@ fn one_kind(given: &Table) -> Result<(), String> {
     }
 }
 
+/// Rejects numbers of seconds, metres or hertz that no recording has.
+pub(crate) fn check_number(
+    key: &str,
+    number: Option<f64>,
+    least: f64,
+) -> Result<(), InvalidSetting> {
+    number.map_or(Ok(()), |number| in_range(key, number, least..=MOST))
+}
+
+/// Rejects an end of a part of a motion file that is not behind its beginning.
+pub(crate) fn check_end(start: f64, end: Option<f64>) -> Result<(), InvalidSetting> {
+    check_number("motion_start_seconds", Some(start), 0.0)?;
+    let after = end.is_none_or(|end| end > start && end.is_finite());
+    let found = end.unwrap_or_default();
+    let allowed = "a moment after `motion_start_seconds`";
+    require(after, "motion_end_seconds", found, allowed)
+}
+
+/// Rejects a name that cannot begin ids.
+pub(crate) fn check_name(name: Option<&str>) -> Result<(), InvalidSetting> {
+    let name = name.unwrap_or("x");
+    check_id(&name.replace("{name}", "x"))
+        .map_err(|error| InvalidSetting::new("name", format!("\"{name}\""), error))
+}
+
 impl TakePlan {
-    /// In an error, the key and what is wrong with it.
-    pub(super) fn check(&self) -> Result<(), String> {
-        if let Some(label) = &self.label
-            && !is_label(label)
-        {
-            return Err(format!(
-                "label = \"{label}\": a word that is no number and has no comma allowed"
-            ));
+    /// Checks what can be checked without opening a file.
+    ///
+    /// # Errors
+    /// Names the key.
+    pub(super) fn check(&self) -> Result<(), InvalidSetting> {
+        let label = self.label.as_deref().unwrap_or("x");
+        let found = format!("\"{label}\"");
+        let allowed = "a word that is no number and has no comma";
+        require(is_label(label), "label", found, allowed)?;
+        let pieces = !self.segments.is_empty();
+        let allowed = "either `motion` or [[take.segment]]";
+        let found = if pieces {
+            "given with segments"
+        } else {
+            "missing"
+        };
+        require(self.motion.is_some() != pieces, "motion", found, allowed)?;
+        if pieces {
+            let allowed = "the beats that segments lie on";
+            require(self.beats.is_some(), "beats", "missing", allowed)?;
+            let allowed = "the name of a take of segments";
+            require(self.name.is_some(), "name", "missing", allowed)?;
         }
-        match (&self.motion, self.segments.is_empty()) {
-            (Some(_), true) => {}
-            (None, false) if self.beats.is_none() => {
-                return Err("segments lie on beats: `beats` is missing".to_owned());
-            }
-            (None, false) if self.name.is_none() => {
-                return Err("a take of segments needs a `name`".to_owned());
-            }
-            (None, false) => {}
-            _ => return Err("either `motion` or [[take.segment]] allowed, not both".to_owned()),
-        }
-        if let Some(name) = &self.name {
-            check_id(&name.replace("{name}", "x")).map_err(|error| error.to_string())?;
-        }
-        for (key, value, least) in [
-            ("motion_start_seconds", Some(self.motion_start_seconds), 0.0),
-            ("audio_start_seconds", Some(self.audio_start_seconds), 0.0),
-            ("downbeat_seconds", self.downbeat_seconds, -1e5),
-            ("units", self.units.map(Units::metres), SMALLEST_UNIT),
-            ("fps", self.fps, 0.1),
-        ] {
-            if let Some(value) = value
-                && !(least..=1e5).contains(&value)
-            {
-                return Err(format!("{key} = {value}: a number from {least} allowed"));
-            }
-        }
-        // Not a number comes after nothing.
-        let after = |end: f64| end > self.motion_start_seconds && end.is_finite();
-        if !self.motion_end_seconds.is_none_or(after) {
-            return Err("motion_end_seconds must come after motion_start_seconds".to_owned());
-        }
+        check_name(self.name.as_deref())?;
+        check_end(self.motion_start_seconds, self.motion_end_seconds)?;
+        check_number("audio_start_seconds", Some(self.audio_start_seconds), 0.0)?;
+        check_number("downbeat_seconds", self.downbeat_seconds, -MOST)?;
+        check_number("units", self.units.map(Units::metres), SMALLEST_UNIT)?;
+        check_number("fps", self.fps, LEAST_FPS)?;
         if let Some(grid) = &self.beats {
-            let (beat, start) = (grid.seconds_per_beat, grid.start_seconds);
-            if !(0.01..=60.0).contains(&beat) || !(-1e5..=1e5).contains(&start) {
-                return Err(format!(
-                    "beats: seconds_per_beat = {beat}, start_seconds = {start} found; 0.01 to 60 \
-                     and -100000 to 100000 allowed"
-                ));
-            }
-            let sound = Beats::Grid(*grid).check();
-            sound.map_err(|error| format!("beats: {}", error.with_hint()))?;
-            if self.beats_per_bar.is_some() {
-                return Err(
-                    "beats_per_bar is for tracked beats; `beats` has one of its own".to_owned(),
-                );
-            }
-            if self.downbeat_seconds.is_some() {
-                return Err(
-                    "downbeat_seconds is for tracked beats; `beats` begins with a bar".to_owned(),
-                );
-            }
+            let seconds_per_beat = grid.seconds_per_beat;
+            in_range("beats.seconds_per_beat", seconds_per_beat, 0.01..=60.0)?;
+            in_range("beats.start_seconds", grid.start_seconds, -MOST..=MOST)?;
+            Beats::Grid(*grid).check().within("beats")?;
         }
-        if self.beats_per_bar == Some(0) {
-            return Err("beats_per_bar = 0: at least 1 allowed".to_owned());
+        let whole = "in whole takes; segments have `frames` and follow `beats`";
+        let tracked = "where beats are tracked; `beats` states bars of its own";
+        for (key, given, holds, allowed) in [
+            (
+                "beats_per_bar",
+                self.beats_per_bar.is_some(),
+                self.beats.is_none(),
+                tracked,
+            ),
+            (
+                "downbeat_seconds",
+                self.downbeat_seconds.is_some(),
+                self.beats.is_none(),
+                tracked,
+            ),
+            (
+                "motion_start_seconds",
+                self.motion_start_seconds != 0.0,
+                !pieces,
+                whole,
+            ),
+            (
+                "motion_end_seconds",
+                self.motion_end_seconds.is_some(),
+                !pieces,
+                whole,
+            ),
+            (
+                "audio_start_seconds",
+                self.audio_start_seconds != 0.0,
+                !pieces,
+                whole,
+            ),
+            (
+                "grid",
+                self.grid.is_some(),
+                pieces,
+                "for segments; a whole take is not moved",
+            ),
+        ] {
+            require(!given || holds, key, "given", allowed)?;
         }
-        if self.grid.is_some() && self.segments.is_empty() {
-            return Err("grid is for segments; a whole take stays as it was recorded".to_owned());
-        }
-        if !self.segments.is_empty() {
-            let idle = [
-                ("motion_start_seconds", self.motion_start_seconds != 0.0),
-                ("motion_end_seconds", self.motion_end_seconds.is_some()),
-                ("audio_start_seconds", self.audio_start_seconds != 0.0),
-            ];
-            if let Some((key, _)) = idle.iter().find(|(_, given)| *given) {
-                return Err(format!(
-                    "{key} is for whole takes; segments have `frames` and follow `beats`"
-                ));
-            }
-        }
-        let broken = self.segments.iter().position(|segment| {
+        in_range(
+            "beats_per_bar",
+            u64::from(self.beats_per_bar.unwrap_or(1)),
+            1..,
+        )?;
+        for (index, segment) in self.segments.iter().enumerate() {
             let [from, to] = segment.frames;
             let ordered = from.is_finite() && to.is_finite() && 0.0 <= from && from < to;
-            !(ordered && segment.beats.is_finite() && segment.beats > 0.0)
-        });
-        match broken {
-            Some(index) => Err(format!(
-                "segment {index}: two increasing frames and a positive number of beats allowed"
-            )),
-            None => Ok(()),
+            let key = format!("segment[{index}].frames");
+            let found = format!("[{from}, {to}]");
+            require(ordered, key, found, "two increasing frames, 0 or more")?;
+            in_range(format!("segment[{index}].beats"), segment.beats, ABOVE_ZERO)?;
         }
+        Ok(())
     }
 
     /// Rejects keys that none of the take's capture files uses.

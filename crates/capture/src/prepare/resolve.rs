@@ -24,10 +24,9 @@ pub(super) struct Take {
 pub(super) fn resolve(plan: &Plan, takes: Vec<TakePlan>) -> Result<Vec<Take>, String> {
     let mut resolved: Vec<Take> = Vec::new();
     for take in takes {
-        if let Err(problem) = take.check() {
-            let name = take.name.as_deref().unwrap_or_default();
-            return Err(format!("take `{name}`: {problem}"));
-        }
+        let name = take.name.as_deref().unwrap_or_default();
+        let checked = take.check();
+        checked.map_err(|refused| format!("take `{name}`: {refused}"))?;
         let motions: Vec<Option<PathBuf>> = match &take.motion {
             None => vec![None],
             Some(pattern) => {
