@@ -132,7 +132,7 @@ fn wrong_plans_say_what_is_wrong_and_write_nothing() {
         (
             "output = \"o\"\n[phrases]\nframes = 900\n[[take]]\nmotion = \"captures/*.bvh\"\naudio = \"none\"",
             &[
-                "no take produced a phrase",
+                "no take gave a phrase",
                 "one: too short for a phrase of 900",
                 "two: too short",
             ],
@@ -162,7 +162,7 @@ fn wrong_plans_say_what_is_wrong_and_write_nothing() {
     );
     sandbox
         .run("data prepare plan.toml")
-        .failed(2, &["no take produced a phrase", "no capture: no.c3d"]);
+        .failed(2, &["no take gave a phrase", "no capture: no.c3d"]);
     assert!(!sandbox.path("o/manifest.parquet").exists());
     sandbox.write("plan.toml", PLAN);
     sandbox.write("captures/two.bvh", "HIERARCHY nonsense");

@@ -35,20 +35,19 @@
 //! ```
 
 mod assemble;
-pub mod bodies;
 mod bvh;
 mod c3d;
+pub mod clips;
 mod error;
 mod join;
 mod markers;
 mod phase;
-mod phrases;
+pub mod phrases;
+pub mod plan;
 pub mod prepare;
+mod stretches;
 mod track;
-
-use kinegrad_motion::Quaternion;
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
+mod up_axis;
 
 pub use assemble::{Assembly, Moment, Segment, assemble};
 pub use bvh::{Axis, Bvh, Channel, Deviation, Joint};
@@ -57,33 +56,7 @@ pub use error::Error;
 pub use join::{Joining, join};
 pub use markers::{MarkerMap, MarkerRoot};
 pub use phase::{BeatGrid, Beats, TrackedBeats};
-pub use phrases::{Stretch, stretches};
+pub use plan::{Plan, Units};
+pub use stretches::{Stretch, stretches};
 pub use track::{MarkerGaps, RootPose, RootSource, RootTrack, resample};
-
-/// Which axis of a capture file points up.
-#[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, Serialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum UpAxis {
-    /// +y, as in phrases and most BVH files.
-    #[default]
-    Y,
-    /// +z, as in most C3D files.
-    Z,
-}
-
-impl UpAxis {
-    /// The vector in the y-up frame: (x, y, z) becomes (x, z, -y) where z points up.
-    pub fn to_y_up(self, [x, y, z]: [f64; 3]) -> [f64; 3] {
-        match self {
-            Self::Y => [x, y, z],
-            Self::Z => [x, z, -y],
-        }
-    }
-
-    /// The same turn, world and body axes both given in the y-up frame: an upright rest pose
-    /// stays the identity.
-    pub fn turn_to_y_up(self, turn: Quaternion) -> Quaternion {
-        let [x, y, z] = self.to_y_up([turn.x, turn.y, turn.z]);
-        Quaternion::new(turn.w, x, y, z)
-    }
-}
+pub use up_axis::UpAxis;

@@ -11,8 +11,8 @@ use kinegrad_data::manifest;
 use kinegrad_data::{Digest, Object, PREPARATION, Store, StoreError};
 use serde::Serialize;
 
-use super::plan::Plan;
 use crate::Error;
+use crate::plan::Plan;
 
 /// The file that one preparation at a time holds locked, in a folder of this machine.
 const LOCK: &str = "prepare/lock";
@@ -22,7 +22,9 @@ const LOCK: &str = "prepare/lock";
 pub(crate) struct Parts {
     /// Lists the files of its items.
     pub list: fn(&Store) -> Result<Vec<Object>, StoreError>,
-    /// The files that say what belongs to it. They are written last.
+    /// The id of the item that a file belongs to.
+    pub id: fn(&str) -> Option<&str>,
+    /// The files that list its items. They are written last.
     pub index: &'static [&'static str],
 }
 
@@ -134,32 +136,24 @@ impl Output {
         Ok(self.store.write(path, bytes)?)
     }
 
-    /// The files of items that were there before and are not among those `made`.
-    pub fn stale(&self, made: &BTreeSet<String>) -> BTreeSet<String> {
-        let stale = self.present.keys().filter(|path| !made.contains(*path));
-        stale.cloned().collect()
-    }
-
-    /// Removes files.
-    ///
-    /// # Errors
-    /// [`Error::Data`].
-    pub fn prune(&self, paths: &BTreeSet<String>) -> Result<(), Error> {
-        for path in paths {
-            self.store.remove(path)?;
-        }
-        Ok(())
-    }
-
-    /// Writes the index, as `write_index` does, and the report, which end the preparation.
+    /// Ends the preparation: writes the index, as `write_index` does, and the report. Files of items
+    /// that were there before and are not among those `made` are removed with `prune`; `report` is
+    /// given the number of items that are left.
     ///
     /// # Errors
     /// [`Error::Busy`] if another preparation has begun meanwhile, [`Error::Data`].
-    pub fn finish(
+    pub fn finish<R: Serialize>(
         &self,
-        report: &impl Serialize,
+        made: &BTreeSet<String>,
+        prune: bool,
+        report: impl FnOnce(usize) -> R,
         write_index: impl FnOnce(&Store) -> Result<(), Error>,
-    ) -> Result<(), Error> {
+    ) -> Result<R, Error> {
+        let stale = self.present.keys().filter(|path| !made.contains(*path));
+        let stale: BTreeSet<&String> = stale.collect();
+        let ids = stale.iter().filter_map(|path| (self.parts.id)(path));
+        let left = ids.collect::<BTreeSet<&str>>().len();
+        let report = report(if prune { 0 } else { left });
         let mut begun = self.begun.lock().expect("no thread panics holding it");
         if begun.lock.is_none() {
             begun.lock = lock(&self.store)?;
@@ -172,8 +166,15 @@ impl Output {
             }
         }
         write_index(&self.store)?;
-        let text = serde_json::to_vec_pretty(report).expect("plain data");
-        Ok(self.store.write(PREPARATION, text)?)
+        let text = serde_json::to_vec_pretty(&report).expect("plain data");
+        self.store.write(PREPARATION, text)?;
+        // Not before the index has let go of them.
+        if prune {
+            for path in stale {
+                self.store.remove(path)?;
+            }
+        }
+        Ok(report)
     }
 }
 

@@ -5,10 +5,10 @@ use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use kinegrad_capture::bodies::{ClipsReport, prepare_clips};
-use kinegrad_capture::prepare::{
-    Grid, Plan, PrepareObserver, PrepareOptions, Report, TakeReport, prepare,
-};
+use kinegrad_capture::clips::{self, ClipsReport};
+use kinegrad_capture::phrases::{self, PhrasesReport, TakeReport};
+use kinegrad_capture::plan::{Grid, Plan};
+use kinegrad_capture::prepare::{PrepareObserver, PrepareOptions};
 use kinegrad_report::{facts, grouped, rows as table};
 use kinegrad_train::Error;
 use serde::Serialize;
@@ -57,12 +57,12 @@ pub fn run(arguments: PrepareArguments) -> Result<ExitCode, Error> {
         prune: arguments.prune,
     };
     if plan.is_of_clips() {
-        let report = prepare_clips(&plan, &arguments.plan, options, &progress).map_err(failed)?;
+        let report = clips::prepare(&plan, &arguments.plan, options, &progress).map_err(failed)?;
         return Ok(ended(arguments.json, report, print_clips, |report| {
             report.takes.iter().any(|take| take.failure.is_some())
         }));
     }
-    let report = prepare(&plan, &arguments.plan, options, &progress).map_err(failed)?;
+    let report = phrases::prepare(&plan, &arguments.plan, options, &progress).map_err(failed)?;
     Ok(ended(arguments.json, report, print, |report| {
         report.takes.iter().any(|take| take.failure.is_some())
     }))
@@ -93,7 +93,7 @@ fn failed(error: kinegrad_capture::Error) -> Error {
     }
 }
 
-fn print(report: &Report) {
+fn print(report: &PhrasesReport) {
     let header = [
         "take",
         "phrases",

@@ -13,11 +13,11 @@ use super::cut::cut;
 use super::dataset::ClipRow;
 use super::labels::{CaptionTable, Labelled};
 use super::map::JointMap;
-use super::plan::CapturePlan;
 use super::report::ClipTakeReport;
-use crate::prepare::motion::bytes;
+use crate::plan::{CapturePlan, Plan};
+use crate::prepare::Rejection;
+use crate::prepare::files::bytes;
 use crate::prepare::output::Output;
-use crate::prepare::{Plan, Rejection};
 use crate::{Bvh, C3d, Error};
 
 /// Changes when clips of the same plan would come out otherwise.
@@ -42,7 +42,7 @@ pub(super) struct Known {
     pub labelled: Labelled,
     pub captions: Vec<String>,
     bytes: Vec<u8>,
-    /// Its checksum.
+    /// A checksum of the file and the take's part of the plan.
     pub key: Digest,
 }
 

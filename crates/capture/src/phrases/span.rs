@@ -4,8 +4,9 @@ use kinegrad_audio::beats::track_near;
 use kinegrad_audio::{Beats as Tracked, Pulse};
 use kinegrad_motion::{FPS, circular};
 
-use super::grid::{Grid, GridReport};
+use super::report::GridReport;
 use super::song::Song;
+use crate::plan::Grid;
 use crate::{BeatGrid, Beats};
 
 /// Largest share by which stated and tracked beats may differ in number.

@@ -6,9 +6,8 @@ use std::path::Path;
 use kinegrad_data::file::{MAX_TEXT_BYTES, read_file, read_text};
 use serde_json::Value;
 
-use super::captions::{Labels, Part, TAKE, parts};
-use super::plan::{LabelsPlan, Names, check_label};
-use crate::prepare::Plan;
+use super::captions::Labels;
+use crate::plan::{LabelsPlan, Names, Part, Plan, TAKE, check_label, parts};
 
 /// What is known of one capture.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -56,7 +55,7 @@ impl CaptionTable {
         let is_caption = |column: &str| column.starts_with("caption");
         for (place, column) in header.iter().enumerate() {
             if place != file_column && !is_caption(column) {
-                check_label(column).map_err(in_file)?;
+                check_label("column", column).map_err(|e| in_file(e.to_string()))?;
             }
         }
         let mut rows: HashMap<String, (Labels, Vec<String>)> = HashMap::new();
@@ -173,7 +172,7 @@ impl LabelsPlan {
                 (Value::Number(number), None) => number.to_string(),
                 _ => continue,
             };
-            check_label(&name)?;
+            check_label("key", &name).map_err(|e| e.to_string())?;
             labels.insert(name, value);
         }
         Ok(())

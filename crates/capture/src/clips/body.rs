@@ -9,7 +9,7 @@ use kinegrad_motion::speed::spline;
 
 use super::centres::Centres;
 use super::map::JointMap;
-use crate::prepare::Units;
+use crate::plan::Units;
 use crate::{Bvh, C3d, UpAxis};
 
 /// Metres of a leg, hip to ankle, that tell the unit of a capture.

@@ -1,4 +1,4 @@
-//! What a plan says of clips: captures, how they are cut, labels and captions.
+//! The part of a plan that is about clips: captures, their lengths, labels and captions.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -6,9 +6,10 @@ use kinegrad_settings::{InvalidSetting, in_range, require};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::captions::{TAKE, placeholders};
+use super::limits::{LEAST_FPS, SMALLEST_UNIT, check_end, check_name, check_number};
+use super::pattern::{TAKE, placeholders};
+use super::units::Units;
 use crate::UpAxis;
-use crate::prepare::{LEAST_FPS, SMALLEST_UNIT, Units, check_end, check_name, check_number};
 
 /// The columns of the manifest that labels do not take.
 const COLUMNS: [&str; 14] = [
@@ -31,21 +32,21 @@ const COLUMNS: [&str; 14] = [
 /// The fewest and most frames that a plan can ask of a clip.
 const FRAMES: std::ops::RangeInclusive<usize> = 4..=10_000;
 
-/// How clips are made of captures.
+/// Length of clips, frame rate and bones.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct ClipsPlan {
-    /// Frames of the shortest clip. Shorter takes are left out, and the report lists them.
+    /// Frames of the shortest clip. Shorter takes are skipped, and the report lists them.
     pub min_frames: usize,
     /// Frames of the longest clip. Longer takes are cut into clips of about the same length.
     pub max_frames: usize,
-    /// Whether captures are brought to 20 frames per second, the rate of HumanML3D. With `false`
-    /// they keep their own, and readers, which take all clips to have 20, see them slowed down.
+    /// Resamples captures to 20 frames per second, the rate of HumanML3D. With `false` they keep their
+    /// own rate, but readers assume 20 for all clips and see them at another speed.
     pub resample: bool,
-    /// Whether bodies are given the bones of one skeleton. With `false` they keep their own.
+    /// Gives all bodies the bones of one skeleton. With `false` they keep their own.
     pub retarget: bool,
-    /// Whether each clip is written a second time with left and right exchanged, in its labels and
-    /// captions too, with an `M` before its id.
+    /// Writes each clip a second time with left and right exchanged, in labels and captions too, and
+    /// an `M` before its id.
     pub mirror: bool,
 }
 
@@ -65,50 +66,49 @@ impl Default for ClipsPlan {
 #[derive(Clone, Debug, Default, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct CapturePlan {
-    /// A capture file (.bvh, .c3d); `*` in its name takes every file that matches.
+    /// A capture file (.bvh, .c3d). With `*` in its name, each matching file is a take.
     pub motion: String,
-    /// Begins the ids of its clips; `{name}` stands for the motion file's name without ending,
-    /// which is also the default.
+    /// Prefix of the ids of its clips. `{name}` stands for the motion file's name without ending and is
+    /// the default.
     pub name: Option<String>,
     /// The joint map of BVH files: `bandai`, `cmu`, `humanml3d`, `mixamo`, `xsens`, `forefoot`, or a TOML
-    /// file; found by the names of the joints unless stated.
+    /// file. The default is the built-in map that fits the names of the joints.
     pub map: Option<String>,
-    /// Metres of one unit of a BVH file, or its name; found by the length of the legs unless stated.
+    /// Metres of one unit of a BVH file, or its name. The default is found from the length of the legs.
     pub units: Option<Units>,
-    /// The axis that points up; found by where the head is unless stated.
+    /// The axis that points up. The default is found from the place of the head.
     pub up: Option<UpAxis>,
-    /// Frames per second, where the file's own frame time is wrong.
+    /// Frames per second, if the file's own frame time is wrong.
     pub fps: Option<f64>,
-    /// Seconds into the file at which to begin.
+    /// Start in the file, seconds.
     #[serde(default)]
     pub motion_start_seconds: f64,
-    /// Seconds into the file at which to end.
+    /// End in the file, seconds. The default is the file's end.
     pub motion_end_seconds: Option<f64>,
-    /// Where the labels come from.
+    /// Sources of the labels.
     #[serde(default)]
     pub labels: LabelsPlan,
-    /// A CSV file of captions: a column `file` with the name of the motion file, columns whose names
-    /// begin with `caption`, and any others, which are labels. A file may have several rows.
+    /// A CSV file of captions: a column `file` with the name of the motion file, columns of captions
+    /// whose names begin with `caption`, and columns of labels. A motion file may have several rows.
     pub captions: Option<String>,
 }
 
-/// Where the labels of captures come from. If a label comes from several places, the later of these
-/// keys decides.
+/// Sources of the labels of captures. If several have the same label, the last of these keys decides.
 #[derive(Clone, Debug, Default, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct LabelsPlan {
-    /// Pattern of the motion file's name without ending, as `*_{content}_{style}_{take}`: each name
-    /// in braces becomes a label. `take` is the number of the take, by which takes are held out.
+    /// Pattern of the motion file's name without ending, such as `*_{content}_{style}_{take}`: each
+    /// name in braces becomes a label. `take` is the number of the take, by which takes are held out.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub name: Option<String>,
-    /// A JSON file with an object whose entries are labels; `{name}` stands for the motion file's
-    /// name without ending, as in `captures/{name}.json`.
+    /// A JSON file with an object of labels. `{name}` stands for the motion file's name without ending,
+    /// as in `captures/{name}.json`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub json: Option<String>,
-    /// What the numbers of the JSON file mean: the names by label, counted from 0, or a text file
-    /// with one a line.
+    /// Names for the numbers of the JSON file, by label: a list, counted from 0, or a text file with
+    /// one name per line.
     pub json_names: BTreeMap<String, Names>,
-    /// Labels that all of the captures have.
+    /// Labels of all of the captures.
     pub fixed: BTreeMap<String, String>,
 }
 
@@ -119,7 +119,7 @@ pub struct LabelsPlan {
 pub enum Names {
     /// In the plan.
     List(Vec<String>),
-    /// In a text file, one a line.
+    /// In a text file, one per line.
     File(String),
 }
 
@@ -148,29 +148,29 @@ fn texts(value: toml::Value) -> Option<Vec<String>> {
     texts.collect()
 }
 
-/// Captions that are made of labels.
+/// Captions that are made from labels.
 #[derive(Clone, Debug, Default, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct CaptionsPlan {
-    /// Sentences with labels in braces, as `a person {content} {style}`.
+    /// Sentences with labels in braces, such as `a person {content} {style}`.
     pub templates: Vec<String>,
-    /// How sentences say a label: by label and value one phrase, or several, which take turns. A
-    /// value without a phrase stands for itself, with spaces for `-` and `_`.
-    pub words: BTreeMap<String, BTreeMap<String, Phrases>>,
+    /// Wordings by label and value: one, or several that are used in turn. The default is the value
+    /// itself, with spaces for `-` and `_`.
+    pub words: BTreeMap<String, BTreeMap<String, Wordings>>,
 }
 
-/// One phrase or several.
+/// One wording or several.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(untagged, try_from = "toml::Value")]
 #[schemars(!try_from)]
-pub enum Phrases {
+pub enum Wordings {
     /// One.
     One(String),
     /// Several.
     Several(Vec<String>),
 }
 
-impl TryFrom<toml::Value> for Phrases {
+impl TryFrom<toml::Value> for Wordings {
     type Error = String;
 
     fn try_from(value: toml::Value) -> Result<Self, String> {
@@ -178,12 +178,12 @@ impl TryFrom<toml::Value> for Phrases {
             toml::Value::String(phrase) => Ok(Self::One(phrase)),
             value => texts(value)
                 .map(Self::Several)
-                .ok_or_else(|| "expected a phrase, or a list of phrases".into()),
+                .ok_or_else(|| "expected a wording, or a list of wordings".into()),
         }
     }
 }
 
-impl Phrases {
+impl Wordings {
     /// All of them.
     pub fn all(&self) -> &[String] {
         match self {
@@ -228,9 +228,7 @@ impl CapturePlan {
         let names = self.labels.json_names.keys();
         let names = names.map(|label| ("labels.json_names", label));
         for (key, label) in labels.chain(fixed).chain(names) {
-            check_label(label).map_err(|problem| {
-                InvalidSetting::new(key, format!("a label `{label}`"), problem)
-            })?;
+            check_label(key, label)?;
         }
         let needed = self.labels.json_names.is_empty() || self.labels.json.is_some();
         let allowed = "the file that `labels.json_names` is about";
@@ -238,17 +236,17 @@ impl CapturePlan {
     }
 }
 
-/// Rejects names that a label cannot have.
-pub(crate) fn check_label(label: &str) -> Result<(), String> {
+/// Rejects names that a label cannot have, which are found at `key`.
+pub(crate) fn check_label(key: &str, label: &str) -> Result<(), InvalidSetting> {
     let letters = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_';
     let begins = label.starts_with(|c: char| c.is_ascii_lowercase());
-    match begins && label.chars().all(letters) && !COLUMNS.contains(&label) {
-        true => Ok(()),
-        false => Err(format!(
-            "small letters, digits and _, but for {}",
-            COLUMNS.join(", ")
-        )),
-    }
+    let sound = begins && label.chars().all(letters) && !COLUMNS.contains(&label);
+    let found = format!("a label called `{label}`");
+    let allowed = format!(
+        "small letters, digits and _, but for {}",
+        COLUMNS.join(", ")
+    );
+    require(sound, key, found, allowed)
 }
 
 impl CaptionsPlan {

@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use kinegrad_data::manifest::ManifestRow;
 use kinegrad_data::{Side, held_out_songs, matches, song_of};
 
-use super::plan::SplitPlan;
+use crate::plan::SplitPlan;
 
 /// What became of the split.
 #[derive(Debug, Default, PartialEq)]

@@ -17,6 +17,7 @@ use serde::{Deserialize, Serialize};
 use super::captions::Labels;
 use super::split::Part;
 use crate::Error;
+use crate::prepare::Row;
 use crate::prepare::output::{Output, Parts};
 
 /// Clips whose statistics are measured at a time.
@@ -25,6 +26,7 @@ const CHUNK: usize = 256;
 /// The files of a dataset of clips.
 pub(super) const CLIPS: Parts = Parts {
     list: clip_files,
+    id: clip_id,
     index: &["train.txt", "val.txt", "test.txt", MANIFEST, LABELS],
 };
 
@@ -32,6 +34,12 @@ fn clip_files(store: &Store) -> Result<Vec<Object>, StoreError> {
     let mut files = store.list_files(FEATURES, "npy")?;
     files.extend(store.list_files(TEXTS, "txt")?);
     Ok(files)
+}
+
+/// The id of the clip that a file belongs to.
+fn clip_id(path: &str) -> Option<&str> {
+    let (_, name) = path.rsplit_once('/')?;
+    name.rsplit_once('.').map(|(id, _)| id)
 }
 
 /// A clip as it was written.
@@ -55,19 +63,18 @@ pub(super) struct ClipRow {
     pub texts_sha256: Digest,
 }
 
+impl Row for ClipRow {
+    fn files(&self) -> [(String, i64, Digest); 2] {
+        let features = (self.features_bytes, self.features_sha256);
+        let texts = (self.texts_bytes, self.texts_sha256);
+        [
+            (features_path(&self.id), features.0, features.1),
+            (texts_path(&self.id), texts.0, texts.1),
+        ]
+    }
+}
+
 impl ClipRow {
-    /// The paths of its files.
-    pub fn paths(&self) -> [String; 2] {
-        [features_path(&self.id), texts_path(&self.id)]
-    }
-
-    /// Whether its files are there as they were written.
-    pub fn is_whole(&self, output: &Output) -> bool {
-        let [features, texts] = self.paths();
-        output.holds(&features, self.features_bytes, self.features_sha256)
-            && output.holds(&texts, self.texts_bytes, self.texts_sha256)
-    }
-
     /// Writes the files of a clip with these features, and notes their lengths and checksums.
     pub fn write(mut self, features: &Features, output: &Output) -> Result<Self, Error> {
         let lines = self.captions.iter().map(|text| {
@@ -86,9 +93,8 @@ impl ClipRow {
         (self.features_bytes, self.features_sha256) =
             (features.len() as i64, Digest::of(&features));
         (self.texts_bytes, self.texts_sha256) = (texts.len() as i64, Digest::of(&texts));
-        let [features_path, texts_path] = self.paths();
-        output.write(&features_path, features)?;
-        output.write(&texts_path, texts)?;
+        output.write(&features_path(&self.id), features)?;
+        output.write(&texts_path(&self.id), texts)?;
         Ok(self)
     }
 }

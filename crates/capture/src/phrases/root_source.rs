@@ -2,16 +2,13 @@
 
 use std::path::Path;
 
-use kinegrad_data::file::read_file;
 use kinegrad_data::{FileError, MAX_FRAMES, parse_array, parse_arrays};
 use kinegrad_motion::phrase::{POSITION, QUATERNION};
 use kinegrad_motion::{CHANNELS, Quaternion};
 
-use super::plan::TakePlan;
+use crate::plan::TakePlan;
+use crate::prepare::files::bytes;
 use crate::{Bvh, C3d, Error, RootPose, RootSource, RootTrack};
-
-/// The longest capture file: an hour of full-body marker data.
-const MAX_BYTES: u64 = 2 << 30;
 
 /// Reads a capture file of any known kind, as the take says.
 ///
@@ -44,11 +41,6 @@ pub(super) fn read(path: &Path, take: &TakePlan) -> Result<Box<dyn RootSource>, 
         }
     };
     Ok(Box::new(track))
-}
-
-/// The bytes of a file that may be as long as [`MAX_BYTES`].
-pub(crate) fn bytes(path: &Path) -> Result<Vec<u8>, String> {
-    read_file(path, MAX_BYTES).map_err(|problem| format!("{}: {problem}", path.display()))
 }
 
 fn bvh(bytes: &[u8], file: &str, take: &TakePlan) -> Result<RootTrack, Error> {

@@ -7,7 +7,7 @@ use std::path::Path;
 use kinegrad_data::file::{MAX_TEXT_BYTES, read_file};
 use serde::Deserialize;
 
-use super::plan::{ChoreonetPlan, Plan, SegmentPlan, TakePlan};
+use crate::plan::{ChoreonetPlan, Plan, SegmentPlan, TakePlan};
 use crate::{BeatGrid, Error};
 
 /// Frames per second of `start_pos` and `end_pos`.

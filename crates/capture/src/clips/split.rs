@@ -7,7 +7,7 @@ use kinegrad_data::matches;
 use serde::{Deserialize, Serialize};
 
 use super::captions::Labels;
-use crate::prepare::SplitPlan;
+use crate::plan::SplitPlan;
 
 /// The list that a clip is on.
 #[derive(Clone, Copy, Debug, Deserialize, Eq, Ord, PartialEq, PartialOrd, Serialize)]

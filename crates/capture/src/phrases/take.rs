@@ -1,19 +1,25 @@
 //! One take: from its files to phrases.
 
 use std::cell::OnceCell;
+use std::collections::BTreeSet;
 use std::ops::Range;
 
 use kinegrad_data::manifest::{Flag, ManifestRow};
 use kinegrad_data::{AudioFeatures, AudioLayout, Digest, features_bytes, motion_bytes};
 use kinegrad_motion::{FPS, Motion, Profile, check};
 
+use super::align::Laid;
 use super::grid::Timeline;
-use super::lay::Laid;
-use super::plan::{Plan, TakePlan};
-use super::report::{Rejection, TakeReport};
+use super::report::TakeReport;
 use super::resolve::Take;
 use super::song::Song;
+use crate::plan::{Plan, TakePlan};
+use crate::prepare::Rejection;
+use crate::prepare::files::bytes;
 use crate::{Beats, Stretch, stretches};
+
+/// Changes when phrases of the same plan would come out otherwise.
+const MAKER: &str = "kinegrad phrases 4";
 
 /// A phrase that was made.
 pub(super) struct Made {
@@ -41,6 +47,28 @@ pub(super) struct Ready<'a> {
 }
 
 impl Take {
+    /// A checksum of all that a take's phrases follow from: its plan and its files, wherever the plan
+    /// is run from.
+    ///
+    /// # Errors
+    /// A file that cannot be read, by name.
+    pub fn key(&self, plan: &Plan) -> Result<Digest, String> {
+        let wanted = (&self.name, &self.plan, &plan.phrases, &plan.joining);
+        let text = serde_json::to_string(&wanted).expect("plain data");
+        let mut parts = vec![MAKER.as_bytes().to_vec(), text.into_bytes()];
+        let segments = self.plan.segments.iter();
+        let names: BTreeSet<&str> = segments.map(|segment| segment.motion.as_str()).collect();
+        let segments = names.into_iter().map(|name| (name, plan.resolve(name)));
+        let whole = self.motion.iter().chain(&self.audio);
+        let whole = whole.map(|path| ("", path.clone()));
+        // A segment whose file is missing is a gap.
+        for (name, file) in segments.filter(|(_, path)| path.exists()).chain(whole) {
+            parts.push(name.as_bytes().to_vec());
+            parts.push(Digest::of(&bytes(&file)?).as_bytes().to_vec());
+        }
+        Ok(Digest::of_parts(parts.iter().map(Vec::as_slice)))
+    }
+
     /// Reads the take's files, the song where that has not been done, and lays the motion on the
     /// music.
     ///

@@ -269,9 +269,9 @@ fn across(vector: Place, direction: Place) -> Place {
 mod tests {
     use super::*;
     use crate::UpAxis;
-    use crate::bodies::Body;
-    use crate::bodies::tests::walking;
     use crate::c3d::tests::writer::Example;
+    use crate::clips::Body;
+    use crate::clips::tests::walking;
 
     /// The joint that a marker of the left side is beside, and where beside it if the body faces +z,
     /// metres.

@@ -1,60 +1,11 @@
 //! Captions of clips: sentences made of labels, and the same with left and right exchanged.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 
-use super::plan::CaptionsPlan;
-
-/// What the number of a take is called among the labels of a file's name.
-pub(crate) const TAKE: &str = "take";
+use crate::plan::{CaptionsPlan, Part, parts};
 
 /// What a clip is called by: the value of each label.
 pub type Labels = BTreeMap<String, String>;
-
-/// A text in parts: what stands there, and names in braces.
-#[derive(Debug, PartialEq)]
-pub(super) enum Part<'a> {
-    Text(&'a str),
-    Name(&'a str),
-}
-
-/// The parts of a text with names in braces.
-///
-/// # Errors
-/// What is wrong with its braces.
-pub(super) fn parts(text: &str) -> Result<Vec<Part<'_>>, String> {
-    let wrong = || format!("`{text}`: names in pairs of braces allowed, as in {{style}}");
-    let mut parts = Vec::new();
-    let mut rest = text;
-    while let Some(open) = rest.find(['{', '}']) {
-        let (before, after) = rest.split_at(open);
-        let inner = after.strip_prefix('{').ok_or_else(wrong)?;
-        let (name, after) = inner.split_once('}').ok_or_else(wrong)?;
-        if name.is_empty() || name.contains('{') {
-            return Err(wrong());
-        }
-        if !before.is_empty() {
-            parts.push(Part::Text(before));
-        }
-        parts.push(Part::Name(name));
-        rest = after;
-    }
-    if !rest.is_empty() {
-        parts.push(Part::Text(rest));
-    }
-    Ok(parts)
-}
-
-/// The names in braces of a text.
-///
-/// # Errors
-/// As [`parts`].
-pub(crate) fn placeholders(text: &str) -> Result<BTreeSet<String>, String> {
-    let names = parts(text)?.into_iter().filter_map(|part| match part {
-        Part::Name(name) => Some(name.to_owned()),
-        Part::Text(_) => None,
-    });
-    Ok(names.collect())
-}
 
 impl CaptionsPlan {
     /// The captions of a clip with these labels: as many as there are templates, or phrases of one
@@ -227,16 +178,5 @@ mod tests {
         assert_eq!(mirrored("turns counter-clockwise."), "turns clockwise.");
         assert_eq!(mirrored("Anti-clockwise"), "clockwise");
         assert_eq!(mirrored("left-handed"), "right-handed");
-    }
-
-    #[test]
-    fn braces_come_in_pairs() {
-        assert_eq!(
-            parts("a {b}c").unwrap(),
-            [Part::Text("a "), Part::Name("b"), Part::Text("c")]
-        );
-        for broken in ["a {b", "b}", "{}", "{a{b}}", "}{"] {
-            assert!(parts(broken).is_err(), "{broken}");
-        }
     }
 }

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::captions::Labels;
 use crate::UpAxis;
-use crate::prepare::Rejection;
+use crate::prepare::{Rejection, Report};
 
 /// What became of a plan of clips.
 #[derive(Clone, Debug, Serialize)]
@@ -60,4 +60,26 @@ pub struct ClipTakeReport {
     pub skipped: Vec<Rejection>,
     /// What a user should know of the rest.
     pub notes: Vec<String>,
+}
+
+impl Report for ClipTakeReport {
+    fn failed(name: &str, problem: String) -> Self {
+        Self {
+            name: name.to_owned(),
+            failure: Some(problem),
+            ..Self::default()
+        }
+    }
+
+    fn name(&self) -> &str {
+        &self.name
+    }
+
+    fn failure(&self) -> Option<&str> {
+        self.failure.as_deref()
+    }
+
+    fn rejected(&self) -> &[Rejection] {
+        &self.skipped
+    }
 }

@@ -117,7 +117,7 @@ fn raised(joints: &Joints, by: f64) -> Result<Joints, FeatureError> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::bodies::tests::walking;
+    use crate::clips::tests::walking;
 
     /// Heights of the lower toes, `[frames]`.
     fn toes(joints: &Joints) -> Vec<f64> {

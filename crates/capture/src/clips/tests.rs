@@ -153,7 +153,7 @@ fn legs_of_no_known_unit_are_taken_for_usual_ones() {
     let body = Body::of_bvh(&odd, &map, &skeleton, 30.0, None, None).unwrap();
     assert!((body.metres_per_unit - 0.005).abs() < 1e-5);
     assert!(body.notes[0].contains("state `units`"), "{:?}", body.notes);
-    let stated = Some(crate::prepare::Units::Cm);
+    let stated = Some(crate::Units::Cm);
     let body = Body::of_bvh(&odd, &map, &skeleton, 30.0, stated, None).unwrap();
     assert_eq!((body.metres_per_unit, body.notes.len()), (0.01, 0));
 }
@@ -260,7 +260,7 @@ impl Captures {
         let path = self.path("plan.toml");
         let plan = Plan::read(&path)?;
         assert!(plan.is_of_clips());
-        let report = prepare_clips(&plan, &path, PrepareOptions::default(), &Unwatched)?;
+        let report = super::prepare(&plan, &path, PrepareOptions::default(), &Unwatched)?;
         Ok(report.expect("nobody stopped it"))
     }
 
@@ -269,7 +269,7 @@ impl Captures {
         let path = self.path("plan.toml");
         let options = PrepareOptions::default();
         let made = Plan::read(&path)
-            .and_then(|plan| prepare_clips(&plan, &path, options, &Unwatched).map(|_| ()));
+            .and_then(|plan| super::prepare(&plan, &path, options, &Unwatched).map(|_| ()));
         made.unwrap_err().to_string()
     }
 }
@@ -437,28 +437,31 @@ fn plans_that_cannot_be_followed_are_refused_with_their_key() {
             "there is no joint map `dragon`",
         ),
         (format!("{PLAN}map = \"own.toml\"\n"), "own.toml: "),
-        (format!("{PLAN}fps = 0\n"), "fps = 0"),
+        (
+            format!("{PLAN}fps = 0\n"),
+            "plan.toml:12: `capture[0].fps` is 0, allowed: 0.1 to",
+        ),
         (format!("{PLAN}captions = \"none.csv\"\n"), "none.csv"),
-        (format!("{PLAN}motion_end_seconds = 0\n"), "must come after"),
+        (
+            format!("{PLAN}motion_end_seconds = 0\n"),
+            "a moment after `motion_start_seconds`",
+        ),
         (
             format!("{PLAN}labels.fixed = {{ split = \"a\" }}\n"),
             "a label called `split`",
         ),
         (
             PLAN.replace("{content} {style}", "{content"),
-            "captions.templates",
+            "`captions.templates[0]`",
         ),
-        (
-            PLAN.replace("words.style", "words.mood"),
-            "no template has {mood}",
-        ),
+        (PLAN.replace("words.style", "words.mood"), "none has {mood}"),
         (
             PLAN.replace("[split]", "[clips]\nmin_frames = 300\n[split]"),
-            "clips.min_frames = 300",
+            "`clips.max_frames` is 196, allowed: 300 to",
         ),
         (
             PLAN.replace("test_fraction = 0.2", "test_fraction = 1.0"),
-            "split.test_fraction = 1",
+            "`split.test_fraction` is 1, allowed: 0 to below 1",
         ),
         (
             PLAN.replace(

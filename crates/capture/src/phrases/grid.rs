@@ -2,51 +2,15 @@
 //! else even ones.
 
 use kinegrad_audio::Pulse;
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
 
+use super::report::GridReport;
 use super::song::Song;
 use super::span::{Span, TOLERANCE};
+use crate::plan::Grid;
 use crate::{BeatGrid, Beats, TrackedBeats};
 
 /// Beats in a bar where a plan does not say.
 const BEATS_PER_BAR: u32 = 4;
-
-/// Which beats segments are laid on.
-#[derive(Clone, Copy, Debug, Deserialize, Eq, JsonSchema, PartialEq, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Grid {
-    /// Those that are tracked in the song, counted from the one nearest to the stated start.
-    Tracked,
-    /// Even ones, from the stated start on.
-    Uniform,
-}
-
-/// How the stated beats of a take and those of its song agree.
-#[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
-pub struct GridReport {
-    /// What the segments were laid on.
-    pub grid: Grid,
-    /// Beats that the plan states within the song.
-    pub stated_beats: f64,
-    /// Beats tracked there.
-    pub tracked_beats: usize,
-    /// Their mean tempo in beats per minute.
-    pub tracked_tempo: f64,
-    /// From the stated start to the nearest tracked beat in seconds, positive where the music comes
-    /// later.
-    pub offset_seconds: f64,
-    /// How far tracked beats and even ones move apart over the take, in seconds: the largest
-    /// difference less the smallest.
-    pub drift_seconds: f64,
-    /// The same in beats.
-    pub drift_beats: f64,
-    /// Concentration of the difference in beat phase between even beats and tracked ones, over the
-    /// frames of the take: 1 where it is always the same, 0 where it takes every value alike.
-    pub uniform_concentration: f64,
-    /// The same between the phase that was written and tracked beats.
-    pub concentration: f64,
-}
 
 /// The beats of a take, and what its song has to say of them.
 #[derive(Default)]

@@ -2,9 +2,16 @@
 
 use std::path::{Path, PathBuf};
 
-use kinegrad_data::{MAX_FRAMES, check_id, matches};
+use kinegrad_data::{MAX_FRAMES, check_id};
 
-use super::plan::{Plan, TakePlan};
+use crate::plan::{Plan, TakePlan};
+use crate::prepare::files::{matching, named};
+
+/// Endings of songs; a `*` in a song's name finds no other file.
+const SONGS: [&str; 5] = ["mp3", "wav", "flac", "ogg", "oga"];
+
+/// Any ending.
+const ANY: [&str; 0] = [];
 
 /// A take with its files known.
 #[derive(Clone, Debug)]
@@ -84,54 +91,4 @@ pub(super) fn resolve(plan: &Plan, takes: Vec<TakePlan>) -> Result<Vec<Take>, St
         }
     }
     Ok(resolved)
-}
-
-/// The file that a pattern has found, as the plan would name it.
-pub(crate) fn named(pattern: &str, found: &Path) -> String {
-    let file = found.file_name().unwrap_or_default();
-    let named = Path::new(pattern).with_file_name(file);
-    named.to_string_lossy().into_owned()
-}
-
-/// Endings of songs; a `*` in a song's name finds no other file.
-const SONGS: [&str; 5] = ["mp3", "wav", "flac", "ogg", "oga"];
-
-/// Any ending.
-const ANY: [&str; 0] = [];
-
-/// The files whose names match the last part of `path` and, where a pattern found them, have one
-/// of the `endings`; sorted, at least one. Hidden files do not match a pattern.
-pub(crate) fn matching(path: &Path, endings: &[&str]) -> Result<Vec<PathBuf>, String> {
-    let missing = || format!("there is no file {}", path.display());
-    let pattern = path.file_name().unwrap_or_default().to_string_lossy();
-    if !pattern.contains('*') {
-        return match path.is_file() {
-            true => Ok(vec![path.to_owned()]),
-            false => Err(missing()),
-        };
-    }
-    let folder = match path.parent() {
-        Some(folder) if folder != Path::new("") => folder,
-        _ => Path::new("."),
-    };
-    let entries = std::fs::read_dir(folder).map_err(|e| format!("{}: {e}", folder.display()))?;
-    let fits = |path: &PathBuf| {
-        let name = path.file_name().unwrap_or_default().to_string_lossy();
-        let ending = path.extension().unwrap_or_default();
-        let mut known = endings.iter();
-        matches(&pattern, &name)
-            && !name.starts_with('.')
-            && (endings.is_empty() || known.any(|known| ending.eq_ignore_ascii_case(known)))
-            && path.is_file()
-    };
-    let entries = entries.flatten().map(|entry| entry.path());
-    let mut found: Vec<PathBuf> = entries.filter(fits).collect();
-    found.sort();
-    if let Some(odd) = found.iter().find(|path| path.to_str().is_none()) {
-        return Err(format!("{}: its name is not UTF-8", odd.display()));
-    }
-    if found.is_empty() {
-        return Err(missing());
-    }
-    Ok(found)
 }

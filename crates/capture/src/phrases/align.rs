@@ -9,11 +9,11 @@ use kinegrad_data::MAX_FRAMES;
 use kinegrad_motion::FPS;
 
 use super::grid::Timeline;
-use super::motion;
-use super::plan::Plan;
-use super::report::Rejection;
 use super::resolve::Take;
+use super::root_source;
 use super::song::Song;
+use crate::plan::Plan;
+use crate::prepare::Rejection;
 use crate::{MarkerGaps, RootSource, RootTrack, Segment, assemble, join};
 
 /// Median heights of a root, in metres, that are no reason to wonder about units.
@@ -84,7 +84,7 @@ impl Laid {
 
     /// A capture file from one moment to another, laid on the song from a third.
     pub fn whole(take: &Take, path: &Path, song: Option<&Song>) -> Result<Self, String> {
-        let source = motion::read(path, &take.plan)?;
+        let source = root_source::read(path, &take.plan)?;
         let rate = source.rate();
         let last_frame = (source.frames() - 1) as f64;
         let from = take.plan.motion_start_seconds;
@@ -151,7 +151,7 @@ impl Laid {
                     let path = plan.resolve(&segment.motion);
                     let present = path.exists();
                     if present {
-                        captures.push(motion::read(&path, &take.plan)?);
+                        captures.push(root_source::read(&path, &take.plan)?);
                         files.push(segment.motion.clone());
                     }
                     *place.insert(present.then(|| files.len() - 1))
