@@ -23,11 +23,11 @@ pub enum Error {
         file: String,
         /// The line, counted from 1, or the section with its byte, counted from 0.
         place: String,
-        /// What stands there.
+        /// The text or bytes found there.
         found: String,
-        /// What is allowed there.
+        /// The values allowed there.
         allowed: String,
-        /// What to do.
+        /// The remedy.
         hint: &'static str,
     },
 
@@ -35,19 +35,19 @@ pub enum Error {
     #[error("{problem}")]
     #[diagnostic(help("{hint}"))]
     Name {
-        /// What is wrong, with the file and the name.
+        /// The file, the name and the problem.
         problem: String,
-        /// What the file has, or what to do.
+        /// The names in the file, or the remedy.
         hint: String,
     },
 
-    /// A frame tells no place and rotation of the root, or no frame of a take does.
+    /// A frame has no place or rotation of the root, or no frame of a take has.
     #[error("{problem}")]
     #[diagnostic(help("{hint}"))]
     NoPose {
-        /// Which frame or file, and what is wrong with it.
+        /// The frame or file and the problem.
         problem: String,
-        /// What to do.
+        /// The remedy.
         hint: &'static str,
     },
 
@@ -67,7 +67,7 @@ pub enum Error {
     Plan {
         /// The plan, or the file.
         file: String,
-        /// What is wrong with it.
+        /// The problem.
         problem: String,
     },
 

@@ -1,12 +1,11 @@
-//! Motion capture: from capture files to phrases of 25 channels, and to datasets of them.
+//! Motion capture: from capture files to datasets of phrases and of clips.
 //!
-//! A capture file ([`Bvh`], [`C3d`]) becomes a [`RootSource`], the place and orientation of the
-//! pelvis at any moment of the take. [`Segment`]s of takes are laid on a music time line
-//! ([`assemble`]) and joined where the capture jumps ([`join`]); [`resample`] takes one take as it
-//! stands. The track at 30 frames per second, with its musical phase ([`Beats`]), then gives
-//! phrases ([`stretches`], [`Stretch::phrases`]). [`prepare`](mod@prepare) does all of this as a
-//! plan says and writes a dataset. The parsers take bytes and a name for their messages, never
-//! panic and allocate no more than a small multiple of what they are given.
+//! A capture file ([`Bvh`], [`C3d`]) becomes a [`RootSource`]: place and orientation of the pelvis
+//! over time. [`assemble`] aligns [`Segment`]s of takes with the time line of the music and [`join`]
+//! removes the jumps between them; [`resample`] is for whole takes. The track at 30 frames per
+//! second, with its musical phase ([`Beats`]), gives phrases ([`stretches`], [`Stretch::phrases`]).
+//! [`phrases`] and [`clips`] write the dataset of a [`Plan`]. The parsers take bytes and a name for
+//! their messages, never panic and allocate no more than a small multiple of their input.
 //!
 //! ```
 //! use kinegrad_capture::{BeatGrid, Beats, Bvh, UpAxis, resample, stretches};

@@ -85,8 +85,8 @@ impl Stretch {
         Ok(motion.slice(0..frames.len()))
     }
 
-    /// Where phrases of `length` frames begin, counted from the first frame of the stretch: one
-    /// every `hop` frames from frame `first` on. What is left at the end is dropped.
+    /// Start frames of phrases of `length` frames, counted from the first frame of the stretch: one
+    /// every `hop` frames from frame `first` on. The rest at the end is dropped.
     ///
     /// # Errors
     /// [`Error::Setting`] if `length` or `hop` is 0.

@@ -58,7 +58,7 @@ impl Bvh {
     }
 }
 
-/// The axis of the y-up frame that an axis becomes, and whether it points the other way.
+/// The axis of the y-up frame that an axis becomes, and its sign.
 fn y_up(up: UpAxis, axis: Axis) -> (Axis, f64) {
     match (up, axis) {
         (UpAxis::Y, _) | (UpAxis::Z, Axis::X) => (axis, 1.0),

@@ -12,19 +12,19 @@ use super::map::JointMap;
 use crate::plan::Units;
 use crate::{Bvh, C3d, UpAxis};
 
-/// Metres of a leg, hip to ankle, that tell the unit of a capture.
+/// Usual length of a leg, hip to ankle, metres.
 const LEGS: std::ops::RangeInclusive<f64> = 0.5..=1.1;
 
-/// The units that are told by the length of legs; no two fit the same leg.
+/// The units that the length of legs can identify; no two fit the same leg.
 const UNITS: [Units; 5] = [Units::M, Units::Cm, Units::Mm, Units::Inch, Units::Cmu];
 
-/// Slowest captures, frames per second: below, what happens between two frames is anyone's guess.
+/// Lowest frame rate of a capture: below, motion between frames is unknown.
 const SLOWEST: f64 = 10.0;
 
-/// A body through a take.
+/// The joints of a body over a take.
 #[derive(Clone, Debug)]
 pub struct Body {
-    /// Where its joints are, `[frames, J]`, metres, +y up.
+    /// Joint positions, `[frames, J]`, metres, +y up.
     pub joints: Joints,
     /// Frames per second.
     pub rate: f64,
@@ -32,16 +32,16 @@ pub struct Body {
     pub metres_per_unit: f64,
     /// The axis of the file that points up.
     pub up: UpAxis,
-    /// What a user should know of how it was read.
+    /// Notes for the report.
     pub notes: Vec<String>,
 }
 
 impl Body {
-    /// The body of a capture with the joints that `map` names; `units` and `up` are found where
-    /// they are not stated, by the length of the legs and by where the head is.
+    /// The body of a capture with the joints that `map` names. The default of `units` is found from
+    /// the length of the legs, that of `up` from the place of the head.
     ///
     /// # Errors
-    /// In words, what the capture lacks or why it is no body.
+    /// Names what the capture lacks, or the reason why it is no body.
     pub fn of_bvh(
         bvh: &Bvh,
         map: &JointMap,
@@ -55,11 +55,11 @@ impl Body {
         Self::of_places(places.collect(), skeleton, rate, units, up)
     }
 
-    /// The body of a capture of markers, whose joint centres are estimated ([`Centres`]); all
-    /// markers are needed in the frames that are `used`.
+    /// The body of a capture of markers, with estimated joint centres ([`Centres`]). Every marker
+    /// must be seen in the frames that are `used`.
     ///
     /// # Errors
-    /// In words, what the capture lacks or why it is no body.
+    /// Names what the capture lacks, or the reason why it is no body.
     pub fn of_markers(
         take: &C3d,
         used: Range<usize>,
@@ -86,7 +86,7 @@ impl Body {
         Ok(body)
     }
 
-    /// The body whose joints are at `places`, `[frames, J]`, in units and axes of a file.
+    /// The body with its joints at `places`, `[frames, J]`, in units and axes of a file.
     fn of_places(
         places: Vec<[f64; 3]>,
         skeleton: &Skeleton,
@@ -151,12 +151,12 @@ impl Body {
         })
     }
 
-    /// The joints at `fps` frames per second: each coordinate runs along a cubic spline through the
-    /// frames of the capture. The last frame is the last that lies within the take.
+    /// The joints at `fps` frames per second, by cubic splines through the frames of the capture.
+    /// Nothing is extrapolated beyond the last frame.
     pub fn at_rate(&self, fps: f64) -> Joints {
         let (frames, count) = (self.joints.frames(), self.joints.joints());
-        // A last moment that rounding puts just beyond the end is still the end: files say frame times with
-        // six digits.
+        // Rounding may put the last moment just beyond the end: files have frame times of six
+        // digits.
         let last = (frames - 1) as f64;
         let resampled = (last / self.rate * fps + 0.01).floor() as usize + 1;
         let moments: Vec<f64> = (0..resampled)
@@ -207,15 +207,15 @@ fn legs(raw: &Joints, skeleton: &Skeleton) -> f64 {
     (leg("left") + leg("right")) / 2.0
 }
 
-/// The same of the skeleton's reference pose, metres.
+/// Length of the legs in the skeleton's reference pose, metres.
 fn usual_legs(skeleton: &Skeleton) -> f64 {
     let bones = skeleton.description().leg_joints;
     let rest = &skeleton.description().rest_offsets;
     bones.map(|joint| length(rest[joint])).iter().sum()
 }
 
-/// How far the toes of each foot are ahead of the ankle, towards where hips and shoulders face, on average over
-/// the quarter of the frames in which a foot is lowest: a foot in the air may trail.
+/// Mean distance of each foot's toes ahead of its ankle, in the direction of hips and shoulders,
+/// over the quarter of the frames in which the foot is lowest: a raised foot may trail.
 fn toes_ahead(joints: &Joints, skeleton: &Skeleton) -> [f64; 2] {
     let [left_ankle, left_toes, right_ankle, right_toes] = skeleton.contact_joints();
     let of_foot = |ankle: usize, toes: usize| {

@@ -1,19 +1,19 @@
-//! Captions of clips: sentences made of labels, and the same with left and right exchanged.
+//! Captions of clips: sentences made from labels, and their mirror images.
 
 use std::collections::BTreeMap;
 
 use crate::plan::{CaptionsPlan, Part, parts};
 
-/// What a clip is called by: the value of each label.
+/// Values by label.
 pub type Labels = BTreeMap<String, String>;
 
 impl CaptionsPlan {
-    /// The captions of a clip with these labels: as many as there are templates, or phrases of one
-    /// of its labels; both take turns.
+    /// The captions of a clip with these labels: as many as there are templates, or wordings of one
+    /// of its labels. Both are used in turn.
     ///
     /// # Errors
-    /// If a template has a label in it that the clip has not, or a label's value has a `#` in it,
-    /// which ends captions in their files.
+    /// If the clip lacks a label of a template, or a label's value contains `#`, which ends
+    /// captions in their files.
     pub fn of(&self, labels: &Labels) -> Result<Vec<String>, String> {
         let templates = self.templates.iter().map(|template| parts(template));
         let templates: Vec<Vec<Part<'_>>> = templates.collect::<Result<_, _>>()?;
@@ -46,7 +46,7 @@ impl CaptionsPlan {
                     }
                 })
                 .collect();
-            // A label that is not said leaves a gap.
+            // An empty wording leaves a gap.
             let text = text.split_whitespace().collect::<Vec<_>>().join(" ");
             if text.contains('#') {
                 return Err(format!(
@@ -62,8 +62,7 @@ impl CaptionsPlan {
     }
 }
 
-/// The text with the words left and right exchanged, however they are written: what is true of a
-/// mirrored clip.
+/// The text of a mirrored clip: left and right exchanged, in any spelling.
 pub fn mirrored(text: &str) -> String {
     let mut result = String::with_capacity(text.len());
     let mut word = String::new();
@@ -111,7 +110,7 @@ pub fn mirrored(text: &str) -> String {
     result
 }
 
-/// Where "counter-" or "anti-" before a "clockwise" begins.
+/// Start of a "counter-" or "anti-" before a "clockwise".
 fn opposite(before: &str, word: &str) -> Option<usize> {
     let before = before.to_lowercase();
     let mut prefixes = ["counter-", "anti-"].into_iter();

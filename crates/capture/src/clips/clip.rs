@@ -7,14 +7,14 @@ use kinegrad_motion::humanml::kinematics::minus;
 use kinegrad_motion::humanml::{Extraction, FeatureError, Features, Joints, Skeleton};
 use kinegrad_motion::rotation::length;
 
-/// Toes that move no further than this from a frame to the next stand, metres.
+/// Toes that move less than this from frame to frame stand, metres.
 const STANDING: f64 = 0.01;
-/// The fewest frames of standing toes that tell where the floor is.
+/// Fewest frames of standing toes that define the floor.
 const ENOUGH: usize = 5;
-/// Part of the standing toes that may be below the floor: captures err.
+/// Fraction of standing toes that may be below the floor, for capture errors.
 const BELOW: f64 = 0.05;
 
-/// A take whose joints stand on the floor, to cut clips from.
+/// The joints of a take with its feet on the floor, to cut clips from.
 #[derive(Clone, Debug)]
 pub struct Grounded {
     /// `[frames, J]`, metres; the floor is y = 0.
@@ -22,10 +22,10 @@ pub struct Grounded {
 }
 
 impl Grounded {
-    /// Puts the joints of a take on the floor, which is where its toes stand, with the bones of `skeleton` where `retarget` says
-    /// so ([`rescale`]). Other bones lift feet that stood, or push them into the floor, by as much as
-    /// the body's proportions or the lengths of its bones differ, so such a body is moved up and down
-    /// until its lower toes are as high as they were, in proportion to its legs.
+    /// Puts the joints of a take on the floor, at the height at which its toes stand; with
+    /// `retarget`, with the bones of `skeleton` ([`rescale`]). Other bones lift standing feet or
+    /// push them into the floor, so a retargeted body is moved up or down in each frame until its
+    /// lower toes are as high as before, in proportion to its legs.
     ///
     /// # Errors
     /// As [`rescale`].
@@ -39,13 +39,13 @@ impl Grounded {
         Ok(Self { joints })
     }
 
-    /// Frames that clips can have: each speaks of a moment and the next.
+    /// Frames of features: each needs two frames of joints.
     pub fn frames(&self) -> usize {
         self.joints.frames() - 1
     }
 
-    /// The features of a part of the take, which begins at x = z = 0 facing +z. Its floor is that
-    /// of the whole take, which may not be touched in each part.
+    /// The features of a part of the take, moved to begin at x = z = 0 facing +z. The floor is that
+    /// of the whole take, because the feet may not touch it in each part.
     ///
     /// # Errors
     /// As [`Extraction::features_in_place`].
@@ -62,7 +62,7 @@ impl Grounded {
     }
 }
 
-/// The `rescaled` joints of a body, moved up and down by frame, with its lower toes as high as in the
+/// The `rescaled` joints, moved up or down in each frame: the lower toes are as high as in the
 /// `source`, in proportion to the legs.
 fn on_its_toes(
     skeleton: &Skeleton,
@@ -83,8 +83,8 @@ fn on_its_toes(
     Joints::new(places.collect(), rescaled.joints())
 }
 
-/// The height of the floor: that of the lowest toes that stand, but for a few frames. A take in which
-/// nobody stands has its lowest joint on the floor.
+/// The height of the floor: a low percentile of the heights of standing toes, or the lowest joint
+/// of a take in which no toes stand.
 fn floor(skeleton: &Skeleton, joints: &Joints) -> f64 {
     let [_, left, _, right] = skeleton.contact_joints();
     let mut standing: Vec<f64> = (1..joints.frames())
@@ -108,7 +108,7 @@ fn lowest(joints: &Joints) -> f64 {
     heights.fold(f64::INFINITY, f64::min)
 }
 
-/// The joints so much higher.
+/// The joints, moved up.
 fn raised(joints: &Joints, by: f64) -> Result<Joints, FeatureError> {
     let places = joints.as_slice().iter().map(|[x, y, z]| [*x, y + by, *z]);
     Joints::new(places.collect(), joints.joints())

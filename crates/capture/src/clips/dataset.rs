@@ -42,7 +42,7 @@ fn clip_id(path: &str) -> Option<&str> {
     name.rsplit_once('.').map(|(id, _)| id)
 }
 
-/// A clip as it was written.
+/// A clip of the dataset.
 #[derive(Clone, Debug, Deserialize, Serialize)]
 pub(super) struct ClipRow {
     pub id: String,
@@ -84,7 +84,7 @@ impl ClipRow {
                 seconds: None,
                 embedding: None,
             };
-            // As a dictionary has them: without capitals and punctuation.
+            // Lower case, without punctuation.
             caption.tokens = caption.words().into_owned();
             caption.line()
         });
@@ -99,8 +99,8 @@ impl ClipRow {
     }
 }
 
-/// Writes what says which clips belong to the dataset: statistics, labels, the manifest, then the
-/// lists, that of the training clips last: without it nothing reads the dataset.
+/// Writes the index of the dataset: statistics, labels, the manifest, then the lists of clips. The
+/// list of training clips is last: without it nothing reads the dataset.
 pub(super) fn write_index(store: &Store, rows: &[(ClipRow, Part)]) -> Result<(), Error> {
     for root in [Root::Relative, Root::Absolute] {
         for (path, bytes) in statistics(store, rows, root)? {
@@ -120,7 +120,7 @@ pub(super) fn write_index(store: &Store, rows: &[(ClipRow, Part)]) -> Result<(),
     for part in Part::ALL.into_iter().rev() {
         let ids = rows.iter().filter(|(_, of)| *of == part);
         let list: String = ids.map(|(row, _)| format!("{}\n", row.id)).collect();
-        // The reader wants a list of held-out clips, though it may be empty.
+        // The reader requires a list of validation clips, even an empty one.
         match list.is_empty() && part == Part::Test {
             true => store.remove(part.list())?,
             false => store.write(part.list(), list.into_bytes())?,
@@ -129,7 +129,7 @@ pub(super) fn write_index(store: &Store, rows: &[(ClipRow, Part)]) -> Result<(),
     Ok(())
 }
 
-/// Mean and deviation of the training clips, as files.
+/// Files of the mean and standard deviation of the training clips.
 fn statistics(
     store: &Store,
     rows: &[(ClipRow, Part)],

@@ -9,9 +9,9 @@ use serde_json::Value;
 use super::captions::Labels;
 use crate::plan::{LabelsPlan, Names, Part, Plan, TAKE, check_label, parts};
 
-/// What is known of one capture.
+/// Labels and captions of one capture.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Labelled {
+pub struct CaptureLabels {
     /// Its labels.
     pub labels: Labels,
     /// The number of its take.
@@ -24,7 +24,7 @@ pub struct Labelled {
 #[derive(Clone, Debug, Default)]
 pub struct CaptionTable {
     file: String,
-    /// By the name of the motion file, without its ending: labels and captions.
+    /// Labels and captions by the name of the motion file without ending.
     rows: HashMap<String, (Labels, Vec<String>)>,
 }
 
@@ -32,7 +32,7 @@ impl CaptionTable {
     /// Reads a CSV file with a column `file`, columns that begin with `caption`, and labels.
     ///
     /// # Errors
-    /// What is wrong with it.
+    /// Names the file, what was found and what is allowed.
     pub fn read(path: &Path) -> Result<Self, String> {
         let file = path.display().to_string();
         let in_file = |problem: String| format!("{file}: {problem}");
@@ -98,17 +98,17 @@ fn without_ending(name: &str) -> String {
 }
 
 impl LabelsPlan {
-    /// What there is to know of the capture whose file is called `stem`.
+    /// The labels of the capture whose file is called `stem`.
     ///
     /// # Errors
-    /// What does not fit, in words.
+    /// Names the file or label that does not fit.
     pub fn of(
         &self,
         stem: &str,
         plan: &Plan,
         table: Option<&CaptionTable>,
-    ) -> Result<Labelled, String> {
-        let mut found = Labelled::default();
+    ) -> Result<CaptureLabels, String> {
+        let mut found = CaptureLabels::default();
         if let Some(pattern) = &self.name {
             let values = named_parts(pattern, stem)?
                 .ok_or_else(|| format!("its name does not fit labels.name = \"{pattern}\""))?;
@@ -139,7 +139,7 @@ impl LabelsPlan {
         Ok(found)
     }
 
-    /// The entries of a JSON object that are texts or numbers.
+    /// Adds the texts and numbers of a JSON object.
     fn read_json(&self, path: &Path, plan: &Plan, labels: &mut Labels) -> Result<(), String> {
         let text = read_text(path).map_err(|problem| problem.to_string())?;
         let read: Value = serde_json::from_str(&text).map_err(|problem| problem.to_string())?;
@@ -196,12 +196,11 @@ impl Names {
     }
 }
 
-/// What the names in the braces of `pattern` stand for in `text`: none if it does not fit. A name
-/// stands for the shortest text, of at least a letter, after which the next part follows, a `*` for
-/// any.
+/// The values of the names in the braces of `pattern` in `text`; none if it does not fit. A name
+/// stands for the shortest text, of at least one character, that fits; a `*` for any text.
 ///
 /// # Errors
-/// If the pattern is not sound.
+/// If the braces of the pattern do not pair.
 fn named_parts(pattern: &str, text: &str) -> Result<Option<Vec<(String, String)>>, String> {
     let mut pieces = Vec::new();
     for part in parts(pattern)? {
@@ -313,7 +312,7 @@ mod tests {
         )
         .unwrap();
         let found = labels.of("walk_001", &plan, None).unwrap();
-        let of = |found: &Labelled| -> Vec<(String, String)> {
+        let of = |found: &CaptureLabels| -> Vec<(String, String)> {
             found.labels.clone().into_iter().collect()
         };
         let stated = pairs(&[("content", "stroll"), ("speed", "3"), ("style", "sad")]);

@@ -1,4 +1,4 @@
-//! Joint maps: which joints of a capture are the joints of the skeleton that clips have.
+//! Joint maps: names of a capture's joints for the joints of the clips' skeleton.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -16,34 +16,34 @@ const BUILT_IN: [(&str, &str); 6] = [
     ("humanml3d", include_str!("maps/humanml3d.toml")),
     ("mixamo", include_str!("maps/mixamo.toml")),
     ("xsens", include_str!("maps/xsens.toml")),
-    // Behind those with joints at the toes: of maps that fit as well the first is taken.
+    // Last, since of maps that fit equally well the first is taken.
     ("forefoot", include_str!("maps/forefoot.toml")),
 ];
 
-/// Parts of the way from one place to another: somewhat beyond its ends too.
+/// Range of `at`, which may extrapolate the bone.
 const PARTS: std::ops::RangeInclusive<f64> = -1.0..=2.0;
 
-/// Missing joints that a message names.
+/// Most missing joints that a message names.
 const SHOWN: usize = 8;
 
-/// Where each joint of a skeleton is found in a capture.
+/// The place of each joint of a skeleton in a capture.
 #[derive(Clone, Debug, PartialEq)]
 pub struct JointMap {
     name: String,
-    /// The joints of the skeleton with their sources, in the skeleton's order.
+    /// Sources of the skeleton's joints, in its order.
     joints: Vec<(String, Source)>,
 }
 
-/// Where a joint of the skeleton is found.
+/// The place of a joint of the skeleton in a capture.
 #[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
 #[serde(try_from = "toml::Value")]
 enum Source {
-    /// At a joint of the capture.
+    /// A joint of the capture.
     Joint(String),
-    /// On the line from one joint to another, at this part of the way: what the capture lacks.
+    /// A fraction `at` of the line between two joints.
     Between { from: String, to: String, at: f64 },
-    /// On the last bone of a chain, from the joint that has an End Site to it, at this part of the way;
-    /// of several the first that is not at the joint.
+    /// A fraction `at` of the last bone of a chain, from its joint to the first of its End Sites
+    /// that is not at the joint.
     EndSite { end_site: String, at: f64 },
 }
 
@@ -99,7 +99,7 @@ impl Source {
         }
     }
 
-    /// What the capture lacks of it, in words.
+    /// The joint or End Site that the capture lacks, in words.
     fn lacks(&self, bvh: &Bvh) -> Option<String> {
         let mut names = self.names().into_iter();
         if let Some(absent) = names.find(|name| bvh.joint(name).is_none()) {
@@ -114,7 +114,7 @@ impl Source {
         })
     }
 
-    /// Where it is in a capture, unless that lacks it.
+    /// Its place in a capture, none if that lacks it.
     fn place(&self, bvh: &Bvh) -> Option<Place> {
         Some(match self {
             Self::Joint(joint) => Place::on(bvh.joint(joint)?, [0.0; 3]),
@@ -127,7 +127,7 @@ impl Source {
             Self::EndSite { end_site, at } => {
                 let joint = bvh.joint(end_site)?;
                 let ends = &bvh.joints()[joint].end_sites;
-                // One without a length says nothing of where the bone goes.
+                // An End Site without a length has no direction.
                 let end = ends
                     .iter()
                     .find(|end| end.iter().any(|&value| value != 0.0))?;
@@ -137,7 +137,7 @@ impl Source {
     }
 }
 
-/// A map as its file writes it.
+/// A map, as its file has it.
 #[derive(Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 struct MapFile {
@@ -147,7 +147,7 @@ struct MapFile {
 /// A map whose joints were found in a capture.
 #[derive(Clone, Debug)]
 pub struct FoundJoints {
-    /// Where each joint of the skeleton is.
+    /// The place of each joint of the skeleton.
     places: Vec<Place>,
 }
 
@@ -156,7 +156,7 @@ pub struct FoundJoints {
 struct Place {
     /// The joint that it moves with.
     from: usize,
-    /// Another joint, and the part of the way towards it.
+    /// Another joint, and the fraction of the line towards it.
     to: usize,
     at: f64,
     /// Offset from the first joint, which turns with it, in file units.
@@ -219,10 +219,10 @@ impl JointMap {
         Ok(Self { name, joints })
     }
 
-    /// The built-in map of this name; in an error, those that there are.
+    /// The built-in map of this name.
     ///
     /// # Errors
-    /// If there is none.
+    /// Names the built-in maps.
     pub fn built_in(name: &str) -> Result<Self, String> {
         let mut maps = Self::all_built_in().into_iter();
         maps.find(|map| map.name == name).ok_or_else(|| {
@@ -241,10 +241,10 @@ impl JointMap {
             .collect()
     }
 
-    /// The built-in map whose joints a capture has: of several the one that names most of them.
+    /// The built-in map that fits a capture; of several, the one that names most joints.
     ///
     /// # Errors
-    /// In words, which joints the capture lacks of the map that fits best.
+    /// Names the joints that the capture lacks of the best map.
     pub fn fitting(bvh: &Bvh) -> Result<Self, String> {
         let named = |map: &Self| {
             let mut joints: Vec<&str> = map.names().collect();
@@ -270,7 +270,7 @@ impl JointMap {
         &self.name
     }
 
-    /// All that it says, as text that changes with it.
+    /// A text that changes with the content of the map.
     pub fn fingerprint(&self) -> String {
         format!("{:?}", self.joints)
     }
@@ -279,7 +279,7 @@ impl JointMap {
         self.joints.iter().flat_map(|(_, source)| source.names())
     }
 
-    /// The joints of the skeleton that cannot be found in a capture, each with what that lacks first.
+    /// The skeleton's joints that a capture lacks, each with the missing joint of the capture.
     fn missing(&self, bvh: &Bvh) -> Vec<(&str, String)> {
         let joints = self.joints.iter();
         let lacking =
@@ -287,7 +287,7 @@ impl JointMap {
         lacking.collect()
     }
 
-    /// What a capture lacks, in words.
+    /// The joints that a capture lacks, in words.
     fn lacking(&self, bvh: &Bvh) -> String {
         let missing = self.missing(bvh);
         let shown = missing.iter().take(SHOWN);
@@ -309,7 +309,7 @@ impl JointMap {
     /// Finds its joints in a capture.
     ///
     /// # Errors
-    /// In words, which joints the capture lacks.
+    /// Names the joints that the capture lacks.
     pub fn find(&self, bvh: &Bvh) -> Result<FoundJoints, String> {
         let places = self.joints.iter().map(|(_, source)| source.place(bvh));
         match places.collect() {

@@ -43,7 +43,7 @@ use crate::prepare::output::Output;
 use crate::prepare::{Journals, Maker, PrepareObserver, PrepareOptions, Row, make_takes};
 use dataset::{CLIPS, ClipRow, write_index};
 use split::SplitTake;
-use take::{Known, Take};
+use take::{Take, TakeInput};
 use takes::{Tables, tables, takes};
 
 /// Makes the dataset of clips of `plan`. `None` if it was stopped: the takes done are kept, and the
@@ -84,7 +84,7 @@ struct ClipMaker<'a> {
 impl Maker for ClipMaker<'_> {
     const ITEM: &'static str = "clip";
     type Take = Take;
-    type Input = Known;
+    type Input = TakeInput;
     type Shared = ();
     type Row = ClipRow;
     type Report = ClipTakeReport;
@@ -93,30 +93,30 @@ impl Maker for ClipMaker<'_> {
         &take.name
     }
 
-    fn read(&self, take: &Take) -> Result<(Digest, Known), String> {
+    fn read(&self, take: &Take) -> Result<(Digest, TakeInput), String> {
         let table = take.capture.captions.as_ref();
-        let known = take.known(self.plan, table.map(|file| &self.tables[file]))?;
-        Ok((known.key, known))
+        let input = take.input(self.plan, table.map(|file| &self.tables[file]))?;
+        Ok((input.key, input))
     }
 
     fn make(
         &self,
         take: &Take,
-        known: Known,
+        input: TakeInput,
         (): &(),
         output: &Output,
     ) -> Result<(Vec<ClipRow>, ClipTakeReport), Error> {
-        take.make(self.plan, &known, output)
+        take.make(self.plan, &input, output)
     }
 }
 
-/// A motion file, by whatever path the plan names it.
+/// The absolute path of a motion file of the plan.
 fn one_file(plan: &Plan, file: &str) -> String {
     let path = plan.resolve(file).canonicalize();
     path.map_or_else(|_| file.to_owned(), |path| path.display().to_string())
 }
 
-/// Divides the clips and writes what ends the preparation.
+/// Divides the clips into sets and writes index and report.
 fn finish(
     plan: &Plan,
     plan_file: &Path,
@@ -130,7 +130,7 @@ fn finish(
             name: &journal.report.name,
             labels: &journal.report.labels,
             number: journal.report.number,
-            // A take that gave clips has rows, each with the file.
+            // Every row has the file.
             file: one_file(plan, &journal.rows[0].file),
         })
         .collect();

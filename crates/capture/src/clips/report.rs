@@ -8,39 +8,40 @@ use super::captions::Labels;
 use crate::UpAxis;
 use crate::prepare::{Rejection, Report};
 
-/// What became of a plan of clips.
+/// Report of the preparation of a dataset of clips.
 #[derive(Clone, Debug, Serialize)]
 pub struct ClipsReport {
-    /// Where the dataset is.
+    /// Address of the dataset.
     pub output: String,
     /// Clips in it, mirrored ones too.
     pub clips: usize,
     /// Their length in hours.
     pub hours: f64,
-    /// Clips on each list.
+    /// Number of clips by set.
     pub parts: BTreeMap<String, usize>,
-    /// Takes that had been made before.
+    /// Takes that were unchanged since an earlier preparation.
     pub kept: usize,
-    /// Clips that lie there and belong to no take of the plan, and so not to the dataset.
+    /// Clips in the output folder that belong to no take of the plan. The dataset does not include
+    /// them.
     pub stale: usize,
     /// Entries of `split.validation` and `split.test` that match no take.
     pub idle_entries: Vec<String>,
-    /// What a user should know of how the takes were divided.
+    /// Notes about the split.
     pub split_notes: Vec<String>,
-    /// Whether the dataset has a manifest.
+    /// True if the dataset has a manifest.
     pub manifest: bool,
-    /// Each take, by name.
+    /// The takes, sorted by name.
     pub takes: Vec<ClipTakeReport>,
 }
 
-/// What became of a take.
+/// Report of a take.
 #[derive(Clone, Debug, Default, Deserialize, Serialize)]
 pub struct ClipTakeReport {
     /// Its name.
     pub name: String,
     /// Clips made, mirrored ones too.
     pub clips: usize,
-    /// Its length in seconds, as far as it was used.
+    /// Length of the part that is used, seconds.
     pub seconds: f64,
     /// Its labels.
     pub labels: Labels,
@@ -53,12 +54,12 @@ pub struct ClipTakeReport {
     pub metres_per_unit: f64,
     /// The axis of its file that points up.
     pub up: UpAxis,
-    /// Why nothing could be made of it at all.
+    /// The reason if the take cannot be used.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub failure: Option<String>,
-    /// Frames that no clip holds: takes that are too short, and what long ones leave over.
+    /// Frames that no clip has: takes that are too short, and rests of long ones.
     pub skipped: Vec<Rejection>,
-    /// What a user should know of the rest.
+    /// Notes.
     pub notes: Vec<String>,
 }
 

@@ -1,4 +1,4 @@
-//! Which takes are held out.
+//! Division of takes into training, validation and test sets.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -9,20 +9,20 @@ use serde::{Deserialize, Serialize};
 use super::captions::Labels;
 use crate::plan::SplitPlan;
 
-/// The list that a clip is on.
+/// The set of a clip.
 #[derive(Clone, Copy, Debug, Deserialize, Eq, Ord, PartialEq, PartialOrd, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Part {
-    /// To train on.
+    /// The training set.
     Train,
-    /// Held out to watch training by.
+    /// The validation set.
     Val,
-    /// Held out for the end.
+    /// The test set.
     Test,
 }
 
 impl Part {
-    /// All of them, in the order of their lists.
+    /// All sets.
     pub const ALL: [Self; 3] = [Self::Train, Self::Val, Self::Test];
 
     /// The file with the ids of its clips.
@@ -42,34 +42,33 @@ impl fmt::Display for Part {
     }
 }
 
-/// What decides on which side a take is.
+/// The properties of a take that decide its set.
 #[derive(Clone, Debug)]
 pub struct SplitTake<'a> {
     /// Its name.
     pub name: &'a str,
-    /// Its labels: takes with the same ones are of one group.
+    /// Its labels. Takes with the same labels are a group.
     pub labels: &'a Labels,
     /// Its number within the group.
     pub number: Option<u64>,
-    /// The motion file: takes that are windows of one file are held out together.
+    /// The motion file. Takes of one file are in the same set.
     pub file: String,
 }
 
-/// The lists of a plan's takes.
+/// The sets of a plan's takes.
 #[derive(Clone, Debug, Eq, PartialEq)]
 pub(crate) struct Parts {
-    /// That of each take, in their order.
+    /// The set of each take, in their order.
     pub lists: Vec<Part>,
-    /// What a user should know of how they came about.
+    /// Notes for the report.
     pub notes: Vec<String>,
 }
 
 impl SplitPlan {
-    /// The list that each of the `takes` is on. What patterns name is held out. A list for which
-    /// there are no patterns gets the last takes of each group with the same labels, in the order of
-    /// their numbers: at the very end those of `test_fraction`, before them those of `fraction`.
-    /// Neighbours may be of one actor, so ranges are held out. A group keeps at least one take to
-    /// train on, and windows of one file are on one list.
+    /// The set of each of the `takes`. Patterns name the takes of a set. A set without patterns
+    /// gets the last takes of each group by number: the test set the very last, the validation set
+    /// those before. Neighbours may be of one actor, so ranges are held out, not every n-th take. A
+    /// group keeps at least one take for training, and takes of one file stay together.
     pub(crate) fn parts(&self, takes: &[SplitTake<'_>]) -> Parts {
         let mut lists: Vec<Part> = takes.iter().map(|take| self.named(take.name)).collect();
         let fraction = |patterns: &[String], fraction: f64| match patterns.is_empty() {
@@ -87,7 +86,7 @@ impl SplitPlan {
         let of_file = files(takes);
         let (mut count, mut whole) = (0, 0);
         for group in groups.into_values() {
-            // A file's windows are taken as one, where the last of them is.
+            // The takes of a file count as one, in the group of the last of them.
             let mut group: Vec<usize> = group
                 .into_iter()
                 .filter(|&place| of_file[takes[place].file.as_str()].last() == Some(&place))
@@ -139,7 +138,7 @@ impl SplitPlan {
         Parts { lists, notes }
     }
 
-    /// The list that patterns put the take of this name on.
+    /// The set that patterns name for the take of this name.
     fn named(&self, name: &str) -> Part {
         match () {
             () if any_matches(&self.test, name) => Part::Test,
@@ -148,13 +147,13 @@ impl SplitPlan {
         }
     }
 
-    /// Whether a pattern holds the take of this name out.
+    /// True if a pattern holds out the take of this name.
     pub(crate) fn names(&self, name: &str) -> bool {
         self.named(name) != Part::Train
     }
 }
 
-/// The takes of each file, by their places.
+/// Indices of the takes of each file.
 fn files<'a>(takes: &'a [SplitTake<'_>]) -> BTreeMap<&'a str, Vec<usize>> {
     let mut files: BTreeMap<&str, Vec<usize>> = BTreeMap::new();
     for (place, take) in takes.iter().enumerate() {

@@ -7,11 +7,11 @@ use kinegrad_data::Digest;
 use kinegrad_motion::humanml::{Joints, Skeleton};
 
 use super::body::Body;
-use super::captions::mirrored;
+use super::captions::{Labels, mirrored};
 use super::clip::Grounded;
 use super::cut::cut;
 use super::dataset::ClipRow;
-use super::labels::{CaptionTable, Labelled};
+use super::labels::CaptionTable;
 use super::map::JointMap;
 use super::report::ClipTakeReport;
 use crate::plan::{CapturePlan, Plan};
@@ -20,51 +20,49 @@ use crate::prepare::files::bytes;
 use crate::prepare::output::Output;
 use crate::{Bvh, C3d, Error};
 
-/// Changes when clips of the same plan would come out otherwise.
+/// Version of the algorithm. A change makes all takes again.
 const MAKER: &str = "kinegrad clips 2";
 
-/// What stands for the map of a capture of markers.
+/// Name of the map of captures of markers.
 const MARKERS: &str = "markers";
 
-/// A take with its file known.
+/// A take with its file.
 #[derive(Clone, Debug)]
 pub(super) struct Take {
     pub name: String,
     /// Its part of the plan, with the file that a pattern in it has found.
     pub capture: CapturePlan,
     pub motion: PathBuf,
-    /// None where the plan leaves it to be found.
+    /// None if it is chosen by the names of the joints.
     pub map: Option<JointMap>,
 }
 
-/// What a take's clips follow from.
-pub(super) struct Known {
-    pub labelled: Labelled,
-    pub captions: Vec<String>,
+/// The inputs of a take.
+pub(super) struct TakeInput {
+    labels: Labels,
+    number: Option<u64>,
+    captions: Vec<String>,
     bytes: Vec<u8>,
     /// A checksum of the file and the take's part of the plan.
     pub key: Digest,
 }
 
 impl Take {
-    /// Reads the file and what the clips are called.
+    /// Reads the file, labels and captions.
     ///
     /// # Errors
-    /// In words, what is missing.
-    pub fn known(&self, plan: &Plan, table: Option<&CaptionTable>) -> Result<Known, String> {
+    /// Names what is missing.
+    pub fn input(&self, plan: &Plan, table: Option<&CaptionTable>) -> Result<TakeInput, String> {
         let stem = self
             .motion
             .file_stem()
             .unwrap_or_default()
             .to_string_lossy();
         let in_file = |problem: String| format!("{}: {problem}", self.motion.display());
-        let labelled = self
-            .capture
-            .labels
-            .of(&stem, plan, table)
-            .map_err(in_file)?;
-        let mut captions = labelled.captions.clone();
-        for caption in plan.captions().of(&labelled.labels).map_err(in_file)? {
+        let found = self.capture.labels.of(&stem, plan, table);
+        let found = found.map_err(in_file)?;
+        let mut captions = found.captions.clone();
+        for caption in plan.captions().of(&found.labels).map_err(in_file)? {
             if !captions.contains(&caption) {
                 captions.push(caption);
             }
@@ -72,11 +70,12 @@ impl Take {
         let bytes = bytes(&self.motion)?;
         let map = self.map.as_ref().map(|map| (map.name(), map.fingerprint()));
         let wanted = (&self.name, &self.capture, plan.clips(), map);
-        let called = (&labelled.labels, labelled.take, &captions);
-        let text = serde_json::to_string(&(wanted, called)).expect("plain data");
+        let derived = (&found.labels, found.take, &captions);
+        let text = serde_json::to_string(&(wanted, derived)).expect("plain data");
         let key = Digest::of_parts([MAKER.as_bytes(), text.as_bytes(), &bytes]);
-        Ok(Known {
-            labelled,
+        Ok(TakeInput {
+            labels: found.labels,
+            number: found.take,
             captions,
             bytes,
             key,
@@ -86,24 +85,23 @@ impl Take {
     /// Writes the clips of the take.
     ///
     /// # Errors
-    /// [`Error::Busy`], [`Error::Data`]. A take that cannot be used is no error: its report says
-    /// why.
+    /// If a file cannot be written. The report of a take that cannot be used has the reason.
     pub fn make(
         &self,
         plan: &Plan,
-        known: &Known,
+        input: &TakeInput,
         output: &Output,
     ) -> Result<(Vec<ClipRow>, ClipTakeReport), Error> {
         let skeleton = Skeleton::humanml3d();
         let mut report = ClipTakeReport {
             name: self.name.clone(),
-            labels: known.labelled.labels.clone(),
-            number: known.labelled.take,
+            labels: input.labels.clone(),
+            number: input.number,
             ..ClipTakeReport::default()
         };
         let clips = plan.clips();
         let in_file = |problem: String| format!("{}: {problem}", self.motion.display());
-        let ready = self.body(known, &skeleton).and_then(|(map, body)| {
+        let ready = self.body(input, &skeleton).and_then(|(map, body)| {
             let fps = match clips.resample {
                 true => skeleton.description().fps,
                 false => body.rate,
@@ -156,16 +154,16 @@ impl Take {
                 take: self.name.clone(),
                 file: self.capture.motion.clone(),
                 map: map.clone(),
-                labels: known.labelled.labels.clone(),
-                captions: known.captions.clone(),
+                labels: input.labels.clone(),
+                captions: input.captions.clone(),
                 first_frame: range.start,
                 frames: range.len(),
                 fps,
                 mirrored: false,
                 features_bytes: 0,
-                features_sha256: known.key,
+                features_sha256: input.key,
                 texts_bytes: 0,
-                texts_sha256: known.key,
+                texts_sha256: input.key,
             };
             if clips.mirror {
                 let labels = row.labels.iter();
@@ -184,19 +182,19 @@ impl Take {
         Ok((rows, report))
     }
 
-    /// The body in the file, and the name of the map that its joints were found by.
-    fn body(&self, known: &Known, skeleton: &Skeleton) -> Result<(String, Body), String> {
+    /// The body in the file, and the name of its joint map.
+    fn body(&self, input: &TakeInput, skeleton: &Skeleton) -> Result<(String, Body), String> {
         let file = self.motion.display().to_string();
         let CapturePlan { units, up, fps, .. } = self.capture;
         let ending = self.motion.extension().unwrap_or_default();
         if ending.eq_ignore_ascii_case("c3d") {
-            let c3d = C3d::parse(&known.bytes, &file).map_err(|e| e.with_hint())?;
+            let c3d = C3d::parse(&input.bytes, &file).map_err(|e| e.with_hint())?;
             let rate = fps.unwrap_or(c3d.rate);
             let used = self.frames_used(rate, c3d.frames());
             let body = Body::of_markers(&c3d, used, skeleton, rate, up)?;
             return Ok((MARKERS.to_owned(), body));
         }
-        let bvh = Bvh::parse(&known.bytes, &file).map_err(|e| e.with_hint())?;
+        let bvh = Bvh::parse(&input.bytes, &file).map_err(|e| e.with_hint())?;
         let map = match &self.map {
             Some(map) => map.clone(),
             None => JointMap::fitting(&bvh)?,
@@ -206,8 +204,7 @@ impl Take {
         Ok((map.name().to_owned(), body))
     }
 
-    /// Which of the file's frames, at `rate` a second, are at the moments of the plan or between
-    /// them.
+    /// The file's frames, at `rate` per second, of the part that the plan asks for.
     fn frames_used(&self, rate: f64, frames: usize) -> Range<usize> {
         let start = (self.capture.motion_start_seconds * rate).floor() as usize;
         let end = self.capture.motion_end_seconds;
@@ -218,8 +215,7 @@ impl Take {
         start.min(end.saturating_sub(1))..end
     }
 
-    /// The joints at `fps` frames per second, from the moment where the plan begins to where it
-    /// ends.
+    /// The joints at `fps` frames per second of the part that the plan asks for.
     fn within(&self, body: &Body, fps: f64) -> Result<Joints, String> {
         let joints = body.at_rate(fps);
         let start = (self.capture.motion_start_seconds * fps).round() as usize;

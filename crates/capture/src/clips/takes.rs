@@ -12,7 +12,7 @@ use super::take::Take;
 use crate::plan::{CapturePlan, Plan};
 use crate::prepare::files::{matching, named};
 
-/// The tables of captions of a plan, by their names there.
+/// The tables of captions of a plan, by their names in the plan.
 pub(super) type Tables = HashMap<String, CaptionTable>;
 
 /// The takes of a plan: patterns resolved, joint maps read.

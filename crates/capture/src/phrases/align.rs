@@ -16,27 +16,27 @@ use crate::plan::Plan;
 use crate::prepare::Rejection;
 use crate::{MarkerGaps, RootSource, RootTrack, Segment, assemble, join};
 
-/// Median heights of a root, in metres, that are no reason to wonder about units.
+/// Usual median heights of a root, metres. Others suggest wrong units.
 const HEIGHTS: std::ops::RangeInclusive<f64> = 0.2..=3.0;
 
-/// A root on the time line of the music.
-pub(super) struct Laid {
+/// The root track of a take on the time line of its music.
+pub(super) struct AlignedTrack {
     pub track: RootTrack,
-    /// Frames after a border between units.
+    /// Frames that begin after a border between segments.
     pub borders: Vec<usize>,
     pub filled_gaps: bool,
-    /// The frames that the plan wants filled; the track may end before.
+    /// The frames that the plan asks for; the track may end before.
     pub span: Range<usize>,
     pub notes: Vec<String>,
-    /// The capture file of each frame, by its place in `files`.
+    /// Index of each frame's capture file in `files`.
     sources: Vec<Option<usize>>,
     files: Vec<String>,
     /// Frames without a capture, and the file that is missing.
     missing: Vec<(Range<usize>, String)>,
 }
 
-impl Laid {
-    /// Why frame `t` is in no phrase; `alone` where the take has none at all.
+impl AlignedTrack {
+    /// The reason why frame `t` is in no phrase; `alone` if the take has no phrase at all.
     pub fn reason(&self, t: usize, alone: bool, length: usize) -> String {
         if t >= self.track.frames() {
             return "the song has ended".to_owned();
@@ -51,7 +51,7 @@ impl Laid {
         }
     }
 
-    /// The frames that no phrase uses, those with the same reason together.
+    /// The frames that no phrase has; neighbours with the same reason together.
     pub fn rejections(&self, phrases: &[usize], length: usize) -> Vec<Rejection> {
         let mut used = vec![false; self.span.end];
         for &first in phrases {
@@ -82,7 +82,7 @@ impl Laid {
         names.join(", ")
     }
 
-    /// A capture file from one moment to another, laid on the song from a third.
+    /// The part of a capture file that the plan asks for, at its time in the song.
     pub fn whole(take: &Take, path: &Path, song: Option<&Song>) -> Result<Self, String> {
         let source = root_source::read(path, &take.plan)?;
         let rate = source.rate();
@@ -106,7 +106,7 @@ impl Laid {
             ));
         }
         let start = take.plan.audio_start_seconds;
-        // A last moment that rounding puts just beyond the end is still the end.
+        // Rounding may put the last moment just beyond the end.
         let last = ((start + to - from) * FPS + 1e-6).floor() as usize;
         let wanted = last.saturating_add(1);
         let frames = frames_until(wanted, song)?;
@@ -137,9 +137,12 @@ impl Laid {
         song: Option<&Song>,
         timeline: &Timeline,
     ) -> Result<Self, String> {
-        let laying = timeline.laying.as_ref().ok_or("segments without beats")?;
+        let segment_beats = timeline
+            .segment_beats
+            .as_ref()
+            .ok_or("segments without beats")?;
         let (mut files, mut captures) = (Vec::new(), Vec::new());
-        // The place of each file among the captures; none where it is missing.
+        // Index of each file among the captures; none if it is missing.
         let mut known: HashMap<&str, Option<usize>> = HashMap::new();
         let (mut segments, mut missing) = (Vec::new(), Vec::new());
         let mut begins = 0.0;
@@ -164,7 +167,7 @@ impl Laid {
                         |beat: f64| first + (beat - begins) / segment.beats * (last - first);
                     // Between two beats, motion keeps its pace.
                     for pair in timeline.knots(begins, ends).windows(2) {
-                        let [from, to] = [pair[0], pair[1]].map(|beat| laying.moment(beat));
+                        let [from, to] = [pair[0], pair[1]].map(|beat| segment_beats.moment(beat));
                         segments.push(Segment {
                             take,
                             capture_frames: frame(pair[0])..frame(pair[1]),
@@ -174,18 +177,20 @@ impl Laid {
                     }
                 }
                 None => {
-                    let [from, to] = [begins, ends].map(|beat| frame_at(laying.moment(beat)));
+                    let [from, to] =
+                        [begins, ends].map(|beat| frame_at(segment_beats.moment(beat)));
                     missing.push((from..to, segment.motion.clone()));
                 }
             }
             begins = ends;
         }
-        let wanted = frame_at(laying.moment(begins)).max(1);
+        let wanted = frame_at(segment_beats.moment(begins)).max(1);
         let frames = frames_until(wanted, song)?;
         let sources: Vec<&dyn RootSource> = captures.iter().map(Box::as_ref).collect();
-        let laid = assemble(&sources, &segments, frames);
-        let laid = laid.and_then(|laid| Ok((join(&laid, &plan.joining)?, laid.moments)));
-        let ((track, borders), moments) = laid.map_err(|error| error.with_hint())?;
+        let aligned = assemble(&sources, &segments, frames);
+        let aligned =
+            aligned.and_then(|aligned| Ok((join(&aligned, &plan.joining)?, aligned.moments)));
+        let ((track, borders), moments) = aligned.map_err(|error| error.with_hint())?;
         let named = files.iter().zip(&sources);
         let mut notes: Vec<String> = named.flat_map(|(f, s)| gap_notes(f, *s)).collect();
         notes.extend(height_note(&track));
@@ -195,7 +200,7 @@ impl Laid {
             sources: moments.iter().map(|m| m.map(|m| m.take)).collect(),
             files,
             filled_gaps: sources.iter().any(|source| filled(*source)),
-            span: frame_at(laying.moment(0.0)).min(wanted)..wanted,
+            span: frame_at(segment_beats.moment(0.0)).min(wanted)..wanted,
             missing,
             notes,
         })
@@ -207,7 +212,7 @@ fn frame_at(seconds: f64) -> usize {
     (seconds * FPS - 1e-6).ceil().max(0.0) as usize
 }
 
-/// A note where the root's height makes units or axes doubtful.
+/// A note if the root's height suggests wrong units or axes.
 fn height_note(track: &RootTrack) -> Option<String> {
     let poses = (0..track.frames()).filter_map(|t| track.pose(t));
     let mut heights: Vec<f64> = poses.map(|pose| pose.position[1]).collect();
@@ -221,7 +226,7 @@ fn height_note(track: &RootTrack) -> Option<String> {
     })
 }
 
-/// The frames of a time line that ends with its song, if it has one.
+/// The number of frames, at most those of the song.
 fn frames_until(wanted: usize, song: Option<&Song>) -> Result<usize, String> {
     let frames = song.map_or(wanted, |song| wanted.min(song.features.frames()));
     if wanted > MAX_FRAMES {
@@ -230,7 +235,7 @@ fn frames_until(wanted: usize, song: Option<&Song>) -> Result<usize, String> {
     Ok(frames)
 }
 
-/// Whether any marker was interpolated.
+/// True if any marker was interpolated.
 fn filled(source: &dyn RootSource) -> bool {
     source.gaps().iter().any(|gap| gap.filled_frames > 0)
 }

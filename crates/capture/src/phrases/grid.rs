@@ -1,5 +1,5 @@
-//! The beats that segments are laid on: those of the song where it has as many as the plan states,
-//! else even ones.
+//! The beats that segments are aligned with: those of the song if it has as many as the plan
+//! states, otherwise even ones.
 
 use kinegrad_audio::Pulse;
 
@@ -9,29 +9,29 @@ use super::span::{Span, TOLERANCE};
 use crate::plan::Grid;
 use crate::{BeatGrid, Beats, TrackedBeats};
 
-/// Beats in a bar where a plan does not say.
+/// Beats in a bar if a plan does not state them.
 const BEATS_PER_BAR: u32 = 4;
 
-/// The beats of a take, and what its song has to say of them.
+/// The beats of a take.
 #[derive(Default)]
 pub(super) struct Timeline {
-    /// What the phase follows; none where no beats are known.
+    /// The beats of the phase; none if they are unknown.
     pub beats: Option<Beats>,
-    /// What the beat features follow.
+    /// The beats of the beat features.
     pub pulse: Option<Pulse>,
-    /// What segments lie on: position 0 is where the first begins.
-    pub laying: Option<Pulse>,
-    /// Beats per minute of tracked beats.
+    /// The beats that segments are aligned with; the first segment starts at position 0.
+    pub segment_beats: Option<Pulse>,
+    /// Tempo of tracked beats in beats per minute.
     pub tempo: Option<f64>,
-    /// Of segments with a song.
+    /// Agreement of stated and tracked beats, for segments with a song.
     pub report: Option<GridReport>,
-    /// What a user should know.
+    /// Notes for the report.
     pub notes: Vec<String>,
 }
 
 impl Timeline {
-    /// The beats of motion that goes on as it was recorded: the stated ones, else those of the
-    /// song, of which the one nearest to `downbeat` seconds begins a bar.
+    /// The beats of a whole recording: the stated ones, else those of the song, of which the one
+    /// nearest to `downbeat` seconds starts a bar.
     pub fn of_recording(
         stated: Option<BeatGrid>,
         song: Option<&Song>,
@@ -47,8 +47,8 @@ impl Timeline {
             };
         }
         let beats_per_bar = beats_per_bar.unwrap_or(BEATS_PER_BAR);
-        let heard = song.and_then(|song| Pulse::tracked(&song.beats));
-        let pulse = heard.map(|pulse| match downbeat {
+        let song_beats = song.and_then(|song| Pulse::tracked(&song.beats));
+        let pulse = song_beats.map(|pulse| match downbeat {
             Some(downbeat) => pulse.with_downbeat(beats_per_bar, downbeat),
             None => pulse,
         });
@@ -73,11 +73,11 @@ impl Timeline {
         }
     }
 
-    /// The beats that segments of `count` beats lie on, which are stated to be even. Where the song
-    /// has as many, they are its own, unless `wanted` says otherwise.
+    /// The beats for segments of `count` beats, which are stated to be even. If the song has as
+    /// many, its own are used, unless `wanted` excludes them.
     ///
     /// # Errors
-    /// A sentence, if the song's beats are `wanted` and cannot be used.
+    /// If the song's beats are `wanted` and cannot be used.
     pub fn of_segments(
         stated: BeatGrid,
         count: f64,
@@ -93,7 +93,7 @@ impl Timeline {
         };
         let mut timeline = Self {
             beats: Some(Beats::Grid(stated)),
-            laying: Pulse::even(stated.start_seconds, stated.seconds_per_beat),
+            segment_beats: Pulse::even(stated.start_seconds, stated.seconds_per_beat),
             ..Self::default()
         };
         let Some(song) = song else {
@@ -103,13 +103,13 @@ impl Timeline {
             return Ok(timeline);
         };
         let span = Span::new(stated, count, song.features.frames());
-        let heard = span.heard(song);
-        let Some(pulse) = Pulse::tracked(&heard) else {
+        let song_beats = span.song_beats(song);
+        let Some(pulse) = Pulse::tracked(&song_beats) else {
             timeline.notes = refused("no beats are tracked in the song")?;
             return Ok(timeline);
         };
         let origin = pulse.position(stated.start_seconds).round();
-        let mut report = span.compare(&heard, &pulse, origin);
+        let mut report = span.compare(&song_beats, &pulse, origin);
         let tracked = report.tracked_beats;
         let agree = span.agree(tracked);
         if !agree {
@@ -124,15 +124,15 @@ impl Timeline {
             timeline.report = Some(report);
             return Ok(timeline);
         }
-        if heard.tempo != song.beats.tempo {
+        if song_beats.tempo != song.beats.tempo {
             timeline.notes.push(format!(
                 "the song tracks at {:.1} beats a minute; its stated count makes that {:.1}",
                 song.beats.tempo, report.tracked_tempo
             ));
         }
-        let laying = pulse.from_beat(origin, count.ceil() as usize + 1);
+        let segment_beats = pulse.from_beat(origin, count.ceil() as usize + 1);
         let beats = Beats::Tracked(TrackedBeats {
-            seconds: laying.seconds().to_vec(),
+            seconds: segment_beats.seconds().to_vec(),
             beats_per_bar: stated.beats_per_bar,
         });
         let tempo = report.tracked_tempo;
@@ -142,14 +142,14 @@ impl Timeline {
         Ok(Self {
             beats: Some(beats),
             pulse: Some(pulse.with_downbeat(stated.beats_per_bar, first)),
-            laying: Some(laying),
+            segment_beats: Some(segment_beats),
             tempo: Some(tempo),
             report: Some(report),
             notes: timeline.notes,
         })
     }
 
-    /// The beats between two counts of beats at which segments may change their pace, with both.
+    /// Both ends and, of tracked beats, those in between: a segment's speed may change at each.
     pub fn knots(&self, from: f64, to: f64) -> Vec<f64> {
         let mut knots = vec![from];
         if matches!(self.beats, Some(Beats::Tracked(_))) {

@@ -60,7 +60,7 @@ pub fn prepare(
     }
     let takes = takes(plan, plan_file)?;
     let output = Output::open(plan, PHRASES)?;
-    // Threads that wait for a network are not bound to the number of cores.
+    // Threads that wait for a network are not limited to the number of cores.
     let uploads = ThreadPoolBuilder::new().num_threads(plan.store.concurrency);
     let uploads = output.store.is_remote().then(|| uploads.build().ok());
     let maker = PhraseMaker {
@@ -186,21 +186,21 @@ impl Maker for PhraseMaker<'_> {
         song: &Self::Shared,
         output: &Output,
     ) -> Result<(Vec<ManifestRow>, TakeReport), Error> {
-        let ready = match take.ready(self.plan, song) {
-            Ok(ready) => ready,
+        let aligned = match take.align(self.plan, song) {
+            Ok(aligned) => aligned,
             Err(problem) => return Ok((Vec::new(), TakeReport::failed(&take.name, problem))),
         };
         // One phrase after the other, so that a long take need not fit into memory.
         let make = |index| {
-            let written = ready.phrase(index).map(|made| {
+            let written = aligned.phrase(index).map(|made| {
                 output.write(&motion_path(&made.row.id), made.motion)?;
                 output.write(&features_path(&made.row.id), made.audio)?;
                 Ok(made.row)
             });
-            // A rejection is an answer; what cannot be written is an error.
+            // A rejection is a result; a file that cannot be written is an error.
             written.map_or_else(|rejection| Ok(Err(rejection)), |row| row.map(Ok))
         };
-        let all = 0..ready.phrases();
+        let all = 0..aligned.phrases();
         let made: Vec<Result<ManifestRow, Rejection>> = match &self.uploads {
             Some(uploads) => uploads.install(|| all.into_par_iter().map(make).collect()),
             None => all.map(make).collect::<Result<_, Error>>(),
@@ -214,7 +214,7 @@ impl Maker for PhraseMaker<'_> {
         }
         let failing = |row: &&ManifestRow| row.flags.contains(&Flag::FailsDocumentChecks);
         let failing = rows.iter().filter(failing).count();
-        let report = ready.report(unmade, failing);
+        let report = aligned.report(unmade, failing);
         Ok((rows, report))
     }
 }

@@ -5,31 +5,32 @@ use serde::{Deserialize, Serialize};
 use crate::plan::Grid;
 use crate::prepare::{Rejection, Report};
 
-/// What became of a plan.
+/// Report of the preparation of a dataset of phrases.
 #[derive(Clone, Debug, Serialize)]
 pub struct PhrasesReport {
-    /// Where the dataset is.
+    /// Address of the dataset.
     pub output: String,
     /// Phrases in it.
     pub phrases: usize,
     /// Their length in hours.
     pub hours: f64,
-    /// Takes that had been made before.
+    /// Takes that were unchanged since an earlier preparation.
     pub kept: usize,
-    /// Phrases that lie there and belong to no take of the plan, and so not to the dataset.
+    /// Phrases in the output folder that belong to no take of the plan. The dataset does not
+    /// include them.
     pub stale: usize,
     /// Entries of `split.validation` that match no phrase.
     pub idle_entries: Vec<String>,
-    /// Songs held out whole, where the plan names no phrase; a take without a song by its name.
+    /// Songs that `split.fraction` holds out; a take without a song by its name.
     pub held_out_songs: Vec<String>,
-    /// What there is to say of the split.
+    /// A note about the split.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub split_note: Option<String>,
-    /// Each take, by name.
+    /// The takes, sorted by name.
     pub takes: Vec<TakeReport>,
 }
 
-/// What became of a take.
+/// Report of a take.
 #[derive(Clone, Debug, Default, Deserialize, Serialize)]
 pub struct TakeReport {
     /// Its name.
@@ -38,46 +39,44 @@ pub struct TakeReport {
     pub phrases: usize,
     /// Seconds of motion in them.
     pub seconds: f64,
-    /// Why nothing could be made of it at all.
+    /// The reason if the take cannot be used.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub failure: Option<String>,
-    /// What was left out.
+    /// Frames that no phrase has.
     pub rejected: Vec<Rejection>,
-    /// What a user should know of the rest.
+    /// Notes.
     pub notes: Vec<String>,
-    /// Where the plan states the beats: from the stated beginning of each bar to the nearest tracked
-    /// beat, whichever of the two the motion is laid on, in milliseconds, positive where the music comes later. Bars that lie wholly before or
-    /// after all tracked beats are left out.
+    /// For each bar of stated beats: milliseconds from its stated start to the nearest tracked
+    /// beat, positive if the beat comes later. Bars before or after all tracked beats are not
+    /// listed.
     #[serde(skip_serializing_if = "Vec::is_empty", default)]
     pub bar_offsets_ms: Vec<f64>,
-    /// Of segments with a song: which beats they lie on, and how stated and tracked ones agree.
+    /// Agreement of stated and tracked beats, for segments with a song.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub grid: Option<GridReport>,
 }
 
-/// How the stated beats of a take and those of its song agree.
+/// Agreement of the stated beats of a take with those tracked in its song.
 #[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
 pub struct GridReport {
-    /// What the segments were laid on.
+    /// The beats that the segments are aligned with.
     pub grid: Grid,
-    /// Beats that the plan states within the song.
+    /// Stated beats within the song.
     pub stated_beats: f64,
     /// Beats tracked there.
     pub tracked_beats: usize,
     /// Their mean tempo in beats per minute.
     pub tracked_tempo: f64,
-    /// From the stated start to the nearest tracked beat in seconds, positive where the music comes
-    /// later.
+    /// Seconds from the stated start to the nearest tracked beat, positive if the beat comes later.
     pub offset_seconds: f64,
-    /// How far tracked beats and even ones move apart over the take, in seconds: the largest
-    /// difference less the smallest.
+    /// Range of the difference between tracked and even beats over the take, seconds.
     pub drift_seconds: f64,
     /// The same in beats.
     pub drift_beats: f64,
-    /// Concentration of the difference in beat phase between even beats and tracked ones, over the
-    /// frames of the take: 1 where it is always the same, 0 where it takes every value alike.
+    /// Concentration of the difference in beat phase between even and tracked beats over the frames
+    /// of the take: 1 if it is constant, 0 if it is uniform.
     pub uniform_concentration: f64,
-    /// The same between the phase that was written and tracked beats.
+    /// The same between the written phase and tracked beats.
     pub concentration: f64,
 }
 

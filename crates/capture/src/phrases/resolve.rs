@@ -27,7 +27,7 @@ pub(super) struct Take {
 /// The takes of a plan, patterns in file names resolved.
 ///
 /// # Errors
-/// What is wrong: a pattern without a file, a song that is not there, a name given twice.
+/// For a pattern without a file, a song that does not exist, and a name given twice.
 pub(super) fn resolve(plan: &Plan, takes: Vec<TakePlan>) -> Result<Vec<Take>, String> {
     let mut resolved: Vec<Take> = Vec::new();
     for take in takes {

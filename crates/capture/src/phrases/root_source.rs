@@ -10,10 +10,10 @@ use crate::plan::TakePlan;
 use crate::prepare::files::bytes;
 use crate::{Bvh, C3d, Error, RootPose, RootSource, RootTrack};
 
-/// Reads a capture file of any known kind, as the take says.
+/// Reads a capture file of any known kind, with the take's settings.
 ///
 /// # Errors
-/// What is wrong with the file, in words that name it.
+/// Names the file, what was found and what is allowed.
 pub(super) fn read(path: &Path, take: &TakePlan) -> Result<Box<dyn RootSource>, String> {
     let file = path.display().to_string();
     let bytes = bytes(path)?;

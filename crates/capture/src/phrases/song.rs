@@ -5,16 +5,16 @@ use std::path::Path;
 use kinegrad_audio::{Analysis, Beats};
 use kinegrad_data::AudioFeatures;
 
-/// What preparation needs of a song.
+/// A song's features, beats and onset strength.
 #[derive(Debug)]
 pub(super) struct Song {
     /// The 163 features.
     pub features: AudioFeatures,
-    /// The beats that are tracked where nothing is known of them.
+    /// The tracked beats.
     pub beats: Beats,
     /// Onset strength that beats are tracked in, `[T]`.
     pub onset: Vec<f32>,
-    /// What of it was lost, in words.
+    /// Damage of the file, in words.
     pub damage: Option<String>,
 }
 
@@ -22,7 +22,7 @@ impl Song {
     /// Reads the song at `path`.
     ///
     /// # Errors
-    /// Why it cannot be used, in words that name the file.
+    /// Names the file and the reason why it cannot be used.
     pub fn read(path: &Path) -> Result<Self, String> {
         let waveform = kinegrad_audio::decode(path).map_err(|error| error.to_string())?;
         let analysis = Analysis::new(&waveform.samples)

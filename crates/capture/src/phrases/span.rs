@@ -1,4 +1,4 @@
-//! The stated beats of a take held against those of its song.
+//! Comparison of the stated beats of a take with those of its song.
 
 use kinegrad_audio::beats::track_near;
 use kinegrad_audio::{Beats as Tracked, Pulse};
@@ -38,8 +38,8 @@ impl Span {
         (seconds / self.stated.seconds_per_beat).max(0.0)
     }
 
-    /// Tracked beats within it. Its borders lie half a beat early, so that a beat on a border counts
-    /// wherever it is heard exactly.
+    /// Tracked beats within it. The borders lie half a beat early: a beat on a border counts in
+    /// spite of the tracker's error.
     fn count(&self, tracked: &Tracked) -> usize {
         let half = self.stated.seconds_per_beat / 2.0;
         let inside = self.stated.start_seconds - half..self.end - half;
@@ -47,15 +47,15 @@ impl Span {
         times.iter().filter(|time| inside.contains(time)).count()
     }
 
-    /// Whether so many tracked beats are as many as the stated ones.
+    /// True if so many tracked beats agree with the stated number.
     pub fn agree(&self, tracked: usize) -> bool {
         let stated = self.stated_beats();
         tracked > 0 && (tracked as f64 - stated).abs() <= TOLERANCE * stated
     }
 
-    /// The beats of the song; where they are not as many as stated and those of the stated tempo
-    /// are, the latter: a tracker may count every beat twice, or every other.
-    pub fn heard(&self, song: &Song) -> Tracked {
+    /// The tracked beats of the song. If their number disagrees, they are tracked again near the
+    /// stated tempo, since a tracker may count every beat twice or every other beat.
+    pub fn song_beats(&self, song: &Song) -> Tracked {
         if self.agree(self.count(&song.beats)) {
             return song.beats.clone();
         }
@@ -66,8 +66,8 @@ impl Span {
         }
     }
 
-    /// The even beats held against those of `pulse`, which are the `tracked` ones, the one at
-    /// position `origin` first.
+    /// Compares the even beats with the `tracked` beats of `pulse`, of which the first is at
+    /// position `origin`.
     pub fn compare(&self, tracked: &Tracked, pulse: &Pulse, origin: f64) -> GridReport {
         let BeatGrid {
             start_seconds,

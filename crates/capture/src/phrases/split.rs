@@ -1,4 +1,4 @@
-//! Which phrases a preparation holds out.
+//! Division of phrases into training and validation sets.
 
 use std::collections::BTreeSet;
 
@@ -7,19 +7,20 @@ use kinegrad_data::{Side, held_out_songs, matches, song_of};
 
 use crate::plan::SplitPlan;
 
-/// What became of the split.
+/// The held-out songs.
 #[derive(Debug, Default, PartialEq)]
-pub(super) struct Divided {
-    /// Songs that were held out as no phrase was named; a take without a song stands for itself.
+pub(super) struct SplitResult {
+    /// Songs that `fraction` holds out; a take without a song counts as one.
     pub held_out: Vec<String>,
-    /// What a user should know.
+    /// A note for the report.
     pub note: Option<String>,
 }
 
 impl SplitPlan {
-    /// Puts each row on its side: what the patterns name is held out, or, without any, `fraction`
-    /// of the songs, those with the lowest hashes of their names: at least one, never all.
-    pub(super) fn divide(&self, rows: &mut [ManifestRow]) -> Divided {
+    /// Sets the split of each row: the patterns name the validation set; without any, `fraction` of
+    /// the songs is held out, those with the lowest hashes of their names, at least one and never
+    /// all.
+    pub(super) fn divide(&self, rows: &mut [ManifestRow]) -> SplitResult {
         let side = |held_out| match held_out {
             true => Some(Side::Validation),
             false => Some(Side::Train),
@@ -28,7 +29,7 @@ impl SplitPlan {
             for row in rows {
                 row.split = side(self.validation.iter().any(|p| matches(p, &row.id)));
             }
-            return Divided::default();
+            return SplitResult::default();
         }
         let songs: BTreeSet<String> = rows.iter().map(song).collect();
         let alone = songs.len() == 1 && self.fraction > 0.0;
@@ -36,7 +37,7 @@ impl SplitPlan {
         for row in rows {
             row.split = side(held_out.contains(&song(row)));
         }
-        Divided {
+        SplitResult {
             note: alone.then(|| {
                 "one song alone: no phrase is held out, as phrases of a song that is trained on \
                  say little of other songs (name some in `split.validation` to hold them out)"
@@ -133,13 +134,13 @@ mod tests {
             validation: vec!["b_0003*".to_owned()],
             ..SplitPlan::default()
         };
-        assert_eq!(named.divide(&mut rows), Divided::default());
+        assert_eq!(named.divide(&mut rows), SplitResult::default());
         assert_eq!(held_out(&rows), ["b_00030"]);
         let none = SplitPlan {
             fraction: 0.0,
             ..SplitPlan::default()
         };
-        assert_eq!(none.divide(&mut rows), Divided::default());
+        assert_eq!(none.divide(&mut rows), SplitResult::default());
         assert!(held_out(&rows).is_empty());
     }
 }

@@ -8,7 +8,7 @@ use kinegrad_data::manifest::{Flag, ManifestRow};
 use kinegrad_data::{AudioFeatures, AudioLayout, Digest, features_bytes, motion_bytes};
 use kinegrad_motion::{FPS, Motion, Profile, check};
 
-use super::align::Laid;
+use super::align::AlignedTrack;
 use super::grid::Timeline;
 use super::report::TakeReport;
 use super::resolve::Take;
@@ -18,40 +18,40 @@ use crate::prepare::Rejection;
 use crate::prepare::files::bytes;
 use crate::{Beats, Stretch, stretches};
 
-/// Changes when phrases of the same plan would come out otherwise.
+/// Version of the algorithm. A change makes all takes again.
 const MAKER: &str = "kinegrad phrases 4";
 
-/// A phrase that was made.
-pub(super) struct Made {
+/// A phrase with the contents of its files.
+pub(super) struct NewPhrase {
     pub row: ManifestRow,
-    /// The bytes of its motion file.
+    /// Contents of its motion file.
     pub motion: Vec<u8>,
-    /// The bytes of its file of audio features.
+    /// Contents of its file of audio features.
     pub audio: Vec<u8>,
 }
 
-/// A take on the time line of its music, to cut phrases from.
-pub(super) struct Ready<'a> {
+/// A take aligned with its music.
+pub(super) struct AlignedTake<'a> {
     take: &'a Take,
     song: Option<&'a Song>,
     timeline: Timeline,
     /// The audio features of the whole song.
     features: Option<AudioFeatures>,
     layout: AudioLayout,
-    laid: Laid,
+    aligned: AlignedTrack,
     stretches: Vec<Stretch>,
     /// Frames of a phrase.
     length: usize,
-    /// Each phrase's stretch and its first frame there.
+    /// Stretch and first frame within it of each phrase.
     places: Vec<(usize, usize)>,
 }
 
 impl Take {
-    /// A checksum of all that a take's phrases follow from: its plan and its files, wherever the plan
-    /// is run from.
+    /// A checksum of the take's files and its part of the plan; it does not depend on the plan's
+    /// folder.
     ///
     /// # Errors
-    /// A file that cannot be read, by name.
+    /// Names a file that cannot be read.
     pub fn key(&self, plan: &Plan) -> Result<Digest, String> {
         let wanted = (&self.name, &self.plan, &plan.phrases, &plan.joining);
         let text = serde_json::to_string(&wanted).expect("plain data");
@@ -69,37 +69,37 @@ impl Take {
         Ok(Digest::of_parts(parts.iter().map(Vec::as_slice)))
     }
 
-    /// Reads the take's files, the song where that has not been done, and lays the motion on the
-    /// music.
+    /// Reads the take's files, and the song unless another take has read it, and aligns the motion
+    /// with the music.
     ///
     /// # Errors
-    /// Why nothing can be made of it, in words that name the file.
-    pub fn ready<'a>(
+    /// Names the file and the reason why the take cannot be used.
+    pub fn align<'a>(
         &'a self,
         plan: &Plan,
         song: &'a OnceCell<Result<Song, String>>,
-    ) -> Result<Ready<'a>, String> {
+    ) -> Result<AlignedTake<'a>, String> {
         let song = self.audio.as_deref().map(|path| {
             let read = song.get_or_init(|| Song::read(path));
             read.as_ref().map_err(String::clone)
         });
         let song = song.transpose()?;
         let timeline = self.timeline(song)?;
-        let laid = match &self.motion {
-            Some(path) => Laid::whole(self, path, song)?,
-            None => Laid::segments(self, plan, song, &timeline)?,
+        let aligned = match &self.motion {
+            Some(path) => AlignedTrack::whole(self, path, song)?,
+            None => AlignedTrack::segments(self, plan, song, &timeline)?,
         };
         let (length, hop) = (plan.phrases.frames, plan.phrases.hop);
-        if !laid.track.valid().contains(&true) {
-            let reason = laid.reason(laid.span.start, true, length);
+        if !aligned.track.valid().contains(&true) {
+            let reason = aligned.reason(aligned.span.start, true, length);
             return Err(format!("no frame of it can be used: {reason}"));
         }
-        let frames = laid.track.positions().len();
+        let frames = aligned.track.positions().len();
         let phase = match &timeline.beats {
             Some(beats) => beats.phase(frames, FPS).map_err(|e| e.with_hint())?,
             None => vec![0.0; frames],
         };
-        let stretches = stretches(&laid.track, &phase).map_err(|e| e.with_hint())?;
+        let stretches = stretches(&aligned.track, &phase).map_err(|e| e.with_hint())?;
         let mut places = Vec::new();
         for (index, stretch) in stretches.iter().enumerate() {
             let starts = stretch.starts(0, length, hop).map_err(|e| e.with_hint())?;
@@ -110,20 +110,20 @@ impl Take {
             true => song.features.with_beats(timeline.pulse.as_ref()),
             false => song.features.clone(),
         });
-        Ok(Ready {
+        Ok(AlignedTake {
             take: self,
             song,
             timeline,
             features,
             layout,
-            laid,
+            aligned,
             stretches,
             length,
             places,
         })
     }
 
-    /// The beats that the plan states, and those of the song.
+    /// The stated and tracked beats of the take.
     fn timeline(&self, song: Option<&Song>) -> Result<Timeline, String> {
         let TakePlan {
             beats,
@@ -172,7 +172,7 @@ impl Take {
     }
 }
 
-impl Ready<'_> {
+impl AlignedTake<'_> {
     /// Number of phrases.
     pub fn phrases(&self) -> usize {
         self.places.len()
@@ -181,8 +181,8 @@ impl Ready<'_> {
     /// Makes phrase `index`.
     ///
     /// # Errors
-    /// The frames that give none, and why.
-    pub fn phrase(&self, index: usize) -> Result<Made, Rejection> {
+    /// The frames, and the reason why they give no phrase.
+    pub fn phrase(&self, index: usize) -> Result<NewPhrase, Rejection> {
         let (stretch, start) = self.places[index];
         let stretch = &self.stretches[stretch];
         let first_frame = stretch.first_frame() + start;
@@ -208,7 +208,7 @@ impl Ready<'_> {
         });
         let row = ManifestRow {
             id: format!("{}_{first_frame:05}", self.take.name),
-            motion_source: self.laid.sources_of(&frames),
+            motion_source: self.aligned.sources_of(&frames),
             audio_source: self.song.map(|_| self.take.plan.audio.clone()),
             first_frame: first_frame as i64,
             frames: self.length as i64,
@@ -224,11 +224,11 @@ impl Ready<'_> {
             label: self.take.plan.label.clone(),
             flags,
         };
-        Ok(Made { row, motion, audio })
+        Ok(NewPhrase { row, motion, audio })
     }
 
     fn flags(&self, motion: &Motion, frames: &Range<usize>) -> Vec<Flag> {
-        let mut borders = self.laid.borders.iter();
+        let mut borders = self.aligned.borders.iter();
         let joined = borders.any(|border| (frames.start + 1..frames.end).contains(border));
         let damaged = self.song.is_some_and(|song| song.damage.is_some());
         let sane = check(motion, Profile::Document, None).is_ok_and(|report| report.passed);
@@ -236,12 +236,12 @@ impl Ready<'_> {
             (self.song.is_none(), Flag::NoAudio),
             (self.timeline.beats.is_none(), Flag::NoBeats),
             (joined, Flag::JoinedUnits),
-            (self.laid.filled_gaps, Flag::FilledGaps),
+            (self.aligned.filled_gaps, Flag::FilledGaps),
             (!sane, Flag::FailsDocumentChecks),
             (damaged, Flag::DamagedAudio),
         ];
-        let held = flags.into_iter().filter(|(holds, _)| *holds);
-        held.map(|(_, flag)| flag).collect()
+        let set = flags.into_iter().filter(|(holds, _)| *holds);
+        set.map(|(_, flag)| flag).collect()
     }
 
     /// Beats between two frames, and the tempo.
@@ -265,17 +265,17 @@ impl Ready<'_> {
         }
     }
 
-    /// The report of the take, with the phrases that could not be made, and how many of the others
-    /// fail CC-MotionGen's checks.
+    /// The report of the take. `unmade` are the phrases that could not be made; `failing_checks` of
+    /// the others fail CC-MotionGen's checks.
     pub fn report(&self, unmade: Vec<Rejection>, failing_checks: usize) -> TakeReport {
         let first_frame =
             |&(stretch, start): &(usize, usize)| self.stretches[stretch].first_frame() + start;
         let starts: Vec<usize> = self.places.iter().map(first_frame).collect();
-        let mut rejected = self.laid.rejections(&starts, self.length);
+        let mut rejected = self.aligned.rejections(&starts, self.length);
         let phrases = self.phrases() - unmade.len();
         rejected.extend(unmade);
         rejected.sort_by_key(|rejection| rejection.first_frame);
-        let mut notes = self.laid.notes.clone();
+        let mut notes = self.aligned.notes.clone();
         notes.extend(self.timeline.notes.clone());
         notes.extend(self.song.and_then(|song| song.damage.clone()));
         if failing_checks > 0 {

@@ -2,10 +2,10 @@
 
 use std::collections::BTreeSet;
 
-/// What the number of a take is called among the labels of a file's name.
+/// The name, among the labels of a file name, of the number of the take.
 pub(crate) const TAKE: &str = "take";
 
-/// A text in parts: what stands there, and names in braces.
+/// A part of a text with names in braces.
 #[derive(Debug, PartialEq)]
 pub(crate) enum Part<'a> {
     Text(&'a str),
@@ -15,7 +15,7 @@ pub(crate) enum Part<'a> {
 /// The parts of a text with names in braces.
 ///
 /// # Errors
-/// What is wrong with its braces.
+/// If its braces do not pair.
 pub(crate) fn parts(text: &str) -> Result<Vec<Part<'_>>, String> {
     let wrong = || format!("`{text}`: names in pairs of braces allowed, as in {{style}}");
     let mut parts = Vec::new();

@@ -1,4 +1,4 @@
-//! What the reports of phrases and of clips have in common.
+//! The part that reports of phrases and of clips share.
 
 use serde::{Deserialize, Serialize};
 
@@ -7,8 +7,8 @@ use serde::{Deserialize, Serialize};
 pub struct Rejection {
     /// First of them on the take's time line.
     pub first_frame: usize,
-    /// How many.
+    /// Number of frames.
     pub frames: usize,
-    /// Why.
+    /// The reason.
     pub reason: String,
 }

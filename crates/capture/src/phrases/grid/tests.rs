@@ -69,9 +69,9 @@ fn segments_lie_on_the_beats_of_a_song_that_slows_down() {
     assert!(report.uniform_concentration < 0.8, "{report:?}");
     assert!(report.concentration > 0.9999, "{report:?}");
     assert!(timeline.notes.is_empty());
-    let laying = timeline.laying.as_ref().expect("beats");
+    let segment_beats = timeline.segment_beats.as_ref().expect("beats");
     for (k, moment) in danced.iter().enumerate() {
-        let off = laying.moment(k as f64) - moment;
+        let off = segment_beats.moment(k as f64) - moment;
         assert!(off.abs() < 1.5 / FPS, "beat {k}: {off} s");
     }
     // The phase and the features are of the same beats.
@@ -114,8 +114,8 @@ fn the_stated_count_settles_the_octave() {
         "{:?}",
         timeline.notes
     );
-    let laying = timeline.laying.as_ref().expect("beats");
-    assert!((laying.moment(50.0) - beats[52]).abs() < 1.5 / FPS);
+    let segment_beats = timeline.segment_beats.as_ref().expect("beats");
+    assert!((segment_beats.moment(50.0) - beats[52]).abs() < 1.5 / FPS);
 }
 
 #[test]
@@ -123,9 +123,9 @@ fn a_count_off_by_one_is_laid_and_one_off_by_five_percent_is_not() {
     let (song, danced) = slowing();
     let one_less = laid(stated(63.0, danced[0], danced[64]), 63.0, &song);
     assert_eq!(one_less.report.as_ref().unwrap().grid, Grid::Tracked);
-    let laying = one_less.laying.as_ref().expect("beats");
+    let segment_beats = one_less.segment_beats.as_ref().expect("beats");
     // Counted from the start: the last unit ends a beat early.
-    assert!((laying.moment(63.0) - danced[63]).abs() < 1.5 / FPS);
+    assert!((segment_beats.moment(63.0) - danced[63]).abs() < 1.5 / FPS);
 
     let grid = stated(61.0, danced[0], danced[64]);
     let even = laid(grid, 61.0, &song);
@@ -138,9 +138,9 @@ fn a_count_off_by_one_is_laid_and_one_off_by_five_percent_is_not() {
         "{note}"
     );
     assert!(note.ends_with("lie on even beats"), "{note}");
-    let laying = even.laying.as_ref().expect("beats");
-    assert!((laying.moment(61.0) - danced[64]).abs() < 1e-9);
-    // What is heard is still a feature, in bars that nobody knows.
+    let segment_beats = even.segment_beats.as_ref().expect("beats");
+    assert!((segment_beats.moment(61.0) - danced[64]).abs() < 1e-9);
+    // What is song_beats is still a feature, in bars that nobody knows.
     assert_eq!(even.pulse.as_ref().expect("beats").bars(), None);
 
     let wanted = Timeline::of_segments(grid, 61.0, Some(&song), Some(Grid::Tracked));
@@ -162,8 +162,8 @@ fn a_song_that_ends_early_is_held_against_what_it_plays() {
     let report = timeline.report.as_ref().expect("a report");
     assert!((report.stated_beats - 64.0).abs() < 0.1, "{report:?}");
     assert_eq!(report.grid, Grid::Tracked, "{report:?}");
-    let laying = timeline.laying.as_ref().expect("beats");
-    assert!((laying.moment(60.0) - danced[60]).abs() < 1.5 / FPS);
+    let segment_beats = timeline.segment_beats.as_ref().expect("beats");
+    assert!((segment_beats.moment(60.0) - danced[60]).abs() < 1.5 / FPS);
 }
 
 #[test]
@@ -171,7 +171,7 @@ fn without_a_song_or_its_beats_there_are_even_beats() {
     let grid = stated(16.0, 1.0, 9.0);
     let alone = Timeline::of_segments(grid, 16.0, None, None).expect("a timeline");
     assert!(alone.report.is_none() && alone.notes.is_empty() && alone.pulse.is_none());
-    assert_eq!(alone.laying.as_ref().unwrap().moment(4.0), 3.0);
+    assert_eq!(alone.segment_beats.as_ref().unwrap().moment(4.0), 3.0);
     let silent = laid(grid, 16.0, &song(&[], 12.0));
     assert!(
         silent.notes[0].starts_with("no beats are tracked"),

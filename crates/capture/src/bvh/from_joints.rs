@@ -9,19 +9,18 @@ use super::{Bvh, Joint};
 use crate::Error;
 use crate::error::require_positive;
 
-/// The last bone of a chain goes on by this part of its length as End Site.
+/// Length of the End Site at the end of a chain, as a fraction of the last bone.
 const END: f64 = 0.25;
 
 impl Bvh {
     /// A clip of `skeleton`'s joints as a file, `units_per_metre` of the file's units to the metre:
     /// 100 for the centimetres of most files.
     ///
-    /// Rest pose and directions are those of the skeleton's reference pose, each bone as long as
-    /// it is on average in the clip: joints whose bones keep their lengths are met exactly. The
-    /// root turns with the body's heading; every bone then takes the shortest turn from its
-    /// parent's. A joint where several bones begin cannot turn each its own way, so there each of
-    /// them begins with a joint of its own in the same place, named as `pelvis_to_left_hip`.
-    ///
+    /// Rest pose and directions are those of the skeleton's reference pose. Each bone has its mean
+    /// length in the clip, so joints of bones of constant length are exact. The root has the body's
+    /// heading; every other bone takes the smallest rotation from its parent's. A BVH joint rotates
+    /// all of its bones alike, so each bone at a branch begins with a joint of its own in the same
+    /// place, named as `pelvis_to_left_hip`.
     /// # Errors
     /// [`Error::Features`] if they are not joints of `skeleton`; [`Error::Setting`] if
     /// `units_per_metre` is not positive, for a name that BVH cannot hold or values that overflow.
@@ -33,21 +32,21 @@ impl Bvh {
         clip.must_be_of(skeleton)?;
         let allowed = "a positive number: 1 for metres, 100 for centimetres";
         require_positive("units_per_metre", units_per_metre, allowed)?;
-        let figure = Figure::new(skeleton, clip, units_per_metre);
+        let writer = BvhWriter::new(skeleton, clip, units_per_metre);
         let frames = || (0..clip.frames()).map(|t| clip.frame(t));
         let rotations: Vec<Quaternion> = frames()
-            .flat_map(|frame| figure.rotations(skeleton, frame))
+            .flat_map(|frame| writer.rotations(skeleton, frame))
             .collect();
         let roots: Vec<[f64; 3]> = frames()
             .map(|frame| frame[0].map(|value| value * units_per_metre))
             .collect();
         let frame_time = 1.0 / skeleton.description().fps;
-        Self::from_rotations(&figure.joints, frame_time, &roots, &rotations)
+        Self::from_rotations(&writer.joints, frame_time, &roots, &rotations)
     }
 }
 
-/// The tree of a BVH file and what turns which bone.
-struct Figure {
+/// The hierarchy of a BVH file and the joints that rotate its bones.
+struct BvhWriter {
     joints: Vec<Joint>,
     /// The bones in an order that begins with the root's.
     bones: Vec<Bone>,
@@ -58,11 +57,11 @@ struct Bone {
     /// Its ends among the skeleton's joints.
     start: usize,
     end: usize,
-    /// The joint of the file that turns it.
+    /// The joint of the file that rotates it.
     turned_by: usize,
 }
 
-impl Figure {
+impl BvhWriter {
     fn new(skeleton: &Skeleton, clip: &Joints, units_per_metre: f64) -> Self {
         let names = &skeleton.description().joint_names;
         let children = |joint: usize| {
@@ -107,7 +106,7 @@ impl Figure {
         let heading = Quaternion::from_yaw(x.atan2(z));
         let mut rotations = vec![Quaternion::IDENTITY; self.joints.len()];
         rotations[0] = heading;
-        // How the bone that ends at each joint of the skeleton lies in the world.
+        // The world rotation of the bone that ends at each joint of the skeleton.
         let mut lies = vec![heading; frame.len()];
         for bone in &self.bones {
             let rest = skeleton.description().rest_offsets[bone.end];
