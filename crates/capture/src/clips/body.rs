@@ -116,8 +116,8 @@ impl Body {
                     None if legs > 0.0 => {
                         let metres = usual_legs(skeleton) / legs;
                         notes.push(format!(
-                            "its legs of {legs:.3} units are those of a person in no unit that is \
-                             known; {metres:.5} metres are taken for a unit (state `units`)"
+                            "the length of its legs, {legs:.3} units, fits no known unit: one unit is \
+                             taken as {metres:.5} metres (state `units`)"
                         ));
                         metres
                     }

@@ -1,6 +1,6 @@
 //! The files of a dataset of clips.
 
-use std::collections::BTreeMap;
+use std::collections::BTreeSet;
 
 use kinegrad_data::humanml::{
     Caption, ClipLabels, FEATURES, LABELS, TEXTS, features_bytes, features_path, labels_bytes,
@@ -169,60 +169,43 @@ fn statistics(
 
 /// The columns of the manifest.
 fn columns(rows: &[(ClipRow, Part)]) -> Vec<(String, Cells)> {
-    let texts = |value: &dyn Fn(&ClipRow) -> Option<String>| {
+    let text = |value: &dyn Fn(&ClipRow) -> Option<String>| {
         Cells::Texts(rows.iter().map(|(row, _)| value(row)).collect())
     };
-    let integers = |value: &dyn Fn(&ClipRow) -> i64| {
+    let integer = |value: &dyn Fn(&ClipRow) -> i64| {
         Cells::Integers(rows.iter().map(|(row, _)| value(row)).collect())
     };
-    let numbers = |value: &dyn Fn(&ClipRow) -> f64| {
+    let number = |value: &dyn Fn(&ClipRow) -> f64| {
         Cells::Numbers(rows.iter().map(|(row, _)| value(row)).collect())
     };
-    let mut columns = vec![
-        ("id".to_owned(), texts(&|row| Some(row.id.clone()))),
-        ("take".to_owned(), texts(&|row| Some(row.take.clone()))),
-        ("file".to_owned(), texts(&|row| Some(row.file.clone()))),
-        ("map".to_owned(), texts(&|row| Some(row.map.clone()))),
-    ];
-    let mut names = BTreeMap::new();
-    for (row, _) in rows {
-        names.extend(row.labels.keys().map(|name| (name.clone(), ())));
-    }
-    for name in names.into_keys() {
-        let cells = texts(&|row| row.labels.get(&name).cloned());
-        columns.push((name, cells));
-    }
+    let named = |(name, cells): (&str, Cells)| (name.to_owned(), cells);
     let split = rows.iter().map(|(_, part)| Some(part.to_string()));
     let mirrored = rows.iter().map(|(row, _)| row.mirrored);
-    columns.extend([
-        (
-            "first_frame".to_owned(),
-            integers(&|row| row.first_frame as i64),
-        ),
-        ("frames".to_owned(), integers(&|row| row.frames as i64)),
-        (
-            "seconds".to_owned(),
-            numbers(&|row| row.frames as f64 / row.fps),
-        ),
-        ("fps".to_owned(), numbers(&|row| row.fps)),
-        ("mirrored".to_owned(), Cells::Flags(mirrored.collect())),
-        ("split".to_owned(), Cells::Texts(split.collect())),
-        (
-            "caption".to_owned(),
-            texts(&|row| row.captions.first().cloned()),
-        ),
-        (
-            "captions".to_owned(),
-            integers(&|row| row.captions.len() as i64),
-        ),
-        (
-            "features_bytes".to_owned(),
-            integers(&|row| row.features_bytes),
-        ),
-        (
-            "features_sha256".to_owned(),
-            texts(&|row| Some(row.features_sha256.to_string())),
-        ),
-    ]);
-    columns
+    let labels: BTreeSet<&String> = rows.iter().flat_map(|(row, _)| row.labels.keys()).collect();
+    let labels = labels.into_iter();
+    let before = [
+        ("id", text(&|row| Some(row.id.clone()))),
+        ("take", text(&|row| Some(row.take.clone()))),
+        ("file", text(&|row| Some(row.file.clone()))),
+        ("map", text(&|row| Some(row.map.clone()))),
+    ];
+    let sha256 = text(&|row| Some(row.features_sha256.to_string()));
+    let after = [
+        ("first_frame", integer(&|row| row.first_frame as i64)),
+        ("frames", integer(&|row| row.frames as i64)),
+        ("seconds", number(&|row| row.frames as f64 / row.fps)),
+        ("fps", number(&|row| row.fps)),
+        ("mirrored", Cells::Flags(mirrored.collect())),
+        ("split", Cells::Texts(split.collect())),
+        ("caption", text(&|row| row.captions.first().cloned())),
+        ("captions", integer(&|row| row.captions.len() as i64)),
+        ("features_bytes", integer(&|row| row.features_bytes)),
+        ("features_sha256", sha256),
+    ];
+    let labels = labels.map(|name| (name.clone(), text(&|row| row.labels.get(name).cloned())));
+    let before = before.into_iter().map(named);
+    before
+        .chain(labels)
+        .chain(after.into_iter().map(named))
+        .collect()
 }

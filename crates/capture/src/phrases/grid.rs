@@ -86,10 +86,12 @@ impl Timeline {
     ) -> Result<Self, String> {
         let refused = |problem: &str| match wanted {
             Some(Grid::Tracked) => Err(format!(
-                "grid = \"tracked\": {problem} (correct `beats`, or lay the segments on even beats \
-                 with grid = \"uniform\")"
+                "grid = \"tracked\": {problem} (correct `beats`, or align the segments with even \
+                 beats: grid = \"uniform\")"
             )),
-            _ => Ok(vec![format!("{problem}: its segments lie on even beats")]),
+            _ => Ok(vec![format!(
+                "{problem}: its segments are aligned with even beats"
+            )]),
         };
         let mut timeline = Self {
             beats: Some(Beats::Grid(stated)),
@@ -126,7 +128,7 @@ impl Timeline {
         }
         if song_beats.tempo != song.beats.tempo {
             timeline.notes.push(format!(
-                "the song tracks at {:.1} beats a minute; its stated count makes that {:.1}",
+                "beats were tracked at {:.1} per minute, and with the stated number at {:.1}",
                 song.beats.tempo, report.tracked_tempo
             ));
         }

@@ -156,7 +156,7 @@ impl TakePlan {
         };
         require(self.motion.is_some() != pieces, "motion", found, allowed)?;
         if pieces {
-            let allowed = "the beats that segments lie on";
+            let allowed = "the beats that segments are aligned with";
             require(self.beats.is_some(), "beats", "missing", allowed)?;
             let allowed = "the name of a take of segments";
             require(self.name.is_some(), "name", "missing", allowed)?;

@@ -137,7 +137,7 @@ fn a_count_off_by_one_is_laid_and_one_off_by_five_percent_is_not() {
         note.starts_with("64 beats are tracked where 61.0 are stated"),
         "{note}"
     );
-    assert!(note.ends_with("lie on even beats"), "{note}");
+    assert!(note.ends_with("aligned with even beats"), "{note}");
     let segment_beats = even.segment_beats.as_ref().expect("beats");
     assert!((segment_beats.moment(61.0) - danced[64]).abs() < 1e-9);
     // What is song_beats is still a feature, in bars that nobody knows.

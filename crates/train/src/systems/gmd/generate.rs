@@ -6,7 +6,6 @@
 
 mod once;
 
-use std::fmt::Display;
 use std::iter::repeat;
 use std::ops::ControlFlow;
 use std::path::Path;
@@ -25,7 +24,6 @@ use kinegrad_motion::humanml::{Features, Root};
 use kinegrad_random::{Key, Purpose};
 use kinegrad_settings::{Document, Refused, in_range, require};
 use serde::{Deserialize, Serialize};
-use toml::Table;
 
 use super::GmdConfig;
 use super::networks::{TrainedClips, channels_of, text_input};
