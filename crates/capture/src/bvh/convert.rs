@@ -5,8 +5,8 @@ use crate::error::require_positive;
 use crate::{Error, UpAxis};
 
 impl Bvh {
-    /// The same take with every length times `scale`, and +y up where `up` says that another axis
-    /// is: joints, order of channels and frame time stay. 100 makes centimetres of metres.
+    /// The same take with every length times `scale` and the axis `up` turned to +y. Joints, order of
+    /// channels and frame time stay. A scale of 100 converts metres to centimetres.
     ///
     /// # Errors
     /// [`Error::Setting`] if `scale` is not positive or a length overflows.

@@ -28,11 +28,11 @@ pub(super) fn degrees(rotation: Quaternion, axes: [Axis; 3], before: [f64; 3]) -
     let middle = sine.asin().to_degrees();
     let last = (-entry(0, 1)).atan2(entry(0, 0)).to_degrees();
     // The two triples of angles of the same rotation.
-    let ways = [
+    let both = [
         [first, middle, last],
         [first + 180.0, 180.0 - middle, last + 180.0],
     ];
-    let [one, other] = ways.map(|angles| nearest(signed(angles), before));
+    let [one, other] = both.map(|angles| nearest(signed(angles), before));
     let distance = |angles: [f64; 3]| -> f64 {
         let apart = angles.iter().zip(before).map(|(a, b)| (a - b).abs());
         apart.sum()

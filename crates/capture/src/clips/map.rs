@@ -181,8 +181,8 @@ impl FoundJoints {
             let (from, to) = (&world[place.from], &world[place.to]);
             let turned = from.orientation.rotate(place.offset);
             [0, 1, 2].map(|axis| {
-                let way = to.position[axis] - from.position[axis];
-                from.position[axis] + place.at * way + turned[axis]
+                let apart = to.position[axis] - from.position[axis];
+                from.position[axis] + place.at * apart + turned[axis]
             })
         })
     }

@@ -39,8 +39,8 @@ impl SplitPlan {
         }
         SplitResult {
             note: alone.then(|| {
-                "one song alone: no phrase is held out, as phrases of a song that is trained on \
-                 say little of other songs (name some in `split.validation` to hold them out)"
+                "one song alone: no phrase is held out, because phrases of a training song do not \
+                 measure generalisation (name some in `split.validation` to hold them out)"
                     .to_owned()
             }),
             held_out,
