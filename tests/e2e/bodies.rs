@@ -111,5 +111,5 @@ fn bodies_that_are_none_are_named_and_plans_make_one_kind() {
     sandbox.write("plan.toml", PLAN.replace("motion =", "motions ="));
     sandbox
         .run("data prepare plan.toml")
-        .failed(2, &["`motions`", "motion"]);
+        .failed(2, &["unknown key `capture[0].motions`", "did you mean"]);
 }

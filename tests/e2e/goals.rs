@@ -428,7 +428,7 @@ fn goals_that_cannot_be_followed_are_refused_by_name() {
     );
     for x in ["9223372036854775808", "1e308"] {
         let points = format!("[trajectory]\nfirst_frame = 0\npoints = [[{x}, 0.0], [0.0, 1.0]]\n");
-        refused(&format!("frames = 16\n{points}"), &["goal.toml", "points"]);
+        refused(&format!("frames = 16\n{points}"), &["goal.toml:4: "]);
     }
     sandbox.write("goal.toml", GOAL);
     sandbox

@@ -28,7 +28,7 @@ fn an_interrupted_preparation_goes_on_and_a_changed_take_is_made_again() {
     );
     let again = sandbox.run("data prepare plan.toml --out set").succeeded();
     assert!(
-        again.stdout.contains("2 of 3 takes were up to date"),
+        again.stdout.contains("2 of 3 takes were unchanged"),
         "{}",
         again.stdout
     );
@@ -42,7 +42,7 @@ fn an_interrupted_preparation_goes_on_and_a_changed_take_is_made_again() {
     fs::remove_dir_all(sandbox.path("set/audio_features/one_00015")).expect("a phrase");
     let again = sandbox.run("data prepare plan.toml --out set").succeeded();
     assert!(
-        again.stdout.contains("2 of 3 takes were up to date"),
+        again.stdout.contains("2 of 3 takes were unchanged"),
         "{}",
         again.stdout
     );
@@ -50,7 +50,7 @@ fn an_interrupted_preparation_goes_on_and_a_changed_take_is_made_again() {
     sandbox.write("captures/two.bvh", bvh(200));
     let again = sandbox.run("data prepare plan.toml --out set").succeeded();
     assert!(
-        again.stdout.contains("2 of 3 takes were up to date"),
+        again.stdout.contains("2 of 3 takes were unchanged"),
         "{}",
         again.stdout
     );
@@ -60,21 +60,23 @@ fn an_interrupted_preparation_goes_on_and_a_changed_take_is_made_again() {
 fn wrong_plans_say_what_is_wrong_and_write_nothing() {
     let sandbox = with_captures();
     for (plan, texts) in [
-        ("output = 3", &["plan.toml", "line 1"][..]),
+        ("output = 3", &["plan.toml:1: `output`"][..]),
         (
             "output = \"o\"\n[[take]]\nmotoin = \"x\"\naudio = \"none\"",
-            &["motoin", "line 3"],
+            &[
+                "plan.toml:3: unknown key `take[0].motoin`",
+                "did you mean `take[0].motion`?",
+            ],
         ),
         ("output = \"o\"", &["nothing to prepare"]),
         (
             "output = \"o\"\nphrases.hop = 9223372036854775808",
-            &["plan.toml", "line 2", "too large"],
+            &["plan.toml:2: ", "too large"],
         ),
         (
             "output = \"o\"\nphrases = [60, 60]",
             &[
-                "plan.toml",
-                "`phrases`",
+                "plan.toml:2: `phrases`",
                 "a list of 2 values",
                 "allowed: a table",
             ],
@@ -105,7 +107,7 @@ fn wrong_plans_say_what_is_wrong_and_write_nothing() {
         ),
         (
             "output = \"o\"\n[[take]]\nmotion = \"captures/one.bvh\"\naudio = \"none\"\nunits = \"feet\"",
-            &["line 5", "feet", "\"inch\""],
+            &["plan.toml:5: `take[0].units`", "feet", "\"inch\""],
         ),
         (
             "output = \"o\"\n[[take]]\nmotion = \"captures/one.bvh\"\naudio = \"none\"\nfps = 60",
@@ -114,13 +116,13 @@ fn wrong_plans_say_what_is_wrong_and_write_nothing() {
         (
             "output = \"o\"\n[[take]]\nmotion = \"captures/one.bvh\"\naudio = \"none\"\nbeats_per_bar = 3\n\
              beats = { start_seconds = 0, seconds_per_beat = 0.5, beats_per_bar = 4 }",
-            &["beats_per_bar is for tracked beats"],
+            &["`take[0].beats_per_bar` is given, allowed: where beats are tracked"],
         ),
         (
             "output = \"o\"\n[[take]]\nname = \"x\"\naudio = \"none\"\naudio_start_seconds = 3\n\
              beats = { start_seconds = 0, seconds_per_beat = 0.5, beats_per_bar = 4 }\n\
              [[take.segment]]\nmotion = \"a.c3d\"\nframes = [0, 9]\nbeats = 8",
-            &["take `x`", "audio_start_seconds is for whole takes"],
+            &["`take[0].audio_start_seconds` is given, allowed: in whole takes"],
         ),
         (
             "output = \"o\"\n[[take]]\nmotion = \"captures/one.bvh\"\naudio = \"none\"\n\
@@ -130,7 +132,7 @@ fn wrong_plans_say_what_is_wrong_and_write_nothing() {
         (
             "output = \"o\"\n[phrases]\nframes = 900\n[[take]]\nmotion = \"captures/*.bvh\"\naudio = \"none\"",
             &[
-                "no take produced a phrase",
+                "no take gave a phrase",
                 "one: too short for a phrase of 900",
                 "two: too short",
             ],
@@ -160,7 +162,7 @@ fn wrong_plans_say_what_is_wrong_and_write_nothing() {
     );
     sandbox
         .run("data prepare plan.toml")
-        .failed(2, &["no take produced a phrase", "no capture: no.c3d"]);
+        .failed(2, &["no take gave a phrase", "no capture: no.c3d"]);
     assert!(!sandbox.path("o/manifest.parquet").exists());
     sandbox.write("plan.toml", PLAN);
     sandbox.write("captures/two.bvh", "HIERARCHY nonsense");
@@ -219,11 +221,11 @@ fn a_damaged_phrase_is_listed_and_made_again() {
     // From another folder, by another spelling of the plan's path.
     let plan = sandbox.path("plan.toml").display().to_string();
     let again = sandbox.run(&format!("data prepare {plan}")).succeeded();
-    let expected = "2 of 3 takes were up to date";
+    let expected = "2 of 3 takes were unchanged";
     assert!(again.stdout.contains(expected), "{}", again.stdout);
     assert!(fs::read(&damaged).expect("a phrase") == whole);
     let all = sandbox.run("data prepare plan.toml --again").succeeded();
-    let expected = "0 of 3 takes were up to date";
+    let expected = "0 of 3 takes were unchanged";
     assert!(all.stdout.contains(expected), "{}", all.stdout);
 }
 

@@ -114,7 +114,7 @@ fn what_cannot_be_warped_is_refused_and_nothing_is_written() {
         ),
         (
             "walk.features.npy --path nan.toml",
-            "nan.toml: `points[1][0]`",
+            "nan.toml:1: `points[1][0]`",
         ),
         ("walk.features.npy --path nowhere.toml", "nowhere.toml"),
         ("walk.features.npy --path circle.svg", "--metres-per-unit"),

@@ -7,10 +7,10 @@ use kinegrad_motion::FPS;
 use crate::error::{require, require_positive};
 use crate::{Error, RootSource, RootTrack};
 
-/// Two times closer than this are the same, in seconds: what sums of durations lose to rounding.
+/// Times closer than this are equal, seconds: sums of durations are rounded.
 const SAME_TIME: f64 = 1e-6;
 
-/// A piece of a take and when it is danced. It is stretched evenly to its length in music.
+/// A part of a take and its time in the music, stretched evenly to its length.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Segment {
     /// Index of the take.
@@ -36,7 +36,7 @@ pub struct Assembly {
     /// The track. Frame `t` is at `t / 30` seconds of music; frames that no segment covers or
     /// whose capture is missing are not valid.
     pub track: RootTrack,
-    /// What each frame plays, `[frames]`; none outside the segments.
+    /// The moment of a take that each frame shows, `[frames]`; none outside the segments.
     pub moments: Vec<Option<Moment>>,
 }
 

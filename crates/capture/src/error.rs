@@ -4,9 +4,13 @@ use std::fmt::Display;
 use std::path::Path;
 
 use kinegrad_data::StoreError;
-use kinegrad_settings::{InvalidSetting, Refused};
+use kinegrad_settings::{DocumentError, InvalidSetting, Refused};
 use miette::Diagnostic;
 use thiserror::Error;
+
+/// The hint of errors about plans.
+pub(crate) const PLANS: &str = "`kinegrad init prepare` (phrases) and `kinegrad init bodies` \
+     (clips) write plans to start from; docs/dataset.md describes them";
 
 /// An error about motion capture or a plan.
 #[derive(Debug, Diagnostic, Error)]
@@ -19,11 +23,11 @@ pub enum Error {
         file: String,
         /// The line, counted from 1, or the section with its byte, counted from 0.
         place: String,
-        /// What stands there.
+        /// The text or bytes found there.
         found: String,
-        /// What is allowed there.
+        /// The values allowed there.
         allowed: String,
-        /// What to do.
+        /// The remedy.
         hint: &'static str,
     },
 
@@ -31,19 +35,19 @@ pub enum Error {
     #[error("{problem}")]
     #[diagnostic(help("{hint}"))]
     Name {
-        /// What is wrong, with the file and the name.
+        /// The file, the name and the problem.
         problem: String,
-        /// What the file has, or what to do.
+        /// The names in the file, or the remedy.
         hint: String,
     },
 
-    /// A frame tells no place and rotation of the root, or no frame of a take does.
+    /// A frame has no place or rotation of the root, or no frame of a take has.
     #[error("{problem}")]
     #[diagnostic(help("{hint}"))]
     NoPose {
-        /// Which frame or file, and what is wrong with it.
+        /// The frame or file and the problem.
         problem: String,
-        /// What to do.
+        /// The remedy.
         hint: &'static str,
     },
 
@@ -52,16 +56,18 @@ pub enum Error {
     #[diagnostic(transparent)]
     Setting(#[from] InvalidSetting),
 
+    /// A plan that is refused.
+    #[error(transparent)]
+    #[diagnostic(transparent)]
+    Document(#[from] DocumentError),
+
     /// A plan, or a file it names, cannot be followed.
     #[error("{file}: {problem}")]
-    #[diagnostic(help(
-        "`kinegrad init prepare` (phrases) and `kinegrad init bodies` (clips) write plans to start \
-         from; docs/dataset.md describes them"
-    ))]
+    #[diagnostic(help("{PLANS}"))]
     Plan {
         /// The plan, or the file.
         file: String,
-        /// What is wrong with it.
+        /// The problem.
         problem: String,
     },
 
@@ -111,21 +117,22 @@ impl Error {
     }
 }
 
-/// An [`Error::Setting`] unless `holds`.
+/// [`kinegrad_settings::require`] with a hint about plans.
 pub(crate) fn require(
     holds: bool,
     key: impl Display,
     found: impl Display,
     allowed: impl Display,
-) -> Result<(), Error> {
-    let checked = kinegrad_settings::require(holds, key, found, allowed);
-    Ok(checked.hint(
-        "`kinegrad init prepare` writes a plan to start from; docs/dataset.md describes plans",
-    )?)
+) -> Result<(), InvalidSetting> {
+    kinegrad_settings::require(holds, key, found, allowed).hint(PLANS)
 }
 
 /// [`require`] of a finite number above 0.
-pub(crate) fn require_positive(key: impl Display, number: f64, allowed: &str) -> Result<(), Error> {
+pub(crate) fn require_positive(
+    key: impl Display,
+    number: f64,
+    allowed: &str,
+) -> Result<(), InvalidSetting> {
     require(number.is_finite() && number > 0.0, key, number, allowed)
 }
 

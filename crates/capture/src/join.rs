@@ -1,15 +1,14 @@
-//! Joining separately captured segments so that the root is continuous.
+//! Joins between segments, so that the root is continuous.
 //!
-//! Where two frames in a row are not neighbours in the capture, everything after is turned about
-//! the vertical so that the heading stays, and moved so that the place goes on with the last
-//! velocity. On the floor that is for good. The jump in height and the jump in tilt that is left
-//! after the turn are taken out in the first frame and come back over `fade_frames`, by the
-//! fifth-order step
-//!
+//! If two successive frames are not neighbours in the capture, all frames after them are turned
+//! about the vertical so that the heading is continuous, and moved on the floor so that the
+//! velocity is. The remaining jumps in height and tilt are removed in the first frame and return
+//! over `fade_frames`, by the fifth-order step
 //! ```text
 //! w = 1 - u^3 (10 - 15 u + 6 u^2),    u = frames since the border / fade_frames
 //! ```
 
+use kinegrad_settings::InvalidSetting;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -18,14 +17,14 @@ use kinegrad_motion::Quaternion;
 use crate::error::require;
 use crate::{Assembly, Error, RootPose, RootSource, RootTrack};
 
-/// How borders are found and smoothed.
+/// Detection and smoothing of joins between segments.
 #[derive(Clone, Debug, Deserialize, PartialEq, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Joining {
-    /// Frames of the track over which a jump in height and tilt is faded out.
+    /// Frames over which a jump in height and tilt is faded out.
     pub fade_frames: usize,
-    /// Longest way forward in the capture from one frame to the next, in seconds, that is no
-    /// border. The default is 4.5 frames at 80 per second: 1.7 times the pace of the music.
+    /// Largest step in the capture between two successive frames, seconds, that is not a join. The
+    /// default is 4.5 frames at 80 per second: 1.7 times the pace of the music.
     pub max_step_seconds: f64,
 }
 
@@ -42,17 +41,16 @@ impl Joining {
     /// Checks every number.
     ///
     /// # Errors
-    /// [`Error::Setting`] if `max_step_seconds` is not positive.
-    pub fn check(&self) -> Result<(), Error> {
+    /// If `max_step_seconds` is not positive.
+    pub fn check(&self) -> Result<(), InvalidSetting> {
         let seconds = self.max_step_seconds;
         let allowed = "a positive number of seconds of capture";
         require(seconds > 0.0, "max_step_seconds", seconds, allowed)
     }
 }
 
-/// The track of an assembly without jumps, and the frames that begin after a border. Each stretch
-/// of valid frames is joined within itself; across a gap nothing is known, and the root reappears
-/// where it was captured.
+/// The track of an assembly without jumps, and the frames that begin after a join. Each run of
+/// valid frames is joined within itself; after a gap the root keeps its captured place.
 ///
 /// # Errors
 /// [`Error::Setting`] if `max_step_seconds` is not positive.
@@ -90,7 +88,7 @@ fn is_border(assembly: &Assembly, t: usize, joining: &Joining) -> bool {
     now.take != before.take || step < 0.0 || step > joining.max_step_seconds
 }
 
-/// What is done to captured poses from a border on.
+/// Correction of captured poses from a join on.
 struct Shift {
     border: usize,
     turn: Quaternion,
@@ -113,13 +111,13 @@ impl Shift {
         }
     }
 
-    /// So that `captured` in frame `border` goes on from `last` and `earlier`, the two frames
-    /// before.
+    /// The correction with which `captured` in frame `border` continues `last` and `earlier`, the
+    /// two frames before.
     fn new(last: RootPose, earlier: RootPose, captured: RootPose, border: usize) -> Self {
         let heading = last.orientation.yaw() - captured.orientation.yaw();
         let turn = Quaternion::from_yaw(heading);
         let turned = turn.rotate(captured.position);
-        // The velocity is a difference of joined frames: two borders in a row agree too.
+        // The velocity is a difference of joined frames, so that two joins in a row agree.
         let expected = [0, 1, 2].map(|i| 2.0 * last.position[i] - earlier.position[i]);
         let left = last.orientation * (turn * captured.orientation).conjugate();
         Self {

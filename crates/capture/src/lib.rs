@@ -1,12 +1,11 @@
-//! Motion capture: from capture files to phrases of 25 channels, and to datasets of them.
+//! Motion capture: from capture files to datasets of phrases and of clips.
 //!
-//! A capture file ([`Bvh`], [`C3d`]) becomes a [`RootSource`], the place and orientation of the
-//! pelvis at any moment of the take. [`Segment`]s of takes are laid on a music time line
-//! ([`assemble`]) and joined where the capture jumps ([`join`]); [`resample`] takes one take as it
-//! stands. The track at 30 frames per second, with its musical phase ([`Beats`]), then gives
-//! phrases ([`stretches`], [`Stretch::phrases`]). [`prepare`](mod@prepare) does all of this as a
-//! plan says and writes a dataset. The parsers take bytes and a name for their messages, never
-//! panic and allocate no more than a small multiple of what they are given.
+//! A capture file ([`Bvh`], [`C3d`]) becomes a [`RootSource`]: place and orientation of the pelvis
+//! over time. [`assemble`] aligns [`Segment`]s of takes with the time line of the music and [`join`]
+//! removes the jumps between them; [`resample`] is for whole takes. The track at 30 frames per
+//! second, with its musical phase ([`Beats`]), gives phrases ([`stretches`], [`Stretch::phrases`]).
+//! [`phrases`] and [`clips`] write the dataset of a [`Plan`]. The parsers take bytes and a name for
+//! their messages, never panic and allocate no more than a small multiple of their input.
 //!
 //! ```
 //! use kinegrad_capture::{BeatGrid, Beats, Bvh, UpAxis, resample, stretches};
@@ -35,20 +34,19 @@
 //! ```
 
 mod assemble;
-pub mod bodies;
 mod bvh;
 mod c3d;
+pub mod clips;
 mod error;
 mod join;
 mod markers;
 mod phase;
-mod phrases;
+pub mod phrases;
+pub mod plan;
 pub mod prepare;
+mod stretches;
 mod track;
-
-use kinegrad_motion::Quaternion;
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
+mod up_axis;
 
 pub use assemble::{Assembly, Moment, Segment, assemble};
 pub use bvh::{Axis, Bvh, Channel, Deviation, Joint};
@@ -57,33 +55,7 @@ pub use error::Error;
 pub use join::{Joining, join};
 pub use markers::{MarkerMap, MarkerRoot};
 pub use phase::{BeatGrid, Beats, TrackedBeats};
-pub use phrases::{Stretch, stretches};
+pub use plan::{Plan, Units};
+pub use stretches::{Stretch, stretches};
 pub use track::{MarkerGaps, RootPose, RootSource, RootTrack, resample};
-
-/// Which axis of a capture file points up.
-#[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, Serialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum UpAxis {
-    /// +y, as in phrases and most BVH files.
-    #[default]
-    Y,
-    /// +z, as in most C3D files.
-    Z,
-}
-
-impl UpAxis {
-    /// The vector in the y-up frame: (x, y, z) becomes (x, z, -y) where z points up.
-    pub fn to_y_up(self, [x, y, z]: [f64; 3]) -> [f64; 3] {
-        match self {
-            Self::Y => [x, y, z],
-            Self::Z => [x, z, -y],
-        }
-    }
-
-    /// The same turn, world and body axes both given in the y-up frame: an upright rest pose
-    /// stays the identity.
-    pub fn turn_to_y_up(self, turn: Quaternion) -> Quaternion {
-        let [x, y, z] = self.to_y_up([turn.x, turn.y, turn.z]);
-        Quaternion::new(turn.w, x, y, z)
-    }
-}
+pub use up_axis::UpAxis;

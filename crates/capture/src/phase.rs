@@ -1,6 +1,7 @@
 //! The musical phase: position in the bar.
 
 use kinegrad_audio::pulse::position;
+use kinegrad_settings::InvalidSetting;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -26,8 +27,8 @@ pub struct BeatGrid {
 #[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct TrackedBeats {
-    /// Times of the beats in seconds of music, at least two, increasing; the first is the first of
-    /// a bar. Before it and after the last, beats go on as far apart as the nearest two.
+    /// Times of the beats in seconds of music, at least two, increasing; the first starts a bar.
+    /// Before it and after the last, beats continue at the distance of the nearest two.
     pub seconds: Vec<f64>,
     /// Beats in a bar, at least 1.
     pub beats_per_bar: u32,
@@ -61,8 +62,8 @@ impl Beats {
     /// Checks every number.
     ///
     /// # Errors
-    /// [`Error::Setting`] if one is out of range.
-    pub fn check(&self) -> Result<(), Error> {
+    /// Names the one that is out of range.
+    pub fn check(&self) -> Result<(), InvalidSetting> {
         let beats_per_bar = match self {
             Self::Grid(grid) => {
                 let allowed = "a positive number of seconds";

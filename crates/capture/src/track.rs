@@ -5,6 +5,8 @@ use std::ops::RangeInclusive;
 use kinegrad_motion::Quaternion;
 use kinegrad_motion::kinematics::make_sign_continuous;
 
+use kinegrad_settings::InvalidSetting;
+
 use crate::Error;
 use crate::error::require;
 
@@ -12,7 +14,7 @@ use crate::error::require;
 /// hundred times the length of the original.
 const RATES: RangeInclusive<f64> = 0.1..=100_000.0;
 
-/// Shortest quaternion that still tells a direction; shorter ones are placeholders.
+/// Shortest quaternion that has a direction; shorter ones are placeholders.
 const SHORTEST: f64 = 1e-6;
 
 /// Place and orientation of a body at one moment.
@@ -24,7 +26,7 @@ pub struct RootPose {
     pub orientation: Quaternion,
 }
 
-/// What was missing of one marker.
+/// Gaps of one marker.
 #[derive(Clone, Debug, Default, Eq, PartialEq)]
 pub struct MarkerGaps {
     /// The marker's label in the file.
@@ -37,7 +39,7 @@ pub struct MarkerGaps {
     pub longest_gap_frames: usize,
 }
 
-/// A take that tells where its root is, between frames too.
+/// A root over time, between frames too.
 pub trait RootSource {
     /// Number of frames, at least 1.
     fn frames(&self) -> usize;
@@ -49,14 +51,14 @@ pub trait RootSource {
     /// and last frame and where a neighbouring frame is not valid.
     fn sample(&self, frame: f64) -> Option<RootPose>;
 
-    /// What was missing of each marker that was not seen throughout.
+    /// Gaps of each marker that was not seen throughout.
     fn gaps(&self) -> &[MarkerGaps] {
         &[]
     }
 }
 
-/// The way of a root, frame by frame: metres, +y up, unit quaternions whose sign is continuous in
-/// each run of valid frames and w >= 0 in the first of it.
+/// A root track: metres, +y up, unit quaternions whose sign is continuous in each run of valid
+/// frames, with w >= 0 in the first frame of the run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RootTrack {
     positions: Vec<[f64; 3]>,
@@ -157,7 +159,7 @@ impl RootTrack {
         &self.orientations
     }
 
-    /// Whether a frame is known, `[frames]`.
+    /// True for each known frame, `[frames]`.
     pub fn valid(&self) -> &[bool] {
         &self.valid
     }
@@ -185,7 +187,7 @@ impl RootSource for RootTrack {
         self.rate
     }
 
-    /// Position linear, rotation at constant speed the shorter way.
+    /// Linear position, spherical linear rotation.
     fn sample(&self, frame: f64) -> Option<RootPose> {
         let (t, fraction) = split(frame, self.frames())?;
         let from = self.pose(t)?;
@@ -200,8 +202,8 @@ impl RootSource for RootTrack {
     }
 }
 
-/// The same take at another rate: frame `t` of the result is the moment `t / rate` seconds. It has
-/// every frame that fits into the take, which ends at its last frame: nothing is extrapolated.
+/// The same take at another rate: frame `t` is at `t / rate` seconds. Nothing is extrapolated
+/// beyond the last frame of the take.
 ///
 /// # Errors
 /// [`Error::Setting`] if a rate is out of 0.1 to 100000 frames per second.
@@ -209,7 +211,7 @@ pub fn resample(source: &dyn RootSource, rate: f64) -> Result<RootTrack, Error> 
     check_rate(source.rate())?;
     check_rate(rate)?;
     let last = source.frames().saturating_sub(1) as f64;
-    // A last moment that rounding puts just beyond the end is still the end.
+    // Rounding may put the last moment just beyond the end.
     let frames = (last / source.rate() * rate + 1e-6).floor() as usize + 1;
     let poses = (0..frames)
         .map(|t| source.sample((t as f64 / rate * source.rate()).min(last)))
@@ -217,7 +219,7 @@ pub fn resample(source: &dyn RootSource, rate: f64) -> Result<RootTrack, Error> 
     RootTrack::from_poses(poses, rate)
 }
 
-fn check_rate(rate: f64) -> Result<(), Error> {
+fn check_rate(rate: f64) -> Result<(), InvalidSetting> {
     let allowed = "from 0.1 to 100000 frames per second";
     require(RATES.contains(&rate), "rate", rate, allowed)
 }

@@ -20,7 +20,7 @@ mod weights;
 use std::any::TypeId;
 
 use clap::{ArgAction, Command as Line, CommandFactory, FromArgMatches, Parser, Subcommand};
-use kinegrad_capture::prepare::Units;
+use kinegrad_capture::Units;
 
 pub use config::{
     CompletionsArguments, ConfigCommand, ExplainArguments, InitArguments, ManArguments,

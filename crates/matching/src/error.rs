@@ -1,6 +1,6 @@
 //! What keeps a motion from being made.
 
-use kinegrad_settings::InvalidSetting;
+use kinegrad_settings::{DocumentError, InvalidSetting};
 use miette::Diagnostic;
 use thiserror::Error;
 
@@ -11,6 +11,11 @@ pub enum Error {
     #[error(transparent)]
     #[diagnostic(transparent)]
     Setting(#[from] InvalidSetting),
+
+    /// A TOML file is refused.
+    #[error(transparent)]
+    #[diagnostic(transparent)]
+    Document(#[from] DocumentError),
 
     /// A capture file cannot be read or written.
     #[error(transparent)]
@@ -31,24 +36,6 @@ pub enum Error {
 }
 
 impl Error {
-    /// What a TOML file cannot be read for, and in which line.
-    pub(crate) fn toml(
-        file: &str,
-        text: &str,
-        error: &toml::de::Error,
-        hint: impl Into<String>,
-    ) -> Self {
-        let before = error.span().and_then(|span| text.get(..span.start));
-        let problem = match before {
-            Some(before) => {
-                let line = before.matches('\n').count() + 1;
-                format!("line {line}: {}", error.message())
-            }
-            None => error.message().to_string(),
-        };
-        Self::file(file, problem, hint)
-    }
-
     /// An [`Error::File`].
     pub(crate) fn file(file: &str, problem: impl Into<String>, hint: impl Into<String>) -> Self {
         Self::File {

@@ -1,6 +1,7 @@
 //! Key frames of a new motion, from a TOML file.
 
-use serde::Deserialize;
+use kinegrad_settings::read_toml;
+use serde::{Deserialize, Serialize};
 
 use crate::{Error, Example, Figure, Frames, Held, Part};
 
@@ -14,7 +15,7 @@ const FURTHEST: f64 = 1e6;
 const LATEST: f64 = 1e6;
 
 /// A pose that the new motion takes at a moment.
-#[derive(Clone, Debug, Default, Deserialize, PartialEq)]
+#[derive(Clone, Debug, Default, Deserialize, PartialEq, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct Keyframe {
     /// When, in seconds.
@@ -36,7 +37,7 @@ pub struct Keyframe {
     pub name: String,
 }
 
-#[derive(Debug, Deserialize)]
+#[derive(Debug, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 struct Document {
     keyframe: Vec<Keyframe>,
@@ -50,8 +51,7 @@ impl Keyframe {
     /// For a file that cannot be read so.
     pub fn read(text: &str, file: &str) -> Result<Vec<Self>, Error> {
         let hint = "docs/matching.md describes files of key frames";
-        let mut document: Document =
-            toml::from_str(text).map_err(|error| Error::toml(file, text, &error, hint))?;
+        let mut document: Document = read_toml(text, file, hint)?;
         if document.keyframe.is_empty() {
             return Err(Error::file(file, "holds no `[[keyframe]]`", hint));
         }
@@ -189,7 +189,7 @@ mod tests {
             ),
             (
                 "[[keyframe]]\ntime = 1.0\nsource_time = 1.0\nplace = [nan, 1.0]",
-                "`place` is [NaN, 1.0], allowed: two numbers of at most 1e6",
+                "k.toml:4: `keyframe[0].place[0]`: NaN is not a finite number",
             ),
             (
                 "[[keyframe]]\ntime = 1.0\nsource_time = 1.0\nplace = [1e300, 1.0]",
@@ -198,11 +198,11 @@ mod tests {
             ("keyframe = []", "holds no `[[keyframe]]`"),
             (
                 "[[keyframe]]\ntime = 1.0",
-                "line 1: missing field `source_time`",
+                "k.toml:1: `keyframe[0].source_time`: the key is missing",
             ),
             (
                 "[[keyframe]]\ntime = 1.0\nsource_time = 1.0\npose = 1",
-                "unknown field `pose`",
+                "k.toml:4: unknown key `keyframe[0].pose`",
             ),
         ] {
             let error = read(text).unwrap_err().to_string();

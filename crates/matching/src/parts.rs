@@ -2,7 +2,8 @@
 
 use kinegrad_capture::Joint;
 use kinegrad_motion::rotation::length;
-use serde::Deserialize;
+use kinegrad_settings::read_toml;
+use serde::{Deserialize, Serialize};
 
 use crate::{Channels, Error, Figure};
 
@@ -21,14 +22,14 @@ pub struct Part {
 }
 
 /// A file of body parts.
-#[derive(Debug, Deserialize)]
+#[derive(Debug, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 struct Document {
     part: Vec<Entry>,
 }
 
 /// A part in a file.
-#[derive(Debug, Deserialize)]
+#[derive(Debug, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 struct Entry {
     name: String,
@@ -131,8 +132,7 @@ impl Part {
     /// joints.
     pub fn read(text: &str, file: &str, figure: &Figure) -> Result<Vec<Self>, Error> {
         let hint = "docs/matching.md describes files of parts";
-        let document: Document =
-            toml::from_str(text).map_err(|error| Error::toml(file, text, &error, hint))?;
+        let document: Document = read_toml(text, file, hint)?;
         if document.part.is_empty() {
             return Err(Error::file(file, "holds no `[[part]]`", hint));
         }
@@ -357,7 +357,7 @@ mod tests {
             ("[[part]]\nname = 'a'\n", "part `a` has no joints"),
             (
                 "[[part]]\nname = 'a'\njonts = []\n",
-                "unknown field `jonts`",
+                "unknown key `part[0].jonts`",
             ),
         ] {
             let error = Part::read(text, "parts.toml", &figure)

@@ -1,31 +1,247 @@
-//! What serde accepts in a TOML document though no setting means it.
+//! TOML documents that users write: the one reader, and the error that names file, line and key.
 
+use miette::Diagnostic;
+use serde::Serialize;
+use serde::de::DeserializeOwned;
 use thiserror::Error;
-use toml::{Table, Value};
+use toml::de::{DeTable, DeValue};
+use toml::{Spanned, Table, Value};
 
-/// A value that nothing can be made of.
-#[derive(Clone, Debug, Error, PartialEq)]
-#[error("`{key}`: {problem}")]
-pub struct Unfit {
-    /// The dotted key, elements of lists counted from 0.
-    pub key: String,
-    /// What was found and what is allowed.
-    pub problem: String,
+use crate::InvalidSetting;
+use crate::words::in_words;
+
+/// The place of a dotted key, such as `FILE:LINE`.
+pub type Place<'a> = &'a dyn Fn(&str) -> String;
+
+/// A document, or a key of it, that is refused.
+#[derive(Clone, Debug, Diagnostic, Error, PartialEq)]
+pub enum DocumentError {
+    /// Text that is not TOML.
+    #[error("{place}: {message}")]
+    #[diagnostic(help("the file is TOML: tables in [brackets], `key = value` lines"))]
+    Syntax {
+        /// File and line.
+        place: String,
+        /// The parser's message.
+        message: String,
+    },
+    /// A key that does not exist.
+    #[error("{place}: unknown key `{key}`, allowed: {allowed}")]
+    #[diagnostic(help("{hint}"))]
+    UnknownKey {
+        /// File and line, or the override.
+        place: String,
+        /// The dotted key.
+        key: String,
+        /// The keys of that table.
+        allowed: String,
+        /// The nearest valid key, if one is near.
+        hint: String,
+    },
+    /// A value of the wrong type, or not among those allowed.
+    #[error("{place}: `{key}`: {message}")]
+    #[diagnostic(help("{hint}"))]
+    Value {
+        /// File and line, or the override.
+        place: String,
+        /// The dotted key.
+        key: String,
+        /// The value found and what is allowed.
+        message: String,
+        /// The remedy.
+        hint: String,
+    },
+    /// A value of the right type that cannot work.
+    #[error("{place}: {setting}")]
+    #[diagnostic(help("{}", setting.hint))]
+    Setting {
+        /// File and line.
+        place: String,
+        /// The key, the value found, and what is allowed.
+        setting: InvalidSetting,
+    },
+}
+
+/// A TOML document with the lines of its keys.
+pub struct Document<'a> {
+    text: &'a str,
+    /// The file, for errors.
+    origin: &'a str,
+    spans: Spanned<DeTable<'a>>,
+    /// Its values.
+    pub table: Table,
+}
+
+impl<'a> Document<'a> {
+    /// The document in `text`; errors name `origin`, its file.
+    ///
+    /// # Errors
+    /// [`DocumentError::Syntax`] with the line.
+    pub fn parse(text: &'a str, origin: &'a str) -> Result<Self, DocumentError> {
+        let no_toml = |error: toml::de::Error| DocumentError::Syntax {
+            place: error.span().map_or(origin.to_owned(), |span| {
+                format!("{origin}:{}", line_of(text, span.start))
+            }),
+            message: match error.message() {
+                // Numbers that are too large are an error of a type.
+                message if message.starts_with("invalid type") => in_words(message),
+                message => message.to_owned(),
+            },
+        };
+        Ok(Self {
+            spans: DeTable::parse(text).map_err(no_toml)?,
+            table: text.parse().map_err(no_toml)?,
+            text,
+            origin,
+        })
+    }
+
+    /// File and line of a dotted key, or of the nearest key above it.
+    pub fn place(&self, key: &str) -> String {
+        match start_of(self.spans.get_ref(), key) {
+            Some(start) => format!("{}:{}", self.origin, line_of(self.text, start)),
+            None => self.origin.to_owned(),
+        }
+    }
+
+    /// Its values as a `T`. `help` is the hint of errors without a nearest valid name.
+    ///
+    /// # Errors
+    /// Names the first key that is unknown, or whose value is not finite, of another type, or a
+    /// list in the place of a table.
+    pub fn read<T: DeserializeOwned + Serialize>(&self, help: &str) -> Result<T, DocumentError> {
+        let place: Place<'_> = &|key| self.place(key);
+        must_be_finite(&self.table, place)?;
+        let read = from_table(&self.table, place, help, &[])?;
+        must_be_tables(&self.table, &read, place)?;
+        Ok(read)
+    }
+
+    /// The error of a setting that cannot work, with its line.
+    pub fn refuse(&self, setting: InvalidSetting) -> DocumentError {
+        DocumentError::Setting {
+            place: self.place(&setting.key),
+            setting,
+        }
+    }
+}
+
+/// Reads a TOML document that a user wrote: [`Document::parse`], then [`Document::read`].
+///
+/// # Errors
+/// As these.
+pub fn read_toml<T: DeserializeOwned + Serialize>(
+    text: &str,
+    origin: &str,
+    help: &str,
+) -> Result<T, DocumentError> {
+    Document::parse(text, origin)?.read(help)
+}
+
+/// Deserialises `table`. `beside` lists, by table, keys that another type reads.
+///
+/// # Errors
+/// Names the first key that is unknown or whose value is of another type; `help` is its hint
+/// unless a valid name is near.
+pub fn from_table<T: DeserializeOwned>(
+    table: &Table,
+    place: Place<'_>,
+    help: &str,
+    beside: &[(&str, &[&str])],
+) -> Result<T, DocumentError> {
+    serde_path_to_error::deserialize(Value::Table(table.clone())).map_err(|error| {
+        let path = error.path().to_string();
+        explain(place, &path, error.inner().message(), help, beside)
+    })
+}
+
+/// The error of a message of serde about the value at `path`.
+fn explain(
+    place: Place<'_>,
+    path: &str,
+    message: &str,
+    help: &str,
+    beside: &[(&str, &[&str])],
+) -> DocumentError {
+    let message = message.trim().lines().next().unwrap_or_default();
+    let path = if path == "." { "" } else { path };
+    let mut quoted = message.split('`').skip(1).step_by(2);
+    let join = |parent: &str, key: &str| match parent {
+        "" => key.to_owned(),
+        parent => format!("{parent}.{key}"),
+    };
+    if message.starts_with("unknown field") {
+        let found = quoted.next().unwrap_or_default();
+        let parent = path.strip_suffix(found).unwrap_or(path);
+        let parent = parent.trim_end_matches('.');
+        let others = beside.iter().filter(|(table, _)| *table == parent);
+        let others = others.flat_map(|(_, keys)| keys.iter().copied());
+        let allowed: Vec<&str> = others.chain(quoted).collect();
+        let hint = match nearest(found, &allowed) {
+            Some(near) => format!("did you mean `{}`?", join(parent, near)),
+            None => help.to_owned(),
+        };
+        let key = join(parent, found);
+        return DocumentError::UnknownKey {
+            place: place(&key),
+            key,
+            allowed: allowed.join(", "),
+            hint,
+        };
+    }
+    if message.starts_with("unknown variant") {
+        let found = quoted.next().unwrap_or_default();
+        let names: Vec<&str> = quoted.collect();
+        return not_among(place(path), path, &format!("\"{found}\""), &names);
+    }
+    let (key, message) = match message.starts_with("missing field") {
+        true => {
+            let key = join(path, quoted.next().unwrap_or_default());
+            (key, "the key is missing".to_owned())
+        }
+        false => (path.to_owned(), in_words(message)),
+    };
+    DocumentError::Value {
+        place: place(path),
+        key,
+        message,
+        hint: help.to_owned(),
+    }
+}
+
+/// The error of a value that is none of the `names` that `key` may have.
+pub fn not_among(place: String, key: &str, found: &str, names: &[&str]) -> DocumentError {
+    DocumentError::Value {
+        place,
+        key: key.into(),
+        message: format!("{found} is not among {}", names.join(", ")),
+        hint: match nearest(found.trim_matches('"'), names) {
+            Some(near) => format!("did you mean \"{near}\"?"),
+            None => format!("choose one of: {}", names.join(", ")),
+        },
+    }
+}
+
+/// The one of `allowed` that is most like `found`, if one is like it.
+pub fn nearest<'a>(found: &str, allowed: &[&'a str]) -> Option<&'a str> {
+    let similar = |name: &&'a str| (strsim::jaro_winkler(found, name), *name);
+    let near = allowed.iter().map(similar).filter(|near| near.0 > 0.75);
+    near.max_by(|a, b| a.0.total_cmp(&b.0)).map(|near| near.1)
 }
 
 /// Rejects numbers that are not finite: no setting means one, and JSON cannot hold one.
 ///
 /// # Errors
 /// Names the first such key.
-pub fn must_be_finite(given: &Table) -> Result<(), Unfit> {
-    let found = given
-        .iter()
-        .find_map(|(key, value)| not_finite(key.clone(), value));
-    match found {
+pub fn must_be_finite(given: &Table, place: Place<'_>) -> Result<(), DocumentError> {
+    let mut entries = given.iter();
+    match entries.find_map(|(key, value)| not_finite(key.clone(), value)) {
         None => Ok(()),
-        Some((key, number)) => Err(Unfit {
+        Some((key, number)) => Err(DocumentError::Value {
+            place: place(&key),
             key,
-            problem: format!("{number} is not a finite number"),
+            message: format!("{number} is not a finite number"),
+            hint: "write a number, or leave the key out for its default".to_owned(),
         }),
     }
 }
@@ -46,19 +262,26 @@ fn not_finite(key: String, value: &Value) -> Option<(String, f64)> {
     }
 }
 
-/// Rejects lists in the place of tables, which serde reads by the order of a table's fields. `read`
-/// is what `given` was read as, written again.
+/// Rejects lists in the place of tables, which serde reads by the order of a table's fields. `given`
+/// was read as `read`.
 ///
 /// # Errors
 /// Names the first such key.
-pub fn must_be_tables(given: &Table, read: &Table) -> Result<(), Unfit> {
-    match list_for_table("", given, read) {
+pub fn must_be_tables(
+    given: &Table,
+    read: &impl Serialize,
+    place: Place<'_>,
+) -> Result<(), DocumentError> {
+    let read = Table::try_from(read).expect("documents are plain data");
+    match list_for_table("", given, &read) {
         None => Ok(()),
-        Some((key, elements)) => Err(Unfit {
+        Some((key, elements)) => Err(DocumentError::Value {
+            place: place(&key),
             key,
-            problem: format!(
+            message: format!(
                 "a list of {elements} values, allowed: a table of `name = value` entries"
             ),
+            hint: "name each value: `[table]`, then `key = value`".to_owned(),
         }),
     }
 }
@@ -87,13 +310,63 @@ fn list_at(key: String, given: &Value, read: &Value) -> Option<(String, usize)> 
     }
 }
 
+/// The line of a byte, counted from 1.
+fn line_of(text: &str, byte: usize) -> usize {
+    text.as_bytes()[..byte.min(text.len())]
+        .iter()
+        .filter(|byte| **byte == b'\n')
+        .count()
+        + 1
+}
+
+/// The first byte of the key `path`, such as `model.channel_mult[2]`, in the text that `table` was
+/// parsed from, or of the nearest key above it.
+fn start_of(table: &DeTable<'_>, path: &str) -> Option<usize> {
+    let beginnings = table.iter().filter_map(|(name, value)| {
+        let rest = path.strip_prefix(name.get_ref().as_ref())?;
+        let ends = rest.is_empty() || rest.starts_with(['.', '[']);
+        ends.then_some((name, value, rest))
+    });
+    // A key in quotes may hold a dot: the longest is meant.
+    let (name, value, rest) = beginnings.min_by_key(|(_, _, rest)| rest.len())?;
+    Some(start_in(value.get_ref(), rest).unwrap_or(name.span().start))
+}
+
+/// [`start_of`] in a value, where `rest` is the path behind its key.
+fn start_in(value: &DeValue<'_>, rest: &str) -> Option<usize> {
+    match value {
+        DeValue::Table(inner) => start_of(inner, rest.strip_prefix('.')?),
+        DeValue::Array(elements) => {
+            let (index, rest) = rest.strip_prefix('[')?.split_once(']')?;
+            let element = elements.get(index.parse::<usize>().ok()?)?;
+            Some(start_in(element.get_ref(), rest).unwrap_or(element.span().start))
+        }
+        _ => None,
+    }
+}
+
 #[cfg(test)]
 mod tests {
+    use serde::Deserialize;
+
     use super::*;
 
     fn table(text: &str) -> Table {
         text.parse().unwrap()
     }
+
+    /// The key of an error, which must name this place too.
+    fn key_of(error: DocumentError) -> String {
+        match error {
+            DocumentError::Value { place, key, .. } => {
+                assert_eq!(place, format!("at {key}"));
+                key
+            }
+            other => panic!("{other}"),
+        }
+    }
+
+    const AT: Place<'_> = &|key| format!("at {key}");
 
     #[test]
     fn numbers_that_are_not_finite_are_named_wherever_they_stand() {
@@ -102,11 +375,11 @@ mod tests {
             ("a.b = [1.0, nan]", "a.b[1]"),
             ("[[a]]\nb = 1\n[[a]]\nb = -inf", "a[1].b"),
         ] {
-            let unfit = must_be_finite(&table(text)).unwrap_err();
-            assert_eq!(unfit.key, key);
-            assert!(unfit.to_string().contains("is not a finite number"));
+            let error = must_be_finite(&table(text), AT).unwrap_err();
+            assert!(error.to_string().contains("is not a finite number"));
+            assert_eq!(key_of(error), key);
         }
-        must_be_finite(&table("a = 1e300\nb = [\"nan\"]")).unwrap();
+        must_be_finite(&table("a = 1e300\nb = [\"nan\"]"), AT).unwrap();
     }
 
     #[test]
@@ -118,9 +391,87 @@ mod tests {
             ("a.b = [1]", "a.b"),
             ("e = [{ f = 1 }, [2]]", "e[1]"),
         ] {
-            assert_eq!(must_be_tables(&table(text), &read).unwrap_err().key, key);
+            let error = must_be_tables(&table(text), &read, AT).unwrap_err();
+            assert_eq!(key_of(error), key);
         }
-        must_be_tables(&read, &read).unwrap();
-        must_be_tables(&table("of_old_versions = [1]"), &read).unwrap();
+        must_be_tables(&read, &read, AT).unwrap();
+        must_be_tables(&table("of_old_versions = [1]"), &read, AT).unwrap();
+    }
+
+    #[derive(Debug, Deserialize, Serialize)]
+    #[serde(deny_unknown_fields)]
+    struct Walk {
+        name: String,
+        #[serde(default)]
+        step: Vec<Step>,
+    }
+
+    #[derive(Debug, Deserialize, Serialize)]
+    #[serde(deny_unknown_fields)]
+    struct Step {
+        seconds: f64,
+        foot: Option<Foot>,
+    }
+
+    #[derive(Debug, Deserialize, Serialize)]
+    #[serde(rename_all = "snake_case")]
+    enum Foot {
+        Left,
+        Right,
+    }
+
+    #[test]
+    fn errors_name_file_line_key_and_remedy() {
+        for (text, expected) in [
+            ("name = ", "f.toml:1: "),
+            (
+                "seed = 99999999999999999999",
+                "f.toml:1: 99999999999999999999 is too large",
+            ),
+            (
+                "\nname = 3",
+                "f.toml:2: `name`: expected text in quotes, found 3; see the docs",
+            ),
+            (
+                "step = []",
+                "f.toml: `name`: the key is missing; see the docs",
+            ),
+            (
+                "name = 'x'\n[[step]]\nseconds = 1\n[[step]]\n",
+                "f.toml:4: `step[1].seconds`: the key is missing; see the docs",
+            ),
+            (
+                "name = 'x'\n[[step]]\nseconds = 1\n[[step]]\nsecond = 1\n",
+                "f.toml:5: unknown key `step[1].second`, allowed: seconds, foot; did you mean \
+                 `step[1].seconds`?",
+            ),
+            (
+                "name = 'x'\n[[step]]\nseconds = 1\n\nfoot = 'lefd'",
+                "f.toml:5: `step[0].foot`: \"lefd\" is not among left, right; did you mean \
+                 \"left\"?",
+            ),
+            (
+                "name = 'x'\nstep = [\n[1.0, 'left']]",
+                "f.toml:3: `step[0]`: a list of 2 values, allowed: a table",
+            ),
+            (
+                "name = 'x'\n[[step]]\nseconds = nan",
+                "f.toml:3: `step[0].seconds`: NaN is not a finite number",
+            ),
+        ] {
+            let error = read_toml::<Walk>(text, "f.toml", "see the docs").unwrap_err();
+            let help = error.help().expect("a hint");
+            let message = format!("{error}; {help}");
+            assert!(message.starts_with(expected), "{expected}\n{message}");
+        }
+        let text = "name = 'x'\n[[step]]\nseconds = 0\n";
+        let document = Document::parse(text, "f.toml").unwrap();
+        let walk: Walk = document.read("").unwrap();
+        assert_eq!(walk.step[0].seconds, 0.0);
+        let refused = crate::in_range("step[0].seconds", 0.0, crate::ABOVE_ZERO).unwrap_err();
+        assert_eq!(
+            document.refuse(refused).to_string(),
+            "f.toml:3: `step[0].seconds` is 0, allowed: more than 0"
+        );
     }
 }

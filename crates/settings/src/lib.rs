@@ -1,4 +1,4 @@
-//! Validation of config values, and the error it returns.
+//! Reading and validation of settings, and the errors.
 //!
 //! ```
 //! use kinegrad_settings::{Refused, in_range};
@@ -12,9 +12,11 @@ mod document;
 mod keys;
 mod words;
 
-pub use document::{Unfit, must_be_finite, must_be_tables};
+pub use document::{
+    Document, DocumentError, Place, from_table, must_be_finite, must_be_tables, nearest, not_among,
+    read_toml,
+};
 pub use keys::{Key, Name, Values, keys_of};
-pub use words::in_words;
 
 use std::fmt::Display;
 use std::ops::{Bound, RangeBounds};

@@ -2,11 +2,8 @@
 
 /// `message` of serde, such as "invalid type: string "many", expected u64", in the words of
 /// somebody who writes a document; other messages as they are.
-pub fn in_words(message: &str) -> String {
+pub(crate) fn in_words(message: &str) -> String {
     let message = message.trim().lines().next().unwrap_or_default();
-    if let Some(rest) = message.strip_prefix("missing field `") {
-        return format!("the key `{} is missing", rest.trim_end());
-    }
     if message.ends_with("value was too large") {
         return "the whole number is too large".to_owned();
     }
@@ -150,7 +147,6 @@ mod tests {
                 "unknown variant `a`, expected `b` or `c`",
                 "\"a\" is not among b, c",
             ),
-            ("missing field `output`", "the key `output` is missing"),
             (
                 "invalid type: string \"99999999999999999999\", expected u64",
                 "expected a whole number, 0 or more, and 99999999999999999999 is too large for a \

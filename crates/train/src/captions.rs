@@ -4,7 +4,6 @@ use std::collections::BTreeMap;
 use std::ops::ControlFlow;
 use std::sync::Arc;
 
-use crate::config::nearest;
 use crate::error::Error;
 use crate::observer::Observer;
 use crate::sampling::Condition;
@@ -16,7 +15,7 @@ use kinegrad_data::humanml::{
 };
 use kinegrad_data::{DataConfig, Dataset};
 use kinegrad_motion::humanml::TEXT_CHANNELS;
-use kinegrad_settings::{InvalidSetting, Refused, in_range, require};
+use kinegrad_settings::{InvalidSetting, Refused, in_range, nearest, require};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 

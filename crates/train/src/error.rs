@@ -1,6 +1,6 @@
 use std::path::PathBuf;
 
-use kinegrad_settings::InvalidSetting;
+use kinegrad_settings::{DocumentError, InvalidSetting};
 use miette::Diagnostic;
 use thiserror::Error;
 
@@ -234,6 +234,12 @@ fn io_hint(source: &std::io::Error) -> &'static str {
         ErrorKind::OutOfMemory => "free memory, or give this process more of it",
         ErrorKind::PermissionDenied => "check the folder's owner and rights",
         _ => "check that the path exists and can be written",
+    }
+}
+
+impl From<DocumentError> for Error {
+    fn from(error: DocumentError) -> Self {
+        Self::Config(error.into())
     }
 }
 

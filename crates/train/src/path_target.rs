@@ -337,10 +337,10 @@ impl FollowedPath {
 /// The path of a request, with its file.
 pub(crate) fn read_path(path: &PathFile) -> Result<(PathBuf, PathPlan), Error> {
     let file = path.file.display().to_string();
-    let refused =
-        |reason: String| Error::usage(format!("{file}: {reason}"), "docs/paths.md describes paths");
-    let text = read_text(&path.file).map_err(|error| refused(error.to_string()))?;
-    let plan = PathPlan::read(&text, &file, path.metres_per_unit).map_err(refused)?;
+    let refused = |message: String| Error::usage(message, "docs/paths.md describes paths");
+    let text = read_text(&path.file).map_err(|error| refused(format!("{file}: {error}")))?;
+    let plan = PathPlan::read(&text, &file, path.metres_per_unit);
+    let plan = plan.map_err(|error| refused(error.to_string()))?;
     Ok((path.file.clone(), plan))
 }
 

@@ -6,12 +6,10 @@ use std::path::Path;
 use kinegrad_data::file::read_text;
 use kinegrad_data::humanml::read_embedding;
 use kinegrad_motion::MAX_FRAMES;
-use kinegrad_settings::{ABOVE_ZERO, in_range, in_words, must_be_finite};
+use kinegrad_settings::{ABOVE_ZERO, Document, in_range};
 use serde::{Deserialize, Serialize};
-use toml::Table;
 
 use crate::captions::{ClipText, TextInput};
-use crate::config::line_of;
 use crate::error::Error;
 use crate::sampling::{Request, SaidRecord};
 
@@ -39,27 +37,21 @@ impl TextPlan {
     /// Reads and checks a file.
     ///
     /// # Errors
-    /// [`Error::Usage`] with the file, its line and what is wrong.
+    /// With the file, its line and what is wrong.
     pub fn read(path: &Path) -> Result<Self, Error> {
-        let refused = |reason: String| {
-            let hint = "a plan is a list of `[[step]]`, each with `seconds` and `text` or \
-                        `text_embedding`: docs/compose.md";
-            Error::usage(format!("{}: {reason}", path.display()), hint)
-        };
+        let hint = "a plan is a list of `[[step]]`, each with `seconds` and `text` or \
+                    `text_embedding`: docs/compose.md";
+        let file = path.display().to_string();
+        let refused = |reason: String| Error::usage(format!("{file}: {reason}"), hint);
         let text = read_text(path).map_err(|error| refused(error.to_string()))?;
-        let wrong = |error: toml::de::Error| {
-            let line = error.span().map_or(1, |span| line_of(&text, span.start));
-            refused(format!("line {line}: {}", in_words(error.message())))
-        };
-        let given: Table = text.parse().map_err(wrong)?;
-        must_be_finite(&given).map_err(|unfit| refused(unfit.to_string()))?;
-        let plan: Self = toml::from_str(&text).map_err(wrong)?;
+        let document = Document::parse(&text, &file)?;
+        let plan: Self = document.read(hint)?;
         if plan.step.is_empty() {
             return Err(refused("it has no step".into()));
         }
         for (number, step) in plan.step.iter().enumerate() {
             in_range(format!("step[{number}].seconds"), step.seconds, ABOVE_ZERO)
-                .map_err(|error| refused(error.to_string()))?;
+                .map_err(|setting| document.refuse(setting))?;
             if step.text.is_some() && step.text_embedding.is_some() {
                 let both = format!("step[{number}] has both `text` and `text_embedding`");
                 return Err(refused(both));

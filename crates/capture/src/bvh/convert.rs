@@ -5,8 +5,8 @@ use crate::error::require_positive;
 use crate::{Error, UpAxis};
 
 impl Bvh {
-    /// The same take with every length times `scale`, and +y up where `up` says that another axis
-    /// is: joints, order of channels and frame time stay. 100 makes centimetres of metres.
+    /// The same take with every length times `scale` and the axis `up` turned to +y. Joints, order of
+    /// channels and frame time stay. A scale of 100 converts metres to centimetres.
     ///
     /// # Errors
     /// [`Error::Setting`] if `scale` is not positive or a length overflows.
@@ -58,7 +58,7 @@ impl Bvh {
     }
 }
 
-/// The axis of the y-up frame that an axis becomes, and whether it points the other way.
+/// The axis of the y-up frame that an axis becomes, and its sign.
 fn y_up(up: UpAxis, axis: Axis) -> (Axis, f64) {
     match (up, axis) {
         (UpAxis::Y, _) | (UpAxis::Z, Axis::X) => (axis, 1.0),

@@ -9,7 +9,7 @@ use super::Bvh;
 /// The joint that is furthest from where a clip has it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Deviation {
-    /// How far it is, metres.
+    /// Distance, metres.
     pub metres: f64,
     /// Its name.
     pub joint: String,
@@ -32,9 +32,9 @@ impl Bvh {
         Joints::new(frames.collect(), places.len()).ok()
     }
 
-    /// How far the joints are from those of the clip that [`Bvh::from_joints`] made the file of,
-    /// at most: bones that change their length in the clip have one length here. None if a frame or
-    /// a joint is missing.
+    /// The largest distance of a joint from that of the clip that [`Bvh::from_joints`] wrote: bones
+    /// whose length changes in the clip have one length here. None if a frame or a joint is
+    /// missing.
     pub fn deviation(
         &self,
         clip: &Joints,

@@ -9,8 +9,8 @@ use super::Axis;
 pub(super) fn degrees(rotation: Quaternion, axes: [Axis; 3], before: [f64; 3]) -> [f64; 3] {
     let rotation = rotation.normalised();
     let columns = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]].map(|e| rotation.rotate(e));
-    // The matrix with the axes in the order of the turns. Where that order is that of a left hand,
-    // every angle changes its sign.
+    // The matrix with the axes in the order of the turns. If that order is left-handed, every angle
+    // changes its sign.
     let entry = |row: usize, column: usize| columns[axes[column] as usize][axes[row] as usize];
     let cyclic = (axes[0] as usize + 1) % 3 == axes[1] as usize;
     let signed = |angles: [f64; 3]| angles.map(|angle| if cyclic { angle } else { -angle });
@@ -27,12 +27,12 @@ pub(super) fn degrees(rotation: Quaternion, axes: [Axis; 3], before: [f64; 3]) -
     let first = (-entry(1, 2)).atan2(entry(2, 2)).to_degrees();
     let middle = sine.asin().to_degrees();
     let last = (-entry(0, 1)).atan2(entry(0, 0)).to_degrees();
-    // The same rotation by way of the other side.
-    let ways = [
+    // The two triples of angles of the same rotation.
+    let both = [
         [first, middle, last],
         [first + 180.0, 180.0 - middle, last + 180.0],
     ];
-    let [one, other] = ways.map(|angles| nearest(signed(angles), before));
+    let [one, other] = both.map(|angles| nearest(signed(angles), before));
     let distance = |angles: [f64; 3]| -> f64 {
         let apart = angles.iter().zip(before).map(|(a, b)| (a - b).abs());
         apart.sum()

@@ -7,7 +7,7 @@
 mod convert;
 mod deviation;
 mod euler;
-mod figure;
+mod from_joints;
 mod parse;
 mod phrase;
 mod pose;
@@ -29,7 +29,7 @@ pub enum Axis {
     Z,
 }
 
-/// What one number of a frame says of its joint.
+/// The meaning of one number of a frame.
 #[derive(Clone, Copy, Debug, Eq, PartialEq)]
 pub enum Channel {
     /// A coordinate of the place within the parent, in file units. It replaces that of the
@@ -57,7 +57,7 @@ pub struct Joint {
     pub name: String,
     /// Index of the parent, always smaller than its own; none for the root.
     pub parent: Option<usize>,
-    /// Place within the parent in file units, where no position channel says otherwise.
+    /// Place within the parent in file units, unless a position channel replaces it.
     pub offset: [f64; 3],
     /// Its channels in the order of the file, at most six.
     pub channels: Vec<Channel>,

@@ -45,7 +45,7 @@ impl Bvh {
 struct Reader<'a> {
     file: &'a str,
     lines: std::iter::Enumerate<std::str::Lines<'a>>,
-    /// What is left of the current line.
+    /// The rest of the current line.
     rest: &'a str,
     /// The current line, counted from 1.
     line: usize,

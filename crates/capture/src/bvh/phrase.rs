@@ -9,8 +9,8 @@ use crate::error::require_positive;
 
 /// Name of the joint of a file with one.
 const ROOT: &str = "root";
-/// Where the bone of a lone root ends, in metres: in front of it, so that programs which draw bones
-/// show where it faces.
+/// End of the bone of a lone root, metres: in front of it, so that programs that draw bones show
+/// its heading.
 const FRONT: [f64; 3] = [0.0, 0.0, 0.3];
 
 impl Bvh {

@@ -46,7 +46,7 @@ impl Bvh {
         }
     }
 
-    /// [`world`](Self::world) of one joint, by way of its ancestors alone.
+    /// [`world`](Self::world) of one joint, from its ancestors alone.
     fn world_of(&self, joint: usize, t: usize) -> RootPose {
         let mut joint = &self.joints[joint];
         let mut pose = self.local(joint, t);
@@ -57,7 +57,7 @@ impl Bvh {
         pose
     }
 
-    /// The way of one joint through the take, in metres and y-up, at the file's own rate.
+    /// The track of one joint in metres and y-up, at the file's own rate.
     ///
     /// The orientation is that of the file: the identity is the joint in its rest pose, which
     /// faces +z in files that follow the convention of the phrases.

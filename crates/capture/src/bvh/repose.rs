@@ -16,12 +16,11 @@ impl Bvh {
     }
 
     /// Another motion of the same joints, with their names, offsets, End Sites and channels:
-    /// `locals`, `[frames, joints]` row by row, are places and orientations within the parents, as
-    /// [`locals`](Self::locals) gives them. What the channels of a joint cannot hold is left out: a
-    /// place without position channels, turns about an axis that it does not have.
+    /// `locals`, `[frames, joints]` row by row, as [`locals`](Self::locals) returns them. Positions
+    /// of joints without position channels and rotations about a missing axis are dropped.
     ///
-    /// From one frame to the next the angles change as little as they can, beyond half a turn too;
-    /// the first are as near as they can be to those of this file's first frame.
+    /// Angles are unwrapped from frame to frame; the first are as near as possible to those of this
+    /// file's first frame.
     ///
     /// # Errors
     /// [`Error::Setting`] for a frame time that is not positive, no frames or half a frame, or a

@@ -4,6 +4,8 @@ use std::fmt::Write;
 
 use kinegrad_motion::Quaternion;
 
+use kinegrad_settings::InvalidSetting;
+
 use super::euler::degrees;
 use super::{Axis, Bvh, CHANNELS, Channel, Joint};
 use crate::Error;
@@ -19,9 +21,9 @@ const POSITION: [Channel; 3] = [
 ];
 
 impl Joint {
-    /// A joint of a figure that moves, for [`Bvh::from_rotations`]: `name` of one line without
-    /// braces, a `parent` that comes before it, its place within the parent in the file's units
-    /// (of the root unused), and where its bone ends, if no other joint says so.
+    /// A joint for [`Bvh::from_rotations`]: `name` of one line without braces, a `parent` before
+    /// it, its `offset` within the parent in the file's units (unused for the root), and the end of
+    /// its bone, if it has no child.
     pub fn new(
         name: String,
         parent: Option<usize>,
@@ -40,13 +42,12 @@ impl Joint {
 }
 
 impl Bvh {
-    /// A file of a figure that moves: `root` positions `[frames, 3]` in the file's units and
-    /// `rotations` `[frames, joints]`, row by row, each within the parent.
+    /// A file of `root` positions `[frames, 3]` in the file's units and `rotations` `[frames,
+    /// joints]`, row by row, each within the parent.
     ///
-    /// The joints come to stand in the order of the text, which is depth first. The root has six
-    /// channels, every other joint three, `Zrotation Xrotation Yrotation`. From one frame to the
-    /// next the angles change as little as they can, beyond half a turn too, so that programs which
-    /// interpolate them do not spin.
+    /// The joints are in depth-first order. The root has six channels, every other joint three,
+    /// `Zrotation Xrotation Yrotation`. Angles are unwrapped: they change as little as possible
+    /// from frame to frame, so that programs that interpolate them do not spin.
     ///
     /// # Errors
     /// [`Error::Setting`] for a frame time that is not positive, joints that make no
@@ -140,7 +141,7 @@ fn check(
     frame_time: f64,
     root: &[[f64; 3]],
     rotations: &[Quaternion],
-) -> Result<(), Error> {
+) -> Result<(), InvalidSetting> {
     let allowed = "a positive number of seconds: 0.05 for 20 frames per second";
     require_positive("frame_time", frame_time, allowed)?;
     for (index, joint) in figure.iter().enumerate() {

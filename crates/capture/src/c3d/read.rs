@@ -20,7 +20,7 @@ const LABEL_PARAMETERS: usize = 257;
 impl C3d {
     /// Reads a C3D file from its bytes; `file` is its name for messages.
     ///
-    /// Parameters win over the header where both say the same thing. The number of frames is the
+    /// Parameters take precedence over the header. The number of frames is the
     /// header's, or where its 16 bits are full that of TRIAL:ACTUAL_START_FIELD and
     /// ACTUAL_END_FIELD, POINT:LONG_FRAMES or POINT:FRAMES. A point is missing where its residual
     /// is negative or a number is NaN.

@@ -16,8 +16,8 @@ use crate::{C3d, Error, UpAxis};
 
 pub use root::MarkerRoot;
 
-/// Which markers carry the root. A group of several stands for its mean; names are given with or
-/// without the file's prefix. The default is the pelvis of Plug-in-Gait-like sets, z up.
+/// The markers that define the root. A group of several stands for its mean; names may have their
+/// prefix, `SUBJECT:NAME`, or not.
 #[derive(Clone, Debug, Deserialize, PartialEq, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct MarkerMap {

@@ -32,7 +32,7 @@ pub struct MarkerRoot {
     levelling: Quaternion,
 }
 
-/// What the markers of one frame say, in metres and y-up.
+/// Axes of the body in one frame, from its markers, in metres and y-up.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Axes {
     pub center: [f64; 3],

@@ -11,42 +11,43 @@ use kinegrad_data::manifest;
 use kinegrad_data::{Digest, Object, PREPARATION, Store, StoreError};
 use serde::Serialize;
 
-use super::plan::Plan;
 use crate::Error;
+use crate::plan::Plan;
 
 /// The file that one preparation at a time holds locked, in a folder of this machine.
 const LOCK: &str = "prepare/lock";
 
-/// What a dataset of one kind consists of.
+/// The files of a dataset of one kind.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Parts {
     /// Lists the files of its items.
     pub list: fn(&Store) -> Result<Vec<Object>, StoreError>,
-    /// The files that say what belongs to it. They are written last.
+    /// The id of the item that a file belongs to.
+    pub id: fn(&str) -> Option<&str>,
+    /// The files that list its items. They are written last.
     pub index: &'static [&'static str],
 }
 
-/// A dataset on its way.
+/// A dataset that is being written.
 pub(crate) struct Output {
     pub store: Store,
     parts: Parts,
     /// The files of items that were there before, with their lengths.
     present: HashMap<String, u64>,
-    /// What stands in place of the report until there is one, and tells this preparation from
-    /// every other.
+    /// Written in place of the report until the end; identifies this preparation.
     mark: Vec<u8>,
-    begun: Mutex<Begun>,
+    state: Mutex<WriteState>,
 }
 
 #[derive(Default)]
-struct Begun {
-    /// Whether anything has been written.
+struct WriteState {
+    /// True once a file has been written.
     written: bool,
     /// Held until the end.
     lock: Option<File>,
 }
 
-/// Removes what writes have left that were killed, in the folder of the dataset and those in it.
+/// Removes the files of interrupted writes, in the folder of the dataset and those in it.
 fn remove_unfinished(store: &Store) -> Result<(), Error> {
     let Some(prepared) = store.place(LOCK)? else {
         return Ok(());
@@ -63,7 +64,7 @@ fn remove_unfinished(store: &Store) -> Result<(), Error> {
     let files = files.into_iter();
     for file in files.chain(folders.iter().flat_map(|folder| entries(folder))) {
         if kinegrad_data::is_unfinished(&file) {
-            // What another has removed meanwhile need not be.
+            // Another process may have removed it.
             let _ = fs::remove_file(file);
         }
     }
@@ -87,22 +88,22 @@ impl Output {
         }
         let present = present(&store, parts)?;
         refuse_foreign(&store, parts, &present)?;
-        let mut begun = Begun::default();
-        // Where there is nothing yet, nothing is left behind if nothing can be made.
+        let mut state = WriteState::default();
+        // An empty folder stays empty if nothing can be made.
         if store.place(LOCK)?.is_some_and(|lock| lock.exists()) {
-            begun.lock = lock(&store)?;
+            state.lock = lock(&store)?;
             remove_unfinished(&store)?;
         }
         Ok(Self {
             present,
             parts,
             mark: mark(),
-            begun: Mutex::new(begun),
+            state: Mutex::new(state),
             store,
         })
     }
 
-    /// Whether a file is there as it was written. One in a bucket is known by its length alone.
+    /// True if a file is unchanged: by its checksum, or in a bucket by its length alone.
     pub fn holds(&self, path: &str, bytes: i64, digest: Digest) -> bool {
         let as_long = self.present.get(path).copied() == u64::try_from(bytes).ok();
         let same = || {
@@ -112,68 +113,67 @@ impl Output {
         as_long && (self.store.is_remote() || same())
     }
 
-    /// Writes a file of the dataset. Before the first, the index goes, which would no longer tell
-    /// the truth, and the preparation's mark is left.
+    /// Writes a file of the dataset. Before the first file, the index is removed, because it would
+    /// be wrong, and this preparation's mark is written.
     ///
     /// # Errors
     /// [`Error::Busy`], [`Error::Data`].
     pub fn write(&self, path: &str, bytes: Vec<u8>) -> Result<(), Error> {
         {
-            let mut begun = self.begun.lock().expect("no thread panics holding it");
-            if !begun.written {
-                if begun.lock.is_none() {
-                    begun.lock = lock(&self.store)?;
+            let mut state = self.state.lock().expect("no thread panics holding it");
+            if !state.written {
+                if state.lock.is_none() {
+                    state.lock = lock(&self.store)?;
                 }
                 self.store.write(PREPARATION, self.mark.clone())?;
                 for index in self.parts.index {
                     self.store.remove(index)?;
                 }
-                begun.written = true;
+                state.written = true;
             }
         }
         Ok(self.store.write(path, bytes)?)
     }
 
-    /// The files of items that were there before and are not among those `made`.
-    pub fn stale(&self, made: &BTreeSet<String>) -> BTreeSet<String> {
-        let stale = self.present.keys().filter(|path| !made.contains(*path));
-        stale.cloned().collect()
-    }
-
-    /// Removes files.
+    /// Ends the preparation: writes the index, as `write_index` does, and the report. Files of items
+    /// that were there before and are not among those `made` are removed with `prune`; `report` is
+    /// given the number of items that are left.
     ///
     /// # Errors
-    /// [`Error::Data`].
-    pub fn prune(&self, paths: &BTreeSet<String>) -> Result<(), Error> {
-        for path in paths {
-            self.store.remove(path)?;
-        }
-        Ok(())
-    }
-
-    /// Writes the index, as `write_index` does, and the report, which end the preparation.
-    ///
-    /// # Errors
-    /// [`Error::Busy`] if another preparation has begun meanwhile, [`Error::Data`].
-    pub fn finish(
+    /// [`Error::Busy`] if another preparation has state meanwhile, [`Error::Data`].
+    pub fn finish<R: Serialize>(
         &self,
-        report: &impl Serialize,
+        made: &BTreeSet<String>,
+        prune: bool,
+        report: impl FnOnce(usize) -> R,
         write_index: impl FnOnce(&Store) -> Result<(), Error>,
-    ) -> Result<(), Error> {
-        let mut begun = self.begun.lock().expect("no thread panics holding it");
-        if begun.lock.is_none() {
-            begun.lock = lock(&self.store)?;
+    ) -> Result<R, Error> {
+        let stale = self.present.keys().filter(|path| !made.contains(*path));
+        let stale: BTreeSet<&String> = stale.collect();
+        let ids = stale.iter().filter_map(|path| (self.parts.id)(path));
+        let left = ids.collect::<BTreeSet<&str>>().len();
+        let report = report(if prune { 0 } else { left });
+        let mut state = self.state.lock().expect("no thread panics holding it");
+        if state.lock.is_none() {
+            state.lock = lock(&self.store)?;
         }
-        // Buckets have no locks: the mark tells whether somebody else came between.
-        if begun.written && self.store.is_remote() {
+        // Buckets have no locks: the mark detects another preparation.
+        if state.written && self.store.is_remote() {
             let found = self.store.read(PREPARATION, manifest::MAX_BYTES)?;
             if found != self.mark {
                 return Err(busy(&self.store));
             }
         }
         write_index(&self.store)?;
-        let text = serde_json::to_vec_pretty(report).expect("plain data");
-        Ok(self.store.write(PREPARATION, text)?)
+        let text = serde_json::to_vec_pretty(&report).expect("plain data");
+        self.store.write(PREPARATION, text)?;
+        // Not before the index has let go of them.
+        if prune {
+            for path in stale {
+                self.store.remove(path)?;
+            }
+        }
+        Ok(report)
     }
 }
 
@@ -191,7 +191,7 @@ fn busy(store: &Store) -> Error {
     }
 }
 
-/// Takes the lock of a folder of this machine, which ends with this process.
+/// Locks a folder of this machine until this process ends.
 fn lock(store: &Store) -> Result<Option<File>, Error> {
     let Some(path) = store.place(LOCK)? else {
         return Ok(None);
@@ -204,7 +204,7 @@ fn lock(store: &Store) -> Result<Option<File>, Error> {
     match file.try_lock() {
         Ok(()) => Ok(Some(file)),
         Err(TryLockError::WouldBlock) => Err(busy(store)),
-        // Where files cannot be locked, whoever runs two preparations keeps them apart.
+        // The user must keep preparations apart where files cannot be locked.
         Err(TryLockError::Error(_)) => Ok(None),
     }
 }
@@ -215,7 +215,7 @@ fn present(store: &Store, parts: Parts) -> Result<HashMap<String, u64>, Error> {
     Ok(files.map(|file| (file.path, file.bytes)).collect())
 }
 
-/// Rejects to write among the items of somebody else.
+/// Rejects a place that holds items of another origin.
 fn refuse_foreign(
     store: &Store,
     parts: Parts,

@@ -1,8 +1,8 @@
 //! Options for reading motion of any kind.
 
 use clap::Args;
+use kinegrad_capture::Units;
 use kinegrad_capture::UpAxis;
-use kinegrad_capture::prepare::Units;
 
 use super::values::named;
 

@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 use std::process::ExitCode;
 
-use kinegrad_capture::prepare::Plan;
+use kinegrad_capture::Plan;
 use kinegrad_motion::goal::Goal;
 use kinegrad_train::Error;
 use kinegrad_train::system::{ConfigKey, toml_text};

@@ -5,10 +5,10 @@ use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use kinegrad_capture::bodies::{ClipsReport, prepare_clips};
-use kinegrad_capture::prepare::{
-    Grid, Plan, PrepareObserver, PrepareOptions, Report, TakeReport, prepare,
-};
+use kinegrad_capture::clips::{self, ClipsReport};
+use kinegrad_capture::phrases::{self, PhrasesReport, TakeReport};
+use kinegrad_capture::plan::{Grid, Plan};
+use kinegrad_capture::prepare::{PrepareObserver, PrepareOptions};
 use kinegrad_report::{facts, grouped, rows as table};
 use kinegrad_train::Error;
 use serde::Serialize;
@@ -17,7 +17,7 @@ use crate::args::PrepareArguments;
 use crate::output::unusable;
 use crate::progress::{Count, stop_on_ctrl_c};
 
-/// Bar and stop flag of a preparation.
+/// Progress bar and stop flag of a preparation.
 struct Progress {
     takes: Count,
     stop: Arc<AtomicBool>,
@@ -33,13 +33,13 @@ impl PrepareObserver for Progress {
     }
 }
 
-/// Makes a dataset; exit code 1 if nothing could be made of a take.
+/// Prepares a dataset; the exit code is 1 if a take cannot be used.
 pub fn run(arguments: PrepareArguments) -> Result<ExitCode, Error> {
     let mut plan = Plan::read(&arguments.plan).map_err(failed)?;
     if let Some(out) = arguments.out {
         plan.output = match out.contains("://") {
             true => out,
-            // What is given here is meant from here, not from where the plan stands.
+            // Relative to the working directory, not to the plan.
             false => {
                 std::path::absolute(&out).map_or(out, |path| path.to_string_lossy().into_owned())
             }
@@ -48,7 +48,7 @@ pub fn run(arguments: PrepareArguments) -> Result<ExitCode, Error> {
     let progress = Progress {
         takes: Count::new("takes done"),
         stop: stop_on_ctrl_c(
-            "stopping after the takes under way; run it again to go on",
+            "stopping after the takes under way; run it again to continue",
             Arc::new(AtomicBool::new(true)),
         ),
     };
@@ -57,19 +57,18 @@ pub fn run(arguments: PrepareArguments) -> Result<ExitCode, Error> {
         prune: arguments.prune,
     };
     if plan.is_of_clips() {
-        let report = prepare_clips(&plan, &arguments.plan, options, &progress).map_err(failed)?;
+        let report = clips::prepare(&plan, &arguments.plan, options, &progress).map_err(failed)?;
         return Ok(ended(arguments.json, report, print_clips, |report| {
             report.takes.iter().any(|take| take.failure.is_some())
         }));
     }
-    let report = prepare(&plan, &arguments.plan, options, &progress).map_err(failed)?;
+    let report = phrases::prepare(&plan, &arguments.plan, options, &progress).map_err(failed)?;
     Ok(ended(arguments.json, report, print, |report| {
         report.takes.iter().any(|take| take.failure.is_some())
     }))
 }
 
-/// Shows the report of a preparation that has ended, and gives the exit code; there is none if it
-/// was stopped.
+/// Prints the report of a preparation, if it was not stopped, and returns the exit code.
 fn ended<R: Serialize>(
     json: bool,
     report: Option<R>,
@@ -93,7 +92,7 @@ fn failed(error: kinegrad_capture::Error) -> Error {
     }
 }
 
-fn print(report: &Report) {
+fn print(report: &PhrasesReport) {
     let header = [
         "take",
         "phrases",
@@ -145,13 +144,13 @@ fn print(report: &Report) {
     }
     if report.stale > 0 {
         say!(
-            "{} phrases of takes that the plan does not have lie there too; they do not belong to \
-             the dataset, and `--prune` removes them",
+            "{} phrases of other takes are in the output folder; the dataset does not include them, \
+             and `--prune` removes them",
             grouped(report.stale)
         );
     }
     say!(
-        "\n{} phrases ({:.2} minutes) in {}; {} of {} takes were up to date",
+        "\n{} phrases ({:.2} minutes) in {}; {} of {} takes were unchanged",
         grouped(report.phrases),
         report.hours * 60.0,
         report.output,
@@ -160,7 +159,7 @@ fn print(report: &Report) {
     );
 }
 
-/// Takes that are listed by name for one reason; of more, their number.
+/// Most lines that are listed below a heading.
 const LISTED: usize = 20;
 
 fn print_clips(report: &ClipsReport) {
@@ -186,7 +185,7 @@ fn print_clips(report: &ClipsReport) {
         ("lists", parts.collect::<Vec<_>>().join(", ")),
         ("joint maps (takes)", maps.collect::<Vec<_>>().join(", ")),
         (
-            "takes up to date",
+            "takes unchanged",
             format!(
                 "{} of {}",
                 grouped(report.kept),
@@ -218,8 +217,8 @@ fn print_clips(report: &ClipsReport) {
     }
     if report.stale > 0 {
         say!(
-            "{} clips of takes that the plan does not have lie there too; they do not belong to the \
-             dataset, and `--prune` removes them",
+            "{} clips of other takes are in the output folder; the dataset does not include them, \
+             and `--prune` removes them",
             grouped(report.stale)
         );
     }
@@ -228,7 +227,7 @@ fn print_clips(report: &ClipsReport) {
     }
 }
 
-/// Prints lines below a heading, and how many more there are in the report.
+/// Prints lines below a heading, and the number of those that are left out.
 fn list(heading: &str, lines: Vec<String>) {
     if lines.is_empty() {
         return;
@@ -245,7 +244,7 @@ fn list(heading: &str, lines: Vec<String>) {
     }
 }
 
-/// How stated and tracked beats agree, and which of them segments lie on.
+/// Agreement of stated and tracked beats, and the beats that segments are aligned with.
 fn print_grids(takes: &[TakeReport]) {
     let header = [
         "take",
@@ -255,7 +254,7 @@ fn print_grids(takes: &[TakeReport]) {
         "drift (s)",
         "drift (beats)",
         "agreement of phase",
-        "laid on",
+        "aligned with",
     ];
     let mut rows = vec![header.map(String::from).to_vec()];
     for take in takes {
@@ -283,7 +282,7 @@ fn print_grids(takes: &[TakeReport]) {
     }
 }
 
-/// Median and extremes of the distances from bar starts to tracked beats.
+/// Median and range of the offsets from bar starts to tracked beats.
 fn offsets(take: &TakeReport) -> String {
     let mut sorted = take.bar_offsets_ms.clone();
     sorted.sort_by(f64::total_cmp);

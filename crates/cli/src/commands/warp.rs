@@ -163,12 +163,11 @@ fn outputs(arguments: &WarpArguments) -> Result<[PathBuf; 4], Error> {
 /// The path's file and what it says.
 fn read_path(arguments: &WarpArguments) -> Result<(String, PathPlan), Error> {
     let file = arguments.path.display().to_string();
-    let refused = |reason: String| {
-        let hint = "docs/paths.md describes paths";
-        Error::usage(format!("{file}: {reason}"), hint)
-    };
-    let text = read_text(&arguments.path).map_err(|error| refused(error.to_string()))?;
-    let plan = PathPlan::read(&text, &file, arguments.metres_per_unit).map_err(refused)?;
+    let hint = "docs/paths.md describes paths";
+    let refused = |message: String| Error::usage(message, hint);
+    let text = read_text(&arguments.path).map_err(|error| refused(format!("{file}: {error}")))?;
+    let plan = PathPlan::read(&text, &file, arguments.metres_per_unit);
+    let plan = plan.map_err(|error| refused(error.to_string()))?;
     if plan.speed.is_some() {
         tell!(
             "note: {file}: `speed` is for motion that is generated; this one is as fast as `--along` \

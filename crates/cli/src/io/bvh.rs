@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use kinegrad_capture::prepare::Units;
+use kinegrad_capture::Units;
 use kinegrad_capture::{Bvh, UpAxis};
 use kinegrad_data::file::read_file;
 use kinegrad_motion::feet::{ContactRule, hold};

@@ -1,4 +1,4 @@
-use kinegrad_settings::InvalidSetting;
+use kinegrad_settings::{DocumentError, InvalidSetting};
 use miette::Diagnostic;
 use thiserror::Error;
 
@@ -33,6 +33,21 @@ pub enum PathError {
     #[error("all points of the path are the same: it leads nowhere")]
     #[diagnostic(help("points are `[x, z]` in metres"))]
     NoLength,
+
+    /// A TOML file that is refused.
+    #[error(transparent)]
+    #[diagnostic(transparent)]
+    Document(#[from] DocumentError),
+
+    /// A table or drawing that cannot be read.
+    #[error("{file}: {problem}")]
+    #[diagnostic(help("docs/paths.md describes paths"))]
+    File {
+        /// The file.
+        file: String,
+        /// The line, what was found, and what is allowed.
+        problem: String,
+    },
 
     /// A setting out of range.
     #[error(transparent)]

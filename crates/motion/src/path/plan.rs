@@ -1,10 +1,9 @@
 //! Paths as users write them: TOML, a table of points, a drawing.
 
-use kinegrad_settings::{ABOVE_ZERO, in_range, in_words, must_be_finite};
+use kinegrad_settings::{ABOVE_ZERO, Document, in_range};
 use schemars::JsonSchema;
 use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize};
-use toml::Table;
 
 use super::drawing::{Drawing, read_drawing};
 use super::{CatmullRom, Parameterization, PathError, Polyline};
@@ -66,44 +65,48 @@ impl PathPlan {
     /// and one for z; `.svg`, a drawing, `metres_per_unit`; anything else TOML.
     ///
     /// # Errors
-    /// In words, with the place in the file.
-    pub fn read(text: &str, file: &str, metres_per_unit: Option<f64>) -> Result<Self, String> {
+    /// [`PathError::Document`], [`PathError::File`] with the place in the file, and as
+    /// [`validate`](Self::validate).
+    pub fn read(text: &str, file: &str, metres_per_unit: Option<f64>) -> Result<Self, PathError> {
+        let in_file = |problem: String| PathError::File {
+            file: file.to_owned(),
+            problem,
+        };
         let ending = file
             .rsplit_once('.')
             .map(|(_, ending)| ending.to_lowercase());
+        if metres_per_unit.is_some() && ending.as_deref() != Some("svg") {
+            let problem = "option `metres_per_unit` is for drawings (.svg): this file is in metres";
+            return Err(in_file(problem.to_owned()));
+        }
         let plan = match ending.as_deref() {
-            Some("csv") => Self::line(read_table(text)?),
+            Some("csv") => Self::line(read_table(text).map_err(in_file)?),
             Some("svg") => {
-                let scale = metres_per_unit.ok_or(
-                    "a drawing has no metres: state the length of its unit, as \
-                     option `metres_per_unit 0.01`",
-                )?;
-                let Drawing { points, closed } = read_drawing(text, scale)?;
+                let scale = metres_per_unit.ok_or_else(|| {
+                    let problem = "a drawing has no metres: state the length of its unit, as \
+                                   option `metres_per_unit 0.01`";
+                    in_file(problem.to_owned())
+                })?;
+                let Drawing { points, closed } = read_drawing(text, scale).map_err(in_file)?;
                 Self {
                     closed,
                     ..Self::line(points)
                 }
             }
-            _ => Self::read_toml(text)?,
+            _ => {
+                let document = Document::parse(text, file)?;
+                let plan: Self = document.read("docs/paths.md describes paths")?;
+                return match plan.validate() {
+                    Ok(()) => Ok(plan),
+                    Err(PathError::Setting(setting)) => Err(document.refuse(setting).into()),
+                    Err(error) => Err(in_file(error.to_string())),
+                };
+            }
         };
-        if metres_per_unit.is_some() && ending.as_deref() != Some("svg") {
-            return Err(
-                "option `metres_per_unit` is for drawings (.svg): this file is in metres".into(),
-            );
+        match plan.validate() {
+            Ok(()) => Ok(plan),
+            Err(error) => Err(in_file(error.to_string())),
         }
-        plan.validate().map_err(|error| error.to_string())?;
-        Ok(plan)
-    }
-
-    fn read_toml(text: &str) -> Result<Self, String> {
-        let wrong = |error: toml::de::Error| {
-            let at = error.span().map_or(0, |span| span.start);
-            let line = 1 + text[..at].matches('\n').count();
-            format!("line {line}: {}", in_words(error.message()))
-        };
-        let given: Table = text.parse().map_err(wrong)?;
-        must_be_finite(&given).map_err(|unfit| unfit.to_string())?;
-        toml::from_str(text).map_err(wrong)
     }
 
     /// Rejects what is no path.
@@ -141,9 +144,7 @@ impl PathPlan {
     }
 }
 
-/// The points of a table with one row for each; a first row of names may say which column is x and
-/// which z.
-/// Pairs, and nothing longer.
+/// Points of two coordinates each.
 fn ground_points<'de, D: Deserializer<'de>>(from: D) -> Result<Vec<[f64; 2]>, D::Error> {
     let points = Vec::<Vec<f64>>::deserialize(from)?.into_iter();
     let pair = |point: Vec<f64>| {
@@ -154,6 +155,8 @@ fn ground_points<'de, D: Deserializer<'de>>(from: D) -> Result<Vec<[f64; 2]>, D:
     points.map(pair).collect()
 }
 
+/// The points of a table with one row for each. A first row of names may say which columns are x
+/// and z.
 fn read_table(text: &str) -> Result<Vec<[f64; 2]>, String> {
     let mut reader = csv::ReaderBuilder::new()
         .has_headers(false)
@@ -255,68 +258,68 @@ mod tests {
             (
                 "p.toml",
                 "points = [[0, 0]]",
-                "a path has 1 points, at least 2 are needed",
+                "p.toml: a path has 1 points, at least 2 are needed",
             ),
             (
                 "p.toml",
                 "points = [[1, 1], [1, 1]]",
-                "all points of the path are the same: it leads nowhere",
+                "p.toml: all points of the path are the same: it leads nowhere",
             ),
             (
                 "p.toml",
                 "points = [[0, 0], [nan, 1]]",
-                "`points[1][0]`: NaN is not a finite number",
+                "p.toml:1: `points[1][0]`: NaN is not a finite number",
             ),
             (
                 "p.toml",
                 "\npoints = [[0, 0], [1]]",
-                "line 2: expected a list of 2 values, found 1",
+                "p.toml:2: `points`: expected a list of 2 values, found 1",
             ),
             (
                 "p.toml",
                 "points = [[0, 0, 1], [0, 2, 1]]",
-                "line 1: expected a list of 2 values, found 3",
+                "p.toml:1: `points`: expected a list of 2 values, found 3",
             ),
             (
                 "p.csv",
                 "0,0\n1,2,3\n",
-                "line 2: 3 columns where the first line has 2",
+                "p.csv: line 2: 3 columns where the first line has 2",
             ),
             (
                 "p.csv",
                 "x,z,X\n0,0,1\n",
-                "line 1: several columns are named `x`",
+                "p.csv: line 1: several columns are named `x`",
             ),
             (
                 "p.toml",
                 "points = [[0, 0], [1, 1]]\nspeed = 0",
-                "`speed` is 0, allowed: more than 0",
+                "p.toml:2: `speed` is 0, allowed: more than 0",
             ),
             (
                 "p.toml",
                 "points = [[0, 0], [1, 1]]\nspeeds = 1",
-                "line 2: unknown key `speeds`, allowed: points, curve, parameterization, closed, speed",
+                "p.toml:2: unknown key `speeds`, allowed: points, curve, parameterization, closed, speed",
             ),
             (
                 "p.csv",
                 "a,b\n1,2\n",
-                "line 1: the columns are a, b, among them `x` and `z` are needed",
+                "p.csv: line 1: the columns are a, b, among them `x` and `z` are needed",
             ),
             (
                 "p.csv",
                 "x,z\n1,2\n3\n",
-                "line 3: `` in column 2 is no number",
+                "p.csv: line 3: `` in column 2 is no number",
             ),
             (
                 "p.svg",
                 "<svg/>",
-                "a drawing has no metres: state the length of its unit, as option `metres_per_unit 0.01`",
+                "p.svg: a drawing has no metres: state the length of its unit, as option `metres_per_unit 0.01`",
             ),
         ] {
             let found = PathPlan::read(text, file, None).unwrap_err();
-            assert_eq!(found, expected, "{text}");
+            assert_eq!(found.to_string(), expected, "{text}");
         }
         let found = PathPlan::read("points = [[0,0],[0,1]]", "p.toml", Some(1.0)).unwrap_err();
-        assert!(found.contains("in metres"), "{found}");
+        assert!(found.to_string().contains("in metres"), "{found}");
     }
 }

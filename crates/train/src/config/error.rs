@@ -1,5 +1,6 @@
 use std::path::PathBuf;
 
+use kinegrad_settings::DocumentError;
 use miette::Diagnostic;
 use thiserror::Error;
 
@@ -18,41 +19,10 @@ pub enum ConfigError {
         /// What the system said.
         source: std::io::Error,
     },
-    /// Text that is not TOML.
-    #[error("{place}: {message}")]
-    #[diagnostic(help("configs are TOML: tables in [brackets], `key = value` lines"))]
-    Syntax {
-        /// File and line.
-        place: String,
-        /// What the parser said.
-        message: String,
-    },
-    /// A key that does not exist.
-    #[error("{place}: unknown key `{key}`, allowed: {allowed}")]
-    #[diagnostic(help("{hint}"))]
-    UnknownKey {
-        /// File and line, or the override.
-        place: String,
-        /// The dotted key.
-        key: String,
-        /// The keys of that table.
-        allowed: String,
-        /// The nearest valid key, if one is near.
-        hint: String,
-    },
-    /// A value of the wrong type, or not among those allowed.
-    #[error("{place}: `{key}`: {message}")]
-    #[diagnostic(help("{hint}"))]
-    Value {
-        /// File and line, or the override.
-        place: String,
-        /// The dotted key.
-        key: String,
-        /// What was found and what was expected.
-        message: String,
-        /// How to mend it.
-        hint: String,
-    },
+    /// The document, or a key of it, is refused.
+    #[error(transparent)]
+    #[diagnostic(transparent)]
+    Document(#[from] DocumentError),
     /// An override of what a trained model has been trained with.
     #[error(
         "option `set {argument}`: the model is trained, only keys of `sampling` and `evaluation` can be set"

@@ -17,11 +17,8 @@ mod system_tables;
 mod tables;
 
 pub use difference::{Difference, difference};
-pub use document::{Place, to_toml};
-pub(crate) use document::{
-    apply, from_table, lay_over, line_of, must_be_finite, must_be_tables, nearest, not_among,
-    place, start_of,
-};
+pub use document::to_toml;
+pub(crate) use document::{apply, from_table, lay_over};
 pub use error::ConfigError;
 pub use model::{ModelTable, NetworkKind};
 pub use resume::{may_differ, must_continue, must_have_recipe};
@@ -35,6 +32,8 @@ pub use tables::{
     RunConfig, SamplingConfig, SelectBy, TrainConfig, TrainPrecision, ValidationConfig,
     WeightDecayGroups,
 };
+
+pub use kinegrad_settings::Place;
 
 use kinegrad_data::DataConfig;
 use schemars::JsonSchema;

@@ -2,12 +2,12 @@
 //! read by the network's own settings.
 
 use kinegrad_models::NetworkConfig;
-use kinegrad_settings::Key;
+use kinegrad_settings::{DocumentError, Key, Place, not_among};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
 
-use super::document::{Place, from_table, lay_over, not_among};
+use super::document::{from_table, lay_over};
 use super::{ConfigError, PLAIN};
 
 /// The table `model` of a system whose networks are `N`: an enum that is tagged with the `kind`.
@@ -120,13 +120,13 @@ fn chosen<'a>(
     let named = names.iter().find(|name| found.as_str() == Some(name));
     named.copied().ok_or_else(|| {
         let key = format!("model.{key}");
-        not_among(place(&key), &key, &found.to_string(), names)
+        not_among(place(&key), &key, &found.to_string(), names).into()
     })
 }
 
 /// Says of an unknown key which kind it is of.
 fn of_other_kind(kinds: &[NetworkKind], mut error: ConfigError) -> ConfigError {
-    if let ConfigError::UnknownKey { key, hint, .. } = &mut error {
+    if let ConfigError::Document(DocumentError::UnknownKey { key, hint, .. }) = &mut error {
         let own = key.strip_prefix("model.").unwrap_or(key);
         if let Some(other) = kinds.iter().find(|kind| kind.has(own)) {
             *hint = format!("it is a key of `model.kind = \"{}\"`", other.name);

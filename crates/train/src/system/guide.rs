@@ -1,11 +1,11 @@
 //! What is known of the key that an error of a config is about.
 
-use kinegrad_settings::{Key, Values};
+use kinegrad_settings::{DocumentError, Key, Values, not_among};
 use toml::{Table, Value};
 
 use super::Systems;
 use super::keys::value_at;
-use crate::config::{ConfigError, TrainConfig, not_among};
+use crate::config::{ConfigError, TrainConfig};
 
 impl Systems<'_> {
     /// `error` of the config `given` with what is known of its key.
@@ -13,19 +13,14 @@ impl Systems<'_> {
         let named = given.get("train").and_then(|train| train.get("recipe"));
         let recipe = named.and_then(Value::as_str).map(str::to_owned);
         let recipe = recipe.unwrap_or(TrainConfig::default().recipe);
-        match error {
-            ConfigError::UnknownKey {
-                place,
-                key,
-                allowed,
-                hint,
-            } => ConfigError::UnknownKey {
-                hint: self.suggestion(&key, &recipe).unwrap_or(hint),
-                place,
-                key,
-                allowed,
-            },
-            ConfigError::Value {
+        let ConfigError::Document(mut error) = error else {
+            return error;
+        };
+        match &mut error {
+            DocumentError::UnknownKey { key, hint, .. } => {
+                *hint = self.suggestion(key, &recipe).unwrap_or(hint.clone());
+            }
+            DocumentError::Value {
                 place,
                 key,
                 message,
@@ -39,35 +34,27 @@ impl Systems<'_> {
                 let mine = described
                     .iter()
                     .filter(|(known, recipes)| above(known) && recipes.contains(&recipe.as_str()));
-                let Some((known, _)) = mine.max_by_key(|(known, _)| known.name.len()) else {
-                    return ConfigError::Value {
-                        place,
-                        key,
-                        message,
-                        hint,
-                    };
-                };
-                // A list that is no list has no name in the place of one.
-                let is_name = matches!(known.values, Values::Names(_)) || key.ends_with(']');
-                let names = known.values.names().iter();
-                let names: Vec<&str> = names.map(|name| name.name.as_str()).collect();
-                match value_at(given, &key) {
-                    Some(found) if is_name && !names.is_empty() => {
-                        not_among(place, &key, &found.to_string(), &names)
+                if let Some((known, _)) = mine.max_by_key(|(known, _)| known.name.len()) {
+                    // A list that is no list has no name in the place of one.
+                    let is_name = matches!(known.values, Values::Names(_)) || key.ends_with(']');
+                    let names = known.values.names().iter();
+                    let names: Vec<&str> = names.map(|name| name.name.as_str()).collect();
+                    match value_at(given, key) {
+                        Some(found) if is_name && !names.is_empty() => {
+                            error = not_among(place.clone(), key, &found.to_string(), &names);
+                        }
+                        _ => {
+                            *hint = format!(
+                                "`kinegrad config explain {}` says what it means",
+                                known.name
+                            );
+                        }
                     }
-                    _ => ConfigError::Value {
-                        hint: format!(
-                            "`kinegrad config explain {}` says what it means",
-                            known.name
-                        ),
-                        place,
-                        key,
-                        message,
-                    },
                 }
             }
-            other => other,
+            _ => {}
         }
+        error.into()
     }
 
     /// What may have been meant by the unknown `key` in a config of `recipe`, of other tables.

@@ -2,18 +2,14 @@
 
 use std::path::Path;
 
-use toml::de::DeTable;
+use kinegrad_settings::{Document, must_be_finite, must_be_tables, not_among};
 use toml::{Table, Value};
 
 use super::Systems;
 use kinegrad_data::file::read_text;
-use kinegrad_settings::in_words;
 
 use crate::checkpoint::{SavedCheckpoint, Weights};
-use crate::config::{
-    self, Config, ConfigError, Place, TrainConfig, apply, lay_over, line_of, must_be_finite,
-    must_be_tables, not_among, start_of,
-};
+use crate::config::{self, Config, ConfigError, Place, TrainConfig, apply, lay_over};
 use crate::device::open_for;
 use crate::error::Error;
 use crate::trained_model::TrainedModel;
@@ -61,25 +57,10 @@ impl Systems<'_> {
         origin: &str,
         overrides: &[String],
     ) -> Result<Config, ConfigError> {
-        let no_toml = |error: toml::de::Error| {
-            let line = error.span().map(|span| line_of(text, span.start));
-            ConfigError::Syntax {
-                place: config::place(origin, line),
-                message: match error.message() {
-                    // Of a number that no whole number holds.
-                    message if message.starts_with("invalid type") => in_words(message),
-                    message => message.to_string(),
-                },
-            }
-        };
-        let spans = DeTable::parse(text).map_err(no_toml)?;
-        // Numbers are read only here, and may be too large.
-        let mut table: Table = text.parse().map_err(no_toml)?;
-        let mut config = self.whole(&table, &|key| {
-            let start = start_of(spans.get_ref(), key);
-            config::place(origin, start.map(|start| line_of(text, start)))
-        })?;
+        let document = Document::parse(text, origin)?;
+        let mut config = self.whole(&document.table, &|key| document.place(key))?;
         if !overrides.is_empty() {
+            let mut table = document.table;
             config = self.overridden(&mut table, overrides)?;
         }
         Ok(config)
@@ -158,7 +139,7 @@ impl Systems<'_> {
         let (system, recipe) = self.of_recipe(name).ok_or_else(|| {
             let names: Vec<&str> = self.recipes().map(|recipe| recipe.name).collect();
             let key = "train.recipe";
-            not_among(place(key), key, &format!("\"{name}\""), &names)
+            ConfigError::from(not_among(place(key), key, &format!("\"{name}\""), &names))
         })?;
         let mut table = system.defaults(recipe, given);
         lay_over(&mut table, given.clone());

@@ -1,0 +1,246 @@
+//! A captured body: the joints of the skeleton at the capture's own rate, in metres and y-up.
+
+use std::ops::Range;
+
+use kinegrad_motion::humanml::kinematics::{Across, forward, minus, plus};
+use kinegrad_motion::humanml::{Joints, Skeleton};
+use kinegrad_motion::rotation::length;
+use kinegrad_motion::speed::spline;
+
+use super::centres::Centres;
+use super::map::JointMap;
+use crate::plan::Units;
+use crate::{Bvh, C3d, UpAxis};
+
+/// Usual length of a leg, hip to ankle, metres.
+const LEGS: std::ops::RangeInclusive<f64> = 0.5..=1.1;
+
+/// The units that the length of legs can identify; no two fit the same leg.
+const UNITS: [Units; 5] = [Units::M, Units::Cm, Units::Mm, Units::Inch, Units::Cmu];
+
+/// Lowest frame rate of a capture: below, motion between frames is unknown.
+const SLOWEST: f64 = 10.0;
+
+/// The joints of a body over a take.
+#[derive(Clone, Debug)]
+pub struct Body {
+    /// Joint positions, `[frames, J]`, metres, +y up.
+    pub joints: Joints,
+    /// Frames per second.
+    pub rate: f64,
+    /// Metres of a unit of the file.
+    pub metres_per_unit: f64,
+    /// The axis of the file that points up.
+    pub up: UpAxis,
+    /// Notes for the report.
+    pub notes: Vec<String>,
+}
+
+impl Body {
+    /// The body of a capture with the joints that `map` names. The default of `units` is found from
+    /// the length of the legs, that of `up` from the place of the head.
+    ///
+    /// # Errors
+    /// Names what the capture lacks, or the reason why it is no body.
+    pub fn of_bvh(
+        bvh: &Bvh,
+        map: &JointMap,
+        skeleton: &Skeleton,
+        rate: f64,
+        units: Option<Units>,
+        up: Option<UpAxis>,
+    ) -> Result<Self, String> {
+        let found = map.find(bvh)?;
+        let places = (0..bvh.frames()).flat_map(|t| found.of(&bvh.world(t)).collect::<Vec<_>>());
+        Self::of_places(places.collect(), skeleton, rate, units, up)
+    }
+
+    /// The body of a capture of markers, with estimated joint centres ([`Centres`]). Every marker
+    /// must be seen in the frames that are `used`.
+    ///
+    /// # Errors
+    /// Names what the capture lacks, or the reason why it is no body.
+    pub fn of_markers(
+        take: &C3d,
+        used: Range<usize>,
+        skeleton: &Skeleton,
+        rate: f64,
+        up: Option<UpAxis>,
+    ) -> Result<Self, String> {
+        let centres = Centres::of(take, used)?;
+        let spread = centres.spread(skeleton);
+        let mean = spread.iter().map(|(_, metres)| metres).sum::<f64>() / spread.len() as f64;
+        let worst = spread.iter().max_by(|(_, a), (_, b)| a.total_cmp(b));
+        let (joint, most) = worst.expect("limbs");
+        let note = format!(
+            "joint centres are estimated from markers, within about 1 to 3 cm: lengths of limb bones \
+             vary by {:.1} cm (standard deviation, mean), that to {joint} most, by {:.1} cm",
+            100.0 * mean,
+            100.0 * most
+        );
+        let metres = Some(Units::M);
+        let mut body = Self::of_places(centres.joints, skeleton, rate, metres, up)?;
+        body.metres_per_unit = take.metres_per_unit;
+        body.notes.extend(centres.notes);
+        body.notes.push(note);
+        Ok(body)
+    }
+
+    /// The body with its joints at `places`, `[frames, J]`, in units and axes of a file.
+    fn of_places(
+        places: Vec<[f64; 3]>,
+        skeleton: &Skeleton,
+        rate: f64,
+        units: Option<Units>,
+        up: Option<UpAxis>,
+    ) -> Result<Self, String> {
+        if rate < SLOWEST * (1.0 - 1e-4) {
+            return Err(format!(
+                "it has {rate:.1} frames per second: at least {SLOWEST} are needed; where the file's frame \
+                 time is wrong, state `fps`"
+            ));
+        }
+        let raw = Joints::new(places, skeleton.joints()).map_err(|e| e.to_string())?;
+        let mut notes = Vec::new();
+        let up = match up {
+            Some(up) => up,
+            None => upward(&raw, skeleton)?,
+        };
+        let metres_per_unit = match units {
+            Some(units) => units.metres(),
+            None => {
+                let legs = legs(&raw, skeleton);
+                let fits = |units: &Units| LEGS.contains(&(units.metres() * legs));
+                match UNITS.into_iter().find(fits) {
+                    Some(units) => units.metres(),
+                    None if legs > 0.0 => {
+                        let metres = usual_legs(skeleton) / legs;
+                        notes.push(format!(
+                            "the length of its legs, {legs:.3} units, fits no known unit: one unit is \
+                             taken as {metres:.5} metres (state `units`)"
+                        ));
+                        metres
+                    }
+                    None => return Err("its legs have no length".to_owned()),
+                }
+            }
+        };
+        let places = raw.as_slice().iter();
+        let places = places.map(|place| up.to_y_up(place.map(|value| value * metres_per_unit)));
+        let joints = Joints::new(places.collect(), skeleton.joints()).map_err(|e| e.to_string())?;
+        let [left, right] = toes_ahead(&joints, skeleton);
+        if left + right < 0.0 {
+            return Err(
+                "its toes point backwards: left and right joints are exchanged, in the map or in \
+                 the file"
+                    .to_owned(),
+            );
+        }
+        if left.min(right) < 0.0 {
+            let side = if left < 0.0 { "left" } else { "right" };
+            notes.push(format!(
+                "its {side} toes point backwards where the foot stands: is `{side}_foot` of its map right?"
+            ));
+        }
+        Ok(Self {
+            joints,
+            rate,
+            metres_per_unit,
+            up,
+            notes,
+        })
+    }
+
+    /// The joints at `fps` frames per second, by cubic splines through the frames of the capture.
+    /// Nothing is extrapolated beyond the last frame.
+    pub fn at_rate(&self, fps: f64) -> Joints {
+        let (frames, count) = (self.joints.frames(), self.joints.joints());
+        // Rounding may put the last moment just beyond the end: files have frame times of six
+        // digits.
+        let last = (frames - 1) as f64;
+        let resampled = (last / self.rate * fps + 0.01).floor() as usize + 1;
+        let moments: Vec<f64> = (0..resampled)
+            .map(|t| (t as f64 / fps * self.rate).min(last))
+            .collect();
+        let mut places = vec![[0.0; 3]; resampled * count];
+        for joint in 0..count {
+            let track = self.joints.track(joint);
+            for axis in 0..3 {
+                let values: Vec<f64> = track.iter().map(|place| place[axis]).collect();
+                for (t, value) in spline(&values, &moments).into_iter().enumerate() {
+                    places[t * count + joint][axis] = value;
+                }
+            }
+        }
+        Joints::new(places, count).expect("splines through finite places")
+    }
+}
+
+/// The axis along which the head is above the ankles.
+fn upward(raw: &Joints, skeleton: &Skeleton) -> Result<UpAxis, String> {
+    let [left, _, right, _] = skeleton.contact_joints();
+    let head = named(skeleton, "head");
+    let mut sum = [0.0; 3];
+    for t in 0..raw.frames() {
+        let frame = raw.frame(t);
+        let ankles = plus(frame[left], frame[right]).map(|value| value / 2.0);
+        sum = plus(sum, minus(frame[head], ankles));
+    }
+    let [x, y, z] = sum;
+    let least = x.abs().max(0.5 * length(sum));
+    match (y, z) {
+        _ if y > least && y > z.abs() => Ok(UpAxis::Y),
+        _ if z > least && z > y.abs() => Ok(UpAxis::Z),
+        _ => Err("its head is above its feet along neither +y nor +z: state `up`".to_owned()),
+    }
+}
+
+/// Mean length of both legs in the first frame, hip to knee to ankle.
+fn legs(raw: &Joints, skeleton: &Skeleton) -> f64 {
+    let frame = raw.frame(0);
+    let bone =
+        |a: &str, b: &str| length(minus(frame[named(skeleton, a)], frame[named(skeleton, b)]));
+    let leg = |side: &str| {
+        let [hip, knee, ankle] = ["hip", "knee", "ankle"].map(|joint| format!("{side}_{joint}"));
+        bone(&hip, &knee) + bone(&knee, &ankle)
+    };
+    (leg("left") + leg("right")) / 2.0
+}
+
+/// Length of the legs in the skeleton's reference pose, metres.
+fn usual_legs(skeleton: &Skeleton) -> f64 {
+    let bones = skeleton.description().leg_joints;
+    let rest = &skeleton.description().rest_offsets;
+    bones.map(|joint| length(rest[joint])).iter().sum()
+}
+
+/// Mean distance of each foot's toes ahead of its ankle, in the direction of hips and shoulders,
+/// over the quarter of the frames in which the foot is lowest: a raised foot may trail.
+fn toes_ahead(joints: &Joints, skeleton: &Skeleton) -> [f64; 2] {
+    let [left_ankle, left_toes, right_ankle, right_toes] = skeleton.contact_joints();
+    let of_foot = |ankle: usize, toes: usize| {
+        let mut feet: Vec<(f64, f64)> = (0..joints.frames())
+            .map(|t| {
+                let frame = joints.frame(t);
+                let facing = forward(skeleton, frame, Across::Consistent);
+                let foot = minus(frame[toes], frame[ankle]);
+                let ahead = facing[0] * foot[0] + facing[2] * foot[2];
+                (frame[ankle][1], ahead)
+            })
+            .collect();
+        feet.sort_by(|(a, _), (b, _)| a.total_cmp(b));
+        let standing = &feet[..feet.len().div_ceil(4)];
+        standing.iter().map(|(_, ahead)| ahead).sum::<f64>() / standing.len() as f64
+    };
+    [
+        of_foot(left_ankle, left_toes),
+        of_foot(right_ankle, right_toes),
+    ]
+}
+
+/// The index of a joint of the skeleton.
+fn named(skeleton: &Skeleton, joint: &str) -> usize {
+    let names = &skeleton.description().joint_names;
+    let place = names.iter().position(|name| name == joint);
+    place.expect("a joint of the skeleton")
+}

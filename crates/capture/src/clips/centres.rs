@@ -1,0 +1,398 @@
+//! Joint centres from the markers on the skin, for the usual full-body sets: the names of Plug-in
+//! Gait, or waist markers called `LFWT`, `RFWT`, `LBWT` and `RBWT`.
+//!
+//! Hips follow the regression of Harrington et al., "Prediction of the hip joint centre in adults,
+//! children, and patients with cerebral palsy based on magnetic resonance imaging" (J. Biomech. 40,
+//! 2007), whose error is 1 to 2 cm. Knees and ankles lie half a usual width inwards of the markers at
+//! their outer sides, elbows in the plane across the bent arm, shoulders below the markers on them;
+//! without the body's own measures they may be off by 1 to 3 cm. [`Centres::spread`] is what can be
+//! measured of it: how much bones change their lengths.
+
+use std::ops::Range;
+
+use kinegrad_motion::humanml::Skeleton;
+use nalgebra::Vector3;
+
+use crate::C3d;
+use crate::markers::gaps::fill_gaps;
+
+type Place = Vector3<f64>;
+
+/// Longest gap of a marker that is filled by a straight line, in seconds.
+const LONGEST_GAP_SECONDS: f64 = 0.1;
+/// Metres from the marker at the outer side of a knee, ankle or elbow to its centre.
+const KNEE: f64 = 0.055;
+const ANKLE: f64 = 0.04;
+const ELBOW: f64 = 0.04;
+/// Metres from the marker on a shoulder down to its centre.
+const SHOULDER: f64 = 0.045;
+/// Sine of the bend of an elbow from which on its plane is well known.
+const BENT: f64 = 0.15;
+
+/// The markers that are needed, with their names in different sets.
+const MARKERS: [&[&str]; 26] = [
+    &["LFWT", "LASI"],
+    &["RFWT", "RASI"],
+    &["LBWT", "LPSI"],
+    &["RBWT", "RPSI"],
+    &["LKNE"],
+    &["RKNE"],
+    &["LANK"],
+    &["RANK"],
+    &["LTOE"],
+    &["RTOE"],
+    &["T10"],
+    &["STRN"],
+    &["C7"],
+    &["CLAV"],
+    &["LFHD"],
+    &["RFHD"],
+    &["LBHD"],
+    &["RBHD"],
+    &["LSHO"],
+    &["RSHO"],
+    &["LELB"],
+    &["RELB"],
+    &["LWRA"],
+    &["LWRB"],
+    &["RWRA"],
+    &["RWRB"],
+];
+
+/// The joints of a take of markers.
+#[derive(Clone, Debug)]
+pub(super) struct Centres {
+    /// `[frames, 22]`, metres, in the axes of the file.
+    pub joints: Vec<[f64; 3]>,
+    /// Gaps that were filled, in words.
+    pub notes: Vec<String>,
+}
+
+impl Centres {
+    /// The joint centres of each frame. Outside of the frames that are `used`, a marker that is not
+    /// seen stays where it is seen next.
+    ///
+    /// # Errors
+    /// In words, which markers the file lacks, and where they were not seen.
+    pub fn of(take: &C3d, used: Range<usize>) -> Result<Self, String> {
+        let mut tracks = Vec::with_capacity(MARKERS.len());
+        let (mut lacking, mut notes) = (Vec::new(), Vec::new());
+        let most = (LONGEST_GAP_SECONDS * take.rate).round() as usize;
+        for names in MARKERS {
+            let found = names.iter().find_map(|name| match take.find(name)[..] {
+                [point] => Some(point),
+                _ => None,
+            });
+            let Some(point) = found else {
+                lacking.push(names.join(" or "));
+                continue;
+            };
+            let label = &take.labels[point];
+            let mut track: Vec<_> = (0..take.frames()).map(|t| take.point(t, point)).collect();
+            let gaps = fill_gaps(&mut track, most, label);
+            if gaps.filled_frames > 0 {
+                notes.push(format!(
+                    "{} frames of {label} were filled",
+                    gaps.filled_frames
+                ));
+            }
+            if let Some(frame) = used.clone().find(|&t| track[t].is_none()) {
+                return Err(format!(
+                    "marker {label} was not seen in frame {frame} (counted from 0) and around it: \
+                     leave these frames out, or fill them before"
+                ));
+            }
+            for t in (0..used.start).rev() {
+                track[t] = track[t].or(track[t + 1]);
+            }
+            for t in used.end..track.len() {
+                track[t] = track[t].or(track[t - 1]);
+            }
+            let metres = |place: [f64; 3]| Place::from(place) * take.metres_per_unit;
+            tracks.push(track.into_iter().flatten().map(metres).collect::<Vec<_>>());
+        }
+        if !lacking.is_empty() {
+            return Err(format!(
+                "no marker set that is known: it lacks {} of the {} markers needed, or has them \
+                 several times: {}",
+                lacking.len(),
+                MARKERS.len(),
+                lacking.join(", ")
+            ));
+        }
+        let mut joints = Vec::with_capacity(take.frames() * 22);
+        for t in 0..take.frames() {
+            let markers: Vec<Place> = tracks.iter().map(|track| track[t]).collect();
+            joints.extend(centres(&markers).map(<[f64; 3]>::from));
+        }
+        Ok(Self { joints, notes })
+    }
+
+    /// The standard deviations of the lengths of the arms' and legs' bones over the take, metres, each
+    /// with the joint that the bone ends at: what joint centres are wrong by, seen from bones that
+    /// do not change.
+    pub fn spread(&self, skeleton: &Skeleton) -> Vec<(String, f64)> {
+        let description = skeleton.description();
+        let limbs = ["knee", "ankle", "elbow", "wrist"];
+        let bones = (0..skeleton.joints()).filter(|joint| {
+            let name = &description.joint_names[*joint];
+            limbs.iter().any(|limb| name.ends_with(limb))
+        });
+        bones
+            .map(|end| {
+                let start = skeleton.parents()[end].expect("a limb has a parent");
+                let frames = self.joints.chunks_exact(skeleton.joints());
+                let lengths: Vec<f64> = frames
+                    .map(|frame| (Place::from(frame[end]) - Place::from(frame[start])).norm())
+                    .collect();
+                let count = lengths.len() as f64;
+                let mean = lengths.iter().sum::<f64>() / count;
+                let squares = lengths.iter().map(|length| (length - mean).powi(2));
+                let deviation = (squares.sum::<f64>() / count).sqrt();
+                (description.joint_names[end].clone(), deviation)
+            })
+            .collect()
+    }
+}
+
+/// The joints of the skeleton in its order, from the markers in the order of [`MARKERS`].
+fn centres(markers: &[Place]) -> [Place; 22] {
+    let [
+        left_front,
+        right_front,
+        left_back,
+        right_back,
+        left_knee,
+        right_knee,
+        left_ankle,
+        right_ankle,
+        left_toe,
+        right_toe,
+        t10,
+        sternum,
+        c7,
+        clavicle,
+        head_a,
+        head_b,
+        head_c,
+        head_d,
+        left_shoulder,
+        right_shoulder,
+        left_elbow,
+        right_elbow,
+        left_thumb_side,
+        left_small_side,
+        right_thumb_side,
+        right_small_side,
+    ] = markers
+    else {
+        unreachable!("all markers")
+    };
+    let middle = |a: &Place, b: &Place| (a + b) / 2.0;
+    let (front, back) = (
+        middle(left_front, right_front),
+        middle(left_back, right_back),
+    );
+    let left = unit((left_front - right_front) + (left_back - right_back));
+    let forward = unit(across(front - back, left));
+    let up = forward.cross(&left);
+    let (width, depth) = ((left_front - right_front).norm(), (front - back).norm());
+    let hip = |side: f64| {
+        front - forward * (0.24 * depth + 0.0099) - up * (0.30 * width + 0.0109)
+            + left * side * (0.33 * width + 0.0073)
+    };
+    let pelvis = middle(&front, &back);
+    let leg = |side: f64, knee: &Place, ankle: &Place| {
+        let hip = hip(side);
+        let inwards = unit(across(left * -side, unit(knee - hip)));
+        let knee = knee + inwards * KNEE;
+        let ankle = ankle + unit(across(inwards, unit(ankle - knee))) * ANKLE;
+        (hip, knee, ankle)
+    };
+    let (left_hip, left_knee, left_ankle) = leg(1.0, left_knee, left_ankle);
+    let (right_hip, right_knee, right_ankle) = leg(-1.0, right_knee, right_ankle);
+    let chest = middle(t10, sternum);
+    let neck = middle(c7, clavicle);
+    let down = unit(chest - neck);
+    let head = middle(&((head_a + head_b + head_c + head_d) / 4.0), &neck);
+    let arm = |side: f64, shoulder: &Place, elbow: &Place, wrist: Place| {
+        let shoulder = shoulder + down * SHOULDER;
+        // Perpendicular to the bent arm: to the body of a left arm, away from it of a right one.
+        let plane = unit(elbow - shoulder).cross(&unit(wrist - elbow));
+        let elbow = elbow + plane * (side * ELBOW / (plane.norm() + BENT));
+        (shoulder, elbow, wrist)
+    };
+    let left_wrist = middle(left_thumb_side, left_small_side);
+    let right_wrist = middle(right_thumb_side, right_small_side);
+    let (left_shoulder, left_elbow, left_wrist) = arm(1.0, left_shoulder, left_elbow, left_wrist);
+    let (right_shoulder, right_elbow, right_wrist) =
+        arm(-1.0, right_shoulder, right_elbow, right_wrist);
+    let collar = |shoulder: &Place| neck * 0.2 + chest * 0.4 + shoulder * 0.4;
+    let spine = |part: f64| pelvis + (chest - pelvis) * part;
+    [
+        pelvis,
+        left_hip,
+        right_hip,
+        spine(0.36),
+        left_knee,
+        right_knee,
+        spine(0.8),
+        left_ankle,
+        right_ankle,
+        chest,
+        *left_toe,
+        *right_toe,
+        neck,
+        collar(&left_shoulder),
+        collar(&right_shoulder),
+        head,
+        left_shoulder,
+        right_shoulder,
+        left_elbow,
+        right_elbow,
+        left_wrist,
+        right_wrist,
+    ]
+}
+
+/// The vector with length 1; one without length stays.
+fn unit(vector: Place) -> Place {
+    vector.try_normalize(1e-9).unwrap_or(vector)
+}
+
+/// The part of a vector across a direction of length 1.
+fn across(vector: Place, direction: Place) -> Place {
+    vector - direction * vector.dot(&direction)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::UpAxis;
+    use crate::c3d::tests::writer::Example;
+    use crate::clips::Body;
+    use crate::clips::tests::walking;
+
+    /// The joint that a marker of the left side is beside, and where beside it if the body faces +z,
+    /// metres.
+    fn marker(name: &str) -> (&'static str, [f64; 3]) {
+        match name {
+            "FWT" => ("pelvis", [0.12, 0.0, 0.09]),
+            "BWT" => ("pelvis", [0.05, 0.0, -0.09]),
+            "KNE" => ("left_knee", [KNEE, 0.0, 0.0]),
+            "ANK" => ("left_ankle", [ANKLE, 0.0, 0.0]),
+            "TOE" => ("left_foot", [0.0; 3]),
+            "FHD" => ("head", [0.06, 0.09, 0.14]),
+            "BHD" => ("head", [0.06, 0.09, -0.04]),
+            "SHO" => ("left_shoulder", [0.0, SHOULDER, 0.0]),
+            "ELB" => ("left_elbow", [0.0; 3]),
+            "WRA" => ("left_wrist", [0.0, 0.0, 0.03]),
+            "WRB" => ("left_wrist", [0.0, 0.0, -0.03]),
+            "T10" => ("spine3", [0.0, 0.0, -0.1]),
+            "STRN" => ("spine3", [0.0, 0.0, 0.1]),
+            "C7" => ("neck", [0.0, 0.0, -0.06]),
+            "CLAV" => ("neck", [0.0, 0.0, 0.06]),
+            other => panic!("{other}"),
+        }
+    }
+
+    fn example(frames: usize) -> Example {
+        let skeleton = Skeleton::humanml3d();
+        let names = &skeleton.description().joint_names;
+        let joints = walking(frames, 80.0, 1.0);
+        let labels: Vec<&str> = MARKERS.iter().map(|names| names[0]).collect();
+        let place = |t: usize, label: &str| {
+            let (bare, side) = match (label.strip_prefix('L'), label.strip_prefix('R')) {
+                (Some(bare), _) => (bare, 1.0),
+                (_, Some(bare)) => (bare, -1.0),
+                _ => (label, 1.0),
+            };
+            let (joint, [x, y, z]) = marker(bare);
+            let joint = if side < 0.0 {
+                joint.replace("left", "right")
+            } else {
+                joint.to_owned()
+            };
+            let at = names
+                .iter()
+                .position(|name| *name == joint)
+                .expect("a joint");
+            let [u, v, w] = joints.frame(t)[at];
+            // Millimetres, +z up.
+            [u + side * x, -(w + z), v + y].map(|metres| (1000.0 * metres) as f32)
+        };
+        let frame = |t| labels.iter().map(|label| Some(place(t, label))).collect();
+        let labels: Vec<String> = labels.iter().map(|label| format!("who:{label}")).collect();
+        let labels: Vec<&str> = labels.iter().map(String::as_str).collect();
+        Example::new(&labels, (0..frames).map(frame).collect())
+    }
+
+    fn body(example: &Example) -> Result<Body, String> {
+        let take = C3d::parse(&example.bytes(), "take.c3d").unwrap();
+        let used = 0..take.frames();
+        Body::of_markers(&take, used, &Skeleton::humanml3d(), take.rate, None)
+    }
+
+    #[test]
+    fn joint_centres_are_near_the_joints_that_carry_the_markers() {
+        let body = body(&example(40)).unwrap();
+        assert_eq!((body.up, body.metres_per_unit), (UpAxis::Z, 0.001));
+        let known = walking(40, 80.0, 1.0);
+        let names = Skeleton::humanml3d().description().joint_names.clone();
+        for t in 0..40 {
+            for (joint, name) in names.iter().enumerate() {
+                let apart =
+                    Place::from(body.joints.frame(t)[joint]) - Place::from(known.frame(t)[joint]);
+                let most = if name.ends_with("collar") {
+                    0.06
+                } else {
+                    0.045
+                };
+                assert!(apart.norm() < most, "{name} of frame {t} is {apart:?} off");
+            }
+        }
+        let note = body.notes.last().expect("a note");
+        assert!(note.contains("lengths of limb bones vary by"), "{note}");
+    }
+
+    #[test]
+    fn markers_that_are_missing_are_named() {
+        let whole = example(60);
+        let mut other = whole.clone();
+        for label in &mut other.labels {
+            *label = label.replace("LKNE", "LHIP").replace("T10", "T8");
+        }
+        let message = body(&other).unwrap_err();
+        assert!(
+            message.contains("lacks 2 of the 26 markers needed"),
+            "{message}"
+        );
+        assert!(message.contains("LKNE, T10"), "{message}");
+        let mut renamed = whole.clone();
+        for label in &mut renamed.labels {
+            *label = label.replace("LFWT", "LASI");
+        }
+        assert!(body(&renamed).is_ok());
+        let mut gap = whole.clone();
+        gap.frames[5][4] = None;
+        assert!(body(&gap).unwrap().notes[0].contains("1 frames of who:LKNE were filled"));
+        for frame in &mut gap.frames[5..30] {
+            frame[4] = None;
+        }
+        let message = body(&gap).unwrap_err();
+        assert!(
+            message.contains("who:LKNE was not seen in frame 5"),
+            "{message}"
+        );
+        // Frames that are not used may lack it, at either end.
+        let skeleton = Skeleton::humanml3d();
+        for used in [30..60, 0..5] {
+            let take = C3d::parse(&gap.bytes(), "take.c3d").unwrap();
+            let part = Body::of_markers(&take, used.clone(), &skeleton, take.rate, None).unwrap();
+            let all = body(&whole).unwrap();
+            for t in used {
+                assert_eq!(part.joints.frame(t), all.joints.frame(t));
+            }
+        }
+    }
+}

@@ -1,0 +1,364 @@
+//! Labels of captures: from the names of their files, JSON beside them, a table, or the plan.
+
+use std::collections::HashMap;
+use std::path::Path;
+
+use kinegrad_data::file::{MAX_TEXT_BYTES, read_file, read_text};
+use serde_json::Value;
+
+use super::captions::Labels;
+use crate::plan::{LabelsPlan, Names, Part, Plan, TAKE, check_label, parts};
+
+/// Labels and captions of one capture.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct CaptureLabels {
+    /// Its labels.
+    pub labels: Labels,
+    /// The number of its take.
+    pub take: Option<u64>,
+    /// The captions of a table.
+    pub captions: Vec<String>,
+}
+
+/// A table of captions.
+#[derive(Clone, Debug, Default)]
+pub struct CaptionTable {
+    file: String,
+    /// Labels and captions by the name of the motion file without ending.
+    rows: HashMap<String, (Labels, Vec<String>)>,
+}
+
+impl CaptionTable {
+    /// Reads a CSV file with a column `file`, columns that begin with `caption`, and labels.
+    ///
+    /// # Errors
+    /// Names the file, what was found and what is allowed.
+    pub fn read(path: &Path) -> Result<Self, String> {
+        let file = path.display().to_string();
+        let in_file = |problem: String| format!("{file}: {problem}");
+        let bytes = read_file(path, MAX_TEXT_BYTES).map_err(|e| in_file(e.to_string()))?;
+        let mut reader = csv::ReaderBuilder::new()
+            .trim(csv::Trim::All)
+            .from_reader(bytes.as_slice());
+        let header = reader
+            .headers()
+            .map_err(|e| in_file(e.to_string()))?
+            .clone();
+        let file_column = header.iter().position(|column| column == "file");
+        let file_column = file_column.ok_or_else(|| {
+            let found: Vec<&str> = header.iter().collect();
+            in_file(format!(
+                "no column `file`, found: {}; allowed: file, caption, and labels",
+                found.join(", ")
+            ))
+        })?;
+        let is_caption = |column: &str| column.starts_with("caption");
+        for (place, column) in header.iter().enumerate() {
+            if place != file_column && !is_caption(column) {
+                check_label("column", column).map_err(|e| in_file(e.to_string()))?;
+            }
+        }
+        let mut rows: HashMap<String, (Labels, Vec<String>)> = HashMap::new();
+        for (number, row) in reader.records().enumerate() {
+            let row = row.map_err(|e| in_file(e.to_string()))?;
+            let name = Path::new(&row[file_column]).file_name().unwrap_or_default();
+            let name = without_ending(&name.to_string_lossy());
+            let (labels, captions) = rows.entry(name).or_default();
+            for (place, column) in header.iter().enumerate() {
+                let cell = row[place].trim();
+                if place == file_column || cell.is_empty() {
+                    continue;
+                }
+                if !is_caption(column) {
+                    labels.insert(column.to_owned(), cell.to_owned());
+                } else if cell.contains(['#', '\n']) {
+                    return Err(in_file(format!(
+                        "row {}: `{cell}`: a caption without # and line ends allowed",
+                        number + 1
+                    )));
+                } else {
+                    captions.push(cell.to_owned());
+                }
+            }
+        }
+        Ok(Self { file, rows })
+    }
+}
+
+/// The name of a motion file without its ending.
+fn without_ending(name: &str) -> String {
+    let ending = Path::new(name).extension().unwrap_or_default();
+    match ["bvh", "c3d"]
+        .iter()
+        .any(|known| ending.eq_ignore_ascii_case(known))
+    {
+        true => name[..name.len() - 4].to_owned(),
+        false => name.to_owned(),
+    }
+}
+
+impl LabelsPlan {
+    /// The labels of the capture whose file is called `stem`.
+    ///
+    /// # Errors
+    /// Names the file or label that does not fit.
+    pub fn of(
+        &self,
+        stem: &str,
+        plan: &Plan,
+        table: Option<&CaptionTable>,
+    ) -> Result<CaptureLabels, String> {
+        let mut found = CaptureLabels::default();
+        if let Some(pattern) = &self.name {
+            let values = named_parts(pattern, stem)?
+                .ok_or_else(|| format!("its name does not fit labels.name = \"{pattern}\""))?;
+            for (name, value) in values {
+                if name == TAKE {
+                    let number = value.parse().map_err(|_| {
+                        format!("take `{value}` in its name: a whole number allowed")
+                    })?;
+                    found.take = Some(number);
+                } else {
+                    found.labels.insert(name, value);
+                }
+            }
+        }
+        if let Some(path) = &self.json {
+            let path = plan.resolve(&path.replace("{name}", stem));
+            self.read_json(&path, plan, &mut found.labels)
+                .map_err(|problem| format!("{}: {problem}", path.display()))?;
+        }
+        if let Some(table) = table {
+            let row = table.rows.get(stem);
+            let (labels, captions) =
+                row.ok_or_else(|| format!("{} has no row for it", table.file))?;
+            found.labels.extend(labels.clone());
+            found.captions.clone_from(captions);
+        }
+        found.labels.extend(self.fixed.clone());
+        Ok(found)
+    }
+
+    /// Adds the texts and numbers of a JSON object.
+    fn read_json(&self, path: &Path, plan: &Plan, labels: &mut Labels) -> Result<(), String> {
+        let text = read_text(path).map_err(|problem| problem.to_string())?;
+        let read: Value = serde_json::from_str(&text).map_err(|problem| problem.to_string())?;
+        let Value::Object(entries) = read else {
+            return Err("an object of labels allowed".to_owned());
+        };
+        if let Some(absent) = self
+            .json_names
+            .keys()
+            .find(|name| !entries.contains_key(*name))
+        {
+            return Err(format!(
+                "it has no `{absent}`, which labels.json_names names"
+            ));
+        }
+        for (name, value) in entries {
+            let value = match (value, self.json_names.get(&name)) {
+                (Value::String(value), _) => value,
+                (Value::Number(number), Some(names)) => {
+                    let names = names.read(plan)?;
+                    let place = number.as_u64().and_then(|n| usize::try_from(n).ok());
+                    let value = place.and_then(|place| names.get(place)).cloned();
+                    value.ok_or_else(|| {
+                        format!(
+                            "{name} = {number}: 0 to {} allowed",
+                            names.len().saturating_sub(1)
+                        )
+                    })?
+                }
+                (Value::Number(number), None) => number.to_string(),
+                _ => continue,
+            };
+            check_label("key", &name).map_err(|e| e.to_string())?;
+            labels.insert(name, value);
+        }
+        Ok(())
+    }
+}
+
+impl Names {
+    fn read(&self, plan: &Plan) -> Result<Vec<String>, String> {
+        match self {
+            Self::List(names) => Ok(names.clone()),
+            Self::File(file) => {
+                let path = plan.resolve(file);
+                let text = read_text(&path).map_err(|e| format!("{}: {e}", path.display()))?;
+                let lines = text.lines().map(str::trim);
+                Ok(lines
+                    .filter(|line| !line.is_empty())
+                    .map(str::to_owned)
+                    .collect())
+            }
+        }
+    }
+}
+
+/// The values of the names in the braces of `pattern` in `text`; none if it does not fit. A name
+/// stands for the shortest text, of at least one character, that fits; a `*` for any text.
+///
+/// # Errors
+/// If the braces of the pattern do not pair.
+fn named_parts(pattern: &str, text: &str) -> Result<Option<Vec<(String, String)>>, String> {
+    let mut pieces = Vec::new();
+    for part in parts(pattern)? {
+        match part {
+            Part::Name(name) => pieces.push(Piece::Any(Some(name))),
+            Part::Text(literal) => {
+                for (place, literal) in literal.split('*').enumerate() {
+                    if place > 0 {
+                        pieces.push(Piece::Any(None));
+                    }
+                    if !literal.is_empty() {
+                        pieces.push(Piece::Literal(literal));
+                    }
+                }
+            }
+        }
+    }
+    Ok(fit(&pieces, text))
+}
+
+/// A part of a pattern.
+enum Piece<'a> {
+    Literal(&'a str),
+    /// Any text; at least a letter where it has a name.
+    Any(Option<&'a str>),
+}
+
+fn fit(pieces: &[Piece<'_>], text: &str) -> Option<Vec<(String, String)>> {
+    let Some((first, rest)) = pieces.split_first() else {
+        return text.is_empty().then(Vec::new);
+    };
+    match first {
+        Piece::Literal(literal) => fit(rest, text.strip_prefix(literal)?),
+        Piece::Any(name) => {
+            let ends = text.char_indices().map(|(end, _)| end).chain([text.len()]);
+            let mut ends = ends.filter(|end| *end > 0 || name.is_none());
+            ends.find_map(|end| {
+                let mut found = fit(rest, &text[end..])?;
+                if let Some(name) = name {
+                    found.insert(0, ((*name).to_owned(), text[..end].to_owned()));
+                }
+                Some(found)
+            })
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs;
+
+    use super::*;
+
+    fn named(pattern: &str, text: &str) -> Option<Vec<(String, String)>> {
+        named_parts(pattern, text).unwrap()
+    }
+
+    fn pairs(given: &[(&str, &str)]) -> Vec<(String, String)> {
+        let given = given.iter();
+        given
+            .map(|(a, b)| ((*a).to_owned(), (*b).to_owned()))
+            .collect()
+    }
+
+    #[test]
+    fn names_are_taken_apart() {
+        let pattern = "*_{content}_{style}_{take}";
+        assert_eq!(
+            named(pattern, "dataset-2_walk-turn-left_happy_012"),
+            Some(pairs(&[
+                ("content", "walk-turn-left"),
+                ("style", "happy"),
+                ("take", "012")
+            ]))
+        );
+        assert_eq!(named(pattern, "a_b_c"), None);
+        assert_eq!(named(pattern, "a__c_d"), None);
+        // What does not fit at first is tried longer.
+        assert_eq!(named("{a}_x", "b_x_x"), Some(pairs(&[("a", "b_x")])));
+        assert_eq!(named("walk", "walk"), Some(vec![]));
+        assert_eq!(named("*", ""), Some(vec![]));
+        assert_eq!(named("{a}", "Größe"), Some(pairs(&[("a", "Größe")])));
+    }
+
+    fn plan_in(folder: &Path) -> Plan {
+        let text = "output = \"set\"\n[[capture]]\nmotion = \"*.bvh\"\n";
+        fs::write(folder.join("plan.toml"), text).unwrap();
+        Plan::read(&folder.join("plan.toml")).unwrap()
+    }
+
+    #[test]
+    fn later_sources_of_labels_decide() {
+        let folder = tempfile::tempdir().unwrap();
+        let write = |name: &str, text: &str| fs::write(folder.path().join(name), text).unwrap();
+        write(
+            "walk_001.json",
+            "{\"content\": 1, \"style\": \"sad\", \"speed\": 3, \"x\": []}",
+        );
+        write("styles.txt", "glad\n\nmad\n");
+        write(
+            "table.csv",
+            "file, caption, style, caption_2\nwalk_001.bvh,\"he walks, slowly\", mad,\n\
+             walk_001, he is mad, , he goes\n",
+        );
+        let plan = plan_in(folder.path());
+        let mut labels: LabelsPlan = toml::from_str(
+            "name = \"{content}_{take}\"\njson = \"{name}.json\"\n\
+             json_names = { content = [\"run\", \"stroll\"] }",
+        )
+        .unwrap();
+        let found = labels.of("walk_001", &plan, None).unwrap();
+        let of = |found: &CaptureLabels| -> Vec<(String, String)> {
+            found.labels.clone().into_iter().collect()
+        };
+        let stated = pairs(&[("content", "stroll"), ("speed", "3"), ("style", "sad")]);
+        assert_eq!((of(&found), found.take), (stated, Some(1)));
+        let table = CaptionTable::read(&folder.path().join("table.csv")).unwrap();
+        labels.fixed.insert("speed".to_owned(), "fast".to_owned());
+        let found = labels.of("walk_001", &plan, Some(&table)).unwrap();
+        let stated = pairs(&[("content", "stroll"), ("speed", "fast"), ("style", "mad")]);
+        assert_eq!(of(&found), stated);
+        assert_eq!(found.captions, ["he walks, slowly", "he is mad", "he goes"]);
+
+        let refused = |labels: &LabelsPlan, stem: &str, table: Option<&CaptionTable>| {
+            labels.of(stem, &plan, table).unwrap_err()
+        };
+        assert!(refused(&labels, "walk", None).contains("does not fit labels.name"));
+        assert!(refused(&labels, "walk_two", None).contains("take `two`"));
+        assert!(refused(&labels, "walk_002", None).contains("walk_002.json"));
+        labels.json = None;
+        assert!(refused(&labels, "run_7", Some(&table)).contains("has no row for it"));
+        labels.json = Some("walk_001.json".to_owned());
+        labels.json_names = toml::from_str("content = [\"run\"]").unwrap();
+        assert!(refused(&labels, "walk_001", None).contains("content = 1: 0 to 0 allowed"));
+        labels.json_names = toml::from_str("mood = \"styles.txt\"").unwrap();
+        assert!(refused(&labels, "walk_001", None).contains("no `mood`"));
+        write("walk_001.json", "{\"mood\": 1}");
+        let found = labels.of("walk_001", &plan, None).unwrap();
+        assert_eq!(found.labels["mood"], "mad");
+    }
+
+    #[test]
+    fn tables_that_cannot_be_read_say_why() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("table.csv");
+        for (text, part) in [
+            (
+                "name,caption\na,b\n",
+                "no column `file`, found: name, caption",
+            ),
+            ("file,caption,Split\na,b,c\n", "a label called `Split`"),
+            ("file,caption,split\na,b,c\n", "a label called `split`"),
+            ("file,caption\na,b#c\n", "row 1: `b#c`"),
+            ("file,caption\na\n", "table.csv"),
+        ] {
+            fs::write(&path, text).unwrap();
+            let message = CaptionTable::read(&path).unwrap_err();
+            assert!(message.contains(part), "{part}: {message}");
+        }
+    }
+}

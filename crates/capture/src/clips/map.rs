@@ -1,0 +1,320 @@
+//! Joint maps: names of a capture's joints for the joints of the clips' skeleton.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use kinegrad_motion::humanml::Skeleton;
+use kinegrad_settings::read_toml;
+use serde::{Deserialize, Serialize};
+
+use crate::{Bvh, RootPose};
+
+/// The built-in maps by their names.
+const BUILT_IN: [(&str, &str); 6] = [
+    ("bandai", include_str!("maps/bandai.toml")),
+    ("cmu", include_str!("maps/cmu.toml")),
+    ("humanml3d", include_str!("maps/humanml3d.toml")),
+    ("mixamo", include_str!("maps/mixamo.toml")),
+    ("xsens", include_str!("maps/xsens.toml")),
+    // Last, since of maps that fit equally well the first is taken.
+    ("forefoot", include_str!("maps/forefoot.toml")),
+];
+
+/// Range of `at`, which may extrapolate the bone.
+const PARTS: std::ops::RangeInclusive<f64> = -1.0..=2.0;
+
+/// Most missing joints that a message names.
+const SHOWN: usize = 8;
+
+/// The place of each joint of a skeleton in a capture.
+#[derive(Clone, Debug, PartialEq)]
+pub struct JointMap {
+    name: String,
+    /// Sources of the skeleton's joints, in its order.
+    joints: Vec<(String, Source)>,
+}
+
+/// The place of a joint of the skeleton in a capture.
+#[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
+#[serde(try_from = "toml::Value")]
+enum Source {
+    /// A joint of the capture.
+    Joint(String),
+    /// A fraction `at` of the line between two joints.
+    Between { from: String, to: String, at: f64 },
+    /// A fraction `at` of the last bone of a chain, from its joint to the first of its End Sites
+    /// that is not at the joint.
+    EndSite { end_site: String, at: f64 },
+}
+
+impl TryFrom<toml::Value> for Source {
+    type Error = String;
+
+    fn try_from(value: toml::Value) -> Result<Self, String> {
+        let allowed = "the name of a joint, { from = \"JOINT\", to = \"JOINT\", at = PART }, or \
+                       { end_site = \"JOINT\", at = PART }";
+        let (mut from, mut to, mut end_site, mut at) = (None, None, None, None);
+        let table = match value {
+            toml::Value::String(joint) => return Ok(Self::Joint(joint)),
+            toml::Value::Table(table) => table,
+            other => return Err(format!("found {}, allowed: {allowed}", other.type_str())),
+        };
+        for (key, value) in table {
+            match (key.as_str(), value) {
+                ("from", toml::Value::String(joint)) => from = Some(joint),
+                ("to", toml::Value::String(joint)) => to = Some(joint),
+                ("end_site", toml::Value::String(joint)) => end_site = Some(joint),
+                ("at", toml::Value::Float(part)) if part.is_finite() => at = Some(part),
+                ("at", toml::Value::Integer(part)) => at = Some(part as f64),
+                (key, value) => return Err(format!("found {key} = {value}, allowed: {allowed}")),
+            }
+        }
+        if let Some(at) = at
+            && !PARTS.contains(&at)
+        {
+            let (least, most) = (PARTS.start(), PARTS.end());
+            return Err(format!("found at = {at}, allowed: {least} to {most}"));
+        }
+        match (from, to, end_site, at) {
+            (Some(from), Some(to), None, Some(at)) => Ok(Self::Between { from, to, at }),
+            (None, None, Some(end_site), Some(at)) => Ok(Self::EndSite { end_site, at }),
+            (from, to, Some(_), _) if from.is_some() || to.is_some() => {
+                let odd = "found end_site together with from or to";
+                Err(format!("{odd}, allowed: {allowed}"))
+            }
+            _ => Err(format!(
+                "found a table without one of its keys, allowed: {allowed}"
+            )),
+        }
+    }
+}
+
+impl Source {
+    /// The joints of the capture that it names.
+    fn names(&self) -> Vec<&str> {
+        match self {
+            Self::Joint(joint) => vec![joint],
+            Self::Between { from, to, .. } => vec![from, to],
+            Self::EndSite { end_site, .. } => vec![end_site],
+        }
+    }
+
+    /// The joint or End Site that the capture lacks, in words.
+    fn lacks(&self, bvh: &Bvh) -> Option<String> {
+        let mut names = self.names().into_iter();
+        if let Some(absent) = names.find(|name| bvh.joint(name).is_none()) {
+            return Some(absent.to_owned());
+        }
+        let without = self.place(bvh).is_none();
+        without.then(|| {
+            format!(
+                "an End Site of {} that is not at the joint",
+                self.names()[0]
+            )
+        })
+    }
+
+    /// Its place in a capture, none if that lacks it.
+    fn place(&self, bvh: &Bvh) -> Option<Place> {
+        Some(match self {
+            Self::Joint(joint) => Place::on(bvh.joint(joint)?, [0.0; 3]),
+            Self::Between { from, to, at } => Place {
+                from: bvh.joint(from)?,
+                to: bvh.joint(to)?,
+                at: *at,
+                offset: [0.0; 3],
+            },
+            Self::EndSite { end_site, at } => {
+                let joint = bvh.joint(end_site)?;
+                let ends = &bvh.joints()[joint].end_sites;
+                // An End Site without a length has no direction.
+                let end = ends
+                    .iter()
+                    .find(|end| end.iter().any(|&value| value != 0.0))?;
+                Place::on(joint, end.map(|value| at * value))
+            }
+        })
+    }
+}
+
+/// A map, as its file has it.
+#[derive(Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+struct MapFile {
+    joints: BTreeMap<String, Source>,
+}
+
+/// A map whose joints were found in a capture.
+#[derive(Clone, Debug)]
+pub struct FoundJoints {
+    /// The place of each joint of the skeleton.
+    places: Vec<Place>,
+}
+
+/// A place on a body of a capture.
+#[derive(Clone, Copy, Debug)]
+struct Place {
+    /// The joint that it moves with.
+    from: usize,
+    /// Another joint, and the fraction of the line towards it.
+    to: usize,
+    at: f64,
+    /// Offset from the first joint, which turns with it, in file units.
+    offset: [f64; 3],
+}
+
+impl Place {
+    fn on(joint: usize, offset: [f64; 3]) -> Self {
+        Self {
+            from: joint,
+            to: joint,
+            at: 0.0,
+            offset,
+        }
+    }
+}
+
+impl FoundJoints {
+    /// The skeleton's joints, `[J]`, where the capture has its joints at `world`.
+    pub fn of(&self, world: &[RootPose]) -> impl Iterator<Item = [f64; 3]> {
+        self.places.iter().map(|place| {
+            let (from, to) = (&world[place.from], &world[place.to]);
+            let turned = from.orientation.rotate(place.offset);
+            [0, 1, 2].map(|axis| {
+                let apart = to.position[axis] - from.position[axis];
+                from.position[axis] + place.at * apart + turned[axis]
+            })
+        })
+    }
+}
+
+impl JointMap {
+    /// The map in the TOML text of `file`, whose stem is its name.
+    ///
+    /// # Errors
+    /// Names the file and the key, with the value found and what is allowed.
+    pub fn parse(file: &str, text: &str, skeleton: &Skeleton) -> Result<Self, String> {
+        let map = read_toml::<MapFile>(text, file, "docs/dataset.md describes joint maps");
+        let mut sources = map.map_err(|error| error.to_string())?.joints;
+        let names = &skeleton.description().joint_names;
+        let joints = names.iter().map(|joint| {
+            let source = sources.remove(joint);
+            source.map(|source| (joint.clone(), source)).ok_or_else(|| {
+                format!(
+                    "{file}: joints.{joint} is missing; a joint that the captures lack lies between \
+                         two others: {joint} = {{ from = \"JOINT\", to = \"JOINT\", at = 0.5 }}"
+                )
+            })
+        });
+        let joints = joints.collect::<Result<_, _>>()?;
+        if let Some((odd, _)) = sources.pop_first() {
+            return Err(format!(
+                "{file}: joints.{odd}: no joint of {}; allowed: {}",
+                skeleton.description().name,
+                names.join(", ")
+            ));
+        }
+        let name = Path::new(file).file_stem().unwrap_or_default();
+        let name = name.to_string_lossy().into_owned();
+        Ok(Self { name, joints })
+    }
+
+    /// The built-in map of this name.
+    ///
+    /// # Errors
+    /// Names the built-in maps.
+    pub fn built_in(name: &str) -> Result<Self, String> {
+        let mut maps = Self::all_built_in().into_iter();
+        maps.find(|map| map.name == name).ok_or_else(|| {
+            let names: Vec<&str> = BUILT_IN.iter().map(|(name, _)| *name).collect();
+            format!(
+                "there is no joint map `{name}`, allowed: {}, or a file ending in .toml",
+                names.join(", ")
+            )
+        })
+    }
+
+    fn all_built_in() -> Vec<Self> {
+        let skeleton = Skeleton::humanml3d();
+        let maps = BUILT_IN.iter();
+        maps.map(|(name, text)| Self::parse(name, text, &skeleton).expect("the maps are sound"))
+            .collect()
+    }
+
+    /// The built-in map that fits a capture; of several, the one that names most joints.
+    ///
+    /// # Errors
+    /// Names the joints that the capture lacks of the best map.
+    pub fn fitting(bvh: &Bvh) -> Result<Self, String> {
+        let named = |map: &Self| {
+            let mut joints: Vec<&str> = map.names().collect();
+            joints.sort_unstable();
+            joints.dedup();
+            joints.len()
+        };
+        let mut maps = Self::all_built_in();
+        maps.sort_by_key(|map| (map.missing(bvh).len(), std::cmp::Reverse(named(map))));
+        let best = maps.swap_remove(0);
+        match best.missing(bvh).is_empty() {
+            true => Ok(best),
+            false => Err(format!(
+                "no built-in joint map fits: {} (name joints of your own with `map = \
+                 \"FILE.toml\"`)",
+                best.lacking(bvh)
+            )),
+        }
+    }
+
+    /// Its name.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// A text that changes with the content of the map.
+    pub fn fingerprint(&self) -> String {
+        format!("{:?}", self.joints)
+    }
+
+    fn names(&self) -> impl Iterator<Item = &str> {
+        self.joints.iter().flat_map(|(_, source)| source.names())
+    }
+
+    /// The skeleton's joints that a capture lacks, each with the missing joint of the capture.
+    fn missing(&self, bvh: &Bvh) -> Vec<(&str, String)> {
+        let joints = self.joints.iter();
+        let lacking =
+            joints.filter_map(|(joint, source)| Some((joint.as_str(), source.lacks(bvh)?)));
+        lacking.collect()
+    }
+
+    /// The joints that a capture lacks, in words.
+    fn lacking(&self, bvh: &Bvh) -> String {
+        let missing = self.missing(bvh);
+        let shown = missing.iter().take(SHOWN);
+        let mut names: Vec<String> = shown
+            .map(|(joint, name)| format!("{name} ({joint})"))
+            .collect();
+        if missing.len() > SHOWN {
+            names.push(format!("{} more", missing.len() - SHOWN));
+        }
+        format!(
+            "it lacks {} of the {} joints of `{}`: {}",
+            missing.len(),
+            self.joints.len(),
+            self.name,
+            names.join(", ")
+        )
+    }
+
+    /// Finds its joints in a capture.
+    ///
+    /// # Errors
+    /// Names the joints that the capture lacks.
+    pub fn find(&self, bvh: &Bvh) -> Result<FoundJoints, String> {
+        let places = self.joints.iter().map(|(_, source)| source.place(bvh));
+        match places.collect() {
+            Some(places) => Ok(FoundJoints { places }),
+            None => Err(self.lacking(bvh)),
+        }
+    }
+}

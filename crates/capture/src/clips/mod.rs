@@ -1,0 +1,181 @@
+//! Datasets of clips: full-body captures become a dataset in the layout of HumanML3D.
+//!
+//! A [joint map](JointMap) names the joints of a BVH capture that are the 22 of the dataset's
+//! skeleton; those of a C3D capture are estimated from its markers. The [body](Body) is resampled to
+//! 20 frames per second, given the bones of one skeleton, put on the floor and [cut](cut()) into
+//! clips. Labels come from file names, JSON, a table or the plan, and captions are made of them. A
+//! mirrored copy of each clip has left and right exchanged in both. Whole takes are held out by their
+//! numbers.
+
+mod body;
+mod captions;
+mod centres;
+mod clip;
+mod cut;
+mod dataset;
+mod labels;
+mod map;
+#[cfg(test)]
+mod map_tests;
+mod report;
+mod split;
+mod take;
+mod takes;
+#[cfg(test)]
+mod tests;
+
+use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::path::Path;
+
+use kinegrad_data::{Digest, Store, manifest, matches};
+
+pub use body::Body;
+pub use captions::{Labels, mirrored};
+pub use clip::Grounded;
+pub use cut::cut;
+pub use map::{FoundJoints, JointMap};
+pub use report::{ClipTakeReport, ClipsReport};
+pub use split::Part;
+
+use crate::Error;
+use crate::plan::Plan;
+use crate::prepare::output::Output;
+use crate::prepare::{Journals, Maker, PrepareObserver, PrepareOptions, Row, make_takes};
+use dataset::{CLIPS, ClipRow, write_index};
+use split::SplitTake;
+use take::{Take, TakeInput};
+use takes::{Tables, tables, takes};
+
+/// Makes the dataset of clips of `plan`. `None` if it was stopped: the takes done are kept, and the
+/// next preparation continues.
+///
+/// # Errors
+/// [`Error::Plan`] for files that are not there or wrong, or if there is no clip to train on;
+/// [`Error::Busy`] if another preparation is writing to the output, [`Error::Data`] if that holds a
+/// dataset that no preparation wrote or cannot be written. A take that cannot be used is no error:
+/// its report says why.
+pub fn prepare(
+    plan: &Plan,
+    plan_file: &Path,
+    options: PrepareOptions,
+    observer: &dyn PrepareObserver,
+) -> Result<Option<ClipsReport>, Error> {
+    let wrong = |problem: String| Error::plan(plan_file, problem);
+    let takes = takes(plan).map_err(wrong)?;
+    let tables = tables(plan).map_err(wrong)?;
+    if takes.iter().all(|take| plan.split.names(&take.name)) {
+        let problem = "split names every take: at least one to train on is needed";
+        return Err(wrong(problem.to_owned()));
+    }
+    let output = Output::open(plan, CLIPS)?;
+    let maker = ClipMaker { plan, tables };
+    let groups: Vec<Vec<&Take>> = takes.iter().map(|take| vec![take]).collect();
+    let journals = make_takes(&maker, &groups, plan_file, &output, options, observer)?;
+    journals
+        .map(|journals| finish(plan, plan_file, &output, options, journals))
+        .transpose()
+}
+
+struct ClipMaker<'a> {
+    plan: &'a Plan,
+    tables: Tables,
+}
+
+impl Maker for ClipMaker<'_> {
+    const ITEM: &'static str = "clip";
+    type Take = Take;
+    type Input = TakeInput;
+    type Shared = ();
+    type Row = ClipRow;
+    type Report = ClipTakeReport;
+
+    fn name<'a>(&self, take: &'a Take) -> &'a str {
+        &take.name
+    }
+
+    fn read(&self, take: &Take) -> Result<(Digest, TakeInput), String> {
+        let table = take.capture.captions.as_ref();
+        let input = take.input(self.plan, table.map(|file| &self.tables[file]))?;
+        Ok((input.key, input))
+    }
+
+    fn make(
+        &self,
+        take: &Take,
+        input: TakeInput,
+        (): &(),
+        output: &Output,
+    ) -> Result<(Vec<ClipRow>, ClipTakeReport), Error> {
+        take.make(self.plan, &input, output)
+    }
+}
+
+/// The absolute path of a motion file of the plan.
+fn one_file(plan: &Plan, file: &str) -> String {
+    let path = plan.resolve(file).canonicalize();
+    path.map_or_else(|_| file.to_owned(), |path| path.display().to_string())
+}
+
+/// Divides the clips into sets and writes index and report.
+fn finish(
+    plan: &Plan,
+    plan_file: &Path,
+    output: &Output,
+    options: PrepareOptions,
+    journals: Journals<ClipMaker<'_>>,
+) -> Result<ClipsReport, Error> {
+    let usable = journals.iter().filter(|journal| !journal.rows.is_empty());
+    let takes: Vec<SplitTake<'_>> = usable
+        .map(|journal| SplitTake {
+            name: &journal.report.name,
+            labels: &journal.report.labels,
+            number: journal.report.number,
+            // Every row has the file.
+            file: one_file(plan, &journal.rows[0].file),
+        })
+        .collect();
+    let parts = plan.split.parts(&takes);
+    let part_of: HashMap<String, Part> = takes
+        .iter()
+        .zip(parts.lists)
+        .map(|(take, part)| (take.name.to_owned(), part))
+        .collect();
+    if !part_of.values().any(|part| *part == Part::Train) {
+        let problem = "split names every take that gave a clip: at least one to train on is needed";
+        return Err(Error::plan(plan_file, problem));
+    }
+    let entries = plan.split.validation.iter().chain(&plan.split.test);
+    let idle = entries.filter(|entry| !takes.iter().any(|take| matches(entry, take.name)));
+    let idle_entries = idle.cloned().collect();
+    let kept = journals.iter().filter(|journal| journal.kept).count();
+    let (mut rows, mut reports) = (Vec::new(), Vec::new());
+    for journal in journals {
+        rows.extend(journal.rows.into_iter().map(|row| {
+            let part = part_of[&row.take];
+            (row, part)
+        }));
+        reports.push(journal.report);
+    }
+    rows.sort_by(|(a, _), (b, _)| a.id.cmp(&b.id));
+    let made = rows.iter().flat_map(|(row, _)| row.files());
+    let made: BTreeSet<String> = made.map(|(path, ..)| path).collect();
+    let mut counts = BTreeMap::new();
+    for (_, part) in &rows {
+        *counts.entry(part.to_string()).or_default() += 1;
+    }
+    let seconds = rows.iter().map(|(row, _)| row.frames as f64 / row.fps);
+    let report = |stale| ClipsReport {
+        output: output.store.uri(),
+        clips: rows.len(),
+        hours: seconds.sum::<f64>() / 3600.0,
+        parts: counts,
+        kept,
+        stale,
+        idle_entries,
+        split_notes: parts.notes,
+        manifest: manifest::SUPPORTED,
+        takes: reports,
+    };
+    let write_index = |store: &Store| write_index(store, &rows);
+    output.finish(&made, options.prune, report, write_index)
+}

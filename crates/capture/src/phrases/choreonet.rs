@@ -1,0 +1,127 @@
+//! The ChoreoNet data as takes: each dance is a list of captured units, end to end on the even
+//! beats between two moments of its song.
+
+use std::collections::HashMap;
+use std::path::Path;
+
+use kinegrad_data::file::{MAX_TEXT_BYTES, read_file};
+use serde::Deserialize;
+
+use crate::plan::{ChoreonetPlan, Plan, SegmentPlan, TakePlan};
+use crate::{BeatGrid, Error};
+
+/// Frames per second of `start_pos` and `end_pos`.
+const POSITIONS_PER_SECOND: f64 = 25.0;
+
+/// A dance, as its JSON states it.
+#[derive(Debug, Deserialize)]
+struct Dance {
+    dance_type: String,
+    dance_id: u64,
+    start_pos: f64,
+    end_pos: f64,
+    movements: Vec<String>,
+    durations: Vec<f64>,
+}
+
+/// A row of the table of intervals.
+#[derive(Debug, Deserialize)]
+struct Interval {
+    c3d_file: String,
+    movement_tag: String,
+    start_frame: f64,
+    end_frame: f64,
+}
+
+/// The takes of a plan's choreographies. A unit without an interval (START, HOLD) is a segment of
+/// no file, and so a gap.
+///
+/// # Errors
+/// [`Error::Plan`] for a file that is missing or not of that form.
+pub(super) fn takes(plan: &Plan, choreonet: &ChoreonetPlan) -> Result<Vec<TakePlan>, Error> {
+    let dances = plan.resolve(&choreonet.choreography);
+    let bytes =
+        read_file(&dances, MAX_TEXT_BYTES).map_err(|problem| Error::plan(&dances, problem))?;
+    let dances: Vec<Dance> =
+        serde_json::from_slice(&bytes).map_err(|problem| Error::plan(&dances, problem))?;
+    let intervals = intervals(&plan.resolve(&choreonet.intervals))?;
+    dances
+        .into_iter()
+        .map(|dance| take(choreonet, &intervals, dance))
+        .collect()
+}
+
+/// The first interval of each movement.
+fn intervals(path: &Path) -> Result<HashMap<String, Interval>, Error> {
+    let wrong = |problem| Error::plan(path, problem);
+    let bytes = read_file(path, MAX_TEXT_BYTES).map_err(|problem| Error::plan(path, problem))?;
+    let mut reader = csv::Reader::from_reader(bytes.as_slice());
+    let mut intervals = HashMap::new();
+    for row in reader.deserialize::<Interval>() {
+        let row = row.map_err(wrong)?;
+        intervals.entry(row.movement_tag.clone()).or_insert(row);
+    }
+    Ok(intervals)
+}
+
+fn take(
+    choreonet: &ChoreonetPlan,
+    intervals: &HashMap<String, Interval>,
+    dance: Dance,
+) -> Result<TakePlan, Error> {
+    let name = format!("{}_{}", dance.dance_type, dance.dance_id);
+    let beats: f64 = dance.durations.iter().sum();
+    let seconds = (dance.end_pos - dance.start_pos) / POSITIONS_PER_SECOND;
+    let sound = dance.durations.iter().all(|&beats| beats > 0.0);
+    if dance.movements.len() != dance.durations.len()
+        || !sound
+        || seconds.is_nan()
+        || seconds <= 0.0
+    {
+        let problem = format!(
+            "dance {name}: as many positive durations as movements and an end after its start \
+             allowed; {} movements, {} durations, {seconds} s found",
+            dance.movements.len(),
+            dance.durations.len()
+        );
+        return Err(Error::plan(Path::new(&choreonet.choreography), problem));
+    }
+    let segments = dance
+        .movements
+        .iter()
+        .zip(&dance.durations)
+        .map(|(tag, &beats)| {
+            let (motion, frames) = match intervals.get(tag) {
+                Some(interval) => (
+                    format!("{}/{}.c3d", choreonet.captures, interval.c3d_file),
+                    [interval.start_frame, interval.end_frame],
+                ),
+                None => (format!("{tag} (no interval)"), [0.0, 1.0]),
+            };
+            SegmentPlan {
+                motion,
+                frames,
+                beats,
+            }
+        });
+    let waltz = choreonet.three_beats_per_bar.contains(&dance.dance_type);
+    let beats_per_bar = if waltz { 3 } else { 4 };
+    Ok(TakePlan {
+        segments: segments.collect(),
+        audio: choreonet
+            .music
+            .replace("{type}", &dance.dance_type)
+            .replace("{id}", &dance.dance_id.to_string()),
+        beats: Some(BeatGrid {
+            start_seconds: dance.start_pos / POSITIONS_PER_SECOND,
+            seconds_per_beat: seconds / beats,
+            beats_per_bar,
+            beats: Some(beats),
+        }),
+        markers: Some(choreonet.markers.clone()),
+        name: Some(name),
+        grid: choreonet.grid,
+        label: choreonet.labels.get(&dance.dance_type).cloned(),
+        ..TakePlan::default()
+    })
+}

@@ -1,0 +1,167 @@
+//! The beats that segments are aligned with: those of the song if it has as many as the plan
+//! states, otherwise even ones.
+
+use kinegrad_audio::Pulse;
+
+use super::report::GridReport;
+use super::song::Song;
+use super::span::{Span, TOLERANCE};
+use crate::plan::Grid;
+use crate::{BeatGrid, Beats, TrackedBeats};
+
+/// Beats in a bar if a plan does not state them.
+const BEATS_PER_BAR: u32 = 4;
+
+/// The beats of a take.
+#[derive(Default)]
+pub(super) struct Timeline {
+    /// The beats of the phase; none if they are unknown.
+    pub beats: Option<Beats>,
+    /// The beats of the beat features.
+    pub pulse: Option<Pulse>,
+    /// The beats that segments are aligned with; the first segment starts at position 0.
+    pub segment_beats: Option<Pulse>,
+    /// Tempo of tracked beats in beats per minute.
+    pub tempo: Option<f64>,
+    /// Agreement of stated and tracked beats, for segments with a song.
+    pub report: Option<GridReport>,
+    /// Notes for the report.
+    pub notes: Vec<String>,
+}
+
+impl Timeline {
+    /// The beats of a whole recording: the stated ones, else those of the song, of which the one
+    /// nearest to `downbeat` seconds starts a bar.
+    pub fn of_recording(
+        stated: Option<BeatGrid>,
+        song: Option<&Song>,
+        beats_per_bar: Option<u32>,
+        downbeat: Option<f64>,
+    ) -> Self {
+        if let Some(grid) = stated {
+            let even = Pulse::even(grid.start_seconds, grid.seconds_per_beat);
+            return Self {
+                beats: Some(Beats::Grid(grid)),
+                pulse: even.map(|even| even.with_downbeat(grid.beats_per_bar, grid.start_seconds)),
+                ..Self::default()
+            };
+        }
+        let beats_per_bar = beats_per_bar.unwrap_or(BEATS_PER_BAR);
+        let song_beats = song.and_then(|song| Pulse::tracked(&song.beats));
+        let pulse = song_beats.map(|pulse| match downbeat {
+            Some(downbeat) => pulse.with_downbeat(beats_per_bar, downbeat),
+            None => pulse,
+        });
+        let beats = pulse.as_ref().map(|pulse| {
+            // Without a downbeat the first beat stands for one.
+            let bar = f64::from(beats_per_bar);
+            let first = pulse.bars().map_or(0.0, |bars| {
+                let first = bars.downbeat.rem_euclid(bar);
+                if first > 0.0 { first - bar } else { first }
+            });
+            let count = pulse.seconds().len() + beats_per_bar as usize;
+            Beats::Tracked(TrackedBeats {
+                seconds: pulse.from_beat(first, count).seconds().to_vec(),
+                beats_per_bar,
+            })
+        });
+        Self {
+            beats,
+            pulse,
+            tempo: song.map(|song| song.beats.tempo),
+            ..Self::default()
+        }
+    }
+
+    /// The beats for segments of `count` beats, which are stated to be even. If the song has as
+    /// many, its own are used, unless `wanted` excludes them.
+    ///
+    /// # Errors
+    /// If the song's beats are `wanted` and cannot be used.
+    pub fn of_segments(
+        stated: BeatGrid,
+        count: f64,
+        song: Option<&Song>,
+        wanted: Option<Grid>,
+    ) -> Result<Self, String> {
+        let refused = |problem: &str| match wanted {
+            Some(Grid::Tracked) => Err(format!(
+                "grid = \"tracked\": {problem} (correct `beats`, or align the segments with even \
+                 beats: grid = \"uniform\")"
+            )),
+            _ => Ok(vec![format!(
+                "{problem}: its segments are aligned with even beats"
+            )]),
+        };
+        let mut timeline = Self {
+            beats: Some(Beats::Grid(stated)),
+            segment_beats: Pulse::even(stated.start_seconds, stated.seconds_per_beat),
+            ..Self::default()
+        };
+        let Some(song) = song else {
+            if wanted == Some(Grid::Tracked) {
+                refused("the take has no song")?;
+            }
+            return Ok(timeline);
+        };
+        let span = Span::new(stated, count, song.features.frames());
+        let song_beats = span.song_beats(song);
+        let Some(pulse) = Pulse::tracked(&song_beats) else {
+            timeline.notes = refused("no beats are tracked in the song")?;
+            return Ok(timeline);
+        };
+        let origin = pulse.position(stated.start_seconds).round();
+        let mut report = span.compare(&song_beats, &pulse, origin);
+        let tracked = report.tracked_beats;
+        let agree = span.agree(tracked);
+        if !agree {
+            timeline.notes = refused(&format!(
+                "{tracked} beats are tracked where {:.1} are stated, more than {:.0} % apart",
+                report.stated_beats,
+                100.0 * TOLERANCE
+            ))?;
+        }
+        if !agree || wanted == Some(Grid::Uniform) {
+            timeline.pulse = Some(pulse);
+            timeline.report = Some(report);
+            return Ok(timeline);
+        }
+        if song_beats.tempo != song.beats.tempo {
+            timeline.notes.push(format!(
+                "beats were tracked at {:.1} per minute, and with the stated number at {:.1}",
+                song.beats.tempo, report.tracked_tempo
+            ));
+        }
+        let segment_beats = pulse.from_beat(origin, count.ceil() as usize + 1);
+        let beats = Beats::Tracked(TrackedBeats {
+            seconds: segment_beats.seconds().to_vec(),
+            beats_per_bar: stated.beats_per_bar,
+        });
+        let tempo = report.tracked_tempo;
+        report.grid = Grid::Tracked;
+        report.concentration = span.concentration(&beats, &pulse);
+        let first = pulse.moment(origin);
+        Ok(Self {
+            beats: Some(beats),
+            pulse: Some(pulse.with_downbeat(stated.beats_per_bar, first)),
+            segment_beats: Some(segment_beats),
+            tempo: Some(tempo),
+            report: Some(report),
+            notes: timeline.notes,
+        })
+    }
+
+    /// Both ends and, of tracked beats, those in between: a segment's speed may change at each.
+    pub fn knots(&self, from: f64, to: f64) -> Vec<f64> {
+        let mut knots = vec![from];
+        if matches!(self.beats, Some(Beats::Tracked(_))) {
+            let between = (1..).map(|k| from.floor() + f64::from(k));
+            knots.extend(between.take_while(|beat| *beat < to));
+        }
+        knots.push(to);
+        knots
+    }
+}
+
+#[cfg(test)]
+mod tests;

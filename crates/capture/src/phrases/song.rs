@@ -1,0 +1,40 @@
+//! A song's features over its whole length.
+
+use std::path::Path;
+
+use kinegrad_audio::{Analysis, Beats};
+use kinegrad_data::AudioFeatures;
+
+/// A song's features, beats and onset strength.
+#[derive(Debug)]
+pub(super) struct Song {
+    /// The 163 features.
+    pub features: AudioFeatures,
+    /// The tracked beats.
+    pub beats: Beats,
+    /// Onset strength that beats are tracked in, `[T]`.
+    pub onset: Vec<f32>,
+    /// Damage of the file, in words.
+    pub damage: Option<String>,
+}
+
+impl Song {
+    /// Reads the song at `path`.
+    ///
+    /// # Errors
+    /// Names the file and the reason why it cannot be used.
+    pub fn read(path: &Path) -> Result<Self, String> {
+        let waveform = kinegrad_audio::decode(path).map_err(|error| error.to_string())?;
+        let analysis = Analysis::new(&waveform.samples)
+            .map_err(|error| format!("{}: {error}", path.display()))?;
+        let onset = analysis.onset.median.clone();
+        let features = analysis.features();
+        let damage = waveform.damage();
+        Ok(Self {
+            beats: features.beats().clone(),
+            onset,
+            features: AudioFeatures::from(&features),
+            damage: damage.map(|damage| format!("the song: {damage}")),
+        })
+    }
+}

@@ -1,0 +1,192 @@
+//! The driver: takes that have changed are made again, several at a time.
+
+use std::path::Path;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use kinegrad_data::Digest;
+use rayon::prelude::*;
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+
+use super::journal::Journal;
+use super::output::Output;
+use super::report::Rejection;
+use crate::Error;
+
+/// Options of a preparation.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct PrepareOptions {
+    /// Make every take again.
+    pub again: bool,
+    /// Remove the items that belong to no take of the plan.
+    pub prune: bool,
+}
+
+/// Progress of a preparation, and a request to stop it. Called from several threads.
+pub trait PrepareObserver: Sync {
+    /// So many of so many takes are done.
+    fn done(&self, takes: usize, total: usize);
+    /// Returns true to stop after the takes under way.
+    fn stop_requested(&self) -> bool;
+}
+
+/// An item of a dataset, as the journal of its take lists it.
+pub(crate) trait Row: DeserializeOwned + Serialize + Send {
+    /// Path, length and checksum of each of its files.
+    fn files(&self) -> [(String, i64, Digest); 2];
+}
+
+/// The report of a take.
+pub(crate) trait Report: DeserializeOwned + Serialize + Send {
+    /// The report of the take `name`, which cannot be used.
+    fn failed(name: &str, problem: String) -> Self;
+    /// Name of the take.
+    fn name(&self) -> &str;
+    /// The reason if the take cannot be used.
+    fn failure(&self) -> Option<&str>;
+    /// Frames that no item has.
+    fn rejected(&self) -> &[Rejection];
+}
+
+/// A maker of the items of one kind of dataset.
+pub(crate) trait Maker: Sync {
+    /// The kind of item, for messages.
+    const ITEM: &'static str;
+    /// A take of the plan.
+    type Take: Sync;
+    /// Data that is read before it is known if the take must be made again.
+    type Input;
+    /// Data that the takes of a group share.
+    type Shared: Default;
+    type Row: Row;
+    type Report: Report;
+
+    fn name<'a>(&self, take: &'a Self::Take) -> &'a str;
+
+    /// Reads a take's inputs, and their checksum with that of its part of the plan.
+    ///
+    /// # Errors
+    /// The reason why the take cannot be used.
+    fn read(&self, take: &Self::Take) -> Result<(Digest, Self::Input), String>;
+
+    /// Writes the items of a take. A take that cannot be used has a report that says so.
+    ///
+    /// # Errors
+    /// If a file cannot be written.
+    fn make(
+        &self,
+        take: &Self::Take,
+        input: Self::Input,
+        shared: &Self::Shared,
+        output: &Output,
+    ) -> Result<(Vec<Self::Row>, Self::Report), Error>;
+}
+
+/// The journals of a maker's takes.
+pub(crate) type Journals<M> = Vec<Journal<<M as Maker>::Row, <M as Maker>::Report>>;
+
+/// Makes what is missing of the takes, sorted by name. The takes of a group are made one after the
+/// other, by one thread. `None` if the observer stopped it: the next preparation continues.
+///
+/// # Errors
+/// [`Error::Plan`] if no take gave an item, and errors of writing.
+pub(crate) fn make_takes<M: Maker>(
+    maker: &M,
+    groups: &[Vec<&M::Take>],
+    plan_file: &Path,
+    output: &Output,
+    options: PrepareOptions,
+    observer: &dyn PrepareObserver,
+) -> Result<Option<Journals<M>>, Error> {
+    let (total, done) = (groups.iter().map(Vec::len).sum(), AtomicUsize::new(0));
+    observer.done(0, total);
+    let of_group = |takes: &Vec<&M::Take>| {
+        let shared = M::Shared::default();
+        let mut journals = Vec::with_capacity(takes.len());
+        for take in takes {
+            if observer.stop_requested() {
+                return Ok(None);
+            }
+            journals.push(one(maker, take, &shared, output, options)?);
+            observer.done(done.fetch_add(1, Ordering::Relaxed) + 1, total);
+        }
+        Ok(Some(journals))
+    };
+    let groups = groups.par_iter().map(of_group);
+    let groups: Option<Vec<Journals<M>>> = groups.collect::<Result<Option<_>, Error>>()?;
+    let Some(groups) = groups else {
+        return Ok(None);
+    };
+    let mut journals: Journals<M> = groups.into_iter().flatten().collect();
+    journals.sort_by(|a, b| a.report.name().cmp(b.report.name()));
+    if journals.iter().all(|journal| journal.rows.is_empty()) {
+        let reports: Vec<&M::Report> = journals.iter().map(|journal| &journal.report).collect();
+        let problem = format!("no take gave a {}{}", M::ITEM, reasons(&reports));
+        return Err(Error::plan(plan_file, problem));
+    }
+    // Takes that were rejected whole are recorded once there is a dataset.
+    for journal in &journals {
+        if !journal.kept && journal.rows.is_empty() && journal.report.failure().is_none() {
+            journal.write(journal.report.name(), output)?;
+        }
+    }
+    Ok(Some(journals))
+}
+
+/// The journal of a take, from before if it is still true.
+fn one<M: Maker>(
+    maker: &M,
+    take: &M::Take,
+    shared: &M::Shared,
+    output: &Output,
+    options: PrepareOptions,
+) -> Result<Journal<M::Row, M::Report>, Error> {
+    let name = maker.name(take);
+    let (key, input) = match maker.read(take) {
+        Ok(read) => read,
+        Err(problem) => {
+            return Ok(Journal {
+                key: Digest::of(b""),
+                rows: Vec::new(),
+                report: M::Report::failed(name, problem),
+                kept: false,
+            });
+        }
+    };
+    if !options.again
+        && let Some(journal) = Journal::<M::Row, M::Report>::read(&output.store, name, key)?
+    {
+        let mut files = journal.rows.iter().flat_map(Row::files);
+        if files.all(|(path, bytes, digest)| output.holds(&path, bytes, digest)) {
+            return Ok(journal);
+        }
+    }
+    let (rows, report) = maker.make(take, input, shared, output)?;
+    let journal = Journal {
+        key,
+        rows,
+        report,
+        kept: false,
+    };
+    // A take that cannot be used is tried again by the next preparation.
+    if !journal.rows.is_empty() {
+        journal.write(name, output)?;
+    }
+    Ok(journal)
+}
+
+/// The reasons why the first takes gave nothing.
+fn reasons<R: Report>(reports: &[&R]) -> String {
+    const SHOWN: usize = 5;
+    let reason = |report: &&R| {
+        let rejected = report.rejected().first();
+        let rejected = rejected.map(|rejection| rejection.reason.as_str());
+        let reason = report.failure().or(rejected).unwrap_or_default();
+        format!("; {}: {reason}", report.name())
+    };
+    let mut text: String = reports.iter().take(SHOWN).map(reason).collect();
+    if reports.len() > SHOWN {
+        text += &format!("; and {} more", reports.len() - SHOWN);
+    }
+    text
+}
