@@ -56,12 +56,7 @@ pub struct SampleArguments {
     #[arg(long, value_name = "SONG", conflicts_with_all = ["source", "item", "audio_features"])]
     pub audio: Option<PathBuf>,
     /// Position in the song, in seconds, at which the motion starts
-    #[arg(
-        long,
-        value_name = "SECONDS",
-        default_value_t = 0.0,
-        requires = "audio"
-    )]
+    #[arg(long, value_name = "S", default_value_t = 0.0, requires = "audio")]
     pub start: f64,
     #[command(flatten)]
     pub beats: BeatArguments,
@@ -87,11 +82,7 @@ pub struct SampleArguments {
     #[arg(long, value_name = "MOTION.npy")]
     pub history: Option<PathBuf>,
     /// Texts one after another, each with its length, for runs of recipe `flow` or `bpe_motion`
-    #[arg(
-        long,
-        value_name = "PROMPTS.toml",
-        conflicts_with_all = ["text", "text_embedding"]
-    )]
+    #[arg(long, value_name = "FILE.toml", conflicts_with_all = ["text", "text_embedding"])]
     pub prompts: Option<PathBuf>,
     /// Path over the ground that the motion follows (.toml, .csv or .svg)
     #[arg(long, value_name = "FILE")]

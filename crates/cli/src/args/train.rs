@@ -96,10 +96,10 @@ impl TrainArguments {
     }
 }
 
-/// The config of a training that names none.
+/// The default config.
 ///
 /// # Errors
-/// If there is none in this folder.
+/// If it is not in this folder.
 fn default_config() -> Result<PathBuf, Error> {
     let path = PathBuf::from(DEFAULT_CONFIG);
     match path.exists() {

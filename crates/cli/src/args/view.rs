@@ -27,12 +27,7 @@ pub struct ViewArguments {
     #[arg(long, value_name = "SONG")]
     pub audio: Option<PathBuf>,
     /// Position in the song, in seconds, at which the motion starts
-    #[arg(
-        long,
-        value_name = "SECONDS",
-        default_value_t = 0.0,
-        requires = "audio"
-    )]
+    #[arg(long, value_name = "S", default_value_t = 0.0, requires = "audio")]
     pub start: f64,
     /// Goal to show on the floor: key frames, trajectory and obstacles
     #[arg(long, value_name = "GOAL.toml")]

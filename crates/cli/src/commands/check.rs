@@ -77,8 +77,7 @@ fn unknown(path: &Path, joints: usize, error: &Error) -> Error {
     )
 }
 
-/// The error of a check; that of statistics which say too little names the run they are from, and
-/// the dataset that says more.
+/// The error of a check; that of incomplete statistics names their run, and the dataset that has them.
 fn unusable(arguments: &CheckArguments, error: kinegrad_motion::Error) -> Error {
     match (error, &arguments.run) {
         (
@@ -86,16 +85,15 @@ fn unusable(arguments: &CheckArguments, error: kinegrad_motion::Error) -> Error 
             Some(run),
         ) => {
             let message = format!(
-                "{} does not know how its training motion moves: its statistics came with the \
-                 dataset, or an older version wrote them",
+                "{} has no statistics of movement: its statistics came with the dataset, or are of an \
+                 older version",
                 run.display()
             );
             let state = checkpoint(run).ok().map(|saved| saved.state);
             let source = state.and_then(|state| state.config.data.source);
             let source = source.unwrap_or_else(|| "URI".to_owned());
             let hint = format!(
-                "measure the motion itself: `--source {source}` in place of `--run`, or use \
-                 `--profile ccmotion`"
+                "use the dataset's: `--source {source}` instead of `--run`, or `--profile ccmotion`"
             );
             Error::usage(message, hint)
         }
@@ -103,7 +101,7 @@ fn unusable(arguments: &CheckArguments, error: kinegrad_motion::Error) -> Error 
     }
 }
 
-/// The statistics that `--run` or `--source` names, of motion in this `representation`.
+/// The statistics of `--run` or `--source`, in this `representation`.
 fn statistics(
     arguments: &CheckArguments,
     representation: &dyn Representation,
@@ -127,7 +125,7 @@ fn statistics(
             data.kind = DataKind::Humanml3d;
             data.humanml3d.skeleton = skeleton;
         }
-        // All of the phrases, whatever its manifest holds out.
+        // All phrases, also the held-out ones.
         None => data.validation.fraction = Some(0.0),
     }
     Ok(Some(kinegrad_data::statistics(&data)?))
@@ -142,7 +140,7 @@ fn report_table(report: &Report) -> String {
     table(["check", "result", "value", "allowed"], rows)
 }
 
-/// Share of the reports that pass each check.
+/// The share of passed reports by check.
 fn rates_table<'a>(reports: impl Iterator<Item = &'a Report>) -> String {
     let mut counts: Vec<(&str, usize, usize)> = Vec::new();
     for check in reports.flat_map(|report| &report.checks) {

@@ -7,7 +7,7 @@ use kinegrad_train::run::Plan as Estimate;
 use crate::output;
 use crate::progress::duration;
 
-/// The part of the estimated time beside the steps.
+/// The text after the time for all steps.
 fn counted(estimate: &Estimate) -> String {
     match (estimate.validations, estimate.validation_seconds) {
         (0, _) => ", without checkpoints".to_string(),

@@ -23,14 +23,14 @@ const PAGE: &str = "\
 # Config keys
 
 Every key of a training config, of a plan for `kinegrad data prepare` and of a goal for
-`kinegrad sample --goal`: what it means, what it may hold, its default. Where recipes differ, the
-default says which. This page is written by the program itself (`kinegrad config explain --markdown`)
-from the types that read the files; `kinegrad config explain KEY` prints one key or one table.
+`kinegrad sample --goal`, with its meaning, allowed values and default. If defaults differ between
+recipes, each is listed. `kinegrad config explain --markdown` generates this page from the types that
+read the files; `kinegrad config explain KEY` prints one key or one table.
 
-Units are in the names of keys (`_seconds`, `_frames`, `_metres`, `_steps`) or in what they mean.
+Units are in the names of keys (`_seconds`, `_frames`, `_metres`, `_steps`) or in their meanings.
 ";
 
-/// Says what keys mean.
+/// Prints descriptions of keys.
 pub fn run(systems: Systems<'_>, arguments: ExplainArguments) -> Result<ExitCode, Error> {
     let mut documents = documents(systems);
     if arguments.markdown {
@@ -61,7 +61,7 @@ pub fn run(systems: Systems<'_>, arguments: ExplainArguments) -> Result<ExitCode
     if documents.is_empty() {
         return Err(unknown(systems, &asked));
     }
-    // A key of the configs is what is meant, unless a plan or a goal has more of that name.
+    // A whole name is preferred to the last part of another.
     let whole = |key: &ConfigKey| bare(&key.key.name) == asked;
     if documents
         .iter()
@@ -114,12 +114,12 @@ fn documents(systems: Systems<'_>) -> Vec<Document> {
     ]
 }
 
-/// The name of a key without the marks of lists.
+/// The name of a key without the `[]` of lists.
 fn bare(name: &str) -> String {
     name.replace("[]", "")
 }
 
-/// The key that is asked for, or the keys of that table, or those whose last part it is.
+/// The key or the keys of the table `asked`, else those with this last part.
 fn chosen(keys: &[ConfigKey], asked: &str) -> Vec<ConfigKey> {
     let with = |holds: &dyn Fn(&str) -> bool| -> Vec<ConfigKey> {
         keys.iter()
@@ -155,13 +155,12 @@ fn unknown(systems: Systems<'_>, asked: &str) -> Error {
     Error::usage(format!("there is no key or table `{asked}`"), hint)
 }
 
-/// Type and range of a key, in words.
+/// Type and range of a key.
 fn allowed(key: &ConfigKey) -> String {
     let values = &key.key.values;
     match &key.range {
         Some(range) => {
             let words = values.to_string();
-            // The range says it better.
             let words = words.strip_suffix(", 0 or more").unwrap_or(&words);
             format!("{words}, {range}")
         }
@@ -169,7 +168,7 @@ fn allowed(key: &ConfigKey) -> String {
     }
 }
 
-/// The default, between two `quote`s, with the recipes in which it is another.
+/// The default between two `quote`s; several with their recipes.
 fn default(key: &ConfigKey, quote: &str) -> String {
     let quoted = |value: &str| match value {
         "not set" => value.to_owned(),
@@ -188,7 +187,7 @@ fn default(key: &ConfigKey, quote: &str) -> String {
     }
 }
 
-/// A key as the terminal shows it; there are `every` recipes.
+/// A key for the terminal; there are `every` recipes.
 fn explained(key: &ConfigKey, document: &str, every: usize) -> String {
     let mut text = format!("{}\n", key.key.name);
     let _ = writeln!(text, "{}", wrapped(&key.key.meaning, "  "));
@@ -265,7 +264,7 @@ fn markdown(documents: &[Document]) -> String {
     page
 }
 
-/// Keys of one table that are there under the same conditions, those of no table first.
+/// Keys by table and condition, those without a table first.
 fn groups(keys: &[ConfigKey]) -> Vec<(&str, Vec<&ConfigKey>)> {
     let mut groups: Vec<(&str, Vec<&ConfigKey>)> = Vec::new();
     for key in keys.iter().filter(|key| !key.key.values.is_table()) {
@@ -281,7 +280,7 @@ fn groups(keys: &[ConfigKey]) -> Vec<(&str, Vec<&ConfigKey>)> {
             None => groups.push((table, vec![key])),
         }
     }
-    // Tables in their order, each with what is always there first.
+    // Keys without a condition come first in a table.
     let order: Vec<&str> = groups.iter().map(|(table, _)| *table).collect();
     groups.sort_by_key(|(table, group)| {
         let place = order.iter().position(|known| known == table);
@@ -290,7 +289,7 @@ fn groups(keys: &[ConfigKey]) -> Vec<(&str, Vec<&ConfigKey>)> {
     groups
 }
 
-/// The heading of a table of keys, and what it is.
+/// The heading and description of a table of keys.
 fn section(page: &mut String, keys: &[ConfigKey], key: &ConfigKey, table: &str) {
     let of = match (&key.key.only_with, &key.recipes[..]) {
         (Some(with), _) => format!(", with `{with}`"),
@@ -312,7 +311,7 @@ fn section(page: &mut String, keys: &[ConfigKey], key: &ConfigKey, table: &str) 
     page.push_str("| key | meaning | allowed | default |\n|---|---|---|---|\n");
 }
 
-/// The number of recipes that there are.
+/// The number of recipes.
 fn longest(keys: &[ConfigKey]) -> usize {
     keys.iter()
         .map(|key| key.recipes.len())
@@ -320,7 +319,7 @@ fn longest(keys: &[ConfigKey]) -> usize {
         .unwrap_or_default()
 }
 
-/// What a key may hold; names with what they mean.
+/// The allowed values; names with their meanings.
 fn choices(key: &ConfigKey) -> String {
     let names = key.key.values.names();
     if names.iter().all(|name| name.meaning.is_empty()) {
