@@ -62,19 +62,14 @@ pub fn run(systems: Systems<'_>, arguments: ExplainArguments) -> Result<ExitCode
         return Err(unknown(systems, &asked));
     }
     // A whole name is preferred to the last part of another.
-    let whole = |key: &ConfigKey| bare(&key.key.name) == asked;
-    if documents
-        .iter()
-        .any(|document| document.keys.iter().any(whole))
-    {
-        documents.retain(|document| document.keys.iter().any(whole));
+    let has_it = |document: &Document| document.keys.iter().any(|key| bare(&key.key.name) == asked);
+    if documents.iter().any(has_it) {
+        documents.retain(has_it);
     }
     let every = systems.recipes().count();
     let texts = documents.iter().flat_map(|document| {
-        document
-            .keys
-            .iter()
-            .map(|key| explained(key, document.title, every))
+        let keys = document.keys.iter();
+        keys.map(|key| explained(key, document.title, every))
     });
     say!("{}", texts.collect::<Vec<_>>().join("\n").trim_end());
     Ok(ExitCode::SUCCESS)
@@ -122,10 +117,8 @@ fn bare(name: &str) -> String {
 /// The key or the keys of the table `asked`, else those with this last part.
 fn chosen(keys: &[ConfigKey], asked: &str) -> Vec<ConfigKey> {
     let with = |holds: &dyn Fn(&str) -> bool| -> Vec<ConfigKey> {
-        keys.iter()
-            .filter(|key| holds(&bare(&key.key.name)))
-            .cloned()
-            .collect()
+        let keys = keys.iter().filter(|key| holds(&bare(&key.key.name)));
+        keys.cloned().collect()
     };
     let below = format!("{asked}.");
     let found = with(&|name| name == asked || name.starts_with(&below));
@@ -179,10 +172,10 @@ fn default(key: &ConfigKey, quote: &str) -> String {
         [] => String::new(),
         [(_, one)] => quoted(one),
         several => {
-            let each = several.iter();
-            let each =
-                each.map(|(recipes, value)| format!("{} ({})", quoted(value), recipes.join(", ")));
-            each.collect::<Vec<_>>().join("; ")
+            let one = |(recipes, value): &(Vec<_>, String)| {
+                format!("{} ({})", quoted(value), recipes.join(", "))
+            };
+            several.iter().map(one).collect::<Vec<_>>().join("; ")
         }
     }
 }
@@ -190,29 +183,24 @@ fn default(key: &ConfigKey, quote: &str) -> String {
 /// A key for the terminal; there are `every` recipes.
 fn explained(key: &ConfigKey, document: &str, every: usize) -> String {
     let mut text = format!("{}\n", key.key.name);
-    let _ = writeln!(text, "{}", wrapped(&key.key.meaning, "  "));
+    let mut add = |line: &str, indent: &str| {
+        text.push_str(&wrapped(line, indent));
+        text.push('\n');
+    };
+    add(&key.key.meaning, "  ");
     if key.key.values.is_table() {
         return text;
     }
     let names = key.key.values.names();
     if names.iter().any(|name| !name.meaning.is_empty()) {
-        let _ = writeln!(text, "  allowed:");
+        add("allowed:", "  ");
         for name in names {
-            let line = format!("\"{}\": {}", name.name, name.meaning);
-            let _ = writeln!(text, "{}", wrapped(&line, "    "));
+            add(&format!("\"{}\": {}", name.name, name.meaning), "    ");
         }
     } else {
-        let _ = writeln!(
-            text,
-            "{}",
-            wrapped(&format!("allowed: {}", allowed(key)), "  ")
-        );
+        add(&format!("allowed: {}", allowed(key)), "  ");
     }
-    let _ = writeln!(
-        text,
-        "{}",
-        wrapped(&format!("default: {}", default(key, "")), "  ")
-    );
+    add(&format!("default: {}", default(key, "")), "  ");
     let place = match &key.recipes[..] {
         recipes if recipes.is_empty() || recipes.len() == every => document.to_owned(),
         recipes => format!("{document}, recipe {}", recipes.join(", ")),
@@ -221,22 +209,17 @@ fn explained(key: &ConfigKey, document: &str, every: usize) -> String {
         Some(with) => format!("{place}, with {with}"),
         None => place,
     };
-    let _ = writeln!(text, "{}", wrapped(&format!("in: {place}"), "  "));
+    add(&format!("in: {place}"), "  ");
     text
 }
 
 /// `text` in lines of at most 100 columns, each indented.
 fn wrapped(text: &str, indent: &str) -> String {
-    let mut lines = vec![indent.to_owned()];
+    let mut lines: Vec<String> = Vec::new();
     for word in text.split_whitespace() {
-        let line = lines.last_mut().expect("one at least");
-        if line.len() > indent.len() && line.len() + 1 + word.len() > 100 {
-            lines.push(format!("{indent}{word}"));
-        } else {
-            if line.len() > indent.len() {
-                line.push(' ');
-            }
-            line.push_str(word);
+        match lines.last_mut() {
+            Some(line) if line.len() + 1 + word.len() <= 100 => *line = format!("{line} {word}"),
+            _ => lines.push(format!("{indent}{word}")),
         }
     }
     lines.join("\n")
