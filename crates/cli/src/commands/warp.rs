@@ -96,7 +96,7 @@ pub fn run(systems: Systems<'_>, arguments: WarpArguments) -> Result<ExitCode, E
         joints.as_slice()[..frames * joints.joints()].to_vec(),
         joints.joints(),
     )?;
-    let held = match arguments.lock_feet {
+    let locked = match arguments.lock_feet {
         true => Some(hold_above(
             &warped.joints,
             &own,
@@ -106,13 +106,13 @@ pub fn run(systems: Systems<'_>, arguments: WarpArguments) -> Result<ExitCode, E
         )?),
         false => None,
     };
-    let feet = held.as_ref().map(|held| Feet {
-        in_contact: held.in_contact,
-        slid_before: held.before,
-        slide_after: held.after,
-        legs_short: held.missed,
+    let feet = locked.as_ref().map(|locked| Feet {
+        in_contact: locked.in_contact,
+        slid_before: locked.before,
+        slide_after: locked.after,
+        legs_short: locked.missed,
     });
-    let moved = held.map_or(warped.joints, |held| held.joints);
+    let moved = locked.map_or(warped.joints, |locked| locked.joints);
     let extraction = Extraction {
         rescale: false,
         ..Extraction::default()

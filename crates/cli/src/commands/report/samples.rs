@@ -117,15 +117,15 @@ fn failing(reports: [&Option<Report>; 2]) -> String {
         .flat_map(|report| &report.checks);
     let mut failing: Vec<(&str, String)> = Vec::new();
     for check in checks.filter(|check| !check.passed) {
-        let said = format!(
+        let text = format!(
             "{} {} (allowed {})",
             check.name, check.value, check.threshold
         );
         match failing.iter_mut().find(|(name, _)| *name == check.name) {
-            Some((_, known)) => *known = said,
-            None => failing.push((check.name, said)),
+            Some((_, known)) => *known = text,
+            None => failing.push((check.name, text)),
         }
     }
-    let said: Vec<String> = failing.into_iter().map(|(_, said)| said).collect();
-    said.join(", ")
+    let texts: Vec<String> = failing.into_iter().map(|(_, text)| text).collect();
+    texts.join(", ")
 }
