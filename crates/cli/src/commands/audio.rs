@@ -42,10 +42,8 @@ pub fn features(arguments: FeaturesArguments) -> Result<ExitCode, Error> {
         if let Some(seconds) = seconds.filter(|seconds| !(seconds.is_finite() && is_least(seconds)))
         {
             let message = format!("`{option}` is {seconds}, allowed: {allowed}");
-            return Err(Error::usage(
-                message,
-                "for example `--start 30 --duration 10`",
-            ));
+            let hint = "for example `--start 30 --duration 10`";
+            return Err(Error::usage(message, hint));
         }
     }
     let files = songs.iter().flat_map(|song| {
@@ -79,19 +77,15 @@ fn songs(arguments: &FeaturesArguments) -> Result<Vec<Song>, Error> {
     for path in &arguments.songs {
         let name = path.file_stem().unwrap_or_default().to_string_lossy();
         if let Err(error) = check_id(&name) {
-            let message = format!(
-                "{}: the name cannot be that of a folder: {error}",
-                path.display()
-            );
+            let path = path.display();
+            let message = format!("{path}: the name cannot be that of a folder: {error}");
             return Err(Error::usage(message, "rename the song"));
         }
         let folder = arguments.out.join(&*name);
         if songs.iter().any(|song| song.folder == folder) {
             let message = format!("two songs would be written to {}", folder.display());
-            return Err(Error::usage(
-                message,
-                "rename one of them, or give each its own --out",
-            ));
+            let hint = "rename one of them, or give each its own `--out`";
+            return Err(Error::usage(message, hint));
         }
         songs.push(Song {
             path: path.clone(),
@@ -141,14 +135,9 @@ fn cut(frames: usize, song: &Song, arguments: &FeaturesArguments) -> Result<Rang
     let start = arguments.start * kinegrad_audio::FPS;
     if frames as f64 - start < 1.0 {
         let seconds = frames as f64 / kinegrad_audio::FPS;
-        return Err(Error::usage(
-            format!(
-                "`--start` is {}, the song {} has {seconds:.1} seconds",
-                arguments.start,
-                song.path.display()
-            ),
-            "begin earlier",
-        ));
+        let (start, path) = (arguments.start, song.path.display());
+        let message = format!("`--start` is {start}, the song {path} has {seconds:.1} seconds");
+        return Err(Error::usage(message, "start earlier"));
     }
     let start = start.round() as usize;
     let length = arguments

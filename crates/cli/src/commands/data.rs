@@ -221,10 +221,8 @@ fn print(inspection: &Inspection, config: &DataConfig) {
         ("motion", inspection.representation.clone()),
         ("channels", grouped(inspection.channels)),
     ];
-    let counts = inspection
-        .counts
-        .iter()
-        .map(|(name, count)| (*name, grouped(*count)));
+    let counts = inspection.counts.iter();
+    let counts = counts.map(|(name, count)| (*name, grouped(*count)));
     say!("{}\n", facts(shown.into_iter().chain(counts)));
     say!("{}", channels(&inspection.motion));
     if !inspection.conditions.is_empty() {
@@ -242,26 +240,17 @@ fn print_problems(warnings: &[String], problems: &[Problem]) {
         say!("\nproblems:");
     }
     for problem in problems {
-        let grade = if problem.unusable {
-            "unusable"
-        } else {
-            "usable"
-        };
-        say!("  {} ({grade}): {}", problem.id, problem.problem);
+        let prefix = if problem.unusable { "un" } else { "" };
+        say!("  {} ({prefix}usable): {}", problem.id, problem.problem);
     }
 }
 
 /// Range, mean and standard deviation of channels or groups of them.
 fn channels(summaries: &[ChannelSummary]) -> String {
     let rows = summaries.iter().map(|channel| {
-        let number = |number: f64| format!("{number:.4}");
-        [
-            channel.name.clone(),
-            number(channel.min),
-            number(channel.max),
-            number(channel.mean),
-            number(channel.std),
-        ]
+        let numbers = [channel.min, channel.max, channel.mean, channel.std];
+        let [min, max, mean, std] = numbers.map(|number| format!("{number:.4}"));
+        [channel.name.clone(), min, max, mean, std]
     });
     table(["channel", "min", "max", "mean", "std"], rows)
 }

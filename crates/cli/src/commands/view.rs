@@ -67,20 +67,17 @@ pub fn run(systems: Systems<'_>, arguments: ViewArguments) -> Result<ExitCode, E
     let bvh = bvh.map(|(_, out)| {
         scene::as_bvh(systems, &motions[0], &reading.bvh, out, arguments.lock_feet)
     });
-    let bvh = bvh.transpose()?.map(|bvh| bvh.to_text());
-    outputs
-        .iter()
-        .try_for_each(|(_, path)| folder::must_take(path))?;
+    let mut bvh = bvh.transpose()?.map(|bvh| bvh.to_text());
+    for (_, path) in &outputs {
+        folder::must_take(path)?;
+    }
     for (kind, path) in outputs {
         let written = match kind {
-            Kind::Page => {
-                let page = viewer::page(&scene);
-                Ok(interrupt::not_during(|| {
-                    write_whole(&path, page.as_bytes())
-                })?)
-            }
-            Kind::Bvh => {
-                let text = bvh.as_deref().unwrap_or_default();
+            Kind::Page | Kind::Bvh => {
+                let text = match kind {
+                    Kind::Page => viewer::page(&scene),
+                    _ => bvh.take().unwrap_or_default(),
+                };
                 Ok(interrupt::not_during(|| {
                     write_whole(&path, text.as_bytes())
                 })?)
@@ -110,10 +107,10 @@ fn outputs(arguments: &ViewArguments, motions: &[PathBuf]) -> Result<Vec<(Kind, 
         (Kind::Glb, &arguments.glb),
         (Kind::Bvh, &arguments.bvh),
     ];
-    let asked = asked.into_iter();
-    let mut outputs: Vec<(Kind, PathBuf)> = asked
-        .filter_map(|(kind, path)| Some((kind, path.clone()?)))
-        .collect();
+    let asked = asked
+        .into_iter()
+        .filter_map(|(kind, path)| Some((kind, path.clone()?)));
+    let mut outputs: Vec<(Kind, PathBuf)> = asked.collect();
     if outputs.is_empty() {
         outputs.push((Kind::Page, motions[0].with_extension("html")));
     }

@@ -124,13 +124,11 @@ pub fn data(run: &Run, last: Option<&Environment>) -> Vec<Fact> {
     if let Some((_, state)) = &run.newest {
         let sha256 = state.dataset_sha256.clone();
         facts.extend(sha256.map(|sha256| fact("SHA-256", sha256)));
-        let statistics = &state.statistics;
-        let counted = format!(
-            "of {} items with {} frames",
-            grouped(statistics.items),
-            grouped(statistics.frames)
-        );
-        facts.push(fact("statistics", counted));
+        let [items, frames] = [state.statistics.items, state.statistics.frames].map(grouped);
+        facts.push(fact(
+            "statistics",
+            format!("of {items} items with {frames} frames"),
+        ));
     }
     facts
 }
