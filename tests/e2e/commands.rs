@@ -47,7 +47,7 @@ fn devices_lists_the_cpu_and_what_auto_takes() {
     let sandbox = Sandbox::new(env!("CARGO_BIN_EXE_kinegrad"));
     let listed = sandbox.run("devices").succeeded().stdout;
     assert!(listed.contains("cpu") && listed.contains("yes"), "{listed}");
-    assert!(listed.contains("`auto` takes"), "{listed}");
+    assert!(listed.contains("`auto` selects"), "{listed}");
 }
 
 #[test]

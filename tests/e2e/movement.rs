@@ -281,10 +281,7 @@ fn runs_of_before_the_movement_was_measured_say_what_to_do() {
     let said = sandbox.run("check set/motion --profile strict --run runs/old");
     said.failed(
         2,
-        &[
-            "runs/old does not know how its training motion moves",
-            "--source set",
-        ],
+        &["runs/old has no statistics of movement", "--source set"],
     );
     // An evaluation can read the training phrases.
     let after = parsed(&sandbox.run(evaluate).succeeded().stdout);

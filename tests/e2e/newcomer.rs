@@ -26,7 +26,7 @@ fn init_and_train_work_in_an_empty_folder() {
     sandbox.write("kinegrad.toml", "mine");
     sandbox
         .run("init")
-        .failed(2, &["kinegrad.toml is there already", "--out"]);
+        .failed(2, &["kinegrad.toml exists already", "--out"]);
     assert_eq!(
         fs::read(sandbox.path("kinegrad.toml")).expect("a file"),
         b"mine"

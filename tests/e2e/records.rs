@@ -105,7 +105,7 @@ fn files_that_exist_are_not_replaced_unless_asked_for() {
         .failed(2, &["d-001.raw.npy exists already", "--overwrite"]);
     sandbox
         .run(&format!("{draw} --out d"))
-        .failed(2, &["d.npy exists already: nothing was drawn"]);
+        .failed(2, &["d.npy exists already: nothing was sampled"]);
     assert_eq!(sandbox.list("."), before);
     let drawn = format!("{draw} --count 2 --out d --overwrite --json");
     let drawn = sandbox.run(&drawn).succeeded();

@@ -63,7 +63,7 @@ fn a_page_gathers_what_a_run_holds() {
             &format!("<dt>kinegrad</dt><dd>{version}</dd>"),
             "<dt>Burn</dt><dd>0.22.1</dd>",
             "cores",
-            "Each time it was started",
+            "Starts",
             "<dt>parameters</dt>",
             "SHA-256",
             "log_every_steps = 1",
@@ -108,7 +108,11 @@ fn a_page_gathers_what_a_run_holds() {
     let again = self::page(&sandbox, "runs/smallest --out made.html", "made.html");
     holds(
         &again,
-        &["bad&lt;b&gt;.npy", "broken.csv is no table", "synthetic_"],
+        &[
+            "bad&lt;b&gt;.npy",
+            "broken.csv is not a table",
+            "synthetic_",
+        ],
     );
     assert!(!again.contains("bad<b>"));
 }
@@ -173,7 +177,7 @@ fn a_page_is_made_of_any_run() {
     let stopped = page(&sandbox, "runs/whole", "runs/whole/report.html");
     holds(
         &stopped,
-        &["<h1>whole</h1>", "never begun", "<h2>Stage base</h2>"],
+        &["<h1>whole</h1>", "not started", "<h2>Stage base</h2>"],
     );
 }
 
@@ -196,7 +200,7 @@ fn previews_move_where_there_are_no_samples() {
             &whole,
             &[
                 "<h2>Previews</h2>",
-                "Drawn after step 4.",
+                "Sampled after step 4.",
                 "each of 2 steps",
                 item,
             ],
@@ -209,7 +213,10 @@ fn previews_move_where_there_are_no_samples() {
         let older = page(&sandbox, &run, &out);
         holds(
             &older,
-            &["step-00000004.html shows no motion", "Drawn after step 2."],
+            &[
+                "step-00000004.html shows no motion",
+                "Sampled after step 2.",
+            ],
         );
         assert!(!older.contains("<p>mine"));
     }
@@ -310,7 +317,7 @@ fn runs_are_listed_with_their_states() {
         ["more/nested", "cc_motion/diffusion", "finished", "4 of 4"],
         ["half", "cc_motion/diffusion", "stopped", "4 of 9"],
         ["damaged", "cc_motion/diffusion", "damaged", "- of 4"],
-        ["new", "-", "never begun", "0"],
+        ["new", "-", "not started", "0"],
         ["lost", "-", "damaged", "0"],
     ] {
         let line = |line: &&str| texts.iter().all(|text| line.contains(text));

@@ -295,7 +295,7 @@ fn a_folder_of_no_dataset_is_told_what_datasets_are() {
     let sandbox = sandbox();
     sandbox.write("captures/one.bvh", capture(3));
     let texts = [
-        "captures holds no dataset",
+        "captures is not a dataset",
         "motion/ID/trajectory.npy",
         "new_joint_vecs/ID.npy",
     ];

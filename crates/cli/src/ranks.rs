@@ -51,10 +51,10 @@ pub fn settled<T>(
 /// The ranks of the launcher, or this process alone.
 fn ranks() -> Result<Rc<dyn Ranks>, Error> {
     let ranks = started();
-    let told = launched();
+    let launched = launched();
     let (size, has_mpi) = (ranks.size(), cfg!(feature = "mpi"));
-    match told {
-        Some(told) if told > 1 && told != size => {
+    match launched {
+        Some(launched) if launched > 1 && launched != size => {
             let (what, hint) = match has_mpi {
                 false => (
                     "knows nothing of MPI".to_string(),
@@ -67,7 +67,7 @@ fn ranks() -> Result<Rc<dyn Ranks>, Error> {
                 ),
             };
             Err(Error::usage(
-                format!("a launcher has started {told} processes, and this program {what}"),
+                format!("a launcher has started {launched} processes, and this program {what}"),
                 hint,
             ))
         }
@@ -103,8 +103,8 @@ fn launched() -> Option<usize> {
         true => number("SLURM_STEP_NUM_TASKS"),
         false => None,
     };
-    let told = ["PMI_SIZE", "OMPI_COMM_WORLD_SIZE"];
-    told.iter().find_map(|name| number(name)).or(by_slurm)
+    let names = ["PMI_SIZE", "OMPI_COMM_WORLD_SIZE"];
+    names.iter().find_map(|name| number(name)).or(by_slurm)
 }
 
 /// Rejects several processes.

@@ -1,4 +1,4 @@
-//! Run folders as they are found: what a run is, how far it has come, in which state it is.
+//! Run folders: found, and read with their state and progress.
 
 use std::ffi::OsString;
 use std::fs::{self, File};
@@ -11,32 +11,32 @@ use kinegrad_train::run::{PREVIEWS, SAMPLES, is_in_use};
 use kinegrad_train::systems::Systems;
 use kinegrad_train::{Config, Error};
 
-/// Folders within a run in which no run is looked for.
+/// Folders of a run that contain no runs.
 const INSIDE: [&str; 4] = ["checkpoints", "reports", SAMPLES, PREVIEWS];
 
-/// How deep runs are looked for.
+/// Depth of the search for runs.
 const DEPTH: usize = 6;
 
-/// How much of the end of `metrics.jsonl` is read for its last step.
+/// Bytes of the end of `metrics.jsonl` that are read for its last step.
 const TAIL: u64 = 16 << 10;
 
-/// How many of a run's problems are named.
+/// Number of problems that are printed.
 const NAMED: usize = 4;
 
-/// How a run stands.
+/// The state of a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Standing {
-    /// A process has it.
+    /// A process trains it.
     Training,
     /// All steps are done.
     Finished,
-    /// It ended before, because the validation loss no longer fell.
+    /// It ended early: the validation loss no longer fell.
     StoppedEarly,
-    /// It has a checkpoint to go on from.
+    /// It has a checkpoint to resume from.
     Stopped,
     /// It has no checkpoint yet.
-    NeverBegun,
-    /// Weights without a training: imported or merged.
+    NotStarted,
+    /// Imported or merged weights.
     Weights,
     /// Its config or its checkpoints cannot be read.
     Damaged,
@@ -50,29 +50,29 @@ impl Standing {
             Self::Finished => "finished",
             Self::StoppedEarly => "stopped early",
             Self::Stopped => "stopped",
-            Self::NeverBegun => "never begun",
+            Self::NotStarted => "not started",
             Self::Weights => "weights only",
             Self::Damaged => "damaged",
         }
     }
 }
 
-/// A run as its folder shows it.
+/// A run folder.
 #[derive(Clone, Debug)]
 pub struct Run {
     /// Its folder.
     pub folder: PathBuf,
-    /// How it stands.
+    /// Its state.
     pub standing: Standing,
-    /// What is wrong with it.
+    /// Its problems.
     pub problem: Option<String>,
-    /// Its config, as far as one can be read.
+    /// Its config, if one can be read.
     pub config: Option<Config>,
     /// Name of its system.
     pub system: Option<&'static str>,
-    /// Names of the runs that its system trains before it.
+    /// Stages of its system.
     pub stages: &'static [&'static str],
-    /// Steps done; unknown where no checkpoint can be read.
+    /// Steps done; none if no checkpoint can be read.
     pub step: Option<u64>,
     /// Its best validation.
     pub best: Option<Best>,
@@ -80,12 +80,12 @@ pub struct Run {
     pub newest: Option<(PathBuf, State)>,
     /// Bytes on disk.
     pub bytes: u64,
-    /// When something was last written that training writes.
+    /// Time of the last change by training.
     pub modified: Option<SystemTime>,
 }
 
 impl Run {
-    /// Looks at the run in `folder`. What cannot be read is said in [`problem`](Self::problem).
+    /// Reads a run folder; errors go to [`problem`](Self::problem).
     pub fn read(systems: Systems<'_>, folder: &Path) -> Self {
         let mut problem = None;
         let config = saved_config(systems, folder).unwrap_or_else(|error| {
@@ -94,7 +94,7 @@ impl Run {
         });
         let checkpoints = Checkpoints::of(folder);
         let Found { newest, damaged } = found(&checkpoints);
-        // With an older checkpoint it goes on.
+        // An older checkpoint is enough to resume.
         let is_damaged = problem.is_some() || !damaged.is_empty() && newest.is_none();
         let unknown = newest.is_none() && !damaged.is_empty();
         problem = joined(problem.into_iter().chain(damaged));
@@ -110,7 +110,7 @@ impl Run {
         let standing = match &newest {
             _ if in_use => Standing::Training,
             _ if is_damaged => Standing::Damaged,
-            None => Standing::NeverBegun,
+            None => Standing::NotStarted,
             Some(_) if !metrics.exists() && !folder.join("config.toml").exists() => {
                 Standing::Weights
             }
@@ -127,7 +127,7 @@ impl Run {
             system: system.map(|(system, _)| system.name()),
             stages: system.map_or(&[], |(system, _)| system.stages()),
             config,
-            // A training is further than its checkpoints.
+            // A training is ahead of its checkpoints.
             step: last_step(&metrics).filter(|_| in_use).or(step),
             best: checkpoints.best(),
             newest,
@@ -143,7 +143,7 @@ impl Run {
         Some(&config.train.recipe)
     }
 
-    /// Steps done and steps in all, with `-` for what is not known.
+    /// Steps done and steps in all; `-` if unknown.
     pub fn steps(&self, number: impl Fn(u64) -> String) -> String {
         let done = self.step.map_or("-".to_string(), &number);
         match self.max_steps() {
@@ -152,7 +152,7 @@ impl Run {
         }
     }
 
-    /// Steps in all, of a run that is trained.
+    /// Steps in all, for runs that are trained.
     pub fn max_steps(&self) -> Option<u64> {
         let config = self.config.as_ref()?;
         (self.standing != Standing::Weights).then_some(config.train.max_steps)
@@ -172,27 +172,22 @@ fn saved_config(systems: Systems<'_>, folder: &Path) -> Result<Option<Config>, E
 struct Found {
     /// The newest one whose state can be read and whose files are there.
     newest: Option<(PathBuf, State)>,
-    /// What is wrong with each of the others, the newest first. Resuming passes over them.
+    /// The problems of the others, newest first. Resuming skips them.
     damaged: Vec<String>,
 }
 
 fn found(checkpoints: &Checkpoints) -> Found {
-    let steps = match checkpoints.steps() {
-        Ok(steps) => steps,
-        Err(error) => {
-            return Found {
-                damaged: vec![error.to_string()],
-                ..Found::default()
-            };
-        }
-    };
     let mut found = Found::default();
+    let steps = checkpoints.steps().unwrap_or_else(|error| {
+        found.damaged.push(error.to_string());
+        Vec::new()
+    });
     for step in steps.into_iter().rev() {
         let path = checkpoints.step_path(step);
         match whole_state(&path) {
             Ok(state) if found.newest.is_none() => found.newest = Some((path, state)),
             Ok(_) => {}
-            // A training has removed it meanwhile.
+            // Removed by a training meanwhile.
             Err(_) if !path.exists() => {}
             Err(error) => found.damaged.push(error.to_string()),
         }
@@ -200,10 +195,10 @@ fn found(checkpoints: &Checkpoints) -> Found {
     found
 }
 
-/// The state of a checkpoint whose files are all there; what they hold is not read.
+/// The state of a checkpoint whose files all exist; they are not read.
 ///
 /// # Errors
-/// Says what is damaged.
+/// If the state or a file is damaged.
 pub fn whole_state(checkpoint: &Path) -> Result<State, Error> {
     let state = State::read(checkpoint)?;
     let mut files = state.checksums.keys();
@@ -216,7 +211,7 @@ pub fn whole_state(checkpoint: &Path) -> Result<State, Error> {
     }
 }
 
-/// The first of these problems, and how many more there are where they are many.
+/// The first problems, and the number of the others.
 fn joined(problems: impl Iterator<Item = String>) -> Option<String> {
     let problems: Vec<String> = problems.collect();
     let (named, more) = problems.split_at(problems.len().min(NAMED));
@@ -230,16 +225,16 @@ fn joined(problems: impl Iterator<Item = String>) -> Option<String> {
 
 fn ended(state: &State, config: &Config) -> Standing {
     let patience = config.train.patience;
-    match () {
-        () if state.step >= config.train.max_steps => Standing::Finished,
-        () if patience > 0 && state.progress.validations_since_best >= patience => {
-            Standing::StoppedEarly
-        }
-        () => Standing::Stopped,
+    if state.step >= config.train.max_steps {
+        Standing::Finished
+    } else if patience > 0 && state.progress.validations_since_best >= patience {
+        Standing::StoppedEarly
+    } else {
+        Standing::Stopped
     }
 }
 
-/// The step of the last whole line of the metrics.
+/// The step of the last complete line of the metrics.
 fn last_step(path: &Path) -> Option<u64> {
     let mut file = File::open(path).ok()?;
     let length = file.metadata().ok()?.len();
@@ -253,7 +248,7 @@ fn last_step(path: &Path) -> Option<u64> {
     line.get("step")?.as_u64()
 }
 
-/// Bytes of all files below a folder; links count nothing.
+/// Bytes of all files below a folder, without links.
 fn size_on_disk(folder: &Path, depth: usize) -> u64 {
     let entries = fs::read_dir(folder).into_iter().flatten().flatten();
     let sizes = entries.filter_map(|entry| {
@@ -267,13 +262,13 @@ fn size_on_disk(folder: &Path, depth: usize) -> u64 {
     sizes.sum()
 }
 
-/// Whether a folder is a run's: it holds what a training writes, or was left with its config alone.
+/// True for a folder with files of a training, or with a config alone.
 pub fn is_run(folder: &Path) -> bool {
     let written = ["checkpoints", "metrics.jsonl", "lock"];
     written.iter().any(|name| folder.join(name).exists()) || holds_a_config_alone(folder)
 }
 
-/// Many programs have a `config.toml`: one beside files that no training writes is theirs.
+/// A `config.toml` beside files of no training belongs to another program.
 fn holds_a_config_alone(folder: &Path) -> bool {
     let entries = fs::read_dir(folder).into_iter().flatten().flatten();
     let names: Vec<OsString> = entries.map(|entry| entry.file_name()).collect();
@@ -285,8 +280,7 @@ fn holds_a_config_alone(folder: &Path) -> bool {
         })
 }
 
-/// The runs in a folder and below it, by path: the folder itself if it is one, and the stages that
-/// runs hold.
+/// The runs in a folder and below it by path, the folder itself and stages included.
 pub fn find(folder: &Path) -> Vec<PathBuf> {
     let mut found = Vec::new();
     search(folder, 0, &mut found);
@@ -351,7 +345,7 @@ mod tests {
         let lock = root.path().join("lock");
         fs::write(&lock, "").expect("a lock");
         let standing = || Run::read(BUILT_IN, root.path()).standing;
-        assert_eq!(standing(), Standing::NeverBegun);
+        assert_eq!(standing(), Standing::NotStarted);
         let checkpoint = root.path().join("checkpoints/step-00000004");
         fs::create_dir_all(checkpoint).expect("folders");
         assert_eq!(standing(), Standing::Damaged);

@@ -5,8 +5,7 @@ use std::path::PathBuf;
 use clap::{Args, Subcommand};
 use clap_complete::Shell;
 
-/// Without NAME, writes the quickstart to kinegrad.toml, the config of a `kinegrad train` that names
-/// none; others go to NAME.toml. Existing files are not overwritten.
+/// Arguments of `kinegrad init`.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -33,6 +32,7 @@ pub enum ConfigCommand {
     Explain(ExplainArguments),
 }
 
+/// Arguments of `kinegrad config show`.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Example:
@@ -45,8 +45,7 @@ pub struct ShowArguments {
     pub overrides: Vec<String>,
 }
 
-/// Prints meaning, allowed values and default of keys: of a training config, of a plan of `kinegrad
-/// data prepare`, and of a goal. docs/config.md lists all of them.
+/// Arguments of `kinegrad config explain`.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -62,6 +61,7 @@ pub struct ExplainArguments {
     pub markdown: bool,
 }
 
+/// Arguments of `kinegrad completions`.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -73,7 +73,7 @@ pub struct CompletionsArguments {
     pub shell: Shell,
 }
 
-/// Writes kinegrad.1 and a page for each command, such as kinegrad-train.1.
+/// Arguments of `kinegrad man`.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Example:

@@ -19,11 +19,7 @@ pub enum DataCommand {
     Inspect(InspectArguments),
 }
 
-/// A plan with [[take]] cuts captures (BVH, C3D, npy, npz) and songs (mp3, wav, flac, ogg) into
-/// phrases. A plan with [[capture]] retargets full-body BVH captures to one skeleton and cuts them
-/// into clips with captions, in the HumanML3D layout. The dataset and its manifest are written to a
-/// folder or bucket; docs/dataset.md describes plans. The same command continues after an
-/// interruption. The exit code is 1 if a take failed.
+/// Arguments of `kinegrad data prepare`.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -55,8 +51,7 @@ pub enum AudioCommand {
     Features(FeaturesArguments),
 }
 
-/// Writes DIR/NAME/features.npz for each song: mel, chroma, mfcc, rms, spectral_centroid and
-/// onset_strength at 30 frames per second, plus tempo and beat_times.
+/// Arguments of `kinegrad audio features`.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -116,6 +111,7 @@ impl BeatArguments {
     }
 }
 
+/// Arguments of `kinegrad data synth`.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Example:
@@ -141,6 +137,7 @@ pub struct SynthArguments {
     pub beats: bool,
 }
 
+/// Arguments of `kinegrad data inspect`.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:

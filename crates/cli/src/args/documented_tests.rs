@@ -1,4 +1,4 @@
-//! Every command in the README, the pages of `docs`, and the comments of the configs is one that there is.
+//! Every command in the README, in `docs` and in comments of `configs` can be read.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -7,7 +7,7 @@ use clap::error::ErrorKind;
 
 use super::Arguments;
 
-/// A page and its commands: those in blocks are whole, those in sentences may name a command and no more.
+/// A page and its commands: whole ones in blocks, perhaps incomplete ones in sentences.
 struct Page {
     path: PathBuf,
     blocks: Vec<String>,
@@ -25,7 +25,7 @@ fn files(folder: &Path, extension: &str, found: &mut Vec<PathBuf>) {
     }
 }
 
-/// Lines with what goes on behind a `\` joined.
+/// Lines, with those that end in `\` joined to the next.
 fn joined(text: &str) -> Vec<String> {
     let mut lines: Vec<String> = Vec::new();
     let mut goes_on = false;
@@ -43,7 +43,7 @@ fn joined(text: &str) -> Vec<String> {
     lines
 }
 
-/// The commands of lines, without the prompt, each part of a chain for itself.
+/// The commands of lines, without prompt, each part of a chain separately.
 fn commands(text: &str) -> Vec<String> {
     let parts = joined(text).into_iter().flat_map(|line| {
         let parts = line.split(" && ").map(str::to_owned);
@@ -83,9 +83,9 @@ fn page(path: PathBuf) -> Page {
     }
 }
 
-/// What is wrong with a command, or nothing.
+/// The error of a command.
 fn fault(command: &str, whole: bool) -> Option<String> {
-    // A shell's own signs end what kinegrad reads; `[...]` and `...` stand for what may be there.
+    // Operators of the shell end a command; `[...]` and `...` are placeholders.
     let Some(words) = shlex::split(command) else {
         return whole.then(|| format!("`{command}`: a quote without its end"));
     };

@@ -8,13 +8,7 @@ use kinegrad_motion::Profile;
 use super::sample::DrawArguments;
 use super::values::named;
 
-/// Folders are searched for motion files. Of a sample only PATH.npy is checked, not its other forms
-/// (PATH.raw.npy, see `--raw`, PATH.features.npy and PATH.path.npy). The shape of the array selects
-/// the representation: phrases `[T, 25]`, joint features `[T, 263]` or `[T, 251]`, joint positions
-/// `[T, 22, 3]` or `[T, 21, 3]`, or ground paths `[T, 2]`. BVH files and joints of other skeletons
-/// cannot be checked; `kinegrad view` and `kinegrad plot` show them.
-///
-/// The `strict` profile compares with statistics of training motion, from `--run` or `--source`.
+/// Arguments of `kinegrad check`.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -43,18 +37,7 @@ pub struct CheckArguments {
     pub json: bool,
 }
 
-/// Generates samples for the held-out items of each run's dataset and prints their metrics beside
-/// those of real motion; docs/evaluation.md defines them. The tables `evaluation` and `sampling` of
-/// a run's config set the number and kind of samples; `--set` overrides them. Writes eval.json and
-/// eval.csv, or eval-noise.json and eval-noise.csv with evaluation.cond=noise.
-///
-/// `--audio-ablation` compares loss and samples under each phrase's own music with silence, shuffled
-/// and reversed frames, a shift by half a beat and another song; it writes eval-listening.json and
-/// eval-listening.csv.
-///
-/// Runs of recipe `gmd_motion` or `gmd_trajectory` are evaluated on goals taken from held-out clips.
-/// They write eval-goals.json and eval-goals.csv, or with a trajectory run
-/// eval-goals-two-stage.json and eval-goals-two-stage.csv.
+/// Arguments of `kinegrad eval`.
 #[derive(Clone, Debug, Args)]
 #[command(after_help = "\
 Examples:

@@ -8,13 +8,7 @@ use kinegrad_matching::{CoarseRatio, Length, Preset};
 
 use super::values::named;
 
-/// Generative motion matching (GenMM): starts from noise, and from coarse to fine replaces patches by
-/// the nearest patches of the examples and averages them. The result reorders and mixes the
-/// movements of the examples. Any skeleton will do; all examples must have the same joints.
-///
-/// The new file has hierarchy, channels and units of the first example, at about 30 frames per second.
-/// Clips of joint features (.npy, such as HumanML3D's) give a new clip. NEW.json records settings
-/// and measures of coverage, diversity and copying; docs/matching.md describes them.
+/// Arguments of `kinegrad match`.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:

@@ -6,11 +6,7 @@ use clap::Args;
 
 use super::reading::ReadingArguments;
 
-/// Motion is plotted as the root path, top view, and as curves over time. Phrases `[T, 25]`: all
-/// channels, quaternion norm and jerk. Joint features `[T, 263]` or `[T, 251]` and joint positions
-/// `[T, 22, 3]` or `[T, 21, 3]`: poses from the side, foot contacts, root, feet and jerk. Other joint
-/// positions `[T, J, 3]` and BVH files: height and speed of the root. Ground paths `[T, 2]`: position
-/// and speed. Runs are plotted as loss curves.
+/// Arguments of `kinegrad plot`.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -32,8 +28,7 @@ pub struct PlotArguments {
     pub out: PathBuf,
 }
 
-/// One HTML file that needs no network: losses, evaluation reports, moving samples with their checks,
-/// the resolved config, hardware, versions, times and checkpoints. It can be written during training.
+/// Arguments of `kinegrad report`.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -48,8 +43,7 @@ pub struct ReportArguments {
     pub out: Option<PathBuf>,
 }
 
-/// Searches the folder and those below it. Stages of a fine-tuning, which are runs inside the folder
-/// of another, are listed too.
+/// Arguments of `kinegrad runs`.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:

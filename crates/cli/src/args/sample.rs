@@ -8,17 +8,7 @@ use kinegrad_motion::PostProcessProfile;
 use super::data::BeatArguments;
 use super::values::named;
 
-/// Models of phrases write PATH.npy (post-processed) and PATH.raw.npy (model output), both `[T, 25]`
-/// float32 in the dataset's layout and units. Recipe `gmd_motion` writes joint positions `[T, J, 3]`
-/// in metres (PATH.npy), joint features (PATH.features.npy), BVH in centimetres (PATH.bvh) and with
-/// `--trajectory-run` the ground path (PATH.path.npy); recipe `gmd_trajectory` writes the ground path
-/// `[T, 2]` (PATH.npy). Several samples are PATH-000 and so on. PATH.json records version, run,
-/// checkpoint, seed, settings and conditions of a sample.
-///
-/// The audio condition is an item of a dataset, a features.npz or a song; by default the run's first
-/// held-out phrase. A song is used from `--start` to its end. Motion longer than the training phrases
-/// is sampled in windows of their length that overlap by a third and agree after every denoising
-/// step.
+/// Arguments of `kinegrad sample`.
 #[derive(Clone, Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -56,12 +46,7 @@ pub struct SampleArguments {
     #[arg(long, value_name = "SONG", conflicts_with_all = ["source", "item", "audio_features"])]
     pub audio: Option<PathBuf>,
     /// Position in the song, in seconds, at which the motion starts
-    #[arg(
-        long,
-        value_name = "SECONDS",
-        default_value_t = 0.0,
-        requires = "audio"
-    )]
+    #[arg(long, value_name = "S", default_value_t = 0.0, requires = "audio")]
     pub start: f64,
     #[command(flatten)]
     pub beats: BeatArguments,
@@ -87,11 +72,7 @@ pub struct SampleArguments {
     #[arg(long, value_name = "MOTION.npy")]
     pub history: Option<PathBuf>,
     /// Texts one after another, each with its length, for runs of recipe `flow` or `bpe_motion`
-    #[arg(
-        long,
-        value_name = "PROMPTS.toml",
-        conflicts_with_all = ["text", "text_embedding"]
-    )]
+    #[arg(long, value_name = "FILE.toml", conflicts_with_all = ["text", "text_embedding"])]
     pub prompts: Option<PathBuf>,
     /// Path over the ground that the motion follows (.toml, .csv or .svg)
     #[arg(long, value_name = "FILE")]

@@ -10,13 +10,7 @@ pub enum TextCommand {
     Embed(EmbedArguments),
 }
 
-/// Embeds texts with CLIP's text encoder from a local folder with `config.json`,
-/// `model.safetensors`, `vocab.json` and `merges.txt` of `openai/clip-vit-base-patch32`. Only the
-/// first 20 tokens of a text are used.
-///
-/// Sentences become rows of the tensor `text`, for `kinegrad sample --text-embedding FILE#text:N`, N
-/// from 0. The captions of a dataset in the HumanML3D layout become one tensor per clip; training
-/// reads them from `text_embeddings.safetensors` in the dataset's folder.
+/// Arguments of `kinegrad text embed`.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:

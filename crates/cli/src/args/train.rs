@@ -9,11 +9,7 @@ use kinegrad_train::run::Target;
 /// The config of a `kinegrad train` that names none.
 pub const DEFAULT_CONFIG: &str = "kinegrad.toml";
 
-/// Writes the run to RUNS_DIR/NAME: resolved config, metrics.jsonl, TensorBoard events, checkpoints.
-/// Ctrl-C writes a checkpoint before exiting; `--resume` continues bit for bit.
-///
-/// A resumed run uses the config saved in its folder. Only `--set` changes it; a config file that
-/// differs gives a warning.
+/// Arguments of `kinegrad train`.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -96,10 +92,10 @@ impl TrainArguments {
     }
 }
 
-/// The config of a training that names none.
+/// The default config.
 ///
 /// # Errors
-/// If there is none in this folder.
+/// If it is not in this folder.
 fn default_config() -> Result<PathBuf, Error> {
     let path = PathBuf::from(DEFAULT_CONFIG);
     match path.exists() {

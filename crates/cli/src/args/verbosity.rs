@@ -6,15 +6,15 @@ use clap::Args;
 #[derive(Clone, Copy, Debug, Default, Args)]
 pub struct VerbosityArgs {
     /// Print only results, warnings and errors
+    #[arg(short, long, global = true, display_order = 1000)]
+    pub quiet: bool,
+    /// Print details; RUST_LOG sets the level by module
     #[arg(
         short,
         long,
         global = true,
-        conflicts_with = "verbose",
-        display_order = 1000
+        display_order = 1000,
+        conflicts_with = "quiet"
     )]
-    pub quiet: bool,
-    /// Print details; RUST_LOG sets the level by module
-    #[arg(short, long, global = true, display_order = 1000)]
     pub verbose: bool,
 }

@@ -6,10 +6,7 @@ use clap::Args;
 
 use super::reading::ReadingArguments;
 
-/// Writes one HTML file that needs no network: motions side by side in 3D, with their curves and in
-/// sync with the song. Motions are outputs of `kinegrad sample` (phrases `[T, 25]`, joint features,
-/// joint positions `[T, J, 3]`, ground paths `[T, 2]`) and BVH files of any skeleton. They are also
-/// written as pictures, videos and files for other programs. docs/viewing.md describes the page.
+/// Arguments of `kinegrad view`.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -27,12 +24,7 @@ pub struct ViewArguments {
     #[arg(long, value_name = "SONG")]
     pub audio: Option<PathBuf>,
     /// Position in the song, in seconds, at which the motion starts
-    #[arg(
-        long,
-        value_name = "SECONDS",
-        default_value_t = 0.0,
-        requires = "audio"
-    )]
+    #[arg(long, value_name = "S", default_value_t = 0.0, requires = "audio")]
     pub start: f64,
     /// Goal to show on the floor: key frames, trajectory and obstacles
     #[arg(long, value_name = "GOAL.toml")]

@@ -7,11 +7,7 @@ use kinegrad_motion::path::{Along, Turning};
 
 use super::values::named;
 
-/// Turns each frame about the vertical and moves its root onto a path over the ground, without a
-/// model. Heights and bones do not change. docs/paths.md describes paths.
-///
-/// Writes joint positions `[T, J, 3]` in metres (PATH.npy), joint features that begin at the origin
-/// (PATH.features.npy), BVH in centimetres (PATH.bvh) and a record (PATH.json).
+/// Arguments of `kinegrad warp`.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:

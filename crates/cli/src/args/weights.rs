@@ -4,9 +4,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 
-/// Reads a file of `torch.save`: a state dict, or a dict with `model` and `model_avg`, of which
-/// `model_avg` is used. Network sizes follow from the tensor shapes. The result is a run with one
-/// checkpoint that can be sampled, evaluated and fine-tuned (`init.diffusion`).
+/// Arguments of `kinegrad import`.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Example:
@@ -42,8 +40,7 @@ pub struct ImportArguments {
     pub out: PathBuf,
 }
 
-/// The result is a run with one checkpoint of plain weights that can be sampled, evaluated and
-/// fine-tuned.
+/// Arguments of `kinegrad merge`.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Example:

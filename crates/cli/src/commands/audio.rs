@@ -15,7 +15,7 @@ use crate::args::FeaturesArguments;
 use crate::io::must_be_new;
 use crate::output::{self, draw};
 
-/// A song on its way to features.
+/// A song and its output folder.
 struct Song {
     path: PathBuf,
     folder: PathBuf,
@@ -31,8 +31,7 @@ impl Song {
     }
 }
 
-/// Computes the features of each song and writes them; exit code 2 if a song cannot be used, after
-/// the others have been done.
+/// Writes the features of each song; exit code 2 if a song cannot be used, after the others.
 pub fn features(arguments: FeaturesArguments) -> Result<ExitCode, Error> {
     let songs = songs(&arguments)?;
     for (option, seconds, allowed) in [
@@ -43,10 +42,8 @@ pub fn features(arguments: FeaturesArguments) -> Result<ExitCode, Error> {
         if let Some(seconds) = seconds.filter(|seconds| !(seconds.is_finite() && is_least(seconds)))
         {
             let message = format!("`{option}` is {seconds}, allowed: {allowed}");
-            return Err(Error::usage(
-                message,
-                "for example `--start 30 --duration 10`",
-            ));
+            let hint = "for example `--start 30 --duration 10`";
+            return Err(Error::usage(message, hint));
         }
     }
     let files = songs.iter().flat_map(|song| {
@@ -74,25 +71,21 @@ pub fn features(arguments: FeaturesArguments) -> Result<ExitCode, Error> {
     Ok(ExitCode::from(code))
 }
 
-/// The songs and where each one's features go.
+/// The songs with their output folders.
 fn songs(arguments: &FeaturesArguments) -> Result<Vec<Song>, Error> {
     let mut songs: Vec<Song> = Vec::new();
     for path in &arguments.songs {
         let name = path.file_stem().unwrap_or_default().to_string_lossy();
         if let Err(error) = check_id(&name) {
-            let message = format!(
-                "{}: its folder would be no plain name: {error}",
-                path.display()
-            );
+            let path = path.display();
+            let message = format!("{path}: the name cannot be that of a folder: {error}");
             return Err(Error::usage(message, "rename the song"));
         }
         let folder = arguments.out.join(&*name);
         if songs.iter().any(|song| song.folder == folder) {
             let message = format!("two songs would be written to {}", folder.display());
-            return Err(Error::usage(
-                message,
-                "rename one of them, or give each its own --out",
-            ));
+            let hint = "rename one of them, or give each its own `--out`";
+            return Err(Error::usage(message, hint));
         }
         songs.push(Song {
             path: path.clone(),
@@ -137,25 +130,20 @@ fn one(song: &Song, arguments: &FeaturesArguments) -> Result<[String; 6], Error>
     ])
 }
 
-/// The frames of a song that are asked for.
+/// The frames of `--start` and `--duration`.
 fn cut(frames: usize, song: &Song, arguments: &FeaturesArguments) -> Result<Range<usize>, Error> {
     let start = arguments.start * kinegrad_audio::FPS;
     if frames as f64 - start < 1.0 {
         let seconds = frames as f64 / kinegrad_audio::FPS;
-        return Err(Error::usage(
-            format!(
-                "`--start` is {}, the song {} has {seconds:.1} seconds",
-                arguments.start,
-                song.path.display()
-            ),
-            "begin earlier",
-        ));
+        let (start, path) = (arguments.start, song.path.display());
+        let message = format!("`--start` is {start}, the song {path} has {seconds:.1} seconds");
+        return Err(Error::usage(message, "start earlier"));
     }
     let start = start.round() as usize;
     let length = arguments
         .duration
         .map(|seconds| (seconds * kinegrad_audio::FPS).round());
-    // A duration of less than a frame is one.
+    // At least one frame.
     let length = length.map_or(frames, |length| (length as usize).max(1));
     Ok(start..frames.min(start.saturating_add(length)))
 }

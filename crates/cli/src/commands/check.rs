@@ -26,11 +26,9 @@ pub fn run(systems: Systems<'_>, arguments: CheckArguments) -> Result<ExitCode, 
     }
     for path in files {
         if is_bvh(&path) {
-            return Err(Error::usage(
-                format!("{} is a BVH file, which cannot be checked", path.display()),
-                "motion arrays (.npy) are checked; `kinegrad view` and `kinegrad plot` show a BVH \
-                 file",
-            ));
+            let message = format!("{} is a BVH file, which cannot be checked", path.display());
+            let hint = "check .npy files; `kinegrad view` and `kinegrad plot` show BVH files";
+            return Err(Error::usage(message, hint));
         }
         let array = match Motion::read(systems, &path, &BvhReading::default())? {
             Motion::Array(array) => array,
@@ -65,45 +63,34 @@ pub fn run(systems: Systems<'_>, arguments: CheckArguments) -> Result<ExitCode, 
 /// The error of joints of an unknown skeleton.
 fn unknown(path: &Path, joints: usize, error: &Error) -> Error {
     let known = error.help().map(|hint| hint.to_string());
+    let (path, known) = (path.display(), known.unwrap_or_default());
     Error::usage(
-        format!(
-            "{}: {joints} joints of an unknown skeleton cannot be checked",
-            path.display()
-        ),
-        format!(
-            "{}; `kinegrad view` and `kinegrad plot` show joints of any skeleton",
-            known.unwrap_or_default()
-        ),
+        format!("{path}: {joints} joints of an unknown skeleton cannot be checked"),
+        format!("{known}; `kinegrad view` and `kinegrad plot` show joints of any skeleton"),
     )
 }
 
-/// The error of a check; that of statistics which say too little names the run they are from, and
-/// the dataset that says more.
+/// The error of a check; that of incomplete statistics names their run, and the dataset that has them.
 fn unusable(arguments: &CheckArguments, error: kinegrad_motion::Error) -> Error {
-    match (error, &arguments.run) {
-        (
-            kinegrad_motion::Error::StatisticsNeeded | kinegrad_motion::Error::MovementUnknown,
-            Some(run),
-        ) => {
-            let message = format!(
-                "{} does not know how its training motion moves: its statistics came with the \
-                 dataset, or an older version wrote them",
-                run.display()
-            );
-            let state = checkpoint(run).ok().map(|saved| saved.state);
-            let source = state.and_then(|state| state.config.data.source);
-            let source = source.unwrap_or_else(|| "URI".to_owned());
-            let hint = format!(
-                "measure the motion itself: `--source {source}` in place of `--run`, or use \
-                 `--profile ccmotion`"
-            );
-            Error::usage(message, hint)
-        }
-        (error, _) => error.into(),
-    }
+    use kinegrad_motion::Error::{MovementUnknown, StatisticsNeeded};
+    let (StatisticsNeeded | MovementUnknown, Some(run)) = (&error, &arguments.run) else {
+        return error.into();
+    };
+    let message = format!(
+        "{} has no statistics of movement: its statistics came with the dataset, or are of an older \
+         version",
+        run.display()
+    );
+    let state = checkpoint(run).ok().map(|saved| saved.state);
+    let source = state.and_then(|state| state.config.data.source);
+    let source = source.unwrap_or_else(|| "URI".to_owned());
+    let hint = format!(
+        "use the dataset's: `--source {source}` instead of `--run`, or `--profile ccmotion`"
+    );
+    Error::usage(message, hint)
 }
 
-/// The statistics that `--run` or `--source` names, of motion in this `representation`.
+/// The statistics of `--run` or `--source`, in this `representation`.
 fn statistics(
     arguments: &CheckArguments,
     representation: &dyn Representation,
@@ -127,7 +114,7 @@ fn statistics(
             data.kind = DataKind::Humanml3d;
             data.humanml3d.skeleton = skeleton;
         }
-        // All of the phrases, whatever its manifest holds out.
+        // All phrases, also the held-out ones.
         None => data.validation.fraction = Some(0.0),
     }
     Ok(Some(kinegrad_data::statistics(&data)?))
@@ -142,7 +129,7 @@ fn report_table(report: &Report) -> String {
     table(["check", "result", "value", "allowed"], rows)
 }
 
-/// Share of the reports that pass each check.
+/// The share of passed reports by check.
 fn rates_table<'a>(reports: impl Iterator<Item = &'a Report>) -> String {
     let mut counts: Vec<(&str, usize, usize)> = Vec::new();
     for check in reports.flat_map(|report| &report.checks) {

@@ -9,7 +9,7 @@ use kinegrad_train::{Error, config, run};
 use crate::args::ShowArguments;
 use crate::output;
 
-/// Prints the resolved config, and what the model takes as comments, so that the output is a config.
+/// Prints the resolved config, with comments on the size of the model.
 pub fn show(systems: Systems<'_>, arguments: ShowArguments) -> Result<ExitCode, Error> {
     let config = run::load_config(
         systems,

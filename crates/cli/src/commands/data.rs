@@ -16,7 +16,7 @@ use crate::args::{InspectArguments, SynthArguments};
 use crate::output::{self, draw};
 use crate::progress::reading;
 
-/// The shortest clips that KIT-ML is trained on.
+/// Minimum clip length of KIT-ML.
 const KIT_MIN_FRAMES: usize = 24;
 
 /// Writes a synthetic dataset.
@@ -45,7 +45,7 @@ pub fn synth(arguments: SynthArguments) -> Result<ExitCode, Error> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// Prints what a dataset holds; exit code 1 if items cannot be used.
+/// Prints a summary of a dataset; exit code 1 if items cannot be used.
 pub fn inspect(arguments: InspectArguments) -> Result<ExitCode, Error> {
     if arguments.condition.is_some() || arguments.plot.is_some() {
         return select(&arguments);
@@ -78,20 +78,20 @@ pub fn inspect(arguments: InspectArguments) -> Result<ExitCode, Error> {
     Ok(ExitCode::from(u8::from(inspection.bad_items > 0)))
 }
 
-/// The error of a source that has no layout that is known.
+/// The error of a source without a known layout.
 fn no_dataset(source: &str) -> Error {
     let message = match source.contains("://") || Path::new(source).is_dir() {
         true => format!(
-            "{source} holds no dataset: it has no folder `{}`, of phrases, and no list `train.txt` or folder `new_joint_vecs`, of clips",
+            "{source} is not a dataset: it has neither a folder `{}` of phrases, nor a list `train.txt` or a \
+             folder `new_joint_vecs` of clips",
             MOTION_FILE.0
         ),
         false => format!("there is no folder {source}"),
     };
     let hint = "phrases are motion/ID/trajectory.npy and audio_features/ID/features.npz; clips of \
                 HumanML3D or KIT-ML are new_joint_vecs/ID.npy and texts/ID.txt with train.txt and \
-                val.txt; `kinegrad data synth --out DIR` makes phrases to try, with `--walks` clips, \
-                and `kinegrad data prepare` makes phrases of captures (BVH, C3D) with their songs, and clips of \
-                full-body captures (BVH)";
+                val.txt; `kinegrad data synth --out DIR` makes phrases to try, or clips with \
+                `--walks`; `kinegrad data prepare` makes a dataset from captures";
     Error::usage(message, hint)
 }
 
@@ -111,8 +111,8 @@ fn select(arguments: &InspectArguments) -> Result<ExitCode, Error> {
     let chosen = match &arguments.condition {
         None => all.clone(),
         Some(condition) => all.filter(condition).map_err(|problem| {
-            let hint = "as in `tempo > 100 and split = train`; =, !=, <, <=, >, >=, like, and, or, \
-                        not and brackets are known";
+            let hint = "for example `tempo > 100 and split = train`, with =, !=, <, <=, >, >=, like, and, \
+                        or, not and brackets";
             Error::usage(format!("`--where {condition}`: {problem}"), hint)
         })?,
     };
@@ -146,7 +146,7 @@ fn print_selection(chosen: &Selection, all: usize) {
         columns.each_ref().map(cell)
     });
     say!("{}", table(names, rows));
-    // A sum of nothing is minus zero.
+    // An empty sum of f64 is -0.
     let sum = |column: &str| {
         let values = chosen.numbers(column).unwrap_or_default();
         values
@@ -171,7 +171,7 @@ fn plot(chosen: &Selection, out: &Path) -> Result<(), Error> {
         Some(_) => ("clips", "place in the take"),
         None => ("phrases", "place in the song"),
     };
-    // Clips have no tempo and no beats.
+    // Clips have neither tempo nor beats.
     let histogram = |title: &str, label, column: &str| {
         let values = chosen.numbers(column)?;
         let values: Vec<f64> = values.into_iter().flatten().collect();
@@ -221,10 +221,8 @@ fn print(inspection: &Inspection, config: &DataConfig) {
         ("motion", inspection.representation.clone()),
         ("channels", grouped(inspection.channels)),
     ];
-    let counts = inspection
-        .counts
-        .iter()
-        .map(|(name, count)| (*name, grouped(*count)));
+    let counts = inspection.counts.iter();
+    let counts = counts.map(|(name, count)| (*name, grouped(*count)));
     say!("{}\n", facts(shown.into_iter().chain(counts)));
     say!("{}", channels(&inspection.motion));
     if !inspection.conditions.is_empty() {
@@ -233,7 +231,7 @@ fn print(inspection: &Inspection, config: &DataConfig) {
     print_problems(&inspection.warnings, &inspection.problems);
 }
 
-/// What is odd about a dataset, and what is wrong with single items.
+/// Warnings about the dataset, and problems of items.
 fn print_problems(warnings: &[String], problems: &[Problem]) {
     for warning in warnings {
         say!("warning: {warning}");
@@ -242,26 +240,17 @@ fn print_problems(warnings: &[String], problems: &[Problem]) {
         say!("\nproblems:");
     }
     for problem in problems {
-        let grade = if problem.unusable {
-            "unusable"
-        } else {
-            "usable"
-        };
-        say!("  {} ({grade}): {}", problem.id, problem.problem);
+        let prefix = if problem.unusable { "un" } else { "" };
+        say!("  {} ({prefix}usable): {}", problem.id, problem.problem);
     }
 }
 
-/// Range, mean and deviation of channels, or of groups of them.
+/// Range, mean and standard deviation of channels or groups of them.
 fn channels(summaries: &[ChannelSummary]) -> String {
     let rows = summaries.iter().map(|channel| {
-        let number = |number: f64| format!("{number:.4}");
-        [
-            channel.name.clone(),
-            number(channel.min),
-            number(channel.max),
-            number(channel.mean),
-            number(channel.std),
-        ]
+        let numbers = [channel.min, channel.max, channel.mean, channel.std];
+        let [min, max, mean, std] = numbers.map(|number| format!("{number:.4}"));
+        [channel.name.clone(), min, max, mean, std]
     });
     table(["channel", "min", "max", "mean", "std"], rows)
 }

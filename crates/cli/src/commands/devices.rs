@@ -11,8 +11,8 @@ pub fn run() -> Result<ExitCode, Error> {
         let works = if works { "yes" } else { "no" };
         [kind.name, works, kind.description].map(String::from)
     });
-    say!("{}", table(["device", "works here", "what it is"], rows));
+    say!("{}", table(["device", "works here", "description"], rows));
     let (_, chosen) = device::open("auto")?;
-    say!("`auto` takes {chosen}");
+    say!("`auto` selects {chosen}");
     Ok(ExitCode::SUCCESS)
 }

@@ -7,7 +7,7 @@ use kinegrad_train::run::Plan as Estimate;
 use crate::output;
 use crate::progress::duration;
 
-/// The part of the estimated time beside the steps.
+/// The text after the time for all steps.
 fn counted(estimate: &Estimate) -> String {
     match (estimate.validations, estimate.validation_seconds) {
         (0, _) => ", without checkpoints".to_string(),
@@ -25,16 +25,15 @@ pub fn print(estimate: &Estimate, json: bool) {
     if json {
         return output::json(estimate);
     }
-    let mut items = format!(
-        "{} to train on, {} held out",
-        grouped(estimate.train_items),
-        grouped(estimate.validation_items)
-    );
+    let items = [
+        estimate.train_items,
+        estimate.validation_items,
+        estimate.skipped_items,
+    ];
+    let [train, held_out, skipped] = items.map(grouped);
+    let mut items = format!("{train} to train on, {held_out} held out");
     if estimate.skipped_items > 0 {
-        items.push_str(&format!(
-            ", {} skipped as unusable",
-            grouped(estimate.skipped_items)
-        ));
+        items.push_str(&format!(", {skipped} skipped as unusable"));
     }
     let memory = match estimate.free_memory_bytes {
         Some(free) => format!(

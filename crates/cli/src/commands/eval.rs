@@ -24,7 +24,7 @@ pub fn run(systems: Systems<'_>, arguments: EvalArguments) -> Result<ExitCode, E
     let ranks = together.ranks();
     let outcome = match ranks.size() {
         1 => while_it_is_trained(|| evaluate(systems, arguments.clone(), &together)),
-        // Ranks that began again would have to do so together.
+        // Ranks cannot repeat the reading.
         _ => guarded(ranks, || {
             together.told(evaluate(systems, arguments, &together))
         }),
@@ -61,7 +61,7 @@ fn evaluate(
         together: together.clone(),
     };
     must_evaluate_the_same(together, &models, &request)?;
-    // Whatever is wrong with any run is said before the first one costs minutes.
+    // Every run is checked before the first evaluation.
     let mut evaluations = Vec::with_capacity(models.len());
     for trained in &models {
         let (system, _) = systems.of(trained.config())?;
@@ -116,7 +116,7 @@ fn evaluate(
     Ok(())
 }
 
-/// Rejects processes that are not about to evaluate the same. Collective.
+/// Rejects processes with different evaluations. Collective.
 fn must_evaluate_the_same(
     together: &Together,
     models: &[TrainedModel],
@@ -139,7 +139,7 @@ fn must_evaluate_the_same(
     ])
 }
 
-/// Rejects runs that have no measure in common.
+/// Rejects runs without common measures.
 fn must_compare(systems: Systems<'_>, models: &[TrainedModel]) -> Result<(), Error> {
     let mut names = Vec::with_capacity(models.len());
     for trained in models {
@@ -161,7 +161,7 @@ fn run_folder(checkpoint: &Path) -> &Path {
     inside.and_then(Path::parent).unwrap_or(checkpoint)
 }
 
-/// Writes the report in both forms and returns where.
+/// Writes the report as JSON and CSV, and returns the files.
 fn write(folder: &Path, runs: &[PathBuf], all: &[Evaluated]) -> Result<[PathBuf; 2], Error> {
     let stem = all[0].report;
     let [json, csv] = ["json", "csv"].map(|ending| folder.join(format!("{stem}.{ending}")));
@@ -171,7 +171,7 @@ fn write(folder: &Path, runs: &[PathBuf], all: &[Evaluated]) -> Result<[PathBuf;
         columns_csv(["samples", "measure"], &columns),
     ];
     for (path, text) in [&json, &csv].into_iter().zip(texts) {
-        // A crash between the two leaves the report that was there.
+        // A crash leaves the former report.
         let temporary = path.with_extension("partial");
         std::fs::write(&temporary, text)
             .and_then(|()| std::fs::rename(&temporary, path))
@@ -186,8 +186,8 @@ fn report(all: &[Evaluated]) -> String {
     serde_json::to_string_pretty(&json!({ "evaluations": all })).expect("plain data")
 }
 
-/// A column for each run and one for real motion. They are named after the runs or, where two have
-/// the same name, as the user named them in `paths`.
+/// A column for each run, and one for real motion. They have the names of the runs or, if two are
+/// equal, their `paths`.
 fn columns<'a>(
     paths: &[PathBuf],
     all: &'a [Evaluated],
@@ -208,7 +208,7 @@ fn columns<'a>(
             true => path.display().to_string(),
             false => each.run.clone(),
         };
-        // Runs with other held-out motion, or other training motion to measure in units of.
+        // Real motion differs between the runs.
         let real = (!same).then(|| column(format!("real ({label})"), &each.real));
         columns.push(column(label, &each.drawn));
         columns.extend(real);
@@ -219,7 +219,7 @@ fn columns<'a>(
     columns
 }
 
-/// Every number in full.
+/// All numbers in full.
 fn csv_sections(column: &evaluation::Column) -> Vec<Section<'_>> {
     sections(column, |group| {
         let cells = group.numbers.iter().map(|number| {
@@ -230,7 +230,7 @@ fn csv_sections(column: &evaluation::Column) -> Vec<Section<'_>> {
     })
 }
 
-/// What people want to see.
+/// The main numbers.
 fn table_sections(column: &evaluation::Column) -> Vec<Section<'_>> {
     sections(column, |group| {
         let lines = group.numbers.iter().filter_map(|n| n.line.as_ref());

@@ -23,14 +23,14 @@ const PAGE: &str = "\
 # Config keys
 
 Every key of a training config, of a plan for `kinegrad data prepare` and of a goal for
-`kinegrad sample --goal`: what it means, what it may hold, its default. Where recipes differ, the
-default says which. This page is written by the program itself (`kinegrad config explain --markdown`)
-from the types that read the files; `kinegrad config explain KEY` prints one key or one table.
+`kinegrad sample --goal`, with its meaning, allowed values and default. If defaults differ between
+recipes, each is listed. `kinegrad config explain --markdown` generates this page from the types that
+read the files; `kinegrad config explain KEY` prints one key or one table.
 
-Units are in the names of keys (`_seconds`, `_frames`, `_metres`, `_steps`) or in what they mean.
+Units are in the names of keys (`_seconds`, `_frames`, `_metres`, `_steps`) or in their meanings.
 ";
 
-/// Says what keys mean.
+/// Prints descriptions of keys.
 pub fn run(systems: Systems<'_>, arguments: ExplainArguments) -> Result<ExitCode, Error> {
     let mut documents = documents(systems);
     if arguments.markdown {
@@ -61,20 +61,15 @@ pub fn run(systems: Systems<'_>, arguments: ExplainArguments) -> Result<ExitCode
     if documents.is_empty() {
         return Err(unknown(systems, &asked));
     }
-    // A key of the configs is what is meant, unless a plan or a goal has more of that name.
-    let whole = |key: &ConfigKey| bare(&key.key.name) == asked;
-    if documents
-        .iter()
-        .any(|document| document.keys.iter().any(whole))
-    {
-        documents.retain(|document| document.keys.iter().any(whole));
+    // A whole name is preferred to the last part of another.
+    let has_it = |document: &Document| document.keys.iter().any(|key| bare(&key.key.name) == asked);
+    if documents.iter().any(has_it) {
+        documents.retain(has_it);
     }
     let every = systems.recipes().count();
     let texts = documents.iter().flat_map(|document| {
-        document
-            .keys
-            .iter()
-            .map(|key| explained(key, document.title, every))
+        let keys = document.keys.iter();
+        keys.map(|key| explained(key, document.title, every))
     });
     say!("{}", texts.collect::<Vec<_>>().join("\n").trim_end());
     Ok(ExitCode::SUCCESS)
@@ -114,18 +109,16 @@ fn documents(systems: Systems<'_>) -> Vec<Document> {
     ]
 }
 
-/// The name of a key without the marks of lists.
+/// The name of a key without the `[]` of lists.
 fn bare(name: &str) -> String {
     name.replace("[]", "")
 }
 
-/// The key that is asked for, or the keys of that table, or those whose last part it is.
+/// The key or the keys of the table `asked`, else those with this last part.
 fn chosen(keys: &[ConfigKey], asked: &str) -> Vec<ConfigKey> {
     let with = |holds: &dyn Fn(&str) -> bool| -> Vec<ConfigKey> {
-        keys.iter()
-            .filter(|key| holds(&bare(&key.key.name)))
-            .cloned()
-            .collect()
+        let keys = keys.iter().filter(|key| holds(&bare(&key.key.name)));
+        keys.cloned().collect()
     };
     let below = format!("{asked}.");
     let found = with(&|name| name == asked || name.starts_with(&below));
@@ -155,13 +148,12 @@ fn unknown(systems: Systems<'_>, asked: &str) -> Error {
     Error::usage(format!("there is no key or table `{asked}`"), hint)
 }
 
-/// Type and range of a key, in words.
+/// Type and range of a key.
 fn allowed(key: &ConfigKey) -> String {
     let values = &key.key.values;
     match &key.range {
         Some(range) => {
             let words = values.to_string();
-            // The range says it better.
             let words = words.strip_suffix(", 0 or more").unwrap_or(&words);
             format!("{words}, {range}")
         }
@@ -169,7 +161,7 @@ fn allowed(key: &ConfigKey) -> String {
     }
 }
 
-/// The default, between two `quote`s, with the recipes in which it is another.
+/// The default between two `quote`s; several with their recipes.
 fn default(key: &ConfigKey, quote: &str) -> String {
     let quoted = |value: &str| match value {
         "not set" => value.to_owned(),
@@ -180,40 +172,35 @@ fn default(key: &ConfigKey, quote: &str) -> String {
         [] => String::new(),
         [(_, one)] => quoted(one),
         several => {
-            let each = several.iter();
-            let each =
-                each.map(|(recipes, value)| format!("{} ({})", quoted(value), recipes.join(", ")));
-            each.collect::<Vec<_>>().join("; ")
+            let one = |(recipes, value): &(Vec<_>, String)| {
+                format!("{} ({})", quoted(value), recipes.join(", "))
+            };
+            several.iter().map(one).collect::<Vec<_>>().join("; ")
         }
     }
 }
 
-/// A key as the terminal shows it; there are `every` recipes.
+/// A key for the terminal; there are `every` recipes.
 fn explained(key: &ConfigKey, document: &str, every: usize) -> String {
     let mut text = format!("{}\n", key.key.name);
-    let _ = writeln!(text, "{}", wrapped(&key.key.meaning, "  "));
+    let mut add = |line: &str, indent: &str| {
+        text.push_str(&wrapped(line, indent));
+        text.push('\n');
+    };
+    add(&key.key.meaning, "  ");
     if key.key.values.is_table() {
         return text;
     }
     let names = key.key.values.names();
     if names.iter().any(|name| !name.meaning.is_empty()) {
-        let _ = writeln!(text, "  allowed:");
+        add("allowed:", "  ");
         for name in names {
-            let line = format!("\"{}\": {}", name.name, name.meaning);
-            let _ = writeln!(text, "{}", wrapped(&line, "    "));
+            add(&format!("\"{}\": {}", name.name, name.meaning), "    ");
         }
     } else {
-        let _ = writeln!(
-            text,
-            "{}",
-            wrapped(&format!("allowed: {}", allowed(key)), "  ")
-        );
+        add(&format!("allowed: {}", allowed(key)), "  ");
     }
-    let _ = writeln!(
-        text,
-        "{}",
-        wrapped(&format!("default: {}", default(key, "")), "  ")
-    );
+    add(&format!("default: {}", default(key, "")), "  ");
     let place = match &key.recipes[..] {
         recipes if recipes.is_empty() || recipes.len() == every => document.to_owned(),
         recipes => format!("{document}, recipe {}", recipes.join(", ")),
@@ -222,22 +209,17 @@ fn explained(key: &ConfigKey, document: &str, every: usize) -> String {
         Some(with) => format!("{place}, with {with}"),
         None => place,
     };
-    let _ = writeln!(text, "{}", wrapped(&format!("in: {place}"), "  "));
+    add(&format!("in: {place}"), "  ");
     text
 }
 
 /// `text` in lines of at most 100 columns, each indented.
 fn wrapped(text: &str, indent: &str) -> String {
-    let mut lines = vec![indent.to_owned()];
+    let mut lines: Vec<String> = Vec::new();
     for word in text.split_whitespace() {
-        let line = lines.last_mut().expect("one at least");
-        if line.len() > indent.len() && line.len() + 1 + word.len() > 100 {
-            lines.push(format!("{indent}{word}"));
-        } else {
-            if line.len() > indent.len() {
-                line.push(' ');
-            }
-            line.push_str(word);
+        match lines.last_mut() {
+            Some(line) if line.len() + 1 + word.len() <= 100 => *line = format!("{line} {word}"),
+            _ => lines.push(format!("{indent}{word}")),
         }
     }
     lines.join("\n")
@@ -265,7 +247,7 @@ fn markdown(documents: &[Document]) -> String {
     page
 }
 
-/// Keys of one table that are there under the same conditions, those of no table first.
+/// Keys by table and condition, those without a table first.
 fn groups(keys: &[ConfigKey]) -> Vec<(&str, Vec<&ConfigKey>)> {
     let mut groups: Vec<(&str, Vec<&ConfigKey>)> = Vec::new();
     for key in keys.iter().filter(|key| !key.key.values.is_table()) {
@@ -281,7 +263,7 @@ fn groups(keys: &[ConfigKey]) -> Vec<(&str, Vec<&ConfigKey>)> {
             None => groups.push((table, vec![key])),
         }
     }
-    // Tables in their order, each with what is always there first.
+    // Keys without a condition come first in a table.
     let order: Vec<&str> = groups.iter().map(|(table, _)| *table).collect();
     groups.sort_by_key(|(table, group)| {
         let place = order.iter().position(|known| known == table);
@@ -290,7 +272,7 @@ fn groups(keys: &[ConfigKey]) -> Vec<(&str, Vec<&ConfigKey>)> {
     groups
 }
 
-/// The heading of a table of keys, and what it is.
+/// The heading and description of a table of keys.
 fn section(page: &mut String, keys: &[ConfigKey], key: &ConfigKey, table: &str) {
     let of = match (&key.key.only_with, &key.recipes[..]) {
         (Some(with), _) => format!(", with `{with}`"),
@@ -312,7 +294,7 @@ fn section(page: &mut String, keys: &[ConfigKey], key: &ConfigKey, table: &str) 
     page.push_str("| key | meaning | allowed | default |\n|---|---|---|---|\n");
 }
 
-/// The number of recipes that there are.
+/// The number of recipes.
 fn longest(keys: &[ConfigKey]) -> usize {
     keys.iter()
         .map(|key| key.recipes.len())
@@ -320,7 +302,7 @@ fn longest(keys: &[ConfigKey]) -> usize {
         .unwrap_or_default()
 }
 
-/// What a key may hold; names with what they mean.
+/// The allowed values; names with their meanings.
 fn choices(key: &ConfigKey) -> String {
     let names = key.key.values.names();
     if names.iter().all(|name| name.meaning.is_empty()) {

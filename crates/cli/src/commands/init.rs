@@ -11,7 +11,7 @@ use super::nearest;
 use crate::args::{DEFAULT_CONFIG, InitArguments};
 use crate::folder;
 
-/// What `init` writes unless asked for something else.
+/// The default template.
 const FIRST: &str = "quickstart";
 
 /// A file of the repository's folder `configs`.
@@ -29,7 +29,7 @@ macro_rules! templates {
     };
 }
 
-/// All of them, in the order in which they are listed.
+/// All templates, in the order of `--list`.
 const TEMPLATES: &[Template] = templates![
     "quickstart",
     "phrases",
@@ -60,7 +60,7 @@ impl Template {
         let lines = self.text.lines().map_while(|line| line.strip_prefix("# "));
         let paragraph = lines.collect::<Vec<_>>().join(" ");
         let stops = paragraph.match_indices(". ").map(|(stop, _)| stop);
-        // Not that of "et al. 2023".
+        // "et al. 2023" does not end a sentence.
         let mut ends = stops.filter(|stop| paragraph[stop + 2..].starts_with(char::is_uppercase));
         let sentence = ends.next().map_or(&*paragraph, |end| &paragraph[..end]);
         self.outside(
@@ -69,7 +69,7 @@ impl Template {
         )
     }
 
-    /// How to go on with the file.
+    /// The command that uses the file.
     fn command(&self, file: &Path) -> String {
         let path = file.display();
         match self.name {
@@ -81,8 +81,8 @@ impl Template {
         }
     }
 
-    /// `text` for a folder that is not the repository: there is no folder `configs`, the program
-    /// is installed, and what a plan names lies beside it.
+    /// `text` for an installed program: without the folder `configs`, and with files of a plan beside
+    /// it.
     fn outside(&self, text: &str, file: &Path) -> String {
         let itself = format!("kinegrad train configs/{}.toml", self.name);
         text.replace("cargo run --release -- ", "kinegrad ")
@@ -95,11 +95,11 @@ impl Template {
             .replace("\"../", "\"")
     }
 
-    /// What is written to `file`.
+    /// The text of `file`.
     fn contents(&self, file: &Path) -> String {
         format!(
-            "# Written by `kinegrad init {}`. To go on: `{}`\n\
-             # `kinegrad config explain KEY` says what a key means.\n\n{}",
+            "# Written by `kinegrad init {}`. Next: `{}`\n\
+             # `kinegrad config explain KEY` explains a key.\n\n{}",
             self.name,
             self.command(file),
             self.outside(self.text, file)
@@ -107,7 +107,7 @@ impl Template {
     }
 }
 
-/// Writes a config that comes with the program.
+/// Writes a template.
 pub fn run(arguments: InitArguments) -> Result<ExitCode, Error> {
     if arguments.list {
         for template in TEMPLATES {
@@ -124,7 +124,7 @@ pub fn run(arguments: InitArguments) -> Result<ExitCode, Error> {
     };
     write_new(&file, &template.contents(&file))?;
     say!("{}", file.display());
-    tell!("go on with `{}`", template.command(&file));
+    tell!("next: `{}`", template.command(&file));
     Ok(ExitCode::SUCCESS)
 }
 
@@ -134,26 +134,25 @@ fn find(name: &str) -> Result<&'static Template, Error> {
         let names: Vec<&str> = TEMPLATES.iter().map(|template| template.name).collect();
         let hint = match nearest(name, names.iter().copied()) {
             Some(near) => format!("did you mean `kinegrad init {near}`?"),
-            None => "`kinegrad init --list` says what each is for".into(),
+            None => "`kinegrad init --list` describes them".into(),
         };
         let message = format!("there is no config `{name}`, allowed: {}", names.join(", "));
         Error::usage(message, hint)
     })
 }
 
-/// Writes a file that must not be there yet.
+/// Writes a file that does not exist.
 fn write_new(file: &Path, text: &str) -> Result<(), Error> {
     folder::make_for(file)?;
     let opened = OpenOptions::new().write(true).create_new(true).open(file);
     let mut new = opened.map_err(|error| match error.kind() {
         ErrorKind::AlreadyExists => Error::usage(
-            format!("{} is there already", file.display()),
+            format!("{} exists already", file.display()),
             "remove it, or write another one with `--out FILE.toml`",
         ),
         _ => Error::io("write", file)(error),
     })?;
     new.write_all(text.as_bytes()).map_err(|error| {
-        // Nothing half-written is left.
         let _ = std::fs::remove_file(file);
         Error::io("write", file)(error)
     })

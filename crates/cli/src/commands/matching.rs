@@ -1,4 +1,4 @@
-//! `kinegrad match`
+//! `kinegrad match`: motion from examples.
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -22,10 +22,10 @@ mod record;
 use motions::{Motion, is_clip};
 use record::Record;
 
-/// Degrees that examples face over before `--heading` is mentioned.
+/// Range of headings in the examples above which `--heading` is suggested, degrees.
 const TURNS: f64 = 120.0;
 
-/// Makes a motion of examples.
+/// Generates a motion from examples.
 pub fn run(systems: Systems<'_>, arguments: MatchArguments) -> Result<ExitCode, Error> {
     interrupt::end_between_files();
     let record_path = arguments.out.with_extension("json");
@@ -84,7 +84,7 @@ pub fn run(systems: Systems<'_>, arguments: MatchArguments) -> Result<ExitCode, 
     Ok(ExitCode::SUCCESS)
 }
 
-/// Why a clip cannot be written.
+/// The error of a clip from examples that are none.
 fn no_clip(arguments: &MatchArguments) -> Error {
     let (out, first) = (&arguments.out, &arguments.examples[0]);
     let message = format!(
@@ -96,7 +96,7 @@ fn no_clip(arguments: &MatchArguments) -> Error {
     Error::usage(message, hint)
 }
 
-/// Refuses outputs that are there, or are read.
+/// Refuses outputs that exist or are read.
 fn must_be_writable(arguments: &MatchArguments, record: &PathBuf) -> Result<(), Error> {
     let out = &arguments.out;
     if !is_bvh(out) && !is_clip(out) {
@@ -139,7 +139,7 @@ fn files_read(arguments: &MatchArguments) -> Vec<PathBuf> {
     read
 }
 
-/// Reads a motion that the new one takes something of; clips have the skeleton of the first example.
+/// Reads a BVH file or a clip.
 fn read(systems: Systems<'_>, path: &Path) -> Result<Example, Error> {
     Ok(motions::read(systems, path)?.example)
 }
@@ -216,7 +216,7 @@ fn settings(arguments: &MatchArguments) -> Result<Settings, Error> {
     Ok(settings)
 }
 
-/// The key frames of a file, with the motions they are from, which are looked for beside it.
+/// The key frames of a file, and the motions beside it that they take poses from.
 fn keyframes(systems: Systems<'_>, path: &Path) -> Result<Vec<(Keyframe, Option<Example>)>, Error> {
     let text = read_text(path)?;
     let keyframes = Keyframe::read(&text, &path.display().to_string()).map_err(unusable)?;
@@ -236,28 +236,27 @@ fn name(path: &Path) -> String {
     stem.to_string_lossy().into_owned()
 }
 
-/// Says that the examples are short, where the coarsest level is hardly coarser than they are: noise is
-/// then not sorted into longer stretches.
+/// Notes examples that are too short for a coarse level, where noise turns into long stretches.
 fn note_short(job: &Job, made: &Made) {
     let longest = made.examples.iter().map(|example| example.frames()).max();
     let (settings, longest) = (&job.settings, longest.unwrap_or(1));
     let ratio = settings.coarse_ratio.ratio(settings.patch_size, longest);
     if ratio > 0.5 && settings.sigma > 0.0 {
         tell!(
-            "note: the coarsest level has {:.0} % of the longest example's {longest} frames, which \
-             leaves many splices; `--coarse-ratio 2x` or `--coherence 1` makes fewer",
+            "note: the coarsest level has {:.0} % of the longest example's {longest} frames, which gives \
+             many splices; `--coarse-ratio 2x` or `--coherence 1` gives fewer",
             100.0 * ratio.min(1.0)
         );
     }
 }
 
-/// Says that the examples turn around, where patches fit only those that face the same way.
+/// Notes examples that turn around: patches match only those with the same heading.
 fn note_turns(made: &Made) {
     let arc = made.figure.turns_over(&made.examples).map(f64::to_degrees);
     if let Some(arc) = arc.filter(|arc| *arc > TURNS) {
         tell!(
-            "note: the examples face over {arc:.0} degrees, and what faces one way goes on only with what \
-             does too; `--heading` sees them all from their own heading"
+            "note: headings of the examples range over {arc:.0} degrees, and patches match only those with \
+             the same heading; `--heading` matches relative to it"
         );
     }
 }

@@ -28,7 +28,7 @@ pub fn run(systems: Systems<'_>, arguments: PlotArguments) -> Result<ExitCode, E
     let panels = if input.is_dir() && goal.is_some() {
         return Err(Error::usage(
             format!("`--goal` with the folder {}", input.display()),
-            "a goal is drawn below a motion file",
+            "a goal is plotted with a motion file",
         ));
     } else if input.join("metrics.jsonl").exists() {
         let records = read_metrics(&input, &mut |text| tell!("warning: {text}"))?;
@@ -47,7 +47,7 @@ pub fn run(systems: Systems<'_>, arguments: PlotArguments) -> Result<ExitCode, E
     } else if input.join("config.toml").exists() || input.join("checkpoints").exists() {
         return Err(Error::usage(
             format!("the run {} has no metrics.jsonl to plot", input.display()),
-            "training writes it; runs that were imported or merged have none",
+            "training writes it; imported and merged runs have none",
         ));
     } else {
         let message = format!(
@@ -63,7 +63,7 @@ pub fn run(systems: Systems<'_>, arguments: PlotArguments) -> Result<ExitCode, E
     Ok(ExitCode::SUCCESS)
 }
 
-/// The motion in a file: of a known representation, a BVH file, or joints of any skeleton.
+/// Panels of the motion in a file.
 fn motion_panels(
     systems: Systems<'_>,
     path: &Path,
@@ -85,8 +85,7 @@ fn motion_panels(
     Ok(body.chain(scene::curve_panels(&figure)).collect())
 }
 
-/// The body along its path with the goal on the floor, and what the representation says is worth
-/// drawing.
+/// The body along its path with the goal on the floor, and the curves of the representation.
 fn known_panels(
     representation: &dyn Representation,
     rows: &[f32],

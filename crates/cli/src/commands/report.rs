@@ -20,7 +20,7 @@ use crate::folder;
 use crate::io::files_in;
 use crate::runs::{Run, Standing, is_run};
 
-/// Gathers everything about a run in one page.
+/// Writes a page about a run.
 pub fn run(systems: Systems<'_>, arguments: ReportArguments) -> Result<ExitCode, Error> {
     let ReportArguments { run: folder, out } = arguments;
     let run = Run::read(systems, &folder);
@@ -38,14 +38,12 @@ pub fn run(systems: Systems<'_>, arguments: ReportArguments) -> Result<ExitCode,
     Ok(ExitCode::SUCCESS)
 }
 
-/// Writes the page under another name first, so that one that is there is whole.
+/// Writes the page to another name first, so that an existing page stays whole.
 fn write(out: &Path, text: &str) -> Result<(), Error> {
     if out.is_dir() {
         let message = format!("`--out {}` is a folder", out.display());
-        let hint = format!(
-            "for a file in it: `--out {}`",
-            out.join("report.html").display()
-        );
+        let file = out.join("report.html");
+        let hint = format!("for a file in it: `--out {}`", file.display());
         return Err(Error::usage(message, hint));
     }
     folder::make_for(out)?;
@@ -54,16 +52,13 @@ fn write(out: &Path, text: &str) -> Result<(), Error> {
     written.map_err(|error| {
         let _ = fs::remove_file(&temporary);
         let message = format!("cannot write {}: {error}", out.display());
-        Error::usage(
-            message,
-            "give a file in a folder that can be written with `--out`",
-        )
+        Error::usage(message, "choose another `--out`")
     })
 }
 
-/// The runs that were trained before this one, in its folder.
+/// The stages of a fine-tuning, in its folder.
 fn stages(systems: Systems<'_>, run: &Run) -> Vec<Run> {
-    // A run that has not come to its own config is known by its stages alone.
+    // A run without a config yet may have stages of any system.
     let all = systems.0.iter().flat_map(|system| system.stages());
     let names: Vec<&str> = match run.stages.is_empty() && run.config.is_none() {
         true => all.copied().collect(),
@@ -78,43 +73,35 @@ fn page(systems: Systems<'_>, run: &Run, stages: &[Run]) -> Page {
     let records = records(run);
     let environments = read_environments(&run.folder);
     let last = environments.last();
-    let mut sections = Vec::new();
-
     let mut overview = Section::new("Training");
-    if let Some(problem) = &run.problem {
-        overview.add(Block::Warning(problem.clone()));
-    }
+    overview
+        .blocks
+        .extend(run.problem.clone().map(Block::Warning));
     if records.is_empty() {
         overview.add(Block::Text(
             "There are no metrics: nothing was trained here.".into(),
         ));
     }
     overview.add(Block::Charts(curves::charts(&records)));
-    sections.push(overview);
+    let mut sections = vec![overview];
     let samples = samples::section(systems, run);
     if samples.blocks.is_empty() {
         sections.push(previews::section(run));
     }
-    sections.push(samples);
-    sections.push(evaluation(&run.folder));
-    for stage in stages {
-        sections.push(stage_section(stage));
-    }
+    sections.extend([samples, evaluation(&run.folder)]);
+    sections.extend(stages.iter().map(stage_section));
     let mut machine = Section::new("Hardware and versions");
     machine.add(Block::Facts(facts::machine(run, last)));
     if environments.len() > 1 {
-        machine.add(Block::Heading("Each time it was started".into()));
+        machine.add(Block::Heading("Starts".into()));
         machine.add(Block::Table(facts::starts(&environments)));
     }
-    sections.push(machine);
     let mut data = Section::new("Data");
     data.add(Block::Facts(facts::data(run, last)));
-    sections.push(data);
     let mut files = Section::new("Checkpoints and files");
     files.add(Block::Table(facts::checkpoints(run)));
     files.add(Block::Facts(facts::files(run)));
-    sections.push(files);
-    sections.push(configuration(run));
+    sections.extend([machine, data, files, configuration(run)]);
     Page {
         title: title(run),
         subtitle: subtitle(run),
@@ -129,7 +116,7 @@ fn records(run: &Run) -> Vec<Record> {
     read_metrics(&run.folder, warn).unwrap_or_default()
 }
 
-/// The folder's name, which is the run's.
+/// The folder's name.
 fn title(run: &Run) -> String {
     let folder = run.folder.canonicalize();
     let folder = folder.unwrap_or_else(|_| run.folder.clone());
@@ -146,29 +133,27 @@ fn subtitle(run: &Run) -> String {
 }
 
 fn status(run: &Run, stages: &[Run]) -> Cell {
-    let standing = match stages
-        .iter()
-        .find(|stage| stage.standing == Standing::Training)
-    {
-        Some(stage) if run.standing != Standing::Training => stage.standing,
-        _ => run.standing,
+    let is_training = |run: &Run| run.standing == Standing::Training;
+    let standing = match stages.iter().any(is_training) {
+        true => Standing::Training,
+        false => run.standing,
     };
     let tone = match standing {
         Standing::Finished | Standing::StoppedEarly | Standing::Weights => Tone::Good,
         Standing::Damaged => Tone::Bad,
         Standing::Training => Tone::Busy,
-        Standing::Stopped | Standing::NeverBegun => Tone::Plain,
+        Standing::Stopped | Standing::NotStarted => Tone::Plain,
     };
     Cell::new(standing.name(), tone)
 }
 
-/// A run that was trained before this one.
+/// A stage of a fine-tuning.
 fn stage_section(stage: &Run) -> Section {
     let name = stage.folder.file_name().unwrap_or_default();
     let mut section = Section::new(format!("Stage {}", name.to_string_lossy()));
-    if let Some(problem) = &stage.problem {
-        section.add(Block::Warning(problem.clone()));
-    }
+    section
+        .blocks
+        .extend(stage.problem.clone().map(Block::Warning));
     let records = records(stage);
     let environments = read_environments(&stage.folder);
     let mut facts = vec![("state".to_string(), stage.standing.name().to_string())];
@@ -178,7 +163,7 @@ fn stage_section(stage: &Run) -> Section {
     section
 }
 
-/// The reports of `kinegrad eval`: tables, or what there is.
+/// The reports of `kinegrad eval`.
 fn evaluation(run: &Path) -> Section {
     let mut section = Section::new("Evaluation");
     for path in files_in(&run.join("reports"), &["csv", "json"]) {
@@ -203,7 +188,7 @@ fn evaluation(run: &Path) -> Section {
                 }
             }
             None if is_csv => {
-                section.add(Block::Warning(format!("{} is no table", path.display())));
+                section.add(Block::Warning(format!("{} is not a table", path.display())));
             }
             None => section.add(Block::Source {
                 title: format!("{name}.json"),
@@ -214,7 +199,7 @@ fn evaluation(run: &Path) -> Section {
     section
 }
 
-/// What is looked at first: measures that are no part of another, and shares of all checks.
+/// The main measures: those that are no part of another, and pass rates.
 fn chief(table: &Table) -> Table {
     let is_chief = |row: &&Vec<Cell>| {
         let name = row.first().map_or("", |cell| &cell.text);

@@ -15,6 +15,17 @@ use crate::output;
 use crate::progress::duration;
 use crate::runs::{Run, find};
 
+/// Columns of the list.
+const HEADER: [&str; 7] = [
+    "run",
+    "recipe",
+    "state",
+    "step",
+    "best val_loss",
+    "size",
+    "age",
+];
+
 /// Lists the runs in a folder.
 pub fn run(systems: Systems<'_>, arguments: RunsArguments) -> Result<ExitCode, Error> {
     let RunsArguments { folder, json } = arguments;
@@ -34,19 +45,8 @@ pub fn run(systems: Systems<'_>, arguments: RunsArguments) -> Result<ExitCode, E
         say!("no runs in {}", folder.display());
         return Ok(ExitCode::SUCCESS);
     }
-    let header = [
-        "run",
-        "recipe",
-        "state",
-        "step",
-        "best val_loss",
-        "size",
-        "age",
-    ];
-    say!(
-        "{}",
-        table(header, runs.iter().map(|run| row(run, &folder)))
-    );
+    let rows = runs.iter().map(|run| row(run, &folder));
+    say!("{}", table(HEADER, rows));
     for run in &runs {
         if let Some(problem) = &run.problem {
             tell!("warning: {}: {problem}", name(run, &folder));
@@ -55,7 +55,7 @@ pub fn run(systems: Systems<'_>, arguments: RunsArguments) -> Result<ExitCode, E
     Ok(ExitCode::SUCCESS)
 }
 
-/// The run's path below the folder; the folder itself by its own name.
+/// The run's path below the folder; the folder's name for the folder itself.
 fn name(run: &Run, folder: &Path) -> String {
     let below = run.folder.strip_prefix(folder).unwrap_or(&run.folder);
     match below.as_os_str().is_empty() {
@@ -69,28 +69,24 @@ fn name(run: &Run, folder: &Path) -> String {
 }
 
 fn row(run: &Run, folder: &Path) -> [String; 7] {
-    let missing = || "-".to_string();
-    let recipe = match (run.system, run.recipe()) {
-        (Some(system), Some(recipe)) => format!("{system}/{recipe}"),
-        _ => missing(),
-    };
-    let best = run.best.as_ref().map(|best| {
-        let (loss, step) = (best.val_loss, best.step);
-        format!("{loss:.5} at {step}")
-    });
+    let recipe = run.system.zip(run.recipe());
+    let recipe = recipe.map(|(system, recipe)| format!("{system}/{recipe}"));
+    let best = run.best.as_ref();
+    let best = best.map(|best| format!("{:.5} at {}", best.val_loss, best.step));
     let age = run.modified.and_then(|time| time.elapsed().ok());
+    let or_missing = |text: Option<String>| text.unwrap_or("-".to_string());
     [
         name(run, folder),
-        recipe,
+        or_missing(recipe),
         run.standing.name().into(),
         run.steps(|step| step.to_string()),
-        best.unwrap_or_else(missing),
+        or_missing(best),
         size(run.bytes),
-        age.map_or_else(missing, |age| age_of(age.as_secs_f64())),
+        or_missing(age.map(|age| age_of(age.as_secs_f64()))),
     ]
 }
 
-/// Days where there are many hours.
+/// A duration, in days if it is long.
 fn age_of(seconds: f64) -> String {
     let days = seconds / 86_400.0;
     match days < 2.0 {

@@ -22,10 +22,10 @@ pub fn run(systems: Systems<'_>, arguments: SampleArguments) -> Result<ExitCode,
     while_it_is_trained(|| draw(systems, arguments.clone()))
 }
 
-/// How often another checkpoint is looked for.
+/// Largest number of attempts to find a checkpoint.
 const ATTEMPTS: usize = 5;
 
-/// Does what reads a run's checkpoint, again if a training that goes on removed it meanwhile.
+/// Reads a checkpoint with `read`, again if a running training removed it.
 pub fn while_it_is_trained<T>(mut read: impl FnMut() -> Result<T, Error>) -> Result<T, Error> {
     for _ in 1..ATTEMPTS {
         match read() {
@@ -109,10 +109,10 @@ struct Results {
     remark: Option<serde_json::Value>,
 }
 
-/// The checkpoint that a path means.
+/// The checkpoint of a run, or the one at `path`.
 pub fn checkpoint(path: &Path) -> Result<SavedCheckpoint, Error> {
     resolve_checkpoint(path, |damaged| {
-        // A training beside this process may have removed it.
+        // A running training may have removed it.
         let gone = matches!(damaged, Error::CheckpointDamaged { path, .. } if !path.exists());
         if !gone {
             tell!("warning: {damaged}");
@@ -129,7 +129,7 @@ pub fn trained(
     trained_for(systems, run, arguments, &Together::alone())
 }
 
-/// [`trained`], on the device of a process among those of its machine.
+/// [`trained`], on the device of this rank.
 pub fn trained_for(
     systems: Systems<'_>,
     run: &Path,
@@ -146,7 +146,7 @@ pub fn trained_for(
     } = arguments;
     let mut overrides = overrides.clone();
     overrides.extend(steps.map(|n| format!("sampling.sampler.num_inference_steps={n}")));
-    // A whole number has a point in TOML if it is no integer.
+    // `{:?}` writes whole numbers as TOML floats.
     match guidance_scale[..] {
         [] => {}
         [scale] => overrides.push(format!("sampling.sampler.guidance_scale={scale:?}")),
@@ -162,7 +162,7 @@ pub fn trained_for(
     systems.trained_for(saved, &overrides, weights, device.as_deref(), local)
 }
 
-/// Prints what is to be said of all motions.
+/// Prints a summary of all samples.
 pub fn say_summary(summary: Option<Summary>) {
     match summary {
         Some(Summary::Text(text)) => say!("{text}"),

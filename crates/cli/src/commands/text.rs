@@ -15,7 +15,7 @@ use crate::interrupt;
 use crate::io::must_be_new;
 use crate::progress::Count;
 
-/// Name of the tensor of sentences that are of no clip.
+/// Name of the tensor of sentences.
 const TENSOR: &str = "text";
 
 /// Embeds texts and writes the embeddings.
@@ -26,7 +26,7 @@ pub fn embed(arguments: EmbedArguments) -> Result<ExitCode, Error> {
     let (named, texts) = texts(&arguments)?;
     let (device, _) = device::open(&arguments.device)?;
     let encoder = TextEncoder::read(&arguments.text_encoder, &device)?;
-    // Many captions occur several times.
+    // Captions repeat.
     let mut distinct: Vec<&str> = texts.iter().map(String::as_str).collect();
     distinct.sort_unstable();
     distinct.dedup();
@@ -45,7 +45,7 @@ pub fn embed(arguments: EmbedArguments) -> Result<ExitCode, Error> {
         (name.as_str(), rows)
     });
     let tensors: Vec<_> = tensors.collect();
-    // Of clips, the file says which captions it is of.
+    // The file of a dataset records its captions.
     let mut rest = texts.iter().map(String::as_str);
     let of = named.iter().map(|(name, texts)| {
         let captions: Vec<&str> = rest.by_ref().take(*texts).collect();
@@ -68,7 +68,7 @@ pub fn embed(arguments: EmbedArguments) -> Result<ExitCode, Error> {
 /// The tensors by name, each with its number of texts, and all texts in their order.
 type Asked = (Vec<(String, usize)>, Vec<String>);
 
-/// What is to be embedded; at least one text.
+/// The texts to embed, at least one.
 fn texts(arguments: &EmbedArguments) -> Result<Asked, Error> {
     if let Some(dataset) = &arguments.dataset {
         let clips = read_captions(dataset)?;

@@ -56,7 +56,7 @@ pub fn run(systems: Systems<'_>, arguments: TrainArguments) -> Result<ExitCode, 
         Err(code) => return Ok(code),
     };
     if !together.writes() {
-        // From here on a signal ends this process, and so the others.
+        // From here on Ctrl-C ends all processes.
         let stops = progress.end_training();
         let interrupted = outcome.ending == Some(Ending::Interrupted);
         if interrupted {
@@ -84,11 +84,11 @@ pub fn run(systems: Systems<'_>, arguments: TrainArguments) -> Result<ExitCode, 
     }
     if owes_samples(&outcome) {
         if progress.end_training() {
-            tell!("stopped before the samples were drawn; `--resume` draws them");
+            tell!("stopped before sampling; `--resume` writes the samples");
             summary(0);
             return Ok(ExitCode::from(130));
         }
-        // The outcome holds the run's lock until they are.
+        // The outcome keeps the run locked until then.
         let drawn = draw_samples(systems, &outcome)?;
         if !json {
             let folder = outcome.folder.join(SAMPLES);
@@ -103,18 +103,17 @@ pub fn run(systems: Systems<'_>, arguments: TrainArguments) -> Result<ExitCode, 
     Ok(ExitCode::SUCCESS)
 }
 
-/// Whether the samples of the run's end are still to be drawn: a process that ended before has left
-/// them to this one, or a user has removed them.
+/// True if the samples of the run's end are missing: they were interrupted or removed.
 fn owes_samples(outcome: &Outcome) -> bool {
     let unfinished = outcome.folder.join(UNFINISHED_SAMPLES).exists();
     let owed = unfinished || !outcome.folder.join(SAMPLES).exists();
     owed && outcome.config.sampling.count_at_end > 0
 }
 
-/// Draws the samples of a run's end into its folder, if they are owed, without printing anything.
+/// Writes the samples of a run's end to its folder, if they are missing, without output.
 ///
 /// # Errors
-/// If they cannot be drawn or written.
+/// If they cannot be sampled or written.
 pub fn draw_samples_at_end(systems: Systems<'_>, outcome: &Outcome) -> Result<(), Error> {
     if owes_samples(outcome) {
         draw_samples(systems, outcome)?;
@@ -122,7 +121,7 @@ pub fn draw_samples_at_end(systems: Systems<'_>, outcome: &Outcome) -> Result<()
     Ok(())
 }
 
-/// A training, for programs.
+/// The summary as JSON.
 #[derive(Serialize)]
 struct Summary<'a> {
     run: &'a Path,
@@ -132,7 +131,7 @@ struct Summary<'a> {
     best_step: Option<u64>,
     best_val_loss: Option<f64>,
     seconds: f64,
-    /// Samples drawn at the end.
+    /// Number of samples at the end.
     samples: usize,
 }
 
@@ -187,13 +186,12 @@ fn summarise(outcome: &Outcome, seconds: f64) {
 /// The samples at the end of a training.
 struct DrawnSamples {
     count: usize,
-    /// Steps of the checkpoint that they were drawn with.
+    /// Steps of their checkpoint.
     step: u64,
     summary: Option<sampling::Summary>,
 }
 
-/// Writes samples for the first held-out items to the run's folder: all of them or, if this process
-/// ends before they are drawn, none.
+/// Writes samples for the first held-out items to the run's folder, all or none.
 fn draw_samples(systems: Systems<'_>, outcome: &Outcome) -> Result<DrawnSamples, Error> {
     let saved = checkpoint(&outcome.folder)?;
     let trained = systems.trained(saved, &[], Weights::Ema, None)?;
@@ -213,7 +211,7 @@ fn draw_samples(systems: Systems<'_>, outcome: &Outcome) -> Result<DrawnSamples,
     })
 }
 
-/// Moves a folder, or what it holds into one that is there, over files of the same names.
+/// Moves a folder, or its files into an existing one, replacing files.
 fn move_into(from: &Path, to: &Path) -> Result<(), Error> {
     if (to.exists() || to.is_symlink()) && !to.is_dir() {
         return Err(Error::usage(

@@ -14,7 +14,7 @@ use crate::output::unusable;
 use crate::scene::{self, Music, Reading};
 use crate::{folder, interrupt};
 
-/// What is written of a scene.
+/// Kinds of output.
 #[derive(Clone, Copy, Eq, PartialEq)]
 enum Kind {
     Page,
@@ -25,7 +25,7 @@ enum Kind {
 }
 
 impl Kind {
-    /// The option that asks for it and the ending of its files.
+    /// Its option and the ending of its files.
     fn names(self) -> [&'static str; 2] {
         match self {
             Self::Page => ["--out", "html"],
@@ -37,7 +37,7 @@ impl Kind {
     }
 }
 
-/// Reads the motions as one scene and writes what is asked for of it.
+/// Reads the motions as one scene and writes it.
 pub fn run(systems: Systems<'_>, arguments: ViewArguments) -> Result<ExitCode, Error> {
     interrupt::end_between_files();
     let motions = scene::motions(&arguments.motions, arguments.raw)?;
@@ -52,7 +52,7 @@ pub fn run(systems: Systems<'_>, arguments: ViewArguments) -> Result<ExitCode, E
         ..Reading::of(&arguments.reading)
     };
     let scene = scene::read(systems, &motions, &reading)?;
-    // All of them can be written, or none is.
+    // All files are written, or none.
     for (kind, path) in &outputs {
         let refused = match kind {
             Kind::Page | Kind::Bvh => Ok(()),
@@ -67,20 +67,17 @@ pub fn run(systems: Systems<'_>, arguments: ViewArguments) -> Result<ExitCode, E
     let bvh = bvh.map(|(_, out)| {
         scene::as_bvh(systems, &motions[0], &reading.bvh, out, arguments.lock_feet)
     });
-    let bvh = bvh.transpose()?.map(|bvh| bvh.to_text());
-    outputs
-        .iter()
-        .try_for_each(|(_, path)| folder::must_take(path))?;
+    let mut bvh = bvh.transpose()?.map(|bvh| bvh.to_text());
+    for (_, path) in &outputs {
+        folder::must_take(path)?;
+    }
     for (kind, path) in outputs {
         let written = match kind {
-            Kind::Page => {
-                let page = viewer::page(&scene);
-                Ok(interrupt::not_during(|| {
-                    write_whole(&path, page.as_bytes())
-                })?)
-            }
-            Kind::Bvh => {
-                let text = bvh.as_deref().unwrap_or_default();
+            Kind::Page | Kind::Bvh => {
+                let text = match kind {
+                    Kind::Page => viewer::page(&scene),
+                    _ => bvh.take().unwrap_or_default(),
+                };
                 Ok(interrupt::not_during(|| {
                     write_whole(&path, text.as_bytes())
                 })?)
@@ -101,7 +98,7 @@ pub fn run(systems: Systems<'_>, arguments: ViewArguments) -> Result<ExitCode, E
     Ok(ExitCode::SUCCESS)
 }
 
-/// The files to write, none of which is there unless it may be replaced.
+/// The files to write.
 fn outputs(arguments: &ViewArguments, motions: &[PathBuf]) -> Result<Vec<(Kind, PathBuf)>, Error> {
     let asked = [
         (Kind::Page, &arguments.out),
@@ -110,28 +107,28 @@ fn outputs(arguments: &ViewArguments, motions: &[PathBuf]) -> Result<Vec<(Kind, 
         (Kind::Glb, &arguments.glb),
         (Kind::Bvh, &arguments.bvh),
     ];
-    let asked = asked.into_iter();
-    let mut outputs: Vec<(Kind, PathBuf)> = asked
-        .filter_map(|(kind, path)| Some((kind, path.clone()?)))
-        .collect();
+    let asked = asked
+        .into_iter()
+        .filter_map(|(kind, path)| Some((kind, path.clone()?)));
+    let mut outputs: Vec<(Kind, PathBuf)> = asked.collect();
     if outputs.is_empty() {
         outputs.push((Kind::Page, motions[0].with_extension("html")));
     }
     for (kind, path) in &outputs {
-        must_end(*kind, path)?;
+        must_have_ending(*kind, path)?;
         must_be_new([path], motions, arguments.overwrite, kind.names()[0])?;
     }
     let bvh = outputs.iter().any(|(kind, _)| *kind == Kind::Bvh);
     if bvh && motions.len() > 1 {
         return Err(Error::usage(
             format!("`--bvh` with {} motions", motions.len()),
-            "a BVH file holds one motion: write one at a time",
+            "a BVH file contains one motion: write one at a time",
         ));
     }
     Ok(outputs)
 }
 
-fn must_end(kind: Kind, path: &Path) -> Result<(), Error> {
+fn must_have_ending(kind: Kind, path: &Path) -> Result<(), Error> {
     let [option, ending] = kind.names();
     let found = path.extension();
     if !found.is_some_and(|found| found.eq_ignore_ascii_case(ending)) {

@@ -19,13 +19,13 @@ use crate::io::{Content, MotionArray, bvh_file, must_be_new, stem, write_all};
 use crate::output::unusable;
 use crate::{folder, interrupt, output};
 
-/// Times its own speed beyond which a motion that is stretched is doubted.
+/// Speed ratios of a stretched motion without a warning.
 const USUAL: std::ops::RangeInclusive<f64> = 0.67..=1.5;
 
-/// What a leg may be too short by without a word, metres.
+/// Distance that legs may be too short by without a warning, metres.
 const LEGS_SHORT: f64 = 0.02;
 
-/// How a motion was moved onto a path.
+/// The record of a warp.
 #[derive(Serialize)]
 struct Record {
     kinegrad: &'static str,
@@ -34,32 +34,32 @@ struct Record {
     path_sha256: String,
     path_content: PathPlan,
     warp: Warp,
-    /// None where feet are not held.
+    /// None without `--lock-feet`.
     #[serde(skip_serializing_if = "Option::is_none")]
     feet: Option<Feet>,
     frames: usize,
     fps: f64,
-    /// Metres of the path.
+    /// Length of the path, metres.
     path_length: f64,
-    /// The root's speed on the path by that before; 0 of a motion that stood.
+    /// Speed of the root after by before; 0 for a motion that stood.
     speed_ratio: f64,
     before: Quality,
     after: PathReport,
 }
 
-/// Feet that are held.
+/// Locked feet.
 #[derive(Serialize)]
 struct Feet {
-    /// Part of the frames in which a foot stands, in the motion as it was given.
+    /// Share of frames of the input in which a foot stands.
     in_contact: f64,
     /// Mean speed of standing feet on the path before and after, metres per second.
     slid_before: f64,
     slide_after: f64,
-    /// How far a foot is from where it should stand, at most, metres.
+    /// Largest distance of a foot from its contact position, metres.
     legs_short: f64,
 }
 
-/// How a motion looks.
+/// Quality measures of a motion.
 #[derive(Serialize)]
 struct Quality {
     foot_skating: Option<f64>,
@@ -96,7 +96,7 @@ pub fn run(systems: Systems<'_>, arguments: WarpArguments) -> Result<ExitCode, E
         joints.as_slice()[..frames * joints.joints()].to_vec(),
         joints.joints(),
     )?;
-    let held = match arguments.lock_feet {
+    let locked = match arguments.lock_feet {
         true => Some(hold_above(
             &warped.joints,
             &own,
@@ -106,13 +106,13 @@ pub fn run(systems: Systems<'_>, arguments: WarpArguments) -> Result<ExitCode, E
         )?),
         false => None,
     };
-    let feet = held.as_ref().map(|held| Feet {
-        in_contact: held.in_contact,
-        slid_before: held.before,
-        slide_after: held.after,
-        legs_short: held.missed,
+    let feet = locked.as_ref().map(|locked| Feet {
+        in_contact: locked.in_contact,
+        slid_before: locked.before,
+        slide_after: locked.after,
+        legs_short: locked.missed,
     });
-    let moved = held.map_or(warped.joints, |held| held.joints);
+    let moved = locked.map_or(warped.joints, |locked| locked.joints);
     let extraction = Extraction {
         rescale: false,
         ..Extraction::default()
@@ -150,7 +150,7 @@ pub fn run(systems: Systems<'_>, arguments: WarpArguments) -> Result<ExitCode, E
     Ok(ExitCode::SUCCESS)
 }
 
-/// Where the results go: joints, features, BVH and record.
+/// Output files: joints, features, BVH and record.
 fn outputs(arguments: &WarpArguments) -> Result<[PathBuf; 4], Error> {
     let stem = stem(&arguments.out)?;
     let outputs = [".npy", ".features.npy", ".bvh", ".json"];
@@ -160,7 +160,7 @@ fn outputs(arguments: &WarpArguments) -> Result<[PathBuf; 4], Error> {
     Ok(outputs)
 }
 
-/// The path's file and what it says.
+/// The text of the path's file, and the path.
 fn read_path(arguments: &WarpArguments) -> Result<(String, PathPlan), Error> {
     let file = arguments.path.display().to_string();
     let hint = "docs/paths.md describes paths";
@@ -170,8 +170,8 @@ fn read_path(arguments: &WarpArguments) -> Result<(String, PathPlan), Error> {
     let plan = plan.map_err(|error| refused(error.to_string()))?;
     if plan.speed.is_some() {
         tell!(
-            "note: {file}: `speed` is for motion that is generated; this one is as fast as `--along` \
-             says"
+            "note: {file}: `speed` is ignored: it is for generated motion, and here `--along` sets the \
+             speed"
         );
     }
     Ok((text, plan))
@@ -228,38 +228,30 @@ fn floor_of(joints: &Joints) -> f64 {
 
 impl Record {
     fn summarize(&self) {
-        let number = |value: Option<f64>, digits: usize| match value {
-            Some(value) => format!("{value:.digits$}"),
-            None => "-".to_owned(),
+        let number = |value: Option<f64>, digits: usize| {
+            value.map_or("-".to_owned(), |value| format!("{value:.digits$}"))
         };
-        let (before, after) = (&self.before, &self.after);
+        let row = |name: &str, before: String, after: Option<f64>, digits| {
+            [name.to_owned(), before, number(after, digits)]
+        };
+        let (before, after, none) = (&self.before, &self.after, String::new);
+        let skating = number(before.foot_skating, 3);
+        let distance = Some(after.largest_distance);
         let rows = [
-            [
-                "foot skating",
-                &number(before.foot_skating, 3),
-                &number(after.foot_skating, 3),
-            ],
-            [
-                "jerk, m/s^3",
-                &number(before.jerk, 0),
-                &number(after.jerk, 0),
-            ],
-            [
+            row("foot skating", skating, after.foot_skating, 3),
+            row("jerk, m/s^3", number(before.jerk, 0), after.jerk, 0),
+            row(
                 "heading from the path, degrees",
-                "",
-                &number(after.heading_error, 1),
-            ],
-            [
-                "root from the path, m",
-                "",
-                &number(Some(after.largest_distance), 6),
-            ],
+                none(),
+                after.heading_error,
+                1,
+            ),
+            row("root from the path, m", none(), distance, 6),
         ];
-        let rows = rows.map(|row| row.map(str::to_owned));
         tell!("{}", table(["", "before", "after"], rows));
     }
 
-    /// Says what is doubtful.
+    /// Prints notes and warnings.
     fn doubt(&self, given: usize, along: Along) {
         if self.frames < given {
             tell!(
@@ -270,21 +262,21 @@ impl Record {
         }
         match self.speed_ratio {
             0.0 if along == Along::Own => {}
-            0.0 => tell!("warning: the motion stands, and glides along the path"),
+            0.0 => tell!("warning: the motion stands still, so it slides along the path"),
             ratio if !USUAL.contains(&ratio) => tell!(
-                "warning: the root is {ratio:.2} times as fast as it was, and feet slide in proportion: \
-                 give a path as long as the motion's own way ({:.2} m), or `--along own`",
+                "warning: the root is {ratio:.2} times as fast as before, so feet slide: give a path of \
+                 the motion's length ({:.2} m), or `--along own`",
                 self.path_length / ratio
             ),
             _ => {}
         }
         let Some(feet) = &self.feet else { return };
         if feet.in_contact == 0.0 {
-            tell!("warning: no foot stands in this motion: `--lock-feet` held none");
+            tell!("warning: `--lock-feet` had no effect: no foot stands in this motion");
         }
         if feet.legs_short > LEGS_SHORT {
             tell!(
-                "warning: legs are up to {:.2} m too short to stand where they stood",
+                "warning: legs are up to {:.2} m too short to keep their contacts",
                 feet.legs_short
             );
         }

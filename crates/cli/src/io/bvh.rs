@@ -14,7 +14,7 @@ use crate::output::unusable;
 /// Largest file that is read, bytes.
 const LARGEST: u64 = 1 << 30;
 
-/// Height of a person's joints, metres: what the unit is guessed by.
+/// Height of a person's joints, metres, for guessing the unit.
 const PERSON: f64 = 1.6;
 
 /// Units of a written BVH file in a metre.
@@ -23,7 +23,7 @@ pub const CENTIMETRES: f64 = 100.0;
 /// Distance between a BVH file and its motion that is not mentioned, metres.
 const EXACT: f64 = 1e-3;
 
-/// Whether a file is a BVH file by its name.
+/// True for the name of a BVH file.
 pub fn is_bvh(path: &Path) -> bool {
     let ending = path.extension();
     ending.is_some_and(|ending| ending.eq_ignore_ascii_case("bvh"))
@@ -141,14 +141,14 @@ pub fn bvh_file(
     }
 }
 
-/// Says how far the joints of a BVH file are from those it was made of, where that is noticeable.
+/// Notes the distance of a BVH file from its motion, if it is noticeable.
 fn note_deviation(path: &Path, bvh: &Bvh, joints: &Joints, skeleton: &Skeleton) {
     let deviation = bvh.deviation(joints, skeleton, CENTIMETRES);
     if let Some(worst) = deviation.filter(|worst| worst.metres > EXACT) {
         tell!(
-            "note: {}: joints are up to {:.3} m from the motion's (`{}` in frame {}), as its bones \
-             change their lengths, which BVH cannot hold; `kinegrad view MOTION.npy --glb FILE.glb` \
-             writes them exactly",
+            "note: {}: joints are up to {:.3} m from the motion's (`{}` in frame {}), because its bones \
+             change their lengths and those of BVH cannot; `kinegrad view MOTION.npy --glb FILE.glb` \
+             is exact",
             path.display(),
             worst.metres,
             worst.joint,
@@ -157,35 +157,34 @@ fn note_deviation(path: &Path, bvh: &Bvh, joints: &Joints, skeleton: &Skeleton) 
     }
 }
 
-/// `bvh`, which was made of `joints` and will be at `path`, with feet that stay where they stand in
-/// them; says how far they slid.
+/// `bvh`, made from `joints` for the file `path`, with locked feet; prints how far they slid.
 fn with_locked_feet(
     path: &Path,
     bvh: &Bvh,
     joints: &Joints,
     skeleton: &Skeleton,
 ) -> Result<Bvh, Error> {
-    // Bones of one length, which the clip's need not have: locked before, feet would slide again.
+    // In BVH bones have constant lengths: feet that are locked before would slide again.
     let rigid = bvh.joints_of(skeleton, CENTIMETRES);
-    let rigid = rigid.expect("a file that was made of these joints");
-    let held = hold(&rigid, joints, skeleton, &ContactRule::default())?;
-    let short = match held.missed > EXACT {
-        true => format!("; legs are up to {:.3} m too short to stay", held.missed),
+    let rigid = rigid.expect("a file of these joints");
+    let locked = hold(&rigid, joints, skeleton, &ContactRule::default())?;
+    let short = match locked.missed > EXACT {
+        true => format!("; legs are up to {:.3} m too short", locked.missed),
         false => String::new(),
     };
     tell!(
         "note: {}: feet stand in {:.0} % of the frames and slid by {:.2} m/s meanwhile, now by {:.2} \
          m/s{short}",
         path.display(),
-        100.0 * held.in_contact,
-        held.before,
-        held.after
+        100.0 * locked.in_contact,
+        locked.before,
+        locked.after
     );
-    as_bvh(&held.joints, skeleton)
+    as_bvh(&locked.joints, skeleton)
 }
 
-/// The axis along which feet are further below the body's middle; y where no joint is named as a
-/// foot. The root is no measure: some files leave it at the origin.
+/// The axis along which feet are further below the median joint; y if no joint is named as a foot.
+/// The root is ignored, because some files leave it at the origin.
 pub fn guess_up(bvh: &Bvh) -> UpAxis {
     up_of(&names(bvh), &first_frame(bvh))
 }
@@ -208,8 +207,8 @@ fn up_of(names: &[String], places: &[[f64; 3]]) -> UpAxis {
     }
 }
 
-/// The unit in which the figure is most nearly as tall as a person. It stands on the ground, at 0,
-/// unless it reaches below: one without legs is as tall as it reaches above.
+/// The unit in which the height of the body is nearest to a person's. The ground is at 0, or at the
+/// lowest joint below that.
 pub fn guess_units(bvh: &Bvh, up: UpAxis) -> Units {
     units_of(&first_frame(bvh), up)
 }
@@ -235,7 +234,7 @@ fn in_words(units: Units) -> &'static str {
     }
 }
 
-/// Whether a joint of this name is a foot's: of the tips of its chain only those that carry weight.
+/// True for the name of a joint of a foot, without end effectors.
 pub fn is_foot(name: &str) -> bool {
     let name = name.rsplit(':').next().unwrap_or(name).to_lowercase();
     (name.contains("foot") || name.contains("toe")) && !name.ends_with("end")

@@ -5,10 +5,10 @@ use std::path::{Path, PathBuf};
 
 use kinegrad_train::Error;
 
-/// Endings of the files beside a sample that hold the same motion in another form.
+/// Endings of the files with other forms of a sample.
 const COMPANIONS: [&str; 3] = [".raw.npy", ".features.npy", ".path.npy"];
 
-/// Whether a file is named as one beside a sample.
+/// True for the name of a file beside a sample.
 pub fn is_companion(path: &Path) -> bool {
     let name = path.to_string_lossy();
     COMPANIONS.iter().any(|ending| name.ends_with(ending))
@@ -57,7 +57,7 @@ fn collect(path: &Path, endings: &[&str], files: &mut Vec<PathBuf>) {
     }
 }
 
-/// Whether a file holds a sample in another form, and the sample itself is there.
+/// True for another form of a sample that exists.
 fn has_sample(path: &Path) -> bool {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let mut endings = COMPANIONS.iter().chain([&".bvh"]);

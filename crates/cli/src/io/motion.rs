@@ -106,6 +106,6 @@ impl MotionArray {
 pub fn not_finite(path: &Path) -> Error {
     Error::usage(
         format!("{}: a position is not finite", path.display()),
-        "`kinegrad check` says what is wrong with a motion",
+        "`kinegrad check` finds what is wrong with a motion",
     )
 }

@@ -1,4 +1,4 @@
-//! The files of samples.
+//! Files of samples.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -20,30 +20,30 @@ const RECORD: &str = ".json";
 pub struct Written {
     /// Its files, the motion first and the record last.
     pub files: Vec<PathBuf>,
-    /// How it was made.
+    /// Its record.
     pub record: Record,
 }
 
-/// What is done with files that exist.
+/// Treatment of existing files.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Existing {
-    /// Nothing is sample.
+    /// They are an error.
     Refused,
     /// They are replaced.
     Replaced,
 }
 
-/// Writes motion to files of one stem, and a record beside each.
+/// Writes samples and their records to files with one stem.
 pub struct Files {
     stem: String,
     existing: Existing,
     bar: Option<Denoising>,
-    /// What is done with each sample that was written.
+    /// Called for each written sample.
     tell: fn(&Written),
     keeps: bool,
-    /// Whether it is said where a file is not exact.
+    /// Inexact files are noted.
     notes: bool,
-    /// Whether the feet of BVH files are held where they stand.
+    /// Feet of BVH files are locked.
     lock_feet: bool,
     kept: Vec<Written>,
     written: usize,
@@ -53,7 +53,7 @@ impl Files {
     /// Files with the prefix `out`; each is printed.
     ///
     /// # Errors
-    /// If `out` names a folder: the files would have no name.
+    /// If `out` names a folder.
     pub fn new(out: &Path, existing: Existing) -> Result<Self, Error> {
         Ok(Self {
             stem: stem(out)?,
@@ -78,7 +78,7 @@ impl Files {
         }
     }
 
-    /// The same with the feet of BVH files held where they stand, if `lock_feet`.
+    /// The same with locked feet in BVH files, if `lock_feet`.
     #[must_use]
     pub fn locking_feet(self, lock_feet: bool) -> Self {
         Self { lock_feet, ..self }
@@ -99,7 +99,7 @@ impl Files {
         }
     }
 
-    /// Motions written so far.
+    /// Number of samples written.
     pub fn written(&self) -> usize {
         self.written
     }
@@ -113,7 +113,7 @@ impl Files {
         PathBuf::from(format!("{}{name}{extension}", self.stem))
     }
 
-    /// Where the motion of a sample is written.
+    /// The file of a sample's motion.
     pub fn motion_path(&self, sample: &Sample) -> PathBuf {
         let extension = sample.files.first().map_or("", |(extension, _)| extension);
         self.path(&sample.name, extension)
@@ -179,8 +179,8 @@ impl SampleSink for Files {
     fn reserve_outputs(&mut self, names: &Names, extensions: &[&str]) -> Result<(), Error> {
         if self.lock_feet && !extensions.contains(&BVH) {
             return Err(Error::usage(
-                "`--lock-feet`, but this run draws no bodies: nothing was drawn",
-                "leave it out: it is for runs that write BVH files, of recipe gmd_motion",
+                "`--lock-feet`, but this run generates no bodies",
+                "leave it out: it is for runs that write BVH files, such as those of recipe gmd_motion",
             ));
         }
         if self.existing == Existing::Replaced {
@@ -195,7 +195,7 @@ impl SampleSink for Files {
             true => Path::new("."),
             false => folder,
         };
-        // Names may be a billion: what is there is compared with them, not they with what is there.
+        // There may be a billion names, so existing files are compared with them.
         let mut taken: Vec<String> = fs::read_dir(folder)
             .into_iter()
             .flatten()
@@ -218,8 +218,8 @@ impl SampleSink for Files {
             all => format!("and {} more of its files exist", all - 1),
         };
         Err(Error::usage(
-            format!("{} {exist} already: nothing was drawn", first.display()),
-            "`--overwrite` replaces what is there; or choose another `--out`",
+            format!("{} {exist} already: nothing was sampled", first.display()),
+            "replace them with `--overwrite`, or choose another `--out`",
         ))
     }
 

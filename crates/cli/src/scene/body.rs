@@ -69,8 +69,8 @@ fn stands(track: &[[f64; 3]], fps: f64, size: f64) -> Vec<bool> {
     let lowest = heights[heights.len() / 50];
     let speed = |t: usize| {
         let (from, to) = (t.saturating_sub(1), (t + 1).min(track.len() - 1));
-        let way = [0, 1, 2].map(|axis| track[to][axis] - track[from][axis]);
-        let metres = way.iter().map(|value| value * value).sum::<f64>().sqrt();
+        let step = [0, 1, 2].map(|axis| track[to][axis] - track[from][axis]);
+        let metres = step.iter().map(|value| value * value).sum::<f64>().sqrt();
         metres * fps / (to - from).max(1) as f64
     };
     let low = |t: usize| track[t][1] <= lowest + LOW * size;

@@ -33,13 +33,10 @@ pub fn song(music: &Music, seconds: f64) -> Result<Song, Error> {
     let rate = f64::from(SAMPLE_RATE);
     let length = waveform.samples.len() as f64 / rate;
     if !(0.0..length).contains(start) {
-        return Err(Error::usage(
-            format!(
-                "`--start` is {start}, the song has {length:.1} s: {}",
-                path.display()
-            ),
-            "give the second of the song at which the motion starts",
-        ));
+        let path = path.display();
+        let message = format!("`--start` is {start}, the song has {length:.1} s: {path}");
+        let hint = "give the second of the song at which the motion starts";
+        return Err(Error::usage(message, hint));
     }
     let from = (start * rate) as usize;
     let to = (((start + seconds) * rate).ceil() as usize).min(waveform.samples.len());

@@ -1,5 +1,4 @@
-//! Motions that are matched: BVH files, and clips of joint features, whose joints are matched as a BVH
-//! file's are.
+//! Motions to match: BVH files, and clips of joint features as BVH.
 
 use std::path::Path;
 
@@ -12,12 +11,12 @@ use kinegrad_train::systems::Systems;
 
 use crate::io::{CENTIMETRES, MotionArray, as_bvh, is_bvh, read_bvh};
 
-/// The joints of a clip, which its file does not name.
+/// The representation of a clip.
 #[derive(Clone, Debug)]
 pub struct Clip {
     /// The skeleton.
     pub skeleton: Skeleton,
-    /// How its features say where the root is.
+    /// The encoding of the root.
     pub root: Root,
 }
 
@@ -25,11 +24,11 @@ pub struct Clip {
 pub struct Motion {
     /// The motion.
     pub example: Example,
-    /// What a clip is of; none for a BVH file.
+    /// The representation; none for a BVH file.
     pub clip: Option<Clip>,
 }
 
-/// Whether a path names a clip.
+/// True for the path of a clip.
 pub fn is_clip(path: &Path) -> bool {
     let ending = path.extension();
     ending.is_some_and(|ending| ending.eq_ignore_ascii_case("npy"))
@@ -76,11 +75,11 @@ fn read_clip(systems: Systems<'_>, path: &Path, file: String) -> Result<Motion, 
 }
 
 impl Clip {
-    /// Features of a motion that was made of clips, a row for each of its frames. Its last row moves on
-    /// as the one before does.
+    /// Joint features of a motion made from clips, one row per frame; the last row repeats the velocity
+    /// of the row before.
     ///
     /// # Errors
-    /// If they cannot be computed, as for a motion that is too far away.
+    /// If they cannot be computed.
     pub fn features(&self, bvh: &Bvh) -> Result<Features, Error> {
         let names = &self.skeleton.description().joint_names;
         let places = names

@@ -1,4 +1,4 @@
-//! The picture of a new motion: where its frames come from, what of the examples appears, its way.
+//! The picture of a new motion: source frames, coverage of the examples, root path.
 
 use std::path::Path;
 
@@ -11,14 +11,13 @@ use crate::output;
 /// Pixels of a panel.
 const SIZE: (u32, u32) = (900, 260);
 
-/// Draws the panels below each other; `examples` are the names of the files, whose units are so many
-/// metres.
+/// Plots the panels below each other; `examples` are the names of the files, with units of `metres`.
 pub fn draw(made: &Made, examples: &[String], metres: f64, out: &Path) -> Result<(), Error> {
     let panels = [origins(made), coverage(made, examples), path(made, metres)];
     output::draw(&panels, 1, SIZE, out)
 }
 
-/// First frame of each example, where they stand one behind the other.
+/// First frame of each example if they follow one another.
 fn starts(made: &Made) -> Vec<usize> {
     let mut next = 0;
     let starts = made.examples.iter().map(|example| {
@@ -29,8 +28,7 @@ fn starts(made: &Made) -> Vec<usize> {
     starts.collect()
 }
 
-/// The time in the examples that each moment of the motion comes from, for each part; a line ends
-/// where the motion goes on elsewhere.
+/// Source time of each frame, by part; a line ends at a splice.
 fn origins(made: &Made) -> Panel {
     let (frame_time, starts) = (made.figure.frame_time(), starts(made));
     let mut series: Vec<Series> = Vec::new();
@@ -47,14 +45,10 @@ fn origins(made: &Made) -> Panel {
         }
         series.push((part.name.clone(), points));
     }
-    Panel::lines(
-        "time in the examples that each moment comes from, s",
-        "s",
-        series,
-    )
+    Panel::lines("source time in the examples, s", "s", series)
 }
 
-/// Which frames of each example appear, in any part.
+/// The frames of each example that appear in any part.
 fn coverage(made: &Made, examples: &[String]) -> Panel {
     let mut used: Vec<Vec<bool>> = made
         .examples
@@ -67,13 +61,13 @@ fn coverage(made: &Made, examples: &[String]) -> Panel {
     let tracks = examples.iter().zip(&used);
     let tracks = tracks.map(|(name, used)| (name.as_str(), used.as_slice()));
     Panel::strip(
-        "frames of the examples that appear",
+        "used frames of the examples",
         1.0 / made.figure.frame_time(),
         tracks,
     )
 }
 
-/// The way from above, and that of the first example.
+/// The root path, and that of the first example.
 fn path(made: &Made, metres: f64) -> Panel {
     let of = |frames| {
         let path = made.figure.path(frames).into_iter();
@@ -84,5 +78,5 @@ fn path(made: &Made, metres: f64) -> Panel {
         ("first example".to_string(), of(&made.examples[0])),
         ("new motion".to_string(), of(&made.synthesis.frames)),
     ];
-    Panel::map("way from above", series)
+    Panel::map("root path, top view", series)
 }

@@ -1,4 +1,4 @@
-//! The record of a motion made of examples, and its summary in words.
+//! The record of a matched motion, and its summary.
 
 use std::path::PathBuf;
 
@@ -7,13 +7,13 @@ use serde::Serialize;
 
 use crate::args::MatchArguments;
 
-/// By how much more of its frames than of the examples' a motion stands still before that is said.
+/// Excess of still frames over the examples that is mentioned.
 const MORE_STILL: f64 = 0.03;
 
-/// Jerk over fixed parts above which that is said, as a part of that of the motions it is made of.
+/// Ratio of jerk to that of the sources that is mentioned, with fixed parts.
 const SHAKING: f64 = 1.3;
 
-/// How a motion was made, and what it has of its examples.
+/// Settings and measures of a matched motion.
 #[derive(Serialize)]
 pub struct Record {
     kinegrad: &'static str,
@@ -35,35 +35,34 @@ pub struct Record {
     keyframes: Option<PathBuf>,
     #[serde(skip_serializing_if = "Vec::is_empty")]
     fixed: Vec<String>,
-    /// None where feet are not held.
+    /// None without `--lock-feet`.
     #[serde(skip_serializing_if = "Option::is_none")]
     sliding: Option<Sliding>,
-    /// None where nothing is fixed.
+    /// None without fixed parts.
     #[serde(skip_serializing_if = "Option::is_none")]
     jerk: Option<f64>,
-    /// None of motions that are no loops.
+    /// None without `--loop`.
     #[serde(skip_serializing_if = "Option::is_none")]
     seam: Option<Seam>,
-    /// None of motions of one frame.
+    /// None for a motion of one frame.
     still: Option<Stillness>,
-    /// None where the motions are too short, or too long to be compared.
+    /// None if the motions are too short or too long to compare.
     measures: Option<Measures>,
 }
 
-/// A part of the body, and what its motion copies.
+/// A part of the body, and its copies of the examples.
 #[derive(Serialize)]
 struct PartRecord {
     name: String,
     joints: Vec<String>,
     #[serde(flatten)]
     novelty: Novelty,
-    /// Frames that follow each other as in an example: the first in the motion, the example, the
-    /// first in it, and how many.
+    /// Runs copied from an example: first frame, example, first frame in it, number of frames.
     runs: Vec<[usize; 4]>,
 }
 
 impl Record {
-    /// The record of a motion that was made.
+    /// The record of `made`.
     pub fn new(arguments: &MatchArguments, job: &Job, made: &Made) -> Self {
         let joints = made.figure.joints();
         let known = made.novelty().into_iter().zip(made.runs());
@@ -111,7 +110,7 @@ impl Record {
         }
     }
 
-    /// Says in words what was made.
+    /// Prints the measures.
     pub fn summarize(&self) {
         tell!("{} frames at {:.2} a second", self.frames, self.fps);
         if let Some(measures) = &self.measures {
@@ -131,16 +130,16 @@ impl Record {
             .filter(|still| still.motion > still.examples + MORE_STILL)
         {
             tell!(
-                "it stands still in {:.0} % of its frames, the examples in {:.0} %: another `--seed`, or \
-                 `--coherence 1`, can be better",
+                "it stands still in {:.0} % of its frames, the examples in {:.0} %: try another `--seed`, or \
+                 `--coherence 1`",
                 100.0 * still.motion,
                 100.0 * still.examples
             );
         }
         if let Some(jerk) = self.jerk.filter(|jerk| *jerk > SHAKING) {
             tell!(
-                "it shakes: its jerk is {jerk:.1} times that of the motions that it is put together of; fix \
-                 more of the body, with the hips that it hangs on"
+                "it shakes: its jerk is {jerk:.1} times that of the source motions; fix more of the body, \
+                 including the hips"
             );
         }
         if let Some(seam) = self.seam.filter(|seam| seam.jump() > 1.0) {

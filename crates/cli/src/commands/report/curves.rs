@@ -3,17 +3,16 @@
 use kinegrad_report::page::{Chart, Line};
 use kinegrad_train::telemetry::Record;
 
-/// Numbers of the clock.
+/// Scalars that measure time.
 const CLOCK: [&str; 2] = ["time", "elapsed_seconds"];
 
-/// How fast it goes.
+/// Scalar of the speed.
 const SPEED: &str = "steps_per_second";
 
-/// What comes first, in this order.
+/// Order of the first scalars.
 const ORDER: [&str; 5] = ["loss", "val_loss", "lr", "grad_norm", SPEED];
 
-/// Everything that was measured over steps, what belongs together in one chart. Terms are shown
-/// where there are several: one alone is the loss.
+/// All scalars over steps, related ones in one chart. Terms of a loss are shown if there are several.
 pub fn charts(records: &[Record]) -> Vec<Chart> {
     let mut names: Vec<&str> = Vec::new();
     for (name, _) in records.iter().flat_map(|record| record.scalars()) {
@@ -21,70 +20,58 @@ pub fn charts(records: &[Record]) -> Vec<Chart> {
             names.push(name);
         }
     }
-    // A validation counts the steps of the same time again, that at the start none.
+    // The speed in records of validations is not that of training.
     let counts = |record: &Record, name: &str| name != SPEED || record.get("loss").is_some();
-    let line = |name: &str, shown: &str| Line {
-        name: shown.to_string(),
-        points: records
-            .iter()
-            .filter(|record| counts(record, name))
-            .filter_map(|record| Some((record.step as f64, record.get(name)?)))
-            .collect(),
+    let line = |name: &str, prefix: &str| {
+        let measured = records.iter().filter(|record| counts(record, name));
+        Line {
+            name: name[prefix.len()..].to_string(),
+            points: measured
+                .filter_map(|record| Some((record.step as f64, record.get(name)?)))
+                .collect(),
+        }
     };
-    let chart = |title: &str, lines: Vec<Line>| Chart {
+    let chart = |title: &str, names: &[&str], prefix: &str| Chart {
         title: title.to_string(),
         x_label: "step".to_string(),
-        lines,
+        lines: names.iter().map(|name| line(name, prefix)).collect(),
     };
-    let mut taken = Vec::new();
-    let mut charts = Vec::new();
-    // Each in its own colour and at its own place, whichever was measured first.
-    let order = |name: &&str| {
+    // Colours and places do not depend on the first record.
+    names.sort_by_key(|name| {
         let place = ORDER.iter().position(|known| known == name);
         place.unwrap_or(ORDER.len())
+    });
+    let mut charts = Vec::new();
+    let mut take = |title: &str, prefix: &str, least: usize, is_one: &dyn Fn(&str) -> bool| {
+        let (taken, rest): (Vec<&str>, Vec<&str>) =
+            names.iter().copied().partition(|name| is_one(name));
+        if taken.len() >= least {
+            charts.push(chart(title, &taken, prefix));
+        }
+        names = rest;
     };
-    names.sort_by_key(order);
-    let loss: Vec<&str> = names
-        .iter()
-        .copied()
-        .filter(|name| ["loss", "val_loss"].contains(name))
-        .collect();
-    charts.push(chart(
-        "loss",
-        loss.iter().map(|name| line(name, name)).collect(),
-    ));
-    taken.extend(loss);
+    take("loss", "", 0, &|name| ["loss", "val_loss"].contains(&name));
     for (title, prefix) in [
         ("terms of the loss", "loss_"),
         ("terms of the validation loss", "val_loss_"),
         ("learning rates", "lr_"),
     ] {
-        let terms: Vec<&str> = names
-            .iter()
-            .copied()
-            .filter(|name| name.starts_with(prefix))
-            .collect();
-        if terms.len() > 1 {
-            let lines = terms.iter().map(|name| line(name, &name[prefix.len()..]));
-            charts.push(chart(title, lines.collect()));
-        }
-        taken.extend(terms);
+        take(title, prefix, 2, &|name| name.starts_with(prefix));
     }
     let titles = [
         ("lr", "learning rate"),
         ("grad_norm", "gradient norm"),
         (SPEED, "steps per second"),
     ];
-    for name in names.iter().filter(|name| !taken.contains(name)) {
-        let title = titles.iter().find(|(known, _)| known == name);
-        let title = title.map_or(*name, |(_, title)| title);
-        charts.push(chart(title, vec![line(name, name)]));
+    for name in names {
+        let title = titles.iter().find(|(known, _)| *known == name);
+        charts.push(chart(title.map_or(name, |(_, title)| title), &[name], ""));
     }
     charts.retain(|chart| !chart.is_empty());
     charts
 }
 
-/// Seconds of training: each process counts its own from the step on that it went on from.
+/// Seconds of training; each start counts from zero.
 pub fn training_seconds(records: &[Record]) -> f64 {
     let mut total = 0.0;
     let mut before: f64 = 0.0;

@@ -1,4 +1,4 @@
-//! What is said of a run in words and numbers.
+//! Facts about a run.
 
 use std::fs;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
@@ -20,7 +20,7 @@ fn fact(name: &str, value: impl Into<String>) -> Fact {
     (name.to_string(), value.into())
 }
 
-/// What matters most.
+/// The main facts.
 pub fn highlights(run: &Run, records: &[Record], last: Option<&Environment>) -> Vec<Fact> {
     let mut facts = Vec::new();
     facts.push(fact("steps", run.steps(|step| grouped(step as usize))));
@@ -49,7 +49,7 @@ pub fn highlights(run: &Run, records: &[Record], last: Option<&Environment>) -> 
     facts
 }
 
-/// Machine and versions of the last start, or what checkpoints say of them.
+/// Machine and versions of the last start, or those of the newest checkpoint.
 pub fn machine(run: &Run, last: Option<&Environment>) -> Vec<Fact> {
     let Some(last) = last else {
         let state = run.newest.as_ref().map(|(_, state)| state);
@@ -58,17 +58,14 @@ pub fn machine(run: &Run, last: Option<&Environment>) -> Vec<Fact> {
         let device = fact("hardware", unknown);
         return version.into_iter().chain([device]).collect();
     };
-    let accelerator = last.accelerator.as_ref();
+    let device = match &last.accelerator {
+        Some(name) => format!("{} ({name})", last.device),
+        None => last.device.clone(),
+    };
     let mut facts = vec![
         fact("kinegrad", last.kinegrad.clone()),
         fact("Burn", last.burn.clone()),
-        fact(
-            "device",
-            match accelerator {
-                Some(name) => format!("{} ({name})", last.device),
-                None => last.device.clone(),
-            },
-        ),
+        fact("device", device),
         fact("CPU", format!("{}, {} cores", last.cpu, last.cores)),
         fact("memory", size(last.memory_bytes)),
         fact("system", last.system.clone()),
@@ -78,9 +75,9 @@ pub fn machine(run: &Run, last: Option<&Environment>) -> Vec<Fact> {
     facts
 }
 
-/// A line for each start of a process.
+/// One row per start.
 pub fn starts(environments: &[Environment]) -> Table {
-    let header = [
+    const HEADER: [&str; 6] = [
         "started",
         "after step",
         "kinegrad",
@@ -100,12 +97,12 @@ pub fn starts(environments: &[Environment]) -> Table {
         cells.map(Cell::from).to_vec()
     };
     Table {
-        header: header.map(String::from).to_vec(),
+        header: HEADER.map(String::from).to_vec(),
         rows: environments.iter().map(row).collect(),
     }
 }
 
-/// What it was trained on.
+/// The training data.
 pub fn data(run: &Run, last: Option<&Environment>) -> Vec<Fact> {
     let mut facts = Vec::new();
     if let Some(config) = &run.config {
@@ -127,18 +124,16 @@ pub fn data(run: &Run, last: Option<&Environment>) -> Vec<Fact> {
     if let Some((_, state)) = &run.newest {
         let sha256 = state.dataset_sha256.clone();
         facts.extend(sha256.map(|sha256| fact("SHA-256", sha256)));
-        let statistics = &state.statistics;
-        let counted = format!(
-            "of {} items with {} frames",
-            grouped(statistics.items),
-            grouped(statistics.frames)
-        );
-        facts.push(fact("statistics", counted));
+        let [items, frames] = [state.statistics.items, state.statistics.frames].map(grouped);
+        facts.push(fact(
+            "statistics",
+            format!("of {items} items with {frames} frames"),
+        ));
     }
     facts
 }
 
-/// A line for each checkpoint.
+/// One row per checkpoint.
 pub fn checkpoints(run: &Run) -> Table {
     let checkpoints = Checkpoints::of(&run.folder);
     let steps = checkpoints.steps().unwrap_or_default();

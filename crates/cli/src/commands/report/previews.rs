@@ -1,4 +1,4 @@
-//! What was drawn while a run was trained, for runs that have no samples.
+//! Previews of a run without samples.
 
 use kinegrad_data::file::read_text;
 use kinegrad_report::page::{Block, Section};
@@ -8,7 +8,7 @@ use kinegrad_train::run::PREVIEWS;
 use crate::io::files_in;
 use crate::runs::Run;
 
-/// The previews of the last step that has any, as moving thumbnails.
+/// The newest previews as moving thumbnails.
 pub fn section(run: &Run) -> Section {
     let mut section = Section::new("Previews");
     let pages = files_in(&run.folder.join(PREVIEWS), &["html"]);
@@ -32,7 +32,7 @@ pub fn section(run: &Run) -> Section {
             1 => String::new(),
             pages => format!(" The folder {PREVIEWS} has a page for each of {pages} steps."),
         };
-        section.add(Block::Text(format!("Drawn after step {step}.{all}")));
+        section.add(Block::Text(format!("Sampled after step {step}.{all}")));
         section.add(Block::Scenes(thumbnails));
         break;
     }

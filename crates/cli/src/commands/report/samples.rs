@@ -1,4 +1,4 @@
-//! The samples of a run: as moving thumbnails, and what the checks say of them.
+//! The samples of a run as moving thumbnails, with their checks.
 
 use std::path::{Path, PathBuf};
 
@@ -14,7 +14,7 @@ use crate::io::{MotionArray, files_in, is_companion};
 use crate::runs::Run;
 use crate::scene;
 
-/// Most samples that are checked, and that move.
+/// Largest numbers of samples that are checked, and that move.
 const CHECKED: usize = 200;
 const MOVING: usize = 12;
 
@@ -22,7 +22,7 @@ const MOVING: usize = 12;
 struct Sample {
     name: String,
     seconds: f64,
-    /// None where a position is not finite.
+    /// None if a position is not finite.
     scene: Option<Scene>,
     ccmotion: Option<Report>,
     strict: Option<Report>,
@@ -64,7 +64,7 @@ fn read(systems: Systems<'_>, run: &Run, path: &Path) -> Result<Sample, Error> {
     let statistics = statistics(run, representation);
     let check = |profile| {
         let report = representation.check(&array.values, profile, statistics);
-        // Statistics that came with a dataset say too little for the strict profile.
+        // Statistics that came with a dataset are too few for the strict profile.
         report.ok()
     };
     Ok(Sample {
@@ -80,13 +80,13 @@ fn read(systems: Systems<'_>, run: &Run, path: &Path) -> Result<Sample, Error> {
     })
 }
 
-/// The statistics of the motion that the run was trained on.
+/// The statistics of the training motion.
 fn statistics<'a>(run: &'a Run, representation: &dyn Representation) -> Option<&'a Statistics> {
     let (_, state) = run.newest.as_ref()?;
     state.statistics_of(representation).ok()
 }
 
-/// Both verdicts on each sample, with the checks that fail.
+/// One row per sample: results of both profiles, and failed checks.
 fn table(samples: &[Sample]) -> Table {
     let header = ["sample", "length", "ccmotion", "strict", "fails"];
     let verdict = |report: &Option<Report>| match report {
@@ -109,7 +109,7 @@ fn table(samples: &[Sample]) -> Table {
     }
 }
 
-/// Names of the checks that fail, each once, with the value of the last profile that has it.
+/// The failed checks, each once, with the value of the last profile.
 fn failing(reports: [&Option<Report>; 2]) -> String {
     let checks = reports
         .into_iter()
@@ -117,15 +117,15 @@ fn failing(reports: [&Option<Report>; 2]) -> String {
         .flat_map(|report| &report.checks);
     let mut failing: Vec<(&str, String)> = Vec::new();
     for check in checks.filter(|check| !check.passed) {
-        let said = format!(
+        let text = format!(
             "{} {} (allowed {})",
             check.name, check.value, check.threshold
         );
         match failing.iter_mut().find(|(name, _)| *name == check.name) {
-            Some((_, known)) => *known = said,
-            None => failing.push((check.name, said)),
+            Some((_, known)) => *known = text,
+            None => failing.push((check.name, text)),
         }
     }
-    let said: Vec<String> = failing.into_iter().map(|(_, said)| said).collect();
-    said.join(", ")
+    let texts: Vec<String> = failing.into_iter().map(|(_, text)| text).collect();
+    texts.join(", ")
 }
