@@ -35,6 +35,7 @@ pub mod denoiser;
 mod error;
 pub mod flow;
 pub mod loss;
+mod ode;
 mod per_sample;
 pub mod process;
 pub mod rollout;

@@ -10,16 +10,12 @@
 //! [`GaussianDiffusion`](crate::GaussianDiffusion). What those papers call x_0 and x_1 is here
 //! `noise` and `x_start`. Source: docs/sources.md, section 5.
 //!
-//! Each solver is a function in its own file that contains its whole loop, over any
-//! [`Velocity`]; [`integrate`] runs the one that a config names, and [`sample_flow`] does so with a
-//! network. All say how often they asked for a velocity.
+//! [`integrate`] runs the solver of a config over any [`Velocity`], and [`sample_flow`] does so
+//! with a network.
 
 mod config;
-mod dopri5;
-mod euler;
-mod heun;
-mod midpoint;
 mod process;
+mod solver;
 
 #[cfg(test)]
 mod tests;
@@ -29,12 +25,9 @@ use std::ops::ControlFlow;
 use burn::tensor::Tensor;
 
 pub use config::{FlowSamplerConfig, FlowSolver};
-pub use dopri5::{dopri5, dopri5_adaptive};
-pub use euler::euler;
-pub use heun::heun;
-pub use midpoint::midpoint;
 pub use process::{FlowPrediction, NEAREST_END};
 
+use crate::ode::Method;
 use crate::{Denoiser, Error, Time, guided};
 
 /// The velocity of a state at a flow time, called by a solver as often as it needs to.
@@ -65,14 +58,23 @@ pub fn integrate<const D: usize>(
     on_step: &mut OnFlowStep<'_, D>,
 ) -> Result<Flowed<D>, Error> {
     config.validate()?;
-    let steps = config.num_inference_steps;
-    match (config.kind, config.tolerance) {
-        (FlowSolver::Euler, _) => euler(velocity, x, steps, on_step),
-        (FlowSolver::Midpoint, _) => midpoint(velocity, x, steps, on_step),
-        (FlowSolver::Heun, _) => heun(velocity, x, steps, on_step),
-        (FlowSolver::Dopri5, None) => dopri5(velocity, x, steps, on_step),
-        (FlowSolver::Dopri5, Some(tolerance)) => dopri5_adaptive(velocity, x, tolerance, on_step),
-    }
+    let mut evaluations = 0;
+    let velocity: &mut Velocity<'_, D> = &mut |x, t| {
+        evaluations += 1;
+        velocity(x, t)
+    };
+    let method = match (config.kind, config.tolerance) {
+        (FlowSolver::Euler, _) => Method::EULER,
+        (FlowSolver::Midpoint, _) => Method::MIDPOINT,
+        (FlowSolver::Heun, _) => Method::HEUN,
+        (FlowSolver::Dopri5, None) => Method::DOPRI5,
+        (FlowSolver::Dopri5, Some(tolerance)) => {
+            let x = solver::adaptive_steps(velocity, x, tolerance, on_step)?;
+            return Ok(Flowed { x, evaluations });
+        }
+    };
+    let x = solver::equal_steps(&method, velocity, x, config.num_inference_steps, on_step)?;
+    Ok(Flowed { x, evaluations })
 }
 
 /// Generates one pose or motion per sample of the start noise by following a network's velocity.

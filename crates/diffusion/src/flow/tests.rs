@@ -81,11 +81,15 @@ fn a_velocity_that_no_step_is_short_enough_for_is_an_error() {
         asked += 1;
         Ok(if t > 0.5 { y * f64::NAN } else { y })
     };
-    let error = dopri5_adaptive(&mut broken, start(), 1e-4, &mut go).unwrap_err();
+    let adaptive = |tolerance| FlowSamplerConfig {
+        tolerance: Some(tolerance),
+        ..config(FlowSolver::Dopri5, 1)
+    };
+    let error = integrate(&mut broken, start(), &adaptive(1e-4), &mut go).unwrap_err();
     assert!(matches!(error, Error::NotFinite), "{error}");
     assert!(asked < 200, "{asked}");
     let mut wild = |y: Tensor<1>, t: f64| Ok(y.zeros_like() + if t < 0.5 { 0.0 } else { 1e12 });
-    let error = dopri5_adaptive(&mut wild, start(), 1e-6, &mut go).unwrap_err();
+    let error = integrate(&mut wild, start(), &adaptive(1e-6), &mut go).unwrap_err();
     assert!(
         error.to_string().contains("0.5") || error.to_string().contains("0.49"),
         "{error}"
