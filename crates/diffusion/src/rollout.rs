@@ -16,10 +16,9 @@ use burn::tensor::{GradientCheckpointingStrategy, Gradients, Tensor};
 
 use kinegrad_random::{Key, Purpose};
 
-use crate::sampler::timesteps_of;
 use crate::{
-    ClipRange, Denoiser, Error, GaussianDiffusion, GuidanceScales, Path, Prediction, SamplerConfig,
-    Time, ddim, guided,
+    ClipRange, Ddim, Denoiser, Error, GaussianDiffusion, GuidanceScales, Prediction, Time,
+    TimestepPath, ddim, guided,
 };
 
 /// What a rollout keeps for its backward pass.
@@ -68,7 +67,7 @@ pub struct RolloutOutput {
 pub struct Trace {
     /// The state before each step, without a graph.
     states: Vec<Tensor<3>>,
-    path: Path,
+    path: TimestepPath,
     entry: Tensor<3>,
     strategy: Option<GradientCheckpointingStrategy>,
 }
@@ -116,7 +115,7 @@ impl Rollout {
         timesteps: &[Vec<usize>],
         mode: RolloutMode,
     ) -> Result<RolloutOutput, Error> {
-        let path = Path::to_clean(timesteps.to_vec());
+        let path = TimestepPath::to_clean(timesteps.to_vec());
         let graph_from = match mode {
             RolloutMode::Full => 0,
             RolloutMode::Checkpointed => path.len(),
@@ -178,7 +177,13 @@ impl Rollout {
         cond: &D::Cond,
     ) -> Result<Prediction<'static>, Error> {
         let output = guided(network, x.clone(), time, cond, self.guidance);
-        Prediction::new(&self.diffusion, output, x, &timesteps_of(time), &self.clip)
+        Prediction::new(
+            &self.diffusion,
+            output,
+            x,
+            &Time::timesteps(time),
+            &self.clip,
+        )
     }
 
     /// DDIM without noise.
@@ -186,9 +191,9 @@ impl Rollout {
         &self,
         predict: &mut crate::Predict<'_, '_>,
         x: Tensor<3>,
-        path: &Path,
+        path: &TimestepPath,
     ) -> Result<Tensor<3>, Error> {
-        let config = SamplerConfig::default();
+        let config = Ddim::default();
         let unused = Key::new(0, Purpose::Sampling).into();
         ddim(
             &self.diffusion,

@@ -17,6 +17,11 @@ impl Time {
         timesteps.iter().copied().map(Self::from).collect()
     }
 
+    /// The timesteps of times.
+    pub fn timesteps(times: &[Self]) -> Vec<usize> {
+        times.iter().map(|time| time.timestep()).collect()
+    }
+
     /// The nearest timestep.
     pub fn timestep(self) -> usize {
         self.0.round() as usize

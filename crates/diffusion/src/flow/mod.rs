@@ -13,7 +13,6 @@
 //! [`integrate`] runs the solver of a config over any [`Velocity`], and [`sample_flow`] does so
 //! with a network.
 
-mod config;
 mod process;
 mod solver;
 
@@ -24,10 +23,10 @@ use std::ops::ControlFlow;
 
 use burn::tensor::Tensor;
 
-pub use config::{FlowSamplerConfig, FlowSolver};
 pub use process::{FlowPrediction, NEAREST_END};
 
 use crate::ode::Method;
+use crate::sampler::{Dopri5, SamplerConfig, SamplerKind, must_suit_flow};
 use crate::{Denoiser, Error, Time, guided};
 
 /// The velocity of a state at a flow time, called by a solver as often as it needs to.
@@ -54,24 +53,26 @@ pub struct Flowed<const D: usize> {
 pub fn integrate<const D: usize>(
     velocity: &mut Velocity<'_, D>,
     x: Tensor<D>,
-    config: &FlowSamplerConfig,
+    config: &SamplerConfig,
     on_step: &mut OnFlowStep<'_, D>,
 ) -> Result<Flowed<D>, Error> {
-    config.validate()?;
+    must_suit_flow(config)?;
     let mut evaluations = 0;
     let velocity: &mut Velocity<'_, D> = &mut |x, t| {
         evaluations += 1;
         velocity(x, t)
     };
-    let method = match (config.kind, config.tolerance) {
-        (FlowSolver::Euler, _) => Method::EULER,
-        (FlowSolver::Midpoint, _) => Method::MIDPOINT,
-        (FlowSolver::Heun, _) => Method::HEUN,
-        (FlowSolver::Dopri5, None) => Method::DOPRI5,
-        (FlowSolver::Dopri5, Some(tolerance)) => {
+    let method = match config.kind {
+        SamplerKind::Midpoint => Method::MIDPOINT,
+        SamplerKind::Heun(_) => Method::HEUN,
+        SamplerKind::Dopri5(Dopri5 { tolerance: None }) => Method::DOPRI5,
+        SamplerKind::Dopri5(Dopri5 {
+            tolerance: Some(tolerance),
+        }) => {
             let x = solver::adaptive_steps(velocity, x, tolerance, on_step)?;
             return Ok(Flowed { x, evaluations });
         }
+        _ => Method::EULER,
     };
     let x = solver::equal_steps(&method, velocity, x, config.num_inference_steps, on_step)?;
     Ok(Flowed { x, evaluations })
@@ -93,7 +94,7 @@ pub fn sample_flow<D: Denoiser + ?Sized>(
     noise: Tensor<3>,
     cond: &D::Cond,
     prediction: FlowPrediction,
-    config: &FlowSamplerConfig,
+    config: &SamplerConfig,
     on_step: &mut OnFlowStep<'_, 3>,
 ) -> Result<Flowed<3>, Error> {
     let [batch, ..] = noise.dims();

@@ -3,7 +3,9 @@
 use burn::tensor::Tensor;
 
 use super::level::Level;
-use super::{OnStep, Path, Predict, go_on};
+use super::on_step::{OnStep, go_on};
+use super::path::TimestepPath;
+use super::prediction::Predict;
 use crate::ode::{Method, Ode};
 use crate::per_sample::per_sample;
 use crate::{Error, GaussianDiffusion, Time};
@@ -22,13 +24,13 @@ pub fn heun(
     diffusion: &GaussianDiffusion,
     predict: &mut Predict<'_, '_>,
     x_T: Tensor<3>,
-    path: &Path,
+    path: &TimestepPath,
     on_step: &mut OnStep<'_>,
 ) -> Result<Tensor<3>, Error> {
     let mut x = x_T;
     for index in 0..path.len() {
-        let (now, landings) = (path.timesteps(index), path.landings(index));
-        let end: Option<Vec<usize>> = landings.iter().copied().collect();
+        let (now, prev_timesteps) = (path.timesteps(index), path.prev_timesteps(index));
+        let end: Option<Vec<usize>> = prev_timesteps.iter().copied().collect();
         let method = match end {
             Some(_) => Method::HEUN,
             None => Method::EULER,
@@ -36,7 +38,7 @@ pub fn heun(
         let mut step = Step {
             times: [Time::of(now), Time::of(&end.unwrap_or_default())],
             now: Level::of(diffusion, now.iter().copied().map(Some)),
-            next: Level::of(diffusion, landings),
+            next: Level::of(diffusion, prev_timesteps),
             predict: &mut *predict,
         };
         x = method.step(&mut step, &x)?;

@@ -2,8 +2,8 @@
 
 use burn::tensor::Tensor;
 
-use super::ClipRange;
-use crate::steering::Steered;
+use super::clip::ClipRange;
+use super::steered::Steered;
 use crate::{Error, GaussianDiffusion, PredictionType, Time};
 
 /// The prediction for a noisy motion, called by a sampler as often as it needs to, with the

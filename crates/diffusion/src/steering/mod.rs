@@ -5,21 +5,17 @@
 //! <https://arxiv.org/abs/2105.05233>, algorithm 1, with the mean's shift scaled by the variance.
 //! An [`Objective`] is any function from the predicted motion to the gradient of a loss.
 
-mod imputation;
-mod steered;
 mod step;
 
 use burn::tensor::Tensor;
 use kinegrad_settings::{Refused, require};
 
-pub use imputation::{Imputation, Space};
-pub use steered::Steered;
 pub use step::steered_prediction;
 
 use crate::sampler::draw;
 use crate::{
-    ClipRange, Denoiser, Error, GaussianDiffusion, NoiseKeys, OnStep, SamplerConfig, SamplerKind,
-    Time,
+    ClipRange, Denoiser, Error, GaussianDiffusion, Imputation, NoiseKeys, OnStep, SamplerConfig,
+    SamplerKind, Time,
 };
 
 /// A loss of the clean motion.
@@ -97,7 +93,7 @@ pub fn steered_sample<'s, D: Denoiser<Cond = Tensor<3>> + ?Sized>(
     on_step: &mut OnStep<'_>,
 ) -> Result<Tensor<3>, Error> {
     require(
-        config.kind == SamplerKind::Ddpm,
+        matches!(config.kind, SamplerKind::Ddpm(_)),
         "sampling.sampler.kind",
         format!("\"{}\"", config.kind),
         "\"ddpm\" when sampling with a goal",

@@ -2,11 +2,10 @@
 
 use burn::tensor::Tensor;
 
-use super::steered::Steered;
 use super::{Guidance, Networks, Steering};
-use crate::sampler::timesteps_of;
 use crate::{
-    ClipRange, Denoiser, Error, GaussianDiffusion, GuidanceScales, Prediction, Time, guided,
+    ClipRange, Denoiser, Error, GaussianDiffusion, GuidanceScales, Prediction, Steered, Time,
+    guided,
 };
 
 /// What the networks say of `x_t`, and what steers the step of DDPM from there: under guidance the
@@ -32,7 +31,7 @@ pub fn steered_prediction<'s, D: Denoiser<Cond = Tensor<3>> + ?Sized>(
     clip: &ClipRange,
     steering: Steering<'s>,
 ) -> Result<Prediction<'s>, Error> {
-    let timesteps = timesteps_of(time);
+    let timesteps = Time::timesteps(time);
     let predict = |network: &D, x_t: Tensor<3>, cond: &Tensor<3>| {
         let output = guided(network, x_t.clone(), time, cond, scales);
         Prediction::new(diffusion, output, x_t, &timesteps, clip)

@@ -2,7 +2,7 @@ use std::ops::ControlFlow;
 
 use burn::module::Module;
 use burn::tensor::{Int, Tensor, TensorData};
-use kinegrad_diffusion::{Denoiser, FlowPrediction, FlowSamplerConfig, Flowed, Time, sample_flow};
+use kinegrad_diffusion::{Denoiser, FlowPrediction, Flowed, SamplerConfig, Time, sample_flow};
 use kinegrad_kernels::{Convolution, gelu, keeping_packed_weights};
 use kinegrad_motion::humanml::Skeleton;
 
@@ -152,7 +152,7 @@ impl FlowPredictor {
         noise: Tensor<3>,
         cond: &FlowCondition,
         prediction: FlowPrediction,
-        sampler: &FlowSamplerConfig,
+        sampler: &SamplerConfig,
     ) -> Result<Flowed<3>, kinegrad_diffusion::Error> {
         let cond = self.prepare(cond);
         keeping_packed_weights(|| {

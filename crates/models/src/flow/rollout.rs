@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 
 use burn::tensor::{Device, Tensor, TensorData};
-use kinegrad_diffusion::{FlowPrediction, FlowSamplerConfig};
+use kinegrad_diffusion::{FlowPrediction, SamplerConfig, must_suit_flow};
 use kinegrad_motion::Statistics;
 use kinegrad_motion::humanml::stream::with_bones;
 use kinegrad_motion::humanml::{
@@ -39,7 +39,7 @@ pub struct FlowSpace {
 #[derive(Clone, Debug)]
 pub struct RolloutSettings {
     /// How each pose is drawn.
-    pub sampler: FlowSamplerConfig,
+    pub sampler: SamplerConfig,
     /// Frames to draw; progress counts down from 1 at the first to 0 at the last.
     pub frames: usize,
     /// Gives every frame the bones of the history's last ([`with_bones`]).
@@ -127,7 +127,7 @@ impl FlowRollout {
         key: Key,
         device: &Device,
     ) -> Result<Self, RolloutError> {
-        settings.sampler.validate()?;
+        must_suit_flow(&settings.sampler)?;
         in_range("frames", settings.frames, 1..).hint("20 frames are a second of HumanML3D")?;
         in_range("history", space.history, 1..).hint("the document has 15")?;
         in_range("longest", space.longest, 1..).hint("196 in HumanML3D")?;

@@ -4,8 +4,8 @@ use std::ops::ControlFlow;
 
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_diffusion::{
-    ClipRange, GivenNoise, NoiseKeys, Path, Prediction, PredictionType, Time, ddpm, ddpm_step,
-    guided,
+    ClipRange, GivenNoise, NoiseKeys, Prediction, PredictionType, Time, TimestepPath, ddpm,
+    ddpm_step, guided,
 };
 use kinegrad_models::blended::{BlendedTransformer, Composed, Script};
 use kinegrad_tests::golden::{Golden, GoldenTensors as _};
@@ -44,7 +44,7 @@ impl Drawing<'_> {
             Prediction::new(&diffusion, output, x, &at, &ClipRange::None)
         };
         let mut states = Vec::new();
-        let path = Path::to_clean(timesteps.iter().map(|&t| vec![t]).collect());
+        let path = TimestepPath::to_clean(timesteps.iter().map(|&t| vec![t]).collect());
         ddpm(
             &diffusion,
             &mut predict,

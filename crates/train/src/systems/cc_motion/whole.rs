@@ -11,7 +11,7 @@ use std::ops::{ControlFlow, Range};
 use burn::tensor::{Tensor, TensorData};
 use kinegrad_data::AudioFeatures;
 use kinegrad_diffusion::{
-    NoiseKeys, Path, Prediction, PredictionType, SamplerKind, Time, draw, guided, noise_of_parts,
+    NoiseKeys, Prediction, PredictionType, Time, draw, guided, noise_of_parts,
 };
 use kinegrad_kernels::batch_invariant;
 use kinegrad_models::decoder::Coherence;
@@ -162,7 +162,7 @@ impl Generator {
         let (windows, config) = (&whole.windows, &sampling.sampler);
         let shape = [windows.len(), self.targets.channels(), windows.length()];
         let clip = sampling.clip.range(self.state.normalization(), shape[1])?;
-        let all = self.calls(sampling) * windows.len();
+        let all = sampling.sampler.network_evaluations() * windows.len();
         let mut done = 0;
         let mut predict = |x: Tensor<3>, time: &[Time]| {
             let timesteps: Vec<usize> = time.iter().map(|time| time.timestep()).collect();
@@ -234,20 +234,6 @@ impl Generator {
             &mut |_, _, _| ControlFlow::Continue(()),
         )?;
         Ok(values(x))
-    }
-
-    /// How often the network sees each window, guidance apart.
-    fn calls(&self, sampling: &SamplingConfig) -> usize {
-        let num_train_timesteps = self.diffusion.config.num_train_timesteps;
-        let path = Path::of(&sampling.sampler, num_train_timesteps, 1);
-        let steps = path.len();
-        match sampling.sampler.kind {
-            // The step that lands on the clean motion has one call, the others two.
-            SamplerKind::Heun if steps > 0 => {
-                2 * steps - usize::from(path.landings(steps - 1) == [None])
-            }
-            _ => steps,
-        }
     }
 
     /// The motion of latent windows: each is decoded where it stands, as in training, and the

@@ -2,7 +2,7 @@
 
 use burn::module::Module;
 use burn::tensor::{Device, Tensor, TensorData};
-use kinegrad_diffusion::{Error as Diffusion, FlowSamplerConfig};
+use kinegrad_diffusion::{Error as Diffusion, SamplerConfig};
 use kinegrad_models::flow::{FlowModel, FlowRollout, FlowSpace, RolloutError, RolloutSettings};
 use kinegrad_models::parameters;
 use kinegrad_motion::humanml::{Extraction, FeatureError, Joints, TEXT_CHANNELS};
@@ -122,7 +122,7 @@ impl FlowGenerator {
         &self,
         history: &Joints,
         frames: usize,
-        sampler: &FlowSamplerConfig,
+        sampler: &SamplerConfig,
         how: &RolloutEvaluationConfig,
         key: Key,
     ) -> Result<FlowRollout, RolloutError> {
