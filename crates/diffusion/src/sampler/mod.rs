@@ -2,7 +2,7 @@
 //!
 //! Each sampler is a function in its own file that contains its whole loop: it calls a [`Predict`]
 //! for the clean motion along a [`TimestepPath`] of noise levels. [`sample`] runs the sampler of a config
-//! with a network, [`draw`] with any [`Predict`]. The single steps of DDIM and DDPM are public too,
+//! with a network, [`sample_with`] with any [`Predict`]. The single steps of DDIM and DDPM are public too,
 //! with their noise as an argument, for custom loops.
 
 #![expect(
@@ -86,7 +86,7 @@ pub fn sample<'k, D: Denoiser + ?Sized>(
         let model_output = guided(denoiser, x.clone(), time, cond, scales);
         Prediction::new(diffusion, model_output, x, &Time::timesteps(time), clip)
     };
-    draw(diffusion, &mut predict, x_T, config, keys.into(), on_step)
+    sample_with(diffusion, &mut predict, x_T, config, keys.into(), on_step)
 }
 
 /// Runs the sampler that `config` names with `predict`; [`sample`] describes the rest.
@@ -96,7 +96,7 @@ pub fn sample<'k, D: Denoiser + ?Sized>(
 ///
 /// # Errors
 /// If the sampler's settings are not valid for this process, and those of `predict`.
-pub fn draw(
+pub fn sample_with(
     diffusion: &GaussianDiffusion,
     predict: &mut Predict<'_, '_>,
     x_T: Tensor<3>,

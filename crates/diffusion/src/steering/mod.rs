@@ -12,10 +12,9 @@ use kinegrad_settings::{Refused, require};
 
 pub use step::steered_prediction;
 
-use crate::sampler::draw;
 use crate::{
     ClipRange, Denoiser, Error, GaussianDiffusion, Imputation, NoiseKeys, OnStep, SamplerConfig,
-    SamplerKind, Time,
+    SamplerKind, Time, sample_with,
 };
 
 /// A loss of the clean motion.
@@ -105,5 +104,5 @@ pub fn steered_sample<'s, D: Denoiser<Cond = Tensor<3>> + ?Sized>(
         let scales = config.guidance(time[0].timestep());
         steered_prediction(diffusion, networks, x, time, cond, scales, clip, steering)
     };
-    draw(diffusion, &mut predict, x_T, config, keys.into(), on_step)
+    sample_with(diffusion, &mut predict, x_T, config, keys.into(), on_step)
 }

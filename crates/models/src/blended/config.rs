@@ -2,9 +2,15 @@ use kinegrad_settings::{InvalidSetting, Refused, in_range, require};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{BlendedTransformer, HEAD_CHANNELS};
+use super::BlendedTransformer;
 use crate::config::{MAX_LAYERS, MAX_WIDTH};
 use crate::{Initializer, NamedSizes, NetworkConfig};
+
+/// Channels of an attention head.
+pub const HEAD_CHANNELS: usize = 64;
+
+/// Channels of a head, from the first on, that rotate in relative mode.
+pub const ROTATED_CHANNELS: usize = 32;
 
 /// Furthest frame that is attended to.
 const MAX_HORIZON: usize = 100_000;

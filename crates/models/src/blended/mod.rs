@@ -11,8 +11,9 @@
 )]
 
 mod config;
-mod script;
+
 mod sublayers;
+mod text_segments;
 
 #[cfg(test)]
 mod tests;
@@ -23,8 +24,8 @@ use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_diffusion::{Denoiser, Time};
 use kinegrad_random::Key;
 
-pub use config::BlendedConfig;
-pub use script::{Script, Segment};
+pub use config::{BlendedConfig, HEAD_CHANNELS, ROTATED_CHANNELS};
+pub use text_segments::{Segment, TextSegments};
 
 pub use sublayers::{PoseCentricAttention, Shared};
 
@@ -33,12 +34,6 @@ use sublayers::SubLayer;
 use crate::gmd::interleaved_sinusoidal;
 use crate::layers::{Embedding, LayerNorm, Linear};
 use crate::{Dropout, DropoutKey, Initializer, Stages, parameters};
-
-/// Channels of an attention head.
-pub const HEAD_CHANNELS: usize = 64;
-
-/// Channels of a head, from the first on, that turn in relative mode.
-pub const ROTATED_CHANNELS: usize = 32;
 
 /// What a frame is told of a path: place x and z, metres; velocity along both, metres per second; sine and
 /// cosine of the heading; curvature, 1 / metre.
@@ -70,7 +65,7 @@ impl Switch {
 #[derive(Clone, Copy, Debug)]
 pub struct Pass<'a> {
     /// Who is told what for how long.
-    pub script: &'a Script,
+    pub segments: &'a TextSegments,
     /// Whether each motion is in relative mode.
     pub is_relative: &'a [bool],
     /// The draw of dropout and stochastic depth, in training.
@@ -78,7 +73,7 @@ pub struct Pass<'a> {
     /// Where a path leads, `[batch, PATH_CHANNELS, time]`; none for motion that goes where it likes.
     pub path: Option<&'a Tensor<3>>,
     /// 0 for motions that are not told it, else 1, `[batch, 1, 1]`; all are without.
-    pub keep_path: Option<&'a Tensor<3>>,
+    pub path_mask: Option<&'a Tensor<3>>,
 }
 
 /// The network. Should be created with [`BlendedConfig::init`].
@@ -193,21 +188,21 @@ impl BlendedTransformer {
     ) -> Tensor<3> {
         let ([batch, _, frames], device) = (x_t.dims(), x_t.device());
         let Pass {
-            script,
+            segments,
             is_relative,
             dropout,
             path,
-            keep_path,
+            path_mask,
         } = pass;
         assert_eq!(
-            (script.len(), is_relative.len(), time.len()),
+            (segments.len(), is_relative.len(), time.len()),
             (batch, batch, batch),
-            "a script, a mode and a time for each motion"
+            "a segments, a mode and a time for each motion"
         );
         let shared = Shared::new(
-            self.told(time, texts, script),
-            script.rows(frames, &device),
-            script.ranges(frames, self.horizon, is_relative),
+            self.conditions(time, texts, segments),
+            segments.rows(frames, &device),
+            segments.ranges(frames, self.horizon, is_relative),
             is_relative,
         );
         stages.stage(format_args!("cond"), || shared.cond(batch));
@@ -217,13 +212,13 @@ impl BlendedTransformer {
         stages.stage(format_args!("project_in"), || {
             project_in.forward_frames(h.clone())
         });
-        let absolute = self.absolute(script, is_relative, frames, &device);
+        let absolute = self.absolute(segments, is_relative, frames, &device);
         stages.stage(format_args!("absolute"), || absolute.clone());
-        let told = path.and_then(|path| self.told_path(path));
+        let path = path.and_then(|path| self.embedded_path(path));
         let h = project_in.forward_frames_onto(absolute, h);
-        let h = match (told, keep_path) {
-            (Some(told), Some(keep)) => h + told * keep.clone(),
-            (Some(told), None) => h + told,
+        let h = match (path, path_mask) {
+            (Some(path), Some(mask)) => h + path * mask.clone(),
+            (Some(path), None) => h + path,
             (None, _) => h,
         };
         stages.stage(format_args!("tokens"), || h.clone());
@@ -250,13 +245,13 @@ impl BlendedTransformer {
     }
 
     /// What a path adds to the tokens, `[batch, width, time]`: nothing before the first step of training.
-    fn told_path(&self, path: &Tensor<3>) -> Option<Tensor<3>> {
+    fn embedded_path(&self, path: &Tensor<3>) -> Option<Tensor<3>> {
         let inner = self.embed_path_at_0.as_ref()?.forward_frames(path.clone());
         Some(self.embed_path_at_2.as_ref()?.forward_frames(silu(inner)))
     }
 
     /// Whether it can be told a path.
-    pub fn knows_paths(&self) -> bool {
+    pub fn has_path(&self) -> bool {
         self.embed_path_at_0.is_some()
     }
 
@@ -286,8 +281,8 @@ impl BlendedTransformer {
         self.embed_timestep_at_time_embed_at_2.forward(inner)
     }
 
-    /// What motions are told, a row for each of [`Script::told`]: `[told, width]`.
-    fn told(&self, time: &[Time], texts: Tensor<2>, script: &Script) -> Tensor<2> {
+    /// What motions are told, a row for each of [`TextSegments::told`]: `[told, width]`.
+    fn conditions(&self, time: &[Time], texts: Tensor<2>, segments: &TextSegments) -> Tensor<2> {
         let device = texts.device();
         let time = self.embed_time(time, &device);
         let texts = match &self.embed_captions {
@@ -295,27 +290,27 @@ impl BlendedTransformer {
             None => texts,
         };
         let count = texts.dims()[0];
-        let told = self.embed_text.forward(texts);
-        let told = Tensor::cat(vec![told, Tensor::zeros([1, self.width], &device)], 0);
-        let [motions, texts] = script.told(count, &device);
-        time.select(0, motions) + told.select(0, texts)
+        let texts = self.embed_text.forward(texts);
+        let texts = Tensor::cat(vec![texts, Tensor::zeros([1, self.width], &device)], 0);
+        let [motions, rows] = segments.conditions(count, &device);
+        time.select(0, motions) + texts.select(0, rows)
     }
 
     /// What tokens of motions in absolute mode have added, zeros of the others:
     /// `[batch, width, time]`.
     fn absolute(
         &self,
-        script: &Script,
+        segments: &TextSegments,
         is_relative: &[bool],
         frames: usize,
         device: &Device,
     ) -> Tensor<3> {
-        let places = script.places(frames);
+        let places = segments.places(frames);
         let number = 1 + places.iter().flatten().copied().max().unwrap_or_default();
         // Segments have places in common.
         let each: Vec<f64> = (0..number).map(|place| place as f64).collect();
         let table = absolute_positions(&each, self.width);
-        let mut values = Vec::with_capacity(script.len() * self.width * frames);
+        let mut values = Vec::with_capacity(segments.len() * self.width * frames);
         for (places, is_relative) in places.into_iter().zip(is_relative) {
             match is_relative {
                 true => values.extend(vec![0.0; self.width * frames]),
@@ -325,7 +320,7 @@ impl BlendedTransformer {
                 })),
             }
         }
-        let data = TensorData::new(values, [script.len(), frames, self.width]);
+        let data = TensorData::new(values, [segments.len(), frames, self.width]);
         let scale = self.seqTransEncoder_at_pos_emb_at_absolute_at_scale.val();
         let positions = Tensor::from_data(data, device) * scale.reshape([1, 1, 1]);
         positions.swap_dims(1, 2)
@@ -362,7 +357,7 @@ pub struct Composed<'a> {
     /// The network.
     pub network: &'a BlendedTransformer,
     /// Who is told what for how long.
-    pub script: Script,
+    pub segments: TextSegments,
     /// In which steps positions are relative.
     pub switch: Switch,
     /// Where a path leads, `[batch, PATH_CHANNELS, time]`.
@@ -378,11 +373,11 @@ impl Denoiser for Composed<'_> {
             .iter()
             .map(|time| self.switch.is_relative(time.timestep()));
         let pass = Pass {
-            script: &self.script,
+            segments: &self.segments,
             is_relative: &is_relative.collect::<Vec<_>>(),
             dropout: None,
             path: self.path.as_ref(),
-            keep_path: None,
+            path_mask: None,
         };
         self.network
             .forward(x_t, time, cond.clone().squeeze_dim(2), pass)

@@ -23,9 +23,9 @@ pub use config::{
 
 use coherent::{ESTIMATES, Fits};
 
+use crate::channel_encoding::{decode, sign_continuous};
 use crate::layers::{LayerNorm, Linear};
 use crate::rotation::angular_velocity;
-use crate::targets::{decode, sign_continuous};
 use crate::{Dropout, DropoutKey, Initializer};
 
 /// A quaternion of a smaller norm is not divided by it.

@@ -147,7 +147,7 @@ impl FlowPredictor {
     ///
     /// # Errors
     /// [`sample_flow`]'s.
-    pub fn draw(
+    pub fn sample(
         &self,
         noise: Tensor<3>,
         cond: &FlowCondition,

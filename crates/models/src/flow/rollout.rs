@@ -107,7 +107,7 @@ pub struct FlowRollout {
     rows: VecDeque<Vec<f32>>,
     bones: Option<Vec<[f64; 3]>>,
     text: Vec<f32>,
-    drawn: usize,
+    generated: usize,
     evaluations: usize,
 }
 
@@ -152,7 +152,7 @@ impl FlowRollout {
             rows: VecDeque::with_capacity(space.history + 1),
             text: vec![0.0; TEXT_CHANNELS],
             device: device.clone(),
-            drawn: 0,
+            generated: 0,
             evaluations: 0,
             model,
             space,
@@ -185,10 +185,10 @@ impl FlowRollout {
     /// [`RolloutError::Sampler`] and [`RolloutError::Feature`], of a network that answers numbers
     /// that are not finite. The frame is then not drawn.
     pub fn next_frame(&mut self) -> Result<Option<Vec<[f64; 3]>>, RolloutError> {
-        if self.drawn == self.settings.frames {
+        if self.generated == self.settings.frames {
             return Ok(None);
         }
-        let target = self.draw()?;
+        let target = self.sample()?;
         let Some((last, facing)) = self.stream.last() else {
             unreachable!("a rollout begins with a history");
         };
@@ -197,18 +197,18 @@ impl FlowRollout {
             frame = with_bones(&self.space.skeleton, &frame, bones)?;
         }
         self.take(&frame)?;
-        self.drawn += 1;
+        self.generated += 1;
         Ok(Some(frame))
     }
 
     /// Frames that remain to be drawn.
     pub fn remaining(&self) -> usize {
-        self.settings.frames - self.drawn
+        self.settings.frames - self.generated
     }
 
     /// Frames that have been drawn.
-    pub fn drawn(&self) -> usize {
-        self.drawn
+    pub fn generated(&self) -> usize {
+        self.generated
     }
 
     /// How often the solver has asked for a velocity, over all frames.
@@ -228,15 +228,15 @@ impl FlowRollout {
     }
 
     /// The next target, `[J, 3]` in metres.
-    fn draw(&mut self) -> Result<Vec<f32>, RolloutError> {
+    fn sample(&mut self) -> Result<Vec<f32>, RolloutError> {
         let joints = self.space.skeleton.joints();
         let number = match self.settings.same_noise {
             true => 0,
-            false => self.drawn as u64,
+            false => self.generated as u64,
         };
         let noise = self.key.at(number).normals(3 * joints);
         let noise = Tensor::from_data(TensorData::new(noise, [1, 3, joints]), &self.device);
-        let flowed = self.model.predictor.draw(
+        let flowed = self.model.predictor.sample(
             noise,
             &self.condition(),
             self.space.prediction,
@@ -274,7 +274,7 @@ impl FlowRollout {
                 ..history.clone()
             })
         });
-        let behind = self.drawn as f32 / (self.settings.frames - 1).max(1) as f32;
+        let behind = self.generated as f32 / (self.settings.frames - 1).max(1) as f32;
         FlowCondition {
             context: self.model.encoder.forward(history),
             null_context,

@@ -92,7 +92,7 @@ impl Linear {
     /// - own: `[batch, some, time]`
     /// - told: `[told, in - some]`, rows: `[batch * time]`
     /// - output: `[batch, out, time]`
-    pub fn forward_frames_told(
+    pub fn forward_frames_cond(
         &self,
         own: Tensor<3>,
         told: Tensor<2>,

@@ -13,8 +13,8 @@ use crate::layers::{Conv1d, GROUPS, GroupNorm};
 use crate::lora::{Adapting, LoraTarget};
 
 use super::StyleCondition;
-use super::beats::{BEAT_CHANNELS, BeatTracker, TRACKED, told_beats};
-use super::steady::steady;
+use super::beats::{BEAT_CHANNELS, BeatTracker, TRACKED, beat_labels};
+use super::constant_tempo::fit_constant_tempo;
 
 /// Taps of the encoder's convolutions, but for those that halve the length.
 const KERNEL: usize = 5;
@@ -53,7 +53,7 @@ pub struct AudioCondition {
     /// Whether a network that tracks the beats hears those that it is told in their place, where it
     /// is told some. Training sets this: its tracker is poor at first and later nearly perfect on the
     /// training songs, and neither is how it does on others.
-    pub hears_told_beats: bool,
+    pub teacher_forcing: bool,
 }
 
 impl AudioCondition {
@@ -65,7 +65,7 @@ impl AudioCondition {
             features: self.features.zeros_like(),
             lengths: self.lengths.clone(),
             style: self.style.as_ref().map(StyleCondition::null),
-            hears_told_beats: self.hears_told_beats,
+            teacher_forcing: self.teacher_forcing,
         }
     }
 
@@ -87,15 +87,15 @@ impl From<Tensor<3>> for AudioCondition {
             features,
             lengths: None,
             style: None,
-            hears_told_beats: false,
+            teacher_forcing: false,
         }
     }
 }
 
-/// What each level of the UNet hears.
-pub(super) struct Heard(Vec<(Tensor<3>, Option<Lengths>)>);
+/// The audio features of each level of the UNet, with the lengths of the samples there.
+pub(super) struct AudioContext(Vec<(Tensor<3>, Option<Lengths>)>);
 
-impl Heard {
+impl AudioContext {
     /// The same at every level, as a set of frames.
     pub fn everywhere(context: Tensor<3>, levels: usize) -> Self {
         Self(vec![(context, None); levels])
@@ -125,8 +125,8 @@ impl Heard {
     }
 }
 
-/// The features without those that tell the beats.
-fn untold(features: Tensor<3>) -> Tensor<3> {
+/// The features without the beat labels.
+fn without_labels(features: Tensor<3>) -> Tensor<3> {
     let channels = features.dims()[1];
     features.narrow(1, 0, channels - BEAT_CHANNELS)
 }
@@ -223,29 +223,29 @@ impl AudioEncoder {
     ///
     /// # Shapes
     /// - features: `[batch, inputs, time]`
-    pub fn forward(&self, cond: AudioCondition) -> Heard {
+    pub fn forward(&self, cond: AudioCondition) -> AudioContext {
         let AudioCondition {
             features,
             mut lengths,
             style: _,
-            hears_told_beats,
+            teacher_forcing,
         } = cond;
         let stem = self.stem.operation().lengths(lengths.clone());
         let features = match self.find(features.clone(), lengths.as_ref()) {
             Some(mut beats) => {
-                if hears_told_beats {
-                    let (told, is_told) = told_beats(&features);
-                    beats = told * is_told.clone() + beats * (is_told.neg() + 1.0);
+                if teacher_forcing {
+                    let (labels, known) = beat_labels(&features);
+                    beats = labels * known.clone() + beats * (known.neg() + 1.0);
                 }
                 // As they are the features would say when something sounds a second time, in a way
                 // that is soon learned by heart of a few songs and is of no use for another one.
-                let sounds = mean_around(untold(features), lengths.as_ref());
+                let sounds = mean_around(without_labels(features), lengths.as_ref());
                 Tensor::cat(vec![sounds, beats], 1)
             }
             None => features,
         };
         let mut h = stem.forward(features);
-        let mut heard = Vec::with_capacity(self.levels.len());
+        let mut context = Vec::with_capacity(self.levels.len());
         for level in &self.levels {
             if let Some(down) = &level.down {
                 h = down.operation().lengths(lengths.clone()).forward(h);
@@ -254,25 +254,29 @@ impl AudioEncoder {
             let norm = level.norm.operation().activation(Activation::Silu);
             let conv = level.conv.operation().norm(norm.lengths(lengths.clone()));
             h = conv.residual(h.clone()).forward(h);
-            heard.push((h.clone(), lengths.clone()));
+            context.push((h.clone(), lengths.clone()));
         }
-        Heard(heard)
+        AudioContext(context)
     }
 
     /// Sine and cosine of the place of each frame in its beat, `[batch, 2, time]`, as the tracker
     /// finds it; none without a tracker.
     pub fn track(&self, features: Tensor<3>, lengths: Option<&Lengths>) -> Option<Tensor<3>> {
         let beats = self.beats.as_ref()?;
-        Some(beats.forward(untold(features), lengths))
+        Some(beats.forward(without_labels(features), lengths))
     }
 
     /// What the levels hear of the tracker: the steady beat nearest to what it finds, as a direction,
     /// and zeros in silence. It does not learn from what becomes of it.
     pub fn find(&self, features: Tensor<3>, lengths: Option<&Lengths>) -> Option<Tensor<3>> {
         let found = self.track(features.clone(), lengths)?.detach();
-        let loudest = untold(features).detach().abs().max_dim(2).max_dim(1);
+        let loudest = without_labels(features)
+            .detach()
+            .abs()
+            .max_dim(2)
+            .max_dim(1);
         let sounds = loudest.greater_elem(0.0).float();
-        Some(direction(steady(found, lengths)) * sounds)
+        Some(direction(fit_constant_tempo(found, lengths)) * sounds)
     }
 
     pub fn adapting(self, adapting: &Adapting<'_>) -> Self {
@@ -300,12 +304,9 @@ impl AudioEncoder {
 #[cfg(test)]
 mod tests {
     use burn::tensor::{Device, TensorData};
+    use kinegrad_kernels::host_values;
 
     use super::*;
-
-    fn values(x: Tensor<3>) -> Vec<f32> {
-        x.into_data().try_into_vec().expect("values")
-    }
 
     /// A feature that is `level` in the first `heard` of 90 frames, with 1 added to one of them.
     fn click(at: usize, level: f32, heard: usize, padding: f32) -> Vec<f32> {
@@ -314,7 +315,7 @@ mod tests {
         row[heard..].fill(padding);
         row[at] += 1.0;
         let row = Tensor::from_data(TensorData::new(row, [1, 1, 90]), &device);
-        values(mean_around(row, Some(&Lengths::new([heard]))))
+        host_values(mean_around(row, Some(&Lengths::new([heard]))))
     }
 
     #[test]
@@ -334,7 +335,7 @@ mod tests {
         let pairs = [[0.3f32, -2e-2, 0.0], [0.4, 0.0, 0.0]].concat();
         let pairs = Tensor::from_data(TensorData::new(pairs, [1, 2, 3]), &Device::flex());
         let expected = [0.6, -1.0, 0.0, 0.8, 0.0, 0.0];
-        for (a, b) in values(direction(pairs)).iter().zip(expected) {
+        for (a, b) in host_values(direction(pairs)).iter().zip(expected) {
             assert!((a - b).abs() < 2e-3, "{a} {b}");
         }
     }

@@ -106,7 +106,7 @@ impl FlowGenerator {
         rollout.next_frame().map_err(|error| match error {
             RolloutError::Feature(FeatureError::NonFinite { .. })
             | RolloutError::Sampler(Diffusion::NotFinite) => Error::SampleNotFinite {
-                sample: format!("{}, frame {}", sample(), rollout.drawn()),
+                sample: format!("{}, frame {}", sample(), rollout.generated()),
             },
             other => other.into(),
         })

@@ -24,7 +24,7 @@ const TEMPI: usize = 301;
 ///
 /// # Shapes
 /// - found, output: sine and cosine, `[batch, 2, time]`, of a norm that says how far frames agree
-pub(super) fn steady(found: Tensor<3>, lengths: Option<&Lengths>) -> Tensor<3> {
+pub(super) fn fit_constant_tempo(found: Tensor<3>, lengths: Option<&Lengths>) -> Tensor<3> {
     let [batch, two, time] = found.dims();
     let device = found.device();
     let found = match lengths {
@@ -96,7 +96,7 @@ mod tests {
     fn heard(found: Vec<f32>, time: usize, lengths: Option<&Lengths>) -> Vec<f32> {
         let batch = found.len() / 2 / time;
         let found = Tensor::from_data(TensorData::new(found, [batch, 2, time]), &Device::flex());
-        steady(found, lengths)
+        fit_constant_tempo(found, lengths)
             .into_data()
             .try_into_vec()
             .expect("values")

@@ -20,9 +20,9 @@ pub struct Segment {
 /// A motion of a single text is told it in its padding as well, where its positions run on; one of
 /// several is told none there. Neither changes frames that count.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Script(Arc<[Vec<Segment>]>);
+pub struct TextSegments(Arc<[Vec<Segment>]>);
 
-impl Script {
+impl TextSegments {
     /// The segments of each motion.
     ///
     /// # Panics
@@ -77,17 +77,17 @@ impl Script {
 
     /// What is told, motion by motion: of each of its segments, and then of its padding, the motion
     /// and the text, `silent` for none.
-    pub fn told(&self, silent: usize, device: &Device) -> [Tensor<1, Int>; 2] {
-        let told = self.0.iter().enumerate().flat_map(|(motion, segments)| {
+    pub fn conditions(&self, no_text: usize, device: &Device) -> [Tensor<1, Int>; 2] {
+        let pairs = self.0.iter().enumerate().flat_map(|(motion, segments)| {
             let texts = segments.iter().map(|segment| segment.text);
             let of_padding = match segments[..] {
                 [only] => only.text,
-                _ => silent,
+                _ => no_text,
             };
             let texts = texts.chain([of_padding]);
             texts.map(move |text| (motion as i64, text as i64))
         });
-        let (motions, texts): (Vec<i64>, Vec<i64>) = told.unzip();
+        let (motions, texts): (Vec<i64>, Vec<i64>) = pairs.unzip();
         [motions, texts].map(|indices| integers(indices, device))
     }
 
@@ -159,10 +159,10 @@ mod tests {
     #[test]
     fn frames_attend_within_horizon_segment_and_length() {
         let segment = |text, frames| Segment { text, frames };
-        let script = Script::new([vec![segment(0, 3), segment(1, 4)], vec![segment(2, 5)]]);
-        assert_eq!(script.frames().collect::<Vec<_>>(), [7, 5]);
-        let absolute = script.ranges(8, 2, &[false, false]);
-        let relative = script.ranges(8, 2, &[true, false]);
+        let segments = TextSegments::new([vec![segment(0, 3), segment(1, 4)], vec![segment(2, 5)]]);
+        assert_eq!(segments.frames().collect::<Vec<_>>(), [7, 5]);
+        let absolute = segments.ranges(8, 2, &[false, false]);
+        let relative = segments.ranges(8, 2, &[true, false]);
         for (t, in_segment, across) in [
             (0, 0..3, 0..3),
             (2, 0..3, 0..5),
@@ -174,13 +174,13 @@ mod tests {
             assert_eq!(relative.of(0, t), across, "{t}");
         }
         assert_eq!(relative.of(1, 4), 2..5);
-        assert_eq!(script.places(8)[0], [0, 1, 2, 0, 1, 2, 3, 0]);
-        assert_eq!(script.places(8)[1][7], 7);
+        assert_eq!(segments.places(8)[0], [0, 1, 2, 0, 1, 2, 3, 0]);
+        assert_eq!(segments.places(8)[1][7], 7);
         let device = Device::flex();
         let numbers = |rows: Tensor<1, Int>| rows.into_data().iter::<i64>().collect::<Vec<_>>();
-        let told = script.told(9, &device).map(numbers);
-        assert_eq!(told, [vec![0, 0, 0, 1, 1], vec![0, 1, 9, 2, 2]]);
-        let rows = numbers(script.rows(8, &device));
+        let found = segments.conditions(9, &device).map(numbers);
+        assert_eq!(found, [vec![0, 0, 0, 1, 1], vec![0, 1, 9, 2, 2]]);
+        let rows = numbers(segments.rows(8, &device));
         assert_eq!(rows, [0, 0, 0, 1, 1, 1, 1, 2, 3, 3, 3, 3, 3, 4, 4, 4]);
     }
 }
