@@ -1,5 +1,5 @@
 //! Explicit Runge-Kutta methods for `dx / dt = f(x, t)`, each given by its Butcher tableau. Flows
-//! and Heun's sampler of a diffusion process share them: an [`Ode`] says how its state moves.
+//! and Heun's sampler of a diffusion process share them: an [`Ode`] defines how its state moves.
 
 use burn::tensor::Tensor;
 

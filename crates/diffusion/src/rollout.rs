@@ -21,7 +21,7 @@ use crate::{
     TimestepPath, ddim, guided,
 };
 
-/// What a rollout keeps for its backward pass.
+/// The data that a rollout keeps for its backward pass.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum RolloutMode {
     /// One graph over all steps.
@@ -40,7 +40,7 @@ pub enum RolloutMode {
 pub struct Rollout {
     /// The process, whose prediction type the network has.
     pub diffusion: GaussianDiffusion,
-    /// What the predicted clean motion is clipped to.
+    /// Bounds of the predicted clean motion.
     pub clip: ClipRange,
     /// Weights of the conditions: 1 as trained ([`guided`]).
     pub guidance: GuidanceScales,
@@ -48,7 +48,7 @@ pub struct Rollout {
     pub gradient_decay: f64,
 }
 
-/// What a rollout leads to.
+/// The result of a rollout.
 #[derive(Debug)]
 pub struct RolloutOutput {
     /// The final state on the autodiff device: `[batch, channels, time]`.
@@ -57,7 +57,7 @@ pub struct RolloutOutput {
     /// [`RolloutMode::Full`], the state before the last k steps, or `x` itself for
     /// [`RolloutMode::Checkpointed`].
     pub entry: Tensor<3>,
-    /// What [`Trace::backward`] goes on with where the graph of `x` ends; only in
+    /// Continues the backward pass ([`Trace::backward`]) where the graph of `x` ends; only in
     /// [`RolloutMode::Checkpointed`].
     pub trace: Option<Trace>,
 }

@@ -1,7 +1,7 @@
 //! The time input of a network: the noise level.
 
-/// How far a sample is from clean motion, in the units that its network was trained with: in a
-/// diffusion process the timestep, 0 being the least noisy.
+/// The noise level of a sample, in the units that its network was trained with: in a diffusion
+/// process the timestep, 0 being the least noisy.
 #[derive(Clone, Copy, Debug, PartialEq, PartialOrd)]
 pub struct Time(pub f64);
 

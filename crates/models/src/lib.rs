@@ -5,8 +5,9 @@
 //! parameter in the module tree *is* its state-dict name; [`parameters`] reads and writes them by
 //! that name. [`lora`] adds low-rank adapters. [`gmd`] contains the networks of Guided Motion
 //! Diffusion, [`transformer`] the encoder of its baseline, and [`TextDenoiser`] is a
-//! text-conditioned denoiser with either of them; [`text_encoder`] is the encoder of the texts. [`flow`] contains the networks that continue a
-//! motion frame by frame, [`blended`] the one that composes a motion of several texts. [`text_motion`] contains the encoders of the text-motion evaluator.
+//! text-conditioned denoiser with either of them; [`text_encoder`] is CLIP's text network. [`flow`] contains
+//! the networks that continue a motion frame by frame, [`blended`] the transformer that composes a
+//! motion of several texts, and [`text_motion`] the encoders of the text-motion evaluator.
 
 pub mod attention;
 pub mod blended;

@@ -60,7 +60,7 @@ pub struct ClipTextConfig {
     pub projection_dim: usize,
     /// The activation of the layers.
     pub hidden_act: Activation,
-    /// What the layers' normalisations add to the variance.
+    /// Epsilon of the layer normalisations.
     pub layer_norm_eps: f64,
 }
 
@@ -106,7 +106,7 @@ impl ClipTextConfig {
         require(eps == LAYER_NORM_EPS, "layer_norm_eps", eps, LAYER_NORM_EPS)
     }
 
-    /// Builds the network; its parameters are drawn when they are first used.
+    /// Builds the network; its parameters are initialised when they are first used.
     ///
     /// # Errors
     /// As [`validate`](Self::validate).
@@ -199,7 +199,7 @@ impl ClipTextModel {
     }
 }
 
-/// What is added to the scores of tokens that come later: `[1, tokens, tokens]`.
+/// The causal mask, added to the attention scores: `[1, tokens, tokens]`.
 fn future(tokens: usize, device: &Device) -> Tensor<3> {
     let scores = (0..tokens).flat_map(|query| {
         (0..tokens).map(move |key| match key > query {

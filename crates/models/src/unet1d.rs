@@ -33,7 +33,7 @@ pub use style::{STYLE_VALUES, StyleCondition, StyleConditioning};
 
 impl UNet1dConfig {
     /// Builds the network for motion of `in_channels` under conditions of `cond_channels` per
-    /// frame; its parameters are drawn when they are first used. Where beats are tracked, the last
+    /// frame; its parameters are initialised when they are first used. Where beats are tracked, the last
     /// [`BEAT_CHANNELS`] conditions tell them.
     ///
     /// # Errors
@@ -61,7 +61,7 @@ impl UNet1dConfig {
     }
 }
 
-/// One level on the way down: residual blocks, attention, the skip, then halving the length.
+/// One level of the encoder: residual blocks, attention, the skip, then halving the length.
 #[derive(Module, Debug)]
 struct EncoderLevel {
     res: Vec<ResBlock>,
@@ -79,7 +79,7 @@ struct Bottleneck {
     res2: ResBlock,
 }
 
-/// One level on the way up: the skip joined, residual blocks, attention, then doubling.
+/// One level of the decoder: the skip joined, residual blocks, attention, then doubling.
 #[derive(Module, Debug)]
 struct DecoderLevel {
     res: Vec<ResBlock>,
@@ -333,8 +333,8 @@ impl UNet1d {
         encoder.track(cond.features.clone(), cond.lengths.as_ref())
     }
 
-    /// Sine and cosine of the place of each frame in its beat as the rest of the network hears it: the
-    /// steady beat that is nearest to what the tracker finds, with a norm of one; zeros in silence.
+    /// Sine and cosine of the place of each frame in its beat, as the rest of the network receives it:
+    /// a constant tempo fitted to the tracked beats, with a norm of one; zeros in silence.
     pub fn find_beats(&self, cond: &AudioCondition) -> Option<Tensor<3>> {
         let encoder = self.audio.as_ref()?;
         encoder.find(cond.features.clone(), cond.lengths.as_ref())

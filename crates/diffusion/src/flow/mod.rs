@@ -6,9 +6,9 @@
 //! ```
 //!
 //! The convention of t is that of Lipman et al. 2023, <https://arxiv.org/abs/2210.02747>, and of
-//! Liu et al. 2023, <https://arxiv.org/abs/2209.03003>: it runs the other way than the timesteps of
-//! [`GaussianDiffusion`](crate::GaussianDiffusion). What those papers call x_0 and x_1 is here
-//! `noise` and `x_start`. Source: docs/sources.md, section 5.
+//! Liu et al. 2023, <https://arxiv.org/abs/2209.03003>: it runs in the opposite direction of
+//! the timesteps of [`GaussianDiffusion`](crate::GaussianDiffusion). The papers' x_0 and x_1 are
+//! `noise` and `x_start` here. Source: docs/sources.md, section 5.
 //!
 //! [`integrate`] runs the solver of a config over any [`Velocity`], and [`sample_flow`] does so
 //! with a network.
@@ -41,7 +41,7 @@ pub type OnFlowStep<'a, const D: usize> = dyn FnMut(f64, &Tensor<D>) -> ControlF
 pub struct Flowed<const D: usize> {
     /// The state at t = 1, of the start's shape.
     pub x: Tensor<D>,
-    /// How often the velocity was asked for; under guidance each asks the network twice.
+    /// Number of velocities taken; under guidance each calls the network twice.
     pub evaluations: usize,
 }
 

@@ -65,7 +65,7 @@ pub struct Ddim {
     pub recompute_epsilon: bool,
 }
 
-/// How a sampler goes through the timesteps of a diffusion process.
+/// The timesteps that a sampler of a diffusion process visits, and those that it guides.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, JsonSchema)]
 #[schemars(default)]
 pub struct Timesteps {
@@ -142,7 +142,7 @@ impl Default for Ddim {
 }
 
 impl SamplerKind {
-    /// The settings of the timesteps; none of a kind for flows alone.
+    /// The settings of the timesteps; `None` for kinds that only flows have.
     pub fn timesteps(&self) -> Option<&Timesteps> {
         match self {
             Self::Ddim(Ddim { timesteps, .. })

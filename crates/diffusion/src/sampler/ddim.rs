@@ -47,8 +47,8 @@ pub fn ddim(
 /// is [`super::ddpm_step`].
 ///
 /// `timesteps` say where each sample is, `prev_timesteps` where it goes: a timestep not above its
-/// own, or `None` for the clean motion. No noise stands for zeros: right where the step adds none,
-/// and the mean of the step elsewhere.
+/// own, or `None` for the clean motion. Without noise the step gives its
+/// mean.
 ///
 /// # Shapes
 /// - noise, standard normal, output: `[batch, channels, time]`

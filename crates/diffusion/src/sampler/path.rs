@@ -49,7 +49,7 @@ impl TimestepPath {
         self.steps.len()
     }
 
-    /// Whether there are no steps.
+    /// True if there are no steps.
     pub fn is_empty(&self) -> bool {
         self.steps.is_empty()
     }
@@ -70,7 +70,7 @@ impl TimestepPath {
         Time::of(self.timesteps(index))
     }
 
-    /// Whether a sample goes to another timestep in step `index`, and not to the clean motion.
+    /// True if a sample goes to another timestep in step `index`, and not to the clean motion.
     pub(super) fn stays_noisy(&self, index: usize) -> bool {
         let prev = self.prev_timesteps(index).into_iter();
         prev.zip(self.timesteps(index))

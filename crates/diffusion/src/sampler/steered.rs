@@ -1,4 +1,4 @@
-//! What leads a step of DDPM to a goal.
+//! Guidance and imputation within a step of DDPM.
 
 use burn::tensor::Tensor;
 
@@ -7,7 +7,7 @@ use super::posterior::Posterior;
 use crate::per_sample::per_sample;
 use crate::{GaussianDiffusion, PredictionType};
 
-/// What leads a step of DDPM to a goal.
+/// Guidance and imputation of one step of DDPM.
 pub struct Steered<'a> {
     /// `s d(-L) / d x_t`, where the step is guided.
     pub scaled_gradient: Option<Tensor<3>>,

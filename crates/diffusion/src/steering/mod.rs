@@ -60,9 +60,7 @@ pub struct Networks<'a, D: ?Sized> {
 /// Generates one motion per sample of the start noise with DDPM, with the guidance and imputation
 /// that `steering` returns for each timestep.
 ///
-/// Noise is drawn as [`sample`](crate::sample) draws it, that of an imputation by the name
-/// `imputation`. `on_step` is called after each step with the number of steps done and in total,
-/// and the new state.
+/// Noise is drawn as in [`sample`](crate::sample); that of an imputation has the name `imputation`.
 ///
 /// # Shapes
 /// - x_T, the start noise, standard normal: `[batch, channels, time]`, on the plain device

@@ -1,4 +1,4 @@
-//! What steers a sampling step: guidance and imputation.
+//! The prediction of a steered step.
 
 use burn::tensor::Tensor;
 
@@ -8,7 +8,7 @@ use crate::{
     guided,
 };
 
-/// What the networks say of `x_t`, and what steers the step of DDPM from there: under guidance the
+/// The prediction for `x_t` with the guidance and imputation of its step: under guidance the
 /// gradient `g = s d(-L(x_0)) / d x_t`, through clip and network.
 ///
 /// # Shapes

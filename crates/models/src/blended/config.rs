@@ -33,8 +33,8 @@ pub struct BlendedConfig {
     /// Dropout of the tokens in training, and how often a layer's attention or feed-forward is left
     /// out (stochastic depth, Huang et al. 2016).
     pub dropout: f64,
-    /// Whether each frame is told where a path leads (docs/sources.md, section 7, option C). The published
-    /// network is told none.
+    /// Conditions each frame on a root path (docs/sources.md, section 7, option C), which the
+    /// published network does not.
     pub path: bool,
 }
 
@@ -135,7 +135,7 @@ impl BlendedConfig {
     }
 
     /// Builds the network for motion of `in_channels` and texts of `text_channels`; its parameters
-    /// are drawn when they are first used.
+    /// are initialised when they are first used.
     ///
     /// # Errors
     /// As [`validate`](Self::validate).

@@ -1,8 +1,8 @@
 //! The transformer with blended positional encodings (Barquero et al. 2024, "Seamless Human Motion
 //! Composition with Blended Positional Encodings", <https://arxiv.org/abs/2402.15509>; docs/sources.md,
 //! section 6): one sequence for several texts. In absolute mode frames attend within their text's
-//! segment and know their place in it; in relative mode they attend across segments and know only how
-//! far apart they are. A draw begins in the first mode and ends in the second.
+//! segment, with their position in it; in relative mode they attend across segments, with relative
+//! positions alone. Sampling begins in the first mode and ends in the second.
 //!
 //! Parameters have the names of the published model.
 #![expect(
@@ -35,11 +35,11 @@ use crate::gmd::interleaved_sinusoidal;
 use crate::layers::{Embedding, LayerNorm, Linear};
 use crate::{Dropout, DropoutKey, Initializer, Stages, parameters};
 
-/// What a frame is told of a path: place x and z, metres; velocity along both, metres per second; sine and
-/// cosine of the heading; curvature, 1 / metre.
+/// Channels of a path in a frame: position x and z, metres; velocity along both, metres per second;
+/// sine and cosine of the heading; curvature, 1 / metre.
 pub const PATH_CHANNELS: usize = 7;
 
-/// In which steps of a draw positions are relative: the published `bpe_denoising_step`, k. Of T
+/// The sampling steps with relative positions: the published `bpe_denoising_step`, k. Of T
 /// timesteps t is relative if `t <= T - k`, so that `k - 1` steps are absolute; at -1 all are, at 0
 /// none.
 #[derive(Clone, Copy, Debug, Eq, PartialEq)]
@@ -51,7 +51,7 @@ pub struct Switch {
 }
 
 impl Switch {
-    /// Whether timestep `t` is relative.
+    /// True if positions are relative at timestep `t`.
     pub fn is_relative(self, t: usize) -> bool {
         match self.bpe_denoising_step {
             ..0 => false,
@@ -61,18 +61,19 @@ impl Switch {
     }
 }
 
-/// What a forward pass is told besides noise, time and texts.
+/// The inputs of a forward pass besides noise, time and texts.
 #[derive(Clone, Copy, Debug)]
 pub struct Pass<'a> {
-    /// Who is told what for how long.
+    /// The texts of each motion over time.
     pub segments: &'a TextSegments,
-    /// Whether each motion is in relative mode.
+    /// True for motions in relative mode.
     pub is_relative: &'a [bool],
-    /// The draw of dropout and stochastic depth, in training.
+    /// Key of dropout and stochastic depth, in training.
     pub dropout: DropoutKey,
-    /// Where a path leads, `[batch, PATH_CHANNELS, time]`; none for motion that goes where it likes.
+    /// Root paths, `[batch, PATH_CHANNELS, time]`; `None` for motion without a path.
     pub path: Option<&'a Tensor<3>>,
-    /// 0 for motions that are not told it, else 1, `[batch, 1, 1]`; all are without.
+    /// 1 for motions that are conditioned on their path, else 0: `[batch, 1, 1]`.
+    /// `None` conditions all.
     pub path_mask: Option<&'a Tensor<3>>,
 }
 
@@ -146,7 +147,7 @@ impl BlendedTransformer {
         }
     }
 
-    /// The same network, told one of so many captions, of which it learns an embedding each.
+    /// The same network with a learned embedding for each of so many captions.
     #[must_use]
     pub fn with_captions(self, captions: usize, init: &Initializer) -> Self {
         let features = self.embed_text.inputs();
@@ -244,18 +245,18 @@ impl BlendedTransformer {
         self.output_process_at_poseFinal.forward_frames(h)
     }
 
-    /// What a path adds to the tokens, `[batch, width, time]`: nothing before the first step of training.
+    /// The embedding of a path, added to the tokens, `[batch, width, time]`: zeros before training.
     fn embedded_path(&self, path: &Tensor<3>) -> Option<Tensor<3>> {
         let inner = self.embed_path_at_0.as_ref()?.forward_frames(path.clone());
         Some(self.embed_path_at_2.as_ref()?.forward_frames(silu(inner)))
     }
 
-    /// Whether it can be told a path.
+    /// True if it has a path condition.
     pub fn has_path(&self) -> bool {
         self.embed_path_at_0.is_some()
     }
 
-    /// The same network, of which training changes what reads the path, and the last layers.
+    /// The same network with only the path embedding and the last layers trainable.
     #[must_use]
     pub fn adapting(self, last_layers: usize) -> Self {
         // Of parameters that are not drawn yet a copy would not say that it is trained.
@@ -273,7 +274,7 @@ impl BlendedTransformer {
         adapting
     }
 
-    /// What timesteps become: `[batch, width]`.
+    /// The embeddings of timesteps: `[batch, width]`.
     pub fn embed_time(&self, time: &[Time], device: &Device) -> Tensor<2> {
         let timesteps: Vec<f64> = time.iter().map(|time| time.0).collect();
         let rows = interleaved_sinusoidal(&timesteps, self.width, device);
@@ -281,7 +282,7 @@ impl BlendedTransformer {
         self.embed_timestep_at_time_embed_at_2.forward(inner)
     }
 
-    /// What motions are told, a row for each of [`TextSegments::told`]: `[told, width]`.
+    /// The condition of each row of [`TextSegments::conditions`]: `[conditions, width]`.
     fn conditions(&self, time: &[Time], texts: Tensor<2>, segments: &TextSegments) -> Tensor<2> {
         let device = texts.device();
         let time = self.embed_time(time, &device);
@@ -296,7 +297,7 @@ impl BlendedTransformer {
         time.select(0, motions) + texts.select(0, rows)
     }
 
-    /// What tokens of motions in absolute mode have added, zeros of the others:
+    /// Absolute positions of the motions in absolute mode, zeros for the others:
     /// `[batch, width, time]`.
     fn absolute(
         &self,
@@ -356,11 +357,11 @@ pub fn absolute_positions(places: &[f64], width: usize) -> Vec<f32> {
 pub struct Composed<'a> {
     /// The network.
     pub network: &'a BlendedTransformer,
-    /// Who is told what for how long.
+    /// The texts of each motion over time.
     pub segments: TextSegments,
-    /// In which steps positions are relative.
+    /// The steps with relative positions.
     pub switch: Switch,
-    /// Where a path leads, `[batch, PATH_CHANNELS, time]`.
+    /// Root paths, `[batch, PATH_CHANNELS, time]`.
     pub path: Option<Tensor<3>>,
 }
 

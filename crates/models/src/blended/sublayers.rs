@@ -1,4 +1,4 @@
-//! What a transformer with blended positions is made of: pose-centric attention and feed-forward.
+//! The sub-layers of the transformer: pose-centric attention and feed-forward.
 use burn::module::Module;
 use burn::tensor::{Int, Tensor};
 use kinegrad_kernels::{KeyRanges, concat_channels, gelu, ranged_attention};
@@ -8,19 +8,22 @@ use crate::Initializer;
 use crate::layers::{LayerNorm, Linear, Unbiased};
 use crate::rotary::Rotation;
 
-/// What all sub-layers of a forward pass share.
+/// The inputs that all sub-layers of a forward pass share.
 #[derive(Clone, Debug)]
 pub struct Shared {
     cond: Tensor<2>,
     rows: Tensor<1, Int>,
     ranges: KeyRanges,
-    /// How queries and keys turn; none where no motion is in relative mode.
+    /// Rotation of queries and keys; `None` if no motion is in relative mode.
     rotation: Option<Rotation>,
 }
 
 impl Shared {
-    /// Of motions that attend by `ranges` and are each in relative mode or not, a frame of which is cond
-    /// the row of `told`, `[cond, width]`, that `rows`, `[batch * time]`, names.
+    /// # Shapes
+    /// - cond: `[conditions, width]`
+    /// - rows: `[batch * time]`, the row of `cond` of each frame
+    ///
+    /// `ranges` are the frames that each frame attends to, `is_relative` the mode of each motion.
     pub fn new(
         cond: Tensor<2>,
         rows: Tensor<1, Int>,
@@ -38,7 +41,7 @@ impl Shared {
         }
     }
 
-    /// What each frame is cond, `[batch, width, time]`.
+    /// The condition of each frame, `[batch, width, time]`.
     pub(super) fn cond(&self, batch: usize) -> Tensor<3> {
         let (time, [_, width]) = (self.rows.dims()[0] / batch, self.cond.dims());
         let cond = self.cond.clone().select(0, self.rows.clone());
@@ -161,7 +164,7 @@ impl SubLayer {
         }
     }
 
-    /// What is added to `x`.
+    /// The residual that is added to `x`.
     pub fn branch(&self, x: Tensor<3>, shared: &Shared) -> Tensor<3> {
         let inner = self.inner(x, shared);
         match self {

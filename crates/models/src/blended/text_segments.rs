@@ -1,4 +1,4 @@
-//! Who says what for how long: texts one after another in one motion.
+//! Several texts one after another in one motion.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -11,14 +11,14 @@ use kinegrad_kernels::KeyRanges;
 pub struct Segment {
     /// Its row among the texts of the batch.
     pub text: usize,
-    /// How long it lasts, at least one frame.
+    /// Its length, at least one frame.
     pub frames: usize,
 }
 
 /// The texts of a batch of motions, each of which is one sequence without overlaps.
 ///
-/// A motion of a single text is told it in its padding as well, where its positions run on; one of
-/// several is told none there. Neither changes frames that count.
+/// The padding of a motion with a single text has that text and continues its positions; with
+/// several texts it has none. Neither changes the valid frames.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TextSegments(Arc<[Vec<Segment>]>);
 
@@ -47,19 +47,19 @@ impl TextSegments {
         self.0.len()
     }
 
-    /// Whether there is no motion.
+    /// True if there is no motion.
     pub fn is_empty(&self) -> bool {
         self.0.is_empty()
     }
 
-    /// Frames of each motion that count.
+    /// Valid frames of each motion.
     pub fn frames(&self) -> impl Iterator<Item = usize> {
         self.0
             .iter()
             .map(|motion| motion.iter().map(|segment| segment.frames).sum())
     }
 
-    /// Of each frame of a motion the frames that its segment lasts, of `time` frames; none of padding.
+    /// The range of the segment of each of `time` frames; `None` for padding.
     fn of(&self, motion: usize, time: usize) -> Vec<Option<Range<usize>>> {
         let mut frames = Vec::with_capacity(time);
         for segment in &self.0[motion] {
@@ -75,8 +75,8 @@ impl TextSegments {
         self.0[motion].len() == 1
     }
 
-    /// What is told, motion by motion: of each of its segments, and then of its padding, the motion
-    /// and the text, `silent` for none.
+    /// The motion and the text of each condition: motion by motion, one for each segment, then one
+    /// for the padding, with the text `no_text` if there is none.
     pub fn conditions(&self, no_text: usize, device: &Device) -> [Tensor<1, Int>; 2] {
         let pairs = self.0.iter().enumerate().flat_map(|(motion, segments)| {
             let texts = segments.iter().map(|segment| segment.text);
@@ -91,7 +91,7 @@ impl TextSegments {
         [motions, texts].map(|indices| integers(indices, device))
     }
 
-    /// Which of [`told`](Self::told) each frame is told, `[batch * time]`.
+    /// The row of [`conditions`](Self::conditions) of each frame, `[batch * time]`.
     pub fn rows(&self, time: usize, device: &Device) -> Tensor<1, Int> {
         let mut rows = Vec::with_capacity(self.len() * time);
         let (mut row, mut end) = (0, 0);
@@ -108,7 +108,7 @@ impl TextSegments {
         integers(rows, device)
     }
 
-    /// The place of each frame in its segment, `[batch][time]`.
+    /// The position of each frame in its segment, `[batch][time]`.
     pub fn places(&self, time: usize) -> Vec<Vec<usize>> {
         let of_motion = |motion: usize| {
             let runs_on = self.is_single(motion);

@@ -16,7 +16,7 @@ use thiserror::Error;
 
 use super::{FlowCondition, FlowModel, History, previous_state};
 
-/// What the numbers mean that a model was trained on.
+/// The features and statistics that a model was trained with.
 #[derive(Clone, Debug)]
 pub struct FlowSpace {
     /// The skeleton whose joints it has.
@@ -25,9 +25,9 @@ pub struct FlowSpace {
     pub features: Statistics,
     /// Of the target, joint by joint: `3 J` channels.
     pub target: Statistics,
-    /// What the target is.
+    /// The target of training.
     pub next: NextPose,
-    /// What the predictor predicts.
+    /// The quantity that the predictor predicts.
     pub prediction: FlowPrediction,
     /// Rows of features in a history.
     pub history: usize,
@@ -35,10 +35,10 @@ pub struct FlowSpace {
     pub longest: usize,
 }
 
-/// How a motion goes on.
+/// The settings of a rollout.
 #[derive(Clone, Debug)]
 pub struct RolloutSettings {
-    /// How each pose is drawn.
+    /// The solver of each pose.
     pub sampler: SamplerConfig,
     /// Frames to draw; progress counts down from 1 at the first to 0 at the last.
     pub frames: usize,
@@ -52,7 +52,7 @@ pub struct RolloutSettings {
     pub contact_threshold: f64,
 }
 
-/// Why a motion does not go on.
+/// Errors of a rollout.
 #[derive(Debug, Diagnostic, Error)]
 pub enum RolloutError {
     /// The history has too few frames.
@@ -76,7 +76,7 @@ pub enum RolloutError {
         /// Those that are not finite.
         bad: usize,
     },
-    /// A setting that no motion can be drawn with.
+    /// A setting that does not work.
     #[error(transparent)]
     #[diagnostic(transparent)]
     Setting(#[from] InvalidSetting),
@@ -84,7 +84,7 @@ pub enum RolloutError {
     #[error(transparent)]
     #[diagnostic(transparent)]
     Feature(#[from] FeatureError),
-    /// A pose could not be drawn.
+    /// A pose could not be sampled.
     #[error(transparent)]
     #[diagnostic(transparent)]
     Sampler(#[from] kinegrad_diffusion::Error),
@@ -165,7 +165,7 @@ impl FlowRollout {
         Ok(rollout)
     }
 
-    /// Goes on with another text, 512 numbers; zeros for none.
+    /// Continues with another text, 512 numbers; zeros for no text.
     ///
     /// # Errors
     /// [`RolloutError::Text`]; the text before then stays.
@@ -183,7 +183,7 @@ impl FlowRollout {
     ///
     /// # Errors
     /// [`RolloutError::Sampler`] and [`RolloutError::Feature`], of a network that answers numbers
-    /// that are not finite. The frame is then not drawn.
+    /// that are not finite. The frame is then not generated.
     pub fn next_frame(&mut self) -> Result<Option<Vec<[f64; 3]>>, RolloutError> {
         if self.generated == self.settings.frames {
             return Ok(None);
@@ -201,17 +201,17 @@ impl FlowRollout {
         Ok(Some(frame))
     }
 
-    /// Frames that remain to be drawn.
+    /// Number of frames that remain.
     pub fn remaining(&self) -> usize {
         self.settings.frames - self.generated
     }
 
-    /// Frames that have been drawn.
+    /// Number of frames generated so far.
     pub fn generated(&self) -> usize {
         self.generated
     }
 
-    /// How often the solver has asked for a velocity, over all frames.
+    /// Velocities that the solver has taken, over all frames.
     pub fn evaluations(&self) -> usize {
         self.evaluations
     }
@@ -248,7 +248,7 @@ impl FlowRollout {
         Ok(self.space.target.denormalize(&of_joints))
     }
 
-    /// What the next pose is drawn from.
+    /// The condition of the next pose.
     fn condition(&self) -> FlowCondition {
         let rows = self.rows.len();
         let channels = self.space.features.channels();

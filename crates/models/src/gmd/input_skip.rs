@@ -8,7 +8,7 @@ use super::conditioner::interleaved_sinusoidal;
 use crate::Initializer;
 use crate::layers::{Conv1d, Linear};
 
-/// What a network adds of its input to its output:
+/// The share of its input that a network adds to its output:
 ///
 /// ```text
 /// g = Linear(sinusoid(t))        one gain a channel, zero in a new network

@@ -1,4 +1,4 @@
-//! How the audio features reach the levels of the UNet.
+//! The audio condition of the UNet.
 
 use burn::module::Module;
 use burn::tensor::Tensor;
@@ -22,7 +22,7 @@ const KERNEL: usize = 5;
 /// Frames, about two seconds, over which means are taken.
 const AROUND: usize = 61;
 
-/// Norm of sine and cosine below which an angle is none.
+/// Norm of sine and cosine below which an angle is undefined.
 const SMALLEST_NORM: f64 = 1e-3;
 
 /// How the audio features are fed into the network.
@@ -39,20 +39,19 @@ pub enum AudioConditioning {
     Aligned,
 }
 
-/// What a batch of motion is conditioned on.
+/// The condition of a batch of motions.
 #[derive(Clone, Debug)]
 pub struct AudioCondition {
     /// Audio features, `[batch, cond_channels, time]`; zeros are the null condition.
     pub features: Tensor<3>,
-    /// Frames of each sample that are not padding; all where nothing is said.
-    /// [`AudioConditioning::Document`] does not look at them.
+    /// Frames of each sample that are not padding; all if `None`. [`AudioConditioning::Document`]
+    /// ignores them.
     pub lengths: Option<Lengths>,
-    /// The style of each sample; the null style where nothing is said. Networks without style do
-    /// not look at it.
+    /// The style of each sample; the null style if `None`. Networks without style ignore it.
     pub style: Option<StyleCondition>,
-    /// Whether a network that tracks the beats hears those that it is told in their place, where it
-    /// is told some. Training sets this: its tracker is poor at first and later nearly perfect on the
-    /// training songs, and neither is how it does on others.
+    /// Replaces tracked beats by the beat labels where there are some. Training sets this, because
+    /// the tracker is poor at first and later nearly perfect on the training songs, and on other
+    /// songs neither.
     pub teacher_forcing: bool,
 }
 
@@ -69,7 +68,7 @@ impl AudioCondition {
         }
     }
 
-    /// The same audio without a style; none where there is no style.
+    /// The same audio with the null style; `None` if there is no style.
     #[must_use]
     pub fn null_style(&self) -> Option<Self> {
         let style = self.style.as_ref()?.null();
@@ -111,7 +110,7 @@ impl AudioContext {
         self.0[level].1.as_ref()
     }
 
-    /// `convolution`, whose output is at `level`, with what is heard there added to it.
+    /// `convolution`, whose output is at `level`, with the audio context of that level added.
     pub fn join(
         &self,
         layer: &Option<Conv1d>,
@@ -147,9 +146,9 @@ pub(super) fn mean_around(features: Tensor<3>, lengths: Option<&Lengths>) -> Ten
     mean(features * mask) / share
 }
 
-/// Sine and cosine of the same angle with a norm of one. What a tracker says of songs that it was
-/// trained on is certain, with a norm near one, and what it says of others is less so: without this
-/// a network would hear in other songs what it never heard in training.
+/// Sine and cosine of the same angle with a norm of one. The tracker's norm is near one on its
+/// training songs and smaller on others, which would be inputs that the network never had in
+/// training.
 fn direction(beats: Tensor<3>) -> Tensor<3> {
     let norm = (beats.clone().square().sum_dim(1) + SMALLEST_NORM * SMALLEST_NORM).sqrt();
     beats / norm
@@ -219,7 +218,7 @@ impl AudioEncoder {
         }
     }
 
-    /// What each level hears.
+    /// The features of each level.
     ///
     /// # Shapes
     /// - features: `[batch, inputs, time]`
@@ -237,8 +236,8 @@ impl AudioEncoder {
                     let (labels, known) = beat_labels(&features);
                     beats = labels * known.clone() + beats * (known.neg() + 1.0);
                 }
-                // As they are the features would say when something sounds a second time, in a way
-                // that is soon learned by heart of a few songs and is of no use for another one.
+                // Unaveraged features would also contain the onsets, which a network memorises for
+                // a few songs without use for others.
                 let sounds = mean_around(without_labels(features), lengths.as_ref());
                 Tensor::cat(vec![sounds, beats], 1)
             }
@@ -266,8 +265,8 @@ impl AudioEncoder {
         Some(beats.forward(without_labels(features), lengths))
     }
 
-    /// What the levels hear of the tracker: the steady beat nearest to what it finds, as a direction,
-    /// and zeros in silence. It does not learn from what becomes of it.
+    /// The constant tempo fitted to the tracked beats, with a norm of one, and zeros in silence.
+    /// Gradients do not reach the tracker.
     pub fn find(&self, features: Tensor<3>, lengths: Option<&Lengths>) -> Option<Tensor<3>> {
         let found = self.track(features.clone(), lengths)?.detach();
         let loudest = without_labels(features)

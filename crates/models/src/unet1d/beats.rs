@@ -1,5 +1,4 @@
-//! A beat tracker inside the audio encoder: it learns where the beats are in features that do not
-//! say it, from songs whose beats are known.
+//! A beat tracker inside the audio encoder, trained on songs with known beats.
 
 use burn::module::Module;
 use burn::tensor::{Tensor, activation::relu};
@@ -10,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use crate::Initializer;
 use crate::layers::{Conv1d, GroupNorm};
 
-/// Where the network has the beats of the music from.
+/// The source of the beats.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Beats {
@@ -33,7 +32,7 @@ impl Beats {
 /// beat come first.
 pub const BEAT_CHANNELS: usize = 7;
 
-/// What is said of each frame's place in its beat: sine and cosine.
+/// Channels of a frame's place in its beat: sine and cosine.
 pub(super) const TRACKED: usize = 2;
 
 /// Adjacent features that are averaged before they are differentiated.
@@ -46,13 +45,13 @@ const WIDTH: usize = 64;
 const GROUPS: usize = 8;
 const KERNEL: usize = 5;
 
-/// Blocks of convolutions; the last one hears 64 frames before and after, two seconds.
+/// Blocks of convolutions; the receptive field is 64 frames, about two seconds, on either side.
 const BLOCKS: usize = 5;
 
 /// From features of the music to the place of each frame in its beat.
 ///
-/// What begins to sound says when a beat is, and what sounds says which song it is, which is of no
-/// use for another one: so the features go in as the increase, from frame to frame, of the mean of
+/// Onsets mark beats, while the levels of the features identify the song, which does not
+/// generalise: so the features enter as the increase, from frame to frame, of the mean of
 /// four adjacent ones, and only those left over (loudness, brightness and onset strength) as they
 /// are.
 ///
@@ -116,9 +115,9 @@ impl BeatTracker {
     }
 }
 
-/// What features `[batch, channels, time]` tell of the place in the beat, sine and cosine, and where
-/// they do so, ones and zeros: `[batch, 2, time]` and `[batch, 1, time]`. Sine and cosine are of one
-/// angle unless they are replaced by noise or no beats are known.
+/// The labels of the place in the beat in features `[batch, channels, time]`, sine and cosine
+/// `[batch, 2, time]`, and a mask, 1 where they are known, `[batch, 1, time]`. They are unknown where
+/// sine and cosine are not of one angle: replaced by noise, or without beats.
 pub fn beat_labels(features: &Tensor<3>) -> (Tensor<3>, Tensor<3>) {
     let first = features.dims()[1] - BEAT_CHANNELS;
     let labels = features.clone().narrow(1, first, TRACKED);
