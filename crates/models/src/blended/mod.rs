@@ -23,6 +23,7 @@ use burn::tensor::activation::silu;
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_diffusion::{Denoiser, Time};
 use kinegrad_random::Key;
+use kinegrad_settings::InvalidSetting;
 
 pub use config::{BlendedConfig, HEAD_CHANNELS, ROTATED_CHANNELS};
 pub use text_segments::{Segment, TextSegments};
@@ -97,6 +98,28 @@ pub struct BlendedTransformer {
     depth: f64,
     horizon: usize,
     width: usize,
+}
+
+impl BlendedConfig {
+    /// Builds the network for motion of `in_channels` and texts of `text_channels`; its parameters
+    /// are initialised when they are first used.
+    ///
+    /// # Errors
+    /// As [`validate`](Self::validate).
+    pub fn init(
+        &self,
+        in_channels: usize,
+        text_channels: usize,
+        init: &Initializer,
+    ) -> Result<BlendedTransformer, InvalidSetting> {
+        self.validate()?;
+        Ok(BlendedTransformer::new(
+            self,
+            in_channels,
+            text_channels,
+            init,
+        ))
+    }
 }
 
 impl BlendedTransformer {
