@@ -394,7 +394,7 @@ fn settings_that_cannot_work_are_refused_by_name() {
         ),
         (
             "sampling.sampler.recompute_epsilon=false",
-            ["sampling.sampler.recompute_epsilon", "diffusion"],
+            ["sampling.sampler.recompute_epsilon", "ddim"],
         ),
         ("data.crop=leading", ["data.crop", "random"]),
         ("evaluation.frames=3", ["evaluation.frames", "16"]),

@@ -146,8 +146,8 @@ fn windows_in_flight_change_nothing_and_ddpm_shares_its_noise() {
     let generator = Generator::load(&trained.expect("a model")).expect("a generator");
     for kind in ["ddim", "ddpm", "dpmpp_2m", "heun"] {
         let mut sampling = generator.config().sampling.clone();
-        sampling.sampler.kind = serde_json::from_str(&format!("\"{kind}\"")).expect("a kind");
-        sampling.sampler.num_inference_steps = 5;
+        let sampler = serde_json::json!({ "kind": kind, "num_inference_steps": 5 });
+        sampling.sampler = serde_json::from_value(sampler).expect("a sampler");
         let draw = |in_flight: usize| {
             let whole = Whole {
                 audio: &audio,

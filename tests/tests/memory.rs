@@ -5,7 +5,7 @@ use std::sync::{Mutex, PoisonError};
 use burn::module::Module;
 use burn::tensor::{Tensor, TensorData};
 use kinegrad_diffusion::{ClipRange, DiffusionConfig, GaussianDiffusion, SamplerConfig, sample};
-use kinegrad_diffusion::{FlowPrediction, FlowSamplerConfig};
+use kinegrad_diffusion::{FlowPrediction, SamplerKind};
 use kinegrad_models::flow::{FlowRollout, FlowSpace, RolloutSettings};
 use kinegrad_models::{FlowConfig, Initializer};
 use kinegrad_motion::Statistics;
@@ -95,10 +95,9 @@ fn memory_stays_flat_over_10_000_frames_of_a_rollout() {
         skeleton,
     };
     let settings = RolloutSettings {
-        sampler: FlowSamplerConfig {
-            num_inference_steps: 1,
+        sampler: SamplerConfig {
             guidance_scale: 2.0,
-            ..FlowSamplerConfig::default()
+            ..SamplerConfig::new(SamplerKind::Euler, 1)
         },
         frames: 11_000,
         constant_bones: true,

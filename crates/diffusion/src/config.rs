@@ -7,7 +7,7 @@ use kinegrad_settings::{ABOVE_ZERO, InvalidSetting, Refused, in_range, require};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// How the betas grow with the timestep; the tables are in [`crate::NoiseSchedule`].
+/// The shape of the betas over the timesteps; the tables are in [`crate::NoiseSchedule`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum BetaSchedule {
@@ -23,7 +23,7 @@ pub enum BetaSchedule {
     Sqrt,
 }
 
-/// What the network's output stands for.
+/// The quantity that the network predicts.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum PredictionType {
@@ -58,17 +58,17 @@ pub enum LossType {
 pub struct DiffusionConfig {
     /// Number of noise levels T; timesteps run from 0 to T-1. At least 2.
     pub num_train_timesteps: usize,
-    /// How the betas grow.
+    /// The shape of the betas over the timesteps.
     pub beta_schedule: BetaSchedule,
     /// First beta of `linear` and `sqrt`; `cosine` does not use it.
     pub beta_start: f64,
     /// Last beta of `linear` and `sqrt`; `cosine` does not use it.
     pub beta_end: f64,
-    /// Floor of the betas of `cosine`. The source has 1e-4; others have none, which is 0.
+    /// Floor of the betas of `cosine`. The source uses 1e-4, others 0.
     pub beta_min: f64,
     /// Cap of the betas of `cosine`. The source has 0.9999; others have 0.999.
     pub beta_max: f64,
-    /// What the network predicts.
+    /// The quantity that the network predicts.
     pub prediction_type: PredictionType,
     /// The distance between the prediction and its target.
     pub loss_type: LossType,

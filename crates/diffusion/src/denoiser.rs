@@ -21,13 +21,13 @@ pub trait Denoiser {
     fn null_cond(&self, cond: &Self::Cond) -> Self::Cond;
 
     /// `cond` without its style, where the condition has a style that is guided by a scale of its
-    /// own; the null condition has none either.
+    /// own; the null condition has no style either.
     fn null_style(&self, _cond: &Self::Cond) -> Option<Self::Cond> {
         None
     }
 }
 
-/// How strongly a prediction follows its conditions; 1 is as trained.
+/// Guidance scales of the conditions; 1 is as trained.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GuidanceScales {
     /// Of the condition without its style.

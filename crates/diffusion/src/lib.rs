@@ -35,6 +35,7 @@ pub mod denoiser;
 mod error;
 pub mod flow;
 pub mod loss;
+mod ode;
 mod per_sample;
 pub mod process;
 pub mod rollout;
@@ -46,18 +47,16 @@ mod time;
 pub use config::{BetaSchedule, DiffusionConfig, LossType, PredictionType};
 pub use denoiser::{Denoiser, GuidanceScales, guided};
 pub use error::Error;
-pub use flow::{FlowPrediction, FlowSamplerConfig, FlowSolver, Flowed, sample_flow};
+pub use flow::{FlowPrediction, Flowed, sample_flow};
 pub use loss::diffusion_loss;
 pub use process::GaussianDiffusion;
 pub use rollout::{Rollout, RolloutMode, RolloutOutput, Trace, rollout_timesteps};
 pub use sampler::{
-    ClipRange, FinalAlpha, GivenNoise, NoiseKeys, OnStep, Path, Predict, Prediction, SamplerConfig,
-    SamplerKind, TimestepSpacing, ddim, ddim_step, ddpm, ddpm_step, dpmpp_2m, draw, heun,
-    must_suit, noise_of_parts, sample, timesteps,
+    ClipRange, Ddim, Dopri5, FinalAlpha, GivenNoise, Imputation, NoiseKeys, OnStep, Predict,
+    Prediction, SamplerConfig, SamplerKind, Space, Steered, TimestepPath, TimestepSpacing,
+    Timesteps, ddim, ddim_step, ddpm, ddpm_step, dpmpp_2m, heun, must_suit, must_suit_flow,
+    noise_of_parts, sample, sample_with, timesteps,
 };
 pub use schedule::NoiseSchedule;
-pub use steering::{
-    Guidance, Imputation, Networks, Objective, Space, Steered, Steering, steered_prediction,
-    steered_sample,
-};
+pub use steering::{Guidance, Networks, Objective, Steering, steered_prediction, steered_sample};
 pub use time::Time;

@@ -85,11 +85,10 @@ impl GaussianDiffusion {
         self.convert(model_output, x_t, timesteps, from, PredictionType::Sample)
     }
 
-    /// A prediction of one type as the other type that, with the same `x_t`, says the same.
-    /// Each is one affine step of the prediction, in closed form.
+    /// Converts a prediction of one type to another, for the same `x_t`: an affine map.
     ///
-    /// At a terminal timestep of pure noise (`rescale_betas_zero_snr`) a noise prediction says
-    /// nothing of the motion, and the result of converting one is not finite.
+    /// At a terminal timestep of pure noise (`rescale_betas_zero_snr`) a noise prediction does
+    /// not determine the motion, and converting it gives values that are not finite.
     ///
     /// # Shapes
     /// - prediction, x_t, output: `[batch, channels, time]`

@@ -16,13 +16,12 @@ use burn::tensor::{GradientCheckpointingStrategy, Gradients, Tensor};
 
 use kinegrad_random::{Key, Purpose};
 
-use crate::sampler::timesteps_of;
 use crate::{
-    ClipRange, Denoiser, Error, GaussianDiffusion, GuidanceScales, Path, Prediction, SamplerConfig,
-    Time, ddim, guided,
+    ClipRange, Ddim, Denoiser, Error, GaussianDiffusion, GuidanceScales, Prediction, Time,
+    TimestepPath, ddim, guided,
 };
 
-/// What a rollout keeps for its backward pass.
+/// The data that a rollout keeps for its backward pass.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum RolloutMode {
     /// One graph over all steps.
@@ -41,7 +40,7 @@ pub enum RolloutMode {
 pub struct Rollout {
     /// The process, whose prediction type the network has.
     pub diffusion: GaussianDiffusion,
-    /// What the predicted clean motion is clipped to.
+    /// Bounds of the predicted clean motion.
     pub clip: ClipRange,
     /// Weights of the conditions: 1 as trained ([`guided`]).
     pub guidance: GuidanceScales,
@@ -49,7 +48,7 @@ pub struct Rollout {
     pub gradient_decay: f64,
 }
 
-/// What a rollout leads to.
+/// The result of a rollout.
 #[derive(Debug)]
 pub struct RolloutOutput {
     /// The final state on the autodiff device: `[batch, channels, time]`.
@@ -58,7 +57,7 @@ pub struct RolloutOutput {
     /// [`RolloutMode::Full`], the state before the last k steps, or `x` itself for
     /// [`RolloutMode::Checkpointed`].
     pub entry: Tensor<3>,
-    /// What [`Trace::backward`] goes on with where the graph of `x` ends; only in
+    /// Continues the backward pass ([`Trace::backward`]) where the graph of `x` ends; only in
     /// [`RolloutMode::Checkpointed`].
     pub trace: Option<Trace>,
 }
@@ -68,7 +67,7 @@ pub struct RolloutOutput {
 pub struct Trace {
     /// The state before each step, without a graph.
     states: Vec<Tensor<3>>,
-    path: Path,
+    path: TimestepPath,
     entry: Tensor<3>,
     strategy: Option<GradientCheckpointingStrategy>,
 }
@@ -116,7 +115,7 @@ impl Rollout {
         timesteps: &[Vec<usize>],
         mode: RolloutMode,
     ) -> Result<RolloutOutput, Error> {
-        let path = Path::to_clean(timesteps.to_vec());
+        let path = TimestepPath::to_clean(timesteps.to_vec());
         let graph_from = match mode {
             RolloutMode::Full => 0,
             RolloutMode::Checkpointed => path.len(),
@@ -178,7 +177,13 @@ impl Rollout {
         cond: &D::Cond,
     ) -> Result<Prediction<'static>, Error> {
         let output = guided(network, x.clone(), time, cond, self.guidance);
-        Prediction::new(&self.diffusion, output, x, &timesteps_of(time), &self.clip)
+        Prediction::new(
+            &self.diffusion,
+            output,
+            x,
+            &Time::timesteps(time),
+            &self.clip,
+        )
     }
 
     /// DDIM without noise.
@@ -186,9 +191,9 @@ impl Rollout {
         &self,
         predict: &mut crate::Predict<'_, '_>,
         x: Tensor<3>,
-        path: &Path,
+        path: &TimestepPath,
     ) -> Result<Tensor<3>, Error> {
-        let config = SamplerConfig::default();
+        let config = Ddim::default();
         let unused = Key::new(0, Purpose::Sampling).into();
         ddim(
             &self.diffusion,

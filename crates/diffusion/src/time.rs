@@ -1,7 +1,7 @@
 //! The time input of a network: the noise level.
 
-/// How far a sample is from clean motion, in the units that its network was trained with: in a
-/// diffusion process the timestep, 0 being the least noisy.
+/// The noise level of a sample, in the units that its network was trained with: in a diffusion
+/// process the timestep, 0 being the least noisy.
 #[derive(Clone, Copy, Debug, PartialEq, PartialOrd)]
 pub struct Time(pub f64);
 
@@ -15,6 +15,11 @@ impl Time {
     /// The times of timesteps.
     pub fn of(timesteps: &[usize]) -> Vec<Self> {
         timesteps.iter().copied().map(Self::from).collect()
+    }
+
+    /// The timesteps of times.
+    pub fn timesteps(times: &[Self]) -> Vec<usize> {
+        times.iter().map(|time| time.timestep()).collect()
     }
 
     /// The nearest timestep.

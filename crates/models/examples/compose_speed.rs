@@ -15,7 +15,7 @@ use burn::module::Module;
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_diffusion::{Denoiser, Time, guided};
 use kinegrad_models::Initializer;
-use kinegrad_models::blended::{BlendedConfig, Composed, Script, Segment, Switch};
+use kinegrad_models::blended::{BlendedConfig, Composed, Segment, Switch, TextSegments};
 use kinegrad_random::{Key, Purpose};
 
 /// Frames of a text.
@@ -46,7 +46,7 @@ fn main() {
     let composed = Composed {
         network: &network,
         path: None,
-        script: Script::new([segments.collect()]),
+        segments: TextSegments::new([segments.collect()]),
         switch: Switch {
             bpe_denoising_step: 60,
             num_train_timesteps: 1000,
@@ -63,7 +63,7 @@ fn main() {
     let short = Composed {
         network: &network,
         path: None,
-        script: Script::single([4]),
+        segments: TextSegments::single([4]),
         switch: composed.switch,
     };
     let _ = short.predict(

@@ -11,7 +11,9 @@
 use std::time::Instant;
 
 use burn::tensor::{Device, Tensor, TensorData};
-use kinegrad_diffusion::{FlowPrediction, FlowSamplerConfig, FlowSolver, LossType, diffusion_loss};
+use kinegrad_diffusion::{
+    Dopri5, FlowPrediction, LossType, SamplerConfig, SamplerKind, Timesteps, diffusion_loss,
+};
 use kinegrad_kernels::Mode;
 use kinegrad_models::flow::{
     FlowCondition, FlowRollout, FlowSpace, History, RolloutSettings, previous_state,
@@ -28,17 +30,17 @@ const HISTORY: usize = 15;
 fn main() {
     if let Some(steps) = std::env::args().nth(1) {
         let steps = steps.parse().expect("a number of steps");
-        let speed = rollout(FlowSolver::Euler, steps, 1.0);
+        let speed = rollout(SamplerKind::Euler, steps, 1.0);
         return println!("euler {steps}: {speed:.1}");
     }
     println!("rollout, frames a second:");
     for (kind, steps) in [
-        (FlowSolver::Euler, 1),
-        (FlowSolver::Euler, 5),
-        (FlowSolver::Euler, 10),
-        (FlowSolver::Midpoint, 5),
-        (FlowSolver::Heun, 5),
-        (FlowSolver::Dopri5, 2),
+        (SamplerKind::Euler, 1),
+        (SamplerKind::Euler, 5),
+        (SamplerKind::Euler, 10),
+        (SamplerKind::Midpoint, 5),
+        (SamplerKind::Heun(Timesteps::default()), 5),
+        (SamplerKind::Dopri5(Dopri5::default()), 2),
     ] {
         for guidance_scale in [1.0, 2.5] {
             let speed = rollout(kind, steps, guidance_scale);
@@ -52,7 +54,7 @@ fn main() {
 }
 
 /// Frames a second.
-fn rollout(kind: FlowSolver, num_inference_steps: usize, guidance_scale: f64) -> f64 {
+fn rollout(kind: SamplerKind, num_inference_steps: usize, guidance_scale: f64) -> f64 {
     let (device, skeleton) = (Device::flex(), Skeleton::humanml3d());
     let course = Course {
         speed: Box::new(|_| 1.1),
@@ -77,11 +79,9 @@ fn rollout(kind: FlowSolver, num_inference_steps: usize, guidance_scale: f64) ->
     };
     let frames = 60;
     let settings = RolloutSettings {
-        sampler: FlowSamplerConfig {
-            kind,
-            num_inference_steps,
+        sampler: SamplerConfig {
             guidance_scale,
-            ..FlowSamplerConfig::default()
+            ..SamplerConfig::new(kind, num_inference_steps)
         },
         frames: 2 * frames,
         constant_bones: true,

@@ -23,7 +23,7 @@ impl Dropout {
         Self { prob, layer }
     }
 
-    /// Whether anything is dropped with `key`.
+    /// True if anything is dropped with `key`.
     pub fn drops(&self, key: DropoutKey) -> bool {
         key.is_some() && self.prob > 0.0
     }

@@ -5,12 +5,13 @@
 //! parameter in the module tree *is* its state-dict name; [`parameters`] reads and writes them by
 //! that name. [`lora`] adds low-rank adapters. [`gmd`] contains the networks of Guided Motion
 //! Diffusion, [`transformer`] the encoder of its baseline, and [`TextDenoiser`] is a
-//! text-conditioned denoiser with either of them; [`clip`] is the encoder of the texts. [`flow`] contains the networks that continue a
-//! motion frame by frame, [`blended`] the one that composes a motion of several texts. [`text_motion`] contains the encoders of the text-motion evaluator.
+//! text-conditioned denoiser with either of them; [`text_encoder`] is CLIP's text network. [`flow`] contains
+//! the networks that continue a motion frame by frame, [`blended`] the transformer that composes a
+//! motion of several texts, and [`text_motion`] the encoders of the text-motion evaluator.
 
 pub mod attention;
 pub mod blended;
-pub mod clip;
+pub mod channel_encoding;
 pub mod config;
 pub mod decoder;
 pub mod dropout;
@@ -28,8 +29,8 @@ pub mod res_block;
 pub mod rotary;
 pub mod rotation;
 pub mod stages;
-pub mod targets;
 pub mod text_denoiser;
+pub mod text_encoder;
 pub mod text_motion;
 pub mod time_embedding;
 pub mod transformer;
@@ -49,5 +50,5 @@ pub use stages::Stages;
 pub use text_denoiser::{Backbone, TextDenoiser};
 pub use unet1d::{
     AudioCondition, AudioConditioning, BEAT_CHANNELS, Beats, STYLE_VALUES, StyleCondition,
-    StyleConditioning, UNet1d, UNet1dConfig, told_beats,
+    StyleConditioning, UNet1d, UNet1dConfig, beat_labels,
 };

@@ -25,7 +25,7 @@ impl ParameterInfo {
         self.shape.iter().product()
     }
 
-    /// Whether it has no elements.
+    /// True if it has no elements.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
@@ -94,7 +94,7 @@ pub fn infos<M: Module>(module: &M) -> Vec<ParameterInfo> {
     visitor.infos
 }
 
-/// Whether each parameter is trained, which a frozen one is not; initialises all.
+/// True for parameters that are trained, false for frozen ones; initialises all.
 ///
 /// Says so on a plain device too, where no tensor has gradients.
 pub fn trainable<M: Module>(module: &M) -> Vec<bool> {

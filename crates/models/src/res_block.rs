@@ -9,7 +9,7 @@ use crate::layers::{Conv1d, GROUPS, GroupNorm, Linear};
 use crate::lora::{Adapting, LoraTarget};
 use crate::{Dropout, DropoutKey, Initializer};
 
-/// What every [`ResBlock`] of one network shares.
+/// The settings that all [`ResBlock`]s of one network share.
 #[derive(Clone, Debug)]
 pub struct ResBlockConfig {
     /// Width of the time embedding.

@@ -149,7 +149,7 @@ impl TextDenoiser {
         self.projection.as_ref()
     }
 
-    /// What tells the network timestep and text.
+    /// The embedding of timestep and text.
     pub fn conditioner(&self) -> &Conditioner {
         &self.flat_conditioner
     }

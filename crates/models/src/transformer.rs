@@ -102,7 +102,7 @@ impl EncoderConfig {
         (frames as u64 + 1) * a_token
     }
 
-    /// Builds the network for motion of `in_channels`; its parameters are drawn when they are first
+    /// Builds the network for motion of `in_channels`; its parameters are initialised when they are first
     /// used.
     ///
     /// # Errors

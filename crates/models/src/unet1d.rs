@@ -6,7 +6,7 @@ mod beats;
 #[cfg(test)]
 mod beats_tests;
 mod config;
-mod steady;
+mod constant_tempo;
 mod style;
 #[cfg(test)]
 mod style_tests;
@@ -25,15 +25,15 @@ use crate::res_block::{ResBlock, ResBlockConfig};
 use crate::time_embedding::TimeEmbedding;
 use crate::{DropoutKey, Initializer, Stages};
 pub use audio::{AudioCondition, AudioConditioning};
-use audio::{AudioEncoder, Heard, widths};
-pub use beats::{BEAT_CHANNELS, Beats, told_beats};
+use audio::{AudioContext, AudioEncoder, widths};
+pub use beats::{BEAT_CHANNELS, Beats, beat_labels};
 pub use config::UNet1dConfig;
 use style::StyleEmbedding;
 pub use style::{STYLE_VALUES, StyleCondition, StyleConditioning};
 
 impl UNet1dConfig {
     /// Builds the network for motion of `in_channels` under conditions of `cond_channels` per
-    /// frame; its parameters are drawn when they are first used. Where beats are tracked, the last
+    /// frame; its parameters are initialised when they are first used. Where beats are tracked, the last
     /// [`BEAT_CHANNELS`] conditions tell them.
     ///
     /// # Errors
@@ -61,13 +61,13 @@ impl UNet1dConfig {
     }
 }
 
-/// One level on the way down: residual blocks, attention, the skip, then halving the length.
+/// One level of the encoder: residual blocks, attention, the skip, then halving the length.
 #[derive(Module, Debug)]
 struct EncoderLevel {
     res: Vec<ResBlock>,
     attn: Option<AttentionBlock>,
     down: Option<Conv1d>,
-    /// Joins what is heard at this level to what comes in.
+    /// Adds the audio context of this level to its input.
     audio: Option<Conv1d>,
 }
 
@@ -79,13 +79,13 @@ struct Bottleneck {
     res2: ResBlock,
 }
 
-/// One level on the way up: the skip joined, residual blocks, attention, then doubling.
+/// One level of the decoder: the skip joined, residual blocks, attention, then doubling.
 #[derive(Module, Debug)]
 struct DecoderLevel {
     res: Vec<ResBlock>,
     attn: Option<AttentionBlock>,
     up: Option<Conv1d>,
-    /// Joins what is heard at this level to what comes from the coarser one.
+    /// Adds the audio context of this level to what comes from the coarser one.
     audio: Option<Conv1d>,
 }
 
@@ -128,8 +128,8 @@ impl Builder<'_> {
         self.config.audio_conditioning == AudioConditioning::Aligned
     }
 
-    /// Width of what is heard at a level.
-    fn heard(&self, level: usize) -> usize {
+    /// Channels of the audio context of a level.
+    fn context_width(&self, level: usize) -> usize {
         match self.aligned() {
             true => widths(&self.config.channels(), self.config.context_dim)[level],
             false => self.config.context_dim,
@@ -137,8 +137,8 @@ impl Builder<'_> {
     }
 
     fn attention(&self, level: usize, channels: usize, init: &Initializer) -> AttentionBlock {
-        let heard = Some(self.heard(level));
-        let block = AttentionBlock::new(channels, self.config.num_heads, heard, init);
+        let width = Some(self.context_width(level));
+        let block = AttentionBlock::new(channels, self.config.num_heads, width, init);
         match self.aligned() {
             true => block.with_positions(),
             false => block,
@@ -146,7 +146,7 @@ impl Builder<'_> {
     }
 
     fn join(&self, level: usize, channels: usize, init: &Initializer) -> Option<Conv1d> {
-        let layer = || Conv1d::new(self.heard(level), channels, 1, &init.at("audio"));
+        let layer = || Conv1d::new(self.context_width(level), channels, 1, &init.at("audio"));
         self.aligned().then(layer)
     }
 
@@ -272,19 +272,19 @@ impl UNet1d {
             None => time_emb,
         };
         stages.stage(format_args!("time_emb"), || time_emb.clone());
-        let heard = self.hear(cond, stages);
+        let audio = self.encode_audio(cond, stages);
         let attend = |block: &Option<AttentionBlock>, level: usize, h: Tensor<3>| match block {
-            Some(block) => block.forward(h, Some(heard.context(level)), heard.lengths(level)),
+            Some(block) => block.forward(h, Some(audio.context(level)), audio.lengths(level)),
             None => h,
         };
 
         let input_conv = self.input_conv.operation();
-        let input_conv = input_conv.lengths(heard.lengths(0).cloned());
-        let mut h = heard.join(&self.enc[0].audio, 0, input_conv).forward(x_t);
+        let input_conv = input_conv.lengths(audio.lengths(0).cloned());
+        let mut h = audio.join(&self.enc[0].audio, 0, input_conv).forward(x_t);
         stages.stage(format_args!("input_conv"), || h.clone());
         let mut skips = Vec::with_capacity(self.enc.len());
         for (index, level) in self.enc.iter().enumerate() {
-            let lengths = heard.lengths(index);
+            let lengths = audio.lengths(index);
             for block in &level.res {
                 h = block.forward(h, time_emb.clone(), lengths, dropout);
             }
@@ -294,15 +294,15 @@ impl UNet1d {
             if let Some(down) = &level.down {
                 let down = down.operation().lengths(lengths.cloned());
                 let coarser = &self.enc[index + 1];
-                h = heard.join(&coarser.audio, index + 1, down).forward(h);
+                h = audio.join(&coarser.audio, index + 1, down).forward(h);
             }
         }
 
         let coarsest = self.enc.len() - 1;
-        let lengths = heard.lengths(coarsest);
+        let lengths = audio.lengths(coarsest);
         let Bottleneck { res1, attn, res2 } = &self.mid;
         h = res1.forward(h, time_emb.clone(), lengths, dropout);
-        h = attn.forward(h, Some(heard.context(coarsest)), lengths);
+        h = attn.forward(h, Some(audio.context(coarsest)), lengths);
         h = res2.forward(h, time_emb.clone(), lengths, dropout);
         stages.stage(format_args!("mid"), || h.clone());
 
@@ -310,19 +310,19 @@ impl UNet1d {
             let skip = skips.pop().expect("one skip a level");
             h = concat_channels(h, skip);
             for block in &level.res {
-                h = block.forward(h, time_emb.clone(), heard.lengths(index), dropout);
+                h = block.forward(h, time_emb.clone(), audio.lengths(index), dropout);
             }
             h = attend(&level.attn, index, h);
             if let (Some(up), Some(skip)) = (&level.up, skips.last()) {
                 let finer = index - 1;
                 let up = up.operation().upsample(skip.dims()[2]);
-                let up = up.lengths(heard.lengths(finer).cloned());
-                h = heard.join(&self.dec[finer].audio, finer, up).forward(h);
+                let up = up.lengths(audio.lengths(finer).cloned());
+                h = audio.join(&self.dec[finer].audio, finer, up).forward(h);
             }
             stages.stage(format_args!("dec.{index}"), || h.clone());
         }
         let output_conv = self.output_conv.operation();
-        output_conv.lengths(heard.lengths(0).cloned()).forward(h)
+        output_conv.lengths(audio.lengths(0).cloned()).forward(h)
     }
 
     /// Sine and cosine of the place of each frame in its beat as the network's own tracker finds it
@@ -333,28 +333,28 @@ impl UNet1d {
         encoder.track(cond.features.clone(), cond.lengths.as_ref())
     }
 
-    /// Sine and cosine of the place of each frame in its beat as the rest of the network hears it: the
-    /// steady beat that is nearest to what the tracker finds, with a norm of one; zeros in silence.
+    /// Sine and cosine of the place of each frame in its beat, as the rest of the network receives it:
+    /// a constant tempo fitted to the tracked beats, with a norm of one; zeros in silence.
     pub fn find_beats(&self, cond: &AudioCondition) -> Option<Tensor<3>> {
         let encoder = self.audio.as_ref()?;
         encoder.find(cond.features.clone(), cond.lengths.as_ref())
     }
 
-    fn hear(&self, cond: AudioCondition, stages: &mut impl Stages) -> Heard {
+    fn encode_audio(&self, cond: AudioCondition, stages: &mut impl Stages) -> AudioContext {
         let levels = self.enc.len();
         match (&self.audio_proj, &self.audio) {
             (Some(projection), _) => {
                 let context = projection.forward_frames(cond.features);
                 stages.stage(format_args!("audio_ctx"), || context.clone());
-                Heard::everywhere(context, levels)
+                AudioContext::everywhere(context, levels)
             }
             (None, encoder) => {
                 let encoder = encoder.as_ref().expect("one of the two");
-                let heard = encoder.forward(cond);
+                let audio = encoder.forward(cond);
                 for level in 0..levels {
-                    stages.stage(format_args!("audio_ctx.{level}"), || heard.context(level));
+                    stages.stage(format_args!("audio_ctx.{level}"), || audio.context(level));
                 }
-                heard
+                audio
             }
         }
     }

@@ -21,7 +21,8 @@ pub struct Key {
     pub default: Option<Value>,
     /// Whether it must be there where its table is.
     pub required: bool,
-    /// What another key of its table must be for this one to be there: `kind = "disc"`.
+    /// What another key of its table must be for this one to be there: `kind = "disc"`, or one of
+    /// several, `kind = "disc", "square"`.
     pub only_with: Option<String>,
 }
 
@@ -143,8 +144,26 @@ fn collect(table: &Map<String, Value>, prefix: &str, only_with: Option<&str>, ke
         if let Some(Value::Object(properties)) = inner.get_mut("properties") {
             properties.remove(key);
         }
-        collect(&inner, prefix, Some(&with), keys);
+        let mut own = Vec::new();
+        collect(&inner, prefix, Some(&with), &mut own);
+        for added in own {
+            let shared = keys
+                .iter_mut()
+                .find(|known| is_shared(known, &added, &with));
+            match shared.and_then(|known| known.only_with.as_mut()) {
+                Some(only_with) => *only_with = format!("{only_with}, \"{value}\""),
+                None => keys.push(added),
+            }
+        }
     }
+}
+
+/// Whether `added`, a key of the kind `with`, is that of another kind too.
+fn is_shared(known: &Key, added: &Key, with: &str) -> bool {
+    let tag = with.split(" = ").next();
+    let same_tag = |only_with: &String| only_with.split(" = ").next() == tag;
+    (&known.name, &known.meaning, &known.values) == (&added.name, &added.meaning, &added.values)
+        && known.only_with.as_ref().is_some_and(same_tag)
 }
 
 /// Adds one key, and those below it.

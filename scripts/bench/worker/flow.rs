@@ -7,7 +7,7 @@
 
 use burn::tensor::{Device, Tensor};
 use kinegrad_data::TEXT;
-use kinegrad_diffusion::{FlowPrediction, FlowSamplerConfig, FlowSolver};
+use kinegrad_diffusion::{FlowPrediction, SamplerConfig, SamplerKind};
 use kinegrad_models::Initializer;
 use kinegrad_models::flow::{FlowCondition, FlowModel, History, previous_state};
 use kinegrad_motion::humanml::Skeleton;
@@ -60,7 +60,7 @@ pub fn training(
 /// Histories, and the start noise of their next poses.
 pub struct Drawing {
     model: FlowModel,
-    sampler: FlowSamplerConfig,
+    sampler: SamplerConfig,
     /// History, text, place and noise of each.
     poses: Vec<[Tensor<3>; 4]>,
 }
@@ -74,11 +74,7 @@ impl Drawing {
         let pose = |i: usize| all.clone().map(|tensor| tensor.narrow(0, i, 1));
         Ok(Self {
             model,
-            sampler: FlowSamplerConfig {
-                kind: FlowSolver::Euler,
-                num_inference_steps: steps,
-                ..FlowSamplerConfig::default()
-            },
+            sampler: SamplerConfig::new(SamplerKind::Euler, steps),
             poses: (0..batch).map(pose).collect(),
         })
     }

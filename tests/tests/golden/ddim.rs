@@ -3,8 +3,8 @@
 use burn::module::Module;
 use burn::tensor::{Device, Tensor};
 use kinegrad_diffusion::{
-    BetaSchedule, ClipRange, DiffusionConfig, FinalAlpha, GaussianDiffusion, PredictionType,
-    SamplerConfig, SamplerKind, TimestepSpacing, sample,
+    BetaSchedule, ClipRange, Ddim, DiffusionConfig, FinalAlpha, GaussianDiffusion, PredictionType,
+    SamplerConfig, SamplerKind, TimestepSpacing, Timesteps, sample,
 };
 use kinegrad_models::{Initializer, parameters};
 use kinegrad_random::{Key, Purpose};
@@ -55,22 +55,21 @@ fn golden_ddim_sampling(golden: Golden) {
             "noclip" => (ClipRange::None, 2e-5),
             other => panic!("clipping {other}"),
         };
-        let sampler = SamplerConfig {
-            kind: SamplerKind::Ddim,
+        let to = |final_alpha| SamplerConfig {
+            kind: SamplerKind::Ddim(Ddim {
+                timesteps: Timesteps {
+                    timestep_spacing: TimestepSpacing::Document,
+                    guidance_until: 0,
+                },
+                eta: 0.0,
+                final_alpha,
+                recompute_epsilon: false,
+            }),
             num_inference_steps: steps,
-            eta: 0.0,
             guidance_scale: parts[2].trim_start_matches("cfg").parse().expect("a scale"),
             style_guidance_scale: None,
-            guidance_until: 0,
-            tolerance: None,
-            timestep_spacing: TimestepSpacing::Document,
-            final_alpha: FinalAlpha::First,
-            recompute_epsilon: false,
         };
-        let to_clean_motion = SamplerConfig {
-            final_alpha: FinalAlpha::One,
-            ..sampler.clone()
-        };
+        let (sampler, to_clean_motion) = (to(FinalAlpha::First), to(FinalAlpha::One));
         let case = format!("out.{}.{}.{}", parts[0], parts[1], parts[2]);
         let mut states: Vec<Tensor<3>> = Vec::new();
         let key = Key::new(0, Purpose::Sampling);

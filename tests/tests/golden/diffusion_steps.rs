@@ -2,8 +2,8 @@
 
 use burn::tensor::{Device, Tensor};
 use kinegrad_diffusion::{
-    BetaSchedule, ClipRange, DiffusionConfig, GaussianDiffusion, Prediction, PredictionType,
-    SamplerConfig, ddim_step, ddpm_step,
+    BetaSchedule, ClipRange, Ddim, DiffusionConfig, GaussianDiffusion, Prediction, PredictionType,
+    ddim_step, ddpm_step,
 };
 use kinegrad_tests::golden::{Golden, GoldenTensors, ReferenceTensors};
 use kinegrad_tests::trials;
@@ -194,7 +194,7 @@ fn golden_ddpm_step_by_ddim(golden: Golden) {
     let steps = Steps::of(golden);
     let noise = steps.tensor("in.step_noise");
     // Its epsilon must belong to the clipped motion, as it does in the posterior.
-    let config = SamplerConfig {
+    let config = Ddim {
         eta: 1.0,
         recompute_epsilon: true,
         ..Default::default()
@@ -220,7 +220,7 @@ fn golden_ddim_step(golden: Golden) {
         let (eta, jump) = rest.rsplit_once(".t").expect("eta and timesteps");
         let (from, to) = jump.split_once('_').expect("two timesteps");
         let (from, to): (usize, usize) = (from.parse().unwrap(), to.parse().unwrap());
-        let config = SamplerConfig {
+        let config = Ddim {
             eta: eta.parse().unwrap(),
             recompute_epsilon: false,
             ..Default::default()

@@ -3,9 +3,9 @@
 use std::ops::ControlFlow;
 
 use burn::tensor::{Device, Tensor};
-use kinegrad_diffusion::flow::{euler, integrate, midpoint};
+use kinegrad_diffusion::flow::integrate;
 use kinegrad_diffusion::{
-    FlowPrediction, FlowSamplerConfig, FlowSolver, LossType, diffusion_loss, sample_flow,
+    Dopri5, FlowPrediction, LossType, SamplerConfig, SamplerKind, diffusion_loss, sample_flow,
 };
 use kinegrad_models::flow::{FlowCondition, FlowModel, Hierarchy, History, previous_state};
 use kinegrad_models::layers::NormOrder;
@@ -259,16 +259,12 @@ fn golden_flow_sampling(golden: Golden) {
         parameters::load(predictor, weights(&golden, "model.")).expect("the weights fit");
     let cond = condition(&golden, golden.tensor("in.context", &device), &device);
     for (name, kind, evaluations) in [
-        ("out.euler8", FlowSolver::Euler, 1),
-        ("out.midpoint4", FlowSolver::Midpoint, 2),
-        ("out.midpoint8", FlowSolver::Midpoint, 2),
+        ("out.euler8", SamplerKind::Euler, 1),
+        ("out.midpoint4", SamplerKind::Midpoint, 2),
+        ("out.midpoint8", SamplerKind::Midpoint, 2),
     ] {
         let steps = golden.get(name).shape[0] - 1;
-        let config = FlowSamplerConfig {
-            kind,
-            num_inference_steps: steps,
-            ..FlowSamplerConfig::default()
-        };
+        let config = SamplerConfig::new(kind, steps);
         let noise: Tensor<3> = turned(golden.tensor("in.noise", &device));
         let mut states = vec![noise.clone()];
         let flowed = sample_flow(
@@ -294,7 +290,8 @@ fn compare_linear(golden: &Golden, device: &Device) {
     let mut velocity = |y: Tensor<1>, t: f64| Ok(y * -2.0 + t);
     let mut states = vec![y0.clone()];
     let steps = golden.get("out.linear.euler16").shape[0] - 1;
-    euler(&mut velocity, y0.clone(), steps, &mut |_, y| {
+    let config = SamplerConfig::new(SamplerKind::Euler, steps);
+    integrate(&mut velocity, y0.clone(), &config, &mut |_, y| {
         states.push(y.clone());
         ControlFlow::Continue(())
     })
@@ -302,18 +299,15 @@ fn compare_linear(golden: &Golden, device: &Device) {
     compare_states(golden, "out.linear.euler16", states);
     let mut states = vec![y0.clone()];
     let steps = golden.get("out.linear.midpoint16").shape[0] - 1;
-    midpoint(&mut velocity, y0.clone(), steps, &mut |_, y| {
+    let config = SamplerConfig::new(SamplerKind::Midpoint, steps);
+    integrate(&mut velocity, y0.clone(), &config, &mut |_, y| {
         states.push(y.clone());
         ControlFlow::Continue(())
     })
     .expect("not stopped");
     compare_states(golden, "out.linear.midpoint16", states);
     // Order 5: sixteen steps are exact in single precision.
-    let config = FlowSamplerConfig {
-        kind: FlowSolver::Dopri5,
-        num_inference_steps: 16,
-        ..FlowSamplerConfig::default()
-    };
+    let config = SamplerConfig::new(SamplerKind::Dopri5(Dopri5::default()), 16);
     let flowed = integrate(&mut velocity, y0, &config, &mut |_, _| {
         ControlFlow::Continue(())
     });

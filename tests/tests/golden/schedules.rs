@@ -1,7 +1,8 @@
 //! Golden file 01: every schedule table in f64, and the timesteps of golden file 08.
 
 use kinegrad_diffusion::{
-    BetaSchedule, DiffusionConfig, NoiseSchedule, SamplerConfig, TimestepSpacing, timesteps,
+    BetaSchedule, DiffusionConfig, NoiseSchedule, SamplerConfig, SamplerKind, TimestepSpacing,
+    Timesteps, timesteps,
 };
 use kinegrad_tests::golden::Golden;
 use kinegrad_tests::trials;
@@ -68,11 +69,11 @@ fn golden_timesteps_match_exactly(golden: Golden) {
         let prefix = format!("out.timesteps_{section}.");
         for case in golden.names_under(&prefix) {
             let (total, steps) = case.split_once('.').expect("T and N");
-            let config = SamplerConfig {
-                num_inference_steps: number(steps),
+            let config = SamplerKind::Ddpm(Timesteps {
                 timestep_spacing,
-                ..Default::default()
-            };
+                guidance_until: 0,
+            });
+            let config = SamplerConfig::new(config, number(steps));
             let found = timesteps(&config, number(total));
             let found: Vec<f64> = found.into_iter().map(|t| t as f64).collect();
             golden.compare_exactly(&format!("{prefix}{case}"), &found);

@@ -3,7 +3,7 @@
 use burn::module::Module;
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_data::humanml::walk;
-use kinegrad_diffusion::{FlowPrediction, FlowSamplerConfig, LossType, diffusion_loss};
+use kinegrad_diffusion::{FlowPrediction, LossType, SamplerConfig, SamplerKind, diffusion_loss};
 use kinegrad_models::flow::{
     FlowCondition, FlowModel, FlowRollout, FlowSpace, History, RolloutSettings, previous_state,
 };
@@ -175,7 +175,7 @@ fn a_small_model_learns_to_go_on_walking() {
         let history = held_out.1.as_slice()[..(HISTORY + 1) * 22].to_vec();
         let history = Joints::new(history, 22).expect("frames");
         let settings = RolloutSettings {
-            sampler: FlowSamplerConfig::default(),
+            sampler: SamplerConfig::new(SamplerKind::Euler, 10),
             frames: 40,
             constant_bones: true,
             same_noise: false,

@@ -3,7 +3,7 @@
 use burn::tensor::{Device, Tensor};
 use kinegrad_diffusion::{
     BetaSchedule, ClipRange, Denoiser, DiffusionConfig, GaussianDiffusion, PredictionType,
-    SamplerConfig, SamplerKind, Time, sample,
+    SamplerConfig, SamplerKind, Time, Timesteps, sample,
 };
 use kinegrad_random::{Key, Purpose};
 use kinegrad_tests::golden::{Golden, GoldenTensors, workspace};
@@ -34,8 +34,8 @@ fn every_state_is_that_of_diffusers() {
     };
     let mut compared = 0;
     for (kind, prefix) in [
-        (SamplerKind::Dpmpp2m, "dpmpp_2m"),
-        (SamplerKind::Heun, "heun"),
+        (SamplerKind::Dpmpp2m(Timesteps::default()), "dpmpp_2m"),
+        (SamplerKind::Heun(Timesteps::default()), "heun"),
     ] {
         for (prediction_type, name) in [
             (PredictionType::Epsilon, "epsilon"),
@@ -52,16 +52,12 @@ fn every_state_is_that_of_diffusers() {
                 let name = format!("{prefix}.{name}.{count}");
                 if !file.has(&name) {
                     // diffusers' Heun does not support sample prediction.
-                    assert!(kind == SamplerKind::Heun && prediction_type == PredictionType::Sample);
+                    assert!(prefix == "heun" && prediction_type == PredictionType::Sample);
                     continue;
                 }
                 let expected = file.get(&name).f32s();
                 let mut found: Vec<f32> = Vec::new();
-                let config = SamplerConfig {
-                    kind,
-                    num_inference_steps: steps,
-                    ..SamplerConfig::default()
-                };
+                let config = SamplerConfig::new(kind, steps);
                 sample(
                     &diffusion,
                     &toy,

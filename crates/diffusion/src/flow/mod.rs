@@ -6,20 +6,15 @@
 //! ```
 //!
 //! The convention of t is that of Lipman et al. 2023, <https://arxiv.org/abs/2210.02747>, and of
-//! Liu et al. 2023, <https://arxiv.org/abs/2209.03003>: it runs the other way than the timesteps of
-//! [`GaussianDiffusion`](crate::GaussianDiffusion). What those papers call x_0 and x_1 is here
-//! `noise` and `x_start`. Source: docs/sources.md, section 5.
+//! Liu et al. 2023, <https://arxiv.org/abs/2209.03003>: it runs in the opposite direction of
+//! the timesteps of [`GaussianDiffusion`](crate::GaussianDiffusion). The papers' x_0 and x_1 are
+//! `noise` and `x_start` here. Source: docs/sources.md, section 5.
 //!
-//! Each solver is a function in its own file that contains its whole loop, over any
-//! [`Velocity`]; [`integrate`] runs the one that a config names, and [`sample_flow`] does so with a
-//! network. All say how often they asked for a velocity.
+//! [`integrate`] runs the solver of a config over any [`Velocity`], and [`sample_flow`] does so
+//! with a network.
 
-mod config;
-mod dopri5;
-mod euler;
-mod heun;
-mod midpoint;
 mod process;
+mod solver;
 
 #[cfg(test)]
 mod tests;
@@ -28,13 +23,10 @@ use std::ops::ControlFlow;
 
 use burn::tensor::Tensor;
 
-pub use config::{FlowSamplerConfig, FlowSolver};
-pub use dopri5::{dopri5, dopri5_adaptive};
-pub use euler::euler;
-pub use heun::heun;
-pub use midpoint::midpoint;
 pub use process::{FlowPrediction, NEAREST_END};
 
+use crate::ode::Method;
+use crate::sampler::{Dopri5, SamplerConfig, SamplerKind, must_suit_flow};
 use crate::{Denoiser, Error, Time, guided};
 
 /// The velocity of a state at a flow time, called by a solver as often as it needs to.
@@ -49,7 +41,7 @@ pub type OnFlowStep<'a, const D: usize> = dyn FnMut(f64, &Tensor<D>) -> ControlF
 pub struct Flowed<const D: usize> {
     /// The state at t = 1, of the start's shape.
     pub x: Tensor<D>,
-    /// How often the velocity was asked for; under guidance each asks the network twice.
+    /// Number of velocities taken; under guidance each calls the network twice.
     pub evaluations: usize,
 }
 
@@ -61,18 +53,29 @@ pub struct Flowed<const D: usize> {
 pub fn integrate<const D: usize>(
     velocity: &mut Velocity<'_, D>,
     x: Tensor<D>,
-    config: &FlowSamplerConfig,
+    config: &SamplerConfig,
     on_step: &mut OnFlowStep<'_, D>,
 ) -> Result<Flowed<D>, Error> {
-    config.validate()?;
-    let steps = config.num_inference_steps;
-    match (config.kind, config.tolerance) {
-        (FlowSolver::Euler, _) => euler(velocity, x, steps, on_step),
-        (FlowSolver::Midpoint, _) => midpoint(velocity, x, steps, on_step),
-        (FlowSolver::Heun, _) => heun(velocity, x, steps, on_step),
-        (FlowSolver::Dopri5, None) => dopri5(velocity, x, steps, on_step),
-        (FlowSolver::Dopri5, Some(tolerance)) => dopri5_adaptive(velocity, x, tolerance, on_step),
-    }
+    must_suit_flow(config)?;
+    let mut evaluations = 0;
+    let velocity: &mut Velocity<'_, D> = &mut |x, t| {
+        evaluations += 1;
+        velocity(x, t)
+    };
+    let method = match config.kind {
+        SamplerKind::Midpoint => Method::MIDPOINT,
+        SamplerKind::Heun(_) => Method::HEUN,
+        SamplerKind::Dopri5(Dopri5 { tolerance: None }) => Method::DOPRI5,
+        SamplerKind::Dopri5(Dopri5 {
+            tolerance: Some(tolerance),
+        }) => {
+            let x = solver::adaptive_steps(velocity, x, tolerance, on_step)?;
+            return Ok(Flowed { x, evaluations });
+        }
+        _ => Method::EULER,
+    };
+    let x = solver::equal_steps(&method, velocity, x, config.num_inference_steps, on_step)?;
+    Ok(Flowed { x, evaluations })
 }
 
 /// Generates one pose or motion per sample of the start noise by following a network's velocity.
@@ -91,7 +94,7 @@ pub fn sample_flow<D: Denoiser + ?Sized>(
     noise: Tensor<3>,
     cond: &D::Cond,
     prediction: FlowPrediction,
-    config: &FlowSamplerConfig,
+    config: &SamplerConfig,
     on_step: &mut OnFlowStep<'_, 3>,
 ) -> Result<Flowed<3>, Error> {
     let [batch, ..] = noise.dims();

@@ -6,11 +6,12 @@ use serde::{Deserialize, Serialize};
 
 use crate::per_sample::per_sample;
 
-/// How near to t = 0 a sampler reads a velocity off predicted noise, and to t = 1 off predicted
-/// data: the factors grow without bound there, and with them every error of the network.
+/// Least distance from t = 0 at which predicted noise is converted to a velocity, and from t = 1
+/// for predicted data: closer, the factors grow without bound, and the errors of the network with
+/// them.
 pub const NEAREST_END: f64 = 0.05;
 
-/// What a network of a flow predicts.
+/// The quantity that the network of a flow predicts.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum FlowPrediction {
@@ -43,7 +44,7 @@ impl FlowPrediction {
         noise.clone() + (x_start - noise) * factor
     }
 
-    /// What the network is trained to answer.
+    /// The training target.
     ///
     /// # Shapes
     /// - noise, x_start, output: `[batch, channels, time]`
@@ -55,7 +56,7 @@ impl FlowPrediction {
         }
     }
 
-    /// A prediction of this kind as one of the kind `to` that, with the same `x_t`, says the same
+    /// Converts a prediction of this kind to the kind `to`, for the same `x_t`
     /// (docs/sources.md, section 5):
     ///
     /// ```text
@@ -63,7 +64,7 @@ impl FlowPrediction {
     /// v = (x_t - noise) / t      v = (data - x_t) / (1 - t)
     /// ```
     ///
-    /// Not finite for noise at t = 0 and data at t = 1, which say nothing of the velocity.
+    /// Not finite for noise at t = 0 and data at t = 1, which do not determine the velocity.
     ///
     /// # Shapes
     /// - prediction, x_t, output: `[batch, channels, time]`

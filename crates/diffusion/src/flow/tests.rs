@@ -6,22 +6,28 @@ use kinegrad_random::{Key, Purpose};
 use proptest::prelude::*;
 
 use super::*;
+use crate::sampler::{TimestepSpacing, Timesteps};
 
 fn go<const D: usize>(_: f64, _: &Tensor<D>) -> ControlFlow<()> {
     ControlFlow::Continue(())
 }
 
-fn config(kind: FlowSolver, num_inference_steps: usize) -> FlowSamplerConfig {
-    FlowSamplerConfig {
-        kind,
-        num_inference_steps,
-        ..FlowSamplerConfig::default()
-    }
+const HEUN: SamplerKind = SamplerKind::Heun(Timesteps {
+    timestep_spacing: TimestepSpacing::Linspace,
+    guidance_until: 0,
+});
+
+/// Dormand and Prince's method in equal steps.
+const DOPRI5: SamplerKind = SamplerKind::Dopri5(Dopri5 { tolerance: None });
+
+fn adaptive(tolerance: f64) -> SamplerConfig {
+    let tolerance = Some(tolerance);
+    SamplerConfig::new(SamplerKind::Dopri5(Dopri5 { tolerance }), 1)
 }
 
 /// The error at t = 1 of `dy/dt = -2y + t` from 1.3, `(y0 + 1/4) e^-2 + 1/4`, in float64, and how
 /// often the velocity was asked for.
-fn error_of(config: &FlowSamplerConfig) -> (f64, usize) {
+fn error_of(config: &SamplerConfig) -> (f64, usize) {
     let (start, device) = (1.3, Device::flex());
     let y = Tensor::<1>::from_data([start], (&device, DType::F64));
     let mut asked = 0;
@@ -39,13 +45,13 @@ fn error_of(config: &FlowSamplerConfig) -> (f64, usize) {
 #[test]
 fn solvers_have_their_orders() {
     for (kind, order, evaluations) in [
-        (FlowSolver::Euler, 1.0, 1),
-        (FlowSolver::Midpoint, 2.0, 2),
-        (FlowSolver::Heun, 2.0, 2),
-        (FlowSolver::Dopri5, 5.0, 6),
+        (SamplerKind::Euler, 1.0, 1),
+        (SamplerKind::Midpoint, 2.0, 2),
+        (HEUN, 2.0, 2),
+        (DOPRI5, 5.0, 6),
     ] {
         let errors = [32, 64, 128].map(|steps| {
-            let (error, asked) = error_of(&config(kind, steps));
+            let (error, asked) = error_of(&SamplerConfig::new(kind, steps));
             assert_eq!(asked, evaluations * steps, "{kind}");
             error
         });
@@ -58,14 +64,8 @@ fn solvers_have_their_orders() {
 
 #[test]
 fn a_tighter_tolerance_costs_more_and_is_kept() {
-    let at = |tolerance| {
-        error_of(&FlowSamplerConfig {
-            tolerance: Some(tolerance),
-            ..config(FlowSolver::Dopri5, 1)
-        })
-    };
     let all = [1e-2, 1e-4, 1e-6].map(|tolerance| {
-        let (error, asked) = at(tolerance);
+        let (error, asked) = error_of(&adaptive(tolerance));
         assert!(error < 3.0 * tolerance, "{tolerance}: {error}");
         (error, asked)
     });
@@ -81,11 +81,11 @@ fn a_velocity_that_no_step_is_short_enough_for_is_an_error() {
         asked += 1;
         Ok(if t > 0.5 { y * f64::NAN } else { y })
     };
-    let error = dopri5_adaptive(&mut broken, start(), 1e-4, &mut go).unwrap_err();
+    let error = integrate(&mut broken, start(), &adaptive(1e-4), &mut go).unwrap_err();
     assert!(matches!(error, Error::NotFinite), "{error}");
     assert!(asked < 200, "{asked}");
     let mut wild = |y: Tensor<1>, t: f64| Ok(y.zeros_like() + if t < 0.5 { 0.0 } else { 1e12 });
-    let error = dopri5_adaptive(&mut wild, start(), 1e-6, &mut go).unwrap_err();
+    let error = integrate(&mut wild, start(), &adaptive(1e-6), &mut go).unwrap_err();
     assert!(
         error.to_string().contains("0.5") || error.to_string().contains("0.49"),
         "{error}"
@@ -94,22 +94,18 @@ fn a_velocity_that_no_step_is_short_enough_for_is_an_error() {
 
 #[test]
 fn steps_are_seen_and_can_end_a_solver() {
-    for kind in [
-        FlowSolver::Euler,
-        FlowSolver::Midpoint,
-        FlowSolver::Heun,
-        FlowSolver::Dopri5,
-    ] {
+    for kind in [SamplerKind::Euler, SamplerKind::Midpoint, HEUN, DOPRI5] {
         let mut seen = Vec::new();
         let mut still = |y: Tensor<1>, _: f64| Ok(y.zeros_like());
         let start = Tensor::<1>::ones([3], &Device::flex());
-        integrate(&mut still, start.clone(), &config(kind, 4), &mut |t, _| {
+        let config = SamplerConfig::new(kind, 4);
+        integrate(&mut still, start.clone(), &config, &mut |t, _| {
             seen.push(t);
             ControlFlow::Continue(())
         })
         .unwrap();
         assert_eq!(seen, [0.25, 0.5, 0.75, 1.0], "{kind}");
-        let stopped = integrate(&mut still, start, &config(kind, 4), &mut |_, _| {
+        let stopped = integrate(&mut still, start, &config, &mut |_, _| {
             ControlFlow::Break(())
         });
         assert!(matches!(stopped, Err(Error::Stopped)), "{kind}");
@@ -180,17 +176,12 @@ impl Denoiser for Straight {
 #[test]
 fn every_solver_follows_a_straight_flow_and_guidance_overshoots() {
     let (noise, data) = (normal(3, [2, 3, 4]), normal(4, [2, 3, 4]));
-    for kind in [
-        FlowSolver::Euler,
-        FlowSolver::Midpoint,
-        FlowSolver::Heun,
-        FlowSolver::Dopri5,
-    ] {
+    for kind in [SamplerKind::Euler, SamplerKind::Midpoint, HEUN, DOPRI5] {
         for (guidance_scale, calls) in [(1.0, 1), (2.0, 2)] {
             let network = Straight(FlowPrediction::Velocity, Cell::new(0));
-            let config = FlowSamplerConfig {
+            let config = SamplerConfig {
                 guidance_scale,
-                ..config(kind, 8)
+                ..SamplerConfig::new(kind, 8)
             };
             let flowed = sample_flow(
                 &network,
@@ -205,7 +196,11 @@ fn every_solver_follows_a_straight_flow_and_guidance_overshoots() {
             // Without guidance to the data; guided, to twice the data less what no condition gives.
             let error = apart(flowed.x, data.clone() * guidance_scale);
             // Where a solver asks at t = 1, the divisor's bound bends the way.
-            let allowed = if kind == FlowSolver::Euler { 1e-5 } else { 0.7 };
+            let allowed = if kind == SamplerKind::Euler {
+                1e-5
+            } else {
+                0.7
+            };
             assert!(error < allowed, "{kind}, {guidance_scale}: {error}");
         }
     }
@@ -220,7 +215,7 @@ fn a_network_of_noise_leads_near_the_data() {
         (FlowPrediction::Epsilon, 0.7),
     ] {
         let network = Straight(prediction, Cell::new(0));
-        let config = config(FlowSolver::Euler, 20);
+        let config = SamplerConfig::new(SamplerKind::Euler, 20);
         let flowed =
             sample_flow(&network, noise.clone(), &data, prediction, &config, &mut go).unwrap();
         let error = apart(flowed.x, data.clone());
@@ -233,7 +228,7 @@ fn exact_data_is_met_in_a_single_step() {
     let (noise, data) = (normal(3, [2, 3, 4]), normal(4, [2, 3, 4]));
     for prediction in [FlowPrediction::Velocity, FlowPrediction::Sample] {
         let network = Straight(prediction, Cell::new(0));
-        let config = config(FlowSolver::Euler, 1);
+        let config = SamplerConfig::new(SamplerKind::Euler, 1);
         let flowed =
             sample_flow(&network, noise.clone(), &data, prediction, &config, &mut go).unwrap();
         assert!(apart(flowed.x, data.clone()) < 1e-5, "{prediction}");
@@ -255,7 +250,7 @@ fn an_answer_of_another_size_is_refused() {
         normal(1, [2, 3, 4]),
         &(),
         FlowPrediction::Velocity,
-        &FlowSamplerConfig::default(),
+        &SamplerConfig::default(),
         &mut go,
     );
     assert!(matches!(refused, Err(Error::ModelOutput { .. })));

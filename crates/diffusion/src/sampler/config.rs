@@ -6,54 +6,86 @@ use kinegrad_settings::{InvalidSetting, Refused, in_range, require};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::{FlowSolver, GuidanceScales};
+use super::spacing::timesteps;
+use crate::{DiffusionConfig, GuidanceScales};
 
-/// The sampling algorithm.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
+/// A sampler of a diffusion process or of a flow (CC-MotionGen, sections 3.2.1 and 8.1;
+/// docs/sources.md, section 1.9).
+#[derive(Clone, Debug, PartialEq, Serialize, JsonSchema)]
+#[schemars(default)]
+pub struct SamplerConfig {
+    /// The sampling algorithm.
+    #[serde(flatten)]
+    pub kind: SamplerKind,
+    /// Number of steps, at most the process's number of timesteps.
+    pub num_inference_steps: usize,
+    /// Classifier-free guidance scale; 1 disables guidance.
+    pub guidance_scale: f64,
+    /// Guidance scale of the style, for models with one (`model.style`); if not set, the same as
+    /// `guidance_scale`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub style_guidance_scale: Option<f64>,
+}
+
+/// The sampling algorithm, with its own settings.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, JsonSchema)]
+#[serde(tag = "kind", rename_all = "snake_case")]
 pub enum SamplerKind {
     /// DDIM: deterministic at `eta` 0, and good with few steps.
-    #[default]
-    Ddim,
+    Ddim(Ddim),
     /// Ancestral sampling: samples from the posterior in every step.
-    Ddpm,
+    Ddpm(Timesteps),
     /// DPM-Solver++ (2M): deterministic and of second order.
     #[serde(rename = "dpmpp_2m")]
-    Dpmpp2m,
+    Dpmpp2m(Timesteps),
     /// Deterministic and of second order, with two calls of the network a step. For flows too.
-    Heun,
-    /// Of a flow: of first order, one call of the network a step.
+    Heun(Timesteps),
+    /// For flows: of first order, one call of the network a step.
     Euler,
-    /// Of a flow: of second order, two calls a step.
+    /// For flows: of second order, two calls a step.
     Midpoint,
-    /// Of a flow: Dormand and Prince's method of order 5, six calls a step; with a `tolerance` it
+    /// For flows: Dormand and Prince's method of order 5, six calls a step; with a `tolerance` it
     /// chooses its steps itself.
-    Dopri5,
+    Dopri5(Dopri5),
 }
 
-impl SamplerKind {
-    /// Those that follow the velocity of a flow; none of a diffusion process alone.
-    pub fn flow(self) -> Option<FlowSolver> {
-        match self {
-            Self::Ddim | Self::Ddpm | Self::Dpmpp2m => None,
-            Self::Heun => Some(FlowSolver::Heun),
-            Self::Euler => Some(FlowSolver::Euler),
-            Self::Midpoint => Some(FlowSolver::Midpoint),
-            Self::Dopri5 => Some(FlowSolver::Dopri5),
-        }
-    }
-
-    /// Whether it goes backward through a diffusion process.
-    pub fn is_of_diffusion(self) -> bool {
-        matches!(self, Self::Ddim | Self::Ddpm | Self::Dpmpp2m | Self::Heun)
-    }
+/// The settings of DDIM.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, JsonSchema)]
+#[schemars(default)]
+pub struct Ddim {
+    /// Which timesteps it visits.
+    #[serde(flatten)]
+    pub timesteps: Timesteps,
+    /// Scale of the added noise, from 0 (deterministic) to 1 (as DDPM).
+    pub eta: f64,
+    /// Where the last step lands; other samplers end at the clean motion.
+    pub final_alpha: FinalAlpha,
+    /// After clipping the predicted motion, continue with the noise that belongs to the clipped
+    /// one; the source continues with the network's, which then contradicts it.
+    pub recompute_epsilon: bool,
 }
 
-impl fmt::Display for SamplerKind {
-    /// Its name in a config.
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        self.serialize(f)
-    }
+/// The timesteps that a sampler of a diffusion process visits, and those that it guides.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, JsonSchema)]
+#[schemars(default)]
+pub struct Timesteps {
+    /// Spacing of the timesteps.
+    pub timestep_spacing: TimestepSpacing,
+    /// Timestep below which no guidance scale is more than 1; 0 guides at all timesteps. Guidance
+    /// multiplies the network's errors, which at low noise make a motion shake, while the content
+    /// of the motion has been decided by then (Kynkäänniemi et al. 2024,
+    /// <https://arxiv.org/abs/2404.07724>).
+    pub guidance_until: usize,
+}
+
+/// The settings of the method of Dormand and Prince.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, JsonSchema)]
+#[schemars(default)]
+pub struct Dopri5 {
+    /// Largest error of a step, of a number of size 1; `num_inference_steps` is not used then. If
+    /// not set, the steps are equal.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub tolerance: Option<f64>,
 }
 
 /// Which timesteps a sampler of N steps visits out of T; entry i of 0..N, noisiest first.
@@ -86,96 +118,73 @@ pub enum FinalAlpha {
     One,
 }
 
-/// A sampler (CC-MotionGen, sections 3.2.1 and 8.1; docs/sources.md, section 1.9).
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
-pub struct SamplerConfig {
-    /// The sampling algorithm.
-    pub kind: SamplerKind,
-    /// Number of steps N, from 1 to the process's number of timesteps T.
-    pub num_inference_steps: usize,
-    /// Scale of the noise added by DDIM, from 0 (deterministic) to 1 (as DDPM).
-    pub eta: f64,
-    /// Classifier-free guidance scale; 1 disables guidance.
-    pub guidance_scale: f64,
-    /// Guidance scale of the style, for models with one (`model.style`); if not set, the same as
-    /// `guidance_scale`.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub style_guidance_scale: Option<f64>,
-    /// Largest error of a step of `dopri5`, of a number of size 1; without it steps are equal.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub tolerance: Option<f64>,
-    /// Timestep below which no guidance scale is more than 1. Guidance multiplies what the network gets
-    /// wrong, and what it gets wrong at low noise is how a motion shakes; what a motion is has been
-    /// decided by then (Kynkäänniemi et al. 2024, <https://arxiv.org/abs/2404.07724>). 0 guides at
-    /// all timesteps.
-    pub guidance_until: usize,
-    /// Spacing of the timesteps.
-    pub timestep_spacing: TimestepSpacing,
-    /// Where DDIM's last step lands; other samplers end at the clean motion.
-    pub final_alpha: FinalAlpha,
-    /// After clipping the predicted motion, DDIM goes on with the noise that belongs to the
-    /// clipped one; the source goes on with the network's, which then contradicts it.
-    pub recompute_epsilon: bool,
-}
-
 impl Default for SamplerConfig {
     fn default() -> Self {
+        Self::new(SamplerKind::default(), 20)
+    }
+}
+
+impl Default for SamplerKind {
+    fn default() -> Self {
+        Self::Ddim(Ddim::default())
+    }
+}
+
+impl Default for Ddim {
+    fn default() -> Self {
         Self {
-            kind: SamplerKind::default(),
-            num_inference_steps: 20,
+            timesteps: Timesteps::default(),
             eta: 0.0,
-            guidance_scale: 1.0,
-            style_guidance_scale: None,
-            guidance_until: 0,
-            tolerance: None,
-            timestep_spacing: TimestepSpacing::default(),
             final_alpha: FinalAlpha::default(),
             recompute_epsilon: true,
         }
     }
 }
 
+impl SamplerKind {
+    /// The settings of the timesteps; `None` for kinds that only flows have.
+    pub fn timesteps(&self) -> Option<&Timesteps> {
+        match self {
+            Self::Ddim(Ddim { timesteps, .. })
+            | Self::Ddpm(timesteps)
+            | Self::Dpmpp2m(timesteps)
+            | Self::Heun(timesteps) => Some(timesteps),
+            Self::Euler | Self::Midpoint | Self::Dopri5(_) => None,
+        }
+    }
+}
+
+impl fmt::Display for SamplerKind {
+    /// Its name in a config.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Ddim(_) => "ddim",
+            Self::Ddpm(_) => "ddpm",
+            Self::Dpmpp2m(_) => "dpmpp_2m",
+            Self::Heun(_) => "heun",
+            Self::Euler => "euler",
+            Self::Midpoint => "midpoint",
+            Self::Dopri5(_) => "dopri5",
+        })
+    }
+}
+
 impl SamplerConfig {
-    /// Rejects values that no sampler of a process with `num_train_timesteps` can work with.
-    ///
-    /// # Errors
-    /// Names the first bad key: what it is, what is allowed, how to mend it.
-    pub fn validate(&self, num_train_timesteps: usize) -> Result<(), InvalidSetting> {
-        require(
-            (1..=num_train_timesteps).contains(&self.num_inference_steps),
-            "sampling.sampler.num_inference_steps",
-            self.num_inference_steps,
-            format!("1 to diffusion.num_train_timesteps ({num_train_timesteps})"),
-        )
-        .hint("20 to 50 are usual for ddim")?;
-        in_range("sampling.sampler.eta", self.eta, 0.0..=1.0)
-            .hint("0 adds no noise, 1 as much as ddpm")?;
-        in_range(
-            "sampling.sampler.guidance_scale",
-            self.guidance_scale,
-            0.0..,
-        )
-        .hint("1 is the condition as trained; 2 to 3 exaggerate it")?;
-        in_range(
-            "sampling.sampler.style_guidance_scale",
-            self.style_guidance_scale.unwrap_or(1.0),
-            0.0..,
-        )
-        .hint("leave it out for the same as `guidance_scale`")?;
-        require(
-            (0..=num_train_timesteps).contains(&self.guidance_until),
-            "sampling.sampler.guidance_until",
-            self.guidance_until,
-            format!("0 to diffusion.num_train_timesteps ({num_train_timesteps})"),
-        )
-        .hint("0 guides at all timesteps")
+    /// A sampler of so many steps without guidance.
+    pub fn new(kind: SamplerKind, num_inference_steps: usize) -> Self {
+        Self {
+            kind,
+            num_inference_steps,
+            guidance_scale: 1.0,
+            style_guidance_scale: None,
+        }
     }
 
     /// The guidance scales of the conditions at a timestep.
     pub fn guidance(&self, timestep: usize) -> GuidanceScales {
-        // A scale up to 1 multiplies nothing, and 0 stays the unconditional prediction.
-        let most = match timestep < self.guidance_until {
+        let timesteps = self.kind.timesteps();
+        // A scale up to 1 amplifies nothing, and 0 stays the unconditional prediction.
+        let most = match timesteps.is_some_and(|all| timestep < all.guidance_until) {
             true => 1.0,
             false => f64::INFINITY,
         };
@@ -183,36 +192,164 @@ impl SamplerConfig {
         GuidanceScales::new(self.guidance_scale.min(most), style)
     }
 
-    /// Where the last step lands: a timestep, or `None` for the clean motion.
-    pub(super) fn last_landing(&self) -> Option<usize> {
-        match (self.kind, self.final_alpha) {
-            (SamplerKind::Ddim, FinalAlpha::First) => Some(0),
+    /// Predictions that a diffusion process takes; guidance multiplies the calls of the network. A
+    /// flow counts its own: [`Flowed::evaluations`](crate::Flowed::evaluations).
+    pub fn network_evaluations(&self) -> usize {
+        match self.kind {
+            // The last step lands on the clean motion, where there is no slope.
+            SamplerKind::Heun(_) => (2 * self.num_inference_steps).saturating_sub(1),
+            _ => self.num_inference_steps,
+        }
+    }
+
+    /// The timestep that the last step lands on; `None` is the clean motion.
+    pub(super) fn last_prev_timestep(&self) -> Option<usize> {
+        match &self.kind {
+            SamplerKind::Ddim(ddim) if ddim.final_alpha == FinalAlpha::First => Some(0),
             _ => None,
         }
     }
+}
+
+/// Table of a config in which a sampler's settings stand.
+const TABLE: &str = "sampling.sampler";
+
+/// Most steps of a flow that are not a mistake.
+const MAX_FLOW_STEPS: usize = 10_000;
+
+/// Rejects a sampler's settings that do not work with a diffusion process.
+///
+/// # Errors
+/// Names the first bad key: what it is, what is allowed, how to mend it.
+pub fn must_suit(config: &SamplerConfig, process: &DiffusionConfig) -> Result<(), InvalidSetting> {
+    suits(config, process).within(TABLE)
+}
+
+/// Rejects a sampler's settings that do not work with a flow.
+///
+/// # Errors
+/// Names the first bad key: what it is, what is allowed, how to mend it.
+pub fn must_suit_flow(config: &SamplerConfig) -> Result<(), InvalidSetting> {
+    suits_flow(config).within(TABLE)
+}
+
+fn suits(config: &SamplerConfig, process: &DiffusionConfig) -> Result<(), InvalidSetting> {
+    let (all, steps) = (process.num_train_timesteps, config.num_inference_steps);
+    let most = format!("diffusion.num_train_timesteps ({all})");
+    let fits = (1..=all).contains(&steps);
+    require(fits, "num_inference_steps", steps, format!("1 to {most}"))
+        .hint("20 to 50 are usual for ddim")?;
+    if let SamplerKind::Ddim(Ddim { eta, .. }) = config.kind {
+        in_range("eta", eta, 0.0..=1.0).hint("0 adds no noise, 1 as much as ddpm")?;
+    }
+    guides(config)?;
+    let kind = format!("\"{}\"", config.kind);
+    let Some(visited) = config.kind.timesteps() else {
+        let allowed = "\"ddim\", \"ddpm\", \"dpmpp_2m\" or \"heun\" for a diffusion process";
+        let refused = InvalidSetting::new("kind", kind, allowed);
+        return Err(refused.hint("the others are of flows: recipe `flow`"));
+    };
+    let until = visited.guidance_until;
+    require(
+        until <= all,
+        "guidance_until",
+        until,
+        format!("0 to {most}"),
+    )
+    .hint("0 guides at all timesteps")?;
+    let heun = matches!(config.kind, SamplerKind::Heun(_));
+    let from_noise = || timesteps(config, all).contains(&(all - 1));
+    require(
+        !(heun && process.rescale_betas_zero_snr && from_noise()),
+        "kind",
+        kind,
+        "another sampler where `diffusion.rescale_betas_zero_snr` is set",
+    )
+    .hint("Heun's method needs some motion in x_t, and the last timestep is pure noise")
+}
+
+fn suits_flow(config: &SamplerConfig) -> Result<(), InvalidSetting> {
+    let usual = Timesteps::default();
+    let visited = match &config.kind {
+        SamplerKind::Euler | SamplerKind::Midpoint | SamplerKind::Dopri5(_) => &usual,
+        SamplerKind::Heun(visited) => visited,
+        kind => {
+            let allowed = "\"euler\", \"midpoint\", \"heun\" or \"dopri5\" for recipe `flow`";
+            let refused = InvalidSetting::new("kind", format!("\"{kind}\""), allowed);
+            return Err(refused.hint("the others are of diffusion processes"));
+        }
+    };
+    let style = config.style_guidance_scale;
+    for (key, is_usual) in [
+        (
+            "timestep_spacing",
+            visited.timestep_spacing == usual.timestep_spacing,
+        ),
+        (
+            "guidance_until",
+            visited.guidance_until == usual.guidance_until,
+        ),
+        ("style_guidance_scale", style.is_none()),
+    ] {
+        let nothing = "left out for recipe `flow`: it is of diffusion processes";
+        require(is_usual, key, "set", nothing)?;
+    }
+    let steps = config.num_inference_steps;
+    in_range("num_inference_steps", steps, 1..=MAX_FLOW_STEPS)
+        .hint("5 to 10 are usual for euler")?;
+    if let SamplerKind::Dopri5(Dopri5 {
+        tolerance: Some(tolerance),
+    }) = config.kind
+    {
+        in_range("tolerance", tolerance, 1e-6..=1.0)
+            .hint("1e-3 to 1e-5 are usual in single precision")?;
+    }
+    guides(config)
+}
+
+fn guides(config: &SamplerConfig) -> Result<(), InvalidSetting> {
+    in_range("guidance_scale", config.guidance_scale, 0.0..)
+        .hint("1 is the condition as trained; 2 to 3 exaggerate it")?;
+    let style = config.style_guidance_scale.unwrap_or(1.0);
+    in_range("style_guidance_scale", style, 0.0..)
+        .hint("leave it out for the same as `guidance_scale`")
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    #[test]
-    fn an_empty_table_is_the_default_and_valid() {
-        let config: SamplerConfig = serde_json::from_str("{}").unwrap();
-        assert_eq!(config, SamplerConfig::default());
-        config.validate(1000).unwrap();
+    fn refused(config: &SamplerConfig, flow: bool) -> Option<String> {
+        let process = DiffusionConfig {
+            num_train_timesteps: 50,
+            ..DiffusionConfig::default()
+        };
+        let suits = match flow {
+            true => must_suit_flow(config),
+            false => must_suit(config, &process),
+        };
+        suits.err().map(|refused| refused.to_string())
     }
 
-    #[test]
-    fn names_are_read_as_documented() {
-        let config: SamplerConfig = serde_json::from_str(
-            r#"{"kind": "ddpm", "timestep_spacing": "linspace", "final_alpha": "one"}"#,
-        )
-        .unwrap();
-        assert_eq!(config.kind, SamplerKind::Ddpm);
-        assert_eq!(config.timestep_spacing, TimestepSpacing::Linspace);
-        assert_eq!(config.final_alpha, FinalAlpha::One);
-        assert!(serde_json::from_str::<SamplerConfig>(r#"{"steps": 20}"#).is_err());
+    fn ddim(eta: f64) -> SamplerConfig {
+        let ddim = Ddim {
+            eta,
+            ..Ddim::default()
+        };
+        SamplerConfig::new(SamplerKind::Ddim(ddim), 20)
+    }
+
+    fn heun(timestep_spacing: TimestepSpacing, guidance_until: usize) -> SamplerConfig {
+        let timesteps = Timesteps {
+            timestep_spacing,
+            guidance_until,
+        };
+        SamplerConfig::new(SamplerKind::Heun(timesteps), 50)
+    }
+
+    fn dopri5(tolerance: f64) -> SamplerConfig {
+        let tolerance = Some(tolerance);
+        SamplerConfig::new(SamplerKind::Dopri5(Dopri5 { tolerance }), 5)
     }
 
     #[test]
@@ -220,8 +357,7 @@ mod tests {
         let config = SamplerConfig {
             guidance_scale: 2.5,
             style_guidance_scale: Some(0.5),
-            guidance_until: 30,
-            ..SamplerConfig::default()
+            ..heun(TimestepSpacing::Linspace, 30)
         };
         assert_eq!(config.guidance(30), GuidanceScales::new(2.5, Some(0.5)));
         assert_eq!(config.guidance(29), GuidanceScales::new(1.0, Some(0.5)));
@@ -235,86 +371,83 @@ mod tests {
 
     #[test]
     fn every_bad_value_is_refused_by_name() {
-        let base = SamplerConfig::default;
-        let cases = [
+        let steps = |kind: SamplerKind, steps: usize| SamplerConfig::new(kind, steps);
+        let guided = |guidance_scale, style_guidance_scale| SamplerConfig {
+            guidance_scale,
+            style_guidance_scale,
+            ..SamplerConfig::default()
+        };
+        let euler = |guidance_scale, style_guidance_scale| SamplerConfig {
+            kind: SamplerKind::Euler,
+            ..guided(guidance_scale, style_guidance_scale)
+        };
+        for (config, flow, start) in [
             (
-                SamplerConfig {
-                    num_inference_steps: 0,
-                    ..base()
-                },
+                steps(SamplerKind::default(), 0),
+                false,
                 "num_inference_steps` is 0",
             ),
             (
-                SamplerConfig {
-                    num_inference_steps: 51,
-                    ..base()
-                },
+                steps(SamplerKind::default(), 51),
+                false,
                 "num_inference_steps` is 51",
             ),
+            (ddim(-0.1), false, "eta` is -0.1"),
+            (ddim(1.5), false, "eta` is 1.5"),
+            (ddim(f64::NAN), false, "eta` is NaN"),
+            (guided(-1.0, None), false, "guidance_scale` is -1"),
+            (guided(f64::INFINITY, None), false, "guidance_scale` is inf"),
             (
-                SamplerConfig {
-                    eta: -0.1,
-                    ..base()
-                },
-                "eta` is -0.1",
-            ),
-            (SamplerConfig { eta: 1.5, ..base() }, "eta` is 1.5"),
-            (
-                SamplerConfig {
-                    eta: f64::NAN,
-                    ..base()
-                },
-                "eta` is NaN",
-            ),
-            (
-                SamplerConfig {
-                    guidance_scale: -1.0,
-                    ..base()
-                },
-                "guidance_scale` is -1",
-            ),
-            (
-                SamplerConfig {
-                    style_guidance_scale: Some(-0.5),
-                    ..base()
-                },
+                guided(1.0, Some(-0.5)),
+                false,
                 "style_guidance_scale` is -0.5",
             ),
             (
-                SamplerConfig {
-                    guidance_scale: f64::INFINITY,
-                    ..base()
-                },
-                "guidance_scale` is inf",
-            ),
-            (
-                SamplerConfig {
-                    guidance_until: 51,
-                    ..base()
-                },
+                heun(TimestepSpacing::Linspace, 51),
+                false,
                 "guidance_until` is 51",
             ),
-        ];
-        for (config, start) in cases {
-            let text = config.validate(50).unwrap_err().to_string();
-            assert!(
-                text.starts_with(&format!("`sampling.sampler.{start}, allowed: ")),
-                "{text}"
-            );
+            (steps(SamplerKind::Euler, 5), false, "kind` is \"euler\""),
+            (dopri5(1e-3), false, "kind` is \"dopri5\""),
+            (
+                steps(SamplerKind::Euler, 0),
+                true,
+                "num_inference_steps` is 0",
+            ),
+            (
+                steps(SamplerKind::Euler, 10_001),
+                true,
+                "num_inference_steps` is 10001",
+            ),
+            (dopri5(0.0), true, "tolerance` is 0"),
+            (dopri5(f64::NAN), true, "tolerance` is NaN"),
+            (euler(-1.0, None), true, "guidance_scale` is -1"),
+            (euler(f64::INFINITY, None), true, "guidance_scale` is inf"),
+            (euler(1.0, Some(2.0)), true, "style_guidance_scale` is set"),
+            (
+                heun(TimestepSpacing::Leading, 0),
+                true,
+                "timestep_spacing` is set",
+            ),
+            (
+                heun(TimestepSpacing::Linspace, 3),
+                true,
+                "guidance_until` is set",
+            ),
+            (ddim(0.0), true, "kind` is \"ddim\""),
+        ] {
+            let text = refused(&config, flow).expect(start);
+            let start = format!("`sampling.sampler.{start}, allowed: ");
+            assert!(text.starts_with(&start), "{text}");
         }
-        SamplerConfig {
-            num_inference_steps: 50,
-            ..base()
+        for (config, flow) in [
+            (ddim(1.0), false),
+            (heun(TimestepSpacing::Trailing, 50), false),
+            (heun(TimestepSpacing::Linspace, 0), true),
+            (steps(SamplerKind::Midpoint, 10_000), true),
+            (dopri5(1e-4), true),
+        ] {
+            assert_eq!(refused(&config, flow), None, "{config:?}");
         }
-        .validate(50)
-        .unwrap();
-        SamplerConfig {
-            num_inference_steps: 1,
-            eta: 1.0,
-            guidance_until: 50,
-            ..base()
-        }
-        .validate(50)
-        .unwrap();
     }
 }

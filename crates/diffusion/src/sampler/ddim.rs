@@ -2,8 +2,12 @@
 
 use burn::tensor::Tensor;
 
-use super::step::{Alphas, coefficients};
-use super::{NoiseKeys, OnStep, Path, Predict, Prediction, SamplerConfig, go_on};
+use super::config::Ddim;
+use super::noise::NoiseKeys;
+use super::on_step::{OnStep, go_on};
+use super::path::TimestepPath;
+use super::posterior::{Alphas, coefficients};
+use super::prediction::{Predict, Prediction};
 use crate::per_sample::per_sample;
 use crate::{Error, GaussianDiffusion};
 
@@ -19,14 +23,14 @@ pub fn ddim(
     diffusion: &GaussianDiffusion,
     predict: &mut Predict<'_, '_>,
     x_T: Tensor<3>,
-    path: &Path,
-    config: &SamplerConfig,
+    path: &TimestepPath,
+    config: &Ddim,
     keys: NoiseKeys<'_>,
     on_step: &mut OnStep<'_>,
 ) -> Result<Tensor<3>, Error> {
     let mut x = x_T;
     for index in 0..path.len() {
-        let (now, next) = (path.timesteps(index), path.landings(index));
+        let (now, next) = (path.timesteps(index), path.prev_timesteps(index));
         let prediction = predict(x, &path.time(index))?;
         let noise = (config.eta > 0.0 && path.stays_noisy(index))
             .then(|| keys.noise(index, None, &prediction.x_t));
@@ -43,8 +47,8 @@ pub fn ddim(
 /// is [`super::ddpm_step`].
 ///
 /// `timesteps` say where each sample is, `prev_timesteps` where it goes: a timestep not above its
-/// own, or `None` for the clean motion. No noise stands for zeros: right where the step adds none,
-/// and the mean of the step elsewhere.
+/// own, or `None` for the clean motion. Without noise the step gives its
+/// mean.
 ///
 /// # Shapes
 /// - noise, standard normal, output: `[batch, channels, time]`
@@ -58,7 +62,7 @@ pub fn ddim_step(
     timesteps: &[usize],
     prev_timesteps: &[Option<usize>],
     noise: Option<Tensor<3>>,
-    config: &SamplerConfig,
+    config: &Ddim,
 ) -> Tensor<3> {
     // abar         alpha-bar_t      where the sample is
     // abar'        alpha-bar_{t-1}  where it goes; the paper's t-1 is the next timestep visited

@@ -2,7 +2,11 @@
 
 use burn::tensor::Tensor;
 
-use super::{NoiseKeys, OnStep, Path, Posterior, Predict, Prediction, go_on};
+use super::noise::NoiseKeys;
+use super::on_step::{OnStep, go_on};
+use super::path::TimestepPath;
+use super::posterior::Posterior;
+use super::prediction::{Predict, Prediction};
 use crate::{Error, GaussianDiffusion};
 
 /// Samples by DDPM along `path` (Ho et al. 2020, <https://arxiv.org/abs/2006.11239>), steered where
@@ -17,13 +21,13 @@ pub fn ddpm(
     diffusion: &GaussianDiffusion,
     predict: &mut Predict<'_, '_>,
     x_T: Tensor<3>,
-    path: &Path,
+    path: &TimestepPath,
     keys: NoiseKeys<'_>,
     on_step: &mut OnStep<'_>,
 ) -> Result<Tensor<3>, Error> {
     let mut x = x_T;
     for index in 0..path.len() {
-        let (now, next) = (path.timesteps(index), path.landings(index));
+        let (now, next) = (path.timesteps(index), path.prev_timesteps(index));
         let prediction = predict(x, &path.time(index))?;
         let noise = path
             .stays_noisy(index)

@@ -3,7 +3,9 @@
 use burn::tensor::Tensor;
 
 use super::level::Level;
-use super::{OnStep, Path, Predict, go_on};
+use super::on_step::{OnStep, go_on};
+use super::path::TimestepPath;
+use super::prediction::Predict;
 use crate::per_sample::per_sample;
 use crate::{Error, GaussianDiffusion};
 
@@ -24,7 +26,7 @@ pub fn dpmpp_2m(
     diffusion: &GaussianDiffusion,
     predict: &mut Predict<'_, '_>,
     x_T: Tensor<3>,
-    path: &Path,
+    path: &TimestepPath,
     on_step: &mut OnStep<'_>,
 ) -> Result<Tensor<3>, Error> {
     // alpha, sigma   factors of motion and noise in x_t; lambda = ln(alpha / sigma)
@@ -34,7 +36,7 @@ pub fn dpmpp_2m(
     let mut before: Option<(Tensor<3>, Vec<Level>)> = None;
     for index in 0..path.len() {
         let now = Level::of(diffusion, path.timesteps(index).iter().copied().map(Some));
-        let next = Level::of(diffusion, path.landings(index));
+        let next = Level::of(diffusion, path.prev_timesteps(index));
         let prediction = predict(x, &path.time(index))?;
         let (x_t, x_start) = (prediction.x_t, prediction.x_start);
 

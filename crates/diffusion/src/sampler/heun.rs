@@ -3,14 +3,16 @@
 use burn::tensor::Tensor;
 
 use super::level::Level;
-use super::{OnStep, Path, Predict, go_on};
+use super::on_step::{OnStep, go_on};
+use super::path::TimestepPath;
+use super::prediction::Predict;
+use crate::ode::{Method, Ode};
 use crate::per_sample::per_sample;
 use crate::{Error, GaussianDiffusion, Time};
 
 /// Samples by Heun's method along `path` (Karras et al. 2022, <https://arxiv.org/abs/2206.00364>,
-/// algorithm 1): a step of Euler's method on the probability flow, then one along the mean of the
-/// slopes at both its ends. Calls the network twice a step, and once in a step that lands on the
-/// clean motion, where there is no slope.
+/// algorithm 1). Calls the network twice a step, and once in the step to the clean motion, where
+/// there is no slope and Euler's method takes over.
 ///
 /// # Shapes
 /// - x_T, output: `[batch, channels, time]`
@@ -22,53 +24,84 @@ pub fn heun(
     diffusion: &GaussianDiffusion,
     predict: &mut Predict<'_, '_>,
     x_T: Tensor<3>,
-    path: &Path,
+    path: &TimestepPath,
     on_step: &mut OnStep<'_>,
 ) -> Result<Tensor<3>, Error> {
-    // alpha, sigma   factors of motion and noise in x_t
-    // r              noise over motion, sigma / alpha; the flow is that of u = x / alpha:
-    //                du / dr = (u - x_0) / r
     let mut x = x_T;
     for index in 0..path.len() {
-        let now = Level::of(diffusion, path.timesteps(index).iter().copied().map(Some));
-        let landings = path.landings(index);
-        let next = Level::of(diffusion, landings.iter().copied());
-        let prediction = predict(x, &path.time(index))?;
-        let (x_t, x_start) = (prediction.x_t, prediction.x_start);
-
-        // 1. u' = u + (r' - r) (u - x_0) / r = (r' / r) u + (1 - r' / r) x_0.
-        let of = |value: &dyn Fn(&Level, &Level) -> f64, like: &Tensor<3>| {
-            let values: Vec<f64> = now.iter().zip(&next).map(|(a, b)| value(a, b)).collect();
-            per_sample(&values, like)
+        let (now, prev_timesteps) = (path.timesteps(index), path.prev_timesteps(index));
+        let end: Option<Vec<usize>> = prev_timesteps.iter().copied().collect();
+        let method = match end {
+            Some(_) => Method::HEUN,
+            None => Method::EULER,
         };
-        let kept = of(&|now, next| next.sigma / now.sigma, &x_t);
-        let gained = of(
-            &|now, next| next.alpha - now.alpha * next.sigma / now.sigma,
-            &x_start,
-        );
-        let euler = x_t.clone() * kept + x_start.clone() * gained;
-        let Some(timesteps) = landings.into_iter().collect::<Option<Vec<usize>>>() else {
-            x = euler;
-            go_on(on_step(index + 1, path.len(), &x))?;
-            continue;
+        let mut step = Step {
+            times: [Time::of(now), Time::of(&end.unwrap_or_default())],
+            now: Level::of(diffusion, now.iter().copied().map(Some)),
+            next: Level::of(diffusion, prev_timesteps),
+            predict: &mut *predict,
         };
-
-        // 2. u'' = u + (r' - r) / 2 ((u - x_0) / r + (u' - x_0') / r').
-        let there = predict(euler, &Time::of(&timesteps))?;
-        let slope = |x: Tensor<3>, x_start: Tensor<3>, level: &dyn Fn(&Level, &Level) -> Level| {
-            // (x / alpha - x_0) / r, as alpha' (r' - r) / 2 of it is added.
-            let half = |now: &Level, next: &Level| {
-                next.alpha * (next.ratio() - now.ratio()) / (2.0 * level(now, next).ratio())
-            };
-            let of_x = of(&|now, next| half(now, next) / level(now, next).alpha, &x);
-            let of_x_start = of(&half, &x_start);
-            x * of_x - x_start * of_x_start
-        };
-        let first = slope(x_t.clone(), x_start, &|now, _| *now);
-        let second = slope(there.x_t, there.x_start, &|_, next| *next);
-        let carried = of(&|now, next| next.alpha / now.alpha, &x_t);
-        x = x_t * carried + first + second;
+        x = method.step(&mut step, &x)?;
         go_on(on_step(index + 1, path.len(), &x))?;
     }
     Ok(x)
+}
+
+/// A step of the probability flow. With the factors alpha and sigma of motion and noise in x_t and
+/// their ratio r = sigma / alpha, the flow is that of u = x / alpha:
+///
+/// ```text
+/// du / dr = (u - x_0) / r
+/// ```
+struct Step<'a, 'p, 's> {
+    predict: &'a mut Predict<'p, 's>,
+    /// Of both ends.
+    times: [Vec<Time>; 2],
+    now: Vec<Level>,
+    next: Vec<Level>,
+}
+
+impl Step<'_, '_, '_> {
+    /// A factor of each sample from its levels at both ends.
+    fn factor(&self, like: &Tensor<3>, value: impl Fn(&Level, &Level) -> f64) -> Tensor<3> {
+        let levels = self.now.iter().zip(&self.next);
+        let values: Vec<f64> = levels.map(|(now, next)| value(now, next)).collect();
+        per_sample(&values, like)
+    }
+}
+
+impl Ode<3> for Step<'_, '_, '_> {
+    /// The x_t and x_0 of the slope.
+    type Slope = (Tensor<3>, Tensor<3>);
+
+    fn slope(&mut self, x: Tensor<3>, place: f64) -> Result<Self::Slope, Error> {
+        let time = &self.times[usize::from(place > 0.0)];
+        let prediction = (self.predict)(x, time)?;
+        Ok((prediction.x_t, prediction.x_start))
+    }
+
+    fn moved(&self, _: &Tensor<3>, shares: &[f64], slopes: &[Self::Slope]) -> Tensor<3> {
+        // The state that the step began with, perhaps with another gradient.
+        let (x_t, x_start) = slopes[0].clone();
+        if slopes.len() == 1 {
+            // u' = u + (r' - r) (u - x_0) / r = (r' / r) u + (1 - r' / r) x_0.
+            let of_x = self.factor(&x_t, |now, next| next.sigma / now.sigma);
+            let of_x_start = self.factor(&x_start, |now, next| {
+                next.alpha - now.alpha * next.sigma / now.sigma
+            });
+            return x_t * of_x + x_start * of_x_start;
+        }
+        // u' = u + (r' - r) sum(share (u_i - x_0_i) / r_i), with slopes at both ends.
+        let of_x = self.factor(&x_t, |now, next| next.alpha / now.alpha);
+        let ends: [fn(&Level, &Level) -> Level; 2] = [|now, _| *now, |_, next| *next];
+        let terms = slopes.iter().zip(shares).zip(ends);
+        terms.fold(x_t * of_x, |sum, (((x, x_start), share), end)| {
+            let scale = |now: &Level, next: &Level| {
+                share * next.alpha * (next.ratio() - now.ratio()) / end(now, next).ratio()
+            };
+            let of_x = self.factor(x, |now, next| scale(now, next) / end(now, next).alpha);
+            let of_x_start = self.factor(x_start, scale);
+            sum + (x.clone() * of_x - x_start.clone() * of_x_start)
+        })
+    }
 }

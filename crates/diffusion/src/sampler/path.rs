@@ -1,24 +1,25 @@
 //! The noise levels that a sampler visits.
 
-use super::{SamplerConfig, timesteps};
+use super::config::SamplerConfig;
+use super::spacing::timesteps;
 use crate::Time;
 
 /// The timesteps that each sample of a batch visits, noisiest first, and where its last step lands.
 #[derive(Clone, Debug)]
-pub struct Path {
+pub struct TimestepPath {
     /// One list of the whole batch per step.
     steps: Vec<Vec<usize>>,
-    /// Of each sample a timestep, or `None` for the clean motion.
-    landing: Vec<Option<usize>>,
+    /// The timestep of each sample after the last step, or `None` for the clean motion.
+    last: Vec<Option<usize>>,
 }
 
-impl Path {
+impl TimestepPath {
     /// The path of a sampler's settings, the same for all samples of a batch.
     pub fn of(config: &SamplerConfig, num_train_timesteps: usize, batch: usize) -> Self {
-        let kept = timesteps(config, num_train_timesteps).into_iter();
+        let visited = timesteps(config, num_train_timesteps).into_iter();
         Self {
-            steps: kept.map(|timestep| vec![timestep; batch]).collect(),
-            landing: vec![config.last_landing(); batch],
+            steps: visited.map(|timestep| vec![timestep; batch]).collect(),
+            last: vec![config.last_prev_timestep(); batch],
         }
     }
 
@@ -26,7 +27,7 @@ impl Path {
     /// whole batch per step.
     pub fn to_clean(steps: Vec<Vec<usize>>) -> Self {
         Self {
-            landing: vec![None; steps.first().map_or(0, Vec::len)],
+            last: vec![None; steps.first().map_or(0, Vec::len)],
             steps,
         }
     }
@@ -39,7 +40,7 @@ impl Path {
     pub fn step(&self, index: usize) -> Self {
         Self {
             steps: vec![self.steps[index].clone()],
-            landing: self.landings(index),
+            last: self.prev_timesteps(index),
         }
     }
 
@@ -48,7 +49,7 @@ impl Path {
         self.steps.len()
     }
 
-    /// Whether there are no steps.
+    /// True if there are no steps.
     pub fn is_empty(&self) -> bool {
         self.steps.is_empty()
     }
@@ -69,10 +70,10 @@ impl Path {
         Time::of(self.timesteps(index))
     }
 
-    /// Whether a sample goes to another timestep in step `index`, and not to the clean motion.
+    /// True if a sample goes to another timestep in step `index`, and not to the clean motion.
     pub(super) fn stays_noisy(&self, index: usize) -> bool {
-        let landings = self.landings(index).into_iter().zip(self.timesteps(index));
-        landings
+        let prev = self.prev_timesteps(index).into_iter();
+        prev.zip(self.timesteps(index))
             .filter_map(|(next, now)| Some((next?, now)))
             .any(|(next, now)| next != *now)
     }
@@ -81,10 +82,10 @@ impl Path {
     ///
     /// # Panics
     /// Panics if there are not so many steps.
-    pub fn landings(&self, index: usize) -> Vec<Option<usize>> {
+    pub fn prev_timesteps(&self, index: usize) -> Vec<Option<usize>> {
         match self.steps.get(index + 1) {
             Some(next) => next.iter().copied().map(Some).collect(),
-            None => self.landing.clone(),
+            None => self.last.clone(),
         }
     }
 }

@@ -2,34 +2,34 @@
 
 use burn::tensor::Tensor;
 
-use super::ClipRange;
-use crate::steering::Steered;
+use super::clip::ClipRange;
+use super::steered::Steered;
 use crate::{Error, GaussianDiffusion, PredictionType, Time};
 
 /// The prediction for a noisy motion, called by a sampler as often as it needs to, with the
 /// noisy motion `[batch, channels, time]` and one [`Time`] a sample.
 ///
-/// Guidance, clipping, steering and rollouts stand between network and sampler and show in what is
-/// answered.
+/// Guidance, clipping, steering and rollouts act between network and sampler, through this
+/// function.
 pub type Predict<'p, 's> = dyn FnMut(Tensor<3>, &[Time]) -> Result<Prediction<'s>, Error> + 'p;
 
-/// What is known of the clean motion at a noise level.
+/// A prediction of the clean motion at a noise level.
 pub struct Prediction<'s> {
-    /// The noisy motion that the step goes on from: the one that was asked about, perhaps with
+    /// The noisy motion from which the step continues: the input of the prediction, perhaps with
     /// another gradient.
     pub x_t: Tensor<3>,
     /// The predicted clean motion, clipped.
     pub x_start: Tensor<3>,
-    /// What the network answered, after guidance.
+    /// The output of the network, after guidance.
     pub model_output: Tensor<3>,
-    /// Whether `x_start` was clipped.
+    /// True if `x_start` was clipped.
     pub clipped: bool,
-    /// What leads the step to a goal.
+    /// Guidance and imputation of the step.
     pub steered: Option<Steered<'s>>,
 }
 
 impl<'s> Prediction<'s> {
-    /// What `model_output` says of `x_t`, by the process's prediction type.
+    /// Converts `model_output` for `x_t`, by the process's prediction type.
     ///
     /// # Errors
     /// If the sizes of the network's output and input differ, or the bounds do not fit the

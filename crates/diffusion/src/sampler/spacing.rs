@@ -1,6 +1,6 @@
 //! The timesteps that a sampler visits.
 
-use super::{SamplerConfig, TimestepSpacing};
+use super::config::{SamplerConfig, TimestepSpacing};
 
 /// The timesteps of `config` out of `num_train_timesteps`, noisiest first, by the formulas of
 /// [`TimestepSpacing`], all in integers: a floating-point linspace in single precision misses the
@@ -10,9 +10,11 @@ use super::{SamplerConfig, TimestepSpacing};
 pub fn timesteps(config: &SamplerConfig, num_train_timesteps: usize) -> Vec<usize> {
     let (total, steps) = (num_train_timesteps, config.num_inference_steps);
     let last = total.saturating_sub(1);
+    let visited = config.kind.timesteps();
+    let spacing = visited.map_or_else(TimestepSpacing::default, |all| all.timestep_spacing);
     let stride = total.checked_div(steps).unwrap_or(0);
     (0..steps)
-        .map(|i| match config.timestep_spacing {
+        .map(|i| match spacing {
             TimestepSpacing::Document => last - i * stride,
             TimestepSpacing::Leading => (steps - 1 - i) * stride,
             TimestepSpacing::Linspace if steps == 1 => last,
@@ -36,6 +38,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
+    use crate::sampler::{SamplerKind, Timesteps};
 
     const SPACINGS: [TimestepSpacing; 4] = [
         TimestepSpacing::Document,
@@ -45,12 +48,11 @@ mod tests {
     ];
 
     fn spaced(timestep_spacing: TimestepSpacing, steps: usize, total: usize) -> Vec<usize> {
-        let config = SamplerConfig {
-            num_inference_steps: steps,
+        let kind = SamplerKind::Ddpm(Timesteps {
             timestep_spacing,
-            ..Default::default()
-        };
-        timesteps(&config, total)
+            guidance_until: 0,
+        });
+        timesteps(&SamplerConfig::new(kind, steps), total)
     }
 
     #[test]

@@ -4,6 +4,8 @@ use burn::tensor::{Device, TensorData};
 use kinegrad_random::{Key, Purpose};
 use proptest::prelude::*;
 
+use std::ops::ControlFlow;
+
 use super::*;
 use crate::{BetaSchedule, DiffusionConfig, PredictionType};
 
@@ -18,7 +20,7 @@ impl Denoiser for Knows<'_> {
         self.0.convert(
             cond.clone(),
             x_t,
-            &timesteps_of(time),
+            &Time::timesteps(time),
             PredictionType::Sample,
             to,
         )
@@ -57,12 +59,29 @@ impl Denoiser for Narrow {
 
 const SHAPE: [usize; 3] = [2, 3, 5];
 
-const KINDS: [SamplerKind; 4] = [
-    SamplerKind::Ddim,
-    SamplerKind::Ddpm,
-    SamplerKind::Dpmpp2m,
-    SamplerKind::Heun,
-];
+fn kinds(timesteps: Timesteps, eta: f64) -> [SamplerKind; 4] {
+    let ddim = Ddim {
+        timesteps,
+        eta,
+        ..Ddim::default()
+    };
+    [
+        SamplerKind::Ddim(ddim),
+        SamplerKind::Ddpm(timesteps),
+        SamplerKind::Dpmpp2m(timesteps),
+        SamplerKind::Heun(timesteps),
+    ]
+}
+
+fn ddim(eta: f64, num_inference_steps: usize) -> SamplerConfig {
+    let [ddim, ..] = kinds(Timesteps::default(), eta);
+    SamplerConfig::new(ddim, num_inference_steps)
+}
+
+fn ddpm(num_inference_steps: usize) -> SamplerConfig {
+    let ddpm = SamplerKind::Ddpm(Timesteps::default());
+    SamplerConfig::new(ddpm, num_inference_steps)
+}
 
 fn normal(seed: u64) -> Tensor<3> {
     let values = Key::new(seed, Purpose::Noise).normals(SHAPE.iter().product());
@@ -132,16 +151,17 @@ fn any_config(total: usize) -> impl Strategy<Value = SamplerConfig> {
         Just(TimestepSpacing::Linspace),
         Just(TimestepSpacing::Trailing)
     ];
-    let kind = prop::sample::select(KINDS.to_vec());
-    (kind, 1..=total, 0.0..=1.0, spacing, any::<bool>()).prop_map(
-        |(kind, num_inference_steps, eta, timestep_spacing, recompute_epsilon)| SamplerConfig {
-            kind,
-            num_inference_steps,
-            eta,
-            timestep_spacing,
-            recompute_epsilon,
-            final_alpha: FinalAlpha::One,
-            ..Default::default()
+    (0..4usize, 1..=total, 0.0..=1.0, spacing, any::<bool>()).prop_map(
+        |(kind, num_inference_steps, eta, timestep_spacing, recompute_epsilon)| {
+            let timesteps = Timesteps {
+                timestep_spacing,
+                guidance_until: 0,
+            };
+            let mut kind = kinds(timesteps, eta)[kind];
+            if let SamplerKind::Ddim(ddim) = &mut kind {
+                ddim.recompute_epsilon = recompute_epsilon;
+            }
+            SamplerConfig::new(kind, num_inference_steps)
         },
     )
 }
@@ -162,8 +182,8 @@ proptest! {
     }
 
     #[test]
-    fn without_eta_ddim_is_deterministic(config in any_config(20), seed: u64) {
-        let config = SamplerConfig { kind: SamplerKind::Ddim, eta: 0.0, ..config };
+    fn without_eta_ddim_is_deterministic(steps in 1..=20usize, seed: u64) {
+        let config = ddim(0.0, steps);
         let diffusion = process(20, PredictionType::Epsilon);
         let [one, other] =
             [seed, seed ^ 1].map(|seed| run(&diffusion, &Waves, &(), &config, key(seed)));
@@ -173,15 +193,8 @@ proptest! {
     #[test]
     fn ddpm_is_ddim_with_eta_one(total in 2usize..40, prediction_type in any_type()) {
         let diffusion = process(total, prediction_type);
-        let config = SamplerConfig {
-            num_inference_steps: total,
-            eta: 1.0,
-            final_alpha: FinalAlpha::One,
-            ..Default::default()
-        };
-        let ddim = run(&diffusion, &Waves, &(), &config, key(3));
-        let config = SamplerConfig { kind: SamplerKind::Ddpm, ..config };
-        let ddpm = run(&diffusion, &Waves, &(), &config, key(3));
+        let ddim = run(&diffusion, &Waves, &(), &ddim(1.0, total), key(3));
+        let ddpm = run(&diffusion, &Waves, &(), &ddpm(total), key(3));
         let scale = largest(ddpm.clone()).max(1.0);
         let error = largest(ddim - ddpm) / scale;
         prop_assert!(error < 2e-5, "{error}");
@@ -191,13 +204,7 @@ proptest! {
 #[test]
 fn the_key_decides_the_noise_and_nothing_else_does() {
     let diffusion = process(20, PredictionType::Epsilon);
-    for kind in [SamplerKind::Ddim, SamplerKind::Ddpm] {
-        let config = SamplerConfig {
-            kind,
-            num_inference_steps: 5,
-            eta: 1.0,
-            ..Default::default()
-        };
+    for config in [ddim(1.0, 5), ddpm(5)] {
         let [one, again, other] =
             [1, 1, 2].map(|seed| run(&diffusion, &Waves, &(), &config, key(seed)).into_data());
         assert_eq!(one, again);
@@ -208,10 +215,7 @@ fn the_key_decides_the_noise_and_nothing_else_does() {
 #[test]
 fn a_sample_does_not_depend_on_its_batch() {
     let diffusion = process(20, PredictionType::Epsilon);
-    let config = SamplerConfig {
-        kind: SamplerKind::Ddpm,
-        ..Default::default()
-    };
+    let config = ddpm(20);
     let both = run(&diffusion, &Waves, &(), &config, key(5));
     let ignore = &mut |_: usize, _: usize, _: &Tensor<3>| ControlFlow::Continue(());
     let first = normal(1).narrow(0, 0, 1);
@@ -231,10 +235,7 @@ fn a_sample_does_not_depend_on_its_batch() {
 #[test]
 fn a_sample_with_its_own_key_is_the_same_anywhere_in_a_batch() {
     let diffusion = process(20, PredictionType::Epsilon);
-    let config = SamplerConfig {
-        kind: SamplerKind::Ddpm,
-        ..Default::default()
-    };
+    let config = ddpm(20);
     let draw = |start: Tensor<3>, keys: &[Key]| {
         let (clip, keys) = (ClipRange::None, NoiseKeys::Samples(keys));
         let ignore = &mut |_: usize, _: usize, _: &Tensor<3>| ControlFlow::Continue(());
@@ -277,8 +278,7 @@ fn guidance_scales_what_the_condition_adds() {
     let diffusion = process(50, PredictionType::Sample);
     let config = SamplerConfig {
         guidance_scale: 3.0,
-        final_alpha: FinalAlpha::One,
-        ..Default::default()
+        ..SamplerConfig::default()
     };
     let x = run(&diffusion, &Knows(&diffusion), &normal(7), &config, key(3));
     assert!(largest(x - normal(7) * 3.0) < 1e-4);
@@ -287,10 +287,7 @@ fn guidance_scales_what_the_condition_adds() {
 #[test]
 fn on_step_sees_every_state_and_the_last_is_the_sample() {
     let diffusion = process(50, PredictionType::Epsilon);
-    let config = SamplerConfig {
-        num_inference_steps: 7,
-        ..Default::default()
-    };
+    let config = ddim(0.0, 7);
     let mut seen = Vec::new();
     let on_step = &mut |step: usize, total: usize, x: &Tensor<3>| {
         seen.push((step, total, x.to_data()));
@@ -319,17 +316,9 @@ fn on_step_sees_every_state_and_the_last_is_the_sample() {
 #[test]
 fn on_step_can_stop_every_sampler() {
     let diffusion = process(50, PredictionType::Epsilon);
-    for kind in [
-        SamplerKind::Ddim,
-        SamplerKind::Ddpm,
-        SamplerKind::Dpmpp2m,
-        SamplerKind::Heun,
-    ] {
-        let config = SamplerConfig {
-            kind,
-            num_inference_steps: 7,
-            ..Default::default()
-        };
+    for kind in kinds(Timesteps::default(), 0.0) {
+        let config = SamplerConfig::new(kind, 7);
+        let kind = &config.kind;
         let mut last = 0;
         let stopped = sample(
             &diffusion,
@@ -359,12 +348,8 @@ fn the_clipped_motion_is_what_the_last_step_lands_on() {
         min: vec![-0.1, -0.2, -0.3],
         max: vec![0.4, 0.5, 0.6],
     };
-    for kind in KINDS {
-        let config = SamplerConfig {
-            kind,
-            final_alpha: FinalAlpha::One,
-            ..Default::default()
-        };
+    for kind in kinds(Timesteps::default(), 0.0) {
+        let config = SamplerConfig::new(kind, 20);
         let ignore = &mut |_: usize, _: usize, _: &Tensor<3>| ControlFlow::Continue(());
         let x = sample(
             &diffusion,
@@ -389,9 +374,9 @@ fn recomputed_noise_belongs_to_the_clipped_motion() {
     let diffusion = process(50, PredictionType::Epsilon);
     let clip = ClipRange::Symmetric(0.1);
     let step = |recompute_epsilon| {
-        let config = SamplerConfig {
+        let config = Ddim {
             recompute_epsilon,
-            ..Default::default()
+            ..Ddim::default()
         };
         let now = [30, 30];
         let prediction = Prediction::new(&diffusion, normal(2), normal(1), &now, &clip).unwrap();
@@ -460,15 +445,13 @@ fn a_schedule_that_ends_in_pure_noise_can_be_sampled() {
         ..Default::default()
     };
     let diffusion = GaussianDiffusion::new(&config).unwrap();
-    for kind in KINDS {
-        let config = SamplerConfig {
-            kind,
-            eta: 0.5,
-            timestep_spacing: TimestepSpacing::Trailing,
-            final_alpha: FinalAlpha::One,
-            ..Default::default()
-        };
-        if kind == SamplerKind::Heun {
+    let timesteps = Timesteps {
+        timestep_spacing: TimestepSpacing::Trailing,
+        guidance_until: 0,
+    };
+    for kind in kinds(timesteps, 0.5) {
+        let config = SamplerConfig::new(kind, 20);
+        if matches!(config.kind, SamplerKind::Heun(_)) {
             // Its slope is that of x / alpha, which there is none of in pure noise.
             let network = Knows(&diffusion);
             let refused = try_run(&diffusion, &network, &normal(7), &config, key(3));
@@ -476,6 +459,6 @@ fn a_schedule_that_ends_in_pure_noise_can_be_sampled() {
             continue;
         }
         let x = run(&diffusion, &Knows(&diffusion), &normal(7), &config, key(3));
-        assert!(largest(x - normal(7)) < 1e-4, "{kind:?}");
+        assert!(largest(x - normal(7)) < 1e-4, "{}", config.kind);
     }
 }

@@ -5,21 +5,16 @@
 //! <https://arxiv.org/abs/2105.05233>, algorithm 1, with the mean's shift scaled by the variance.
 //! An [`Objective`] is any function from the predicted motion to the gradient of a loss.
 
-mod imputation;
-mod steered;
 mod step;
 
 use burn::tensor::Tensor;
 use kinegrad_settings::{Refused, require};
 
-pub use imputation::{Imputation, Space};
-pub use steered::Steered;
 pub use step::steered_prediction;
 
-use crate::sampler::draw;
 use crate::{
-    ClipRange, Denoiser, Error, GaussianDiffusion, NoiseKeys, OnStep, SamplerConfig, SamplerKind,
-    Time,
+    ClipRange, Denoiser, Error, GaussianDiffusion, Imputation, NoiseKeys, OnStep, SamplerConfig,
+    SamplerKind, Time, sample_with,
 };
 
 /// A loss of the clean motion.
@@ -65,9 +60,7 @@ pub struct Networks<'a, D: ?Sized> {
 /// Generates one motion per sample of the start noise with DDPM, with the guidance and imputation
 /// that `steering` returns for each timestep.
 ///
-/// Noise is drawn as [`sample`](crate::sample) draws it, that of an imputation by the name
-/// `imputation`. `on_step` is called after each step with the number of steps done and in total,
-/// and the new state.
+/// Noise is drawn as in [`sample`](crate::sample); that of an imputation has the name `imputation`.
 ///
 /// # Shapes
 /// - x_T, the start noise, standard normal: `[batch, channels, time]`, on the plain device
@@ -97,7 +90,7 @@ pub fn steered_sample<'s, D: Denoiser<Cond = Tensor<3>> + ?Sized>(
     on_step: &mut OnStep<'_>,
 ) -> Result<Tensor<3>, Error> {
     require(
-        config.kind == SamplerKind::Ddpm,
+        matches!(config.kind, SamplerKind::Ddpm(_)),
         "sampling.sampler.kind",
         format!("\"{}\"", config.kind),
         "\"ddpm\" when sampling with a goal",
@@ -109,5 +102,5 @@ pub fn steered_sample<'s, D: Denoiser<Cond = Tensor<3>> + ?Sized>(
         let scales = config.guidance(time[0].timestep());
         steered_prediction(diffusion, networks, x, time, cond, scales, clip, steering)
     };
-    draw(diffusion, &mut predict, x_T, config, keys.into(), on_step)
+    sample_with(diffusion, &mut predict, x_T, config, keys.into(), on_step)
 }

@@ -1,15 +1,14 @@
-//! What steers a sampling step: guidance and imputation.
+//! The prediction of a steered step.
 
 use burn::tensor::Tensor;
 
-use super::steered::Steered;
 use super::{Guidance, Networks, Steering};
-use crate::sampler::timesteps_of;
 use crate::{
-    ClipRange, Denoiser, Error, GaussianDiffusion, GuidanceScales, Prediction, Time, guided,
+    ClipRange, Denoiser, Error, GaussianDiffusion, GuidanceScales, Prediction, Steered, Time,
+    guided,
 };
 
-/// What the networks say of `x_t`, and what steers the step of DDPM from there: under guidance the
+/// The prediction for `x_t` with the guidance and imputation of its step: under guidance the
 /// gradient `g = s d(-L(x_0)) / d x_t`, through clip and network.
 ///
 /// # Shapes
@@ -32,7 +31,7 @@ pub fn steered_prediction<'s, D: Denoiser<Cond = Tensor<3>> + ?Sized>(
     clip: &ClipRange,
     steering: Steering<'s>,
 ) -> Result<Prediction<'s>, Error> {
-    let timesteps = timesteps_of(time);
+    let timesteps = Time::timesteps(time);
     let predict = |network: &D, x_t: Tensor<3>, cond: &Tensor<3>| {
         let output = guided(network, x_t.clone(), time, cond, scales);
         Prediction::new(diffusion, output, x_t, &timesteps, clip)

@@ -5,7 +5,7 @@ use kinegrad_random::{Key, Purpose};
 
 use crate::{
     Activation, Convolution, GroupNorm, KeyRanges, Lengths, concat_channels, cross_attention, gelu,
-    layer_norm, ranged_attention, self_attention,
+    host_values, layer_norm, ranged_attention, self_attention,
 };
 use crate::{Mode, linear};
 
@@ -279,7 +279,7 @@ impl Case {
             let cotangent =
                 Key::new(self.seed, Purpose::CondDropout).normals(y.shape().num_elements());
             let cotangent = Tensor::<3>::from_data(TensorData::new(cotangent, y.dims()), &device);
-            let output = values(y.clone().inner());
+            let output = host_values(y.clone().inner());
             let mut gradients = (y * cotangent).sum().backward();
             let gradients = leaves
                 .iter()
@@ -288,7 +288,7 @@ impl Case {
                 .filter(|(index, _)| is_tracked(*index))
                 .map(|(_, (leaf, tensor))| {
                     let gradient = tensor.grad_remove(&mut gradients).expect(leaf.name);
-                    (leaf.name, values(self.present(leaf, gradient)))
+                    (leaf.name, host_values(self.present(leaf, gradient)))
                 })
                 .collect();
             Outcome { output, gradients }
@@ -303,7 +303,7 @@ impl Case {
                 let leaf = leaves.iter().find(|leaf| leaf.name == name)?;
                 Some(self.present(leaf, self.load(leaf, &device)))
             };
-            values(self.apply(named))
+            host_values(self.apply(named))
         })
     }
 
@@ -449,10 +449,6 @@ impl Case {
 /// Half of an odd kernel; 1 of a transposed one of 4 taps.
 pub fn padding(kernel: usize) -> usize {
     (kernel - 1) / 2
-}
-
-fn values(tensor: Tensor<3>) -> Vec<f32> {
-    tensor.try_into_vec_as::<f32>().expect("float32")
 }
 
 /// The largest distance over the largest magnitude; infinite if anything is not a number.

@@ -3,7 +3,7 @@ use kinegrad_random::{Key, Purpose};
 use proptest::prelude::*;
 
 use super::cases::distance;
-use crate::{Direction, Lengths, Mode, gru};
+use crate::{Direction, Lengths, Mode, gru, host_values};
 
 /// A recurrent layer and its sizes.
 #[derive(Clone, Debug)]
@@ -55,11 +55,17 @@ impl Case {
             );
             let output = states.clone().inner();
             let gradients = (states * cotangent).sum().backward();
-            let mut all = vec![values(output)];
-            all.extend(tracks_inputs.then(|| values(inputs.grad(&gradients).expect("tracked"))));
-            all.extend(tracks_weight.then(|| values(weight.grad(&gradients).expect("tracked"))));
-            all.extend(tracks_bias.then(|| values(bias.grad(&gradients).expect("tracked"))));
-            all.extend(tracks_initial.then(|| values(initial.grad(&gradients).expect("tracked"))));
+            let mut all = vec![host_values(output)];
+            all.extend(
+                tracks_inputs.then(|| host_values(inputs.grad(&gradients).expect("tracked"))),
+            );
+            all.extend(
+                tracks_weight.then(|| host_values(weight.grad(&gradients).expect("tracked"))),
+            );
+            all.extend(tracks_bias.then(|| host_values(bias.grad(&gradients).expect("tracked"))));
+            all.extend(
+                tracks_initial.then(|| host_values(initial.grad(&gradients).expect("tracked"))),
+            );
             all
         })
     }
@@ -72,10 +78,6 @@ impl Case {
         };
         plain.run(mode).swap_remove(0)
     }
-}
-
-fn values<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
-    tensor.try_into_vec_as::<f32>().expect("float32")
 }
 
 /// Sizes that are 1, odd, no multiple of a vector, of a tile or of a panel.

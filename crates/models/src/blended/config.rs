@@ -2,14 +2,19 @@ use kinegrad_settings::{InvalidSetting, Refused, in_range, require};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{BlendedTransformer, HEAD_CHANNELS};
 use crate::config::{MAX_LAYERS, MAX_WIDTH};
-use crate::{Initializer, NamedSizes, NetworkConfig};
+use crate::{NamedSizes, NetworkConfig};
+
+/// Channels of an attention head.
+pub const HEAD_CHANNELS: usize = 64;
+
+/// Channels of a head, from the first on, that rotate in relative mode.
+pub const ROTATED_CHANNELS: usize = 32;
 
 /// Furthest frame that is attended to.
 const MAX_HORIZON: usize = 100_000;
 
-/// The sizes of a [`BlendedTransformer`].
+/// The sizes of a [`BlendedTransformer`](super::BlendedTransformer).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct BlendedConfig {
@@ -27,8 +32,8 @@ pub struct BlendedConfig {
     /// Dropout of the tokens in training, and how often a layer's attention or feed-forward is left
     /// out (stochastic depth, Huang et al. 2016).
     pub dropout: f64,
-    /// Whether each frame is told where a path leads (docs/sources.md, section 7, option C). The published
-    /// network is told none.
+    /// Conditions each frame on a root path (docs/sources.md, section 7, option C), which the
+    /// published network does not.
     pub path: bool,
 }
 
@@ -126,25 +131,5 @@ impl BlendedConfig {
         .map(|size| size as u64);
         let a_token = self.num_layers as u64 * (8 * width + 8 * heads + 2 * inner);
         frames as u64 * a_token
-    }
-
-    /// Builds the network for motion of `in_channels` and texts of `text_channels`; its parameters
-    /// are drawn when they are first used.
-    ///
-    /// # Errors
-    /// As [`validate`](Self::validate).
-    pub fn init(
-        &self,
-        in_channels: usize,
-        text_channels: usize,
-        init: &Initializer,
-    ) -> Result<BlendedTransformer, InvalidSetting> {
-        self.validate()?;
-        Ok(BlendedTransformer::new(
-            self,
-            in_channels,
-            text_channels,
-            init,
-        ))
     }
 }

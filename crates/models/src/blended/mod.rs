@@ -1,8 +1,8 @@
 //! The transformer with blended positional encodings (Barquero et al. 2024, "Seamless Human Motion
 //! Composition with Blended Positional Encodings", <https://arxiv.org/abs/2402.15509>; docs/sources.md,
 //! section 6): one sequence for several texts. In absolute mode frames attend within their text's
-//! segment and know their place in it; in relative mode they attend across segments and know only how
-//! far apart they are. A draw begins in the first mode and ends in the second.
+//! segment, with their position in it; in relative mode they attend across segments, with relative
+//! positions alone. Sampling begins in the first mode and ends in the second.
 //!
 //! Parameters have the names of the published model.
 #![expect(
@@ -11,8 +11,9 @@
 )]
 
 mod config;
-mod script;
+
 mod sublayers;
+mod text_segments;
 
 #[cfg(test)]
 mod tests;
@@ -22,9 +23,10 @@ use burn::tensor::activation::silu;
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_diffusion::{Denoiser, Time};
 use kinegrad_random::Key;
+use kinegrad_settings::InvalidSetting;
 
-pub use config::BlendedConfig;
-pub use script::{Script, Segment};
+pub use config::{BlendedConfig, HEAD_CHANNELS, ROTATED_CHANNELS};
+pub use text_segments::{Segment, TextSegments};
 
 pub use sublayers::{PoseCentricAttention, Shared};
 
@@ -34,17 +36,11 @@ use crate::gmd::interleaved_sinusoidal;
 use crate::layers::{Embedding, LayerNorm, Linear};
 use crate::{Dropout, DropoutKey, Initializer, Stages, parameters};
 
-/// Channels of an attention head.
-pub const HEAD_CHANNELS: usize = 64;
-
-/// Channels of a head, from the first on, that turn in relative mode.
-pub const ROTATED_CHANNELS: usize = 32;
-
-/// What a frame is told of a path: place x and z, metres; velocity along both, metres per second; sine and
-/// cosine of the heading; curvature, 1 / metre.
+/// Channels of a path in a frame: position x and z, metres; velocity along both, metres per second;
+/// sine and cosine of the heading; curvature, 1 / metre.
 pub const PATH_CHANNELS: usize = 7;
 
-/// In which steps of a draw positions are relative: the published `bpe_denoising_step`, k. Of T
+/// The sampling steps with relative positions: the published `bpe_denoising_step`, k. Of T
 /// timesteps t is relative if `t <= T - k`, so that `k - 1` steps are absolute; at -1 all are, at 0
 /// none.
 #[derive(Clone, Copy, Debug, Eq, PartialEq)]
@@ -56,7 +52,7 @@ pub struct Switch {
 }
 
 impl Switch {
-    /// Whether timestep `t` is relative.
+    /// True if positions are relative at timestep `t`.
     pub fn is_relative(self, t: usize) -> bool {
         match self.bpe_denoising_step {
             ..0 => false,
@@ -66,19 +62,20 @@ impl Switch {
     }
 }
 
-/// What a forward pass is told besides noise, time and texts.
+/// The inputs of a forward pass besides noise, time and texts.
 #[derive(Clone, Copy, Debug)]
 pub struct Pass<'a> {
-    /// Who is told what for how long.
-    pub script: &'a Script,
-    /// Whether each motion is in relative mode.
+    /// The texts of each motion over time.
+    pub segments: &'a TextSegments,
+    /// True for motions in relative mode.
     pub is_relative: &'a [bool],
-    /// The draw of dropout and stochastic depth, in training.
+    /// Key of dropout and stochastic depth, in training.
     pub dropout: DropoutKey,
-    /// Where a path leads, `[batch, PATH_CHANNELS, time]`; none for motion that goes where it likes.
+    /// Root paths, `[batch, PATH_CHANNELS, time]`; `None` for motion without a path.
     pub path: Option<&'a Tensor<3>>,
-    /// 0 for motions that are not told it, else 1, `[batch, 1, 1]`; all are without.
-    pub keep_path: Option<&'a Tensor<3>>,
+    /// 1 for motions that are conditioned on their path, else 0: `[batch, 1, 1]`.
+    /// `None` conditions all.
+    pub path_mask: Option<&'a Tensor<3>>,
 }
 
 /// The network. Should be created with [`BlendedConfig::init`].
@@ -101,6 +98,28 @@ pub struct BlendedTransformer {
     depth: f64,
     horizon: usize,
     width: usize,
+}
+
+impl BlendedConfig {
+    /// Builds the network for motion of `in_channels` and texts of `text_channels`; its parameters
+    /// are initialised when they are first used.
+    ///
+    /// # Errors
+    /// As [`validate`](Self::validate).
+    pub fn init(
+        &self,
+        in_channels: usize,
+        text_channels: usize,
+        init: &Initializer,
+    ) -> Result<BlendedTransformer, InvalidSetting> {
+        self.validate()?;
+        Ok(BlendedTransformer::new(
+            self,
+            in_channels,
+            text_channels,
+            init,
+        ))
+    }
 }
 
 impl BlendedTransformer {
@@ -151,7 +170,7 @@ impl BlendedTransformer {
         }
     }
 
-    /// The same network, told one of so many captions, of which it learns an embedding each.
+    /// The same network with a learned embedding for each of so many captions.
     #[must_use]
     pub fn with_captions(self, captions: usize, init: &Initializer) -> Self {
         let features = self.embed_text.inputs();
@@ -193,21 +212,21 @@ impl BlendedTransformer {
     ) -> Tensor<3> {
         let ([batch, _, frames], device) = (x_t.dims(), x_t.device());
         let Pass {
-            script,
+            segments,
             is_relative,
             dropout,
             path,
-            keep_path,
+            path_mask,
         } = pass;
         assert_eq!(
-            (script.len(), is_relative.len(), time.len()),
+            (segments.len(), is_relative.len(), time.len()),
             (batch, batch, batch),
-            "a script, a mode and a time for each motion"
+            "a segments, a mode and a time for each motion"
         );
         let shared = Shared::new(
-            self.told(time, texts, script),
-            script.rows(frames, &device),
-            script.ranges(frames, self.horizon, is_relative),
+            self.conditions(time, texts, segments),
+            segments.rows(frames, &device),
+            segments.ranges(frames, self.horizon, is_relative),
             is_relative,
         );
         stages.stage(format_args!("cond"), || shared.cond(batch));
@@ -217,13 +236,13 @@ impl BlendedTransformer {
         stages.stage(format_args!("project_in"), || {
             project_in.forward_frames(h.clone())
         });
-        let absolute = self.absolute(script, is_relative, frames, &device);
+        let absolute = self.absolute(segments, is_relative, frames, &device);
         stages.stage(format_args!("absolute"), || absolute.clone());
-        let told = path.and_then(|path| self.told_path(path));
+        let path = path.and_then(|path| self.embedded_path(path));
         let h = project_in.forward_frames_onto(absolute, h);
-        let h = match (told, keep_path) {
-            (Some(told), Some(keep)) => h + told * keep.clone(),
-            (Some(told), None) => h + told,
+        let h = match (path, path_mask) {
+            (Some(path), Some(mask)) => h + path * mask.clone(),
+            (Some(path), None) => h + path,
             (None, _) => h,
         };
         stages.stage(format_args!("tokens"), || h.clone());
@@ -249,18 +268,18 @@ impl BlendedTransformer {
         self.output_process_at_poseFinal.forward_frames(h)
     }
 
-    /// What a path adds to the tokens, `[batch, width, time]`: nothing before the first step of training.
-    fn told_path(&self, path: &Tensor<3>) -> Option<Tensor<3>> {
+    /// The embedding of a path, added to the tokens, `[batch, width, time]`: zeros before training.
+    fn embedded_path(&self, path: &Tensor<3>) -> Option<Tensor<3>> {
         let inner = self.embed_path_at_0.as_ref()?.forward_frames(path.clone());
         Some(self.embed_path_at_2.as_ref()?.forward_frames(silu(inner)))
     }
 
-    /// Whether it can be told a path.
-    pub fn knows_paths(&self) -> bool {
+    /// True if it has a path condition.
+    pub fn has_path(&self) -> bool {
         self.embed_path_at_0.is_some()
     }
 
-    /// The same network, of which training changes what reads the path, and the last layers.
+    /// The same network with only the path embedding and the last layers trainable.
     #[must_use]
     pub fn adapting(self, last_layers: usize) -> Self {
         // Of parameters that are not drawn yet a copy would not say that it is trained.
@@ -278,7 +297,7 @@ impl BlendedTransformer {
         adapting
     }
 
-    /// What timesteps become: `[batch, width]`.
+    /// The embeddings of timesteps: `[batch, width]`.
     pub fn embed_time(&self, time: &[Time], device: &Device) -> Tensor<2> {
         let timesteps: Vec<f64> = time.iter().map(|time| time.0).collect();
         let rows = interleaved_sinusoidal(&timesteps, self.width, device);
@@ -286,8 +305,8 @@ impl BlendedTransformer {
         self.embed_timestep_at_time_embed_at_2.forward(inner)
     }
 
-    /// What motions are told, a row for each of [`Script::told`]: `[told, width]`.
-    fn told(&self, time: &[Time], texts: Tensor<2>, script: &Script) -> Tensor<2> {
+    /// The condition of each row of [`TextSegments::conditions`]: `[conditions, width]`.
+    fn conditions(&self, time: &[Time], texts: Tensor<2>, segments: &TextSegments) -> Tensor<2> {
         let device = texts.device();
         let time = self.embed_time(time, &device);
         let texts = match &self.embed_captions {
@@ -295,27 +314,27 @@ impl BlendedTransformer {
             None => texts,
         };
         let count = texts.dims()[0];
-        let told = self.embed_text.forward(texts);
-        let told = Tensor::cat(vec![told, Tensor::zeros([1, self.width], &device)], 0);
-        let [motions, texts] = script.told(count, &device);
-        time.select(0, motions) + told.select(0, texts)
+        let texts = self.embed_text.forward(texts);
+        let texts = Tensor::cat(vec![texts, Tensor::zeros([1, self.width], &device)], 0);
+        let [motions, rows] = segments.conditions(count, &device);
+        time.select(0, motions) + texts.select(0, rows)
     }
 
-    /// What tokens of motions in absolute mode have added, zeros of the others:
+    /// Absolute positions of the motions in absolute mode, zeros for the others:
     /// `[batch, width, time]`.
     fn absolute(
         &self,
-        script: &Script,
+        segments: &TextSegments,
         is_relative: &[bool],
         frames: usize,
         device: &Device,
     ) -> Tensor<3> {
-        let places = script.places(frames);
+        let places = segments.places(frames);
         let number = 1 + places.iter().flatten().copied().max().unwrap_or_default();
         // Segments have places in common.
         let each: Vec<f64> = (0..number).map(|place| place as f64).collect();
         let table = absolute_positions(&each, self.width);
-        let mut values = Vec::with_capacity(script.len() * self.width * frames);
+        let mut values = Vec::with_capacity(segments.len() * self.width * frames);
         for (places, is_relative) in places.into_iter().zip(is_relative) {
             match is_relative {
                 true => values.extend(vec![0.0; self.width * frames]),
@@ -325,7 +344,7 @@ impl BlendedTransformer {
                 })),
             }
         }
-        let data = TensorData::new(values, [script.len(), frames, self.width]);
+        let data = TensorData::new(values, [segments.len(), frames, self.width]);
         let scale = self.seqTransEncoder_at_pos_emb_at_absolute_at_scale.val();
         let positions = Tensor::from_data(data, device) * scale.reshape([1, 1, 1]);
         positions.swap_dims(1, 2)
@@ -361,11 +380,11 @@ pub fn absolute_positions(places: &[f64], width: usize) -> Vec<f32> {
 pub struct Composed<'a> {
     /// The network.
     pub network: &'a BlendedTransformer,
-    /// Who is told what for how long.
-    pub script: Script,
-    /// In which steps positions are relative.
+    /// The texts of each motion over time.
+    pub segments: TextSegments,
+    /// The steps with relative positions.
     pub switch: Switch,
-    /// Where a path leads, `[batch, PATH_CHANNELS, time]`.
+    /// Root paths, `[batch, PATH_CHANNELS, time]`.
     pub path: Option<Tensor<3>>,
 }
 
@@ -378,11 +397,11 @@ impl Denoiser for Composed<'_> {
             .iter()
             .map(|time| self.switch.is_relative(time.timestep()));
         let pass = Pass {
-            script: &self.script,
+            segments: &self.segments,
             is_relative: &is_relative.collect::<Vec<_>>(),
             dropout: None,
             path: self.path.as_ref(),
-            keep_path: None,
+            path_mask: None,
         };
         self.network
             .forward(x_t, time, cond.clone().squeeze_dim(2), pass)

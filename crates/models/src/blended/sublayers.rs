@@ -1,47 +1,50 @@
-//! What a transformer with blended positions is made of: pose-centric attention and feed-forward.
+//! The sub-layers of the transformer: pose-centric attention and feed-forward.
 use burn::module::Module;
 use burn::tensor::{Int, Tensor};
 use kinegrad_kernels::{KeyRanges, concat_channels, gelu, ranged_attention};
 
-use super::{BlendedConfig, HEAD_CHANNELS, ROTATED_CHANNELS};
+use super::config::{BlendedConfig, HEAD_CHANNELS, ROTATED_CHANNELS};
 use crate::Initializer;
 use crate::layers::{LayerNorm, Linear, Unbiased};
 use crate::rotary::Rotation;
 
-/// What all sub-layers of a forward pass share.
+/// The inputs that all sub-layers of a forward pass share.
 #[derive(Clone, Debug)]
 pub struct Shared {
-    told: Tensor<2>,
+    cond: Tensor<2>,
     rows: Tensor<1, Int>,
     ranges: KeyRanges,
-    /// How queries and keys turn; none where no motion is in relative mode.
+    /// Rotation of queries and keys; `None` if no motion is in relative mode.
     rotation: Option<Rotation>,
 }
 
 impl Shared {
-    /// Of motions that attend by `ranges` and are each in relative mode or not, a frame of which is told
-    /// the row of `told`, `[told, width]`, that `rows`, `[batch * time]`, names.
+    /// # Shapes
+    /// - cond: `[conditions, width]`
+    /// - rows: `[batch * time]`, the row of `cond` of each frame
+    ///
+    /// `ranges` are the frames that each frame attends to, `is_relative` the mode of each motion.
     pub fn new(
-        told: Tensor<2>,
+        cond: Tensor<2>,
         rows: Tensor<1, Int>,
         ranges: KeyRanges,
         is_relative: &[bool],
     ) -> Self {
-        let (time, device) = (rows.dims()[0] / is_relative.len(), told.device());
+        let (time, device) = (rows.dims()[0] / is_relative.len(), cond.device());
         let turns = is_relative.contains(&true);
         let rotation = turns.then(|| Rotation::new(ROTATED_CHANNELS, time, is_relative, &device));
         Self {
-            told,
+            cond,
             rows,
             ranges,
             rotation,
         }
     }
 
-    /// What each frame is told, `[batch, width, time]`.
+    /// The condition of each frame, `[batch, width, time]`.
     pub(super) fn cond(&self, batch: usize) -> Tensor<3> {
-        let (time, [_, width]) = (self.rows.dims()[0] / batch, self.told.dims());
-        let cond = self.told.clone().select(0, self.rows.clone());
+        let (time, [_, width]) = (self.rows.dims()[0] / batch, self.cond.dims());
+        let cond = self.cond.clone().select(0, self.rows.clone());
         cond.reshape([batch, time, width]).swap_dims(1, 2)
     }
 }
@@ -84,10 +87,10 @@ impl PoseCentricAttention {
 
     /// All heads: `[batch, heads * HEAD_CHANNELS, time]`.
     fn attended(&self, u: Tensor<3>, shared: &Shared) -> Tensor<3> {
-        let (told, rows) = (shared.told.clone(), shared.rows.clone());
+        let (cond, rows) = (shared.cond.clone(), shared.rows.clone());
         let merged = self
             .custom_query_fn
-            .forward_frames_told(u.clone(), told, rows);
+            .forward_frames_cond(u.clone(), cond, rows);
         let mut queries = self.to_q.forward_frames(merged);
         let mut keys = self.to_k.forward_frames(u.clone());
         if let Some(rotation) = &shared.rotation {
@@ -161,7 +164,7 @@ impl SubLayer {
         }
     }
 
-    /// What is added to `x`.
+    /// The residual that is added to `x`.
     pub fn branch(&self, x: Tensor<3>, shared: &Shared) -> Tensor<3> {
         let inner = self.inner(x, shared);
         match self {

@@ -44,21 +44,26 @@ fn told(drawn: bool) -> BlendedTransformer {
     parameters::load(network, values).expect("its own weights")
 }
 
-fn two() -> Script {
+fn two() -> TextSegments {
     let segment = |text, frames| Segment { text, frames };
-    Script::new([
+    TextSegments::new([
         vec![segment(0, 5), segment(1, 6)],
         vec![segment(2, 3), segment(1, 4), segment(0, 7)],
     ])
 }
 
-fn answer(x: Tensor<3>, texts: Tensor<2>, script: &Script, relative: [bool; 2]) -> Tensor<3> {
+fn answer(
+    x: Tensor<3>,
+    texts: Tensor<2>,
+    segments: &TextSegments,
+    relative: [bool; 2],
+) -> Tensor<3> {
     let pass = Pass {
-        script,
+        segments,
         is_relative: &relative,
         dropout: None,
         path: None,
-        keep_path: None,
+        path_mask: None,
     };
     network().forward(x, &[Time(30.0), Time(700.0)], texts, pass)
 }
@@ -86,7 +91,7 @@ fn the_published_sizes_have_the_published_number_of_parameters() {
 
 #[test]
 fn a_text_reaches_its_own_frames_and_across_the_border_in_relative_mode_alone() {
-    let (x, script) = (random([2, CHANNELS, FRAMES], 1), two());
+    let (x, segments) = (random([2, CHANNELS, FRAMES], 1), two());
     let told = texts(2);
     let other = {
         // Text 0 is the first of the first motion and the last of the second.
@@ -94,8 +99,8 @@ fn a_text_reaches_its_own_frames_and_across_the_border_in_relative_mode_alone() 
         Tensor::cat(vec![zeros, told.clone().narrow(0, 1, 2)], 0)
     };
     for (relative, reach) in [([false; 2], 0), ([true; 2], 8)] {
-        let a = answer(x.clone(), told.clone(), &script, relative);
-        let b = answer(x.clone(), other.clone(), &script, relative);
+        let a = answer(x.clone(), told.clone(), &segments, relative);
+        let b = answer(x.clone(), other.clone(), &segments, relative);
         let apart = apart(&a, &b);
         for (t, found) in apart[0].iter().enumerate().take(11) {
             // Keys do not know the text: two layers reach as far as the first's sums, one horizon.
@@ -111,9 +116,9 @@ fn a_text_reaches_its_own_frames_and_across_the_border_in_relative_mode_alone() 
 
 #[test]
 fn modes_and_order_of_texts_matter_and_padding_does_not() {
-    let (x, script, told) = (random([2, CHANNELS, FRAMES], 1), two(), texts(2));
-    let whole = answer(x.clone(), told.clone(), &script, [false, true]);
-    let swapped = answer(x.clone(), told.clone(), &script, [true, false]);
+    let (x, segments, told) = (random([2, CHANNELS, FRAMES], 1), two(), texts(2));
+    let whole = answer(x.clone(), told.clone(), &segments, [false, true]);
+    let swapped = answer(x.clone(), told.clone(), &segments, [true, false]);
     let differs = apart(&whole, &swapped);
     assert!(differs.iter().all(|motion| motion[0] > 1e-4));
     // What stands in the first motion's padding, frames 11 to 13.
@@ -122,16 +127,16 @@ fn modes_and_order_of_texts_matter_and_padding_does_not() {
     let padded = Tensor::cat(vec![behind.narrow(0, 0, 1), x.clone().narrow(0, 1, 1)], 0);
     let other = apart(
         &whole,
-        &answer(padded, told.clone(), &script, [false, true]),
+        &answer(padded, told.clone(), &segments, [false, true]),
     );
     assert!(other[0][..11].iter().all(|difference| *difference == 0.0));
     // The same texts in another order.
     let segment = |text, frames| Segment { text, frames };
-    let script = Script::new([
+    let segments = TextSegments::new([
         vec![segment(1, 5), segment(0, 6)],
         vec![segment(2, 3), segment(1, 4), segment(0, 7)],
     ]);
-    let turned = apart(&whole, &answer(x, told, &script, [false, true]));
+    let turned = apart(&whole, &answer(x, told, &segments, [false, true]));
     assert!(turned[0][..11].iter().all(|difference| *difference > 1e-5));
     assert!(turned[1].iter().all(|difference| *difference == 0.0));
 }
@@ -139,17 +144,17 @@ fn modes_and_order_of_texts_matter_and_padding_does_not() {
 #[test]
 fn a_long_motion_is_what_its_parts_in_reach_make_of_it() {
     // In relative mode no frame knows its number: a motion cut off far ahead answers the same.
-    let single = |frames| Script::single([frames]);
+    let single = |frames| TextSegments::single([frames]);
     let x = random([1, CHANNELS, 60], 4);
     let told = texts(2).narrow(0, 0, 1);
     let run = |x: Tensor<3>, frames| {
-        let script = single(frames);
+        let segments = single(frames);
         let pass = Pass {
-            script: &script,
+            segments: &segments,
             is_relative: &[true],
             dropout: None,
             path: None,
-            keep_path: None,
+            path_mask: None,
         };
         network().forward(x, &[Time(5.0)], told.clone(), pass)
     };
@@ -163,14 +168,14 @@ fn a_long_motion_is_what_its_parts_in_reach_make_of_it() {
 
 #[test]
 fn an_untrained_path_changes_no_bit_and_a_trained_one_the_frames_in_reach() {
-    let (x, script, texts) = (random([2, CHANNELS, FRAMES], 1), two(), texts(2));
+    let (x, segments, texts) = (random([2, CHANNELS, FRAMES], 1), two(), texts(2));
     let run = |network: &BlendedTransformer, path: Option<&Tensor<3>>| {
         let pass = Pass {
-            script: &script,
+            segments: &segments,
             is_relative: &[true, true],
             dropout: None,
             path,
-            keep_path: None,
+            path_mask: None,
         };
         network.forward(x.clone(), &[Time(30.0), Time(700.0)], texts.clone(), pass)
     };
@@ -184,11 +189,11 @@ fn an_untrained_path_changes_no_bit_and_a_trained_one_the_frames_in_reach() {
     // Of two motions, the one that is not told is drawn as without a path.
     let keep = Tensor::from_data(TensorData::new(vec![1.0f32, 0.0], [2, 1, 1]), &x.device());
     let pass = Pass {
-        script: &script,
+        segments: &segments,
         is_relative: &[true, true],
         dropout: None,
         path: Some(&path),
-        keep_path: Some(&keep),
+        path_mask: Some(&keep),
     };
     let kept = drawn.forward(x.clone(), &[Time(30.0), Time(700.0)], texts.clone(), pass);
     let part = |of: &Tensor<3>, motion: usize| of.clone().narrow(0, motion, 1).into_data();
@@ -241,14 +246,14 @@ fn adapting_trains_what_reads_the_path_and_the_last_layers() {
 
 #[test]
 fn training_leaves_sub_layers_out_by_its_key() {
-    let (x, script, told) = (random([2, CHANNELS, FRAMES], 1), two(), texts(2));
+    let (x, segments, told) = (random([2, CHANNELS, FRAMES], 1), two(), texts(2));
     let run = |seed: u64| {
         let pass = Pass {
-            script: &script,
+            segments: &segments,
             is_relative: &[true, false],
             dropout: Some(Key::new(seed, Purpose::Dropout)),
             path: None,
-            keep_path: None,
+            path_mask: None,
         };
         network()
             .forward(x.clone(), &[Time(3.0); 2], told.clone(), pass)

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::config::{MAX_LAYERS, MAX_WIDTH};
 
-/// What bounds one component of the decoded motion.
+/// The bound of one component of the decoded motion.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum OutputActivation {
@@ -101,7 +101,7 @@ impl Default for OutputRanges {
     }
 }
 
-/// How position, velocity and acceleration of the decoded motion agree.
+/// Consistency of position, velocity and acceleration of the decoded motion.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Coherence {
@@ -117,7 +117,7 @@ pub enum Coherence {
     Full,
 }
 
-/// What the weights of a decoder start as.
+/// Initial weights of a decoder.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum DecoderInit {
@@ -138,13 +138,13 @@ pub struct DecoderConfig {
     pub num_layers: usize,
     /// Dropout inside the residual blocks.
     pub dropout: f64,
-    /// What bounds each component.
+    /// The bound of each component.
     pub output_activations: OutputActivations,
     /// The bounds of `tanh_scaled`.
     pub output_ranges: OutputRanges,
-    /// How position, velocity and acceleration agree.
+    /// Consistency of position, velocity and acceleration.
     pub coherence: Coherence,
-    /// What the weights start as.
+    /// Initial weights.
     pub init: DecoderInit,
 }
 

@@ -9,8 +9,8 @@ use kinegrad_kernels::linear_map;
 use kinegrad_motion::coherence::{OrientationFit, UPRIGHT};
 use kinegrad_motion::phrase::FPS;
 
+use crate::channel_encoding::turns;
 use crate::rotation::{product, step};
-use crate::targets::turns;
 
 use super::orientation::Smooth;
 

@@ -23,9 +23,9 @@ pub use config::{
 
 use coherent::{ESTIMATES, Fits};
 
+use crate::channel_encoding::{decode, sign_continuous};
 use crate::layers::{LayerNorm, Linear};
 use crate::rotation::angular_velocity;
-use crate::targets::{decode, sign_continuous};
 use crate::{Dropout, DropoutKey, Initializer};
 
 /// A quaternion of a smaller norm is not divided by it.
@@ -35,9 +35,9 @@ const LEAST_NORM: f64 = 1e-12;
 /// denoiser's [`Targets`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct Normalization {
-    /// What was subtracted.
+    /// Subtracted mean.
     pub mean: Vec<f64>,
-    /// What was divided by.
+    /// Standard deviation divided by.
     pub std: Vec<f64>,
 }
 
@@ -181,7 +181,7 @@ impl MotionDecoder {
         }
     }
 
-    /// How position, velocity and acceleration agree.
+    /// Consistency of position, velocity and acceleration.
     pub fn coherence(&self) -> Coherence {
         self.coherence
     }

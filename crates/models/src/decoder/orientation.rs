@@ -7,8 +7,8 @@ use burn::tensor::{Tensor, TensorData};
 use kinegrad_kernels::{LinearMap, linear_map};
 use kinegrad_motion::coherence::OrientationFit;
 
+use crate::channel_encoding::sign_continuous;
 use crate::rotation::{conjugate, product, turned};
-use crate::targets::sign_continuous;
 
 use super::LEAST_NORM;
 

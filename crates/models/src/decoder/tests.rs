@@ -1,5 +1,6 @@
 use burn::tensor::{Device, TensorData};
 use kinegrad_kernels::Mode;
+use kinegrad_kernels::host_values;
 use kinegrad_motion::phrase::{ACCELERATION, PHASE, POSITION, VELOCITY};
 use kinegrad_motion::{Motion, OrientationTarget, PhaseTarget, kinematics};
 use kinegrad_random::{Key, Purpose};
@@ -31,10 +32,6 @@ fn latent(seed: u64, shape: [usize; 3], device: &Device) -> Tensor<3> {
     Tensor::from_data(TensorData::new(values, shape), device)
 }
 
-fn values(x: Tensor<3>) -> Vec<f32> {
-    x.into_data().try_to_vec::<f32>().unwrap()
-}
-
 fn largest(x: Tensor<3>) -> f32 {
     x.abs().max().into_scalar()
 }
@@ -43,9 +40,9 @@ fn largest(x: Tensor<3>) -> f32 {
 fn a_fresh_decoder_undoes_the_normalisation() {
     let device = Device::flex();
     let x = latent(1, [2, CHANNELS, 7], &device) * 0.3;
-    let found = values(decoder(Coherence::None, &device).forward(x.clone(), None));
+    let found = host_values(decoder(Coherence::None, &device).forward(x.clone(), None));
     let (mean, std) = (normalization().mean, normalization().std);
-    let x = values(x);
+    let x = host_values(x);
     for (index, (found, x)) in found.iter().zip(&x).enumerate() {
         let channel = index / 7 % CHANNELS;
         let expected = f64::from(*x) * std[channel] + mean[channel];
@@ -76,7 +73,7 @@ fn assert_coherent(coherence: Coherence) {
     let part = |range: std::ops::Range<usize>| y.clone().slice([0..3, range]);
     for (of, derivative) in [(POSITION, VELOCITY), (VELOCITY, ACCELERATION)] {
         let error = part(derivative).narrow(2, 0, time - 1) - differences(part(of));
-        assert!(largest(error) < 1e-3, "{:?}", values(y.clone()));
+        assert!(largest(error) < 1e-3, "{:?}", host_values(y.clone()));
     }
     let q = part(QUATERNION);
     let dots = (q.clone().narrow(2, 1, time - 1) * q.clone().narrow(2, 0, time - 1)).sum_dim(1);
@@ -84,7 +81,7 @@ fn assert_coherent(coherence: Coherence) {
     let norms = q.square().sum_dim(1);
     assert!(largest(norms - 1.0) < 1e-5);
     // The angular velocity is that of the quaternions as written, by the code that checks it.
-    let rows = values(y.clone().swap_dims(1, 2));
+    let rows = host_values(y.clone().swap_dims(1, 2));
     for rows in rows.chunks_exact(time * CHANNELS) {
         let motion = Motion::new(rows.to_vec()).unwrap();
         let errors = kinematics::rotation_errors(&motion);
@@ -102,7 +99,7 @@ fn one_frame_has_the_angular_velocity_of_its_head() {
     let x = latent(2, [2, CHANNELS, 1], &device);
     let part = |coherence| {
         let y = decoder(coherence, &device).forward(x.clone(), None);
-        values(y.slice([0..2, ANGULAR_VELOCITY]))
+        host_values(y.slice([0..2, ANGULAR_VELOCITY]))
     };
     assert_eq!(part(Coherence::Projection), part(Coherence::None));
 }
@@ -120,7 +117,7 @@ fn assert_finite_gradients(coherence: Coherence) {
     let x = Tensor::<3>::zeros([1, CHANNELS, 4], &device).require_grad();
     let gradients = decoder.forward(x.clone(), None).square().sum().backward();
     let gradient = x.grad(&gradients).expect("a gradient");
-    assert!(values(gradient).iter().all(|g| g.is_finite()));
+    assert!(host_values(gradient).iter().all(|g| g.is_finite()));
 }
 
 #[test]
@@ -181,8 +178,8 @@ fn a_fresh_decoder_of_other_targets_undoes_normalisation_and_conversion() {
             .init_for(targets, normalization.clone(), &init)
             .unwrap();
         let x = latent(1, [batch, channels, time], &device) * 0.3;
-        let expected = values(crate::targets::decode(targets, x.clone()));
-        let found = values(decoder.forward(x, None));
+        let expected = host_values(crate::channel_encoding::decode(targets, x.clone()));
+        let found = host_values(decoder.forward(x, None));
         assert_eq!(found.len(), batch * CHANNELS * time);
         // A full projection turns orientations towards what the angular velocities say.
         let kept = match coherence {
@@ -231,7 +228,10 @@ fn the_banded_projection_is_the_dense_one_with_its_gradient() {
                 let y = decoder.project(x.clone());
                 let weights = latent(6, [2, CHANNELS, time], &device);
                 let gradients = (y.clone() * weights).sum().backward();
-                (values(y), values(x.grad(&gradients).expect("a gradient")))
+                (
+                    host_values(y),
+                    host_values(x.grad(&gradients).expect("a gradient")),
+                )
             })
         };
         let (banded, dense) = (run(Mode::Fused), run(Mode::Composed));

@@ -28,11 +28,11 @@ pub struct FlowConfig {
     pub ff_size: usize,
     /// Where the predictor's layers normalise: `post` or `pre`.
     pub norm: NormOrder,
-    /// Whether the history is read backwards too.
+    /// Read the history backwards too.
     pub bidirectional: bool,
-    /// Whether each joint is told its chain and its depth.
+    /// Condition each joint on its chain and its depth in the skeleton.
     pub hierarchy: bool,
-    /// Whether the predictor is told how much of the motion remains.
+    /// Condition the predictor on the remaining share of the motion.
     pub progress: bool,
 }
 

@@ -40,7 +40,7 @@ pub(super) fn velocities(rows: &Tensor<2>, joints: usize) -> Tensor<3> {
     each(rows, layout(joints).velocities(), 3)
 }
 
-/// What is said of the whole body: root rotation, ground velocity and height, and the contact
+/// Features of the whole body: root rotation, ground velocity and height, and the contact
 /// flags.
 ///
 /// # Shapes
@@ -52,7 +52,7 @@ pub(super) fn whole_body(rows: &Tensor<2>, joints: usize) -> Tensor<2> {
     Tensor::cat(vec![part(FeatureLayout::ROOT), part(contacts)], 1)
 }
 
-/// What the last frame of a history says of each joint: position, the first two columns of its
+/// The state of each joint in the last frame of a history: position, the first two columns of its
 /// rotation, velocity. The root is at (0, its height, 0), unturned. Source: the document, section
 /// 2, with docs/sources.md, section 5.
 ///

@@ -11,16 +11,16 @@ use crate::{Initializer, Stages};
 /// Numbers that the text becomes for each joint.
 const TEXT: usize = 32;
 
-/// What each joint of a frame is told of itself: position 3, velocity 3.
+/// Own features of a joint in a frame: position 3, velocity 3.
 const OWN: usize = 3 + 3;
 
-/// What all joints of a frame are told: the whole body 8, duration 1, text.
+/// Features that all joints of a frame share: the whole body 8, duration 1, text.
 const SHARED: usize = 8 + 1 + TEXT;
 
-/// What each joint of a frame is told.
+/// All features of a joint in a frame.
 const INPUTS: usize = OWN + SHARED;
 
-/// What the encoder takes.
+/// The inputs of the encoder.
 #[derive(Clone, Debug)]
 pub struct History {
     /// Past frames in HumanML3D's features: `[batch, 12 J - 1, time]`.

@@ -1,4 +1,4 @@
-//! Motion that goes on: from past frames and a text to the next pose.
+//! Networks that predict the next pose from past frames and a text.
 //!
 //! ```text
 //! history, text, duration --> HistoryEncoder --> a context of each joint --+
@@ -50,7 +50,7 @@ pub struct FlowModel {
 }
 
 impl FlowConfig {
-    /// Both networks for a skeleton; their parameters are drawn when they are first used.
+    /// Both networks for a skeleton; their parameters are initialised when they are first used.
     ///
     /// # Errors
     /// Names the key that no network can be built from.
@@ -69,7 +69,7 @@ impl FlowConfig {
 }
 
 impl FlowModel {
-    /// The same networks, told one of so many captions, of which an embedding each is learned:
+    /// The same networks with a learned embedding for each of so many captions:
     /// `[captions, 512]`, of variance 1 at first.
     #[must_use]
     pub fn with_captions(self, captions: usize, init: &Initializer) -> Self {

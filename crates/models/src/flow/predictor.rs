@@ -2,7 +2,7 @@ use std::ops::ControlFlow;
 
 use burn::module::Module;
 use burn::tensor::{Int, Tensor, TensorData};
-use kinegrad_diffusion::{Denoiser, FlowPrediction, FlowSamplerConfig, Flowed, Time, sample_flow};
+use kinegrad_diffusion::{Denoiser, FlowPrediction, Flowed, SamplerConfig, Time, sample_flow};
 use kinegrad_kernels::{Convolution, gelu, keeping_packed_weights};
 use kinegrad_motion::humanml::Skeleton;
 
@@ -16,10 +16,10 @@ const CONTEXT: usize = 32;
 /// Numbers of a noisy position.
 const POSITION: usize = 3;
 
-/// What each joint is told: context, previous state, noisy position, progress, flow time.
+/// Inputs of each joint: context, previous state, noisy position, progress, flow time.
 const INPUTS: usize = CONTEXT + PREVIOUS_STATE + POSITION + 1 + 1;
 
-/// What a pose is predicted from.
+/// The condition of a pose.
 #[derive(Clone, Debug)]
 pub struct FlowCondition {
     /// From the history encoder: `[batch, context_dim, J]`.
@@ -39,7 +39,7 @@ pub struct PreparedCondition {
     /// Tokens without noisy position and flow time: `[batch, latent_dim, J]`.
     tokens: Tensor<3>,
     null_tokens: Option<Tensor<3>>,
-    /// What noisy position and flow time are multiplied by: `[latent_dim, 4, 1]`.
+    /// Weights of noisy position and flow time: `[latent_dim, 4, 1]`.
     weight: Tensor<3>,
 }
 
@@ -126,7 +126,7 @@ impl FlowPredictor {
         self.velocity(h, stages)
     }
 
-    /// What [`Denoiser::predict`] takes: the condition's share of the tokens.
+    /// The condition's share of the tokens, for [`Denoiser::predict`].
     pub fn prepare(&self, cond: &FlowCondition) -> PreparedCondition {
         let tokens = |context: &Tensor<3>| {
             let [batch, _, joints] = context.dims();
@@ -143,16 +143,16 @@ impl FlowPredictor {
         }
     }
 
-    /// Poses from noise `[batch, 3, J]`, as their condition says.
+    /// Samples poses from noise `[batch, 3, J]`.
     ///
     /// # Errors
     /// [`sample_flow`]'s.
-    pub fn draw(
+    pub fn sample(
         &self,
         noise: Tensor<3>,
         cond: &FlowCondition,
         prediction: FlowPrediction,
-        sampler: &FlowSamplerConfig,
+        sampler: &SamplerConfig,
     ) -> Result<Flowed<3>, kinegrad_diffusion::Error> {
         let cond = self.prepare(cond);
         keeping_packed_weights(|| {
@@ -184,7 +184,7 @@ impl FlowPredictor {
         Tensor::cat(parts, 1)
     }
 
-    /// What the transformer makes of tokens `[batch, latent_dim, J]`.
+    /// The transformer's output for tokens `[batch, latent_dim, J]`.
     fn velocity(&self, mut h: Tensor<3>, stages: &mut impl Stages) -> Tensor<3> {
         stages.stage(format_args!("tokens"), || h.clone());
         for layer in &self.transformer_at_layers {

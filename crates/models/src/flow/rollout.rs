@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 
 use burn::tensor::{Device, Tensor, TensorData};
-use kinegrad_diffusion::{FlowPrediction, FlowSamplerConfig};
+use kinegrad_diffusion::{FlowPrediction, SamplerConfig, must_suit_flow};
 use kinegrad_motion::Statistics;
 use kinegrad_motion::humanml::stream::with_bones;
 use kinegrad_motion::humanml::{
@@ -16,7 +16,7 @@ use thiserror::Error;
 
 use super::{FlowCondition, FlowModel, History, previous_state};
 
-/// What the numbers mean that a model was trained on.
+/// The features and statistics that a model was trained with.
 #[derive(Clone, Debug)]
 pub struct FlowSpace {
     /// The skeleton whose joints it has.
@@ -25,9 +25,9 @@ pub struct FlowSpace {
     pub features: Statistics,
     /// Of the target, joint by joint: `3 J` channels.
     pub target: Statistics,
-    /// What the target is.
+    /// The target of training.
     pub next: NextPose,
-    /// What the predictor predicts.
+    /// The quantity that the predictor predicts.
     pub prediction: FlowPrediction,
     /// Rows of features in a history.
     pub history: usize,
@@ -35,11 +35,11 @@ pub struct FlowSpace {
     pub longest: usize,
 }
 
-/// How a motion goes on.
+/// The settings of a rollout.
 #[derive(Clone, Debug)]
 pub struct RolloutSettings {
-    /// How each pose is drawn.
-    pub sampler: FlowSamplerConfig,
+    /// The solver of each pose.
+    pub sampler: SamplerConfig,
     /// Frames to draw; progress counts down from 1 at the first to 0 at the last.
     pub frames: usize,
     /// Gives every frame the bones of the history's last ([`with_bones`]).
@@ -52,7 +52,7 @@ pub struct RolloutSettings {
     pub contact_threshold: f64,
 }
 
-/// Why a motion does not go on.
+/// Errors of a rollout.
 #[derive(Debug, Diagnostic, Error)]
 pub enum RolloutError {
     /// The history has too few frames.
@@ -76,7 +76,7 @@ pub enum RolloutError {
         /// Those that are not finite.
         bad: usize,
     },
-    /// A setting that no motion can be drawn with.
+    /// A setting that does not work.
     #[error(transparent)]
     #[diagnostic(transparent)]
     Setting(#[from] InvalidSetting),
@@ -84,7 +84,7 @@ pub enum RolloutError {
     #[error(transparent)]
     #[diagnostic(transparent)]
     Feature(#[from] FeatureError),
-    /// A pose could not be drawn.
+    /// A pose could not be sampled.
     #[error(transparent)]
     #[diagnostic(transparent)]
     Sampler(#[from] kinegrad_diffusion::Error),
@@ -107,7 +107,7 @@ pub struct FlowRollout {
     rows: VecDeque<Vec<f32>>,
     bones: Option<Vec<[f64; 3]>>,
     text: Vec<f32>,
-    drawn: usize,
+    generated: usize,
     evaluations: usize,
 }
 
@@ -127,7 +127,7 @@ impl FlowRollout {
         key: Key,
         device: &Device,
     ) -> Result<Self, RolloutError> {
-        settings.sampler.validate()?;
+        must_suit_flow(&settings.sampler)?;
         in_range("frames", settings.frames, 1..).hint("20 frames are a second of HumanML3D")?;
         in_range("history", space.history, 1..).hint("the document has 15")?;
         in_range("longest", space.longest, 1..).hint("196 in HumanML3D")?;
@@ -152,7 +152,7 @@ impl FlowRollout {
             rows: VecDeque::with_capacity(space.history + 1),
             text: vec![0.0; TEXT_CHANNELS],
             device: device.clone(),
-            drawn: 0,
+            generated: 0,
             evaluations: 0,
             model,
             space,
@@ -165,7 +165,7 @@ impl FlowRollout {
         Ok(rollout)
     }
 
-    /// Goes on with another text, 512 numbers; zeros for none.
+    /// Continues with another text, 512 numbers; zeros for no text.
     ///
     /// # Errors
     /// [`RolloutError::Text`]; the text before then stays.
@@ -183,12 +183,12 @@ impl FlowRollout {
     ///
     /// # Errors
     /// [`RolloutError::Sampler`] and [`RolloutError::Feature`], of a network that answers numbers
-    /// that are not finite. The frame is then not drawn.
+    /// that are not finite. The frame is then not generated.
     pub fn next_frame(&mut self) -> Result<Option<Vec<[f64; 3]>>, RolloutError> {
-        if self.drawn == self.settings.frames {
+        if self.generated == self.settings.frames {
             return Ok(None);
         }
-        let target = self.draw()?;
+        let target = self.sample()?;
         let Some((last, facing)) = self.stream.last() else {
             unreachable!("a rollout begins with a history");
         };
@@ -197,21 +197,21 @@ impl FlowRollout {
             frame = with_bones(&self.space.skeleton, &frame, bones)?;
         }
         self.take(&frame)?;
-        self.drawn += 1;
+        self.generated += 1;
         Ok(Some(frame))
     }
 
-    /// Frames that remain to be drawn.
+    /// Number of frames that remain.
     pub fn remaining(&self) -> usize {
-        self.settings.frames - self.drawn
+        self.settings.frames - self.generated
     }
 
-    /// Frames that have been drawn.
-    pub fn drawn(&self) -> usize {
-        self.drawn
+    /// Number of frames generated so far.
+    pub fn generated(&self) -> usize {
+        self.generated
     }
 
-    /// How often the solver has asked for a velocity, over all frames.
+    /// Velocities that the solver has taken, over all frames.
     pub fn evaluations(&self) -> usize {
         self.evaluations
     }
@@ -228,15 +228,15 @@ impl FlowRollout {
     }
 
     /// The next target, `[J, 3]` in metres.
-    fn draw(&mut self) -> Result<Vec<f32>, RolloutError> {
+    fn sample(&mut self) -> Result<Vec<f32>, RolloutError> {
         let joints = self.space.skeleton.joints();
         let number = match self.settings.same_noise {
             true => 0,
-            false => self.drawn as u64,
+            false => self.generated as u64,
         };
         let noise = self.key.at(number).normals(3 * joints);
         let noise = Tensor::from_data(TensorData::new(noise, [1, 3, joints]), &self.device);
-        let flowed = self.model.predictor.draw(
+        let flowed = self.model.predictor.sample(
             noise,
             &self.condition(),
             self.space.prediction,
@@ -248,7 +248,7 @@ impl FlowRollout {
         Ok(self.space.target.denormalize(&of_joints))
     }
 
-    /// What the next pose is drawn from.
+    /// The condition of the next pose.
     fn condition(&self) -> FlowCondition {
         let rows = self.rows.len();
         let channels = self.space.features.channels();
@@ -274,7 +274,7 @@ impl FlowRollout {
                 ..history.clone()
             })
         });
-        let behind = self.drawn as f32 / (self.settings.frames - 1).max(1) as f32;
+        let behind = self.generated as f32 / (self.settings.frames - 1).max(1) as f32;
         FlowCondition {
             context: self.model.encoder.forward(history),
             null_context,

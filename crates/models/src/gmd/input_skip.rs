@@ -8,7 +8,7 @@ use super::conditioner::interleaved_sinusoidal;
 use crate::Initializer;
 use crate::layers::{Conv1d, Linear};
 
-/// What a network adds of its input to its output:
+/// The share of its input that a network adds to its output:
 ///
 /// ```text
 /// g = Linear(sinusoid(t))        one gain a channel, zero in a new network
@@ -53,6 +53,7 @@ impl InputSkip {
 mod tests {
     use burn::tensor::{Device, TensorData};
     use kinegrad_diffusion::guided;
+    use kinegrad_kernels::host_values;
     use kinegrad_motion::humanml::TEXT_CHANNELS;
     use kinegrad_random::{Key, Purpose};
 
@@ -74,10 +75,6 @@ mod tests {
         Tensor::from_data(TensorData::new(values, shape), device)
     }
 
-    fn values<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
-        tensor.try_into_vec_as().expect("float32")
-    }
-
     #[test]
     fn it_is_the_gain_times_the_mixed_input() {
         let device = Device::flex();
@@ -97,7 +94,7 @@ mod tests {
         let [gain, gain_bias] = ["gain.weight", "gain.bias"].map(of);
         let [mix, mix_bias] = ["mix.weight", "mix.bias"].map(of);
         let input = tensor(x.clone(), [BATCH, CHANNELS, TIME], &device);
-        let output = values(skip.forward(input, &times));
+        let output = host_values(skip.forward(input, &times));
         for (b, time) in times.iter().enumerate() {
             let (t, slow) = (time.0 as f32, time.0 as f32 / 100.0);
             // Two frequencies, 1 and 1/100, a sine and a cosine of each.
@@ -139,8 +136,8 @@ mod tests {
         let times = [Time(700.0), Time(2.0)];
         let output = with.forward(x.clone(), &times, text.clone());
         assert_eq!(
-            values(output.clone()),
-            values(without.forward(x, &times, text))
+            host_values(output.clone()),
+            host_values(without.forward(x, &times, text))
         );
         let mut found = output.powi_scalar(2).sum().backward();
         let found = gradients(&with, &mut found);
@@ -171,7 +168,7 @@ mod tests {
         let text = normals(5, BATCH * TEXT_CHANNELS);
         let text = tensor(text, [BATCH, TEXT_CHANNELS, 1], &device);
         let time = [Time(40.0), Time(800.0)];
-        let output = values(guided(&network, input, &time, &text, 7.5));
+        let output = host_values(guided(&network, input, &time, &text, 7.5));
         for (output, x) in output.iter().zip(&x) {
             assert!((output - 0.5 * x).abs() < 1e-6, "guidance multiplies it");
         }

@@ -116,7 +116,7 @@ impl BiGru {
     }
 }
 
-/// What a [`BiGru`] gives.
+/// The output of a [`BiGru`].
 #[derive(Clone, Debug)]
 pub struct GruStates {
     /// After each step forward: `[time, batch, state]`.

@@ -11,7 +11,7 @@ pub struct Embedding {
 }
 
 impl Embedding {
-    /// Rows of `features` for `things` things, drawn as a linear layer of so many inputs is.
+    /// `things` rows of `features`, initialised like a linear layer of so many inputs.
     pub fn new(things: usize, features: usize, init: &Initializer) -> Self {
         Self {
             weight: init.uniform("weight", [things, features], features),

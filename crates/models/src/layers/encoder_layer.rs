@@ -40,7 +40,7 @@ pub struct EncoderLayerConfig {
 const DROPOUTS: usize = 4;
 
 impl EncoderLayerConfig {
-    /// A layer whose parameters are drawn when they are first used; `index` tells its dropout from
+    /// A layer whose parameters are initialised when they are first used; `index` tells its dropout from
     /// that of the network's other layers.
     pub fn init(&self, index: usize, init: &Initializer) -> EncoderLayer {
         let width = self.width;
@@ -83,7 +83,7 @@ struct SelfAttention {
 }
 
 impl SelfAttention {
-    /// What `out_proj` takes.
+    /// The input of `out_proj`.
     ///
     /// # Shapes
     /// - x, output: `[batch, width, tokens]`

@@ -86,23 +86,23 @@ impl Linear {
     }
 
     /// [`forward_frames_sharing`](Self::forward_frames_sharing) of frames each of which shares a row of
-    /// `told`, the one that `rows` names.
+    /// `cond`, the one that `rows` names.
     ///
     /// # Shapes
     /// - own: `[batch, some, time]`
-    /// - told: `[told, in - some]`, rows: `[batch * time]`
+    /// - cond: `[conditions, in - some]`, rows: `[batch * time]`
     /// - output: `[batch, out, time]`
-    pub fn forward_frames_told(
+    pub fn forward_frames_cond(
         &self,
         own: Tensor<3>,
-        told: Tensor<2>,
+        cond: Tensor<2>,
         rows: Tensor<1, Int>,
     ) -> Tensor<3> {
         let [batch, some, time] = own.dims();
-        let told = linear(told, self.columns(some..self.inputs()), self.bias.val());
-        let [_, outputs] = told.dims();
-        let told = told.select(0, rows).reshape([batch, time, outputs]);
-        self.forward_own(own, told)
+        let cond = linear(cond, self.columns(some..self.inputs()), self.bias.val());
+        let [_, outputs] = cond.dims();
+        let cond = cond.select(0, rows).reshape([batch, time, outputs]);
+        self.forward_own(own, cond)
     }
 
     /// The first inputs' share, added to `others`, `[batch, time, out]`.

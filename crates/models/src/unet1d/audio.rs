@@ -1,4 +1,4 @@
-//! How the audio features reach the levels of the UNet.
+//! The audio condition of the UNet.
 
 use burn::module::Module;
 use burn::tensor::Tensor;
@@ -13,8 +13,8 @@ use crate::layers::{Conv1d, GROUPS, GroupNorm};
 use crate::lora::{Adapting, LoraTarget};
 
 use super::StyleCondition;
-use super::beats::{BEAT_CHANNELS, BeatTracker, TRACKED, told_beats};
-use super::steady::steady;
+use super::beats::{BEAT_CHANNELS, BeatTracker, TRACKED, beat_labels};
+use super::constant_tempo::fit_constant_tempo;
 
 /// Taps of the encoder's convolutions, but for those that halve the length.
 const KERNEL: usize = 5;
@@ -22,7 +22,7 @@ const KERNEL: usize = 5;
 /// Frames, about two seconds, over which means are taken.
 const AROUND: usize = 61;
 
-/// Norm of sine and cosine below which an angle is none.
+/// Norm of sine and cosine below which an angle is undefined.
 const SMALLEST_NORM: f64 = 1e-3;
 
 /// How the audio features are fed into the network.
@@ -39,21 +39,20 @@ pub enum AudioConditioning {
     Aligned,
 }
 
-/// What a batch of motion is conditioned on.
+/// The condition of a batch of motions.
 #[derive(Clone, Debug)]
 pub struct AudioCondition {
     /// Audio features, `[batch, cond_channels, time]`; zeros are the null condition.
     pub features: Tensor<3>,
-    /// Frames of each sample that are not padding; all where nothing is said.
-    /// [`AudioConditioning::Document`] does not look at them.
+    /// Frames of each sample that are not padding; all if `None`. [`AudioConditioning::Document`]
+    /// ignores them.
     pub lengths: Option<Lengths>,
-    /// The style of each sample; the null style where nothing is said. Networks without style do
-    /// not look at it.
+    /// The style of each sample; the null style if `None`. Networks without style ignore it.
     pub style: Option<StyleCondition>,
-    /// Whether a network that tracks the beats hears those that it is told in their place, where it
-    /// is told some. Training sets this: its tracker is poor at first and later nearly perfect on the
-    /// training songs, and neither is how it does on others.
-    pub hears_told_beats: bool,
+    /// Replaces tracked beats by the beat labels where there are some. Training sets this, because
+    /// the tracker is poor at first and later nearly perfect on the training songs, and on other
+    /// songs neither.
+    pub teacher_forcing: bool,
 }
 
 impl AudioCondition {
@@ -65,11 +64,11 @@ impl AudioCondition {
             features: self.features.zeros_like(),
             lengths: self.lengths.clone(),
             style: self.style.as_ref().map(StyleCondition::null),
-            hears_told_beats: self.hears_told_beats,
+            teacher_forcing: self.teacher_forcing,
         }
     }
 
-    /// The same audio without a style; none where there is no style.
+    /// The same audio with the null style; `None` if there is no style.
     #[must_use]
     pub fn null_style(&self) -> Option<Self> {
         let style = self.style.as_ref()?.null();
@@ -87,15 +86,15 @@ impl From<Tensor<3>> for AudioCondition {
             features,
             lengths: None,
             style: None,
-            hears_told_beats: false,
+            teacher_forcing: false,
         }
     }
 }
 
-/// What each level of the UNet hears.
-pub(super) struct Heard(Vec<(Tensor<3>, Option<Lengths>)>);
+/// The audio features of each level of the UNet, with the lengths of the samples there.
+pub(super) struct AudioContext(Vec<(Tensor<3>, Option<Lengths>)>);
 
-impl Heard {
+impl AudioContext {
     /// The same at every level, as a set of frames.
     pub fn everywhere(context: Tensor<3>, levels: usize) -> Self {
         Self(vec![(context, None); levels])
@@ -111,7 +110,7 @@ impl Heard {
         self.0[level].1.as_ref()
     }
 
-    /// `convolution`, whose output is at `level`, with what is heard there added to it.
+    /// `convolution`, whose output is at `level`, with the audio context of that level added.
     pub fn join(
         &self,
         layer: &Option<Conv1d>,
@@ -125,8 +124,8 @@ impl Heard {
     }
 }
 
-/// The features without those that tell the beats.
-fn untold(features: Tensor<3>) -> Tensor<3> {
+/// The features without the beat labels.
+fn without_labels(features: Tensor<3>) -> Tensor<3> {
     let channels = features.dims()[1];
     features.narrow(1, 0, channels - BEAT_CHANNELS)
 }
@@ -147,9 +146,9 @@ pub(super) fn mean_around(features: Tensor<3>, lengths: Option<&Lengths>) -> Ten
     mean(features * mask) / share
 }
 
-/// Sine and cosine of the same angle with a norm of one. What a tracker says of songs that it was
-/// trained on is certain, with a norm near one, and what it says of others is less so: without this
-/// a network would hear in other songs what it never heard in training.
+/// Sine and cosine of the same angle with a norm of one. The tracker's norm is near one on its
+/// training songs and smaller on others, which would be inputs that the network never had in
+/// training.
 fn direction(beats: Tensor<3>) -> Tensor<3> {
     let norm = (beats.clone().square().sum_dim(1) + SMALLEST_NORM * SMALLEST_NORM).sqrt();
     beats / norm
@@ -219,33 +218,33 @@ impl AudioEncoder {
         }
     }
 
-    /// What each level hears.
+    /// The features of each level.
     ///
     /// # Shapes
     /// - features: `[batch, inputs, time]`
-    pub fn forward(&self, cond: AudioCondition) -> Heard {
+    pub fn forward(&self, cond: AudioCondition) -> AudioContext {
         let AudioCondition {
             features,
             mut lengths,
             style: _,
-            hears_told_beats,
+            teacher_forcing,
         } = cond;
         let stem = self.stem.operation().lengths(lengths.clone());
         let features = match self.find(features.clone(), lengths.as_ref()) {
             Some(mut beats) => {
-                if hears_told_beats {
-                    let (told, is_told) = told_beats(&features);
-                    beats = told * is_told.clone() + beats * (is_told.neg() + 1.0);
+                if teacher_forcing {
+                    let (labels, known) = beat_labels(&features);
+                    beats = labels * known.clone() + beats * (known.neg() + 1.0);
                 }
-                // As they are the features would say when something sounds a second time, in a way
-                // that is soon learned by heart of a few songs and is of no use for another one.
-                let sounds = mean_around(untold(features), lengths.as_ref());
+                // Unaveraged features would also contain the onsets, which a network memorises for
+                // a few songs without use for others.
+                let sounds = mean_around(without_labels(features), lengths.as_ref());
                 Tensor::cat(vec![sounds, beats], 1)
             }
             None => features,
         };
         let mut h = stem.forward(features);
-        let mut heard = Vec::with_capacity(self.levels.len());
+        let mut context = Vec::with_capacity(self.levels.len());
         for level in &self.levels {
             if let Some(down) = &level.down {
                 h = down.operation().lengths(lengths.clone()).forward(h);
@@ -254,25 +253,29 @@ impl AudioEncoder {
             let norm = level.norm.operation().activation(Activation::Silu);
             let conv = level.conv.operation().norm(norm.lengths(lengths.clone()));
             h = conv.residual(h.clone()).forward(h);
-            heard.push((h.clone(), lengths.clone()));
+            context.push((h.clone(), lengths.clone()));
         }
-        Heard(heard)
+        AudioContext(context)
     }
 
     /// Sine and cosine of the place of each frame in its beat, `[batch, 2, time]`, as the tracker
     /// finds it; none without a tracker.
     pub fn track(&self, features: Tensor<3>, lengths: Option<&Lengths>) -> Option<Tensor<3>> {
         let beats = self.beats.as_ref()?;
-        Some(beats.forward(untold(features), lengths))
+        Some(beats.forward(without_labels(features), lengths))
     }
 
-    /// What the levels hear of the tracker: the steady beat nearest to what it finds, as a direction,
-    /// and zeros in silence. It does not learn from what becomes of it.
+    /// The constant tempo fitted to the tracked beats, with a norm of one, and zeros in silence.
+    /// Gradients do not reach the tracker.
     pub fn find(&self, features: Tensor<3>, lengths: Option<&Lengths>) -> Option<Tensor<3>> {
         let found = self.track(features.clone(), lengths)?.detach();
-        let loudest = untold(features).detach().abs().max_dim(2).max_dim(1);
+        let loudest = without_labels(features)
+            .detach()
+            .abs()
+            .max_dim(2)
+            .max_dim(1);
         let sounds = loudest.greater_elem(0.0).float();
-        Some(direction(steady(found, lengths)) * sounds)
+        Some(direction(fit_constant_tempo(found, lengths)) * sounds)
     }
 
     pub fn adapting(self, adapting: &Adapting<'_>) -> Self {
@@ -300,12 +303,9 @@ impl AudioEncoder {
 #[cfg(test)]
 mod tests {
     use burn::tensor::{Device, TensorData};
+    use kinegrad_kernels::host_values;
 
     use super::*;
-
-    fn values(x: Tensor<3>) -> Vec<f32> {
-        x.into_data().try_into_vec().expect("values")
-    }
 
     /// A feature that is `level` in the first `heard` of 90 frames, with 1 added to one of them.
     fn click(at: usize, level: f32, heard: usize, padding: f32) -> Vec<f32> {
@@ -314,7 +314,7 @@ mod tests {
         row[heard..].fill(padding);
         row[at] += 1.0;
         let row = Tensor::from_data(TensorData::new(row, [1, 1, 90]), &device);
-        values(mean_around(row, Some(&Lengths::new([heard]))))
+        host_values(mean_around(row, Some(&Lengths::new([heard]))))
     }
 
     #[test]
@@ -334,7 +334,7 @@ mod tests {
         let pairs = [[0.3f32, -2e-2, 0.0], [0.4, 0.0, 0.0]].concat();
         let pairs = Tensor::from_data(TensorData::new(pairs, [1, 2, 3]), &Device::flex());
         let expected = [0.6, -1.0, 0.0, 0.8, 0.0, 0.0];
-        for (a, b) in values(direction(pairs)).iter().zip(expected) {
+        for (a, b) in host_values(direction(pairs)).iter().zip(expected) {
             assert!((a - b).abs() < 2e-3, "{a} {b}");
         }
     }

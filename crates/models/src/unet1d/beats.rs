@@ -1,5 +1,4 @@
-//! A beat tracker inside the audio encoder: it learns where the beats are in features that do not
-//! say it, from songs whose beats are known.
+//! A beat tracker inside the audio encoder, trained on songs with known beats.
 
 use burn::module::Module;
 use burn::tensor::{Tensor, activation::relu};
@@ -10,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use crate::Initializer;
 use crate::layers::{Conv1d, GroupNorm};
 
-/// Where the network has the beats of the music from.
+/// The source of the beats.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Beats {
@@ -33,7 +32,7 @@ impl Beats {
 /// beat come first.
 pub const BEAT_CHANNELS: usize = 7;
 
-/// What is said of each frame's place in its beat: sine and cosine.
+/// Channels of a frame's place in its beat: sine and cosine.
 pub(super) const TRACKED: usize = 2;
 
 /// Adjacent features that are averaged before they are differentiated.
@@ -46,13 +45,13 @@ const WIDTH: usize = 64;
 const GROUPS: usize = 8;
 const KERNEL: usize = 5;
 
-/// Blocks of convolutions; the last one hears 64 frames before and after, two seconds.
+/// Blocks of convolutions; the receptive field is 64 frames, about two seconds, on either side.
 const BLOCKS: usize = 5;
 
 /// From features of the music to the place of each frame in its beat.
 ///
-/// What begins to sound says when a beat is, and what sounds says which song it is, which is of no
-/// use for another one: so the features go in as the increase, from frame to frame, of the mean of
+/// Onsets mark beats, while the levels of the features identify the song, which does not
+/// generalise: so the features enter as the increase, from frame to frame, of the mean of
 /// four adjacent ones, and only those left over (loudness, brightness and onset strength) as they
 /// are.
 ///
@@ -102,30 +101,30 @@ impl BeatTracker {
     pub fn forward(&self, features: Tensor<3>, lengths: Option<&Lengths>) -> Tensor<3> {
         let time = features.dims()[2];
         let mask = lengths.map(|lengths| lengths.mask(time, &features.device()));
-        let heard = |x: Tensor<3>| match &mask {
+        let masked = |x: Tensor<3>| match &mask {
             Some(mask) => x * mask.clone(),
             None => x,
         };
-        let mut h = self.stem.forward(heard(novelty(features)));
+        let mut h = self.stem.forward(masked(novelty(features)));
         for (index, block) in self.blocks.iter().enumerate() {
             let norm = block.norm.operation().activation(Activation::Silu);
-            let inner = heard(norm.lengths(lengths.cloned()).forward(h.clone()));
+            let inner = masked(norm.lengths(lengths.cloned()).forward(h.clone()));
             h = h + dilated(&block.conv, inner, 1 << index);
         }
         self.head.forward(h)
     }
 }
 
-/// What features `[batch, channels, time]` tell of the place in the beat, sine and cosine, and where
-/// they do so, ones and zeros: `[batch, 2, time]` and `[batch, 1, time]`. Sine and cosine are of one
-/// angle unless they are replaced by noise or no beats are known.
-pub fn told_beats(features: &Tensor<3>) -> (Tensor<3>, Tensor<3>) {
+/// The labels of the place in the beat in features `[batch, channels, time]`, sine and cosine
+/// `[batch, 2, time]`, and a mask, 1 where they are known, `[batch, 1, time]`. They are unknown where
+/// sine and cosine are not of one angle: replaced by noise, or without beats.
+pub fn beat_labels(features: &Tensor<3>) -> (Tensor<3>, Tensor<3>) {
     let first = features.dims()[1] - BEAT_CHANNELS;
-    let told = features.clone().narrow(1, first, TRACKED);
-    let norm = told.clone().square().sum_dim(1);
-    let both = told.clone().prod_dim(1).not_equal_elem(0.0).float();
-    let is_told = (norm - 1.0).abs().lower_elem(1e-3).float() * both;
-    (told, is_told)
+    let labels = features.clone().narrow(1, first, TRACKED);
+    let norm = labels.clone().square().sum_dim(1);
+    let both = labels.clone().prod_dim(1).not_equal_elem(0.0).float();
+    let known = (norm - 1.0).abs().lower_elem(1e-3).float() * both;
+    (labels, known)
 }
 
 /// The increase of the mean of each four adjacent features from frame to frame, then those left over.
@@ -182,6 +181,7 @@ fn dilated(conv: &Conv1d, x: Tensor<3>, dilation: usize) -> Tensor<3> {
 #[cfg(test)]
 mod tests {
     use burn::tensor::{Device, TensorData};
+    use kinegrad_kernels::host_values;
     use kinegrad_random::{Key, Purpose};
 
     use super::*;
@@ -191,25 +191,21 @@ mod tests {
         Tensor::from_data(TensorData::new(values, shape), device)
     }
 
-    fn values(x: Tensor<3>) -> Vec<f32> {
-        x.into_data().try_into_vec().expect("values")
-    }
-
     #[test]
     fn taps_lie_a_dilation_apart() {
         let device = Device::flex();
         let conv = Conv1d::new(3, 2, KERNEL, &Initializer::new(1, &device));
         for (dilation, time) in [(1, 9), (2, 9), (4, 9), (4, 3), (8, 21)] {
             let x = normal(2, [2, 3, time], &device);
-            let found = values(dilated(&conv, x.clone(), dilation));
+            let found = host_values(dilated(&conv, x.clone(), dilation));
             // Each tap by itself, from the response to single frames.
-            let bias = values(conv.forward(Tensor::zeros([1, 3, 1], &device)));
+            let bias = host_values(conv.forward(Tensor::zeros([1, 3, 1], &device)));
             let mut expected: Vec<f32> = (0..2 * 2 * time).map(|i| bias[i / time % 2]).collect();
             for from in 0..time {
                 let frame = x.clone().narrow(2, from, 1);
                 let around = Tensor::zeros([2, 3, 4], &device);
                 let response = Tensor::cat(vec![around.clone(), frame, around], 2);
-                let response = values(conv.forward(response));
+                let response = host_values(conv.forward(response));
                 for tap in 0..KERNEL {
                     let to = from as isize + (tap as isize - 2) * dilation as isize;
                     if !(0..time as isize).contains(&to) {
@@ -241,7 +237,7 @@ mod tests {
         let found = novelty(Tensor::from_data(x, &device));
         assert_eq!(found.dims(), [1, 2, 4]);
         let expected = [0.0, 0.8, 0.4, 0.0, 0.5, 0.25, 0.5, 0.25];
-        for (a, b) in values(found).iter().zip(expected) {
+        for (a, b) in host_values(found).iter().zip(expected) {
             assert!((a - b).abs() < 1e-6, "{a} {b}");
         }
         assert_eq!(novelty(normal(1, [2, 8, 1], &device)).dims(), [2, 2, 1]);
@@ -256,12 +252,12 @@ mod tests {
         let heard = |padding: u64| {
             let padding = normal(padding, [2, 11, 9], &device);
             let x = Tensor::cat(vec![head.clone(), padding], 2);
-            values(tracker.forward(x, Some(&lengths)).narrow(2, 0, 31))
+            host_values(tracker.forward(x, Some(&lengths)).narrow(2, 0, 31))
         };
         assert_eq!(heard(4), heard(5));
         for (a, b) in heard(4)
             .iter()
-            .zip(values(tracker.forward(head.clone(), None)))
+            .zip(host_values(tracker.forward(head.clone(), None)))
         {
             assert!((a - b).abs() < 1e-5, "{a} {b}");
         }

@@ -82,16 +82,16 @@ fn in_training_the_rest_of_it_hears_the_told_beats_where_some_are_told() {
         }
         Tensor::<3>::from_data(TensorData::new(rows, [2, BEAT_CHANNELS, time]), &device)
     };
-    let predicted = |start: f32, hears_told_beats: bool| {
+    let predicted = |start: f32, teacher_forcing: bool| {
         let cond = AudioCondition {
-            hears_told_beats,
+            teacher_forcing,
             ..Tensor::cat(vec![music.clone(), told(start)], 1).into()
         };
         let output = network.forward(x.clone(), &Time::of(&[400, 30]), cond, None);
         [0, 1].map(|sample| output.clone().narrow(0, sample, 1))
     };
     let [early, late, tracked] = [(0.11, true), (0.61, true), (0.11, false)]
-        .map(|(start, hears_told_beats)| predicted(start, hears_told_beats));
+        .map(|(start, teacher_forcing)| predicted(start, teacher_forcing));
     assert!(largest(early[0].clone() - late[0].clone()) > 1e-3);
     assert!(largest(early[0].clone() - tracked[0].clone()) > 1e-3);
     assert_eq!(largest(early[1].clone() - late[1].clone()), 0.0);
@@ -106,13 +106,13 @@ fn told_and_tracked_beats_are_joined_frame_by_frame() {
     let x = normal(0, [2, 25, time], &device);
     let music = normal(1, [2, 11, time], &device);
     let none = Tensor::zeros([2, BEAT_CHANNELS, time], &device);
-    let cond = |told: Tensor<3>, hears_told_beats: bool| AudioCondition {
+    let cond = |told: Tensor<3>, teacher_forcing: bool| AudioCondition {
         lengths: lengths.clone(),
-        hears_told_beats,
+        teacher_forcing,
         ..Tensor::cat(vec![music.clone(), told], 1).into()
     };
-    let predicted = |told: Tensor<3>, hears_told_beats: bool| {
-        let cond = cond(told, hears_told_beats);
+    let predicted = |told: Tensor<3>, teacher_forcing: bool| {
+        let cond = cond(told, teacher_forcing);
         network.forward(x.clone(), &Time::of(&[400, 30]), cond, None)
     };
     // The first half is told what is tracked, turned by so much, and the second nothing.

@@ -1,4 +1,4 @@
-//! The sizes of the UNet and what it is told.
+//! The sizes and conditions of the UNet.
 
 use kinegrad_motion::{OrientationTarget, PhaseTarget, Targets};
 use kinegrad_settings::{InvalidSetting, Refused, in_range, require};
@@ -23,7 +23,7 @@ pub struct UNet1dConfig {
     pub channel_mult: Vec<usize>,
     /// Residual blocks of an encoder level.
     pub num_res_blocks: usize,
-    /// Levels with attention, 0 being the finest; all but that one where nothing is said.
+    /// Levels with attention, 0 being the finest; all but that one if not set.
     pub attention_levels: Option<Vec<usize>>,
     /// Attention heads, at every width.
     pub num_heads: usize,
@@ -34,19 +34,19 @@ pub struct UNet1dConfig {
     /// Width of the projected conditioning. With `audio_conditioning = "aligned"` the most channels
     /// of a level of the audio encoder, a multiple of 32.
     pub context_dim: usize,
-    /// How the audio features are fed in; what a config leaves out is `document`.
+    /// The audio conditioning.
     pub audio_conditioning: AudioConditioning,
     /// Where the beats are from, with `audio_conditioning = "aligned"`.
     #[serde(skip_serializing_if = "Beats::are_given")]
     pub beats: Beats,
     /// Dropout inside the residual blocks.
     pub dropout: f64,
-    /// What is predicted of the phase.
+    /// The predicted encoding of the phase.
     pub phase_target: PhaseTarget,
-    /// What is predicted of the orientation. `data.augment.flip_quaternion` goes with
+    /// The predicted encoding of the orientation. `data.augment.flip_quaternion` goes with
     /// `quaternion` alone: to the others q and -q are the same.
     pub orientation_target: OrientationTarget,
-    /// What the network is told of the style, in addition to the audio.
+    /// The style condition, in addition to the audio.
     pub style: StyleConditioning,
     /// The labels of `style = "label"` and `"both"`. If empty, those of the training phrases; the
     /// run's saved config and its checkpoints state them.

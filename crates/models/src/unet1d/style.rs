@@ -1,4 +1,4 @@
-//! What style the UNet is asked for: eight numbers, a label of the dance, or both.
+//! The style condition of the UNet: eight numbers, a label of the dance, or both.
 
 use burn::module::Module;
 use burn::tensor::Tensor;
@@ -13,7 +13,7 @@ use crate::lora::{Adapting, LoraTarget};
 /// Values of a style's numbers: the eight, normalised, and 1.
 pub const STYLE_VALUES: usize = 9;
 
-/// What the network is told of the style (CC-MotionGen, section 15.2, names style control for its
+/// The style condition (CC-MotionGen, section 15.2, names style control for its
 /// version 0.4).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
@@ -30,12 +30,12 @@ pub enum StyleConditioning {
 }
 
 impl StyleConditioning {
-    /// Whether the network is told the numbers.
+    /// True if the numbers are a condition.
     pub fn has_numbers(self) -> bool {
         matches!(self, Self::Numbers | Self::Both)
     }
 
-    /// Whether the network is told the label.
+    /// True if the label is a condition.
     pub fn has_label(self) -> bool {
         matches!(self, Self::Label | Self::Both)
     }

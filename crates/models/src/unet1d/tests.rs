@@ -117,7 +117,7 @@ fn on(device: &Device, mode: Mode, length: usize) -> [Tensor<3>; 2] {
             features: features.clone(),
             lengths: Some(Lengths::new(lengths)),
             style: None,
-            hears_told_beats: false,
+            teacher_forcing: false,
         };
         let times = Time::of(&[700, 3]);
         let together = network.forward(x.clone(), &times, together, None);
@@ -172,7 +172,7 @@ fn loss_and_gradients(network: &UNet1d, mode: Mode) -> (f64, Vec<Vec<f32>>, Vec<
             features: features.clone(),
             lengths: Some(lengths.clone()),
             style: None,
-            hears_told_beats: false,
+            teacher_forcing: false,
         };
         let x = normal(0, [2, 25, time], &device);
         let output = network.forward(x, &Time::of(&[700, 3]), cond, None);
@@ -266,7 +266,7 @@ fn the_null_condition_is_silence_of_the_same_lengths() {
         features: normal(1, [2, FEATURES, time], &device),
         lengths: Some(Lengths::new([7, 11])),
         style: None,
-        hears_told_beats: false,
+        teacher_forcing: false,
     };
     let null = network.null_cond(&cond);
     assert_eq!(null.lengths, cond.lengths);
@@ -280,7 +280,7 @@ fn the_null_condition_is_silence_of_the_same_lengths() {
         features: cond.features * Tensor::zeros([2, 1, 1], &device),
         lengths: null.lengths,
         style: None,
-        hears_told_beats: false,
+        teacher_forcing: false,
     };
     let dropped = network.predict(x, &times, &dropped);
     assert_eq!(largest(dropped - without), 0.0);

@@ -25,6 +25,11 @@ enum Shape {
         /// Metres.
         radius: f64,
     },
+    /// A ball.
+    Ball {
+        /// Metres.
+        radius: f64,
+    },
     /// A square.
     Square(Side),
 }
@@ -98,7 +103,7 @@ fn values_are_said_in_words() {
         ("side.side", "a number"),
         ("shape", "tables, one for each"),
         ("shape[].count", "a whole number, 0 or more"),
-        ("shape[].kind", "\"disc\" or \"square\""),
+        ("shape[].kind", "\"disc\", \"ball\" or \"square\""),
         ("offset", "a whole number"),
     ] {
         assert_eq!(key(name).values.to_string(), words, "{name}");
@@ -110,7 +115,7 @@ fn values_are_said_in_words() {
 fn keys_of_one_kind_of_table_say_so_and_defaults_are_those_of_the_types() {
     assert_eq!(
         key("shape[].radius").only_with.as_deref(),
-        Some("shape[].kind = \"disc\"")
+        Some("shape[].kind = \"disc\", \"ball\"")
     );
     assert_eq!(
         key("shape[].side").only_with.as_deref(),

@@ -44,7 +44,8 @@ impl Variant {
         let Some((key, value)) = only_with.and_then(|with| with.split_once(" = ")) else {
             return true;
         };
-        value_at(&self.whole, key).is_some_and(|found| found.to_string() == value)
+        let is_among = |found: &Value| value.split(", ").any(|value| found.to_string() == value);
+        value_at(&self.whole, key).is_some_and(is_among)
     }
 }
 

@@ -10,8 +10,8 @@ use std::path::{Path, PathBuf};
 use burn::tensor::Device;
 use kinegrad_data::file::{MAX_TENSOR_BYTES, read_file, read_text};
 use kinegrad_models::Initializer;
-use kinegrad_models::clip::{ClipText, ClipTextConfig};
 use kinegrad_models::parameters::ParameterInfo;
+use kinegrad_models::text_encoder::{ClipTextConfig, ClipTextModel};
 use kinegrad_motion::humanml::TEXT_CHANNELS;
 use pytorch_reader::DType;
 use safetensors::{Dtype, SafeTensors};
@@ -30,7 +30,7 @@ const GROUP: usize = 64;
 
 /// CLIP's text encoder, ready to use.
 pub struct TextEncoder {
-    network: ClipText,
+    network: ClipTextModel,
     tokenizer: Tokenizer,
     device: Device,
 }
@@ -225,7 +225,7 @@ impl Weights {
     }
 
     /// The network with these weights.
-    fn load(&self, network: ClipText) -> Result<ClipText, Error> {
+    fn load(&self, network: ClipTextModel) -> Result<ClipTextModel, Error> {
         let found = self.infos();
         match self {
             Self::Safe { path, bytes } => {

@@ -40,7 +40,7 @@ fn golden_composition_decode(golden: Golden) {
     let composed = Composed {
         network: &network,
         path: None,
-        script,
+        segments: script,
         switch: switch(&golden),
     };
     let drawing = Drawing {

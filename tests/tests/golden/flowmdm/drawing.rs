@@ -4,10 +4,10 @@ use std::ops::ControlFlow;
 
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_diffusion::{
-    ClipRange, GivenNoise, NoiseKeys, Path, Prediction, PredictionType, Time, ddpm, ddpm_step,
-    guided,
+    ClipRange, GivenNoise, NoiseKeys, Prediction, PredictionType, Time, TimestepPath, ddpm,
+    ddpm_step, guided,
 };
-use kinegrad_models::blended::{BlendedTransformer, Composed, Script};
+use kinegrad_models::blended::{BlendedTransformer, Composed, TextSegments};
 use kinegrad_tests::golden::{Golden, GoldenTensors as _};
 
 use super::super::gmd::bench::process;
@@ -44,7 +44,7 @@ impl Drawing<'_> {
             Prediction::new(&diffusion, output, x, &at, &ClipRange::None)
         };
         let mut states = Vec::new();
-        let path = Path::to_clean(timesteps.iter().map(|&t| vec![t]).collect());
+        let path = TimestepPath::to_clean(timesteps.iter().map(|&t| vec![t]).collect());
         ddpm(
             &diffusion,
             &mut predict,
@@ -95,10 +95,10 @@ impl Drawing<'_> {
 }
 
 /// The common part of the composition files.
-pub fn composition(golden: &Golden) -> (BlendedTransformer, Script, Tensor<3>, f64) {
+pub fn composition(golden: &Golden) -> (BlendedTransformer, TextSegments, Tensor<3>, f64) {
     let device = Device::flex();
     let network = network(golden, &device);
-    let script = Script::new([motion(&counts(golden, "in.lengths"), 0, 1)]);
+    let script = TextSegments::new([motion(&counts(golden, "in.lengths"), 0, 1)]);
     let text = golden
         .tensor::<2>("in.text_features", &device)
         .unsqueeze_dim(2);

@@ -3,7 +3,7 @@
 use burn::module::Module as _;
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_diffusion::{Denoiser as _, Time, guided};
-use kinegrad_models::blended::{BlendedTransformer, Composed, Pass, Script};
+use kinegrad_models::blended::{BlendedTransformer, Composed, Pass, TextSegments};
 use kinegrad_tests::golden::{Golden, GoldenTensors as _, ReferenceTensors as _, values};
 use kinegrad_tests::stages::Noted;
 use kinegrad_tests::trials::GoldenTest;
@@ -24,7 +24,7 @@ struct Case<'a> {
     golden: &'a Golden,
     network: &'a BlendedTransformer,
     name: &'a str,
-    script: &'a Script,
+    segments: &'a TextSegments,
     is_relative: Vec<bool>,
     time: Vec<Time>,
     /// For each text, true if it is dropped.
@@ -50,11 +50,11 @@ impl Case<'_> {
         let count = kept.len();
         let kept = Tensor::<2>::from_data(TensorData::new(kept, [count, 1]), device);
         let pass = Pass {
-            script: self.script,
+            segments: self.segments,
             is_relative: &self.is_relative,
             dropout: None,
             path: None,
-            keep_path: None,
+            path_mask: None,
         };
         let mut stages = Noted::default();
         let told = texts.clone() * kept;
@@ -112,7 +112,7 @@ fn loss_weights(golden: &Golden, device: &Device) -> Tensor<3> {
 fn golden_blended_single_text(golden: Golden) {
     let device = Device::flex().autodiff();
     let network = network(&golden, &device);
-    let script = Script::single(counts(&golden, "in.lengths"));
+    let script = TextSegments::single(counts(&golden, "in.lengths"));
     let switch = switch(&golden);
     let weights = loss_weights(&golden, &device);
     let plain = network.valid();
@@ -128,7 +128,7 @@ fn golden_blended_single_text(golden: Golden) {
             golden: &golden,
             network: &network,
             name,
-            script: &script,
+            segments: &script,
             is_relative,
             time: time.clone(),
             dropped: vec![false; 2],
@@ -137,7 +137,7 @@ fn golden_blended_single_text(golden: Golden) {
         let composed = Composed {
             network: &plain,
             path: None,
-            script: script.clone(),
+            segments: script.clone(),
             switch,
         };
         let device = Device::flex();
@@ -161,7 +161,7 @@ fn golden_blended_single_text(golden: Golden) {
     let composed = Composed {
         network: &plain,
         path: None,
-        script,
+        segments: script,
         switch,
     };
     for (index, t) in golden.get("in.switch.t").indices().into_iter().enumerate() {
@@ -174,9 +174,9 @@ fn golden_blended_single_text(golden: Golden) {
 
 /// The segments of a file with `in.lengths0` and `in.lengths1`; texts have the shape `[segments,
 /// batch, width]`.
-pub fn two_motions(golden: &Golden) -> Script {
+pub fn two_motions(golden: &Golden) -> TextSegments {
     let both = ["in.lengths0", "in.lengths1"].map(|name| counts(golden, name));
-    Script::new([motion(&both[0], 0, 2), motion(&both[1], 1, 2)])
+    TextSegments::new([motion(&both[0], 0, 2), motion(&both[1], 1, 2)])
 }
 
 fn golden_blended_several_texts(golden: Golden) {
@@ -193,7 +193,7 @@ fn golden_blended_several_texts(golden: Golden) {
             golden: &golden,
             network: &network,
             name,
-            script: &script,
+            segments: &script,
             is_relative: time
                 .iter()
                 .map(|time| switch.is_relative(time.timestep()))
@@ -208,7 +208,7 @@ fn golden_blended_several_texts(golden: Golden) {
             golden: &golden,
             network: &network,
             name,
-            script: &script,
+            segments: &script,
             is_relative: flags(&golden, &format!("in.{name}.is_relative")),
             time: at("in.train.t"),
             dropped: flags(&golden, "in.train.text_drop"),

@@ -4,7 +4,7 @@ use burn::tensor::{Device, Tensor};
 use kinegrad_diffusion::Time;
 use kinegrad_kernels::KeyRanges;
 use kinegrad_models::blended::{
-    BlendedConfig, HEAD_CHANNELS, PoseCentricAttention, Script, Shared, absolute_positions,
+    BlendedConfig, HEAD_CHANNELS, PoseCentricAttention, Shared, TextSegments, absolute_positions,
 };
 use kinegrad_models::gmd::interleaved_sinusoidal;
 use kinegrad_models::rotary::Rotation;
@@ -115,8 +115,8 @@ fn golden_blended_positions(golden: Golden) {
 fn compare_masks(golden: &Golden) {
     let lengths = counts(golden, "in.segment_lengths");
     let time: usize = lengths.iter().sum();
-    let script = Script::new([motion(&lengths, 0, 1)]);
-    let places = |script: &Script, time| {
+    let script = TextSegments::new([motion(&lengths, 0, 1)]);
+    let places = |script: &TextSegments, time| {
         let places = script.places(time).concat();
         places.into_iter().map(|p| p as f64).collect::<Vec<_>>()
     };
@@ -140,7 +140,7 @@ fn compare_masks(golden: &Golden) {
         counts(golden, "in.batch.lengths1"),
     ];
     let time = golden.get("out.batch.positions").shape[1];
-    let script = Script::new(both.iter().map(|lengths| motion(lengths, 0, 1)));
+    let script = TextSegments::new(both.iter().map(|lengths| motion(lengths, 0, 1)));
     golden.compare_exactly("out.batch.positions", &places(&script, time));
     let counted: Vec<f64> = script
         .frames()

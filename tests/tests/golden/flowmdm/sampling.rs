@@ -91,7 +91,7 @@ fn golden_composition_sampling(golden: Golden) {
     let composed = |bpe_denoising_step: i64| Composed {
         network: &network,
         path: None,
-        script: script.clone(),
+        segments: script.clone(),
         switch: Switch {
             bpe_denoising_step,
             ..switch

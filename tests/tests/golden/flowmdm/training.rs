@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_diffusion::{PredictionType, Time};
-use kinegrad_models::blended::{BlendedConfig, BlendedTransformer, Pass, Script};
+use kinegrad_models::blended::{BlendedConfig, BlendedTransformer, Pass, TextSegments};
 use kinegrad_models::{Initializer, parameters};
 use kinegrad_tests::golden::{Golden, ReferenceTensors as _, compared};
 use kinegrad_tests::trials::GoldenTest;
@@ -25,7 +25,7 @@ pub fn tests() -> Vec<GoldenTest> {
 }
 
 /// The mean over samples of the mean squared error over valid elements, `[batch]` first.
-fn training_loss(x_start: &Tensor<3>, y: Tensor<3>, script: &Script) -> Tensor<1> {
+fn training_loss(x_start: &Tensor<3>, y: Tensor<3>, script: &TextSegments) -> Tensor<1> {
     let [_, channels, time] = y.dims();
     let device = y.device();
     let frames: Vec<usize> = script.frames().collect();
@@ -65,11 +65,11 @@ fn golden_blended_training(golden: Golden) {
     };
     let is_relative = flags(&golden, "in.is_relative");
     let pass = Pass {
-        script: &script,
+        segments: &script,
         is_relative: &is_relative,
         dropout: None,
         path: None,
-        keep_path: None,
+        path_mask: None,
     };
     let time = Time::of(&timesteps);
     let y = network.forward(
@@ -95,9 +95,9 @@ fn golden_blended_training(golden: Golden) {
     gradients::compare_under(&golden, &network, &computed, "grad.model.", 2e-4);
     compare_step(&golden, &network, &computed);
     // One text for each.
-    let single = Script::single(script.frames());
+    let single = TextSegments::single(script.frames());
     let pass = Pass {
-        script: &single,
+        segments: &single,
         ..pass
     };
     let texts = told("in.single.text_features", "in.single.text_drop");

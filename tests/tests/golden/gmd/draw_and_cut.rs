@@ -5,8 +5,8 @@ use std::ops::ControlFlow;
 use burn::module::Module as _;
 use burn::tensor::{Device, Tensor};
 use kinegrad_diffusion::{
-    ClipRange, GivenNoise, Guidance, Networks, NoiseKeys, Path, PredictionType, Space as _,
-    Steering, Time, ddpm, steered_prediction,
+    ClipRange, GivenNoise, Guidance, Networks, NoiseKeys, PredictionType, Space as _, Steering,
+    Time, TimestepPath, ddpm, steered_prediction,
 };
 use kinegrad_motion::goal::{
     Goal, GroundTargets, GuidanceConfig, GuidanceLoss, GuidanceNorm, Trajectory,
@@ -50,7 +50,7 @@ fn draw(golden: &Golden, frames: usize, padded: usize) -> Tensor<3> {
     let path = kept_timesteps(golden)
         .into_iter()
         .map(|t| vec![t; start.dims()[0]]);
-    let path = Path::to_clean(path.collect());
+    let path = TimestepPath::to_clean(path.collect());
     let mut predict = |x: Tensor<3>, time: &[Time]| {
         let free = Steering::default();
         let clip = ClipRange::None;

@@ -2,7 +2,8 @@
 
 use burn::tensor::{Device, Tensor};
 use kinegrad_diffusion::{
-    ClipRange, Prediction, PredictionType, SamplerConfig, TimestepSpacing, ddpm_step, timesteps,
+    ClipRange, Prediction, PredictionType, SamplerConfig, SamplerKind, TimestepSpacing, Timesteps,
+    ddpm_step, timesteps,
 };
 use kinegrad_tests::golden::{Golden, values, wide};
 use kinegrad_tests::trials;
@@ -101,11 +102,11 @@ fn golden_gmd_schedule_respaced(golden: Golden) {
     let diffusion = process(PredictionType::Sample);
     let schedule = &diffusion.schedule;
     let map = golden.get("out.ddim100_timestep_map").values;
-    let respaced = SamplerConfig {
-        num_inference_steps: map.len(),
+    let respaced = SamplerKind::Ddpm(Timesteps {
         timestep_spacing: TimestepSpacing::Leading,
-        ..SamplerConfig::default()
-    };
+        guidance_until: 0,
+    });
+    let respaced = SamplerConfig::new(respaced, map.len());
     let mut kept = timesteps(&respaced, schedule.num_train_timesteps());
     kept.reverse();
     let found: Vec<f64> = kept.iter().map(|&t| t as f64).collect();

@@ -6,8 +6,8 @@ use std::ops::ControlFlow;
 use burn::module::Module as _;
 use burn::tensor::{Device, Tensor};
 use kinegrad_diffusion::{
-    ClipRange, GivenNoise, Networks, NoiseKeys, Path, PredictionType, Space as _, Time, ddpm,
-    steered_prediction,
+    ClipRange, GivenNoise, Networks, NoiseKeys, PredictionType, Space as _, Time, TimestepPath,
+    ddpm, steered_prediction,
 };
 use kinegrad_models::TextDenoiser;
 use kinegrad_motion::goal::{
@@ -204,7 +204,7 @@ fn draw(
     };
     let batch = start.dims()[0];
     let path = kept_timesteps(golden).into_iter().map(|t| vec![t; batch]);
-    let path = Path::to_clean(path.collect());
+    let path = TimestepPath::to_clean(path.collect());
     let networks = Networks { tracked, plain };
     let mut predictions = Vec::new();
     let mut predict = |x: Tensor<3>, time: &[Time]| {

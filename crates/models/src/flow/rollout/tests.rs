@@ -1,4 +1,4 @@
-use kinegrad_diffusion::FlowSolver;
+use kinegrad_diffusion::SamplerKind;
 use kinegrad_motion::ChannelMoments;
 use kinegrad_motion::humanml::walk::{self, Course};
 use kinegrad_random::Purpose;
@@ -41,10 +41,7 @@ fn space(next: NextPose) -> FlowSpace {
 
 fn settings(frames: usize) -> RolloutSettings {
     RolloutSettings {
-        sampler: FlowSamplerConfig {
-            num_inference_steps: 3,
-            ..FlowSamplerConfig::default()
-        },
+        sampler: SamplerConfig::new(SamplerKind::Euler, 3),
         frames,
         constant_bones: false,
         same_noise: false,
@@ -108,15 +105,15 @@ fn a_rollout_repeats_itself_and_everything_given_changes_it() {
     assert_eq!(drawn, draw(settings(6), &recent, 1));
     let older = Joints::new(history.as_slice()[..6 * 22].to_vec(), 22).expect("frames");
     let guided = RolloutSettings {
-        sampler: FlowSamplerConfig {
+        sampler: SamplerConfig {
             guidance_scale: 3.0,
             ..settings(6).sampler
         },
         ..settings(6)
     };
     let midpoint = RolloutSettings {
-        sampler: FlowSamplerConfig {
-            kind: FlowSolver::Midpoint,
+        sampler: SamplerConfig {
+            kind: SamplerKind::Midpoint,
             ..settings(6).sampler
         },
         ..settings(6)

@@ -295,7 +295,7 @@ pub(super) fn validate(config: &Config) -> Result<(), Error> {
         .validate(timesteps)
         .within("evaluation.path")?;
     require(
-        sampling.sampler.kind == SamplerKind::Ddpm
+        matches!(sampling.sampler.kind, SamplerKind::Ddpm(_))
             || !evaluation.path.method.guides()
             || !evaluation.path.through_network,
         "sampling.sampler.kind",

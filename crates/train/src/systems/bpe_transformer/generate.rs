@@ -6,9 +6,9 @@ use burn::module::Module;
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_diffusion::{
     ClipRange, GaussianDiffusion, Guidance, Networks, NoiseKeys, SamplerConfig, Space as _,
-    Steering, Time, draw, sample, steered_prediction,
+    Steering, Time, sample, sample_with, steered_prediction,
 };
-use kinegrad_models::blended::{BlendedTransformer, Composed, Script, Segment, Switch};
+use kinegrad_models::blended::{BlendedTransformer, Composed, Segment, Switch, TextSegments};
 use kinegrad_motion::humanml::Features;
 use kinegrad_motion::{Representation, Statistics};
 use kinegrad_random::Key;
@@ -111,7 +111,7 @@ impl Composer {
             text,
             frames: line.frames,
         });
-        let script = Script::new([segments.collect()]);
+        let script = TextSegments::new([segments.collect()]);
         let humanml3d = &self.config().data.humanml3d;
         let told = match target.filter(|_| settings.path.method.tells()) {
             Some(target) => {
@@ -123,7 +123,7 @@ impl Composer {
         };
         let composed = |network| Composed {
             network,
-            script: script.clone(),
+            segments: script.clone(),
             path: told.clone(),
             switch: Switch {
                 bpe_denoising_step: settings.bpe_denoising_step,
@@ -194,7 +194,7 @@ impl Composer {
                     Ok(prediction)
                 };
                 let diffusion = &self.diffusion;
-                control.last(draw(
+                control.last(sample_with(
                     diffusion,
                     &mut predict,
                     start,
@@ -215,7 +215,7 @@ impl Composer {
     }
 
     fn must_know_paths(&self) -> Result<(), Error> {
-        match self.plain.knows_paths() {
+        match self.plain.has_path() {
             true => Ok(()),
             false => Err(Error::usage(
                 "option `method tokens`, and a run whose network is told no paths",

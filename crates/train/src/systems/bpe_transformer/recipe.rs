@@ -15,7 +15,7 @@ use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_data::TEXT;
 use kinegrad_diffusion::GaussianDiffusion;
 use kinegrad_models::DropoutKey;
-use kinegrad_models::blended::{BlendedTransformer, Pass, Script, Switch};
+use kinegrad_models::blended::{BlendedTransformer, Pass, Switch, TextSegments};
 
 use super::BpeTables;
 use super::told::Ways;
@@ -48,10 +48,10 @@ pub(super) fn recipe(
                 None => vec![time; batch],
             };
             let path = network
-                .knows_paths()
+                .has_path()
                 .then(|| ways.told(&inputs.x_start, &lengths));
             let keep_path = keep(draws.dropout, batch, drop_path, &inputs.x_start.device());
-            let script = Script::single(lengths);
+            let script = TextSegments::single(lengths);
             let is_relative = match modes(draws.dropout, batch, ratio) {
                 Some(drawn) => drawn,
                 None => {
@@ -67,11 +67,11 @@ pub(super) fn recipe(
                 draws,
                 |x_t, time, cond, dropout| {
                     let pass = Pass {
-                        script: &script,
+                        segments: &script,
                         is_relative: &is_relative,
                         dropout,
                         path: path.as_ref(),
-                        keep_path: keep_path.as_ref(),
+                        path_mask: keep_path.as_ref(),
                     };
                     network.forward(x_t, time, cond.get(TEXT).clone().squeeze_dim(2), pass)
                 },

@@ -125,7 +125,7 @@ pub(super) fn condition(cond: &Conditions, lengths: Option<Lengths>) -> AudioCon
         features: cond.get(kinegrad_data::AUDIO).clone(),
         lengths,
         style: is_told.then_some(style),
-        hears_told_beats: false,
+        teacher_forcing: false,
     }
 }
 

@@ -11,9 +11,9 @@ use std::ops::{ControlFlow, Range};
 use burn::tensor::{Tensor, TensorData};
 use kinegrad_data::AudioFeatures;
 use kinegrad_diffusion::{
-    NoiseKeys, Path, Prediction, PredictionType, SamplerKind, Time, draw, guided, noise_of_parts,
+    NoiseKeys, Prediction, PredictionType, Time, guided, noise_of_parts, sample_with,
 };
-use kinegrad_kernels::batch_invariant;
+use kinegrad_kernels::{batch_invariant, host_values};
 use kinegrad_models::decoder::Coherence;
 use kinegrad_motion::coherence::{fit_heading, fit_orientation, fit_trajectory, sureness_of};
 use kinegrad_motion::kinematics::make_sign_continuous;
@@ -162,14 +162,14 @@ impl Generator {
         let (windows, config) = (&whole.windows, &sampling.sampler);
         let shape = [windows.len(), self.targets.channels(), windows.length()];
         let clip = sampling.clip.range(self.state.normalization(), shape[1])?;
-        let all = self.calls(sampling) * windows.len();
+        let all = sampling.sampler.network_evaluations() * windows.len();
         let mut done = 0;
         let mut predict = |x: Tensor<3>, time: &[Time]| {
             let timesteps: Vec<usize> = time.iter().map(|time| time.timestep()).collect();
             let statistics = self.state.normalization();
-            let step = whole
-                .path
-                .and_then(|path| path.step(&values(x.clone()), windows, statistics, timesteps[0]));
+            let step = whole.path.and_then(|path| {
+                path.step(&host_values(x.clone()), windows, statistics, timesteps[0])
+            });
             let x = match step {
                 Some(step) => x - self.on_device(step, shape),
                 None => x,
@@ -191,7 +191,7 @@ impl Generator {
                     let timesteps = &timesteps[batch.clone()];
                     Prediction::new(&self.diffusion, output, x, timesteps, &clip)
                 })?;
-                predicted.extend(values(prediction.x_start));
+                predicted.extend(host_values(prediction.x_start));
                 done += batch.len();
                 if on_windows(done, all).is_break() {
                     return Err(kinegrad_diffusion::Error::Stopped);
@@ -225,7 +225,7 @@ impl Generator {
             key: key.at(1),
             starts,
         };
-        let x = draw(
+        let x = sample_with(
             &self.diffusion,
             &mut predict,
             self.on_device(noise, shape),
@@ -233,21 +233,7 @@ impl Generator {
             keys,
             &mut |_, _, _| ControlFlow::Continue(()),
         )?;
-        Ok(values(x))
-    }
-
-    /// How often the network sees each window, guidance apart.
-    fn calls(&self, sampling: &SamplingConfig) -> usize {
-        let num_train_timesteps = self.diffusion.config.num_train_timesteps;
-        let path = Path::of(&sampling.sampler, num_train_timesteps, 1);
-        let steps = path.len();
-        match sampling.sampler.kind {
-            // The step that lands on the clean motion has one call, the others two.
-            SamplerKind::Heun if steps > 0 => {
-                2 * steps - usize::from(path.landings(steps - 1) == [None])
-            }
-            _ => steps,
-        }
+        Ok(host_values(x))
     }
 
     /// The motion of latent windows: each is decoded where it stands, as in training, and the
@@ -267,7 +253,7 @@ impl Generator {
             let latent = latents[batch.start * a_window..batch.end * a_window].to_vec();
             let latent = self.on_device(latent, [batch.len(), channels, windows.length()]);
             let motion = batch_invariant(batch.len(), || decoder.frames(latent, None));
-            decoded.extend(values(motion));
+            decoded.extend(host_values(motion));
         }
         let turning = Turning {
             layout: Layout::Phrase,
@@ -302,8 +288,4 @@ impl Generator {
         }
         Ok(motion)
     }
-}
-
-fn values(x: Tensor<3>) -> Vec<f32> {
-    x.try_into_vec_as::<f32>().expect("samples are float32")
 }

@@ -1,7 +1,7 @@
 //! The system's own config tables and their validation.
 
 use kinegrad_data::{Crop, DataKind};
-use kinegrad_diffusion::{FlowPrediction, FlowSamplerConfig};
+use kinegrad_diffusion::{FlowPrediction, must_suit_flow};
 use kinegrad_models::flow::FlowConfig;
 use kinegrad_motion::MAX_FRAMES;
 use kinegrad_motion::humanml::{NextPose, Root};
@@ -180,7 +180,7 @@ pub(super) fn validate(config: &Config) -> Result<(), Error> {
         data.humanml3d.min_frames,
         format!("at least {shortest}: a history of `pose.history_frames` rows and the next frame"),
     )?;
-    FlowSamplerConfig::of(&sampling.sampler)?;
+    must_suit_flow(&sampling.sampler)?;
     sampling.must_have_no_gmd_settings(RECIPE)?;
     require(
         sampling.clip == ClipSample::None,

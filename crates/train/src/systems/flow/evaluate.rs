@@ -4,7 +4,7 @@ use std::ops::ControlFlow;
 use std::sync::Arc;
 
 use kinegrad_data::humanml::Clip;
-use kinegrad_diffusion::FlowSamplerConfig;
+use kinegrad_diffusion::SamplerConfig;
 use kinegrad_motion::humanml::{Joints, Skeleton};
 use kinegrad_random::{Key, Purpose};
 use serde::Serialize;
@@ -34,7 +34,7 @@ struct RolloutEvaluation {
     /// The settings.
     settings: RolloutEvaluationConfig,
     /// The solver.
-    sampler: FlowSamplerConfig,
+    sampler: SamplerConfig,
     /// Velocities asked for, of each frame.
     evaluations_per_frame: f64,
     /// The generated motion.
@@ -62,7 +62,7 @@ pub(super) fn prepare<'a>(
         "leave it out",
     )?;
     let own: &FlowTables = trained.config().own();
-    let sampler = FlowSamplerConfig::of(&trained.config().sampling.sampler)?;
+    let sampler = trained.config().sampling.sampler.clone();
     let data = dataset_or(&trained.config().data, request.source.as_deref());
     let dataset = with_held_out(
         &data,
@@ -138,7 +138,7 @@ fn evaluate(
     generator: &FlowGenerator,
     held_out: &[Arc<Clip>],
     settings: RolloutEvaluationConfig,
-    sampler: &FlowSamplerConfig,
+    sampler: &SamplerConfig,
     seed: u64,
     together: &Together,
     on_step: &mut OnStep<'_>,

@@ -2,7 +2,7 @@
 
 use burn::module::Module;
 use burn::tensor::{Device, Tensor, TensorData};
-use kinegrad_diffusion::{Error as Diffusion, FlowSamplerConfig};
+use kinegrad_diffusion::{Error as Diffusion, SamplerConfig};
 use kinegrad_models::flow::{FlowModel, FlowRollout, FlowSpace, RolloutError, RolloutSettings};
 use kinegrad_models::parameters;
 use kinegrad_motion::humanml::{Extraction, FeatureError, Joints, TEXT_CHANNELS};
@@ -106,7 +106,7 @@ impl FlowGenerator {
         rollout.next_frame().map_err(|error| match error {
             RolloutError::Feature(FeatureError::NonFinite { .. })
             | RolloutError::Sampler(Diffusion::NotFinite) => Error::SampleNotFinite {
-                sample: format!("{}, frame {}", sample(), rollout.drawn()),
+                sample: format!("{}, frame {}", sample(), rollout.generated()),
             },
             other => other.into(),
         })
@@ -122,7 +122,7 @@ impl FlowGenerator {
         &self,
         history: &Joints,
         frames: usize,
-        sampler: &FlowSamplerConfig,
+        sampler: &SamplerConfig,
         how: &RolloutEvaluationConfig,
         key: Key,
     ) -> Result<FlowRollout, RolloutError> {

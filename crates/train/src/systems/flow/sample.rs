@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use kinegrad_data::humanml::Clip;
 use kinegrad_data::{Dataset, ItemSet, read_array};
-use kinegrad_diffusion::FlowSamplerConfig;
+use kinegrad_diffusion::SamplerConfig;
 use kinegrad_motion::humanml::Joints;
 use kinegrad_random::{Key, Purpose};
 
@@ -33,7 +33,7 @@ pub(super) fn accepts(_: &str) -> &'static [&'static str] {
 pub(super) struct Rollouts<'a> {
     trained: &'a TrainedModel,
     request: &'a Request,
-    sampler: FlowSamplerConfig,
+    sampler: SamplerConfig,
     jobs: Vec<Job>,
     /// One for each job.
     starts: Vec<Start>,
@@ -62,7 +62,7 @@ impl<'a> Rollouts<'a> {
         let mut rollouts = Self {
             trained,
             request,
-            sampler: FlowSamplerConfig::of(&config.sampling.sampler)?,
+            sampler: config.sampling.sampler.clone(),
             jobs: Vec::new(),
             starts: Vec::new(),
         };

@@ -74,7 +74,8 @@ mod tests {
 
     use burn::tensor::Device;
     use kinegrad_diffusion::{
-        ClipRange, DiffusionConfig, NoiseKeys, Prediction, SamplerConfig, SamplerKind, sample,
+        ClipRange, DiffusionConfig, NoiseKeys, Prediction, SamplerConfig, SamplerKind, Timesteps,
+        sample,
     };
     use kinegrad_random::{Key, Purpose};
 
@@ -184,10 +185,10 @@ mod tests {
         let start = normal("start", [3, 2, 8]);
         let cond = normal("cond", [3, 2, 1]);
         for kind in [
-            SamplerKind::Ddpm,
-            SamplerKind::Ddim,
-            SamplerKind::Dpmpp2m,
-            SamplerKind::Heun,
+            SamplerKind::Ddpm(Timesteps::default()),
+            SamplerKind::default(),
+            SamplerKind::Dpmpp2m(Timesteps::default()),
+            SamplerKind::Heun(Timesteps::default()),
         ] {
             let sampler = SamplerConfig {
                 kind,

@@ -15,7 +15,7 @@
 
 use burn::tensor::{Device, Tensor};
 use kinegrad_diffusion::{GaussianDiffusion, diffusion_loss};
-use kinegrad_models::{AudioCondition, UNet1d, told_beats};
+use kinegrad_models::{AudioCondition, UNet1d, beat_labels};
 
 use crate::denoising::{DenoisingRecipe, Draws, HeldOut, Inputs};
 use crate::recipe::Loss;
@@ -47,7 +47,7 @@ pub(in super::super) fn denoising_loss(
         draws,
         |x_t, time, cond, dropout| {
             let cond = AudioCondition {
-                hears_told_beats: training,
+                teacher_forcing: training,
                 ..condition(cond, lengths)
             };
             unet.forward(x_t, time, cond, dropout)
@@ -76,7 +76,7 @@ fn tracking_loss(unet: &UNet1d, inputs: &Inputs) -> Option<Tensor<1>> {
     let cond = condition(&inputs.cond, inputs.lengths.clone());
     let found = unet.track_beats(&cond)?;
     let [batch, tracked, time] = found.dims();
-    let (told, is_told) = told_beats(&cond.features);
+    let (told, is_told) = beat_labels(&cond.features);
     let mask = is_told * inputs.mask.clone().reshape([batch, 1, time]);
     let error = (found - told).square() * mask.clone();
     let sum = |x: Tensor<3>| x.sum_dim(2).sum_dim(1).sum_dim(0).reshape([1]);

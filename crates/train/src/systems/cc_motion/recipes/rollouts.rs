@@ -5,7 +5,7 @@ use std::sync::Arc;
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_diffusion::{GaussianDiffusion, Rollout, RolloutMode, rollout_timesteps};
 use kinegrad_models::UNet1d;
-use kinegrad_models::targets::decode;
+use kinegrad_models::channel_encoding::decode;
 use kinegrad_motion::{PhaseTarget, Statistics, Targets};
 use kinegrad_random::Key;
 

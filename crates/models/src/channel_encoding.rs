@@ -175,6 +175,7 @@ pub(crate) fn sign_continuous(quaternion: Tensor<3>) -> Tensor<3> {
 #[cfg(test)]
 mod tests {
     use burn::tensor::{Device, TensorData};
+    use kinegrad_kernels::host_values;
     use kinegrad_random::{Key, Purpose};
 
     use super::*;
@@ -201,17 +202,13 @@ mod tests {
         Tensor::from_data(TensorData::new(values, shape), device)
     }
 
-    fn values(x: Tensor<3>) -> Vec<f32> {
-        x.into_data().try_to_vec::<f32>().unwrap()
-    }
-
     #[test]
     fn tensors_decode_as_rows_do() {
         let (batch, time) = (3, 11);
         for targets in all() {
             let channels = targets.channels();
             let x = draw(4, batch * channels * time);
-            let found = values(decode(
+            let found = host_values(decode(
                 targets,
                 tensor(x.clone(), [batch, channels, time], &Device::flex()),
             ));
@@ -248,7 +245,7 @@ mod tests {
             };
             let input = tensor(x.clone(), shape, &device).require_grad();
             let mut gradients = weighed(input.clone(), &device).backward();
-            let found = values(input.grad_remove(&mut gradients).unwrap());
+            let found = host_values(input.grad_remove(&mut gradients).unwrap());
             for index in 0..count {
                 let at = |step: f32| {
                     let mut moved = x.clone();
@@ -293,8 +290,8 @@ mod tests {
         let x = tensor(x, [columns.len(), channels, 1], &device).require_grad();
         let decoded = decode(targets, x.clone());
         let mut gradients = decoded.clone().square().sum().backward();
-        let gradient = values(x.grad_remove(&mut gradients).unwrap());
-        let decoded = values(decoded);
+        let gradient = host_values(x.grad_remove(&mut gradients).unwrap());
+        let decoded = host_values(decoded);
         assert!(
             decoded
                 .iter()

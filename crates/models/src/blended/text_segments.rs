@@ -1,4 +1,4 @@
-//! Who says what for how long: texts one after another in one motion.
+//! Several texts one after another in one motion.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -11,18 +11,18 @@ use kinegrad_kernels::KeyRanges;
 pub struct Segment {
     /// Its row among the texts of the batch.
     pub text: usize,
-    /// How long it lasts, at least one frame.
+    /// Its length, at least one frame.
     pub frames: usize,
 }
 
 /// The texts of a batch of motions, each of which is one sequence without overlaps.
 ///
-/// A motion of a single text is told it in its padding as well, where its positions run on; one of
-/// several is told none there. Neither changes frames that count.
+/// The padding of a motion with a single text has that text and continues its positions; with
+/// several texts it has none. Neither changes the valid frames.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Script(Arc<[Vec<Segment>]>);
+pub struct TextSegments(Arc<[Vec<Segment>]>);
 
-impl Script {
+impl TextSegments {
     /// The segments of each motion.
     ///
     /// # Panics
@@ -47,19 +47,19 @@ impl Script {
         self.0.len()
     }
 
-    /// Whether there is no motion.
+    /// True if there is no motion.
     pub fn is_empty(&self) -> bool {
         self.0.is_empty()
     }
 
-    /// Frames of each motion that count.
+    /// Valid frames of each motion.
     pub fn frames(&self) -> impl Iterator<Item = usize> {
         self.0
             .iter()
             .map(|motion| motion.iter().map(|segment| segment.frames).sum())
     }
 
-    /// Of each frame of a motion the frames that its segment lasts, of `time` frames; none of padding.
+    /// The range of the segment of each of `time` frames; `None` for padding.
     fn of(&self, motion: usize, time: usize) -> Vec<Option<Range<usize>>> {
         let mut frames = Vec::with_capacity(time);
         for segment in &self.0[motion] {
@@ -75,23 +75,23 @@ impl Script {
         self.0[motion].len() == 1
     }
 
-    /// What is told, motion by motion: of each of its segments, and then of its padding, the motion
-    /// and the text, `silent` for none.
-    pub fn told(&self, silent: usize, device: &Device) -> [Tensor<1, Int>; 2] {
-        let told = self.0.iter().enumerate().flat_map(|(motion, segments)| {
+    /// The motion and the text of each condition: motion by motion, one for each segment, then one
+    /// for the padding, with the text `no_text` if there is none.
+    pub fn conditions(&self, no_text: usize, device: &Device) -> [Tensor<1, Int>; 2] {
+        let pairs = self.0.iter().enumerate().flat_map(|(motion, segments)| {
             let texts = segments.iter().map(|segment| segment.text);
             let of_padding = match segments[..] {
                 [only] => only.text,
-                _ => silent,
+                _ => no_text,
             };
             let texts = texts.chain([of_padding]);
             texts.map(move |text| (motion as i64, text as i64))
         });
-        let (motions, texts): (Vec<i64>, Vec<i64>) = told.unzip();
+        let (motions, texts): (Vec<i64>, Vec<i64>) = pairs.unzip();
         [motions, texts].map(|indices| integers(indices, device))
     }
 
-    /// Which of [`told`](Self::told) each frame is told, `[batch * time]`.
+    /// The row of [`conditions`](Self::conditions) of each frame, `[batch * time]`.
     pub fn rows(&self, time: usize, device: &Device) -> Tensor<1, Int> {
         let mut rows = Vec::with_capacity(self.len() * time);
         let (mut row, mut end) = (0, 0);
@@ -108,7 +108,7 @@ impl Script {
         integers(rows, device)
     }
 
-    /// The place of each frame in its segment, `[batch][time]`.
+    /// The position of each frame in its segment, `[batch][time]`.
     pub fn places(&self, time: usize) -> Vec<Vec<usize>> {
         let of_motion = |motion: usize| {
             let runs_on = self.is_single(motion);
@@ -159,10 +159,10 @@ mod tests {
     #[test]
     fn frames_attend_within_horizon_segment_and_length() {
         let segment = |text, frames| Segment { text, frames };
-        let script = Script::new([vec![segment(0, 3), segment(1, 4)], vec![segment(2, 5)]]);
-        assert_eq!(script.frames().collect::<Vec<_>>(), [7, 5]);
-        let absolute = script.ranges(8, 2, &[false, false]);
-        let relative = script.ranges(8, 2, &[true, false]);
+        let segments = TextSegments::new([vec![segment(0, 3), segment(1, 4)], vec![segment(2, 5)]]);
+        assert_eq!(segments.frames().collect::<Vec<_>>(), [7, 5]);
+        let absolute = segments.ranges(8, 2, &[false, false]);
+        let relative = segments.ranges(8, 2, &[true, false]);
         for (t, in_segment, across) in [
             (0, 0..3, 0..3),
             (2, 0..3, 0..5),
@@ -174,13 +174,13 @@ mod tests {
             assert_eq!(relative.of(0, t), across, "{t}");
         }
         assert_eq!(relative.of(1, 4), 2..5);
-        assert_eq!(script.places(8)[0], [0, 1, 2, 0, 1, 2, 3, 0]);
-        assert_eq!(script.places(8)[1][7], 7);
+        assert_eq!(segments.places(8)[0], [0, 1, 2, 0, 1, 2, 3, 0]);
+        assert_eq!(segments.places(8)[1][7], 7);
         let device = Device::flex();
         let numbers = |rows: Tensor<1, Int>| rows.into_data().iter::<i64>().collect::<Vec<_>>();
-        let told = script.told(9, &device).map(numbers);
-        assert_eq!(told, [vec![0, 0, 0, 1, 1], vec![0, 1, 9, 2, 2]]);
-        let rows = numbers(script.rows(8, &device));
+        let found = segments.conditions(9, &device).map(numbers);
+        assert_eq!(found, [vec![0, 0, 0, 1, 1], vec![0, 1, 9, 2, 2]]);
+        let rows = numbers(segments.rows(8, &device));
         assert_eq!(rows, [0, 0, 0, 1, 1, 1, 1, 2, 3, 3, 3, 3, 3, 4, 4, 4]);
     }
 }

@@ -1,17 +1,17 @@
-//! What leads a step of DDPM to a goal.
+//! Guidance and imputation within a step of DDPM.
 
 use burn::tensor::Tensor;
 
-use super::Imputation;
+use super::imputation::Imputation;
+use super::posterior::Posterior;
 use crate::per_sample::per_sample;
-use crate::sampler::Posterior;
 use crate::{GaussianDiffusion, PredictionType};
 
-/// What leads a step of DDPM to a goal.
+/// Guidance and imputation of one step of DDPM.
 pub struct Steered<'a> {
     /// `s d(-L) / d x_t`, where the step is guided.
     pub scaled_gradient: Option<Tensor<3>>,
-    /// [`Guidance::max_shift`](super::Guidance::max_shift).
+    /// [`Guidance::max_shift`](crate::Guidance::max_shift).
     pub max_shift: Option<f64>,
     /// The values that are put in.
     pub imputation: Option<Imputation<'a>>,

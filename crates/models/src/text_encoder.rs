@@ -39,7 +39,7 @@ impl Activation {
     }
 }
 
-/// The sizes of a [`ClipText`], as the published `config.json` states them (its `text_config`);
+/// The sizes of a [`ClipTextModel`], as the published `config.json` states them (its `text_config`);
 /// where it states none, those of ViT-B/32. Other keys are passed over.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(default)]
@@ -60,7 +60,7 @@ pub struct ClipTextConfig {
     pub projection_dim: usize,
     /// The activation of the layers.
     pub hidden_act: Activation,
-    /// What the layers' normalisations add to the variance.
+    /// Epsilon of the layer normalisations.
     pub layer_norm_eps: f64,
 }
 
@@ -106,17 +106,17 @@ impl ClipTextConfig {
         require(eps == LAYER_NORM_EPS, "layer_norm_eps", eps, LAYER_NORM_EPS)
     }
 
-    /// Builds the network; its parameters are drawn when they are first used.
+    /// Builds the network; its parameters are initialised when they are first used.
     ///
     /// # Errors
     /// As [`validate`](Self::validate).
-    pub fn init(&self, init: &Initializer) -> Result<ClipText, InvalidSetting> {
+    pub fn init(&self, init: &Initializer) -> Result<ClipTextModel, InvalidSetting> {
         self.validate()?;
         let (model, width) = (init.at("text_model"), self.hidden_size);
         let (embeddings, layers) = (model.at("embeddings"), model.at("encoder").at("layers"));
         let rows = |name, things| Embedding::new(things, width, &embeddings.at(name));
         let projection = init.at("text_projection");
-        Ok(ClipText {
+        Ok(ClipTextModel {
             text_model_at_embeddings_at_token_embedding: rows("token_embedding", self.vocab_size),
             text_model_at_embeddings_at_position_embedding: rows(
                 "position_embedding",
@@ -145,7 +145,7 @@ impl ClipTextConfig {
 ///
 /// A token attends to itself and those before it.
 #[derive(Module, Debug)]
-pub struct ClipText {
+pub struct ClipTextModel {
     text_model_at_embeddings_at_token_embedding: Embedding,
     text_model_at_embeddings_at_position_embedding: Embedding,
     text_model_at_encoder_at_layers: Vec<ClipLayer>,
@@ -153,7 +153,7 @@ pub struct ClipText {
     text_projection_at_weight: Param<Tensor<2>>,
 }
 
-impl ClipText {
+impl ClipTextModel {
     /// The embeddings of texts. Texts of different lengths may stand in one batch: what follows the
     /// last token of a text has no influence, so any token may fill it up.
     ///
@@ -199,7 +199,7 @@ impl ClipText {
     }
 }
 
-/// What is added to the scores of tokens that come later: `[1, tokens, tokens]`.
+/// The causal mask, added to the attention scores: `[1, tokens, tokens]`.
 fn future(tokens: usize, device: &Device) -> Tensor<3> {
     let scores = (0..tokens).flat_map(|query| {
         (0..tokens).map(move |key| match key > query {

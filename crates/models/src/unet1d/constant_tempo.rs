@@ -1,4 +1,4 @@
-//! The steady beat that is nearest to one that was found frame by frame.
+//! A constant tempo fitted to beats that were tracked frame by frame.
 
 use std::f64::consts::TAU;
 
@@ -15,16 +15,16 @@ const FASTEST: f64 = 300.0 / 60.0 / 30.0;
 /// turn by no more than a seventieth of a beat.
 const TEMPI: usize = 301;
 
-/// Sine and cosine of the place in a beat, of any norm, on a steady path: music keeps its beat, so
-/// that what the frames around say is said of this one as well.
+/// Sine and cosine of the place in a beat at a constant tempo: music keeps its tempo, so the frames
+/// around a frame are evidence for it too.
 ///
 /// The tempo `w` is the one that most of the frames agree with, the largest `|sum_t z_t exp(-i w t)|`
-/// with `z = cos + i sin`. What is left of the angles without it, `z_t exp(-i w t)`, is averaged over
+/// with `z = cos + i sin`. The remaining angles, `z_t exp(-i w t)`, is averaged over
 /// two seconds twice, so that tempo may drift a little within the music.
 ///
 /// # Shapes
-/// - found, output: sine and cosine, `[batch, 2, time]`, of a norm that says how far frames agree
-pub(super) fn steady(found: Tensor<3>, lengths: Option<&Lengths>) -> Tensor<3> {
+/// - found, output: sine and cosine, `[batch, 2, time]`, with a norm that grows with the agreement of the frames
+pub(super) fn fit_constant_tempo(found: Tensor<3>, lengths: Option<&Lengths>) -> Tensor<3> {
     let [batch, two, time] = found.dims();
     let device = found.device();
     let found = match lengths {
@@ -96,7 +96,7 @@ mod tests {
     fn heard(found: Vec<f32>, time: usize, lengths: Option<&Lengths>) -> Vec<f32> {
         let batch = found.len() / 2 / time;
         let found = Tensor::from_data(TensorData::new(found, [batch, 2, time]), &Device::flex());
-        steady(found, lengths)
+        fit_constant_tempo(found, lengths)
             .into_data()
             .try_into_vec()
             .expect("values")
