@@ -156,7 +156,7 @@ mod tests {
     use crate::{Segment, assemble};
     use kinegrad_data::synthetic;
     use kinegrad_motion::FPS;
-    use kinegrad_motion::kinematics::{angular_velocity, forward_differences};
+    use kinegrad_motion::derivatives::{angular_velocity, forward_differences};
     use kinegrad_motion::phrase::POSITION;
     use kinegrad_motion::rotation::length;
 

@@ -124,7 +124,7 @@ mod tests {
     use super::*;
     use crate::RootPose;
     use kinegrad_data::synthetic;
-    use kinegrad_motion::kinematics::{acceleration_errors, mean_norm, velocity_errors};
+    use kinegrad_motion::derivatives::{acceleration_errors, mean_norm, velocity_errors};
     use kinegrad_motion::phrase::{ACCELERATION, PHASE, POSITION, VELOCITY};
 
     /// A dancer far from the origin whose frames 40 and 41 are missing.

@@ -3,7 +3,7 @@
 use std::ops::RangeInclusive;
 
 use kinegrad_motion::Quaternion;
-use kinegrad_motion::kinematics::make_sign_continuous;
+use kinegrad_motion::derivatives::make_sign_continuous;
 
 use crate::Error;
 use crate::error::require;

@@ -222,7 +222,7 @@ mod tests {
     use super::*;
     use crate::synthetic;
     use crate::{AudioLayout, Phrase};
-    use kinegrad_motion::kinematics::{mean_norm, velocity_errors};
+    use kinegrad_motion::derivatives::{mean_norm, velocity_errors};
     use kinegrad_motion::phrase::POSITION;
     use std::collections::BTreeSet;
     use std::sync::Arc;

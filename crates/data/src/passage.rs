@@ -4,7 +4,7 @@ use std::borrow::Cow;
 use std::ops::Range;
 use std::sync::Arc;
 
-use kinegrad_motion::kinematics::rederive;
+use kinegrad_motion::derivatives::rederive;
 use kinegrad_motion::phrase::{POSITION, VELOCITY};
 use kinegrad_motion::{FPS, Motion, anchor_floor};
 

@@ -64,7 +64,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::kinematics::rederive;
+    use crate::derivatives::rederive;
     use crate::phrase::PHASE;
     use crate::wandering::wandering;
     use crate::{CHANNELS, Profile, channel_name, check};

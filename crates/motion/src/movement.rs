@@ -5,7 +5,7 @@
 //! looked at. All measures that are checked are means over frames or extremes of them, so that
 //! phrases of different lengths compare.
 
-use crate::kinematics::{angular_velocity, differences, mean_norm};
+use crate::derivatives::{angular_velocity, differences, mean_norm};
 use crate::phrase::{PHASE, POSITION};
 use crate::rotation::length;
 use crate::{FPS, Motion, Quaternion, circular};

@@ -1,7 +1,7 @@
 //! A phrase played faster or slower.
 
 use crate::circular::step;
-use crate::kinematics::rederive;
+use crate::derivatives::rederive;
 use crate::phrase::{PHASE, POSITION, STYLE};
 use crate::{CHANNELS, Motion, Quaternion};
 

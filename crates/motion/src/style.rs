@@ -15,7 +15,7 @@
 //! Burstiness is the root mean square of the floor speed less its own mean, divided by the mean
 //! speed plus 0.1 m/s: large where the body stops and goes, small where it flows.
 
-use crate::kinematics::{angular_velocity, forward_differences};
+use crate::derivatives::{angular_velocity, forward_differences};
 use crate::rotation::length;
 use crate::{FPS, Quaternion};
 

@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use kinegrad_motion::humanml::kinematics::{Across, forward, minus, plus};
+use kinegrad_motion::humanml::bone_rotations::{Across, forward, minus, plus};
 use kinegrad_motion::humanml::{Joints, Skeleton};
 use kinegrad_motion::rotation::length;
 use kinegrad_motion::speed::spline;

@@ -2,8 +2,8 @@
 
 use std::ops::Range;
 
+use kinegrad_motion::humanml::bone_rotations::minus;
 use kinegrad_motion::humanml::extract::{canonicalize, leg_ratio, rescale};
-use kinegrad_motion::humanml::kinematics::minus;
 use kinegrad_motion::humanml::{Extraction, FeatureError, Features, Joints, Skeleton};
 use kinegrad_motion::rotation::length;
 

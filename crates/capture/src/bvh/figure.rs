@@ -1,7 +1,7 @@
 //! Converting joint positions to a BVH skeleton.
 
 use kinegrad_motion::Quaternion;
-use kinegrad_motion::humanml::kinematics::{Across, between, forward, minus};
+use kinegrad_motion::humanml::bone_rotations::{Across, between, forward, minus};
 use kinegrad_motion::humanml::{Joints, Skeleton};
 use kinegrad_motion::rotation::length;
 

@@ -146,7 +146,7 @@ pub(crate) fn write_whole(
 mod tests {
     use super::*;
     use kinegrad_motion::phrase::{ACCELERATION, PHASE, POSITION, QUATERNION, STYLE, VELOCITY};
-    use kinegrad_motion::{FPS, Profile, check, kinematics, phrase_statistics};
+    use kinegrad_motion::{FPS, Profile, check, derivatives, phrase_statistics};
 
     #[test]
     fn phrases_pass_the_strict_checks_and_are_of_human_scale() {
@@ -190,7 +190,7 @@ mod tests {
                 }
             }
             // The last frame looks forward too: it does not stand still for want of a next one.
-            let jerk = kinematics::jerk(&motion);
+            let jerk = derivatives::jerk(&motion);
             assert!(jerk[118].iter().map(|value| value.powi(2)).sum::<f64>() < 1000f64.powi(2));
             assert!(motion.vector(119, ACCELERATION) != motion.vector(118, ACCELERATION));
         }

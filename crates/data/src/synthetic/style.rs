@@ -2,7 +2,7 @@
 //! intensity, spatial extent, rhythmic feel, body attitude; the measures are one reasonable
 //! choice).
 
-use kinegrad_motion::kinematics::{angular_velocity, forward_differences};
+use kinegrad_motion::derivatives::{angular_velocity, forward_differences};
 use kinegrad_motion::rotation::length;
 use kinegrad_motion::style::median;
 use kinegrad_motion::{FPS, Quaternion};

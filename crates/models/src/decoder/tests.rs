@@ -1,7 +1,7 @@
 use burn::tensor::{Device, TensorData};
 use kinegrad_kernels::Mode;
 use kinegrad_motion::phrase::{ACCELERATION, PHASE, POSITION, VELOCITY};
-use kinegrad_motion::{Motion, OrientationTarget, PhaseTarget, kinematics};
+use kinegrad_motion::{Motion, OrientationTarget, PhaseTarget, derivatives};
 use kinegrad_random::{Key, Purpose};
 
 use super::*;
@@ -87,8 +87,8 @@ fn assert_coherent(coherence: Coherence) {
     let rows = values(y.clone().swap_dims(1, 2));
     for rows in rows.chunks_exact(time * CHANNELS) {
         let motion = Motion::new(rows.to_vec()).unwrap();
-        let errors = kinematics::rotation_errors(&motion);
-        assert!(kinematics::mean_norm(&errors) < 1e-4, "{errors:?}");
+        let errors = derivatives::rotation_errors(&motion);
+        assert!(derivatives::mean_norm(&errors) < 1e-4, "{errors:?}");
         let last = motion.vector(time - 1, ANGULAR_VELOCITY);
         assert_eq!(last, motion.vector(time - 2, ANGULAR_VELOCITY));
     }

@@ -11,7 +11,7 @@
 
 use super::weight;
 use crate::banded::{BAND, Cholesky};
-use crate::kinematics::make_sign_continuous;
+use crate::derivatives::make_sign_continuous;
 use crate::phrase::{ANGULAR_VELOCITY, FPS};
 use crate::{Motion, Quaternion};
 

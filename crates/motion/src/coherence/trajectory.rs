@@ -12,7 +12,7 @@
 //! With the training deviations as scales `s`, it is the orthogonal projection of the normalised
 //! estimates onto the coherent motions. It is linear in them; the normal equations have two
 //! diagonals beside the main one, so that a fit takes time and memory proportional to the frames.
-//! Differences are forward, as everywhere ([`crate::kinematics`]); two frames beyond the last one
+//! Differences are forward, as everywhere ([`crate::derivatives`]); two frames beyond the last one
 //! let the last velocity and acceleration say what follows.
 
 use super::weight;

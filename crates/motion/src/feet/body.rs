@@ -80,7 +80,7 @@ pub fn hold_above(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::humanml::kinematics::minus;
+    use crate::humanml::bone_rotations::minus;
     use crate::humanml::walk::{Course, joints as walk};
     use crate::metrics::skating_ratio;
     use crate::rotation::length;

@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use crate::humanml::kinematics::minus;
+use crate::humanml::bone_rotations::minus;
 use crate::metrics::{SKATING_HEIGHT, SKATING_SPEED};
 use crate::rotation::length;
 

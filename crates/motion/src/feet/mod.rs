@@ -21,7 +21,7 @@ pub use contacts::{ContactRule, StepRule, runs, steadied, steps};
 use std::ops::Range;
 
 use crate::Quaternion;
-use crate::humanml::kinematics::{between, minus, plus};
+use crate::humanml::bone_rotations::{between, minus, plus};
 use crate::rotation::length;
 
 /// A leg is stretched to this part of its bones' length at most, so that the knee keeps its side.

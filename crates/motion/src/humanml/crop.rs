@@ -3,11 +3,11 @@
 //! Positions, velocities and contacts are in the body's facing frame and stay what they are. The
 //! rotations do not: each is the shortest from a raw direction to that of a bone in the world, seen
 //! from the facing frame, so that the first of every chain holds the heading twice (see
-//! [`kinematics`](super::kinematics)). In a world that is turned they are others.
+//! [`bone_rotations`](super::bone_rotations)). In a world that is turned they are others.
 
 use std::ops::Range;
 
-use super::kinematics::{between, from_columns, minus, to_columns};
+use super::bone_rotations::{between, from_columns, minus, to_columns};
 use super::{FeatureError, Features, Root, Skeleton};
 use crate::Quaternion;
 

@@ -5,7 +5,7 @@
 use kinegrad_settings::{Refused, in_range};
 use serde::{Deserialize, Serialize};
 
-use super::kinematics::{
+use super::bone_rotations::{
     Across, Heading, between, forward, forward_kinematics, inverse_kinematics, minus, plus,
     to_columns,
 };

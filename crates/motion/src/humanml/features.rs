@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use serde::{Deserialize, Serialize};
 
-use super::kinematics::{forward_kinematics, from_columns};
+use super::bone_rotations::{forward_kinematics, from_columns};
 use super::{FeatureError, FeatureLayout, Joints, Root, Skeleton};
 use crate::Quaternion;
 

@@ -37,6 +37,7 @@
 /// conditioned on.
 pub const TEXT_CHANNELS: usize = 512;
 
+pub mod bone_rotations;
 mod builtin;
 mod crop;
 mod description;
@@ -44,7 +45,6 @@ mod error;
 pub mod extract;
 mod features;
 mod joints;
-pub mod kinematics;
 mod layout;
 mod next_pose;
 mod root;
@@ -59,12 +59,12 @@ mod moving;
 #[cfg(test)]
 pub(crate) use moving::moving;
 
+pub use bone_rotations::Heading;
 pub use description::{FaceJoints, Feet, SkeletonDescription};
 pub use error::FeatureError;
 pub use extract::Extraction;
 pub use features::Features;
 pub use joints::Joints;
-pub use kinematics::Heading;
 pub use layout::FeatureLayout;
 pub use next_pose::NextPose;
 pub use root::Root;

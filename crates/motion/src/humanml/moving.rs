@@ -1,6 +1,6 @@
 //! A clip for the tests of this folder: bones that keep their lengths, turning slowly.
 
-use super::kinematics::plus;
+use super::bone_rotations::plus;
 use super::{Joints, Skeleton};
 use crate::Quaternion;
 

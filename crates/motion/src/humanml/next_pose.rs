@@ -5,7 +5,7 @@ use std::fmt;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::kinematics::plus;
+use super::bone_rotations::plus;
 use super::{FeatureError, FeatureLayout};
 use crate::Quaternion;
 

@@ -1,6 +1,6 @@
 //! Features while a motion still goes on.
 
-use super::kinematics::{forward_kinematics, inverse_kinematics, raw_root, rotations_of_frame};
+use super::bone_rotations::{forward_kinematics, inverse_kinematics, raw_root, rotations_of_frame};
 use super::{Extraction, FeatureError, Heading, Joints, Skeleton};
 use crate::Quaternion;
 

@@ -6,7 +6,7 @@
 //! hips to the ankles with a bend at the knee. Bones keep the lengths of the skeleton.
 
 use super::Skeleton;
-use super::kinematics::{minus, plus};
+use super::bone_rotations::{minus, plus};
 use crate::rotation::length;
 
 /// Steps of the table of the path, per second.

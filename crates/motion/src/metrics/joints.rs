@@ -1,7 +1,7 @@
 //! How a body moves: feet that slide, and how jerky the joints are.
 
+use crate::derivatives::{jerk_of, mean_norm};
 use crate::humanml::Joints;
-use crate::kinematics::{jerk_of, mean_norm};
 
 /// A foot below this height stands on the ground, metres.
 pub const SKATING_HEIGHT: f64 = 0.05;

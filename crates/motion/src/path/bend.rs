@@ -110,7 +110,7 @@ mod tests {
     use kinegrad_random::Purpose;
 
     use super::*;
-    use crate::humanml::kinematics::minus;
+    use crate::humanml::bone_rotations::minus;
     use crate::humanml::walk::{Course, joints as walk};
     use crate::metrics::skating_ratio;
     use crate::path::course::walked;

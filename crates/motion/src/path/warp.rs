@@ -7,7 +7,7 @@ use super::{
     Along, Course, Edges, HEADING_ORDER, HEADING_WINDOW, PathError, Polyline, STILL, headings_of,
     headings_of_gait, savgol, unwrapped,
 };
-use crate::humanml::kinematics::{Across, forward};
+use crate::humanml::bone_rotations::{Across, forward};
 use crate::humanml::{FeatureError, Joints, Skeleton};
 
 /// How a body is turned on its path.
@@ -154,7 +154,7 @@ mod tests {
     use std::f64::consts::PI;
 
     use super::*;
-    use crate::humanml::kinematics::minus;
+    use crate::humanml::bone_rotations::minus;
     use crate::humanml::walk::{Course as Walk, joints as walk};
     use crate::path::wrapped;
     use crate::rotation::length;

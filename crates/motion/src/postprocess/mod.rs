@@ -231,7 +231,7 @@ fn clamp(value: f64, low: f64, high: f64) -> f64 {
 mod tests {
     use super::*;
     use crate::Quaternion;
-    use crate::kinematics::{mean_norm, velocity_errors};
+    use crate::derivatives::{mean_norm, velocity_errors};
     use crate::wandering::wandering;
 
     fn wild(frames: usize) -> Motion {
@@ -268,7 +268,7 @@ mod tests {
             motion.set_quaternion(t, motion.quaternion(t).scale(sign));
             motion.set_vector(t, ANGULAR_VELOCITY, [1.0, -2.0, 0.5]);
         }
-        let error = |motion: &Motion| mean_norm(&crate::kinematics::rotation_errors(motion));
+        let error = |motion: &Motion| mean_norm(&crate::derivatives::rotation_errors(motion));
         let literal = process(&motion, &PostProcessConfig::document(), None);
         assert!(error(&literal) > 1.0);
         assert_eq!(literal.vector(7, ANGULAR_VELOCITY), [1.0, -2.0, 0.5]);

@@ -2,7 +2,7 @@
 
 use super::{Frames, Hemisphere, window};
 use crate::Quaternion;
-use crate::kinematics::make_sign_continuous;
+use crate::derivatives::make_sign_continuous;
 use crate::phrase::{CHANNELS, QUATERNION};
 
 /// A norm below this carries no direction.

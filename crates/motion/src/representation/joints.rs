@@ -3,10 +3,10 @@
 use std::ops::Range;
 
 use super::{Curves, Representation};
-use crate::humanml::kinematics::minus;
+use crate::derivatives::{differences, jerk_of};
+use crate::humanml::bone_rotations::minus;
 use crate::humanml::units::MILLIMETRE;
 use crate::humanml::{FeatureLayout, Features, Joints, Root, Skeleton};
-use crate::kinematics::{differences, jerk_of};
 use crate::rotation::length;
 use crate::statistics::{CONSTANT, percentile};
 use crate::{ChannelMoments, Statistics};

@@ -1,8 +1,8 @@
 //! Phrases: the 25 channels of CC-MotionGen.
 
 use super::{Curves, Representation};
+use crate::derivatives::{differences, jerk, jerk_of, mean_jerk_norm};
 use crate::humanml::Joints;
-use crate::kinematics::{differences, jerk, jerk_of, mean_jerk_norm};
 use crate::movement::rates;
 use crate::phrase::{ACCELERATION, ANGULAR_VELOCITY, PHASE, POSITION, QUATERNION, STYLE, VELOCITY};
 use crate::rotation::length;

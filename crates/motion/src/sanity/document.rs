@@ -2,7 +2,7 @@
 
 use super::{Check, Report, Threshold, coherence, finite_phrase, jerk, phase};
 use crate::Motion;
-use crate::kinematics::{acceleration_errors, mean_absolute_component, velocity_errors};
+use crate::derivatives::{acceleration_errors, mean_absolute_component, velocity_errors};
 
 /// Smallest and largest mean quaternion norm.
 const QUATERNION_NORM: [f64; 2] = [0.95, 1.05];

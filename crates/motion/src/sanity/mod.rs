@@ -17,7 +17,7 @@ use serde::{Deserialize, Serialize};
 
 pub use report::{Check, Report, Threshold, Value};
 
-use crate::kinematics::mean_jerk_norm;
+use crate::derivatives::mean_jerk_norm;
 use crate::phrase::PHASE;
 use crate::{Error, Motion, Statistics, channel_name};
 

@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use super::{Check, JERK_FACTOR, Report, Threshold, coherence, finite_phrase, jerk, phase, range};
-use crate::kinematics::{acceleration_errors, mean_norm, rotation_errors, velocity_errors};
+use crate::derivatives::{acceleration_errors, mean_norm, rotation_errors, velocity_errors};
 use crate::movement::{Bounds, phase_steps};
 use crate::{FPS, Motion, Movement, Statistics};
 

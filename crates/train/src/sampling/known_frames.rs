@@ -4,7 +4,7 @@ use std::ops::Range;
 use std::path::Path;
 
 use kinegrad_data::read_motion;
-use kinegrad_motion::kinematics::make_sign_continuous;
+use kinegrad_motion::derivatives::make_sign_continuous;
 use kinegrad_motion::stitch::Known;
 use kinegrad_motion::{CHANNELS, Motion, Quaternion, channel_name};
 

@@ -16,7 +16,7 @@ use kinegrad_diffusion::{
 use kinegrad_kernels::batch_invariant;
 use kinegrad_models::decoder::Coherence;
 use kinegrad_motion::coherence::{fit_heading, fit_orientation, fit_trajectory, sureness_of};
-use kinegrad_motion::kinematics::make_sign_continuous;
+use kinegrad_motion::derivatives::make_sign_continuous;
 use kinegrad_motion::postprocess::derive_angular_velocity;
 use kinegrad_motion::stitch::{Known, Layout, Windows};
 use kinegrad_motion::turning::Turning;

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use kinegrad_audio::beats::track;
 use kinegrad_data::Phrase;
-use kinegrad_motion::kinematics::mean_jerk_norm;
+use kinegrad_motion::derivatives::mean_jerk_norm;
 use kinegrad_motion::metrics::{
     FeatureMoments, beat_alignment, diversity, frechet_distance, kinematic_beats, mean,
     trajectory_features,

@@ -5,7 +5,7 @@
 
 use std::ops::Range;
 
-use crate::humanml::kinematics::minus;
+use crate::humanml::bone_rotations::minus;
 use crate::phrase::{ACCELERATION, ANGULAR_VELOCITY, FPS, PHASE, POSITION, STYLE, VELOCITY};
 use crate::rotation::length;
 use crate::{CHANNELS, Error, Motion, Quaternion};
