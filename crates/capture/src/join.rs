@@ -158,7 +158,7 @@ mod tests {
     use kinegrad_motion::FPS;
     use kinegrad_motion::derivatives::{angular_velocity, forward_differences};
     use kinegrad_motion::phrase::POSITION;
-    use kinegrad_motion::rotation::length;
+    use kinegrad_motion::vector::length;
 
     /// A dancer captured at the pace of the music.
     fn take(seed: u64, frames: usize) -> RootTrack {

@@ -254,7 +254,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use kinegrad_motion::rotation::length;
+    use kinegrad_motion::vector::length;
 
     /// A spin of `speed` radians per second about a fixed axis on a straight way.
     fn spin(speed: f64, seconds: f64) -> RootPose {

@@ -5,9 +5,8 @@
 
 use std::ops::Range;
 
-use crate::humanml::bone_rotations::minus;
 use crate::phrase::{ACCELERATION, ANGULAR_VELOCITY, FPS, PHASE, POSITION, STYLE, VELOCITY};
-use crate::rotation::length;
+use crate::vector::{length, minus};
 use crate::{CHANNELS, Error, Motion, Quaternion};
 
 /// Forward differences of vectors `[frames, 3]` times `fps`, the last frame repeated: units per

@@ -42,6 +42,7 @@ pub mod stitch;
 pub mod style;
 pub mod targets;
 pub mod turning;
+pub mod vector;
 
 #[cfg(test)]
 mod wandering;

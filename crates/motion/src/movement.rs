@@ -7,7 +7,7 @@
 
 use crate::derivatives::{angular_velocity, differences, mean_norm};
 use crate::phrase::{PHASE, POSITION};
-use crate::rotation::length;
+use crate::vector::length;
 use crate::{FPS, Motion, Quaternion, circular};
 
 /// Frames in a second.

@@ -6,6 +6,8 @@
 use std::f64::consts::PI;
 use std::ops::Mul;
 
+use crate::vector::length;
+
 /// A Hamilton quaternion; a rotation where its norm is 1. `q` and `-q` are the same rotation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Quaternion {
@@ -147,15 +149,6 @@ impl Mul for Quaternion {
             z: a.w * b.z + a.x * b.y - a.y * b.x + a.z * b.w,
         }
     }
-}
-
-/// Euclidean length of a vector.
-pub fn length(vector: [f64; 3]) -> f64 {
-    vector
-        .iter()
-        .map(|component| component * component)
-        .sum::<f64>()
-        .sqrt()
 }
 
 #[cfg(test)]

@@ -16,7 +16,7 @@
 //! speed plus 0.1 m/s: large where the body stops and goes, small where it flows.
 
 use crate::derivatives::{angular_velocity, forward_differences};
-use crate::rotation::length;
+use crate::vector::length;
 use crate::{FPS, Quaternion};
 
 /// Frames of a mean: one second.

@@ -19,6 +19,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::augment::mirrored_channels;
 use crate::phrase::{ANGULAR_VELOCITY, CHANNELS, PHASE, QUATERNION, STYLE};
+use crate::vector::{cross, dot};
 use crate::{ChannelMoments, Motion, Quaternion, Statistics, rotate_yaw};
 
 /// Below this square, a predicted axis of a rotation, or the area of two, is not divided by its size.
@@ -352,18 +353,6 @@ pub fn nearest_rotation(columns: &[f64]) -> Quaternion {
 /// Two columns of six numbers.
 fn pair(columns: &[f64]) -> [[f64; 3]; 2] {
     [0, 3].map(|first| std::array::from_fn(|axis| columns[first + axis]))
-}
-
-fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
-    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-}
-
-fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
-    [
-        a[1] * b[2] - a[2] * b[1],
-        a[2] * b[0] - a[0] * b[2],
-        a[0] * b[1] - a[1] * b[0],
-    ]
 }
 
 /// The rotation whose matrix has these first two columns.

@@ -2,10 +2,9 @@
 
 use std::ops::Range;
 
-use kinegrad_motion::humanml::bone_rotations::minus;
 use kinegrad_motion::humanml::extract::{canonicalize, leg_ratio, rescale};
 use kinegrad_motion::humanml::{Extraction, FeatureError, Features, Joints, Skeleton};
-use kinegrad_motion::rotation::length;
+use kinegrad_motion::vector::{length, minus};
 
 /// Toes that move no further than this from a frame to the next stand, metres.
 const STANDING: f64 = 0.01;

@@ -254,7 +254,7 @@ mod tests {
     #[test]
     fn style_follows_the_motion() {
         let motion = phrase(0, 120, 0).motion;
-        let speed = |t: usize| kinegrad_motion::rotation::length(motion.vector(t, VELOCITY));
+        let speed = |t: usize| kinegrad_motion::vector::length(motion.vector(t, VELOCITY));
         let mean = (45..76).map(speed).sum::<f64>() / 31.0;
         let style = f64::from(motion.frame(60)[STYLE.start]);
         assert!((style - mean).abs() < 0.05, "{style} {mean}");

@@ -3,8 +3,8 @@
 //! choice).
 
 use kinegrad_motion::derivatives::{angular_velocity, forward_differences};
-use kinegrad_motion::rotation::length;
 use kinegrad_motion::style::median;
+use kinegrad_motion::vector::length;
 use kinegrad_motion::{FPS, Quaternion};
 
 /// Frames on each side of a one-second window, and of a two-second window.

@@ -2,7 +2,7 @@
 
 use kinegrad_capture::{Bvh, RootPose};
 use kinegrad_motion::feet::{Leg, lock, steadied};
-use kinegrad_motion::rotation::length;
+use kinegrad_motion::vector::length;
 
 use super::{Example, Figure};
 use crate::parts::feet;

@@ -120,7 +120,7 @@ fn wrapped(angle: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::rotation::length;
+    use crate::vector::length;
 
     /// A body that turns about the vertical while it leans to and fro, by at most 20 degrees.
     fn turning(frames: usize) -> Motion {

@@ -154,7 +154,7 @@ mod tests {
     /// Mean angle in radians between the orientations of two motions.
     fn apart(a: &Motion, b: &Motion) -> f64 {
         let apart = |t| (a.quaternion(t) * b.quaternion(t).conjugate()).to_rotation_vector();
-        let angles = (0..a.frames()).map(|t| crate::rotation::length(apart(t)));
+        let angles = (0..a.frames()).map(|t| crate::vector::length(apart(t)));
         angles.sum::<f64>() / a.frames() as f64
     }
 

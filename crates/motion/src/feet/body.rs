@@ -80,10 +80,9 @@ pub fn hold_above(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::humanml::bone_rotations::minus;
     use crate::humanml::walk::{Course, joints as walk};
     use crate::metrics::skating_ratio;
-    use crate::rotation::length;
+    use crate::vector::{length, minus};
 
     /// A walk whose joints slide along by `slide` metres a second, to the left as well. Where it
     /// slides back its strides are longer than its way, so that its legs reach every place.

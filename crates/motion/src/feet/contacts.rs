@@ -2,9 +2,8 @@
 
 use std::ops::Range;
 
-use crate::humanml::bone_rotations::minus;
 use crate::metrics::{SKATING_HEIGHT, SKATING_SPEED};
-use crate::rotation::length;
+use crate::vector::{length, minus};
 
 /// When a foot is taken to stand on the floor, by where its sole is in each frame.
 ///

@@ -21,8 +21,8 @@ pub use contacts::{ContactRule, StepRule, runs, steadied, steps};
 use std::ops::Range;
 
 use crate::Quaternion;
-use crate::humanml::bone_rotations::{between, minus, plus};
-use crate::rotation::length;
+use crate::humanml::bone_rotations::between;
+use crate::vector::{length, minus, plus};
 
 /// A leg is stretched to this part of its bones' length at most, so that the knee keeps its side.
 /// One that was straighter may stay so.

@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 use super::FaceJoints;
 use super::{FeatureError, Joints, Skeleton};
 use crate::Quaternion;
-use crate::rotation::length;
+use crate::vector::{length, minus, plus};
 
 /// Standard deviation of the heading's filter in frames.
 const HEADING_DEVIATION: f64 = 20.0;
@@ -222,16 +222,6 @@ fn unit(vector: [f64; 3]) -> [f64; 3] {
     } else {
         vector
     }
-}
-
-/// `a + b`.
-pub fn plus(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
-    [0, 1, 2].map(|i| a[i] + b[i])
-}
-
-/// `a - b`.
-pub fn minus(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
-    [0, 1, 2].map(|i| a[i] - b[i])
 }
 
 #[cfg(test)]

@@ -7,9 +7,10 @@
 
 use std::ops::Range;
 
-use super::bone_rotations::{between, from_columns, minus, to_columns};
+use super::bone_rotations::{between, from_columns, to_columns};
 use super::{FeatureError, Features, Root, Skeleton};
 use crate::Quaternion;
+use crate::vector::minus;
 
 impl Features {
     /// The frames of `range` as if extraction had begun with the first of them: turned and moved so

@@ -5,9 +5,9 @@ use std::fmt;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::bone_rotations::plus;
 use super::{FeatureError, FeatureLayout};
 use crate::Quaternion;
+use crate::vector::plus;
 
 /// How the next pose is said, `[J, 3]` in metres, in the facing frame of the present one with the
 /// root's place on the ground subtracted (docs/sources.md, section 5).
@@ -80,7 +80,7 @@ impl NextPose {
 mod tests {
     use super::super::{Extraction, FeatureStream, Heading, Skeleton, moving};
     use super::*;
-    use crate::rotation::length;
+    use crate::vector::length;
 
     #[test]
     fn targets_lead_to_the_next_frame() {

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{FeatureError, FeatureLayout, Feet, SkeletonDescription};
 use crate::feet::Leg;
-use crate::rotation::length;
+use crate::vector::length;
 
 /// A skeleton whose description is sound. Made from a [`SkeletonDescription`], which is also its
 /// stored form, or built in: [`humanml3d`](Self::humanml3d), [`kit`](Self::kit).

@@ -143,7 +143,7 @@ mod tests {
 
     use super::super::moving;
     use super::*;
-    use crate::rotation::length;
+    use crate::vector::length;
 
     fn raw() -> Extraction {
         Extraction {

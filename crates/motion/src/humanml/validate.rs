@@ -1,7 +1,7 @@
 //! What a description of a skeleton must fulfil.
 
 use super::{FeatureError, Feet, SkeletonDescription};
-use crate::rotation::length;
+use crate::vector::length;
 
 /// A raw direction may miss the length 1 by this.
 const UNIT: f64 = 1e-6;

@@ -6,8 +6,7 @@
 //! hips to the ankles with a bend at the knee. Bones keep the lengths of the skeleton.
 
 use super::Skeleton;
-use super::bone_rotations::{minus, plus};
-use crate::rotation::length;
+use crate::vector::{length, minus, plus};
 
 /// Steps of the table of the path, per second.
 const TABLE_RATE: f64 = 200.0;

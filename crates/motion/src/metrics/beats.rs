@@ -7,7 +7,7 @@
 use kinegrad_random::Key;
 
 use crate::phrase::VELOCITY;
-use crate::rotation::length;
+use crate::vector::length;
 use crate::{FPS, Motion};
 
 /// Width of the score's bell, seconds: the paper's 3 frames at 60 frames per second.

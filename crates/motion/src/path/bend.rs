@@ -110,12 +110,11 @@ mod tests {
     use kinegrad_random::Purpose;
 
     use super::*;
-    use crate::humanml::bone_rotations::minus;
     use crate::humanml::walk::{Course, joints as walk};
     use crate::metrics::skating_ratio;
     use crate::path::course::walked;
     use crate::path::{headings_of_gait, unwrapped};
-    use crate::rotation::length;
+    use crate::vector::{length, minus};
 
     fn straight(frames: usize) -> (Joints, Skeleton) {
         let skeleton = Skeleton::humanml3d();

@@ -154,10 +154,9 @@ mod tests {
     use std::f64::consts::PI;
 
     use super::*;
-    use crate::humanml::bone_rotations::minus;
     use crate::humanml::walk::{Course as Walk, joints as walk};
     use crate::path::wrapped;
-    use crate::rotation::length;
+    use crate::vector::{length, minus};
 
     fn walking(frames: usize) -> (Joints, Skeleton) {
         let skeleton = Skeleton::humanml3d();

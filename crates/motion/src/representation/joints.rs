@@ -4,11 +4,10 @@ use std::ops::Range;
 
 use super::{Curves, Representation};
 use crate::derivatives::{differences, jerk_of};
-use crate::humanml::bone_rotations::minus;
 use crate::humanml::units::MILLIMETRE;
 use crate::humanml::{FeatureLayout, Features, Joints, Root, Skeleton};
-use crate::rotation::length;
 use crate::statistics::{CONSTANT, percentile};
+use crate::vector::{length, minus};
 use crate::{ChannelMoments, Statistics};
 
 /// How far the columns of a rotation may be from unit length.

@@ -5,8 +5,8 @@ use crate::derivatives::{differences, jerk, jerk_of, mean_jerk_norm};
 use crate::humanml::Joints;
 use crate::movement::rates;
 use crate::phrase::{ACCELERATION, ANGULAR_VELOCITY, PHASE, POSITION, QUATERNION, STYLE, VELOCITY};
-use crate::rotation::length;
 use crate::statistics::percentile;
+use crate::vector::length;
 use crate::{
     CHANNELS, ChannelMoments, Error, FPS, Motion, Movement, Profile, Report, Statistics,
     channel_name, sanity,

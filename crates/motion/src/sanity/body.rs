@@ -1,10 +1,9 @@
 //! Checks of a body: bones that keep their lengths, feet on the floor, and how jerky it moves.
 
 use super::{Check, JERK_FACTOR, Profile, Report, Threshold, finite, range};
-use crate::humanml::bone_rotations::minus;
 use crate::humanml::{Joints, Skeleton};
 use crate::metrics::{mean_jerk, sliding_ratio};
-use crate::rotation::length;
+use crate::vector::{length, minus};
 use crate::{Error, Statistics};
 
 /// How much a bone's length may vary, over its mean.

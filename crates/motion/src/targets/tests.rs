@@ -134,7 +134,7 @@ fn a_canonical_sample_faces_z_whichever_way_it_was_turned() {
     }
     let facing = Motion::new(encoded).unwrap();
     assert!(facing.quaternion(0).yaw().abs() < 1e-6);
-    let speed = |motion: &Motion| crate::rotation::length(motion.vector(4, VELOCITY));
+    let speed = |motion: &Motion| crate::vector::length(motion.vector(4, VELOCITY));
     assert!((speed(&facing) - speed(&motion)).abs() < 1e-6);
     let height = |motion: &Motion| motion.vector(4, POSITION)[1];
     assert!((height(&facing) - height(&motion)).abs() < 1e-6);

@@ -2,7 +2,7 @@
 
 use kinegrad_motion::humanml::{Extraction, FeatureLayout, FeatureStream, Joints, Skeleton};
 use kinegrad_motion::metrics::{FeatureMoments, frechet_distance, mean_jerk, skating_ratio};
-use kinegrad_motion::rotation::length;
+use kinegrad_motion::vector::length;
 use serde::Serialize;
 
 /// Means over motions.

@@ -306,7 +306,7 @@ mod tests {
 
     use kinegrad_data::{DataConfig, DataKind, Dataset, Loader};
     use kinegrad_motion::humanml::FeatureLayout;
-    use kinegrad_motion::rotation::length;
+    use kinegrad_motion::vector::length;
 
     use super::*;
 

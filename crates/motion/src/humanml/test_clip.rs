@@ -1,8 +1,8 @@
 //! A clip for the tests of this folder: bones that keep their lengths, turning slowly.
 
-use super::bone_rotations::plus;
 use super::{Joints, Skeleton};
 use crate::Quaternion;
+use crate::vector::plus;
 
 /// A clip of `frames` frames in which every bone swings about its rest pose by its own angles,
 /// while the body walks and turns.
