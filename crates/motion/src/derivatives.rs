@@ -26,6 +26,17 @@ pub fn angular_velocity(quaternions: &[Quaternion], fps: f64) -> Vec<[f64; 3]> {
     repeat_last(turns.collect(), quaternions.len())
 }
 
+/// Angular velocity between neighbouring frames by the quaternions, of any norm and sign: radians per
+/// second, world frame, `[frames - 1, 3]`. NaN stays NaN.
+pub fn angular_rates(motion: &Motion) -> Vec<[f64; 3]> {
+    let frames = 0..motion.frames();
+    let quaternions: Vec<Quaternion> = frames.map(|t| motion.quaternion(t)).collect();
+    let mut rates = angular_velocity(&quaternions, FPS);
+    // The last one repeats the one before.
+    rates.pop();
+    rates
+}
+
 /// Negates quaternions so that each lies in the hemisphere of the one before. The first one stays;
 /// a quaternion that is not finite is passed over.
 pub fn make_sign_continuous(quaternions: &mut [Quaternion]) {
@@ -119,7 +130,7 @@ pub fn acceleration_errors(motion: &Motion) -> Vec<[f64; 3]> {
 /// `[frames - 1, 3]`.
 pub fn rotation_errors(motion: &Motion) -> Vec<[f64; 3]> {
     let stored = vectors(motion, ANGULAR_VELOCITY).into_iter();
-    let derived = crate::movement::rates(motion).into_iter();
+    let derived = angular_rates(motion).into_iter();
     stored.zip(derived).map(|(a, b)| minus(a, b)).collect()
 }
 

@@ -5,10 +5,10 @@
 //! looked at. All measures that are checked are means over frames or extremes of them, so that
 //! phrases of different lengths compare.
 
-use crate::derivatives::{angular_velocity, differences, mean_norm};
+use crate::derivatives::{angular_rates, differences, mean_norm};
 use crate::phrase::{PHASE, POSITION};
 use crate::vector::length;
-use crate::{FPS, Motion, Quaternion, circular};
+use crate::{FPS, Motion, circular};
 
 /// Frames in a second.
 const SECOND: usize = FPS as usize;
@@ -178,7 +178,7 @@ impl Movement {
             }
             Self::TurnRate => mean(&turns(motion)).map(|rate| rate * FPS),
             Self::TurnAcceleration => {
-                let changes = differences(&rates(motion), FPS);
+                let changes = differences(&angular_rates(motion), FPS);
                 (!changes.is_empty()).then(|| mean_norm(&changes).to_degrees())
             }
             Self::LargestTurn => largest(turns(motion)),
@@ -207,20 +207,9 @@ fn floor_distance(motion: &Motion, from: usize, to: usize) -> f64 {
     (b[0] - a[0]).hypot(b[2] - a[2])
 }
 
-/// Angular velocity between neighbouring frames from the quaternions, whatever their norms and
-/// signs: radians per second, world frame, `[frames - 1, 3]`. NaN stays NaN.
-pub fn rates(motion: &Motion) -> Vec<[f64; 3]> {
-    let frames = 0..motion.frames();
-    let quaternions: Vec<Quaternion> = frames.map(|t| motion.quaternion(t)).collect();
-    let mut rates = angular_velocity(&quaternions, FPS);
-    // The last one repeats the one before.
-    rates.pop();
-    rates
-}
-
 /// Angles between neighbouring frames, degrees, `[frames - 1]`.
 fn turns(motion: &Motion) -> Vec<f64> {
-    let rates = rates(motion).into_iter();
+    let rates = angular_rates(motion).into_iter();
     rates
         .map(|rate| (length(rate) / FPS).to_degrees())
         .collect()
@@ -259,7 +248,7 @@ fn phase_wraps(motion: &Motion) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::derive;
+    use crate::{Quaternion, derive};
 
     /// A phrase that walks along x at 0.6 m/s while it turns about the vertical at 90 degrees per
     /// second, half a bar a second.

@@ -159,7 +159,7 @@ mod tests {
     }
 
     fn turn_acceleration(motion: &Motion) -> f64 {
-        let rates = crate::movement::rates(motion);
+        let rates = crate::derivatives::angular_rates(motion);
         let steps = rates.windows(2).map(|pair| {
             let parts = pair[1].iter().zip(pair[0]).map(|(b, a)| (b - a).powi(2));
             parts.sum::<f64>().sqrt()

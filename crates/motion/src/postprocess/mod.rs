@@ -123,7 +123,7 @@ pub fn process_around(
 /// not finite stays for the checks to find, and does not spread to the frame before.
 pub fn derive_angular_velocity(motion: &mut Motion) {
     let finite = |vector: [f64; 3]| vector.iter().all(|value| value.is_finite());
-    let rates = crate::movement::rates(motion);
+    let rates = crate::derivatives::angular_rates(motion);
     let last = rates.last().copied();
     for (t, rate) in rates.into_iter().chain(last).enumerate() {
         if finite(rate) && finite(motion.vector(t, ANGULAR_VELOCITY)) {

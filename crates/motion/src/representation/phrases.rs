@@ -1,9 +1,8 @@
 //! Phrases: the 25 channels of CC-MotionGen.
 
 use super::{Curves, Representation};
-use crate::derivatives::{differences, jerk, jerk_of, mean_jerk_norm};
+use crate::derivatives::{angular_rates, differences, jerk, jerk_of, mean_jerk_norm};
 use crate::humanml::Joints;
-use crate::movement::rates;
 use crate::phrase::{ACCELERATION, ANGULAR_VELOCITY, PHASE, POSITION, QUATERNION, STYLE, VELOCITY};
 use crate::statistics::percentile;
 use crate::vector::length;
@@ -124,7 +123,7 @@ impl Representation for Phrases {
             Curves::new("quaternion norm", vec![("|q|".into(), norms)]),
             twice("speed (m/s)", vectors(VELOCITY), path),
             twice("jerk (m/s³)", jerk(&motion), bends),
-            twice("turn rate (rad/s)", turns, rates(&motion)),
+            twice("turn rate (rad/s)", turns, angular_rates(&motion)),
         ]
     }
 }
