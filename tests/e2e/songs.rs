@@ -8,7 +8,7 @@ use std::path::Path;
 use kinegrad_data::{AudioLayout, load_audio, read_motion};
 use kinegrad_motion::phrase::POSITION;
 use kinegrad_motion::stitch::Windows;
-use kinegrad_motion::{Motion, Movement};
+use kinegrad_motion::{Motion, MotionMeasure};
 use kinegrad_random::{Key, Purpose};
 use kinegrad_tests::captures::wav;
 use kinegrad_tests::sandbox::{SMALLEST, SMALLEST_WALKS, Sandbox};
@@ -49,7 +49,7 @@ fn seams(motion: &Motion, windows: &Windows) -> f64 {
         })
     };
     let jerk = |t: usize| {
-        Movement::PathJerk
+        MotionMeasure::PathJerk
             .of(&motion.slice(t..t + 4))
             .expect("four frames")
     };

@@ -29,7 +29,7 @@ pub mod goal;
 pub mod humanml;
 pub mod metrics;
 pub mod moments;
-pub mod movement;
+pub mod motion_measures;
 pub mod path;
 pub mod phrase;
 pub mod postprocess;
@@ -51,7 +51,7 @@ pub use augment::{anchor_floor, mirror, rotate_yaw};
 pub use derivatives::derive;
 pub use error::Error;
 pub use moments::ChannelMoments;
-pub use movement::Movement;
+pub use motion_measures::MotionMeasure;
 pub use phrase::{CHANNELS, FPS, Motion, channel_name};
 pub use postprocess::{
     ClampLimits, Differences, Hemisphere, PostProcessConfig, PostProcessProfile, process,

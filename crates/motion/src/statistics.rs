@@ -42,7 +42,7 @@ pub struct Statistics {
     /// cubed.
     pub jerk_p95: Option<f64>,
     /// 1st and 99th percentile over the items of how they move, by the name of the
-    /// [measure](crate::Movement); empty where it was not measured.
+    /// [measure](crate::MotionMeasure); empty where it was not measured.
     pub movement: BTreeMap<String, [f64; 2]>,
     /// The reading of the root that they belong to, of joint features.
     pub root: Option<Root>,

@@ -291,7 +291,7 @@ mod tests {
         let said: Vec<f64> = said.map(|(turn, n)| turn + 0.05 * f64::from(n)).collect();
         let mut motion = with_phases(&said);
         assert!(
-            crate::movement::phase_steps(&motion)
+            crate::motion_measures::phase_steps(&motion)
                 .iter()
                 .any(|step| *step < -0.05)
         );
@@ -301,7 +301,7 @@ mod tests {
             "{}",
             distance(&motion, &truth)
         );
-        for step in crate::movement::phase_steps(&motion) {
+        for step in crate::motion_measures::phase_steps(&motion) {
             assert!((0.005..0.03).contains(&step), "{step}");
         }
     }
@@ -324,7 +324,7 @@ mod tests {
             .collect();
         let mut motion = with_phases(&said);
         fit_phase(&mut motion, &[false; 900]);
-        let steps = crate::movement::phase_steps(&motion);
+        let steps = crate::motion_measures::phase_steps(&motion);
         assert!(
             steps.iter().all(|step| (0.004..0.02).contains(step)),
             "{steps:?}"
@@ -356,7 +356,7 @@ mod tests {
             };
             let worst = (0..frames).map(off).fold(0.0, f64::max);
             assert!(worst < 0.06, "{beats} {tempo}: {worst}");
-            let steps = crate::movement::phase_steps(&motion);
+            let steps = crate::motion_measures::phase_steps(&motion);
             let steady = |step: &f64| (step - tempo).abs() < 0.002;
             assert!(steps.iter().all(steady), "{beats} {tempo}");
         }
@@ -380,7 +380,7 @@ mod tests {
             for t in (0..30).chain(270..frames) {
                 assert_eq!(motion.frame(t), before.frame(t));
             }
-            let steps = crate::movement::phase_steps(&motion);
+            let steps = crate::motion_measures::phase_steps(&motion);
             let allowed = if first == 0.25 { 0.002 } else { 0.013 };
             let steady = |step: &f64| (step - 0.0151).abs() < allowed;
             assert!(steps.iter().all(steady), "{first}: {steps:?}");
@@ -409,7 +409,7 @@ mod tests {
             assert!((found - 1.0 / 60.0).abs() < 0.004, "{seed}: {found}");
             let mut motion = with_phases(&said);
             fit_phase(&mut motion, &[false; 120]);
-            let steps = crate::movement::phase_steps(&motion);
+            let steps = crate::motion_measures::phase_steps(&motion);
             assert!(
                 steps.iter().all(|step| (0.0..0.035).contains(step)),
                 "{seed}"
@@ -427,7 +427,7 @@ mod tests {
         for t in 0..40 {
             assert_eq!(motion.frame(t), before.frame(t));
         }
-        let steps = crate::movement::phase_steps(&motion);
+        let steps = crate::motion_measures::phase_steps(&motion);
         assert!(steps[39..].iter().all(|step| (0.0..0.05).contains(step)));
     }
 }

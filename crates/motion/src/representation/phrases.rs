@@ -7,7 +7,7 @@ use crate::phrase::{ACCELERATION, ANGULAR_VELOCITY, PHASE, POSITION, QUATERNION,
 use crate::statistics::percentile;
 use crate::vector::length;
 use crate::{
-    CHANNELS, ChannelMoments, Error, FPS, Motion, Movement, Profile, Report, Statistics,
+    CHANNELS, ChannelMoments, Error, FPS, Motion, MotionMeasure, Profile, Report, Statistics,
     channel_name, sanity,
 };
 
@@ -69,7 +69,7 @@ impl Representation for Phrases {
 
     fn movement(&self, rows: &[f32]) -> Vec<(&'static str, f64)> {
         let motion = motion(rows);
-        let measures = Movement::ALL.into_iter();
+        let measures = MotionMeasure::ALL.into_iter();
         measures
             .filter_map(|measure| Some((measure.name(), measure.of(&motion)?)))
             .collect()

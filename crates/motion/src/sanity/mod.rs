@@ -6,7 +6,7 @@
 //! through. They look at the channels alone: jerk is that of the acceleration channels, so that a
 //! shaking path under a calm account of itself passes. [`Profile::Strict`] looks at every frame,
 //! holds velocity, acceleration and angular velocity against the poses, and compares how the poses
-//! [move](crate::Movement) with the training phrases.
+//! [move](crate::MotionMeasure) with the training phrases.
 
 pub(crate) mod body;
 mod document;

@@ -4,8 +4,8 @@ use std::ops::Range;
 
 use super::{Check, JERK_FACTOR, Report, Threshold, coherence, finite_phrase, jerk, phase, range};
 use crate::derivatives::{acceleration_errors, mean_norm, rotation_errors, velocity_errors};
-use crate::movement::{Bounds, phase_steps};
-use crate::{FPS, Motion, Movement, Statistics};
+use crate::motion_measures::{Bounds, phase_steps};
+use crate::{FPS, Motion, MotionMeasure, Statistics};
 
 /// Largest deviation of a quaternion's norm from 1.
 const NORM_TOLERANCE: f64 = 1e-3;
@@ -106,14 +106,14 @@ fn means(motion: &Motion, training: &Statistics) -> Option<Vec<Check>> {
         ),
         jerk(motion, Threshold::AtMost(JERK_FACTOR * training.jerk_p95?)),
     ];
-    let measures = Movement::ALL.into_iter();
+    let measures = MotionMeasure::ALL.into_iter();
     checks.extend(measures.filter_map(|measure| movement(measure, motion, training)));
     Some(checks)
 }
 
 /// A measure of the movement against its 1st and 99th percentile in training motion; `None` where
 /// it is not checked.
-fn movement(measure: Movement, motion: &Motion, training: &Statistics) -> Option<Check> {
+fn movement(measure: MotionMeasure, motion: &Motion, training: &Statistics) -> Option<Check> {
     let &[low, high] = training.movement.get(measure.name())?;
     // A part of a phrase may be calmer than the whole, and as lively as the whole's sum allows.
     let whole = training.frames as f64 / training.items.max(1) as f64;

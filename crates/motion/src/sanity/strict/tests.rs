@@ -40,7 +40,7 @@ fn coherent_phrases_pass() {
         let report = check(&wandering(seed, 60), &training()).unwrap();
         assert!(report.passed, "{report:#?}");
         // Two of the measures depend on the length.
-        assert_eq!(report.checks.len(), 9 + Movement::ALL.len() - 2);
+        assert_eq!(report.checks.len(), 9 + MotionMeasure::ALL.len() - 2);
     }
 }
 

@@ -1,7 +1,7 @@
 //! How motions move, as a table.
 
 use kinegrad_motion::statistics::percentile;
-use kinegrad_motion::{Motion, Movement};
+use kinegrad_motion::{Motion, MotionMeasure};
 use serde::Serialize;
 
 /// A measure of the movement over a set of motions.
@@ -26,7 +26,7 @@ pub struct MovementSpread {
 pub(super) fn movement_spreads<'a>(
     motions: impl Iterator<Item = &'a Motion> + Clone,
 ) -> Vec<MovementSpread> {
-    let spread = |measure: Movement| {
+    let spread = |measure: MotionMeasure| {
         let values = motions.clone().filter_map(|motion| measure.of(motion));
         let values: Vec<f64> = values.filter(|value| value.is_finite()).collect();
         let at = |percent| (!values.is_empty()).then(|| percentile(values.clone(), percent));
@@ -39,7 +39,7 @@ pub(super) fn movement_spreads<'a>(
             p99: at(99.0),
         }
     };
-    Movement::ALL.into_iter().map(spread).collect()
+    MotionMeasure::ALL.into_iter().map(spread).collect()
 }
 
 #[cfg(test)]
@@ -88,7 +88,7 @@ mod tests {
                 .unwrap()
         };
         let alone = travel(&all[..1]);
-        assert_eq!(alone.median, Movement::Travel.of(&long));
+        assert_eq!(alone.median, MotionMeasure::Travel.of(&long));
         assert_eq!(travel(&all), alone);
         assert_eq!(travel(&[short]).median, None);
     }

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use kinegrad_audio::pulse::BEAT_FEATURES;
 use kinegrad_data::{AUDIO_CHANNELS, Phrase, Songs};
-use kinegrad_motion::movement::phase_steps;
+use kinegrad_motion::motion_measures::phase_steps;
 use kinegrad_motion::phrase::PHASE;
 use kinegrad_motion::statistics::percentile;
 use kinegrad_motion::{FPS, Motion, circular};

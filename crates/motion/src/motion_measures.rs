@@ -44,7 +44,7 @@ pub enum Bounds {
 
 /// A measure of how a phrase moves.
 #[derive(Clone, Copy, Debug, Eq, PartialEq)]
-pub enum Movement {
+pub enum MotionMeasure {
     /// Mean speed of the root along its path, metres per second.
     PathSpeed,
     /// Mean norm of the second difference of the positions, metres per second squared.
@@ -72,7 +72,7 @@ pub enum Movement {
     PhaseWraps,
 }
 
-impl Movement {
+impl MotionMeasure {
     /// All measures.
     pub const ALL: [Self; 12] = [
         Self::PathSpeed,
@@ -280,11 +280,11 @@ mod tests {
             2.4,
             2.0,
         ];
-        for (measure, expected) in Movement::ALL.into_iter().zip(expected) {
+        for (measure, expected) in MotionMeasure::ALL.into_iter().zip(expected) {
             let value = measure.of(&motion).unwrap();
             // Third differences of values rounded to single precision.
             let tolerance = match measure {
-                Movement::PathJerk | Movement::TurnAcceleration => 0.05,
+                MotionMeasure::PathJerk | MotionMeasure::TurnAcceleration => 0.05,
                 _ => 1e-3,
             };
             assert!((value - expected).abs() < tolerance, "{measure:?}: {value}");
@@ -298,8 +298,8 @@ mod tests {
             .collect();
         let still = vec![Quaternion::IDENTITY; 61];
         let motion = derive(&positions, &still, &[0.0; 61], &[[0.0; 8]; 61]).unwrap();
-        assert!((Movement::PathSpeed.of(&motion).unwrap() - 0.6).abs() < 1e-6);
-        assert_eq!(Movement::Travel.of(&motion), Some(0.0));
+        assert!((MotionMeasure::PathSpeed.of(&motion).unwrap() - 0.6).abs() < 1e-6);
+        assert_eq!(MotionMeasure::Travel.of(&motion), Some(0.0));
     }
 
     #[test]
@@ -311,7 +311,7 @@ mod tests {
         {
             motion.frame_mut(t)[PHASE] = phase;
         }
-        assert_eq!(Movement::PhaseWraps.of(&motion), Some(1.0));
+        assert_eq!(MotionMeasure::PhaseWraps.of(&motion), Some(1.0));
     }
 
     #[test]
@@ -320,13 +320,17 @@ mod tests {
             let mut motion = steady(60);
             motion.frame_mut(20)[channel] = f32::NAN;
             let asked = match channel {
-                0 => vec![Movement::PathSpeed, Movement::PathJerk, Movement::Travel],
-                9 => vec![
-                    Movement::TurnRate,
-                    Movement::LargestTurn,
-                    Movement::LargestTilt,
+                0 => vec![
+                    MotionMeasure::PathSpeed,
+                    MotionMeasure::PathJerk,
+                    MotionMeasure::Travel,
                 ],
-                _ => vec![Movement::PhaseRate, Movement::LargestPhaseStep],
+                9 => vec![
+                    MotionMeasure::TurnRate,
+                    MotionMeasure::LargestTurn,
+                    MotionMeasure::LargestTilt,
+                ],
+                _ => vec![MotionMeasure::PhaseRate, MotionMeasure::LargestPhaseStep],
             };
             for measure in asked {
                 assert!(measure.of(&motion).unwrap().is_nan(), "{measure:?}");
@@ -337,21 +341,24 @@ mod tests {
     #[test]
     fn channels_that_speak_of_the_movement_are_not_asked() {
         let mut motion = steady(60);
-        let before = Movement::ALL.map(|measure| measure.of(&motion));
+        let before = MotionMeasure::ALL.map(|measure| measure.of(&motion));
         for t in 0..60 {
             motion.frame_mut(t)[crate::phrase::VELOCITY].fill(9.0);
             motion.frame_mut(t)[crate::phrase::ACCELERATION].fill(-9.0);
             motion.frame_mut(t)[crate::phrase::ANGULAR_VELOCITY].fill(5.0);
         }
-        assert_eq!(Movement::ALL.map(|measure| measure.of(&motion)), before);
+        assert_eq!(
+            MotionMeasure::ALL.map(|measure| measure.of(&motion)),
+            before
+        );
     }
 
     #[test]
     fn the_sign_of_a_quaternion_is_no_turn() {
         let mut motion = steady(60);
-        let before = Movement::TurnRate.of(&motion);
+        let before = MotionMeasure::TurnRate.of(&motion);
         motion.set_quaternion(30, motion.quaternion(30).scale(-1.0));
-        let after = Movement::TurnRate.of(&motion);
+        let after = MotionMeasure::TurnRate.of(&motion);
         assert!((before.unwrap() - after.unwrap()).abs() < 1e-3);
     }
 
@@ -362,7 +369,7 @@ mod tests {
             let mut motion = steady(60);
             let turned = Quaternion::from_yaw(2.0) * lean;
             motion.set_quaternion(30, turned.scale(-0.5));
-            Movement::LargestTilt.of(&motion).unwrap()
+            MotionMeasure::LargestTilt.of(&motion).unwrap()
         };
         for tilt in [0.0, 25.0, 90.0, 172.0] {
             assert!((tilted(tilt) - tilt).abs() < 1e-3, "{tilt}");
@@ -375,7 +382,7 @@ mod tests {
         let needed = [2, 3, 4, 31, 2, 3, 2, 1, 2, 2, 2, 2];
         for frames in [1, 2, 3, 4, 30, 31] {
             let motion = steady(frames);
-            for (measure, needed) in Movement::ALL.into_iter().zip(needed) {
+            for (measure, needed) in MotionMeasure::ALL.into_iter().zip(needed) {
                 let known = measure.of(&motion).is_some();
                 assert_eq!(known, frames >= needed, "{measure:?} of {frames}");
             }
