@@ -3,13 +3,13 @@
 use std::borrow::Cow;
 use std::ops::Range;
 
-use kinegrad_motion::speed::{at_speed, frames_at_speed};
+use kinegrad_motion::time_stretch::{at_speed, frames_at_speed};
 use kinegrad_motion::{Motion, anchor_floor, mirror, rotate_yaw};
 use kinegrad_random::{Key, Purpose};
 
 use crate::features::{AUDIO_CHANNELS, AudioFeatures};
 use crate::passage::{Passage, Window};
-use crate::{AugmentConfig, Crop, DataConfig, speed};
+use crate::{AugmentConfig, Crop, DataConfig, time_stretch};
 
 // Counters below the sample's key, one for each augmentation: switching one on moves no other.
 const WINDOW: u64 = 0;
@@ -107,7 +107,7 @@ impl Augmentation {
             motion = owned(changed, Motion::frames);
         }
         if speed != 1.0 {
-            let played = speed::at_speed(&passage.take.audio.slice(window), speed);
+            let played = time_stretch::at_speed(&passage.take.audio.slice(window), speed);
             audio = owned(played.slice(0..frames), AudioFeatures::frames);
         }
         let drops_bar = bar_drop_prob > 0.0 && key.at(BAR_DROP).uniform() < bar_drop_prob;

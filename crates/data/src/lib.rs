@@ -53,12 +53,12 @@ mod phrase_samples;
 mod phrase_set;
 mod prefetch;
 mod songs;
-mod speed;
 mod split;
 mod store;
 mod style_conditions;
 mod survey;
 pub mod synthetic;
+mod time_stretch;
 
 pub use kinegrad_motion::MAX_FRAMES;
 

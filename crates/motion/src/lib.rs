@@ -36,11 +36,11 @@ pub mod postprocess;
 pub mod representation;
 pub mod rotation;
 pub mod sanity;
-pub mod speed;
 pub mod statistics;
 pub mod stitch;
 pub mod style;
 pub mod targets;
+pub mod time_stretch;
 pub mod turning;
 pub mod vector;
 

@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use kinegrad_motion::humanml::bone_rotations::{Across, forward};
 use kinegrad_motion::humanml::{Joints, Skeleton};
-use kinegrad_motion::speed::spline;
+use kinegrad_motion::time_stretch::spline;
 use kinegrad_motion::vector::{length, minus, plus};
 
 use super::centres::Centres;

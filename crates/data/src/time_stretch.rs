@@ -4,7 +4,7 @@ use std::f64::consts::TAU;
 use std::ops::Range;
 
 use kinegrad_motion::circular::step;
-use kinegrad_motion::speed::{between, frames_at_speed};
+use kinegrad_motion::time_stretch::{between, frames_at_speed};
 
 use crate::features::{AUDIO_CHANNELS, AudioFeatures};
 
@@ -16,7 +16,7 @@ const MARK: usize = 5;
 const TEMPO: usize = 6;
 
 /// The features of music played at `speed`, above 1 faster, at the moments of
-/// [`at_speed`](kinegrad_motion::speed::at_speed): what sounds at a moment is the same, pitch
+/// [`at_speed`](kinegrad_motion::time_stretch::at_speed): what sounds at a moment is the same, pitch
 /// included. Where beats are told, they and the tempo are those that are then heard.
 pub(crate) fn at_speed(audio: &AudioFeatures, speed: f64) -> AudioFeatures {
     let from = audio.frames();
