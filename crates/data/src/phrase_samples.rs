@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use kinegrad_motion::{CHANNELS, ChannelMoments, Motion, Statistics, Targets};
+use kinegrad_motion::{CHANNELS, ChannelEncoding, ChannelMoments, Motion, Statistics};
 use kinegrad_ranks::Sharing;
 
 use crate::augment::Augmentation;
@@ -25,7 +25,7 @@ pub struct PhraseSamples {
     statistics: Arc<Statistics>,
     sampler: Augmentation,
     target_frames: usize,
-    targets: Targets,
+    targets: ChannelEncoding,
     audio_channels: usize,
     style: StyleConditions,
 }
@@ -45,7 +45,7 @@ impl PhraseSamples {
             statistics,
             sampler,
             target_frames: config.target_frames,
-            targets: Targets::default(),
+            targets: ChannelEncoding::default(),
             audio_channels: config.audio_layout().channels(),
             style: StyleConditions::default(),
         }
@@ -61,7 +61,7 @@ impl PhraseSamples {
     /// The same samples in the channels that a denoiser of these `targets` predicts, which the
     /// statistics then are of.
     #[must_use]
-    pub fn with_targets(self, targets: Targets) -> Self {
+    pub fn with_targets(self, targets: ChannelEncoding) -> Self {
         Self { targets, ..self }
     }
 }
@@ -75,7 +75,7 @@ impl PhraseSamples {
 /// As [`ItemSet::measure_among`](crate::ItemSet::measure_among).
 pub fn target_statistics(
     phrases: PhraseSet,
-    targets: Targets,
+    targets: ChannelEncoding,
     config: &DataConfig,
     sharing: &dyn Sharing<Error>,
 ) -> Result<Statistics, Error> {
@@ -181,11 +181,11 @@ mod tests {
 
     #[test]
     fn samples_hold_the_targets_in_place_of_phase_and_quaternion() {
-        use kinegrad_motion::{OrientationTarget, PhaseTarget};
+        use kinegrad_motion::{OrientationEncoding, PhaseEncoding};
 
-        let targets = Targets {
-            phase: PhaseTarget::SinCos,
-            orientation: OrientationTarget::Rotation6d,
+        let targets = ChannelEncoding {
+            phase: PhaseEncoding::SinCos,
+            orientation: OrientationEncoding::Rotation6d,
         };
         let config = DataConfig {
             target_frames: 7,
@@ -272,7 +272,7 @@ mod tests {
 
     #[test]
     fn statistics_of_crops_are_those_of_what_training_sees() {
-        let targets = Targets::default();
+        let targets = ChannelEncoding::default();
         let mut config = DataConfig {
             target_frames: 10,
             ..DataConfig::default()

@@ -19,6 +19,7 @@
 
 pub mod augment;
 pub mod banded;
+pub mod channel_encoding;
 pub mod circular;
 pub mod coherence;
 pub mod derivatives;
@@ -39,7 +40,6 @@ pub mod sanity;
 pub mod statistics;
 pub mod stitch;
 pub mod style;
-pub mod targets;
 pub mod time_stretch;
 pub mod turning;
 pub mod vector;
@@ -48,6 +48,7 @@ pub mod vector;
 mod wandering;
 
 pub use augment::{anchor_floor, mirror, rotate_yaw};
+pub use channel_encoding::{ChannelEncoding, OrientationEncoding, PhaseEncoding};
 pub use derivatives::derive;
 pub use error::Error;
 pub use moments::ChannelMoments;
@@ -64,7 +65,6 @@ pub use representation::{
 pub use rotation::Quaternion;
 pub use sanity::{Check, Profile, Report, Threshold, Value, check};
 pub use statistics::Statistics;
-pub use targets::{OrientationTarget, PhaseTarget, Targets};
 
 /// Most frames that a motion or a song may have: two hours at 30 frames per second.
 pub const MAX_FRAMES: usize = 216_000;

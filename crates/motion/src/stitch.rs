@@ -17,7 +17,7 @@ use std::ops::Range;
 
 use crate::banded::{BAND, Cholesky};
 use crate::phrase::{CHANNELS, PHASE, POSITION, QUATERNION};
-use crate::{OrientationTarget, PhaseTarget, Targets};
+use crate::{ChannelEncoding, OrientationEncoding, PhaseEncoding};
 
 /// Channels that are relative to the first frame of a window: the place on the floor.
 const FLOOR: [usize; 2] = [POSITION.start, POSITION.start + 2];
@@ -45,7 +45,7 @@ pub enum Layout {
     /// The 25 of a phrase in physical units.
     Phrase,
     /// Those that a denoiser predicts, normalised; a phase that is one number is in -1 to 1.
-    Predicted(Targets),
+    Predicted(ChannelEncoding),
 }
 
 impl Layout {
@@ -53,7 +53,7 @@ impl Layout {
     pub fn channels(self) -> usize {
         match self {
             Self::Phrase => CHANNELS,
-            Self::Predicted(targets) => targets.channels(),
+            Self::Predicted(encoding) => encoding.channels(),
         }
     }
 
@@ -61,7 +61,9 @@ impl Layout {
     /// no sign.
     fn quaternions(self) -> Range<usize> {
         match self {
-            Self::Predicted(targets) if targets.orientation == OrientationTarget::Rotation6d => {
+            Self::Predicted(encoding)
+                if encoding.orientation == OrientationEncoding::Rotation6d =>
+            {
                 0..0
             }
             _ => QUATERNION,
@@ -72,8 +74,8 @@ impl Layout {
     fn jumping_phase(self) -> Option<(usize, [f64; 2])> {
         match self {
             Self::Phrase => Some((PHASE, [0.0, 1.0])),
-            Self::Predicted(targets) if targets.phase == PhaseTarget::Scalar => {
-                Some((targets.phase_channels().start, [-1.0, 1.0]))
+            Self::Predicted(encoding) if encoding.phase == PhaseEncoding::Scalar => {
+                Some((encoding.phase_channels().start, [-1.0, 1.0]))
             }
             Self::Predicted(_) => None,
         }

@@ -8,7 +8,7 @@
 use crate::phrase::{ACCELERATION, POSITION, QUATERNION, VELOCITY};
 use crate::rotation::Quaternion;
 use crate::stitch::{Known, Layout, Windows};
-use crate::{OrientationTarget, Statistics};
+use crate::{OrientationEncoding, Statistics};
 
 /// What the channels of windows are, and the units that they are in.
 #[derive(Clone, Copy, Debug)]
@@ -101,7 +101,7 @@ impl Turning<'_> {
     fn is_quaternion(&self) -> bool {
         match self.layout {
             Layout::Phrase => true,
-            Layout::Predicted(targets) => targets.orientation != OrientationTarget::Rotation6d,
+            Layout::Predicted(encoding) => encoding.orientation != OrientationEncoding::Rotation6d,
         }
     }
 
@@ -109,7 +109,7 @@ impl Turning<'_> {
     fn horizontal(&self) -> Vec<[usize; 2]> {
         let rotation = match self.layout {
             Layout::Phrase => crate::phrase::ANGULAR_VELOCITY,
-            Layout::Predicted(targets) => targets.angular_velocity_channels(),
+            Layout::Predicted(encoding) => encoding.angular_velocity_channels(),
         };
         let mut starts = vec![
             POSITION.start,
@@ -182,8 +182,8 @@ fn angle(pairs: impl Iterator<Item = (Facing, Facing, f64)>) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::wandering::wandering;
-    use crate::{Motion, PhaseTarget, Targets, anchor_floor, rotate_yaw};
+    use crate::random_phrase::random_phrase;
+    use crate::{ChannelEncoding, Motion, PhaseEncoding, anchor_floor, rotate_yaw};
 
     /// The windows of a motion, each anchored where it begins and turned by an angle.
     fn cut(windows: &Windows, motion: &Motion, angles: &[f64]) -> Vec<Motion> {
@@ -207,7 +207,7 @@ mod tests {
 
     #[test]
     fn windows_that_were_turned_are_turned_back() {
-        let (motion, windows) = (wandering(3, 61), Windows::new(61, 24));
+        let (motion, windows) = (random_phrase(3, 61), Windows::new(61, 24));
         let by: Vec<f64> = (0..windows.len()).map(|w| 2.3 * w as f64).collect();
         let parts = cut(&windows, &motion, &by);
         let turning = Turning {
@@ -239,19 +239,22 @@ mod tests {
     #[test]
     fn normalised_targets_turn_as_phrases_do() {
         let windows = Windows::new(20, 20);
-        let motion = wandering(4, 20);
-        for orientation in [OrientationTarget::Rotation6d, OrientationTarget::Quaternion] {
-            let targets = Targets {
-                phase: PhaseTarget::Harmonics,
+        let motion = random_phrase(4, 20);
+        for orientation in [
+            OrientationEncoding::Rotation6d,
+            OrientationEncoding::Quaternion,
+        ] {
+            let encoding = ChannelEncoding {
+                phase: PhaseEncoding::Harmonics,
                 orientation,
             };
-            let channels = targets.channels();
+            let channels = encoding.channels();
             let mean = (0..channels).map(|c| 0.1 * c as f64 - 0.7);
             let std = (0..channels).map(|c| 0.5 + 0.03 * c as f64);
             let statistics = Statistics::new(mean.collect(), std.collect(), None).unwrap();
-            let own = |motion: &Motion| statistics.normalize(&targets.encode(motion.as_slice()));
+            let own = |motion: &Motion| statistics.normalize(&encoding.encode(motion.as_slice()));
             let turning = Turning {
-                layout: Layout::Predicted(targets),
+                layout: Layout::Predicted(encoding),
                 statistics: Some(&statistics),
             };
             let mut values = own(&motion);

@@ -1,7 +1,7 @@
 use burn::tensor::{Device, TensorData};
 use kinegrad_kernels::Mode;
 use kinegrad_motion::phrase::{ACCELERATION, PHASE, POSITION, VELOCITY};
-use kinegrad_motion::{Motion, OrientationTarget, PhaseTarget, derivatives};
+use kinegrad_motion::{Motion, OrientationEncoding, PhaseEncoding, derivatives};
 use kinegrad_random::{Key, Purpose};
 
 use super::*;
@@ -161,8 +161,8 @@ fn bad_sizes_are_refused_by_key() {
 fn a_fresh_decoder_of_other_targets_undoes_normalisation_and_conversion() {
     let device = Device::flex();
     let targets = Targets {
-        phase: PhaseTarget::SinCos,
-        orientation: OrientationTarget::Rotation6d,
+        phase: PhaseEncoding::SinCos,
+        orientation: OrientationEncoding::Rotation6d,
     };
     let channels = targets.channels();
     let (batch, time) = (2, 7);
@@ -204,8 +204,8 @@ fn a_fresh_decoder_of_other_targets_undoes_normalisation_and_conversion() {
 #[test]
 fn a_decoder_too_narrow_for_its_targets_is_refused() {
     let targets = Targets {
-        phase: PhaseTarget::SinCos,
-        orientation: OrientationTarget::Rotation6d,
+        phase: PhaseEncoding::SinCos,
+        orientation: OrientationEncoding::Rotation6d,
     };
     let normalization = Normalization {
         mean: vec![0.0; targets.channels()],

@@ -94,9 +94,9 @@ fn phases_are_blended_on_their_circle() {
 fn pieces_in_other_targets_make_the_motion() {
     let mut motion = wandering(4, 91);
     anchor_floor(&mut motion);
-    let targets = Targets {
-        phase: PhaseTarget::SinCos,
-        orientation: OrientationTarget::Rotation6d,
+    let targets = ChannelEncoding {
+        phase: PhaseEncoding::SinCos,
+        orientation: OrientationEncoding::Rotation6d,
     };
     let layout = Layout::Predicted(targets);
     let columns = |motion: &Motion| {
@@ -143,7 +143,7 @@ fn predicted_phases_of_one_number_are_blended_around_the_bar() {
     // Two windows that differ by a little, across the end of a bar.
     let windows = Windows::new(30, 20);
     assert_eq!(windows.starts(), [0, 10]);
-    let layout = Layout::Predicted(Targets::default());
+    let layout = Layout::Predicted(ChannelEncoding::default());
     let turn = |window: usize, t: usize| 0.9 + 0.01 * t as f64 + 0.04 * window as f64;
     let mut values = vec![0.0; 2 * CHANNELS * 20];
     for (window, values) in values.chunks_mut(CHANNELS * 20).enumerate() {

@@ -10,7 +10,7 @@ use kinegrad_kernels::batch_invariant;
 use kinegrad_models::{AudioCondition, MotionDecoder, UNet1d};
 use kinegrad_motion::phrase::CHANNELS;
 use kinegrad_motion::postprocess::PostProcessConfig;
-use kinegrad_motion::{Motion, Phrases, Statistics, Targets, process_around};
+use kinegrad_motion::{ChannelEncoding, Motion, Phrases, Statistics, process_around};
 use kinegrad_random::{Key, Purpose};
 
 use super::lengths::windows;
@@ -57,7 +57,7 @@ pub struct Generator {
     pub(super) unet: UNet1d,
     pub(super) decoder: Option<MotionDecoder>,
     pub(super) diffusion: GaussianDiffusion,
-    pub(super) targets: Targets,
+    pub(super) targets: ChannelEncoding,
     pub(super) post_processing: PostProcessConfig,
     pub(super) style: Option<Asked>,
     pub(super) device: Device,

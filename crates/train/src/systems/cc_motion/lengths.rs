@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use kinegrad_data::Phrase;
-use kinegrad_motion::OrientationTarget;
+use kinegrad_motion::OrientationEncoding;
 use kinegrad_motion::stitch::Windows;
 
 use super::networks::targets;

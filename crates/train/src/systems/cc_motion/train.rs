@@ -7,7 +7,7 @@ use kinegrad_data::{
 };
 use kinegrad_diffusion::GaussianDiffusion;
 use kinegrad_motion::phrase::{ACCELERATION, POSITION, VELOCITY};
-use kinegrad_motion::{OrientationTarget, Phrases, Statistics, Targets};
+use kinegrad_motion::{ChannelEncoding, OrientationEncoding, Phrases, Statistics};
 use kinegrad_settings::InvalidSetting;
 
 use super::networks::{denoiser, networks, targets};
@@ -85,7 +85,7 @@ pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome
                 // Of a start of before it was measured.
                 statistics.movement = measured(&dataset)?.movement;
             }
-            (wide(Targets::default(), statistics), own)
+            (wide(ChannelEncoding::default(), statistics), own)
         }
         (None, None) => {
             let wide = |targets, statistics, before: &AugmentConfig| {
@@ -109,7 +109,7 @@ pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome
                 Ok::<_, Error>(wide(targets, drawn?, &of_crops))
             });
             (
-                wide(Targets::default(), measured(&dataset)?, &none),
+                wide(ChannelEncoding::default(), measured(&dataset)?, &none),
                 own.transpose()?,
             )
         }
@@ -174,7 +174,7 @@ pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome
 /// predicted ones are clipped to; `before` is the augmentation that the range takes in already.
 fn widened(
     mut statistics: Statistics,
-    targets: Targets,
+    targets: ChannelEncoding,
     augment: &AugmentConfig,
     before: &AugmentConfig,
 ) -> Statistics {
@@ -191,7 +191,7 @@ fn widened(
     if augment.mirror {
         statistics.widen_range_for_signs(targets.mirrored_channels());
     }
-    if augment.flip_quaternion && targets.orientation == OrientationTarget::Quaternion {
+    if augment.flip_quaternion && targets.orientation == OrientationEncoding::Quaternion {
         statistics.widen_range_for_signs(targets.orientation_channels());
     }
     if augment.rotate_yaw && !before.rotate_yaw {
@@ -227,12 +227,12 @@ mod tests {
 
     /// Channels in which a changed phrase leaves the range of the statistics.
     fn cut(statistics: &Statistics, change: impl Fn(&mut Motion)) -> Vec<usize> {
-        cut_of(statistics, Targets::default(), change)
+        cut_of(statistics, ChannelEncoding::default(), change)
     }
 
     fn cut_of(
         statistics: &Statistics,
-        targets: Targets,
+        targets: ChannelEncoding,
         change: impl Fn(&mut Motion),
     ) -> Vec<usize> {
         let [low, high] = statistics.normalized_range().expect("measured");
@@ -261,7 +261,12 @@ mod tests {
         let with = |set: fn(&mut AugmentConfig)| {
             let mut augment = none.clone();
             set(&mut augment);
-            widened(measured.clone(), Targets::default(), &augment, &none)
+            widened(
+                measured.clone(),
+                ChannelEncoding::default(),
+                &augment,
+                &none,
+            )
         };
         assert!(!cut(&measured, mirror).is_empty() && !cut(&measured, flip).is_empty());
         let turn = |phrase: &mut Motion| rotate_yaw(phrase, 2.0);
@@ -285,11 +290,11 @@ mod tests {
 
     #[test]
     fn the_range_of_other_targets_takes_in_each_augmentation() {
-        use kinegrad_motion::{ChannelMoments, PhaseTarget};
+        use kinegrad_motion::{ChannelMoments, PhaseEncoding};
 
-        let targets = Targets {
-            phase: PhaseTarget::SinCos,
-            orientation: OrientationTarget::Rotation6d,
+        let targets = ChannelEncoding {
+            phase: PhaseEncoding::SinCos,
+            orientation: OrientationEncoding::Rotation6d,
         };
         let encoded: Vec<Vec<f32>> = phrases()
             .iter()
@@ -326,7 +331,7 @@ mod tests {
             ..AugmentConfig::default()
         };
         let none = AugmentConfig::default();
-        let stored = Targets::default();
+        let stored = ChannelEncoding::default();
         let once = widened(measured, stored, &turned, &none);
         assert_eq!(widened(once.clone(), stored, &turned, &turned), once);
     }

@@ -6,16 +6,16 @@ use crate::wandering::wandering;
 use crate::{channel_name, mirror};
 
 /// All combinations.
-fn all() -> Vec<Targets> {
-    use OrientationTarget::{CanonicalQuaternion, Quaternion, Rotation6d};
+fn all() -> Vec<ChannelEncoding> {
+    use OrientationEncoding::{CanonicalQuaternion, Quaternion, Rotation6d};
     let phases = [
-        PhaseTarget::Scalar,
-        PhaseTarget::SinCos,
-        PhaseTarget::Harmonics,
+        PhaseEncoding::Scalar,
+        PhaseEncoding::SinCos,
+        PhaseEncoding::Harmonics,
     ];
     let of_phase = |phase| {
         [Quaternion, CanonicalQuaternion, Rotation6d]
-            .map(|orientation| Targets { phase, orientation })
+            .map(|orientation| ChannelEncoding { phase, orientation })
     };
     phases.into_iter().flat_map(of_phase).collect()
 }
@@ -42,7 +42,7 @@ fn apart(a: f32, b: f32) -> f32 {
 #[test]
 fn the_stored_channels_stay_bit_for_bit() {
     let motion = phrase(3, 17);
-    let targets = Targets::default();
+    let targets = ChannelEncoding::default();
     assert_eq!(targets.channels(), CHANNELS);
     assert_eq!(targets.encode(motion.as_slice()), motion.as_slice());
     assert_eq!(
@@ -66,7 +66,7 @@ fn what_is_encoded_comes_back() {
             assert_eq!(encoded.len(), 23 * targets.channels());
             let decoded = Motion::new(targets.decode(encoded)).unwrap();
             let mut expected = motion.clone();
-            if targets.orientation == OrientationTarget::CanonicalQuaternion {
+            if targets.orientation == OrientationEncoding::CanonicalQuaternion {
                 rotate_yaw(&mut expected, -motion.quaternion(0).yaw());
             }
             for t in 0..23 {
@@ -87,7 +87,7 @@ fn what_is_encoded_comes_back() {
                     "{targets:?}, frame {t}: {dot}"
                 );
             }
-            if targets.orientation != OrientationTarget::Quaternion {
+            if targets.orientation != OrientationEncoding::Quaternion {
                 assert!(decoded.quaternion(0).w >= 0.0);
                 let continuous = |t| decoded.quaternion(t).dot(decoded.quaternion(t - 1)) >= 0.0;
                 assert!((1..23).all(continuous), "{targets:?}");
@@ -98,9 +98,9 @@ fn what_is_encoded_comes_back() {
 
 #[test]
 fn neighbouring_phases_and_both_quaternions_of_a_rotation_are_near() {
-    let targets = Targets {
-        phase: PhaseTarget::SinCos,
-        orientation: OrientationTarget::Rotation6d,
+    let targets = ChannelEncoding {
+        phase: PhaseEncoding::SinCos,
+        orientation: OrientationEncoding::Rotation6d,
     };
     let motion = phrase(1, 1);
     let with = |phase: f32, sign: f64| {
@@ -119,9 +119,9 @@ fn neighbouring_phases_and_both_quaternions_of_a_rotation_are_near() {
 
 #[test]
 fn a_canonical_sample_faces_z_whichever_way_it_was_turned() {
-    let targets = Targets {
-        orientation: OrientationTarget::CanonicalQuaternion,
-        ..Targets::default()
+    let targets = ChannelEncoding {
+        orientation: OrientationEncoding::CanonicalQuaternion,
+        ..ChannelEncoding::default()
     };
     let motion = phrase(2, 9);
     let encoded = targets.encode(motion.as_slice()).into_owned();
@@ -143,7 +143,7 @@ fn a_canonical_sample_faces_z_whichever_way_it_was_turned() {
 #[test]
 fn mirroring_negates_the_channels_that_are_named() {
     for targets in all() {
-        if targets.orientation == OrientationTarget::CanonicalQuaternion {
+        if targets.orientation == OrientationEncoding::CanonicalQuaternion {
             // It turns the sample back too.
             continue;
         }
@@ -187,7 +187,7 @@ fn statistics_leave_circles_and_rotations_as_they_are() {
         let low = values.iter().copied().fold(low, f32::min);
         let high = values.iter().copied().fold(high, f32::max);
         assert!(low < -0.8 && high > 0.8, "{targets:?}: {low} {high}");
-        if targets.phase != PhaseTarget::Scalar {
+        if targets.phase != PhaseEncoding::Scalar {
             let [min, max] = statistics.range.unwrap();
             assert_eq!((min[phase.start], max[phase.end - 1]), (-1.0, 1.0));
         }
@@ -196,9 +196,9 @@ fn statistics_leave_circles_and_rotations_as_they_are() {
 
 #[test]
 fn predictions_of_any_size_decode_and_numbers_that_are_none_stay() {
-    let targets = Targets {
-        phase: PhaseTarget::SinCos,
-        orientation: OrientationTarget::Rotation6d,
+    let targets = ChannelEncoding {
+        phase: PhaseEncoding::SinCos,
+        orientation: OrientationEncoding::Rotation6d,
     };
     let channels = targets.channels();
     assert_eq!(channels, 28);
@@ -220,9 +220,9 @@ fn predictions_of_any_size_decode_and_numbers_that_are_none_stay() {
 
 #[test]
 fn beats_place_what_the_bar_leaves_open() {
-    let targets = Targets {
-        phase: PhaseTarget::Harmonics,
-        ..Targets::default()
+    let targets = ChannelEncoding {
+        phase: PhaseEncoding::Harmonics,
+        ..ChannelEncoding::default()
     };
     let decoded = |bar: f64, of_bar: f32, beats: usize, beat: f64| {
         let mut rows = vec![0.0; targets.channels()];
@@ -301,7 +301,7 @@ proptest! {
 
     #[test]
     fn phases_come_back_in_the_bar(phase in 0.0f32..1.0, radius in 0.01f32..3.0) {
-        let targets = Targets { phase: PhaseTarget::SinCos, ..Targets::default() };
+        let targets = ChannelEncoding { phase: PhaseEncoding::SinCos, ..ChannelEncoding::default() };
         let mut motion = wandering(0, 1);
         motion.frame_mut(0)[PHASE] = phase;
         let mut rows = targets.encode(motion.as_slice()).into_owned();
@@ -324,12 +324,12 @@ fn a_dancer_whose_heading_is_open_stands_upright() {
 #[test]
 fn a_mean_of_orientations_that_differ_is_unsure() {
     for orientation in [
-        OrientationTarget::CanonicalQuaternion,
-        OrientationTarget::Rotation6d,
+        OrientationEncoding::CanonicalQuaternion,
+        OrientationEncoding::Rotation6d,
     ] {
-        let targets = Targets {
+        let targets = ChannelEncoding {
             orientation,
-            ..Targets::default()
+            ..ChannelEncoding::default()
         };
         let encoded = |turn: f64| {
             let mut motion = wandering(3, 2);
@@ -353,7 +353,7 @@ fn a_mean_of_orientations_that_differ_is_unsure() {
     rows[QUATERNION.start] = f32::NAN;
     rows[QUATERNION.start] = 0.0;
     rows[QUATERNION].copy_from_slice(&[0.0, 0.3, 0.0, 0.4]);
-    let [sure] = Targets::default().sureness(&rows)[..] else {
+    let [sure] = ChannelEncoding::default().sureness(&rows)[..] else {
         panic!("one frame")
     };
     assert!((sure - 0.5).abs() < 1e-6);

@@ -2,7 +2,7 @@
 //! orientation in forms that have no jumps.
 //!
 //! A phase of 0.99 and one of 0.01 are neighbours in a bar and far apart as numbers; q and -q are
-//! one rotation and add up to zero. A network that predicts means does badly on both. [`Targets`]
+//! one rotation and add up to zero. A network that predicts means does badly on both. [`ChannelEncoding`]
 //! says what stands in their place; everything on disk keeps the 25 channels.
 //!
 //! ```text
@@ -28,7 +28,7 @@ pub const LEAST_SQUARE: f64 = 1e-8;
 /// What is predicted of the phase.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
-pub enum PhaseTarget {
+pub enum PhaseEncoding {
     /// The number from 0 to 1 (CC-MotionGen), which jumps at each bar.
     #[default]
     Scalar,
@@ -42,14 +42,14 @@ pub enum PhaseTarget {
     Harmonics,
 }
 
-/// Multiples of the angle in the bar whose sines and cosines [`PhaseTarget::Harmonics`] predicts.
+/// Multiples of the angle in the bar whose sines and cosines [`PhaseEncoding::Harmonics`] predicts.
 pub const HARMONICS: usize = 4;
 
 /// Square of the sizes of all harmonics together below which they do not say where in a beat the
 /// motion is.
 pub const LEAST_HARMONICS: f64 = 1e-8;
 
-impl PhaseTarget {
+impl PhaseEncoding {
     /// Multiples of the angle in the bar that are predicted by sine and cosine.
     pub fn harmonics(self) -> usize {
         match self {
@@ -92,7 +92,7 @@ fn turn_of(pairs: &[f32]) -> f32 {
 /// What is predicted of the orientation.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
-pub enum OrientationTarget {
+pub enum OrientationEncoding {
     /// The quaternion as stored (CC-MotionGen).
     #[default]
     Quaternion,
@@ -107,14 +107,14 @@ pub enum OrientationTarget {
 
 /// The channels that a denoiser predicts of a phrase.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Targets {
+pub struct ChannelEncoding {
     /// Of the phase.
-    pub phase: PhaseTarget,
+    pub phase: PhaseEncoding,
     /// Of the orientation.
-    pub orientation: OrientationTarget,
+    pub orientation: OrientationEncoding,
 }
 
-impl Targets {
+impl ChannelEncoding {
     /// Whether these are the 25 channels of the phrase themselves.
     pub fn are_stored_channels(self) -> bool {
         self == Self::default()
@@ -128,8 +128,8 @@ impl Targets {
     /// Channels of the orientation.
     pub fn orientation_channels(self) -> Range<usize> {
         let width = match self.orientation {
-            OrientationTarget::Quaternion | OrientationTarget::CanonicalQuaternion => 4,
-            OrientationTarget::Rotation6d => 6,
+            OrientationEncoding::Quaternion | OrientationEncoding::CanonicalQuaternion => 4,
+            OrientationEncoding::Rotation6d => 6,
         };
         QUATERNION.start..QUATERNION.start + width
     }
@@ -158,11 +158,11 @@ impl Targets {
         let moved = |channel: usize| match channel {
             c if c < QUATERNION.start => Some(c),
             c if ANGULAR_VELOCITY.contains(&c) => Some(rotation.start + c - ANGULAR_VELOCITY.start),
-            c if self.orientation != OrientationTarget::Rotation6d => Some(c),
+            c if self.orientation != OrientationEncoding::Rotation6d => Some(c),
             _ => None,
         };
         let mut negated: Vec<usize> = stored.into_iter().filter_map(moved).collect();
-        if self.orientation == OrientationTarget::Rotation6d {
+        if self.orientation == OrientationEncoding::Rotation6d {
             // S R S with S = diag(-1, 1, 1): y and z of the first column, x of the second.
             negated.extend([1, 2, 3].map(|offset| QUATERNION.start + offset));
         }
@@ -179,7 +179,7 @@ impl Targets {
             return Cow::Borrowed(rows);
         }
         let mut motion = Motion::new(rows.to_vec()).expect("whole frames of 25 channels");
-        if self.orientation == OrientationTarget::CanonicalQuaternion {
+        if self.orientation == OrientationEncoding::CanonicalQuaternion {
             let heading = motion.quaternion(0).yaw();
             rotate_yaw(&mut motion, -heading);
             let found = (0..motion.frames()).map(|t| motion.quaternion(t));
@@ -192,10 +192,10 @@ impl Targets {
             let frame = motion.frame(t);
             encoded.extend_from_slice(&frame[..QUATERNION.start]);
             match self.orientation {
-                OrientationTarget::Quaternion | OrientationTarget::CanonicalQuaternion => {
+                OrientationEncoding::Quaternion | OrientationEncoding::CanonicalQuaternion => {
                     encoded.extend_from_slice(&frame[QUATERNION]);
                 }
-                OrientationTarget::Rotation6d => {
+                OrientationEncoding::Rotation6d => {
                     let unit = motion.quaternion(t).normalised();
                     let columns = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]].map(|axis| unit.rotate(axis));
                     encoded.extend(columns.iter().flatten().map(|&value| value as f32));
@@ -203,8 +203,8 @@ impl Targets {
             }
             encoded.extend_from_slice(&frame[ANGULAR_VELOCITY]);
             match self.phase {
-                PhaseTarget::Scalar => encoded.push(frame[PHASE]),
-                PhaseTarget::SinCos | PhaseTarget::Harmonics => {
+                PhaseEncoding::Scalar => encoded.push(frame[PHASE]),
+                PhaseEncoding::SinCos | PhaseEncoding::Harmonics => {
                     for k in 1..=self.phase.harmonics() {
                         let (sin, cos) = (TAU * k as f64 * f64::from(frame[PHASE])).sin_cos();
                         encoded.extend([sin as f32, cos as f32]);
@@ -228,12 +228,12 @@ impl Targets {
             let values = frame[self.orientation_channels()].iter();
             let values: Vec<f64> = values.map(|&value| f64::from(value)).collect();
             match self.orientation {
-                OrientationTarget::Rotation6d => nearest_rotation(&values),
+                OrientationEncoding::Rotation6d => nearest_rotation(&values),
                 _ => Quaternion::new(values[0], values[1], values[2], values[3]),
             }
         });
         let orientations = match self.orientation {
-            OrientationTarget::Quaternion => orientations.collect(),
+            OrientationEncoding::Quaternion => orientations.collect(),
             _ => canonical_signs(orientations.collect()),
         };
         let mut decoded = Vec::with_capacity(frames.len() * CHANNELS);
@@ -243,8 +243,8 @@ impl Targets {
             decoded.extend_from_slice(&frame[self.angular_velocity_channels()]);
             let phase = &frame[self.phase_channels()];
             decoded.push(match self.phase {
-                PhaseTarget::Scalar => phase[0],
-                PhaseTarget::SinCos | PhaseTarget::Harmonics => turn_of(phase),
+                PhaseEncoding::Scalar => phase[0],
+                PhaseEncoding::SinCos | PhaseEncoding::Harmonics => turn_of(phase),
             });
             decoded.extend_from_slice(&frame[self.style_channels()]);
         }
@@ -260,10 +260,10 @@ impl Targets {
             let values = frame[self.orientation_channels()].iter();
             let v: Vec<f64> = values.map(|&value| f64::from(value)).collect();
             match self.orientation {
-                OrientationTarget::Quaternion | OrientationTarget::CanonicalQuaternion => {
+                OrientationEncoding::Quaternion | OrientationEncoding::CanonicalQuaternion => {
                     length(&v).min(1.0)
                 }
-                OrientationTarget::Rotation6d => {
+                OrientationEncoding::Rotation6d => {
                     let [a, b] = pair(&v);
                     length(&cross(a, b)).min(1.0)
                 }
@@ -281,13 +281,13 @@ impl Targets {
         statistics.mean[orientation.clone()].fill(0.0);
         statistics.std[orientation].fill(1.0);
         let (mean, std) = match self.phase {
-            PhaseTarget::Scalar => (0.5, 0.5),
-            PhaseTarget::SinCos | PhaseTarget::Harmonics => (0.0, 1.0),
+            PhaseEncoding::Scalar => (0.5, 0.5),
+            PhaseEncoding::SinCos | PhaseEncoding::Harmonics => (0.0, 1.0),
         };
         statistics.mean[phase.clone()].fill(mean);
         statistics.std[phase.clone()].fill(std);
         if let Some([min, max]) = &mut statistics.range
-            && self.phase != PhaseTarget::Scalar
+            && self.phase != PhaseEncoding::Scalar
         {
             min[phase.clone()].fill(-1.0);
             max[phase].fill(1.0);
