@@ -34,16 +34,16 @@
 //! ```
 
 mod doubts;
+mod ground_targets;
 mod guidance;
 mod obstacle;
 mod polygon;
 mod schedule;
-mod targets;
 
+pub use ground_targets::{GROUND_X, GroundTargets, TRAJECTORY_CHANNELS};
 pub use guidance::{GuidanceConfig, GuidanceLoss, GuidanceNorm};
 pub use obstacle::Obstacle;
 pub use schedule::{GuidanceSchedule, Phase};
-pub use targets::{GROUND_X, GroundTargets, TRAJECTORY_CHANNELS};
 
 use kinegrad_settings::{InvalidSetting, Refused, in_range, require};
 use schemars::JsonSchema;
