@@ -7,7 +7,7 @@
 //! neighbours (least squares over the overlaps; [`crate::turning`] turns them before), and blended with weights that rise and fall with
 //! the squared sine and add up to 1 in every frame.
 //!
-//! Known frames hold everywhere: windows are moved to where those say, and what a window says
+//! KnownFrames frames hold everywhere: windows are moved to where those say, and what a window says
 //! otherwise at their edges fades out over a third of a second.
 
 #[cfg(test)]
@@ -84,7 +84,7 @@ impl Layout {
 
 /// Frames of a motion that are given.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Known {
+pub struct KnownFrames {
     /// Of each frame of the motion, whether it is known.
     pub is_known: Vec<bool>,
     /// `[channels, frames]`; only the known frames are read. The sign of quaternions is continuous
@@ -161,7 +161,12 @@ impl Windows {
     ///
     /// # Panics
     /// Panics if the sizes do not fit.
-    pub fn stitch(&self, values: &mut [f32], known: Option<&Known>, layout: Layout) -> Vec<f32> {
+    pub fn stitch(
+        &self,
+        values: &mut [f32],
+        known: Option<&KnownFrames>,
+        layout: Layout,
+    ) -> Vec<f32> {
         let channels = layout.channels();
         assert_eq!(values.len(), self.len() * channels * self.length, "windows");
         let places = self.places(values, known, channels);
@@ -176,7 +181,12 @@ impl Windows {
     }
 
     /// Where the first frame of each window lies on the floor of the whole motion.
-    fn places(&self, values: &[f32], known: Option<&Known>, channels: usize) -> Vec<[f64; 2]> {
+    fn places(
+        &self,
+        values: &[f32],
+        known: Option<&KnownFrames>,
+        channels: usize,
+    ) -> Vec<[f64; 2]> {
         // The normal equations of `weight |o_next - o - d|^2` over all neighbours and
         // `weight |o - d|^2` for known frames.
         let mut normal = vec![[0.0; BAND]; self.len()];
@@ -276,7 +286,7 @@ impl Windows {
         motion: &[f32],
         values: &mut [f32],
         places: &[[f64; 2]],
-        known: Option<&Known>,
+        known: Option<&KnownFrames>,
         layout: Layout,
     ) {
         let (channels, quaternions) = (layout.channels(), layout.quaternions());
@@ -305,7 +315,7 @@ impl Windows {
         motion: &[f32],
         values: &[f32],
         start: usize,
-        known: Option<&Known>,
+        known: Option<&KnownFrames>,
         quaternions: &Range<usize>,
     ) -> Vec<f32> {
         let dots: Vec<f32> = (0..self.length)
@@ -334,7 +344,7 @@ fn most_apart(length: usize) -> usize {
 }
 
 /// Puts known frames into a motion `[channels, frames]`, and fades what it differs by at their edges.
-fn put(motion: &mut [f32], known: &Known, layout: Layout) {
+fn put(motion: &mut [f32], known: &KnownFrames, layout: Layout) {
     let (channels, quaternions) = (layout.channels(), layout.quaternions());
     let frames = known.is_known.len();
     let edges: Vec<(usize, bool)> = (0..frames)

@@ -7,7 +7,7 @@
 
 use crate::phrase::{ACCELERATION, POSITION, QUATERNION, VELOCITY};
 use crate::rotation::Quaternion;
-use crate::stitch::{Known, Layout, Windows};
+use crate::stitch::{KnownFrames, Layout, Windows};
 use crate::{OrientationEncoding, Statistics};
 
 /// What the channels of windows are, and the units that they are in.
@@ -26,7 +26,12 @@ impl Turning<'_> {
     ///
     /// # Panics
     /// Panics if the sizes do not fit.
-    pub fn angles(&self, windows: &Windows, values: &[f32], known: Option<&Known>) -> Vec<f64> {
+    pub fn angles(
+        &self,
+        windows: &Windows,
+        values: &[f32],
+        known: Option<&KnownFrames>,
+    ) -> Vec<f64> {
         let (channels, length) = (self.layout.channels(), windows.length());
         assert_eq!(values.len(), windows.len() * channels * length, "windows");
         let facing = |window: usize, t: usize| {
@@ -224,8 +229,8 @@ mod tests {
         for (a, b) in values.iter().zip(&straight) {
             assert!((a - b).abs() < 0.02, "{a} {b}");
         }
-        // Known frames say which way, from the window that has them in both directions.
-        let known = Known {
+        // KnownFrames frames say which way, from the window that has them in both directions.
+        let known = KnownFrames {
             is_known: (0..61).map(|t| (25..30).contains(&t)).collect(),
             values: motion.channel_major(),
         };

@@ -123,8 +123,8 @@ fn pieces_in_other_targets_make_the_motion() {
     let stitched = windows.stitch(&mut values, None, layout);
     assert_near(&stitched, &columns(&motion), 2e-5);
     assert_near(&values, &before, 2e-5);
-    // Known frames of these channels hold too, and fade.
-    let known = Known {
+    // KnownFrames frames of these channels hold too, and fade.
+    let known = KnownFrames {
         is_known: (0..91).map(|t| (30..40).contains(&t)).collect(),
         values: columns(&motion),
     };
@@ -192,7 +192,7 @@ fn known_frames_are_met_exactly_and_say_where_the_motion_stands() {
         motion.set_vector(t, POSITION, [x + 40.0, y, z - 7.0]);
     }
     let windows = Windows::new(70, 24);
-    let known = Known {
+    let known = KnownFrames {
         is_known: (0..70).map(|t| (30..40).contains(&t)).collect(),
         values: motion.channel_major(),
     };

@@ -18,7 +18,7 @@ use kinegrad_models::decoder::Coherence;
 use kinegrad_motion::coherence::{fit_heading, fit_orientation, fit_trajectory, sureness_of};
 use kinegrad_motion::derivatives::make_sign_continuous;
 use kinegrad_motion::postprocess::derive_angular_velocity;
-use kinegrad_motion::stitch::{Known, Layout, Windows};
+use kinegrad_motion::stitch::{KnownFrames, Layout, Windows};
 use kinegrad_motion::turning::Turning;
 use kinegrad_motion::{Motion, Statistics};
 use kinegrad_random::Key;
@@ -95,8 +95,8 @@ impl Generator {
         Ok(sample)
     }
 
-    /// Known frames of a phrase in the channels and units of the network.
-    fn normalized(&self, known: &Known) -> Known {
+    /// KnownFrames frames of a phrase in the channels and units of the network.
+    fn normalized(&self, known: &KnownFrames) -> KnownFrames {
         let frames = known.is_known.len();
         let phrase = Motion::from_channel_major(&known.values, frames).expect("25 channels");
         let (rows, channels) = (
@@ -109,14 +109,19 @@ impl Generator {
             let value = f64::from(rows[t * channels + channel]);
             ((value - mean[channel]) / std[channel]) as f32
         });
-        Known {
+        KnownFrames {
             values: values.collect(),
             is_known: known.is_known.clone(),
         }
     }
 
     /// Windows as the network predicts them, as one motion of which each becomes its part.
-    fn stitched(&self, whole: &Whole<'_>, values: &mut [f32], known: Option<&Known>) -> Vec<f32> {
+    fn stitched(
+        &self,
+        whole: &Whole<'_>,
+        values: &mut [f32],
+        known: Option<&KnownFrames>,
+    ) -> Vec<f32> {
         let turning = Turning {
             layout: Layout::Predicted(self.targets),
             statistics: Some(self.state.normalization()),
@@ -132,7 +137,7 @@ impl Generator {
         turning: Turning<'_>,
         whole: &Whole<'_>,
         values: &mut [f32],
-        known: Option<&Known>,
+        known: Option<&KnownFrames>,
     ) -> Vec<f32> {
         let windows = &whole.windows;
         if !self.state.config.data.augment.rotate_yaw || whole.path.is_some() {
@@ -154,7 +159,7 @@ impl Generator {
     fn latents(
         &self,
         whole: &Whole<'_>,
-        known: Option<&Known>,
+        known: Option<&KnownFrames>,
         sampling: &SamplingConfig,
         key: Key,
         on_windows: &mut dyn FnMut(usize, usize) -> ControlFlow<()>,
@@ -255,7 +260,7 @@ impl Generator {
     fn decoded(
         &self,
         whole: &Whole<'_>,
-        known: Option<&Known>,
+        known: Option<&KnownFrames>,
         latents: &[f32],
     ) -> Result<Motion, Error> {
         let decoder = self.decoder.as_ref().expect("asked before");
