@@ -27,6 +27,7 @@ pub mod emphasis;
 pub mod error;
 pub mod feet;
 pub mod goal;
+pub mod heading_alignment;
 pub mod humanml;
 pub mod metrics;
 pub mod moments;
@@ -41,7 +42,6 @@ pub mod statistics;
 pub mod stitch;
 pub mod style;
 pub mod time_stretch;
-pub mod turning;
 pub mod vector;
 
 #[cfg(test)]

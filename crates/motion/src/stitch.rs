@@ -4,7 +4,7 @@
 //! its own first frame puts it: heading, height and all derivatives are those of the world, but
 //! the place on the floor is relative to the window's beginning ([`crate::anchor_floor`]). Windows
 //! are therefore moved on the floor before they are blended, by what agrees best with their
-//! neighbours (least squares over the overlaps; [`crate::turning`] turns them before), and blended with weights that rise and fall with
+//! neighbours (least squares over the overlaps; [`crate::heading_alignment`] turns them before), and blended with weights that rise and fall with
 //! the squared sine and add up to 1 in every frame.
 //!
 //! KnownFrames frames hold everywhere: windows are moved to where those say, and what a window says

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use kinegrad_motion::path::{Along, Turning};
+use kinegrad_motion::path::{ArcLengthMode, HeadingMode};
 
 use super::values::named;
 

@@ -8,7 +8,7 @@ use kinegrad_data::file::read_text;
 use kinegrad_motion::feet::{ContactRule, hold_above};
 use kinegrad_motion::humanml::{Extraction, Features, Joints, Skeleton};
 use kinegrad_motion::metrics::{mean_jerk, skating_ratio};
-use kinegrad_motion::path::{Along, PathPlan, PathReport, Warp};
+use kinegrad_motion::path::{ArcLengthMode, PathPlan, PathReport, Warp};
 use kinegrad_report::table;
 use kinegrad_train::Error;
 use kinegrad_train::systems::Systems;
@@ -261,7 +261,7 @@ impl Record {
     }
 
     /// Says what is doubtful.
-    fn doubt(&self, given: usize, along: Along) {
+    fn doubt(&self, given: usize, along: ArcLengthMode) {
         if self.frames < given {
             tell!(
                 "note: the path ends after {} of {given} frames, at {:.2} m",
@@ -270,7 +270,7 @@ impl Record {
             );
         }
         match self.speed_ratio {
-            0.0 if along == Along::Own => {}
+            0.0 if along == ArcLengthMode::Own => {}
             0.0 => tell!("warning: the motion stands, and glides along the path"),
             ratio if !USUAL.contains(&ratio) => tell!(
                 "warning: the root is {ratio:.2} times as fast as it was, and feet slide in proportion: \

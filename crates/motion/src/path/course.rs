@@ -7,7 +7,7 @@ use super::{Polyline, STILL, between};
 /// How the frames of a motion lie along a path.
 #[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Along {
+pub enum ArcLengthMode {
     /// All of the path, in the proportions of the motion's own way: its speed changes by the ratio
     /// of the two lengths. A motion that stands is spread evenly.
     #[default]
@@ -28,13 +28,13 @@ pub struct Course {
 
 impl Course {
     /// The course along `path` of a motion whose root is at `track`, a position for each frame. With
-    /// [`Along::Own`] it may have fewer frames, at least one.
-    pub fn of_motion(path: &Polyline, track: &[[f64; 2]], along: Along) -> Self {
+    /// [`ArcLengthMode::Own`] it may have fewer frames, at least one.
+    pub fn of_motion(path: &Polyline, track: &[[f64; 2]], along: ArcLengthMode) -> Self {
         let walked = walked(track);
         let total = walked.last().copied().unwrap_or(0.0);
         let length = path.length();
         let metres = match along {
-            Along::Stretch => {
+            ArcLengthMode::Stretch => {
                 let last = track.len().saturating_sub(1).max(1) as f64;
                 let share = |(t, metres): (usize, &f64)| match total < STILL {
                     true => t as f64 / last,
@@ -46,7 +46,7 @@ impl Course {
                     .map(|at| share(at) * length)
                     .collect()
             }
-            Along::Own => {
+            ArcLengthMode::Own => {
                 let on_path = walked
                     .iter()
                     .take_while(|metres| **metres <= length + STILL);
@@ -113,21 +113,21 @@ mod tests {
     #[test]
     fn a_motion_is_stretched_or_keeps_its_metres() {
         let track: Vec<[f64; 2]> = [0.0, 1.0, 1.0, 3.0, 4.0].map(|x| [x, 0.0]).to_vec();
-        let stretched = Course::of_motion(&line(8.0), &track, Along::Stretch);
+        let stretched = Course::of_motion(&line(8.0), &track, ArcLengthMode::Stretch);
         assert_eq!(stretched.metres, [0.0, 2.0, 2.0, 6.0, 8.0]);
         assert_eq!(stretched.points[3], [0.0, 6.0]);
-        let own = Course::of_motion(&line(8.0), &track, Along::Own);
+        let own = Course::of_motion(&line(8.0), &track, ArcLengthMode::Own);
         assert_eq!(own.metres, [0.0, 1.0, 1.0, 3.0, 4.0]);
         // A path that is shorter ends it.
-        let own = Course::of_motion(&line(2.0), &track, Along::Own);
+        let own = Course::of_motion(&line(2.0), &track, ArcLengthMode::Own);
         assert_eq!(own.metres, [0.0, 1.0, 1.0]);
         let standing = [[1.0, 1.0]; 3];
         assert_eq!(
-            Course::of_motion(&line(4.0), &standing, Along::Stretch).metres,
+            Course::of_motion(&line(4.0), &standing, ArcLengthMode::Stretch).metres,
             [0.0, 2.0, 4.0]
         );
         assert_eq!(
-            Course::of_motion(&line(4.0), &standing, Along::Own).metres,
+            Course::of_motion(&line(4.0), &standing, ArcLengthMode::Own).metres,
             [0.0; 3]
         );
     }

@@ -27,7 +27,7 @@ mod spline;
 mod warp;
 
 pub use bend::Bend;
-pub use course::{Along, Course};
+pub use course::{ArcLengthMode, Course};
 pub use error::PathError;
 pub use headings::{PathFeatures, headings_of, headings_of_gait, unwrapped, wrapped};
 pub use loss::{PathLoss, PathLossConfig, root_channels};
@@ -36,7 +36,7 @@ pub use plan::{CurveKind, PathPlan};
 pub use polyline::{PathPoint, Polyline};
 pub use smoothing::{Edges, HEADING_ORDER, HEADING_WINDOW, savgol, savgol_weights, smoothed};
 pub use spline::{CatmullRom, Parameterization};
-pub use warp::{Turning, Warp, Warped, placed};
+pub use warp::{HeadingMode, Warp, Warped, placed};
 
 /// Slower frames have no direction, metres per frame; shorter paths have none either, metres.
 const STILL: f64 = 1e-6;

@@ -4,8 +4,8 @@ use serde::{Deserialize, Serialize};
 
 use super::course::walked;
 use super::{
-    Along, Course, Edges, HEADING_ORDER, HEADING_WINDOW, PathError, Polyline, STILL, headings_of,
-    headings_of_gait, savgol, unwrapped,
+    ArcLengthMode, Course, Edges, HEADING_ORDER, HEADING_WINDOW, PathError, Polyline, STILL,
+    headings_of, headings_of_gait, savgol, unwrapped,
 };
 use crate::humanml::bone_rotations::{Across, forward};
 use crate::humanml::{FeatureError, Joints, Skeleton};
@@ -13,7 +13,7 @@ use crate::humanml::{FeatureError, Joints, Skeleton};
 /// How a body is turned on its path.
 #[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Turning {
+pub enum HeadingMode {
     /// As the direction of its way turns: who walks sideways goes on walking sideways.
     #[default]
     Relative,
@@ -27,9 +27,9 @@ pub enum Turning {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Warp {
     /// Where on the path each frame is.
-    pub along: Along,
+    pub along: ArcLengthMode,
     /// How the body turns.
-    pub turning: Turning,
+    pub turning: HeadingMode,
     /// Whether turns are smoothed over time, by a Savitzky-Golay filter of 11 frames and order 3.
     pub smooth: bool,
     /// For relative turns: slower than this the root has no direction of its own, metres per second; a
@@ -99,12 +99,12 @@ impl Warp {
         course: &Course,
     ) -> Vec<f64> {
         let own = match self.turning {
-            Turning::Free => return vec![0.0; track.len()],
-            Turning::Relative if self.least_speed > 0.0 => {
+            HeadingMode::Free => return vec![0.0; track.len()],
+            HeadingMode::Relative if self.least_speed > 0.0 => {
                 headings_of_gait(track, self.least_speed / skeleton.description().fps)
             }
-            Turning::Relative => headings_of(track),
-            Turning::Face => facing(joints, skeleton)[..track.len()].to_vec(),
+            HeadingMode::Relative => headings_of(track),
+            HeadingMode::Face => facing(joints, skeleton)[..track.len()].to_vec(),
         };
         let path = unwrapped(&headings_of(&course.points));
         let turns = path
@@ -176,7 +176,7 @@ mod tests {
     fn the_root_is_on_the_path_and_bones_stay() {
         let (joints, skeleton) = walking(70);
         let path = corner();
-        for turning in [Turning::Relative, Turning::Face, Turning::Free] {
+        for turning in [HeadingMode::Relative, HeadingMode::Face, HeadingMode::Free] {
             for smooth in [false, true] {
                 let warp = Warp {
                     turning,
@@ -211,7 +211,7 @@ mod tests {
             facing(&warped.joints, &skeleton)
         };
         let to_left = -PI / 2.0;
-        for turning in [Turning::Relative, Turning::Face] {
+        for turning in [HeadingMode::Relative, HeadingMode::Face] {
             let warp = Warp {
                 turning,
                 ..Warp::default()
@@ -235,7 +235,7 @@ mod tests {
             assert!(wrapped(heading - to_left - before).abs() < 1e-6);
         }
         let face = Warp {
-            turning: Turning::Face,
+            turning: HeadingMode::Face,
             ..Warp::default()
         };
         assert!(wrapped(facing_of(&sideways, face)[30] - to_left).abs() < 1e-6);
@@ -275,7 +275,7 @@ mod tests {
     fn its_own_speed_ends_at_the_end_of_the_path() {
         let (joints, skeleton) = walking(70);
         let own = Warp {
-            along: Along::Own,
+            along: ArcLengthMode::Own,
             ..Warp::default()
         };
         let short = Polyline::new(vec![[0.0, 0.0], [1.0, 0.0]]).unwrap();

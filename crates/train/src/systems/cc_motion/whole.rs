@@ -17,9 +17,9 @@ use kinegrad_kernels::batch_invariant;
 use kinegrad_models::decoder::Coherence;
 use kinegrad_motion::coherence::{fit_heading, fit_orientation, fit_trajectory, sureness_of};
 use kinegrad_motion::derivatives::make_sign_continuous;
+use kinegrad_motion::heading_alignment::HeadingAlignment;
 use kinegrad_motion::postprocess::derive_angular_velocity;
 use kinegrad_motion::stitch::{KnownFrames, Layout, Windows};
-use kinegrad_motion::turning::Turning;
 use kinegrad_motion::{Motion, Statistics};
 use kinegrad_random::Key;
 
@@ -122,7 +122,7 @@ impl Generator {
         values: &mut [f32],
         known: Option<&KnownFrames>,
     ) -> Vec<f32> {
-        let turning = Turning {
+        let turning = HeadingAlignment {
             layout: Layout::Predicted(self.targets),
             statistics: Some(self.state.normalization()),
         };
@@ -134,7 +134,7 @@ impl Generator {
     /// is where it is: they stay as they are.
     fn turned_and_stitched(
         &self,
-        turning: Turning<'_>,
+        turning: HeadingAlignment<'_>,
         whole: &Whole<'_>,
         values: &mut [f32],
         known: Option<&KnownFrames>,
@@ -274,7 +274,7 @@ impl Generator {
             let motion = batch_invariant(batch.len(), || decoder.frames(latent, None));
             decoded.extend(values(motion));
         }
-        let turning = Turning {
+        let turning = HeadingAlignment {
             layout: Layout::Phrase,
             statistics: None,
         };

@@ -12,14 +12,14 @@ use crate::{OrientationEncoding, Statistics};
 
 /// What the channels of windows are, and the units that they are in.
 #[derive(Clone, Copy, Debug)]
-pub struct Turning<'a> {
+pub struct HeadingAlignment<'a> {
     /// What they are.
     pub layout: Layout,
     /// Those by which they are normalised; none of physical units.
     pub statistics: Option<&'a Statistics>,
 }
 
-impl Turning<'_> {
+impl HeadingAlignment<'_> {
     /// The angles about the vertical, in radians, by which windows `[windows, channels, length]` face
     /// as their neighbours do where they overlap. Windows with `known` frames face as those say, and
     /// without any the first window stays as it is.
@@ -215,7 +215,7 @@ mod tests {
         let (motion, windows) = (random_phrase(3, 61), Windows::new(61, 24));
         let by: Vec<f64> = (0..windows.len()).map(|w| 2.3 * w as f64).collect();
         let parts = cut(&windows, &motion, &by);
-        let turning = Turning {
+        let turning = HeadingAlignment {
             layout: Layout::Phrase,
             statistics: None,
         };
@@ -258,7 +258,7 @@ mod tests {
             let std = (0..channels).map(|c| 0.5 + 0.03 * c as f64);
             let statistics = Statistics::new(mean.collect(), std.collect(), None).unwrap();
             let own = |motion: &Motion| statistics.normalize(&encoding.encode(motion.as_slice()));
-            let turning = Turning {
+            let turning = HeadingAlignment {
                 layout: Layout::Predicted(encoding),
                 statistics: Some(&statistics),
             };
