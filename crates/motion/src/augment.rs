@@ -66,7 +66,7 @@ mod tests {
     use super::*;
     use crate::derivatives::rederive;
     use crate::phrase::PHASE;
-    use crate::wandering::wandering;
+    use crate::random_phrase::random_phrase;
     use crate::{CHANNELS, Profile, channel_name, check};
 
     /// The rounding of single precision through two differences: positions of about 1 m carry
@@ -121,7 +121,7 @@ mod tests {
 
     #[test]
     fn a_mirrored_body_looks_the_mirrored_way() {
-        let mut motion = wandering(5, 2);
+        let mut motion = random_phrase(5, 2);
         let forward = motion.quaternion(1).rotate([0.0, 0.0, 1.0]);
         mirror(&mut motion);
         let mirrored = motion.quaternion(1).rotate([0.0, 0.0, 1.0]);
@@ -134,22 +134,22 @@ mod tests {
     proptest! {
         #[test]
         fn turning_commutes_with_derivation(seed: u64, angle in -7.0f64..7.0, frames in 4usize..40) {
-            assert_commutes(&wandering(seed, frames), |motion| rotate_yaw(motion, angle));
+            assert_commutes(&random_phrase(seed, frames), |motion| rotate_yaw(motion, angle));
         }
 
         #[test]
         fn mirroring_commutes_with_derivation(seed: u64, frames in 4usize..40) {
-            assert_commutes(&wandering(seed, frames), mirror);
+            assert_commutes(&random_phrase(seed, frames), mirror);
         }
 
         #[test]
         fn anchoring_commutes_with_derivation(seed: u64, frames in 4usize..40) {
-            assert_commutes(&wandering(seed, frames), anchor_floor);
+            assert_commutes(&random_phrase(seed, frames), anchor_floor);
         }
 
         #[test]
         fn mirroring_twice_changes_nothing(seed: u64, frames in 1usize..20) {
-            let original = wandering(seed, frames);
+            let original = random_phrase(seed, frames);
             let mut motion = original.clone();
             mirror(&mut motion);
             prop_assert_ne!(&motion, &original);
@@ -159,7 +159,7 @@ mod tests {
 
         #[test]
         fn turning_forth_and_back_changes_nothing(seed: u64, angle in -7.0f64..7.0) {
-            let original = wandering(seed, 10);
+            let original = random_phrase(seed, 10);
             let mut motion = original.clone();
             rotate_yaw(&mut motion, angle);
             rotate_yaw(&mut motion, -angle);
@@ -170,7 +170,7 @@ mod tests {
 
         #[test]
         fn an_anchored_phrase_starts_at_the_origin(seed: u64) {
-            let original = wandering(seed, 10);
+            let original = random_phrase(seed, 10);
             let mut motion = original.clone();
             anchor_floor(&mut motion);
             let [x, y, z] = motion.vector(0, POSITION);
@@ -181,7 +181,7 @@ mod tests {
 
     #[test]
     fn mirroring_negates_the_channels_that_it_names() {
-        let original = wandering(3, 10);
+        let original = random_phrase(3, 10);
         let mut mirrored = original.clone();
         mirror(&mut mirrored);
         for (t, channel) in (0..10).flat_map(|t| (0..CHANNELS).map(move |c| (t, c))) {

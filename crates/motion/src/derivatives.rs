@@ -196,7 +196,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::wandering::wandering;
+    use crate::random_phrase::random_phrase;
 
     #[test]
     fn differences_look_forward_and_repeat_the_last() {
@@ -255,7 +255,7 @@ mod tests {
 
     #[test]
     fn errors_and_jerk_are_measured() {
-        let mut motion = wandering(3, 12);
+        let mut motion = random_phrase(3, 12);
         for t in 0..12 {
             let [x, y, z] = motion.vector(t, VELOCITY);
             motion.set_vector(t, VELOCITY, [x + 3.0, y - 4.0, z]);
@@ -271,7 +271,7 @@ mod tests {
     proptest! {
         #[test]
         fn derived_phrases_are_coherent(seed: u64, frames in 1usize..50) {
-            let motion = wandering(seed, frames);
+            let motion = random_phrase(seed, frames);
             prop_assert!(mean_norm(&velocity_errors(&motion)) < 1e-6);
             prop_assert!(mean_norm(&acceleration_errors(&motion)) < 1e-5);
             for t in 1..frames {

@@ -45,7 +45,7 @@ pub mod time_stretch;
 pub mod vector;
 
 #[cfg(test)]
-mod wandering;
+mod random_phrase;
 
 pub use augment::{anchor_floor, mirror, rotate_yaw};
 pub use channel_encoding::{ChannelEncoding, OrientationEncoding, PhaseEncoding};

@@ -7,7 +7,7 @@ use kinegrad_random::{Key, Purpose};
 use crate::{FPS, Motion, Quaternion, derive};
 
 /// A coherent phrase of `frames` frames: sums of slow sines in position and rotation.
-pub fn wandering(seed: u64, frames: usize) -> Motion {
+pub fn random_phrase(seed: u64, frames: usize) -> Motion {
     let key = Key::new(seed, Purpose::Synthetic);
     let wave = |channel: u64, t: usize| -> f64 {
         let draws = key.at(channel).uniforms(6);

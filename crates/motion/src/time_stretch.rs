@@ -138,7 +138,7 @@ mod tests {
 
     use super::*;
     use crate::phrase::{ACCELERATION, ANGULAR_VELOCITY};
-    use crate::wandering::wandering;
+    use crate::random_phrase::random_phrase;
 
     #[test]
     fn a_spline_follows_parabolas_and_waves() {
@@ -175,14 +175,17 @@ mod tests {
             (120, 1.2, 100),
         ] {
             assert_eq!(frames_at_speed(frames, speed), expected, "{frames} {speed}");
-            assert_eq!(at_speed(&wandering(1, frames), speed).frames(), expected);
+            assert_eq!(
+                at_speed(&random_phrase(1, frames), speed).frames(),
+                expected
+            );
         }
     }
 
     #[test]
     fn the_same_path_is_gone_in_another_time() {
         for speed in [0.8, 1.25] {
-            let original = wandering(5, 60);
+            let original = random_phrase(5, 60);
             let played = at_speed(&original, speed);
             let mut checked = 0;
             for t in 2..played.frames() - 3 {

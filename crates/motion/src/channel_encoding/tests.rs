@@ -2,7 +2,7 @@ use proptest::prelude::*;
 
 use super::*;
 use crate::phrase::{POSITION, VELOCITY};
-use crate::wandering::wandering;
+use crate::random_phrase::random_phrase;
 use crate::{channel_name, mirror};
 
 /// All combinations.
@@ -22,7 +22,7 @@ fn all() -> Vec<ChannelEncoding> {
 
 /// A phrase that turns all ways, whose quaternions change sign and whose phase wraps.
 fn phrase(seed: u64, frames: usize) -> Motion {
-    let mut motion = wandering(seed, frames);
+    let mut motion = random_phrase(seed, frames);
     for t in 0..frames {
         let angle = 0.4 * t as f64 + seed as f64;
         let unit = Quaternion::from_rotation_vector([angle.sin(), 1.3 * angle, 0.7]);
@@ -252,7 +252,7 @@ fn beats_place_what_the_bar_leaves_open() {
     // A mean over all beats of a bar says nothing of the bar.
     let mut mean = vec![0.0; targets.channels()];
     for beat in 0..4 {
-        let mut motion = wandering(0, 1);
+        let mut motion = random_phrase(0, 1);
         motion.frame_mut(0)[PHASE] = 0.25 * beat as f32 + 0.05;
         let rows = targets.encode(motion.as_slice());
         mean.iter_mut()
@@ -302,7 +302,7 @@ proptest! {
     #[test]
     fn phases_come_back_in_the_bar(phase in 0.0f32..1.0, radius in 0.01f32..3.0) {
         let targets = ChannelEncoding { phase: PhaseEncoding::SinCos, ..ChannelEncoding::default() };
-        let mut motion = wandering(0, 1);
+        let mut motion = random_phrase(0, 1);
         motion.frame_mut(0)[PHASE] = phase;
         let mut rows = targets.encode(motion.as_slice()).into_owned();
         rows[targets.phase_channels()].iter_mut().for_each(|value| *value *= radius);
@@ -332,7 +332,7 @@ fn a_mean_of_orientations_that_differ_is_unsure() {
             ..ChannelEncoding::default()
         };
         let encoded = |turn: f64| {
-            let mut motion = wandering(3, 2);
+            let mut motion = random_phrase(3, 2);
             // The first frame of a canonical sample is at rest.
             motion.set_quaternion(0, Quaternion::IDENTITY);
             motion.set_quaternion(1, Quaternion::from_rotation_vector([turn, 0.4 * turn, 0.0]));

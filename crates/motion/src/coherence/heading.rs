@@ -124,7 +124,7 @@ mod tests {
 
     /// A body that turns about the vertical while it leans to and fro, by at most 20 degrees.
     fn turning(frames: usize) -> Motion {
-        let mut motion = crate::wandering::wandering(4, frames);
+        let mut motion = crate::random_phrase::random_phrase(4, frames);
         for t in 0..frames {
             let lean = 0.35 * (0.2 * t as f64).sin();
             let turn = Quaternion::from_yaw(1.2 * (0.05 * t as f64).sin() + 0.02 * t as f64);
@@ -241,7 +241,7 @@ mod tests {
             (165.0, 0.3),
             (180.0, 0.3),
         ] {
-            let mut motion = crate::wandering::wandering(4, 150);
+            let mut motion = crate::random_phrase::random_phrase(4, 150);
             let noise = kinegrad_random::Key::new(3, kinegrad_random::Purpose::Noise).normals(900);
             for t in 0..150 {
                 let pitch = peak.to_radians() * (0.021 * t as f64).sin().abs();

@@ -149,7 +149,7 @@ mod tests {
     use kinegrad_random::{Key, Purpose};
 
     use super::*;
-    use crate::wandering::wandering;
+    use crate::random_phrase::random_phrase;
 
     /// Mean angle in radians between the orientations of two motions.
     fn apart(a: &Motion, b: &Motion) -> f64 {
@@ -187,7 +187,7 @@ mod tests {
     #[test]
     fn orientations_that_agree_stay() {
         for frames in [1, 2, 3, 47] {
-            let original = wandering(5, frames);
+            let original = random_phrase(5, frames);
             let mut fitted = original.clone();
             fit_orientation(&mut fitted, &[0.7; 25], &vec![false; frames]);
             assert!(apart(&original, &fitted) < 1e-4, "{frames}");
@@ -196,7 +196,7 @@ mod tests {
 
     #[test]
     fn shaking_goes_and_the_turn_stays() {
-        let original = wandering(6, 120);
+        let original = random_phrase(6, 120);
         let shaken = shaken(&original, 0.1, 0.1);
         let mut fitted = shaken.clone();
         fit_orientation(&mut fitted, &[1.0; 25], &[false; 120]);
@@ -217,7 +217,7 @@ mod tests {
 
     #[test]
     fn known_frames_stay_and_the_others_turn_towards_them() {
-        let original = wandering(7, 60);
+        let original = random_phrase(7, 60);
         let mut motion = original.clone();
         for t in 20..60 {
             // The rest faces elsewhere, and says the same of how it turns.

@@ -316,7 +316,7 @@ mod tests {
 
     #[test]
     fn an_axis_that_hardly_moves_keeps_its_precision() {
-        let mut motion = crate::wandering::wandering(2, 600);
+        let mut motion = crate::random_phrase::random_phrase(2, 600);
         let original = motion.clone();
         let mut std = [0.9; 25];
         std[VELOCITY].fill(1e-7);
@@ -332,7 +332,7 @@ mod tests {
 
     #[test]
     fn known_positions_hold_where_known_accelerations_say_otherwise() {
-        let mut motion = crate::wandering::wandering(5, 90);
+        let mut motion = crate::random_phrase::random_phrase(5, 90);
         let noise = Key::new(1, Purpose::Noise).normals(90);
         for (t, noise) in noise.into_iter().enumerate().take(58) {
             let [x, y, z] = motion.vector(t, ACCELERATION);
@@ -348,7 +348,7 @@ mod tests {
 
     #[test]
     fn a_fit_passes_through_what_is_known_and_goes_on_from_there() {
-        let mut motion = crate::wandering::wandering(3, 60);
+        let mut motion = crate::random_phrase::random_phrase(3, 60);
         let original = motion.clone();
         for t in 20..60 {
             // The rest lies 2 m aside.

@@ -230,7 +230,7 @@ impl Features {
 mod tests {
     use proptest::prelude::*;
 
-    use super::super::{Extraction, moving};
+    use super::super::{Extraction, test_clip};
     use super::*;
 
     /// Relative features as of a real clip: small changes, other channels by their number.
@@ -273,7 +273,7 @@ mod tests {
     fn a_part_of_an_absolute_clip_stays_where_it_is() {
         let skeleton = Skeleton::humanml3d();
         let clip = Extraction::default()
-            .features(&skeleton, &moving(&skeleton, 20))
+            .features(&skeleton, &test_clip(&skeleton, 20))
             .unwrap();
         let absolute = clip.to_absolute();
         let part = absolute.slice(5..9);
@@ -293,7 +293,7 @@ mod tests {
             ..Extraction::default()
         };
         for skeleton in [Skeleton::humanml3d(), Skeleton::kit()] {
-            let joints = moving(&skeleton, 30);
+            let joints = test_clip(&skeleton, 30);
             let features = extraction.features(&skeleton, &joints).unwrap();
             let mirrored = joints.mirror(&skeleton).unwrap();
             assert_eq!(mirrored.mirror(&skeleton).unwrap(), joints);
@@ -308,7 +308,7 @@ mod tests {
     #[test]
     fn features_of_any_skeleton_lead_back_to_its_joints() {
         for skeleton in [Skeleton::humanml3d(), Skeleton::kit()] {
-            let joints = moving(&skeleton, 30);
+            let joints = test_clip(&skeleton, 30);
             let joints = super::super::extract::canonicalize(&skeleton, &joints).unwrap();
             let features = Extraction::default().features(&skeleton, &joints).unwrap();
             for found in [

@@ -55,9 +55,9 @@ mod validate;
 pub mod walk;
 
 #[cfg(test)]
-mod moving;
+mod test_clip;
 #[cfg(test)]
-pub(crate) use moving::moving;
+pub(crate) use test_clip::test_clip;
 
 pub use bone_rotations::Heading;
 pub use description::{FaceJoints, Feet, SkeletonDescription};

@@ -78,14 +78,14 @@ impl NextPose {
 
 #[cfg(test)]
 mod tests {
-    use super::super::{Extraction, FeatureStream, Heading, Skeleton, moving};
+    use super::super::{Extraction, FeatureStream, Heading, Skeleton, test_clip};
     use super::*;
     use crate::vector::length;
 
     #[test]
     fn targets_lead_to_the_next_frame() {
         for skeleton in [Skeleton::humanml3d(), Skeleton::kit()] {
-            let clip = moving(&skeleton, 20);
+            let clip = test_clip(&skeleton, 20);
             let extraction = Extraction {
                 rescale: false,
                 heading: Heading::Raw,

@@ -141,7 +141,7 @@ pub fn with_bones(
 mod tests {
     use proptest::prelude::*;
 
-    use super::super::moving;
+    use super::super::test_clip;
     use super::*;
     use crate::vector::length;
 
@@ -167,7 +167,7 @@ mod tests {
             kit in any::<bool>(),
         ) {
             let skeleton = if kit { Skeleton::kit() } else { Skeleton::humanml3d() };
-            let clip = moving(&skeleton, frames);
+            let clip = test_clip(&skeleton, frames);
             let places = clip.as_slice().iter().enumerate().map(|(at, place)| {
                 let shift = |i: usize| noise[(at * 7 + i) % noise.len()];
                 [0, 1, 2].map(|i| place[i] + shift(i))
@@ -188,7 +188,7 @@ mod tests {
             stretch in proptest::collection::vec(0.5..1.5f64, 22),
         ) {
             let skeleton = Skeleton::humanml3d();
-            let clip = moving(&skeleton, 9);
+            let clip = test_clip(&skeleton, 9);
             let frame = clip.frame(8);
             let offsets = skeleton.offsets_of_frame(clip.frame(0));
             let mut stretched = frame.to_vec();
@@ -208,7 +208,7 @@ mod tests {
     #[test]
     fn a_motion_may_begin_facing_anywhere() {
         let skeleton = Skeleton::humanml3d();
-        let clip = moving(&skeleton, 12);
+        let clip = test_clip(&skeleton, 12);
         let turn = Quaternion::from_yaw(2.0);
         let turned: Vec<[f64; 3]> = clip.as_slice().iter().map(|p| turn.rotate(*p)).collect();
         let turned = Joints::new(turned, skeleton.joints()).unwrap();
@@ -236,7 +236,7 @@ mod tests {
     #[test]
     fn raw_and_smoothed_heading_are_not_the_same() {
         let skeleton = Skeleton::humanml3d();
-        let clip = moving(&skeleton, 30);
+        let clip = test_clip(&skeleton, 30);
         let smoothed = Extraction {
             heading: Heading::Smoothed,
             ..raw()
@@ -249,7 +249,7 @@ mod tests {
     #[test]
     fn a_bad_frame_is_refused_and_leaves_the_stream_as_it_was() {
         let skeleton = Skeleton::humanml3d();
-        let clip = moving(&skeleton, 3);
+        let clip = test_clip(&skeleton, 3);
         let mut stream = stream(&skeleton);
         let mut untouched = stream.clone();
         for s in [&mut stream, &mut untouched] {

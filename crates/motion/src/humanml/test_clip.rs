@@ -6,7 +6,7 @@ use crate::vector::plus;
 
 /// A clip of `frames` frames in which every bone swings about its rest pose by its own angles,
 /// while the body walks and turns.
-pub fn moving(skeleton: &Skeleton, frames: usize) -> Joints {
+pub fn test_clip(skeleton: &Skeleton, frames: usize) -> Joints {
     let rest = &skeleton.description().rest_offsets;
     let mut values = Vec::with_capacity(frames * rest.len());
     for t in 0..frames {

@@ -58,13 +58,13 @@ impl FeatureLayout {
 
 #[cfg(test)]
 mod tests {
-    use super::super::{Extraction, Features, Joints, Root, Skeleton, moving};
+    use super::super::{Extraction, Features, Joints, Root, Skeleton, test_clip};
 
     #[test]
     fn features_of_millimetres_become_those_of_metres() {
         let skeleton = Skeleton::kit();
         let layout = skeleton.layout();
-        let joints = moving(&skeleton, 20);
+        let joints = test_clip(&skeleton, 20);
         let extraction = |unit: f64| Extraction {
             rescale: false,
             contact_threshold: 0.002 * unit * unit,

@@ -72,10 +72,10 @@ mod tests {
 
     use super::*;
     use crate::CHANNELS;
-    use crate::wandering::wandering;
+    use crate::random_phrase::random_phrase;
 
     fn training() -> Statistics {
-        let phrases: Vec<Motion> = (0..5).map(|seed| wandering(seed, 40)).collect();
+        let phrases: Vec<Motion> = (0..5).map(|seed| random_phrase(seed, 40)).collect();
         crate::phrase_statistics(&phrases).unwrap()
     }
 
@@ -113,7 +113,7 @@ mod tests {
     #[test]
     fn unequal_phrases_are_compared_over_the_shorter_one() {
         let training = training();
-        let (long, short) = (wandering(8, 30), wandering(9, 20));
+        let (long, short) = (random_phrase(8, 30), random_phrase(9, 20));
         let cut = trajectory_distance(&long.slice(0..20), &short, &training);
         assert_eq!(trajectory_distance(&long, &short, &training), cut);
         assert_eq!(trajectory_distance(&short, &long, &training), cut);
@@ -122,7 +122,7 @@ mod tests {
     #[test]
     fn too_few_or_broken_phrases_have_no_diversity() {
         let training = training();
-        let good = wandering(1, 10);
+        let good = random_phrase(1, 10);
         assert_eq!(diversity(&[], &training), None);
         assert_eq!(diversity(&[&good], &training), None);
         assert_eq!(diversity(&[&good, &good], &training), Some(0.0));
@@ -160,7 +160,7 @@ mod tests {
         #[test]
         fn order_does_not_matter_and_scale_carries_over(seed: u64, factor in 1.0f32..10.0) {
             let training = training();
-            let phrases = [0, 1, 2].map(|i| wandering(seed.wrapping_add(i), 12));
+            let phrases = [0, 1, 2].map(|i| random_phrase(seed.wrapping_add(i), 12));
             let [a, b, c] = phrases.each_ref();
             let straight = diversity(&[a, b, c], &training).unwrap();
             let shuffled = diversity(&[c, a, b], &training).unwrap();

@@ -97,7 +97,7 @@ mod tests {
 
     use super::*;
     use crate::CHANNELS;
-    use crate::wandering::wandering;
+    use crate::random_phrase::random_phrase;
 
     fn moments(features: &[&[f64]]) -> FeatureMoments {
         let features: Vec<_> = features.iter().map(|vector| vector.to_vec()).collect();
@@ -146,7 +146,7 @@ mod tests {
 
     #[test]
     fn features_are_means_then_deviations_in_training_units() {
-        let mut training = crate::phrase_statistics([&wandering(0, 9)]).unwrap();
+        let mut training = crate::phrase_statistics([&random_phrase(0, 9)]).unwrap();
         training.std[..9].fill(1.0);
         training.std[4] = 0.5;
         let mut motion = Motion::new(vec![0.0; 2 * CHANNELS]).unwrap();

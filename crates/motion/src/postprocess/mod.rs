@@ -232,10 +232,10 @@ mod tests {
     use super::*;
     use crate::Quaternion;
     use crate::derivatives::{mean_norm, velocity_errors};
-    use crate::wandering::wandering;
+    use crate::random_phrase::random_phrase;
 
     fn wild(frames: usize) -> Motion {
-        let mut motion = wandering(8, frames);
+        let mut motion = random_phrase(8, frames);
         for t in 0..frames {
             motion.set_vector(t, POSITION, [150.0, -20.0, -101.0]);
             motion.set_vector(t, VELOCITY, [49.0, 51.0, -1e9]);
@@ -248,7 +248,7 @@ mod tests {
 
     #[test]
     fn the_defaults_leave_a_sound_phrase_alone() {
-        let motion = wandering(1, 60);
+        let motion = random_phrase(1, 60);
         let processed = process(&motion, &PostProcessConfig::default(), None);
         let pairs = processed.as_slice().iter().zip(motion.as_slice());
         for (index, (after, before)) in pairs.enumerate() {
@@ -261,7 +261,7 @@ mod tests {
 
     #[test]
     fn the_angular_velocity_is_that_of_the_written_quaternions() {
-        let mut motion = wandering(5, 31);
+        let mut motion = random_phrase(5, 31);
         for t in 0..31 {
             // Short quaternions of either sign, and an account that has nothing to do with them.
             let sign = if t % 3 == 0 { -0.6 } else { 0.6 };
@@ -303,7 +303,7 @@ mod tests {
         assert_eq!(bare.vector(1, ANGULAR_VELOCITY), [-10.0, 9.0, 10.0]);
         assert_eq!(bare.frame(1)[PHASE], 1.0);
 
-        let mut training = wandering(2, 3);
+        let mut training = random_phrase(2, 3);
         training.set_vector(0, ANGULAR_VELOCITY, [0.0, 0.0, 20.0]);
         training.set_vector(1, ANGULAR_VELOCITY, [-30.0, 0.0, 0.0]);
         let statistics = crate::phrase_statistics([&training]).unwrap();
@@ -322,7 +322,7 @@ mod tests {
 
     #[test]
     fn backward_phase_is_held_and_the_next_bar_begins() {
-        let mut motion = wandering(4, 6);
+        let mut motion = random_phrase(4, 6);
         for (t, phase) in [0.8, 0.7, 0.75, 0.9, 0.2, 0.1].into_iter().enumerate() {
             motion.frame_mut(t)[PHASE] = phase;
         }
@@ -337,7 +337,7 @@ mod tests {
 
     #[test]
     fn coherence_blends_half_of_the_backward_difference() {
-        let mut motion = wandering(4, 3);
+        let mut motion = random_phrase(4, 3);
         for (t, x) in [0.0, 1.0, 3.0].into_iter().enumerate() {
             motion.set_vector(t, POSITION, [x, 0.0, 0.0]);
             motion.set_vector(t, VELOCITY, [10.0, 0.0, 0.0]);
@@ -359,7 +359,7 @@ mod tests {
 
     #[test]
     fn forward_differences_halve_what_the_checks_measure() {
-        let mut motion = wandering(4, 30);
+        let mut motion = random_phrase(4, 30);
         for t in 0..30 {
             let v = motion.vector(t, VELOCITY);
             let wrong = if t % 3 == 0 { 0.9 } else { -0.4 };
@@ -376,7 +376,7 @@ mod tests {
 
     #[test]
     fn smoothing_is_a_centred_mean_of_vectors_and_style() {
-        let mut motion = wandering(4, 4);
+        let mut motion = random_phrase(4, 4);
         for (t, value) in [0.0, 3.0, 6.0, 12.0].into_iter().enumerate() {
             motion.set_vector(t, POSITION, [value; 3]);
             motion.frame_mut(t)[STYLE.end - 1] = value as f32;
@@ -405,7 +405,7 @@ mod tests {
             ..PostProcessConfig::default()
         };
         for frames in 1..4 {
-            let motion = wandering(6, frames);
+            let motion = random_phrase(6, frames);
             for (kernel, limit) in [(0, -1.0), (1, f64::NAN), (8, 0.0)] {
                 let config = PostProcessConfig {
                     quaternion_smoothing_window: kernel,
@@ -425,7 +425,7 @@ mod tests {
 
     #[test]
     fn nan_is_not_hidden() {
-        let mut motion = wandering(6, 5);
+        let mut motion = random_phrase(6, 5);
         let channels = 0..CHANNELS;
         channels
             .clone()
@@ -444,7 +444,7 @@ mod tests {
 
     #[test]
     fn a_lost_orientation_is_held() {
-        let mut motion = wandering(6, 3);
+        let mut motion = random_phrase(6, 3);
         motion.set_quaternion(1, Quaternion::new(0.0, 1e-12, 0.0, 0.0));
         let processed = process(&motion, &PostProcessConfig::default(), None);
         assert_eq!(processed.quaternion(1), processed.quaternion(0));

@@ -369,7 +369,7 @@ mod tests {
         let representation = JointPositions {
             skeleton: skeleton.clone(),
         };
-        let joints = crate::humanml::moving(&skeleton, 4);
+        let joints = crate::humanml::test_clip(&skeleton, 4);
         let metres = representation.joints(&joints.to_f32()).unwrap();
         for unit in [1e3, 1e2] {
             let large: Vec<f32> = joints.to_f32().iter().map(|value| unit * value).collect();

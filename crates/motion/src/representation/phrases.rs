@@ -131,11 +131,11 @@ impl Representation for Phrases {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::wandering::wandering;
+    use crate::random_phrase::random_phrase;
 
     #[test]
     fn quaternions_stay_and_the_phase_is_centred() {
-        let phrases: Vec<Motion> = (0..5).map(|seed| wandering(seed, 20)).collect();
+        let phrases: Vec<Motion> = (0..5).map(|seed| random_phrase(seed, 20)).collect();
         let statistics = phrase_statistics(&phrases).unwrap();
         assert_eq!((statistics.items, statistics.frames), (5, 100));
         for phrase in &phrases {
@@ -150,7 +150,7 @@ mod tests {
 
     #[test]
     fn curves_show_how_the_poses_move_beside_what_the_channels_say() {
-        let mut motion = wandering(3, 40);
+        let mut motion = random_phrase(3, 40);
         motion.set_vector(20, POSITION, motion.vector(20, POSITION).map(|x| x + 0.05));
         let curves = Phrases.curves(motion.as_slice());
         let largest = |title: &str, series: usize| {

@@ -125,7 +125,7 @@ fn floor(joints: &Joints) -> Check {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::humanml::moving;
+    use crate::humanml::test_clip;
     use crate::representation::{JointPositions, Representation, statistics_of};
 
     fn representation() -> JointPositions {
@@ -137,7 +137,7 @@ mod tests {
     /// The checks that a good clip fails after a change of its joints, `[frames, 22, 3]`.
     fn failing(change: impl Fn(usize, usize, &mut [f32; 3])) -> Vec<&'static str> {
         let representation = representation();
-        let mut good = moving(&representation.skeleton, 40).to_f32();
+        let mut good = test_clip(&representation.skeleton, 40).to_f32();
         // High enough that no swinging foot reaches the floor.
         good.iter_mut()
             .skip(1)

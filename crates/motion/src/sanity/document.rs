@@ -58,11 +58,11 @@ mod tests {
     use super::*;
     use crate::phrase::PHASE;
     use crate::phrase::{ACCELERATION, VELOCITY};
-    use crate::wandering::wandering;
+    use crate::random_phrase::random_phrase;
 
     /// Changes every frame of a good phrase, then names the checks that fail.
     fn failing(change: impl Fn(&mut Motion, usize)) -> Vec<&'static str> {
-        let mut motion = wandering(7, 20);
+        let mut motion = random_phrase(7, 20);
         (0..20).for_each(|t| change(&mut motion, t));
         let report = check(&motion);
         report
@@ -82,7 +82,7 @@ mod tests {
 
     #[test]
     fn a_good_phrase_passes_five_checks() {
-        let report = check(&wandering(7, 20));
+        let report = check(&random_phrase(7, 20));
         let names: Vec<_> = report.checks.iter().map(|check| check.name).collect();
         let document = [
             "quaternion",

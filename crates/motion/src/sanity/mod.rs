@@ -123,11 +123,11 @@ fn range(values: impl Iterator<Item = f64>) -> [f64; 2] {
 mod tests {
     use super::*;
     use crate::CHANNELS;
-    use crate::wandering::wandering;
+    use crate::random_phrase::random_phrase;
 
     #[test]
     fn strict_without_statistics_says_where_to_take_them_from() {
-        let error = check(&wandering(1, 5), Profile::Strict, None).unwrap_err();
+        let error = check(&random_phrase(1, 5), Profile::Strict, None).unwrap_err();
         let help = miette::Diagnostic::help(&error).unwrap().to_string();
         assert!(
             help.contains("--run") && help.contains("--source"),
@@ -137,7 +137,7 @@ mod tests {
 
     #[test]
     fn one_bad_value_in_any_channel_fails_both_profiles() {
-        let good = wandering(2, 6);
+        let good = random_phrase(2, 6);
         let statistics = crate::phrase_statistics([&good]).unwrap();
         for profile in [Profile::Document, Profile::Strict] {
             assert!(check(&good, profile, Some(&statistics)).unwrap().passed);
@@ -155,9 +155,9 @@ mod tests {
 
     #[test]
     fn nan_makes_the_measured_value_nan_and_the_check_fail() {
-        let mut motion = wandering(2, 6);
+        let mut motion = random_phrase(2, 6);
         (0..CHANNELS).for_each(|channel| motion.frame_mut(3)[channel] = f32::NAN);
-        let statistics = crate::phrase_statistics([&wandering(2, 6)]).unwrap();
+        let statistics = crate::phrase_statistics([&random_phrase(2, 6)]).unwrap();
         for profile in [Profile::Document, Profile::Strict] {
             let report = check(&motion, profile, Some(&statistics)).unwrap();
             assert!(
@@ -169,9 +169,9 @@ mod tests {
 
     #[test]
     fn the_shortest_phrases_are_checked() {
-        let statistics = crate::phrase_statistics([&wandering(2, 40)]).unwrap();
+        let statistics = crate::phrase_statistics([&random_phrase(2, 40)]).unwrap();
         for frames in [1, 2] {
-            let motion = wandering(2, frames);
+            let motion = random_phrase(2, frames);
             for profile in [Profile::Document, Profile::Strict] {
                 let report = check(&motion, profile, Some(&statistics)).unwrap();
                 assert!(report.passed, "{profile:?}, {frames}: {report:#?}");

@@ -1,5 +1,5 @@
 use super::*;
-use crate::wandering::wandering;
+use crate::random_phrase::random_phrase;
 use crate::{Motion, anchor_floor};
 
 /// The windows of a motion, each anchored where it begins.
@@ -52,7 +52,7 @@ fn windows_cover_all_frames_and_overlap() {
 
 #[test]
 fn pieces_of_a_motion_make_the_motion() {
-    let mut motion = wandering(4, 91);
+    let mut motion = random_phrase(4, 91);
     anchor_floor(&mut motion);
     let windows = Windows::new(91, 24);
     let mut values = cut(&windows, &motion);
@@ -92,16 +92,16 @@ fn phases_are_blended_on_their_circle() {
 
 #[test]
 fn pieces_in_other_targets_make_the_motion() {
-    let mut motion = wandering(4, 91);
+    let mut motion = random_phrase(4, 91);
     anchor_floor(&mut motion);
-    let targets = ChannelEncoding {
+    let encoding = ChannelEncoding {
         phase: PhaseEncoding::SinCos,
         orientation: OrientationEncoding::Rotation6d,
     };
-    let layout = Layout::Predicted(targets);
+    let layout = Layout::Predicted(encoding);
     let columns = |motion: &Motion| {
-        let rows = targets.encode(motion.as_slice()).into_owned();
-        let channels = targets.channels();
+        let rows = encoding.encode(motion.as_slice()).into_owned();
+        let channels = encoding.channels();
         (0..channels)
             .flat_map(|c| {
                 rows.iter()
@@ -130,7 +130,7 @@ fn pieces_in_other_targets_make_the_motion() {
     };
     let mut still = vec![0.0; values.len()];
     let stitched = windows.stitch(&mut still, Some(&known), layout);
-    let sine = targets.phase_channels().start * 91;
+    let sine = encoding.phase_channels().start * 91;
     assert_eq!(
         stitched[sine + 30..sine + 40],
         known.values[sine + 30..sine + 40]
@@ -168,7 +168,7 @@ fn predicted_phases_of_one_number_are_blended_around_the_bar() {
 fn windows_that_differ_agree_afterwards() {
     let windows = Windows::new(50, 20);
     let mut values: Vec<f32> = (0..windows.len())
-        .flat_map(|window| wandering(window as u64, 20).channel_major())
+        .flat_map(|window| random_phrase(window as u64, 20).channel_major())
         .collect();
     let motion = windows.stitch(&mut values, None, Layout::Phrase);
     let height = |window: usize, t: usize| {
@@ -186,7 +186,7 @@ fn windows_that_differ_agree_afterwards() {
 
 #[test]
 fn known_frames_are_met_exactly_and_say_where_the_motion_stands() {
-    let mut motion = wandering(8, 70);
+    let mut motion = random_phrase(8, 70);
     for t in 0..70 {
         let [x, y, z] = motion.vector(t, POSITION);
         motion.set_vector(t, POSITION, [x + 40.0, y, z - 7.0]);
