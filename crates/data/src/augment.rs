@@ -7,8 +7,8 @@ use kinegrad_motion::time_stretch::{at_speed, frames_at_speed};
 use kinegrad_motion::{Motion, anchor_floor, mirror, rotate_yaw};
 use kinegrad_random::{Key, Purpose};
 
+use crate::context_window::{ContextWindow, Window};
 use crate::features::{AUDIO_CHANNELS, AudioFeatures};
-use crate::passage::{Passage, Window};
 use crate::{AugmentConfig, Crop, DataConfig, time_stretch};
 
 // Counters below the sample's key, one for each augmentation: switching one on moves no other.
@@ -54,11 +54,11 @@ impl Augmentation {
         }
     }
 
-    /// Motion and audio of sample `n`, taken from `passage`: at most `target_frames` frames, in
+    /// Motion and audio of sample `n`, taken from `context`: at most `target_frames` frames, in
     /// the dataset's units.
     pub fn windows<'a>(
         &self,
-        passage: &'a Passage,
+        context: &'a ContextWindow,
         n: u64,
     ) -> (Window<'a, Motion>, Window<'a, AudioFeatures>) {
         let AugmentConfig {
@@ -75,20 +75,20 @@ impl Augmentation {
         } = self.augment;
         let key = Key::new(self.seed, Purpose::Augment).at(n);
         let speed = self.speed(key.at(SPEED));
-        let mut window = self.crop(passage, speed, n);
+        let mut window = self.crop(context, speed, n);
         if let Some(min_frames) = min_frames {
             window = sub_window(window, played_by(min_frames, speed), key.at(WINDOW));
         }
         let frames = frames_at_speed(window.len(), speed).min(self.target_frames);
         // A leading crop without any of these stays as stored.
         let anchor = window.start > 0 || reflect || turn || min_frames.is_some() || speed != 1.0;
-        let (mut motion, mut audio) = passage.window(window.clone());
+        let (mut motion, mut audio) = context.window(window.clone());
         if anchor || flip {
             let mut changed = match speed {
-                1.0 => passage.take.motion.slice(window.clone()),
+                1.0 => context.take.motion.slice(window.clone()),
                 speed => {
-                    let behind = (window.end + BEHIND).min(passage.take.frames());
-                    at_speed(&passage.take.motion.slice(window.start..behind), speed)
+                    let behind = (window.end + BEHIND).min(context.take.frames());
+                    at_speed(&context.take.motion.slice(window.start..behind), speed)
                         .slice(0..frames)
                 }
             };
@@ -107,7 +107,7 @@ impl Augmentation {
             motion = owned(changed, Motion::frames);
         }
         if speed != 1.0 {
-            let played = time_stretch::at_speed(&passage.take.audio.slice(window), speed);
+            let played = time_stretch::at_speed(&context.take.audio.slice(window), speed);
             audio = owned(played.slice(0..frames), AudioFeatures::frames);
         }
         let drops_bar = bar_drop_prob > 0.0 && key.at(BAR_DROP).uniform() < bar_drop_prob;
@@ -140,17 +140,17 @@ impl Augmentation {
         }
     }
 
-    /// The frames that sample `n` sees of a passage, `target_frames` of them when they are played
+    /// The frames that sample `n` sees of a context, `target_frames` of them when they are played
     /// at `speed`, or all of a shorter take.
-    fn crop(&self, passage: &Passage, speed: f64, n: u64) -> Range<usize> {
+    fn crop(&self, context: &ContextWindow, speed: f64, n: u64) -> Range<usize> {
         let target_frames = played_by(self.target_frames, speed);
-        let starts = passage.starts(target_frames);
-        let length = passage.take.frames().min(target_frames);
+        let starts = context.starts(target_frames);
+        let length = context.take.frames().min(target_frames);
         let start = match self.crop {
             Crop::Random if starts.len() > 1 => {
                 starts.start + below(starts.len(), Key::new(self.seed, Purpose::Crop).at(n))
             }
-            Crop::Random | Crop::Leading => passage.own.start.min(starts.end - 1),
+            Crop::Random | Crop::Leading => context.own.start.min(starts.end - 1),
         };
         start..start + length
     }
@@ -229,8 +229,8 @@ mod tests {
 
     impl Augmentation {
         /// The windows by themselves.
-        fn sample(&self, passage: &Passage, n: u64) -> (Motion, AudioFeatures) {
-            let (motion, audio) = self.windows(passage, n);
+        fn sample(&self, context: &ContextWindow, n: u64) -> (Motion, AudioFeatures) {
+            let (motion, audio) = self.windows(context, n);
             (motion.of.slice(motion.frames), audio.of.slice(audio.frames))
         }
     }
@@ -276,8 +276,8 @@ mod tests {
     }
 
     /// A phrase that is a take of its own.
-    fn alone(phrase: &Phrase) -> Passage {
-        Passage::alone(Arc::new(phrase.clone()))
+    fn alone(phrase: &Phrase) -> ContextWindow {
+        ContextWindow::alone(Arc::new(phrase.clone()))
     }
 
     /// The first frame of `phrase` whose audio is that of the sample.

@@ -1,4 +1,4 @@
-//! From phrases to samples: passage, crop, augmentation, normalisation.
+//! From phrases to samples: context, crop, augmentation, normalisation.
 
 use std::sync::Arc;
 
@@ -7,9 +7,9 @@ use kinegrad_ranks::Sharing;
 
 use crate::augment::Augmentation;
 use crate::batch::{AUDIO, ConditionRows, SampleShape};
+use crate::context_window::{ContextWindow, ContextWindows, Window};
 use crate::item_set::measure_among;
 use crate::loader::Samples;
-use crate::passage::{Passage, Passages, Window};
 use crate::survey::unheard;
 use crate::{
     Batch, DataConfig, Error, Phrase, PhraseSet, StatisticsOf, StyleConditions, mean_style,
@@ -21,7 +21,7 @@ const CROPS: u64 = 8;
 /// Samples of phrases, conditioned on audio.
 #[derive(Clone, Debug)]
 pub struct PhraseSamples {
-    passages: Passages,
+    contexts: ContextWindows,
     statistics: Arc<Statistics>,
     sampler: Augmentation,
     target_frames: usize,
@@ -41,7 +41,7 @@ impl PhraseSamples {
     ) -> Self {
         let sampler = Augmentation::new(config, seed);
         Self {
-            passages: Passages::new(phrases, sampler.frames_seen(), config.join_neighbours),
+            contexts: ContextWindows::new(phrases, sampler.frames_seen(), config.join_neighbours),
             statistics,
             sampler,
             target_frames: config.target_frames,
@@ -81,17 +81,17 @@ pub fn target_statistics(
 ) -> Result<Statistics, Error> {
     // The same crops in all runs, so that their losses compare.
     let sampler = Augmentation::new(config, 0);
-    let passages = Passages::new(phrases, sampler.frames_seen(), config.join_neighbours);
+    let contexts = ContextWindows::new(phrases, sampler.frames_seen(), config.join_neighbours);
     let measure = |position: usize| -> Result<ChannelMoments, Error> {
-        let passage = passages.get(position)?;
+        let context = contexts.get(position)?;
         let encoded = |window: Window<'_, Motion>| {
             let rows = window.frames.start * CHANNELS..window.frames.end * CHANNELS;
             targets.encode(&window.of.as_slice()[rows]).into_owned()
         };
         let samples: Vec<Vec<f32>> = match config.statistics {
-            StatisticsOf::Phrases => vec![encoded(passage.leading(passage.own.len()).0)],
+            StatisticsOf::Phrases => vec![encoded(context.leading(context.own.len()).0)],
             StatisticsOf::Crops => (0..CROPS)
-                .map(|crop| encoded(sampler.windows(&passage, position as u64 * CROPS + crop).0))
+                .map(|crop| encoded(sampler.windows(&context, position as u64 * CROPS + crop).0))
                 .collect(),
         };
         let samples = samples.iter().map(Vec::as_slice);
@@ -104,7 +104,7 @@ pub fn target_statistics(
         Some(all) => all.merge(&moments),
         None => all = Some(moments),
     };
-    let phrases = passages.phrases();
+    let phrases = contexts.phrases();
     let owner = |position| phrases.number(position);
     measure_among(phrases.len(), owner, measure, take, &unheard, sharing)?;
     Ok(targets.statistics(all.expect("at least one phrase")))
@@ -112,10 +112,10 @@ pub fn target_statistics(
 
 impl Samples for PhraseSamples {
     type Item = Phrase;
-    type Read = Passage;
+    type Read = ContextWindow;
 
     fn items(&self) -> &PhraseSet {
-        self.passages.phrases()
+        self.contexts.phrases()
     }
 
     fn shape(&self) -> SampleShape {
@@ -132,18 +132,18 @@ impl Samples for PhraseSamples {
     }
 
     fn is_at_hand(&self, position: usize) -> bool {
-        self.passages.is_at_hand(position)
+        self.contexts.is_at_hand(position)
     }
 
-    fn read(&self, position: usize) -> Result<Passage, Error> {
-        self.passages.get(position)
+    fn read(&self, position: usize) -> Result<ContextWindow, Error> {
+        self.contexts.get(position)
     }
 
     /// Validation takes the leading crop, without augmentation.
-    fn push(&self, batch: &mut Batch, passage: &Passage, number: Option<u64>) {
+    fn push(&self, batch: &mut Batch, context: &ContextWindow, number: Option<u64>) {
         let (motion, audio) = match number {
-            Some(n) => self.sampler.windows(passage, n),
-            None => passage.leading(self.target_frames),
+            Some(n) => self.sampler.windows(context, n),
+            None => context.leading(self.target_frames),
         };
         let rows = motion.frames.start * CHANNELS..motion.frames.end * CHANNELS;
         let heard = ConditionRows {
@@ -153,7 +153,7 @@ impl Samples for PhraseSamples {
         };
         let rows = &motion.of.as_slice()[rows];
         let numbers = Some(mean_style(rows));
-        let style = self.style.values(numbers, passage.take.label.as_deref());
+        let style = self.style.values(numbers, context.take.label.as_deref());
         let style = style.iter().map(|values| ConditionRows {
             values,
             frames: 1,
@@ -161,7 +161,7 @@ impl Samples for PhraseSamples {
         });
         let conditions: Vec<ConditionRows<'_>> = [heard].into_iter().chain(style).collect();
         let rows = self.targets.encode(rows);
-        batch.push(&passage.id, &rows, &self.statistics, &conditions);
+        batch.push(&context.id, &rows, &self.statistics, &conditions);
     }
 }
 

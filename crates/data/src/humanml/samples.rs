@@ -421,7 +421,7 @@ mod tests {
         let clip = (0..40).map(|index| walk(index, 90, 3));
         let mut clip = clip.filter(|clip| clip.captions.len() == 4);
         let mut clip = clip.next().expect("a walk that turns");
-        // Passages that leave one start each tell the crops of captions apart.
+        // ContextWindows that leave one start each tell the crops of captions apart.
         for (caption, seconds) in clip.captions.iter_mut().zip([
             None,
             Some((0.0, 2.0)),

@@ -1,4 +1,4 @@
-//! Passages: a phrase within the recording it was cut from.
+//! ContextWindows: a phrase within the recording it was cut from.
 
 use std::borrow::Cow;
 use std::ops::Range;
@@ -13,7 +13,7 @@ use crate::{Error, Phrase, PhraseSet};
 
 /// A phrase and what was recorded around it.
 #[derive(Clone, Debug)]
-pub struct Passage {
+pub struct ContextWindow {
     /// The phrase, joined with so much of its recording as a crop can reach.
     pub(crate) take: Arc<Phrase>,
     /// The phrase's own frames in the take.
@@ -31,7 +31,7 @@ pub(crate) struct Window<'a, T: Clone> {
     pub frames: Range<usize>,
 }
 
-impl Passage {
+impl ContextWindow {
     /// A phrase without neighbours.
     pub(crate) fn alone(phrase: Arc<Phrase>) -> Self {
         Self {
@@ -97,16 +97,16 @@ fn reach(frames: usize) -> usize {
     frames / 2
 }
 
-/// A passage for each phrase of a set, created on demand.
+/// A context for each phrase of a set, created on demand.
 #[derive(Clone, Debug)]
-pub(crate) struct Passages {
+pub(crate) struct ContextWindows {
     phrases: PhraseSet,
     /// For each phrase the positions of its recording; only itself where none are joined.
     recordings: Arc<[Range<usize>]>,
     target_frames: usize,
 }
 
-impl Passages {
+impl ContextWindows {
     /// Each of the `phrases`, sorted by id; `joined` with its neighbours of the same recording, or
     /// alone.
     pub fn new(phrases: PhraseSet, target_frames: usize, joined: bool) -> Self {
@@ -126,24 +126,24 @@ impl Passages {
         }
     }
 
-    /// The phrases, one for each passage.
+    /// The phrases, one for each context.
     pub fn phrases(&self) -> &PhraseSet {
         &self.phrases
     }
 
-    /// Whether passage `position` needs no work: a phrase alone that is in memory now.
+    /// Whether context `position` needs no work: a phrase alone that is in memory now.
     pub fn is_at_hand(&self, position: usize) -> bool {
         self.recordings[position].len() == 1 && self.phrases.is_at_hand(position)
     }
 
-    /// Passage `position`, read from where it lies.
+    /// ContextWindow `position`, read from where it lies.
     ///
     /// # Errors
     /// As [`PhraseSet::get`].
-    pub fn get(&self, position: usize) -> Result<Passage, Error> {
+    pub fn get(&self, position: usize) -> Result<ContextWindow, Error> {
         let recording = &self.recordings[position];
         if recording.len() == 1 {
-            return self.phrases.get(position).map(Passage::alone);
+            return self.phrases.get(position).map(ContextWindow::alone);
         }
         let own = self.phrases.frames(position);
         let needed = reach(own) + self.target_frames.saturating_sub(own);
@@ -160,7 +160,7 @@ impl Passages {
         let parts: Vec<_> = (first..end)
             .map(|part| self.phrases.get(part))
             .collect::<Result<_, _>>()?;
-        Ok(Passage {
+        Ok(ContextWindow {
             take: Arc::new(Phrase {
                 label: parts[position - first].label.clone(),
                 ..join(&parts)
@@ -273,11 +273,11 @@ mod tests {
     #[test]
     fn joined_phrases_are_the_recording_again() {
         let (whole, phrases) = cut();
-        let passages = Passages::new(phrases.into(), 30, true);
-        assert_eq!(passages.phrases().len(), 3);
-        let passage = passages.get(1).unwrap();
-        let take = &passage.take;
-        assert_eq!((take.frames(), passage.own.clone()), (90, 30..60));
+        let contexts = ContextWindows::new(phrases.into(), 30, true);
+        assert_eq!(contexts.phrases().len(), 3);
+        let context = contexts.get(1).unwrap();
+        let take = &context.take;
+        assert_eq!((take.frames(), context.own.clone()), (90, 30..60));
         assert_eq!(take.audio, whole.audio);
         let mut expected = whole.motion.clone();
         anchor_floor(&mut expected);
@@ -303,7 +303,7 @@ mod tests {
     fn only_neighbours_are_joined() {
         let (_, phrases) = cut();
         let apart = vec![phrases[0].clone(), phrases[2].clone()];
-        let apart = Passages::new(apart.into(), 20, true);
+        let apart = ContextWindows::new(apart.into(), 20, true);
         assert!((0..2).all(|position| apart.get(position).unwrap().own == (0..30)));
         assert_eq!(apart.get(0).unwrap().starts(20), 0..11);
     }
@@ -312,11 +312,11 @@ mod tests {
     fn crops_begin_up_to_half_a_phrase_around() {
         let (_, phrases) = cut();
         let starts = |target_frames: usize| {
-            let passages = Passages::new(phrases.clone().into(), target_frames, true);
+            let contexts = ContextWindows::new(phrases.clone().into(), target_frames, true);
             [0, 1, 2].map(|position| {
-                let passage = passages.get(position).unwrap();
-                let starts = passage.starts(target_frames);
-                let first = 30 * position - passage.own.start;
+                let context = contexts.get(position).unwrap();
+                let starts = context.starts(target_frames);
+                let first = 30 * position - context.own.start;
                 first + starts.start..first + starts.end
             })
         };
