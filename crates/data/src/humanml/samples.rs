@@ -139,22 +139,22 @@ impl Samples for ClipSamples {
             captions => Some(&clip.captions[below(captions, Purpose::Caption)]),
         };
         let frames = clip.features.frames();
-        let passage = caption.map_or(0..frames, |caption| {
+        let caption_range = caption.map_or(0..frames, |caption| {
             caption.frames(frames, self.representation.fps())
         });
         // The reader has left shorter passages out; held clips may be of any length.
-        let passage = match passage.is_empty() {
+        let caption_range = match caption_range.is_empty() {
             true => 0..frames,
-            false => passage,
+            false => caption_range,
         };
-        let most = passage.len().min(self.target_frames);
+        let most = caption_range.len().min(self.target_frames);
         let length = match most - most % self.unit_frames {
             0 => most,
             length => length,
         };
-        let first = passage.start
+        let first = caption_range.start
             + match self.crop {
-                Crop::Random => below(passage.len() - length + 1, Purpose::Crop),
+                Crop::Random => below(caption_range.len() - length + 1, Purpose::Crop),
                 Crop::Leading => 0,
             };
         let skeleton = &self.representation.skeleton;
