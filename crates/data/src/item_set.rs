@@ -13,7 +13,7 @@ use serde::de::DeserializeOwned;
 
 use crate::Error;
 use crate::item::Item;
-use crate::library::Library;
+use crate::item_store::ItemStore;
 use crate::survey::{OpenProgress, go_on, unheard};
 
 /// Items that are measured at a time: enough for all cores, few enough for any memory.
@@ -23,24 +23,24 @@ const CHUNK: usize = 256;
 /// is another handle to the same ones.
 #[derive(Debug)]
 pub struct ItemSet<T> {
-    library: Arc<Library<T>>,
-    /// Their numbers in the library.
+    store: Arc<ItemStore<T>>,
+    /// Their numbers in the store.
     indices: Arc<[usize]>,
 }
 
 impl<T> Clone for ItemSet<T> {
     fn clone(&self) -> Self {
         Self {
-            library: self.library.clone(),
+            store: self.store.clone(),
             indices: self.indices.clone(),
         }
     }
 }
 
 impl<T: Item> ItemSet<T> {
-    pub(crate) fn new(library: Arc<Library<T>>, indices: Vec<usize>) -> Self {
+    pub(crate) fn new(store: Arc<ItemStore<T>>, indices: Vec<usize>) -> Self {
         Self {
-            library,
+            store,
             indices: indices.into(),
         }
     }
@@ -59,7 +59,7 @@ impl<T: Item> ItemSet<T> {
     pub fn ids(&self) -> impl Iterator<Item = &str> {
         self.indices
             .iter()
-            .map(|&index| self.library.entries[index].id.as_str())
+            .map(|&index| self.store.entries[index].id.as_str())
     }
 
     /// Frames of item `position`, without reading it.
@@ -67,7 +67,7 @@ impl<T: Item> ItemSet<T> {
     /// # Panics
     /// Panics if there are not so many.
     pub fn frames(&self, position: usize) -> usize {
-        self.library.entries[self.indices[position]].frames
+        self.store.entries[self.indices[position]].frames
     }
 
     /// Id of item `position`, without reading it.
@@ -75,13 +75,13 @@ impl<T: Item> ItemSet<T> {
     /// # Panics
     /// Panics if there are not so many.
     pub fn id(&self, position: usize) -> &str {
-        &self.library.entries[self.indices[position]].id
+        &self.store.entries[self.indices[position]].id
     }
 
     /// Number of item `position` in what the dataset lists: the ranks that opened it together have read
     /// those that are theirs by it.
     pub(crate) fn number(&self, position: usize) -> usize {
-        self.library.number(self.indices[position])
+        self.store.number(self.indices[position])
     }
 
     /// Label of item `position`, without reading it.
@@ -89,9 +89,7 @@ impl<T: Item> ItemSet<T> {
     /// # Panics
     /// Panics if there are not so many.
     pub fn label(&self, position: usize) -> Option<&str> {
-        self.library.entries[self.indices[position]]
-            .label
-            .as_deref()
+        self.store.entries[self.indices[position]].label.as_deref()
     }
 
     /// Their labels, each once, in order.
@@ -108,7 +106,7 @@ impl<T: Item> ItemSet<T> {
     /// # Panics
     /// Panics if there are not so many.
     pub fn get(&self, position: usize) -> Result<Arc<T>, Error> {
-        self.library.get(self.indices[position])
+        self.store.get(self.indices[position])
     }
 
     /// The item `id`; `None` if there is none.
@@ -122,20 +120,20 @@ impl<T: Item> ItemSet<T> {
 
     /// Most items worth reading at once from afar; 0 where they are not far.
     pub(crate) fn concurrency(&self) -> usize {
-        self.library.concurrency
+        self.store.concurrency
     }
 
     /// Whether item `position` is in memory now.
     pub(crate) fn is_at_hand(&self, position: usize) -> bool {
-        self.library.is_at_hand(self.indices[position])
+        self.store.is_at_hand(self.indices[position])
     }
 
     /// The items whose ids `choose` picks.
     #[must_use]
     pub fn filter(&self, choose: impl Fn(&str) -> bool) -> Self {
-        let chosen = |index: &&usize| choose(&self.library.entries[**index].id);
+        let chosen = |index: &&usize| choose(&self.store.entries[**index].id);
         let indices = self.indices.iter().filter(chosen).copied().collect();
-        Self::new(self.library.clone(), indices)
+        Self::new(self.store.clone(), indices)
     }
 
     /// The first `count` of them, or all where there are fewer.
@@ -235,7 +233,7 @@ impl<T: Item> ItemSet<T> {
     }
 
     pub(crate) fn counters(&self) -> &Arc<crate::Counters> {
-        &self.library.counters
+        &self.store.counters
     }
 }
 
@@ -310,6 +308,6 @@ impl<T: Item> From<Vec<Arc<T>>> for ItemSet<T> {
     /// Items that stay in memory, in this order.
     fn from(items: Vec<Arc<T>>) -> Self {
         let indices = (0..items.len()).collect();
-        Self::new(Arc::new(Library::held(items)), indices)
+        Self::new(Arc::new(ItemStore::held(items)), indices)
     }
 }

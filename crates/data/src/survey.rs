@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 use crate::cache::MemoryCache;
 use crate::item::Item;
 use crate::item_set::ItemSet;
-use crate::library::{self, Entry, Library, Origin};
+use crate::item_store::{Entry, ItemStore, Origin, index_item};
 use crate::listing::Listed;
 use crate::split::{Side, Split};
 use crate::{DataConfig, Digest, Error, FileError, OnBadPhrase, StoreError};
@@ -107,7 +107,7 @@ impl<T: Item> Survey<T> {
         let (total, met) = (self.listed.len(), AtomicUsize::new(0));
         let (concurrency, ranks) = (self.origin.concurrency(), sharing.size());
         let meet = |number: usize| {
-            let outcome = library::meet(&*self.origin, &self.listed[number], number);
+            let outcome = index_item(&*self.origin, &self.listed[number], number);
             if let Err(FileError::Store(error)) = &outcome
                 && !concerns_one_item(error, concurrency == 0, on_bad.is_none())
             {
@@ -124,7 +124,10 @@ impl<T: Item> Survey<T> {
             }))
         };
         let some = |numbers: &[usize]| -> Result<Vec<Result<Met, FileError>>, Error> {
-            numbers.par_iter().map(|&number| meet(number)).collect()
+            numbers
+                .par_iter()
+                .map(|&number| index_item(number))
+                .collect()
         };
         // Threads that wait for a network are not bound to the number of cores.
         let pool = rayon::ThreadPoolBuilder::new().num_threads(concurrency);
@@ -222,10 +225,10 @@ impl<T: Item> Survey<T> {
         };
         let (validation, train): (Vec<usize>, Vec<usize>) =
             (0..entries.len()).partition(|&index| held_out[index]);
-        let library = Arc::new(Library::new(self.origin, entries, memory));
-        let digest = library.digest(&validation);
-        let train = ItemSet::new(library.clone(), train);
-        (train, ItemSet::new(library, validation), digest)
+        let store = Arc::new(ItemStore::new(self.origin, entries, memory));
+        let digest = store.digest(&validation);
+        let train = ItemSet::new(store.clone(), train);
+        (train, ItemSet::new(store, validation), digest)
     }
 }
 

@@ -8,7 +8,7 @@ use kinegrad_motion::humanml::{Features, Root, Skeleton, TEXT_CHANNELS};
 use kinegrad_motion::metrics::text_motion::Token;
 
 use crate::files::Files;
-use crate::library::{Origin, Reading, Wanted};
+use crate::item_store::{Origin, Reading, Wanted};
 use crate::listing::Expected;
 use crate::magnitude::first_unusable;
 use crate::{Error, FileError, Item, ItemSet, StoreError, atomic, npy};

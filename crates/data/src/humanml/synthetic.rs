@@ -12,7 +12,7 @@ use kinegrad_motion::metrics::text_motion::Token;
 use kinegrad_random::{Key, Purpose};
 use rayon::prelude::*;
 
-use crate::library::{Origin, Reading, Wanted};
+use crate::item_store::{Origin, Reading, Wanted};
 use crate::split::Split;
 use crate::synthetic::write_whole;
 use crate::{

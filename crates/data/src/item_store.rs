@@ -19,7 +19,7 @@ use crate::{Counters, Error, FileError};
 
 /// Where items come from, and those that are held in memory.
 #[derive(Debug)]
-pub(crate) struct Library<T> {
+pub(crate) struct ItemStore<T> {
     pub entries: Vec<Entry>,
     origin: Box<dyn Origin<T>>,
     memory: MemoryCache<T>,
@@ -111,7 +111,7 @@ impl<T> Reading<T> {
 ///
 /// # Errors
 /// [`FileError`].
-pub(crate) fn meet<T: Item>(
+pub(crate) fn index_item<T: Item>(
     origin: &dyn Origin<T>,
     listed: &Listed,
     number: usize,
@@ -147,8 +147,8 @@ impl<T: Item> Origin<T> for Held<T> {
     }
 }
 
-impl<T: Item> Library<T> {
-    /// A library of `entries`; `memory` may hold some of them already, by their numbers in the
+impl<T: Item> ItemStore<T> {
+    /// A store of `entries`; `memory` may hold some of them already, by their numbers in the
     /// origin.
     pub fn new(origin: Box<dyn Origin<T>>, entries: Vec<Entry>, memory: MemoryCache<T>) -> Self {
         let counters = origin.files().map(|files| files.store.counters().clone());
@@ -161,7 +161,7 @@ impl<T: Item> Library<T> {
         }
     }
 
-    /// A library of items that stay in memory.
+    /// A store of items that stay in memory.
     pub fn held(items: Vec<Arc<T>>) -> Self {
         let entry = |(number, item): (usize, &Arc<T>)| Entry {
             id: item.id().to_owned(),
