@@ -7,7 +7,7 @@ use kinegrad_ranks::{Alone, Sharing};
 
 use crate::item::Item;
 use crate::item_set::ItemSet;
-use crate::survey::{Listable, OpenProgress, unheard};
+use crate::scan::{Listable, OpenProgress, unheard};
 use crate::{DataConfig, Digest, Error, LoaderReport};
 
 /// Most odd items that are named one by one.
@@ -73,9 +73,9 @@ impl<T: Listable> Dataset<T> {
         sharing: &dyn Sharing<Error>,
     ) -> Result<Self, Error> {
         config.validate()?;
-        let mut survey = T::survey(config)?;
+        let mut scan = T::scan(config)?;
         let on_bad = Some(config.on_bad_phrase);
-        let gathered = survey.gather(config, on_bad, progress, sharing)?;
+        let gathered = scan.gather(config, on_bad, progress, sharing)?;
         let kind = T::KIND;
         let named = |(id, reason): &(String, String)| format!("{kind} `{id}`: {reason}");
         let (skipped, left_out) = (&gathered.skipped, &gathered.left_out);
@@ -97,14 +97,14 @@ impl<T: Listable> Dataset<T> {
             let problem = format!("{problem}; the first: {first}");
             return Err(Error::NothingToTrainOn { problem, hint });
         }
-        let mut warnings = std::mem::take(&mut survey.warnings);
+        let mut warnings = std::mem::take(&mut scan.warnings);
         warnings.extend(gathered.notes.iter().map(named).take(NOTES));
         if gathered.notes.len() > NOTES {
             let more = gathered.notes.len() - NOTES;
             warnings.push(format!("{more} more {kind}s of that sort"));
         }
-        let (representation, given) = (survey.representation.clone(), survey.given.take());
-        let (train, validation, digest) = survey.divide(gathered.entries, gathered.memory);
+        let (representation, given) = (scan.representation.clone(), scan.given.take());
+        let (train, validation, digest) = scan.divide(gathered.entries, gathered.memory);
         if train.is_empty() {
             let items = validation.len();
             return Err(Error::NothingToTrainOn {

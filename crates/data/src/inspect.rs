@@ -8,7 +8,7 @@ use serde::Serialize;
 
 use crate::humanml::Clip;
 use crate::item::Item;
-use crate::survey::{Gathered, Listable, OpenProgress, unheard};
+use crate::scan::{Gathered, Listable, OpenProgress, unheard};
 use crate::{DataConfig, DataKind, Dataset, Error, Phrase};
 
 /// The contents of a dataset. Numbers describe the items that can be used.
@@ -166,22 +166,22 @@ fn inspect_items<T: Listable>(
     config: &DataConfig,
     progress: OpenProgress,
 ) -> Result<Inspection, Error> {
-    let mut survey = T::survey(config)?;
+    let mut scan = T::scan(config)?;
     let Gathered {
         entries,
         skipped,
         left_out,
         notes,
         memory,
-    } = survey.gather(config, None, progress, &Alone)?;
-    let (kind, representation) = (T::KIND, survey.representation.clone());
-    let mut warnings = std::mem::take(&mut survey.warnings);
-    let source = match survey.origin.files() {
+    } = scan.gather(config, None, progress, &Alone)?;
+    let (kind, representation) = (T::KIND, scan.representation.clone());
+    let mut warnings = std::mem::take(&mut scan.warnings);
+    let source = match scan.origin.files() {
         Some(files) => files.store.uri(),
         None => config.kind.to_string(),
     };
     let lengths: Vec<usize> = entries.iter().map(|entry| entry.frames).collect();
-    let (train, validation, _) = survey.divide(entries, memory);
+    let (train, validation, _) = scan.divide(entries, memory);
 
     let problem = |unusable| {
         move |(id, problem)| Problem {

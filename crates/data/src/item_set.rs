@@ -14,7 +14,7 @@ use serde::de::DeserializeOwned;
 use crate::Error;
 use crate::item::Item;
 use crate::item_store::ItemStore;
-use crate::survey::{OpenProgress, go_on, unheard};
+use crate::scan::{OpenProgress, go_on, unheard};
 
 /// Items that are measured at a time: enough for all cores, few enough for any memory.
 const CHUNK: usize = 256;

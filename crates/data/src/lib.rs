@@ -52,11 +52,11 @@ mod phrase;
 mod phrase_samples;
 mod phrase_set;
 mod prefetch;
+mod scan;
 mod songs;
 mod split;
 mod store;
 mod style_conditions;
-mod survey;
 pub mod synthetic;
 mod time_stretch;
 
@@ -95,8 +95,8 @@ pub use npz::{
 pub use phrase::{Phrase, load_audio};
 pub use phrase_samples::{PhraseSamples, target_statistics};
 pub use phrase_set::PhraseSet;
+pub use scan::OpenProgress;
 pub use songs::{Songs, held_out_songs, song_of};
 pub use split::{Side, matches};
 pub use store::{Object, Store, StoreError};
 pub use style_conditions::{LABEL, STYLE, STYLE_NUMBERS, StyleConditions, mean_style};
-pub use survey::OpenProgress;

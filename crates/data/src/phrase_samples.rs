@@ -10,7 +10,7 @@ use crate::batch::{AUDIO, ConditionRows, SampleShape};
 use crate::context_window::{ContextWindow, ContextWindows, Window};
 use crate::item_set::measure_among;
 use crate::loader::Samples;
-use crate::survey::unheard;
+use crate::scan::unheard;
 use crate::{
     Batch, DataConfig, Error, Phrase, PhraseSet, StatisticsOf, StyleConditions, mean_style,
 };

@@ -17,9 +17,9 @@ use crate::layout::{features_path, motion_path};
 use crate::listing::{Listed, Listing, ids};
 use crate::npy::MAX_MOTION_BYTES;
 use crate::npz::MAX_FEATURES_BYTES;
+use crate::scan::{Listable, Scan};
 use crate::split::Split;
 use crate::store::Store;
-use crate::survey::{Listable, Survey};
 use crate::{DataConfig, DataKind, Error, FileError, Phrase, SyntheticConfig, synthetic};
 
 /// Phrases in the order of their ids. A clone is another handle to the same ones.
@@ -64,11 +64,11 @@ impl Item for Phrase {
 }
 
 impl Listable for Phrase {
-    fn survey(config: &DataConfig) -> Result<Survey<Self>, Error> {
+    fn scan(config: &DataConfig) -> Result<Scan<Self>, Error> {
         let split = Split::new(&config.validation)?;
-        let mut survey = match config.kind {
+        let mut scan = match config.kind {
             DataKind::Phrases => phrase_files(config)?,
-            DataKind::Synthetic => Survey {
+            DataKind::Synthetic => Scan {
                 representation: Phrases,
                 given: None,
                 split: None,
@@ -88,19 +88,16 @@ impl Listable for Phrase {
                 ));
             }
         };
-        survey
-            .warnings
-            .extend(split.idle_entries(ids(&survey.listed)));
+        scan.warnings.extend(split.idle_entries(ids(&scan.listed)));
         let labels = Labels::new(&config.labels, HashMap::new());
-        survey
-            .warnings
-            .extend(labels.idle_patterns(ids(&survey.listed)));
-        survey.split = Some(split);
-        Ok(survey)
+        scan.warnings
+            .extend(labels.idle_patterns(ids(&scan.listed)));
+        scan.split = Some(split);
+        Ok(scan)
     }
 }
 
-fn phrase_files(config: &DataConfig) -> Result<Survey<Phrase>, Error> {
+fn phrase_files(config: &DataConfig) -> Result<Scan<Phrase>, Error> {
     let source = config.source.as_deref().unwrap_or_default();
     let store = Store::open(source, &config.store)?;
     let Listing {
@@ -152,7 +149,7 @@ fn phrase_files(config: &DataConfig) -> Result<Survey<Phrase>, Error> {
     }
     phrases.truncate(config.num_phrases.unwrap_or(usize::MAX));
     let files = Files::open(store, config, &mut warnings)?;
-    Ok(Survey {
+    Ok(Scan {
         representation: Phrases,
         given: None,
         split: None,

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use kinegrad_ranks::{Alone, Sharing};
 
-use crate::survey::OpenProgress;
+use crate::scan::OpenProgress;
 use crate::{Error, ItemSet};
 
 use super::Clip;
@@ -122,7 +122,7 @@ mod tests {
     use super::*;
     use crate::humanml::{CaptionText, ClipSamples, Humanml3dConfig};
     use crate::loader::Samples as _;
-    use crate::survey::unheard;
+    use crate::scan::unheard;
     use crate::{DataConfig, DataKind, Dataset};
 
     fn labels() -> CaptionLabels {

@@ -38,7 +38,7 @@ pub(crate) fn go_on(progress: OpenProgress, done: usize, total: usize) -> Result
 }
 
 /// A dataset whose items are known by name.
-pub(crate) struct Survey<T: Item> {
+pub(crate) struct Scan<T: Item> {
     /// What the rows of the items are.
     pub representation: T::Representation,
     /// The statistics that the dataset brings along.
@@ -59,7 +59,7 @@ pub(crate) trait Listable: Item {
     /// [`Error::Config`] where `config` is of other items; [`Error::Scheme`], [`Error::Feature`],
     /// [`Error::Store`], [`Error::Manifest`], [`Error::File`], [`Error::MissingFolder`],
     /// [`Error::NothingToTrainOn`], [`Error::Io`].
-    fn survey(config: &DataConfig) -> Result<Survey<Self>, Error>
+    fn scan(config: &DataConfig) -> Result<Scan<Self>, Error>
     where
         Self: Sized;
 }
@@ -87,7 +87,7 @@ enum Met {
     Bad(String),
 }
 
-impl<T: Item> Survey<T> {
+impl<T: Item> Scan<T> {
     /// Reads all items, keeps so many in memory as `config` allows, and sets bad ones apart as
     /// `on_bad` says; if it says nothing, all of them, those that are not as they were recorded
     /// too. Ranks that share it read a part each, and keep that in memory.
