@@ -132,8 +132,8 @@ impl ContextWindows {
     }
 
     /// Whether context `position` needs no work: a phrase alone that is in memory now.
-    pub fn is_at_hand(&self, position: usize) -> bool {
-        self.recordings[position].len() == 1 && self.phrases.is_at_hand(position)
+    pub fn is_cached(&self, position: usize) -> bool {
+        self.recordings[position].len() == 1 && self.phrases.is_cached(position)
     }
 
     /// ContextWindow `position`, read from where it lies.

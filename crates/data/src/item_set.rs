@@ -124,8 +124,8 @@ impl<T: Item> ItemSet<T> {
     }
 
     /// Whether item `position` is in memory now.
-    pub(crate) fn is_at_hand(&self, position: usize) -> bool {
-        self.store.is_at_hand(self.indices[position])
+    pub(crate) fn is_cached(&self, position: usize) -> bool {
+        self.store.is_cached(self.indices[position])
     }
 
     /// The items whose ids `choose` picks.

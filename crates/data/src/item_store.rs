@@ -207,7 +207,7 @@ impl<T: Item> ItemStore<T> {
     }
 
     /// Whether the item of entry `index` needs neither reading nor making now.
-    pub fn is_at_hand(&self, index: usize) -> bool {
+    pub fn is_cached(&self, index: usize) -> bool {
         self.origin.is_memory() || self.memory.holds(self.entries[index].number)
     }
 

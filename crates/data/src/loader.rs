@@ -28,8 +28,8 @@ pub trait Samples: Clone + Send + Sync + 'static {
     fn shape(&self) -> SampleShape;
 
     /// Whether what is read of item `position` is in memory now.
-    fn is_at_hand(&self, position: usize) -> bool {
-        self.items().is_at_hand(position)
+    fn is_cached(&self, position: usize) -> bool {
+        self.items().is_cached(position)
     }
 
     /// Reads what a sample of item `position` is made from.
@@ -230,7 +230,7 @@ impl<S: Samples> Maker<S> {
         let first = number.wrapping_mul(self.batch_size as u64);
         let numbers = (0..self.batch_size as u64).map(|i| first.wrapping_add(i));
         let numbers: Vec<(u64, usize)> = numbers.map(|n| (n, self.order.item(n))).collect();
-        let at_hand = |&(_, position): &(u64, usize)| samples.is_at_hand(position);
+        let is_cached = |&(_, position): &(u64, usize)| samples.is_cached(position);
         let read = || {
             let items = numbers
                 .par_iter()
@@ -239,7 +239,7 @@ impl<S: Samples> Maker<S> {
         };
         let at_once = self.all_cores || self.readers.is_some();
         let ahead: Vec<Result<S::Read, Error>> = match &self.readers {
-            _ if !at_once || numbers.iter().all(at_hand) => Vec::new(),
+            _ if !at_once || numbers.iter().all(is_cached) => Vec::new(),
             Some(readers) => readers.install(read),
             None => read(),
         };

@@ -131,8 +131,8 @@ impl Samples for PhraseSamples {
         }
     }
 
-    fn is_at_hand(&self, position: usize) -> bool {
-        self.contexts.is_at_hand(position)
+    fn is_cached(&self, position: usize) -> bool {
+        self.contexts.is_cached(position)
     }
 
     fn read(&self, position: usize) -> Result<ContextWindow, Error> {
