@@ -7,7 +7,7 @@ use kinegrad_ranks::{Alone, Sharing};
 
 use crate::item::Item;
 use crate::item_set::ItemSet;
-use crate::scan::{Listable, OpenProgress, unheard};
+use crate::scan::{Listable, OpenProgress, no_progress};
 use crate::{DataConfig, Digest, Error, LoaderReport};
 
 /// Most odd items that are named one by one.
@@ -50,7 +50,7 @@ impl<T: Listable> Dataset<T> {
     /// not there, cannot be reached or has files that cannot be used; [`Error::BadItem`] for the
     /// first bad item by id; [`Error::NothingToTrainOn`].
     pub fn open(config: &DataConfig) -> Result<Self, Error> {
-        Self::open_with_progress(config, &unheard)
+        Self::open_with_progress(config, &no_progress)
     }
 
     /// [`open`](Self::open), telling `progress` how far it is.
@@ -168,7 +168,7 @@ impl<T: Item> Dataset<T> {
     /// # Errors
     /// As [`ItemSet::get`].
     pub fn statistics(&self) -> Result<Statistics, Error> {
-        self.statistics_with_progress(&unheard)
+        self.statistics_with_progress(&no_progress)
     }
 
     /// [`statistics`](Self::statistics), telling `progress` how many items are measured.
@@ -378,7 +378,7 @@ mod tests {
     #[test]
     fn ranks_that_do_not_see_the_same_phrases_are_refused() {
         let (_folder, config) = dataset(3);
-        let opened = Dataset::<Phrase>::open_among(&config, &unheard, &Apart);
+        let opened = Dataset::<Phrase>::open_among(&config, &no_progress, &Apart);
         let error = opened.unwrap_err();
         assert!(matches!(error, Error::OtherListing { .. }), "{error}");
         let expected = "rank 1 finds other phrases there than rank 0";

@@ -8,7 +8,7 @@ use serde::Serialize;
 
 use crate::humanml::Clip;
 use crate::item::Item;
-use crate::scan::{Gathered, Listable, OpenProgress, unheard};
+use crate::scan::{Gathered, Listable, OpenProgress, no_progress};
 use crate::{DataConfig, DataKind, Dataset, Error, Phrase};
 
 /// The contents of a dataset. Numbers describe the items that can be used.
@@ -212,7 +212,7 @@ fn inspect_items<T: Listable>(
                 Some(all) => all.merge(contents),
                 None => all = Some(contents),
             },
-            &unheard,
+            &no_progress,
         )?;
         let measured = || all.as_ref().map(|all| all.motion.clone());
         of_training = of_training.or_else(measured);
@@ -242,7 +242,7 @@ fn inspect_items<T: Listable>(
                 .collect::<Vec<_>>()
         };
         let take = |failed: Vec<_>| problems.extend(failed.into_iter().map(problem(false)));
-        side.measure(failed, take, &unheard)?;
+        side.measure(failed, take, &no_progress)?;
     }
     problems.sort_by(|a, b| a.id.cmp(&b.id));
     let frames: usize = lengths.iter().sum();

@@ -14,7 +14,7 @@ use serde::de::DeserializeOwned;
 use crate::Error;
 use crate::item::Item;
 use crate::item_store::ItemStore;
-use crate::scan::{OpenProgress, go_on, unheard};
+use crate::scan::{OpenProgress, go_on, no_progress};
 
 /// Items that are measured at a time: enough for all cores, few enough for any memory.
 const CHUNK: usize = 256;
@@ -175,7 +175,7 @@ impl<T: Item> ItemSet<T> {
         &self,
         representation: &T::Representation,
     ) -> Result<Option<Statistics>, Error> {
-        self.statistics_among(representation, &unheard, &Alone)
+        self.statistics_among(representation, &no_progress, &Alone)
     }
 
     /// [`statistics`](Self::statistics), telling `progress` how many items are measured, by ranks that

@@ -10,7 +10,7 @@ use crate::batch::{AUDIO, ConditionRows, SampleShape};
 use crate::context_window::{ContextWindow, ContextWindows, Window};
 use crate::item_set::measure_among;
 use crate::loader::Samples;
-use crate::scan::unheard;
+use crate::scan::no_progress;
 use crate::{
     Batch, DataConfig, Error, Phrase, PhraseSet, StatisticsOf, StyleConditions, mean_style,
 };
@@ -106,7 +106,7 @@ pub fn target_statistics(
     };
     let phrases = contexts.phrases();
     let owner = |position| phrases.number(position);
-    measure_among(phrases.len(), owner, measure, take, &unheard, sharing)?;
+    measure_among(phrases.len(), owner, measure, take, &no_progress, sharing)?;
     Ok(targets.statistics(all.expect("at least one phrase")))
 }
 

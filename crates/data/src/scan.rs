@@ -25,7 +25,7 @@ pub type OpenProgress<'a> = &'a (dyn Fn(usize, usize) -> ControlFlow<()> + Sync)
 const CHUNK: usize = 512;
 
 /// Progress that nobody hears of.
-pub(crate) fn unheard(_done: usize, _total: usize) -> ControlFlow<()> {
+pub(crate) fn no_progress(_done: usize, _total: usize) -> ControlFlow<()> {
     ControlFlow::Continue(())
 }
 

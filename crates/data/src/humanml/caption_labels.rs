@@ -122,7 +122,7 @@ mod tests {
     use super::*;
     use crate::humanml::{CaptionText, ClipSamples, Humanml3dConfig};
     use crate::loader::Samples as _;
-    use crate::scan::unheard;
+    use crate::scan::no_progress;
     use crate::{DataConfig, DataKind, Dataset};
 
     fn labels() -> CaptionLabels {
@@ -169,7 +169,7 @@ mod tests {
         config.synthetic.phrases = 9;
         let dataset = Dataset::<Clip>::open(&config).unwrap();
         let statistics = Arc::new(dataset.statistics().unwrap());
-        let captions = dataset.train.captions_with_progress(&unheard).unwrap();
+        let captions = dataset.train.captions_with_progress(&no_progress).unwrap();
         let clips = dataset.train.load().unwrap();
         let texts = clips.iter().flat_map(|clip| &clip.captions);
         assert!(texts.clone().all(|caption| caption.embedding.is_none()));
