@@ -176,7 +176,7 @@ fn inspect_items<T: Listable>(
     } = scan.gather(config, None, progress, &Alone)?;
     let (kind, representation) = (T::KIND, scan.representation.clone());
     let mut warnings = std::mem::take(&mut scan.warnings);
-    let source = match scan.origin.files() {
+    let source = match scan.source.files() {
         Some(files) => files.store.uri(),
         None => config.kind.to_string(),
     };

@@ -261,7 +261,7 @@ struct Measuring<'a, F> {
     total: usize,
     measure: &'a F,
     progress: OpenProgress<'a>,
-    met: AtomicUsize,
+    done: AtomicUsize,
 }
 
 impl<'a, M: Send, F: Fn(usize) -> Result<M, Error> + Sync> Measuring<'a, F> {
@@ -270,17 +270,17 @@ impl<'a, M: Send, F: Fn(usize) -> Result<M, Error> + Sync> Measuring<'a, F> {
             total,
             measure,
             progress,
-            met: AtomicUsize::new(0),
+            done: AtomicUsize::new(0),
         }
     }
 
     /// The measures of things, on all cores.
     fn each(&self, positions: Vec<usize>) -> Result<Vec<M>, Error> {
-        go_on(self.progress, self.met.load(Ordering::Relaxed), self.total)?;
+        go_on(self.progress, self.done.load(Ordering::Relaxed), self.total)?;
         let measure = |position| {
             let measured = (self.measure)(position)?;
-            let met = self.met.fetch_add(1, Ordering::Relaxed) + 1;
-            go_on(self.progress, met, self.total)?;
+            let done = self.done.fetch_add(1, Ordering::Relaxed) + 1;
+            go_on(self.progress, done, self.total)?;
             Ok(measured)
         };
         positions.into_par_iter().map(measure).collect()
@@ -297,7 +297,7 @@ impl<'a, M: Send, F: Fn(usize) -> Result<M, Error> + Sync> Measuring<'a, F> {
         for start in (0..self.total).step_by(chunk) {
             let measured = some(start..(start + chunk).min(self.total))?;
             // What other ranks have measured.
-            self.met.store(start + measured.len(), Ordering::Relaxed);
+            self.done.store(start + measured.len(), Ordering::Relaxed);
             measured.into_iter().for_each(&mut take);
         }
         Ok(())
@@ -308,6 +308,6 @@ impl<T: Item> From<Vec<Arc<T>>> for ItemSet<T> {
     /// Items that stay in memory, in this order.
     fn from(items: Vec<Arc<T>>) -> Self {
         let indices = (0..items.len()).collect();
-        Self::new(Arc::new(ItemStore::held(items)), indices)
+        Self::new(Arc::new(ItemStore::in_memory(items)), indices)
     }
 }

@@ -21,7 +21,7 @@ use crate::{Counters, Error, FileError};
 #[derive(Debug)]
 pub(crate) struct ItemStore<T> {
     pub entries: Vec<Entry>,
-    origin: Box<dyn Origin<T>>,
+    source: Box<dyn ItemSource<T>>,
     memory: MemoryCache<T>,
     pub counters: Arc<Counters>,
     /// Most items worth reading at once from afar; 0 where they are not far.
@@ -39,14 +39,14 @@ pub(crate) struct Entry {
     pub label: Option<String>,
     /// Checksums of its files; none where there are no files.
     content: Vec<Digest>,
-    /// Number of the item in its origin.
+    /// Number of the item in its source.
     number: usize,
 }
 
 /// Which item is to be read.
 #[derive(Clone, Copy)]
-pub(crate) struct Wanted<'a> {
-    /// Its number in its origin.
+pub(crate) struct ReadRequest<'a> {
+    /// Its number in its source.
     pub number: usize,
     pub id: &'a str,
     /// What its files are to be.
@@ -56,12 +56,12 @@ pub(crate) struct Wanted<'a> {
 }
 
 /// A maker of items.
-pub(crate) trait Origin<T>: Debug + Send + Sync {
-    /// The item that is `wanted`.
+pub(crate) trait ItemSource<T>: Debug + Send + Sync {
+    /// Reads the requested item.
     ///
     /// # Errors
     /// [`FileError`].
-    fn read(&self, wanted: Wanted<'_>) -> Result<Reading<T>, FileError>;
+    fn read(&self, request: ReadRequest<'_>) -> Result<ReadItem<T>, FileError>;
 
     /// The files that they are read from; none where there are none.
     fn files(&self) -> Option<&Files> {
@@ -85,7 +85,7 @@ pub(crate) trait Origin<T>: Debug + Send + Sync {
 }
 
 /// An item as it was read.
-pub(crate) struct Reading<T> {
+pub(crate) struct ReadItem<T> {
     pub item: Arc<T>,
     /// What is odd about it.
     pub note: Option<String>,
@@ -95,7 +95,7 @@ pub(crate) struct Reading<T> {
     pub content: Vec<Digest>,
 }
 
-impl<T> Reading<T> {
+impl<T> ReadItem<T> {
     /// An item without files, about which nothing is odd.
     pub fn of(item: impl Into<Arc<T>>) -> Self {
         Self {
@@ -107,16 +107,16 @@ impl<T> Reading<T> {
     }
 }
 
-/// Reads listed item `number` of `origin` for the first time.
+/// Reads listed item `number` of `source` for the first time.
 ///
 /// # Errors
 /// [`FileError`].
 pub(crate) fn index_item<T: Item>(
-    origin: &dyn Origin<T>,
+    source: &dyn ItemSource<T>,
     listed: &Listed,
     number: usize,
-) -> Result<(Entry, Reading<T>), FileError> {
-    let read = origin.read(Wanted {
+) -> Result<(Entry, ReadItem<T>), FileError> {
+    let read = source.read(ReadRequest {
         number,
         id: &listed.id,
         expected: &listed.files,
@@ -135,11 +135,11 @@ pub(crate) fn index_item<T: Item>(
 
 /// Items that are all there already.
 #[derive(Debug)]
-struct Held<T>(Vec<Arc<T>>);
+struct InMemory<T>(Vec<Arc<T>>);
 
-impl<T: Item> Origin<T> for Held<T> {
-    fn read(&self, wanted: Wanted<'_>) -> Result<Reading<T>, FileError> {
-        Ok(Reading::of(self.0[wanted.number].clone()))
+impl<T: Item> ItemSource<T> for InMemory<T> {
+    fn read(&self, request: ReadRequest<'_>) -> Result<ReadItem<T>, FileError> {
+        Ok(ReadItem::of(self.0[request.number].clone()))
     }
 
     fn is_memory(&self) -> bool {
@@ -149,20 +149,24 @@ impl<T: Item> Origin<T> for Held<T> {
 
 impl<T: Item> ItemStore<T> {
     /// A store of `entries`; `memory` may hold some of them already, by their numbers in the
-    /// origin.
-    pub fn new(origin: Box<dyn Origin<T>>, entries: Vec<Entry>, memory: MemoryCache<T>) -> Self {
-        let counters = origin.files().map(|files| files.store.counters().clone());
+    /// source.
+    pub fn new(
+        source: Box<dyn ItemSource<T>>,
+        entries: Vec<Entry>,
+        memory: MemoryCache<T>,
+    ) -> Self {
+        let counters = source.files().map(|files| files.store.counters().clone());
         Self {
             counters: counters.unwrap_or_default(),
-            concurrency: origin.concurrency(),
+            concurrency: source.concurrency(),
             entries,
-            origin,
+            source,
             memory,
         }
     }
 
     /// A store of items that stay in memory.
-    pub fn held(items: Vec<Arc<T>>) -> Self {
+    pub fn in_memory(items: Vec<Arc<T>>) -> Self {
         let entry = |(number, item): (usize, &Arc<T>)| Entry {
             id: item.id().to_owned(),
             frames: item.frames(),
@@ -173,7 +177,7 @@ impl<T: Item> ItemStore<T> {
         };
         let entries = items.iter().enumerate().map(entry).collect();
         let memory = MemoryCache::new(0);
-        Self::new(Box::new(Held(items)), entries, memory)
+        Self::new(Box::new(InMemory(items)), entries, memory)
     }
 
     /// The item of entry `index`.
@@ -188,7 +192,7 @@ impl<T: Item> ItemStore<T> {
         }
         let expected = entry.content.iter().copied().map(Expected::Checksum);
         let expected: Vec<Expected> = expected.collect();
-        let read = self.origin.read(Wanted {
+        let read = self.source.read(ReadRequest {
             number: entry.number,
             id: &entry.id,
             expected: &expected,
@@ -201,19 +205,19 @@ impl<T: Item> ItemStore<T> {
         Ok(item)
     }
 
-    /// Number of the item of entry `index` in its origin.
+    /// Number of the item of entry `index` in its source.
     pub fn number(&self, index: usize) -> usize {
         self.entries[index].number
     }
 
     /// Whether the item of entry `index` needs neither reading nor making now.
     pub fn is_cached(&self, index: usize) -> bool {
-        self.origin.is_memory() || self.memory.holds(self.entries[index].number)
+        self.source.is_memory() || self.memory.contains(self.entries[index].number)
     }
 
     /// A checksum of everything the items hold, and of which of them (by index) are `held_out`.
     pub fn digest(&self, held_out: &[usize]) -> Digest {
-        let fingerprint = self.origin.fingerprint();
+        let fingerprint = self.source.fingerprint();
         let parts = self.entries.iter().enumerate().flat_map(|(index, entry)| {
             let side: &[u8] = match held_out.binary_search(&index) {
                 Ok(_) => b"validation",

@@ -23,7 +23,7 @@ pub(crate) struct Listed {
 
 impl Listed {
     /// So many items that are made up and have no files.
-    pub fn made_up(items: usize, id: impl Fn(usize) -> String) -> Vec<Self> {
+    pub fn synthetic(items: usize, id: impl Fn(usize) -> String) -> Vec<Self> {
         let listed = |number| Self {
             id: id(number),
             side: None,

@@ -11,7 +11,7 @@ use crate::features::{BEATS, FEATURES};
 use crate::files::Files;
 use crate::item::Item;
 use crate::item_set::ItemSet;
-use crate::item_store::{Origin, Reading, Wanted};
+use crate::item_store::{ItemSource, ReadItem, ReadRequest};
 use crate::labels::Labels;
 use crate::layout::{features_path, motion_path};
 use crate::listing::{Listed, Listing, ids};
@@ -72,13 +72,13 @@ impl Listable for Phrase {
                 representation: Phrases,
                 given: None,
                 split: None,
-                origin: Box::new(MadeUpPhrases(
+                source: Box::new(SyntheticPhrases(
                     config.synthetic.clone(),
                     config.audio_layout(),
                     Labels::new(&config.labels, HashMap::new()),
                 )),
                 warnings: Vec::new(),
-                listed: Listed::made_up(config.synthetic.phrases, synthetic::id),
+                listed: Listed::synthetic(config.synthetic.phrases, synthetic::id),
             },
             kind @ (DataKind::Humanml3d | DataKind::SyntheticWalks) => {
                 return Err(Error::wrong_kind(
@@ -155,7 +155,7 @@ fn phrase_files(config: &DataConfig) -> Result<Scan<Phrase>, Error> {
         split: None,
         warnings,
         listed: phrases,
-        origin: Box::new(PhraseFiles(
+        source: Box::new(PhraseFiles(
             files,
             layout,
             Labels::new(&config.labels, labels),
@@ -168,10 +168,10 @@ fn phrase_files(config: &DataConfig) -> Result<Scan<Phrase>, Error> {
 #[derive(Debug)]
 pub(crate) struct PhraseFiles(pub Files, pub AudioLayout, pub Labels);
 
-impl Origin<Phrase> for PhraseFiles {
-    fn read(&self, wanted: Wanted<'_>) -> Result<Reading<Phrase>, FileError> {
-        let Wanted { id, recorded, .. } = wanted;
-        let [motion, audio] = wanted.expected else {
+impl ItemSource<Phrase> for PhraseFiles {
+    fn read(&self, request: ReadRequest<'_>) -> Result<ReadItem<Phrase>, FileError> {
+        let ReadRequest { id, recorded, .. } = request;
+        let [motion, audio] = request.expected else {
             unreachable!("a phrase has two files");
         };
         let Self(files, layout, labels) = self;
@@ -181,10 +181,10 @@ impl Origin<Phrase> for PhraseFiles {
         let names = (files.store.name_of(&paths.0), files.store.name_of(&paths.1));
         let (phrase, note) = Phrase::parse(id, (&motion, &names.0), (&audio, &names.1), *layout)?;
         let phrase = labelled(phrase, labels);
-        Ok(Reading {
+        Ok(ReadItem {
             note,
             content: vec![motion_digest, audio_digest],
-            ..Reading::of(phrase)
+            ..ReadItem::of(phrase)
         })
     }
 
@@ -207,14 +207,14 @@ fn labelled(phrase: Phrase, labels: &Labels) -> Phrase {
 
 /// Phrases that are made up anew each time, the audio features made of them, and their labels.
 #[derive(Debug)]
-pub(crate) struct MadeUpPhrases(pub SyntheticConfig, pub AudioLayout, pub Labels);
+pub(crate) struct SyntheticPhrases(pub SyntheticConfig, pub AudioLayout, pub Labels);
 
-impl Origin<Phrase> for MadeUpPhrases {
-    fn read(&self, wanted: Wanted<'_>) -> Result<Reading<Phrase>, FileError> {
+impl ItemSource<Phrase> for SyntheticPhrases {
+    fn read(&self, request: ReadRequest<'_>) -> Result<ReadItem<Phrase>, FileError> {
         let SyntheticConfig { frames, seed, .. } = self.0;
         let Self(_, layout, labels) = self;
-        let phrase = synthetic::phrase_in(*layout, wanted.number, frames, seed);
-        Ok(Reading::of(labelled(phrase, labels)))
+        let phrase = synthetic::phrase_in(*layout, request.number, frames, seed);
+        Ok(ReadItem::of(labelled(phrase, labels)))
     }
 
     fn fingerprint(&self) -> String {

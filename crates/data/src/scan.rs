@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 use crate::cache::MemoryCache;
 use crate::item::Item;
 use crate::item_set::ItemSet;
-use crate::item_store::{Entry, ItemStore, Origin, index_item};
+use crate::item_store::{Entry, ItemSource, ItemStore, index_item};
 use crate::listing::Listed;
 use crate::split::{Side, Split};
 use crate::{DataConfig, Digest, Error, FileError, OnBadPhrase, StoreError};
@@ -45,7 +45,7 @@ pub(crate) struct Scan<T: Item> {
     pub given: Option<Statistics>,
     /// What is said of the side of the split; where there is nothing, the dataset decides.
     pub split: Option<Split>,
-    pub origin: Box<dyn Origin<T>>,
+    pub source: Box<dyn ItemSource<T>>,
     /// What is odd about the dataset as a whole.
     pub warnings: Vec<String>,
     pub listed: Vec<Listed>,
@@ -78,7 +78,7 @@ pub(crate) struct Gathered<T> {
 
 /// What came of reading an item.
 #[derive(Deserialize, Serialize)]
-enum Met {
+enum Outcome {
     /// It can be used; what is odd about it.
     Good(Entry, Option<String>),
     /// It is in order and does not belong here; why.
@@ -104,30 +104,27 @@ impl<T: Item> Scan<T> {
     ) -> Result<Gathered<T>, Error> {
         self.must_list_the_same(sharing)?;
         let memory = MemoryCache::new(config.cache.memory_mib << 20);
-        let (total, met) = (self.listed.len(), AtomicUsize::new(0));
-        let (concurrency, ranks) = (self.origin.concurrency(), sharing.size());
-        let meet = |number: usize| {
-            let outcome = index_item(&*self.origin, &self.listed[number], number);
+        let (total, done) = (self.listed.len(), AtomicUsize::new(0));
+        let (concurrency, ranks) = (self.source.concurrency(), sharing.size());
+        let read_one = |number: usize| {
+            let outcome = index_item(&*self.source, &self.listed[number], number);
             if let Err(FileError::Store(error)) = &outcome
                 && !concerns_one_item(error, concurrency == 0, on_bad.is_none())
             {
                 return Err(Error::Store(error.clone()));
             }
-            let read = (met.fetch_add(1, Ordering::Relaxed) + 1) * ranks;
+            let read = (done.fetch_add(1, Ordering::Relaxed) + 1) * ranks;
             go_on(progress, read.min(total), total)?;
             Ok(outcome.map(|(entry, read)| match read.left_out {
-                Some(reason) => Met::LeftOut(reason),
+                Some(reason) => Outcome::LeftOut(reason),
                 None => {
                     memory.put(number, read.item);
-                    Met::Good(entry, read.note)
+                    Outcome::Good(entry, read.note)
                 }
             }))
         };
-        let some = |numbers: &[usize]| -> Result<Vec<Result<Met, FileError>>, Error> {
-            numbers
-                .par_iter()
-                .map(|&number| index_item(number))
-                .collect()
+        let some = |numbers: &[usize]| -> Result<Vec<Result<Outcome, FileError>>, Error> {
+            numbers.par_iter().map(|&number| read_one(number)).collect()
         };
         // Threads that wait for a network are not bound to the number of cores.
         let pool = rayon::ThreadPoolBuilder::new().num_threads(concurrency);
@@ -144,21 +141,21 @@ impl<T: Item> Scan<T> {
                 |number| number,
                 |own| {
                     go_on(progress, start, total)?;
-                    let met = match &pool {
+                    let read = match &pool {
                         Some(pool) => pool.install(|| some(&own)),
                         None => some(&own),
                     }?;
-                    let met = own.into_iter().zip(met).map(|(number, met)| {
-                        met.unwrap_or_else(|cause| {
-                            let said = Met::Bad(cause.to_string());
+                    let read = own.into_iter().zip(read).map(|(number, outcome)| {
+                        outcome.unwrap_or_else(|cause| {
+                            let bad_item = Outcome::Bad(cause.to_string());
                             bad.get_or_insert((number, cause));
-                            said
+                            bad_item
                         })
                     });
-                    Ok(met.collect())
+                    Ok(read.collect())
                 },
             )?);
-            let is_bad = |met: &Met| matches!(met, Met::Bad(_));
+            let is_bad = |outcome: &Outcome| matches!(outcome, Outcome::Bad(_));
             if on_bad == Some(OnBadPhrase::Error)
                 && let Some(number) = outcomes.iter().position(is_bad)
             {
@@ -182,9 +179,9 @@ impl<T: Item> Scan<T> {
         };
         for (Listed { id, .. }, outcome) in self.listed.iter().zip(outcomes) {
             match outcome {
-                Met::LeftOut(reason) => gathered.left_out.push((id.clone(), reason)),
-                Met::Bad(cause) => gathered.skipped.push((id.clone(), cause)),
-                Met::Good(entry, note) => {
+                Outcome::LeftOut(reason) => gathered.left_out.push((id.clone(), reason)),
+                Outcome::Bad(cause) => gathered.skipped.push((id.clone(), cause)),
+                Outcome::Good(entry, note) => {
                     gathered.notes.extend(note.map(|note| (id.clone(), note)));
                     gathered.entries.push(entry);
                 }
@@ -225,7 +222,7 @@ impl<T: Item> Scan<T> {
         };
         let (validation, train): (Vec<usize>, Vec<usize>) =
             (0..entries.len()).partition(|&index| held_out[index]);
-        let store = Arc::new(ItemStore::new(self.origin, entries, memory));
+        let store = Arc::new(ItemStore::new(self.source, entries, memory));
         let digest = store.digest(&validation);
         let train = ItemSet::new(store.clone(), train);
         (train, ItemSet::new(store, validation), digest)

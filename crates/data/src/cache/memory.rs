@@ -10,11 +10,11 @@ use crate::Item;
 #[derive(Debug)]
 pub(crate) struct MemoryCache<T> {
     limit: usize,
-    held: Mutex<Held<T>>,
+    entries: Mutex<Entries<T>>,
 }
 
 #[derive(Debug)]
-struct Held<T> {
+struct Entries<T> {
     items: LruCache<usize, Arc<T>>,
     bytes: usize,
 }
@@ -22,19 +22,19 @@ struct Held<T> {
 impl<T: Item> MemoryCache<T> {
     /// An empty cache of at most `limit` bytes.
     pub fn new(limit: usize) -> Self {
-        let held = Held {
+        let entries = Entries {
             items: LruCache::unbounded(),
             bytes: 0,
         };
         Self {
             limit,
-            held: Mutex::new(held),
+            entries: Mutex::new(entries),
         }
     }
 
-    fn lock(&self) -> MutexGuard<'_, Held<T>> {
+    fn lock(&self) -> MutexGuard<'_, Entries<T>> {
         // Nothing that panics runs under the lock.
-        self.held.lock().unwrap_or_else(PoisonError::into_inner)
+        self.entries.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Item `number`, if it is held.
@@ -43,7 +43,7 @@ impl<T: Item> MemoryCache<T> {
     }
 
     /// Whether item `number` is held now; counts as no use of it.
-    pub fn holds(&self, number: usize) -> bool {
+    pub fn contains(&self, number: usize) -> bool {
         self.lock().items.contains(&number)
     }
 
@@ -53,16 +53,16 @@ impl<T: Item> MemoryCache<T> {
         if bytes > self.limit {
             return;
         }
-        let mut held = self.lock();
-        if let Some(before) = held.items.put(number, item) {
-            held.bytes -= before.bytes();
+        let mut entries = self.lock();
+        if let Some(before) = entries.items.put(number, item) {
+            entries.bytes -= before.bytes();
         }
-        held.bytes += bytes;
-        while held.bytes > self.limit {
-            let Some((_, oldest)) = held.items.pop_lru() else {
+        entries.bytes += bytes;
+        while entries.bytes > self.limit {
+            let Some((_, oldest)) = entries.items.pop_lru() else {
                 break;
             };
-            held.bytes -= oldest.bytes();
+            entries.bytes -= oldest.bytes();
         }
     }
 }

@@ -8,7 +8,7 @@ use kinegrad_motion::humanml::{Features, Root, Skeleton, TEXT_CHANNELS};
 use kinegrad_motion::metrics::text_motion::Token;
 
 use crate::files::Files;
-use crate::item_store::{Origin, Reading, Wanted};
+use crate::item_store::{ItemSource, ReadItem, ReadRequest};
 use crate::listing::Expected;
 use crate::magnitude::first_unusable;
 use crate::{Error, FileError, Item, ItemSet, StoreError, atomic, npy};
@@ -255,10 +255,10 @@ impl ClipFiles {
     }
 }
 
-impl Origin<Clip> for ClipFiles {
-    fn read(&self, wanted: Wanted<'_>) -> Result<Reading<Clip>, FileError> {
-        let Wanted { id, recorded, .. } = wanted;
-        let [features, captions @ ..] = wanted.expected else {
+impl ItemSource<Clip> for ClipFiles {
+    fn read(&self, request: ReadRequest<'_>) -> Result<ReadItem<Clip>, FileError> {
+        let ReadRequest { id, recorded, .. } = request;
+        let [features, captions @ ..] = request.expected else {
             unreachable!("a clip has a file of features");
         };
         let path = features_path(id);
@@ -277,9 +277,9 @@ impl Origin<Clip> for ClipFiles {
             _ => None,
         };
         if let Some(reason) = reason {
-            return Ok(Reading {
+            return Ok(ReadItem {
                 left_out: Some(format!("{reason}: {frames} frames")),
-                ..Reading::of(clip)
+                ..ReadItem::of(clip)
             });
         }
         let mut content = vec![digest];
@@ -299,11 +299,11 @@ impl Origin<Clip> for ClipFiles {
                 left_out = note.take();
             }
         }
-        Ok(Reading {
+        Ok(ReadItem {
             note,
             left_out,
             content,
-            ..Reading::of(clip)
+            ..ReadItem::of(clip)
         })
     }
 

@@ -18,7 +18,7 @@ impl Listable for Clip {
     fn scan(config: &DataConfig) -> Result<Scan<Self>, Error> {
         match config.kind {
             DataKind::Humanml3d => files(config),
-            DataKind::SyntheticWalks => made_up(config),
+            DataKind::SyntheticWalks => synthetic_walks(config),
             kind @ (DataKind::Phrases | DataKind::Synthetic) => Err(Error::wrong_kind(
                 kind,
                 "\"humanml3d\" or \"synthetic_walks\"",
@@ -29,17 +29,17 @@ impl Listable for Clip {
 }
 
 /// Walks, which the rule of the config divides.
-fn made_up(config: &DataConfig) -> Result<Scan<Clip>, Error> {
+fn synthetic_walks(config: &DataConfig) -> Result<Scan<Clip>, Error> {
     let conditional = config.humanml3d.reads_embeddings();
     let split = Split::new(&config.validation)?;
-    let mut listed = Listed::made_up(config.synthetic.phrases, synthetic_id);
+    let mut listed = Listed::synthetic(config.synthetic.phrases, synthetic_id);
     listed.truncate(config.num_phrases.unwrap_or(usize::MAX));
     Ok(Scan {
         representation: config.humanml3d.representation(),
         given: None,
         warnings: split.idle_entries(ids(&listed)),
         split: Some(split),
-        origin: Box::new(Walks::new(config, conditional)),
+        source: Box::new(Walks::new(config, conditional)),
         listed,
     })
 }
@@ -67,7 +67,7 @@ fn files(config: &DataConfig) -> Result<Scan<Clip>, Error> {
         split: None,
         warnings,
         listed,
-        origin: Box::new(ClipFiles {
+        source: Box::new(ClipFiles {
             files,
             skeleton: representation.skeleton.clone(),
             captions_required: match humanml3d.captions {

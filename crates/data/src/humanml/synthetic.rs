@@ -12,7 +12,7 @@ use kinegrad_motion::metrics::text_motion::Token;
 use kinegrad_random::{Key, Purpose};
 use rayon::prelude::*;
 
-use crate::item_store::{Origin, Reading, Wanted};
+use crate::item_store::{ItemSource, ReadItem, ReadRequest};
 use crate::split::Split;
 use crate::synthetic::write_whole;
 use crate::{
@@ -210,16 +210,16 @@ impl Walks {
     }
 }
 
-impl Origin<Clip> for Walks {
-    fn read(&self, wanted: Wanted<'_>) -> Result<Reading<Clip>, FileError> {
-        let mut clip = walk(wanted.number, self.config.frames, self.config.seed);
+impl ItemSource<Clip> for Walks {
+    fn read(&self, request: ReadRequest<'_>) -> Result<ReadItem<Clip>, FileError> {
+        let mut clip = walk(request.number, self.config.frames, self.config.seed);
         clip.drop_short_captions(Skeleton::humanml3d().description().fps, self.min_frames);
         if !self.conditional {
             clip.captions
                 .iter_mut()
                 .for_each(|caption| caption.embedding = None);
         }
-        Ok(Reading::of(clip))
+        Ok(ReadItem::of(clip))
     }
 
     fn fingerprint(&self) -> String {
