@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use kinegrad_data::file::read_text;
 use kinegrad_motion::Statistics;
-use kinegrad_motion::feet::{ContactRule, hold};
+use kinegrad_motion::feet::{ContactRule, lock_joints};
 use kinegrad_motion::humanml::{Extraction, Features, Joints, Root, Skeleton};
 use kinegrad_motion::path::{
     ArcLengthMode, Course, Edges, HEADING_ORDER, HEADING_WINDOW, HeadingMode, PathError, PathPlan,
@@ -181,7 +181,7 @@ impl PathTarget {
     ) -> Result<Followed, Error> {
         let (joints, legs_short) = match fix_feet {
             true => {
-                let held = hold(&moved, before, skeleton, &ContactRule::default())?;
+                let held = lock_joints(&moved, before, skeleton, &ContactRule::default())?;
                 (held.joints, held.missed)
             }
             false => (moved, 0.0),

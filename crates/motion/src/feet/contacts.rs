@@ -60,7 +60,7 @@ impl ContactRule {
             }
         }
         let shortest = (self.shortest * fps).ceil().max(1.0) as usize;
-        steadied(contacts, shortest)
+        without_short_runs(contacts, shortest)
     }
 }
 
@@ -134,7 +134,7 @@ pub fn runs(contacts: &[bool]) -> Vec<Range<usize>> {
 }
 
 /// Contacts without gaps and then without contacts of fewer than `shortest` frames.
-pub fn steadied(mut contacts: Vec<bool>, shortest: usize) -> Vec<bool> {
+pub fn without_short_runs(mut contacts: Vec<bool>, shortest: usize) -> Vec<bool> {
     for value in [false, true] {
         let mut first = 0;
         for t in 0..=contacts.len() {
@@ -168,7 +168,7 @@ mod tests {
             ("###...###", "###...###"),
             (".##.##.", ".#####."),
         ] {
-            assert_eq!(steadied(read(found), 3), read(steady), "{found}");
+            assert_eq!(without_short_runs(read(found), 3), read(steady), "{found}");
         }
         assert_eq!(runs(&read(".##...#")), [1..3, 6..7]);
         assert!(runs(&read("...")).is_empty());

@@ -6,17 +6,17 @@
 //! correction fades within a few frames, and beyond that nothing changes.
 //!
 //! Contacts may come from anywhere, such as an example that the motion was made of;
-//! [`ContactRule::contacts`] finds them by height and speed. [`hold`] does both for the joints of a
+//! [`ContactRule::contacts`] finds them by height and speed. [`lock_joints`] does both for the joints of a
 //! [`Skeleton`](crate::humanml::Skeleton).
 
-mod body;
 mod contacts;
+mod locked_joints;
 
 #[cfg(test)]
 mod tests;
 
-pub use body::{Held, hold, hold_above};
-pub use contacts::{ContactRule, StepRule, runs, steadied, steps};
+pub use contacts::{ContactRule, StepRule, runs, steps, without_short_runs};
+pub use locked_joints::{LockedJoints, hold, lock_joints_above};
 
 use std::ops::Range;
 

@@ -6,7 +6,7 @@ use kinegrad_random::Key;
 
 use super::headings::calm;
 use super::{Warp, between, placed};
-use crate::feet::{ContactRule, hold};
+use crate::feet::{ContactRule, lock_joints};
 use crate::humanml::extract::{canonicalize, going_on};
 use crate::humanml::{Extraction, FeatureError, Features, Joints, Skeleton};
 
@@ -91,12 +91,12 @@ impl Bend {
     ) -> Result<Features, FeatureError> {
         let joints = features.joints();
         let bent = self.apply(&joints, skeleton.description().fps);
-        let held = hold(&bent, &joints, skeleton, &ContactRule::default())?;
-        if held.missed > MISSED {
+        let locked = lock_joints(&bent, &joints, skeleton, &ContactRule::default())?;
+        if locked.missed > MISSED {
             return Ok(features.to_relative());
         }
         // Features begin at the origin; the floor is the clip's, not this part's lowest joint.
-        let joints = going_on(&held.joints)?;
+        let joints = going_on(&locked.joints)?;
         let moved = canonicalize(skeleton, &joints)?;
         let floor = joints.frame(0)[0][1] - moved.frame(0)[0][1];
         let places = moved.as_slice().iter().map(|[x, y, z]| [*x, y + floor, *z]);

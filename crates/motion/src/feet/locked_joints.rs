@@ -8,7 +8,7 @@ const BLEND_SECONDS: f64 = 0.25;
 
 /// Joints whose feet are held.
 #[derive(Clone, Debug)]
-pub struct Held {
+pub struct LockedJoints {
     /// Where the joints are.
     pub joints: Joints,
     /// Part of the frames in which a foot is in contact, of all feet.
@@ -27,26 +27,26 @@ pub struct Held {
 ///
 /// # Errors
 /// [`FeatureError::LengthMismatch`] unless both are the same frames of joints of `skeleton`.
-pub fn hold(
+pub fn lock_joints(
     joints: &Joints,
     seen: &Joints,
     skeleton: &Skeleton,
     rule: &ContactRule,
-) -> Result<Held, FeatureError> {
-    hold_above(joints, seen, skeleton, rule, 0.0)
+) -> Result<LockedJoints, FeatureError> {
+    lock_joints_above(joints, seen, skeleton, rule, 0.0)
 }
 
-/// [`hold`] above a floor of that height.
+/// [`lock_joints`] above a floor of that height.
 ///
 /// # Errors
-/// As [`hold`].
-pub fn hold_above(
+/// As [`lock_joints`].
+pub fn lock_joints_above(
     joints: &Joints,
     seen: &Joints,
     skeleton: &Skeleton,
     rule: &ContactRule,
     floor: f64,
-) -> Result<Held, FeatureError> {
+) -> Result<LockedJoints, FeatureError> {
     joints.must_be_of(skeleton)?;
     seen.must_be_of(skeleton)?;
     FeatureError::unless_equal("frames", joints.frames(), seen.frames())?;
@@ -68,7 +68,7 @@ pub fn hold_above(
     let flags = contacts.concat();
     let standing = flags.iter().filter(|&&contact| contact).count();
     let missed = locked.missed.concat().into_iter().fold(0.0, f64::max);
-    Ok(Held {
+    Ok(LockedJoints {
         in_contact: standing as f64 / flags.len().max(1) as f64,
         before: speed(joints),
         after: speed(&joints_after),
@@ -120,7 +120,7 @@ mod tests {
         let skeleton = Skeleton::humanml3d();
         let rule = ContactRule::default();
         let slid = sliding_walk(&skeleton, -0.4);
-        let held = hold(&slid, &slid, &skeleton, &rule).unwrap();
+        let held = lock_joints(&slid, &slid, &skeleton, &rule).unwrap();
         assert!(
             held.in_contact > 0.4 && held.in_contact < 0.8,
             "{}",
@@ -177,7 +177,7 @@ mod tests {
         );
         let skates = |joints: &Joints| skating_ratio(joints, fps, &[10, 11]).unwrap();
         let quick = sliding_walk(&skeleton, -0.48);
-        let quick_held = hold(&quick, &quick, &skeleton, &rule).unwrap();
+        let quick_held = lock_joints(&quick, &quick, &skeleton, &rule).unwrap();
         // A foot that has just left is low and quick: what a walk that does not slide has as well.
         let own = skates(&sliding_walk(&skeleton, 0.0));
         let (before, after) = (skates(&quick), skates(&quick_held.joints));
@@ -189,7 +189,7 @@ mod tests {
         // It slides on, beyond its strides.
         let skeleton = Skeleton::humanml3d();
         let slid = sliding_walk(&skeleton, 0.4);
-        let held = hold(&slid, &slid, &skeleton, &ContactRule::default()).unwrap();
+        let held = lock_joints(&slid, &slid, &skeleton, &ContactRule::default()).unwrap();
         assert!(held.missed > 0.02, "{}", held.missed);
         assert!(held.after < 0.6 * held.before, "{}", held.after);
         for leg in skeleton.legs() {
@@ -215,18 +215,18 @@ mod tests {
         let above = walk.as_slice().iter().map(|[x, y, z]| [*x, y + 0.3, *z]);
         let flying = Joints::new(above.collect(), 22).unwrap();
         let rule = ContactRule::default();
-        let held = hold(&flying, &flying, &skeleton, &rule).unwrap();
+        let held = lock_joints(&flying, &flying, &skeleton, &rule).unwrap();
         assert_eq!(held.joints, flying);
         // On a floor at that height it stands as often as the walk does on its own.
-        let on_floor = hold_above(&flying, &flying, &skeleton, &rule, 0.3).unwrap();
-        let own = hold(&walk, &walk, &skeleton, &rule).unwrap();
+        let on_floor = lock_joints_above(&flying, &flying, &skeleton, &rule, 0.3).unwrap();
+        let own = lock_joints(&walk, &walk, &skeleton, &rule).unwrap();
         assert!(own.in_contact > 0.1 && on_floor.in_contact == own.in_contact);
         assert_eq!((held.in_contact, held.before, held.missed), (0.0, 0.0, 0.0));
         // Contacts of other joints count.
-        let held = hold(&flying, &walk, &skeleton, &ContactRule::default()).unwrap();
+        let held = lock_joints(&flying, &walk, &skeleton, &ContactRule::default()).unwrap();
         assert!(held.after < 1e-6 && held.joints != flying);
         let short = Joints::new(walk.as_slice()[..22].to_vec(), 22).unwrap();
-        assert!(hold(&walk, &short, &skeleton, &ContactRule::default()).is_err());
-        assert!(hold(&walk, &walk, &Skeleton::kit(), &ContactRule::default()).is_err());
+        assert!(lock_joints(&walk, &short, &skeleton, &ContactRule::default()).is_err());
+        assert!(lock_joints(&walk, &walk, &Skeleton::kit(), &ContactRule::default()).is_err());
     }
 }
