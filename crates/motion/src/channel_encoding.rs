@@ -254,9 +254,9 @@ impl ChannelEncoding {
     /// How sure predicted `rows` `[frames, channels]` are of each heading, 0 to 1, `[frames]`: the area
     /// that the two columns of a rotation span, or the norm of the quaternion. A mean of orientations
     /// that differ is short. NaN of what is not finite.
-    pub fn sureness(self, rows: &[f32]) -> Vec<f64> {
+    pub fn confidence(self, rows: &[f32]) -> Vec<f64> {
         let length = |v: &[f64]| v.iter().map(|part| part * part).sum::<f64>().sqrt();
-        let sure = |frame: &[f32]| {
+        let of_frame = |frame: &[f32]| {
             let values = frame[self.orientation_channels()].iter();
             let v: Vec<f64> = values.map(|&value| f64::from(value)).collect();
             match self.orientation {
@@ -269,7 +269,7 @@ impl ChannelEncoding {
                 }
             }
         };
-        rows.chunks_exact(self.channels()).map(sure).collect()
+        rows.chunks_exact(self.channels()).map(of_frame).collect()
     }
 
     /// How such channels with these `moments` are normalised: zero mean and unit deviation, except

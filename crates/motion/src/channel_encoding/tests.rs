@@ -341,7 +341,7 @@ fn a_mean_of_orientations_that_differ_is_unsure() {
         let mean = |a: &[f32], b: &[f32]| -> Vec<f32> {
             a.iter().zip(b).map(|(a, b)| (a + b) / 2.0).collect()
         };
-        let of = |turn: f64| targets.sureness(&mean(&encoded(turn), &encoded(-turn)));
+        let of = |turn: f64| targets.confidence(&mean(&encoded(turn), &encoded(-turn)));
         let [none, some, much] = [0.0, 0.6, 1.5].map(of);
         assert!((none[1] - 1.0).abs() < 1e-6, "{none:?}");
         assert!(some[1] < 0.96 && much[1] < 0.75, "{some:?} {much:?}");
@@ -353,7 +353,7 @@ fn a_mean_of_orientations_that_differ_is_unsure() {
     rows[QUATERNION.start] = f32::NAN;
     rows[QUATERNION.start] = 0.0;
     rows[QUATERNION].copy_from_slice(&[0.0, 0.3, 0.0, 0.4]);
-    let [sure] = ChannelEncoding::default().sureness(&rows)[..] else {
+    let [sure] = ChannelEncoding::default().confidence(&rows)[..] else {
         panic!("one frame")
     };
     assert!((sure - 0.5).abs() < 1e-6);

@@ -27,7 +27,7 @@ const LEAST_WEIGHT: f64 = 1e-4;
 
 /// How sure quaternions are of their headings, 0 to 1, by their norms: a mean of orientations that
 /// differ is short.
-pub fn sureness_of(motion: &Motion) -> Vec<f64> {
+pub fn heading_confidence(motion: &Motion) -> Vec<f64> {
     let frames = 0..motion.frames();
     frames
         .map(|t| motion.quaternion(t).norm().min(1.0))
@@ -39,26 +39,26 @@ pub fn sureness_of(motion: &Motion) -> Vec<f64> {
 pub const UPRIGHT: f64 = 0.25;
 
 /// Turns the orientations of a phrase of any length about the vertical to the headings nearest to
-/// theirs and to the angular velocities, except in frames that are `known`. `sureness`, 0 to 1, says
+/// theirs and to the angular velocities, except in frames that are `known`. `confidence`, 0 to 1, says
 /// how sure each heading is. All quaternions but the known become unit quaternions. The angular velocity
 /// turns with the body, and about the vertical changes as that of the headings does. `std` are the
 /// training deviations of the channels, `[25]`.
 ///
 /// # Panics
 /// Panics if there is not one flag and one number for each frame, or the deviation is not positive.
-pub fn fit_heading(motion: &mut Motion, std: &[f64], known: &[bool], sureness: &[f64]) {
+pub fn fit_heading(motion: &mut Motion, std: &[f64], known: &[bool], confidence: &[f64]) {
     let frames = motion.frames();
     assert_eq!(known.len(), frames, "known frames");
-    assert_eq!(sureness.len(), frames, "how sure frames are");
+    assert_eq!(confidence.len(), frames, "confidence of each frame");
     let units: Vec<Quaternion> = (0..frames)
         .map(|t| motion.quaternion(t).normalised())
         .collect();
     let weights = known
         .iter()
-        .zip(sureness)
-        .map(|(&known, sure)| match known {
+        .zip(confidence)
+        .map(|(&known, confidence)| match known {
             true => weight(known),
-            false => sure.powi(2).clamp(LEAST_WEIGHT, 1.0),
+            false => confidence.powi(2).clamp(LEAST_WEIGHT, 1.0),
         });
     let vertical = ANGULAR_VELOCITY.start + 1;
     let fit = OrientationFit::of_weighted_headings(weights.collect(), std[vertical]);

@@ -18,7 +18,7 @@ mod orientation;
 mod phase;
 mod trajectory;
 
-pub use heading::{UPRIGHT, fit_heading, sureness_of};
+pub use heading::{UPRIGHT, fit_heading, heading_confidence};
 pub use orientation::{OrientationFit, fit_orientation};
 pub use phase::fit_phase;
 pub use trajectory::{CoherentFit, EXTRA_FRAMES, coherent_matrix, fit_trajectory};

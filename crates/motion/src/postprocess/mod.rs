@@ -22,7 +22,9 @@ pub use config::{ClampLimits, Differences, Hemisphere, PostProcessConfig, PostPr
 
 use std::ops::Range;
 
-use crate::coherence::{fit_heading, fit_orientation, fit_phase, fit_trajectory, sureness_of};
+use crate::coherence::{
+    fit_heading, fit_orientation, fit_phase, fit_trajectory, heading_confidence,
+};
 use crate::phrase::{
     ACCELERATION, ANGULAR_VELOCITY, CHANNELS, FPS, PHASE, POSITION, STYLE, VELOCITY,
 };
@@ -42,11 +44,17 @@ pub fn process(
     statistics: Option<&Statistics>,
 ) -> Motion {
     let none = vec![false; motion.frames()];
-    process_around(motion, config, statistics, &none, &sureness_of(motion))
+    process_around(
+        motion,
+        config,
+        statistics,
+        &none,
+        &heading_confidence(motion),
+    )
 }
 
 /// The same for a phrase of which some frames are `known`: the fit of coherent motion passes through
-/// them. `sureness`, 0 to 1, says how sure each heading is. Other steps treat all frames alike.
+/// them. `confidence`, 0 to 1, says how sure each heading is. Other steps treat all frames alike.
 ///
 /// # Panics
 /// Panics if there is not one flag and one number for each frame.
@@ -55,7 +63,7 @@ pub fn process_around(
     config: &PostProcessConfig,
     statistics: Option<&Statistics>,
     known: &[bool],
-    sureness: &[f64],
+    confidence: &[f64],
 ) -> Motion {
     assert_eq!(known.len(), motion.frames(), "known frames");
     let mut frames: Frames = motion
@@ -105,7 +113,7 @@ pub fn process_around(
     {
         let mut fitted = processed.clone();
         fit_trajectory(&mut fitted, std, known);
-        fit_heading(&mut fitted, std, known, sureness);
+        fit_heading(&mut fitted, std, known, confidence);
         fit_orientation(&mut fitted, std, known);
         fit_phase(&mut fitted, known);
         if fitted.first_non_finite().is_none() {

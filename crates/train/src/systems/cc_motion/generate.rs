@@ -41,14 +41,14 @@ pub struct Sample {
 pub(super) struct Raw {
     motion: Motion,
     /// How sure it is of the heading of each frame, 0 to 1.
-    sureness: Vec<f64>,
+    confidence: Vec<f64>,
 }
 
 /// Of a decoder, which does not say how sure it is.
 impl From<Motion> for Raw {
     fn from(motion: Motion) -> Self {
-        let sureness = vec![1.0; motion.frames()];
-        Self { motion, sureness }
+        let confidence = vec![1.0; motion.frames()];
+        Self { motion, confidence }
     }
 }
 
@@ -200,16 +200,16 @@ impl Generator {
     /// If they are not whole frames.
     pub(super) fn predicted(&self, values: &[f32]) -> Result<Raw, Error> {
         let rows = self.state.normalization().denormalize(values);
-        let sureness = self.targets.sureness(&rows);
+        let confidence = self.targets.confidence(&rows);
         let motion = Motion::new(self.targets.decode(rows))?;
-        Ok(Raw { motion, sureness })
+        Ok(Raw { motion, confidence })
     }
 
     /// The post-processed sample of a raw motion of which some frames are known.
     pub(super) fn finished(&self, raw: Raw, is_known: &[bool]) -> Sample {
-        let Raw { motion, sureness } = raw;
+        let Raw { motion, confidence } = raw;
         let (steps, statistics) = (&self.post_processing, Some(self.statistics()));
-        let processed = process_around(&motion, steps, statistics, is_known, &sureness);
+        let processed = process_around(&motion, steps, statistics, is_known, &confidence);
         Sample {
             raw: motion,
             motion: processed,

@@ -15,7 +15,9 @@ use kinegrad_diffusion::{
 };
 use kinegrad_kernels::batch_invariant;
 use kinegrad_models::decoder::Coherence;
-use kinegrad_motion::coherence::{fit_heading, fit_orientation, fit_trajectory, sureness_of};
+use kinegrad_motion::coherence::{
+    fit_heading, fit_orientation, fit_trajectory, heading_confidence,
+};
 use kinegrad_motion::derivatives::make_sign_continuous;
 use kinegrad_motion::heading_alignment::HeadingAlignment;
 use kinegrad_motion::postprocess::derive_angular_velocity;
@@ -287,8 +289,8 @@ impl Generator {
             let std = &self.statistics().std;
             fit_trajectory(&mut motion, std, &is_known);
             if coherence == Coherence::Full {
-                let sureness = sureness_of(&motion);
-                fit_heading(&mut motion, std, &is_known, &sureness);
+                let confidence = heading_confidence(&motion);
+                fit_heading(&mut motion, std, &is_known, &confidence);
                 fit_orientation(&mut motion, std, &is_known);
             }
         }
