@@ -33,7 +33,7 @@
 //! points = [[0.0, 0.0], [0.0, 0.05], [0.01, 0.1]]
 //! ```
 
-mod doubts;
+mod feasibility;
 mod ground_targets;
 mod guidance;
 mod obstacle;
