@@ -67,7 +67,7 @@ impl Extraction {
         skeleton: &Skeleton,
         joints: &Joints,
     ) -> Result<Features, FeatureError> {
-        self.features(skeleton, &going_on(joints)?)
+        self.features(skeleton, &extrapolated(joints)?)
     }
 
     /// The features of a clip as it stands: neither rescaled nor moved. Heights are above y = 0,
@@ -142,7 +142,7 @@ impl Extraction {
 ///
 /// # Errors
 /// [`FeatureError::NonFinite`] if coordinates are so large that something overflows.
-pub fn going_on(joints: &Joints) -> Result<Joints, FeatureError> {
+pub fn extrapolated(joints: &Joints) -> Result<Joints, FeatureError> {
     let mut places = joints.as_slice().to_vec();
     let last = joints.frames() - 1;
     let (before, now) = (joints.frame(last.saturating_sub(1)), joints.frame(last));

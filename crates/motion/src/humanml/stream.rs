@@ -14,15 +14,15 @@ use crate::Quaternion;
 pub struct FeatureStream {
     skeleton: Skeleton,
     extraction: Extraction,
-    last: Option<Posed>,
+    last: Option<PosedFrame>,
     frames: usize,
     /// Whether the first frame has its own heading.
-    anywhere: bool,
+    own_heading: bool,
 }
 
 /// A frame, with its rotations.
 #[derive(Clone, Debug)]
-struct Posed {
+struct PosedFrame {
     places: Vec<[f64; 3]>,
     rotations: Vec<Quaternion>,
 }
@@ -48,7 +48,7 @@ impl FeatureStream {
             extraction,
             last: None,
             frames: 0,
-            anywhere: false,
+            own_heading: false,
         })
     }
 
@@ -57,9 +57,9 @@ impl FeatureStream {
     /// The rotations of published features are shortest turns from the rest pose as it stands in
     /// the world, so that they alone depend on where a motion faces.
     #[must_use]
-    pub fn facing_anywhere(self) -> Self {
+    pub fn with_own_heading(self) -> Self {
         Self {
-            anywhere: true,
+            own_heading: true,
             ..self
         }
     }
@@ -84,7 +84,7 @@ impl FeatureStream {
             return Err(not_finite("joints", format!("joint {joint}")));
         }
         let root = match &self.last {
-            None if !self.anywhere => Quaternion::IDENTITY,
+            None if !self.own_heading => Quaternion::IDENTITY,
             _ => raw_root(&self.skeleton, frame),
         };
         let row = self.last.as_ref().map(|last| {
@@ -98,7 +98,7 @@ impl FeatureStream {
             let name = self.skeleton.layout().channel_name(channel);
             return Err(not_finite("features", format!("channel `{name}`")));
         }
-        self.last = Some(Posed {
+        self.last = Some(PosedFrame {
             places: frame.to_vec(),
             rotations: rotations_of_frame(&self.skeleton, frame, root),
         });
@@ -219,8 +219,8 @@ mod tests {
             let kept = |row: Vec<f32>| [&row[..rotations.start], &row[rotations.end..]].concat();
             rows.flat_map(kept).collect()
         };
-        let anywhere = || stream(&skeleton).facing_anywhere();
-        let (found, expected) = (rows(&turned, anywhere()), rows(&clip, anywhere()));
+        let own_heading = || stream(&skeleton).with_own_heading();
+        let (found, expected) = (rows(&turned, own_heading()), rows(&clip, own_heading()));
         let apart = |a: &[f32], b: &[f32]| {
             let pairs = a.iter().zip(b);
             pairs.fold(0.0f32, |most, (a, b)| most.max((a - b).abs()))

@@ -7,7 +7,7 @@ use kinegrad_random::Key;
 use super::headings::calm;
 use super::{Warp, between, placed};
 use crate::feet::{ContactRule, lock_joints};
-use crate::humanml::extract::{canonicalize, going_on};
+use crate::humanml::extract::{canonicalize, extrapolated};
 use crate::humanml::{Extraction, FeatureError, Features, Joints, Skeleton};
 
 /// Largest curvature of the whole way, radians a metre: a circle of 1.25 m.
@@ -96,7 +96,7 @@ impl Bend {
             return Ok(features.to_relative());
         }
         // Features begin at the origin; the floor is the clip's, not this part's lowest joint.
-        let joints = going_on(&locked.joints)?;
+        let joints = extrapolated(&locked.joints)?;
         let moved = canonicalize(skeleton, &joints)?;
         let floor = joints.frame(0)[0][1] - moved.frame(0)[0][1];
         let places = moved.as_slice().iter().map(|[x, y, z]| [*x, y + floor, *z]);
@@ -211,7 +211,7 @@ mod tests {
             rescale: false,
             ..Extraction::default()
         };
-        let joints = going_on(&standing).unwrap();
+        let joints = extrapolated(&standing).unwrap();
         let moved = canonicalize(&skeleton, &joints).unwrap();
         let places = moved.as_slice().iter().map(|[x, y, z]| [*x, y + 0.5, *z]);
         let lifted = Joints::new(places.collect(), 22).unwrap();

@@ -160,7 +160,7 @@ fn quarter(joints: &Joints, number: usize) -> Joints {
 fn features(skeleton: &Skeleton, joints: &Joints) -> Option<Vec<Vec<f32>>> {
     let threshold = Extraction::default().contact_threshold;
     let stream = FeatureStream::new(skeleton.clone(), threshold).ok()?;
-    let mut stream = stream.facing_anywhere();
+    let mut stream = stream.with_own_heading();
     let mut rows = Vec::with_capacity(joints.frames());
     for t in 0..joints.frames() {
         rows.extend(stream.push(joints.frame(t)).ok()?);
