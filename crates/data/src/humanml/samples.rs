@@ -93,7 +93,7 @@ impl ClipSamples {
     fn bend(&self, n: u64) -> Option<Bend> {
         let key = Key::new(self.seed, Purpose::Augment).at(n);
         let bends = key.named("path_warp").uniform() < self.path_warp_prob;
-        bends.then(|| Bend::drawn(key.named("bend")))
+        bends.then(|| Bend::random(key.named("bend")))
     }
 
     /// Channels of the condition on a caption.

@@ -4,7 +4,7 @@ use std::f64::consts::TAU;
 
 use kinegrad_random::Key;
 
-use super::headings::calm;
+use super::headings::without_sway;
 use super::{Warp, between, placed};
 use crate::feet::{ContactRule, lock_joints};
 use crate::humanml::extract::{canonicalize, extrapolated};
@@ -30,11 +30,11 @@ pub struct Bend {
 
 impl Bend {
     /// A bend at random: part of a circle and two waves.
-    pub fn drawn(key: Key) -> Self {
-        let drawn = key.uniforms(7);
-        let mut drawn = drawn.into_iter().map(f64::from);
+    pub fn random(key: Key) -> Self {
+        let uniforms = key.uniforms(7);
+        let mut uniforms = uniforms.into_iter().map(f64::from);
         let mut between = |low: f64, high: f64| {
-            let share = drawn.next().expect("seven numbers");
+            let share = uniforms.next().expect("seven numbers");
             low + (high - low) * share
         };
         let curvature = between(-CURVATURE, CURVATURE);
@@ -61,7 +61,7 @@ impl Bend {
         let track: Vec<[f64; 2]> = track.map(|[x, _, z]| [x, z]).collect();
         let mut metres = 0.0;
         let mut turns = vec![self.turn(0.0)];
-        for pair in calm(&track).windows(2) {
+        for pair in without_sway(&track).windows(2) {
             let step = between(pair[0], pair[1]);
             if step * fps >= Warp::STANDING {
                 metres += step;
@@ -154,7 +154,7 @@ mod tests {
         let (joints, skeleton) = straight(60);
         let key = Key::new(3, Purpose::Augment);
         let bent: Vec<Joints> = (0..20)
-            .map(|n| Bend::drawn(key.at(n)).apply(&joints, 20.0))
+            .map(|n| Bend::random(key.at(n)).apply(&joints, 20.0))
             .collect();
         let ends: Vec<f64> = bent.iter().map(|bent| heading_at(bent, 59)).collect();
         let most = ends.iter().copied().fold(f64::MIN, f64::max);
@@ -183,7 +183,7 @@ mod tests {
             |joints: &Joints| skating_ratio(joints, 20.0, &[feet[1], feet[3]]).unwrap_or(0.0);
         let before = skates(&features.joints());
         for n in 0..5 {
-            let bend = Bend::drawn(Key::new(8, Purpose::Augment).at(n));
+            let bend = Bend::random(Key::new(8, Purpose::Augment).at(n));
             let made = bend.of_features(&features, &skeleton).unwrap();
             assert_eq!(made.frames(), features.frames());
             let (found, asked) = (made.joints(), bend.apply(&features.joints(), 20.0));

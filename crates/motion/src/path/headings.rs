@@ -49,11 +49,11 @@ pub fn headings_of(track: &[[f64; 2]]) -> Vec<f64> {
 /// Where somebody goes who is at `track`, frame by frame: headings of the track without its sway, held
 /// while the step is shorter than `least` metres.
 pub fn headings_of_gait(track: &[[f64; 2]], least: f64) -> Vec<f64> {
-    headings_above(&gradient(&calm(track)), least.max(STILL))
+    headings_above(&gradient(&without_sway(track)), least.max(STILL))
 }
 
 /// A track without the sway of its steps.
-pub(super) fn calm(track: &[[f64; 2]]) -> Vec<[f64; 2]> {
+pub(super) fn without_sway(track: &[[f64; 2]]) -> Vec<[f64; 2]> {
     smoothed(track, GAIT_WINDOW, 1)
 }
 

@@ -15,7 +15,6 @@
 
 mod bend;
 mod course;
-mod drawing;
 mod error;
 mod headings;
 mod loss;
@@ -24,6 +23,7 @@ mod plan;
 mod polyline;
 mod smoothing;
 mod spline;
+mod svg;
 mod warp;
 
 pub use bend::Bend;

@@ -6,7 +6,7 @@ use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize};
 use toml::Table;
 
-use super::drawing::{Drawing, read_drawing};
+use super::svg::{SvgPath, read_svg};
 use super::{CatmullRom, Parameterization, PathError, Polyline};
 
 /// What runs through the points of a path.
@@ -78,7 +78,7 @@ impl PathPlan {
                     "a drawing has no metres: state the length of its unit, as \
                      option `metres_per_unit 0.01`",
                 )?;
-                let Drawing { points, closed } = read_drawing(text, scale)?;
+                let SvgPath { points, closed } = read_svg(text, scale)?;
                 Self {
                     closed,
                     ..Self::line(points)

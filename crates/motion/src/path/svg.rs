@@ -19,7 +19,7 @@ const MOST_NODES: u32 = 1 << 20;
 
 /// What an SVG file holds.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct Drawing {
+pub(super) struct SvgPath {
     /// Points `[x, z]`, metres.
     pub points: Vec<[f64; 2]>,
     /// Whether it returns to where it begins.
@@ -31,7 +31,7 @@ pub(super) struct Drawing {
 ///
 /// # Errors
 /// In words.
-pub(super) fn read_drawing(text: &str, scale: f64) -> Result<Drawing, String> {
+pub(super) fn read_svg(text: &str, scale: f64) -> Result<SvgPath, String> {
     if !SCALES.contains(&scale) {
         return Err(format!(
             "a unit is {scale} metres, allowed: {} to {}",
@@ -39,7 +39,7 @@ pub(super) fn read_drawing(text: &str, scale: f64) -> Result<Drawing, String> {
             SCALES.end()
         ));
     }
-    // Drawing programs write a document type, which needs not be read.
+    // SvgPath programs write a document type, which needs not be read.
     let options = ParsingOptions {
         allow_dtd: true,
         nodes_limit: MOST_NODES,
@@ -85,7 +85,7 @@ pub(super) fn read_drawing(text: &str, scale: f64) -> Result<Drawing, String> {
             point.x, point.y
         ));
     }
-    let mut drawing = Drawing {
+    let mut path = SvgPath {
         points: Vec::new(),
         closed: false,
     };
@@ -96,13 +96,13 @@ pub(super) fn read_drawing(text: &str, scale: f64) -> Result<Drawing, String> {
             _ if parts > 1 => {}
             // Up on the page is away from the viewer.
             PathEl::MoveTo(point) | PathEl::LineTo(point) => {
-                drawing.points.push([scale * point.x, -scale * point.y]);
+                path.points.push([scale * point.x, -scale * point.y]);
             }
-            PathEl::ClosePath => drawing.closed = true,
+            PathEl::ClosePath => path.closed = true,
             _ => unreachable!("a flattened path has lines only"),
         }
     });
-    Ok(drawing)
+    Ok(path)
 }
 
 /// A node's style without spaces.
@@ -143,14 +143,14 @@ mod tests {
     fn lines_and_curves_of_a_drawing_are_read_in_metres() {
         let text =
             svg("<text>a</text><path d='M 100 0 C 100 -100 200 -100 200 -200 M 0 0 L 5 5'/>");
-        let drawing = read_drawing(&text, 0.01).unwrap();
-        assert_eq!(drawing.points[0], [1.0, 0.0]);
-        assert_eq!(drawing.points.last(), Some(&[2.0, 2.0]));
-        assert!(drawing.points.len() > 5 && !drawing.closed);
-        let polygon = read_drawing(&svg("<polygon points='0,0 10,0 10,-20'/>"), 0.1).unwrap();
+        let drawing = read_svg(&text, 0.01).unwrap();
+        assert_eq!(path.points[0], [1.0, 0.0]);
+        assert_eq!(path.points.last(), Some(&[2.0, 2.0]));
+        assert!(path.points.len() > 5 && !path.closed);
+        let polygon = read_svg(&svg("<polygon points='0,0 10,0 10,-20'/>"), 0.1).unwrap();
         assert_eq!(polygon.points, [[0.0, 0.0], [1.0, 0.0], [1.0, 2.0]]);
         assert!(polygon.closed);
-        let line = read_drawing(&svg("<line x1='0' y1='0' x2='0' y2='-30'/>"), 0.1).unwrap();
+        let line = read_svg(&svg("<line x1='0' y1='0' x2='0' y2='-30'/>"), 0.1).unwrap();
         assert_eq!(line.points, [[0.0, 0.0], [0.0, 3.0]]);
         let plan = PathPlan::read(&svg("<polyline points='0,0 1,-1'/>"), "a.SVG", Some(2.0));
         assert_eq!(plan.unwrap().points[1], [2.0, 2.0]);
@@ -165,8 +165,8 @@ mod tests {
             "<?xml version='1.0'?>\n<!DOCTYPE svg PUBLIC '-//W3C//DTD SVG 1.1//EN' \
              'http://www.w3.org/Graphics/SVG/1.1/DTD/svg11.dtd'>\n{drawn}"
         );
-        let drawing = read_drawing(&text, 1.0).unwrap();
-        assert_eq!(drawing.points, [[0.0, 0.0], [0.0, 3.0]]);
+        let drawing = read_svg(&text, 1.0).unwrap();
+        assert_eq!(path.points, [[0.0, 0.0], [0.0, 3.0]]);
     }
 
     #[test]
@@ -204,7 +204,7 @@ mod tests {
                 "it holds no `path`",
             ),
         ] {
-            let found = read_drawing(text, scale).unwrap_err();
+            let found = read_svg(text, scale).unwrap_err();
             assert!(found.contains(expected), "{found}");
         }
     }
