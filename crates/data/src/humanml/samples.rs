@@ -463,7 +463,7 @@ mod tests {
     #[test]
     fn words_of_captions_fill_their_places() {
         let config = config();
-        let vectors = Arc::new(WordVectors::drawn(6));
+        let vectors = Arc::new(WordVectors::random(6));
         let all = samples(&config, 263).with_words(vectors.clone());
         let clips = all.clips.load().unwrap();
         let batch = all.collate(0..clips.len()).unwrap();

@@ -16,7 +16,7 @@ mod locked_joints;
 mod tests;
 
 pub use contacts::{ContactRule, StepRule, runs, steps, without_short_runs};
-pub use locked_joints::{LockedJoints, hold, lock_joints_above};
+pub use locked_joints::{LockedJoints, lock_joints, lock_joints_above};
 
 use std::ops::Range;
 

@@ -143,10 +143,10 @@ mod tests {
     fn lines_and_curves_of_a_drawing_are_read_in_metres() {
         let text =
             svg("<text>a</text><path d='M 100 0 C 100 -100 200 -100 200 -200 M 0 0 L 5 5'/>");
-        let drawing = read_svg(&text, 0.01).unwrap();
-        assert_eq!(path.points[0], [1.0, 0.0]);
-        assert_eq!(path.points.last(), Some(&[2.0, 2.0]));
-        assert!(path.points.len() > 5 && !path.closed);
+        let found = read_svg(&text, 0.01).unwrap();
+        assert_eq!(found.points[0], [1.0, 0.0]);
+        assert_eq!(found.points.last(), Some(&[2.0, 2.0]));
+        assert!(found.points.len() > 5 && !found.closed);
         let polygon = read_svg(&svg("<polygon points='0,0 10,0 10,-20'/>"), 0.1).unwrap();
         assert_eq!(polygon.points, [[0.0, 0.0], [1.0, 0.0], [1.0, 2.0]]);
         assert!(polygon.closed);
@@ -165,8 +165,8 @@ mod tests {
             "<?xml version='1.0'?>\n<!DOCTYPE svg PUBLIC '-//W3C//DTD SVG 1.1//EN' \
              'http://www.w3.org/Graphics/SVG/1.1/DTD/svg11.dtd'>\n{drawn}"
         );
-        let drawing = read_svg(&text, 1.0).unwrap();
-        assert_eq!(path.points, [[0.0, 0.0], [0.0, 3.0]]);
+        let svg = read_svg(&text, 1.0).unwrap();
+        assert_eq!(svg.points, [[0.0, 0.0], [0.0, 3.0]]);
     }
 
     #[test]

@@ -153,12 +153,12 @@ pub struct WordVectors {
 #[derive(Clone, Debug, PartialEq)]
 enum Vocabulary {
     /// Some words, each with a row.
-    Stated {
+    Table {
         places: HashMap<String, usize>,
         values: Vec<f32>,
     },
     /// All words there are.
-    Drawn,
+    Random,
 }
 
 impl WordVectors {
@@ -190,7 +190,7 @@ impl WordVectors {
             return Err(refused(found, "a vector for it: that of words without one"));
         }
         Ok(Self {
-            vocabulary: Vocabulary::Stated { places, values },
+            vocabulary: Vocabulary::Table { places, values },
             width,
         })
     }
@@ -198,9 +198,9 @@ impl WordVectors {
     /// A vector of `width` normal numbers for every word there is, drawn from the word: it tells
     /// words apart and knows nothing of what they mean. For captions of few words, where an encoder
     /// learns the meaning of each.
-    pub fn drawn(width: usize) -> Self {
+    pub fn random(width: usize) -> Self {
         Self {
-            vocabulary: Vocabulary::Drawn,
+            vocabulary: Vocabulary::Random,
             width,
         }
     }
@@ -213,11 +213,11 @@ impl WordVectors {
     /// The vector of a word, if it has one.
     pub fn vector(&self, word: &str) -> Option<Cow<'_, [f32]>> {
         match &self.vocabulary {
-            Vocabulary::Stated { places, values } => {
+            Vocabulary::Table { places, values } => {
                 let start = places.get(word)? * self.width;
                 Some(Cow::Borrowed(&values[start..start + self.width]))
             }
-            Vocabulary::Drawn => {
+            Vocabulary::Random => {
                 let key = Key::new(0, Purpose::WordVectors).named(word);
                 Some(Cow::Owned(key.normals(self.width)))
             }
@@ -289,7 +289,7 @@ mod tests {
 
     #[test]
     fn every_word_has_a_drawn_vector_of_its_own() {
-        let vectors = WordVectors::drawn(5);
+        let vectors = WordVectors::random(5);
         let [walk, again, run] = ["walk", "walk", "run"].map(|word| vectors.vector(word).unwrap());
         assert_eq!((walk.len(), &walk), (5, &again));
         assert_ne!(walk, run);
