@@ -8,6 +8,11 @@ pub fn step(from: f64, to: f64) -> f64 {
     step - step.round()
 }
 
+/// An angle in radians, by whole turns within half a turn of 0: -pi to pi.
+pub fn wrapped(angle: f64) -> f64 {
+    angle - TAU * (angle / TAU).round()
+}
+
 /// How far two places are apart: 0 to 0.5. Places without any relation are 0.25 apart on average.
 pub fn distance(a: f64, b: f64) -> f64 {
     step(a, b).abs()

@@ -35,6 +35,7 @@ pub mod motion_measures;
 pub mod path;
 pub mod phrase;
 pub mod postprocess;
+pub mod quantiles;
 pub mod representation;
 pub mod rotation;
 pub mod sanity;

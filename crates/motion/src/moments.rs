@@ -69,6 +69,12 @@ impl ChannelMoments {
     }
 }
 
+/// Mean of values; NaN of none.
+pub(crate) fn mean(values: impl ExactSizeIterator<Item = f64>) -> f64 {
+    let count = values.len() as f64;
+    values.sum::<f64>() / count
+}
+
 /// Mean and standard deviation of values (of the population: divided by their number).
 pub(crate) fn mean_and_deviation(values: impl Iterator<Item = f64> + Clone) -> (f64, f64) {
     let count = values.clone().count() as f64;

@@ -231,16 +231,6 @@ fn normalized(value: f32, mean: f64, std: f64) -> f32 {
     ((f64::from(value) - mean) / std) as f32
 }
 
-/// The `percent`-th percentile with linear interpolation between the two nearest of the `values`,
-/// of which there is at least one.
-pub fn percentile(mut values: Vec<f64>, percent: f64) -> f64 {
-    values.sort_by(f64::total_cmp);
-    let place = percent / 100.0 * (values.len() - 1) as f64;
-    let below = place.floor() as usize;
-    let above = (below + 1).min(values.len() - 1);
-    values[below] + (values[above] - values[below]) * place.fract()
-}
-
 /// [`Statistics`] as stored. The number of items is called after what they are, as runs of all
 /// versions say it.
 #[derive(Clone, Deserialize, Serialize)]
@@ -377,13 +367,6 @@ mod tests {
                 .all(|v| (low[channel]..=high[channel]).contains(v));
             assert!(within && row.contains(&low[channel]) && row.contains(&high[channel]));
         }
-    }
-
-    #[test]
-    fn percentiles_are_interpolated() {
-        assert_eq!(percentile(vec![7.0], 95.0), 7.0);
-        assert_eq!(percentile(vec![3.0, 1.0, 2.0], 50.0), 2.0);
-        assert!((percentile(vec![20.0, 0.0, 10.0], 95.0) - 19.0).abs() < 1e-12);
     }
 
     #[test]

@@ -16,6 +16,7 @@
 //! speed plus 0.1 m/s: large where the body stops and goes, small where it flows.
 
 use crate::derivatives::{angular_velocity, forward_differences};
+use crate::quantiles::median;
 use crate::vector::length;
 use crate::{FPS, Quaternion};
 
@@ -102,17 +103,6 @@ fn tilt(orientation: Quaternion) -> f64 {
     x.hypot(z).atan2(y)
 }
 
-/// The middle of the values, the mean of the two middle ones of an even number; 0 for none.
-pub fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    let middle = values.len() / 2;
-    match values.len() {
-        0 => 0.0,
-        n if n % 2 == 1 => values[middle],
-        _ => 0.5 * (values[middle - 1] + values[middle]),
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -185,12 +175,5 @@ mod tests {
         // The speed is 0 or 1, half the time each, 0.5 off its mean.
         assert!((style[90][0] - 0.5).abs() < 1e-9);
         assert!((style[90][4] - 0.5 / 0.6).abs() < 1e-9, "{}", style[90][4]);
-    }
-
-    #[test]
-    fn medians_of_odd_and_even_lists() {
-        assert_eq!(median(vec![3.0, 1.0, 2.0]), 2.0);
-        assert_eq!(median(vec![4.0, 1.0, 2.0, 3.0]), 2.5);
-        assert_eq!(median(Vec::new()), 0.0);
     }
 }

@@ -3,7 +3,7 @@
 //! choice).
 
 use kinegrad_motion::derivatives::{angular_velocity, forward_differences};
-use kinegrad_motion::style::median;
+use kinegrad_motion::quantiles::median;
 use kinegrad_motion::vector::length;
 use kinegrad_motion::{FPS, Quaternion};
 

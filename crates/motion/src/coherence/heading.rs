@@ -16,9 +16,8 @@
 //! squares of how sure it is, so that the angular velocities lead over frames that say little. Bodies
 //! stay as tilted as they were.
 
-use std::f64::consts::TAU;
-
 use super::{OrientationFit, weight};
+use crate::circular::wrapped;
 use crate::phrase::{ANGULAR_VELOCITY, FPS};
 use crate::{Motion, Quaternion};
 
@@ -110,11 +109,6 @@ pub fn fit_heading(motion: &mut Motion, std: &[f64], known: &[bool], confidence:
         }
         motion.set_vector(t, ANGULAR_VELOCITY, rate);
     }
-}
-
-/// An angle in radians, from -pi to pi.
-fn wrapped(angle: f64) -> f64 {
-    angle - TAU * (angle / TAU).round()
 }
 
 #[cfg(test)]

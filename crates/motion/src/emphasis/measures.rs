@@ -4,6 +4,7 @@ use kinegrad_random::{Key, Purpose};
 use serde::Serialize;
 
 use super::EmphasisProjection;
+use crate::moments::mean;
 
 /// Frames of the round trip.
 const FRAMES: usize = 196;
@@ -56,9 +57,4 @@ impl EmphasisProjection {
             round_trip_mean: mean(errors),
         }
     }
-}
-
-fn mean(values: impl ExactSizeIterator<Item = f64>) -> f64 {
-    let count = values.len();
-    values.sum::<f64>() / count as f64
 }

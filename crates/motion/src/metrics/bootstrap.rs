@@ -3,7 +3,7 @@
 use kinegrad_random::{Key, Purpose};
 use serde::Serialize;
 
-use crate::statistics::percentile;
+use crate::quantiles::percentile;
 
 /// How often the values are drawn again.
 const RESAMPLES: u64 = 2000;

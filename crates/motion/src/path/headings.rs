@@ -3,6 +3,7 @@
 use std::f64::consts::{PI, TAU};
 
 use super::{STILL, smoothed};
+use crate::circular;
 
 /// What a path says of each frame to a network (docs/sources.md, section 7, option C).
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -102,7 +103,7 @@ pub fn unwrapped(angles: &[f64]) -> Vec<f64> {
 
 /// The angle within half a turn of 0: -pi to pi, of which pi is one.
 pub fn wrapped(angle: f64) -> f64 {
-    let turned = angle - TAU * (angle / TAU).round();
+    let turned = circular::wrapped(angle);
     match turned <= -PI {
         true => turned + TAU,
         false => turned,

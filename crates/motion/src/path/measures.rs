@@ -7,6 +7,7 @@ use super::{Course, Polyline, headings_of, wrapped};
 use crate::feet::{StepRule, steps};
 use crate::humanml::{FeatureError, Joints, Skeleton};
 use crate::metrics::{mean_jerk, skating_ratio};
+use crate::moments::mean;
 
 /// How a motion follows a path, and how it looks meanwhile.
 #[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
@@ -102,11 +103,6 @@ pub fn slide(joints: &Joints, feet: &[usize]) -> f64 {
         }
     }
     if frames > 0.0 { metres / frames } else { 0.0 }
-}
-
-fn mean(values: impl ExactSizeIterator<Item = f64>) -> f64 {
-    let count = values.len() as f64;
-    values.sum::<f64>() / count
 }
 
 /// Distance of a place from the nearest point of a path, metres.

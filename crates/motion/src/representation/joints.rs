@@ -6,7 +6,8 @@ use super::{Curves, Representation};
 use crate::derivatives::{differences, jerk_of};
 use crate::humanml::units::MILLIMETRE;
 use crate::humanml::{FeatureLayout, Features, Joints, Root, Skeleton};
-use crate::statistics::{CONSTANT, percentile};
+use crate::quantiles::percentile;
+use crate::statistics::CONSTANT;
 use crate::vector::{length, minus};
 use crate::{ChannelMoments, Statistics};
 

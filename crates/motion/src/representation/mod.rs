@@ -18,8 +18,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::humanml::{Joints, Skeleton};
 use crate::metrics::mean_jerk;
+use crate::quantiles::percentile;
 use crate::sanity::body;
-use crate::statistics::percentile;
 use crate::{ChannelMoments, Error, Profile, Report, Statistics};
 
 /// A representation of motion. Rows are `[frames, channels]`, row-major, in the units of the

@@ -4,7 +4,7 @@ use super::{Curves, Representation};
 use crate::derivatives::{angular_rates, differences, jerk, jerk_of, mean_jerk_norm};
 use crate::humanml::Joints;
 use crate::phrase::{ACCELERATION, ANGULAR_VELOCITY, PHASE, POSITION, QUATERNION, STYLE, VELOCITY};
-use crate::statistics::percentile;
+use crate::quantiles::percentile;
 use crate::vector::length;
 use crate::{
     CHANNELS, ChannelMoments, Error, FPS, Motion, MotionMeasure, Profile, Report, Statistics,

@@ -1,6 +1,6 @@
 //! How motions move, as a table.
 
-use kinegrad_motion::statistics::percentile;
+use kinegrad_motion::quantiles::percentile;
 use kinegrad_motion::{Motion, MotionMeasure};
 use serde::Serialize;
 

@@ -6,7 +6,7 @@ use kinegrad_audio::pulse::BEAT_FEATURES;
 use kinegrad_data::{AUDIO_CHANNELS, Phrase, Songs};
 use kinegrad_motion::motion_measures::phase_steps;
 use kinegrad_motion::phrase::PHASE;
-use kinegrad_motion::statistics::percentile;
+use kinegrad_motion::quantiles::percentile;
 use kinegrad_motion::{FPS, Motion, circular};
 
 /// Beats in a bar where nothing is known of them.
