@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, HashMap};
 
 use kinegrad_settings::{InvalidSetting, Refused, require};
 
-use crate::split::matches;
+use crate::pattern::matches;
 
 /// The labels of a dataset's phrases.
 #[derive(Clone, Debug, Default)]

@@ -48,6 +48,7 @@ pub mod manifest;
 mod npy;
 mod npz;
 mod order;
+mod pattern;
 mod phrase;
 mod phrase_samples;
 mod phrase_set;
@@ -84,6 +85,7 @@ pub use layout::{
 };
 pub use loader::{BatchShare, Loader, Samples};
 pub use magnitude::LARGEST;
+pub use manifest::Songs;
 pub use npy::{
     Array, motion_bytes, parse as parse_array, parse_motion, read_array, read_motion, write_motion,
     write_values,
@@ -92,11 +94,12 @@ pub use npz::{
     features_bytes, parse_arrays, parse_features, parse_features_as, read_features, write_features,
     write_song_features,
 };
+pub use pattern::matches;
 pub use phrase::{Phrase, load_audio};
 pub use phrase_samples::{PhraseSamples, target_statistics};
 pub use phrase_set::PhraseSet;
 pub use scan::OpenProgress;
-pub use songs::{Songs, held_out_songs, song_of};
-pub use split::{Side, matches};
+pub use songs::{held_out_songs, song_of};
+pub use split::Side;
 pub use store::{Object, Store, StoreError};
 pub use style_conditions::{LABEL, STYLE, STYLE_NUMBERS, StyleConditions, mean_style};

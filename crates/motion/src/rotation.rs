@@ -6,7 +6,9 @@
 use std::f64::consts::PI;
 use std::ops::Mul;
 
-use crate::vector::length;
+use nalgebra::Vector3;
+
+use crate::vector::{length, unit};
 
 /// A Hamilton quaternion; a rotation where its norm is 1. `q` and `-q` are the same rotation.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -151,6 +153,24 @@ impl Mul for Quaternion {
     }
 }
 
+/// The shortest rotation from the direction of `from` to that of `to`: the quaternion
+/// (|u||v| + u.v, u x v), normalised. Opposite vectors are half a turn apart, about +y where possible;
+/// a zero vector gives the identity.
+pub fn between(from: [f64; 3], to: [f64; 3]) -> Quaternion {
+    let (u, v) = (Vector3::from(unit(from)), Vector3::from(unit(to)));
+    let (scalar, mut axis) = (u.norm() * v.norm() + u.dot(&v), u.cross(&v));
+    if scalar == 0.0 && axis.norm() == 0.0 && u.norm() > 0.0 && v.norm() > 0.0 {
+        let across = |direction: Vector3<f64>| direction - u * u.dot(&direction);
+        let [about_y, about_x] = [Vector3::y(), Vector3::x()].map(across);
+        axis = if about_y.norm() > 1e-6 {
+            about_y
+        } else {
+            about_x
+        };
+    }
+    Quaternion::new(scalar, axis.x, axis.y, axis.z).normalised()
+}
+
 #[cfg(test)]
 mod tests {
     use std::f64::consts::PI;
@@ -158,6 +178,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
+    use crate::vector::minus;
 
     fn close(a: [f64; 3], b: [f64; 3], tolerance: f64) -> bool {
         (0..3).all(|axis| (a[axis] - b[axis]).abs() <= tolerance)
@@ -275,5 +296,18 @@ mod tests {
         fn yaw_is_read_back(angle in -3.1f64..3.1) {
             prop_assert!((Quaternion::from_yaw(angle).yaw() - angle).abs() < 1e-12);
         }
+    }
+
+    #[test]
+    fn opposite_directions_are_half_a_turn_apart() {
+        for from in [[0.0, 0.0, -1.0], [0.0, 2.0, 0.0], [1.0, 0.0, 0.0]] {
+            let to = from.map(|value| -value);
+            let turned = between(from, to).rotate(from);
+            assert!(length(minus(turned, to)) < 1e-12, "{from:?}: {turned:?}");
+        }
+        // Facing backwards is a yaw.
+        let half = between([0.0, 0.0, -1.0], [0.0, 0.0, 1.0]);
+        assert!((half.to_rotation_vector()[1].abs() - PI).abs() < 1e-12);
+        assert_eq!(between([0.0; 3], [0.0, 1.0, 0.0]), Quaternion::IDENTITY);
     }
 }

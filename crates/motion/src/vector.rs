@@ -9,6 +9,16 @@ pub fn length(vector: [f64; 3]) -> f64 {
         .sqrt()
 }
 
+/// The vector with length 1; the zero vector stays.
+pub fn unit(vector: [f64; 3]) -> [f64; 3] {
+    let length = length(vector);
+    if length > 0.0 {
+        vector.map(|value| value / length)
+    } else {
+        vector
+    }
+}
+
 /// `a + b`.
 pub fn plus(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
     [0, 1, 2].map(|i| a[i] + b[i])

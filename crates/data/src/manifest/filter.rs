@@ -15,7 +15,7 @@ use std::cmp::Ordering;
 use polars::prelude::{DataFrame, DataType};
 
 use super::columns::{cast, numbers};
-use crate::split::matches;
+use crate::pattern::matches;
 
 /// Most conditions and brackets of one filter.
 const MAX_PARTS: usize = 200;

@@ -12,12 +12,14 @@ mod footer;
 #[cfg(feature = "manifest")]
 mod pages;
 mod row;
+mod songs;
 #[cfg_attr(not(feature = "manifest"), path = "absent.rs")]
 mod table;
 #[cfg(all(test, feature = "manifest"))]
 mod tests;
 
 pub use row::{Flag, ManifestRow};
+pub use songs::Songs;
 
 use crate::layout::MANIFEST;
 use crate::{Error, Store};

@@ -21,7 +21,7 @@ pub use locked_joints::{LockedJoints, lock_joints, lock_joints_above};
 use std::ops::Range;
 
 use crate::Quaternion;
-use crate::humanml::bone_rotations::between;
+use crate::rotation::between;
 use crate::vector::{length, minus, plus};
 
 /// A leg is stretched to this part of its bones' length at most, so that the knee keeps its side.

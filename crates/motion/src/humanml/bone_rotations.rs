@@ -11,7 +11,8 @@ use serde::{Deserialize, Serialize};
 use super::FaceJoints;
 use super::{FeatureError, Joints, Skeleton};
 use crate::Quaternion;
-use crate::vector::{length, minus, plus};
+use crate::rotation::between;
+use crate::vector::{minus, plus, unit};
 
 /// Standard deviation of the heading's filter in frames.
 const HEADING_DEVIATION: f64 = 20.0;
@@ -195,58 +196,15 @@ pub fn from_columns([a, b, c, d, e, f]: [f64; 6]) -> Quaternion {
     Quaternion::new(turn.w, turn.i, turn.j, turn.k)
 }
 
-/// The shortest rotation from the direction of `from` to that of `to`: the quaternion normalised
-/// from (|u||v| + u.v, u x v). Opposite vectors are half a turn apart, about +y where possible; a
-/// vector without length is not turned.
-pub fn between(from: [f64; 3], to: [f64; 3]) -> Quaternion {
-    let (u, v) = (Vector3::from(unit(from)), Vector3::from(unit(to)));
-    let (scalar, axis) = (u.norm() * v.norm() + u.dot(&v), u.cross(&v));
-    if scalar == 0.0 && axis.norm() == 0.0 && u.norm() > 0.0 && v.norm() > 0.0 {
-        let across = |direction: Vector3<f64>| direction - u * u.dot(&direction);
-        let axis = [Vector3::y(), Vector3::x()].map(across);
-        let axis = if axis[0].norm() > 1e-6 {
-            axis[0]
-        } else {
-            axis[1]
-        };
-        return Quaternion::new(0.0, axis.x, axis.y, axis.z).normalised();
-    }
-    Quaternion::new(scalar, axis.x, axis.y, axis.z).normalised()
-}
-
-/// The vector with length 1; the zero vector stays.
-fn unit(vector: [f64; 3]) -> [f64; 3] {
-    let length = length(vector);
-    if length > 0.0 {
-        vector.map(|value| value / length)
-    } else {
-        vector
-    }
-}
-
 #[cfg(test)]
 mod tests {
-    use std::f64::consts::PI;
-
     use proptest::prelude::*;
 
     use super::*;
+    use crate::vector::length;
 
     fn vector() -> impl Strategy<Value = [f64; 3]> {
         proptest::array::uniform3(-2.0..2.0f64)
-    }
-
-    #[test]
-    fn opposite_directions_are_half_a_turn_apart() {
-        for from in [[0.0, 0.0, -1.0], [0.0, 2.0, 0.0], [1.0, 0.0, 0.0]] {
-            let to = from.map(|value| -value);
-            let turned = between(from, to).rotate(from);
-            assert!(length(minus(turned, to)) < 1e-12, "{from:?}: {turned:?}");
-        }
-        // Facing backwards is a yaw.
-        let half = between([0.0, 0.0, -1.0], [0.0, 0.0, 1.0]);
-        assert!((half.to_rotation_vector()[1].abs() - PI).abs() < 1e-12);
-        assert_eq!(between([0.0; 3], [0.0, 1.0, 0.0]), Quaternion::IDENTITY);
     }
 
     #[test]

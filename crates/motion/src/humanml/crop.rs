@@ -7,9 +7,10 @@
 
 use std::ops::Range;
 
-use super::bone_rotations::{between, from_columns, to_columns};
+use super::bone_rotations::{from_columns, to_columns};
 use super::{FeatureError, Features, Root, Skeleton};
 use crate::Quaternion;
+use crate::rotation::between;
 use crate::vector::minus;
 
 impl Features {

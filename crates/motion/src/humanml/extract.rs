@@ -6,10 +6,11 @@ use kinegrad_settings::{Refused, in_range};
 use serde::{Deserialize, Serialize};
 
 use super::bone_rotations::{
-    Across, Heading, between, forward, forward_kinematics, inverse_kinematics, to_columns,
+    Across, Heading, forward, forward_kinematics, inverse_kinematics, to_columns,
 };
 use super::{FeatureError, Features, Joints, Root, Skeleton};
 use crate::Quaternion;
+use crate::rotation::between;
 use crate::vector::{minus, plus};
 
 /// How features are made of joints.
