@@ -1,7 +1,5 @@
-//! Changes of a phrase that leave it a valid motion: turning, mirroring, moving to the origin.
-//!
-//! Each commutes with derivation: the derivatives of the changed pose are the changed derivatives.
-//! Phase and style describe speed, extent and timing, which none of them alters.
+//! Changes of a phrase that keep it a valid motion. Each commutes with derivation, and none alters
+//! phase or style.
 
 use crate::phrase::{ACCELERATION, ANGULAR_VELOCITY, POSITION, QUATERNION, VELOCITY};
 use crate::{Motion, Quaternion};
@@ -18,10 +16,8 @@ pub fn rotate_yaw(motion: &mut Motion, angle: f64) {
     }
 }
 
-/// Reflects the phrase at the plane x = 0, left for right.
-///
-/// Angular velocity is an axial vector: the reflection keeps its x and negates y and z, as it does
-/// with the imaginary part of the quaternion.
+/// Reflects the phrase at the plane x = 0. Angular velocity is an axial vector: its y and z are
+/// negated.
 pub fn mirror(motion: &mut Motion) {
     for t in 0..motion.frames() {
         for channels in [POSITION, VELOCITY, ACCELERATION] {
@@ -49,8 +45,7 @@ pub fn mirrored_channels() -> [usize; 7] {
     ]
 }
 
-/// Moves the phrase on the floor so that its first frame stands at x = z = 0 (metres). Height and
-/// every other channel stay; a crop from the middle of a phrase then begins like a whole one.
+/// Moves the phrase on the floor so that its first frame is at x = z = 0 (metres).
 pub fn anchor_floor(motion: &mut Motion) {
     let [x0, _, z0] = motion.vector(0, POSITION);
     for t in 0..motion.frames() {

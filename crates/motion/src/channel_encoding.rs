@@ -1,9 +1,9 @@
-//! What a denoiser predicts of a phrase: its 25 channels as they are, or with the phase and the
-//! orientation in forms that have no jumps.
+//! The channels in which a denoiser predicts a phrase: its 25 channels, or phase and orientation in
+//! continuous forms.
 //!
-//! A phase of 0.99 and one of 0.01 are neighbours in a bar and far apart as numbers; q and -q are
-//! one rotation and add up to zero. A network that predicts means does badly on both. [`ChannelEncoding`]
-//! says what stands in their place; everything on disk keeps the 25 channels.
+//! A phase of 0.99 and one of 0.01 are close in a bar but far apart as numbers, and q and -q are
+//! one rotation but add up to zero. A network that predicts means does badly on both.
+//! [`ChannelEncoding`] replaces them; files keep the 25 channels.
 //!
 //! ```text
 //! network   position velocity acceleration orientation angular velocity    phase    style
@@ -22,35 +22,32 @@ use crate::phrase::{ANGULAR_VELOCITY, CHANNELS, PHASE, QUATERNION, STYLE};
 use crate::vector::{cross, dot};
 use crate::{ChannelMoments, Motion, Quaternion, Statistics, rotate_yaw};
 
-/// Below this square, a predicted axis of a rotation, or the area of two, is not divided by its size.
+/// Predicted rotation axes whose square is below this are not normalised, nor areas of two.
 pub const LEAST_SQUARE: f64 = 1e-8;
 
-/// What is predicted of the phase.
+/// Encoding of the phase.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum PhaseEncoding {
-    /// The number from 0 to 1 (CC-MotionGen), which jumps at each bar.
+    /// A number from 0 to 1 (CC-MotionGen), with a jump at each bar line.
     #[default]
     Scalar,
-    /// Sine and cosine of the angle in the bar.
+    /// Sine and cosine of the phase angle.
     SinCos,
-    /// Sine and cosine of the angle in the bar, of its double, threefold and fourfold. Music tells
-    /// where a beat falls before it tells which beat of the bar it is: the mean over the beats of a
-    /// bar, which a denoiser predicts then, is zero in the first pair, and the beat itself in the
-    /// pair of as many as the bar has beats. Together they are the first Fourier coefficients of
-    /// where in the bar the motion may be.
+    /// Sine and cosine of the phase angle and of its multiples up to 4: the first Fourier
+    /// coefficients of the distribution of the phase. A network that knows the beat but not the bar
+    /// line predicts zero in the first pair, and the beat in the pair of the bar's number of beats.
     Harmonics,
 }
 
-/// Multiples of the angle in the bar whose sines and cosines [`PhaseEncoding::Harmonics`] predicts.
+/// Multiples of the phase angle in [`PhaseEncoding::Harmonics`].
 pub const HARMONICS: usize = 4;
 
-/// Square of the sizes of all harmonics together below which they do not say where in a beat the
-/// motion is.
+/// Sum of squares of all harmonics below which they do not determine the phase.
 pub const LEAST_HARMONICS: f64 = 1e-8;
 
 impl PhaseEncoding {
-    /// Multiples of the angle in the bar that are predicted by sine and cosine.
+    /// Number of multiples of the phase angle that are predicted by sine and cosine.
     pub fn harmonics(self) -> usize {
         match self {
             Self::Scalar => 0,
@@ -60,9 +57,8 @@ impl PhaseEncoding {
     }
 }
 
-/// The turns in [0, 1) of the bar that sines and cosines, in pairs, of its angle and the multiples of
-/// it say: the turn `t` of the first pair, moved by what the others differ from its multiples, each
-/// weighted as a least-squares step has it:
+/// The phase, in [0, 1), of pairs of sine and cosine of its angle and multiples: the phase `t` of
+/// the first pair, corrected by a weighted least-squares step towards the others:
 ///
 /// ```text
 /// d_k = (turns of pair k - k t, the shortest way) / k     w_k = k^2 |pair k|^2
@@ -85,37 +81,37 @@ fn turn_of(pairs: &[f32]) -> f32 {
         all += weight;
     }
     let turn = (first + moved / all).rem_euclid(1.0) as f32;
-    // Just below a whole turn rounds to it.
+    // Values just below 1 may round to it.
     if turn >= 1.0 { 0.0 } else { turn }
 }
 
-/// What is predicted of the orientation.
+/// Encoding of the orientation.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum OrientationEncoding {
-    /// The quaternion as stored (CC-MotionGen).
+    /// The stored quaternion (CC-MotionGen).
     #[default]
     Quaternion,
-    /// The quaternion of a sample that is turned so that its first frame faces +z, with `w >= 0`
-    /// there and without changes of sign after. Samples then begin in that direction.
+    /// The quaternion of a sample rotated so that its first frame faces +z, with `w >= 0` there and
+    /// continuous sign. All samples then begin in that direction.
     CanonicalQuaternion,
-    /// The first two columns of the rotation matrix (Zhou et al. 2019,
-    /// <https://arxiv.org/abs/1812.07035>), which are continuous in the rotation.
+    /// The first two columns of the rotation matrix, a continuous representation (Zhou et al. 2019,
+    /// <https://arxiv.org/abs/1812.07035>).
     #[serde(rename = "rotation_6d")]
     Rotation6d,
 }
 
-/// The channels that a denoiser predicts of a phrase.
+/// The channels in which a denoiser predicts a phrase.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ChannelEncoding {
-    /// Of the phase.
+    /// Encoding of the phase.
     pub phase: PhaseEncoding,
-    /// Of the orientation.
+    /// Encoding of the orientation.
     pub orientation: OrientationEncoding,
 }
 
 impl ChannelEncoding {
-    /// Whether these are the 25 channels of the phrase themselves.
+    /// Whether these are the 25 stored channels.
     pub fn are_stored_channels(self) -> bool {
         self == Self::default()
     }
@@ -169,8 +165,7 @@ impl ChannelEncoding {
         negated
     }
 
-    /// The rows `[frames, channels]` that a denoiser is trained on, of `rows` `[frames, 25]` of one
-    /// sample in the dataset's units.
+    /// Encodes `rows` `[frames, 25]` of one sample in the dataset's units as `[frames, channels]`.
     ///
     /// # Panics
     /// Panics if the rows are not whole frames, at least one.
@@ -216,9 +211,9 @@ impl ChannelEncoding {
         Cow::Owned(encoded)
     }
 
-    /// The rows `[frames, 25]` of predicted `rows` `[frames, channels]` of one sample: a phase in
-    /// [0, 1), and unit quaternions without changes of sign, the first with `w >= 0`. What is not
-    /// finite stays so.
+    /// Decodes predicted `rows` `[frames, channels]` of one sample to `[frames, 25]`: a phase in
+    /// [0, 1), and unit quaternions with continuous sign, the first with `w >= 0`. Values that are
+    /// not finite stay so.
     pub fn decode(self, rows: Vec<f32>) -> Vec<f32> {
         if self.are_stored_channels() {
             return rows;
@@ -251,9 +246,9 @@ impl ChannelEncoding {
         decoded
     }
 
-    /// How sure predicted `rows` `[frames, channels]` are of each heading, 0 to 1, `[frames]`: the area
-    /// that the two columns of a rotation span, or the norm of the quaternion. A mean of orientations
-    /// that differ is short. NaN of what is not finite.
+    /// Confidence of the predicted heading, 0 to 1, `[frames]`: the area spanned by the two columns
+    /// of a rotation, or the norm of the quaternion. A mean of different orientations is short. NaN
+    /// of values that are not finite.
     pub fn confidence(self, rows: &[f32]) -> Vec<f64> {
         let length = |v: &[f64]| v.iter().map(|part| part * part).sum::<f64>().sqrt();
         let of_frame = |frame: &[f32]| {
@@ -272,9 +267,8 @@ impl ChannelEncoding {
         rows.chunks_exact(self.channels()).map(of_frame).collect()
     }
 
-    /// How such channels with these `moments` are normalised: zero mean and unit deviation, except
-    /// that quaternions, rotations, sines and cosines stay as they are and a phase of 0 to 1
-    /// becomes one of -1 to 1.
+    /// Statistics that normalise such channels: zero mean and unit deviation, but quaternions,
+    /// rotations, sines and cosines stay as they are, and a phase of 0 to 1 is mapped to -1 to 1.
     pub fn statistics(self, moments: ChannelMoments) -> Statistics {
         let mut statistics = Statistics::standard(moments);
         let (orientation, phase) = (self.orientation_channels(), self.phase_channels());
@@ -296,8 +290,8 @@ impl ChannelEncoding {
     }
 }
 
-/// Unit quaternions of the same rotations, each in the hemisphere of the one before, the first in
-/// that of no rotation; those that are not finite stay.
+/// Unit quaternions with continuous sign, the first in the hemisphere of the identity; values that
+/// are not finite stay.
 fn canonical_signs(mut quaternions: Vec<Quaternion>) -> Vec<Quaternion> {
     let mut before = Quaternion::IDENTITY;
     for quaternion in &mut quaternions {
@@ -311,8 +305,8 @@ fn canonical_signs(mut quaternions: Vec<Quaternion>) -> Vec<Quaternion> {
     quaternions
 }
 
-/// The rotation whose matrix has nearly these first two columns, `[6]`, by Gram and Schmidt: the first
-/// is kept in direction. Its sign is arbitrary. Not finite where the columns are not.
+/// The rotation of a matrix whose first two columns are given, `[6]`, by Gram-Schmidt: the
+/// direction of the first column is kept. Its sign is arbitrary; not finite if the columns are not.
 ///
 /// # Panics
 /// Panics if there are fewer than six numbers.
@@ -324,13 +318,12 @@ pub fn from_columns(columns: &[f64]) -> Quaternion {
     of_orthonormal(a, unit([0, 1, 2].map(|i| b[i] - along * a[i])))
 }
 
-/// The rotation whose matrix has the orthonormal columns that are nearest to these first two, `[6]`,
-/// in least squares, where they span an area; its sign is arbitrary. Not finite where the columns are
-/// not.
+/// The rotation of the orthonormal columns nearest to these two, `[6]`, in least squares; its sign
+/// is arbitrary, and it is not finite if the columns are not.
 ///
-/// A column that is short, as the mean of many directions is, turns the other one little. Of a dancer
-/// whose heading is open the side is short and the upward axis is not: by Gram and Schmidt, which
-/// keep the first direction, the body would fall over.
+/// A short column, such as the mean of many directions, has little influence on the other one. With
+/// Gram-Schmidt, a body with uncertain heading would fall over, because its side axis is short and
+/// its up axis is not.
 ///
 /// With `M` the columns, `p = |a|^2`, `q = |b|^2`, `r = a.b` and `s = |a x b|`, they are
 ///

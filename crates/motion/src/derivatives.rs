@@ -1,7 +1,7 @@
-//! Derivatives of a phrase and how far its explicit channels agree with them.
+//! Derivatives of a phrase, and the errors of its explicit channels.
 //!
-//! Everything is a forward difference: the value of frame t is taken from frames t and t + 1, and
-//! the last frame repeats the one before (CC-MotionGen, section 2.3; docs/sources.md, section 1.1).
+//! All are forward differences: the value of frame t comes from frames t and t + 1, and the last
+//! frame repeats the one before (CC-MotionGen, section 2.3; docs/sources.md, section 1.1).
 
 use std::ops::Range;
 
@@ -9,15 +9,14 @@ use crate::phrase::{ACCELERATION, ANGULAR_VELOCITY, FPS, PHASE, POSITION, STYLE,
 use crate::vector::{length, minus};
 use crate::{CHANNELS, Error, Motion, Quaternion};
 
-/// Forward differences of vectors `[frames, 3]` times `fps`, the last frame repeated: units per
-/// second. A single frame stands still.
+/// Forward differences of vectors `[frames, 3]` times `fps`, the last one repeated. A single frame
+/// has velocity zero.
 pub fn forward_differences(values: &[[f64; 3]], fps: f64) -> Vec<[f64; 3]> {
     repeat_last(differences(values, fps), values.len())
 }
 
-/// Angular velocity in radians per second, world frame, `[frames, 3]`: the rotation vector of
-/// `q[t+1] * conj(q[t])` times `fps`, the last frame repeated. The signs of the quaternions do not
-/// matter.
+/// Angular velocity, radians per second, world frame, `[frames, 3]`: the rotation vector of `q[t+1]
+/// * conj(q[t])` times `fps`, the last one repeated. Signs of quaternions do not matter.
 pub fn angular_velocity(quaternions: &[Quaternion], fps: f64) -> Vec<[f64; 3]> {
     let turns = quaternions.windows(2).map(|pair| {
         let turn = pair[1] * pair[0].conjugate();
@@ -37,8 +36,8 @@ pub fn angular_rates(motion: &Motion) -> Vec<[f64; 3]> {
     rates
 }
 
-/// Negates quaternions so that each lies in the hemisphere of the one before. The first one stays;
-/// a quaternion that is not finite is passed over.
+/// Negates quaternions so that each lies in the hemisphere of the one before. The first one keeps
+/// its sign; quaternions that are not finite are skipped.
 pub fn make_sign_continuous(quaternions: &mut [Quaternion]) {
     let mut previous: Option<Quaternion> = None;
     for quaternion in quaternions {
@@ -51,13 +50,12 @@ pub fn make_sign_continuous(quaternions: &mut [Quaternion]) {
     }
 }
 
-/// A phrase whose velocity, acceleration and angular velocity follow from its pose.
+/// A phrase whose velocity, acceleration and angular velocity are derived from its pose.
 ///
-/// `positions` `[frames, 3]` in metres, `quaternions` of any norm and sign (stored with norm 1 and
-/// continuous sign), `phase` from 0 to 1, `style` `[frames, 8]`. The derivatives are taken from
-/// the values as stored in single precision, so that the phrase agrees with itself to the rounding
-/// of one subtraction. As the last velocity repeats, the acceleration before the last frame is
-/// zero; a caller that minds computes two frames more and slices them off.
+/// `positions` `[frames, 3]` in metres, `quaternions` of any norm and sign, `phase` from 0 to 1,
+/// `style` `[frames, 8]`. Derivatives use the stored single-precision values. Because the last
+/// velocity is repeated, the acceleration before the last frame is zero; compute two more frames
+/// and slice them off to avoid that.
 ///
 /// # Errors
 /// [`Error::LengthMismatch`] if the arrays differ in length; [`Error::NotWholeFrames`] if they are
@@ -99,14 +97,14 @@ pub fn derive(
     Ok(motion)
 }
 
-/// Replaces velocity, acceleration and angular velocity by those that follow from the stored
-/// positions and quaternions.
+/// Replaces velocity, acceleration and angular velocity by the derivatives of the stored positions
+/// and quaternions.
 pub fn rederive(motion: &mut Motion) {
     let velocity = forward_differences(&vectors(motion, POSITION), FPS);
     for (t, value) in velocity.into_iter().enumerate() {
         motion.set_vector(t, VELOCITY, value);
     }
-    // From the velocity as rounded to single precision: that is what the checks compare with.
+    // The checks compare with the velocity as rounded to single precision.
     let acceleration = forward_differences(&vectors(motion, VELOCITY), FPS);
     let quaternions: Vec<Quaternion> = (0..motion.frames()).map(|t| motion.quaternion(t)).collect();
     let turning = angular_velocity(&quaternions, FPS);
@@ -126,7 +124,7 @@ pub fn acceleration_errors(motion: &Motion) -> Vec<[f64; 3]> {
     errors(motion, VELOCITY, ACCELERATION)
 }
 
-/// `w[t]` less the rotation vector of `q[t+1] * conj(q[t])` times `fps`, in radians per second,
+/// `w[t]` minus the rotation vector of `q[t+1] * conj(q[t])` times `fps`, radians per second,
 /// `[frames - 1, 3]`.
 pub fn rotation_errors(motion: &Motion) -> Vec<[f64; 3]> {
     let stored = vectors(motion, ANGULAR_VELOCITY).into_iter();
@@ -139,8 +137,7 @@ pub fn jerk(motion: &Motion) -> Vec<[f64; 3]> {
     differences(&vectors(motion, ACCELERATION), FPS)
 }
 
-/// Mean over frames of the Euclidean norm of the [`jerk`], in metres per second cubed; 0 for a
-/// single frame.
+/// Mean Euclidean norm of the [`jerk`], metres per second cubed; 0 of a single frame.
 pub fn mean_jerk_norm(motion: &Motion) -> f64 {
     mean_norm(&jerk(motion))
 }
@@ -170,14 +167,13 @@ fn vectors(motion: &Motion, channels: Range<usize>) -> Vec<[f64; 3]> {
         .collect()
 }
 
-/// Third differences of positions `[frames, 3]` in metres, times the cube of `fps`: jerk in metres
-/// per second cubed, three fewer than the positions.
+/// Jerk of positions `[frames, 3]` in metres: third differences times `fps^3`, `[frames - 3, 3]`.
 pub(crate) fn jerk_of(positions: &[[f64; 3]], fps: f64) -> Vec<[f64; 3]> {
     let derive = |values: &[[f64; 3]]| differences(values, fps);
     derive(&derive(&derive(positions)))
 }
 
-/// Forward differences of vectors `[frames, 3]` times `fps`, one fewer than the vectors.
+/// Forward differences of vectors `[frames, 3]` times `fps`, `[frames - 1, 3]`.
 pub(crate) fn differences(values: &[[f64; 3]], fps: f64) -> Vec<[f64; 3]> {
     values
         .windows(2)

@@ -1,28 +1,28 @@
-//! Windows of one motion, turned to face the same way.
+//! Alignment of the headings of overlapping windows.
 //!
-//! To a model whose training phrases were turned about the vertical at random, no heading is better
-//! than another, and each window that it draws may face any way. Where neighbours face opposite ways
-//! the mean of their rotations is none, and the dancer spins in the overlap. So each window is turned
-//! about the vertical, as it is moved on the floor ([`crate::stitch`]), before they are blended.
+//! A model that was trained on randomly rotated phrases samples windows of any heading. If
+//! neighbours face opposite directions, the mean of their rotations is undefined, and the dancer
+//! spins in the overlap. So each window is rotated about the vertical before windows are moved and
+//! blended ([`crate::stitch`]).
 
 use crate::phrase::{ACCELERATION, POSITION, QUATERNION, VELOCITY};
 use crate::rotation::Quaternion;
 use crate::stitch::{KnownFrames, Layout, Windows};
 use crate::{OrientationEncoding, Statistics};
 
-/// What the channels of windows are, and the units that they are in.
+/// The channels of windows and their units.
 #[derive(Clone, Copy, Debug)]
 pub struct HeadingAlignment<'a> {
-    /// What they are.
+    /// The channels.
     pub layout: Layout,
-    /// Those by which they are normalised; none of physical units.
+    /// Statistics that normalise them; none for physical units.
     pub statistics: Option<&'a Statistics>,
 }
 
 impl HeadingAlignment<'_> {
-    /// The angles about the vertical, in radians, by which windows `[windows, channels, length]` face
-    /// as their neighbours do where they overlap. Windows with `known` frames face as those say, and
-    /// without any the first window stays as it is.
+    /// Rotation angles about the vertical, radians, by which windows `[windows, channels, length]`
+    /// agree with their neighbours in the overlaps. Windows with `known` frames agree with those;
+    /// without any, the first window keeps its heading.
     ///
     /// # Panics
     /// Panics if the sizes do not fit.
@@ -72,7 +72,7 @@ impl HeadingAlignment<'_> {
         angles.into_iter().map(Option::unwrap_or_default).collect()
     }
 
-    /// Turns each window by its angle.
+    /// Rotates each window by its angle.
     pub fn turn(&self, windows: &Windows, values: &mut [f32], angles: &[f64]) {
         let length = windows.length();
         let windows = values.chunks_mut(self.layout.channels() * length);
@@ -110,7 +110,7 @@ impl HeadingAlignment<'_> {
         }
     }
 
-    /// Channels of horizontal parts of vectors, x and z.
+    /// Channels of the horizontal components of vectors, x and z.
     fn horizontal(&self) -> Vec<[usize; 2]> {
         let rotation = match self.layout {
             Layout::Phrase => crate::phrase::ANGULAR_VELOCITY,
@@ -128,7 +128,7 @@ impl HeadingAlignment<'_> {
         starts.into_iter().map(|start| [start, start + 2]).collect()
     }
 
-    /// Where the body's own x axis points over the ground, as z and x, and where its y axis leans.
+    /// Horizontal components (z, x) of the body's own x and y axes.
     fn facing(&self, value: impl Fn(usize) -> f32) -> [[f64; 2]; 2] {
         let at = |channel: usize| self.physical(channel, value(channel));
         let axes = match self.is_quaternion() {
@@ -170,8 +170,8 @@ fn quaternion(parts: &[f64]) -> Quaternion {
 
 type Facing = [[f64; 2]; 2];
 
-/// The angle by which the second of each pair is turned to face as the first, in weighted least
-/// squares; none of no pairs.
+/// The rotation angle from the second to the first of each pair, in weighted least squares; none of
+/// no pairs.
 fn angle(pairs: impl Iterator<Item = (Facing, Facing, f64)>) -> Option<f64> {
     let mut sums = None;
     for (here, there, weight) in pairs {

@@ -1,10 +1,10 @@
-//! Representations of motion on the host: the 25-channel phrase, rotations, derivatives, training
-//! statistics, augmentation, post-processing, sanity checks and metrics; and joint features as in
-//! HumanML3D ([`humanml`]), with their own frame rates and skeletons.
+//! Representations of motion on the host: the 25-channel phrase, rotations, statistics,
+//! augmentation, post-processing, checks and metrics, and joint features as in HumanML3D
+//! ([`humanml`]).
 //!
-//! The crate has no tensors with gradients and no file I/O. Coordinates are metres and seconds,
-//! right-handed with +y up; a phrase runs at [`FPS`] frames per second. Source: CC-MotionGen,
-//! sections 2, 9 and 10 (docs/sources.md, sections 1.1, 1.12 and 1.13).
+//! There are no tensors with gradients and no file I/O. Coordinates are metres and seconds,
+//! right-handed, +y up; a phrase has [`FPS`] frames per second. Source: CC-MotionGen, sections 2, 9
+//! and 10 (docs/sources.md, sections 1.1, 1.12 and 1.13).
 //!
 //! ```
 //! use kinegrad_motion::{Motion, PostProcessConfig, Profile, check, process};
@@ -67,5 +67,5 @@ pub use rotation::Quaternion;
 pub use sanity::{Check, Profile, Report, Threshold, Value, check};
 pub use statistics::Statistics;
 
-/// Most frames that a motion or a song may have: two hours at 30 frames per second.
+/// Most frames of a motion or a song: two hours at 30 frames per second.
 pub const MAX_FRAMES: usize = 216_000;

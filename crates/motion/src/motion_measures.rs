@@ -1,9 +1,8 @@
-//! How a phrase moves, measured on its positions and rotations.
+//! Measures of how a phrase moves, by its positions, quaternions and phase.
 //!
-//! The channels for velocity, acceleration and angular velocity are a phrase's own account of its
-//! movement, which generated phrases get wrong: here nothing but positions, quaternions and phase is
-//! looked at. All measures that are checked are means over frames or extremes of them, so that
-//! phrases of different lengths compare.
+//! The channels for velocity, acceleration and angular velocity are not used: generated phrases get
+//! them wrong. Measures that are checked are means or extremes over frames, so that phrases of
+//! different lengths compare.
 
 use crate::derivatives::{angular_rates, differences, mean_norm};
 use crate::phrase::{PHASE, POSITION};
@@ -13,32 +12,30 @@ use crate::{FPS, Motion, circular};
 /// Frames in a second.
 const SECOND: usize = FPS as usize;
 
-/// How far outside the 1st and 99th percentile of the training phrases a measure may be, as a
-/// factor.
+/// Allowed factor beyond the 1st and 99th percentile of the training phrases.
 const FACTOR: f64 = 2.0;
 
-/// The same for the advance of the phase. Tempi differ less than dancers: half the tempo of the
-/// slowest training phrase is no tempo, but an error.
+/// The same for the phase: tempi vary less than dancers, and half the slowest tempo is an error.
 const PHASE_FACTOR: f64 = 1.5;
 
-/// A lean in degrees that is no fault even of dancers who were trained on bodies that stand upright.
+/// Tilt in degrees that is always allowed.
 const HARMLESS_TILT: f64 = 20.0;
 
-/// On which sides a measure is held against the training phrases.
+/// The sides on which a measure is compared with the training phrases.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Bounds {
-    /// Not below the 1st percentile divided by the factor, nor above the 99th times it.
+    /// At least the 1st percentile divided by the factor, and at most the 99th times it.
     Both(f64),
-    /// Not above the 99th percentile times the factor: a small value is no fault.
+    /// At most the 99th percentile times the factor.
     Upper(f64),
-    /// The same, but a value up to `harmless` is no fault whatever the training phrases are.
+    /// The same, but values up to `harmless` are always allowed.
     UpperBeyond {
-        /// How many times the 99th percentile it may be.
+        /// Multiple of the 99th percentile.
         factor: f64,
-        /// The value that is always allowed, in the measure's unit.
+        /// Value that is always allowed, in the measure's unit.
         harmless: f64,
     },
-    /// Not at all: it depends on the phrase's length.
+    /// Not compared: it depends on the phrase's length.
     Unchecked,
 }
 
@@ -51,7 +48,7 @@ pub enum MotionMeasure {
     PathAcceleration,
     /// Mean norm of the third difference of the positions, metres per second cubed.
     PathJerk,
-    /// Mean distance on the floor between the places at two moments a second apart, metres.
+    /// Mean distance on the floor between positions one second apart, metres.
     Travel,
     /// Mean angle between the orientations of neighbouring frames, degrees per second.
     TurnRate,
@@ -61,14 +58,13 @@ pub enum MotionMeasure {
     LargestTurn,
     /// Largest angle between the body's own upward axis, its local +y, and the vertical, degrees.
     LargestTilt,
-    /// Mean advance of the phase, bars per second; steps are taken the short way around.
+    /// Mean advance of the phase by shortest steps, bars per second.
     PhaseRate,
-    /// Largest step of the phase from one frame to the next, the short way around, bars.
+    /// Largest shortest step of the phase between frames, bars.
     LargestPhaseStep,
-    /// Distance on the floor between the first and the last place, metres.
+    /// Distance on the floor between the first and the last position, metres.
     NetTravel,
-    /// How often the phase passes from the end of a bar to the beginning of the next, less how often
-    /// it passes back.
+    /// Number of bar lines that the phase passes, minus those that it passes backwards.
     PhaseWraps,
 }
 
@@ -107,7 +103,7 @@ impl MotionMeasure {
         }
     }
 
-    /// What it measures, in words.
+    /// Its description, for messages.
     pub fn title(self) -> &'static str {
         match self {
             Self::PathSpeed => "mean speed along the path",
@@ -141,10 +137,10 @@ impl MotionMeasure {
         }
     }
 
-    /// On which sides it is checked, and by what factor.
+    /// The sides on which it is checked, and by which factor.
     pub fn bounds(self) -> Bounds {
         match self {
-            // Who turns and counts evenly, or dances on the spot, is no worse for it.
+            // Even turning, counting or standing is no fault.
             Self::LargestTurn | Self::LargestPhaseStep | Self::Travel => Bounds::Upper(FACTOR),
             Self::LargestTilt => Bounds::UpperBeyond {
                 factor: FACTOR,
@@ -156,7 +152,7 @@ impl MotionMeasure {
         }
     }
 
-    /// Its value; `None` where the phrase has too few frames for it.
+    /// Its value; `None` if the phrase is too short.
     pub fn of(self, motion: &Motion) -> Option<f64> {
         let frames = motion.frames();
         let positions =
@@ -195,7 +191,7 @@ fn mean(values: &[f64]) -> Option<f64> {
     (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
 }
 
-/// The largest value; NaN if one of them is, none of none.
+/// The largest value, NaN if one is NaN; `None` of none.
 fn largest(values: Vec<f64>) -> Option<f64> {
     // `f64::max` would drop a NaN.
     let larger = |a: f64, b: f64| if a.is_nan() || a > b { a } else { b };
@@ -227,7 +223,7 @@ fn tilts(motion: &Motion) -> Vec<f64> {
     (0..motion.frames()).map(tilt).collect()
 }
 
-/// Steps of the phase from frame to frame, taken the short way around: -0.5 to 0.5, `[frames - 1]`.
+/// Shortest steps of the phase between frames, -0.5 to 0.5, `[frames - 1]`.
 pub fn phase_steps(motion: &Motion) -> Vec<f64> {
     let phase = |t: usize| f64::from(motion.frame(t)[PHASE]);
     (1..motion.frames())
@@ -235,11 +231,10 @@ pub fn phase_steps(motion: &Motion) -> Vec<f64> {
         .collect()
 }
 
-/// How often the phase passes from the end of a bar to the beginning of the next, less how often it
-/// passes back.
+/// Number of bar lines that the phase passes, minus those that it passes backwards.
 fn phase_wraps(motion: &Motion) -> f64 {
     let phase = |t: usize| f64::from(motion.frame(t)[PHASE]);
-    // A step of more than half a bar is one the other way around.
+    // A step of more than half a bar counts as one in the other direction.
     (1..motion.frames())
         .map(|t| (phase(t - 1) - phase(t)).round())
         .sum()

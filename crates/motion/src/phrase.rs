@@ -35,8 +35,8 @@ pub const PHASE: usize = 16;
 /// Style descriptors, unbounded.
 pub const STYLE: Range<usize> = 17..25;
 
-/// The name of a channel, for messages and tables: `position.x`, `quaternion.w`, `phase`,
-/// `style.0`; `channel.{n}` beyond the last.
+/// The name of a channel: `position.x`, `quaternion.w`, `phase`, `style.0`; `channel.{n}` beyond
+/// the last.
 pub fn channel_name(channel: usize) -> String {
     const AXES: [&str; 3] = ["x", "y", "z"];
     match channel {
@@ -55,10 +55,8 @@ pub fn channel_name(channel: usize) -> String {
     }
 }
 
-/// A phrase of motion, `[frames, 25]`, at least one frame long, in the dataset's units.
-///
-/// Values may be anything, NaN included: a sample that went wrong is still a `Motion`, and
-/// [`first_non_finite`](Self::first_non_finite) or the sanity checks say so.
+/// A phrase, `[frames, 25]`, at least one frame, in the dataset's units. Values may be NaN or
+/// infinite ([`first_non_finite`](Self::first_non_finite)).
 #[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
 pub struct Motion {
     data: Vec<f32>,
@@ -67,8 +65,7 @@ pub struct Motion {
 impl Motion {
     /// A phrase from row-major `[frames, 25]` values.
     ///
-    /// # Errors
-    /// [`Error::NotWholeFrames`] if the length is zero or no multiple of 25.
+    /// [`Error::NotWholeFrames`] if the length is zero or not a multiple of 25.
     pub fn new(data: Vec<f32>) -> Result<Self, Error> {
         if data.is_empty() || !data.len().is_multiple_of(CHANNELS) {
             return Err(Error::NotWholeFrames {
@@ -136,7 +133,7 @@ impl Motion {
         self.data
     }
 
-    /// The first three channels of `channels` in frame `t`, widened: `vector(t, VELOCITY)`.
+    /// The first three channels of `channels` in frame `t`: `vector(t, VELOCITY)`.
     ///
     /// # Panics
     /// Panics if there is no frame `t` or the range is shorter than three channels.

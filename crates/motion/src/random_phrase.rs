@@ -1,4 +1,4 @@
-//! A dancer for the tests of this crate: smooth, coherent by construction, different by seed.
+//! A random phrase for the tests of this crate: smooth and coherent.
 
 use std::f64::consts::TAU;
 

@@ -10,7 +10,7 @@ use nalgebra::Vector3;
 
 use crate::vector::{length, unit};
 
-/// A Hamilton quaternion; a rotation where its norm is 1. `q` and `-q` are the same rotation.
+/// A Hamilton quaternion; a rotation if its norm is 1. `q` and `-q` are the same rotation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Quaternion {
     /// Scalar part.
@@ -41,7 +41,7 @@ impl Quaternion {
     /// The rotation about the direction of `vector` by its length in radians.
     pub fn from_rotation_vector(vector: [f64; 3]) -> Self {
         let angle = length(vector);
-        // sin(angle / 2) / angle, by its series where the quotient loses digits.
+        // sin(angle / 2) / angle, by its series near 0.
         let factor = if angle < 1e-4 {
             0.5 - angle * angle / 48.0
         } else {
@@ -51,13 +51,13 @@ impl Quaternion {
         Self::new((0.5 * angle).cos(), x, y, z)
     }
 
-    /// The rotation vector in radians, the shortest way: its length is at most pi. The norm does
-    /// not matter; the zero quaternion gives the zero vector.
+    /// The rotation vector in radians, of length at most pi. The norm does not matter; the zero
+    /// quaternion gives the zero vector.
     pub fn to_rotation_vector(self) -> [f64; 3] {
-        // Of q and -q, the one with w >= 0 turns by at most pi.
+        // Of q and -q, the one with w >= 0 rotates by at most pi.
         let Self { w, x, y, z } = if self.w < 0.0 { self.scale(-1.0) } else { self };
         let sin = length([x, y, z]);
-        // The angle is 2 atan2(sin, w), well behaved at 0 and at pi where acos is not.
+        // The angle is 2 atan2(sin, w), which is accurate near 0 and pi, unlike acos.
         let factor = if sin > 1e-12 * w {
             2.0 * sin.atan2(w) / sin
         } else {
@@ -75,7 +75,7 @@ impl Quaternion {
         Self::new(self.w, -self.x, -self.y, -self.z)
     }
 
-    /// The inner product; negative where two neighbours in time lie in opposite hemispheres.
+    /// The inner product; negative if the two lie in opposite hemispheres.
     pub fn dot(self, other: Self) -> f64 {
         self.w * other.w + self.x * other.x + self.y * other.y + self.z * other.z
     }
@@ -92,10 +92,10 @@ impl Quaternion {
         Self::new(w * factor, x * factor, y * factor, z * factor)
     }
 
-    /// The same direction with norm 1; the identity where the norm is zero or not finite.
+    /// The same direction with norm 1; the identity if the norm is zero or not finite.
     #[must_use]
     pub fn normalised(self) -> Self {
-        // Scaled by the largest part first: the square of a tiny or huge part would leave f64.
+        // Scaling by the largest part first avoids overflow and underflow of squares.
         let parts = [self.w, self.x, self.y, self.z].map(f64::abs);
         let largest = parts.into_iter().fold(0.0, f64::max);
         let scaled = self.scale(1.0 / largest);
@@ -114,24 +114,22 @@ impl Quaternion {
         [turned.x, turned.y, turned.z]
     }
 
-    /// The rotation that lies `fraction` of the way to `other`, at constant angular speed and the
-    /// shorter way, for unit quaternions.
+    /// Spherical interpolation between unit quaternions, along the shorter arc.
     #[must_use]
     pub fn slerp(self, other: Self, fraction: f64) -> Self {
         let turn = (other * self.conjugate()).to_rotation_vector();
         Self::from_rotation_vector(turn.map(|v| v * fraction)) * self
     }
 
-    /// The turn about +y in radians, from -pi to pi, that is part of a rotation: with the rotation
-    /// about a horizontal axis that is left it makes the whole. Zero upside down, where none is told
-    /// from another.
+    /// The rotation about +y, in radians from -pi to pi, of the swing-twist decomposition. Zero
+    /// upside down, where it is undefined.
     pub fn twist(self) -> f64 {
         let half = self.y.atan2(self.w);
         2.0 * (half - PI * (half / PI).round())
     }
 
-    /// Heading in radians, from -pi to pi: the angle about +y from +z to the turned +z, seen from
-    /// above. Zero where the turned +z is vertical.
+    /// Heading in radians, from -pi to pi: the angle about +y from +z to the rotated +z, seen from
+    /// above. Zero if the rotated +z is vertical.
     pub fn yaw(self) -> f64 {
         let [x, _, z] = self.rotate([0.0, 0.0, 1.0]);
         x.atan2(z)

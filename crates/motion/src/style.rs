@@ -1,7 +1,7 @@
-//! The eight style channels of recorded motion, measured from the motion itself.
+//! The eight style channels of recorded motion, measured from the motion.
 //!
-//! The source's style is a learned representation in four pairs (CC-MotionGen, section 2.5);
-//! recorded motion has none. These measures fill the same pairs with what each is about:
+//! The source's style is a learned representation in four pairs (CC-MotionGen, section 2.5). These
+//! measures fill the same pairs:
 //!
 //! | channels | pair of the source | measures |
 //! |---|---|---|
@@ -10,10 +10,9 @@
 //! | 4, 5 | rhythmic feel | burstiness; mean turning about the vertical / 3 (rad/s) |
 //! | 6, 7 | body attitude | 5 (mean height - median height of the take) (m); mean tilt of the body's up axis from the vertical (rad) |
 //!
-//! Means are over the 30 frames `t - 15 .. t + 15`, and a frame beyond an end of the take is the
-//! end itself. The extents are over the 60 frames `t - 30 .. t + 30` as far as the take goes.
-//! Burstiness is the root mean square of the floor speed less its own mean, divided by the mean
-//! speed plus 0.1 m/s: large where the body stops and goes, small where it flows.
+//! Means are over the 30 frames `t - 15 .. t + 15`, with the ends repeated; extents over the frames
+//! `t - 30 .. t + 30` of the take. Burstiness is the root mean square of the floor speed minus its
+//! mean, divided by the mean speed plus 0.1 m/s.
 
 use crate::derivatives::{angular_velocity, forward_differences};
 use crate::quantiles::median;
@@ -26,11 +25,11 @@ const MEAN_FRAMES: usize = 30;
 /// Frames of an extent: two seconds.
 const EXTENT_FRAMES: usize = 60;
 
-/// Added to the speed that burstiness is divided by, so that rest is not infinitely bursty, m/s.
+/// Added to the speed that burstiness is divided by, m/s.
 const REST_SPEED: f64 = 0.1;
 
-/// Style of every frame of a take at 30 frames per second: `positions` `[frames, 3]` in metres,
-/// +y up, unit `orientations` `[frames]`; `[frames, 8]`.
+/// Style of every frame, `[frames, 8]`, of a take at 30 frames per second: `positions` `[frames,
+/// 3]` in metres, unit `orientations` `[frames]`.
 ///
 /// # Panics
 /// Panics if the two differ in length.
@@ -42,8 +41,7 @@ pub fn describe(positions: &[[f64; 3]], orientations: &[Quaternion]) -> Vec<[f64
     );
     let frames = positions.len();
     let velocity = forward_differences(positions, FPS);
-    // No velocity is known after the last difference: the last two accelerations repeat the one
-    // before them.
+    // The last two accelerations repeat the one before them.
     let mut acceleration = forward_differences(&velocity[..frames.saturating_sub(1)], FPS);
     acceleration.resize(frames, acceleration.last().copied().unwrap_or_default());
 
@@ -76,7 +74,7 @@ pub fn describe(positions: &[[f64; 3]], orientations: &[Quaternion]) -> Vec<[f64
         .collect()
 }
 
-/// Means over the frames around each one; the ends repeat beyond themselves.
+/// Means over the frames around each one, with the ends repeated.
 fn running_mean(values: &[f64]) -> Vec<f64> {
     let half = MEAN_FRAMES as isize / 2;
     let last = values.len() as isize - 1;
@@ -86,7 +84,7 @@ fn running_mean(values: &[f64]) -> Vec<f64> {
         .collect()
 }
 
-/// Sizes of the box around the positions near frame `t`, metres.
+/// Size of the bounding box of the positions near frame `t`, metres.
 fn extent(positions: &[[f64; 3]], t: usize) -> [f64; 3] {
     let half = EXTENT_FRAMES / 2;
     let near = &positions[t.saturating_sub(half)..(t + half).min(positions.len())];
@@ -99,7 +97,7 @@ fn extent(positions: &[[f64; 3]], t: usize) -> [f64; 3] {
 /// Angle of the body's up axis from the vertical in radians.
 fn tilt(orientation: Quaternion) -> f64 {
     let [x, y, z] = orientation.rotate([0.0, 1.0, 0.0]);
-    // Unlike acos, exact near the vertical.
+    // Unlike acos, accurate near the vertical.
     x.hypot(z).atan2(y)
 }
 

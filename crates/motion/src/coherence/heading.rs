@@ -1,31 +1,29 @@
-//! The headings nearest to those of orientations, each as far as it is sure, and to the angular
+//! The headings nearest to those of orientations, weighted by their confidence, and to the angular
 //! velocity about the vertical:
 //!
 //! ```text
 //! min_h  sum_t w_t |h_t - exp(i psi_t)|^2 / s_h^2 + |h_{t+1} - exp(i d_t) h_t|^2 / s_w^2
 //! ```
 //!
-//! over complex numbers of any size. `psi_t` is the heading of frame t, the turn about the vertical
-//! that is part of it ([`Quaternion::twist`]), and `d_t` what the angular velocity turns it by until
-//! the next. Their arguments say by how many whole turns the headings `psi_t` are to be
-//! moved; the same fit of those angles themselves, which cannot turn around at once where a complex
-//! number passes through zero, is the result.
+//! over complex numbers of any size. `psi_t` is the heading of frame t, the
+//! [twist](Quaternion::twist) about the vertical, and `d_t` its change by the angular velocity. The
+//! arguments of `h` determine by how many whole turns each `psi_t` is moved. The result is the same
+//! fit of those angles, which cannot flip where a complex number passes through zero.
 //!
-//! A network that is unsure of an orientation predicts a mean of many. They stand alike and face
-//! elsewhere: the tilt of the mean is sound, and its heading points anywhere. The weights `w_t` are the
-//! squares of how sure it is, so that the angular velocities lead over frames that say little. Bodies
-//! stay as tilted as they were.
+//! A network that is uncertain about an orientation predicts a mean of many. Its tilt is sound, but
+//! its heading is arbitrary. The weights `w_t` are the squared confidences, so that angular
+//! velocities dominate in uncertain frames. Tilt is not changed.
 
 use super::{OrientationFit, weight};
 use crate::circular::wrapped;
 use crate::phrase::{ANGULAR_VELOCITY, FPS};
 use crate::{Motion, Quaternion};
 
-/// Least weight of a frame.
+/// Smallest weight of a frame.
 const LEAST_WEIGHT: f64 = 1e-4;
 
-/// How sure quaternions are of their headings, 0 to 1, by their norms: a mean of orientations that
-/// differ is short.
+/// Confidence of headings, 0 to 1, `[frames]`, by the norms of quaternions: a mean of different
+/// orientations is short.
 pub fn heading_confidence(motion: &Motion) -> Vec<f64> {
     let frames = 0..motion.frames();
     frames
@@ -33,18 +31,18 @@ pub fn heading_confidence(motion: &Motion) -> Vec<f64> {
         .collect()
 }
 
-/// The squared cosine of half the tilt of bodies, 120 degrees, beyond which they are turned less and
-/// less: upside down not at all.
+/// Squared cosine of half the tilt (120 degrees) beyond which bodies are rotated less; upside down
+/// not at all.
 pub const UPRIGHT: f64 = 0.25;
 
-/// Turns the orientations of a phrase of any length about the vertical to the headings nearest to
-/// theirs and to the angular velocities, except in frames that are `known`. `confidence`, 0 to 1, says
-/// how sure each heading is. All quaternions but the known become unit quaternions. The angular velocity
-/// turns with the body, and about the vertical changes as that of the headings does. `std` are the
-/// training deviations of the channels, `[25]`.
+/// Rotates the orientations of a phrase about the vertical to the headings nearest to theirs and to
+/// the angular velocities, except in `known` frames. `confidence` is 0 to 1. All other quaternions
+/// become unit quaternions; the angular velocity is rotated with the body, and its vertical
+/// component follows the headings. `std` are the training deviations of the channels, `[25]`.
 ///
 /// # Panics
-/// Panics if there is not one flag and one number for each frame, or the deviation is not positive.
+/// Panics if `known` or `confidence` do not have one entry a frame, or the deviation is not
+/// positive.
 pub fn fit_heading(motion: &mut Motion, std: &[f64], known: &[bool], confidence: &[f64]) {
     let frames = motion.frames();
     assert_eq!(known.len(), frames, "known frames");
@@ -88,7 +86,7 @@ pub fn fit_heading(motion: &mut Motion, std: &[f64], known: &[bool], confidence:
         fitted.push(before + wrapped(angle - before));
     }
     fit.fit(&mut fitted);
-    // Upside down the heading and the axis of the tilt may each be anything.
+    // Upside down, heading and tilt axis are undefined.
     let told = units.iter().map(|unit| {
         let upright = unit.w.powi(2) + unit.y.powi(2);
         (upright / UPRIGHT).min(1.0)

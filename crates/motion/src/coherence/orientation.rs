@@ -1,13 +1,13 @@
-//! The orientations nearest to quaternions `Q` and angular velocities `W`, which contradict each
+//! The orientations nearest to quaternions `Q` and angular velocities `W` that contradict each
 //! other:
 //!
 //! ```text
 //! min_q  sum_t |q_t - Q_t|^2 / s_q^2 + |q_{t+1} - exp(W_t / fps) q_t|^2 / s_w^2
 //! ```
 //!
-//! over quaternions of any norm, which are normalised in the end. With `r_t` the rotation that the
-//! angular velocities alone lead to, and `q_t = r_t u_t`, the second term is `|u_{t+1} - u_t|^2`:
-//! the four components of `u` part, and each has one diagonal beside the main one.
+//! over quaternions of any norm, which are normalised at the end. With `r_t` the integral of the
+//! angular velocities and `q_t = r_t u_t`, the second term is `|u_{t+1} - u_t|^2`: the four
+//! components of `u` are independent tridiagonal systems.
 
 use super::weight;
 use crate::banded::{BAND, Cholesky};
@@ -21,23 +21,23 @@ const QUATERNION_SCALE: f64 = 0.5;
 /// The scale of headings: root mean square of a component of unit complex numbers.
 const HEADING_SCALE: f64 = std::f64::consts::FRAC_1_SQRT_2;
 
-/// Least scale of a step: a body that hardly turns would ask for more than double precision holds.
+/// Smallest scale of a step, for numerical precision.
 const LEAST_STEP: f64 = 1e-6;
 
-/// The same of headings, of which whole stretches may weigh next to nothing.
+/// The same for headings, where long stretches may have little weight.
 const LEAST_TURN: f64 = 1e-3;
 
-/// The fit of the components of `u` for motion of some length.
+/// The fit of one component of `u`.
 #[derive(Clone, Debug)]
 pub struct OrientationFit {
-    /// Of each frame: 1, less where it says little, or that of a known frame.
+    /// Weight of each frame.
     weights: Vec<f64>,
     factor: Cholesky<BAND>,
 }
 
 impl OrientationFit {
-    /// The fit of `frames` frames; `rates` are the training deviations of the angular velocity in
-    /// radians per second.
+    /// The fit of `frames` frames; `rates` are the training deviations of the angular velocity,
+    /// rad/s.
     ///
     /// # Panics
     /// Panics unless the deviations are positive.
@@ -46,14 +46,14 @@ impl OrientationFit {
     }
 
     fn around(known: &[bool], rates: &[f64]) -> Self {
-        // Half a rotation vector is what a small rotation adds to a quaternion.
+        // A small rotation adds half its rotation vector to a quaternion.
         let step_scale = rates.iter().sum::<f64>() / rates.len() as f64 / (2.0 * FPS);
         let weights = known.iter().map(|&known| weight(known)).collect();
         Self::weighted(weights, [QUATERNION_SCALE, step_scale])
     }
 
-    /// The fit of headings of `frames` frames; `rate` is the training deviation of the angular velocity
-    /// about the vertical in radians per second.
+    /// The fit of headings of `frames` frames; `rate` is the training deviation of the angular
+    /// velocity about the vertical, rad/s.
     ///
     /// # Panics
     /// Panics unless the deviation is positive.
@@ -67,7 +67,7 @@ impl OrientationFit {
         Self::weighted(weights, [HEADING_SCALE, (rate / FPS).max(LEAST_TURN)])
     }
 
-    /// The fit with a weight of each frame, and the scales of a component and of its steps.
+    /// The fit with a weight for each frame, and the scales of a component and of its steps.
     fn weighted(weights: Vec<f64>, [scale, step_scale]: [f64; 2]) -> Self {
         assert!(step_scale > 0.0, "deviations of the angular velocity");
         let stiffness = (scale / step_scale.max(LEAST_STEP)).powi(2);
@@ -91,8 +91,8 @@ impl OrientationFit {
         self.weights.len()
     }
 
-    /// The fitted values of one component, in place of what is said of it, `[frames]`. Without
-    /// known frames or weights it is its own adjoint.
+    /// Fits one component in place, `[frames]`. Without known frames or weights it is its own
+    /// adjoint.
     pub fn fit(&self, component: &mut [f64]) {
         for (value, weight) in component.iter_mut().zip(&self.weights) {
             *value *= weight;
@@ -101,9 +101,9 @@ impl OrientationFit {
     }
 }
 
-/// Replaces the quaternions of a phrase of any length by those nearest to its quaternions and
-/// angular velocities, of unit norm and continuous sign, except in frames that are `known`. `std`
-/// are the training deviations of the channels, `[25]`; angular velocities are left as they are.
+/// Replaces the quaternions of a phrase by those nearest to its quaternions and angular velocities,
+/// of unit norm and continuous sign, except in `known` frames. `std` are the training deviations of
+/// the channels, `[25]`; angular velocities are kept.
 ///
 /// # Panics
 /// Panics if there is not one flag for each frame, or a deviation is not positive.

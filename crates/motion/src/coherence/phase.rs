@@ -1,21 +1,20 @@
-//! The phase that is nearest to the stated one and advances steadily.
+//! The nearest phase that advances steadily.
 //!
-//! A model that hears the beats and not which of them begins a bar jumps between bars by whole beats.
-//! So the phase is fitted in the part of a bar that is steadiest, whole bars where they are steady
-//! ([`parts`]), and the bar is then the one that most frames agree with: motion that is in time stays
-//! in time.
+//! A model that knows the beats but not the bar lines jumps by whole beats. So the phase is fitted
+//! in the fraction of a bar that is steadiest ([`parts`]), and then placed in the bar that most
+//! frames agree with.
 //!
-//! First the turns `p` of a path through that part that does not turn back are found, by dynamic
-//! programming: of all that advance by half to one and a half of the tempo a frame, the one with the
-//! most of `cos 2 pi (p_t - phase_t)`. Where the phase jumps by less, the path catches up. Then the
+//! Dynamic programming finds a path `p` whose advance a frame is half to one and a half of the
+//! tempo and that maximises `sum cos 2 pi (p_t - phase_t)`. Then the path is moved to the nearby
+//! stated phases and smoothed:
 //! path is moved to the stated phases near it, and smoothed:
 //!
 //! ```text
 //! min_q  sum_t |q_t - p_t - d_t|^2 + S^4 |q_{t+2} - 2 q_{t+1} + q_t|^2
 //! ```
 //!
-//! with `d_t` the distance from the path to the stated phase the shortest way around, where it is less
-//! than an eighth of a turn; other frames count with the path's own phase.
+//! with `d_t` the shortest distance from the path to the stated phase where it is below an eighth
+//! of a turn, otherwise 0.
 
 use std::f64::consts::TAU;
 
@@ -24,38 +23,38 @@ use crate::banded::{BAND, Cholesky};
 use crate::phrase::PHASE;
 use crate::{Motion, circular};
 
-/// `S`: a change of tempo that comes and goes within four seconds is taken for noise.
+/// `S`: changes of tempo within four seconds are noise.
 const STEADINESS_FRAMES: f64 = 20.0;
 
-/// Places in a bar that a path goes through.
+/// Positions in a bar of the dynamic programme.
 const PLACES: usize = 256;
 
-/// Most advances that a path chooses from.
+/// Most advances to choose from.
 const MOST_ADVANCES: usize = 32;
 
-/// The path's advance a frame lies between these shares of the tempo.
+/// Range of the advance a frame, relative to the tempo.
 const SHARES: [f64; 2] = [0.5, 1.5];
 
-/// Frames over which the tempo is taken to be one.
+/// Frames over which the tempo is constant.
 const SPAN_FRAMES: usize = 120;
 
 /// Tempos that are compared.
 const TEMPOS: usize = 4 * SPAN_FRAMES;
 
-/// Turns from the path within which a stated phase counts.
+/// Distance from the path, in turns, within which a stated phase counts.
 const NEAR: f64 = 0.125;
 
-/// Most parts of a bar that a phase may jump by and be steady.
+/// Most parts of a bar.
 const MOST_PARTS: usize = 8;
 
-/// What the agreement of fewer parts may lack of the best.
+/// Allowed loss of agreement for fewer parts.
 const AGREEMENT_MARGIN: f64 = 0.1;
 
 /// The second difference of three frames.
 const SECOND_DIFFERENCE: [f64; 3] = [1.0, -2.0, 1.0];
 
-/// Replaces the phase of a phrase of any length by the nearest one that advances steadily, from 0
-/// to below 1, except in frames that are `known`.
+/// Replaces the phase by the nearest one that advances steadily, in [0, 1), except in `known`
+/// frames.
 ///
 /// # Panics
 /// Panics if there is not one flag for each frame.
@@ -74,20 +73,20 @@ pub fn fit_phase(motion: &mut Motion, known: &[bool]) {
     };
     let parts = parts(&said);
     let mut fitted = in_parts(parts);
-    // Frames that are known of two bars: only whole bars lead from one to the other.
+    // Known frames in different bars need a fit in whole bars.
     let misses = |t: usize| known[t] && circular::distance(fitted[t], said[t]) > 0.5 / parts as f64;
     if (0..frames).any(misses) {
         fitted = in_parts(1);
     }
     for t in (0..frames).filter(|t| !known[*t]) {
         let phase = fitted[t].rem_euclid(1.0) as f32;
-        // What is just below 1 may round to it.
+        // Values just below 1 may round to it.
         motion.frame_mut(t)[PHASE] = if phase < 1.0 { phase } else { 0.0 };
     }
 }
 
-/// Into how many parts a bar is divided for the phase to be steady: the fewest whose agreement with
-/// one tempo at a time lacks little of the best.
+/// Number of parts of a bar in which the phase is steady: the fewest whose agreement with a tempo
+/// is nearly the best.
 fn parts(said: &[f64]) -> usize {
     let agreement = |parts: usize| {
         let of_part: Vec<f64> = said.iter().map(|turn| parts as f64 * turn).collect();
@@ -101,8 +100,7 @@ fn parts(said: &[f64]) -> usize {
     1 + enough.unwrap_or(0)
 }
 
-/// The whole turns to add to `fitted`, in `parts` of a bar, for the bar that goes best with what is
-/// said.
+/// The whole turns to add to `fitted`, in `parts` of a bar, that agree best with the stated phases.
 fn bar(fitted: &[f64], said: &[f64], known: &[bool], parts: usize) -> f64 {
     let agreement = |bar: usize| {
         let frames = fitted.iter().zip(said).zip(known);
@@ -117,7 +115,7 @@ fn bar(fitted: &[f64], said: &[f64], known: &[bool], parts: usize) -> f64 {
     best.map_or(0.0, |(_, bar)| bar)
 }
 
-/// The steady path nearest to what is said, counted on over the turns.
+/// The steady path nearest to the stated phases, unwrapped.
 fn fit(said: &[f64], known: &[bool]) -> Vec<f64> {
     let path = path(said, known);
     let frames = said.len();
@@ -141,7 +139,7 @@ fn fit(said: &[f64], known: &[bool]) -> Vec<f64> {
     fitted
 }
 
-/// The turns, counted on, of the path that goes best with the phases that are `said`.
+/// The path, unwrapped, that agrees best with the stated phases.
 fn path(said: &[f64], known: &[bool]) -> Vec<f64> {
     let place = |turn: f64| (turn * PLACES as f64).rem_euclid(PLACES as f64) as usize % PLACES;
     let cosines: Vec<f64> = (0..PLACES)
@@ -168,7 +166,7 @@ fn path(said: &[f64], known: &[bool]) -> Vec<f64> {
             }
             *next = most + gain(t, at);
         }
-        // Sums of known frames would swallow the others.
+        // Large sums of known frames would lose the others' digits.
         let largest = next.iter().copied().fold(f64::NEG_INFINITY, f64::max);
         next.iter_mut().for_each(|sum| *sum -= largest);
         best = next;
@@ -192,8 +190,8 @@ fn path(said: &[f64], known: &[bool]) -> Vec<f64> {
     path
 }
 
-/// Places that a path may advance by in a frame: those around the tempo of what is said, and none
-/// that stands still, of a tempo that allows it.
+/// Possible advances of a path in a frame, around the tempo. None stands still if the tempo allows
+/// that.
 fn advances(said: &[f64]) -> Vec<i64> {
     let mean = tempo(said).advance * PLACES as f64;
     let mut bounds = SHARES.map(|share| share * mean);
@@ -213,13 +211,13 @@ fn advances(said: &[f64]) -> Vec<i64> {
 struct Tempo {
     /// Turns a frame.
     advance: f64,
-    /// From 0 to 1: how well the phases go with it.
+    /// Agreement of the phases, 0 to 1.
     agreement: f64,
 }
 
-/// The advance in turns a frame that the phases go with best, from half a turn back to half a turn on:
-/// the largest mean over spans of `|sum exp(2 pi i (phase_t - advance t))|`. Noise of each frame by
-/// itself drowns the advance from one frame to the next, and not this.
+/// The advance in turns a frame, -0.5 to 0.5, that agrees best with the phases: the largest mean
+/// over spans of `|sum exp(2 pi i (phase_t - advance t))|`. Unlike single steps, this is robust to
+/// noise.
 fn tempo(said: &[f64]) -> Tempo {
     let unit = |turns: f64| (TAU * turns).sin_cos();
     let phases: Vec<(f64, f64)> = said.iter().map(|&turns| unit(turns)).collect();

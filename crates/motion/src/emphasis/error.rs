@@ -41,7 +41,7 @@ pub enum EmphasisError {
         found: f32,
     },
 
-    /// The matrix cannot be undone in single precision.
+    /// The matrix cannot be inverted in single precision.
     #[error(
         "the projection matrix is singular: its condition number is {condition_number:.1e}, \
          allowed: less than {limit:.1e}"

@@ -3,27 +3,26 @@
 use super::{ContactRule, Leg, lock, sliding};
 use crate::humanml::{FeatureError, Joints, Skeleton};
 
-/// Within how many seconds a correction fades: five frames at 20 frames per second.
+/// Seconds over which a correction fades: five frames at 20 frames per second.
 const BLEND_SECONDS: f64 = 0.25;
 
-/// Joints whose feet are held.
+/// Joints whose feet are locked in contact.
 #[derive(Clone, Debug)]
 pub struct LockedJoints {
-    /// Where the joints are.
+    /// The joints.
     pub joints: Joints,
-    /// Part of the frames in which a foot is in contact, of all feet.
+    /// Share of the frames in contact, of all feet.
     pub in_contact: f64,
     /// Mean speed of feet in contact before, metres per second.
     pub before: f64,
-    /// The same after.
+    /// Mean speed of feet in contact after.
     pub after: f64,
-    /// How far a foot is from where it should stand, at most, as its leg does not reach so far,
-    /// metres.
+    /// Largest distance of a foot from its contact position, where the leg is too short, metres.
     pub missed: f64,
 }
 
-/// `joints` with feet that stay where they stand. `seen` are the joints in which `rule` finds
-/// contacts above the floor y = 0: `joints` themselves, or what they were made from.
+/// Locks the feet of `joints` in contact. `rule` finds the contacts in `seen`, the joints
+/// themselves or their source, above the floor y = 0.
 ///
 /// # Errors
 /// [`FeatureError::LengthMismatch`] unless both are the same frames of joints of `skeleton`.

@@ -2,10 +2,10 @@
 
 use super::{Goal, Obstacle};
 
-/// Speed that a sprinter reaches, metres per second.
+/// Top speed of a sprinter, metres per second.
 const FASTEST: f64 = 12.0;
 
-/// A position that the root is to have.
+/// A target position of the root.
 struct Stop {
     name: String,
     frame: usize,
@@ -13,13 +13,12 @@ struct Stop {
 }
 
 impl Goal {
-    /// What is impossible about a valid goal in a clip of `fps` frames per second, in words: ways
-    /// that are too far for the time, positions inside an obstacle. Empty for a goal that a body
-    /// can reach.
+    /// Warnings about a valid goal in a clip of `fps` frames per second: segments that need more
+    /// than a sprinter's speed, and positions inside an obstacle.
     pub fn feasibility_warnings(&self, fps: f64) -> Vec<String> {
         let stops = self.stops();
         let segments = match self.trajectory {
-            // Each of many points would be a line.
+            // One warning for all points.
             Some(_) => fastest(&stops, fps).into_iter().collect(),
             None => too_fast(&stops, fps).map(|(_, text)| text).collect(),
         };
@@ -28,7 +27,7 @@ impl Goal {
         warnings
     }
 
-    /// Where the root is to be, by frame. A clip begins at the origin.
+    /// Target positions by frame. A clip begins at the origin.
     fn stops(&self) -> Vec<Stop> {
         let mut stops: Vec<Stop> = match &self.trajectory {
             Some(trajectory) => {
@@ -84,7 +83,7 @@ impl Goal {
     }
 }
 
-/// The ways between neighbouring stops that take more than a sprinter, with their speed.
+/// Segments between neighbouring targets that are too fast, with their speed.
 fn too_fast(stops: &[Stop], fps: f64) -> impl Iterator<Item = (f64, String)> {
     stops.windows(2).filter_map(move |pair| {
         let [from, to] = pair else { return None };
@@ -100,7 +99,7 @@ fn too_fast(stops: &[Stop], fps: f64) -> impl Iterator<Item = (f64, String)> {
     })
 }
 
-/// The fastest of them, and how many there are beside it.
+/// The fastest of them, and the number of others.
 fn fastest(stops: &[Stop], fps: f64) -> Option<String> {
     let all = too_fast(stops, fps).count();
     let (_, text) = too_fast(stops, fps).max_by(|a, b| a.0.total_cmp(&b.0))?;

@@ -8,9 +8,8 @@ use super::bone_rotations::{forward_kinematics, from_columns};
 use super::{FeatureError, FeatureLayout, Joints, Root, Skeleton};
 use crate::Quaternion;
 
-/// The features of one clip, `[frames, channels]`, single precision as stored, finite.
-///
-/// Row t speaks of frame t and its change to frame t + 1, so T frames of joints make T - 1 rows.
+/// The features of one clip, `[frames, channels]`, single precision, finite. Row t describes frame
+/// t and its step to frame t + 1, so T frames of joints give T - 1 rows.
 #[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
 pub struct Features {
     values: Vec<f32>,
@@ -52,12 +51,12 @@ impl Features {
         self.values.len() / self.layout.channels()
     }
 
-    /// Which channel says what.
+    /// The channel layout.
     pub fn layout(&self) -> FeatureLayout {
         self.layout
     }
 
-    /// How the first channels say where the root is.
+    /// Representation of the root.
     pub fn root(&self) -> Root {
         self.root
     }
@@ -81,9 +80,8 @@ impl Features {
         &self.values[t * channels..(t + 1) * channels]
     }
 
-    /// The rows of `range` as they are: with absolute root the part stays where it is. With relative
-    /// root it begins at x = z = 0 facing +z, but its rotations are those of where it was:
-    /// [`crop`](Self::crop) turns them too.
+    /// The rows of `range` unchanged. With relative root the part begins at x = z = 0 facing +z,
+    /// but its rotations do not; [`crop`](Self::crop) rotates them too.
     ///
     /// # Panics
     /// Panics if `range` is empty or reaches beyond the last frame.
@@ -120,8 +118,8 @@ impl Features {
         self.with_root(Root::Absolute)
     }
 
-    /// The same features with relative root ([`Root::convert`]): where the way began is lost, and
-    /// the last row's change repeats the one before.
+    /// The same features with relative root ([`Root::convert`]): the start is lost, and the last
+    /// row repeats the step before.
     #[must_use]
     pub fn to_relative(&self) -> Self {
         self.with_root(Root::Relative)
@@ -147,8 +145,7 @@ impl Features {
         }
     }
 
-    /// The joints by their positions in the features, `[frames, J, 3]`: turned from the facing
-    /// frame to the world and moved to the root's place on the ground.
+    /// The joints from the positions in the features, `[frames, J, 3]`.
     pub fn joints(&self) -> Joints {
         let count = self.layout.joints();
         let mut places = Vec::with_capacity(self.frames() * count);
@@ -165,13 +162,12 @@ impl Features {
         Joints::computed(places, count)
     }
 
-    /// The joints by their rotations in the features, `[frames, J, 3]`: forward kinematics with the
-    /// bones of the skeleton's reference pose, from the root's place, the root turned by the root
-    /// quaternion itself.
+    /// The joints from the rotations in the features, `[frames, J, 3]`: forward kinematics with the
+    /// bones of the skeleton's reference pose.
     ///
     /// # Errors
-    /// [`FeatureError::LengthMismatch`] if they are not features of `skeleton`;
-    /// [`FeatureError::NonFinite`] if the way is so far that it overflows.
+    /// [`FeatureError::LengthMismatch`] for features of another skeleton;
+    /// [`FeatureError::NonFinite`] if positions overflow.
     pub fn joints_from_rotations(&self, skeleton: &Skeleton) -> Result<Joints, FeatureError> {
         skeleton.accept_layout(self.layout)?;
         let mut rotations = Vec::with_capacity(self.frames() * self.layout.joints());
@@ -185,14 +181,13 @@ impl Features {
         forward_kinematics(skeleton, &skeleton.offsets(), &roots, &rotations)
     }
 
-    /// The features of the clip reflected at the plane x = 0, left for right; exactly those that
-    /// the mirrored joints ([`Joints::mirror`]) have, as the two sides of a [`Skeleton`] are
-    /// images of each other.
+    /// The features of the clip reflected at the plane x = 0: exactly those of the mirrored joints
+    /// ([`Joints::mirror`]), as a [`Skeleton`] is symmetric.
     ///
     /// # Errors
     /// [`FeatureError::LengthMismatch`] if they are not features of `skeleton`.
     pub fn mirror(&self, skeleton: &Skeleton) -> Result<Self, FeatureError> {
-        /// Signs of a rotation's two columns: a reflected turn keeps its part about x alone.
+        /// Signs of a rotation's two columns.
         const ROTATION: [f32; 6] = [1.0, -1.0, -1.0, -1.0, 1.0, 1.0];
         const VECTOR: [f32; 3] = [-1.0, 1.0, 1.0];
         skeleton.accept_layout(self.layout)?;
@@ -200,7 +195,7 @@ impl Features {
         let (layout, channels) = (self.layout, self.layout.channels());
         let mut source: Vec<usize> = (0..channels).collect();
         let mut sign = vec![1.0; channels];
-        // Half angle and sideways way change sign in both readings of the root.
+        // Half angle and sideways step change sign in both representations of the root.
         (sign[0], sign[1]) = (-1.0, -1.0);
         let mut reflect = |range: Range<usize>, first_joint: usize, signs: &[f32]| {
             for channel in range.clone() {

@@ -1,11 +1,11 @@
 //! Joint positions and joint features as in HumanML3D: 263 channels for 22 joints, or `12 J - 1`
 //! for J joints.
 //!
-//! Metres (published features in millimetres are converted when they are read), +y up, frames of the skeleton's own rate, velocities per frame. Root quaternions turn
-//! the world to the facing frame and enter the features by half their angle ([`Root`]). Features
-//! are stored in single precision; everything is computed in double precision. Source: C. Guo et
-//! al., "Generating Diverse and Natural 3D Human Motions from Text" (2022), and GMD, appendix B,
-//! both as docs/sources.md reads them, sections 3 and 4.1.
+//! Metres (published features in millimetres are converted when read), +y up, the skeleton's own
+//! frame rate, velocities per frame. Root quaternions map world to facing frame and enter the
+//! features by half their angle ([`Root`]). Features are stored in single precision and computed in
+//! double. Source: C. Guo et al., "Generating Diverse and Natural 3D Human Motions from Text"
+//! (2022), and GMD, appendix B (docs/sources.md, sections 3 and 4.1).
 //!
 //! ```
 //! use kinegrad_motion::humanml::{Extraction, Features, Joints, Root, Skeleton};
@@ -33,8 +33,7 @@
 //! # Ok::<(), kinegrad_motion::humanml::FeatureError>(())
 //! ```
 
-/// Numbers of a text's pooled feature: those of CLIP's ViT-B/32, as published models are
-/// conditioned on.
+/// Width of a pooled text feature: CLIP's ViT-B/32, which published models are conditioned on.
 pub const TEXT_CHANNELS: usize = 512;
 
 pub mod bone_rotations;

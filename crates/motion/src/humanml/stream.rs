@@ -1,15 +1,12 @@
-//! Features while a motion still goes on.
+//! Features of a motion in real time.
 
 use super::bone_rotations::{forward_kinematics, inverse_kinematics, raw_root, rotations_of_frame};
 use super::{Extraction, FeatureError, Heading, Joints, Skeleton};
 use crate::Quaternion;
 
-/// Features frame by frame: each frame completes the row of the one before. The rows are those of
-/// [`Extraction::features_in_place`] with [`Heading::Raw`], the first frame facing +z. Only the
-/// last frame is kept.
-///
-/// The smoothed heading of published features looks 80 frames ahead, so that it cannot be known
-/// live.
+/// Features frame by frame: each frame completes the row of the one before. Rows equal those of
+/// [`Extraction::features_in_place`] with [`Heading::Raw`]. The smoothed heading of published
+/// features looks 80 frames ahead and is unavailable in real time.
 #[derive(Clone, Debug)]
 pub struct FeatureStream {
     skeleton: Skeleton,
@@ -27,12 +24,11 @@ struct PosedFrame {
     rotations: Vec<Quaternion>,
 }
 
-/// Furthest place of a joint from the origin along each axis, metres.
+/// Largest coordinate of a joint, metres.
 const FURTHEST: f64 = 1e15;
 
 impl FeatureStream {
-    /// A stream before its first frame, whose joints of a foot stand below `contact_threshold`
-    /// ([`Extraction::contact_threshold`]).
+    /// A stream before its first frame, with this [`Extraction::contact_threshold`].
     ///
     /// # Errors
     /// [`FeatureError::Setting`] for a contact threshold that is negative or not finite.
@@ -52,10 +48,8 @@ impl FeatureStream {
         })
     }
 
-    /// The same for a motion that need not begin facing +z: the first frame has its own heading too.
-    ///
-    /// The rotations of published features are shortest turns from the rest pose as it stands in
-    /// the world, so that they alone depend on where a motion faces.
+    /// The same for a motion that need not begin facing +z. Only the rotations of published
+    /// features depend on the heading.
     #[must_use]
     pub fn with_own_heading(self) -> Self {
         Self {
@@ -64,13 +58,12 @@ impl FeatureStream {
         }
     }
 
-    /// Takes the next frame, `[J, 3]` in metres, and gives the row of the one before, `[12 J - 1]`;
-    /// none for the first.
+    /// Adds the next frame, `[J, 3]` in metres, and returns the row of the one before, `[12 J -
+    /// 1]`; none for the first.
     ///
     /// # Errors
     /// [`FeatureError::LengthMismatch`] for another number of joints; [`FeatureError::NonFinite`]
-    /// if a coordinate is not finite or so large that something overflows. The stream then stays as
-    /// it was.
+    /// if a coordinate is not finite or too large. The stream is then unchanged.
     pub fn push(&mut self, frame: &[[f64; 3]]) -> Result<Option<Vec<f32>>, FeatureError> {
         FeatureError::unless_equal("joints of a frame", self.skeleton.joints(), frame.len())?;
         let not_finite = |what, entry| FeatureError::NonFinite {
@@ -78,7 +71,7 @@ impl FeatureStream {
             frame: self.frames,
             entry,
         };
-        // What is further away overflows in the squares of the next row. False for NaN.
+        // Larger coordinates overflow when squared. False for NaN.
         let bad = |place: &[f64; 3]| !place.iter().all(|value| value.abs() <= FURTHEST);
         if let Some(joint) = frame.iter().position(bad) {
             return Err(not_finite("joints", format!("joint {joint}")));
@@ -106,21 +99,20 @@ impl FeatureStream {
         Ok(row)
     }
 
-    /// The last frame, `[J, 3]`, and its root quaternion, world to facing frame.
+    /// The last frame, `[J, 3]`, and its root quaternion.
     pub fn last(&self) -> Option<(&[[f64; 3]], Quaternion)> {
         let last = self.last.as_ref()?;
         Some((&last.places, last.rotations[0]))
     }
 
-    /// Frames taken.
+    /// Number of frames added.
     pub fn frames(&self) -> usize {
         self.frames
     }
 }
 
 /// The frame, `[J, 3]`, with bones of the lengths of `offsets` ([`Skeleton::offsets_of_frame`]) in
-/// the directions that they have: its rotations, by inverse kinematics, put into forward ones. The
-/// root stays.
+/// their own directions. The root keeps its position.
 ///
 /// # Errors
 /// [`FeatureError::LengthMismatch`] for another number of joints or offsets;

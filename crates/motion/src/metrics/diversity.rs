@@ -1,13 +1,12 @@
-//! How much phrases differ from one another.
+//! Differences between phrases.
 
 use kinegrad_random::{Key, Purpose};
 
 use super::{TRAJECTORY, mean};
 use crate::{Motion, Statistics};
 
-/// Root mean square over frames and [`TRAJECTORY`] channels of the difference of two phrases, in
-/// training standard deviations. Of phrases of different length the first frames are compared,
-/// as many as the shorter one has.
+/// Root mean square difference of two phrases over frames and [`TRAJECTORY`] channels, in training
+/// standard deviations, over the length of the shorter one.
 pub fn trajectory_distance(a: &Motion, b: &Motion, training: &Statistics) -> f64 {
     let frames = a.frames().min(b.frames());
     let mut sum = 0.0;
@@ -30,9 +29,9 @@ pub fn diversity(motions: &[&Motion], training: &Statistics) -> Option<f64> {
     }))
 }
 
-/// Mean Euclidean distance of feature vectors `[n, features]`: over all pairs where there are at
-/// most `pairs` of them, else over `pairs` pairs drawn from `seed`, each of two different vectors.
-/// `None` for fewer than two vectors, no pairs, or where a value is not finite.
+/// Mean Euclidean distance of feature vectors `[n, features]` over all pairs, or over `pairs`
+/// random pairs of different vectors if there are more. `None` for fewer than two vectors, no
+/// pairs, or values that are not finite.
 ///
 /// # Panics
 /// Panics if the vectors differ in length.
@@ -48,7 +47,7 @@ pub fn feature_diversity(features: &[Vec<f64>], pairs: usize, seed: u64) -> Opti
         let key = Key::new(seed, Purpose::Pairs);
         let firsts = key.at(0).integers(pairs, count);
         let seconds = key.at(1).integers(pairs, count - 1);
-        // The second one is drawn from all but the first.
+        // The second is sampled from all but the first.
         let others = |(first, second)| (first, second + usize::from(second >= first));
         firsts.into_iter().zip(seconds).map(others).collect()
     };

@@ -6,8 +6,8 @@ use super::TRAJECTORY;
 use crate::moments::mean_and_deviation;
 use crate::{Motion, Statistics};
 
-/// Mean and (population) standard deviation over the frames of each [`TRAJECTORY`] channel, in
-/// training standard deviations: 9 means, then 9 deviations.
+/// Mean and population standard deviation over frames of each [`TRAJECTORY`] channel, in training
+/// standard deviations: 9 means, then 9 deviations.
 pub fn trajectory_features(motion: &Motion, training: &Statistics) -> Vec<f64> {
     let moments = TRAJECTORY.map(|channel| {
         let values = (0..motion.frames()).map(|t| f64::from(motion.frame(t)[channel]));
@@ -27,15 +27,14 @@ pub struct FeatureMoments {
 }
 
 impl FeatureMoments {
-    /// Mean and unbiased covariance (divided by n - 1) of `features`, `[n, features]`. `None` for
-    /// fewer than two vectors or where a value is not finite. With no more vectors than features
-    /// the covariance is singular, which the distance allows.
+    /// Mean and unbiased covariance of `features`, `[n, features]`. `None` for fewer than two
+    /// vectors or values that are not finite. The covariance may be singular.
     ///
     /// # Panics
     /// Panics if the vectors differ in length.
     pub fn compute(features: &[Vec<f64>]) -> Option<Self> {
         let count = features.len();
-        // An eigendecomposition of NaN does not end.
+        // The eigendecomposition of NaN does not terminate.
         if count < 2 || features.iter().flatten().any(|value| !value.is_finite()) {
             return None;
         }
@@ -76,11 +75,11 @@ pub fn frechet_distance(a: &FeatureMoments, b: &FeatureMoments) -> f64 {
         .map(|eigenvalue| eigenvalue.max(0.0).sqrt())
         .sum();
     let spread = a.covariance.trace() + b.covariance.trace() - 2.0 * cross;
-    // Rounding may leave the distance of two equal sets a little below 0.
+    // Rounding may leave the distance of equal sets below 0.
     ((&a.mean - &b.mean).norm_squared() + spread).max(0.0)
 }
 
-/// The symmetric square root of a covariance, its eigenvalues cut to 0 from below.
+/// The symmetric square root of a covariance, with eigenvalues clamped to 0.
 fn square_root(covariance: &DMatrix<f64>) -> DMatrix<f64> {
     let SymmetricEigen {
         eigenvalues,

@@ -1,4 +1,4 @@
-//! How a body moves: feet that slide, and how jerky the joints are.
+//! Foot sliding and jerk of a body.
 
 use crate::derivatives::{jerk_of, mean_norm};
 use crate::humanml::Joints;
@@ -10,9 +10,9 @@ pub const SKATING_HEIGHT: f64 = 0.05;
 /// between two frames at 20 frames per second.
 pub const SKATING_SPEED: f64 = 0.5;
 
-/// Share of the steps from one frame to the next, at `fps` frames per second, in which one of the
-/// `feet` (the toes' joints) slides: it is below [`SKATING_HEIGHT`] in both frames and moves
-/// horizontally faster than [`SKATING_SPEED`]. `None` for fewer than two frames.
+/// Share of the steps between frames, at `fps` frames per second, in which one of the `feet` (toe
+/// joints) slides: below [`SKATING_HEIGHT`] in both frames and horizontally faster than
+/// [`SKATING_SPEED`]. `None` for fewer than two frames.
 ///
 /// # Panics
 /// Panics if a foot is not among the joints.
@@ -27,11 +27,9 @@ pub fn sliding_ratio(joints: &Joints, fps: f64, feet: &[usize]) -> Option<f64> {
     (steps > 0).then(|| slid.count() as f64 / steps as f64)
 }
 
-/// Foot skating as the published evaluation computes it: the share of the steps from one frame to
-/// the next in which one of the `feet` is below [`SKATING_HEIGHT`] in both frames and moves
-/// horizontally faster than [`SKATING_SPEED`], both in that step and on average over it and the two
-/// steps on either side; steps beyond the ends count as still (docs/sources.md, section 4.13).
-/// `None` for fewer than two frames.
+/// Foot skating as in the published evaluation: as [`sliding_ratio`], but the mean speed over the
+/// step and two steps on either side must exceed [`SKATING_SPEED`] too; steps beyond the ends count
+/// as zero (docs/sources.md, section 4.13). `None` for fewer than two frames.
 ///
 /// # Panics
 /// Panics if a foot is not among the joints.
@@ -45,14 +43,14 @@ pub fn skating_ratio(joints: &Joints, fps: f64, feet: &[usize]) -> Option<f64> {
     (steps > 0).then(|| (0..steps).filter(skates).count() as f64 / steps as f64)
 }
 
-/// A step of a foot from one frame to the next.
+/// A step of a foot between frames.
 #[derive(Clone, Copy, Debug)]
 pub struct SkatingStep {
     /// Whether the foot is on the ground in both frames.
     pub contact: bool,
     /// Horizontal speed, metres per second.
     pub speed: f64,
-    /// The mean of the speed of five steps, this one in the middle.
+    /// Mean speed over five steps, with this one in the middle.
     pub mean_speed: f64,
 }
 
@@ -62,7 +60,7 @@ impl SkatingStep {
     }
 }
 
-/// The steps of a foot, as [`skating_ratio`] sees them.
+/// The steps of a foot, for [`skating_ratio`].
 ///
 /// # Panics
 /// Panics if the foot is not among the joints.
@@ -81,8 +79,8 @@ pub fn skating_steps(joints: &Joints, fps: f64, foot: usize) -> Vec<SkatingStep>
     speeds.iter().enumerate().map(step).collect()
 }
 
-/// Mean over joints and frames of the Euclidean norm of the third difference of position times the
-/// cube of the frame rate `fps`, metres per second cubed. `None` for fewer than four frames.
+/// Mean over joints and frames of the jerk norm, metres per second cubed. `None` for fewer than
+/// four frames.
 pub fn mean_jerk(joints: &Joints, fps: f64) -> Option<f64> {
     let jerk = |joint: usize| mean_norm(&jerk_of(&joints.track(joint), fps));
     let sum = || (0..joints.joints()).map(jerk).sum::<f64>();

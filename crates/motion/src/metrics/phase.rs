@@ -1,13 +1,10 @@
-//! How far the phase of motion is from that of the music.
+//! Phase error of motion and music.
 
 use crate::circular;
 
-/// Mean over frames of the [circular distance](circular::distance) of two bar phases, counted in
-/// cycles of which a bar has `cycles_per_bar`: with 1 in bars, with the beats of a bar in beats,
-/// whose phase is the bar's times that number, modulo 1. From 0 to 0.5; 0.25 for phases without any
-/// relation.
-///
-/// NaN of no frames, and where a phase is not finite.
+/// Mean [circular distance](circular::distance) of two bar phases over frames, in cycles of which a
+/// bar has `cycles_per_bar`: 1 for bars, the number of beats of a bar for beats. From 0 to 0.5,
+/// 0.25 by chance. NaN of no frames or values that are not finite.
 ///
 /// # Panics
 /// Panics if the phases differ in length.

@@ -1,4 +1,4 @@
-//! Ways that are bent at random: paths for training (docs/sources.md, section 7, option E).
+//! Randomly bent trajectories for training (docs/sources.md, section 7, option E).
 
 use std::f64::consts::TAU;
 
@@ -10,26 +10,26 @@ use crate::feet::{ContactRule, lock_joints};
 use crate::humanml::extract::{canonicalize, extrapolated};
 use crate::humanml::{Extraction, FeatureError, Features, Joints, Skeleton};
 
-/// Largest curvature of the whole way, radians a metre: a circle of 1.25 m.
+/// Largest overall curvature, radians per metre (a circle of 1.25 m).
 const CURVATURE: f64 = 0.8;
 /// Largest amplitude of a wave, radians.
 const AMPLITUDE: f64 = 0.5;
 /// Shortest and longest wave, metres.
 const WAVES: [f64; 2] = [2.0, 6.0];
-/// What a foot may miss of where it stands, metres.
+/// Allowed distance of a locked foot from its contact position, metres.
 const MISSED: f64 = 0.05;
 
-/// How a way is bent: its direction turns by an angle that depends on the metres walked.
+/// A bend of a trajectory: its direction is rotated by an angle that depends on the arc length.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Bend {
-    /// Turn of the whole way, radians a metre.
+    /// Overall curvature, radians per metre.
     pub curvature: f64,
-    /// Waves of the direction: amplitude in radians, length in metres, phase in radians.
+    /// Waves of the direction: amplitude (radians), length (metres), phase (radians).
     pub waves: [[f64; 3]; 2],
 }
 
 impl Bend {
-    /// A bend at random: part of a circle and two waves.
+    /// A random bend: an arc and two waves.
     pub fn random(key: Key) -> Self {
         let uniforms = key.uniforms(7);
         let mut uniforms = uniforms.into_iter().map(f64::from);
@@ -45,7 +45,7 @@ impl Bend {
         Self { curvature, waves }
     }
 
-    /// What the direction is turned by after so many metres, radians: nothing at first.
+    /// Rotation of the direction at an arc length, radians; zero at the start.
     pub fn turn(&self, metres: f64) -> f64 {
         let wave = |[amplitude, length, phase]: [f64; 3]| {
             amplitude * ((TAU * metres / length + phase).sin() - phase.sin())
@@ -53,9 +53,9 @@ impl Bend {
         self.curvature * metres + self.waves.map(wave).iter().sum::<f64>()
     }
 
-    /// `joints` of so many frames a second on the bent way: each step and the body turned by the angle of
-    /// its place. The way keeps its length, steps and heights stay what they are. Metres count where the
-    /// body goes, without its sway: one that stands is not turned.
+    /// `joints` at `fps` frames per second on the bent trajectory: each step and the body are
+    /// rotated by the angle at its arc length. Length, steps and heights are kept. Arc length
+    /// ignores sway and standing.
     pub fn apply(&self, joints: &Joints, fps: f64) -> Joints {
         let track = joints.track(0).into_iter();
         let track: Vec<[f64; 2]> = track.map(|[x, _, z]| [x, z]).collect();
@@ -78,12 +78,12 @@ impl Bend {
         placed(joints, &points, &turns).expect("a point and a turn for each frame")
     }
 
-    /// The features of a clip on the bent way, its feet held where they stand; with relative root. One
-    /// whose legs do not reach stays as it is.
+    /// The features of a clip on the bent trajectory with locked feet, with relative root.
+    /// Unchanged if the legs do not reach.
     ///
     /// # Errors
-    /// [`FeatureError::TooFewFrames`] for a single frame; [`FeatureError::LengthMismatch`] unless they
-    /// are features of `skeleton`.
+    /// [`FeatureError::TooFewFrames`] for a single frame; [`FeatureError::LengthMismatch`] for
+    /// features of another skeleton.
     pub fn of_features(
         &self,
         features: &Features,
@@ -95,7 +95,7 @@ impl Bend {
         if locked.missed > MISSED {
             return Ok(features.to_relative());
         }
-        // Features begin at the origin; the floor is the clip's, not this part's lowest joint.
+        // Features begin at the origin; the floor is that of the whole clip.
         let joints = extrapolated(&locked.joints)?;
         let moved = canonicalize(skeleton, &joints)?;
         let floor = joints.frame(0)[0][1] - moved.frame(0)[0][1];

@@ -1,34 +1,33 @@
-//! Where on a path each frame is.
+//! The position on a path of each frame.
 
 use serde::{Deserialize, Serialize};
 
 use super::{Polyline, STILL, between};
 
-/// How the frames of a motion lie along a path.
+/// Arc length along a path over the frames of a motion.
 #[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ArcLengthMode {
-    /// All of the path, in the proportions of the motion's own way: its speed changes by the ratio
-    /// of the two lengths. A motion that stands is spread evenly.
+    /// The whole path, in the proportions of the motion's own trajectory. A standing motion is
+    /// spread evenly.
     #[default]
     Stretch,
-    /// Metre by metre as the motion goes: its speed stays. It ends where the path does, or stops
-    /// before.
+    /// The motion's own arc length and speed, until the path or the motion ends.
     Own,
 }
 
-/// A ground position for each frame.
+/// A position on a path for each frame.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Course {
-    /// Metres along the path, `[frames]`.
+    /// Arc length on the path, metres, `[frames]`.
     pub metres: Vec<f64>,
-    /// Where that is, `[frames]`.
+    /// Ground positions, `[frames]`.
     pub points: Vec<[f64; 2]>,
 }
 
 impl Course {
-    /// The course along `path` of a motion whose root is at `track`, a position for each frame. With
-    /// [`ArcLengthMode::Own`] it may have fewer frames, at least one.
+    /// The course along `path` of a motion with root positions `track`. With [`ArcLengthMode::Own`]
+    /// it may have fewer frames, at least one.
     pub fn of_motion(path: &Polyline, track: &[[f64; 2]], along: ArcLengthMode) -> Self {
         let walked = walked(track);
         let total = walked.last().copied().unwrap_or(0.0);
@@ -56,8 +55,8 @@ impl Course {
         Self::at(path, metres)
     }
 
-    /// The course of `frames` frames along `path`: at `speed` metres a second and so many frames a
-    /// second, standing at its end once that is reached; or without a speed evenly from end to end.
+    /// The course of `frames` frames along `path` at `speed` metres per second, standing at its
+    /// end; without a speed, evenly from end to end.
     pub fn at_speed(path: &Polyline, frames: usize, speed: Option<f64>, fps: f64) -> Self {
         let length = path.length();
         let step = match speed {
@@ -68,7 +67,7 @@ impl Course {
         Self::at(path, metres.collect())
     }
 
-    /// The course that is at `points`, one for each frame.
+    /// The course through `points`, one for each frame.
     pub fn through(points: Vec<[f64; 2]>) -> Self {
         Self {
             metres: walked(&points),
@@ -90,7 +89,7 @@ impl Course {
     }
 }
 
-/// Metres that a track has covered at each frame.
+/// Arc length of a track at each frame, metres.
 pub(super) fn walked(track: &[[f64; 2]]) -> Vec<f64> {
     let mut metres = 0.0;
     let covered = |t: usize| {

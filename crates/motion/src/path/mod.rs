@@ -1,9 +1,8 @@
-//! Paths over the ground: lines and curves by arc length, what they say of each frame, and motions
-//! that are moved onto them.
+//! Paths on the ground: lines and curves by arc length, their features, and motions that are warped
+//! onto them.
 //!
 //! Ground points are `[x, z]` in metres. A heading is `atan2(dx, dz)`: 0 along +z, growing towards
-//! +x, as a turn about +y. Source: the note on path-conditioned generation (docs/sources.md,
-//! section 7), whose formulas are read as `docs/paths.md` says.
+//! +x. Source: docs/sources.md, section 7, with the readings in `docs/paths.md`.
 //!
 //! ```
 //! use kinegrad_motion::path::Polyline;
@@ -38,7 +37,7 @@ pub use smoothing::{Edges, HEADING_ORDER, HEADING_WINDOW, savgol, savgol_weights
 pub use spline::{CatmullRom, Parameterization};
 pub use warp::{HeadingMode, Warp, Warped, placed};
 
-/// Slower frames have no direction, metres per frame; shorter paths have none either, metres.
+/// Steps below this have no direction, metres per frame, nor have shorter paths, metres.
 const STILL: f64 = 1e-6;
 
 fn between([ax, az]: [f64; 2], [bx, bz]: [f64; 2]) -> f64 {

@@ -1,4 +1,4 @@
-//! Paths as users write them: TOML, a table of points, a drawing.
+//! Path files: TOML, a table of points, SVG.
 
 use kinegrad_settings::{ABOVE_ZERO, in_range, in_words, must_be_finite};
 use schemars::JsonSchema;
@@ -9,7 +9,7 @@ use toml::Table;
 use super::svg::{SvgPath, read_svg};
 use super::{CatmullRom, Parameterization, PathError, Polyline};
 
-/// What runs through the points of a path.
+/// Curve through the points of a path.
 #[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum CurveKind {
@@ -32,26 +32,26 @@ pub enum CurveKind {
 #[derive(Clone, Debug, Deserialize, PartialEq, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct PathPlan {
-    /// Ground positions `[x, z]` that it leads through, metres.
+    /// Ground positions `[x, z]`, metres.
     #[serde(deserialize_with = "ground_points")]
     pub points: Vec<[f64; 2]>,
-    /// What runs through them.
+    /// Curve through the points.
     #[serde(default)]
     pub curve: CurveKind,
-    /// How a spline runs through them.
+    /// Parameterization of a spline.
     #[serde(default)]
     pub parameterization: Parameterization,
-    /// Whether it returns to where it begins.
+    /// Whether the path returns to its start.
     #[serde(default)]
     pub closed: bool,
-    /// How fast a motion follows it, metres per second; without it from end to end in the motion's
-    /// time.
+    /// Speed of a motion that follows it, metres per second; by default from end to end in the
+    /// motion's time.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub speed: Option<f64>,
 }
 
 impl PathPlan {
-    /// A line from point to point.
+    /// A polyline.
     pub fn line(points: Vec<[f64; 2]>) -> Self {
         Self {
             points,
@@ -62,11 +62,11 @@ impl PathPlan {
         }
     }
 
-    /// The path in `text`, by the ending of its `file`'s name: `.csv`, a table with a column for x
-    /// and one for z; `.svg`, a drawing, `metres_per_unit`; anything else TOML.
+    /// The path in `text`, by the extension of `file`: `.csv`, a table with columns x and z; `.svg`
+    /// with `metres_per_unit`; otherwise TOML.
     ///
     /// # Errors
-    /// In words, with the place in the file.
+    /// A message with the place in the file.
     pub fn read(text: &str, file: &str, metres_per_unit: Option<f64>) -> Result<Self, String> {
         let ending = file
             .rsplit_once('.')
@@ -106,7 +106,7 @@ impl PathPlan {
         toml::from_str(text).map_err(wrong)
     }
 
-    /// Rejects what is no path.
+    /// Rejects invalid paths.
     ///
     /// # Errors
     /// As [`polyline`](Self::polyline), and [`PathError::NoLength`].
@@ -120,7 +120,7 @@ impl PathPlan {
         }
     }
 
-    /// The path by arc length; a spline as 64 straight pieces between neighbouring points.
+    /// The path by arc length; splines have 64 segments between neighbouring points.
     ///
     /// # Errors
     /// [`PathError::TooFewPoints`], [`PathError::NotAPoint`].
@@ -141,9 +141,7 @@ impl PathPlan {
     }
 }
 
-/// The points of a table with one row for each; a first row of names may say which column is x and
-/// which z.
-/// Pairs, and nothing longer.
+/// Deserialises pairs, and nothing longer.
 fn ground_points<'de, D: Deserializer<'de>>(from: D) -> Result<Vec<[f64; 2]>, D::Error> {
     let points = Vec::<Vec<f64>>::deserialize(from)?.into_iter();
     let pair = |point: Vec<f64>| {

@@ -1,36 +1,36 @@
-//! Paths that are drawn: the first path, line or polyline of an SVG file.
+//! Paths in SVG files.
 
 use kurbo::{BezPath, PathEl};
 use roxmltree::{Document, Node, ParsingOptions};
 
 use super::polyline::MAX_METRES;
 
-/// How far straight pieces may be from a curve, metres.
+/// Tolerance of the flattening of curves, metres.
 const TOLERANCE: f64 = 1e-3;
 
-/// Metres that a unit of a drawing may have.
+/// Allowed metres per unit.
 const SCALES: std::ops::RangeInclusive<f64> = 1e-6..=1e4;
 
-/// What of an SVG file is not drawn where it stands.
+/// SVG elements whose children are not rendered in place.
 const HIDDEN: [&str; 6] = ["defs", "clipPath", "marker", "mask", "pattern", "symbol"];
 
-/// Elements and texts of a drawing at most: entities of a document type may multiply them.
+/// Most nodes of a file, whose entities may multiply them.
 const MOST_NODES: u32 = 1 << 20;
 
-/// What an SVG file holds.
+/// The path of an SVG file.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct SvgPath {
     /// Points `[x, z]`, metres.
     pub points: Vec<[f64; 2]>,
-    /// Whether it returns to where it begins.
+    /// Whether it is closed.
     pub closed: bool,
 }
 
-/// The first `path`, `polyline`, `polygon` or `line` of an SVG file, of whose unit there are `scale`
-/// metres: x to the right is x, up is z. What is after a gap of that path is left out.
+/// The first `path`, `polyline`, `polygon` or `line` of an SVG file, with `scale` metres per unit:
+/// x to the right, z up. Only the first subpath is read.
 ///
 /// # Errors
-/// In words.
+/// A message.
 pub(super) fn read_svg(text: &str, scale: f64) -> Result<SvgPath, String> {
     if !SCALES.contains(&scale) {
         return Err(format!(
@@ -39,7 +39,7 @@ pub(super) fn read_svg(text: &str, scale: f64) -> Result<SvgPath, String> {
             SCALES.end()
         ));
     }
-    // SvgPath programs write a document type, which needs not be read.
+    // Drawing programs write a document type.
     let options = ParsingOptions {
         allow_dtd: true,
         nodes_limit: MOST_NODES,
@@ -94,7 +94,7 @@ pub(super) fn read_svg(text: &str, scale: f64) -> Result<SvgPath, String> {
         parts += usize::from(matches!(element, PathEl::MoveTo(_)));
         match element {
             _ if parts > 1 => {}
-            // Up on the page is away from the viewer.
+            // Up on the page is +z.
             PathEl::MoveTo(point) | PathEl::LineTo(point) => {
                 path.points.push([scale * point.x, -scale * point.y]);
             }

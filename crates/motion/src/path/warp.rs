@@ -1,4 +1,4 @@
-//! A motion that is moved onto a path afterwards (docs/sources.md, section 7, option A).
+//! Warping of a motion onto a path (docs/sources.md, section 7, option A).
 
 use serde::{Deserialize, Serialize};
 
@@ -10,55 +10,54 @@ use super::{
 use crate::humanml::bone_rotations::{Across, forward};
 use crate::humanml::{FeatureError, Joints, Skeleton};
 
-/// How a body is turned on its path.
+/// Heading of a body on its path.
 #[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum HeadingMode {
-    /// As the direction of its way turns: who walks sideways goes on walking sideways.
+    /// Rotated like the direction of its trajectory: a sideways walk stays sideways.
     #[default]
     Relative,
-    /// To face along the path.
+    /// Along the path.
     Face,
-    /// Not at all.
+    /// Unchanged.
     Free,
 }
 
-/// How a motion is moved onto a path.
+/// Settings of the warp of a motion onto a path.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Warp {
-    /// Where on the path each frame is.
+    /// Arc length of each frame.
     pub along: ArcLengthMode,
-    /// How the body turns.
+    /// Heading of the body.
     pub turning: HeadingMode,
-    /// Whether turns are smoothed over time, by a Savitzky-Golay filter of 11 frames and order 3.
+    /// Whether rotations are smoothed by a Savitzky-Golay filter of 11 frames and order 3.
     pub smooth: bool,
-    /// For relative turns: slower than this the root has no direction of its own, metres per second; a
-    /// body that stands sways, and is not turned by that. At 0 every step has one.
+    /// Speed below which the root has no direction, metres per second, for relative headings: the
+    /// sway of a standing body is not followed. At 0 every step has a direction.
     pub least_speed: f64,
 }
 
 impl Warp {
-    /// A speed below which a person stands, metres per second.
+    /// Speed below which a person stands, metres per second.
     pub const STANDING: f64 = 0.15;
 }
 
 /// A motion on a path.
 #[derive(Clone, Debug)]
 pub struct Warped {
-    /// Where its joints are.
+    /// The joints.
     pub joints: Joints,
-    /// Where the path has the root in each frame.
+    /// The course of the root.
     pub course: Course,
-    /// What each frame is turned by about +y, radians.
+    /// Rotation of each frame about +y, radians.
     pub turned: Vec<f64>,
-    /// How much faster the root is than it was: the length of its way on the path to that before,
-    /// 0 for a motion that stood.
+    /// Ratio of the trajectory's length on the path to that before, 0 for a standing motion.
     pub speed_ratio: f64,
 }
 
 impl Warp {
-    /// `joints` on `path`: each frame turned about the vertical through its root, and moved so that
-    /// the root is on the path. Heights and bones stay as they are.
+    /// `joints` on `path`: each frame is rotated about the vertical through its root and moved.
+    /// Heights and bones are kept.
     ///
     /// # Errors
     /// [`PathError::Features`] unless they are joints of `skeleton`.
@@ -87,7 +86,8 @@ impl Warp {
         })
     }
 
-    /// What each frame of `joints`, whose root is at `track`, is turned by about +y on its course, radians.
+    /// Rotation about +y of each frame of `joints`, whose root is at `track`, on its course,
+    /// radians.
     ///
     /// # Panics
     /// Panics if there are fewer frames than points of the course.
@@ -119,11 +119,11 @@ impl Warp {
     }
 }
 
-/// `joints`, each frame turned by an angle about the vertical through its root, whose ground position
-/// becomes that of `points`. Frames beyond the last point are left out.
+/// `joints` with each frame rotated by `turns` about the vertical through its root, which is moved
+/// to `points`. Frames beyond the last point are dropped.
 ///
 /// # Errors
-/// [`FeatureError::LengthMismatch`] for another number of angles than of points, or more than of
+/// [`FeatureError::LengthMismatch`] unless there are as many angles as points, and at least as many
 /// frames.
 pub fn placed(joints: &Joints, points: &[[f64; 2]], turns: &[f64]) -> Result<Joints, FeatureError> {
     FeatureError::unless_equal("angles", points.len(), turns.len())?;
@@ -140,7 +140,7 @@ pub fn placed(joints: &Joints, points: &[[f64; 2]], turns: &[f64]) -> Result<Joi
     Joints::new(places, joints.joints())
 }
 
-/// Where a body faces in each frame, radians.
+/// Heading of a body in each frame, radians.
 pub(super) fn facing(joints: &Joints, skeleton: &Skeleton) -> Vec<f64> {
     let heading = |t: usize| {
         let [x, _, z] = forward(skeleton, joints.frame(t), Across::Consistent);

@@ -1,10 +1,10 @@
-//! Repairs of a generated phrase before it is written.
+//! Post-processing of a generated phrase.
 //!
-//! Steps, in this order (CC-MotionGen, section 9.2; steps 3, 5 (acceleration) and 6 and the
-//! monotonic phase are only named there, and defined in docs/sources.md, section 1.12):
+//! Steps (CC-MotionGen, section 9.2; steps 3, 5 (acceleration) and 6 and the monotonic phase are
+//! defined in docs/sources.md, section 1.12):
 //!
 //! 1. values clamped
-//! 2. quaternions brought to unit norm and to one hemisphere
+//! 2. quaternions normalised, with the sign of one hemisphere
 //! 3. quaternions smoothed
 //! 4. phase clamped, then made monotonic
 //! 5. velocity, then acceleration, blended with the differences
@@ -12,8 +12,7 @@
 //! 7. the nearest coherent motion fitted (not in CC-MotionGen)
 //! 8. angular velocity derived from the quaternions (not in CC-MotionGen)
 //!
-//! Steps 1 to 6 work in double precision and are rounded once; the angular velocity is that of the
-//! quaternions as they are written.
+//! Steps 1 to 6 use double precision and are rounded once.
 
 mod config;
 mod orientation;
@@ -33,11 +32,10 @@ use crate::{Motion, Statistics};
 /// A phrase `[frames, 25]` in double precision.
 type Frames = Vec<[f64; CHANNELS]>;
 
-/// Post-processes a phrase. `statistics` widen the clamps to the training phrases' range where
-/// [`PostProcessConfig::widen_limits`] asks for it, and scale the fit of coherent motion.
+/// Post-processes a phrase. `statistics` widen the limits if [`PostProcessConfig::widen_limits`] is
+/// set, and scale the fit of coherent motion.
 ///
-/// NaN stays NaN (the sanity checks find it), in a motion that nothing is fitted to; infinities are
-/// clamped like other large values where the channel has a clamp.
+/// NaN stays NaN and prevents the fit; infinities are clamped if the channel has limits.
 pub fn process(
     motion: &Motion,
     config: &PostProcessConfig,
@@ -53,8 +51,8 @@ pub fn process(
     )
 }
 
-/// The same for a phrase of which some frames are `known`: the fit of coherent motion passes through
-/// them. `confidence`, 0 to 1, says how sure each heading is. Other steps treat all frames alike.
+/// The same for a phrase with `known` frames, which the fit passes through. `confidence`, 0 to 1,
+/// is that of each heading. Other steps treat all frames alike.
 ///
 /// # Panics
 /// Panics if there is not one flag and one number for each frame.
@@ -126,9 +124,8 @@ pub fn process_around(
     processed
 }
 
-/// Makes the angular velocity that of the quaternions: their forward differences, the last one
-/// repeated. A single frame has none. What is
-/// not finite stays for the checks to find, and does not spread to the frame before.
+/// Derives the angular velocity from the quaternions: forward differences, the last one repeated.
+/// Values that are not finite stay and do not spread.
 pub fn derive_angular_velocity(motion: &mut Motion) {
     let finite = |vector: [f64; 3]| vector.iter().all(|value| value.is_finite());
     let rates = crate::derivatives::angular_rates(motion);
@@ -162,7 +159,7 @@ fn clamp_values(frames: &mut Frames, config: &PostProcessConfig, statistics: Opt
     }
 }
 
-/// A drop of at most half a bar is a step back and is held; a larger one is the next bar.
+/// A drop of at most half a bar is a step back; a larger one is the next bar.
 fn make_phase_monotonic(frames: &mut Frames) {
     for t in 1..frames.len() {
         let step = frames[t][PHASE] - frames[t - 1][PHASE];
@@ -172,7 +169,7 @@ fn make_phase_monotonic(frames: &mut Frames) {
     }
 }
 
-/// Takes the mean of the `explicit` derivative and the difference of the vector `base`.
+/// Averages the `explicit` derivative with the difference of the vector `base`.
 fn blend_with_differences(
     frames: &mut Frames,
     base: Range<usize>,
@@ -185,7 +182,7 @@ fn blend_with_differences(
     for (base, explicit) in base.zip(explicit) {
         let values: Vec<f64> = frames.iter().map(|frame| frame[base]).collect();
         for (t, frame) in frames.iter_mut().enumerate() {
-            // A frame at the end takes the difference of its neighbour.
+            // The frame at the end uses its neighbour's difference.
             let next = match differences {
                 Differences::Forward => (t + 1).min(values.len() - 1),
                 Differences::Backward => t.max(1),
@@ -196,8 +193,8 @@ fn blend_with_differences(
     }
 }
 
-/// A centred mean over `kernel_size` frames, the first and last frame repeated beyond the ends.
-/// Quaternion and phase are left out: a mean of components is no mean of theirs.
+/// A centred mean over `kernel_size` frames, with the ends repeated, of all channels but quaternion
+/// and phase.
 fn smooth_over_time(frames: &mut Frames, kernel_size: usize) {
     let original = frames.clone();
     let channels = || {
@@ -217,14 +214,14 @@ fn smooth_over_time(frames: &mut Frames, kernel_size: usize) {
     }
 }
 
-/// Indices of the `size` frames (odd) centred at `t`, those beyond an end replaced by the end.
+/// Indices of the `size` frames (odd) centred at `t`, with the ends repeated.
 fn window(t: usize, size: usize, frames: usize) -> impl Iterator<Item = usize> {
     let reach = size / 2;
     (0..2 * reach + 1).map(move |offset| (t + offset).saturating_sub(reach).min(frames - 1))
 }
 
-/// The value within the bounds. Unlike `f64::max` it keeps NaN, and unlike `f64::clamp` it never
-/// panics.
+/// The value within the limits. Keeps NaN, unlike `f64::max`, and never panics, unlike
+/// `f64::clamp`.
 fn clamp(value: f64, low: f64, high: f64) -> f64 {
     if value < low {
         low

@@ -11,14 +11,12 @@ use crate::{
     channel_name, sanity,
 };
 
-/// Phrases, `[frames, 25]` at 30 frames per second (docs/sources.md, section 1.1).
-///
-/// Normalisation leaves the quaternion as it is (its norm would no longer be 1) and brings the
-/// phase from [0, 1] to [-1, 1].
+/// Phrases, `[frames, 25]` at 30 frames per second (docs/sources.md, section 1.1). Normalisation
+/// keeps the quaternion and maps the phase from [0, 1] to [-1, 1].
 #[derive(Clone, Copy, Debug)]
 pub struct Phrases;
 
-/// The statistics of whole phrases that are finite; none of no phrases.
+/// The statistics of whole, finite phrases; none of no phrases.
 pub fn phrase_statistics<'a>(phrases: impl IntoIterator<Item = &'a Motion>) -> Option<Statistics> {
     super::statistics_of(&Phrases, phrases.into_iter().map(Motion::as_slice))
 }
@@ -97,7 +95,7 @@ impl Representation for Phrases {
             |title, range, names: &[&str]| Curves::channels(title, rows, CHANNELS, range, names);
         let frames = 0..motion.frames();
         let norms = frames.map(|t| motion.quaternion(t).norm()).collect();
-        // What the channels say of the movement, and how the poses move.
+        // Channels and derivatives of the poses.
         let sizes = |channels: Vec<[f64; 3]>| channels.into_iter().map(length).collect();
         let twice = |title, channels: Vec<[f64; 3]>, poses: Vec<[f64; 3]>| {
             let series = [("channels", channels), ("poses", poses)];

@@ -1,4 +1,4 @@
-//! Checks of a body: bones that keep their lengths, feet on the floor, and how jerky it moves.
+//! Checks of a body: bone lengths, feet, floor and jerk.
 
 use super::{Check, JERK_FACTOR, Profile, Report, Threshold, finite, range};
 use crate::humanml::{Joints, Skeleton};
@@ -6,21 +6,20 @@ use crate::metrics::{mean_jerk, sliding_ratio};
 use crate::vector::{length, minus};
 use crate::{Error, Statistics};
 
-/// How much a bone's length may vary, over its mean.
+/// Allowed variation of a bone's length, relative to its mean.
 const BONE_TOLERANCE: f64 = 0.05;
-/// How far below the floor a joint may be, metres.
+/// Allowed depth of a joint below the floor, metres.
 const FLOOR_TOLERANCE: f64 = 0.05;
-/// Share of the steps in which a foot may slide.
+/// Allowed share of the steps in which a foot slides.
 const SKATING_SHARE: f64 = 0.5;
-/// How many times the training clips' root mean square the root's speed may be.
+/// Allowed multiple of the training clips' root mean square speed.
 const SPEED_FACTOR: f64 = 3.0;
 
-/// Checks the `joints` that `rows` stand for; none where a value is not finite. The profile
-/// `strict` compares with training motion, too.
+/// Checks the `joints` of `rows`; none if a value is not finite. The profile `strict` also compares
+/// with training motion.
 ///
 /// # Errors
-/// [`Error::StatisticsNeeded`] if the profile is strict and there are none, or they do not say how
-/// jerky training motion is.
+/// [`Error::StatisticsNeeded`] if the profile is strict and the statistics do not have the jerk.
 pub(crate) fn check(
     rows: &[f32],
     joints: Option<&Joints>,

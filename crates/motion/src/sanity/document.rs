@@ -1,4 +1,4 @@
-//! CC-MotionGen's five checks, as they stand.
+//! CC-MotionGen's five checks.
 
 use super::{Check, Report, Threshold, coherence, finite_phrase, jerk, phase};
 use crate::Motion;
@@ -36,7 +36,7 @@ pub(super) fn check(motion: &Motion) -> Report {
             MAX_ACCELERATION_ERROR,
         ),
     ];
-    // The five do not look at style and angular velocity.
+    // The five checks ignore style and angular velocity.
     let finite = finite_phrase(motion);
     if !finite.passed {
         checks.push(finite);

@@ -1,12 +1,11 @@
-//! Is a phrase plausible motion?
+//! Plausibility checks of a phrase.
 //!
-//! Two profiles: [`Profile::Document`] makes the five checks of CC-MotionGen, section 10.1, as they
-//! stand (docs/sources.md, section 1.13). Most of them cannot fail where it matters (section 1.14,
-//! hazard 10): they take means over frames, and the jerk bound is beyond what the clamps let
-//! through. They look at the channels alone: jerk is that of the acceleration channels, so that a
-//! shaking path under a calm account of itself passes. [`Profile::Strict`] looks at every frame,
-//! holds velocity, acceleration and angular velocity against the poses, and compares how the poses
-//! [move](crate::MotionMeasure) with the training phrases.
+//! [`Profile::Document`] makes the five checks of CC-MotionGen, section 10.1 (docs/sources.md,
+//! section 1.13). Most of them cannot fail where it matters (section 1.14, hazard 10): they are
+//! means over frames, the jerk bound exceeds what the clamps pass, and they read channels alone, so
+//! that a shaking path passes. [`Profile::Strict`] checks every frame, compares the explicit
+//! derivatives with the poses, and the [measures](crate::MotionMeasure) of the poses with the
+//! training phrases.
 
 pub(crate) mod body;
 mod document;
@@ -21,21 +20,19 @@ use crate::derivatives::mean_jerk_norm;
 use crate::phrase::PHASE;
 use crate::{Error, Motion, Statistics, channel_name};
 
-/// How many times the training motion's 95th percentile the mean jerk may be.
+/// Allowed multiple of the training motion's 95th percentile of the mean jerk.
 const JERK_FACTOR: f64 = 3.0;
 
-/// Which checks are made.
+/// Set of checks.
 #[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Profile {
-    /// CC-MotionGen's five checks, with its thresholds, which look at channels and not at how the
-    /// poses move. A phrase that is not finite fails them too,
-    /// by a sixth line `finite` that appears only then.
+    /// CC-MotionGen's five checks and thresholds. A phrase that is not finite also fails by a sixth
+    /// line `finite`.
     #[default]
     #[serde(rename = "ccmotion")]
     Document,
-    /// Every frame, the channels against the poses, and how the poses move against how those of the
-    /// training phrases do.
+    /// Every frame, channels against poses, and poses against the training phrases.
     Strict,
 }
 
@@ -49,9 +46,9 @@ impl std::fmt::Display for Profile {
 /// Checks a phrase. The profile `ccmotion` needs no `statistics`.
 ///
 /// # Errors
-/// If the profile is strict, [`Error::StatisticsNeeded`] without `statistics`, and
-/// [`Error::MovementUnknown`] where they do not say how training motion moves. A phrase that fails
-/// is no error: see [`Report::passed`].
+/// For the profile `strict`, [`Error::StatisticsNeeded`] without `statistics` and
+/// [`Error::MovementUnknown`] if they do not describe movement. Failed checks are no error
+/// ([`Report::passed`]).
 pub fn check(
     motion: &Motion,
     profile: Profile,
@@ -66,7 +63,7 @@ pub fn check(
     }
 }
 
-/// No NaN and no infinity among values.
+/// Counts NaN and infinities.
 fn finite(values: &[f32]) -> Check {
     let bad = values.iter().filter(|value| !value.is_finite()).count();
     let message = match bad {
@@ -76,7 +73,7 @@ fn finite(values: &[f32]) -> Check {
     Check::new("finite", bad as f64, Threshold::AtMost(0.0), message)
 }
 
-/// [`finite`] of a phrase, which names the first place where it is not.
+/// [`finite`] of a phrase, with the first position.
 fn finite_phrase(motion: &Motion) -> Check {
     let mut check = finite(motion.as_slice());
     if let Some((frame, channel)) = motion.first_non_finite() {
@@ -100,14 +97,14 @@ fn jerk(motion: &Motion, allowed: Threshold) -> Check {
     Check::new("jerk", mean, allowed, format!("mean jerk {mean:.1} m/s^3"))
 }
 
-/// How far what a channel says is from what it follows from; `message` has `{error}` in it.
+/// Error of an explicit derivative; `message` contains `{error}`.
 fn coherence(name: &'static str, error: f64, message: &str, below: f64) -> Check {
     let error = Value::Number(error);
     let message = message.replace("{error}", &error.to_string());
     Check::new(name, error, Threshold::Below(below), message)
 }
 
-/// Smallest and largest value; both NaN if one of the values is.
+/// Smallest and largest value; both NaN if one is NaN.
 fn range(values: impl Iterator<Item = f64>) -> [f64; 2] {
     values.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], value| {
         // `f64::min` would drop a NaN.
