@@ -11,7 +11,7 @@ use crate::context_window::{ContextWindow, Window};
 use crate::features::{AUDIO_CHANNELS, AudioFeatures};
 use crate::{AugmentConfig, Crop, DataConfig, time_stretch};
 
-// Counters below the sample's key, one for each augmentation: switching one on moves no other.
+// Key counters below the sample's key, one for each augmentation, so that they are independent.
 const WINDOW: u64 = 0;
 const MIRROR: u64 = 1;
 const YAW: u64 = 2;
@@ -22,8 +22,7 @@ const AUDIO_REPLACE: u64 = 6;
 const BAR_DROP: u64 = 7;
 const SPEED: u64 = 8;
 
-/// Frames behind a window that it is played with at another speed, so that its last frames keep
-/// the velocities of what follows.
+/// Frames after a window that is played at another speed, for the derivatives of its last frames.
 const BEHIND: usize = 4;
 
 /// Creates training samples. Sample n is a function of the seed and n alone.
@@ -46,7 +45,7 @@ impl Augmentation {
         }
     }
 
-    /// Frames of a recording that a sample can see: more than it has where it may be played faster.
+    /// Most frames of a recording that a sample uses.
     pub fn frames_seen(&self) -> usize {
         match self.augment.speed {
             0.0 => self.target_frames,
@@ -54,8 +53,8 @@ impl Augmentation {
         }
     }
 
-    /// Motion and audio of sample `n`, taken from `context`: at most `target_frames` frames, in
-    /// the dataset's units.
+    /// Motion and audio of sample `n` from `context`: at most `target_frames` frames, in the
+    /// dataset's units.
     pub fn windows<'a>(
         &self,
         context: &'a ContextWindow,
@@ -80,7 +79,7 @@ impl Augmentation {
             window = sub_window(window, played_by(min_frames, speed), key.at(WINDOW));
         }
         let frames = frames_at_speed(window.len(), speed).min(self.target_frames);
-        // A leading crop without any of these stays as stored.
+        // A leading crop without these changes stays as stored.
         let anchor = window.start > 0 || reflect || turn || min_frames.is_some() || speed != 1.0;
         let (mut motion, mut audio) = context.window(window.clone());
         if anchor || flip {
@@ -132,7 +131,7 @@ impl Augmentation {
         (motion, audio)
     }
 
-    /// The speed of a sample: evenly by its logarithm.
+    /// The speed of a sample, log-uniform.
     fn speed(&self, key: Key) -> f64 {
         match self.augment.speed {
             0.0 => 1.0,
@@ -140,8 +139,8 @@ impl Augmentation {
         }
     }
 
-    /// The frames that sample `n` sees of a context, `target_frames` of them when they are played
-    /// at `speed`, or all of a shorter take.
+    /// The frames of sample `n` in a context: `target_frames` after playing at `speed`, or all of a
+    /// shorter recording.
     fn crop(&self, context: &ContextWindow, speed: f64, n: u64) -> Range<usize> {
         let target_frames = played_by(self.target_frames, speed);
         let starts = context.starts(target_frames);
@@ -156,7 +155,7 @@ impl Augmentation {
     }
 }
 
-/// All frames of what was changed.
+/// All frames of changed data.
 fn owned<'a, T: Clone>(changed: T, frames: impl Fn(&T) -> usize) -> Window<'a, T> {
     Window {
         frames: 0..frames(&changed),
@@ -164,20 +163,20 @@ fn owned<'a, T: Clone>(changed: T, frames: impl Fn(&T) -> usize) -> Window<'a, T
     }
 }
 
-/// Frames that, played at `speed`, last `frames`.
+/// Number of frames that last `frames` when played at `speed`.
 fn played_by(frames: usize, speed: f64) -> usize {
     ((frames.saturating_sub(1)) as f64 * speed - 1e-9).ceil() as usize + 1
 }
 
-/// The same orientations, written with the other sign.
+/// The same orientations with the other sign.
 fn negate_quaternions(motion: &mut Motion) {
     for t in 0..motion.frames() {
         motion.set_quaternion(t, motion.quaternion(t).scale(-1.0));
     }
 }
 
-/// Sets one stretch of time and one band of adjoining features to zero. Beats stay: where they fall is
-/// what motion is to follow, and a network that tracks them learns from these.
+/// Sets one range of time and one band of adjacent features to zero. Beat features are kept: the
+/// motion follows them.
 fn mask_audio(audio: &mut AudioFeatures, key: Key) {
     let range = |length: usize, longest: usize, key: Key| {
         let start = below(length, key.at(0));
@@ -193,7 +192,7 @@ fn mask_audio(audio: &mut AudioFeatures, key: Key) {
     }
 }
 
-/// A random window of at least `min_frames` frames within `window`; all of a shorter one.
+/// A random window of at least `min_frames` frames within `window`.
 fn sub_window(window: Range<usize>, min_frames: usize, key: Key) -> Range<usize> {
     if window.len() <= min_frames {
         return window;

@@ -1,4 +1,4 @@
-//! ContextWindows: a phrase within the recording it was cut from.
+//! Phrases within the recordings that they were cut from.
 
 use std::borrow::Cow;
 use std::ops::Range;
@@ -11,23 +11,23 @@ use kinegrad_motion::{FPS, Motion, anchor_floor};
 use crate::features::AudioFeatures;
 use crate::{Error, Phrase, PhraseSet};
 
-/// A phrase and what was recorded around it.
+/// A phrase and the recording around it.
 #[derive(Clone, Debug)]
 pub struct ContextWindow {
-    /// The phrase, joined with so much of its recording as a crop can reach.
+    /// The phrase, joined with the part of its recording that a crop can reach.
     pub(crate) take: Arc<Phrase>,
-    /// The phrase's own frames in the take.
+    /// The phrase's own frames in the recording.
     pub(crate) own: Range<usize>,
     /// The phrase's id.
     pub(crate) id: String,
 }
 
-/// Some frames of motion or audio, which is copied only where it was changed.
+/// Some frames of motion or audio, copied only if changed.
 #[derive(Clone, Debug)]
 pub(crate) struct Window<'a, T: Clone> {
-    /// What they are frames of.
+    /// The data.
     pub of: Cow<'a, T>,
-    /// Which.
+    /// The frames.
     pub frames: Range<usize>,
 }
 
@@ -41,7 +41,7 @@ impl ContextWindow {
         }
     }
 
-    /// The `frames` of its take.
+    /// Motion and audio of some `frames`.
     pub(crate) fn window(
         &self,
         frames: Range<usize>,
@@ -57,7 +57,7 @@ impl ContextWindow {
         (motion, audio)
     }
 
-    /// The phrase's own frames, at most `longest`, standing at the origin as a phrase alone does.
+    /// The phrase's own frames, at most `longest`, anchored at the origin.
     pub(crate) fn leading(
         &self,
         longest: usize,
@@ -75,8 +75,8 @@ impl ContextWindow {
         (motion, audio)
     }
 
-    /// The first frames that a crop of `target_frames` may have: those within the phrase, and,
-    /// where it has neighbours, up to half its length around. Never empty.
+    /// The possible first frames of a crop of `target_frames`: within the phrase and, with
+    /// neighbours, up to half its length around. Never empty.
     pub(crate) fn starts(&self, target_frames: usize) -> Range<usize> {
         let frames = self.take.frames();
         let length = frames.min(target_frames);
@@ -92,22 +92,22 @@ impl ContextWindow {
     }
 }
 
-/// How far before or after a phrase of so many frames a crop may begin.
+/// How far before or after a phrase a crop may begin, frames.
 fn reach(frames: usize) -> usize {
     frames / 2
 }
 
-/// A context for each phrase of a set, created on demand.
+/// The context of each phrase of a set, created on demand.
 #[derive(Clone, Debug)]
 pub(crate) struct ContextWindows {
     phrases: PhraseSet,
-    /// For each phrase the positions of its recording; only itself where none are joined.
+    /// For each phrase the positions of its recording; only itself without joining.
     recordings: Arc<[Range<usize>]>,
     target_frames: usize,
 }
 
 impl ContextWindows {
-    /// Each of the `phrases`, sorted by id; `joined` with its neighbours of the same recording, or
+    /// The contexts of `phrases`, sorted by id; `joined` with the neighbours of their recording, or
     /// alone.
     pub fn new(phrases: PhraseSet, target_frames: usize, joined: bool) -> Self {
         let mut recordings = Vec::with_capacity(phrases.len());
@@ -126,17 +126,17 @@ impl ContextWindows {
         }
     }
 
-    /// The phrases, one for each context.
+    /// The phrases.
     pub fn phrases(&self) -> &PhraseSet {
         &self.phrases
     }
 
-    /// Whether context `position` needs no work: a phrase alone that is in memory now.
+    /// Whether context `position` is a single phrase in memory.
     pub fn is_cached(&self, position: usize) -> bool {
         self.recordings[position].len() == 1 && self.phrases.is_cached(position)
     }
 
-    /// ContextWindow `position`, read from where it lies.
+    /// Reads context `position`.
     ///
     /// # Errors
     /// As [`PhraseSet::get`].
@@ -171,8 +171,8 @@ impl ContextWindows {
     }
 }
 
-/// Whether the phrase after `position` begins where this one ends: ids `NAME_FIRSTFRAME` of the
-/// same recording.
+/// Whether the phrase after `position` continues this one: ids `NAME_FIRSTFRAME` of the same
+/// recording.
 fn follows(phrases: &PhraseSet, position: usize) -> bool {
     let parse = |id: &str| {
         let (name, first) = id.rsplit_once('_')?;
@@ -186,11 +186,10 @@ fn follows(phrases: &PhraseSet, position: usize) -> bool {
     }
 }
 
-/// One long phrase out of phrases that follow each other.
+/// Joins consecutive phrases.
 ///
-/// Each phrase stands on the floor where its own first frame is the origin, so the next one is
-/// moved to go on with the mean of the velocities on both sides of the seam; height is the
-/// recording's and stays. Quaternions keep their sign across the seam.
+/// Each phrase is anchored at its own first frame, so the next one is moved to continue with the
+/// mean velocity of both sides. Height is kept, and the sign of quaternions is continuous.
 fn join(phrases: &[Arc<Phrase>]) -> Phrase {
     let (first, rest) = phrases.split_first().expect("a run has a phrase");
     if rest.is_empty() {

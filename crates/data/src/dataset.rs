@@ -1,4 +1,4 @@
-//! A dataset: every item is read once, checked and assigned to a split.
+//! A dataset: every item is read once, validated and assigned to a split.
 
 use std::sync::Arc;
 
@@ -10,63 +10,59 @@ use crate::item_set::ItemSet;
 use crate::scan::{Listable, OpenProgress, no_progress};
 use crate::{DataConfig, Digest, Error, LoaderReport};
 
-/// Most odd items that are named one by one.
+/// Most notes that are reported one by one.
 const NOTES: usize = 5;
 
 /// The items of a dataset, sorted by id within each side of the split.
 #[derive(Debug)]
 pub struct Dataset<T: Item> {
-    /// Items to train on; at least one.
+    /// Training items; at least one.
     pub train: ItemSet<T>,
-    /// Items held out; may be none.
+    /// Held-out items.
     pub validation: ItemSet<T>,
-    /// What the rows of their motion are.
+    /// Representation of the motion.
     pub representation: T::Representation,
-    /// Id and reason of each bad item left out under `on_bad_phrase = "skip"`.
+    /// Id and reason of each bad item that is skipped under `on_bad_phrase = "skip"`.
     pub skipped: Vec<(String, String)>,
-    /// Id and reason of each item that is in order and does not belong here: clips that are too
-    /// short, too long, or have captions of short passages only.
+    /// Id and reason of each valid item that is left out: clips that are too short, too long, or
+    /// have captions of short ranges only.
     pub left_out: Vec<(String, String)>,
-    /// Warnings that do not stop a run: unequal lengths of motion and
-    /// audio, unpaired folders, captions that cannot be used, validation patterns that match
-    /// nothing.
+    /// Warnings: unequal lengths of motion and audio, unpaired folders, unusable captions,
+    /// validation patterns without a match.
     pub warnings: Vec<String>,
-    /// A checksum of the ids, files and side of the split of all items used, and of other files
-    /// that decide what is trained on. Equal datasets have equal ones, wherever they lie.
+    /// Checksum of ids, files and split of all items, and of other files that decide the training
+    /// data; independent of the location.
     pub digest: Digest,
     given: Option<Statistics>,
 }
 
 #[expect(private_bounds, reason = "configs list the items of this crate alone")]
 impl<T: Listable> Dataset<T> {
-    /// Opens the dataset that `config` describes, reading all items in parallel.
-    ///
-    /// Bad items are reported before anything is said of the split.
+    /// Opens the dataset of `config`, reading all items in parallel.
     ///
     /// # Errors
-    /// [`Error::Config`] for settings that cannot be followed, a `kind` of other items among them;
-    /// [`Error::Scheme`] and [`Error::Feature`]; [`Error::MissingFolder`],
-    /// [`Error::Manifest`], [`Error::File`], [`Error::Store`], [`Error::Io`] for a dataset that is
-    /// not there, cannot be reached or has files that cannot be used; [`Error::BadItem`] for the
-    /// first bad item by id; [`Error::NothingToTrainOn`].
+    /// [`Error::Config`] for invalid settings or another `kind` of items; [`Error::Scheme`],
+    /// [`Error::Feature`], [`Error::MissingFolder`], [`Error::Manifest`], [`Error::File`],
+    /// [`Error::Store`], [`Error::Io`] for an unusable dataset; [`Error::BadItem`] for the first
+    /// bad item by id; [`Error::NothingToTrainOn`].
     pub fn open(config: &DataConfig) -> Result<Self, Error> {
         Self::open_with_progress(config, &no_progress)
     }
 
-    /// [`open`](Self::open), telling `progress` how far it is.
+    /// [`open`](Self::open) with `progress`.
     ///
     /// # Errors
-    /// As [`open`](Self::open), and [`Error::Interrupted`] if `progress` says so.
+    /// As [`open`](Self::open), and [`Error::Interrupted`].
     pub fn open_with_progress(config: &DataConfig, progress: OpenProgress) -> Result<Self, Error> {
         Self::open_among(config, progress, &Alone)
     }
 
-    /// [`open_with_progress`](Self::open_with_progress) by ranks that each read a part of the items, and
-    /// tell the others what they are. Collective.
+    /// [`open_with_progress`](Self::open_with_progress) by ranks that each read a part of the
+    /// items. Collective.
     ///
     /// # Errors
-    /// As there; [`Error::OtherListing`] where they do not see the same, and [`Error::OtherReader`] where
-    /// another rank has failed.
+    /// As there; [`Error::OtherListing`] if ranks list different items, and [`Error::OtherReader`]
+    /// if another rank failed.
     pub fn open_among(
         config: &DataConfig,
         progress: OpenProgress,
@@ -131,10 +127,10 @@ impl<T: Listable> Dataset<T> {
 }
 
 impl<T: Item> Dataset<T> {
-    /// Items that stay in memory.
+    /// A dataset of items in memory.
     ///
     /// # Panics
-    /// Panics if there are none to train on.
+    /// Panics without training items.
     pub fn of_items(
         train: Vec<Arc<T>>,
         validation: Vec<Arc<T>>,
@@ -162,8 +158,7 @@ impl<T: Item> Dataset<T> {
         }
     }
 
-    /// How motion is normalised: the dataset's own statistics, else those of the items to train
-    /// on, which are read for it.
+    /// Statistics of the normalisation: the dataset's own, or measured on the training items.
     ///
     /// # Errors
     /// As [`ItemSet::get`].
@@ -171,19 +166,19 @@ impl<T: Item> Dataset<T> {
         self.statistics_with_progress(&no_progress)
     }
 
-    /// [`statistics`](Self::statistics), telling `progress` how many items are measured.
+    /// [`statistics`](Self::statistics) with `progress`.
     ///
     /// # Errors
-    /// As [`statistics`](Self::statistics), and [`Error::Interrupted`] if `progress` says so.
+    /// As [`statistics`](Self::statistics), and [`Error::Interrupted`].
     pub fn statistics_with_progress(&self, progress: OpenProgress) -> Result<Statistics, Error> {
         self.statistics_among(progress, &Alone)
     }
 
-    /// [`statistics_with_progress`](Self::statistics_with_progress) by ranks that each measure a part of
-    /// the items. Collective.
+    /// [`statistics_with_progress`](Self::statistics_with_progress) by ranks that each measure a
+    /// part of the items. Collective.
     ///
     /// # Errors
-    /// As there, and [`Error::OtherReader`] where another rank has failed.
+    /// As there, and [`Error::OtherReader`].
     pub fn statistics_among(
         &self,
         progress: OpenProgress,
@@ -199,7 +194,7 @@ impl<T: Item> Dataset<T> {
         }
     }
 
-    /// Reads the item `id`, from either side of the split; `None` if there is none.
+    /// Reads the item `id` of either split.
     ///
     /// # Errors
     /// As [`ItemSet::get`].
@@ -210,7 +205,7 @@ impl<T: Item> Dataset<T> {
         }
     }
 
-    /// The items held out, or those trained on where none are held out.
+    /// The held-out items, or the training items if there are none.
     pub fn held_out(&self) -> &ItemSet<T> {
         match self.validation.is_empty() {
             true => &self.train,
@@ -218,7 +213,7 @@ impl<T: Item> Dataset<T> {
         }
     }
 
-    /// What reading has cost since the dataset was opened.
+    /// Loading statistics since the dataset was opened.
     pub fn report(&self) -> LoaderReport {
         self.train.counters().report()
     }

@@ -11,7 +11,7 @@ use crate::item::Item;
 use crate::scan::{Gathered, Listable, OpenProgress, no_progress};
 use crate::{DataConfig, DataKind, Dataset, Error, Phrase};
 
-/// The contents of a dataset. Numbers describe the items that can be used.
+/// Summary of a dataset. Numbers describe the usable items.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Inspection {
     /// The dataset's address, or `synthetic` or `synthetic_walks`.
@@ -20,16 +20,16 @@ pub struct Inspection {
     pub kind: &'static str,
     /// Name of the representation.
     pub representation: String,
-    /// Items that are used.
+    /// Usable items.
     pub items: usize,
-    /// Items that cannot be used.
+    /// Unusable items.
     pub bad_items: usize,
-    /// Valid items that are left out: clips that are too short, too long, or have only captions of
-    /// short segments.
+    /// Valid items that are left out: clips that are too short, too long, or have captions of short
+    /// ranges only.
     pub left_out: usize,
-    /// Items to train on.
+    /// Training items.
     pub train: usize,
-    /// Items held out for validation.
+    /// Held-out items.
     pub validation: usize,
     /// Total number of frames.
     pub frames: usize,
@@ -45,11 +45,11 @@ pub struct Inspection {
     pub channels: usize,
     /// Counts of conditions, by name.
     pub counts: Vec<(&'static str, usize)>,
-    /// Summary of each channel of the motion, or group of channels, in the dataset's units.
+    /// Summary of each channel, or group of channels, of the motion, in the dataset's units.
     pub motion: Vec<ChannelSummary>,
     /// Summary of each condition.
     pub conditions: Vec<ChannelSummary>,
-    /// What is wrong with single items, by id.
+    /// Problems of single items, by id.
     pub problems: Vec<Problem>,
     /// Warnings about the dataset as a whole.
     pub warnings: Vec<String>,
@@ -92,18 +92,18 @@ impl ChannelSummary {
     }
 }
 
-/// Something wrong with an item.
+/// A problem of an item.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Problem {
     /// The item.
     pub id: String,
-    /// What is wrong, in words.
+    /// The problem.
     pub problem: String,
-    /// Whether the item cannot be used for it.
+    /// Whether the item is unusable.
     pub unusable: bool,
 }
 
-/// What one item, or several, come to.
+/// Measures of one or several items.
 struct Contents {
     motion: Measured,
     conditions: Vec<(&'static str, ChannelMoments)>,
@@ -133,14 +133,12 @@ impl Contents {
     }
 }
 
-/// Reads every item of the dataset of `config`, regardless of `on_bad_phrase`.
-///
-/// An item that can be read is held against both profiles of the checks, the strict one with the
-/// statistics of the training items (of all items, where none is left to train on).
+/// Reads every item of the dataset of `config`, regardless of `on_bad_phrase`, and checks each by
+/// both profiles, the strict one with the statistics of the training items (of all, if there are
+/// none).
 ///
 /// # Errors
-/// As [`Dataset::open`], but never for a single bad item or for a side of
-/// the split that is empty.
+/// As [`Dataset::open`], but never for a bad item or an empty split.
 pub fn inspect(config: &DataConfig, progress: OpenProgress) -> Result<Inspection, Error> {
     config.validate()?;
     match config.kind {
@@ -149,7 +147,7 @@ pub fn inspect(config: &DataConfig, progress: OpenProgress) -> Result<Inspection
     }
 }
 
-/// The statistics of the motion to train on of the dataset that `config` describes.
+/// The statistics of the training motion of the dataset of `config`.
 ///
 /// # Errors
 /// As [`Dataset::open`].

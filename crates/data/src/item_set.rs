@@ -1,4 +1,4 @@
-//! Some of the items of a dataset.
+//! Some items of a dataset.
 
 use std::collections::BTreeSet;
 use std::ops::Range;
@@ -16,15 +16,14 @@ use crate::item::Item;
 use crate::item_store::ItemStore;
 use crate::scan::{OpenProgress, go_on, no_progress};
 
-/// Items that are measured at a time: enough for all cores, few enough for any memory.
+/// Items that are measured at a time.
 const CHUNK: usize = 256;
 
-/// Some of the items of a dataset in the order of their ids, read on demand. A clone
-/// is another handle to the same ones.
+/// Some items of a dataset in the order of their ids, read on demand. Clones share them.
 #[derive(Debug)]
 pub struct ItemSet<T> {
     store: Arc<ItemStore<T>>,
-    /// Their numbers in the store.
+    /// Indices in the store.
     indices: Arc<[usize]>,
 }
 
@@ -78,8 +77,7 @@ impl<T: Item> ItemSet<T> {
         &self.store.entries[self.indices[position]].id
     }
 
-    /// Number of item `position` in what the dataset lists: the ranks that opened it together have read
-    /// those that are theirs by it.
+    /// Index of item `position` in the dataset's listing, by which ranks divide the items.
     pub(crate) fn number(&self, position: usize) -> usize {
         self.store.number(self.indices[position])
     }
@@ -92,7 +90,7 @@ impl<T: Item> ItemSet<T> {
         self.store.entries[self.indices[position]].label.as_deref()
     }
 
-    /// Their labels, each once, in order.
+    /// Their distinct labels, in order.
     pub fn labels(&self) -> BTreeSet<&str> {
         let labels = (0..self.len()).filter_map(|position| self.label(position));
         labels.collect()
@@ -101,7 +99,7 @@ impl<T: Item> ItemSet<T> {
     /// Item `position`.
     ///
     /// # Errors
-    /// [`Error::BadItem`] if its files are gone, have changed or cannot be read any more.
+    /// [`Error::BadItem`] if its files are gone, changed or unreadable.
     ///
     /// # Panics
     /// Panics if there are not so many.
@@ -118,7 +116,7 @@ impl<T: Item> ItemSet<T> {
         position.map(|position| self.get(position)).transpose()
     }
 
-    /// Most items worth reading at once from afar; 0 where they are not far.
+    /// Most items worth reading at once from remote storage; 0 if local.
     pub(crate) fn concurrency(&self) -> usize {
         self.store.concurrency
     }
@@ -136,7 +134,7 @@ impl<T: Item> ItemSet<T> {
         Self::new(self.store.clone(), indices)
     }
 
-    /// The first `count` of them, or all where there are fewer.
+    /// The first `count` of them.
     ///
     /// # Errors
     /// As [`get`](Self::get).
@@ -145,8 +143,7 @@ impl<T: Item> ItemSet<T> {
         positions.map(|position| self.get(position)).collect()
     }
 
-    /// `count` of them, evenly from all, or all where there are fewer: neighbours are of one kind, or
-    /// all mirrored.
+    /// `count` of them, evenly spaced, as neighbours are similar.
     ///
     /// # Errors
     /// As [`get`](Self::get).
@@ -156,7 +153,7 @@ impl<T: Item> ItemSet<T> {
         positions.map(|position| self.get(position)).collect()
     }
 
-    /// All of them at once, to be held in memory.
+    /// All of them, in memory.
     ///
     /// # Errors
     /// As [`get`](Self::get).
@@ -167,7 +164,7 @@ impl<T: Item> ItemSet<T> {
             .collect()
     }
 
-    /// The statistics of their motion as rows of `representation`; none of no items.
+    /// The statistics of their motion in `representation`; none of no items.
     ///
     /// # Errors
     /// As [`get`](Self::get).
@@ -178,8 +175,8 @@ impl<T: Item> ItemSet<T> {
         self.statistics_among(representation, &no_progress, &Alone)
     }
 
-    /// [`statistics`](Self::statistics), telling `progress` how many items are measured, by ranks that
-    /// measure a part each. Collective.
+    /// [`statistics`](Self::statistics) with `progress`, by ranks that measure a part each.
+    /// Collective.
     ///
     /// # Errors
     /// As [`measure_among`](Self::measure_among).
@@ -199,11 +196,10 @@ impl<T: Item> ItemSet<T> {
         Ok(all.map(|all| all.statistics(representation)))
     }
 
-    /// Measures each item, some at a time on all cores, and hands the measures to `take` in the
-    /// items' order.
+    /// Measures each item on all cores and passes the results to `take` in order.
     ///
     /// # Errors
-    /// As [`get`](Self::get), and [`Error::Interrupted`] if `progress` says so.
+    /// As [`get`](Self::get), and [`Error::Interrupted`].
     pub fn measure<M: Send>(
         &self,
         measure: impl Fn(&T) -> M + Sync,
@@ -215,10 +211,10 @@ impl<T: Item> ItemSet<T> {
         measuring.in_order(1, take, |positions| measuring.each(positions.collect()))
     }
 
-    /// [`measure`](Self::measure) by ranks that measure a part each, and take all. Collective.
+    /// [`measure`](Self::measure) by ranks that measure a part each and take all. Collective.
     ///
     /// # Errors
-    /// As there, and [`Error::OtherReader`] where another rank has failed.
+    /// As there, and [`Error::OtherReader`].
     pub fn measure_among<M: Send + Serialize + DeserializeOwned>(
         &self,
         measure: impl Fn(&T) -> M + Sync,
@@ -227,7 +223,7 @@ impl<T: Item> ItemSet<T> {
         sharing: &dyn Sharing<Error>,
     ) -> Result<(), Error> {
         let measure = |position| Ok(measure(&*self.get(position)?));
-        // Who has read an item when the dataset was opened has it in memory.
+        // The rank that read an item when the dataset was opened has it in memory.
         let owner = |position| self.number(position);
         measure_among(self.len(), owner, measure, take, progress, sharing)
     }
@@ -237,11 +233,11 @@ impl<T: Item> ItemSet<T> {
     }
 }
 
-/// Measures so many things, some at a time on all cores, each by the rank that is its `owner`, and hands
-/// the measures to `take` in order. Collective.
+/// Measures `total` items on all cores, each by the rank of its `owner`, and passes the results to
+/// `take` in order. Collective.
 ///
 /// # Errors
-/// As `measure`; [`Error::Interrupted`] if `progress` says so; [`Error::OtherReader`].
+/// Those of `measure`; [`Error::Interrupted`]; [`Error::OtherReader`].
 pub(crate) fn measure_among<M: Send + Serialize + DeserializeOwned>(
     total: usize,
     owner: impl Fn(usize) -> usize,
@@ -256,7 +252,7 @@ pub(crate) fn measure_among<M: Send + Serialize + DeserializeOwned>(
     })
 }
 
-/// The measuring of things by their positions.
+/// Measuring of items by position.
 struct Measuring<'a, F> {
     total: usize,
     measure: &'a F,
@@ -274,7 +270,7 @@ impl<'a, M: Send, F: Fn(usize) -> Result<M, Error> + Sync> Measuring<'a, F> {
         }
     }
 
-    /// The measures of things, on all cores.
+    /// Measures items on all cores.
     fn each(&self, positions: Vec<usize>) -> Result<Vec<M>, Error> {
         go_on(self.progress, self.done.load(Ordering::Relaxed), self.total)?;
         let measure = |position| {
@@ -286,7 +282,7 @@ impl<'a, M: Send, F: Fn(usize) -> Result<M, Error> + Sync> Measuring<'a, F> {
         positions.into_par_iter().map(measure).collect()
     }
 
-    /// Hands the measures to `take`, those of some for each of so many ranks at a time.
+    /// Passes the results to `take` in order, a chunk for each of the ranks at a time.
     fn in_order(
         &self,
         ranks: usize,
@@ -296,7 +292,7 @@ impl<'a, M: Send, F: Fn(usize) -> Result<M, Error> + Sync> Measuring<'a, F> {
         let chunk = CHUNK * ranks;
         for start in (0..self.total).step_by(chunk) {
             let measured = some(start..(start + chunk).min(self.total))?;
-            // What other ranks have measured.
+            // Includes other ranks' items.
             self.done.store(start + measured.len(), Ordering::Relaxed);
             measured.into_iter().for_each(&mut take);
         }
@@ -305,7 +301,7 @@ impl<'a, M: Send, F: Fn(usize) -> Result<M, Error> + Sync> Measuring<'a, F> {
 }
 
 impl<T: Item> From<Vec<Arc<T>>> for ItemSet<T> {
-    /// Items that stay in memory, in this order.
+    /// Items in memory, in this order.
     fn from(items: Vec<Arc<T>>) -> Self {
         let indices = (0..items.len()).collect();
         Self::new(Arc::new(ItemStore::in_memory(items)), indices)

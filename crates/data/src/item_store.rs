@@ -1,8 +1,8 @@
 //! The items of an open dataset, read on demand.
 //!
-//! Opening a dataset reads every item once and notes the checksums of its files. From then on an
-//! item comes from memory, from the disk cache or from the store again, and in the last two
-//! cases only with those checksums: what changes under a run is never trained on.
+//! Opening a dataset reads every item once and records the checksums of its files. Later an item
+//! comes from memory, the disk cache or the store, with the same checksums: files that change
+//! during a run are never trained on.
 
 use std::fmt::Debug;
 use std::sync::Arc;
@@ -17,45 +17,45 @@ use crate::listing::{Expected, Listed};
 use crate::split::Side;
 use crate::{Counters, Error, FileError};
 
-/// Where items come from, and those that are held in memory.
+/// The source of items, and those in memory.
 #[derive(Debug)]
 pub(crate) struct ItemStore<T> {
     pub entries: Vec<Entry>,
     source: Box<dyn ItemSource<T>>,
     memory: MemoryCache<T>,
     pub counters: Arc<Counters>,
-    /// Most items worth reading at once from afar; 0 where they are not far.
+    /// Most items worth reading at once from remote storage; 0 if local.
     pub concurrency: usize,
 }
 
-/// What is known of an item that can be used.
+/// Facts about a usable item.
 #[derive(Clone, Debug, Deserialize, Serialize)]
 pub(crate) struct Entry {
     pub id: String,
     pub frames: usize,
-    /// Its side of the split, where the dataset states one.
+    /// Its side of the split, if the dataset defines it.
     pub side: Option<Side>,
-    /// What the item is called, such as the kind of dance.
+    /// Its label, such as the dance style.
     pub label: Option<String>,
-    /// Checksums of its files; none where there are no files.
+    /// Checksums of its files.
     content: Vec<Digest>,
-    /// Number of the item in its source.
+    /// Its index in the source.
     number: usize,
 }
 
-/// Which item is to be read.
+/// A request to read an item.
 #[derive(Clone, Copy)]
 pub(crate) struct ReadRequest<'a> {
-    /// Its number in its source.
+    /// Its index in the source.
     pub number: usize,
     pub id: &'a str,
-    /// What its files are to be.
+    /// Expected versions of its files.
     pub expected: &'a [Expected],
-    /// Where that comes from.
+    /// Origin of the expected versions.
     pub recorded: &'static str,
 }
 
-/// A maker of items.
+/// A source of items.
 pub(crate) trait ItemSource<T>: Debug + Send + Sync {
     /// Reads the requested item.
     ///
@@ -63,40 +63,40 @@ pub(crate) trait ItemSource<T>: Debug + Send + Sync {
     /// [`FileError`].
     fn read(&self, request: ReadRequest<'_>) -> Result<ReadItem<T>, FileError>;
 
-    /// The files that they are read from; none where there are none.
+    /// The files that items are read from, if any.
     fn files(&self) -> Option<&Files> {
         None
     }
 
-    /// Most items worth reading at once from afar; 0 where they are not far.
+    /// Most items worth reading at once from remote storage; 0 if local.
     fn concurrency(&self) -> usize {
         self.files().map_or(0, |files| files.concurrency)
     }
 
-    /// Whether every item is in memory already.
+    /// Whether every item is in memory.
     fn is_memory(&self) -> bool {
         false
     }
 
-    /// What decides the items beside their files.
+    /// Everything that determines the items beside their files.
     fn fingerprint(&self) -> String {
         String::new()
     }
 }
 
-/// An item as it was read.
+/// An item as read.
 pub(crate) struct ReadItem<T> {
     pub item: Arc<T>,
-    /// What is odd about it.
+    /// A note about it.
     pub note: Option<String>,
-    /// Why it does not belong to the dataset although it is in order.
+    /// The reason why a valid item is left out.
     pub left_out: Option<String>,
     /// Checksums of its files.
     pub content: Vec<Digest>,
 }
 
 impl<T> ReadItem<T> {
-    /// An item without files, about which nothing is odd.
+    /// An item without files and notes.
     pub fn of(item: impl Into<Arc<T>>) -> Self {
         Self {
             item: item.into(),
@@ -133,7 +133,7 @@ pub(crate) fn index_item<T: Item>(
     Ok((entry, read))
 }
 
-/// Items that are all there already.
+/// Items in memory.
 #[derive(Debug)]
 struct InMemory<T>(Vec<Arc<T>>);
 
@@ -148,8 +148,7 @@ impl<T: Item> ItemSource<T> for InMemory<T> {
 }
 
 impl<T: Item> ItemStore<T> {
-    /// A store of `entries`; `memory` may hold some of them already, by their numbers in the
-    /// source.
+    /// A store of `entries`; `memory` may contain some of them, by their index in the source.
     pub fn new(
         source: Box<dyn ItemSource<T>>,
         entries: Vec<Entry>,
@@ -165,7 +164,7 @@ impl<T: Item> ItemStore<T> {
         }
     }
 
-    /// A store of items that stay in memory.
+    /// A store of items in memory.
     pub fn in_memory(items: Vec<Arc<T>>) -> Self {
         let entry = |(number, item): (usize, &Arc<T>)| Entry {
             id: item.id().to_owned(),
@@ -183,7 +182,7 @@ impl<T: Item> ItemStore<T> {
     /// The item of entry `index`.
     ///
     /// # Errors
-    /// [`Error::BadItem`] if its files are gone, have changed or cannot be read any more.
+    /// [`Error::BadItem`] if its files are gone, changed or unreadable.
     pub fn get(&self, index: usize) -> Result<Arc<T>, Error> {
         let entry = &self.entries[index];
         if let Some(item) = self.memory.get(entry.number) {
@@ -205,17 +204,17 @@ impl<T: Item> ItemStore<T> {
         Ok(item)
     }
 
-    /// Number of the item of entry `index` in its source.
+    /// Index of the item of entry `index` in the source.
     pub fn number(&self, index: usize) -> usize {
         self.entries[index].number
     }
 
-    /// Whether the item of entry `index` needs neither reading nor making now.
+    /// Whether the item of entry `index` is in memory.
     pub fn is_cached(&self, index: usize) -> bool {
         self.source.is_memory() || self.memory.contains(self.entries[index].number)
     }
 
-    /// A checksum of everything the items hold, and of which of them (by index) are `held_out`.
+    /// Checksum of all items and of the indices that are `held_out`.
     pub fn digest(&self, held_out: &[usize]) -> Digest {
         let fingerprint = self.source.fingerprint();
         let parts = self.entries.iter().enumerate().flat_map(|(index, entry)| {

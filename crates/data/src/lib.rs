@@ -1,10 +1,9 @@
-//! Datasets of motion: reading, checking, splitting, loading and synthesis.
+//! Datasets of motion: reading, validation, splits, loading and synthesis.
 //!
 //! A phrase dataset is a folder, a bucket or a path on a web server with `motion/ID/trajectory.npy`
 //! (`[frames, 25]`) and `audio_features/ID/features.npz` (six arrays, stacked to `[163, frames]`),
-//! the layout of CC-MotionGen, section 1.3 (docs/sources.md, section 1.1). Clips of joint features
-//! and captions in the HumanML3D layout are in [`humanml`]. [`Dataset`] and [`Loader`] are the same
-//! for both kinds. Batches are host arrays, not tensors.
+//! as in CC-MotionGen, section 1.3 (docs/sources.md, section 1.1). Clips in the HumanML3D layout
+//! are in [`humanml`]. [`Dataset`] and [`Loader`] serve both. Batches are host arrays.
 //!
 //! ```
 //! use std::sync::Arc;

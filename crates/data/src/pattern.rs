@@ -1,7 +1,7 @@
 //! Patterns of ids: `*` stands for any run of characters.
 
-/// Whether the whole of `text` matches `pattern`, in which `*` stands for any run of characters.
-/// Takes at most `pattern.len() * text.len()` steps: only the latest star is ever moved.
+/// Whether `text` matches `pattern`, in which `*` stands for any characters, in at most
+/// `pattern.len() * text.len()` steps.
 pub fn matches(pattern: &str, text: &str) -> bool {
     let (pattern, text) = (pattern.as_bytes(), text.as_bytes());
     let (mut p, mut t) = (0, 0);

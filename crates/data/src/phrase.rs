@@ -1,4 +1,4 @@
-//! One phrase: its motion and its music, read from the dataset's layout.
+//! One phrase: motion and music, read from the dataset's layout.
 
 use std::path::Path;
 
@@ -19,18 +19,18 @@ pub struct Phrase {
     pub motion: Motion,
     /// Audio features as stored.
     pub audio: AudioFeatures,
-    /// What it is called, such as the kind of dance.
+    /// Its label, such as the dance style.
     pub label: Option<String>,
 }
 
 impl Phrase {
-    /// Parses a phrase whose audio features are of `layout`, each file given as its bytes and the name that messages give it, and cuts
-    /// motion and audio to their common length, from the front (CC-MotionGen, section 6.1). Also
-    /// returns a note where they differ by more than a frame.
+    /// Parses a phrase with audio features of `layout`, from the bytes and names of its files, and
+    /// cuts both to their common length (CC-MotionGen, section 6.1). Also returns a note if they
+    /// differ by more than a frame.
     ///
     /// # Errors
-    /// [`FileError`] for a file that cannot be used, and for a number that is not finite or larger
-    /// than [`LARGEST`](crate::LARGEST), wherever it stands.
+    /// [`FileError`] for an unusable file, or a value that is not finite or exceeds
+    /// [`LARGEST`](crate::LARGEST).
     pub(crate) fn parse(
         id: &str,
         (motion, name): (&[u8], &str),
@@ -76,10 +76,10 @@ impl Phrase {
     }
 }
 
-/// Reads the audio features `[channels, frames]` of a `features.npz` outside any dataset.
+/// Reads the audio features `[channels, frames]` of a `features.npz`.
 ///
 /// # Errors
-/// [`FileError`] for a file that cannot be used or holds a number that is not finite or larger than
+/// [`FileError`] for an unusable file, or a value that is not finite or exceeds
 /// [`LARGEST`](crate::LARGEST).
 pub fn load_audio(path: &Path, layout: AudioLayout) -> Result<AudioFeatures, FileError> {
     let bytes = read_file(path, npz::MAX_FEATURES_BYTES).map_err(FileError::read(path))?;

@@ -15,7 +15,7 @@ use crate::{
     Batch, DataConfig, Error, Phrase, PhraseSet, StatisticsOf, StyleConditions, mean_style,
 };
 
-/// Crops of each phrase that statistics are measured of.
+/// Crops of each phrase for statistics.
 const CROPS: u64 = 8;
 
 /// Samples of phrases, conditioned on audio.
@@ -31,8 +31,8 @@ pub struct PhraseSamples {
 }
 
 impl PhraseSamples {
-    /// Samples of `phrases`, normalised by `statistics`, cropped and augmented as `config` says
-    /// with draws of this `seed`.
+    /// Samples of `phrases`, normalised by `statistics`, cropped and augmented by `config` and
+    /// `seed`.
     pub fn new(
         phrases: PhraseSet,
         statistics: Arc<Statistics>,
@@ -51,25 +51,21 @@ impl PhraseSamples {
         }
     }
 
-    /// The same samples with conditions on their style: the mean of their own style channels, and
-    /// their phrase's label.
+    /// Adds conditions on style: the mean of the sample's style channels, and the phrase's label.
     #[must_use]
     pub fn with_style(self, style: StyleConditions) -> Self {
         Self { style, ..self }
     }
 
-    /// The same samples in the channels that a denoiser of these `targets` predicts, which the
-    /// statistics then are of.
+    /// Encodes the samples by `targets`, whose statistics they then have.
     #[must_use]
     pub fn with_targets(self, targets: ChannelEncoding) -> Self {
         Self { targets, ..self }
     }
 }
 
-/// What normalises samples of `phrases`, at least one, in the channels of `targets`: measured of
-/// whole phrases, or of the crops that training with `config` sees, as `config` says.
-///
-/// Ranks measure a part each. Collective.
+/// Statistics of `phrases`, at least one, in the channels of `targets`: of whole phrases or
+/// training crops, as `config` says. Ranks measure a part each. Collective.
 ///
 /// # Errors
 /// As [`ItemSet::measure_among`](crate::ItemSet::measure_among).
@@ -79,7 +75,7 @@ pub fn target_statistics(
     config: &DataConfig,
     sharing: &dyn Sharing<Error>,
 ) -> Result<Statistics, Error> {
-    // The same crops in all runs, so that their losses compare.
+    // The same crops in all runs, so that losses compare.
     let sampler = Augmentation::new(config, 0);
     let contexts = ContextWindows::new(phrases, sampler.frames_seen(), config.join_neighbours);
     let measure = |position: usize| -> Result<ChannelMoments, Error> {

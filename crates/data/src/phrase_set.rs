@@ -1,4 +1,4 @@
-//! Phrases of a dataset: how they are listed, read and made up.
+//! Phrases of a dataset: listing, reading and synthesis.
 
 use std::borrow::Cow;
 use std::collections::HashMap;
@@ -163,8 +163,8 @@ fn phrase_files(config: &DataConfig) -> Result<Scan<Phrase>, Error> {
     })
 }
 
-/// Phrases of the layout of CC-MotionGen, section 1.3, the audio features read of them, and their
-/// labels.
+/// Phrases in the layout of CC-MotionGen, section 1.3, with the layout of their audio features and
+/// their labels.
 #[derive(Debug)]
 pub(crate) struct PhraseFiles(pub Files, pub AudioLayout, pub Labels);
 
@@ -197,7 +197,7 @@ impl ItemSource<Phrase> for PhraseFiles {
     }
 }
 
-/// A phrase with its label.
+/// Adds a phrase's label.
 fn labelled(phrase: Phrase, labels: &Labels) -> Phrase {
     Phrase {
         label: labels.of(&phrase.id).map(str::to_owned),
@@ -205,7 +205,8 @@ fn labelled(phrase: Phrase, labels: &Labels) -> Phrase {
     }
 }
 
-/// Phrases that are made up anew each time, the audio features made of them, and their labels.
+/// Phrases that are synthesised on demand, with the layout of their audio features and their
+/// labels.
 #[derive(Debug)]
 pub(crate) struct SyntheticPhrases(pub SyntheticConfig, pub AudioLayout, pub Labels);
 

@@ -1,4 +1,4 @@
-//! Meeting every item of a dataset once.
+//! Reading every item of a dataset once.
 
 use std::ops::ControlFlow;
 use std::sync::Arc;
@@ -17,19 +17,19 @@ use crate::listing::Listed;
 use crate::split::{Side, Split};
 use crate::{DataConfig, Digest, Error, FileError, OnBadPhrase, StoreError};
 
-/// Progress callback with the number of items read and in total. Called from several threads and
-/// now and then from the one that opens the dataset. `Break` ends with [`Error::Interrupted`].
+/// Progress callback with the number of items read and in total, called from several threads.
+/// `Break` ends with [`Error::Interrupted`].
 pub type OpenProgress<'a> = &'a (dyn Fn(usize, usize) -> ControlFlow<()> + Sync);
 
-/// Items that are met between two calls of the progress callback on the thread that opens.
+/// Items between two progress callbacks on the opening thread.
 const CHUNK: usize = 512;
 
-/// Progress that nobody hears of.
+/// Progress that is ignored.
 pub(crate) fn no_progress(_done: usize, _total: usize) -> ControlFlow<()> {
     ControlFlow::Continue(())
 }
 
-/// Asks whether to go on.
+/// Reports progress, and stops if asked to.
 pub(crate) fn go_on(progress: OpenProgress, done: usize, total: usize) -> Result<(), Error> {
     match progress(done, total) {
         ControlFlow::Continue(()) => Ok(()),
@@ -37,26 +37,25 @@ pub(crate) fn go_on(progress: OpenProgress, done: usize, total: usize) -> Result
     }
 }
 
-/// A dataset whose items are known by name.
+/// A dataset whose items are listed but not read.
 pub(crate) struct Scan<T: Item> {
-    /// What the rows of the items are.
+    /// Representation of the motion.
     pub representation: T::Representation,
-    /// The statistics that the dataset brings along.
+    /// Statistics that come with the dataset.
     pub given: Option<Statistics>,
-    /// What is said of the side of the split; where there is nothing, the dataset decides.
+    /// The rule of the split; without one, the dataset's own.
     pub split: Option<Split>,
     pub source: Box<dyn ItemSource<T>>,
-    /// What is odd about the dataset as a whole.
+    /// Warnings about the dataset.
     pub warnings: Vec<String>,
     pub listed: Vec<Listed>,
 }
 
-/// Items that are listed by a config.
+/// Items that a config can list.
 pub(crate) trait Listable: Item {
     /// Lists the items of a valid `config`.
     ///
-    /// # Errors
-    /// [`Error::Config`] where `config` is of other items; [`Error::Scheme`], [`Error::Feature`],
+    /// [`Error::Config`] if `config` is of other items; [`Error::Scheme`], [`Error::Feature`],
     /// [`Error::Store`], [`Error::Manifest`], [`Error::File`], [`Error::MissingFolder`],
     /// [`Error::NothingToTrainOn`], [`Error::Io`].
     fn scan(config: &DataConfig) -> Result<Scan<Self>, Error>
@@ -64,36 +63,36 @@ pub(crate) trait Listable: Item {
         Self: Sized;
 }
 
-/// What was read of a dataset.
+/// The result of reading a dataset.
 pub(crate) struct Gathered<T> {
     pub entries: Vec<Entry>,
     /// Id and reason of each bad item.
     pub skipped: Vec<(String, String)>,
-    /// Id and reason of each item that is in order and does not belong here.
+    /// Id and reason of each valid item that is left out.
     pub left_out: Vec<(String, String)>,
-    /// Id and what is odd about it.
+    /// Id and note of items.
     pub notes: Vec<(String, String)>,
     pub memory: MemoryCache<T>,
 }
 
-/// What came of reading an item.
+/// The outcome of reading an item.
 #[derive(Deserialize, Serialize)]
 enum Outcome {
-    /// It can be used; what is odd about it.
+    /// Usable, with a note.
     Good(Entry, Option<String>),
-    /// It is in order and does not belong here; why.
+    /// Valid, but left out, with the reason.
     LeftOut(String),
-    /// It cannot be used; why.
+    /// Unusable, with the reason.
     Bad(String),
 }
 
 impl<T: Item> Scan<T> {
-    /// Reads all items, keeps so many in memory as `config` allows, and sets bad ones apart as
-    /// `on_bad` says; if it says nothing, all of them, those that are not as they were recorded
-    /// too. Ranks that share it read a part each, and keep that in memory.
+    /// Reads all items, caches as many as `config` allows, and handles bad ones as `on_bad` says;
+    /// if `None`, all bad items are collected, including changed ones. Ranks read and cache a part
+    /// each.
     ///
     /// # Errors
-    /// [`Error::Store`] if the store itself fails; [`Error::BadItem`] for the first bad item by id;
+    /// [`Error::Store`] if the store fails; [`Error::BadItem`] for the first bad item by id;
     /// [`Error::Interrupted`]; [`Error::OtherListing`]; [`Error::OtherReader`].
     pub fn gather(
         &self,
@@ -126,11 +125,11 @@ impl<T: Item> Scan<T> {
         let some = |numbers: &[usize]| -> Result<Vec<Result<Outcome, FileError>>, Error> {
             numbers.par_iter().map(|&number| read_one(number)).collect()
         };
-        // Threads that wait for a network are not bound to the number of cores.
+        // Threads that wait for a network may exceed the number of cores.
         let pool = rayon::ThreadPoolBuilder::new().num_threads(concurrency);
         let pool = (concurrency > 0).then(|| pool.build().ok()).flatten();
         let mut outcomes = Vec::with_capacity(total);
-        // The first that this rank has found to be bad.
+        // The first bad item of this rank.
         let mut bad = None;
         let chunk = CHUNK * ranks;
         for start in (0..total).step_by(chunk) {
@@ -190,7 +189,7 @@ impl<T: Item> Scan<T> {
         Ok(gathered)
     }
 
-    /// Rejects to share a dataset of which ranks do not see the same items.
+    /// Rejects datasets that ranks list differently.
     fn must_list_the_same(&self, sharing: &dyn Sharing<Error>) -> Result<(), Error> {
         if sharing.size() == 1 {
             return Ok(());
@@ -206,8 +205,7 @@ impl<T: Item> Scan<T> {
         }
     }
 
-    /// The sides of the split of what was gathered, to train on and held out, and a checksum of
-    /// all.
+    /// The training and held-out items, and a checksum of all.
     pub fn divide(
         self,
         entries: Vec<Entry>,
@@ -229,11 +227,11 @@ impl<T: Item> Scan<T> {
     }
 }
 
-/// Whether other items may be good all the same; of a store `here`, where changes may be
-/// `tolerated`.
+/// Whether a store error concerns one item only; `here` for a local store, `tolerated` if changes
+/// are.
 fn concerns_one_item(error: &StoreError, here: bool, tolerated: bool) -> bool {
     match error {
-        // A file that this machine does not give out says nothing of the next one.
+        // A local file that is not accessible says nothing about the next one.
         StoreError::Denied { .. } | StoreError::Failed { .. } => here,
         StoreError::Changed { .. } => tolerated,
         _ => error.concerns_one_object(),

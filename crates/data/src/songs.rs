@@ -1,4 +1,4 @@
-//! Which phrases are danced to one song.
+//! Songs of phrases.
 
 use std::collections::BTreeSet;
 
@@ -6,8 +6,8 @@ use kinegrad_random::{Key, Purpose};
 
 use crate::synthetic;
 
-/// The song of the phrase `id`: the `audio_source` that its manifest states, else the take that ids
-/// `TAKE_FIRSTFRAME` name. Each synthetic phrase has music of its own.
+/// The song of phrase `id`: its `audio_source` in the manifest, else the take in ids
+/// `TAKE_FIRSTFRAME`. Each synthetic phrase has its own music.
 pub fn song_of(id: &str, audio_source: Option<&str>) -> String {
     let made_up = || {
         let number = id.rsplit_once('_')?.1.parse().ok()?;
@@ -18,8 +18,8 @@ pub fn song_of(id: &str, audio_source: Option<&str>) -> String {
     song.unwrap_or_else(take).to_owned()
 }
 
-/// The part `fraction` of `songs` that is held out, in alphabetical order: those with the lowest
-/// hashes of their names, at least one if `fraction` is not 0, never all. Depends on the names alone.
+/// The share `fraction` of `songs` that is held out, in alphabetical order: those with the lowest
+/// hashes of their names, at least one if `fraction` is not 0, never all.
 pub fn held_out_songs(songs: BTreeSet<String>, fraction: f64) -> Vec<String> {
     let most = songs.len().saturating_sub(1);
     let share = (fraction * songs.len() as f64).round() as usize;

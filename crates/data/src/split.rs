@@ -1,4 +1,4 @@
-//! Which phrases are held out for validation.
+//! The split into training and validation phrases.
 
 use std::collections::BTreeSet;
 use std::fmt;
@@ -12,7 +12,7 @@ use crate::pattern::matches;
 use crate::songs::{held_out_songs, song_of};
 use crate::{Error, ValidationSplit};
 
-/// Share held out where neither the config nor the dataset says anything.
+/// Default share of held-out phrases.
 const DEFAULT_FRACTION: f64 = 0.1;
 
 /// The rule of a [`ValidationSplit`], with its file read.
@@ -22,7 +22,7 @@ pub(crate) struct Split {
     rule: Rule,
 }
 
-/// A side of the split, as a manifest states it.
+/// A side of the split, as in a manifest.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Side {
@@ -39,14 +39,14 @@ impl fmt::Display for Side {
     }
 }
 
-/// What decides beside the patterns.
+/// The rule beside the patterns.
 #[derive(Debug, PartialEq)]
 enum Rule {
-    /// Nothing: only what the patterns name is held out.
+    /// None: only phrases that match a pattern are held out.
     Listed,
     /// A hash of the id.
     Fraction(f64),
-    /// The manifest, where it says something.
+    /// The manifest.
     Manifest,
 }
 
@@ -76,11 +76,11 @@ impl Split {
         Ok(Self { patterns, rule })
     }
 
-    /// Whether each of the phrases is held out, by its id and what the manifest says of it. Where
-    /// neither config nor manifest says anything, whole songs are held out
-    /// ([`held_out_songs`]); phrases by themselves, if each is a song of its own or all are one.
+    /// Whether each phrase is held out, by its id and its side in the manifest. Without a side,
+    /// whole songs are held out ([`held_out_songs`]), or single phrases if each is a song or all
+    /// are one.
     pub fn holds_out(&self, phrases: &[(&str, Option<Side>)]) -> Vec<bool> {
-        // The same phrases whatever the run's seed, so that runs can be compared.
+        // Independent of the run's seed, so that runs compare.
         let hashed =
             |id: &str, fraction| Key::new(0, Purpose::Split).named(id).uniform() < fraction;
         let unstated = || phrases.iter().filter(|(_, stated)| stated.is_none());
@@ -97,7 +97,7 @@ impl Split {
         phrases.iter().map(holds_out).collect()
     }
 
-    /// A warning for each id or pattern of the rule that holds out none of `ids`.
+    /// A warning for each id or pattern that matches none of `ids`.
     pub fn idle_entries<'a>(&self, ids: impl Iterator<Item = &'a str> + Clone) -> Vec<String> {
         let idle = |pattern: &&String| !ids.clone().any(|id| matches(pattern, id));
         let warning = |pattern| format!("data.validation: `{pattern}` matches no phrase");

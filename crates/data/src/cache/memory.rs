@@ -1,4 +1,4 @@
-//! Items in memory, bounded in bytes, with least-recently-used eviction.
+//! Items in memory, with a size limit and least-recently-used eviction.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -6,7 +6,7 @@ use lru::LruCache;
 
 use crate::Item;
 
-/// Items by their number in the dataset.
+/// Items by their index in the dataset.
 #[derive(Debug)]
 pub(crate) struct MemoryCache<T> {
     limit: usize,
@@ -37,17 +37,17 @@ impl<T: Item> MemoryCache<T> {
         self.entries.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Item `number`, if it is held.
+    /// Item `number`, if cached.
     pub fn get(&self, number: usize) -> Option<Arc<T>> {
         self.lock().items.get(&number).cloned()
     }
 
-    /// Whether item `number` is held now; counts as no use of it.
+    /// Whether item `number` is cached, without using it.
     pub fn contains(&self, number: usize) -> bool {
         self.lock().items.contains(&number)
     }
 
-    /// Holds item `number` from now on, unless it alone exceeds the limit.
+    /// Caches item `number`, unless it exceeds the limit.
     pub fn put(&self, number: usize, item: Arc<T>) {
         let bytes = item.bytes();
         if bytes > self.limit {

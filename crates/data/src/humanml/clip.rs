@@ -1,4 +1,4 @@
-//! One clip: its features and its captions, read from the layout of HumanML3D.
+//! One clip: features and captions, read from the layout of HumanML3D.
 
 use std::borrow::Cow;
 use std::path::Path;
@@ -17,29 +17,28 @@ use super::config::SkeletonName;
 use super::embeddings::Embeddings;
 use super::{Caption, parse_captions, texts};
 
-/// The folder of all features, in files `ID.npy`.
+/// Folder of all features, in files `ID.npy`.
 pub const FEATURES: &str = "new_joint_vecs";
-/// The folder of all captions, in files `ID.txt`.
+/// Folder of all captions, in files `ID.txt`.
 pub const TEXTS: &str = "texts";
 
 /// Clips in the order of their ids. A clone is another handle to the same ones.
 pub type ClipSet = ItemSet<Clip>;
 
-/// A clip: features `[frames, channels]` and the captions that describe it.
+/// A clip: features `[frames, channels]` and captions.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Clip {
     /// Name of its files.
     pub id: String,
-    /// Its features with relative root, as stored.
+    /// Features with relative root, as stored.
     pub features: Features,
-    /// Those of its captions that can be used, in their order: passages of fewer than
-    /// `data.humanml3d.min_frames` frames are left out. May be empty.
+    /// Usable captions in order: those of ranges shorter than `data.humanml3d.min_frames` are
+    /// dropped. May be empty.
     pub captions: Vec<Caption>,
 }
 
 impl Clip {
-    /// The caption that stands for the clip: the first that is of all of it, otherwise the first of
-    /// a passage; none of a clip without captions.
+    /// The first caption of the whole clip, else the first one; none without captions.
     pub fn caption(&self) -> Option<&Caption> {
         let whole = self
             .captions
@@ -48,7 +47,7 @@ impl Clip {
         whole.or(self.captions.first())
     }
 
-    /// Drops the captions of passages of fewer than `min_frames` frames; how many those were.
+    /// Drops captions of ranges of fewer than `min_frames` frames and returns their number.
     pub(super) fn drop_short_captions(&mut self, fps: f64, min_frames: usize) -> usize {
         let (before, frames) = (self.captions.len(), self.features.frames());
         let usable = |caption: &Caption| caption.frames(frames, fps).len() >= min_frames;
@@ -105,22 +104,21 @@ impl Item for Clip {
     }
 }
 
-/// Where the features of clip `id` lie within its dataset.
+/// Path of the features of clip `id` in its dataset.
 pub fn features_path(id: &str) -> String {
     format!("{FEATURES}/{id}.npy")
 }
 
-/// Where the captions of clip `id` lie within its dataset.
+/// Path of the captions of clip `id` in its dataset.
 pub fn texts_path(id: &str) -> String {
     format!("{TEXTS}/{id}.txt")
 }
 
-/// Parses the bytes of a `.npy` file of features with relative root, `[frames, channels]` of
-/// `skeleton`, in metres or, as those of KIT-ML, in millimetres; `file` names it in errors.
+/// Parses a `.npy` file of features with relative root, `[frames, channels]` of `skeleton`, in
+/// metres or (KIT-ML) millimetres; `file` names it in errors.
 ///
 /// # Errors
-/// [`FileError`] for what is no such array, for another number of channels than the skeleton's and
-/// for numbers that are not finite.
+/// [`FileError`] for another array, another number of channels, and values that are not finite.
 pub fn parse_features(
     bytes: &[u8],
     file: &str,
@@ -150,8 +148,8 @@ pub fn parse_features(
     })
 }
 
-/// The last axis of an array of `axes` axes, if it is as wide as the skeleton's features and no
-/// other is empty.
+/// The width of an array of `axes` axes, if it is that of the skeleton's features and no axis is
+/// empty.
 pub(super) fn check_width(
     shape: &[usize],
     axes: usize,
@@ -189,7 +187,7 @@ pub(super) fn check_width(
     }
 }
 
-/// Writes `features` as `[frames, channels]` little-endian float32, whole or not at all.
+/// Writes `features` as `[frames, channels]` little-endian float32, atomically.
 ///
 /// # Errors
 /// [`Error::Io`].
@@ -208,17 +206,17 @@ pub fn features_bytes(features: &Features) -> Vec<u8> {
 pub(super) struct ClipFiles {
     pub files: Files,
     pub skeleton: Skeleton,
-    /// None where the model is not conditioned on text.
+    /// None if the model is not conditioned on text.
     pub embeddings: Option<Embeddings>,
     pub captions_required: bool,
     pub min_frames: usize,
     pub max_frames: usize,
-    /// What else decides what is trained on: the statistics files.
+    /// Checksums of the statistics files.
     pub fingerprint: String,
 }
 
 impl ClipFiles {
-    /// Captions with their embeddings, and the checksum of their file; none where it is missing.
+    /// Captions with their embeddings, and the checksum of their file, if there is one.
     fn captions(
         &self,
         id: &str,
@@ -320,5 +318,5 @@ impl ItemSource<Clip> for ClipFiles {
     }
 }
 
-/// An embedding for a clip or caption that has none.
+/// The embedding of a clip or caption without one.
 pub(super) const NO_EMBEDDING: [f32; TEXT_CHANNELS] = [0.0; TEXT_CHANNELS];

@@ -1,8 +1,8 @@
 //! Clips in the HumanML3D format: joint features with captions, and synthetic walks.
 //!
-//! A dataset is a folder, a bucket or a web server's path with `new_joint_vecs/ID.npy` (`[frames,
-//! 263]`, relative root), `texts/ID.txt` (captions) and lists of the clips of each side. See
-//! `docs/dataset.md`.
+//! A dataset is a folder, a bucket or a web server's path with `new_joint_vecs/ID.npy`
+//! (`[frames, 263]`, relative root), `texts/ID.txt` (captions) and a list of clips for each side.
+//! See `docs/dataset.md`.
 //!
 //! ```
 //! use std::sync::Arc;

@@ -1,4 +1,4 @@
-//! Which clips a dataset holds, and what comes with them.
+//! The clips of a dataset, their statistics and embeddings.
 
 use crate::file::MAX_TENSOR_BYTES;
 use crate::files::Files;
@@ -28,7 +28,7 @@ impl Listable for Clip {
     }
 }
 
-/// Walks, which the rule of the config divides.
+/// Walks, split by the rule of the config.
 fn synthetic_walks(config: &DataConfig) -> Result<Scan<Clip>, Error> {
     let conditional = config.humanml3d.reads_embeddings();
     let split = Split::new(&config.validation)?;
@@ -44,7 +44,7 @@ fn synthetic_walks(config: &DataConfig) -> Result<Scan<Clip>, Error> {
     })
 }
 
-/// Clips in files, which the dataset's lists divide.
+/// Clips in files, split by the dataset's lists.
 fn files(config: &DataConfig) -> Result<Scan<Clip>, Error> {
     let humanml3d = &config.humanml3d;
     let mut warnings = Vec::new();

@@ -1,6 +1,5 @@
-//! Made-up clips: walks along random paths, with captions that say what they are.
-//!
-//! Everything is a function of (seed, number of the walk).
+//! Synthetic clips: walks along random paths, with captions that describe them. All is a function
+//! of seed and index.
 
 use std::collections::HashMap;
 use std::f64::consts::{PI, TAU};
@@ -28,9 +27,8 @@ pub fn synthetic_id(index: usize) -> String {
     format!("walk_{index:05}")
 }
 
-/// Walk number `index` of this `seed`: `frames` frames of features of
-/// [`Skeleton::humanml3d`], at 20 a second, with captions and embeddings that follow from the
-/// captions' words alone (of unit length).
+/// Walk number `index` of this `seed`: `frames` frames of features of [`Skeleton::humanml3d`] at 20
+/// per second, with captions and unit-length embeddings keyed by the captions' words.
 ///
 /// # Panics
 /// Panics if `frames` is zero.
@@ -41,7 +39,7 @@ pub fn walk(index: usize, frames: usize, seed: u64) -> Clip {
     let skeleton = Skeleton::humanml3d();
     let seconds = frames as f64 / skeleton.description().fps;
     let plan = Plan::new(key, seconds);
-    // Every row of features is of a frame and the next.
+    // Every row of features needs the next frame.
     let joints = walk::joints(&plan.course(), &skeleton, frames + 1);
     let joints = Joints::new(joints, skeleton.joints()).expect("whole finite frames");
     let extraction = Extraction {
@@ -56,18 +54,18 @@ pub fn walk(index: usize, frames: usize, seed: u64) -> Clip {
     }
 }
 
-/// What a walk is to look like, and so what is said of it.
+/// The shape of a walk, and its captions.
 struct Plan {
     shape: Shape,
     /// +1 to the left, -1 to the right.
     side: f64,
-    /// Its place in [`PACES`].
+    /// Index in [`PACES`].
     pace: usize,
     /// Metres per second.
     speed: f64,
-    /// Where the speed stands in its slow change, radians.
+    /// Phase of the slow change of speed, radians.
     ease: f64,
-    /// How sharp circles and windings are, 0 to 1.
+    /// Sharpness of circles and windings, 0 to 1.
     sharpness: f64,
     /// Middle of a turn, seconds.
     turn_seconds: f64,
@@ -81,7 +79,7 @@ enum Shape {
     Winding,
 }
 
-/// Slowest speed of each pace in metres per second, and how captions say it.
+/// Slowest speed of each pace in metres per second, and its words in captions.
 const PACES: [(f64, &str, &str); 3] = [
     (0.6, "walks slowly", "walking slowly"),
     (0.95, "walks", "walking"),
@@ -141,8 +139,7 @@ impl Plan {
         }
     }
 
-    /// Two captions of the whole walk and, where it turns, one of what comes before and one of the
-    /// rest.
+    /// Two captions of the whole walk and, if it turns, one of the part before and one of the rest.
     fn captions(&self, seconds: f64) -> Vec<Caption> {
         let side = if self.side > 0.0 { "left" } else { "right" };
         let (_, walks, walking) = PACES[self.pace];
@@ -191,7 +188,7 @@ fn caption(text: String, seconds: Option<(f64, f64)>) -> Caption {
     }
 }
 
-/// Walks that are made up anew each time.
+/// Walks that are synthesised on demand.
 #[derive(Debug)]
 pub(super) struct Walks {
     config: SyntheticConfig,
@@ -228,11 +225,10 @@ impl ItemSource<Clip> for Walks {
 }
 
 /// Writes `clips` walks of this `seed`, `frames` frames each, into `folder` in the layout of
-/// HumanML3D, with embeddings of the captions. A tenth of them is on the list of held-out clips,
-/// the same as `kind = "synthetic_walks"` holds out.
+/// HumanML3D with embeddings. A tenth is held out, as with `kind = "synthetic_walks"`.
 ///
 /// # Errors
-/// [`Error::Config`] for sizes out of range, [`Error::Exists`] if `folder` already holds a dataset,
+/// [`Error::Config`] for sizes out of range, [`Error::Exists`] if `folder` contains a dataset,
 /// [`Error::Io`].
 pub fn write_walks(folder: &Path, clips: usize, frames: usize, seed: u64) -> Result<(), Error> {
     let config = DataConfig {

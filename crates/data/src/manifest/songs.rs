@@ -5,19 +5,17 @@ use std::collections::BTreeMap;
 use super::ManifestRow;
 use crate::{DataConfig, DataKind, Error, Store, song_of};
 
-/// What a dataset says of the music of its phrases.
+/// The manifest's facts about the music of phrases.
 #[derive(Clone, Debug, Default)]
 pub struct Songs {
     stated: BTreeMap<String, ManifestRow>,
 }
 
 impl Songs {
-    /// What the manifest of the dataset that `config` describes says; nothing where it has none, or
-    /// this build reads none.
+    /// Reads the manifest of the dataset of `config`; empty without one, or if this build cannot read it.
     ///
     /// # Errors
-    /// [`Error::Scheme`], [`Error::Store`], and [`Error::Manifest`] for a manifest that cannot be
-    /// used.
+    /// [`Error::Scheme`], [`Error::Store`], and [`Error::Manifest`] for an invalid manifest.
     pub fn read(config: &DataConfig) -> Result<Self, Error> {
         if config.kind != DataKind::Phrases {
             return Ok(Self::default());
@@ -40,7 +38,7 @@ impl Songs {
         song_of(id, row.and_then(|row| row.audio_source.as_deref()))
     }
 
-    /// The tempo of a phrase, beats per minute, where the manifest states one.
+    /// The tempo of a phrase, beats per minute, if the manifest has one.
     pub fn tempo(&self, id: &str) -> Option<f64> {
         self.stated.get(id)?.tempo
     }

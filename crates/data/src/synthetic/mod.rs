@@ -1,10 +1,9 @@
-//! Synthetic phrases: dances that follow a beat, with audio features that carry it.
+//! Synthetic phrases: dances that follow a beat, with matching audio features.
 //!
-//! A phrase has a tempo, a place in the bar, an energy and one of four moves for each bar. All of
-//! it can be heard in the [features](music) and seen in the [motion](dance), so that a small model
-//! gains from listening. Motion is smooth, of human scale, and its velocity, acceleration and
-//! angular velocity are the forward differences of its pose by construction. Everything is a
-//! function of (seed, number of the phrase).
+//! A phrase has a tempo, a position in the bar, an energy and one of four moves for each bar, all
+//! of which are present in its [features](music) and its [motion](dance), so that a small model
+//! gains from audio. Motion is smooth, of human scale and coherent by construction. All is a
+//! function of seed and index.
 
 mod dance;
 mod music;
@@ -71,12 +70,11 @@ pub fn phrases(phrases: usize, frames: usize, seed: u64) -> Vec<Arc<Phrase>> {
         .collect()
 }
 
-/// Writes a synthetic dataset into `folder` in the phrase layout (CC-MotionGen, section 1.3).
-///
-/// It is built under a temporary name inside `folder` and moved into place when complete.
+/// Writes a synthetic dataset into `folder` in the phrase layout (CC-MotionGen, section 1.3),
+/// atomically.
 ///
 /// # Errors
-/// [`Error::Config`] for sizes out of range, [`Error::Exists`] if `folder` already holds a dataset,
+/// [`Error::Config`] for sizes out of range, [`Error::Exists`] if `folder` contains a dataset,
 /// [`Error::Io`].
 pub fn write_dataset(folder: &Path, phrases: usize, frames: usize, seed: u64) -> Result<(), Error> {
     let config = SyntheticConfig {
@@ -111,11 +109,11 @@ pub fn write_dataset_in(
     })
 }
 
-/// Writes a dataset that consists of `parts` into `folder`: `fill` makes them in the folder that
-/// it is given, a temporary one inside `folder`, and they are moved into place when complete.
+/// Writes the `parts` of a dataset into `folder`: `fill` makes them in a temporary folder inside,
+/// and they are moved when complete.
 ///
 /// # Errors
-/// [`Error::Exists`] if one of the parts is there already, [`Error::Io`], and those of `fill`.
+/// [`Error::Exists`] if a part exists, [`Error::Io`], and those of `fill`.
 pub(crate) fn write_whole(
     folder: &Path,
     parts: &[&str],
