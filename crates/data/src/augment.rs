@@ -175,7 +175,7 @@ fn negate_quaternions(motion: &mut Motion) {
     }
 }
 
-/// Sets one range of time and one band of adjacent features to zero. Beat features are kept: the
+/// Sets one range of time and one band of adjacent features to zero. Beat features are plain: the
 /// motion follows them.
 fn mask_audio(audio: &mut AudioFeatures, key: Key) {
     let range = |length: usize, longest: usize, key: Key| {
@@ -237,11 +237,11 @@ mod tests {
     #[test]
     fn bars_are_forgotten_in_so_many_samples_and_nothing_else_is() {
         let with = synthetic::phrase_in(AudioLayout::WITH_BEATS, 4, 30, 2);
-        let [kept, dropping] = [0.0, 0.4].map(|p| sampler(|c| c.augment.bar_drop_prob = p));
+        let [plain, dropping] = [0.0, 0.4].map(|p| sampler(|c| c.augment.bar_drop_prob = p));
         let mut forgotten = 0;
         for n in 0..500 {
             let ((motion, before), (same, after)) = (
-                kept.sample(&alone(&with), n),
+                plain.sample(&alone(&with), n),
                 dropping.sample(&alone(&with), n),
             );
             assert_eq!(motion, same);
@@ -261,7 +261,7 @@ mod tests {
         assert!((150..250).contains(&forgotten), "{forgotten}");
         // Features without beats have no bars to forget.
         let without = synthetic::phrase(4, 30, 2);
-        let samples = [&kept, &dropping].map(|sampler| sampler.sample(&alone(&without), 1));
+        let samples = [&plain, &dropping].map(|sampler| sampler.sample(&alone(&without), 1));
         assert_eq!(samples[0], samples[1]);
     }
 
@@ -433,9 +433,9 @@ mod tests {
                 frames <= 4 && channels <= AUDIO_CHANNELS / 4,
                 "{frames} {channels}"
             );
-            let kept = audio.as_slice().iter().filter(|v| **v == 1.0).count();
-            assert_eq!(kept, (20 - frames) * (AUDIO_CHANNELS - channels));
-            masked += 1.0 - kept as f64 / (20 * AUDIO_CHANNELS) as f64;
+            let plain = audio.as_slice().iter().filter(|v| **v == 1.0).count();
+            assert_eq!(plain, (20 - frames) * (AUDIO_CHANNELS - channels));
+            masked += 1.0 - plain as f64 / (20 * AUDIO_CHANNELS) as f64;
         }
         assert!(
             (5.0..40.0).contains(&masked),
@@ -446,7 +446,7 @@ mod tests {
     #[test]
     fn audio_masks_leave_beats() {
         let phrase = synthetic::phrase_in(AudioLayout::WITH_BEATS, 3, 60, 2);
-        let heard = |masks: usize, n: u64| {
+        let features = |masks: usize, n: u64| {
             let masking = sampler(|config| config.augment.audio_masks = masks);
             let (_, audio) = masking.sample(&alone(&phrase), n);
             let rows = AUDIO_CHANNELS * audio.frames();
@@ -456,7 +456,7 @@ mod tests {
             )
         };
         for n in 0..20 {
-            let ((features, beats), (masked, left)) = (heard(0, n), heard(4, n));
+            let ((features, beats), (masked, left)) = (features(0, n), features(4, n));
             assert_eq!(left, beats);
             assert_ne!(masked, features);
         }

@@ -153,11 +153,11 @@ mod tests {
         let mut statistics = Statistics::unit(3);
         (statistics.mean[1], statistics.std[1]) = (1.0, 2.0);
         let mut batch = Batch::with_capacity(2, &shape);
-        let heard: Vec<f32> = (0..10u8).map(f32::from).collect();
+        let audio: Vec<f32> = (0..10u8).map(f32::from).collect();
         for (id, frames) in [("a", 4), ("b", 3)] {
             let rows: Vec<f32> = (0..3 * frames).map(|i| i as f32).collect();
             let audio = ConditionRows {
-                values: &heard,
+                values: &audio,
                 frames: 5,
                 range: 1..1 + frames as usize,
             };

@@ -430,7 +430,7 @@ impl AugmentConfig {
             self.path_warp_prob,
             0.0..=1.0,
         )
-        .hint("0.5 bends every second way")?;
+        .hint("0.5 bends half of the clips")?;
         in_range("data.augment.audio_masks", self.audio_masks, 0..=16).hint("1 or 2 are usual")
     }
 }

@@ -349,8 +349,8 @@ mod tests {
         let measured = dataset.statistics_with_progress(&|_, _| after(3, &read));
         assert!(matches!(measured, Err(Error::Interrupted)));
         assert!(read.load(Ordering::SeqCst) < dataset.train.len());
-        let told = dataset.statistics_with_progress(&|_, _| ControlFlow::Continue(()));
-        assert_eq!(told.unwrap(), dataset.statistics().unwrap());
+        let statistics = dataset.statistics_with_progress(&|_, _| ControlFlow::Continue(()));
+        assert_eq!(statistics.unwrap(), dataset.statistics().unwrap());
     }
 
     /// The first of two ranks, of which the other lists something else.

@@ -166,7 +166,7 @@ impl Loader {
     /// # Panics
     /// As [`next`](Self::next).
     pub fn next_unless(&mut self, stop: &dyn Fn() -> bool) -> Result<Option<Batch>, Error> {
-        let asked = Instant::now();
+        let started = Instant::now();
         let batch = match &mut self.prefetch {
             Some(prefetch) => match prefetch.next_unless(stop) {
                 Some(batch) => batch,
@@ -176,7 +176,7 @@ impl Loader {
         };
         self.share.done += 1;
         let batch = batch?;
-        self.counters.batch(batch.batch_size, asked.elapsed());
+        self.counters.batch(batch.batch_size, started.elapsed());
         Ok(Some(batch))
     }
 

@@ -66,7 +66,7 @@ impl Location {
         let problem = match service {
             _ if !user.is_empty() => Some("holds a user name or password"),
             Service::Http if path.contains(['?', '#']) => {
-                Some("goes on after its path (`?` or `#`)")
+                Some("continues after its path (`?` or `#`)")
             }
             _ => None,
         };

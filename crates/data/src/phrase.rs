@@ -158,15 +158,15 @@ mod tests {
     fn beat_features_are_read_where_they_are_asked_for_and_named_where_they_are_missing() {
         let made = synthetic::phrase(0, 9, 1);
         let pulse = kinegrad_audio::Pulse::new(vec![0.0, 0.1, 0.2]).unwrap();
-        let heard = made.audio.with_beats(Some(&pulse));
+        let audio_with_beats = made.audio.with_beats(Some(&pulse));
         let motion = npy::motion_bytes(&made.motion);
         let parse = |audio: &[u8], layout| {
             let names = ("trajectory.npy", "features.npz");
             Phrase::parse("a", (&motion, names.0), (audio, names.1), layout)
         };
-        let stored = npz::features_bytes(&heard);
+        let stored = npz::features_bytes(&audio_with_beats);
         let with = parse(&stored, AudioLayout::WITH_BEATS).unwrap().0;
-        assert_eq!(with.audio, heard);
+        assert_eq!(with.audio, audio_with_beats);
         let without = parse(&stored, AudioLayout::DOCUMENT).unwrap().0;
         assert_eq!(without.audio, made.audio);
         let lacking = npz::features_bytes(&made.audio);

@@ -142,7 +142,7 @@ impl Samples for PhraseSamples {
             None => context.leading(self.target_frames),
         };
         let rows = motion.frames.start * CHANNELS..motion.frames.end * CHANNELS;
-        let heard = ConditionRows {
+        let audio_rows = ConditionRows {
             values: audio.of.as_slice(),
             frames: audio.of.frames(),
             range: audio.frames,
@@ -155,7 +155,7 @@ impl Samples for PhraseSamples {
             frames: 1,
             range: 0..1,
         });
-        let conditions: Vec<ConditionRows<'_>> = [heard].into_iter().chain(style).collect();
+        let conditions: Vec<ConditionRows<'_>> = [audio_rows].into_iter().chain(style).collect();
         let rows = self.targets.encode(rows);
         batch.push(&context.id, &rows, &self.statistics, &conditions);
     }
@@ -287,7 +287,7 @@ mod tests {
             target_statistics(set.clone(), targets, &config, &Alone).unwrap(),
             crops
         );
-        // What training draws lies around zero with unit deviation by these, and not by those.
+        // Training samples lie around zero with unit deviation by these, and not by those.
         let deviation = |statistics: &Statistics| {
             let given = Arc::new(statistics.clone());
             let samples = PhraseSamples::new(set.clone(), given, &config, 11);

@@ -138,11 +138,11 @@ mod tests {
     fn who_asks_to_stop_does_not_wait() {
         let mut prefetch =
             Prefetch::start(1, 0, |_| thread::sleep(Duration::from_secs(4))).unwrap();
-        let asked = Instant::now();
-        let waited = || asked.elapsed() > Duration::from_millis(50);
+        let started = Instant::now();
+        let waited = || started.elapsed() > Duration::from_millis(50);
         assert_eq!(prefetch.next_unless(&waited), None);
         drop(prefetch);
-        assert!(asked.elapsed() < Duration::from_secs(4));
+        assert!(started.elapsed() < Duration::from_secs(4));
     }
 
     #[test]
@@ -200,9 +200,9 @@ mod tests {
     #[test]
     fn dropping_ends_the_threads() {
         let alive = Arc::new(());
-        let held = Arc::clone(&alive);
+        let owned = Arc::clone(&alive);
         let mut prefetch = Prefetch::start(4, 0, move |number| {
-            let _held = &held;
+            let _owned = &owned;
             number
         })
         .unwrap();

@@ -12,7 +12,7 @@ use crate::pattern::matches;
 use crate::songs::{held_out_songs, song_of};
 use crate::{Error, ValidationSplit};
 
-/// Default share of held-out phrases.
+/// Default share of held_out-out phrases.
 const DEFAULT_FRACTION: f64 = 0.1;
 
 /// The rule of a [`ValidationSplit`], with its file read.
@@ -42,7 +42,7 @@ impl fmt::Display for Side {
 /// The rule beside the patterns.
 #[derive(Debug, PartialEq)]
 enum Rule {
-    /// None: only phrases that match a pattern are held out.
+    /// None: only phrases that match a pattern are held_out out.
     Listed,
     /// A hash of the id.
     Fraction(f64),
@@ -76,8 +76,8 @@ impl Split {
         Ok(Self { patterns, rule })
     }
 
-    /// Whether each phrase is held out, by its id and its side in the manifest. Without a side,
-    /// whole songs are held out ([`held_out_songs`]), or single phrases if each is a song or all
+    /// Whether each phrase is held_out out, by its id and its side in the manifest. Without a side,
+    /// whole songs are held_out out ([`held_out_songs`]), or single phrases if each is a song or all
     /// are one.
     pub fn holds_out(&self, phrases: &[(&str, Option<Side>)]) -> Vec<bool> {
         // Independent of the run's seed, so that runs compare.
@@ -135,8 +135,8 @@ mod tests {
     fn the_fraction_is_met_and_adding_phrases_moves_none() {
         let rule = split(0.1, &[], None);
         let ids: Vec<String> = (0..5000).map(|i| format!("song_{i:05}")).collect();
-        let held = ids.iter().filter(|id| alone(&rule, id, None)).count();
-        assert!((430..570).contains(&held), "{held}");
+        let held_out = ids.iter().filter(|id| alone(&rule, id, None)).count();
+        assert!((430..570).contains(&held_out), "{held_out}");
         assert!(
             ids.iter()
                 .all(|id| !alone(&split(0.0, &[], None), id, None))
@@ -152,7 +152,7 @@ mod tests {
     fn lists_replace_the_fraction_and_idle_entries_are_named() {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("ids.txt").display().to_string();
-        fs::write(&file, "\u{feff}# held out\r\nW_1\r\n\r\n  X_*\n").unwrap();
+        fs::write(&file, "\u{feff}# held_out out\r\nW_1\r\n\r\n  X_*\n").unwrap();
         let rule = split(0.99, &["C_5_*"], Some(file.clone()));
         let ids = ["C_5_1", "C_2_1", "W_1", "W_10"];
         assert_eq!(
@@ -190,8 +190,9 @@ mod tests {
         let rule = split(None, &[], None);
         let held_out = |ids: &[String]| -> BTreeSet<String> {
             let phrases: Vec<_> = ids.iter().map(|id| (id.as_str(), None)).collect();
-            let held = ids.iter().zip(rule.holds_out(&phrases));
-            held.filter(|(_, held)| *held)
+            let held_out = ids.iter().zip(rule.holds_out(&phrases));
+            held_out
+                .filter(|(_, held_out)| *held_out)
                 .map(|(id, _)| id.clone())
                 .collect()
         };
@@ -209,12 +210,12 @@ mod tests {
         // Phrases of a song lie on one side, of a few songs as of many.
         for songs in [&["C_2", "W_1"][..], &["a", "b", "c", "d", "e", "f", "g"]] {
             let ids = of(songs, 9);
-            let held = held_out(&ids);
-            let sides: BTreeSet<&str> = held
+            let held_out = held_out(&ids);
+            let sides: BTreeSet<&str> = held_out
                 .iter()
                 .map(|id| id.rsplit_once('_').unwrap().0)
                 .collect();
-            assert_eq!((held.len(), sides.len()), (9, 1), "{held:?}");
+            assert_eq!((held_out.len(), sides.len()), (9, 1), "{held_out:?}");
         }
         // What the manifest states is left alone, and does not count.
         let stated = [
@@ -223,10 +224,10 @@ mod tests {
             ("y_0", None),
             ("y_1", None),
         ];
-        let held = rule.holds_out(&stated);
+        let flags = rule.holds_out(&stated);
         assert!(
-            !held[0] && held[1] != held[2] && held[2] == held[3],
-            "{held:?}"
+            !flags[0] && flags[1] != flags[2] && flags[2] == flags[3],
+            "{flags:?}"
         );
         // Of one song there is nothing else than its phrases, and made-up phrases are a song each.
         let one = of(&["C_2"], 200);

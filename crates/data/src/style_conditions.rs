@@ -129,7 +129,7 @@ mod tests {
                 vec![0.0, 1.0]
             ]
         );
-        // Nothing said, and a label that is not known, are null.
+        // No values, and an unknown label, are null.
         assert_eq!(
             both.values(None, Some("tango")),
             [vec![0.0; 9], vec![0.0; 2]]

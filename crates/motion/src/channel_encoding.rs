@@ -61,7 +61,7 @@ impl PhaseEncoding {
 /// the first pair, corrected by a weighted least-squares step towards the others:
 ///
 /// ```text
-/// d_k = (turns of pair k - k t, the shortest way) / k     w_k = k^2 |pair k|^2
+/// d_k = (turns of pair k - k t, shortest) / k     w_k = k^2 |pair k|^2
 /// turn = t + sum_k w_k d_k / sum_k w_k
 /// ```
 fn turn_of(pairs: &[f32]) -> f32 {

@@ -229,7 +229,7 @@ mod tests {
         for (a, b) in values.iter().zip(&straight) {
             assert!((a - b).abs() < 0.02, "{a} {b}");
         }
-        // KnownFrames frames say which way, from the window that has them in both directions.
+        // Known frames decide the heading, from the window that has them in both directions.
         let known = KnownFrames {
             is_known: (0..61).map(|t| (25..30).contains(&t)).collect(),
             values: motion.channel_major(),

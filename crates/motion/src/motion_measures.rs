@@ -247,7 +247,7 @@ mod tests {
 
     /// A phrase that walks along x at 0.6 m/s while it turns about the vertical at 90 degrees per
     /// second, half a bar a second.
-    fn steady(frames: usize) -> Motion {
+    fn constant_motion(frames: usize) -> Motion {
         let seconds = |t: usize| t as f64 / FPS;
         let positions: Vec<_> = (0..frames).map(|t| [0.6 * seconds(t), 1.0, 0.0]).collect();
         let turn = |t: usize| [0.0, std::f64::consts::FRAC_PI_2 * seconds(t), 0.0];
@@ -260,7 +260,7 @@ mod tests {
 
     #[test]
     fn steady_motion_has_the_values_it_was_made_with() {
-        let motion = steady(121);
+        let motion = constant_motion(121);
         let expected = [
             0.6,
             0.0,
@@ -299,7 +299,7 @@ mod tests {
 
     #[test]
     fn a_phase_that_wavers_at_the_end_of_the_bar_wraps_once() {
-        let mut motion = steady(7);
+        let mut motion = constant_motion(7);
         for (t, phase) in [0.9, 0.98, 0.02, 0.97, 0.01, 0.05, 0.2]
             .into_iter()
             .enumerate()
@@ -312,9 +312,9 @@ mod tests {
     #[test]
     fn what_is_not_a_number_is_not_passed_over() {
         for channel in [0, 9, PHASE] {
-            let mut motion = steady(60);
+            let mut motion = constant_motion(60);
             motion.frame_mut(20)[channel] = f32::NAN;
-            let asked = match channel {
+            let measures = match channel {
                 0 => vec![
                     MotionMeasure::PathSpeed,
                     MotionMeasure::PathJerk,
@@ -327,7 +327,7 @@ mod tests {
                 ],
                 _ => vec![MotionMeasure::PhaseRate, MotionMeasure::LargestPhaseStep],
             };
-            for measure in asked {
+            for measure in measures {
                 assert!(measure.of(&motion).unwrap().is_nan(), "{measure:?}");
             }
         }
@@ -335,7 +335,7 @@ mod tests {
 
     #[test]
     fn channels_that_speak_of_the_movement_are_not_asked() {
-        let mut motion = steady(60);
+        let mut motion = constant_motion(60);
         let before = MotionMeasure::ALL.map(|measure| measure.of(&motion));
         for t in 0..60 {
             motion.frame_mut(t)[crate::phrase::VELOCITY].fill(9.0);
@@ -350,7 +350,7 @@ mod tests {
 
     #[test]
     fn the_sign_of_a_quaternion_is_no_turn() {
-        let mut motion = steady(60);
+        let mut motion = constant_motion(60);
         let before = MotionMeasure::TurnRate.of(&motion);
         motion.set_quaternion(30, motion.quaternion(30).scale(-1.0));
         let after = MotionMeasure::TurnRate.of(&motion);
@@ -361,7 +361,7 @@ mod tests {
     fn the_tilt_is_that_of_the_body_whatever_its_heading() {
         let tilted = |tilt: f64| {
             let lean = Quaternion::from_rotation_vector([tilt.to_radians(), 0.0, 0.0]);
-            let mut motion = steady(60);
+            let mut motion = constant_motion(60);
             let turned = Quaternion::from_yaw(2.0) * lean;
             motion.set_quaternion(30, turned.scale(-0.5));
             MotionMeasure::LargestTilt.of(&motion).unwrap()
@@ -376,7 +376,7 @@ mod tests {
         // From how many frames on each has one.
         let needed = [2, 3, 4, 31, 2, 3, 2, 1, 2, 2, 2, 2];
         for frames in [1, 2, 3, 4, 30, 31] {
-            let motion = steady(frames);
+            let motion = constant_motion(frames);
             for (measure, needed) in MotionMeasure::ALL.into_iter().zip(needed) {
                 let known = measure.of(&motion).is_some();
                 assert_eq!(known, frames >= needed, "{measure:?} of {frames}");

@@ -114,9 +114,9 @@ impl DiskCache {
             return;
         }
         files.sort_unstable();
-        let kept = (self.limit as f64 * KEPT_SHARE) as u64;
+        let target = (self.limit as f64 * KEPT_SHARE) as u64;
         for (_, path, bytes) in files {
-            if total <= kept {
+            if total <= target {
                 break;
             }
             if fs::remove_file(&path).is_ok() {

@@ -85,13 +85,13 @@ mod tests {
         assert!(cache.get(0).is_some());
         cache.put(3, phrases[3].clone());
         cache.put(3, phrases[3].clone());
-        let held: Vec<bool> = (0..4).map(|n| cache.get(n).is_some()).collect();
-        assert_eq!(held, [true, false, true, true]);
+        let cached: Vec<bool> = (0..4).map(|n| cache.get(n).is_some()).collect();
+        assert_eq!(cached, [true, false, true, true]);
         assert!(cache.lock().bytes <= 3 * one);
     }
 
     #[test]
-    fn what_is_larger_than_the_bound_is_not_held() {
+    fn what_is_larger_than_the_bound_is_not_cached() {
         let cache = MemoryCache::new(100);
         cache.put(0, Arc::new(synthetic::phrase(0, 10, 0)));
         assert!(cache.get(0).is_none());

@@ -76,7 +76,7 @@ fn validate_no_phrase_settings(data: &DataConfig) -> Result<(), InvalidSetting> 
     let anchored = "every sample begins at the origin facing +z";
     let mirrored = "a HumanML3D copy lists its mirrored clips beside the others";
     let turned = "features hold no quaternions";
-    let long = "data.humanml3d.unit_frames says how long samples are";
+    let long = "data.humanml3d.unit_frames sets the length of samples";
     let silent = "clips have no music";
     for (key, set, hint) in [
         (

@@ -240,11 +240,11 @@ impl ClipFiles {
             ));
         }
         if let Some(embeddings) = self.embeddings.as_ref().filter(|_| !captions.is_empty()) {
-            let said: Vec<&str> = captions
+            let texts: Vec<&str> = captions
                 .iter()
                 .map(|caption| caption.text.as_str())
                 .collect();
-            let rows = embeddings.of(id, &said)?;
+            let rows = embeddings.of(id, &texts)?;
             for (caption, row) in captions.iter_mut().zip(rows) {
                 caption.embedding = Some(row.clone());
             }

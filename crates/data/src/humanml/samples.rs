@@ -307,7 +307,7 @@ mod tests {
             let mut starts = BTreeSet::new();
             for batch in batches(&config, 263, 0, 6) {
                 for sample in 0..3 {
-                    // A passage may be shorter than the crop.
+                    // A range may be shorter than the crop.
                     let mask = &batch.mask[50 * sample..][..50];
                     let valid = mask.iter().filter(|&&value| value == 1.0).count();
                     assert!(valid >= 40 && valid % 4 == 0, "{valid}");
@@ -390,12 +390,12 @@ mod tests {
             }
             assert!((18..42).contains(&bent), "{bent} of 60");
             assert!(turned * 2 > bent, "{turned} of {bent} turn");
-            let held = |config: &DataConfig| {
+            let validation = |config: &DataConfig| {
                 let all = samples(config, 263);
                 let count = all.clips.load().unwrap().len();
                 all.collate(0..count).unwrap()
             };
-            assert_eq!(held(&plain), held(&half));
+            assert_eq!(validation(&plain), validation(&half));
         }
     }
 
@@ -419,7 +419,7 @@ mod tests {
         let clip = (0..40).map(|index| walk(index, 90, 3));
         let mut clip = clip.filter(|clip| clip.captions.len() == 4);
         let mut clip = clip.next().expect("a walk that turns");
-        // ContextWindows that leave one start each tell the crops of captions apart.
+        // Ranges that leave one start each tell the crops of captions apart.
         for (caption, seconds) in clip.captions.iter_mut().zip([
             None,
             Some((0.0, 2.0)),

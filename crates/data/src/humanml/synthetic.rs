@@ -91,7 +91,7 @@ const TURN_SECONDS: f64 = 1.6;
 
 impl Plan {
     fn new(key: Key, seconds: f64) -> Self {
-        let draw = |place: u64| key.at(place).uniform();
+        let uniform = |place: u64| key.at(place).uniform();
         let pace = key.at(0).integers(1, PACES.len())[0];
         Self {
             shape: match key.at(1).integers(1, 4)[0] {
@@ -100,12 +100,12 @@ impl Plan {
                 2 => Shape::Turn,
                 _ => Shape::Winding,
             },
-            side: if draw(2) < 0.5 { 1.0 } else { -1.0 },
+            side: if uniform(2) < 0.5 { 1.0 } else { -1.0 },
             pace,
-            speed: PACES[pace].0 + 0.25 * draw(3),
-            ease: TAU * draw(4),
-            sharpness: draw(5),
-            turn_seconds: (0.45 + 0.1 * draw(6)) * seconds,
+            speed: PACES[pace].0 + 0.25 * uniform(3),
+            ease: TAU * uniform(4),
+            sharpness: uniform(5),
+            turn_seconds: (0.45 + 0.1 * uniform(6)) * seconds,
         }
     }
 
@@ -270,7 +270,10 @@ pub fn write_walks(folder: &Path, clips: usize, frames: usize, seed: u64) -> Res
         let ids: Vec<_> = ids.collect();
         let held_out = split.holds_out(&ids);
         for (list, side) in [(&train_list, false), (&validation_list, true)] {
-            let of_side = ids.iter().zip(&held_out).filter(|(_, held)| **held == side);
+            let of_side = ids
+                .iter()
+                .zip(&held_out)
+                .filter(|(_, held_out)| **held_out == side);
             let text: String = of_side.map(|((id, _), _)| format!("{id}\n")).collect();
             atomic::write(&staging.join(list), text.as_bytes())?;
         }
@@ -301,7 +304,7 @@ mod tests {
 
     #[test]
     fn captions_say_where_and_how_fast_the_walk_goes() {
-        let mut said = BTreeSet::new();
+        let mut texts = BTreeSet::new();
         for index in 0..60 {
             let clip = walk(index, 120, 2);
             let absolute = clip.features.to_absolute();
@@ -336,12 +339,12 @@ mod tests {
                 let embedding = caption.embedding.as_deref().unwrap();
                 let square: f32 = embedding.iter().map(|value| value * value).sum();
                 assert!((square - 1.0).abs() < 1e-5 && embedding.len() == TEXT_CHANNELS);
-                said.insert(caption.text.clone());
+                texts.insert(caption.text.clone());
             }
         }
-        assert!(said.len() > 25, "{said:?}");
-        let said = |text: &str| caption(text.to_owned(), None).embedding;
-        assert_eq!(said("a"), said("a"));
-        assert_ne!(said("a"), said("b"));
+        assert!(texts.len() > 25, "{texts:?}");
+        let embedding = |text: &str| caption(text.to_owned(), None).embedding;
+        assert_eq!(embedding("a"), embedding("a"));
+        assert_ne!(embedding("a"), embedding("b"));
     }
 }

@@ -138,7 +138,7 @@ mod tests {
         }
     }
 
-    /// What is said of a column of 5 values in these pages, which may unpack to 40 bytes.
+    /// The result for a column of 5 values in these pages, which may unpack to 40 bytes.
     fn read(pages: &[PageHeader]) -> Result<usize, String> {
         let mut bytes = Vec::new();
         for page in pages {

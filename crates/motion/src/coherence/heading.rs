@@ -87,14 +87,14 @@ pub fn fit_heading(motion: &mut Motion, std: &[f64], known: &[bool], confidence:
     }
     fit.fit(&mut fitted);
     // Upside down, heading and tilt axis are undefined.
-    let told = units.iter().map(|unit| {
+    let upright_share = units.iter().map(|unit| {
         let upright = unit.w.powi(2) + unit.y.powi(2);
         (upright / UPRIGHT).min(1.0)
     });
-    let told: Vec<f64> = told.collect();
+    let upright_share: Vec<f64> = upright_share.collect();
     let turn = |t: usize| match known[t] {
         true => 0.0,
-        false => told[t] * wrapped(along[t] + fitted[t] - headings[t]),
+        false => upright_share[t] * wrapped(along[t] + fitted[t] - headings[t]),
     };
     let turns: Vec<f64> = (0..frames).map(turn).collect();
     for t in (0..frames).filter(|&t| !known[t]) {
@@ -103,7 +103,7 @@ pub fn fit_heading(motion: &mut Motion, std: &[f64], known: &[bool], confidence:
         let mut rate = turn.rotate(motion.vector(t, ANGULAR_VELOCITY));
         if t + 1 < frames {
             let step = headings[t + 1] + turns[t + 1] - headings[t] - turns[t];
-            rate[1] += told[t] * wrapped(step - steps[t]) * FPS;
+            rate[1] += upright_share[t] * wrapped(step - steps[t]) * FPS;
         }
         motion.set_vector(t, ANGULAR_VELOCITY, rate);
     }

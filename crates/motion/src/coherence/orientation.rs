@@ -177,9 +177,9 @@ mod tests {
             let sign = if noise[6] < 0.0 { -1.0 } else { 1.0 };
             let turned = Quaternion::from_rotation_vector(turn) * motion.quaternion(t);
             shaken.set_quaternion(t, turned.scale(sign));
-            let said = motion.vector(t, ANGULAR_VELOCITY);
-            let said = [0, 1, 2].map(|axis| said[axis] + rate * noise[3 + axis]);
-            shaken.set_vector(t, ANGULAR_VELOCITY, said);
+            let noisy = motion.vector(t, ANGULAR_VELOCITY);
+            let noisy = [0, 1, 2].map(|axis| noisy[axis] + rate * noise[3 + axis]);
+            shaken.set_vector(t, ANGULAR_VELOCITY, noisy);
         }
         shaken
     }

@@ -61,20 +61,21 @@ const SECOND_DIFFERENCE: [f64; 3] = [1.0, -2.0, 1.0];
 pub fn fit_phase(motion: &mut Motion, known: &[bool]) {
     let frames = motion.frames();
     assert_eq!(known.len(), frames, "known frames");
-    let said: Vec<f64> = (0..frames)
+    let stated: Vec<f64> = (0..frames)
         .map(|t| f64::from(motion.frame(t)[PHASE]))
         .collect();
     let in_parts = |parts: usize| -> Vec<f64> {
-        let of_part: Vec<f64> = said.iter().map(|turn| parts as f64 * turn).collect();
+        let of_part: Vec<f64> = stated.iter().map(|turn| parts as f64 * turn).collect();
         let fitted = fit(&of_part, known);
-        let bar = bar(&fitted, &said, known, parts);
+        let bar = bar(&fitted, &stated, known, parts);
         let turns = fitted.iter().map(|turn| (turn + bar) / parts as f64);
         turns.collect()
     };
-    let parts = parts(&said);
+    let parts = parts(&stated);
     let mut fitted = in_parts(parts);
     // Known frames in different bars need a fit in whole bars.
-    let misses = |t: usize| known[t] && circular::distance(fitted[t], said[t]) > 0.5 / parts as f64;
+    let misses =
+        |t: usize| known[t] && circular::distance(fitted[t], stated[t]) > 0.5 / parts as f64;
     if (0..frames).any(misses) {
         fitted = in_parts(1);
     }
@@ -87,9 +88,9 @@ pub fn fit_phase(motion: &mut Motion, known: &[bool]) {
 
 /// Number of parts of a bar in which the phase is steady: the fewest whose agreement with a tempo
 /// is nearly the best.
-fn parts(said: &[f64]) -> usize {
+fn parts(stated: &[f64]) -> usize {
     let agreement = |parts: usize| {
-        let of_part: Vec<f64> = said.iter().map(|turn| parts as f64 * turn).collect();
+        let of_part: Vec<f64> = stated.iter().map(|turn| parts as f64 * turn).collect();
         tempo(&of_part).agreement
     };
     let agreements: Vec<f64> = (1..=MOST_PARTS).map(agreement).collect();
@@ -101,12 +102,12 @@ fn parts(said: &[f64]) -> usize {
 }
 
 /// The whole turns to add to `fitted`, in `parts` of a bar, that agree best with the stated phases.
-fn bar(fitted: &[f64], said: &[f64], known: &[bool], parts: usize) -> f64 {
+fn bar(fitted: &[f64], stated: &[f64], known: &[bool], parts: usize) -> f64 {
     let agreement = |bar: usize| {
-        let frames = fitted.iter().zip(said).zip(known);
-        let gains = frames.map(|((turn, said), known)| {
+        let frames = fitted.iter().zip(stated).zip(known);
+        let gains = frames.map(|((turn, stated), known)| {
             let turn = (turn + bar as f64) / parts as f64;
-            weight(*known) * (TAU * (turn - said)).cos()
+            weight(*known) * (TAU * (turn - stated)).cos()
         });
         gains.sum::<f64>()
     };
@@ -116,13 +117,13 @@ fn bar(fitted: &[f64], said: &[f64], known: &[bool], parts: usize) -> f64 {
 }
 
 /// The steady path nearest to the stated phases, unwrapped.
-fn fit(said: &[f64], known: &[bool]) -> Vec<f64> {
-    let path = path(said, known);
-    let frames = said.len();
+fn fit(stated: &[f64], known: &[bool]) -> Vec<f64> {
+    let path = path(stated, known);
+    let frames = stated.len();
     let mut normal = vec![[0.0; BAND]; frames];
     let mut fitted = Vec::with_capacity(frames);
     for (t, row) in normal.iter_mut().enumerate() {
-        let rest = said[t] - path[t];
+        let rest = stated[t] - path[t];
         let rest = rest - rest.round();
         let near = known[t] || rest.abs() < NEAR;
         row[0] = weight(known[t]);
@@ -140,20 +141,20 @@ fn fit(said: &[f64], known: &[bool]) -> Vec<f64> {
 }
 
 /// The path, unwrapped, that agrees best with the stated phases.
-fn path(said: &[f64], known: &[bool]) -> Vec<f64> {
+fn path(stated: &[f64], known: &[bool]) -> Vec<f64> {
     let place = |turn: f64| (turn * PLACES as f64).rem_euclid(PLACES as f64) as usize % PLACES;
     let cosines: Vec<f64> = (0..PLACES)
         .map(|place| (TAU * place as f64 / PLACES as f64).cos())
         .collect();
     let gain = |t: usize, at: usize| {
-        let apart = (at + PLACES - place(said[t])) % PLACES;
+        let apart = (at + PLACES - place(stated[t])) % PLACES;
         weight(known[t]) * cosines[apart]
     };
-    let advances = advances(said);
+    let advances = advances(stated);
     let from = |at: usize, advance: i64| (at as i64 - advance).rem_euclid(PLACES as i64) as usize;
     let mut best: Vec<f64> = (0..PLACES).map(|at| gain(0, at)).collect();
-    let mut chosen: Vec<[u8; PLACES]> = Vec::with_capacity(said.len());
-    for t in 1..said.len() {
+    let mut chosen: Vec<[u8; PLACES]> = Vec::with_capacity(stated.len());
+    for t in 1..stated.len() {
         let mut next = vec![0.0; PLACES];
         let mut choice = [0; PLACES];
         for (at, (next, choice)) in next.iter_mut().zip(&mut choice).enumerate() {
@@ -186,14 +187,14 @@ fn path(said: &[f64], known: &[bool]) -> Vec<f64> {
         count += step;
         path.push(count as f64 / PLACES as f64);
     }
-    path.truncate(said.len());
+    path.truncate(stated.len());
     path
 }
 
 /// Possible advances of a path in a frame, around the tempo. None stands still if the tempo allows
 /// that.
-fn advances(said: &[f64]) -> Vec<i64> {
-    let mean = tempo(said).advance * PLACES as f64;
+fn advances(stated: &[f64]) -> Vec<i64> {
+    let mean = tempo(stated).advance * PLACES as f64;
     let mut bounds = SHARES.map(|share| share * mean);
     bounds.sort_by(f64::total_cmp);
     let [mut low, mut high] = [bounds[0].floor() as i64, bounds[1].ceil() as i64];
@@ -218,9 +219,9 @@ struct Tempo {
 /// The advance in turns a frame, -0.5 to 0.5, that agrees best with the phases: the largest mean
 /// over spans of `|sum exp(2 pi i (phase_t - advance t))|`. Unlike single steps, this is robust to
 /// noise.
-fn tempo(said: &[f64]) -> Tempo {
+fn tempo(stated: &[f64]) -> Tempo {
     let unit = |turns: f64| (TAU * turns).sin_cos();
-    let phases: Vec<(f64, f64)> = said.iter().map(|&turns| unit(turns)).collect();
+    let phases: Vec<(f64, f64)> = stated.iter().map(|&turns| unit(turns)).collect();
     let fits = |advance: f64| {
         let (sin, cos) = unit(advance);
         let of_span = |span: &[(f64, f64)]| {
@@ -238,7 +239,7 @@ fn tempo(said: &[f64]) -> Tempo {
     let (sum, advance) = best.expect("tempos");
     Tempo {
         advance,
-        agreement: sum / said.len() as f64,
+        agreement: sum / stated.len() as f64,
     }
 }
 
@@ -285,9 +286,9 @@ mod tests {
             .map(|seconds| 0.9 + 0.45 * seconds + 0.15 / 120.0 * seconds * seconds)
             .collect();
         let noise = Key::new(3, Purpose::Noise).normals(truth.len());
-        let said = truth.iter().zip(noise);
-        let said: Vec<f64> = said.map(|(turn, n)| turn + 0.05 * f64::from(n)).collect();
-        let mut motion = with_phases(&said);
+        let stated = truth.iter().zip(noise);
+        let stated: Vec<f64> = stated.map(|(turn, n)| turn + 0.05 * f64::from(n)).collect();
+        let mut motion = with_phases(&stated);
         assert!(
             crate::motion_measures::phase_steps(&motion)
                 .iter()
@@ -315,12 +316,12 @@ mod tests {
             .map(|(t, turn)| later(t, *turn))
             .collect();
         let blip = |t: usize| if (600..610).contains(&t) { 0.25 } else { 0.0 };
-        let said: Vec<f64> = lasting
+        let stated: Vec<f64> = lasting
             .iter()
             .enumerate()
             .map(|(t, turn)| turn + blip(t))
             .collect();
-        let mut motion = with_phases(&said);
+        let mut motion = with_phases(&stated);
         fit_phase(&mut motion, &[false; 900]);
         let steps = crate::motion_measures::phase_steps(&motion);
         assert!(
@@ -340,13 +341,13 @@ mod tests {
             let jumps = Key::new(6, Purpose::Noise).integers(frames / 40, beats as usize);
             let noise = Key::new(5, Purpose::Noise).normals(frames);
             let truth: Vec<f64> = (0..frames).map(|t| 0.37 + tempo * t as f64).collect();
-            let said: Vec<f64> = (0..frames)
+            let stated: Vec<f64> = (0..frames)
                 .map(|t| {
                     let bar = jumps[(t / 40).min(jumps.len() - 1)] as f64 * beat;
                     truth[t] + bar + 0.01 * f64::from(noise[t])
                 })
                 .collect();
-            let mut motion = with_phases(&said);
+            let mut motion = with_phases(&stated);
             fit_phase(&mut motion, &vec![false; frames]);
             let off = |t: usize| {
                 let phase = f64::from(motion.frame(t)[PHASE]);
@@ -366,14 +367,14 @@ mod tests {
         for first in [0.25, 0.0] {
             let frames = 300;
             let truth = |t: usize| 0.2 + 0.0151 * t as f64;
-            let said = |t: usize| match t {
+            let stated = |t: usize| match t {
                 0..30 => truth(t) + first,
                 270.. => truth(t) + 0.25,
                 _ => truth(t) + 0.25 * ((t / 30) % 4) as f64,
             };
-            let said: Vec<f64> = (0..frames).map(said).collect();
+            let stated: Vec<f64> = (0..frames).map(stated).collect();
             let known: Vec<bool> = (0..frames).map(|t| !(30..270).contains(&t)).collect();
-            let (mut motion, before) = (with_phases(&said), with_phases(&said));
+            let (mut motion, before) = (with_phases(&stated), with_phases(&stated));
             fit_phase(&mut motion, &known);
             for t in (0..30).chain(270..frames) {
                 assert_eq!(motion.frame(t), before.frame(t));
@@ -388,10 +389,10 @@ mod tests {
     #[test]
     fn long_motion_and_wild_phases_take_their_time() {
         let noise = Key::new(8, Purpose::Noise).uniforms(20_000);
-        let said: Vec<f64> = noise.into_iter().map(f64::from).collect();
-        let mut motion = with_phases(&said);
-        fit_phase(&mut motion, &vec![false; said.len()]);
-        let phases = (0..said.len()).map(|t| motion.frame(t)[PHASE]);
+        let stated: Vec<f64> = noise.into_iter().map(f64::from).collect();
+        let mut motion = with_phases(&stated);
+        fit_phase(&mut motion, &vec![false; stated.len()]);
+        let phases = (0..stated.len()).map(|t| motion.frame(t)[PHASE]);
         assert!(phases.into_iter().all(|phase| (0.0..1.0).contains(&phase)));
     }
 
@@ -399,13 +400,13 @@ mod tests {
     fn the_tempo_is_found_under_much_noise() {
         for seed in 0..40 {
             let noise = Key::new(seed, Purpose::Noise).normals(120);
-            let said = noise.iter().enumerate();
-            let said: Vec<f64> = said
+            let stated = noise.iter().enumerate();
+            let stated: Vec<f64> = stated
                 .map(|(t, n)| t as f64 / 60.0 + 0.15 * f64::from(*n))
                 .collect();
-            let found = tempo(&said).advance;
+            let found = tempo(&stated).advance;
             assert!((found - 1.0 / 60.0).abs() < 0.004, "{seed}: {found}");
-            let mut motion = with_phases(&said);
+            let mut motion = with_phases(&stated);
             fit_phase(&mut motion, &[false; 120]);
             let steps = crate::motion_measures::phase_steps(&motion);
             assert!(

@@ -105,8 +105,8 @@ impl CoherentFit {
         let estimates = [0, 1, 2].map(|estimate| (STENCILS[estimate], &self.weights[estimate]));
         estimates.map(|(stencil, weights)| {
             let of = |(t, weight): (usize, &f64)| {
-                let said = stencil.iter().zip(&gradient[t..]);
-                weight * said.map(|(a, g)| a * g).sum::<f64>()
+                let terms = stencil.iter().zip(&gradient[t..]);
+                weight * terms.map(|(a, g)| a * g).sum::<f64>()
             };
             weights.iter().enumerate().map(of).collect()
         })
@@ -277,11 +277,11 @@ mod tests {
     fn the_adjoint_is_the_gradient() {
         let frames = 9;
         let fit = CoherentFit::new(frames, SCALES);
-        let draw = |seed, n| -> Vec<f64> {
+        let normals = |seed, n| -> Vec<f64> {
             let values = Key::new(seed, Purpose::Noise).normals(n);
             values.into_iter().map(f64::from).collect()
         };
-        let (y, g) = (draw(1, 3 * frames), draw(2, frames + EXTRA_FRAMES));
+        let (y, g) = (normals(1, 3 * frames), normals(2, frames + EXTRA_FRAMES));
         let loss = |y: &[f64]| -> f64 {
             let mut parts = y.chunks(frames);
             let parts = [(); 3].map(|()| parts.next().expect("three"));
@@ -355,10 +355,10 @@ mod tests {
         for t in 0..59 {
             let step = |axis| (motion.frame(t + 1)[axis] - motion.frame(t)[axis]) * FPS as f32;
             for axis in POSITION {
-                let said = motion.frame(t)[VELOCITY.start + axis];
+                let stated = motion.frame(t)[VELOCITY.start + axis];
                 assert!(
-                    (step(axis) - said).abs() < 2e-3,
-                    "{t}: {} {said}",
+                    (step(axis) - stated).abs() < 2e-3,
+                    "{t}: {} {stated}",
                     step(axis)
                 );
             }

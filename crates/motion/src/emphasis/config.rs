@@ -65,15 +65,15 @@ impl EmphasisConfig {
         &self,
         dimension: usize,
     ) -> Result<Option<EmphasisProjection>, EmphasisError> {
-        // Before any number is drawn.
+        // Before any random number.
         check(self.scale, &self.channels, dimension)?;
         let construct = match self.kind {
             EmphasisKind::None => return Ok(None),
             EmphasisKind::Gaussian => EmphasisProjection::gaussian,
             EmphasisKind::Orthogonal => EmphasisProjection::orthogonal,
         };
-        let draws = Key::new(self.seed, Purpose::Emphasis).normals(dimension * dimension);
-        construct(&draws, dimension, self.scale, &self.channels).map(Some)
+        let normals = Key::new(self.seed, Purpose::Emphasis).normals(dimension * dimension);
+        construct(&normals, dimension, self.scale, &self.channels).map(Some)
     }
 }
 

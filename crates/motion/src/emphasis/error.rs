@@ -47,8 +47,8 @@ pub enum EmphasisError {
          allowed: less than {limit:.1e}"
     )]
     #[diagnostic(help(
-        "motion cannot be brought back from it; check that the matrix is complete, or draw \
-         another one with another seed or a smaller `scale`"
+        "motion cannot be brought back from it; check that the matrix is complete, or use \
+         another seed or a smaller `scale`"
     ))]
     Singular {
         /// Largest singular value divided by the smallest.

@@ -32,7 +32,7 @@ pub struct EmphasisMeasures {
 }
 
 impl EmphasisProjection {
-    /// Measures this projection, with 196 frames drawn from `seed` for the round trip.
+    /// Measures this projection, with 196 random frames of `seed` for the round trip.
     pub fn measure(&self, seed: u64) -> EmphasisMeasures {
         let variances = self.variance_per_dimension();
         let variance_mean = mean(variances.iter().copied());

@@ -33,7 +33,7 @@ pub struct EmphasisProjection {
 }
 
 impl EmphasisProjection {
-    /// The published construction: `draws`, independent standard normal numbers
+    /// The published construction: `normals`, independent standard normal numbers
     /// `[dimension, dimension]`, the rows of `channels` times `scale`, all divided by
     /// `sqrt(D - n + n c^2)` with D the dimension, n the number of channels and c the scale.
     ///
@@ -44,12 +44,12 @@ impl EmphasisProjection {
     /// [`EmphasisError::Setting`] if the scale or a channel is out of range; else those of
     /// [`from_matrix`](Self::from_matrix).
     pub fn gaussian(
-        draws: &[f32],
+        normals: &[f32],
         dimension: usize,
         scale: f64,
         channels: &[usize],
     ) -> Result<Self, EmphasisError> {
-        let mut transposed = read(draws, dimension)?;
+        let mut transposed = read(normals, dimension)?;
         config::check(scale, channels, dimension)?;
         emphasise(&mut transposed, scale, channels);
         transposed /= total_variance(dimension, channels.len(), scale).sqrt();
@@ -57,21 +57,21 @@ impl EmphasisProjection {
     }
 
     /// The same emphasis with an orthogonal matrix Q: `P = s diag(c or 1) Q`, `s^2 (D - n + n c^2)
-    /// = D`. Q comes from a QR decomposition of `draws` with a positive diagonal of R, and so is
+    /// = D`. Q comes from a QR decomposition of `normals` with a positive diagonal of R, and so is
     /// uniformly distributed. The mean variance is exactly 1, and the condition number exactly the
     /// scale, the minimum for these row norms.
     ///
     /// # Errors
     /// As for [`gaussian`](Self::gaussian).
     pub fn orthogonal(
-        draws: &[f32],
+        normals: &[f32],
         dimension: usize,
         scale: f64,
         channels: &[usize],
     ) -> Result<Self, EmphasisError> {
-        let draws = read(draws, dimension)?;
+        let normals = read(normals, dimension)?;
         config::check(scale, channels, dimension)?;
-        let decomposition = draws.qr();
+        let decomposition = normals.qr();
         let mut rotation = decomposition.q();
         let signs = decomposition.r().diagonal();
         for (mut column, sign) in rotation.column_iter_mut().zip(signs.iter()) {

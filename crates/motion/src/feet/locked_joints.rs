@@ -84,7 +84,7 @@ mod tests {
     use crate::vector::{length, minus};
 
     /// A walk whose joints slide along by `slide` metres a second, to the left as well. Where it
-    /// slides back its strides are longer than its way, so that its legs reach every place.
+    /// slides back its strides are longer than its path, so that its legs reach every place.
     fn sliding_walk(skeleton: &Skeleton, slide: f64) -> Joints {
         let course = Course {
             speed: Box::new(|_| 1.1),
@@ -119,25 +119,25 @@ mod tests {
         let skeleton = Skeleton::humanml3d();
         let rule = ContactRule::default();
         let slid = sliding_walk(&skeleton, -0.4);
-        let held = lock_joints(&slid, &slid, &skeleton, &rule).unwrap();
+        let locked = lock_joints(&slid, &slid, &skeleton, &rule).unwrap();
         assert!(
-            held.in_contact > 0.4 && held.in_contact < 0.8,
+            locked.in_contact > 0.4 && locked.in_contact < 0.8,
             "{}",
-            held.in_contact
+            locked.in_contact
         );
-        assert!(held.before > 0.3, "{}", held.before);
+        assert!(locked.before > 0.3, "{}", locked.before);
         assert!(
-            held.after < 1e-6 && held.missed < 1e-9,
+            locked.after < 1e-6 && locked.missed < 1e-9,
             "{} {}",
-            held.after,
-            held.missed
+            locked.after,
+            locked.missed
         );
         // Every contact stays within a millimetre of one place.
         let fps = skeleton.description().fps;
         let mut places = 0;
         for leg in skeleton.legs() {
             let contacts = rule.contacts(&slid.track(leg.sole), fps, 0.0);
-            let path = held.joints.track(leg.sole);
+            let path = locked.joints.track(leg.sole);
             for run in super::super::runs(&contacts) {
                 places += 1;
                 let first = path[run.start];
@@ -148,7 +148,7 @@ mod tests {
         assert!(places >= 4, "{places}");
         // Bones keep their lengths, and what is above the legs its place.
         for t in 0..slid.frames() {
-            let (old, new) = (slid.frame(t), held.joints.frame(t));
+            let (old, new) = (slid.frame(t), locked.joints.frame(t));
             for (joint, parent) in skeleton.parents().iter().enumerate() {
                 let Some(parent) = *parent else { continue };
                 let bone = |frame: &[[f64; 3]]| length(minus(frame[joint], frame[parent]));
@@ -169,9 +169,9 @@ mod tests {
             pairs.fold(0.0, f64::max)
         };
         assert!(
-            largest(&held.joints) < largest(&slid) + 0.08,
+            largest(&locked.joints) < largest(&slid) + 0.08,
             "{} {}",
-            largest(&held.joints),
+            largest(&locked.joints),
             largest(&slid)
         );
         let skates = |joints: &Joints| skating_ratio(joints, fps, &[10, 11]).unwrap();
@@ -188,9 +188,9 @@ mod tests {
         // It slides on, beyond its strides.
         let skeleton = Skeleton::humanml3d();
         let slid = sliding_walk(&skeleton, 0.4);
-        let held = lock_joints(&slid, &slid, &skeleton, &ContactRule::default()).unwrap();
-        assert!(held.missed > 0.02, "{}", held.missed);
-        assert!(held.after < 0.6 * held.before, "{}", held.after);
+        let locked = lock_joints(&slid, &slid, &skeleton, &ContactRule::default()).unwrap();
+        assert!(locked.missed > 0.02, "{}", locked.missed);
+        assert!(locked.after < 0.6 * locked.before, "{}", locked.after);
         for leg in skeleton.legs() {
             for t in 0..slid.frames() {
                 let bone = |joints: &Joints, [a, b]: [usize; 2]| {
@@ -201,7 +201,7 @@ mod tests {
                     [leg.knee, leg.ankle],
                     [leg.ankle, leg.sole],
                 ] {
-                    assert!((bone(&slid, ends) - bone(&held.joints, ends)).abs() < 1e-5);
+                    assert!((bone(&slid, ends) - bone(&locked.joints, ends)).abs() < 1e-5);
                 }
             }
         }
@@ -214,16 +214,19 @@ mod tests {
         let above = walk.as_slice().iter().map(|[x, y, z]| [*x, y + 0.3, *z]);
         let flying = Joints::new(above.collect(), 22).unwrap();
         let rule = ContactRule::default();
-        let held = lock_joints(&flying, &flying, &skeleton, &rule).unwrap();
-        assert_eq!(held.joints, flying);
+        let locked = lock_joints(&flying, &flying, &skeleton, &rule).unwrap();
+        assert_eq!(locked.joints, flying);
         // On a floor at that height it stands as often as the walk does on its own.
         let on_floor = lock_joints_above(&flying, &flying, &skeleton, &rule, 0.3).unwrap();
         let own = lock_joints(&walk, &walk, &skeleton, &rule).unwrap();
         assert!(own.in_contact > 0.1 && on_floor.in_contact == own.in_contact);
-        assert_eq!((held.in_contact, held.before, held.missed), (0.0, 0.0, 0.0));
+        assert_eq!(
+            (locked.in_contact, locked.before, locked.missed),
+            (0.0, 0.0, 0.0)
+        );
         // Contacts of other joints count.
-        let held = lock_joints(&flying, &walk, &skeleton, &ContactRule::default()).unwrap();
-        assert!(held.after < 1e-6 && held.joints != flying);
+        let locked = lock_joints(&flying, &walk, &skeleton, &ContactRule::default()).unwrap();
+        assert!(locked.after < 1e-6 && locked.joints != flying);
         let short = Joints::new(walk.as_slice()[..22].to_vec(), 22).unwrap();
         assert!(lock_joints(&walk, &short, &skeleton, &ContactRule::default()).is_err());
         assert!(lock_joints(&walk, &walk, &Skeleton::kit(), &ContactRule::default()).is_err());

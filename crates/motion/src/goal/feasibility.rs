@@ -134,7 +134,7 @@ mod tests {
         ] {
             assert!(warnings[0].contains(part), "{warnings:?}");
         }
-        // Keyframes in any order; only the second way is too far.
+        // Keyframes in any order; only the second segment is too fast.
         let warnings = goal(&[(60, 0.0, 30.0), (40, 0.0, 10.0)]).feasibility_warnings(20.0);
         assert_eq!(warnings.len(), 1, "{warnings:?}");
         assert!(warnings[0].contains("from keyframe[1] (frame 40) to keyframe[0] (frame 60)"));

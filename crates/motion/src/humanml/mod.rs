@@ -11,7 +11,7 @@
 //! use kinegrad_motion::humanml::{Extraction, Features, Joints, Root, Skeleton};
 //! use kinegrad_motion::{JointFeatures, representation};
 //! let skeleton = Skeleton::humanml3d();
-//! // Ten frames of a figure that walks along +x in the reference pose.
+//! // Ten frames of a body that walks along +x in the reference pose.
 //! let mut places = Vec::new();
 //! for t in 0..10 {
 //!     let mut frame = vec![[0.1 * t as f64, 0.9, 0.0]; skeleton.joints()];

@@ -166,7 +166,7 @@ mod tests {
 
     use super::*;
 
-    fn ways(frames: usize) -> impl Strategy<Value = Vec<[f64; 4]>> {
+    fn trajectories(frames: usize) -> impl Strategy<Value = Vec<[f64; 4]>> {
         let row = (-0.2..0.2, -0.1..0.1, -0.1..0.1, 0.5..1.5).prop_map(<[f64; 4]>::from);
         proptest::collection::vec(row, 1..=frames)
     }
@@ -174,45 +174,48 @@ mod tests {
     #[test]
     fn a_quarter_turn_walks_sideways() {
         let quarter = std::f64::consts::FRAC_PI_4;
-        let way = [[-quarter, 0.0, 2.0, 0.9], [0.0, 0.0, 1.0, 1.0], [0.0; 4]];
-        let positions = Root::Relative.positions(&way);
+        let trajectory = [[-quarter, 0.0, 2.0, 0.9], [0.0, 0.0, 1.0, 1.0], [0.0; 4]];
+        let positions = Root::Relative.positions(&trajectory);
         // Facing +x from the second frame on, forward leads along +x.
         let expected = [[0.0, 0.9, 0.0], [2.0, 1.0, 0.0], [3.0, 0.0, 0.0]];
         for (found, expected) in positions.iter().flatten().zip(expected.iter().flatten()) {
             assert!((found - expected).abs() < 1e-12);
         }
-        assert_eq!(Root::Relative.half_angles(&way), [0.0, -quarter, -quarter]);
+        assert_eq!(
+            Root::Relative.half_angles(&trajectory),
+            [0.0, -quarter, -quarter]
+        );
     }
 
     proptest! {
         #[test]
-        fn a_relative_way_returns_but_for_its_last_change(way in ways(196)) {
-            let absolute = Root::Relative.convert(&way, Root::Absolute);
+        fn a_relative_trajectory_returns_but_for_its_last_change(trajectory in trajectories(196)) {
+            let absolute = Root::Relative.convert(&trajectory, Root::Absolute);
             prop_assert_eq!(
                 Root::Absolute.positions(&absolute),
-                Root::Relative.positions(&way)
+                Root::Relative.positions(&trajectory)
             );
             let back = Root::Absolute.convert(&absolute, Root::Relative);
-            for (a, b) in back.iter().zip(&way).take(way.len() - 1) {
+            for (a, b) in back.iter().zip(&trajectory).take(trajectory.len() - 1) {
                 for (a, b) in a.iter().zip(b) {
                     prop_assert!((a - b).abs() < 1e-12);
                 }
             }
-            if way.len() > 1 {
-                prop_assert_eq!(&back[way.len() - 1][..3], &back[way.len() - 2][..3]);
+            if trajectory.len() > 1 {
+                prop_assert_eq!(&back[trajectory.len() - 1][..3], &back[trajectory.len() - 2][..3]);
             }
         }
 
         #[test]
-        fn the_ground_gradient_is_that_of_small_changes(way in ways(12), pull in -1.0..1.0) {
+        fn the_ground_gradient_is_that_of_small_changes(trajectory in trajectories(12), pull in -1.0..1.0) {
             let target: Vec<[f64; 2]> =
-                (0..way.len()).map(|t| [pull, 0.1 * t as f64]).collect();
+                (0..trajectory.len()).map(|t| [pull, 0.1 * t as f64]).collect();
             for root in [Root::Relative, Root::Absolute] {
-                let (_, gradient) = root.ground_distance(&way, &target);
-                for t in 0..way.len() {
+                let (_, gradient) = root.ground_distance(&trajectory, &target);
+                for t in 0..trajectory.len() {
                     for channel in 0..4 {
                         let distance = |change: f64| {
-                            let mut changed = way.clone();
+                            let mut changed = trajectory.clone();
                             changed[t][channel] += change;
                             root.ground_distance(&changed, &target).0
                         };

@@ -181,10 +181,10 @@ impl<'a> Walker<'a> {
 /// Knee and ankle of a leg with these bones from `hip` towards `target`, the knee bent `forward`.
 fn reach(hip: Point, target: Point, bones: [f64; 2], forward: Point) -> (Point, Point) {
     let [thigh, shank] = bones;
-    let way = minus(target, hip);
+    let to_target = minus(target, hip);
     let (least, most) = ((thigh - shank).abs() + 1e-3, 0.999 * (thigh + shank));
-    let along = way.map(|value| value / length(way));
-    let distance = length(way).clamp(least, most);
+    let along = to_target.map(|value| value / length(to_target));
+    let distance = length(to_target).clamp(least, most);
     let ankle = std::array::from_fn(|i| hip[i] + distance * along[i]);
     let down = (thigh * thigh + distance * distance - shank * shank) / (2.0 * distance);
     let out = (thigh * thigh - down * down).max(0.0).sqrt();

@@ -40,9 +40,9 @@ impl Estimate {
         let key = Key::new(seed, Purpose::Bootstrap);
         let means = (0..RESAMPLES).map(|resample| {
             let key = key.at(resample);
-            let drawn = key.at(0).integers(groups.len(), groups.len());
+            let resampled = key.at(0).integers(groups.len(), groups.len());
             let (mut sum, mut count) = (0.0, 0);
-            for (place, group) in drawn.into_iter().enumerate() {
+            for (place, group) in resampled.into_iter().enumerate() {
                 let group = groups[group];
                 for value in key.at(1 + place as u64).integers(group.len(), group.len()) {
                     sum += group[value];
@@ -65,8 +65,8 @@ mod tests {
     use super::*;
 
     fn normals(seed: u64, count: usize) -> Vec<f64> {
-        let drawn = Key::new(seed, Purpose::Noise).normals(count);
-        drawn.into_iter().map(f64::from).collect()
+        let normals = Key::new(seed, Purpose::Noise).normals(count);
+        normals.into_iter().map(f64::from).collect()
     }
 
     #[test]

@@ -40,7 +40,7 @@ pub fn feature_diversity(features: &[Vec<f64>], pairs: usize, seed: u64) -> Opti
     if count < 2 || pairs == 0 {
         return None;
     }
-    let drawn: Vec<(usize, usize)> = if count * (count - 1) / 2 <= pairs {
+    let indices: Vec<(usize, usize)> = if count * (count - 1) / 2 <= pairs {
         let all = (0..count).flat_map(|first| (0..first).map(move |second| (first, second)));
         all.collect()
     } else {
@@ -52,7 +52,7 @@ pub fn feature_diversity(features: &[Vec<f64>], pairs: usize, seed: u64) -> Opti
         firsts.into_iter().zip(seconds).map(others).collect()
     };
     let between = |(first, second): (usize, usize)| distance(&features[first], &features[second]);
-    mean(drawn.into_iter().map(between).map(Some))
+    mean(indices.into_iter().map(between).map(Some))
 }
 
 /// Euclidean distance.
@@ -146,13 +146,13 @@ mod tests {
 
     #[test]
     fn drawn_pairs_come_near_to_all_pairs() {
-        let draw = |index| Key::new(1, Purpose::Synthetic).at(index).normals(8);
+        let vector = |index| Key::new(1, Purpose::Synthetic).at(index).normals(8);
         let wide = |vector: Vec<f32>| vector.into_iter().map(f64::from).collect();
-        let features: Vec<Vec<f64>> = (0..60).map(draw).map(wide).collect();
+        let features: Vec<Vec<f64>> = (0..60).map(vector).map(wide).collect();
         let all = feature_diversity(&features, 60 * 59 / 2, 0).unwrap();
-        let drawn = feature_diversity(&features, 600, 0).unwrap();
-        assert!((drawn / all - 1.0).abs() < 0.05, "{drawn} of {all}");
-        assert_ne!(feature_diversity(&features, 600, 1), Some(drawn));
+        let sampled = feature_diversity(&features, 600, 0).unwrap();
+        assert!((sampled / all - 1.0).abs() < 0.05, "{sampled} of {all}");
+        assert_ne!(feature_diversity(&features, 600, 1), Some(sampled));
     }
 
     proptest! {

@@ -103,12 +103,12 @@ mod tests {
         FeatureMoments::compute(&features).unwrap()
     }
 
-    fn drawn(seed: u64, count: usize, size: usize) -> Vec<Vec<f64>> {
-        let draw = |index: usize| {
+    fn features_of(seed: u64, count: usize, size: usize) -> Vec<Vec<f64>> {
+        let vector = |index: usize| {
             let values = Key::new(seed, Purpose::Synthetic).at(index as u64);
             values.normals(size).into_iter().map(f64::from).collect()
         };
-        (0..count).map(draw).collect()
+        (0..count).map(vector).collect()
     }
 
     #[test]
@@ -168,9 +168,9 @@ mod tests {
         #[test]
         fn it_is_a_squared_distance(seed: u64, count in 2usize..40, shift in -5.0..5.0f64) {
             let size = 18;
-            let features = drawn(seed, count, size);
+            let features = features_of(seed, count, size);
             let a = FeatureMoments::compute(&features).unwrap();
-            let b = FeatureMoments::compute(&drawn(seed ^ 1, 30, size)).unwrap();
+            let b = FeatureMoments::compute(&features_of(seed ^ 1, 30, size)).unwrap();
             let there = frechet_distance(&a, &b);
             prop_assert!(there > 0.0);
             // The root of an eigenvalue that should be 0 is about 1e-8.

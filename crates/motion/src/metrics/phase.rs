@@ -55,8 +55,8 @@ mod tests {
     fn phases_without_relation_are_a_quarter_apart() {
         let key = Key::new(3, Purpose::Noise);
         let [a, b] = [0, 1].map(|k| -> Vec<f64> {
-            let drawn = key.at(k).uniforms(20_000);
-            drawn.into_iter().map(f64::from).collect()
+            let uniforms = key.at(k).uniforms(20_000);
+            uniforms.into_iter().map(f64::from).collect()
         });
         for cycles in [1.0, 3.0, 4.0] {
             let found = phase_error(&a, &b, cycles);

@@ -77,15 +77,15 @@ mod tests {
             });
             Joints::new(places.collect(), 2).unwrap()
         };
-        let steady = jerk_of_frames(&joints(0.0));
-        assert_eq!(steady.len(), 9);
-        assert!(steady.iter().all(|jerk| *jerk < 1e-12));
+        let constant = jerk_of_frames(&joints(0.0));
+        assert_eq!(constant.len(), 9);
+        assert!(constant.iter().all(|jerk| *jerk < 1e-12));
         let jumping = jerk_of_frames(&joints(0.3));
-        let found = TransitionJerk::of(&[jumping.clone(), steady.clone()], 0.0).unwrap();
+        let found = TransitionJerk::of(&[jumping.clone(), constant.clone()], 0.0).unwrap();
         // Differences of a step are 1, -2, 1.
         assert!((found.peak - 0.3).abs() < 1e-9, "{}", found.peak);
         assert!((found.area - 0.6).abs() < 1e-9, "{}", found.area);
-        let real = TransitionJerk::of(&[steady], 0.01).unwrap();
+        let real = TransitionJerk::of(&[constant], 0.01).unwrap();
         assert!((real.area - 0.09).abs() < 1e-9);
         assert_eq!(TransitionJerk::of(&[], 0.0), None);
         assert_eq!(TransitionJerk::of(&[vec![]], 0.0), None);

@@ -186,9 +186,9 @@ mod tests {
             let bend = Bend::random(Key::new(8, Purpose::Augment).at(n));
             let made = bend.of_features(&features, &skeleton).unwrap();
             assert_eq!(made.frames(), features.frames());
-            let (found, asked) = (made.joints(), bend.apply(&features.joints(), 20.0));
+            let (found, expected) = (made.joints(), bend.apply(&features.joints(), 20.0));
             let turned = |joints: &Joints| heading_at(joints, 65) - heading_at(joints, 5);
-            let apart = turned(&found) - turned(&asked);
+            let apart = turned(&found) - turned(&expected);
             assert!(apart.abs() < 0.05, "{apart}");
             assert!(skates(&found) <= before + 0.05, "{}", skates(&found));
         }

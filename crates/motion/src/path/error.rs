@@ -16,9 +16,7 @@ pub enum PathError {
     },
 
     /// A point is out of range.
-    #[error(
-        "point {index} of the path (counted from 0) is [{x}, {z}], allowed: at most 5000 m either way"
-    )]
+    #[error("point {index} of the path (counted from 0) is [{x}, {z}], allowed: -5000 to 5000 m")]
     #[diagnostic(help("points are `[x, z]` in metres, at most 5 km from the origin"))]
     NotAPoint {
         /// The point.

@@ -48,7 +48,7 @@ pub(super) fn read_svg(text: &str, scale: f64) -> Result<SvgPath, String> {
     let document = Document::parse_with_options(text, options);
     let document = document.map_err(|error| format!("it is no SVG: {error}"))?;
     let names = ["path", "polyline", "polygon", "line"];
-    let drawn = |node: &Node| {
+    let is_path = |node: &Node| {
         let hidden = node.ancestors().any(|node| {
             HIDDEN.contains(&node.tag_name().name())
                 || node.attribute("display") == Some("none")
@@ -56,7 +56,7 @@ pub(super) fn read_svg(text: &str, scale: f64) -> Result<SvgPath, String> {
         });
         node.is_element() && names.contains(&node.tag_name().name()) && !hidden
     };
-    let node = document.descendants().find(drawn);
+    let node = document.descendants().find(is_path);
     let node = node.ok_or("it holds no `path`, `polyline`, `polygon` or `line`")?;
     let turned =
         |node: Node| node.has_attribute("transform") || style_of(&node).contains("transform");
@@ -160,10 +160,10 @@ mod tests {
     fn programs_write_document_types_and_hide_what_is_not_seen() {
         let hidden = "<path style='fill:red; display : none' d='M 0 0 L 9 9'/>\
                       <g display='none'><path d='M 0 0 L 8 8'/></g>";
-        let drawn = svg(&format!("{hidden}<path d='M 0 0 L 0 -3'/>"));
+        let path = svg(&format!("{hidden}<path d='M 0 0 L 0 -3'/>"));
         let text = format!(
             "<?xml version='1.0'?>\n<!DOCTYPE svg PUBLIC '-//W3C//DTD SVG 1.1//EN' \
-             'http://www.w3.org/Graphics/SVG/1.1/DTD/svg11.dtd'>\n{drawn}"
+             'http://www.w3.org/Graphics/SVG/1.1/DTD/svg11.dtd'>\n{path}"
         );
         let svg = read_svg(&text, 1.0).unwrap();
         assert_eq!(svg.points, [[0.0, 0.0], [0.0, 3.0]]);

@@ -41,9 +41,9 @@ impl JointFeatures {
         let Ok(features) = Features::new(rows.to_vec(), self.layout(), root) else {
             return 0.0;
         };
-        let way = features.root_positions();
+        let trajectory = features.root_positions();
         let displacement = self.layout().velocities().start;
-        let steps = way.windows(2).enumerate().map(|(t, pair)| {
+        let steps = trajectory.windows(2).enumerate().map(|(t, pair)| {
             let [x, _, z] = [0, 1, 2].map(|axis| pair[1][axis] - pair[0][axis]);
             let stated = &features.frame(t)[displacement..displacement + 3];
             let stated = f64::from(stated[0]).hypot(f64::from(stated[2]));

@@ -373,12 +373,12 @@ mod tests {
 
     #[test]
     fn a_report_has_all_metrics_and_survives_storage() {
-        let drawn = |seed: u64| -> Vec<Vec<f64>> {
-            let draw = |index| Key::new(seed, Purpose::Synthetic).at(index).normals(4);
+        let embeddings = |seed: u64| -> Vec<Vec<f64>> {
+            let vector = |index| Key::new(seed, Purpose::Synthetic).at(index).normals(4);
             let wide = |vector: Vec<f32>| vector.into_iter().map(f64::from).collect();
-            (0..70).map(draw).map(wide).collect()
+            (0..70).map(vector).map(wide).collect()
         };
-        let (texts, motions) = (drawn(1), drawn(2));
+        let (texts, motions) = (embeddings(1), embeddings(2));
         let report = TextMotionReport::compute(&texts, &motions, &motions, 5);
         assert_eq!((report.samples, report.pools), (70, 2));
         assert!(report.frechet_distance.unwrap() < 1e-9);
