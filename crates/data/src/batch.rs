@@ -98,9 +98,6 @@ impl Batch {
 
     /// Adds a sample of motion `rows`, at most as many frames as the batch has, and of the rows of
     /// each condition. The first channels are normalised; the rest is padded.
-    ///
-    /// # Panics
-    /// Panics unless there are as many conditions as the batch has.
     pub fn push(
         &mut self,
         id: &str,

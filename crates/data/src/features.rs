@@ -29,9 +29,6 @@ pub const AUDIO_CHANNELS: usize = 163;
 const ONSET_STRENGTH: usize = AUDIO_CHANNELS - 1;
 
 /// Name of an audio channel, such as `mel[17]`, `rms` or `beats.bar_sin`.
-///
-/// # Panics
-/// Panics unless `channel < 170`.
 pub fn audio_channel_name(channel: usize) -> String {
     let mut row = channel;
     for (name, rows) in FEATURES {
@@ -142,9 +139,6 @@ impl AudioFeatures {
     }
 
     /// One channel over time, `[frames]`.
-    ///
-    /// # Panics
-    /// Panics unless `channel < channels`.
     pub fn channel(&self, channel: usize) -> &[f32] {
         &self.values[channel * self.frames..][..self.frames]
     }
@@ -172,9 +166,6 @@ impl AudioFeatures {
     }
 
     /// The frames of `range`, `[channels, range.len()]`.
-    ///
-    /// # Panics
-    /// Panics if `range` reaches beyond the last frame.
     pub fn slice(&self, range: Range<usize>) -> Self {
         let mut values = Vec::with_capacity(self.channels() * range.len());
         for channel in 0..self.channels() {
@@ -188,9 +179,6 @@ impl AudioFeatures {
     }
 
     /// The frames at these indices, `[channels, frames.len()]`.
-    ///
-    /// # Panics
-    /// Panics if there are not so many.
     pub fn at_frames(&self, frames: &[usize]) -> Self {
         let mut values = Vec::with_capacity(self.channels() * frames.len());
         for channel in 0..self.channels() {

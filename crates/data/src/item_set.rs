@@ -62,17 +62,11 @@ impl<T: Item> ItemSet<T> {
     }
 
     /// Frames of item `position`, without reading it.
-    ///
-    /// # Panics
-    /// Panics if there are not so many.
     pub fn frames(&self, position: usize) -> usize {
         self.store.entries[self.indices[position]].frames
     }
 
     /// Id of item `position`, without reading it.
-    ///
-    /// # Panics
-    /// Panics if there are not so many.
     pub fn id(&self, position: usize) -> &str {
         &self.store.entries[self.indices[position]].id
     }
@@ -83,9 +77,6 @@ impl<T: Item> ItemSet<T> {
     }
 
     /// Label of item `position`, without reading it.
-    ///
-    /// # Panics
-    /// Panics if there are not so many.
     pub fn label(&self, position: usize) -> Option<&str> {
         self.store.entries[self.indices[position]].label.as_deref()
     }
@@ -100,9 +91,6 @@ impl<T: Item> ItemSet<T> {
     ///
     /// # Errors
     /// [`Error::BadItem`] if its files are gone, changed or unreadable.
-    ///
-    /// # Panics
-    /// Panics if there are not so many.
     pub fn get(&self, position: usize) -> Result<Arc<T>, Error> {
         self.store.get(self.indices[position])
     }

@@ -111,9 +111,6 @@ impl Loader {
     }
 
     /// A loader of some batches of the stream.
-    ///
-    /// # Panics
-    /// As [`new`](Self::new).
     pub fn of_share(
         samples: impl Samples,
         config: &DataConfig,
@@ -161,9 +158,6 @@ impl Loader {
     /// [`next`](Self::next), or `None` if `stop` becomes true while it waits.
     ///
     /// # Errors
-    /// As [`next`](Self::next).
-    ///
-    /// # Panics
     /// As [`next`](Self::next).
     pub fn next_unless(&mut self, stop: &dyn Fn() -> bool) -> Result<Option<Batch>, Error> {
         let started = Instant::now();

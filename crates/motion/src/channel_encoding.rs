@@ -166,9 +166,6 @@ impl ChannelEncoding {
     }
 
     /// Encodes `rows` `[frames, 25]` of one sample in the dataset's units as `[frames, channels]`.
-    ///
-    /// # Panics
-    /// Panics if the rows are not whole frames, at least one.
     pub fn encode(self, rows: &[f32]) -> Cow<'_, [f32]> {
         if self.are_stored_channels() {
             return Cow::Borrowed(rows);
@@ -307,9 +304,6 @@ fn canonical_signs(mut quaternions: Vec<Quaternion>) -> Vec<Quaternion> {
 
 /// The rotation of a matrix whose first two columns are given, `[6]`, by Gram-Schmidt: the
 /// direction of the first column is kept. Its sign is arbitrary; not finite if the columns are not.
-///
-/// # Panics
-/// Panics if there are fewer than six numbers.
 pub fn from_columns(columns: &[f64]) -> Quaternion {
     let unit = |v: [f64; 3]| v.map(|part| part / dot(v, v).max(LEAST_SQUARE).sqrt());
     let [a, b] = pair(columns);
@@ -330,9 +324,6 @@ pub fn from_columns(columns: &[f64]) -> Quaternion {
 /// ```text
 /// M (M^T M)^{-1/2} = M [[q + s, -r], [-r, p + s]] / (s sqrt(p + q + 2 s))
 /// ```
-///
-/// # Panics
-/// Panics if there are fewer than six numbers.
 pub fn nearest_rotation(columns: &[f64]) -> Quaternion {
     let [a, b] = pair(columns);
     let (p, q, r) = (dot(a, a), dot(b, b), dot(a, b));

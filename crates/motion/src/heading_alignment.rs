@@ -23,9 +23,6 @@ impl HeadingAlignment<'_> {
     /// Rotation angles about the vertical, radians, by which windows `[windows, channels, length]`
     /// agree with their neighbours in the overlaps. Windows with `known` frames agree with those;
     /// without any, the first window keeps its heading.
-    ///
-    /// # Panics
-    /// Panics if the sizes do not fit.
     pub fn angles(
         &self,
         windows: &Windows,

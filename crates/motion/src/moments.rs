@@ -22,9 +22,6 @@ pub struct ChannelMoments {
 
 impl ChannelMoments {
     /// Measures items `[frames, channels]`, row-major; all frames weigh the same.
-    ///
-    /// # Panics
-    /// Panics if there is no frame, or an item has no whole frames.
     pub fn measure<'a>(channels: usize, items: impl IntoIterator<Item = &'a [f32]>) -> Self {
         let items: Vec<&[f32]> = items.into_iter().collect();
         let frames = items.iter().map(|item| item.len()).sum::<usize>() / channels;

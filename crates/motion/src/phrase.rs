@@ -108,17 +108,11 @@ impl Motion {
     }
 
     /// The 25 channels of frame `t`.
-    ///
-    /// # Panics
-    /// Panics if there is no frame `t`.
     pub fn frame(&self, t: usize) -> &[f32] {
         &self.data[t * CHANNELS..(t + 1) * CHANNELS]
     }
 
     /// The 25 channels of frame `t`, to be changed.
-    ///
-    /// # Panics
-    /// Panics if there is no frame `t`.
     pub fn frame_mut(&mut self, t: usize) -> &mut [f32] {
         &mut self.data[t * CHANNELS..(t + 1) * CHANNELS]
     }
@@ -134,18 +128,12 @@ impl Motion {
     }
 
     /// The first three channels of `channels` in frame `t`: `vector(t, VELOCITY)`.
-    ///
-    /// # Panics
-    /// Panics if there is no frame `t` or the range is shorter than three channels.
     pub fn vector(&self, t: usize, channels: Range<usize>) -> [f64; 3] {
         let values = &self.frame(t)[channels];
         [0, 1, 2].map(|axis| f64::from(values[axis]))
     }
 
     /// Writes `vector` into the first three channels of `channels` in frame `t`.
-    ///
-    /// # Panics
-    /// Panics if there is no frame `t` or the range is shorter than three channels.
     pub fn set_vector(&mut self, t: usize, channels: Range<usize>, vector: [f64; 3]) {
         let values = &mut self.frame_mut(t)[channels];
         for (value, component) in values[..3].iter_mut().zip(vector) {
@@ -154,9 +142,6 @@ impl Motion {
     }
 
     /// The orientation in frame `t`, as stored (not normalised).
-    ///
-    /// # Panics
-    /// Panics if there is no frame `t`.
     pub fn quaternion(&self, t: usize) -> Quaternion {
         let values = &self.frame(t)[QUATERNION];
         let [w, x, y, z] = [0, 1, 2, 3].map(|part| f64::from(values[part]));
@@ -164,9 +149,6 @@ impl Motion {
     }
 
     /// Writes the orientation of frame `t`.
-    ///
-    /// # Panics
-    /// Panics if there is no frame `t`.
     pub fn set_quaternion(&mut self, t: usize, orientation: Quaternion) {
         let Quaternion { w, x, y, z } = orientation;
         let values = &mut self.frame_mut(t)[QUATERNION];
@@ -176,9 +158,6 @@ impl Motion {
     }
 
     /// A copy of some frames.
-    ///
-    /// # Panics
-    /// Panics if the range is empty or reaches beyond the last frame.
     #[must_use]
     pub fn slice(&self, frames: Range<usize>) -> Self {
         assert!(!frames.is_empty(), "a phrase has at least one frame");

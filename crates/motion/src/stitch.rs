@@ -156,9 +156,6 @@ impl Windows {
     ///
     /// Where frames are `known`, the motion has their values and position; otherwise the first
     /// window keeps its position.
-    ///
-    /// # Panics
-    /// Panics if the sizes do not fit.
     pub fn stitch(
         &self,
         values: &mut [f32],

@@ -30,9 +30,6 @@ const REST_SPEED: f64 = 0.1;
 
 /// Style of every frame, `[frames, 8]`, of a take at 30 frames per second: `positions` `[frames,
 /// 3]` in metres, unit `orientations` `[frames]`.
-///
-/// # Panics
-/// Panics if the two differ in length.
 pub fn describe(positions: &[[f64; 3]], orientations: &[Quaternion]) -> Vec<[f64; 8]> {
     assert_eq!(
         positions.len(),

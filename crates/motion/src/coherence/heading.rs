@@ -39,10 +39,6 @@ pub const UPRIGHT: f64 = 0.25;
 /// the angular velocities, except in `known` frames. `confidence` is 0 to 1. All other quaternions
 /// become unit quaternions; the angular velocity is rotated with the body, and its vertical
 /// component follows the headings. `std` are the training deviations of the channels, `[25]`.
-///
-/// # Panics
-/// Panics if `known` or `confidence` do not have one entry a frame, or the deviation is not
-/// positive.
 pub fn fit_heading(motion: &mut Motion, std: &[f64], known: &[bool], confidence: &[f64]) {
     let frames = motion.frames();
     assert_eq!(known.len(), frames, "known frames");

@@ -104,9 +104,6 @@ impl OrientationFit {
 /// Replaces the quaternions of a phrase by those nearest to its quaternions and angular velocities,
 /// of unit norm and continuous sign, except in `known` frames. `std` are the training deviations of
 /// the channels, `[25]`; angular velocities are kept.
-///
-/// # Panics
-/// Panics if there is not one flag for each frame, or a deviation is not positive.
 pub fn fit_orientation(motion: &mut Motion, std: &[f64], known: &[bool]) {
     let frames = motion.frames();
     assert_eq!(known.len(), frames, "known frames");

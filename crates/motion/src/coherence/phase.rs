@@ -55,9 +55,6 @@ const SECOND_DIFFERENCE: [f64; 3] = [1.0, -2.0, 1.0];
 
 /// Replaces the phase by the nearest one that advances steadily, in [0, 1), except in `known`
 /// frames.
-///
-/// # Panics
-/// Panics if there is not one flag for each frame.
 pub fn fit_phase(motion: &mut Motion, known: &[bool]) {
     let frames = motion.frames();
     assert_eq!(known.len(), frames, "known frames");

@@ -133,9 +133,6 @@ pub fn coherent_matrix(frames: usize, scales: [f64; 3]) -> Vec<f32> {
 /// Replaces position, velocity and acceleration of a phrase by those of the nearest coherent
 /// trajectory, except in `known` frames, which it passes through. `std` are the training deviations
 /// of the channels, `[25]`.
-///
-/// # Panics
-/// Panics if there is not one flag for each frame, or a deviation is not positive.
 pub fn fit_trajectory(motion: &mut Motion, std: &[f64], known: &[bool]) {
     let frames = motion.frames();
     assert_eq!(known.len(), frames, "known frames");

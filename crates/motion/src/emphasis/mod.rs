@@ -140,17 +140,11 @@ impl EmphasisProjection {
     }
 
     /// Projects frame-major values `[frames, dimension]` in single precision: `y = x P`.
-    ///
-    /// # Panics
-    /// Panics if these are not whole frames.
     pub fn project(&self, frames: &[f32]) -> Vec<f32> {
         multiply(&self.matrix, frames)
     }
 
     /// Brings projected values `[frames, dimension]` back in single precision: `x = y P^-1`.
-    ///
-    /// # Panics
-    /// Panics if these are not whole frames.
     pub fn unproject(&self, frames: &[f32]) -> Vec<f32> {
         multiply(&self.inverse, frames)
     }

@@ -84,9 +84,6 @@ pub struct Locked {
 /// Locks every leg's sole in `positions`, `[frames][joints]`, where `contacts`, `[legs][frames]`,
 /// are set; corrections fade within `blend` frames before and after. `parents` precede their
 /// children. Positions out of a leg's reach are approached as far as possible.
-///
-/// # Panics
-/// Panics if the lists do not fit each other.
 pub fn lock(
     positions: &[Vec<[f64; 3]>],
     parents: &[Option<usize>],

@@ -15,9 +15,6 @@ pub struct GroundTargets {
 
 impl GroundTargets {
     /// The keyframes alone, in a clip of `frames` frames. The last of two for one frame counts.
-    ///
-    /// # Panics
-    /// Panics if a keyframe lies outside of the clip.
     pub fn points(keyframes: &[Keyframe], frames: usize) -> Self {
         let mut targets = vec![None; frames];
         for keyframe in keyframes {
@@ -28,9 +25,6 @@ impl GroundTargets {
 
     /// The keyframes and straight lines between them at constant speed, from the origin in frame 0
     /// unless that is a keyframe. Frames after the last keyframe have no target.
-    ///
-    /// # Panics
-    /// Panics if a keyframe lies outside of the clip.
     pub fn point_to_point(keyframes: &[Keyframe], frames: usize) -> Self {
         let mut ordered: Vec<&Keyframe> = keyframes.iter().collect();
         ordered.sort_by_key(|keyframe| keyframe.frame);
@@ -49,9 +43,6 @@ impl GroundTargets {
     }
 
     /// A position for each frame from `first_frame` on.
-    ///
-    /// # Panics
-    /// Panics if the positions reach beyond the clip.
     pub fn trajectory(positions: &[[f64; 2]], first_frame: usize, frames: usize) -> Self {
         let mut targets = vec![None; frames];
         for (target, &position) in targets[first_frame..][..positions.len()]

@@ -96,9 +96,6 @@ impl GuidanceLoss {
     ///
     /// # Errors
     /// As [`new`](Self::new).
-    ///
-    /// # Panics
-    /// Panics if there is not one path of at most `frames` positions for each goal.
     pub fn along(
         config: &GuidanceConfig,
         goals: &[Goal],
@@ -129,9 +126,6 @@ impl GuidanceLoss {
     /// The loss of ground positions `[batch, frames, 2]` in metres and its gradient, `[batch,
     /// frames, 2]`. At a kink it is a subgradient: 0 at the target under the absolute norm, and 0
     /// at exactly the margin.
-    ///
-    /// # Panics
-    /// Panics if there are not `2 * frames` values for each goal.
     pub fn evaluate(&self, positions: &[f64]) -> (f64, Vec<f64>) {
         let width = 2 * self.frames;
         assert_eq!(

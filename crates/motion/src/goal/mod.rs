@@ -235,9 +235,6 @@ impl Goal {
     }
 
     /// The target positions: the keyframes, or the trajectory.
-    ///
-    /// # Panics
-    /// Panics if [`validate`](Self::validate) would refuse a frame.
     pub fn points(&self) -> GroundTargets {
         match &self.trajectory {
             Some(Trajectory {
@@ -251,9 +248,6 @@ impl Goal {
     /// The positions that are imputed in early sampling steps: the trajectory, or the keyframes
     /// with the [line between them](GroundTargets::point_to_point). With obstacles only the
     /// keyframes, because the line could cross an obstacle (GMD, appendix F).
-    ///
-    /// # Panics
-    /// Panics if [`validate`](Self::validate) would refuse a frame.
     pub fn dense(&self) -> GroundTargets {
         if self.trajectory.is_some() || !self.obstacles.is_empty() {
             return self.points();
@@ -262,9 +256,6 @@ impl Goal {
     }
 
     /// The positions that are used in a phase of the sampler.
-    ///
-    /// # Panics
-    /// Panics if [`validate`](Self::validate) would refuse a frame.
     pub fn targets(&self, phase: Phase) -> Option<GroundTargets> {
         match phase {
             Phase::Dense => Some(self.dense()),

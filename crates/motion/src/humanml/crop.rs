@@ -18,9 +18,6 @@ impl Features {
     ///
     /// # Errors
     /// [`FeatureError::LengthMismatch`] if they are not features of `skeleton`.
-    ///
-    /// # Panics
-    /// Panics if `range` is empty or reaches beyond the last frame.
     pub fn crop(&self, skeleton: &Skeleton, range: Range<usize>) -> Result<Self, FeatureError> {
         skeleton.accept_layout(self.layout())?;
         let part = self.slice(range.clone());

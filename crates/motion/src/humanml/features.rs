@@ -72,9 +72,6 @@ impl Features {
     }
 
     /// The channels of frame `t`.
-    ///
-    /// # Panics
-    /// Panics if there is no frame `t`.
     pub fn frame(&self, t: usize) -> &[f32] {
         let channels = self.layout.channels();
         &self.values[t * channels..(t + 1) * channels]
@@ -82,9 +79,6 @@ impl Features {
 
     /// The rows of `range` unchanged. With relative root the part begins at x = z = 0 facing +z,
     /// but its rotations do not; [`crop`](Self::crop) rotates them too.
-    ///
-    /// # Panics
-    /// Panics if `range` is empty or reaches beyond the last frame.
     #[must_use]
     pub fn slice(&self, range: Range<usize>) -> Self {
         assert!(!range.is_empty(), "a clip has at least one frame");

@@ -64,17 +64,11 @@ impl Joints {
     }
 
     /// The joints of frame `t`, `[J, 3]`.
-    ///
-    /// # Panics
-    /// Panics if there is no frame `t`.
     pub fn frame(&self, t: usize) -> &[[f64; 3]] {
         &self.values[t * self.joints..(t + 1) * self.joints]
     }
 
     /// Positions of one joint, `[frames, 3]`.
-    ///
-    /// # Panics
-    /// Panics if there is no such joint.
     pub fn track(&self, joint: usize) -> Vec<[f64; 3]> {
         (0..self.frames()).map(|t| self.frame(t)[joint]).collect()
     }

@@ -134,9 +134,6 @@ impl FeatureLayout {
 
     /// Name of channel `index` without a skeleton, such as `root.height_y`, `joint_3.ric_x` or
     /// `contact_0`.
-    ///
-    /// # Panics
-    /// Panics unless `index` is less than [`channels`](Self::channels).
     pub fn channel_name(self, index: usize) -> String {
         let (joint, component) = self.channel(index);
         match joint {

@@ -109,8 +109,6 @@ impl Root {
     ///
     /// With G(s) the sum of `upstream` from frame s on, a relative step before frame s gets G(s) in
     /// its own frame, and each rotation gets the sum over all later angles.
-    /// # Panics
-    /// Panics unless `upstream` has one entry for each frame.
     pub fn ground_gradient(self, channels: &[[f64; 4]], upstream: &[[f64; 2]]) -> Vec<[f64; 4]> {
         assert_eq!(upstream.len(), channels.len(), "one gradient a frame");
         if self == Self::Absolute {
@@ -133,9 +131,6 @@ impl Root {
 
     /// The squared ground distances to `target` (x, z), summed over all frames, in square metres,
     /// with the gradient with respect to channels 0 to 3, `[frames, 4]`.
-    ///
-    /// # Panics
-    /// Panics unless `target` has one entry for each frame.
     pub fn ground_distance(
         self,
         channels: &[[f64; 4]],

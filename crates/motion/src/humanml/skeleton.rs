@@ -120,9 +120,6 @@ impl Skeleton {
     }
 
     /// Offsets of the joints without rotation with the bone lengths of one frame of a clip.
-    ///
-    /// # Panics
-    /// Panics unless `frame` has J entries.
     pub fn offsets_of_frame(&self, frame: &[[f64; 3]]) -> Vec<[f64; 3]> {
         assert_eq!(frame.len(), self.joints(), "a place for each joint");
         let bone = |(joint, parent): (usize, &Option<usize>)| {
@@ -145,9 +142,6 @@ impl Skeleton {
     }
 
     /// Name of channel `index` of the features, such as `root.height_y` or `left_hip.ric_x`.
-    ///
-    /// # Panics
-    /// Panics if there is no such channel.
     pub fn channel_name(&self, index: usize) -> String {
         let (joint, component) = self.layout.channel(index);
         let contact = index.checked_sub(self.layout.contacts().start);

@@ -32,9 +32,6 @@ pub fn diversity(motions: &[&Motion], training: &Statistics) -> Option<f64> {
 /// Mean Euclidean distance of feature vectors `[n, features]` over all pairs, or over `pairs`
 /// random pairs of different vectors if there are more. `None` for fewer than two vectors, no
 /// pairs, or values that are not finite.
-///
-/// # Panics
-/// Panics if the vectors differ in length.
 pub fn feature_diversity(features: &[Vec<f64>], pairs: usize, seed: u64) -> Option<f64> {
     let count = features.len();
     if count < 2 || pairs == 0 {
@@ -56,9 +53,6 @@ pub fn feature_diversity(features: &[Vec<f64>], pairs: usize, seed: u64) -> Opti
 }
 
 /// Euclidean distance.
-///
-/// # Panics
-/// Panics if the vectors differ in length.
 pub(super) fn distance(a: &[f64], b: &[f64]) -> f64 {
     assert_eq!(a.len(), b.len(), "feature vectors of one length");
     let squares = a.iter().zip(b).map(|(a, b)| (a - b).powi(2));

@@ -29,9 +29,6 @@ pub struct FeatureMoments {
 impl FeatureMoments {
     /// Mean and unbiased covariance of `features`, `[n, features]`. `None` for fewer than two
     /// vectors or values that are not finite. The covariance may be singular.
-    ///
-    /// # Panics
-    /// Panics if the vectors differ in length.
     pub fn compute(features: &[Vec<f64>]) -> Option<Self> {
         let count = features.len();
         // The eigendecomposition of NaN does not terminate.
@@ -61,9 +58,6 @@ impl FeatureMoments {
 /// ```
 ///
 /// Source: Heusel et al. 2017, <https://arxiv.org/abs/1706.08500>.
-///
-/// # Panics
-/// Panics if the two have different numbers of features.
 pub fn frechet_distance(a: &FeatureMoments, b: &FeatureMoments) -> f64 {
     let root = square_root(&a.covariance);
     let mut product = &root * &b.covariance * &root;

@@ -23,9 +23,6 @@ pub struct GoalSample<'a> {
 }
 
 /// Distance in metres of the root from each target of the goal, in the order of frames.
-///
-/// # Panics
-/// Panics if the motion is shorter than the goal, or [`Goal::validate`] would refuse a frame.
 pub fn keyframe_distances(goal: &Goal, ground: &[[f64; 2]]) -> Vec<f64> {
     let distance = |(frame, [x, z]): (usize, [f64; 2])| {
         let [there_x, there_z] = ground[frame];
@@ -35,9 +32,6 @@ pub fn keyframe_distances(goal: &Goal, ground: &[[f64; 2]]) -> Vec<f64> {
 }
 
 /// Number of the goal's frames in which the root is inside an obstacle, without the margin.
-///
-/// # Panics
-/// Panics if the motion is shorter than the goal.
 pub fn inside_obstacles(goal: &Goal, ground: &[[f64; 2]]) -> usize {
     let inside = |position: &&[f64; 2]| {
         let mut obstacles = goal.obstacles.iter();
@@ -82,10 +76,6 @@ pub struct GoalReport {
 
 impl GoalReport {
     /// Measures motions of `fps` frames per second; `feet` are the joints of the toes.
-    ///
-    /// # Panics
-    /// Panics if a motion is shorter than its goal, if [`Goal::validate`] would refuse a frame, or
-    /// if a foot is not among the joints.
     pub fn compute(samples: &[GoalSample], fps: f64, feet: &[usize]) -> Self {
         let distances: Vec<Vec<f64>> = samples
             .iter()
@@ -128,9 +118,6 @@ impl GoalReport {
 
     /// Adds the metrics of feature vectors `[n, features]` of generated and real motions: diversity
     /// over `pairs` random pairs, and the Fréchet distance.
-    ///
-    /// # Panics
-    /// Panics if the vectors differ in length.
     #[must_use]
     pub fn with_features(
         mut self,

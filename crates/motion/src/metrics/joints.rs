@@ -13,9 +13,6 @@ pub const SKATING_SPEED: f64 = 0.5;
 /// Share of the steps between frames, at `fps` frames per second, in which one of the `feet` (toe
 /// joints) slides: below [`SKATING_HEIGHT`] in both frames and horizontally faster than
 /// [`SKATING_SPEED`]. `None` for fewer than two frames.
-///
-/// # Panics
-/// Panics if a foot is not among the joints.
 pub fn sliding_ratio(joints: &Joints, fps: f64, feet: &[usize]) -> Option<f64> {
     let steps = joints.frames() - 1;
     let slides = |t: usize, foot: usize| {
@@ -30,9 +27,6 @@ pub fn sliding_ratio(joints: &Joints, fps: f64, feet: &[usize]) -> Option<f64> {
 /// Foot skating as in the published evaluation: as [`sliding_ratio`], but the mean speed over the
 /// step and two steps on either side must exceed [`SKATING_SPEED`] too; steps beyond the ends count
 /// as zero (docs/sources.md, section 4.13). `None` for fewer than two frames.
-///
-/// # Panics
-/// Panics if a foot is not among the joints.
 pub fn skating_ratio(joints: &Joints, fps: f64, feet: &[usize]) -> Option<f64> {
     let speeds: Vec<Vec<SkatingStep>> = feet
         .iter()
@@ -61,9 +55,6 @@ impl SkatingStep {
 }
 
 /// The steps of a foot, for [`skating_ratio`].
-///
-/// # Panics
-/// Panics if the foot is not among the joints.
 pub fn skating_steps(joints: &Joints, fps: f64, foot: usize) -> Vec<SkatingStep> {
     let track = joints.track(foot);
     let speed = |pair: &[[f64; 3]]| (pair[1][0] - pair[0][0]).hypot(pair[1][2] - pair[0][2]) * fps;

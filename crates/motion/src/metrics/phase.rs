@@ -5,9 +5,6 @@ use crate::circular;
 /// Mean [circular distance](circular::distance) of two bar phases over frames, in cycles of which a
 /// bar has `cycles_per_bar`: 1 for bars, the number of beats of a bar for beats. From 0 to 0.5,
 /// 0.25 by chance. NaN of no frames or values that are not finite.
-///
-/// # Panics
-/// Panics if the phases differ in length.
 pub fn phase_error(found: &[f64], expected: &[f64], cycles_per_bar: f64) -> f64 {
     assert_eq!(found.len(), expected.len(), "one phase a frame");
     let distance =

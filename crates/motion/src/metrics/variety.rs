@@ -11,9 +11,6 @@ use crate::moments::mean_and_deviation;
 /// that are not finite.
 ///
 /// `paths[condition][repetition]` are positions `[x, z]` in metres.
-///
-/// # Panics
-/// Panics if the repetitions of a condition differ in length.
 pub fn trajectory_diversity(paths: &[Vec<Vec<[f64; 2]>>]) -> Option<f64> {
     mean(paths.iter().map(|repetitions| {
         let (count, frames) = (repetitions.len(), repetitions.first()?.len());

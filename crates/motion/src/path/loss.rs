@@ -50,9 +50,6 @@ impl PathLoss {
     /// The loss of a clip's first three channels (rotation, x, z, in radians and metres, in
     /// representation `root`) and its gradient. With a relative root, early frames move all later
     /// ones, and the last row moves nothing.
-    ///
-    /// # Panics
-    /// Panics if there are fewer frames than points, or another number of headings.
     pub fn evaluate(&self, root: Root, channels: &[[f64; 3]]) -> (f64, Vec<[f64; 3]>) {
         assert_eq!(self.points.len(), self.headings.len(), "a heading a point");
         assert!(
@@ -113,9 +110,6 @@ fn by_rotation(root: Root, by_heading: &[f64]) -> Vec<f64> {
 
 /// The first three channels (rotation, x, z) of a root at `points` with `headings`. With a relative
 /// root the path begins at the origin, facing +z, and the last row repeats the change before.
-///
-/// # Panics
-/// Panics if there is not a heading for each point.
 pub fn root_channels(points: &[[f64; 2]], headings: &[f64], root: Root) -> Vec<[f64; 3]> {
     assert_eq!(points.len(), headings.len(), "a heading for each point");
     let both = points.iter().zip(headings);

@@ -105,9 +105,6 @@ pub fn savgol(values: &[f64], window: usize, order: usize, edges: Edges) -> Vec<
 }
 
 /// A ground track with each axis [smoothed](savgol), ends fitted.
-///
-/// # Panics
-/// As [`savgol`].
 pub fn smoothed(track: &[[f64; 2]], window: usize, order: usize) -> Vec<[f64; 2]> {
     let axis = |i: usize| {
         let values: Vec<f64> = track.iter().map(|point| point[i]).collect();

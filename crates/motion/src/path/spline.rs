@@ -100,9 +100,6 @@ impl CatmullRom {
     }
 
     /// The point at `tau`, 0 to 1, of a segment, and its derivative.
-    ///
-    /// # Panics
-    /// Panics if there is no such segment.
     pub fn at(&self, segment: usize, tau: f64) -> ([f64; 2], [f64; 2]) {
         let points = self.segments[segment];
         if between(points[1], points[2]) == 0.0 {

@@ -88,9 +88,6 @@ impl Warp {
 
     /// Rotation about +y of each frame of `joints`, whose root is at `track`, on its course,
     /// radians.
-    ///
-    /// # Panics
-    /// Panics if there are fewer frames than points of the course.
     pub fn turns(
         &self,
         joints: &Joints,

@@ -53,9 +53,6 @@ pub fn process(
 
 /// The same for a phrase with `known` frames, which the fit passes through. `confidence`, 0 to 1,
 /// is that of each heading. Other steps treat all frames alike.
-///
-/// # Panics
-/// Panics if there is not one flag and one number for each frame.
 pub fn process_around(
     motion: &Motion,
     config: &PostProcessConfig,

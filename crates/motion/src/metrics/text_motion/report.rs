@@ -23,9 +23,6 @@ pub const DIVERSITY_PAIRS: usize = 300;
 /// embedding count as the own one, because small datasets repeat captions. Motions are ranked by
 /// Euclidean distance for each caption, as in the published program (the paper has it the other way
 /// around). `None` for less than one pool or values that are not finite.
-///
-/// # Panics
-/// Panics if there are not as many captions as motions, or the embeddings differ in length.
 pub fn r_precision(texts: &[Vec<f64>], motions: &[Vec<f64>]) -> Option<[f64; 3]> {
     assert_eq!(texts.len(), motions.len(), "a caption for each motion");
     let mut found = [0usize; 3];
@@ -52,9 +49,6 @@ pub fn r_precision(texts: &[Vec<f64>], motions: &[Vec<f64>]) -> Option<[f64; 3]>
 
 /// Mean Euclidean distance between the embeddings of captions and their motions, both `[n, width]`;
 /// also called matching score. `None` of nothing or values that are not finite.
-///
-/// # Panics
-/// Panics if there are not as many captions as motions, or the embeddings differ in length.
 pub fn multimodal_distance(texts: &[Vec<f64>], motions: &[Vec<f64>]) -> Option<f64> {
     assert_eq!(texts.len(), motions.len(), "a caption for each motion");
     mean(texts.iter().zip(motions).map(|(a, b)| Some(distance(a, b))))
@@ -62,9 +56,6 @@ pub fn multimodal_distance(texts: &[Vec<f64>], motions: &[Vec<f64>]) -> Option<f
 
 /// Share of the motions whose nearest caption, of all distinct ones, is their own; embeddings as in
 /// [`r_precision`]. `None` of nothing, a single caption, or values that are not finite.
-///
-/// # Panics
-/// Panics if there are not as many captions as motions, or the embeddings differ in length.
 pub fn caption_accuracy(texts: &[Vec<f64>], motions: &[Vec<f64>]) -> Option<f64> {
     assert_eq!(texts.len(), motions.len(), "a caption for each motion");
     let mut different: Vec<&Vec<f64>> = Vec::new();
@@ -90,10 +81,6 @@ pub fn caption_accuracy(texts: &[Vec<f64>], motions: &[Vec<f64>]) -> Option<f64>
 /// Share of the motions whose nearest caption, of all distinct ones, belongs to a motion with the
 /// same label: `labels` are the values of one label, such as the action. Motions without one are
 /// not counted. `None` for fewer than two values or embeddings that are not finite.
-///
-/// # Panics
-/// Panics if there are not as many captions and labels as motions, or the embeddings differ in
-/// length.
 pub fn label_accuracy(
     texts: &[Vec<f64>],
     motions: &[Vec<f64>],
@@ -166,9 +153,6 @@ pub struct TextMotionReport {
 impl TextMotionReport {
     /// Measures motions by the embeddings of them, their captions (at the same index) and real
     /// motions. `seed` determines the pairs for diversity.
-    ///
-    /// # Panics
-    /// Panics if there are not as many captions as motions, or the embeddings differ in length.
     pub fn compute(texts: &[Vec<f64>], motions: &[Vec<f64>], real: &[Vec<f64>], seed: u64) -> Self {
         let r_precision = r_precision(texts, motions);
         let moments = FeatureMoments::compute(motions).zip(FeatureMoments::compute(real));
@@ -187,9 +171,6 @@ impl TextMotionReport {
     }
 
     /// Adds the [`label_accuracy`] of each label of the motions.
-    ///
-    /// # Panics
-    /// As [`label_accuracy`].
     #[must_use]
     pub fn with_labels(
         mut self,
