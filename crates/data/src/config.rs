@@ -351,7 +351,7 @@ impl DataConfig {
         let allowed = "a folder, file://, gs://, s3://, http:// or https:// URI";
         let missing = || InvalidSetting::new("data.source", "(nothing)", allowed);
         self.source.as_deref().ok_or_else(missing).hint(
-            "name a folder: data.source = \"PATH\", or --set data.source=PATH; data.kind = \
+            "name a folder: data.source = \"PATH\"; data.kind = \
              \"synthetic\" and \"synthetic_walks\" need none",
         )
     }

@@ -433,7 +433,7 @@ mod tests {
     }
 
     #[test]
-    fn missing_and_empty_datasets_are_told_apart() {
+    fn missing_and_empty_datasets_are_distinguished() {
         let folder = tempfile::tempdir().unwrap();
         let open = |path: &Path| {
             let source = Some(path.display().to_string());

@@ -100,8 +100,8 @@ pub enum Error {
     /// The dataset's folder, or a required one in it, is missing.
     #[error("data.source: folder {} not found", path.display())]
     #[diagnostic(help(
-        "a dataset holds audio_features/ID/features.npz and motion/ID/trajectory.npy; make one \
-         to try with `kinegrad data synth --out DIR`"
+        "a dataset holds audio_features/ID/features.npz and motion/ID/trajectory.npy; `kinegrad \
+         data synth` makes one to try"
     ))]
     MissingFolder {
         /// The folder.
@@ -279,6 +279,6 @@ mod tests {
             feature: "manifest",
         };
         let help = lacking.help().expect("a hint").to_string();
-        assert!(help.contains("pip install kinegrad") && help.contains("--features full"));
+        assert!(help.contains("pip install kinegrad") && help.contains("`full`"));
     }
 }

@@ -293,7 +293,7 @@ impl<'a> Archive<'a> {
         let hint = match member == BEATS.0 {
             true => {
                 "beat features are asked for (data.audio_features = [\"document\", \"beats\"]): \
-                 prepare the songs with them, or leave the key out to hear the 163 features alone"
+                 prepare the songs with them, or leave the key out to use the 163 features alone"
             }
             false => {
                 "features.npz holds mel, chroma, mfcc, rms, spectral_centroid and onset_strength"

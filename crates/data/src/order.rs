@@ -61,7 +61,7 @@ mod tests {
     }
 
     #[test]
-    fn any_sample_can_be_asked_for_at_any_time() {
+    fn any_sample_can_be_made_at_any_time() {
         let mut forward = Order::new(5, 1);
         let samples: Vec<usize> = (0..40).map(|n| forward.item(n)).collect();
         let mut backward = Order::new(5, 1);

@@ -155,7 +155,7 @@ mod tests {
     }
 
     #[test]
-    fn beat_features_are_read_where_they_are_asked_for_and_named_where_they_are_missing() {
+    fn beat_features_are_read_if_configured_and_named_if_missing() {
         let made = synthetic::phrase(0, 9, 1);
         let pulse = kinegrad_audio::Pulse::new(vec![0.0, 0.1, 0.2]).unwrap();
         let audio_with_beats = made.audio.with_beats(Some(&pulse));

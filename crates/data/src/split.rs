@@ -168,7 +168,7 @@ mod tests {
     }
 
     #[test]
-    fn the_manifest_s_split_counts_where_the_config_says_nothing() {
+    fn the_manifest_s_split_is_the_default() {
         let rule = split(None, &[], None);
         assert!(alone(&rule, "a", Some(Side::Validation)));
         assert!(!alone(&rule, "a", Some(Side::Train)));
@@ -186,7 +186,7 @@ mod tests {
     }
 
     #[test]
-    fn songs_are_held_out_whole_where_nothing_is_said() {
+    fn songs_are_held_out_whole_by_default() {
         let rule = split(None, &[], None);
         let held_out = |ids: &[String]| -> BTreeSet<String> {
             let phrases: Vec<_> = ids.iter().map(|id| (id.as_str(), None)).collect();

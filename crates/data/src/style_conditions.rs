@@ -111,7 +111,7 @@ mod tests {
     }
 
     #[test]
-    fn conditions_are_as_many_as_are_asked_for() {
+    fn the_number_of_conditions_follows_the_style() {
         let labels = || vec!["rumba".to_owned(), "waltz".to_owned()];
         let none = StyleConditions::default();
         let both = none

@@ -115,7 +115,7 @@ mod tests {
     }
 
     #[test]
-    fn a_mirrored_body_looks_the_mirrored_way() {
+    fn a_mirrored_body_faces_the_mirrored_direction() {
         let mut motion = random_phrase(5, 2);
         let forward = motion.quaternion(1).rotate([0.0, 0.0, 1.0]);
         mirror(&mut motion);

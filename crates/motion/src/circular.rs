@@ -40,7 +40,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_short_way_leads_over_the_end_of_the_cycle() {
+    fn shortest_steps_cross_the_end_of_the_cycle() {
         for (from, to, expected) in [
             (0.95, 0.05, 0.1),
             (0.05, 0.95, -0.1),

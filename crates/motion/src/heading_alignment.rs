@@ -239,7 +239,7 @@ mod tests {
     }
 
     #[test]
-    fn normalised_targets_turn_as_phrases_do() {
+    fn normalised_encodings_rotate_as_phrases_do() {
         let windows = Windows::new(20, 20);
         let motion = random_phrase(4, 20);
         for orientation in [

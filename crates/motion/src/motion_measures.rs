@@ -259,7 +259,7 @@ mod tests {
     }
 
     #[test]
-    fn steady_motion_has_the_values_it_was_made_with() {
+    fn constant_motion_has_its_values() {
         let motion = constant_motion(121);
         let expected = [
             0.6,
@@ -334,7 +334,7 @@ mod tests {
     }
 
     #[test]
-    fn channels_that_speak_of_the_movement_are_not_asked() {
+    fn explicit_derivatives_do_not_enter() {
         let mut motion = constant_motion(60);
         let before = MotionMeasure::ALL.map(|measure| measure.of(&motion));
         for t in 0..60 {

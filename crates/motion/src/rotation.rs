@@ -195,7 +195,7 @@ mod tests {
     }
 
     #[test]
-    fn quarter_turns_go_the_right_way() {
+    fn quarter_turns_have_the_right_sign() {
         let quarter = 0.5 * PI;
         let about = |axis: usize| {
             let mut turn = [0.0; 3];
@@ -253,7 +253,7 @@ mod tests {
     }
 
     #[test]
-    fn slerp_goes_the_shorter_way_at_constant_speed() {
+    fn slerp_takes_the_shorter_arc_at_constant_speed() {
         let (from, to) = (Quaternion::from_yaw(3.0), Quaternion::from_yaw(-3.0));
         for (fraction, yaw) in [(0.0, 3.0), (0.25, 3.0708), (0.75, -3.0708), (1.0, -3.0)] {
             for to in [to, to.scale(-1.0)] {

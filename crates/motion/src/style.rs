@@ -123,7 +123,7 @@ mod tests {
     }
 
     #[test]
-    fn an_even_turning_way_has_the_measures_of_its_speeds() {
+    fn constant_speed_and_turning_have_their_measures() {
         // 0.6 m/s along x, 0.8 m/s along z, turning at 1.5 rad/s.
         let frames = 120;
         let at = |t: usize| t as f64 / FPS;
@@ -156,7 +156,7 @@ mod tests {
     }
 
     #[test]
-    fn stop_and_go_is_burstier_than_an_even_way() {
+    fn stop_and_go_is_burstier_than_constant_speed() {
         // Half a second at 1 m/s, half a second of rest.
         let mut x = 0.0;
         let positions: Vec<_> = (0..180)

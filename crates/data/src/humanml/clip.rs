@@ -92,7 +92,7 @@ impl Item for Clip {
         vec![
             ("captions", self.captions.len()),
             (
-                "captions of passages",
+                "captions of ranges",
                 count(|caption| caption.seconds.is_some()),
             ),
             (
@@ -291,7 +291,7 @@ impl ItemSource<Clip> for ClipFiles {
             let lost = clip.drop_short_captions(fps, self.min_frames);
             note = (lost > 0).then(|| {
                 let min_frames = self.min_frames;
-                format!("{lost} caption(s) of passages of fewer than {min_frames} frames")
+                format!("{lost} caption(s) of ranges of fewer than {min_frames} frames")
             });
             if self.captions_required && clip.captions.is_empty() {
                 left_out = note.take();

@@ -60,7 +60,7 @@ mod tests {
     }
 
     #[test]
-    fn layouts_and_skeletons_are_told_apart() {
+    fn layouts_and_skeletons_are_distinguished() {
         let folder = tempfile::tempdir().unwrap();
         let at = |name: &str| folder.path().join(name);
         assert_eq!(found(&at("nowhere")), None);

@@ -341,7 +341,7 @@ mod tests {
     }
 
     #[test]
-    fn ways_are_bent_as_often_as_asked_and_nothing_else_is() {
+    fn trajectories_are_bent_with_the_given_probability() {
         for root in [Root::Absolute, Root::Relative] {
             let with = |path_warp_prob| {
                 let mut config = config();
@@ -413,7 +413,7 @@ mod tests {
     }
 
     #[test]
-    fn every_caption_comes_up_with_its_own_passage() {
+    fn every_caption_comes_up_with_its_own_range() {
         let mut config = config();
         config.batch_size = 64;
         let clip = (0..40).map(|index| walk(index, 90, 3));

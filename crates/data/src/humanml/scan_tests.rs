@@ -203,7 +203,7 @@ fn captions_are_needed_where_there_are_embeddings() {
 }
 
 #[test]
-fn passages_too_short_are_dropped_and_clips_of_other_lengths_left_out() {
+fn short_ranges_are_dropped_and_clips_of_other_lengths_left_out() {
     let (folder, mut config) = dataset(6);
     let write = |index: usize, frames: usize| {
         let clip = walk(index, frames, 5);
@@ -234,7 +234,7 @@ fn passages_too_short_are_dropped_and_clips_of_other_lengths_left_out() {
 }
 
 #[test]
-fn lists_decide_and_what_is_wrong_with_them_is_said() {
+fn lists_decide_and_their_problems_are_named() {
     let (folder, mut config) = dataset(6);
     let list = |name: &str, text: &str| fs::write(folder.path().join(name), text).unwrap();
     list("train.txt", "walk_00001\nwalk_00000\nwalk_00001\n");
@@ -397,7 +397,7 @@ fn kit_clips_in_millimetres_are_read_in_metres() {
 }
 
 #[test]
-fn datasets_of_phrases_and_of_clips_are_told_apart() {
+fn datasets_of_phrases_and_of_clips_are_distinguished() {
     let (_folder, config) = dataset(3);
     let found = Dataset::<crate::Phrase>::open(&config)
         .unwrap_err()

@@ -176,7 +176,7 @@ mod tests {
     use proptest::prelude::*;
 
     #[test]
-    fn captions_of_whole_clips_and_of_passages_are_read() {
+    fn captions_of_whole_clips_and_of_ranges_are_read() {
         let text = "\u{feff}a man walks.#a/DET man/NOUN#0.0#0.0\r\n\n\
                     steps #2 and turns#x#nan#NaN\n he sits #y# 1.25 #3.5";
         let captions = parse_captions(text.as_bytes(), "a.txt").unwrap();

@@ -101,7 +101,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_is_said() {
+    fn problems_are_named() {
         let three = "[\"the\", \"unk\", \"walk\"]";
         let f32 = |shape: &[usize], entry| file(Dtype::F32, shape, entry);
         for (bytes, found) in [

@@ -225,7 +225,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_is_said() {
+    fn problems_are_named() {
         for (text, expected) in [
             ("", "COLUMN OPERATOR VALUE"),
             ("tempo", "COLUMN OPERATOR VALUE"),

@@ -48,8 +48,8 @@ pub enum StoreError {
         "{object}: its contents are not those {recorded}: sha256 {found} found, {expected} expected"
     )]
     #[diagnostic(help(
-        "the object was changed or damaged: restore it, or make it again (`kinegrad data prepare \
-         PLAN.toml --again`) and start a new run"
+        "the object was changed or damaged: restore it, or prepare the dataset again and \
+         start a new run"
     ))]
     Changed {
         /// The object.

@@ -209,7 +209,7 @@ mod tests {
     }
 
     #[test]
-    fn moves_can_be_told_from_the_features() {
+    fn moves_follow_from_the_features() {
         let mut seen = [0; MOVES];
         for index in 0..16 {
             let (music, key) = music(index);

@@ -118,7 +118,7 @@ fn neighbouring_phases_and_both_quaternions_of_a_rotation_are_near() {
 }
 
 #[test]
-fn a_canonical_sample_faces_z_whichever_way_it_was_turned() {
+fn a_canonical_sample_faces_z_after_any_rotation() {
     let targets = ChannelEncoding {
         orientation: OrientationEncoding::CanonicalQuaternion,
         ..ChannelEncoding::default()

@@ -256,7 +256,7 @@ mod tests {
     }
 
     #[test]
-    fn a_body_that_hardly_turns_and_says_little_keeps_its_heading() {
+    fn a_slowly_turning_body_with_low_confidence_keeps_its_heading() {
         let mut motion = turning(300);
         for t in 0..300 {
             motion.set_quaternion(t, Quaternion::from_yaw(0.7));

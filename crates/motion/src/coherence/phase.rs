@@ -414,7 +414,7 @@ mod tests {
     }
 
     #[test]
-    fn a_known_phase_is_met() {
+    fn a_known_phase_is_kept() {
         let mut turns: Vec<f64> = (0..60).map(|t| 0.02 * f64::from(t)).collect();
         turns[40..].iter_mut().for_each(|turn| *turn += 0.2);
         let known: Vec<bool> = (0..60).map(|t| t < 40).collect();

@@ -336,7 +336,7 @@ mod tests {
     }
 
     #[test]
-    fn a_fit_passes_through_what_is_known_and_goes_on_from_there() {
+    fn a_fit_passes_through_known_frames_and_continues_from_there() {
         let mut motion = crate::random_phrase::random_phrase(3, 60);
         let original = motion.clone();
         for t in 20..60 {

@@ -123,7 +123,7 @@ mod tests {
     }
 
     #[test]
-    fn a_way_that_no_body_runs_is_named_with_distance_time_and_speed() {
+    fn a_segment_that_is_too_fast_is_named_with_distance_time_and_speed() {
         let warnings = goal(&[(30, 0.0, 100.0)]).feasibility_warnings(20.0);
         assert_eq!(warnings.len(), 1);
         for part in [

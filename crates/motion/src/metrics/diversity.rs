@@ -139,7 +139,7 @@ mod tests {
     }
 
     #[test]
-    fn drawn_pairs_come_near_to_all_pairs() {
+    fn sampled_pairs_approximate_all_pairs() {
         let vector = |index| Key::new(1, Purpose::Synthetic).at(index).normals(8);
         let wide = |vector: Vec<f32>| vector.into_iter().map(f64::from).collect();
         let features: Vec<Vec<f64>> = (0..60).map(vector).map(wide).collect();

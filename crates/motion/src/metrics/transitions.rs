@@ -69,7 +69,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_jump_is_a_peak_and_steady_motion_is_none() {
+    fn a_jump_is_a_peak_and_constant_velocity_is_none() {
         let joints = |jump: f64| {
             let places = (0..12).flat_map(|t| {
                 let by = if t < 6 { 0.0 } else { jump };

@@ -174,7 +174,7 @@ mod tests {
     }
 
     #[test]
-    fn features_say_the_bent_way_and_its_feet_do_not_slide_more() {
+    fn features_follow_the_bend_and_feet_do_not_slide_more() {
         let (joints, skeleton) = straight(70);
         let features = Extraction::default();
         let features = features.features_of_all_frames(&skeleton, &joints).unwrap();

@@ -149,7 +149,7 @@ mod tests {
     }
 
     #[test]
-    fn angles_unwrap_the_short_way() {
+    fn angles_unwrap_by_shortest_steps() {
         let found = unwrapped(&[3.0, -3.0, 2.5, -2.5]);
         assert!(found.windows(2).all(|pair| (pair[1] - pair[0]).abs() <= PI));
         assert_eq!(wrapped(PI), PI);

@@ -170,7 +170,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_drawn_is_refused() {
+    fn hidden_paths_are_refused() {
         for (text, scale, expected) in [
             ("no", 1.0, "it is no SVG"),
             (&svg("<rect/>"), 1.0, "it holds no `path`"),

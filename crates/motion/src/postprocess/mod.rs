@@ -323,7 +323,7 @@ mod tests {
     }
 
     #[test]
-    fn backward_phase_is_held_and_the_next_bar_begins() {
+    fn backward_phase_is_clamped_and_the_next_bar_begins() {
         let mut motion = random_phrase(4, 6);
         for (t, phase) in [0.8, 0.7, 0.75, 0.9, 0.2, 0.1].into_iter().enumerate() {
             motion.frame_mut(t)[PHASE] = phase;
@@ -445,7 +445,7 @@ mod tests {
     }
 
     #[test]
-    fn a_lost_orientation_is_held() {
+    fn a_vanishing_quaternion_repeats_the_one_before() {
         let mut motion = random_phrase(6, 3);
         motion.set_quaternion(1, Quaternion::new(0.0, 1e-12, 0.0, 0.0));
         let processed = process(&motion, &PostProcessConfig::default(), None);

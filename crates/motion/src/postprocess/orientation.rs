@@ -121,7 +121,7 @@ mod tests {
     }
 
     #[test]
-    fn smoothing_does_not_depend_on_signs_and_keeps_a_steady_turn() {
+    fn smoothing_does_not_depend_on_signs_and_keeps_a_constant_turn() {
         for hemisphere in [Hemisphere::Continuous, Hemisphere::PositiveW] {
             let (mut smoothed, mut plain) = (turning(), turning());
             smooth(&mut smoothed, 5, hemisphere);

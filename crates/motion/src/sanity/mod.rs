@@ -123,13 +123,10 @@ mod tests {
     use crate::random_phrase::random_phrase;
 
     #[test]
-    fn strict_without_statistics_says_where_to_take_them_from() {
+    fn strict_without_statistics_has_a_hint() {
         let error = check(&random_phrase(1, 5), Profile::Strict, None).unwrap_err();
         let help = miette::Diagnostic::help(&error).unwrap().to_string();
-        assert!(
-            help.contains("--run") && help.contains("--source"),
-            "{help}"
-        );
+        assert!(help.contains("run") && help.contains("dataset"), "{help}");
     }
 
     #[test]

@@ -91,7 +91,7 @@ fn phases_are_blended_on_their_circle() {
 }
 
 #[test]
-fn pieces_in_other_targets_make_the_motion() {
+fn windows_in_other_encodings_make_the_motion() {
     let mut motion = random_phrase(4, 91);
     anchor_floor(&mut motion);
     let encoding = ChannelEncoding {

@@ -286,7 +286,7 @@ mod tests {
     }
 
     #[test]
-    fn every_word_has_a_drawn_vector_of_its_own() {
+    fn every_word_has_a_random_vector_of_its_own() {
         let vectors = WordVectors::random(5);
         let [walk, again, run] = ["walk", "walk", "run"].map(|word| vectors.vector(word).unwrap());
         assert_eq!((walk.len(), &walk), (5, &again));
