@@ -71,7 +71,7 @@ pub struct DataConfig {
     pub store: StoreConfig,
     /// The phrases of `kind = "synthetic"` and walks of `kind = "synthetic_walks"`.
     pub synthetic: SyntheticConfig,
-    /// How the clips of `kind = "humanml3d"` and `kind = "synthetic_walks"` are read.
+    /// Reading of the clips of `kind = "humanml3d"` and `kind = "synthetic_walks"`.
     pub humanml3d: Humanml3dConfig,
 }
 
@@ -299,7 +299,7 @@ impl DataConfig {
     /// Approximate bytes of memory of prefetched batches, and of items without files.
     pub fn memory(&self) -> u64 {
         let frames = |items: usize, frames: usize| items as u64 * frames as u64;
-        let made_up = match self.kind {
+        let synthetic = match self.kind {
             DataKind::Synthetic | DataKind::SyntheticWalks => {
                 frames(self.synthetic.phrases, self.synthetic.frames)
             }
@@ -307,7 +307,7 @@ impl DataConfig {
         };
         let batches = 1 + LOOK_AHEAD_PER_WORKER * self.num_workers;
         let ahead = frames(batches * self.batch_size, self.target_frames);
-        (made_up + ahead) * NUMBERS_A_FRAME * size_of::<f32>() as u64
+        (synthetic + ahead) * NUMBERS_A_FRAME * size_of::<f32>() as u64
     }
 
     /// Checks every value that can be checked without opening a file.

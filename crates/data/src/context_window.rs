@@ -92,7 +92,7 @@ impl ContextWindow {
     }
 }
 
-/// How far before or after a phrase a crop may begin, frames.
+/// Largest distance of a crop's start from a phrase, frames.
 fn reach(frames: usize) -> usize {
     frames / 2
 }

@@ -19,9 +19,9 @@ pub enum FileError {
     Unusable {
         /// The file, and the line or array in it.
         file: String,
-        /// What is wrong with it.
+        /// The problem.
         problem: String,
-        /// What to do.
+        /// The hint.
         hint: String,
     },
     /// The store could not give the file.
@@ -94,7 +94,7 @@ pub enum Error {
     Manifest {
         /// The manifest.
         object: String,
-        /// What is wrong with it.
+        /// The problem.
         problem: String,
     },
     /// The dataset's folder, or a required one in it, is missing.
@@ -113,7 +113,7 @@ pub enum Error {
     NothingToTrainOn {
         /// Why.
         problem: String,
-        /// What to do.
+        /// The hint.
         hint: String,
     },
     /// A phrase or clip is bad and `data.on_bad_phrase` is `error`.
@@ -149,11 +149,11 @@ pub enum Error {
     #[error("cannot {action} {}: {reason}", path.display())]
     #[diagnostic(help("check the path, its permissions and the free space"))]
     Io {
-        /// What was tried.
+        /// The attempted action.
         action: &'static str,
         /// The path.
         path: PathBuf,
-        /// What the operating system says.
+        /// The reason by the operating system.
         reason: std::io::Error,
     },
     /// The folder already contains a dataset.

@@ -232,7 +232,7 @@ mod tests {
             })
             .collect();
         let statistics = phrase_statistics(phrases.iter().map(|phrase| &phrase.motion)).unwrap();
-        // A label that is not known is none.
+        // An unknown label is no label.
         let known = ["rumba", "waltz"].map(str::to_owned).to_vec();
         let style = StyleConditions::default()
             .with_numbers(&statistics)

@@ -9,12 +9,12 @@ use crate::synthetic;
 /// The song of phrase `id`: its `audio_source` in the manifest, else the take in ids
 /// `TAKE_FIRSTFRAME`. Each synthetic phrase has its own music.
 pub fn song_of(id: &str, audio_source: Option<&str>) -> String {
-    let made_up = || {
+    let synthetic = || {
         let number = id.rsplit_once('_')?.1.parse().ok()?;
         (id == synthetic::id(number)).then_some(id)
     };
     let take = || id.rsplit_once('_').map_or(id, |(take, _)| take);
-    let song = audio_source.or_else(made_up);
+    let song = audio_source.or_else(synthetic);
     song.unwrap_or_else(take).to_owned()
 }
 

@@ -217,7 +217,7 @@ mod tests {
                 .collect();
             assert_eq!((held_out.len(), sides.len()), (9, 1), "{held_out:?}");
         }
-        // What the manifest states is left alone, and does not count.
+        // Sides in the manifest are kept, and do not count.
         let stated = [
             ("x_0", Some(Side::Train)),
             ("x_1", None),
@@ -229,12 +229,12 @@ mod tests {
             !flags[0] && flags[1] != flags[2] && flags[2] == flags[3],
             "{flags:?}"
         );
-        // Of one song there is nothing else than its phrases, and made-up phrases are a song each.
+        // Of one song there is nothing else than its phrases, and synthetic phrases are a song each.
         let one = of(&["C_2"], 200);
         assert!((5..40).contains(&held_out(&one).len()));
-        let made_up: Vec<String> = (0..200).map(crate::synthetic::id).collect();
-        let alone = made_up.iter().filter(|id| alone(&rule, id, None)).count();
-        assert_eq!(held_out(&made_up).len(), alone);
+        let synthetic: Vec<String> = (0..200).map(crate::synthetic::id).collect();
+        let alone = synthetic.iter().filter(|id| alone(&rule, id, None)).count();
+        assert_eq!(held_out(&synthetic).len(), alone);
     }
 
     #[test]

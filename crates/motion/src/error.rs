@@ -50,7 +50,7 @@ pub enum Error {
     #[error("the statistics are unusable: {reason}")]
     #[diagnostic(help("compute them again from the training motion"))]
     InvalidStatistics {
-        /// What is wrong.
+        /// The problem.
         reason: String,
     },
 }

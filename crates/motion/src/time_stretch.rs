@@ -182,7 +182,7 @@ mod tests {
     }
 
     #[test]
-    fn the_same_path_is_gone_in_another_time() {
+    fn the_same_path_takes_another_time() {
         for speed in [0.8, 1.25] {
             let original = random_phrase(5, 60);
             let played = at_speed(&original, speed);

@@ -7,7 +7,7 @@ use kinegrad_motion::humanml::{Root, Skeleton};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// How the clips of `kind = "humanml3d"` and `kind = "synthetic_walks"` are read.
+/// Reading of the clips of `kind = "humanml3d"` and `kind = "synthetic_walks"`.
 ///
 /// Defaults are those of HumanML3D; for KIT-ML set `skeleton` and `min_frames = 24`.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]

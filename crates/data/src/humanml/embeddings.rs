@@ -218,7 +218,7 @@ mod tests {
             |bytes: &[u8]| Embeddings::parse(bytes, "e.safetensors", Digest::of(bytes)).unwrap();
         let read = parsed(&serialize(two(), HashMap::new()));
         assert_eq!(read.of("a", &["x", "y"]).unwrap()[1][..], rows[1]);
-        // A file that says of which captions it is.
+        // A file with checksums of its captions.
         let of = HashMap::from([("a".to_owned(), checksum(&["x", "y"]))]);
         let tied = parsed(&serialize(two(), of));
         assert!(tied.of("a", &["x", "y"]).is_ok());

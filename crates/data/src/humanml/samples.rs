@@ -419,7 +419,7 @@ mod tests {
         let clip = (0..40).map(|index| walk(index, 90, 3));
         let mut clip = clip.filter(|clip| clip.captions.len() == 4);
         let mut clip = clip.next().expect("a walk that turns");
-        // Ranges that leave one start each tell the crops of captions apart.
+        // Each range allows one start, which identifies the caption.
         for (caption, seconds) in clip.captions.iter_mut().zip([
             None,
             Some((0.0, 2.0)),

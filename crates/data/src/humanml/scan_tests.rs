@@ -1,4 +1,4 @@
-//! Datasets that are read, and what is said of those that cannot be.
+//! Datasets that are read, and errors of those that cannot be.
 
 use std::fs;
 use std::path::Path;
@@ -129,7 +129,7 @@ fn statistics_come_from_the_dataset_where_they_are_of_the_root() {
     for name in ["Mean.npy", "Std.npy"] {
         write_array(&folder.path().join(name), &[263]);
     }
-    // Those files are for the relative root and say nothing of the absolute one.
+    // Those files are for the relative root only.
     let again = Dataset::<Clip>::open(&config).unwrap();
     assert_eq!(again.statistics().unwrap(), absolute.statistics().unwrap());
     assert_eq!(again.digest, absolute.digest);

@@ -60,10 +60,10 @@ mod tests {
         let songs = Songs::read(&config).unwrap();
         assert_eq!(songs.song("W_1_00030"), "W_1");
         assert_eq!(songs.tempo("W_1_00030"), None);
-        let made_up = DataConfig {
+        let synthetic = DataConfig {
             kind: DataKind::Synthetic,
             ..DataConfig::default()
         };
-        assert_eq!(Songs::read(&made_up).unwrap().song("a_0"), "a");
+        assert_eq!(Songs::read(&synthetic).unwrap().song("a_0"), "a");
     }
 }

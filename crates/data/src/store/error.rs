@@ -36,9 +36,9 @@ pub enum StoreError {
     Failed {
         /// The object.
         object: String,
-        /// What was tried: `read`, `write`, `list`, `remove`, `open`.
+        /// The attempted action: `read`, `write`, `list`, `remove`, `open`.
         action: &'static str,
-        /// How often.
+        /// Number of attempts.
         attempts: usize,
         /// The last reason.
         reason: String,

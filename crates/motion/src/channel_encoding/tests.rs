@@ -33,7 +33,7 @@ fn phrase(seed: u64, frames: usize) -> Motion {
     motion
 }
 
-/// How far apart two phases are in the bar.
+/// Distance of two phases in the bar.
 fn apart(a: f32, b: f32) -> f32 {
     let difference = a - b;
     (difference - difference.round()).abs()
@@ -249,7 +249,7 @@ fn beats_place_what_the_bar_leaves_open() {
     }
     // The first beat of a bar is also near the end of the bar before.
     assert!(decoded(0.98, 0.5, 4, 0.02) < 0.01);
-    // A mean over all beats of a bar says nothing of the bar.
+    // A mean over all beats of a bar does not determine the bar.
     let mut mean = vec![0.0; targets.channels()];
     for beat in 0..4 {
         let mut motion = random_phrase(0, 1);
@@ -314,7 +314,7 @@ proptest! {
 
 #[test]
 fn a_dancer_whose_heading_is_open_stands_upright() {
-    // What is left of the side points upward a little; the upward axis is sure.
+    // The rest of the side axis points upward a little; the up axis is certain.
     let columns = [0.001, 0.004, -0.002, 0.05, 0.96, -0.02];
     let tilt = |rotation: Quaternion| rotation.rotate([0.0, 1.0, 0.0])[1].acos().to_degrees();
     assert!(tilt(nearest_rotation(&columns)) < 5.0);

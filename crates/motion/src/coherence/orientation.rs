@@ -217,7 +217,7 @@ mod tests {
         let original = random_phrase(7, 60);
         let mut motion = original.clone();
         for t in 20..60 {
-            // The rest faces elsewhere, and says the same of how it turns.
+            // The rest faces elsewhere with the same angular velocity.
             let turned = Quaternion::from_yaw(0.5) * original.quaternion(t);
             motion.set_quaternion(t, turned.scale(-1.0));
         }

@@ -360,7 +360,7 @@ mod tests {
 
     #[test]
     fn known_frames_choose_the_bar() {
-        // The last second is known, a beat from what the others say; so is the first, of either bar.
+        // The last second is known, a beat off the others; so is the first, in either bar.
         for first in [0.25, 0.0] {
             let frames = 300;
             let truth = |t: usize| 0.2 + 0.0151 * t as f64;

@@ -330,7 +330,7 @@ mod tests {
         let known: Vec<bool> = (0..90).map(|t| t < 60).collect();
         let original = motion.clone();
         fit_trajectory(&mut motion, &[0.5; 25], &known);
-        // The first frame after the known ones goes on from where they are written.
+        // The first frame after the known ones continues from them.
         let step = |motion: &Motion| motion.frame(60)[0] - motion.frame(59)[0];
         assert!((step(&motion) - step(&original)).abs() < 1e-3);
     }

@@ -52,7 +52,7 @@ pub struct GuidanceLoss {
     norm: GuidanceNorm,
     frame_limit: usize,
     frames: usize,
-    // What each term of the first sum is multiplied by, but for the sample's weight: B / M.
+    // B / M, the factor of each term of the first sum.
     factor: f64,
     samples: Vec<Sample>,
 }

@@ -125,7 +125,7 @@ mod tests {
                 let places = found.joints_from_rotations(&skeleton).unwrap().to_f32();
                 let apart = largest(&places, &found.joints().to_f32());
                 assert!(apart < 1e-4, "{range:?} {root}: {apart}");
-                // What is cut alone does not.
+                // A slice alone does not.
                 let cut = whole.slice(range.clone());
                 if range.start > 0 {
                     let rotations = |features: &Features| features.frame(0)[67..193].to_vec();

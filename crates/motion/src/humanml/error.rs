@@ -17,7 +17,7 @@ pub enum FeatureError {
         field: String,
         /// The value found.
         found: String,
-        /// What is allowed, in words.
+        /// The allowed values.
         allowed: &'static str,
     },
 
@@ -25,7 +25,7 @@ pub enum FeatureError {
     #[error("{values} values of `{what}` are not one or more whole frames of {width} numbers")]
     #[diagnostic(help("{what} are a row-major array [frames, {width}]"))]
     NotWholeFrames {
-        /// What the values are.
+        /// Kind of the values.
         what: &'static str,
         /// Number of values given.
         values: usize,
@@ -77,7 +77,7 @@ pub enum FeatureError {
     #[error("`{what}` are not finite in frame {frame} (counted from 0), {entry}")]
     #[diagnostic(help("repair or leave out this clip: one such value spoils all that follows"))]
     NonFinite {
-        /// What the values are.
+        /// Kind of the values.
         what: &'static str,
         /// First frame that is not finite.
         frame: usize,

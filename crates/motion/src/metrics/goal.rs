@@ -1,4 +1,4 @@
-//! How well motions reach their goals.
+//! Metrics of motions with goals.
 
 use std::fmt;
 
@@ -40,7 +40,7 @@ pub fn inside_obstacles(goal: &Goal, ground: &[[f64; 2]]) -> usize {
     ground[..goal.frames].iter().filter(inside).count()
 }
 
-/// How well generated motions reach their goals, and their quality. A metric without data or with
+/// Goal errors of generated motions, and their quality. A metric without data or with
 /// values that are not finite is `None`. The thresholds are those of the field.
 #[derive(Clone, Debug, Default, Deserialize, PartialEq, Serialize)]
 #[serde(deny_unknown_fields)]

@@ -9,7 +9,7 @@ use crate::humanml::{FeatureError, Joints, Skeleton};
 use crate::metrics::{mean_jerk, skating_ratio};
 use crate::moments::mean;
 
-/// How a motion follows a path, and its quality.
+/// Path errors of a motion, and its quality.
 #[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct PathReport {

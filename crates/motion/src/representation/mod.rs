@@ -23,7 +23,7 @@ use crate::sanity::body;
 use crate::{ChannelMoments, Error, Profile, Report, Statistics};
 
 /// A representation of motion. Rows are `[frames, channels]`, row-major, in the units of the
-/// dataset; they may contain any values, including NaN, unless a method says otherwise.
+/// dataset; they may contain any values, including NaN, unless stated otherwise.
 pub trait Representation: Debug + Send + Sync {
     /// Its name, for messages.
     fn name(&self) -> String;

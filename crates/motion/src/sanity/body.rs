@@ -175,7 +175,7 @@ mod tests {
             }
         });
         assert_eq!(stretched, ["bone_length"]);
-        // What is below the floor stands on it, too: its feet slide.
+        // Feet below the floor are on the ground too: they slide.
         assert_eq!(failing(|_, _, p| p[1] -= 3.0), ["floor", "skating"]);
         assert_eq!(failing(|t, _, p| p[0] += 0.3 * t as f32), ["speed"]);
         let trembling = failing(|t, _, p| p[1] += 0.05 * (t % 2) as f32);

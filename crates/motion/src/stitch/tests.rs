@@ -204,7 +204,7 @@ fn known_frames_are_met_exactly_and_say_where_the_motion_stands() {
     }
     // The windows were cut from it, so that all of it is there.
     assert_near(&stitched[..70], &known.values[..70], 1e-4);
-    // Where they say something else, the edge is no step.
+    // Where they differ, the edge is no step.
     let mut still = vec![0.0; values.len()];
     let stitched = windows.stitch(&mut still, Some(&known), Layout::Phrase);
     let height = |t: usize| stitched[70 + t];

@@ -137,9 +137,9 @@ impl fmt::Display for Token {
 #[derive(Clone, Debug, Error, PartialEq)]
 #[error("the word vectors have {found}, expected {expected}")]
 pub struct WordVectorsError {
-    /// What was found.
+    /// The finding.
     pub found: String,
-    /// What is expected.
+    /// The expectation.
     pub expected: &'static str,
 }
 

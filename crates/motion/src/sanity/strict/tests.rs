@@ -196,7 +196,7 @@ fn no_part_of_a_long_motion_makes_up_for_another() {
             .collect::<Vec<_>>()
     };
     assert_eq!(failed(&long), []);
-    // It stands for three seconds of twenty, from second 8 on, and goes on from there.
+    // It stands for three seconds of twenty, from second 8 on, and then continues.
     let standing = |t: usize| t.clamp(0, 240) + t.saturating_sub(330);
     let poses = (0..600).map(standing);
     let positions: Vec<_> = poses.clone().map(|t| long.vector(t, POSITION)).collect();
