@@ -5,7 +5,7 @@ use std::path::Path;
 use kinegrad_capture::prepare::Units;
 use kinegrad_capture::{Bvh, UpAxis};
 use kinegrad_data::file::read_file;
-use kinegrad_motion::feet::{ContactRule, hold};
+use kinegrad_motion::feet::{ContactRule, lock_joints};
 use kinegrad_motion::humanml::{Joints, Skeleton};
 use kinegrad_train::Error;
 
@@ -168,7 +168,7 @@ fn with_locked_feet(
     // Bones of one length, which the clip's need not have: locked before, feet would slide again.
     let rigid = bvh.joints_of(skeleton, CENTIMETRES);
     let rigid = rigid.expect("a file that was made of these joints");
-    let held = hold(&rigid, joints, skeleton, &ContactRule::default())?;
+    let held = lock_joints(&rigid, joints, skeleton, &ContactRule::default())?;
     let short = match held.missed > EXACT {
         true => format!("; legs are up to {:.3} m too short to stay", held.missed),
         false => String::new(),

@@ -198,7 +198,7 @@ mod tests {
     }
 
     #[test]
-    fn a_motion_may_begin_facing_anywhere() {
+    fn a_motion_may_begin_with_any_heading() {
         let skeleton = Skeleton::humanml3d();
         let clip = test_clip(&skeleton, 12);
         let turn = Quaternion::from_yaw(2.0);

@@ -165,7 +165,7 @@ pub(super) fn must_use(config: &Config) -> Result<(), Error> {
     require(learns, "data.augment.audio_noise", noise, allowed)
         .hint("the tracker would learn from beats with noise; `audio_masks` vary the music")?;
     let (orientation, augment) = (targets(config).orientation, &config.data.augment);
-    let flips = augment.flip_quaternion && orientation != OrientationTarget::Quaternion;
+    let flips = augment.flip_quaternion && orientation != OrientationEncoding::Quaternion;
     let of_one_sign = "false with this `model.orientation_target`";
     require(!flips, "data.augment.flip_quaternion", true, of_one_sign)
         .hint("q and -q are one rotation, and one target: there is nothing to learn from both")?;
