@@ -123,7 +123,7 @@ fn windows_in_other_encodings_make_the_motion() {
     let stitched = windows.stitch(&mut values, None, layout);
     assert_near(&stitched, &columns(&motion), 2e-5);
     assert_near(&values, &before, 2e-5);
-    // KnownFrames frames of these channels hold too, and fade.
+    // Known frames of these channels hold too, and fade.
     let known = KnownFrames {
         is_known: (0..91).map(|t| (30..40).contains(&t)).collect(),
         values: columns(&motion),

@@ -97,7 +97,7 @@ impl Generator {
         Ok(sample)
     }
 
-    /// KnownFrames frames of a phrase in the channels and units of the network.
+    /// Known frames of a phrase in the channels and units of the network.
     fn normalized(&self, known: &KnownFrames) -> KnownFrames {
         let frames = known.is_known.len();
         let phrase = Motion::from_channel_major(&known.values, frames).expect("25 channels");
