@@ -5,7 +5,8 @@ use kinegrad_settings::{InvalidSetting, Refused, require};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::features::AUDIO_CHANNELS;
+/// Audio features of a frame without beat features.
+pub const AUDIO_CHANNELS: usize = 163;
 
 /// A group of audio features.
 #[derive(Clone, Copy, Debug, Deserialize, Eq, JsonSchema, PartialEq, Serialize)]

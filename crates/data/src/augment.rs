@@ -7,8 +7,9 @@ use kinegrad_motion::time_stretch::{at_speed, frames_at_speed};
 use kinegrad_motion::{Motion, anchor_floor, mirror, rotate_yaw};
 use kinegrad_random::{Key, Purpose};
 
+use crate::audio_layout::AUDIO_CHANNELS;
 use crate::context_window::{ContextWindow, Window};
-use crate::features::{AUDIO_CHANNELS, AudioFeatures};
+use crate::features::AudioFeatures;
 use crate::{AugmentConfig, Crop, DataConfig, time_stretch};
 
 // Key counters below the sample's key, one for each augmentation, so that they are independent.

@@ -7,7 +7,8 @@ use kinegrad_ranks::{Alone, Sharing};
 
 use crate::item::Item;
 use crate::item_set::ItemSet;
-use crate::scan::{Listable, OpenProgress, no_progress};
+use crate::progress::{OpenProgress, no_progress};
+use crate::scan::Listable;
 use crate::{DataConfig, Digest, Error, LoaderReport};
 
 /// Most notes that are reported one by one.

@@ -6,7 +6,7 @@ use std::ops::Range;
 use kinegrad_audio::pulse::BEAT_FEATURES;
 use kinegrad_audio::{Features, Pulse};
 
-use crate::audio_layout::AudioLayout;
+use crate::audio_layout::{AUDIO_CHANNELS, AudioLayout};
 use crate::magnitude::{first_unusable, is_usable};
 
 /// The arrays of `features.npz` in the order in which they are stacked, with their rows.
@@ -21,9 +21,6 @@ pub const FEATURES: [(&str, usize); 6] = [
 
 /// The array of beat features in `features.npz`, with its rows.
 pub const BEATS: (&str, usize) = ("beats", BEAT_FEATURES.len());
-
-/// Audio features of a frame without beat features.
-pub const AUDIO_CHANNELS: usize = 163;
 
 /// Channel of the onset strength, the last of the 163.
 const ONSET_STRENGTH: usize = AUDIO_CHANNELS - 1;

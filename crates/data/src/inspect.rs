@@ -8,7 +8,8 @@ use serde::Serialize;
 
 use crate::humanml::Clip;
 use crate::item::Item;
-use crate::scan::{Gathered, Listable, OpenProgress, no_progress};
+use crate::progress::{OpenProgress, no_progress};
+use crate::scan::{Gathered, Listable};
 use crate::{DataConfig, DataKind, Dataset, Error, Phrase};
 
 /// Summary of a dataset. Numbers describe the usable items.

@@ -14,7 +14,7 @@ use serde::de::DeserializeOwned;
 use crate::Error;
 use crate::item::Item;
 use crate::item_store::ItemStore;
-use crate::scan::{OpenProgress, go_on, no_progress};
+use crate::progress::{OpenProgress, go_on, no_progress};
 
 /// Items that are measured at a time.
 const CHUNK: usize = 256;

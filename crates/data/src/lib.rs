@@ -52,6 +52,7 @@ mod phrase;
 mod phrase_samples;
 mod phrase_set;
 mod prefetch;
+mod progress;
 mod scan;
 mod songs;
 mod split;
@@ -63,7 +64,7 @@ mod time_stretch;
 pub use kinegrad_motion::MAX_FRAMES;
 
 pub use atomic::{is_unfinished, write as write_whole};
-pub use audio_layout::{AudioGroup, AudioLayout, check_groups};
+pub use audio_layout::{AUDIO_CHANNELS, AudioGroup, AudioLayout, check_groups};
 pub use batch::{AUDIO, Batch, CAPTIONS, Condition, ConditionRows, SampleShape, TEXT, WORDS};
 pub use config::{
     AugmentConfig, CacheConfig, Crop, DataConfig, DataKind, MIN_FRAMES, OnBadPhrase, StatisticsOf,
@@ -73,7 +74,7 @@ pub use counters::{Counters, LoaderReport};
 pub use dataset::Dataset;
 pub use digest::Digest;
 pub use error::{Error, FileError};
-pub use features::{AUDIO_CHANNELS, AudioFeatures, BEATS, FEATURES, audio_channel_name};
+pub use features::{AudioFeatures, BEATS, FEATURES, audio_channel_name};
 pub use humanml::Humanml3dConfig;
 pub use inspect::{ChannelSummary, Inspection, Problem, inspect, statistics};
 pub use item::Item;
@@ -97,7 +98,7 @@ pub use pattern::matches;
 pub use phrase::{Phrase, load_audio};
 pub use phrase_samples::{PhraseSamples, target_statistics};
 pub use phrase_set::PhraseSet;
-pub use scan::OpenProgress;
+pub use progress::OpenProgress;
 pub use songs::{held_out_songs, song_of};
 pub use split::Side;
 pub use store::{Object, Store, StoreError};

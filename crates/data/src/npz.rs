@@ -8,8 +8,9 @@ use kinegrad_motion::MAX_FRAMES;
 use libdeflater::{Crc, Decompressor};
 use zip::{CompressionMethod, DateTime, ZipArchive, ZipWriter, write::SimpleFileOptions};
 
+use crate::audio_layout::AUDIO_CHANNELS;
 use crate::audio_layout::AudioLayout;
-use crate::features::{AUDIO_CHANNELS, AudioFeatures, BEATS, FEATURES};
+use crate::features::{AudioFeatures, BEATS, FEATURES};
 use crate::file::read_file;
 use crate::npy::{self, Array};
 use crate::{Error, FileError, atomic};

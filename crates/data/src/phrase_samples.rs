@@ -10,7 +10,7 @@ use crate::batch::{AUDIO, ConditionRows, SampleShape};
 use crate::context_window::{ContextWindow, ContextWindows, Window};
 use crate::item_set::measure_among;
 use crate::loader::Samples;
-use crate::scan::no_progress;
+use crate::progress::no_progress;
 use crate::{
     Batch, DataConfig, Error, Phrase, PhraseSet, StatisticsOf, StyleConditions, mean_style,
 };
@@ -166,7 +166,7 @@ mod tests {
     use kinegrad_ranks::Alone;
 
     use super::*;
-    use crate::features::AUDIO_CHANNELS;
+    use crate::audio_layout::AUDIO_CHANNELS;
     use crate::synthetic;
     use kinegrad_motion::phrase_statistics;
 

@@ -1,6 +1,5 @@
 //! Reading every item of a dataset once.
 
-use std::ops::ControlFlow;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -14,28 +13,12 @@ use crate::item::Item;
 use crate::item_set::ItemSet;
 use crate::item_store::{Entry, ItemSource, ItemStore, index_item};
 use crate::listing::Listed;
+use crate::progress::{OpenProgress, go_on};
 use crate::split::{Side, Split};
 use crate::{DataConfig, Digest, Error, FileError, OnBadPhrase, StoreError};
 
-/// Progress callback with the number of items read and in total, called from several threads.
-/// `Break` ends with [`Error::Interrupted`].
-pub type OpenProgress<'a> = &'a (dyn Fn(usize, usize) -> ControlFlow<()> + Sync);
-
 /// Items between two progress callbacks on the opening thread.
 const CHUNK: usize = 512;
-
-/// Progress that is ignored.
-pub(crate) fn no_progress(_done: usize, _total: usize) -> ControlFlow<()> {
-    ControlFlow::Continue(())
-}
-
-/// Reports progress, and stops if asked to.
-pub(crate) fn go_on(progress: OpenProgress, done: usize, total: usize) -> Result<(), Error> {
-    match progress(done, total) {
-        ControlFlow::Continue(()) => Ok(()),
-        ControlFlow::Break(()) => Err(Error::Interrupted),
-    }
-}
 
 /// A dataset whose items are listed but not read.
 pub(crate) struct Scan<T: Item> {

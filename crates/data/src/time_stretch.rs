@@ -6,7 +6,8 @@ use std::ops::Range;
 use kinegrad_motion::circular::step;
 use kinegrad_motion::time_stretch::{between, frames_at_speed};
 
-use crate::features::{AUDIO_CHANNELS, AudioFeatures};
+use crate::audio_layout::AUDIO_CHANNELS;
+use crate::features::AudioFeatures;
 
 // Rows of the beat features.
 const BEAT: Range<usize> = 0..2;

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use kinegrad_ranks::{Alone, Sharing};
 
-use crate::scan::OpenProgress;
+use crate::progress::OpenProgress;
 use crate::{Error, ItemSet};
 
 use super::Clip;
@@ -122,7 +122,7 @@ mod tests {
     use super::*;
     use crate::humanml::{CaptionText, ClipSamples, Humanml3dConfig};
     use crate::loader::Samples as _;
-    use crate::scan::no_progress;
+    use crate::progress::no_progress;
     use crate::{DataConfig, DataKind, Dataset};
 
     fn labels() -> CaptionLabels {

@@ -15,12 +15,11 @@ use crate::{Error, FileError, Item, ItemSet, StoreError, atomic, npy};
 
 use super::config::SkeletonName;
 use super::embeddings::Embeddings;
-use super::{Caption, parse_captions, texts};
+use super::texts::{self, texts_path};
+use super::{Caption, parse_captions};
 
 /// Folder of all features, in files `ID.npy`.
 pub const FEATURES: &str = "new_joint_vecs";
-/// Folder of all captions, in files `ID.txt`.
-pub const TEXTS: &str = "texts";
 
 /// Clips in the order of their ids. A clone is another handle to the same ones.
 pub type ClipSet = ItemSet<Clip>;
@@ -107,11 +106,6 @@ impl Item for Clip {
 /// Path of the features of clip `id` in its dataset.
 pub fn features_path(id: &str) -> String {
     format!("{FEATURES}/{id}.npy")
-}
-
-/// Path of the captions of clip `id` in its dataset.
-pub fn texts_path(id: &str) -> String {
-    format!("{TEXTS}/{id}.txt")
 }
 
 /// Parses a `.npy` file of features with relative root, `[frames, channels]` of `skeleton`, in

@@ -9,7 +9,8 @@ use crate::split::Side;
 use crate::{Error, FileError};
 
 use super::Humanml3dConfig;
-use super::clip::{FEATURES, TEXTS, features_path, texts_path};
+use super::clip::{FEATURES, features_path};
+use super::texts::{TEXTS, texts_path};
 
 /// Largest list.
 pub(super) const MAX_BYTES: u64 = 1 << 28;

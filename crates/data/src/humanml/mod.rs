@@ -39,8 +39,7 @@ mod word_vectors;
 
 pub use caption_labels::{CaptionLabels, MAX_CAPTIONS};
 pub use clip::{
-    Clip, ClipSet, FEATURES, TEXTS, features_bytes, features_path, parse_features, texts_path,
-    write_features,
+    Clip, ClipSet, FEATURES, features_bytes, features_path, parse_features, write_features,
 };
 pub use config::{CaptionRule, CaptionText, Humanml3dConfig, SkeletonName};
 pub use embeddings::{read_embedding, write_embeddings};
@@ -49,5 +48,5 @@ pub use labels::{ClipLabels, LABELS, labels_bytes, labels_of, read_labels};
 pub use samples::ClipSamples;
 pub use statistics::statistics_files;
 pub use synthetic::{synthetic_id, walk, write_walks};
-pub use texts::{Caption, parse_captions, read_captions};
+pub use texts::{Caption, TEXTS, parse_captions, read_captions, texts_path};
 pub use word_vectors::{parse_word_vectors, read_word_vectors};

@@ -35,7 +35,7 @@ fn features_file(folder: &Path, index: usize) -> std::path::PathBuf {
 }
 
 fn texts_file(folder: &Path, index: usize) -> std::path::PathBuf {
-    folder.join(super::super::clip::texts_path(&id(index)))
+    folder.join(super::super::texts::texts_path(&id(index)))
 }
 
 fn write_array(path: &Path, shape: &[usize]) {

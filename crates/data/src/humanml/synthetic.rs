@@ -19,7 +19,8 @@ use crate::{
     atomic,
 };
 
-use super::clip::{self, features_path, texts_path, write_features};
+use super::clip::{self, features_path, write_features};
+use super::texts::{self, texts_path};
 use super::{Caption, Clip, embeddings};
 
 /// Id of synthetic walk number `index`: `walk_00007`.
@@ -249,7 +250,7 @@ pub fn write_walks(folder: &Path, clips: usize, frames: usize, seed: u64) -> Res
     } = config.humanml3d;
     let parts = [
         clip::FEATURES,
-        clip::TEXTS,
+        texts::TEXTS,
         train_list.as_str(),
         &validation_list,
         &text_embeddings,

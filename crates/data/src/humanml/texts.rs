@@ -11,13 +11,19 @@ use kinegrad_motion::metrics::text_motion::{PartOfSpeech, Token};
 use crate::FileError;
 use crate::file::read_file;
 
-use super::clip::TEXTS;
+/// Folder of all captions, in files `ID.txt`.
+pub const TEXTS: &str = "texts";
 
 /// Largest file of captions.
 pub(super) const MAX_BYTES: u64 = 1 << 20;
 
 /// Format of a line.
 const LINE: &str = "`CAPTION#TOKENS#FROM#TO`";
+
+/// Path of the captions of clip `id` in its dataset.
+pub fn texts_path(id: &str) -> String {
+    format!("{TEXTS}/{id}.txt")
+}
 
 /// A caption of a clip, or of a range of it.
 #[derive(Clone, Debug, PartialEq)]

@@ -4,7 +4,8 @@ use kinegrad_audio::Pulse;
 use kinegrad_motion::FPS;
 use kinegrad_random::Key;
 
-use crate::features::{AUDIO_CHANNELS, AudioFeatures};
+use crate::audio_layout::AUDIO_CHANNELS;
+use crate::features::AudioFeatures;
 
 /// Number of moves.
 pub const MOVES: usize = 4;

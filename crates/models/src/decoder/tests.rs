@@ -160,7 +160,7 @@ fn bad_sizes_are_refused_by_key() {
 #[test]
 fn a_fresh_decoder_of_other_targets_undoes_normalisation_and_conversion() {
     let device = Device::flex();
-    let targets = Targets {
+    let targets = ChannelEncoding {
         phase: PhaseEncoding::SinCos,
         orientation: OrientationEncoding::Rotation6d,
     };
@@ -203,7 +203,7 @@ fn a_fresh_decoder_of_other_targets_undoes_normalisation_and_conversion() {
 
 #[test]
 fn a_decoder_too_narrow_for_its_targets_is_refused() {
-    let targets = Targets {
+    let targets = ChannelEncoding {
         phase: PhaseEncoding::SinCos,
         orientation: OrientationEncoding::Rotation6d,
     };
