@@ -38,8 +38,8 @@ pub enum Error {
 
     /// The statistics do not describe how training motion moves.
     #[error(
-        "the statistics do not say how training motion moves: they came with a dataset, or an \
-         older version of kinegrad wrote them"
+        "the statistics do not describe how training motion moves: they came with a dataset or \
+         from an older version of kinegrad"
     )]
     #[diagnostic(help(
         "measure the training motion itself with option `source`, or use option `profile ccmotion`"

@@ -75,8 +75,8 @@ impl PathPlan {
             Some("csv") => Self::line(read_table(text)?),
             Some("svg") => {
                 let scale = metres_per_unit.ok_or(
-                    "a drawing has no metres: state the length of its unit, as \
-                     option `metres_per_unit 0.01`",
+                    "an SVG file has no metres: state the metres per unit, as option \
+                     `metres_per_unit 0.01`",
                 )?;
                 let SvgPath { points, closed } = read_svg(text, scale)?;
                 Self {
@@ -87,9 +87,7 @@ impl PathPlan {
             _ => Self::read_toml(text)?,
         };
         if metres_per_unit.is_some() && ending.as_deref() != Some("svg") {
-            return Err(
-                "option `metres_per_unit` is for drawings (.svg): this file is in metres".into(),
-            );
+            return Err("option `metres_per_unit` is for SVG files: this file is in metres".into());
         }
         plan.validate().map_err(|error| error.to_string())?;
         Ok(plan)
@@ -308,7 +306,7 @@ mod tests {
             (
                 "p.svg",
                 "<svg/>",
-                "a drawing has no metres: state the length of its unit, as option `metres_per_unit 0.01`",
+                "an SVG file has no metres: state the metres per unit, as option `metres_per_unit 0.01`",
             ),
         ] {
             let found = PathPlan::read(text, file, None).unwrap_err();

@@ -126,7 +126,10 @@ mod tests {
     fn strict_without_statistics_has_a_hint() {
         let error = check(&random_phrase(1, 5), Profile::Strict, None).unwrap_err();
         let help = miette::Diagnostic::help(&error).unwrap().to_string();
-        assert!(help.contains("run") && help.contains("dataset"), "{help}");
+        assert!(
+            help.contains("`run`") && help.contains("`source`"),
+            "{help}"
+        );
     }
 
     #[test]

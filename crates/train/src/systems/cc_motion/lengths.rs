@@ -27,7 +27,7 @@ pub(super) fn leading(phrase: &Arc<Phrase>, longest: usize) -> Arc<Phrase> {
 /// windows do not fit together.
 pub(super) fn windows(config: &Config, frames: usize) -> Option<Windows> {
     let longest = config.data.target_frames;
-    let fit = targets(config).orientation != OrientationTarget::CanonicalQuaternion;
+    let fit = targets(config).orientation != OrientationEncoding::CanonicalQuaternion;
     (fit && frames > longest).then(|| Windows::new(frames, longest))
 }
 

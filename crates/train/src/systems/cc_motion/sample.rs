@@ -10,7 +10,7 @@ use kinegrad_models::Beats;
 use kinegrad_motion::path::PathPlan;
 use kinegrad_motion::postprocess::PostProcessConfig;
 use kinegrad_motion::stitch::Windows;
-use kinegrad_motion::{Motion, OrientationTarget, Profile, Report, Statistics, check};
+use kinegrad_motion::{Motion, OrientationEncoding, Profile, Report, Statistics, check};
 use kinegrad_random::{Key, Purpose};
 
 use super::CcMotionConfig;
@@ -167,7 +167,7 @@ impl<'a> Phrases<'a> {
         let path = path.transpose()?;
         let must_join = known.is_some() || path.is_some();
         if (must_join || (is_song && frames > length))
-            && targets(config).orientation == OrientationTarget::CanonicalQuaternion
+            && targets(config).orientation == OrientationEncoding::CanonicalQuaternion
         {
             let message = "a run with `model.orientation_target = \"canonical_quaternion\"` samples \
                            each motion from its own first heading: windows of a song, known frames \
