@@ -5,7 +5,7 @@ use std::path::Path;
 
 use kinegrad_data::read_motion;
 use kinegrad_motion::derivatives::make_sign_continuous;
-use kinegrad_motion::stitch::KnownFrames;
+use kinegrad_motion::stitch;
 use kinegrad_motion::{CHANNELS, Motion, Quaternion, channel_name};
 
 use super::KnownFramesCondition;
@@ -136,7 +136,7 @@ impl KnownFrames {
     }
 
     /// The given frames with unit quaternions of continuous sign, `[25, frames]`.
-    pub fn known(&self) -> KnownFrames {
+    pub fn known(&self) -> stitch::KnownFrames {
         let mut is_known = vec![false; self.motion.frames()];
         self.frames
             .iter()
@@ -151,7 +151,7 @@ impl KnownFrames {
         for (t, quaternion) in given.into_iter().zip(quaternions) {
             motion.set_quaternion(t, quaternion);
         }
-        KnownFrames {
+        stitch::KnownFrames {
             values: motion.channel_major(),
             is_known,
         }

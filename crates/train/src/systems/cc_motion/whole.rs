@@ -21,7 +21,7 @@ use kinegrad_motion::coherence::{
 use kinegrad_motion::derivatives::make_sign_continuous;
 use kinegrad_motion::heading_alignment::HeadingAlignment;
 use kinegrad_motion::postprocess::derive_angular_velocity;
-use kinegrad_motion::stitch::{KnownFrames, Layout, Windows};
+use kinegrad_motion::stitch::{self, Layout, Windows};
 use kinegrad_motion::{Motion, Statistics};
 use kinegrad_random::Key;
 
@@ -98,7 +98,7 @@ impl Generator {
     }
 
     /// Known frames of a phrase in the channels and units of the network.
-    fn normalized(&self, known: &KnownFrames) -> KnownFrames {
+    fn normalized(&self, known: &stitch::KnownFrames) -> stitch::KnownFrames {
         let frames = known.is_known.len();
         let phrase = Motion::from_channel_major(&known.values, frames).expect("25 channels");
         let (rows, channels) = (
@@ -111,7 +111,7 @@ impl Generator {
             let value = f64::from(rows[t * channels + channel]);
             ((value - mean[channel]) / std[channel]) as f32
         });
-        KnownFrames {
+        stitch::KnownFrames {
             values: values.collect(),
             is_known: known.is_known.clone(),
         }
@@ -122,7 +122,7 @@ impl Generator {
         &self,
         whole: &Whole<'_>,
         values: &mut [f32],
-        known: Option<&KnownFrames>,
+        known: Option<&stitch::KnownFrames>,
     ) -> Vec<f32> {
         let turning = HeadingAlignment {
             layout: Layout::Predicted(self.targets),
@@ -139,7 +139,7 @@ impl Generator {
         turning: HeadingAlignment<'_>,
         whole: &Whole<'_>,
         values: &mut [f32],
-        known: Option<&KnownFrames>,
+        known: Option<&stitch::KnownFrames>,
     ) -> Vec<f32> {
         let windows = &whole.windows;
         if !self.state.config.data.augment.rotate_yaw || whole.path.is_some() {
@@ -161,7 +161,7 @@ impl Generator {
     fn latents(
         &self,
         whole: &Whole<'_>,
-        known: Option<&KnownFrames>,
+        known: Option<&stitch::KnownFrames>,
         sampling: &SamplingConfig,
         key: Key,
         on_windows: &mut dyn FnMut(usize, usize) -> ControlFlow<()>,
@@ -262,7 +262,7 @@ impl Generator {
     fn decoded(
         &self,
         whole: &Whole<'_>,
-        known: Option<&KnownFrames>,
+        known: Option<&stitch::KnownFrames>,
         latents: &[f32],
     ) -> Result<Motion, Error> {
         let decoder = self.decoder.as_ref().expect("asked before");
