@@ -4,7 +4,7 @@ use std::borrow::Cow;
 use std::ops::Range;
 
 use kinegrad_motion::time_stretch::{at_speed, frames_at_speed};
-use kinegrad_motion::{Motion, anchor_floor, mirror, rotate_yaw};
+use kinegrad_motion::{Phrase, anchor_floor, mirror, rotate_yaw};
 use kinegrad_random::{Key, Purpose};
 
 use crate::audio_layout::AUDIO_CHANNELS;
@@ -60,7 +60,7 @@ impl Augmentation {
         &self,
         context: &'a ContextWindow,
         n: u64,
-    ) -> (Window<'a, Motion>, Window<'a, AudioFeatures>) {
+    ) -> (Window<'a, Phrase>, Window<'a, AudioFeatures>) {
         let AugmentConfig {
             rotate_yaw: turn,
             mirror: reflect,
@@ -104,7 +104,7 @@ impl Augmentation {
             if anchor {
                 anchor_floor(&mut changed);
             }
-            motion = owned(changed, Motion::frames);
+            motion = owned(changed, Phrase::frames);
         }
         if speed != 1.0 {
             let played = time_stretch::at_speed(&context.take.audio.slice(window), speed);
@@ -170,7 +170,7 @@ fn played_by(frames: usize, speed: f64) -> usize {
 }
 
 /// The same orientations with the other sign.
-fn negate_quaternions(motion: &mut Motion) {
+fn negate_quaternions(motion: &mut Phrase) {
     for t in 0..motion.frames() {
         motion.set_quaternion(t, motion.quaternion(t).scale(-1.0));
     }
@@ -221,7 +221,7 @@ fn with_noise(audio: AudioFeatures, std: f64, key: Key) -> AudioFeatures {
 mod tests {
     use super::*;
     use crate::synthetic;
-    use crate::{AudioLayout, Phrase};
+    use crate::{AudioLayout, PhraseItem};
     use kinegrad_motion::derivatives::{mean_norm, velocity_errors};
     use kinegrad_motion::phrase::POSITION;
     use std::collections::BTreeSet;
@@ -229,7 +229,7 @@ mod tests {
 
     impl Augmentation {
         /// The windows by themselves.
-        fn sample(&self, context: &ContextWindow, n: u64) -> (Motion, AudioFeatures) {
+        fn sample(&self, context: &ContextWindow, n: u64) -> (Phrase, AudioFeatures) {
             let (motion, audio) = self.windows(context, n);
             (motion.of.slice(motion.frames), audio.of.slice(audio.frames))
         }
@@ -276,12 +276,12 @@ mod tests {
     }
 
     /// A phrase that is a take of its own.
-    fn alone(phrase: &Phrase) -> ContextWindow {
+    fn alone(phrase: &PhraseItem) -> ContextWindow {
         ContextWindow::alone(Arc::new(phrase.clone()))
     }
 
     /// The first frame of `phrase` whose audio is that of the sample.
-    fn start(phrase: &Phrase, audio: &AudioFeatures) -> usize {
+    fn start(phrase: &PhraseItem, audio: &AudioFeatures) -> usize {
         (0..=phrase.frames() - audio.frames())
             .find(|&s| phrase.audio.slice(s..s + audio.frames()) == *audio)
             .expect("a window of the phrase")
@@ -417,7 +417,7 @@ mod tests {
 
     #[test]
     fn audio_masks_zero_stretches_and_bands_and_leave_the_rest() {
-        let phrase = Phrase {
+        let phrase = PhraseItem {
             audio: AudioFeatures::new(20, vec![1.0; AUDIO_CHANNELS * 20]).expect("a size"),
             ..synthetic::phrase(0, 20, 1)
         };
@@ -484,7 +484,7 @@ mod tests {
             for t in 0..20 {
                 assert!(distance(place(t) + offset, phase(t)) < 1e-3, "{n} {t}");
             }
-            let of = |m: &Motion, from: usize| {
+            let of = |m: &Phrase, from: usize| {
                 step(
                     f64::from(m.frame(from)[PHASE]),
                     f64::from(m.frame(from + 1)[PHASE]),

@@ -6,16 +6,16 @@ use std::sync::Arc;
 
 use kinegrad_motion::derivatives::rederive;
 use kinegrad_motion::phrase::{POSITION, VELOCITY};
-use kinegrad_motion::{FPS, Motion, anchor_floor};
+use kinegrad_motion::{FPS, Phrase, anchor_floor};
 
 use crate::features::AudioFeatures;
-use crate::{Error, Phrase, PhraseSet};
+use crate::{Error, PhraseItem, PhraseSet};
 
 /// A phrase and the recording around it.
 #[derive(Clone, Debug)]
 pub struct ContextWindow {
     /// The phrase, joined with the part of its recording that a crop can reach.
-    pub(crate) take: Arc<Phrase>,
+    pub(crate) take: Arc<PhraseItem>,
     /// The phrase's own frames in the recording.
     pub(crate) own: Range<usize>,
     /// The phrase's id.
@@ -33,7 +33,7 @@ pub(crate) struct Window<'a, T: Clone> {
 
 impl ContextWindow {
     /// A phrase without neighbours.
-    pub(crate) fn alone(phrase: Arc<Phrase>) -> Self {
+    pub(crate) fn alone(phrase: Arc<PhraseItem>) -> Self {
         Self {
             own: 0..phrase.frames(),
             id: phrase.id.clone(),
@@ -45,7 +45,7 @@ impl ContextWindow {
     pub(crate) fn window(
         &self,
         frames: Range<usize>,
-    ) -> (Window<'_, Motion>, Window<'_, AudioFeatures>) {
+    ) -> (Window<'_, Phrase>, Window<'_, AudioFeatures>) {
         let motion = Window {
             of: Cow::Borrowed(&self.take.motion),
             frames: frames.clone(),
@@ -61,7 +61,7 @@ impl ContextWindow {
     pub(crate) fn leading(
         &self,
         longest: usize,
-    ) -> (Window<'_, Motion>, Window<'_, AudioFeatures>) {
+    ) -> (Window<'_, Phrase>, Window<'_, AudioFeatures>) {
         let frames = self.own.start..self.own.start + self.own.len().min(longest);
         let (mut motion, audio) = self.window(frames.clone());
         if frames.start > 0 {
@@ -161,7 +161,7 @@ impl ContextWindows {
             .map(|part| self.phrases.get(part))
             .collect::<Result<_, _>>()?;
         Ok(ContextWindow {
-            take: Arc::new(Phrase {
+            take: Arc::new(PhraseItem {
                 label: parts[position - first].label.clone(),
                 ..join(&parts)
             }),
@@ -190,14 +190,14 @@ fn follows(phrases: &PhraseSet, position: usize) -> bool {
 ///
 /// Each phrase is anchored at its own first frame, so the next one is moved to continue with the
 /// mean velocity of both sides. Height is kept, and the sign of quaternions is continuous.
-fn join(phrases: &[Arc<Phrase>]) -> Phrase {
+fn join(phrases: &[Arc<PhraseItem>]) -> PhraseItem {
     let (first, rest) = phrases.split_first().expect("a run has a phrase");
     if rest.is_empty() {
         return (**first).clone();
     }
     let mut values = first.motion.as_slice().to_vec();
     for phrase in rest {
-        let before = Motion::new(values.clone()).expect("whole frames");
+        let before = Phrase::new(values.clone()).expect("whole frames");
         let mut next = phrase.motion.clone();
         let last = before.frames() - 1;
         let seam_velocity = {
@@ -219,7 +219,7 @@ fn join(phrases: &[Arc<Phrase>]) -> Phrase {
         }
         values.extend_from_slice(next.as_slice());
     }
-    let mut motion = Motion::new(values).expect("whole frames");
+    let mut motion = Phrase::new(values).expect("whole frames");
     rederive(&mut motion);
     let audio = (0..first.audio.channels())
         .flat_map(|channel| {
@@ -230,7 +230,7 @@ fn join(phrases: &[Arc<Phrase>]) -> Phrase {
         .copied()
         .collect();
     let audio = AudioFeatures::new(motion.frames(), audio).expect("as many frames as the motion");
-    Phrase {
+    PhraseItem {
         id: first.id.clone(),
         motion,
         audio,
@@ -245,7 +245,7 @@ mod tests {
     use kinegrad_motion::{Profile, check, phrase_statistics};
 
     /// A recording of 90 frames cut into phrases of 30, each moved to the origin.
-    fn cut() -> (Phrase, Vec<Arc<Phrase>>) {
+    fn cut() -> (PhraseItem, Vec<Arc<PhraseItem>>) {
         let whole = synthetic::phrase(0, 90, 4);
         let phrases = (0..3)
             .map(|i| {
@@ -258,7 +258,7 @@ mod tests {
                     }
                 }
                 let audio = whole.audio.slice(frames);
-                Arc::new(Phrase {
+                Arc::new(PhraseItem {
                     id: format!("song_{:05}", 100 + 30 * i),
                     motion,
                     audio,

@@ -223,7 +223,7 @@ impl<T: Item> Dataset<T> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{DataKind, OnBadPhrase, Phrase, PhraseSet};
+    use crate::{DataKind, OnBadPhrase, PhraseItem, PhraseSet};
     use crate::{features_path, motion_path, synthetic};
     use std::fs;
     use std::ops::ControlFlow;
@@ -254,7 +254,7 @@ mod tests {
     #[test]
     fn a_written_synthetic_dataset_is_the_one_made_in_memory() {
         let (_folder, config) = dataset(6);
-        let read = Dataset::<Phrase>::open(&config).unwrap();
+        let read = Dataset::<PhraseItem>::open(&config).unwrap();
         let mut made = config.clone();
         made.kind = DataKind::Synthetic;
         made.synthetic = crate::SyntheticConfig {
@@ -262,7 +262,7 @@ mod tests {
             frames: 12,
             seed: 5,
         };
-        let made = Dataset::<Phrase>::open(&made).unwrap();
+        let made = Dataset::<PhraseItem>::open(&made).unwrap();
         assert_eq!(read.train.load().unwrap(), made.train.load().unwrap());
         assert_eq!(
             read.validation.load().unwrap(),
@@ -276,7 +276,7 @@ mod tests {
     fn listed_phrases_are_held_out_and_found_again() {
         let (_folder, mut config) = dataset(12);
         config.validation.patterns = vec!["*_00003".into(), "*1?".into(), "*_0001*".into()];
-        let read = Dataset::<Phrase>::open(&config).unwrap();
+        let read = Dataset::<PhraseItem>::open(&config).unwrap();
         assert_eq!(
             ids(&read.validation),
             ["synthetic_00003", "synthetic_00010", "synthetic_00011"]
@@ -299,16 +299,20 @@ mod tests {
         let (folder, mut config) = dataset(4);
         spoil(folder.path(), 2);
         config.validation.patterns = vec!["*".into()];
-        let message = Dataset::<Phrase>::open(&config).unwrap_err().to_string();
+        let message = Dataset::<PhraseItem>::open(&config)
+            .unwrap_err()
+            .to_string();
         assert!(message.contains("phrase `synthetic_00002`"), "{message}");
         assert!(message.contains("frame 3, channel phase"), "{message}");
 
         config.on_bad_phrase = OnBadPhrase::Skip;
-        let message = Dataset::<Phrase>::open(&config).unwrap_err().to_string();
+        let message = Dataset::<PhraseItem>::open(&config)
+            .unwrap_err()
+            .to_string();
         assert!(message.contains("all 3 phrases are held out"), "{message}");
 
         config.validation.patterns = vec!["*_00000".into()];
-        let read = Dataset::<Phrase>::open(&config).unwrap();
+        let read = Dataset::<PhraseItem>::open(&config).unwrap();
         assert_eq!(ids(&read.train), ["synthetic_00001", "synthetic_00003"]);
         assert_eq!(read.skipped.len(), 1);
         assert_eq!(read.skipped[0].0, "synthetic_00002");
@@ -321,7 +325,7 @@ mod tests {
         (0..2)
             .chain(3..4)
             .for_each(|index| spoil(folder.path(), index));
-        let error = Dataset::<Phrase>::open(&config).unwrap_err();
+        let error = Dataset::<PhraseItem>::open(&config).unwrap_err();
         assert!(matches!(error, Error::NothingToTrainOn { .. }), "{error}");
         assert!(
             error.to_string().contains("left none of 4 phrases"),
@@ -340,12 +344,12 @@ mod tests {
             }
         };
         let read = AtomicUsize::new(0);
-        let opened =
-            Dataset::<Phrase>::open_with_progress(&config, &|_, _| after(3, &read)).unwrap_err();
+        let opened = Dataset::<PhraseItem>::open_with_progress(&config, &|_, _| after(3, &read))
+            .unwrap_err();
         assert!(matches!(opened, Error::Interrupted), "{opened}");
         assert!(read.load(Ordering::SeqCst) < 39);
 
-        let dataset = Dataset::<Phrase>::open(&config).unwrap();
+        let dataset = Dataset::<PhraseItem>::open(&config).unwrap();
         let read = AtomicUsize::new(0);
         let measured = dataset.statistics_with_progress(&|_, _| after(3, &read));
         assert!(matches!(measured, Err(Error::Interrupted)));
@@ -374,7 +378,7 @@ mod tests {
     #[test]
     fn ranks_that_do_not_see_the_same_phrases_are_refused() {
         let (_folder, config) = dataset(3);
-        let opened = Dataset::<Phrase>::open_among(&config, &no_progress, &Apart);
+        let opened = Dataset::<PhraseItem>::open_among(&config, &no_progress, &Apart);
         let error = opened.unwrap_err();
         assert!(matches!(error, Error::OtherListing { .. }), "{error}");
         let expected = "rank 1 finds other phrases there than rank 0";
@@ -387,13 +391,17 @@ mod tests {
         let features = folder.path().join(features_path("synthetic_00001"));
         let bytes = fs::read(&features).unwrap();
         fs::write(&features, &bytes[..bytes.len() / 2]).unwrap();
-        let message = Dataset::<Phrase>::open(&config).unwrap_err().to_string();
+        let message = Dataset::<PhraseItem>::open(&config)
+            .unwrap_err()
+            .to_string();
         assert!(
             message.contains("`synthetic_00001`") && message.contains("features.npz"),
             "{message}"
         );
         fs::remove_file(folder.path().join(motion_path("synthetic_00000"))).unwrap();
-        let message = Dataset::<Phrase>::open(&config).unwrap_err().to_string();
+        let message = Dataset::<PhraseItem>::open(&config)
+            .unwrap_err()
+            .to_string();
         assert!(
             message.contains("`synthetic_00000`") && message.contains("not found"),
             "{message}"
@@ -407,7 +415,7 @@ mod tests {
         fs::remove_file(&path).unwrap();
         fs::create_dir(&path).unwrap();
         config.on_bad_phrase = OnBadPhrase::Skip;
-        let read = Dataset::<Phrase>::open(&config).unwrap();
+        let read = Dataset::<PhraseItem>::open(&config).unwrap();
         assert_eq!(read.skipped.len(), 1);
         assert!(
             read.skipped[0].1.contains("trajectory.npy"),
@@ -419,7 +427,7 @@ mod tests {
     #[test]
     fn the_digest_knows_files_and_split_and_not_the_place() {
         let (folder, mut config) = dataset(6);
-        let digest = |config: &DataConfig| Dataset::<Phrase>::open(config).unwrap().digest;
+        let digest = |config: &DataConfig| Dataset::<PhraseItem>::open(config).unwrap().digest;
         let first = digest(&config);
         let (_other, elsewhere) = dataset(6);
         assert_eq!(digest(&elsewhere), first);
@@ -438,7 +446,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let open = |path: &Path| {
             let source = Some(path.display().to_string());
-            Dataset::<Phrase>::open(&DataConfig {
+            Dataset::<PhraseItem>::open(&DataConfig {
                 source,
                 ..DataConfig::default()
             })
@@ -462,7 +470,7 @@ mod tests {
         fs::create_dir_all(folder.path().join("motion/zz")).unwrap();
         config.num_phrases = Some(2);
         config.validation.fraction = Some(0.0);
-        let read = Dataset::<Phrase>::open(&config).unwrap();
+        let read = Dataset::<PhraseItem>::open(&config).unwrap();
         assert_eq!(ids(&read.train), ["synthetic_00000", "synthetic_00001"]);
         assert!(read.warnings[0].contains("zz"), "{:?}", read.warnings);
     }

@@ -10,7 +10,7 @@ use crate::humanml::Clip;
 use crate::item::Item;
 use crate::progress::{OpenProgress, no_progress};
 use crate::scan::{Gathered, Listable};
-use crate::{DataConfig, DataKind, Dataset, Error, Phrase};
+use crate::{DataConfig, DataKind, Dataset, Error, PhraseItem};
 
 /// Summary of a dataset. Numbers describe the usable items.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -143,7 +143,7 @@ impl Contents {
 pub fn inspect(config: &DataConfig, progress: OpenProgress) -> Result<Inspection, Error> {
     config.validate()?;
     match config.kind {
-        DataKind::Phrases | DataKind::Synthetic => inspect_items::<Phrase>(config, progress),
+        DataKind::Phrases | DataKind::Synthetic => inspect_items::<PhraseItem>(config, progress),
         DataKind::Humanml3d | DataKind::SyntheticWalks => inspect_items::<Clip>(config, progress),
     }
 }
@@ -154,7 +154,9 @@ pub fn inspect(config: &DataConfig, progress: OpenProgress) -> Result<Inspection
 /// As [`Dataset::open`].
 pub fn statistics(config: &DataConfig) -> Result<Statistics, Error> {
     match config.kind {
-        DataKind::Phrases | DataKind::Synthetic => Dataset::<Phrase>::open(config)?.statistics(),
+        DataKind::Phrases | DataKind::Synthetic => {
+            Dataset::<PhraseItem>::open(config)?.statistics()
+        }
         DataKind::Humanml3d | DataKind::SyntheticWalks => {
             Dataset::<Clip>::open(config)?.statistics()
         }

@@ -48,7 +48,7 @@ mod npy;
 mod npz;
 mod order;
 mod pattern;
-mod phrase;
+mod phrase_item;
 mod phrase_samples;
 mod phrase_set;
 mod prefetch;
@@ -95,7 +95,7 @@ pub use npz::{
     write_song_features,
 };
 pub use pattern::matches;
-pub use phrase::{Phrase, load_audio};
+pub use phrase_item::{PhraseItem, load_audio};
 pub use phrase_samples::{PhraseSamples, target_statistics};
 pub use phrase_set::PhraseSet;
 pub use progress::OpenProgress;

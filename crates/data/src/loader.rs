@@ -251,7 +251,7 @@ impl<S: Samples> Maker<S> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{Phrase, PhraseSamples, synthetic};
+    use crate::{PhraseItem, PhraseSamples, synthetic};
     use kinegrad_motion::phrase_statistics;
     use std::collections::BTreeMap;
 
@@ -268,7 +268,7 @@ mod tests {
         config
     }
 
-    fn phrases() -> Vec<Arc<Phrase>> {
+    fn phrases() -> Vec<Arc<PhraseItem>> {
         (0..7)
             .map(|index| Arc::new(synthetic::phrase(index, 14 + 3 * index, 9)))
             .collect()

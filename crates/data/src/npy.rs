@@ -5,7 +5,7 @@
 
 use std::path::Path;
 
-use kinegrad_motion::{MAX_FRAMES, Motion, phrase::CHANNELS};
+use kinegrad_motion::{MAX_FRAMES, Phrase, phrase::CHANNELS};
 
 use crate::file::read_file;
 use crate::{Error, FileError, atomic};
@@ -59,7 +59,7 @@ pub(crate) const fn max_bytes(rows: usize) -> u64 {
 /// # Errors
 /// [`FileError`] for an unreadable file, another dtype or shape, or a truncated file. Values that
 /// are not finite are accepted.
-pub fn read_motion(path: &Path) -> Result<Motion, FileError> {
+pub fn read_motion(path: &Path) -> Result<Phrase, FileError> {
     let bytes = read_file(path, MAX_MOTION_BYTES).map_err(FileError::read(path))?;
     parse_motion(&bytes, &path.display().to_string())
 }
@@ -68,7 +68,7 @@ pub fn read_motion(path: &Path) -> Result<Motion, FileError> {
 ///
 /// # Errors
 /// As [`read_motion`].
-pub fn parse_motion(bytes: &[u8], file: &str) -> Result<Motion, FileError> {
+pub fn parse_motion(bytes: &[u8], file: &str) -> Result<Phrase, FileError> {
     let array = parse(bytes, file)?;
     let shape = array.shape;
     let refused = || {
@@ -77,7 +77,7 @@ pub fn parse_motion(bytes: &[u8], file: &str) -> Result<Motion, FileError> {
     };
     match shape[..] {
         [frames, CHANNELS] if (2..=MAX_FRAMES).contains(&frames) => {
-            Motion::new(array.values).map_err(|_| refused())
+            Phrase::new(array.values).map_err(|_| refused())
         }
         _ => Err(refused()),
     }
@@ -87,12 +87,12 @@ pub fn parse_motion(bytes: &[u8], file: &str) -> Result<Motion, FileError> {
 ///
 /// # Errors
 /// [`Error::Io`].
-pub fn write_motion(path: &Path, motion: &Motion) -> Result<(), Error> {
+pub fn write_motion(path: &Path, motion: &Phrase) -> Result<(), Error> {
     atomic::write(path, &motion_bytes(motion))
 }
 
 /// The bytes of the `.npy` file that holds `motion`.
-pub fn motion_bytes(motion: &Motion) -> Vec<u8> {
+pub fn motion_bytes(motion: &Phrase) -> Vec<u8> {
     array_bytes(&[motion.frames(), CHANNELS], motion.as_slice())
 }
 

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use kinegrad_motion::{CHANNELS, ChannelEncoding, ChannelMoments, Motion, Statistics};
+use kinegrad_motion::{CHANNELS, ChannelEncoding, ChannelMoments, Phrase, Statistics};
 use kinegrad_ranks::Sharing;
 
 use crate::augment::Augmentation;
@@ -12,7 +12,7 @@ use crate::item_set::measure_among;
 use crate::loader::Samples;
 use crate::progress::no_progress;
 use crate::{
-    Batch, DataConfig, Error, Phrase, PhraseSet, StatisticsOf, StyleConditions, mean_style,
+    Batch, DataConfig, Error, PhraseItem, PhraseSet, StatisticsOf, StyleConditions, mean_style,
 };
 
 /// Crops of each phrase for statistics.
@@ -80,7 +80,7 @@ pub fn target_statistics(
     let contexts = ContextWindows::new(phrases, sampler.frames_seen(), config.join_neighbours);
     let measure = |position: usize| -> Result<ChannelMoments, Error> {
         let context = contexts.get(position)?;
-        let encoded = |window: Window<'_, Motion>| {
+        let encoded = |window: Window<'_, Phrase>| {
             let rows = window.frames.start * CHANNELS..window.frames.end * CHANNELS;
             targets.encode(&window.of.as_slice()[rows]).into_owned()
         };
@@ -107,7 +107,7 @@ pub fn target_statistics(
 }
 
 impl Samples for PhraseSamples {
-    type Item = Phrase;
+    type Item = PhraseItem;
     type Read = ContextWindow;
 
     fn items(&self) -> &PhraseSet {
@@ -201,7 +201,7 @@ mod tests {
             let found = &batch.x_start[sample * 28 * 7..][..28 * 7];
             let valid = found.chunks(7).flat_map(|row| row[..frames].to_vec());
             let rows = statistics.denormalize(&valid.collect::<Vec<_>>());
-            let back = Motion::new(targets.decode(rows)).unwrap();
+            let back = Phrase::new(targets.decode(rows)).unwrap();
             for t in 0..frames {
                 let dot = back.quaternion(t).dot(phrase.motion.quaternion(t));
                 assert!((dot.abs() - 1.0).abs() < 1e-5);
@@ -223,9 +223,9 @@ mod tests {
             ..DataConfig::default()
         };
         let labels = [Some("waltz"), None, Some("tango"), Some("rumba")];
-        let phrases: Vec<Arc<Phrase>> = (0..4)
+        let phrases: Vec<Arc<PhraseItem>> = (0..4)
             .map(|index| {
-                Arc::new(Phrase {
+                Arc::new(PhraseItem {
                     label: labels[index].map(str::to_owned),
                     ..synthetic::phrase(index, 5 + 2 * index, 2)
                 })
@@ -319,12 +319,12 @@ mod tests {
     #[test]
     fn validation_sees_a_phrase_as_it_is_whatever_it_is_joined_with() {
         let whole = synthetic::phrase(0, 90, 4);
-        let phrases: Vec<Arc<Phrase>> = (0..3)
+        let phrases: Vec<Arc<PhraseItem>> = (0..3)
             .map(|i| {
                 let frames = 30 * i..30 * (i + 1);
                 let mut motion = whole.motion.slice(frames.clone());
                 kinegrad_motion::anchor_floor(&mut motion);
-                Arc::new(Phrase {
+                Arc::new(PhraseItem {
                     id: format!("song_{:05}", 30 * i),
                     motion,
                     audio: whole.audio.slice(frames),
@@ -353,7 +353,7 @@ mod tests {
 
     #[test]
     fn validation_cuts_pads_and_masks_phrases() {
-        let phrases: Vec<Arc<Phrase>> = [9, 5]
+        let phrases: Vec<Arc<PhraseItem>> = [9, 5]
             .map(|frames| Arc::new(synthetic::phrase(frames, frames, 2)))
             .to_vec();
         let statistics = phrase_statistics(phrases.iter().map(|phrase| &phrase.motion)).unwrap();

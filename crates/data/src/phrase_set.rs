@@ -20,12 +20,12 @@ use crate::npz::MAX_FEATURES_BYTES;
 use crate::scan::{Listable, Scan};
 use crate::split::Split;
 use crate::store::Store;
-use crate::{DataConfig, DataKind, Error, FileError, Phrase, SyntheticConfig, synthetic};
+use crate::{DataConfig, DataKind, Error, FileError, PhraseItem, SyntheticConfig, synthetic};
 
 /// Phrases in the order of their ids. A clone is another handle to the same ones.
-pub type PhraseSet = ItemSet<Phrase>;
+pub type PhraseSet = ItemSet<PhraseItem>;
 
-impl Item for Phrase {
+impl Item for PhraseItem {
     const KIND: &'static str = "phrase";
 
     type Representation = Phrases;
@@ -63,7 +63,7 @@ impl Item for Phrase {
     }
 }
 
-impl Listable for Phrase {
+impl Listable for PhraseItem {
     fn scan(config: &DataConfig) -> Result<Scan<Self>, Error> {
         let split = Split::new(&config.validation)?;
         let mut scan = match config.kind {
@@ -97,7 +97,7 @@ impl Listable for Phrase {
     }
 }
 
-fn phrase_files(config: &DataConfig) -> Result<Scan<Phrase>, Error> {
+fn phrase_files(config: &DataConfig) -> Result<Scan<PhraseItem>, Error> {
     let source = config.source.as_deref().unwrap_or_default();
     let store = Store::open(source, &config.store)?;
     let Listing {
@@ -168,8 +168,8 @@ fn phrase_files(config: &DataConfig) -> Result<Scan<Phrase>, Error> {
 #[derive(Debug)]
 pub(crate) struct PhraseFiles(pub Files, pub AudioLayout, pub Labels);
 
-impl ItemSource<Phrase> for PhraseFiles {
-    fn read(&self, request: ReadRequest<'_>) -> Result<ReadItem<Phrase>, FileError> {
+impl ItemSource<PhraseItem> for PhraseFiles {
+    fn read(&self, request: ReadRequest<'_>) -> Result<ReadItem<PhraseItem>, FileError> {
         let ReadRequest { id, recorded, .. } = request;
         let [motion, audio] = request.expected else {
             unreachable!("a phrase has two files");
@@ -179,7 +179,8 @@ impl ItemSource<Phrase> for PhraseFiles {
         let (motion, motion_digest) = files.read(&paths.0, motion, MAX_MOTION_BYTES, recorded)?;
         let (audio, audio_digest) = files.read(&paths.1, audio, MAX_FEATURES_BYTES, recorded)?;
         let names = (files.store.name_of(&paths.0), files.store.name_of(&paths.1));
-        let (phrase, note) = Phrase::parse(id, (&motion, &names.0), (&audio, &names.1), *layout)?;
+        let (phrase, note) =
+            PhraseItem::parse(id, (&motion, &names.0), (&audio, &names.1), *layout)?;
         let phrase = labelled(phrase, labels);
         Ok(ReadItem {
             note,
@@ -198,8 +199,8 @@ impl ItemSource<Phrase> for PhraseFiles {
 }
 
 /// Adds a phrase's label.
-fn labelled(phrase: Phrase, labels: &Labels) -> Phrase {
-    Phrase {
+fn labelled(phrase: PhraseItem, labels: &Labels) -> PhraseItem {
+    PhraseItem {
         label: labels.of(&phrase.id).map(str::to_owned),
         ..phrase
     }
@@ -210,8 +211,8 @@ fn labelled(phrase: Phrase, labels: &Labels) -> Phrase {
 #[derive(Debug)]
 pub(crate) struct SyntheticPhrases(pub SyntheticConfig, pub AudioLayout, pub Labels);
 
-impl ItemSource<Phrase> for SyntheticPhrases {
-    fn read(&self, request: ReadRequest<'_>) -> Result<ReadItem<Phrase>, FileError> {
+impl ItemSource<PhraseItem> for SyntheticPhrases {
+    fn read(&self, request: ReadRequest<'_>) -> Result<ReadItem<PhraseItem>, FileError> {
         let SyntheticConfig { frames, seed, .. } = self.0;
         let Self(_, layout, labels) = self;
         let phrase = synthetic::phrase_in(*layout, request.number, frames, seed);

@@ -2,10 +2,10 @@
 //! phase or style.
 
 use crate::phrase::{ACCELERATION, ANGULAR_VELOCITY, POSITION, QUATERNION, VELOCITY};
-use crate::{Motion, Quaternion};
+use crate::{Phrase, Quaternion};
 
 /// Turns the whole phrase about +y by `angle` radians (+z towards +x).
-pub fn rotate_yaw(motion: &mut Motion, angle: f64) {
+pub fn rotate_yaw(motion: &mut Phrase, angle: f64) {
     let turn = Quaternion::from_yaw(angle);
     for t in 0..motion.frames() {
         for channels in [POSITION, VELOCITY, ACCELERATION, ANGULAR_VELOCITY] {
@@ -18,7 +18,7 @@ pub fn rotate_yaw(motion: &mut Motion, angle: f64) {
 
 /// Reflects the phrase at the plane x = 0. Angular velocity is an axial vector: its y and z are
 /// negated.
-pub fn mirror(motion: &mut Motion) {
+pub fn mirror(motion: &mut Phrase) {
     for t in 0..motion.frames() {
         for channels in [POSITION, VELOCITY, ACCELERATION] {
             let [x, y, z] = motion.vector(t, channels.clone());
@@ -46,7 +46,7 @@ pub fn mirrored_channels() -> [usize; 7] {
 }
 
 /// Moves the phrase on the floor so that its first frame is at x = z = 0 (metres).
-pub fn anchor_floor(motion: &mut Motion) {
+pub fn anchor_floor(motion: &mut Phrase) {
     let [x0, _, z0] = motion.vector(0, POSITION);
     for t in 0..motion.frames() {
         let [x, y, z] = motion.vector(t, POSITION);
@@ -75,7 +75,7 @@ mod tests {
         }
     }
 
-    fn assert_commutes(original: &Motion, change: impl Fn(&mut Motion)) {
+    fn assert_commutes(original: &Phrase, change: impl Fn(&mut Phrase)) {
         let mut changed = original.clone();
         change(&mut changed);
         let mut derived = changed.clone();
@@ -100,7 +100,7 @@ mod tests {
 
     #[test]
     fn a_quarter_turn_takes_forward_to_the_right() {
-        let mut motion = Motion::new(vec![0.0; CHANNELS]).unwrap();
+        let mut motion = Phrase::new(vec![0.0; CHANNELS]).unwrap();
         motion.set_vector(0, POSITION, [0.0, 5.0, 1.0]);
         motion.set_vector(0, VELOCITY, [1.0, 0.0, 0.0]);
         motion.set_quaternion(0, Quaternion::IDENTITY);

@@ -20,7 +20,7 @@ use serde::{Deserialize, Serialize};
 use crate::augment::mirrored_channels;
 use crate::phrase::{ANGULAR_VELOCITY, CHANNELS, PHASE, QUATERNION, STYLE};
 use crate::vector::{cross, dot};
-use crate::{ChannelMoments, Motion, Quaternion, Statistics, rotate_yaw};
+use crate::{ChannelMoments, Phrase, Quaternion, Statistics, rotate_yaw};
 
 /// Predicted rotation axes whose square is below this are not normalised, nor areas of two.
 pub const LEAST_SQUARE: f64 = 1e-8;
@@ -170,7 +170,7 @@ impl ChannelEncoding {
         if self.are_stored_channels() {
             return Cow::Borrowed(rows);
         }
-        let mut motion = Motion::new(rows.to_vec()).expect("whole frames of 25 channels");
+        let mut motion = Phrase::new(rows.to_vec()).expect("whole frames of 25 channels");
         if self.orientation == OrientationEncoding::CanonicalQuaternion {
             let heading = motion.quaternion(0).yaw();
             rotate_yaw(&mut motion, -heading);

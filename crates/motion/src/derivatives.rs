@@ -7,7 +7,7 @@ use std::ops::Range;
 
 use crate::phrase::{ACCELERATION, ANGULAR_VELOCITY, FPS, PHASE, POSITION, STYLE, VELOCITY};
 use crate::vector::{length, minus};
-use crate::{CHANNELS, Error, Motion, Quaternion};
+use crate::{CHANNELS, Error, Phrase, Quaternion};
 
 /// Forward differences of vectors `[frames, 3]` times `fps`, the last one repeated. A single frame
 /// has velocity zero.
@@ -27,7 +27,7 @@ pub fn angular_velocity(quaternions: &[Quaternion], fps: f64) -> Vec<[f64; 3]> {
 
 /// Angular velocity between neighbouring frames by the quaternions, of any norm and sign: radians per
 /// second, world frame, `[frames - 1, 3]`. NaN stays NaN.
-pub fn angular_rates(motion: &Motion) -> Vec<[f64; 3]> {
+pub fn angular_rates(motion: &Phrase) -> Vec<[f64; 3]> {
     let frames = 0..motion.frames();
     let quaternions: Vec<Quaternion> = frames.map(|t| motion.quaternion(t)).collect();
     let mut rates = angular_velocity(&quaternions, FPS);
@@ -65,7 +65,7 @@ pub fn derive(
     quaternions: &[Quaternion],
     phase: &[f64],
     style: &[[f64; 8]],
-) -> Result<Motion, Error> {
+) -> Result<Phrase, Error> {
     let frames = positions.len();
     let lengths = [
         ("quaternions", quaternions.len()),
@@ -81,7 +81,7 @@ pub fn derive(
             });
         }
     }
-    let mut motion = Motion::new(vec![0.0; frames * CHANNELS])?;
+    let mut motion = Phrase::new(vec![0.0; frames * CHANNELS])?;
     let mut units: Vec<Quaternion> = quaternions.iter().map(|q| q.normalised()).collect();
     make_sign_continuous(&mut units);
     for t in 0..frames {
@@ -99,7 +99,7 @@ pub fn derive(
 
 /// Replaces velocity, acceleration and angular velocity by the derivatives of the stored positions
 /// and quaternions.
-pub fn rederive(motion: &mut Motion) {
+pub fn rederive(motion: &mut Phrase) {
     let velocity = forward_differences(&vectors(motion, POSITION), FPS);
     for (t, value) in velocity.into_iter().enumerate() {
         motion.set_vector(t, VELOCITY, value);
@@ -115,30 +115,30 @@ pub fn rederive(motion: &mut Motion) {
 }
 
 /// `v[t] - fps (p[t+1] - p[t])` in metres per second, `[frames - 1, 3]`.
-pub fn velocity_errors(motion: &Motion) -> Vec<[f64; 3]> {
+pub fn velocity_errors(motion: &Phrase) -> Vec<[f64; 3]> {
     errors(motion, POSITION, VELOCITY)
 }
 
 /// `a[t] - fps (v[t+1] - v[t])` in metres per second squared, `[frames - 1, 3]`.
-pub fn acceleration_errors(motion: &Motion) -> Vec<[f64; 3]> {
+pub fn acceleration_errors(motion: &Phrase) -> Vec<[f64; 3]> {
     errors(motion, VELOCITY, ACCELERATION)
 }
 
 /// `w[t]` minus the rotation vector of `q[t+1] * conj(q[t])` times `fps`, radians per second,
 /// `[frames - 1, 3]`.
-pub fn rotation_errors(motion: &Motion) -> Vec<[f64; 3]> {
+pub fn rotation_errors(motion: &Phrase) -> Vec<[f64; 3]> {
     let stored = vectors(motion, ANGULAR_VELOCITY).into_iter();
     let derived = angular_rates(motion).into_iter();
     stored.zip(derived).map(|(a, b)| minus(a, b)).collect()
 }
 
 /// `fps (a[t+1] - a[t])` in metres per second cubed, `[frames - 1, 3]`.
-pub fn jerk(motion: &Motion) -> Vec<[f64; 3]> {
+pub fn jerk(motion: &Phrase) -> Vec<[f64; 3]> {
     differences(&vectors(motion, ACCELERATION), FPS)
 }
 
 /// Mean Euclidean norm of the [`jerk`], metres per second cubed; 0 of a single frame.
-pub fn mean_jerk_norm(motion: &Motion) -> f64 {
+pub fn mean_jerk_norm(motion: &Phrase) -> f64 {
     mean_norm(&jerk(motion))
 }
 
@@ -155,13 +155,13 @@ pub fn mean_absolute_component(vectors: &[[f64; 3]]) -> f64 {
     total / (3 * vectors.len()).max(1) as f64
 }
 
-fn errors(motion: &Motion, base: Range<usize>, explicit: Range<usize>) -> Vec<[f64; 3]> {
+fn errors(motion: &Phrase, base: Range<usize>, explicit: Range<usize>) -> Vec<[f64; 3]> {
     let derived = differences(&vectors(motion, base), FPS);
     let stored = vectors(motion, explicit).into_iter();
     stored.zip(derived).map(|(a, b)| minus(a, b)).collect()
 }
 
-fn vectors(motion: &Motion, channels: Range<usize>) -> Vec<[f64; 3]> {
+fn vectors(motion: &Phrase, channels: Range<usize>) -> Vec<[f64; 3]> {
     (0..motion.frames())
         .map(|t| motion.vector(t, channels.clone()))
         .collect()

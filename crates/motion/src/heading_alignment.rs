@@ -185,10 +185,10 @@ fn angle(pairs: impl Iterator<Item = (Facing, Facing, f64)>) -> Option<f64> {
 mod tests {
     use super::*;
     use crate::random_phrase::random_phrase;
-    use crate::{ChannelEncoding, Motion, PhaseEncoding, anchor_floor, rotate_yaw};
+    use crate::{ChannelEncoding, PhaseEncoding, Phrase, anchor_floor, rotate_yaw};
 
     /// The windows of a motion, each anchored where it begins and turned by an angle.
-    fn cut(windows: &Windows, motion: &Motion, angles: &[f64]) -> Vec<Motion> {
+    fn cut(windows: &Windows, motion: &Phrase, angles: &[f64]) -> Vec<Phrase> {
         let parts = angles.iter().enumerate().map(|(window, angle)| {
             let mut part = motion.slice(windows.of(window));
             anchor_floor(&mut part);
@@ -198,8 +198,8 @@ mod tests {
         parts.collect()
     }
 
-    fn rows(parts: &[Motion]) -> Vec<f32> {
-        parts.iter().flat_map(Motion::channel_major).collect()
+    fn rows(parts: &[Phrase]) -> Vec<f32> {
+        parts.iter().flat_map(Phrase::channel_major).collect()
     }
 
     fn turned(angle: f64) -> f64 {
@@ -254,7 +254,7 @@ mod tests {
             let mean = (0..channels).map(|c| 0.1 * c as f64 - 0.7);
             let std = (0..channels).map(|c| 0.5 + 0.03 * c as f64);
             let statistics = Statistics::new(mean.collect(), std.collect(), None).unwrap();
-            let own = |motion: &Motion| statistics.normalize(&encoding.encode(motion.as_slice()));
+            let own = |motion: &Phrase| statistics.normalize(&encoding.encode(motion.as_slice()));
             let turning = HeadingAlignment {
                 layout: Layout::Predicted(encoding),
                 statistics: Some(&statistics),

@@ -7,10 +7,10 @@
 //! and 10 (docs/sources.md, sections 1.1, 1.12 and 1.13).
 //!
 //! ```
-//! use kinegrad_motion::{Motion, PostProcessConfig, Profile, check, process};
+//! use kinegrad_motion::{Phrase, PostProcessConfig, Profile, check, process};
 //! let mut frame = [0.0f32; 25];
 //! frame[9] = 2.0; // a quaternion of twice the unit norm
-//! let motion = Motion::new(frame.repeat(4))?;
+//! let motion = Phrase::new(frame.repeat(4))?;
 //! assert!(!check(&motion, Profile::Document, None)?.passed);
 //! let repaired = process(&motion, &PostProcessConfig::default(), None);
 //! assert!(check(&repaired, Profile::Document, None)?.passed);
@@ -54,7 +54,7 @@ pub use derivatives::derive;
 pub use error::Error;
 pub use moments::ChannelMoments;
 pub use motion_measures::MotionMeasure;
-pub use phrase::{CHANNELS, FPS, Motion, channel_name};
+pub use phrase::{CHANNELS, FPS, Phrase, channel_name};
 pub use postprocess::{
     ClampLimits, Differences, Hemisphere, PostProcessConfig, PostProcessProfile, process,
     process_around,

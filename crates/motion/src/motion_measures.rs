@@ -7,7 +7,7 @@
 use crate::derivatives::{angular_rates, differences, mean_norm};
 use crate::phrase::{PHASE, POSITION};
 use crate::vector::length;
-use crate::{FPS, Motion, circular};
+use crate::{FPS, Phrase, circular};
 
 /// Frames in a second.
 const SECOND: usize = FPS as usize;
@@ -153,7 +153,7 @@ impl MotionMeasure {
     }
 
     /// Its value; `None` if the phrase is too short.
-    pub fn of(self, motion: &Motion) -> Option<f64> {
+    pub fn of(self, motion: &Phrase) -> Option<f64> {
         let frames = motion.frames();
         let positions =
             || -> Vec<[f64; 3]> { (0..frames).map(|t| motion.vector(t, POSITION)).collect() };
@@ -198,13 +198,13 @@ fn largest(values: Vec<f64>) -> Option<f64> {
     values.into_iter().reduce(larger)
 }
 
-fn floor_distance(motion: &Motion, from: usize, to: usize) -> f64 {
+fn floor_distance(motion: &Phrase, from: usize, to: usize) -> f64 {
     let [a, b] = [from, to].map(|t| motion.vector(t, POSITION));
     (b[0] - a[0]).hypot(b[2] - a[2])
 }
 
 /// Angles between neighbouring frames, degrees, `[frames - 1]`.
-fn turns(motion: &Motion) -> Vec<f64> {
+fn turns(motion: &Phrase) -> Vec<f64> {
     let rates = angular_rates(motion).into_iter();
     rates
         .map(|rate| (length(rate) / FPS).to_degrees())
@@ -212,7 +212,7 @@ fn turns(motion: &Motion) -> Vec<f64> {
 }
 
 /// Angles between the body's upward axis and the vertical, degrees, `[frames]`.
-fn tilts(motion: &Motion) -> Vec<f64> {
+fn tilts(motion: &Phrase) -> Vec<f64> {
     let tilt = |t| {
         let quaternion = motion.quaternion(t);
         let [x, y, z] = quaternion
@@ -224,7 +224,7 @@ fn tilts(motion: &Motion) -> Vec<f64> {
 }
 
 /// Shortest steps of the phase between frames, -0.5 to 0.5, `[frames - 1]`.
-pub fn phase_steps(motion: &Motion) -> Vec<f64> {
+pub fn phase_steps(motion: &Phrase) -> Vec<f64> {
     let phase = |t: usize| f64::from(motion.frame(t)[PHASE]);
     (1..motion.frames())
         .map(|t| circular::step(phase(t - 1), phase(t)))
@@ -232,7 +232,7 @@ pub fn phase_steps(motion: &Motion) -> Vec<f64> {
 }
 
 /// Number of bar lines that the phase passes, minus those that it passes backwards.
-fn phase_wraps(motion: &Motion) -> f64 {
+fn phase_wraps(motion: &Phrase) -> f64 {
     let phase = |t: usize| f64::from(motion.frame(t)[PHASE]);
     // A step of more than half a bar counts as one in the other direction.
     (1..motion.frames())
@@ -247,7 +247,7 @@ mod tests {
 
     /// A phrase that walks along x at 0.6 m/s while it turns about the vertical at 90 degrees per
     /// second, half a bar a second.
-    fn constant_motion(frames: usize) -> Motion {
+    fn constant_motion(frames: usize) -> Phrase {
         let seconds = |t: usize| t as f64 / FPS;
         let positions: Vec<_> = (0..frames).map(|t| [0.6 * seconds(t), 1.0, 0.0]).collect();
         let turn = |t: usize| [0.0, std::f64::consts::FRAC_PI_2 * seconds(t), 0.0];

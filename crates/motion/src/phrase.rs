@@ -58,11 +58,11 @@ pub fn channel_name(channel: usize) -> String {
 /// A phrase, `[frames, 25]`, at least one frame, in the dataset's units. Values may be NaN or
 /// infinite ([`first_non_finite`](Self::first_non_finite)).
 #[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
-pub struct Motion {
+pub struct Phrase {
     data: Vec<f32>,
 }
 
-impl Motion {
+impl Phrase {
     /// A phrase from row-major `[frames, 25]` values.
     ///
     /// [`Error::NotWholeFrames`] if the length is zero or not a multiple of 25.
@@ -177,8 +177,8 @@ impl Motion {
 mod tests {
     use super::*;
 
-    fn counting(frames: usize) -> Motion {
-        Motion::new((0..frames * CHANNELS).map(|v| v as f32).collect()).unwrap()
+    fn counting(frames: usize) -> Phrase {
+        Phrase::new((0..frames * CHANNELS).map(|v| v as f32).collect()).unwrap()
     }
 
     #[test]
@@ -205,7 +205,7 @@ mod tests {
     #[test]
     fn a_phrase_is_whole_frames() {
         for values in [0, 1, 24, 26, 49] {
-            let error = Motion::new(vec![0.0; values]).unwrap_err();
+            let error = Phrase::new(vec![0.0; values]).unwrap_err();
             assert_eq!(
                 error,
                 Error::NotWholeFrames {
@@ -214,7 +214,7 @@ mod tests {
                 }
             );
         }
-        assert_eq!(Motion::new(vec![0.0; 50]).unwrap().frames(), 2);
+        assert_eq!(Phrase::new(vec![0.0; 50]).unwrap().frames(), 2);
     }
 
     #[test]
@@ -222,9 +222,9 @@ mod tests {
         let motion = counting(3);
         let transposed = motion.channel_major();
         assert_eq!(transposed[..4], [0.0, 25.0, 50.0, 1.0]);
-        assert_eq!(Motion::from_channel_major(&transposed, 3).unwrap(), motion);
-        assert!(Motion::from_channel_major(&transposed, 4).is_err());
-        assert!(Motion::from_channel_major(&[], 0).is_err());
+        assert_eq!(Phrase::from_channel_major(&transposed, 3).unwrap(), motion);
+        assert!(Phrase::from_channel_major(&transposed, 4).is_err());
+        assert!(Phrase::from_channel_major(&[], 0).is_err());
     }
 
     #[test]

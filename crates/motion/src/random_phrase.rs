@@ -4,10 +4,10 @@ use std::f64::consts::TAU;
 
 use kinegrad_random::{Key, Purpose};
 
-use crate::{FPS, Motion, Quaternion, derive};
+use crate::{FPS, Phrase, Quaternion, derive};
 
 /// A coherent phrase of `frames` frames: sums of slow sines in position and rotation.
-pub fn random_phrase(seed: u64, frames: usize) -> Motion {
+pub fn random_phrase(seed: u64, frames: usize) -> Phrase {
     let key = Key::new(seed, Purpose::Synthetic);
     let wave = |channel: u64, t: usize| -> f64 {
         let uniforms = key.at(channel).uniforms(6);

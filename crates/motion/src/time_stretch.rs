@@ -3,7 +3,7 @@
 use crate::circular::step;
 use crate::derivatives::rederive;
 use crate::phrase::{PHASE, POSITION, STYLE};
-use crate::{CHANNELS, Motion, Quaternion};
+use crate::{CHANNELS, Phrase, Quaternion};
 
 /// Length of `frames` frames played at `speed`, from the first frame to the last.
 pub fn frames_at_speed(frames: usize, speed: f64) -> usize {
@@ -20,11 +20,11 @@ pub fn frames_at_speed(frames: usize, speed: f64) -> usize {
 /// # Panics
 /// Panics unless `speed` is finite and above zero.
 #[must_use]
-pub fn at_speed(motion: &Motion, speed: f64) -> Motion {
+pub fn at_speed(motion: &Phrase, speed: f64) -> Phrase {
     assert!(speed.is_finite() && speed > 0.0, "a speed: {speed}");
     let frames = frames_at_speed(motion.frames(), speed);
     let times: Vec<f64> = (0..frames).map(|t| speed * t as f64).collect();
-    let mut played = Motion::new(vec![0.0; frames * CHANNELS]).expect("at least one frame");
+    let mut played = Phrase::new(vec![0.0; frames * CHANNELS]).expect("at least one frame");
 
     for channel in POSITION {
         let rows: Vec<f64> = (0..motion.frames())
@@ -205,7 +205,7 @@ mod tests {
     #[test]
     fn accelerations_stay_those_of_a_smooth_path() {
         // One turn in 60 frames on a circle of a metre.
-        let mut circle = Motion::new(vec![0.0; 90 * CHANNELS]).unwrap();
+        let mut circle = Phrase::new(vec![0.0; 90 * CHANNELS]).unwrap();
         for t in 0..90 {
             let angle = TAU * t as f64 / 60.0;
             circle.set_vector(t, POSITION, [angle.sin(), 1.0, angle.cos()]);

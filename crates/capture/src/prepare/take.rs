@@ -5,7 +5,7 @@ use std::ops::Range;
 
 use kinegrad_data::manifest::{Flag, ManifestRow};
 use kinegrad_data::{AudioFeatures, AudioLayout, Digest, features_bytes, motion_bytes};
-use kinegrad_motion::{FPS, Motion, Profile, check};
+use kinegrad_motion::{FPS, Phrase, Profile, check};
 
 use super::grid::Timeline;
 use super::lay::Laid;
@@ -199,7 +199,7 @@ impl Ready<'_> {
         Ok(Made { row, motion, audio })
     }
 
-    fn flags(&self, motion: &Motion, frames: &Range<usize>) -> Vec<Flag> {
+    fn flags(&self, motion: &Phrase, frames: &Range<usize>) -> Vec<Flag> {
         let mut borders = self.laid.borders.iter();
         let joined = borders.any(|border| (frames.start + 1..frames.end).contains(border));
         let damaged = self.song.is_some_and(|song| song.damage.is_some());

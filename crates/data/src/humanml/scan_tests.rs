@@ -399,7 +399,7 @@ fn kit_clips_in_millimetres_are_read_in_metres() {
 #[test]
 fn datasets_of_phrases_and_of_clips_are_distinguished() {
     let (_folder, config) = dataset(3);
-    let found = Dataset::<crate::Phrase>::open(&config)
+    let found = Dataset::<crate::PhraseItem>::open(&config)
         .unwrap_err()
         .to_string();
     assert!(

@@ -64,7 +64,7 @@ fn every_kind_of_problem_is_listed_and_none_stops_the_rest() {
     let folder = tempfile::tempdir().unwrap();
     synthetic::write_dataset(folder.path(), 8, 30, 3).unwrap();
     let id = synthetic::id;
-    let change = |index: usize, change: &dyn Fn(&mut kinegrad_motion::Motion)| {
+    let change = |index: usize, change: &dyn Fn(&mut kinegrad_motion::Phrase)| {
         let path = folder.path().join(motion_path(&id(index)));
         let mut motion = read_motion(&path).unwrap();
         change(&mut motion);

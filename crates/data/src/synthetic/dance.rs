@@ -2,7 +2,7 @@
 
 use std::f64::consts::{PI, TAU};
 
-use kinegrad_motion::{FPS, Motion, Quaternion, derive};
+use kinegrad_motion::{FPS, Phrase, Quaternion, derive};
 use kinegrad_random::Key;
 
 use super::music::{BEATS_PER_BAR, MOVES, Music};
@@ -60,7 +60,7 @@ fn pose(kind: usize, beat: f64) -> Pose {
 }
 
 /// The dance to `music`, `frames` frames, at x = z = 0 in the first one.
-pub fn perform(music: &Music, phrase: Key, frames: usize) -> Motion {
+pub fn perform(music: &Music, phrase: Key, frames: usize) -> Phrase {
     assert!(frames > 0, "a phrase has at least one frame");
     let draws = phrase.at(DANCER).normals(4);
     let [heading, height, drift_x, drift_z] = [0, 1, 2, 3].map(|i| f64::from(draws[i]));

@@ -17,7 +17,7 @@ use kinegrad_random::{Key, Purpose};
 use rayon::prelude::*;
 
 use crate::{
-    AudioLayout, Error, Phrase, SyntheticConfig, features_path, motion_path, write_features,
+    AudioLayout, Error, PhraseItem, SyntheticConfig, features_path, motion_path, write_features,
     write_motion,
 };
 use music::Music;
@@ -31,11 +31,11 @@ pub fn id(index: usize) -> String {
 ///
 /// # Panics
 /// Panics if `frames` is zero.
-pub fn phrase(index: usize, frames: usize, seed: u64) -> Phrase {
+pub fn phrase(index: usize, frames: usize, seed: u64) -> PhraseItem {
     let key = Key::new(seed, Purpose::Synthetic).at(index as u64);
     let music = Music::new(key);
     let motion = dance::perform(&music, key, frames);
-    Phrase {
+    PhraseItem {
         id: id(index),
         motion,
         audio: music.features(frames, key),
@@ -47,13 +47,13 @@ pub fn phrase(index: usize, frames: usize, seed: u64) -> Phrase {
 ///
 /// # Panics
 /// Panics if `frames` is zero.
-pub fn phrase_in(layout: AudioLayout, index: usize, frames: usize, seed: u64) -> Phrase {
+pub fn phrase_in(layout: AudioLayout, index: usize, frames: usize, seed: u64) -> PhraseItem {
     let phrase = phrase(index, frames, seed);
     if !layout.beats {
         return phrase;
     }
     let music = Music::new(Key::new(seed, Purpose::Synthetic).at(index as u64));
-    Phrase {
+    PhraseItem {
         audio: phrase.audio.with_beats(music.pulse(frames).as_ref()),
         ..phrase
     }
@@ -63,7 +63,7 @@ pub fn phrase_in(layout: AudioLayout, index: usize, frames: usize, seed: u64) ->
 ///
 /// # Panics
 /// Panics if `frames` is zero.
-pub fn phrases(phrases: usize, frames: usize, seed: u64) -> Vec<Arc<Phrase>> {
+pub fn phrases(phrases: usize, frames: usize, seed: u64) -> Vec<Arc<PhraseItem>> {
     (0..phrases)
         .into_par_iter()
         .map(|index| Arc::new(phrase(index, frames, seed)))

@@ -1,7 +1,7 @@
 use burn::tensor::{Device, TensorData};
 use kinegrad_kernels::Mode;
 use kinegrad_motion::phrase::{ACCELERATION, PHASE, POSITION, VELOCITY};
-use kinegrad_motion::{Motion, OrientationEncoding, PhaseEncoding, derivatives};
+use kinegrad_motion::{OrientationEncoding, PhaseEncoding, Phrase, derivatives};
 use kinegrad_random::{Key, Purpose};
 
 use super::*;
@@ -86,7 +86,7 @@ fn assert_coherent(coherence: Coherence) {
     // The angular velocity is that of the quaternions as written, by the code that checks it.
     let rows = values(y.clone().swap_dims(1, 2));
     for rows in rows.chunks_exact(time * CHANNELS) {
-        let motion = Motion::new(rows.to_vec()).unwrap();
+        let motion = Phrase::new(rows.to_vec()).unwrap();
         let errors = derivatives::rotation_errors(&motion);
         assert!(derivatives::mean_norm(&errors) < 1e-4, "{errors:?}");
         let last = motion.vector(time - 1, ANGULAR_VELOCITY);

@@ -21,7 +21,7 @@ fn all() -> Vec<ChannelEncoding> {
 }
 
 /// A phrase that turns all ways, whose quaternions change sign and whose phase wraps.
-fn phrase(seed: u64, frames: usize) -> Motion {
+fn phrase(seed: u64, frames: usize) -> Phrase {
     let mut motion = random_phrase(seed, frames);
     for t in 0..frames {
         let angle = 0.4 * t as f64 + seed as f64;
@@ -64,7 +64,7 @@ fn what_is_encoded_comes_back() {
             let motion = phrase(seed, 23);
             let encoded = targets.encode(motion.as_slice()).into_owned();
             assert_eq!(encoded.len(), 23 * targets.channels());
-            let decoded = Motion::new(targets.decode(encoded)).unwrap();
+            let decoded = Phrase::new(targets.decode(encoded)).unwrap();
             let mut expected = motion.clone();
             if targets.orientation == OrientationEncoding::CanonicalQuaternion {
                 rotate_yaw(&mut expected, -motion.quaternion(0).yaw());
@@ -132,11 +132,11 @@ fn a_canonical_sample_faces_z_after_any_rotation() {
         let largest = encoded.iter().zip(&again).map(|(a, b)| (a - b).abs());
         assert!(largest.fold(0.0, f32::max) < 3e-5);
     }
-    let facing = Motion::new(encoded).unwrap();
+    let facing = Phrase::new(encoded).unwrap();
     assert!(facing.quaternion(0).yaw().abs() < 1e-6);
-    let speed = |motion: &Motion| crate::vector::length(motion.vector(4, VELOCITY));
+    let speed = |motion: &Phrase| crate::vector::length(motion.vector(4, VELOCITY));
     assert!((speed(&facing) - speed(&motion)).abs() < 1e-6);
-    let height = |motion: &Motion| motion.vector(4, POSITION)[1];
+    let height = |motion: &Phrase| motion.vector(4, POSITION)[1];
     assert!((height(&facing) - height(&motion)).abs() < 1e-6);
 }
 
@@ -213,7 +213,7 @@ fn predictions_of_any_size_decode_and_numbers_that_are_none_stay() {
     assert_eq!(targets.decode(rows)[PHASE], 0.0);
     let mut rows = vec![0.5; 3 * channels];
     rows[channels + targets.orientation_channels().start] = f32::NAN;
-    let broken = Motion::new(targets.decode(rows)).unwrap();
+    let broken = Phrase::new(targets.decode(rows)).unwrap();
     assert!(broken.first_non_finite().is_some());
     assert!(broken.quaternion(2).norm().is_finite());
 }

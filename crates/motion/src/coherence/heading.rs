@@ -17,14 +17,14 @@
 use super::{OrientationFit, weight};
 use crate::circular::wrapped;
 use crate::phrase::{ANGULAR_VELOCITY, FPS};
-use crate::{Motion, Quaternion};
+use crate::{Phrase, Quaternion};
 
 /// Smallest weight of a frame.
 const LEAST_WEIGHT: f64 = 1e-4;
 
 /// Confidence of headings, 0 to 1, `[frames]`, by the norms of quaternions: a mean of different
 /// orientations is short.
-pub fn heading_confidence(motion: &Motion) -> Vec<f64> {
+pub fn heading_confidence(motion: &Phrase) -> Vec<f64> {
     let frames = 0..motion.frames();
     frames
         .map(|t| motion.quaternion(t).norm().min(1.0))
@@ -39,7 +39,7 @@ pub const UPRIGHT: f64 = 0.25;
 /// the angular velocities, except in `known` frames. `confidence` is 0 to 1. All other quaternions
 /// become unit quaternions; the angular velocity is rotated with the body, and its vertical
 /// component follows the headings. `std` are the training deviations of the channels, `[25]`.
-pub fn fit_heading(motion: &mut Motion, std: &[f64], known: &[bool], confidence: &[f64]) {
+pub fn fit_heading(motion: &mut Phrase, std: &[f64], known: &[bool], confidence: &[f64]) {
     let frames = motion.frames();
     assert_eq!(known.len(), frames, "known frames");
     assert_eq!(confidence.len(), frames, "confidence of each frame");
@@ -111,7 +111,7 @@ mod tests {
     use crate::vector::length;
 
     /// A body that turns about the vertical while it leans to and fro, by at most 20 degrees.
-    fn turning(frames: usize) -> Motion {
+    fn turning(frames: usize) -> Phrase {
         let mut motion = crate::random_phrase::random_phrase(4, frames);
         for t in 0..frames {
             let lean = 0.35 * (0.2 * t as f64).sin();
@@ -123,7 +123,7 @@ mod tests {
         motion
     }
 
-    fn apart(a: &Motion, b: &Motion) -> f64 {
+    fn apart(a: &Phrase, b: &Phrase) -> f64 {
         let apart = |t| (a.quaternion(t) * b.quaternion(t).conjugate()).to_rotation_vector();
         (0..a.frames())
             .map(|t| length(apart(t)))
@@ -131,7 +131,7 @@ mod tests {
     }
 
     /// The cosine of the tilt.
-    fn upright(motion: &Motion, t: usize) -> f64 {
+    fn upright(motion: &Phrase, t: usize) -> f64 {
         motion.quaternion(t).normalised().rotate([0.0, 1.0, 0.0])[1]
     }
 

@@ -13,7 +13,7 @@ use super::weight;
 use crate::banded::{BAND, Cholesky};
 use crate::derivatives::make_sign_continuous;
 use crate::phrase::{ANGULAR_VELOCITY, FPS};
-use crate::{Motion, Quaternion};
+use crate::{Phrase, Quaternion};
 
 /// The scale `s_q`: root mean square of a component of unit quaternions.
 const QUATERNION_SCALE: f64 = 0.5;
@@ -104,7 +104,7 @@ impl OrientationFit {
 /// Replaces the quaternions of a phrase by those nearest to its quaternions and angular velocities,
 /// of unit norm and continuous sign, except in `known` frames. `std` are the training deviations of
 /// the channels, `[25]`; angular velocities are kept.
-pub fn fit_orientation(motion: &mut Motion, std: &[f64], known: &[bool]) {
+pub fn fit_orientation(motion: &mut Phrase, std: &[f64], known: &[bool]) {
     let frames = motion.frames();
     assert_eq!(known.len(), frames, "known frames");
     let fit = OrientationFit::around(known, &std[ANGULAR_VELOCITY]);
@@ -149,13 +149,13 @@ mod tests {
     use crate::random_phrase::random_phrase;
 
     /// Mean angle in radians between the orientations of two motions.
-    fn apart(a: &Motion, b: &Motion) -> f64 {
+    fn apart(a: &Phrase, b: &Phrase) -> f64 {
         let apart = |t| (a.quaternion(t) * b.quaternion(t).conjugate()).to_rotation_vector();
         let angles = (0..a.frames()).map(|t| crate::vector::length(apart(t)));
         angles.sum::<f64>() / a.frames() as f64
     }
 
-    fn turn_acceleration(motion: &Motion) -> f64 {
+    fn turn_acceleration(motion: &Phrase) -> f64 {
         let rates = crate::derivatives::angular_rates(motion);
         let steps = rates.windows(2).map(|pair| {
             let parts = pair[1].iter().zip(pair[0]).map(|(b, a)| (b - a).powi(2));
@@ -165,7 +165,7 @@ mod tests {
     }
 
     /// The motion with noise of each quaternion, and of each angular velocity, and random signs.
-    fn shaken(motion: &Motion, quaternion: f64, rate: f64) -> Motion {
+    fn shaken(motion: &Phrase, quaternion: f64, rate: f64) -> Phrase {
         let mut shaken = motion.clone();
         let noise = Key::new(9, Purpose::Noise).normals(8 * motion.frames());
         for (t, noise) in noise.chunks(8).enumerate() {
@@ -227,7 +227,7 @@ mod tests {
             assert_eq!(motion.frame(t), original.frame(t), "{t}");
         }
         // Half a radian at once would be 0.97.
-        let least = |motion: &Motion| {
+        let least = |motion: &Phrase| {
             let step = |t| motion.quaternion(t).dot(motion.quaternion(t - 1));
             (1..60).map(step).fold(1.0, f64::min)
         };

@@ -21,7 +21,7 @@ use std::f64::consts::TAU;
 use super::weight;
 use crate::banded::{BAND, Cholesky};
 use crate::phrase::PHASE;
-use crate::{Motion, circular};
+use crate::{Phrase, circular};
 
 /// `S`: changes of tempo within four seconds are noise.
 const STEADINESS_FRAMES: f64 = 20.0;
@@ -55,7 +55,7 @@ const SECOND_DIFFERENCE: [f64; 3] = [1.0, -2.0, 1.0];
 
 /// Replaces the phase by the nearest one that advances steadily, in [0, 1), except in `known`
 /// frames.
-pub fn fit_phase(motion: &mut Motion, known: &[bool]) {
+pub fn fit_phase(motion: &mut Phrase, known: &[bool]) {
     let frames = motion.frames();
     assert_eq!(known.len(), frames, "known frames");
     let stated: Vec<f64> = (0..frames)
@@ -248,15 +248,15 @@ mod tests {
     use crate::phrase::CHANNELS;
 
     /// A motion with these phases in turns.
-    fn with_phases(turns: &[f64]) -> Motion {
-        let mut motion = Motion::new(vec![0.0; CHANNELS * turns.len()]).expect("whole frames");
+    fn with_phases(turns: &[f64]) -> Phrase {
+        let mut motion = Phrase::new(vec![0.0; CHANNELS * turns.len()]).expect("whole frames");
         for (t, turn) in turns.iter().enumerate() {
             motion.frame_mut(t)[PHASE] = turn.rem_euclid(1.0) as f32;
         }
         motion
     }
 
-    fn distance(motion: &Motion, turns: &[f64]) -> f64 {
+    fn distance(motion: &Phrase, turns: &[f64]) -> f64 {
         let phase = |t: usize| f64::from(motion.frame(t)[PHASE]);
         let distances = turns.iter().enumerate();
         let distances = distances.map(|(t, turn)| circular::distance(phase(t), *turn));

@@ -12,7 +12,7 @@
 //! and acceleration.
 
 use super::weight;
-use crate::Motion;
+use crate::Phrase;
 use crate::banded::{BAND, Cholesky};
 use crate::phrase::{ACCELERATION, FPS, POSITION, VELOCITY};
 
@@ -133,7 +133,7 @@ pub fn coherent_matrix(frames: usize, scales: [f64; 3]) -> Vec<f32> {
 /// Replaces position, velocity and acceleration of a phrase by those of the nearest coherent
 /// trajectory, except in `known` frames, which it passes through. `std` are the training deviations
 /// of the channels, `[25]`.
-pub fn fit_trajectory(motion: &mut Motion, std: &[f64], known: &[bool]) {
+pub fn fit_trajectory(motion: &mut Phrase, std: &[f64], known: &[bool]) {
     let frames = motion.frames();
     assert_eq!(known.len(), frames, "known frames");
     for axis in 0..3 {
@@ -331,7 +331,7 @@ mod tests {
         let original = motion.clone();
         fit_trajectory(&mut motion, &[0.5; 25], &known);
         // The first frame after the known ones continues from them.
-        let step = |motion: &Motion| motion.frame(60)[0] - motion.frame(59)[0];
+        let step = |motion: &Phrase| motion.frame(60)[0] - motion.frame(59)[0];
         assert!((step(&motion) - step(&original)).abs() < 1e-3);
     }
 

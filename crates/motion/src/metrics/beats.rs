@@ -7,25 +7,25 @@ use kinegrad_random::Key;
 
 use crate::phrase::VELOCITY;
 use crate::vector::length;
-use crate::{FPS, Motion};
+use crate::{FPS, Phrase};
 
 /// Width of the score's bell, seconds: the paper's 3 frames at 60 frames per second.
 pub const BEAT_SIGMA: f64 = 0.05;
 
 /// Times in seconds at which the root is slowest: local minima of the velocity channels' norm,
 /// unsmoothed. A plateau is one beat, at its middle; the ends are none.
-pub fn kinematic_beats(motion: &Motion) -> Vec<f64> {
+pub fn kinematic_beats(motion: &Phrase) -> Vec<f64> {
     peaks(motion, |speed| -speed)
 }
 
 /// Times in seconds at which the root is fastest. Real ballroom dancers are fastest on beats more
 /// often than by chance, which is not true of the slowest moments (docs/results.md).
-pub fn speed_peaks(motion: &Motion) -> Vec<f64> {
+pub fn speed_peaks(motion: &Phrase) -> Vec<f64> {
     peaks(motion, |speed| speed)
 }
 
 /// Times in seconds of the local maxima of a function of the speed.
-fn peaks(motion: &Motion, of: fn(f64) -> f64) -> Vec<f64> {
+fn peaks(motion: &Phrase, of: fn(f64) -> f64) -> Vec<f64> {
     let values = (0..motion.frames()).map(|t| of(length(motion.vector(t, VELOCITY))));
     let places = local_maxima(&values.collect::<Vec<_>>()).into_iter();
     places.map(|place| place / FPS).collect()
@@ -92,8 +92,8 @@ mod tests {
     use crate::CHANNELS;
 
     /// A phrase with these speeds, in changing directions.
-    fn with_speeds(speeds: &[f64]) -> Motion {
-        let mut motion = Motion::new(vec![0.0; speeds.len() * CHANNELS]).unwrap();
+    fn with_speeds(speeds: &[f64]) -> Phrase {
+        let mut motion = Phrase::new(vec![0.0; speeds.len() * CHANNELS]).unwrap();
         for (t, &speed) in speeds.iter().enumerate() {
             let direction = [[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 1.0]][t % 3];
             motion.set_vector(t, VELOCITY, direction.map(|axis| axis * speed));

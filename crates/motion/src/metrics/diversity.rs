@@ -3,11 +3,11 @@
 use kinegrad_random::{Key, Purpose};
 
 use super::{TRAJECTORY, mean};
-use crate::{Motion, Statistics};
+use crate::{Phrase, Statistics};
 
 /// Root mean square difference of two phrases over frames and [`TRAJECTORY`] channels, in training
 /// standard deviations, over the length of the shorter one.
-pub fn trajectory_distance(a: &Motion, b: &Motion, training: &Statistics) -> f64 {
+pub fn trajectory_distance(a: &Phrase, b: &Phrase, training: &Statistics) -> f64 {
     let frames = a.frames().min(b.frames());
     let mut sum = 0.0;
     for t in 0..frames {
@@ -22,7 +22,7 @@ pub fn trajectory_distance(a: &Motion, b: &Motion, training: &Statistics) -> f64
 
 /// Mean [`trajectory_distance`] over all pairs of phrases; `None` for fewer than two phrases or
 /// where a value is not finite.
-pub fn diversity(motions: &[&Motion], training: &Statistics) -> Option<f64> {
+pub fn diversity(motions: &[&Phrase], training: &Statistics) -> Option<f64> {
     mean(motions.iter().enumerate().flat_map(|(index, a)| {
         let others = motions[index + 1..].iter();
         others.map(move |b| Some(trajectory_distance(a, b, training)))
@@ -68,13 +68,13 @@ mod tests {
     use crate::random_phrase::random_phrase;
 
     fn training() -> Statistics {
-        let phrases: Vec<Motion> = (0..5).map(|seed| random_phrase(seed, 40)).collect();
+        let phrases: Vec<Phrase> = (0..5).map(|seed| random_phrase(seed, 40)).collect();
         crate::phrase_statistics(&phrases).unwrap()
     }
 
     /// A phrase with `value` in one channel of every frame, zero elsewhere.
-    fn constant(channel: usize, value: f64, frames: usize) -> Motion {
-        let mut motion = Motion::new(vec![0.0; frames * CHANNELS]).unwrap();
+    fn constant(channel: usize, value: f64, frames: usize) -> Phrase {
+        let mut motion = Phrase::new(vec![0.0; frames * CHANNELS]).unwrap();
         (0..frames).for_each(|t| motion.frame_mut(t)[channel] = value as f32);
         motion
     }
@@ -160,7 +160,7 @@ mod tests {
             prop_assert!((straight - shuffled).abs() < 1e-12);
             let larger = phrases.each_ref().map(|phrase| {
                 let values = phrase.as_slice().iter().map(|value| value * factor).collect();
-                Motion::new(values).unwrap()
+                Phrase::new(values).unwrap()
             });
             let scaled = diversity(&larger.each_ref(), &training).unwrap();
             prop_assert!((scaled / (straight * f64::from(factor)) - 1.0).abs() < 1e-5);

@@ -4,11 +4,11 @@ use nalgebra::{DMatrix, DVector, SymmetricEigen};
 
 use super::TRAJECTORY;
 use crate::moments::mean_and_deviation;
-use crate::{Motion, Statistics};
+use crate::{Phrase, Statistics};
 
 /// Mean and population standard deviation over frames of each [`TRAJECTORY`] channel, in training
 /// standard deviations: 9 means, then 9 deviations.
-pub fn trajectory_features(motion: &Motion, training: &Statistics) -> Vec<f64> {
+pub fn trajectory_features(motion: &Phrase, training: &Statistics) -> Vec<f64> {
     let moments = TRAJECTORY.map(|channel| {
         let values = (0..motion.frames()).map(|t| f64::from(motion.frame(t)[channel]));
         let (mean, deviation) = mean_and_deviation(values);
@@ -142,7 +142,7 @@ mod tests {
         let mut training = crate::phrase_statistics([&random_phrase(0, 9)]).unwrap();
         training.std[..9].fill(1.0);
         training.std[4] = 0.5;
-        let mut motion = Motion::new(vec![0.0; 2 * CHANNELS]).unwrap();
+        let mut motion = Phrase::new(vec![0.0; 2 * CHANNELS]).unwrap();
         motion.frame_mut(0)[4] = 1.0;
         motion.frame_mut(1)[4] = 3.0;
         let mut expected = vec![0.0; 18];

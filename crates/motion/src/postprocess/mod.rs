@@ -27,7 +27,7 @@ use crate::coherence::{
 use crate::phrase::{
     ACCELERATION, ANGULAR_VELOCITY, CHANNELS, FPS, PHASE, POSITION, STYLE, VELOCITY,
 };
-use crate::{Motion, Statistics};
+use crate::{Phrase, Statistics};
 
 /// A phrase `[frames, 25]` in double precision.
 type Frames = Vec<[f64; CHANNELS]>;
@@ -37,10 +37,10 @@ type Frames = Vec<[f64; CHANNELS]>;
 ///
 /// NaN stays NaN and prevents the fit; infinities are clamped if the channel has limits.
 pub fn process(
-    motion: &Motion,
+    motion: &Phrase,
     config: &PostProcessConfig,
     statistics: Option<&Statistics>,
-) -> Motion {
+) -> Phrase {
     let none = vec![false; motion.frames()];
     process_around(
         motion,
@@ -54,12 +54,12 @@ pub fn process(
 /// The same for a phrase with `known` frames, which the fit passes through. `confidence`, 0 to 1,
 /// is that of each heading. Other steps treat all frames alike.
 pub fn process_around(
-    motion: &Motion,
+    motion: &Phrase,
     config: &PostProcessConfig,
     statistics: Option<&Statistics>,
     known: &[bool],
     confidence: &[f64],
-) -> Motion {
+) -> Phrase {
     assert_eq!(known.len(), motion.frames(), "known frames");
     let mut frames: Frames = motion
         .as_slice()
@@ -123,7 +123,7 @@ pub fn process_around(
 
 /// Derives the angular velocity from the quaternions: forward differences, the last one repeated.
 /// Values that are not finite stay and do not spread.
-pub fn derive_angular_velocity(motion: &mut Motion) {
+pub fn derive_angular_velocity(motion: &mut Phrase) {
     let finite = |vector: [f64; 3]| vector.iter().all(|value| value.is_finite());
     let rates = crate::derivatives::angular_rates(motion);
     let last = rates.last().copied();
@@ -236,7 +236,7 @@ mod tests {
     use crate::derivatives::{mean_norm, velocity_errors};
     use crate::random_phrase::random_phrase;
 
-    fn wild(frames: usize) -> Motion {
+    fn wild(frames: usize) -> Phrase {
         let mut motion = random_phrase(8, frames);
         for t in 0..frames {
             motion.set_vector(t, POSITION, [150.0, -20.0, -101.0]);
@@ -270,7 +270,7 @@ mod tests {
             motion.set_quaternion(t, motion.quaternion(t).scale(sign));
             motion.set_vector(t, ANGULAR_VELOCITY, [1.0, -2.0, 0.5]);
         }
-        let error = |motion: &Motion| mean_norm(&crate::derivatives::rotation_errors(motion));
+        let error = |motion: &Phrase| mean_norm(&crate::derivatives::rotation_errors(motion));
         let literal = process(&motion, &PostProcessConfig::document(), None);
         assert!(error(&literal) > 1.0);
         assert_eq!(literal.vector(7, ANGULAR_VELOCITY), [1.0, -2.0, 0.5]);
@@ -371,7 +371,7 @@ mod tests {
             enforce_velocity_coherence: true,
             ..PostProcessConfig::none()
         };
-        let error = |motion: &Motion| mean_norm(&velocity_errors(motion));
+        let error = |motion: &Phrase| mean_norm(&velocity_errors(motion));
         let processed = process(&motion, &config, None);
         assert!((error(&processed) / error(&motion) - 0.5).abs() < 1e-3);
     }

@@ -7,7 +7,7 @@ use crate::phrase::{ACCELERATION, ANGULAR_VELOCITY, PHASE, POSITION, QUATERNION,
 use crate::quantiles::percentile;
 use crate::vector::length;
 use crate::{
-    CHANNELS, ChannelMoments, Error, FPS, Motion, MotionMeasure, Profile, Report, Statistics,
+    CHANNELS, ChannelMoments, Error, FPS, MotionMeasure, Phrase, Profile, Report, Statistics,
     channel_name, sanity,
 };
 
@@ -17,12 +17,12 @@ use crate::{
 pub struct Phrases;
 
 /// The statistics of whole, finite phrases; none of no phrases.
-pub fn phrase_statistics<'a>(phrases: impl IntoIterator<Item = &'a Motion>) -> Option<Statistics> {
-    super::statistics_of(&Phrases, phrases.into_iter().map(Motion::as_slice))
+pub fn phrase_statistics<'a>(phrases: impl IntoIterator<Item = &'a Phrase>) -> Option<Statistics> {
+    super::statistics_of(&Phrases, phrases.into_iter().map(Phrase::as_slice))
 }
 
-fn motion(rows: &[f32]) -> Motion {
-    Motion::new(rows.to_vec()).expect("whole frames of 25 channels")
+fn motion(rows: &[f32]) -> Phrase {
+    Phrase::new(rows.to_vec()).expect("whole frames of 25 channels")
 }
 
 impl Representation for Phrases {
@@ -133,12 +133,12 @@ mod tests {
 
     #[test]
     fn quaternions_stay_and_the_phase_is_centred() {
-        let phrases: Vec<Motion> = (0..5).map(|seed| random_phrase(seed, 20)).collect();
+        let phrases: Vec<Phrase> = (0..5).map(|seed| random_phrase(seed, 20)).collect();
         let statistics = phrase_statistics(&phrases).unwrap();
         assert_eq!((statistics.items, statistics.frames), (5, 100));
         for phrase in &phrases {
             let normalized = statistics.normalize(phrase.as_slice());
-            let seen = Motion::from_channel_major(&normalized, 20).unwrap();
+            let seen = Phrase::from_channel_major(&normalized, 20).unwrap();
             for t in 0..20 {
                 assert_eq!(phrase.frame(t)[QUATERNION], seen.frame(t)[QUATERNION]);
                 assert_eq!(seen.frame(t)[PHASE], 2.0 * phrase.frame(t)[PHASE] - 1.0);
@@ -164,7 +164,7 @@ mod tests {
 
     #[test]
     fn scales_of_real_motion_are_those_of_the_vectors() {
-        let mut motion = Motion::new(vec![0.0; 4 * CHANNELS]).unwrap();
+        let mut motion = Phrase::new(vec![0.0; 4 * CHANNELS]).unwrap();
         for (t, speed) in [1.0, 1.0, 5.0, 5.0].into_iter().enumerate() {
             motion.set_vector(t, VELOCITY, [0.6 * speed, 0.0, -0.8 * speed]);
             motion.set_vector(t, ACCELERATION, [0.0, 2.0 * t as f64, 0.0]);

@@ -18,7 +18,7 @@ pub use report::{Check, Report, Threshold, Value};
 
 use crate::derivatives::mean_jerk_norm;
 use crate::phrase::PHASE;
-use crate::{Error, Motion, Statistics, channel_name};
+use crate::{Error, Phrase, Statistics, channel_name};
 
 /// Allowed multiple of the training motion's 95th percentile of the mean jerk.
 const JERK_FACTOR: f64 = 3.0;
@@ -50,7 +50,7 @@ impl std::fmt::Display for Profile {
 /// [`Error::MovementUnknown`] if they do not describe movement. Failed checks are no error
 /// ([`Report::passed`]).
 pub fn check(
-    motion: &Motion,
+    motion: &Phrase,
     profile: Profile,
     statistics: Option<&Statistics>,
 ) -> Result<Report, Error> {
@@ -74,7 +74,7 @@ fn finite(values: &[f32]) -> Check {
 }
 
 /// [`finite`] of a phrase, with the first position.
-fn finite_phrase(motion: &Motion) -> Check {
+fn finite_phrase(motion: &Phrase) -> Check {
     let mut check = finite(motion.as_slice());
     if let Some((frame, channel)) = motion.first_non_finite() {
         let channel = channel_name(channel);
@@ -84,7 +84,7 @@ fn finite_phrase(motion: &Motion) -> Check {
 }
 
 /// The phase of every frame.
-fn phase(motion: &Motion, allowed: [f64; 2]) -> Check {
+fn phase(motion: &Phrase, allowed: [f64; 2]) -> Check {
     let [low, high] = range((0..motion.frames()).map(|t| f64::from(motion.frame(t)[PHASE])));
     let message = format!("phase from {low:.4} to {high:.4}");
     let value = Value::Range([low, high]);
@@ -92,7 +92,7 @@ fn phase(motion: &Motion, allowed: [f64; 2]) -> Check {
 }
 
 /// The mean jerk norm, metres per second cubed.
-fn jerk(motion: &Motion, allowed: Threshold) -> Check {
+fn jerk(motion: &Phrase, allowed: Threshold) -> Check {
     let mean = mean_jerk_norm(motion);
     Check::new("jerk", mean, allowed, format!("mean jerk {mean:.1} m/s^3"))
 }

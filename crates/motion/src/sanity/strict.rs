@@ -5,7 +5,7 @@ use std::ops::Range;
 use super::{Check, JERK_FACTOR, Report, Threshold, coherence, finite_phrase, jerk, phase, range};
 use crate::derivatives::{acceleration_errors, mean_norm, rotation_errors, velocity_errors};
 use crate::motion_measures::{Bounds, phase_steps};
-use crate::{FPS, Motion, MotionMeasure, Statistics};
+use crate::{FPS, MotionMeasure, Phrase, Statistics};
 
 /// Allowed deviation of a quaternion's norm from 1.
 const NORM_TOLERANCE: f64 = 1e-3;
@@ -35,7 +35,7 @@ const PHASE_TOLERANCE: f64 = 0.01;
 /// reported: a minute of dancing does not compensate five seconds of standing. Phrases too short
 /// for a measure are not checked for it, and those shorter than the training phrases have
 /// proportionally wider bounds.
-pub(super) fn check(motion: &Motion, training: &Statistics) -> Option<Report> {
+pub(super) fn check(motion: &Phrase, training: &Statistics) -> Option<Report> {
     if training.movement.is_empty() {
         return None;
     }
@@ -82,7 +82,7 @@ fn name_window(checks: &mut [Check], window: &Range<usize>) {
 }
 
 /// Checks of means and of movement; none if the statistics lack a value.
-fn means(motion: &Motion, training: &Statistics) -> Option<Vec<Check>> {
+fn means(motion: &Phrase, training: &Statistics) -> Option<Vec<Check>> {
     let mut checks = vec![
         coherence(
             "velocity_coherence",
@@ -110,7 +110,7 @@ fn means(motion: &Motion, training: &Statistics) -> Option<Vec<Check>> {
 }
 
 /// A measure against its 1st and 99th percentile in training motion; `None` if it is not checked.
-fn movement(measure: MotionMeasure, motion: &Motion, training: &Statistics) -> Option<Check> {
+fn movement(measure: MotionMeasure, motion: &Phrase, training: &Statistics) -> Option<Check> {
     let &[low, high] = training.movement.get(measure.name())?;
     // A part of a phrase may be less or more lively than the whole.
     let whole = training.frames as f64 / training.items.max(1) as f64;
@@ -134,7 +134,7 @@ fn movement(measure: MotionMeasure, motion: &Motion, training: &Statistics) -> O
 }
 
 /// The smallest step of the phase; none of a single frame.
-fn phase_direction(motion: &Motion) -> Option<Check> {
+fn phase_direction(motion: &Phrase) -> Option<Check> {
     let steps = phase_steps(motion);
     (!steps.is_empty()).then(|| {
         let [smallest, _] = range(steps.into_iter());
@@ -144,7 +144,7 @@ fn phase_direction(motion: &Motion) -> Option<Check> {
     })
 }
 
-fn quaternion_norm(motion: &Motion) -> Check {
+fn quaternion_norm(motion: &Phrase) -> Check {
     let deviations = (0..motion.frames()).map(|t| (motion.quaternion(t).norm() - 1.0).abs());
     let [_, largest] = range(deviations);
     Check::new(
@@ -155,7 +155,7 @@ fn quaternion_norm(motion: &Motion) -> Check {
     )
 }
 
-fn quaternion_sign(motion: &Motion) -> Check {
+fn quaternion_sign(motion: &Phrase) -> Check {
     let neighbours = 1..motion.frames();
     let [smallest, _] = if neighbours.is_empty() {
         [1.0; 2] // A single frame has no neighbour to disagree with.

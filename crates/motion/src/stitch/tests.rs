@@ -1,9 +1,9 @@
 use super::*;
 use crate::random_phrase::random_phrase;
-use crate::{Motion, anchor_floor};
+use crate::{Phrase, anchor_floor};
 
 /// The windows of a motion, each anchored where it begins.
-fn cut(windows: &Windows, motion: &Motion) -> Vec<f32> {
+fn cut(windows: &Windows, motion: &Phrase) -> Vec<f32> {
     let parts = (0..windows.len()).map(|window| {
         let mut part = motion.slice(windows.of(window));
         anchor_floor(&mut part);
@@ -65,7 +65,7 @@ fn pieces_of_a_motion_make_the_motion() {
     }
     let before = values.clone();
     let stitched = windows.stitch(&mut values, None, Layout::Phrase);
-    let stitched = Motion::from_channel_major(&stitched, 91).unwrap();
+    let stitched = Phrase::from_channel_major(&stitched, 91).unwrap();
     for t in 0..91 {
         assert_near(&stitched.frame(t)[..9], &motion.frame(t)[..9], 2e-5);
         assert!(stitched.quaternion(t).dot(motion.quaternion(t)).abs() > 1.0 - 1e-6);
@@ -99,7 +99,7 @@ fn windows_in_other_encodings_make_the_motion() {
         orientation: OrientationEncoding::Rotation6d,
     };
     let layout = Layout::Predicted(encoding);
-    let columns = |motion: &Motion| {
+    let columns = |motion: &Phrase| {
         let rows = encoding.encode(motion.as_slice()).into_owned();
         let channels = encoding.channels();
         (0..channels)

@@ -6,12 +6,12 @@ use crate::random_phrase::random_phrase;
 use crate::{Quaternion, derive};
 
 fn training() -> Statistics {
-    let phrases: Vec<Motion> = (0..20).map(|seed| random_phrase(seed, 60)).collect();
+    let phrases: Vec<Phrase> = (0..20).map(|seed| random_phrase(seed, 60)).collect();
     crate::phrase_statistics(&phrases).unwrap()
 }
 
 /// Changes one frame of a good phrase, then names the checks that fail.
-fn failing(change: impl Fn(&mut Motion)) -> Vec<&'static str> {
+fn failing(change: impl Fn(&mut Phrase)) -> Vec<&'static str> {
     let mut motion = random_phrase(7, 60);
     change(&mut motion);
     let report = check(&motion, &training()).unwrap();
@@ -23,7 +23,7 @@ fn failing(change: impl Fn(&mut Motion)) -> Vec<&'static str> {
         .collect()
 }
 
-fn add_everywhere(motion: &mut Motion, channels: std::ops::Range<usize>, offset: [f64; 3]) {
+fn add_everywhere(motion: &mut Phrase, channels: std::ops::Range<usize>, offset: [f64; 3]) {
     for t in 0..motion.frames() {
         let value = motion.vector(t, channels.clone());
         motion.set_vector(
@@ -96,7 +96,7 @@ fn trembling_fails() {
 /// A phrase of these poses whose other channels follow from them.
 fn with_poses(
     pose: impl Fn(usize, [f64; 3], Quaternion, f64) -> ([f64; 3], Quaternion, f64),
-) -> Motion {
+) -> Phrase {
     let good = random_phrase(7, 60);
     let (mut positions, mut quaternions, mut phases) = (Vec::new(), Vec::new(), Vec::new());
     for t in 0..60 {
@@ -109,7 +109,7 @@ fn with_poses(
     derive(&positions, &quaternions, &phases, &[[0.0; 8]; 60]).unwrap()
 }
 
-fn failed(motion: &Motion) -> Vec<&'static str> {
+fn failed(motion: &Phrase) -> Vec<&'static str> {
     let report = check(motion, &training()).unwrap();
     let failed = report.checks.iter().filter(|check| !check.passed);
     failed.map(|check| check.name).collect()
@@ -186,7 +186,7 @@ fn a_body_that_falls_over_fails_and_a_slight_lean_never_does() {
 fn no_part_of_a_long_motion_makes_up_for_another() {
     let training = training();
     let long = random_phrase(7, 600);
-    let failed = |motion: &Motion| {
+    let failed = |motion: &Phrase| {
         let report = check(motion, &training).unwrap();
         report
             .checks

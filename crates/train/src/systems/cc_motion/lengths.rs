@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use kinegrad_data::Phrase;
+use kinegrad_data::PhraseItem;
 use kinegrad_motion::OrientationEncoding;
 use kinegrad_motion::stitch::Windows;
 
@@ -10,10 +10,10 @@ use super::networks::targets;
 use crate::config::Config;
 
 /// The first frames of a phrase, at most `longest`: as validation has it.
-pub(super) fn leading(phrase: &Arc<Phrase>, longest: usize) -> Arc<Phrase> {
+pub(super) fn leading(phrase: &Arc<PhraseItem>, longest: usize) -> Arc<PhraseItem> {
     match phrase.frames() > longest {
         false => phrase.clone(),
-        true => Arc::new(Phrase {
+        true => Arc::new(PhraseItem {
             id: phrase.id.clone(),
             motion: phrase.motion.slice(0..longest),
             audio: phrase.audio.slice(0..longest),

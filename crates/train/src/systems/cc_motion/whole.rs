@@ -22,7 +22,7 @@ use kinegrad_motion::derivatives::make_sign_continuous;
 use kinegrad_motion::heading_alignment::HeadingAlignment;
 use kinegrad_motion::postprocess::derive_angular_velocity;
 use kinegrad_motion::stitch::{self, Layout, Windows};
-use kinegrad_motion::{Motion, Statistics};
+use kinegrad_motion::{Phrase, Statistics};
 use kinegrad_random::Key;
 
 use super::generate::{Generator, Sample};
@@ -100,7 +100,7 @@ impl Generator {
     /// Known frames of a phrase in the channels and units of the network.
     fn normalized(&self, known: &stitch::KnownFrames) -> stitch::KnownFrames {
         let frames = known.is_known.len();
-        let phrase = Motion::from_channel_major(&known.values, frames).expect("25 channels");
+        let phrase = Phrase::from_channel_major(&known.values, frames).expect("25 channels");
         let (rows, channels) = (
             self.targets.encode(phrase.as_slice()),
             self.targets.channels(),
@@ -264,7 +264,7 @@ impl Generator {
         whole: &Whole<'_>,
         known: Option<&stitch::KnownFrames>,
         latents: &[f32],
-    ) -> Result<Motion, Error> {
+    ) -> Result<Phrase, Error> {
         let decoder = self.decoder.as_ref().expect("asked before");
         let windows = &whole.windows;
         let channels = self.targets.channels();
@@ -281,7 +281,7 @@ impl Generator {
             statistics: None,
         };
         let all = self.turned_and_stitched(turning, whole, &mut decoded, known);
-        let mut motion = Motion::from_channel_major(&all, windows.frames())?;
+        let mut motion = Phrase::from_channel_major(&all, windows.frames())?;
         let coherence = decoder.coherence();
         if coherence != Coherence::None {
             let none = || vec![false; windows.frames()];

@@ -1,7 +1,7 @@
 //! How motions move, as a table.
 
 use kinegrad_motion::quantiles::percentile;
-use kinegrad_motion::{Motion, MotionMeasure};
+use kinegrad_motion::{MotionMeasure, Phrase};
 use serde::Serialize;
 
 /// A measure of the movement over a set of motions.
@@ -24,7 +24,7 @@ pub struct MovementSpread {
 
 /// All measures of the motions.
 pub(super) fn movement_spreads<'a>(
-    motions: impl Iterator<Item = &'a Motion> + Clone,
+    motions: impl Iterator<Item = &'a Phrase> + Clone,
 ) -> Vec<MovementSpread> {
     let spread = |measure: MotionMeasure| {
         let values = motions.clone().filter_map(|motion| measure.of(motion));
@@ -51,10 +51,10 @@ mod tests {
 
     #[test]
     fn the_table_looks_at_the_path_and_not_at_the_channels() {
-        let mut motions: Vec<Motion> = (0..5)
+        let mut motions: Vec<Phrase> = (0..5)
             .map(|index| synthetic::phrase(index, 60, 1).motion)
             .collect();
-        let jerk = |motions: &[Motion]| {
+        let jerk = |motions: &[Phrase]| {
             let spreads = movement_spreads(motions.iter());
             let found = spreads
                 .into_iter()
@@ -80,7 +80,7 @@ mod tests {
         let mut broken = long.clone();
         broken.frame_mut(5)[0] = f32::NAN;
         let all = [long.clone(), short.clone(), broken];
-        let travel = |motions: &[Motion]| {
+        let travel = |motions: &[Phrase]| {
             let spreads = movement_spreads(motions.iter());
             spreads
                 .into_iter()

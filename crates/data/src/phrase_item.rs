@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use kinegrad_motion::{CHANNELS, FPS, Motion, channel_name};
+use kinegrad_motion::{CHANNELS, FPS, Phrase, channel_name};
 
 use crate::audio_layout::AudioLayout;
 use crate::features::{AudioFeatures, audio_channel_name};
@@ -12,18 +12,18 @@ use crate::{FileError, npy, npz};
 
 /// A phrase: motion `[frames, 25]` and audio features `[channels, frames]` over the same frames.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Phrase {
+pub struct PhraseItem {
     /// Name of its folders.
     pub id: String,
     /// Motion in the dataset's units.
-    pub motion: Motion,
+    pub motion: Phrase,
     /// Audio features as stored.
     pub audio: AudioFeatures,
     /// Its label, such as the dance style.
     pub label: Option<String>,
 }
 
-impl Phrase {
+impl PhraseItem {
     /// Parses a phrase with audio features of `layout`, from the bytes and names of its files, and
     /// cuts both to their common length (CC-MotionGen, section 6.1). Also returns a note if they
     /// differ by more than a frame.
@@ -104,16 +104,16 @@ mod tests {
     use crate::synthetic;
 
     /// The files of a synthetic phrase with so many frames of each.
-    fn files(phrase: &Phrase, motion_frames: usize, audio_frames: usize) -> (Vec<u8>, Vec<u8>) {
+    fn files(phrase: &PhraseItem, motion_frames: usize, audio_frames: usize) -> (Vec<u8>, Vec<u8>) {
         (
             npy::motion_bytes(&phrase.motion.slice(0..motion_frames)),
             npz::features_bytes(&phrase.audio.slice(0..audio_frames)),
         )
     }
 
-    fn parse(motion: &[u8], audio: &[u8]) -> Result<(Phrase, Option<String>), FileError> {
+    fn parse(motion: &[u8], audio: &[u8]) -> Result<(PhraseItem, Option<String>), FileError> {
         let layout = AudioLayout::DOCUMENT;
-        Phrase::parse(
+        PhraseItem::parse(
             "a",
             (motion, "trajectory.npy"),
             (audio, "features.npz"),
@@ -162,7 +162,7 @@ mod tests {
         let motion = npy::motion_bytes(&made.motion);
         let parse = |audio: &[u8], layout| {
             let names = ("trajectory.npy", "features.npz");
-            Phrase::parse("a", (&motion, names.0), (audio, names.1), layout)
+            PhraseItem::parse("a", (&motion, names.0), (audio, names.1), layout)
         };
         let stored = npz::features_bytes(&audio_with_beats);
         let with = parse(&stored, AudioLayout::WITH_BEATS).unwrap().0;
