@@ -3,7 +3,7 @@
 use std::fs;
 
 use kinegrad_data::{AudioFeatures, write_features, write_motion};
-use kinegrad_motion::Motion;
+use kinegrad_motion::Phrase;
 use kinegrad_tests::sandbox::{SMALLEST, Sandbox, finish};
 
 fn sandbox() -> Sandbox {
@@ -210,7 +210,7 @@ fn unknown_kernels_in_the_environment_are_named() {
 fn phrase(sandbox: &Sandbox, id: &str, frames: usize) {
     let mut frame = [0.0f32; 25];
     frame[9] = 1.0;
-    let motion = Motion::new(frame.repeat(frames)).expect("a motion");
+    let motion = Phrase::new(frame.repeat(frames)).expect("a motion");
     for kind in ["motion", "audio_features"] {
         fs::create_dir_all(sandbox.path(format!("set/{kind}/{id}"))).expect("folders");
     }
@@ -301,7 +301,7 @@ fn bad_phrases_are_named_by_id_and_channel_or_skipped_and_counted() {
     frame[9] = 1.0;
     let mut values = frame.repeat(30);
     values[7 * 25 + 4] = f32::NAN;
-    let motion = Motion::new(values).expect("a motion");
+    let motion = Phrase::new(values).expect("a motion");
     write_motion(&sandbox.path("set/motion/nan/trajectory.npy"), &motion).expect("npy");
     refused(&sandbox, &train, &["`nan`", "velocity.y", "7"]);
     fs::remove_dir_all(sandbox.path("set/motion/nan")).expect("removed");

@@ -6,7 +6,7 @@ use std::fs;
 use std::path::Path;
 
 use kinegrad_data::read_motion;
-use kinegrad_motion::kinematics::{acceleration_errors, mean_norm, velocity_errors};
+use kinegrad_motion::derivatives::{acceleration_errors, mean_norm, velocity_errors};
 use kinegrad_tests::sandbox::{SMALLEST, Sandbox};
 use safetensors::SafeTensors;
 use serde_json::Value;

@@ -3,7 +3,7 @@
 use std::fs;
 
 use kinegrad_data::{features_path, motion_path, synthetic, write_features, write_motion};
-use kinegrad_motion::movement::phase_steps;
+use kinegrad_motion::motion_measures::phase_steps;
 use kinegrad_motion::phrase::PHASE;
 use kinegrad_tests::sandbox::{SMALLEST, SMALLEST_WALKS, Sandbox};
 use serde_json::Value;

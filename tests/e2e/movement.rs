@@ -5,7 +5,7 @@ use std::fs;
 
 use kinegrad_data::{Digest, motion_path, read_motion, synthetic, write_motion};
 use kinegrad_motion::phrase::{ACCELERATION, ANGULAR_VELOCITY, PHASE, POSITION, VELOCITY};
-use kinegrad_motion::{FPS, Motion, Quaternion, derive};
+use kinegrad_motion::{FPS, Phrase, Quaternion, derive};
 use kinegrad_random::{Key, Purpose};
 use kinegrad_tests::sandbox::{SMALLEST, Sandbox};
 use serde_json::Value;
@@ -29,9 +29,9 @@ fn failed(file: &Value) -> Vec<&str> {
 
 /// The phrase with other poses and consistent channels.
 fn posed(
-    motion: &Motion,
+    motion: &Phrase,
     pose: impl Fn(usize, [f64; 3], Quaternion, f64) -> ([f64; 3], Quaternion, f64),
-) -> Motion {
+) -> Phrase {
     let frames = 0..motion.frames();
     let phase = |t| f64::from(motion.frame(t)[PHASE]);
     let poses: Vec<_> = frames
@@ -52,7 +52,7 @@ fn posed(
 }
 
 /// Broken variants of the phrase: name, motion, checks it must fail.
-fn broken(good: &Motion) -> Vec<(&'static str, Motion, Vec<&'static str>)> {
+fn broken(good: &Phrase) -> Vec<(&'static str, Phrase, Vec<&'static str>)> {
     let (place, still) = (good.vector(0, POSITION), good.quaternion(0));
     let noise = Key::new(5, Purpose::Noise).normals(3 * good.frames());
     let shaken = |t: usize, place: [f64; 3]| {

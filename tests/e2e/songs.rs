@@ -8,7 +8,7 @@ use std::path::Path;
 use kinegrad_data::{AudioLayout, load_audio, read_motion};
 use kinegrad_motion::phrase::POSITION;
 use kinegrad_motion::stitch::Windows;
-use kinegrad_motion::{Motion, Movement};
+use kinegrad_motion::{MotionMeasure, Phrase};
 use kinegrad_random::{Key, Purpose};
 use kinegrad_tests::captures::wav;
 use kinegrad_tests::sandbox::{SMALLEST, SMALLEST_WALKS, Sandbox};
@@ -28,7 +28,7 @@ fn trained(settings: &str) -> Sandbox {
     sandbox
 }
 
-fn motion(sandbox: &Sandbox, file: &str) -> Motion {
+fn motion(sandbox: &Sandbox, file: &str) -> Phrase {
     read_motion(&sandbox.path(file)).expect("a motion")
 }
 
@@ -38,7 +38,7 @@ fn record(sandbox: &Sandbox, file: &str) -> Value {
 }
 
 /// Mean path jerk around the frames where windows begin and end, over that of the other frames.
-fn seams(motion: &Motion, windows: &Windows) -> f64 {
+fn seams(motion: &Phrase, windows: &Windows) -> f64 {
     let near = |t: usize| {
         (0..windows.len()).any(|window| {
             let range = windows.of(window);
@@ -49,7 +49,7 @@ fn seams(motion: &Motion, windows: &Windows) -> f64 {
         })
     };
     let jerk = |t: usize| {
-        Movement::PathJerk
+        MotionMeasure::PathJerk
             .of(&motion.slice(t..t + 4))
             .expect("four frames")
     };

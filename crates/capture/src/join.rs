@@ -154,9 +154,9 @@ mod tests {
     use crate::{Segment, assemble};
     use kinegrad_data::synthetic;
     use kinegrad_motion::FPS;
-    use kinegrad_motion::kinematics::{angular_velocity, forward_differences};
+    use kinegrad_motion::derivatives::{angular_velocity, forward_differences};
     use kinegrad_motion::phrase::POSITION;
-    use kinegrad_motion::rotation::length;
+    use kinegrad_motion::vector::length;
 
     /// A dancer captured at the pace of the music.
     fn take(seed: u64, frames: usize) -> RootTrack {

@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use kinegrad_motion::{FPS, Motion, Quaternion, derive, style};
+use kinegrad_motion::{FPS, Phrase, Quaternion, derive, style};
 
 use crate::error::require;
 use crate::{Error, RootSource, RootTrack};
@@ -68,7 +68,7 @@ impl Stretch {
     ///
     /// # Errors
     /// [`Error::Setting`] if the range is empty or reaches beyond the stretch.
-    pub fn phrase(&self, frames: Range<usize>) -> Result<Motion, Error> {
+    pub fn phrase(&self, frames: Range<usize>) -> Result<Phrase, Error> {
         let within = !frames.is_empty() && frames.end <= self.frames();
         let found = format!("{frames:?} of {}", self.frames());
         let allowed = "at least one frame, all within the stretch";
@@ -109,7 +109,7 @@ impl Stretch {
         first: usize,
         length: usize,
         hop: usize,
-    ) -> Result<Vec<(usize, Motion)>, Error> {
+    ) -> Result<Vec<(usize, Phrase)>, Error> {
         let phrase = |start| {
             let motion = self.phrase(start..start + length)?;
             Ok((self.first_frame + start, motion))
@@ -124,7 +124,7 @@ mod tests {
     use super::*;
     use crate::RootPose;
     use kinegrad_data::synthetic;
-    use kinegrad_motion::kinematics::{acceleration_errors, mean_norm, velocity_errors};
+    use kinegrad_motion::derivatives::{acceleration_errors, mean_norm, velocity_errors};
     use kinegrad_motion::phrase::{ACCELERATION, PHASE, POSITION, VELOCITY};
 
     /// A dancer far from the origin whose frames 40 and 41 are missing.

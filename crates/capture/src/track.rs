@@ -3,7 +3,7 @@
 use std::ops::RangeInclusive;
 
 use kinegrad_motion::Quaternion;
-use kinegrad_motion::kinematics::make_sign_continuous;
+use kinegrad_motion::derivatives::make_sign_continuous;
 
 use kinegrad_settings::InvalidSetting;
 
@@ -256,7 +256,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use kinegrad_motion::rotation::length;
+    use kinegrad_motion::vector::length;
 
     /// A spin of `speed` radians per second about a fixed axis on a straight way.
     fn spin(speed: f64, seconds: f64) -> RootPose {

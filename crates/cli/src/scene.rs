@@ -11,7 +11,7 @@ use kinegrad_capture::Bvh;
 use kinegrad_motion::goal::{Goal, Obstacle};
 use kinegrad_motion::humanml::Joints;
 use kinegrad_motion::phrase::QUATERNION;
-use kinegrad_motion::{CHANNELS, Motion as Phrase, Phrases, Representation};
+use kinegrad_motion::{CHANNELS, Phrase, Phrases, Representation};
 use kinegrad_report::Panel;
 use kinegrad_report::scene::{Curves, Figure, Floor, Scene};
 use kinegrad_train::Error;

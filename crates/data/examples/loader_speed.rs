@@ -17,7 +17,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use kinegrad_data::{
-    CacheConfig, DataConfig, Dataset, Loader, Phrase, PhraseSamples, ValidationSplit, synthetic,
+    CacheConfig, DataConfig, Dataset, Loader, PhraseItem, PhraseSamples, ValidationSplit, synthetic,
 };
 
 const SEED: u64 = 7;
@@ -54,7 +54,7 @@ fn config(folder: &str) -> DataConfig {
 
 fn write(folder: &str, phrases: usize, frames: usize) -> Result<(), Box<dyn Error>> {
     synthetic::write_dataset(Path::new(folder), phrases, frames, SEED)?;
-    let statistics = Dataset::<Phrase>::open(&config(folder))?.statistics()?;
+    let statistics = Dataset::<PhraseItem>::open(&config(folder))?.statistics()?;
     let file = Path::new(folder).join("statistics.json");
     std::fs::write(file, serde_json::to_vec(&statistics)?)?;
     Ok(())

@@ -7,14 +7,14 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use crate::Error;
 
-/// Writes begun by this process.
+/// Number of writes begun by this process.
 static WRITERS: AtomicU64 = AtomicU64::new(0);
 
-/// Writes `bytes` to `path`: into a temporary name beside it, flushed to disk, then renamed, so
-/// that a reader never sees half a file. Missing parent folders are made.
+/// Writes `bytes` to `path` atomically: to a temporary file beside it, flushed, then renamed.
+/// Missing parent folders are created.
 ///
 /// # Errors
-/// [`Error::Io`]; the temporary file is removed and an older `path` stays as it was.
+/// [`Error::Io`]; the temporary file is removed and an older `path` is kept.
 pub fn write(path: &Path, bytes: &[u8]) -> Result<(), Error> {
     let failed = |reason| Error::io("write", path, reason);
     if path.file_name().is_none() {
@@ -23,7 +23,7 @@ pub fn write(path: &Path, bytes: &[u8]) -> Result<(), Error> {
     if let Some(folder) = path.parent() {
         fs::create_dir_all(folder).map_err(failed)?;
     }
-    // Threads, too, may write the same file: then one of them wins, whole.
+    // If several threads write the same file, one of them wins.
     let writer = WRITERS.fetch_add(1, Ordering::Relaxed);
     let temporary = path.with_added_extension(format!("{}-{writer}.tmp", std::process::id()));
     let written = File::create(&temporary).and_then(|mut file| {
@@ -37,7 +37,7 @@ pub fn write(path: &Path, bytes: &[u8]) -> Result<(), Error> {
     })
 }
 
-/// Whether a file has the name of one that [`write()`] was killed before renaming.
+/// Whether a file is the temporary file of an interrupted [`write()`].
 pub fn is_unfinished(path: &Path) -> bool {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let Some((_, writer)) = name

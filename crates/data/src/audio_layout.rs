@@ -1,11 +1,12 @@
-//! Which groups of audio features the frames of a song are described by.
+//! Groups of audio features of a song's frames.
 
 use kinegrad_audio::pulse::BEAT_FEATURES;
 use kinegrad_settings::{InvalidSetting, Refused, require};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::features::AUDIO_CHANNELS;
+/// Audio features of a frame without beat features.
+pub const AUDIO_CHANNELS: usize = 163;
 
 /// A group of audio features.
 #[derive(Clone, Copy, Debug, Deserialize, Eq, JsonSchema, PartialEq, Serialize)]
@@ -13,12 +14,12 @@ use crate::features::AUDIO_CHANNELS;
 pub enum AudioGroup {
     /// The 163 features of CC-MotionGen, sections 4.1 and 4.3.
     Document,
-    /// Sine and cosine of the position in the beat and, where the downbeat is known, in the bar; a
-    /// mark on each beat; the local tempo.
+    /// Sine and cosine of the position in the beat and, if the downbeat is known, in the bar; beat
+    /// marks; local tempo.
     Beats,
 }
 
-/// The groups that a model hears, in the order in which they are stacked.
+/// The groups of audio features that a model is conditioned on, in their order.
 #[derive(Clone, Copy, Debug, Default, Eq, PartialEq)]
 pub struct AudioLayout {
     /// Whether the seven beat features follow the 163.
@@ -32,14 +33,14 @@ impl AudioLayout {
     /// The 163 features, then those of the beats.
     pub const WITH_BEATS: Self = Self { beats: true };
 
-    /// The layout that lists `groups`, which have been [checked](check_groups).
+    /// The layout of `groups`, which must be [valid](check_groups).
     pub fn of(groups: &[AudioGroup]) -> Self {
         Self {
             beats: groups.contains(&AudioGroup::Beats),
         }
     }
 
-    /// The groups, as configs and manifests list them.
+    /// The groups, as in configs and manifests.
     pub fn groups(self) -> Vec<AudioGroup> {
         match self.beats {
             false => vec![AudioGroup::Document],
@@ -56,7 +57,7 @@ impl AudioLayout {
     }
 }
 
-/// Rejects lists of groups that no model hears.
+/// Rejects unsupported lists of groups.
 ///
 /// # Errors
 /// Names `key`, what was found and what is allowed.

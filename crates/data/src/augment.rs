@@ -3,15 +3,16 @@
 use std::borrow::Cow;
 use std::ops::Range;
 
-use kinegrad_motion::speed::{at_speed, frames_at_speed};
-use kinegrad_motion::{Motion, anchor_floor, mirror, rotate_yaw};
+use kinegrad_motion::time_stretch::{at_speed, frames_at_speed};
+use kinegrad_motion::{Phrase, anchor_floor, mirror, rotate_yaw};
 use kinegrad_random::{Key, Purpose};
 
-use crate::features::{AUDIO_CHANNELS, AudioFeatures};
-use crate::passage::{Passage, Window};
-use crate::{AugmentConfig, Crop, DataConfig, speed};
+use crate::audio_layout::AUDIO_CHANNELS;
+use crate::context_window::{ContextWindow, Window};
+use crate::features::AudioFeatures;
+use crate::{AugmentConfig, Crop, DataConfig, time_stretch};
 
-// Counters below the sample's key, one for each augmentation: switching one on moves no other.
+// Key counters below the sample's key, one for each augmentation, so that they are independent.
 const WINDOW: u64 = 0;
 const MIRROR: u64 = 1;
 const YAW: u64 = 2;
@@ -22,8 +23,7 @@ const AUDIO_REPLACE: u64 = 6;
 const BAR_DROP: u64 = 7;
 const SPEED: u64 = 8;
 
-/// Frames behind a window that it is played with at another speed, so that its last frames keep
-/// the velocities of what follows.
+/// Frames after a window that is played at another speed, for the derivatives of its last frames.
 const BEHIND: usize = 4;
 
 /// Creates training samples. Sample n is a function of the seed and n alone.
@@ -46,7 +46,7 @@ impl Augmentation {
         }
     }
 
-    /// Frames of a recording that a sample can see: more than it has where it may be played faster.
+    /// Most frames of a recording that a sample uses.
     pub fn frames_seen(&self) -> usize {
         match self.augment.speed {
             0.0 => self.target_frames,
@@ -54,13 +54,13 @@ impl Augmentation {
         }
     }
 
-    /// Motion and audio of sample `n`, taken from `passage`: at most `target_frames` frames, in
-    /// the dataset's units.
+    /// Motion and audio of sample `n` from `context`: at most `target_frames` frames, in the
+    /// dataset's units.
     pub fn windows<'a>(
         &self,
-        passage: &'a Passage,
+        context: &'a ContextWindow,
         n: u64,
-    ) -> (Window<'a, Motion>, Window<'a, AudioFeatures>) {
+    ) -> (Window<'a, Phrase>, Window<'a, AudioFeatures>) {
         let AugmentConfig {
             rotate_yaw: turn,
             mirror: reflect,
@@ -75,20 +75,20 @@ impl Augmentation {
         } = self.augment;
         let key = Key::new(self.seed, Purpose::Augment).at(n);
         let speed = self.speed(key.at(SPEED));
-        let mut window = self.crop(passage, speed, n);
+        let mut window = self.crop(context, speed, n);
         if let Some(min_frames) = min_frames {
             window = sub_window(window, played_by(min_frames, speed), key.at(WINDOW));
         }
         let frames = frames_at_speed(window.len(), speed).min(self.target_frames);
-        // A leading crop without any of these stays as stored.
+        // A leading crop without these changes stays as stored.
         let anchor = window.start > 0 || reflect || turn || min_frames.is_some() || speed != 1.0;
-        let (mut motion, mut audio) = passage.window(window.clone());
+        let (mut motion, mut audio) = context.window(window.clone());
         if anchor || flip {
             let mut changed = match speed {
-                1.0 => passage.take.motion.slice(window.clone()),
+                1.0 => context.take.motion.slice(window.clone()),
                 speed => {
-                    let behind = (window.end + BEHIND).min(passage.take.frames());
-                    at_speed(&passage.take.motion.slice(window.start..behind), speed)
+                    let behind = (window.end + BEHIND).min(context.take.frames());
+                    at_speed(&context.take.motion.slice(window.start..behind), speed)
                         .slice(0..frames)
                 }
             };
@@ -104,10 +104,10 @@ impl Augmentation {
             if anchor {
                 anchor_floor(&mut changed);
             }
-            motion = owned(changed, Motion::frames);
+            motion = owned(changed, Phrase::frames);
         }
         if speed != 1.0 {
-            let played = speed::at_speed(&passage.take.audio.slice(window), speed);
+            let played = time_stretch::at_speed(&context.take.audio.slice(window), speed);
             audio = owned(played.slice(0..frames), AudioFeatures::frames);
         }
         let drops_bar = bar_drop_prob > 0.0 && key.at(BAR_DROP).uniform() < bar_drop_prob;
@@ -132,7 +132,7 @@ impl Augmentation {
         (motion, audio)
     }
 
-    /// The speed of a sample: evenly by its logarithm.
+    /// The speed of a sample, log-uniform.
     fn speed(&self, key: Key) -> f64 {
         match self.augment.speed {
             0.0 => 1.0,
@@ -140,23 +140,23 @@ impl Augmentation {
         }
     }
 
-    /// The frames that sample `n` sees of a passage, `target_frames` of them when they are played
-    /// at `speed`, or all of a shorter take.
-    fn crop(&self, passage: &Passage, speed: f64, n: u64) -> Range<usize> {
+    /// The frames of sample `n` in a context: `target_frames` after playing at `speed`, or all of a
+    /// shorter recording.
+    fn crop(&self, context: &ContextWindow, speed: f64, n: u64) -> Range<usize> {
         let target_frames = played_by(self.target_frames, speed);
-        let starts = passage.starts(target_frames);
-        let length = passage.take.frames().min(target_frames);
+        let starts = context.starts(target_frames);
+        let length = context.take.frames().min(target_frames);
         let start = match self.crop {
             Crop::Random if starts.len() > 1 => {
                 starts.start + below(starts.len(), Key::new(self.seed, Purpose::Crop).at(n))
             }
-            Crop::Random | Crop::Leading => passage.own.start.min(starts.end - 1),
+            Crop::Random | Crop::Leading => context.own.start.min(starts.end - 1),
         };
         start..start + length
     }
 }
 
-/// All frames of what was changed.
+/// All frames of changed data.
 fn owned<'a, T: Clone>(changed: T, frames: impl Fn(&T) -> usize) -> Window<'a, T> {
     Window {
         frames: 0..frames(&changed),
@@ -164,20 +164,20 @@ fn owned<'a, T: Clone>(changed: T, frames: impl Fn(&T) -> usize) -> Window<'a, T
     }
 }
 
-/// Frames that, played at `speed`, last `frames`.
+/// Number of frames that last `frames` when played at `speed`.
 fn played_by(frames: usize, speed: f64) -> usize {
     ((frames.saturating_sub(1)) as f64 * speed - 1e-9).ceil() as usize + 1
 }
 
-/// The same orientations, written with the other sign.
-fn negate_quaternions(motion: &mut Motion) {
+/// The same orientations with the other sign.
+fn negate_quaternions(motion: &mut Phrase) {
     for t in 0..motion.frames() {
         motion.set_quaternion(t, motion.quaternion(t).scale(-1.0));
     }
 }
 
-/// Sets one stretch of time and one band of adjoining features to zero. Beats stay: where they fall is
-/// what motion is to follow, and a network that tracks them learns from these.
+/// Sets one range of time and one band of adjacent features to zero. Beat features are plain: the
+/// motion follows them.
 fn mask_audio(audio: &mut AudioFeatures, key: Key) {
     let range = |length: usize, longest: usize, key: Key| {
         let start = below(length, key.at(0));
@@ -193,7 +193,7 @@ fn mask_audio(audio: &mut AudioFeatures, key: Key) {
     }
 }
 
-/// A random window of at least `min_frames` frames within `window`; all of a shorter one.
+/// A random window of at least `min_frames` frames within `window`.
 fn sub_window(window: Range<usize>, min_frames: usize, key: Key) -> Range<usize> {
     if window.len() <= min_frames {
         return window;
@@ -221,16 +221,16 @@ fn with_noise(audio: AudioFeatures, std: f64, key: Key) -> AudioFeatures {
 mod tests {
     use super::*;
     use crate::synthetic;
-    use crate::{AudioLayout, Phrase};
-    use kinegrad_motion::kinematics::{mean_norm, velocity_errors};
+    use crate::{AudioLayout, PhraseItem};
+    use kinegrad_motion::derivatives::{mean_norm, velocity_errors};
     use kinegrad_motion::phrase::POSITION;
     use std::collections::BTreeSet;
     use std::sync::Arc;
 
     impl Augmentation {
         /// The windows by themselves.
-        fn sample(&self, passage: &Passage, n: u64) -> (Motion, AudioFeatures) {
-            let (motion, audio) = self.windows(passage, n);
+        fn sample(&self, context: &ContextWindow, n: u64) -> (Phrase, AudioFeatures) {
+            let (motion, audio) = self.windows(context, n);
             (motion.of.slice(motion.frames), audio.of.slice(audio.frames))
         }
     }
@@ -238,11 +238,11 @@ mod tests {
     #[test]
     fn bars_are_forgotten_in_so_many_samples_and_nothing_else_is() {
         let with = synthetic::phrase_in(AudioLayout::WITH_BEATS, 4, 30, 2);
-        let [kept, dropping] = [0.0, 0.4].map(|p| sampler(|c| c.augment.bar_drop_prob = p));
+        let [plain, dropping] = [0.0, 0.4].map(|p| sampler(|c| c.augment.bar_drop_prob = p));
         let mut forgotten = 0;
         for n in 0..500 {
             let ((motion, before), (same, after)) = (
-                kept.sample(&alone(&with), n),
+                plain.sample(&alone(&with), n),
                 dropping.sample(&alone(&with), n),
             );
             assert_eq!(motion, same);
@@ -262,7 +262,7 @@ mod tests {
         assert!((150..250).contains(&forgotten), "{forgotten}");
         // Features without beats have no bars to forget.
         let without = synthetic::phrase(4, 30, 2);
-        let samples = [&kept, &dropping].map(|sampler| sampler.sample(&alone(&without), 1));
+        let samples = [&plain, &dropping].map(|sampler| sampler.sample(&alone(&without), 1));
         assert_eq!(samples[0], samples[1]);
     }
 
@@ -276,12 +276,12 @@ mod tests {
     }
 
     /// A phrase that is a take of its own.
-    fn alone(phrase: &Phrase) -> Passage {
-        Passage::alone(Arc::new(phrase.clone()))
+    fn alone(phrase: &PhraseItem) -> ContextWindow {
+        ContextWindow::alone(Arc::new(phrase.clone()))
     }
 
     /// The first frame of `phrase` whose audio is that of the sample.
-    fn start(phrase: &Phrase, audio: &AudioFeatures) -> usize {
+    fn start(phrase: &PhraseItem, audio: &AudioFeatures) -> usize {
         (0..=phrase.frames() - audio.frames())
             .find(|&s| phrase.audio.slice(s..s + audio.frames()) == *audio)
             .expect("a window of the phrase")
@@ -417,7 +417,7 @@ mod tests {
 
     #[test]
     fn audio_masks_zero_stretches_and_bands_and_leave_the_rest() {
-        let phrase = Phrase {
+        let phrase = PhraseItem {
             audio: AudioFeatures::new(20, vec![1.0; AUDIO_CHANNELS * 20]).expect("a size"),
             ..synthetic::phrase(0, 20, 1)
         };
@@ -434,9 +434,9 @@ mod tests {
                 frames <= 4 && channels <= AUDIO_CHANNELS / 4,
                 "{frames} {channels}"
             );
-            let kept = audio.as_slice().iter().filter(|v| **v == 1.0).count();
-            assert_eq!(kept, (20 - frames) * (AUDIO_CHANNELS - channels));
-            masked += 1.0 - kept as f64 / (20 * AUDIO_CHANNELS) as f64;
+            let plain = audio.as_slice().iter().filter(|v| **v == 1.0).count();
+            assert_eq!(plain, (20 - frames) * (AUDIO_CHANNELS - channels));
+            masked += 1.0 - plain as f64 / (20 * AUDIO_CHANNELS) as f64;
         }
         assert!(
             (5.0..40.0).contains(&masked),
@@ -447,7 +447,7 @@ mod tests {
     #[test]
     fn audio_masks_leave_beats() {
         let phrase = synthetic::phrase_in(AudioLayout::WITH_BEATS, 3, 60, 2);
-        let heard = |masks: usize, n: u64| {
+        let features = |masks: usize, n: u64| {
             let masking = sampler(|config| config.augment.audio_masks = masks);
             let (_, audio) = masking.sample(&alone(&phrase), n);
             let rows = AUDIO_CHANNELS * audio.frames();
@@ -457,7 +457,7 @@ mod tests {
             )
         };
         for n in 0..20 {
-            let ((features, beats), (masked, left)) = (heard(0, n), heard(4, n));
+            let ((features, beats), (masked, left)) = (features(0, n), features(4, n));
             assert_eq!(left, beats);
             assert_ne!(masked, features);
         }
@@ -484,7 +484,7 @@ mod tests {
             for t in 0..20 {
                 assert!(distance(place(t) + offset, phase(t)) < 1e-3, "{n} {t}");
             }
-            let of = |m: &Motion, from: usize| {
+            let of = |m: &Phrase, from: usize| {
                 step(
                     f64::from(m.frame(from)[PHASE]),
                     f64::from(m.frame(from + 1)[PHASE]),

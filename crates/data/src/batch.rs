@@ -7,14 +7,14 @@ use kinegrad_motion::Statistics;
 /// Name of the condition on audio features, `[163, frames]`.
 pub const AUDIO: &str = "audio";
 
-/// Name of the condition on a text, its pooled feature `[512, 1]`.
+/// Name of the text condition, its pooled feature `[512, 1]`.
 pub const TEXT: &str = "text";
 
-/// Name of the words of a caption, `[width + 1, words]`: of each its vector, and behind it the
-/// number of its part of speech plus 1, which is 0 where there is no word.
+/// Name of the words of a caption, `[width + 1, words]`: each word's vector, and the index of its
+/// part of speech plus 1, 0 without a word.
 pub const WORDS: &str = "words";
 
-/// Name of the number that clips share which have the same captions, `[1, 1]`.
+/// Name of the number that clips with the same captions share, `[1, 1]`.
 pub const CAPTIONS: &str = "captions";
 
 /// Samples of one length. Flat arrays in row-major order.
@@ -22,7 +22,7 @@ pub const CAPTIONS: &str = "captions";
 pub struct Batch {
     /// Normalised motion, `[batch_size, channels, frames]`; padding is zero.
     pub x_start: Vec<f32>,
-    /// What the samples are conditioned on.
+    /// Conditions of the samples.
     pub conditions: Vec<Condition>,
     /// 1 in a valid frame, 0 in padding, `[batch_size, frames]`.
     pub mask: Vec<f32>,
@@ -36,28 +36,27 @@ pub struct Batch {
     pub frames: usize,
 }
 
-/// What the samples of a batch are conditioned on, by one name.
+/// One condition of the samples of a batch.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Condition {
     /// Its name, such as [`AUDIO`].
     pub name: &'static str,
-    /// As stored, `[batch_size, channels, frames]`; padding is zero, and so is all of a sample
-    /// that does not have it.
+    /// Values as stored, `[batch_size, channels, frames]`; padding and missing conditions are zero.
     pub values: Vec<f32>,
     /// Its channels.
     pub channels: usize,
-    /// Its frames: those of the sample, or 1 where it holds for all of them.
+    /// Frames: those of the sample, or 1 for the whole sample.
     pub frames: usize,
 }
 
-/// What one sample is conditioned on: some frames of each channel.
+/// One condition of one sample: some frames of each channel.
 #[derive(Clone, Debug)]
 pub struct ConditionRows<'a> {
     /// `[channels, frames]`.
     pub values: &'a [f32],
     /// Frames of each channel.
     pub frames: usize,
-    /// Those of them that belong to the sample.
+    /// The frames that belong to the sample.
     pub range: Range<usize>,
 }
 
@@ -97,12 +96,8 @@ impl Batch {
         }
     }
 
-    /// Adds a sample of motion `rows`, at most as many frames as the batch has, of which the first
-    /// channels are taken and normalised, and of the rows of each condition. What they lack is
-    /// padding.
-    ///
-    /// # Panics
-    /// Panics unless there are as many conditions as the batch has.
+    /// Adds a sample of motion `rows`, at most as many frames as the batch has, and of the rows of
+    /// each condition. The first channels are normalised; the rest is padded.
     pub fn push(
         &mut self,
         id: &str,
@@ -155,11 +150,11 @@ mod tests {
         let mut statistics = Statistics::unit(3);
         (statistics.mean[1], statistics.std[1]) = (1.0, 2.0);
         let mut batch = Batch::with_capacity(2, &shape);
-        let heard: Vec<f32> = (0..10u8).map(f32::from).collect();
+        let audio: Vec<f32> = (0..10u8).map(f32::from).collect();
         for (id, frames) in [("a", 4), ("b", 3)] {
             let rows: Vec<f32> = (0..3 * frames).map(|i| i as f32).collect();
             let audio = ConditionRows {
-                values: &heard,
+                values: &audio,
                 frames: 5,
                 range: 1..1 + frames as usize,
             };

@@ -23,48 +23,42 @@ pub const MIN_FRAMES: usize = 4;
 /// The frames that a sample may have.
 const FRAMES: RangeInclusive<usize> = MIN_FRAMES..=crate::MAX_FRAMES;
 
-/// The dataset and its loading. What is said of phrases also applies to [clips](crate::humanml),
-/// unless stated otherwise.
-///
-/// Defaults follow CC-MotionGen, sections 6.1 and 6.3 (120 frames, batches of 32, four workers).
+/// The dataset and its loading. Settings of phrases also apply to [clips](crate::humanml), unless
+/// stated otherwise.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct DataConfig {
     /// Kind of the dataset.
     pub kind: DataKind,
-    /// Location of the dataset: a folder as a path or `file://` URI, a bucket as
-    /// `gs://BUCKET/PREFIX` or `s3://BUCKET/PREFIX`, a web server as `http://` or `https://`.
-    /// Needed for `kind = "phrases"` and `kind = "humanml3d"`.
+    /// Location of the dataset: a folder, a `file://`, `gs://`, `s3://`, `http://` or `https://`
+    /// URI. Needed for `kind = "phrases"` and `kind = "humanml3d"`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub source: Option<String>,
-    /// Groups of audio features that the model hears: `["document"]`, the 163 of CC-MotionGen, or
-    /// `["document", "beats"]`, with position in beat and bar, beat marks and local tempo beside
-    /// them, which a dataset must have been prepared with.
+    /// Groups of audio features: `["document"]` (the 163 of CC-MotionGen) or
+    /// `["document", "beats"]` (with beat features, which the dataset must contain).
     pub audio_features: Vec<AudioGroup>,
-    /// Frames of a sample (30 per second; 20 in HumanML3D, where 196 is common). Longer phrases are
-    /// cropped, shorter ones padded and masked.
+    /// Frames of a sample, at 30 per second (HumanML3D: 20; 196 frames are usual). Longer phrases
+    /// are cropped, shorter ones padded.
     pub target_frames: usize,
     /// Cropping of longer phrases.
     pub crop: Crop,
-    /// What motion is normalised by, for recipes on phrases. Fine-tuning takes the normalisation of
-    /// what it starts from.
+    /// Data that the normalisation of phrases is measured on. Fine-tuning keeps that of its start.
     pub statistics: StatisticsOf,
-    /// Joins training phrases of one recording that follow each other, which are known by ids of
-    /// the form `NAME_FIRSTFRAME`, so that random crops may begin anywhere up to half a phrase
-    /// before or after a phrase's own first frame.
+    /// Joins consecutive training phrases of one recording (ids `NAME_FIRSTFRAME`), so that random
+    /// crops may begin up to half a phrase before or after a phrase.
     pub join_neighbours: bool,
-    /// Samples in a batch; may exceed the number of phrases.
+    /// Samples in a batch.
     pub batch_size: usize,
-    /// Threads that prefetch batches; with 0 each batch is prepared on demand, on all cores.
+    /// Threads that prefetch batches; 0 prepares each batch on demand, on all cores.
     pub num_workers: usize,
-    /// What to do with unusable phrases.
+    /// Handling of unusable phrases.
     pub on_bad_phrase: OnBadPhrase,
-    /// Use only this many ids, in sorted order.
+    /// Use only the first ids, in sorted order.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub num_phrases: Option<usize>,
-    /// Labels of phrases, such as the kind of dance, for networks with `model.style`: a label for each
-    /// id or pattern with `*`, of which the longest that matches decides. They go before those of
-    /// the dataset's manifest; an empty one is none.
+    /// Labels of phrases, such as the dance style, for networks with `model.style`: by id or
+    /// pattern with `*` (the longest match wins), before those of the manifest. An empty label is
+    /// none.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub labels: BTreeMap<String, String>,
     /// Held-out phrases.
@@ -77,7 +71,7 @@ pub struct DataConfig {
     pub store: StoreConfig,
     /// The phrases of `kind = "synthetic"` and walks of `kind = "synthetic_walks"`.
     pub synthetic: SyntheticConfig,
-    /// How the clips of `kind = "humanml3d"` and `kind = "synthetic_walks"` are read.
+    /// Reading of the clips of `kind = "humanml3d"` and `kind = "synthetic_walks"`.
     pub humanml3d: Humanml3dConfig,
 }
 
@@ -137,42 +131,38 @@ pub enum Crop {
     Leading,
 }
 
-/// What the mean, deviation and range that normalise motion are measured of.
+/// Data that the statistics of the normalisation are measured on.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum StatisticsOf {
     /// Whole training phrases, as stored.
     #[default]
     Phrases,
-    /// What training sees: crops of them, moved to the origin and augmented. The same crops whatever
-    /// the run's seed.
+    /// Augmented training crops, the same for every seed.
     Crops,
 }
 
-/// What to do with a phrase that cannot be read or holds a number that is not finite.
+/// Handling of a phrase that cannot be read or contains values that are not finite.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum OnBadPhrase {
     /// Stop with an error.
     Error,
-    /// Leave it out, and name it when training starts.
+    /// Leave it out with a warning.
     Skip,
 }
 
-/// Which phrases are held out for validation. `patterns` and `ids_file` add up. When neither is
-/// given, `fraction` decides; without that the `split` column of the dataset's manifest, and where
-/// there is none, a tenth of the phrases are held out.
+/// Phrases held out for validation: those that `patterns` or `ids_file` name; else `fraction` of
+/// them; else by the `split` column of the manifest, or a tenth.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct ValidationSplit {
-    /// Share of the phrases held out, chosen by a hash of each id alone, so that adding phrases
-    /// never moves another one across the split.
+    /// Share held out, by a hash of each id: adding phrases moves no other one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub fraction: Option<f64>,
-    /// Ids, or patterns with `*` for any run of characters: `"C_5_*"`.
+    /// Ids, or patterns with `*`, such as `"C_5_*"`.
     pub patterns: Vec<String>,
-    /// A file with one id or pattern a line; empty lines and lines that begin with `#` are passed
-    /// over.
+    /// File with one id or pattern per line; empty lines and lines beginning with `#` are ignored.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub ids_file: Option<String>,
 }
@@ -181,12 +171,11 @@ pub struct ValidationSplit {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct CacheConfig {
-    /// Maximum size of phrases in memory, in MiB; a phrase of 120 frames takes 0.09. The held-out
-    /// phrases are always kept.
+    /// Most phrases in memory, MiB (0.09 for 120 frames). Held-out phrases are always kept.
     pub memory_mib: usize,
-    /// Maximum size of remote files on disk, in MiB, for all runs together; 0 disables it.
+    /// Most remote files on disk, MiB, for all runs; 0 disables the cache.
     pub disk_mib: u64,
-    /// The folder they are kept in. By default `kinegrad` in `XDG_CACHE_HOME`, else in `~/.cache`.
+    /// Folder of the disk cache, by default `$XDG_CACHE_HOME/kinegrad` or `~/.cache/kinegrad`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub dir: Option<String>,
 }
@@ -219,16 +208,16 @@ impl CacheConfig {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct StoreConfig {
-    /// Base URL to use instead of the service's own, for emulators and other providers.
+    /// Base URL of an emulator or another provider.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub endpoint: Option<String>,
-    /// Send no credentials: for public buckets and emulators.
+    /// Send no credentials, for public buckets and emulators.
     pub anonymous: bool,
-    /// Seconds without data after which a request times out.
+    /// Timeout of a request without data, seconds.
     pub timeout_seconds: f64,
-    /// Number of retries of a failed request, with exponential backoff from 0.1 s to 20 s.
+    /// Retries of a failed request, with exponential backoff from 0.1 s to 20 s.
     pub max_retries: usize,
-    /// Maximum number of concurrent requests, and of phrases of a batch that are read in parallel.
+    /// Most concurrent requests, and phrases of a batch that are read in parallel.
     pub concurrency: usize,
 }
 
@@ -244,38 +233,35 @@ impl Default for StoreConfig {
     }
 }
 
-/// Random changes to training samples; all off by default. Validation is never augmented.
+/// Random changes to training samples, off by default. Validation is never augmented.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct AugmentConfig {
-    /// Rotate the motion about the vertical axis by a random angle from [0, 2 pi).
+    /// Rotate the motion about the vertical by a random angle.
     pub rotate_yaw: bool,
     /// Mirror the motion left to right in half of the samples.
     pub mirror: bool,
-    /// Negate the whole quaternion sequence in half of the samples: q and -q are the same
-    /// orientation, and the choice between them is arbitrary.
+    /// Negate all quaternions in half of the samples; q and -q are the same orientation.
     pub flip_quaternion: bool,
-    /// Cut a random window of at least this many frames out of the crop; the rest of the sample is
-    /// padding.
+    /// Take a random window of at least this many frames from the crop; the rest is padding.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub min_frames: Option<usize>,
-    /// Standard deviation of Gaussian noise added to the audio features.
+    /// Standard deviation of Gaussian noise on the audio features.
     pub audio_noise: f64,
-    /// Number of time masks, each up to a fifth of the sample, and of masks over adjacent features,
-    /// each up to a quarter of them (SpecAugment, Park et al. 2019,
+    /// Number of time masks (each up to a fifth of the sample) and of feature masks (each up to a
+    /// quarter of the features), as in SpecAugment (Park et al. 2019,
     /// <https://arxiv.org/abs/1904.08779>). Beat features are not masked.
     pub audio_masks: usize,
-    /// Probability of replacing a sample's audio features by standard normal noise, for robustness
-    /// to unfamiliar music.
+    /// Probability of replacing a sample's audio features by normal noise.
     pub audio_replace_prob: f64,
-    /// Probability of hiding from a sample which beat begins a bar, of datasets with beat features:
-    /// `kinegrad sample --audio` does not know it without `--downbeat`.
+    /// Probability of hiding the downbeat in beat features: `kinegrad sample --audio` does not know
+    /// it without `--downbeat`.
     pub bar_drop_prob: f64,
-    /// Play motion and music together faster or slower: 0.25 draws a speed between 1 / 1.25 and 1.25
-    /// for each sample. Style numbers stay those of the recorded speed.
+    /// Largest relative change of speed of motion and music: 0.25 samples a speed between 1 / 1.25
+    /// and 1.25. Style numbers are kept.
     pub speed: f64,
-    /// Probability of bending the way of a clip of joint features at random: turns of the whole way and
-    /// waves, the body turned along and feet held (docs/sources.md, section 7, option E).
+    /// Probability of bending the trajectory of a clip at random, with locked feet
+    /// (docs/sources.md, section 7, option E).
     pub path_warp_prob: f64,
 }
 
@@ -285,7 +271,7 @@ pub struct AugmentConfig {
 pub struct SyntheticConfig {
     /// Number of phrases.
     pub phrases: usize,
-    /// Frames of each (30 per second).
+    /// Frames of each, at 30 per second.
     pub frames: usize,
     /// Seed of the dances and their music.
     pub seed: u64,
@@ -301,21 +287,19 @@ impl Default for SyntheticConfig {
     }
 }
 
-/// Numbers that a frame of an item has, of whichever kind, at most: 263 joint features and what is
-/// known of the frame.
+/// Most numbers in a frame of an item of any kind.
 const NUMBERS_A_FRAME: u64 = 280;
 
 impl DataConfig {
-    /// The audio features that the model hears.
+    /// The audio features of the model's condition.
     pub fn audio_layout(&self) -> AudioLayout {
         AudioLayout::of(&self.audio_features)
     }
 
-    /// Bytes of memory that the items of a dataset without files and the batches that are made
-    /// ahead take, roughly.
+    /// Approximate bytes of memory of prefetched batches, and of items without files.
     pub fn memory(&self) -> u64 {
         let frames = |items: usize, frames: usize| items as u64 * frames as u64;
-        let made_up = match self.kind {
+        let synthetic = match self.kind {
             DataKind::Synthetic | DataKind::SyntheticWalks => {
                 frames(self.synthetic.phrases, self.synthetic.frames)
             }
@@ -323,14 +307,13 @@ impl DataConfig {
         };
         let batches = 1 + LOOK_AHEAD_PER_WORKER * self.num_workers;
         let ahead = frames(batches * self.batch_size, self.target_frames);
-        (made_up + ahead) * NUMBERS_A_FRAME * size_of::<f32>() as u64
+        (synthetic + ahead) * NUMBERS_A_FRAME * size_of::<f32>() as u64
     }
 
     /// Checks every value that can be checked without opening a file.
     ///
     /// # Errors
-    /// [`Error::Config`] names the key, what was found and what is allowed; [`Error::Scheme`] a
-    /// source that is of no known kind.
+    /// [`Error::Config`] with the key; [`Error::Scheme`] for an unknown kind of source.
     pub fn validate(&self) -> Result<(), Error> {
         in_range("data.target_frames", self.target_frames, FRAMES)
             .hint("30 frames are one second; 120 is the usual phrase")?;
@@ -368,7 +351,7 @@ impl DataConfig {
         let allowed = "a folder, file://, gs://, s3://, http:// or https:// URI";
         let missing = || InvalidSetting::new("data.source", "(nothing)", allowed);
         self.source.as_deref().ok_or_else(missing).hint(
-            "name a folder: data.source = \"PATH\", or --set data.source=PATH; data.kind = \
+            "name a folder: data.source = \"PATH\"; data.kind = \
              \"synthetic\" and \"synthetic_walks\" need none",
         )
     }
@@ -447,7 +430,7 @@ impl AugmentConfig {
             self.path_warp_prob,
             0.0..=1.0,
         )
-        .hint("0.5 bends every second way")?;
+        .hint("0.5 bends half of the clips")?;
         in_range("data.augment.audio_masks", self.audio_masks, 0..=16).hint("1 or 2 are usual")
     }
 }

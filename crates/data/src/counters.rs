@@ -1,11 +1,11 @@
-//! Loading statistics for a run's `loader.jsonl`, which are not part of its metrics.
+//! Loading statistics for a run's `loader.jsonl`.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use serde::Serialize;
 
-/// Counts shared by a dataset's store, caches and loader.
+/// Counters shared by a dataset's store, caches and loader.
 #[derive(Debug, Default)]
 pub struct Counters {
     memory_hits: AtomicU64,
@@ -17,22 +17,22 @@ pub struct Counters {
     wait_nanoseconds: AtomicU64,
 }
 
-/// The counts at one moment, since the dataset was opened.
+/// Counts since the dataset was opened.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct LoaderReport {
-    /// Samples handed to the trainer.
+    /// Samples given to the trainer.
     pub samples: u64,
-    /// Seconds that the trainer waited for them.
+    /// Seconds that the trainer waited.
     pub wait_seconds: f64,
     /// Phrases or clips found in memory.
     pub memory_hits: u64,
     /// Files found in the disk cache.
     pub disk_hits: u64,
-    /// Files read from the store itself.
+    /// Files read from the store.
     pub reads: u64,
     /// Their bytes.
     pub bytes_read: u64,
-    /// Reads that had to be tried again.
+    /// Retried reads.
     pub retries: u64,
 }
 

@@ -1,4 +1,4 @@
-//! A dataset: every item is read once, checked and assigned to a split.
+//! A dataset: every item is read once, validated and assigned to a split.
 
 use std::sync::Arc;
 
@@ -7,75 +7,72 @@ use kinegrad_ranks::{Alone, Sharing};
 
 use crate::item::Item;
 use crate::item_set::ItemSet;
-use crate::survey::{Listable, OpenProgress, unheard};
+use crate::progress::{OpenProgress, no_progress};
+use crate::scan::Listable;
 use crate::{DataConfig, Digest, Error, LoaderReport};
 
-/// Most odd items that are named one by one.
+/// Most notes that are reported one by one.
 const NOTES: usize = 5;
 
 /// The items of a dataset, sorted by id within each side of the split.
 #[derive(Debug)]
 pub struct Dataset<T: Item> {
-    /// Items to train on; at least one.
+    /// Training items; at least one.
     pub train: ItemSet<T>,
-    /// Items held out; may be none.
+    /// Held-out items.
     pub validation: ItemSet<T>,
-    /// What the rows of their motion are.
+    /// Representation of the motion.
     pub representation: T::Representation,
-    /// Id and reason of each bad item left out under `on_bad_phrase = "skip"`.
+    /// Id and reason of each bad item that is skipped under `on_bad_phrase = "skip"`.
     pub skipped: Vec<(String, String)>,
-    /// Id and reason of each item that is in order and does not belong here: clips that are too
-    /// short, too long, or have captions of short passages only.
+    /// Id and reason of each valid item that is left out: clips that are too short, too long, or
+    /// have captions of short ranges only.
     pub left_out: Vec<(String, String)>,
-    /// Warnings that do not stop a run: unequal lengths of motion and
-    /// audio, unpaired folders, captions that cannot be used, validation patterns that match
-    /// nothing.
+    /// Warnings: unequal lengths of motion and audio, unpaired folders, unusable captions,
+    /// validation patterns without a match.
     pub warnings: Vec<String>,
-    /// A checksum of the ids, files and side of the split of all items used, and of other files
-    /// that decide what is trained on. Equal datasets have equal ones, wherever they lie.
+    /// Checksum of ids, files and split of all items, and of other files that decide the training
+    /// data; independent of the location.
     pub digest: Digest,
     given: Option<Statistics>,
 }
 
 #[expect(private_bounds, reason = "configs list the items of this crate alone")]
 impl<T: Listable> Dataset<T> {
-    /// Opens the dataset that `config` describes, reading all items in parallel.
-    ///
-    /// Bad items are reported before anything is said of the split.
+    /// Opens the dataset of `config`, reading all items in parallel.
     ///
     /// # Errors
-    /// [`Error::Config`] for settings that cannot be followed, a `kind` of other items among them;
-    /// [`Error::Scheme`] and [`Error::Feature`]; [`Error::MissingFolder`],
-    /// [`Error::Manifest`], [`Error::File`], [`Error::Store`], [`Error::Io`] for a dataset that is
-    /// not there, cannot be reached or has files that cannot be used; [`Error::BadItem`] for the
-    /// first bad item by id; [`Error::NothingToTrainOn`].
+    /// [`Error::Config`] for invalid settings or another `kind` of items; [`Error::Scheme`],
+    /// [`Error::Feature`], [`Error::MissingFolder`], [`Error::Manifest`], [`Error::File`],
+    /// [`Error::Store`], [`Error::Io`] for an unusable dataset; [`Error::BadItem`] for the first
+    /// bad item by id; [`Error::NothingToTrainOn`].
     pub fn open(config: &DataConfig) -> Result<Self, Error> {
-        Self::open_with_progress(config, &unheard)
+        Self::open_with_progress(config, &no_progress)
     }
 
-    /// [`open`](Self::open), telling `progress` how far it is.
+    /// [`open`](Self::open) with `progress`.
     ///
     /// # Errors
-    /// As [`open`](Self::open), and [`Error::Interrupted`] if `progress` says so.
+    /// As [`open`](Self::open), and [`Error::Interrupted`].
     pub fn open_with_progress(config: &DataConfig, progress: OpenProgress) -> Result<Self, Error> {
         Self::open_among(config, progress, &Alone)
     }
 
-    /// [`open_with_progress`](Self::open_with_progress) by ranks that each read a part of the items, and
-    /// tell the others what they are. Collective.
+    /// [`open_with_progress`](Self::open_with_progress) by ranks that each read a part of the
+    /// items. Collective.
     ///
     /// # Errors
-    /// As there; [`Error::OtherListing`] where they do not see the same, and [`Error::OtherReader`] where
-    /// another rank has failed.
+    /// As there; [`Error::OtherListing`] if ranks list different items, and [`Error::OtherReader`]
+    /// if another rank failed.
     pub fn open_among(
         config: &DataConfig,
         progress: OpenProgress,
         sharing: &dyn Sharing<Error>,
     ) -> Result<Self, Error> {
         config.validate()?;
-        let mut survey = T::survey(config)?;
+        let mut scan = T::scan(config)?;
         let on_bad = Some(config.on_bad_phrase);
-        let gathered = survey.gather(config, on_bad, progress, sharing)?;
+        let gathered = scan.gather(config, on_bad, progress, sharing)?;
         let kind = T::KIND;
         let named = |(id, reason): &(String, String)| format!("{kind} `{id}`: {reason}");
         let (skipped, left_out) = (&gathered.skipped, &gathered.left_out);
@@ -97,14 +94,14 @@ impl<T: Listable> Dataset<T> {
             let problem = format!("{problem}; the first: {first}");
             return Err(Error::NothingToTrainOn { problem, hint });
         }
-        let mut warnings = std::mem::take(&mut survey.warnings);
+        let mut warnings = std::mem::take(&mut scan.warnings);
         warnings.extend(gathered.notes.iter().map(named).take(NOTES));
         if gathered.notes.len() > NOTES {
             let more = gathered.notes.len() - NOTES;
             warnings.push(format!("{more} more {kind}s of that sort"));
         }
-        let (representation, given) = (survey.representation.clone(), survey.given.take());
-        let (train, validation, digest) = survey.divide(gathered.entries, gathered.memory);
+        let (representation, given) = (scan.representation.clone(), scan.given.take());
+        let (train, validation, digest) = scan.divide(gathered.entries, gathered.memory);
         if train.is_empty() {
             let items = validation.len();
             return Err(Error::NothingToTrainOn {
@@ -131,10 +128,10 @@ impl<T: Listable> Dataset<T> {
 }
 
 impl<T: Item> Dataset<T> {
-    /// Items that stay in memory.
+    /// A dataset of items in memory.
     ///
     /// # Panics
-    /// Panics if there are none to train on.
+    /// Panics without training items.
     pub fn of_items(
         train: Vec<Arc<T>>,
         validation: Vec<Arc<T>>,
@@ -162,28 +159,27 @@ impl<T: Item> Dataset<T> {
         }
     }
 
-    /// How motion is normalised: the dataset's own statistics, else those of the items to train
-    /// on, which are read for it.
+    /// Statistics of the normalisation: the dataset's own, or measured on the training items.
     ///
     /// # Errors
     /// As [`ItemSet::get`].
     pub fn statistics(&self) -> Result<Statistics, Error> {
-        self.statistics_with_progress(&unheard)
+        self.statistics_with_progress(&no_progress)
     }
 
-    /// [`statistics`](Self::statistics), telling `progress` how many items are measured.
+    /// [`statistics`](Self::statistics) with `progress`.
     ///
     /// # Errors
-    /// As [`statistics`](Self::statistics), and [`Error::Interrupted`] if `progress` says so.
+    /// As [`statistics`](Self::statistics), and [`Error::Interrupted`].
     pub fn statistics_with_progress(&self, progress: OpenProgress) -> Result<Statistics, Error> {
         self.statistics_among(progress, &Alone)
     }
 
-    /// [`statistics_with_progress`](Self::statistics_with_progress) by ranks that each measure a part of
-    /// the items. Collective.
+    /// [`statistics_with_progress`](Self::statistics_with_progress) by ranks that each measure a
+    /// part of the items. Collective.
     ///
     /// # Errors
-    /// As there, and [`Error::OtherReader`] where another rank has failed.
+    /// As there, and [`Error::OtherReader`].
     pub fn statistics_among(
         &self,
         progress: OpenProgress,
@@ -199,7 +195,7 @@ impl<T: Item> Dataset<T> {
         }
     }
 
-    /// Reads the item `id`, from either side of the split; `None` if there is none.
+    /// Reads the item `id` of either split.
     ///
     /// # Errors
     /// As [`ItemSet::get`].
@@ -210,7 +206,7 @@ impl<T: Item> Dataset<T> {
         }
     }
 
-    /// The items held out, or those trained on where none are held out.
+    /// The held-out items, or the training items if there are none.
     pub fn held_out(&self) -> &ItemSet<T> {
         match self.validation.is_empty() {
             true => &self.train,
@@ -218,7 +214,7 @@ impl<T: Item> Dataset<T> {
         }
     }
 
-    /// What reading has cost since the dataset was opened.
+    /// Loading statistics since the dataset was opened.
     pub fn report(&self) -> LoaderReport {
         self.train.counters().report()
     }
@@ -227,7 +223,7 @@ impl<T: Item> Dataset<T> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{DataKind, OnBadPhrase, Phrase, PhraseSet};
+    use crate::{DataKind, OnBadPhrase, PhraseItem, PhraseSet};
     use crate::{features_path, motion_path, synthetic};
     use std::fs;
     use std::ops::ControlFlow;
@@ -258,7 +254,7 @@ mod tests {
     #[test]
     fn a_written_synthetic_dataset_is_the_one_made_in_memory() {
         let (_folder, config) = dataset(6);
-        let read = Dataset::<Phrase>::open(&config).unwrap();
+        let read = Dataset::<PhraseItem>::open(&config).unwrap();
         let mut made = config.clone();
         made.kind = DataKind::Synthetic;
         made.synthetic = crate::SyntheticConfig {
@@ -266,7 +262,7 @@ mod tests {
             frames: 12,
             seed: 5,
         };
-        let made = Dataset::<Phrase>::open(&made).unwrap();
+        let made = Dataset::<PhraseItem>::open(&made).unwrap();
         assert_eq!(read.train.load().unwrap(), made.train.load().unwrap());
         assert_eq!(
             read.validation.load().unwrap(),
@@ -280,7 +276,7 @@ mod tests {
     fn listed_phrases_are_held_out_and_found_again() {
         let (_folder, mut config) = dataset(12);
         config.validation.patterns = vec!["*_00003".into(), "*1?".into(), "*_0001*".into()];
-        let read = Dataset::<Phrase>::open(&config).unwrap();
+        let read = Dataset::<PhraseItem>::open(&config).unwrap();
         assert_eq!(
             ids(&read.validation),
             ["synthetic_00003", "synthetic_00010", "synthetic_00011"]
@@ -303,16 +299,20 @@ mod tests {
         let (folder, mut config) = dataset(4);
         spoil(folder.path(), 2);
         config.validation.patterns = vec!["*".into()];
-        let message = Dataset::<Phrase>::open(&config).unwrap_err().to_string();
+        let message = Dataset::<PhraseItem>::open(&config)
+            .unwrap_err()
+            .to_string();
         assert!(message.contains("phrase `synthetic_00002`"), "{message}");
         assert!(message.contains("frame 3, channel phase"), "{message}");
 
         config.on_bad_phrase = OnBadPhrase::Skip;
-        let message = Dataset::<Phrase>::open(&config).unwrap_err().to_string();
+        let message = Dataset::<PhraseItem>::open(&config)
+            .unwrap_err()
+            .to_string();
         assert!(message.contains("all 3 phrases are held out"), "{message}");
 
         config.validation.patterns = vec!["*_00000".into()];
-        let read = Dataset::<Phrase>::open(&config).unwrap();
+        let read = Dataset::<PhraseItem>::open(&config).unwrap();
         assert_eq!(ids(&read.train), ["synthetic_00001", "synthetic_00003"]);
         assert_eq!(read.skipped.len(), 1);
         assert_eq!(read.skipped[0].0, "synthetic_00002");
@@ -325,7 +325,7 @@ mod tests {
         (0..2)
             .chain(3..4)
             .for_each(|index| spoil(folder.path(), index));
-        let error = Dataset::<Phrase>::open(&config).unwrap_err();
+        let error = Dataset::<PhraseItem>::open(&config).unwrap_err();
         assert!(matches!(error, Error::NothingToTrainOn { .. }), "{error}");
         assert!(
             error.to_string().contains("left none of 4 phrases"),
@@ -344,18 +344,18 @@ mod tests {
             }
         };
         let read = AtomicUsize::new(0);
-        let opened =
-            Dataset::<Phrase>::open_with_progress(&config, &|_, _| after(3, &read)).unwrap_err();
+        let opened = Dataset::<PhraseItem>::open_with_progress(&config, &|_, _| after(3, &read))
+            .unwrap_err();
         assert!(matches!(opened, Error::Interrupted), "{opened}");
         assert!(read.load(Ordering::SeqCst) < 39);
 
-        let dataset = Dataset::<Phrase>::open(&config).unwrap();
+        let dataset = Dataset::<PhraseItem>::open(&config).unwrap();
         let read = AtomicUsize::new(0);
         let measured = dataset.statistics_with_progress(&|_, _| after(3, &read));
         assert!(matches!(measured, Err(Error::Interrupted)));
         assert!(read.load(Ordering::SeqCst) < dataset.train.len());
-        let told = dataset.statistics_with_progress(&|_, _| ControlFlow::Continue(()));
-        assert_eq!(told.unwrap(), dataset.statistics().unwrap());
+        let statistics = dataset.statistics_with_progress(&|_, _| ControlFlow::Continue(()));
+        assert_eq!(statistics.unwrap(), dataset.statistics().unwrap());
     }
 
     /// The first of two ranks, of which the other lists something else.
@@ -378,7 +378,7 @@ mod tests {
     #[test]
     fn ranks_that_do_not_see_the_same_phrases_are_refused() {
         let (_folder, config) = dataset(3);
-        let opened = Dataset::<Phrase>::open_among(&config, &unheard, &Apart);
+        let opened = Dataset::<PhraseItem>::open_among(&config, &no_progress, &Apart);
         let error = opened.unwrap_err();
         assert!(matches!(error, Error::OtherListing { .. }), "{error}");
         let expected = "rank 1 finds other phrases there than rank 0";
@@ -391,13 +391,17 @@ mod tests {
         let features = folder.path().join(features_path("synthetic_00001"));
         let bytes = fs::read(&features).unwrap();
         fs::write(&features, &bytes[..bytes.len() / 2]).unwrap();
-        let message = Dataset::<Phrase>::open(&config).unwrap_err().to_string();
+        let message = Dataset::<PhraseItem>::open(&config)
+            .unwrap_err()
+            .to_string();
         assert!(
             message.contains("`synthetic_00001`") && message.contains("features.npz"),
             "{message}"
         );
         fs::remove_file(folder.path().join(motion_path("synthetic_00000"))).unwrap();
-        let message = Dataset::<Phrase>::open(&config).unwrap_err().to_string();
+        let message = Dataset::<PhraseItem>::open(&config)
+            .unwrap_err()
+            .to_string();
         assert!(
             message.contains("`synthetic_00000`") && message.contains("not found"),
             "{message}"
@@ -411,7 +415,7 @@ mod tests {
         fs::remove_file(&path).unwrap();
         fs::create_dir(&path).unwrap();
         config.on_bad_phrase = OnBadPhrase::Skip;
-        let read = Dataset::<Phrase>::open(&config).unwrap();
+        let read = Dataset::<PhraseItem>::open(&config).unwrap();
         assert_eq!(read.skipped.len(), 1);
         assert!(
             read.skipped[0].1.contains("trajectory.npy"),
@@ -423,7 +427,7 @@ mod tests {
     #[test]
     fn the_digest_knows_files_and_split_and_not_the_place() {
         let (folder, mut config) = dataset(6);
-        let digest = |config: &DataConfig| Dataset::<Phrase>::open(config).unwrap().digest;
+        let digest = |config: &DataConfig| Dataset::<PhraseItem>::open(config).unwrap().digest;
         let first = digest(&config);
         let (_other, elsewhere) = dataset(6);
         assert_eq!(digest(&elsewhere), first);
@@ -438,11 +442,11 @@ mod tests {
     }
 
     #[test]
-    fn missing_and_empty_datasets_are_told_apart() {
+    fn missing_and_empty_datasets_are_distinguished() {
         let folder = tempfile::tempdir().unwrap();
         let open = |path: &Path| {
             let source = Some(path.display().to_string());
-            Dataset::<Phrase>::open(&DataConfig {
+            Dataset::<PhraseItem>::open(&DataConfig {
                 source,
                 ..DataConfig::default()
             })
@@ -466,7 +470,7 @@ mod tests {
         fs::create_dir_all(folder.path().join("motion/zz")).unwrap();
         config.num_phrases = Some(2);
         config.validation.fraction = Some(0.0);
-        let read = Dataset::<Phrase>::open(&config).unwrap();
+        let read = Dataset::<PhraseItem>::open(&config).unwrap();
         assert_eq!(ids(&read.train), ["synthetic_00000", "synthetic_00001"]);
         assert!(read.warnings[0].contains("zz"), "{:?}", read.warnings);
     }

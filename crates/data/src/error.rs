@@ -10,19 +10,18 @@ use thiserror::Error;
 use crate::magnitude::allowed;
 use crate::{Item, StoreError};
 
-/// Why one array file could not be used. `file` is its path, followed by `:member` inside an
-/// archive.
+/// Why an array file cannot be used. `file` is its path, followed by `:member` in an archive.
 #[derive(Debug, Error, Diagnostic)]
 pub enum FileError {
-    /// The file cannot be read, or what stands in it cannot be used.
+    /// The file cannot be read or used.
     #[error("{file}: {problem}")]
     #[diagnostic(help("{hint}"))]
     Unusable {
         /// The file, and the line or array in it.
         file: String,
-        /// What is wrong with it.
+        /// The problem.
         problem: String,
-        /// What to do.
+        /// The hint.
         hint: String,
     },
     /// The store could not give the file.
@@ -34,11 +33,11 @@ pub enum FileError {
 /// Why a dataset could not be opened or written.
 #[derive(Debug, Error, Diagnostic)]
 pub enum Error {
-    /// A progress callback said to stop.
+    /// A progress callback stopped the work.
     #[error("interrupted")]
     #[diagnostic(help("nothing is left half-written; run it again"))]
     Interrupted,
-    /// Another rank that reads a part of the dataset has failed, and says why.
+    /// Another rank failed.
     #[error("rank {rank} cannot read its part of the dataset")]
     OtherReader {
         /// The rank.
@@ -46,7 +45,7 @@ pub enum Error {
         /// Its exit code.
         code: u8,
     },
-    /// Ranks that are to read a dataset together do not see the same.
+    /// Ranks list different items.
     #[error("data.source: rank {rank} finds other {kind}s there than rank 0")]
     #[diagnostic(help("the dataset belongs on a file system or in a bucket that all ranks see"))]
     OtherListing {
@@ -55,11 +54,11 @@ pub enum Error {
         /// The first rank that differs.
         rank: usize,
     },
-    /// A value of the `data` table is out of its range.
+    /// A value of the `data` table is out of range.
     #[error(transparent)]
     #[diagnostic(transparent)]
     Config(#[from] InvalidSetting),
-    /// `data.source` is of a kind that this version cannot read.
+    /// The scheme of `data.source` is not supported.
     #[error(
         "data.source = \"{found}\": `{scheme}` found; a folder, file:///FOLDER, gs://BUCKET/PREFIX, \
          s3://BUCKET/PREFIX, http:// and https:// allowed"
@@ -71,7 +70,7 @@ pub enum Error {
         /// Its scheme.
         scheme: String,
     },
-    /// This build lacks what it takes.
+    /// The build lacks a feature.
     #[error("{what}: this build of kinegrad lacks the feature `{feature}`")]
     #[diagnostic(help(
         "install the wheel, which has it: `pip install kinegrad`; or build it with \
@@ -87,7 +86,7 @@ pub enum Error {
     #[error(transparent)]
     #[diagnostic(transparent)]
     Store(#[from] StoreError),
-    /// The manifest is not one.
+    /// The manifest is invalid.
     #[error("{object}: {problem}")]
     #[diagnostic(help(
         "docs/dataset.md lists the columns; `kinegrad data prepare` writes a new one"
@@ -95,26 +94,26 @@ pub enum Error {
     Manifest {
         /// The manifest.
         object: String,
-        /// What is wrong with it.
+        /// The problem.
         problem: String,
     },
-    /// The dataset's folder, or one that the layout requires, is missing.
+    /// The dataset's folder, or a required one in it, is missing.
     #[error("data.source: folder {} not found", path.display())]
     #[diagnostic(help(
-        "a dataset holds audio_features/ID/features.npz and motion/ID/trajectory.npy; make one \
-         to try with `kinegrad data synth --out DIR`"
+        "a dataset holds audio_features/ID/features.npz and motion/ID/trajectory.npy; `kinegrad \
+         data synth` makes one to try"
     ))]
     MissingFolder {
         /// The folder.
         path: PathBuf,
     },
-    /// The dataset holds nothing to train on.
+    /// The dataset has nothing to train on.
     #[error("{problem}")]
     #[diagnostic(help("{hint}"))]
     NothingToTrainOn {
         /// Why.
         problem: String,
-        /// What to do.
+        /// The hint.
         hint: String,
     },
     /// A phrase or clip is bad and `data.on_bad_phrase` is `error`.
@@ -125,21 +124,21 @@ pub enum Error {
         kind: &'static str,
         /// Its id.
         id: String,
-        /// What is wrong with it. Not a `source`, as the message holds it already.
+        /// The problem. Not a `source`, as the message contains it.
         cause: Box<FileError>,
-        /// What to do.
+        /// The hint.
         hint: String,
     },
-    /// An address says more than where the data lies.
+    /// An address contains credentials or a query.
     #[error("the address {place}... {problem}")]
     #[diagnostic(help(
         "credentials come from the environment, not from the address, which is written into configs \
          and checkpoints"
     ))]
     Address {
-        /// Its scheme and host, without what should not be shown.
+        /// Scheme and host.
         place: String,
-        /// What is wrong with it.
+        /// The problem.
         problem: &'static str,
     },
     /// A file outside any dataset is bad.
@@ -150,14 +149,14 @@ pub enum Error {
     #[error("cannot {action} {}: {reason}", path.display())]
     #[diagnostic(help("check the path, its permissions and the free space"))]
     Io {
-        /// What was tried.
+        /// The attempted action.
         action: &'static str,
         /// The path.
         path: PathBuf,
-        /// What the operating system says.
+        /// The reason by the operating system.
         reason: std::io::Error,
     },
-    /// A dataset would be written over another one.
+    /// The folder already contains a dataset.
     #[error("{} already holds a dataset", path.display())]
     #[diagnostic(help("name a new folder, or remove the old dataset first"))]
     Exists {
@@ -167,14 +166,14 @@ pub enum Error {
 }
 
 impl FileError {
-    /// The error about a file that could not be opened or read.
+    /// A file that cannot be opened or read.
     pub fn read<E: Display>(file: &Path) -> impl FnOnce(E) -> Self {
         let file = file.display().to_string();
         let hint = "check that the file exists and that you may read it";
         move |reason| Self::unusable(file, format!("cannot be read: {reason}"), hint)
     }
 
-    /// The error about something in a file that cannot be used.
+    /// A file with unusable contents.
     pub(crate) fn unusable(
         file: impl Into<String>,
         problem: impl Into<String>,
@@ -187,7 +186,7 @@ impl FileError {
         }
     }
 
-    /// The error about something in a file that is not as its layout asks.
+    /// A file with unexpected contents.
     pub(crate) fn unexpected(
         file: impl Into<String>,
         found: impl Display,
@@ -197,7 +196,7 @@ impl FileError {
         Self::unusable(file, format!("found {found}, expected {expected}"), hint)
     }
 
-    /// The error about an array with a shape that does not match the layout.
+    /// An array with the wrong shape.
     pub fn shape(file: &str, found: &[usize], allowed: impl Display) -> Self {
         let problem = format!("shape {found:?} found, {allowed} allowed");
         let hint = "motion is [frames, 25]; mel, chroma and mfcc are [128 | 12 | 20, frames]; rms, \
@@ -205,9 +204,7 @@ impl FileError {
         Self::unusable(file, problem, hint)
     }
 
-    /// The error about a value that is not [usable]; frames count from 0.
-    ///
-    /// [usable]: crate::magnitude::is_usable
+    /// A value that is not [usable](crate::magnitude::is_usable); frames count from 0.
     pub(crate) fn not_usable(file: &str, frame: usize, channel: String, value: f32) -> Self {
         let (allowed, hint) = allowed(value);
         let problem = format!("{value} in frame {frame}, channel {channel}; {allowed} allowed");
@@ -216,7 +213,7 @@ impl FileError {
 }
 
 impl Error {
-    /// Whether the surroundings failed (a network, a disk) and not what was given.
+    /// Whether the environment failed (network, disk), not the input.
     pub fn is_failure(&self) -> bool {
         let failed = |error: &StoreError| matches!(error, StoreError::Failed { .. });
         match self {
@@ -233,7 +230,7 @@ impl Error {
     pub(crate) fn bad<T: Item>(id: &str, cause: FileError) -> Self {
         let kind = T::KIND;
         let hint = match &cause {
-            // Nothing is wrong with the item as such.
+            // Nothing is wrong with the item itself.
             FileError::Store(error) if !error.concerns_one_object() => {
                 error.help().map(|help| help.to_string())
             }
@@ -282,6 +279,6 @@ mod tests {
             feature: "manifest",
         };
         let help = lacking.help().expect("a hint").to_string();
-        assert!(help.contains("pip install kinegrad") && help.contains("--features full"));
+        assert!(help.contains("pip install kinegrad") && help.contains("`full`"));
     }
 }

@@ -1,12 +1,12 @@
-//! The audio features of a frame, as stored: the 163 of CC-MotionGen, sections 4.1 and 4.3, and
-//! those of the beats where they are asked for.
+//! Stored audio features: the 163 of CC-MotionGen, sections 4.1 and 4.3, and optional beat
+//! features.
 
 use std::ops::Range;
 
 use kinegrad_audio::pulse::BEAT_FEATURES;
 use kinegrad_audio::{Features, Pulse};
 
-use crate::audio_layout::AudioLayout;
+use crate::audio_layout::{AUDIO_CHANNELS, AudioLayout};
 use crate::magnitude::{first_unusable, is_usable};
 
 /// The arrays of `features.npz` in the order in which they are stacked, with their rows.
@@ -22,16 +22,10 @@ pub const FEATURES: [(&str, usize); 6] = [
 /// The array of beat features in `features.npz`, with its rows.
 pub const BEATS: (&str, usize) = ("beats", BEAT_FEATURES.len());
 
-/// Audio features of one frame without those of the beats.
-pub const AUDIO_CHANNELS: usize = 163;
-
 /// Channel of the onset strength, the last of the 163.
 const ONSET_STRENGTH: usize = AUDIO_CHANNELS - 1;
 
-/// Name of an audio channel: `mel[17]`, `rms`, `beats.bar_sin`.
-///
-/// # Panics
-/// Panics unless `channel < 170`.
+/// Name of an audio channel, such as `mel[17]`, `rms` or `beats.bar_sin`.
 pub fn audio_channel_name(channel: usize) -> String {
     let mut row = channel;
     for (name, rows) in FEATURES {
@@ -50,8 +44,8 @@ pub fn audio_channel_name(channel: usize) -> String {
     }
 }
 
-/// Audio features of a stretch of music at 30 frames per second: `[channels, frames]`,
-/// channel-major, of 163 channels or with the beats' 170.
+/// Audio features at 30 frames per second: `[channels, frames]`, channel-major, 163 or with beats
+/// 170 channels.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AudioFeatures {
     frames: usize,
@@ -60,7 +54,7 @@ pub struct AudioFeatures {
 }
 
 impl From<&Features> for AudioFeatures {
-    /// A whole song's features, as a dataset stores them.
+    /// The features of a whole song.
     fn from(features: &Features) -> Self {
         Self {
             frames: features.frames(),
@@ -71,8 +65,8 @@ impl From<&Features> for AudioFeatures {
 }
 
 impl AudioFeatures {
-    /// Features from `[163, frames]` or `[170, frames]` values, channel-major; `None` for another
-    /// number of values.
+    /// Features from `[163, frames]` or `[170, frames]` values, channel-major; `None` for other
+    /// sizes.
     pub fn new(frames: usize, values: Vec<f32>) -> Option<Self> {
         let layouts = [AudioLayout::DOCUMENT, AudioLayout::WITH_BEATS];
         let fits = |layout: &AudioLayout| values.len() == layout.channels() * frames;
@@ -84,7 +78,7 @@ impl AudioFeatures {
         })
     }
 
-    /// Silence, and the null condition of classifier-free guidance: `[163, frames]` zeros.
+    /// Silence, also the null condition of classifier-free guidance: `[163, frames]` zeros.
     pub fn zeros(frames: usize) -> Self {
         Self::silence(AudioLayout::DOCUMENT, frames)
     }
@@ -98,7 +92,7 @@ impl AudioFeatures {
         }
     }
 
-    /// A whole song's features in `layout`, its beats those of `pulse`; zero where it has none.
+    /// A song's features in `layout`, with the beats of `pulse`, or zero.
     pub fn of_song(features: &Features, layout: AudioLayout, pulse: Option<&Pulse>) -> Self {
         let document = Self::from(features);
         match layout.beats {
@@ -107,8 +101,7 @@ impl AudioFeatures {
         }
     }
 
-    /// The 163 features with those of the beats of `pulse`, whose second 0 is frame 0; zero where
-    /// there is none.
+    /// The 163 features with the beat features of `pulse`, whose second 0 is frame 0, or zero.
     pub fn with_beats(&self, pulse: Option<&Pulse>) -> Self {
         let mut values = self.values[..AUDIO_CHANNELS * self.frames].to_vec();
         match pulse {
@@ -122,7 +115,7 @@ impl AudioFeatures {
         }
     }
 
-    /// The groups of features that there are.
+    /// The groups of features.
     pub fn layout(&self) -> AudioLayout {
         self.layout
     }
@@ -143,14 +136,11 @@ impl AudioFeatures {
     }
 
     /// One channel over time, `[frames]`.
-    ///
-    /// # Panics
-    /// Panics unless `channel < channels`.
     pub fn channel(&self, channel: usize) -> &[f32] {
         &self.values[channel * self.frames..][..self.frames]
     }
 
-    /// Makes the bars unknown, of features with beats; which beat begins one is told no more.
+    /// Removes the bar positions from beat features.
     pub fn forget_bars(&mut self) {
         let bars = |name: &&str| name.starts_with("bar_");
         let rows = BEAT_FEATURES
@@ -162,20 +152,17 @@ impl AudioFeatures {
         }
     }
 
-    /// How strongly notes begin, over time, `[frames]`.
+    /// Onset strength over time, `[frames]`.
     pub fn onset_strength(&self) -> &[f32] {
         self.channel(ONSET_STRENGTH)
     }
 
-    /// One channel over time, `[frames]`, for writing.
+    /// One channel over time, `[frames]`, mutable.
     pub(crate) fn channel_mut(&mut self, channel: usize) -> &mut [f32] {
         &mut self.values[channel * self.frames..][..self.frames]
     }
 
     /// The frames of `range`, `[channels, range.len()]`.
-    ///
-    /// # Panics
-    /// Panics if `range` reaches beyond the last frame.
     pub fn slice(&self, range: Range<usize>) -> Self {
         let mut values = Vec::with_capacity(self.channels() * range.len());
         for channel in 0..self.channels() {
@@ -188,10 +175,7 @@ impl AudioFeatures {
         }
     }
 
-    /// The frames of these numbers in their order, `[channels, frames.len()]`.
-    ///
-    /// # Panics
-    /// Panics if there are not so many.
+    /// The frames at these indices, `[channels, frames.len()]`.
     pub fn at_frames(&self, frames: &[usize]) -> Self {
         let mut values = Vec::with_capacity(self.channels() * frames.len());
         for channel in 0..self.channels() {
@@ -205,7 +189,7 @@ impl AudioFeatures {
         }
     }
 
-    /// Frame and channel of the first value, in time, that is NaN, infinite or too large.
+    /// Frame and channel of the first unusable value in time.
     pub(crate) fn first_unusable(&self) -> Option<(usize, usize)> {
         first_unusable(&self.values)?;
         let values = self.values.iter().enumerate();

@@ -1,27 +1,26 @@
-//! Reading files that users name, within bounds.
+//! Bounded reading of files that users name.
 
 use std::fs::{self, File};
 use std::io::{self, Read};
 use std::path::Path;
 
-/// Longest text that is read: configs, goals, plans, lists of ids.
+/// Largest text file: configs, goals, plans, lists of ids.
 pub const MAX_TEXT_BYTES: u64 = 64 << 20;
 
-/// Longest file of tensors that is read: it is in memory before it is known whether it is whole.
+/// Largest tensor file, which is read whole.
 pub const MAX_TENSOR_BYTES: u64 = 2 << 30;
 
-/// The bytes of the file at `path`, which may have `limit` of them.
+/// The bytes of the file at `path`, at most `limit`.
 ///
 /// # Errors
-/// If it cannot be read, is a folder, a pipe or a device (reading one of the latter may never end),
-/// or is longer.
+/// If it cannot be read, is a folder, pipe or device, or is longer.
 pub fn read_file(path: &Path, limit: u64) -> io::Result<Vec<u8>> {
     let too_long = |found: u64| {
         let message = format!("{found} bytes found, at most {limit} are read");
         io::Error::new(io::ErrorKind::FileTooLarge, message)
     };
     let stated = match regular(path) {
-        // What a shell hands over, as in `config show <(...)`: somebody writes to it.
+        // A descriptor from a shell, as in `config show <(...)`.
         Err(_) if is_descriptor(path) => 0,
         found => found?,
     };
@@ -29,9 +28,9 @@ pub fn read_file(path: &Path, limit: u64) -> io::Result<Vec<u8>> {
         return Err(too_long(stated));
     }
     let mut bytes = Vec::new();
-    // A byte more, so that the end is found without making room again.
+    // One more byte, so that the end is found without reallocation.
     bytes.try_reserve_exact(stated as usize + 1)?;
-    // Somebody may be writing to it.
+    // The file may grow meanwhile.
     File::open(path)?.take(limit + 1).read_to_end(&mut bytes)?;
     match bytes.len() as u64 > limit {
         true => Err(too_long(bytes.len() as u64)),
@@ -39,7 +38,7 @@ pub fn read_file(path: &Path, limit: u64) -> io::Result<Vec<u8>> {
     }
 }
 
-/// Whether the path is an open file of this process.
+/// Whether the path is an open descriptor of this process.
 fn is_descriptor(path: &Path) -> bool {
     ["/dev/fd", "/dev/stdin", "/proc/self/fd"]
         .iter()
@@ -49,13 +48,13 @@ fn is_descriptor(path: &Path) -> bool {
 /// The text of the file at `path`.
 ///
 /// # Errors
-/// As [`read_file`] with [`MAX_TEXT_BYTES`], and if it is no UTF-8.
+/// As [`read_file`] with [`MAX_TEXT_BYTES`], and if it is not UTF-8.
 pub fn read_text(path: &Path) -> io::Result<String> {
     let bytes = read_file(path, MAX_TEXT_BYTES)?;
     String::from_utf8(bytes).map_err(|error| io::Error::new(io::ErrorKind::InvalidData, error))
 }
 
-/// The file at `path` to be locked, made where there is none.
+/// Opens or creates the file at `path` for locking.
 ///
 /// # Errors
 /// If it cannot be made, or is a folder, a pipe or a device.
@@ -73,7 +72,7 @@ pub fn lock_file(path: &Path) -> io::Result<File> {
 /// The length of the file at `path`.
 ///
 /// # Errors
-/// If there is none, or a folder, a pipe or a device.
+/// If it is missing, a folder, a pipe or a device.
 pub fn regular(path: &Path) -> io::Result<u64> {
     let metadata = fs::metadata(path)?;
     match metadata.is_file() {

@@ -6,20 +6,20 @@ use crate::listing::Expected;
 use crate::store::Store;
 use crate::{DataConfig, Error, StoreError};
 
-/// Tries of a file whose bytes are not those expected: the first may have been damaged under way.
+/// Attempts to read a file with the expected checksum.
 const TRIES: usize = 3;
 
-/// A store, with the cache that stands before a remote one.
+/// A store, with the cache of a remote one.
 #[derive(Debug)]
 pub(crate) struct Files {
     pub store: Store,
     pub disk: Option<DiskCache>,
-    /// Most requests at a time; 0 where nothing is requested from afar.
+    /// Most concurrent requests; 0 for a local store.
     pub concurrency: usize,
 }
 
 impl Files {
-    /// `store` with the disk cache of a valid `config`; a cache that cannot be had is a warning,
+    /// `store` with the disk cache of a valid `config`. A cache that cannot be opened is a warning,
     /// unless the config names its folder.
     ///
     /// # Errors
@@ -57,7 +57,7 @@ impl Files {
         })
     }
 
-    /// [`read`](Self::read) of a file of which nothing is known before; none where it is missing.
+    /// [`read`](Self::read) of a file without an expected version; `None` if it is missing.
     pub fn find(&self, path: &str, limit: u64) -> Result<Option<(Vec<u8>, Digest)>, StoreError> {
         match self.read(path, &Expected::Version(String::new()), limit, "") {
             Err(StoreError::Missing { .. }) => Ok(None),
@@ -65,7 +65,7 @@ impl Files {
         }
     }
 
-    /// The bytes of one file, from the disk cache or the store, with their checksum.
+    /// The bytes of a file, from the disk cache or the store, with their checksum.
     pub fn read(
         &self,
         path: &str,
@@ -114,7 +114,7 @@ impl Files {
         };
         if let Some(disk) = &self.disk {
             disk.put(&digest, &bytes);
-            // What was overwritten since it was listed is another version than the key's.
+            // An object that changed since it was listed has another version.
             let as_listed = matches!(expected, Expected::Version(listed) if *listed == version);
             if let Some(key) = key.filter(|_| as_listed) {
                 disk.put_name(&key, &digest);

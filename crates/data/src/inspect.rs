@@ -8,10 +8,11 @@ use serde::Serialize;
 
 use crate::humanml::Clip;
 use crate::item::Item;
-use crate::survey::{Gathered, Listable, OpenProgress, unheard};
-use crate::{DataConfig, DataKind, Dataset, Error, Phrase};
+use crate::progress::{OpenProgress, no_progress};
+use crate::scan::{Gathered, Listable};
+use crate::{DataConfig, DataKind, Dataset, Error, PhraseItem};
 
-/// The contents of a dataset. Numbers describe the items that can be used.
+/// Summary of a dataset. Numbers describe the usable items.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Inspection {
     /// The dataset's address, or `synthetic` or `synthetic_walks`.
@@ -20,16 +21,16 @@ pub struct Inspection {
     pub kind: &'static str,
     /// Name of the representation.
     pub representation: String,
-    /// Items that are used.
+    /// Usable items.
     pub items: usize,
-    /// Items that cannot be used.
+    /// Unusable items.
     pub bad_items: usize,
-    /// Valid items that are left out: clips that are too short, too long, or have only captions of
-    /// short segments.
+    /// Valid items that are left out: clips that are too short, too long, or have captions of short
+    /// ranges only.
     pub left_out: usize,
-    /// Items to train on.
+    /// Training items.
     pub train: usize,
-    /// Items held out for validation.
+    /// Held-out items.
     pub validation: usize,
     /// Total number of frames.
     pub frames: usize,
@@ -45,11 +46,11 @@ pub struct Inspection {
     pub channels: usize,
     /// Counts of conditions, by name.
     pub counts: Vec<(&'static str, usize)>,
-    /// Summary of each channel of the motion, or group of channels, in the dataset's units.
+    /// Summary of each channel, or group of channels, of the motion, in the dataset's units.
     pub motion: Vec<ChannelSummary>,
     /// Summary of each condition.
     pub conditions: Vec<ChannelSummary>,
-    /// What is wrong with single items, by id.
+    /// Problems of single items, by id.
     pub problems: Vec<Problem>,
     /// Warnings about the dataset as a whole.
     pub warnings: Vec<String>,
@@ -92,18 +93,18 @@ impl ChannelSummary {
     }
 }
 
-/// Something wrong with an item.
+/// A problem of an item.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Problem {
     /// The item.
     pub id: String,
-    /// What is wrong, in words.
+    /// The problem.
     pub problem: String,
-    /// Whether the item cannot be used for it.
+    /// Whether the item is unusable.
     pub unusable: bool,
 }
 
-/// What one item, or several, come to.
+/// Measures of one or several items.
 struct Contents {
     motion: Measured,
     conditions: Vec<(&'static str, ChannelMoments)>,
@@ -133,29 +134,29 @@ impl Contents {
     }
 }
 
-/// Reads every item of the dataset of `config`, regardless of `on_bad_phrase`.
-///
-/// An item that can be read is held against both profiles of the checks, the strict one with the
-/// statistics of the training items (of all items, where none is left to train on).
+/// Reads every item of the dataset of `config`, regardless of `on_bad_phrase`, and checks each by
+/// both profiles, the strict one with the statistics of the training items (of all, if there are
+/// none).
 ///
 /// # Errors
-/// As [`Dataset::open`], but never for a single bad item or for a side of
-/// the split that is empty.
+/// As [`Dataset::open`], but never for a bad item or an empty split.
 pub fn inspect(config: &DataConfig, progress: OpenProgress) -> Result<Inspection, Error> {
     config.validate()?;
     match config.kind {
-        DataKind::Phrases | DataKind::Synthetic => inspect_items::<Phrase>(config, progress),
+        DataKind::Phrases | DataKind::Synthetic => inspect_items::<PhraseItem>(config, progress),
         DataKind::Humanml3d | DataKind::SyntheticWalks => inspect_items::<Clip>(config, progress),
     }
 }
 
-/// The statistics of the motion to train on of the dataset that `config` describes.
+/// The statistics of the training motion of the dataset of `config`.
 ///
 /// # Errors
 /// As [`Dataset::open`].
 pub fn statistics(config: &DataConfig) -> Result<Statistics, Error> {
     match config.kind {
-        DataKind::Phrases | DataKind::Synthetic => Dataset::<Phrase>::open(config)?.statistics(),
+        DataKind::Phrases | DataKind::Synthetic => {
+            Dataset::<PhraseItem>::open(config)?.statistics()
+        }
         DataKind::Humanml3d | DataKind::SyntheticWalks => {
             Dataset::<Clip>::open(config)?.statistics()
         }
@@ -166,22 +167,22 @@ fn inspect_items<T: Listable>(
     config: &DataConfig,
     progress: OpenProgress,
 ) -> Result<Inspection, Error> {
-    let mut survey = T::survey(config)?;
+    let mut scan = T::scan(config)?;
     let Gathered {
         entries,
         skipped,
         left_out,
         notes,
         memory,
-    } = survey.gather(config, None, progress, &Alone)?;
-    let (kind, representation) = (T::KIND, survey.representation.clone());
-    let mut warnings = std::mem::take(&mut survey.warnings);
-    let source = match survey.origin.files() {
+    } = scan.gather(config, None, progress, &Alone)?;
+    let (kind, representation) = (T::KIND, scan.representation.clone());
+    let mut warnings = std::mem::take(&mut scan.warnings);
+    let source = match scan.source.files() {
         Some(files) => files.store.uri(),
         None => config.kind.to_string(),
     };
     let lengths: Vec<usize> = entries.iter().map(|entry| entry.frames).collect();
-    let (train, validation, _) = survey.divide(entries, memory);
+    let (train, validation, _) = scan.divide(entries, memory);
 
     let problem = |unusable| {
         move |(id, problem)| Problem {
@@ -212,7 +213,7 @@ fn inspect_items<T: Listable>(
                 Some(all) => all.merge(contents),
                 None => all = Some(contents),
             },
-            &unheard,
+            &no_progress,
         )?;
         let measured = || all.as_ref().map(|all| all.motion.clone());
         of_training = of_training.or_else(measured);
@@ -242,7 +243,7 @@ fn inspect_items<T: Listable>(
                 .collect::<Vec<_>>()
         };
         let take = |failed: Vec<_>| problems.extend(failed.into_iter().map(problem(false)));
-        side.measure(failed, take, &unheard)?;
+        side.measure(failed, take, &no_progress)?;
     }
     problems.sort_by(|a, b| a.id.cmp(&b.id));
     let frames: usize = lengths.iter().sum();

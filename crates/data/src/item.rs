@@ -1,36 +1,36 @@
-//! What datasets consist of.
+//! Items of datasets.
 
 use std::borrow::Cow;
 use std::fmt::Debug;
 
 use kinegrad_motion::Representation;
 
-/// One piece of a dataset: motion, and what it is conditioned on.
+/// One item of a dataset: motion and its conditions.
 pub trait Item: Debug + Send + Sync + 'static {
-    /// What messages call one: `phrase` or `clip`.
+    /// Name of its kind in messages: `phrase` or `clip`.
     const KIND: &'static str;
 
-    /// What its rows of numbers are.
+    /// Representation of its motion.
     type Representation: Representation + Clone;
 
-    /// Its name in the dataset.
+    /// Its id in the dataset.
     fn id(&self) -> &str;
 
     /// Number of frames.
     fn frames(&self) -> usize;
 
-    /// Bytes it takes in memory.
+    /// Size in memory, bytes.
     fn bytes(&self) -> usize;
 
     /// Its motion as rows of `representation`, `[frames, channels]`.
     fn rows(&self, representation: &Self::Representation) -> Cow<'_, [f32]>;
 
-    /// What it is called, such as the kind of dance.
+    /// Its label, such as the dance style.
     fn label(&self) -> Option<&str> {
         None
     }
 
-    /// Numbers of its conditions, by name.
+    /// Values of its conditions, by name.
     fn conditions(&self) -> Vec<(&'static str, &[f32])> {
         Vec::new()
     }

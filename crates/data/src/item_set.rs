@@ -1,4 +1,4 @@
-//! Some of the items of a dataset.
+//! Some items of a dataset.
 
 use std::collections::BTreeSet;
 use std::ops::Range;
@@ -13,34 +13,33 @@ use serde::de::DeserializeOwned;
 
 use crate::Error;
 use crate::item::Item;
-use crate::library::Library;
-use crate::survey::{OpenProgress, go_on, unheard};
+use crate::item_store::ItemStore;
+use crate::progress::{OpenProgress, go_on, no_progress};
 
-/// Items that are measured at a time: enough for all cores, few enough for any memory.
+/// Items that are measured at a time.
 const CHUNK: usize = 256;
 
-/// Some of the items of a dataset in the order of their ids, read on demand. A clone
-/// is another handle to the same ones.
+/// Some items of a dataset in the order of their ids, read on demand. Clones share them.
 #[derive(Debug)]
 pub struct ItemSet<T> {
-    library: Arc<Library<T>>,
-    /// Their numbers in the library.
+    store: Arc<ItemStore<T>>,
+    /// Indices in the store.
     indices: Arc<[usize]>,
 }
 
 impl<T> Clone for ItemSet<T> {
     fn clone(&self) -> Self {
         Self {
-            library: self.library.clone(),
+            store: self.store.clone(),
             indices: self.indices.clone(),
         }
     }
 }
 
 impl<T: Item> ItemSet<T> {
-    pub(crate) fn new(library: Arc<Library<T>>, indices: Vec<usize>) -> Self {
+    pub(crate) fn new(store: Arc<ItemStore<T>>, indices: Vec<usize>) -> Self {
         Self {
-            library,
+            store,
             indices: indices.into(),
         }
     }
@@ -59,42 +58,30 @@ impl<T: Item> ItemSet<T> {
     pub fn ids(&self) -> impl Iterator<Item = &str> {
         self.indices
             .iter()
-            .map(|&index| self.library.entries[index].id.as_str())
+            .map(|&index| self.store.entries[index].id.as_str())
     }
 
     /// Frames of item `position`, without reading it.
-    ///
-    /// # Panics
-    /// Panics if there are not so many.
     pub fn frames(&self, position: usize) -> usize {
-        self.library.entries[self.indices[position]].frames
+        self.store.entries[self.indices[position]].frames
     }
 
     /// Id of item `position`, without reading it.
-    ///
-    /// # Panics
-    /// Panics if there are not so many.
     pub fn id(&self, position: usize) -> &str {
-        &self.library.entries[self.indices[position]].id
+        &self.store.entries[self.indices[position]].id
     }
 
-    /// Number of item `position` in what the dataset lists: the ranks that opened it together have read
-    /// those that are theirs by it.
+    /// Index of item `position` in the dataset's listing, by which ranks divide the items.
     pub(crate) fn number(&self, position: usize) -> usize {
-        self.library.number(self.indices[position])
+        self.store.number(self.indices[position])
     }
 
     /// Label of item `position`, without reading it.
-    ///
-    /// # Panics
-    /// Panics if there are not so many.
     pub fn label(&self, position: usize) -> Option<&str> {
-        self.library.entries[self.indices[position]]
-            .label
-            .as_deref()
+        self.store.entries[self.indices[position]].label.as_deref()
     }
 
-    /// Their labels, each once, in order.
+    /// Their distinct labels, in order.
     pub fn labels(&self) -> BTreeSet<&str> {
         let labels = (0..self.len()).filter_map(|position| self.label(position));
         labels.collect()
@@ -103,12 +90,9 @@ impl<T: Item> ItemSet<T> {
     /// Item `position`.
     ///
     /// # Errors
-    /// [`Error::BadItem`] if its files are gone, have changed or cannot be read any more.
-    ///
-    /// # Panics
-    /// Panics if there are not so many.
+    /// [`Error::BadItem`] if its files are gone, changed or unreadable.
     pub fn get(&self, position: usize) -> Result<Arc<T>, Error> {
-        self.library.get(self.indices[position])
+        self.store.get(self.indices[position])
     }
 
     /// The item `id`; `None` if there is none.
@@ -120,25 +104,25 @@ impl<T: Item> ItemSet<T> {
         position.map(|position| self.get(position)).transpose()
     }
 
-    /// Most items worth reading at once from afar; 0 where they are not far.
+    /// Most items worth reading at once from remote storage; 0 if local.
     pub(crate) fn concurrency(&self) -> usize {
-        self.library.concurrency
+        self.store.concurrency
     }
 
     /// Whether item `position` is in memory now.
-    pub(crate) fn is_at_hand(&self, position: usize) -> bool {
-        self.library.is_at_hand(self.indices[position])
+    pub(crate) fn is_cached(&self, position: usize) -> bool {
+        self.store.is_cached(self.indices[position])
     }
 
     /// The items whose ids `choose` picks.
     #[must_use]
     pub fn filter(&self, choose: impl Fn(&str) -> bool) -> Self {
-        let chosen = |index: &&usize| choose(&self.library.entries[**index].id);
+        let chosen = |index: &&usize| choose(&self.store.entries[**index].id);
         let indices = self.indices.iter().filter(chosen).copied().collect();
-        Self::new(self.library.clone(), indices)
+        Self::new(self.store.clone(), indices)
     }
 
-    /// The first `count` of them, or all where there are fewer.
+    /// The first `count` of them.
     ///
     /// # Errors
     /// As [`get`](Self::get).
@@ -147,8 +131,7 @@ impl<T: Item> ItemSet<T> {
         positions.map(|position| self.get(position)).collect()
     }
 
-    /// `count` of them, evenly from all, or all where there are fewer: neighbours are of one kind, or
-    /// all mirrored.
+    /// `count` of them, evenly spaced, as neighbours are similar.
     ///
     /// # Errors
     /// As [`get`](Self::get).
@@ -158,7 +141,7 @@ impl<T: Item> ItemSet<T> {
         positions.map(|position| self.get(position)).collect()
     }
 
-    /// All of them at once, to be held in memory.
+    /// All of them, in memory.
     ///
     /// # Errors
     /// As [`get`](Self::get).
@@ -169,7 +152,7 @@ impl<T: Item> ItemSet<T> {
             .collect()
     }
 
-    /// The statistics of their motion as rows of `representation`; none of no items.
+    /// The statistics of their motion in `representation`; none of no items.
     ///
     /// # Errors
     /// As [`get`](Self::get).
@@ -177,11 +160,11 @@ impl<T: Item> ItemSet<T> {
         &self,
         representation: &T::Representation,
     ) -> Result<Option<Statistics>, Error> {
-        self.statistics_among(representation, &unheard, &Alone)
+        self.statistics_among(representation, &no_progress, &Alone)
     }
 
-    /// [`statistics`](Self::statistics), telling `progress` how many items are measured, by ranks that
-    /// measure a part each. Collective.
+    /// [`statistics`](Self::statistics) with `progress`, by ranks that measure a part each.
+    /// Collective.
     ///
     /// # Errors
     /// As [`measure_among`](Self::measure_among).
@@ -201,11 +184,10 @@ impl<T: Item> ItemSet<T> {
         Ok(all.map(|all| all.statistics(representation)))
     }
 
-    /// Measures each item, some at a time on all cores, and hands the measures to `take` in the
-    /// items' order.
+    /// Measures each item on all cores and passes the results to `take` in order.
     ///
     /// # Errors
-    /// As [`get`](Self::get), and [`Error::Interrupted`] if `progress` says so.
+    /// As [`get`](Self::get), and [`Error::Interrupted`].
     pub fn measure<M: Send>(
         &self,
         measure: impl Fn(&T) -> M + Sync,
@@ -217,10 +199,10 @@ impl<T: Item> ItemSet<T> {
         measuring.in_order(1, take, |positions| measuring.each(positions.collect()))
     }
 
-    /// [`measure`](Self::measure) by ranks that measure a part each, and take all. Collective.
+    /// [`measure`](Self::measure) by ranks that measure a part each and take all. Collective.
     ///
     /// # Errors
-    /// As there, and [`Error::OtherReader`] where another rank has failed.
+    /// As there, and [`Error::OtherReader`].
     pub fn measure_among<M: Send + Serialize + DeserializeOwned>(
         &self,
         measure: impl Fn(&T) -> M + Sync,
@@ -229,21 +211,21 @@ impl<T: Item> ItemSet<T> {
         sharing: &dyn Sharing<Error>,
     ) -> Result<(), Error> {
         let measure = |position| Ok(measure(&*self.get(position)?));
-        // Who has read an item when the dataset was opened has it in memory.
+        // The rank that read an item when the dataset was opened has it in memory.
         let owner = |position| self.number(position);
         measure_among(self.len(), owner, measure, take, progress, sharing)
     }
 
     pub(crate) fn counters(&self) -> &Arc<crate::Counters> {
-        &self.library.counters
+        &self.store.counters
     }
 }
 
-/// Measures so many things, some at a time on all cores, each by the rank that is its `owner`, and hands
-/// the measures to `take` in order. Collective.
+/// Measures `total` items on all cores, each by the rank of its `owner`, and passes the results to
+/// `take` in order. Collective.
 ///
 /// # Errors
-/// As `measure`; [`Error::Interrupted`] if `progress` says so; [`Error::OtherReader`].
+/// Those of `measure`; [`Error::Interrupted`]; [`Error::OtherReader`].
 pub(crate) fn measure_among<M: Send + Serialize + DeserializeOwned>(
     total: usize,
     owner: impl Fn(usize) -> usize,
@@ -258,12 +240,12 @@ pub(crate) fn measure_among<M: Send + Serialize + DeserializeOwned>(
     })
 }
 
-/// The measuring of things by their positions.
+/// Measuring of items by position.
 struct Measuring<'a, F> {
     total: usize,
     measure: &'a F,
     progress: OpenProgress<'a>,
-    met: AtomicUsize,
+    done: AtomicUsize,
 }
 
 impl<'a, M: Send, F: Fn(usize) -> Result<M, Error> + Sync> Measuring<'a, F> {
@@ -272,23 +254,23 @@ impl<'a, M: Send, F: Fn(usize) -> Result<M, Error> + Sync> Measuring<'a, F> {
             total,
             measure,
             progress,
-            met: AtomicUsize::new(0),
+            done: AtomicUsize::new(0),
         }
     }
 
-    /// The measures of things, on all cores.
+    /// Measures items on all cores.
     fn each(&self, positions: Vec<usize>) -> Result<Vec<M>, Error> {
-        go_on(self.progress, self.met.load(Ordering::Relaxed), self.total)?;
+        go_on(self.progress, self.done.load(Ordering::Relaxed), self.total)?;
         let measure = |position| {
             let measured = (self.measure)(position)?;
-            let met = self.met.fetch_add(1, Ordering::Relaxed) + 1;
-            go_on(self.progress, met, self.total)?;
+            let done = self.done.fetch_add(1, Ordering::Relaxed) + 1;
+            go_on(self.progress, done, self.total)?;
             Ok(measured)
         };
         positions.into_par_iter().map(measure).collect()
     }
 
-    /// Hands the measures to `take`, those of some for each of so many ranks at a time.
+    /// Passes the results to `take` in order, a chunk for each of the ranks at a time.
     fn in_order(
         &self,
         ranks: usize,
@@ -298,8 +280,8 @@ impl<'a, M: Send, F: Fn(usize) -> Result<M, Error> + Sync> Measuring<'a, F> {
         let chunk = CHUNK * ranks;
         for start in (0..self.total).step_by(chunk) {
             let measured = some(start..(start + chunk).min(self.total))?;
-            // What other ranks have measured.
-            self.met.store(start + measured.len(), Ordering::Relaxed);
+            // Includes other ranks' items.
+            self.done.store(start + measured.len(), Ordering::Relaxed);
             measured.into_iter().for_each(&mut take);
         }
         Ok(())
@@ -307,9 +289,9 @@ impl<'a, M: Send, F: Fn(usize) -> Result<M, Error> + Sync> Measuring<'a, F> {
 }
 
 impl<T: Item> From<Vec<Arc<T>>> for ItemSet<T> {
-    /// Items that stay in memory, in this order.
+    /// Items in memory, in this order.
     fn from(items: Vec<Arc<T>>) -> Self {
         let indices = (0..items.len()).collect();
-        Self::new(Arc::new(Library::held(items)), indices)
+        Self::new(Arc::new(ItemStore::in_memory(items)), indices)
     }
 }

@@ -1,22 +1,22 @@
-//! Labels of phrases, such as the kind of dance: what networks with `model.style` are told.
+//! Labels of phrases, such as the dance style, for networks with `model.style`.
 
 use std::collections::{BTreeMap, HashMap};
 
 use kinegrad_settings::{InvalidSetting, Refused, require};
 
-use crate::split::matches;
+use crate::pattern::matches;
 
 /// The labels of a dataset's phrases.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Labels {
-    /// Labels by patterns of ids, which go before those of the dataset.
+    /// Labels by patterns of ids, which take precedence.
     patterns: BTreeMap<String, String>,
-    /// Labels of the dataset by id.
+    /// Labels of the dataset, by id.
     stated: HashMap<String, String>,
 }
 
 impl Labels {
-    /// Labels that `patterns` (`data.labels`) give, and those `stated` by the dataset for ids.
+    /// Labels by `patterns` (`data.labels`) and those `stated` by the dataset.
     pub fn new(patterns: &BTreeMap<String, String>, stated: HashMap<String, String>) -> Self {
         Self {
             patterns: patterns.clone(),
@@ -24,8 +24,8 @@ impl Labels {
         }
     }
 
-    /// The label of a phrase: that of the longest pattern that matches its id, else what the dataset
-    /// states. An empty one is none.
+    /// The label of a phrase: that of the longest matching pattern, else that of the dataset. An
+    /// empty one is none.
     pub fn of(&self, id: &str) -> Option<&str> {
         let matching = self.patterns.iter();
         let matching = matching.filter(|(pattern, _)| matches(pattern, id));
@@ -45,7 +45,7 @@ impl Labels {
             .collect()
     }
 
-    /// What the dataset states, as text that changes with it; empty where it states nothing.
+    /// The dataset's labels as text; empty without labels.
     pub fn fingerprint(&self) -> String {
         if self.stated.is_empty() {
             return String::new();
@@ -54,7 +54,7 @@ impl Labels {
     }
 }
 
-/// Rejects labels that a command line could not tell from style numbers.
+/// Rejects labels that look like style numbers.
 pub(crate) fn check_patterns(patterns: &BTreeMap<String, String>) -> Result<(), InvalidSetting> {
     for (pattern, label) in patterns {
         let key = format!("data.labels.{pattern}");
@@ -69,7 +69,7 @@ pub(crate) fn check_patterns(patterns: &BTreeMap<String, String>) -> Result<(), 
     Ok(())
 }
 
-/// Whether a text can be a label: a word that is no number and has no comma.
+/// Whether a text can be a label: a word that is not a number and has no comma.
 pub fn is_label(text: &str) -> bool {
     let text = text.trim();
     !text.is_empty() && !text.contains(',') && text.parse::<f64>().is_err()

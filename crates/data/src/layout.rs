@@ -1,33 +1,33 @@
-//! The names of a dataset's files (CC-MotionGen, section 1.3), and which names are allowed.
+//! Names of a dataset's files (CC-MotionGen, section 1.3) and valid ids.
 
 use crate::StoreError;
 
-/// The folder of all motion, and the file in each phrase's folder below it.
+/// Folder of all motion, and the file in each phrase's folder.
 pub const MOTION_FILE: (&str, &str) = ("motion", "trajectory.npy");
 
-/// The folder of all audio features, and the file in each phrase's folder below it.
+/// Folder of all audio features, and the file in each phrase's folder.
 pub const AUDIO_FILE: (&str, &str) = ("audio_features", "features.npz");
 
 /// The table of all phrases.
 pub const MANIFEST: &str = "manifest.parquet";
 
-/// The report of the preparation that wrote the dataset, there from its beginning.
+/// The report of the preparation that writes the dataset.
 pub const PREPARATION: &str = "prepare/report.json";
 
-/// The longest id; file systems take 255 bytes for a name.
+/// Longest id; file systems allow 255 bytes for a name.
 const MAX_ID_BYTES: usize = 200;
 
-/// Where the motion of phrase `id` lies within its dataset.
+/// Path of the motion of phrase `id` in its dataset.
 pub fn motion_path(id: &str) -> String {
     format!("{}/{id}/{}", MOTION_FILE.0, MOTION_FILE.1)
 }
 
-/// Where the audio features of phrase `id` lie within its dataset.
+/// Path of the audio features of phrase `id` in its dataset.
 pub fn features_path(id: &str) -> String {
     format!("{}/{id}/{}", AUDIO_FILE.0, AUDIO_FILE.1)
 }
 
-/// Rejects ids that are no plain name.
+/// Rejects ids that are not plain names.
 ///
 /// # Errors
 /// [`StoreError::Path`].
@@ -44,8 +44,7 @@ pub fn check_id(id: &str) -> Result<(), StoreError> {
     })
 }
 
-/// Rejects paths that are absolute, lead upwards, or are spelt so that another reader could take
-/// them for something else.
+/// Rejects paths that are absolute, lead upwards or are ambiguous.
 pub(crate) fn check_path(path: &str) -> Result<(), StoreError> {
     let odd = |part: &str| matches!(part, "" | "." | "..");
     let reason = if path.starts_with('/') {

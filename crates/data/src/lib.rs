@@ -1,10 +1,9 @@
-//! Datasets of motion: reading, checking, splitting, loading and synthesis.
+//! Datasets of motion: reading, validation, splits, loading and synthesis.
 //!
 //! A phrase dataset is a folder, a bucket or a path on a web server with `motion/ID/trajectory.npy`
 //! (`[frames, 25]`) and `audio_features/ID/features.npz` (six arrays, stacked to `[163, frames]`),
-//! the layout of CC-MotionGen, section 1.3 (docs/sources.md, section 1.1). Clips of joint features
-//! and captions in the HumanML3D layout are in [`humanml`]. [`Dataset`] and [`Loader`] are the same
-//! for both kinds. Batches are host arrays, not tensors.
+//! as in CC-MotionGen, section 1.3 (docs/sources.md, section 1.1). Clips in the HumanML3D layout
+//! are in [`humanml`]. [`Dataset`] and [`Loader`] serve both. Batches are host arrays.
 //!
 //! ```
 //! use std::sync::Arc;
@@ -25,6 +24,7 @@ mod augment;
 mod batch;
 mod cache;
 mod config;
+mod context_window;
 mod counters;
 mod dataset;
 mod digest;
@@ -36,9 +36,9 @@ pub mod humanml;
 mod inspect;
 mod item;
 mod item_set;
+mod item_store;
 mod labels;
 mod layout;
-mod library;
 mod listing;
 mod loader;
 mod location;
@@ -47,23 +47,24 @@ pub mod manifest;
 mod npy;
 mod npz;
 mod order;
-mod passage;
-mod phrase;
+mod pattern;
+mod phrase_item;
 mod phrase_samples;
 mod phrase_set;
 mod prefetch;
+mod progress;
+mod scan;
 mod songs;
-mod speed;
 mod split;
 mod store;
 mod style_conditions;
-mod survey;
 pub mod synthetic;
+mod time_stretch;
 
 pub use kinegrad_motion::MAX_FRAMES;
 
 pub use atomic::{is_unfinished, write as write_whole};
-pub use audio_layout::{AudioGroup, AudioLayout, check_groups};
+pub use audio_layout::{AUDIO_CHANNELS, AudioGroup, AudioLayout, check_groups};
 pub use batch::{AUDIO, Batch, CAPTIONS, Condition, ConditionRows, SampleShape, TEXT, WORDS};
 pub use config::{
     AugmentConfig, CacheConfig, Crop, DataConfig, DataKind, MIN_FRAMES, OnBadPhrase, StatisticsOf,
@@ -73,7 +74,7 @@ pub use counters::{Counters, LoaderReport};
 pub use dataset::Dataset;
 pub use digest::Digest;
 pub use error::{Error, FileError};
-pub use features::{AUDIO_CHANNELS, AudioFeatures, BEATS, FEATURES, audio_channel_name};
+pub use features::{AudioFeatures, BEATS, FEATURES, audio_channel_name};
 pub use humanml::Humanml3dConfig;
 pub use inspect::{ChannelSummary, Inspection, Problem, inspect, statistics};
 pub use item::Item;
@@ -84,6 +85,7 @@ pub use layout::{
 };
 pub use loader::{BatchShare, Loader, Samples};
 pub use magnitude::LARGEST;
+pub use manifest::Songs;
 pub use npy::{
     Array, motion_bytes, parse as parse_array, parse_motion, read_array, read_motion, write_motion,
     write_values,
@@ -92,11 +94,12 @@ pub use npz::{
     features_bytes, parse_arrays, parse_features, parse_features_as, read_features, write_features,
     write_song_features,
 };
-pub use phrase::{Phrase, load_audio};
+pub use pattern::matches;
+pub use phrase_item::{PhraseItem, load_audio};
 pub use phrase_samples::{PhraseSamples, target_statistics};
 pub use phrase_set::PhraseSet;
-pub use songs::{Songs, held_out_songs, song_of};
-pub use split::{Side, matches};
+pub use progress::OpenProgress;
+pub use songs::{held_out_songs, song_of};
+pub use split::Side;
 pub use store::{Object, Store, StoreError};
 pub use style_conditions::{LABEL, STYLE, STYLE_NUMBERS, StyleConditions, mean_style};
-pub use survey::OpenProgress;

@@ -1,4 +1,4 @@
-//! Which phrases a dataset holds: from its manifest, else by listing its folders.
+//! The phrases of a dataset, from its manifest or its folders.
 
 use std::collections::{BTreeMap, HashMap};
 
@@ -10,20 +10,19 @@ use crate::split::Side;
 use crate::store::Store;
 use crate::{Error, StoreError};
 
-/// An item that a dataset should hold.
+/// An item that a dataset should contain.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Listed {
     pub id: String,
-    /// Its side of the split, where the dataset states one.
+    /// Its side of the split, if the dataset defines it.
     pub side: Option<Side>,
-    /// Its files, in the order in which the item's layout names them; of a phrase, motion and
-    /// audio features.
+    /// Its files in the order of its layout; for a phrase, motion and audio features.
     pub files: Vec<Expected>,
 }
 
 impl Listed {
-    /// So many items that are made up and have no files.
-    pub fn made_up(items: usize, id: impl Fn(usize) -> String) -> Vec<Self> {
+    /// Synthetic items without files.
+    pub fn synthetic(items: usize, id: impl Fn(usize) -> String) -> Vec<Self> {
         let listed = |number| Self {
             id: id(number),
             side: None,
@@ -38,12 +37,12 @@ pub(crate) fn ids(listed: &[Listed]) -> impl Iterator<Item = &str> + Clone {
     listed.iter().map(|item| item.id.as_str())
 }
 
-/// What is known of a file before it is read.
+/// Facts about a file before it is read.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Expected {
     /// Its checksum, from the manifest.
     Checksum(Digest),
-    /// What changes when it does, from a listing; empty where the store tells nothing.
+    /// Version from a listing; empty if unknown.
     Version(String),
 }
 
@@ -51,14 +50,14 @@ pub(crate) enum Expected {
 #[derive(Debug, Default)]
 pub(crate) struct Listing {
     pub phrases: Vec<Listed>,
-    /// Ids with motion alone.
+    /// Ids with motion only.
     pub only_motion: Vec<String>,
-    /// Ids with audio features alone.
+    /// Ids with audio features only.
     pub only_audio: Vec<String>,
     pub warnings: Vec<String>,
-    /// The first phrase that the manifest says has no beat features.
+    /// The first phrase without beat features in the manifest.
     pub without_beats: Option<String>,
-    /// Labels that the manifest states, by id.
+    /// Labels in the manifest, by id.
     pub labels: HashMap<String, String>,
 }
 
@@ -133,7 +132,7 @@ fn list(store: &Store) -> Result<Listing, Error> {
         }),
         Err(error) => Err(error.into()),
     };
-    // By `ID/`, in which order stores list.
+    // By `ID/`, the order of listings.
     let mut found: BTreeMap<String, [Option<String>; 2]> = BTreeMap::new();
     for (kind, (folder, file)) in [MOTION_FILE, AUDIO_FILE].into_iter().enumerate() {
         for object in objects((folder, file))? {

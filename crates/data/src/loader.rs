@@ -13,12 +13,12 @@ use crate::order::Order;
 use crate::prefetch::Prefetch;
 use crate::{Batch, Counters, DataConfig, Error, LoaderReport};
 
-/// How the items of a set become samples. A clone makes the same ones.
+/// Conversion of the items of a set to samples.
 pub trait Samples: Clone + Send + Sync + 'static {
-    /// What the set consists of.
+    /// Kind of the items.
     type Item: Item;
 
-    /// What is read for one sample.
+    /// Data that is read for one sample.
     type Read: Send;
 
     /// The items.
@@ -27,22 +27,22 @@ pub trait Samples: Clone + Send + Sync + 'static {
     /// The shape of every sample.
     fn shape(&self) -> SampleShape;
 
-    /// Whether what is read of item `position` is in memory now.
-    fn is_at_hand(&self, position: usize) -> bool {
-        self.items().is_at_hand(position)
+    /// Whether item `position` is in memory.
+    fn is_cached(&self, position: usize) -> bool {
+        self.items().is_cached(position)
     }
 
-    /// Reads what a sample of item `position` is made from.
+    /// Reads the data of a sample of item `position`.
     ///
     /// # Errors
-    /// [`Error::BadItem`] if its files are gone, have changed or cannot be read any more.
+    /// [`Error::BadItem`] if its files are gone, changed or unreadable.
     fn read(&self, position: usize) -> Result<Self::Read, Error>;
 
-    /// Adds sample `number` of the stream; without a number the one that validation takes, in
-    /// which nothing is drawn.
+    /// Adds sample `number` of the stream, or, without a number, the deterministic validation
+    /// sample.
     fn push(&self, batch: &mut Batch, read: &Self::Read, number: Option<u64>);
 
-    /// The samples that validation takes of the items in `positions`, as one batch.
+    /// The validation samples of the items in `positions`, as one batch.
     ///
     /// # Errors
     /// As [`read`](Self::read).
@@ -55,16 +55,17 @@ pub trait Samples: Clone + Send + Sync + 'static {
     }
 }
 
-/// Which batches of the stream a loader hands out: of each `of` in a row the `each` from `offset` on.
+/// The batches of the stream that a loader returns: in each cycle of `of` batches, `each` from
+/// `offset` on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct BatchShare {
-    /// How many of its batches have been handed out before.
+    /// Number of batches returned before.
     pub done: u64,
-    /// First of its batches in each row.
+    /// First of its batches in a cycle.
     pub offset: u64,
-    /// Number of its batches in a row.
+    /// Number of its batches in a cycle.
     pub each: u64,
-    /// Batches in a row.
+    /// Batches in a cycle.
     pub of: u64,
 }
 
@@ -79,18 +80,17 @@ impl BatchShare {
         }
     }
 
-    /// The number in the stream of the batch that is handed out after `done` others.
+    /// The number in the stream of the batch after `done` others.
     pub fn number(self, done: u64) -> u64 {
         (done / self.each).wrapping_mul(self.of) + self.offset + done % self.each
     }
 }
 
-/// Hands out training batches, one after the other, without end.
+/// Returns training batches without end.
 ///
-/// Sample `i` of batch `b` is sample `n = b * batch_size + i` of the stream: item number `n mod P`
-/// of epoch `n / P` over the `P` items, cropped and augmented by draws keyed by `n`. So a batch
-/// follows from its number alone: a resumed run asks for the next number, and the number of
-/// workers changes nothing. Batches cross epochs, and may hold more samples than there are items.
+/// Sample `i` of batch `b` is sample `n = b * batch_size + i` of the stream: item `n mod P` of
+/// epoch `n / P` over the `P` items, cropped and augmented by randomness keyed by `n`. So a batch
+/// follows from its number alone, on resume and with any number of workers. Batches cross epochs.
 pub struct Loader {
     make: Box<dyn FnMut(u64) -> Result<Batch, Error> + Send>,
     share: BatchShare,
@@ -101,19 +101,16 @@ pub struct Loader {
 impl Loader {
     /// A loader of `samples` that begins with batch `first_batch` of the stream of this `seed`.
     ///
-    /// `data.num_workers` threads make batches ahead, at most two each; with 0, or where the system
-    /// gives no threads, [`next`](Self::next) makes them itself, reading on all cores with 0.
+    /// `data.num_workers` threads prefetch at most two batches each; with 0, or without threads,
+    /// [`next`](Self::next) makes them, on all cores.
     ///
     /// # Panics
-    /// Panics if there are no items, or if `config` has not passed [`DataConfig::validate`].
+    /// Panics without items, or if `config` is not valid.
     pub fn new(samples: impl Samples, config: &DataConfig, seed: u64, first_batch: u64) -> Self {
         Self::of_share(samples, config, seed, BatchShare::all(first_batch))
     }
 
     /// A loader of some batches of the stream.
-    ///
-    /// # Panics
-    /// As [`new`](Self::new).
     pub fn of_share(
         samples: impl Samples,
         config: &DataConfig,
@@ -144,11 +141,11 @@ impl Loader {
     /// The next batch; blocks until it is ready.
     ///
     /// # Errors
-    /// [`Error::BadItem`] for an item whose files are gone, have changed or cannot be read any
-    /// more since the dataset was opened.
+    /// [`Error::BadItem`] for an item whose files are gone, changed or unreadable since the dataset
+    /// was opened.
     ///
     /// # Panics
-    /// Goes on with the panic of a worker, if there was one.
+    /// Resumes the panic of a worker.
     #[expect(
         clippy::should_implement_trait,
         reason = "the stream has no end, so no Option"
@@ -158,16 +155,12 @@ impl Loader {
         Ok(batch.expect("nobody asks to stop"))
     }
 
-    /// [`next`](Self::next), or `None` if `stop` comes to hold while a worker makes it, which may
-    /// wait for a network.
+    /// [`next`](Self::next), or `None` if `stop` becomes true while it waits.
     ///
     /// # Errors
     /// As [`next`](Self::next).
-    ///
-    /// # Panics
-    /// As [`next`](Self::next).
     pub fn next_unless(&mut self, stop: &dyn Fn() -> bool) -> Result<Option<Batch>, Error> {
-        let asked = Instant::now();
+        let started = Instant::now();
         let batch = match &mut self.prefetch {
             Some(prefetch) => match prefetch.next_unless(stop) {
                 Some(batch) => batch,
@@ -177,16 +170,16 @@ impl Loader {
         };
         self.share.done += 1;
         let batch = batch?;
-        self.counters.batch(batch.batch_size, asked.elapsed());
+        self.counters.batch(batch.batch_size, started.elapsed());
         Ok(Some(batch))
     }
 
-    /// What loading has cost since the dataset was opened.
+    /// Loading statistics since the dataset was opened.
     pub fn report(&self) -> LoaderReport {
         self.counters.report()
     }
 
-    /// The number of the batch that [`next`](Self::next) will give.
+    /// The number of the next batch.
     pub fn next_batch(&self) -> u64 {
         self.share.number(self.share.done)
     }
@@ -198,9 +191,9 @@ struct Maker<S> {
     samples: S,
     order: Order,
     batch_size: usize,
-    /// Whether the items of a batch are read by rayon's threads and not one after the other.
+    /// Whether the items of a batch are read in parallel.
     all_cores: bool,
-    /// Threads that wait for a network, shared by all workers; there, they read the items.
+    /// Threads that wait for a network and read the items, shared by all workers.
     readers: Option<Arc<ThreadPool>>,
 }
 
@@ -220,7 +213,7 @@ impl<S: Samples> Maker<S> {
         }
     }
 
-    /// Batch `number`: reads the items of its samples, ahead where that gains something.
+    /// Batch `number`; reads its items in parallel if that helps.
     ///
     /// # Errors
     /// As [`Samples::read`].
@@ -230,7 +223,7 @@ impl<S: Samples> Maker<S> {
         let first = number.wrapping_mul(self.batch_size as u64);
         let numbers = (0..self.batch_size as u64).map(|i| first.wrapping_add(i));
         let numbers: Vec<(u64, usize)> = numbers.map(|n| (n, self.order.item(n))).collect();
-        let at_hand = |&(_, position): &(u64, usize)| samples.is_at_hand(position);
+        let is_cached = |&(_, position): &(u64, usize)| samples.is_cached(position);
         let read = || {
             let items = numbers
                 .par_iter()
@@ -239,7 +232,7 @@ impl<S: Samples> Maker<S> {
         };
         let at_once = self.all_cores || self.readers.is_some();
         let ahead: Vec<Result<S::Read, Error>> = match &self.readers {
-            _ if !at_once || numbers.iter().all(at_hand) => Vec::new(),
+            _ if !at_once || numbers.iter().all(is_cached) => Vec::new(),
             Some(readers) => readers.install(read),
             None => read(),
         };
@@ -258,7 +251,7 @@ impl<S: Samples> Maker<S> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{Phrase, PhraseSamples, synthetic};
+    use crate::{PhraseItem, PhraseSamples, synthetic};
     use kinegrad_motion::phrase_statistics;
     use std::collections::BTreeMap;
 
@@ -275,7 +268,7 @@ mod tests {
         config
     }
 
-    fn phrases() -> Vec<Arc<Phrase>> {
+    fn phrases() -> Vec<Arc<PhraseItem>> {
         (0..7)
             .map(|index| Arc::new(synthetic::phrase(index, 14 + 3 * index, 9)))
             .collect()

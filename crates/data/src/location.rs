@@ -1,41 +1,39 @@
-//! Where a dataset lies: what `data.source` may say.
+//! The location of a dataset: `data.source`.
 
 use std::path::PathBuf;
 
 use crate::Error;
 
-/// What a source names. Nothing is opened.
+/// A parsed source. Nothing is opened.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum Location {
-    /// A folder of this machine.
+    /// A local folder.
     Folder(PathBuf),
-    /// A place behind an address.
+    /// A remote location.
     Remote {
-        /// Who is asked for it.
+        /// The service.
         service: Service,
-        /// The address without a slash at its end.
+        /// The address without a trailing slash.
         uri: String,
     },
 }
 
-/// The kinds of address.
+/// Remote services.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Service {
     /// `gs://BUCKET/PREFIX`
     Gcs,
     /// `s3://BUCKET/PREFIX`
     S3,
-    /// `http://` and `https://`: objects can be read, not listed or written.
+    /// `http://` and `https://`: objects can only be read.
     Http,
 }
 
 impl Location {
     /// Reads `source`: a path or a `file://`, `gs://`, `s3://`, `http://` or `https://` URI.
     ///
-    /// # Errors
-    /// [`Error::Scheme`] for any other scheme, a `file://` URI with a host, percent escapes that
-    /// are not UTF-8, and an address without a bucket or host; [`Error::Address`] for one with
-    /// credentials or a query.
+    /// [`Error::Scheme`] for another scheme, a `file://` URI with a host, invalid percent escapes,
+    /// and an address without a bucket or host; [`Error::Address`] for credentials or a query.
     pub fn parse(source: &str) -> Result<Self, Error> {
         let Some((scheme, rest)) = source.split_once("://") else {
             return Ok(Self::Folder(PathBuf::from(source)));
@@ -68,7 +66,7 @@ impl Location {
         let problem = match service {
             _ if !user.is_empty() => Some("holds a user name or password"),
             Service::Http if path.contains(['?', '#']) => {
-                Some("goes on after its path (`?` or `#`)")
+                Some("continues after its path (`?` or `#`)")
             }
             _ => None,
         };
@@ -85,7 +83,7 @@ impl Location {
     }
 }
 
-/// `text` with `%20` and its like replaced; `None` where that is malformed or not UTF-8.
+/// `text` with percent escapes decoded; `None` if they are invalid.
 fn percent_decoded(text: &str) -> Option<String> {
     let mut bytes = text.bytes();
     let mut decoded = Vec::with_capacity(text.len());

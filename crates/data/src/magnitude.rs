@@ -1,22 +1,20 @@
-//! Which numbers motion, music and texts may hold.
+//! Allowed magnitude of numbers in datasets.
 
-/// Largest magnitude of a number that is trained on, in the units of its file.
+/// Largest magnitude of a number, in the units of its file.
 ///
-/// Training multiplies such values with each other in single precision, which ends at 3.4e38: the
-/// losses square the motion's changes, and gradients through the sampler are products of features,
-/// activations and those. A small network whose motion and features all reach 1e8 overflows in its
-/// first steps of recipe `e2e`, one at 3e7 trains. Motion in metres is smaller by orders.
+/// Training multiplies such values in single precision, which ends at 3.4e38. A small network whose
+/// motion and features reach 1e8 overflows in its first steps of recipe `e2e`; at 3e7 it trains.
 pub const LARGEST: f32 = 1e6;
 
-/// Whether a value is finite and not too large to train on.
+/// Whether a value is finite and not too large.
 pub(crate) fn is_usable(value: f32) -> bool {
     // False for NaN.
     value.abs() <= LARGEST
 }
 
-/// Place of the first value that is not usable.
+/// Index of the first unusable value.
 pub(crate) fn first_unusable(values: &[f32]) -> Option<usize> {
-    // Without branches, which is quick, for all but the bad ones.
+    // Without branches, which is faster for valid data.
     let all = values
         .iter()
         .fold(true, |all, &value| all & is_usable(value));
@@ -26,7 +24,7 @@ pub(crate) fn first_unusable(values: &[f32]) -> Option<usize> {
     }
 }
 
-/// What is allowed in the place of a value that is not usable, and how to mend it.
+/// The allowed values in place of an unusable one, and a hint.
 pub(crate) fn allowed(value: f32) -> (String, &'static str) {
     match value.is_finite() {
         false => (

@@ -1,11 +1,11 @@
-//! `.npy` arrays: reading with every promise of the header checked, and writing.
+//! `.npy` arrays: validated reading, and writing.
 //!
-//! A file is read whole, but never more of it than an array of [`MAX_FRAMES`] could fill, and
-//! nothing is allocated on the word of a header.
+//! A file is read up to the size of an array of [`MAX_FRAMES`], and nothing is allocated by its
+//! header alone.
 
 use std::path::Path;
 
-use kinegrad_motion::{MAX_FRAMES, Motion, phrase::CHANNELS};
+use kinegrad_motion::{MAX_FRAMES, Phrase, phrase::CHANNELS};
 
 use crate::file::read_file;
 use crate::{Error, FileError, atomic};
@@ -14,7 +14,7 @@ mod header;
 
 use header::{Header, MAX_HEADER_BYTES};
 
-/// The hint for a file that is not whole.
+/// Hint for a truncated file.
 pub(crate) const CUT_OFF: &str = "the file is damaged or was cut off: copy or export it again";
 
 /// An array in C order.
@@ -35,7 +35,7 @@ pub fn read_array(path: &Path) -> Result<Array, FileError> {
     parse(&bytes, &path.display().to_string())
 }
 
-/// Writes an array of this shape as little-endian float32, whole or not at all.
+/// Writes an array of this shape as little-endian float32, atomically.
 ///
 /// # Errors
 /// [`Error::Io`].
@@ -43,23 +43,23 @@ pub fn write_values(path: &Path, shape: &[usize], values: &[f32]) -> Result<(), 
     atomic::write(path, &array_bytes(shape, values))
 }
 
-/// The longest file of an array that is no motion: 4096 numbers squared, and a header.
+/// Largest file of an array that is not motion: 4096 x 4096 numbers and a header.
 const MAX_ARRAY_BYTES: u64 = 8 * 4096 * 4096 + MAX_HEADER_BYTES as u64;
 
-/// The longest motion file.
+/// Largest motion file.
 pub(crate) const MAX_MOTION_BYTES: u64 = max_bytes(CHANNELS);
 
-/// Most bytes that an array with `rows` values per frame may have in its file.
+/// Largest file of an array with `rows` values per frame.
 pub(crate) const fn max_bytes(rows: usize) -> u64 {
     (rows * MAX_FRAMES * 8 + MAX_HEADER_BYTES + 12) as u64
 }
 
-/// Reads a motion: `[frames, 25]`, at least two frames, as the dataset stores it.
+/// Reads a motion: `[frames, 25]`, at least two frames.
 ///
 /// # Errors
-/// [`FileError`] for a file that cannot be read, another dtype or shape, a cut-off file. Numbers
-/// that are not finite pass: they are refused where a phrase is read.
-pub fn read_motion(path: &Path) -> Result<Motion, FileError> {
+/// [`FileError`] for an unreadable file, another dtype or shape, or a truncated file. Values that
+/// are not finite are accepted.
+pub fn read_motion(path: &Path) -> Result<Phrase, FileError> {
     let bytes = read_file(path, MAX_MOTION_BYTES).map_err(FileError::read(path))?;
     parse_motion(&bytes, &path.display().to_string())
 }
@@ -68,7 +68,7 @@ pub fn read_motion(path: &Path) -> Result<Motion, FileError> {
 ///
 /// # Errors
 /// As [`read_motion`].
-pub fn parse_motion(bytes: &[u8], file: &str) -> Result<Motion, FileError> {
+pub fn parse_motion(bytes: &[u8], file: &str) -> Result<Phrase, FileError> {
     let array = parse(bytes, file)?;
     let shape = array.shape;
     let refused = || {
@@ -77,22 +77,22 @@ pub fn parse_motion(bytes: &[u8], file: &str) -> Result<Motion, FileError> {
     };
     match shape[..] {
         [frames, CHANNELS] if (2..=MAX_FRAMES).contains(&frames) => {
-            Motion::new(array.values).map_err(|_| refused())
+            Phrase::new(array.values).map_err(|_| refused())
         }
         _ => Err(refused()),
     }
 }
 
-/// Writes `motion` as `[frames, 25]` little-endian float32 in C order, whole or not at all.
+/// Writes `motion` as `[frames, 25]` little-endian float32, atomically.
 ///
 /// # Errors
 /// [`Error::Io`].
-pub fn write_motion(path: &Path, motion: &Motion) -> Result<(), Error> {
+pub fn write_motion(path: &Path, motion: &Phrase) -> Result<(), Error> {
     atomic::write(path, &motion_bytes(motion))
 }
 
 /// The bytes of the `.npy` file that holds `motion`.
-pub fn motion_bytes(motion: &Motion) -> Vec<u8> {
+pub fn motion_bytes(motion: &Phrase) -> Vec<u8> {
     array_bytes(&[motion.frames(), CHANNELS], motion.as_slice())
 }
 
@@ -106,14 +106,14 @@ pub(crate) fn array_bytes(shape: &[usize], values: &[f32]) -> Vec<u8> {
 /// Parses the bytes of a `.npy` file; `file` names it in errors.
 ///
 /// # Errors
-/// [`FileError`] for bytes that are no array of float32 or float64 numbers.
+/// [`FileError`] if the bytes are not an array of float32 or float64 numbers.
 pub fn parse(bytes: &[u8], file: &str) -> Result<Array, FileError> {
     let mut values = Vec::new();
     let shape = parse_onto(&mut values, bytes, file)?;
     Ok(Array { shape, values })
 }
 
-/// Parses the bytes of a `.npy` file and appends its values to `values`; its shape.
+/// Parses the bytes of a `.npy` file, appends its values to `values` and returns its shape.
 pub(crate) fn parse_onto(
     values: &mut Vec<f32>,
     bytes: &[u8],
@@ -145,7 +145,7 @@ pub(crate) fn parse_onto(
     Ok(shape)
 }
 
-/// Where element `at` of an array in C order is in Fortran order, the first axis changing fastest.
+/// Index in Fortran order of element `at` of an array in C order.
 fn column_major(mut at: usize, shape: &[usize]) -> usize {
     let mut place = 0;
     for axis in (0..shape.len()).rev() {

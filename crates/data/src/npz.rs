@@ -8,29 +8,29 @@ use kinegrad_motion::MAX_FRAMES;
 use libdeflater::{Crc, Decompressor};
 use zip::{CompressionMethod, DateTime, ZipArchive, ZipWriter, write::SimpleFileOptions};
 
+use crate::audio_layout::AUDIO_CHANNELS;
 use crate::audio_layout::AudioLayout;
-use crate::features::{AUDIO_CHANNELS, AudioFeatures, BEATS, FEATURES};
+use crate::features::{AudioFeatures, BEATS, FEATURES};
 use crate::file::read_file;
 use crate::npy::{self, Array};
 use crate::{Error, FileError, atomic};
 
-/// The longest archive of features; more than any that unpacks to [`MAX_FRAMES`] frames.
+/// Largest archive of features.
 pub(crate) const MAX_FEATURES_BYTES: u64 = npy::max_bytes(AUDIO_CHANNELS + BEATS.1) + (1 << 20);
 
-/// How features are written: deflating real phrases saves 13 % and halves the speed at which they
-/// are read.
+/// Stored: deflating saves 13 % and halves the reading speed.
 const METHOD: CompressionMethod = CompressionMethod::Stored;
 
-/// Bytes that one packed byte can become at most, when deflated.
+/// Largest ratio of deflate.
 const MOST_UNPACKED: usize = 1032;
 
-/// Reads a `features.npz` (members stored or deflated) and stacks it to `[163, frames]` in the
-/// order of [`FEATURES`] (CC-MotionGen, section 4.3). Other members are passed over.
+/// Reads a `features.npz` and stacks it to `[163, frames]` in the order of [`FEATURES`]
+/// (CC-MotionGen, section 4.3). Other members are ignored.
 ///
 /// # Errors
-/// [`FileError`] for an archive that cannot be read or was cut off, a missing member, another
-/// dtype or shape, members of unequal length. Numbers that are not finite pass: see
-/// [`crate::load_audio`].
+/// [`FileError`] for an unreadable or truncated archive, a missing member, another dtype or shape,
+/// or members of unequal length. Values that are not finite are accepted (see
+/// [`crate::load_audio`]).
 pub fn read_features(path: &Path) -> Result<AudioFeatures, FileError> {
     let bytes = read_file(path, MAX_FEATURES_BYTES).map_err(FileError::read(path))?;
     parse_features(&bytes, &path.display().to_string())
@@ -44,7 +44,7 @@ pub fn parse_features(bytes: &[u8], file: &str) -> Result<AudioFeatures, FileErr
     parse_features_as(bytes, file, AudioLayout::DOCUMENT)
 }
 
-/// [`parse_features`] in `layout`: with the member `beats` where it asks for them.
+/// [`parse_features`] in `layout`.
 ///
 /// # Errors
 /// As [`read_features`].
@@ -76,10 +76,10 @@ pub fn parse_features_as(
     Ok(features.unwrap_or_else(|| AudioFeatures::silence(layout, frames)))
 }
 
-/// Parses the named arrays of an archive: `[frames, width]` each, all of the same length.
+/// Parses the named arrays of an archive: `[frames, width]` each, of equal length.
 ///
 /// # Errors
-/// [`FileError`] as [`read_features`], for what is missing or of another shape.
+/// [`FileError`], as [`read_features`].
 pub fn parse_arrays(
     bytes: &[u8],
     file: &str,
@@ -108,7 +108,7 @@ pub fn parse_arrays(
     Ok(arrays)
 }
 
-/// Writes `features` as float32 members that NumPy can read, whole or not at all.
+/// Writes `features` as float32 members for NumPy, atomically.
 ///
 /// # Errors
 /// [`Error::Io`].
@@ -116,8 +116,8 @@ pub fn write_features(path: &Path, features: &AudioFeatures) -> Result<(), Error
     atomic::write(path, &features_bytes(features))
 }
 
-/// Writes a whole song's features as they are `stacked`, with its `tempo` `[1]` (beats per minute)
-/// and `beat_times` `[beats]` (seconds) beside them, whole or not at all.
+/// Writes a song's `stacked` features with its `tempo` `[1]` (beats per minute) and `beat_times`
+/// `[beats]` (seconds), atomically.
 ///
 /// # Errors
 /// [`Error::Io`].
@@ -132,7 +132,7 @@ pub fn write_song_features(
     atomic::write(path, &archive(stacked, &beside, METHOD))
 }
 
-/// The bytes of the `features.npz` that holds `features`; equal features make equal bytes.
+/// The bytes of the `features.npz` of `features`; equal features give equal bytes.
 pub fn features_bytes(features: &AudioFeatures) -> Vec<u8> {
     archive(features, &[], METHOD)
 }
@@ -144,7 +144,7 @@ fn archive(
 ) -> Vec<u8> {
     let frames = features.frames();
     let mut archive = ZipWriter::new(Cursor::new(Vec::new()));
-    // Without a date of its own an entry has the time of day.
+    // Without a date, entries have the current time.
     let options = SimpleFileOptions::default()
         .compression_method(method)
         .last_modified_time(DateTime::default());
@@ -171,7 +171,7 @@ fn archive(
     finished.expect("memory takes every byte").into_inner()
 }
 
-/// The error about a file that is no archive, or about one of its members.
+/// The error about an unreadable archive or member.
 fn not_npz(file: &str, reason: &str) -> FileError {
     let problem = format!("not a readable .npz archive: {reason}");
     FileError::unusable(file, problem, npy::CUT_OFF)
@@ -183,7 +183,7 @@ struct Archive<'a> {
     bytes: &'a [u8],
     directory: ZipArchive<Cursor<&'a [u8]>>,
     inflater: Decompressor,
-    /// The member unpacked last.
+    /// The last unpacked member.
     unpacked: Vec<u8>,
 }
 
@@ -200,7 +200,7 @@ impl<'a> Archive<'a> {
         })
     }
 
-    /// Appends the values of member `name`, with `rows` values in a frame; its shape.
+    /// Appends the values of member `name`, with `rows` values in a frame, and returns its shape.
     fn read(
         &mut self,
         name: &'static str,
@@ -215,7 +215,7 @@ impl<'a> Archive<'a> {
         npy::parse_onto(values, unpacked.map_err(|e| not_npz(&label, &e))?, &label)
     }
 
-    /// The bytes of member `index`, at most `limit`; in an error, what is wrong with it.
+    /// The bytes of member `index`, at most `limit`.
     fn unpack(&mut self, index: usize, limit: u64) -> Result<&[u8], String> {
         let entry = self.directory.by_index_raw(index);
         let entry = entry.map_err(|error| error.to_string())?;
@@ -238,7 +238,7 @@ impl<'a> Archive<'a> {
         let unpacked = match entry.compression() {
             CompressionMethod::Stored => packed,
             CompressionMethod::Deflated => {
-                // No word of the directory makes more room than the packed bytes could fill.
+                // No more is allocated than the packed bytes can unpack to.
                 let length = packed.len();
                 if size > MOST_UNPACKED.saturating_mul(length) {
                     return Err(format!(
@@ -246,7 +246,7 @@ impl<'a> Archive<'a> {
                     ));
                 }
                 if self.unpacked.len() < size {
-                    // One block at a time.
+                    // One buffer at a time.
                     self.unpacked = Vec::new();
                     self.unpacked = vec![0; size];
                 }
@@ -273,7 +273,7 @@ impl<'a> Archive<'a> {
         Ok(unpacked)
     }
 
-    /// The error about a member that is not there.
+    /// The error about a missing member.
     fn missing(&self, member: &'static str) -> FileError {
         let names = self.directory.file_names().flatten();
         let mut found: Vec<String> = names
@@ -294,7 +294,7 @@ impl<'a> Archive<'a> {
         let hint = match member == BEATS.0 {
             true => {
                 "beat features are asked for (data.audio_features = [\"document\", \"beats\"]): \
-                 prepare the songs with them, or leave the key out to hear the 163 features alone"
+                 prepare the songs with them, or leave the key out to use the 163 features alone"
             }
             false => {
                 "features.npz holds mel, chroma, mfcc, rms, spectral_centroid and onset_strength"
@@ -304,7 +304,7 @@ impl<'a> Archive<'a> {
     }
 }
 
-/// The frames of a member with so many rows; `[frames]` or `[1, frames]` where there is one row.
+/// The frames of a member with `rows` rows; `[frames]` or `[1, frames]` for one row.
 fn check_shape(shape: &[usize], file: &str, name: &str, rows: usize) -> Result<usize, FileError> {
     let frames = match *shape {
         [frames] if rows == 1 => Some(frames),

@@ -1,18 +1,18 @@
-//! The order in which an endless stream of samples visits the items.
+//! The order of items in the endless stream of samples.
 
 use kinegrad_random::{Key, Purpose};
 
-/// Every epoch visits each item once, in an order of its own.
+/// Every epoch visits each item once, in its own order.
 #[derive(Clone, Debug)]
 pub(crate) struct Order {
     seed: u64,
     items: usize,
-    /// The latest epoch asked for and its permutation: a cache, nothing more.
+    /// The latest epoch and its permutation, as a cache.
     latest: Option<(u64, Vec<usize>)>,
 }
 
 impl Order {
-    /// The order of a run with this `seed` over so many items, at least one.
+    /// The order of a run with this `seed` over at least one item.
     pub fn new(items: usize, seed: u64) -> Self {
         Self {
             seed,
@@ -21,7 +21,7 @@ impl Order {
         }
     }
 
-    /// Which item is sample `n`. Depends on the seed, the number of items and `n` alone.
+    /// The item of sample `n`, by seed, number of items and `n`.
     pub fn item(&mut self, n: u64) -> usize {
         let epoch = n / self.items as u64;
         let place = (n % self.items as u64) as usize;
@@ -61,7 +61,7 @@ mod tests {
     }
 
     #[test]
-    fn any_sample_can_be_asked_for_at_any_time() {
+    fn any_sample_can_be_made_at_any_time() {
         let mut forward = Order::new(5, 1);
         let samples: Vec<usize> = (0..40).map(|n| forward.item(n)).collect();
         let mut backward = Order::new(5, 1);

@@ -1,38 +1,38 @@
-//! From phrases to samples: passage, crop, augmentation, normalisation.
+//! From phrases to samples: context, crop, augmentation, normalisation.
 
 use std::sync::Arc;
 
-use kinegrad_motion::{CHANNELS, ChannelMoments, Motion, Statistics, Targets};
+use kinegrad_motion::{CHANNELS, ChannelEncoding, ChannelMoments, Phrase, Statistics};
 use kinegrad_ranks::Sharing;
 
 use crate::augment::Augmentation;
 use crate::batch::{AUDIO, ConditionRows, SampleShape};
+use crate::context_window::{ContextWindow, ContextWindows, Window};
 use crate::item_set::measure_among;
 use crate::loader::Samples;
-use crate::passage::{Passage, Passages, Window};
-use crate::survey::unheard;
+use crate::progress::no_progress;
 use crate::{
-    Batch, DataConfig, Error, Phrase, PhraseSet, StatisticsOf, StyleConditions, mean_style,
+    Batch, DataConfig, Error, PhraseItem, PhraseSet, StatisticsOf, StyleConditions, mean_style,
 };
 
-/// Crops of each phrase that statistics are measured of.
+/// Crops of each phrase for statistics.
 const CROPS: u64 = 8;
 
 /// Samples of phrases, conditioned on audio.
 #[derive(Clone, Debug)]
 pub struct PhraseSamples {
-    passages: Passages,
+    contexts: ContextWindows,
     statistics: Arc<Statistics>,
     sampler: Augmentation,
     target_frames: usize,
-    targets: Targets,
+    targets: ChannelEncoding,
     audio_channels: usize,
     style: StyleConditions,
 }
 
 impl PhraseSamples {
-    /// Samples of `phrases`, normalised by `statistics`, cropped and augmented as `config` says
-    /// with draws of this `seed`.
+    /// Samples of `phrases`, normalised by `statistics`, cropped and augmented by `config` and
+    /// `seed`.
     pub fn new(
         phrases: PhraseSet,
         statistics: Arc<Statistics>,
@@ -41,57 +41,53 @@ impl PhraseSamples {
     ) -> Self {
         let sampler = Augmentation::new(config, seed);
         Self {
-            passages: Passages::new(phrases, sampler.frames_seen(), config.join_neighbours),
+            contexts: ContextWindows::new(phrases, sampler.frames_seen(), config.join_neighbours),
             statistics,
             sampler,
             target_frames: config.target_frames,
-            targets: Targets::default(),
+            targets: ChannelEncoding::default(),
             audio_channels: config.audio_layout().channels(),
             style: StyleConditions::default(),
         }
     }
 
-    /// The same samples with conditions on their style: the mean of their own style channels, and
-    /// their phrase's label.
+    /// Adds conditions on style: the mean of the sample's style channels, and the phrase's label.
     #[must_use]
     pub fn with_style(self, style: StyleConditions) -> Self {
         Self { style, ..self }
     }
 
-    /// The same samples in the channels that a denoiser of these `targets` predicts, which the
-    /// statistics then are of.
+    /// Encodes the samples by `targets`, whose statistics they then have.
     #[must_use]
-    pub fn with_targets(self, targets: Targets) -> Self {
+    pub fn with_targets(self, targets: ChannelEncoding) -> Self {
         Self { targets, ..self }
     }
 }
 
-/// What normalises samples of `phrases`, at least one, in the channels of `targets`: measured of
-/// whole phrases, or of the crops that training with `config` sees, as `config` says.
-///
-/// Ranks measure a part each. Collective.
+/// Statistics of `phrases`, at least one, in the channels of `targets`: of whole phrases or
+/// training crops, as `config` says. Ranks measure a part each. Collective.
 ///
 /// # Errors
 /// As [`ItemSet::measure_among`](crate::ItemSet::measure_among).
 pub fn target_statistics(
     phrases: PhraseSet,
-    targets: Targets,
+    targets: ChannelEncoding,
     config: &DataConfig,
     sharing: &dyn Sharing<Error>,
 ) -> Result<Statistics, Error> {
-    // The same crops in all runs, so that their losses compare.
+    // The same crops in all runs, so that losses compare.
     let sampler = Augmentation::new(config, 0);
-    let passages = Passages::new(phrases, sampler.frames_seen(), config.join_neighbours);
+    let contexts = ContextWindows::new(phrases, sampler.frames_seen(), config.join_neighbours);
     let measure = |position: usize| -> Result<ChannelMoments, Error> {
-        let passage = passages.get(position)?;
-        let encoded = |window: Window<'_, Motion>| {
+        let context = contexts.get(position)?;
+        let encoded = |window: Window<'_, Phrase>| {
             let rows = window.frames.start * CHANNELS..window.frames.end * CHANNELS;
             targets.encode(&window.of.as_slice()[rows]).into_owned()
         };
         let samples: Vec<Vec<f32>> = match config.statistics {
-            StatisticsOf::Phrases => vec![encoded(passage.leading(passage.own.len()).0)],
+            StatisticsOf::Phrases => vec![encoded(context.leading(context.own.len()).0)],
             StatisticsOf::Crops => (0..CROPS)
-                .map(|crop| encoded(sampler.windows(&passage, position as u64 * CROPS + crop).0))
+                .map(|crop| encoded(sampler.windows(&context, position as u64 * CROPS + crop).0))
                 .collect(),
         };
         let samples = samples.iter().map(Vec::as_slice);
@@ -104,18 +100,18 @@ pub fn target_statistics(
         Some(all) => all.merge(&moments),
         None => all = Some(moments),
     };
-    let phrases = passages.phrases();
+    let phrases = contexts.phrases();
     let owner = |position| phrases.number(position);
-    measure_among(phrases.len(), owner, measure, take, &unheard, sharing)?;
+    measure_among(phrases.len(), owner, measure, take, &no_progress, sharing)?;
     Ok(targets.statistics(all.expect("at least one phrase")))
 }
 
 impl Samples for PhraseSamples {
-    type Item = Phrase;
-    type Read = Passage;
+    type Item = PhraseItem;
+    type Read = ContextWindow;
 
     fn items(&self) -> &PhraseSet {
-        self.passages.phrases()
+        self.contexts.phrases()
     }
 
     fn shape(&self) -> SampleShape {
@@ -131,37 +127,37 @@ impl Samples for PhraseSamples {
         }
     }
 
-    fn is_at_hand(&self, position: usize) -> bool {
-        self.passages.is_at_hand(position)
+    fn is_cached(&self, position: usize) -> bool {
+        self.contexts.is_cached(position)
     }
 
-    fn read(&self, position: usize) -> Result<Passage, Error> {
-        self.passages.get(position)
+    fn read(&self, position: usize) -> Result<ContextWindow, Error> {
+        self.contexts.get(position)
     }
 
     /// Validation takes the leading crop, without augmentation.
-    fn push(&self, batch: &mut Batch, passage: &Passage, number: Option<u64>) {
+    fn push(&self, batch: &mut Batch, context: &ContextWindow, number: Option<u64>) {
         let (motion, audio) = match number {
-            Some(n) => self.sampler.windows(passage, n),
-            None => passage.leading(self.target_frames),
+            Some(n) => self.sampler.windows(context, n),
+            None => context.leading(self.target_frames),
         };
         let rows = motion.frames.start * CHANNELS..motion.frames.end * CHANNELS;
-        let heard = ConditionRows {
+        let audio_rows = ConditionRows {
             values: audio.of.as_slice(),
             frames: audio.of.frames(),
             range: audio.frames,
         };
         let rows = &motion.of.as_slice()[rows];
         let numbers = Some(mean_style(rows));
-        let style = self.style.values(numbers, passage.take.label.as_deref());
+        let style = self.style.values(numbers, context.take.label.as_deref());
         let style = style.iter().map(|values| ConditionRows {
             values,
             frames: 1,
             range: 0..1,
         });
-        let conditions: Vec<ConditionRows<'_>> = [heard].into_iter().chain(style).collect();
+        let conditions: Vec<ConditionRows<'_>> = [audio_rows].into_iter().chain(style).collect();
         let rows = self.targets.encode(rows);
-        batch.push(&passage.id, &rows, &self.statistics, &conditions);
+        batch.push(&context.id, &rows, &self.statistics, &conditions);
     }
 }
 
@@ -170,7 +166,7 @@ mod tests {
     use kinegrad_ranks::Alone;
 
     use super::*;
-    use crate::features::AUDIO_CHANNELS;
+    use crate::audio_layout::AUDIO_CHANNELS;
     use crate::synthetic;
     use kinegrad_motion::phrase_statistics;
 
@@ -181,11 +177,11 @@ mod tests {
 
     #[test]
     fn samples_hold_the_targets_in_place_of_phase_and_quaternion() {
-        use kinegrad_motion::{OrientationTarget, PhaseTarget};
+        use kinegrad_motion::{OrientationEncoding, PhaseEncoding};
 
-        let targets = Targets {
-            phase: PhaseTarget::SinCos,
-            orientation: OrientationTarget::Rotation6d,
+        let targets = ChannelEncoding {
+            phase: PhaseEncoding::SinCos,
+            orientation: OrientationEncoding::Rotation6d,
         };
         let config = DataConfig {
             target_frames: 7,
@@ -205,7 +201,7 @@ mod tests {
             let found = &batch.x_start[sample * 28 * 7..][..28 * 7];
             let valid = found.chunks(7).flat_map(|row| row[..frames].to_vec());
             let rows = statistics.denormalize(&valid.collect::<Vec<_>>());
-            let back = Motion::new(targets.decode(rows)).unwrap();
+            let back = Phrase::new(targets.decode(rows)).unwrap();
             for t in 0..frames {
                 let dot = back.quaternion(t).dot(phrase.motion.quaternion(t));
                 assert!((dot.abs() - 1.0).abs() < 1e-5);
@@ -227,16 +223,16 @@ mod tests {
             ..DataConfig::default()
         };
         let labels = [Some("waltz"), None, Some("tango"), Some("rumba")];
-        let phrases: Vec<Arc<Phrase>> = (0..4)
+        let phrases: Vec<Arc<PhraseItem>> = (0..4)
             .map(|index| {
-                Arc::new(Phrase {
+                Arc::new(PhraseItem {
                     label: labels[index].map(str::to_owned),
                     ..synthetic::phrase(index, 5 + 2 * index, 2)
                 })
             })
             .collect();
         let statistics = phrase_statistics(phrases.iter().map(|phrase| &phrase.motion)).unwrap();
-        // A label that is not known is none.
+        // An unknown label is no label.
         let known = ["rumba", "waltz"].map(str::to_owned).to_vec();
         let style = StyleConditions::default()
             .with_numbers(&statistics)
@@ -272,7 +268,7 @@ mod tests {
 
     #[test]
     fn statistics_of_crops_are_those_of_what_training_sees() {
-        let targets = Targets::default();
+        let targets = ChannelEncoding::default();
         let mut config = DataConfig {
             target_frames: 10,
             ..DataConfig::default()
@@ -291,7 +287,7 @@ mod tests {
             target_statistics(set.clone(), targets, &config, &Alone).unwrap(),
             crops
         );
-        // What training draws lies around zero with unit deviation by these, and not by those.
+        // Training samples lie around zero with unit deviation by these, and not by those.
         let deviation = |statistics: &Statistics| {
             let given = Arc::new(statistics.clone());
             let samples = PhraseSamples::new(set.clone(), given, &config, 11);
@@ -323,12 +319,12 @@ mod tests {
     #[test]
     fn validation_sees_a_phrase_as_it_is_whatever_it_is_joined_with() {
         let whole = synthetic::phrase(0, 90, 4);
-        let phrases: Vec<Arc<Phrase>> = (0..3)
+        let phrases: Vec<Arc<PhraseItem>> = (0..3)
             .map(|i| {
                 let frames = 30 * i..30 * (i + 1);
                 let mut motion = whole.motion.slice(frames.clone());
                 kinegrad_motion::anchor_floor(&mut motion);
-                Arc::new(Phrase {
+                Arc::new(PhraseItem {
                     id: format!("song_{:05}", 30 * i),
                     motion,
                     audio: whole.audio.slice(frames),
@@ -357,7 +353,7 @@ mod tests {
 
     #[test]
     fn validation_cuts_pads_and_masks_phrases() {
-        let phrases: Vec<Arc<Phrase>> = [9, 5]
+        let phrases: Vec<Arc<PhraseItem>> = [9, 5]
             .map(|frames| Arc::new(synthetic::phrase(frames, frames, 2)))
             .to_vec();
         let statistics = phrase_statistics(phrases.iter().map(|phrase| &phrase.motion)).unwrap();

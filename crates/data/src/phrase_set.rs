@@ -1,4 +1,4 @@
-//! Phrases of a dataset: how they are listed, read and made up.
+//! Phrases of a dataset: listing, reading and synthesis.
 
 use std::borrow::Cow;
 use std::collections::HashMap;
@@ -11,21 +11,21 @@ use crate::features::{BEATS, FEATURES};
 use crate::files::Files;
 use crate::item::Item;
 use crate::item_set::ItemSet;
+use crate::item_store::{ItemSource, ReadItem, ReadRequest};
 use crate::labels::Labels;
 use crate::layout::{features_path, motion_path};
-use crate::library::{Origin, Reading, Wanted};
 use crate::listing::{Listed, Listing, ids};
 use crate::npy::MAX_MOTION_BYTES;
 use crate::npz::MAX_FEATURES_BYTES;
+use crate::scan::{Listable, Scan};
 use crate::split::Split;
 use crate::store::Store;
-use crate::survey::{Listable, Survey};
-use crate::{DataConfig, DataKind, Error, FileError, Phrase, SyntheticConfig, synthetic};
+use crate::{DataConfig, DataKind, Error, FileError, PhraseItem, SyntheticConfig, synthetic};
 
 /// Phrases in the order of their ids. A clone is another handle to the same ones.
-pub type PhraseSet = ItemSet<Phrase>;
+pub type PhraseSet = ItemSet<PhraseItem>;
 
-impl Item for Phrase {
+impl Item for PhraseItem {
     const KIND: &'static str = "phrase";
 
     type Representation = Phrases;
@@ -63,22 +63,22 @@ impl Item for Phrase {
     }
 }
 
-impl Listable for Phrase {
-    fn survey(config: &DataConfig) -> Result<Survey<Self>, Error> {
+impl Listable for PhraseItem {
+    fn scan(config: &DataConfig) -> Result<Scan<Self>, Error> {
         let split = Split::new(&config.validation)?;
-        let mut survey = match config.kind {
+        let mut scan = match config.kind {
             DataKind::Phrases => phrase_files(config)?,
-            DataKind::Synthetic => Survey {
+            DataKind::Synthetic => Scan {
                 representation: Phrases,
                 given: None,
                 split: None,
-                origin: Box::new(MadeUpPhrases(
+                source: Box::new(SyntheticPhrases(
                     config.synthetic.clone(),
                     config.audio_layout(),
                     Labels::new(&config.labels, HashMap::new()),
                 )),
                 warnings: Vec::new(),
-                listed: Listed::made_up(config.synthetic.phrases, synthetic::id),
+                listed: Listed::synthetic(config.synthetic.phrases, synthetic::id),
             },
             kind @ (DataKind::Humanml3d | DataKind::SyntheticWalks) => {
                 return Err(Error::wrong_kind(
@@ -88,19 +88,16 @@ impl Listable for Phrase {
                 ));
             }
         };
-        survey
-            .warnings
-            .extend(split.idle_entries(ids(&survey.listed)));
+        scan.warnings.extend(split.idle_entries(ids(&scan.listed)));
         let labels = Labels::new(&config.labels, HashMap::new());
-        survey
-            .warnings
-            .extend(labels.idle_patterns(ids(&survey.listed)));
-        survey.split = Some(split);
-        Ok(survey)
+        scan.warnings
+            .extend(labels.idle_patterns(ids(&scan.listed)));
+        scan.split = Some(split);
+        Ok(scan)
     }
 }
 
-fn phrase_files(config: &DataConfig) -> Result<Survey<Phrase>, Error> {
+fn phrase_files(config: &DataConfig) -> Result<Scan<PhraseItem>, Error> {
     let source = config.source.as_deref().unwrap_or_default();
     let store = Store::open(source, &config.store)?;
     let Listing {
@@ -152,13 +149,13 @@ fn phrase_files(config: &DataConfig) -> Result<Survey<Phrase>, Error> {
     }
     phrases.truncate(config.num_phrases.unwrap_or(usize::MAX));
     let files = Files::open(store, config, &mut warnings)?;
-    Ok(Survey {
+    Ok(Scan {
         representation: Phrases,
         given: None,
         split: None,
         warnings,
         listed: phrases,
-        origin: Box::new(PhraseFiles(
+        source: Box::new(PhraseFiles(
             files,
             layout,
             Labels::new(&config.labels, labels),
@@ -166,15 +163,15 @@ fn phrase_files(config: &DataConfig) -> Result<Survey<Phrase>, Error> {
     })
 }
 
-/// Phrases of the layout of CC-MotionGen, section 1.3, the audio features read of them, and their
-/// labels.
+/// Phrases in the layout of CC-MotionGen, section 1.3, with the layout of their audio features and
+/// their labels.
 #[derive(Debug)]
 pub(crate) struct PhraseFiles(pub Files, pub AudioLayout, pub Labels);
 
-impl Origin<Phrase> for PhraseFiles {
-    fn read(&self, wanted: Wanted<'_>) -> Result<Reading<Phrase>, FileError> {
-        let Wanted { id, recorded, .. } = wanted;
-        let [motion, audio] = wanted.expected else {
+impl ItemSource<PhraseItem> for PhraseFiles {
+    fn read(&self, request: ReadRequest<'_>) -> Result<ReadItem<PhraseItem>, FileError> {
+        let ReadRequest { id, recorded, .. } = request;
+        let [motion, audio] = request.expected else {
             unreachable!("a phrase has two files");
         };
         let Self(files, layout, labels) = self;
@@ -182,12 +179,13 @@ impl Origin<Phrase> for PhraseFiles {
         let (motion, motion_digest) = files.read(&paths.0, motion, MAX_MOTION_BYTES, recorded)?;
         let (audio, audio_digest) = files.read(&paths.1, audio, MAX_FEATURES_BYTES, recorded)?;
         let names = (files.store.name_of(&paths.0), files.store.name_of(&paths.1));
-        let (phrase, note) = Phrase::parse(id, (&motion, &names.0), (&audio, &names.1), *layout)?;
+        let (phrase, note) =
+            PhraseItem::parse(id, (&motion, &names.0), (&audio, &names.1), *layout)?;
         let phrase = labelled(phrase, labels);
-        Ok(Reading {
+        Ok(ReadItem {
             note,
             content: vec![motion_digest, audio_digest],
-            ..Reading::of(phrase)
+            ..ReadItem::of(phrase)
         })
     }
 
@@ -200,24 +198,25 @@ impl Origin<Phrase> for PhraseFiles {
     }
 }
 
-/// A phrase with its label.
-fn labelled(phrase: Phrase, labels: &Labels) -> Phrase {
-    Phrase {
+/// Adds a phrase's label.
+fn labelled(phrase: PhraseItem, labels: &Labels) -> PhraseItem {
+    PhraseItem {
         label: labels.of(&phrase.id).map(str::to_owned),
         ..phrase
     }
 }
 
-/// Phrases that are made up anew each time, the audio features made of them, and their labels.
+/// Phrases that are synthesised on demand, with the layout of their audio features and their
+/// labels.
 #[derive(Debug)]
-pub(crate) struct MadeUpPhrases(pub SyntheticConfig, pub AudioLayout, pub Labels);
+pub(crate) struct SyntheticPhrases(pub SyntheticConfig, pub AudioLayout, pub Labels);
 
-impl Origin<Phrase> for MadeUpPhrases {
-    fn read(&self, wanted: Wanted<'_>) -> Result<Reading<Phrase>, FileError> {
+impl ItemSource<PhraseItem> for SyntheticPhrases {
+    fn read(&self, request: ReadRequest<'_>) -> Result<ReadItem<PhraseItem>, FileError> {
         let SyntheticConfig { frames, seed, .. } = self.0;
         let Self(_, layout, labels) = self;
-        let phrase = synthetic::phrase_in(*layout, wanted.number, frames, seed);
-        Ok(Reading::of(labelled(phrase, labels)))
+        let phrase = synthetic::phrase_in(*layout, request.number, frames, seed);
+        Ok(ReadItem::of(labelled(phrase, labels)))
     }
 
     fn fingerprint(&self) -> String {

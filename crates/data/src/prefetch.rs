@@ -1,4 +1,4 @@
-//! Making numbered things ahead of their use, on threads, and handing them out in order.
+//! Prefetching of numbered values on threads, in order.
 
 use std::collections::VecDeque;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
@@ -8,21 +8,19 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
-/// How many finished things may wait for each worker: one being handed out, one in reserve.
+/// Finished values that may wait for each worker.
 pub(crate) const LOOK_AHEAD_PER_WORKER: usize = 2;
 
-/// How often a waiting consumer checks whether to stop.
+/// Interval at which a waiting consumer checks whether to stop.
 const STOP_INTERVAL: Duration = Duration::from_millis(100);
 
-/// How long dropping waits for workers to end what they are at.
+/// Time that dropping waits for workers.
 const PATIENCE: Duration = Duration::from_secs(2);
 
-/// Worker threads that make thing 0, 1, 2, ... and a consumer that gets them in that order.
-///
-/// Workers never run further ahead of the consumer than the look-ahead. Dropping it ends them.
+/// Worker threads that make values 0, 1, 2, ... for a consumer that receives them in order. Workers
+/// run at most the look-ahead in front of the consumer. Dropping ends them.
 pub(crate) struct Prefetch<T> {
-    /// Where each thing that was ordered arrives, in order; or the panic of the worker that made
-    /// it.
+    /// Receivers of the ordered values, in order; or of the panic of a worker.
     ordered: VecDeque<Receiver<thread::Result<T>>>,
     orders: Sender<Order<T>>,
     next_to_order: u64,
@@ -30,12 +28,12 @@ pub(crate) struct Prefetch<T> {
     workers: Vec<JoinHandle<()>>,
 }
 
-/// The number of a thing to make, and where to send it.
+/// The number of a value to make, and where to send it.
 type Order<T> = (u64, SyncSender<thread::Result<T>>);
 
 impl<T: Send + 'static> Prefetch<T> {
-    /// Starts `workers` threads, at least one, on `make(first)`, `make(first + 1)`, ... Each has
-    /// its own clone of `make`. `None` if the system gives no thread at all.
+    /// Starts `workers` threads, at least one, on `make(first)`, `make(first + 1)`, ..., each with
+    /// a clone of `make`. `None` if no thread can be started.
     pub fn start(
         workers: usize,
         first: u64,
@@ -61,19 +59,19 @@ impl<T: Send + 'static> Prefetch<T> {
         (!prefetch.workers.is_empty()).then_some(prefetch)
     }
 
-    /// Has one more thing made.
+    /// Orders one more value.
     fn order(&mut self) {
         let (place, arrival) = mpsc::sync_channel(1);
-        // Fails where there is no worker.
+        // Fails without workers.
         let _ = self.orders.send((self.next_to_order, place));
         self.ordered.push_back(arrival);
         self.next_to_order += 1;
     }
 
-    /// The next thing, waiting for it where need be; `None` if `stop` comes to hold meanwhile.
+    /// The next value; `None` if `stop` becomes true while it waits.
     ///
     /// # Panics
-    /// Goes on with the panic of the worker that made it.
+    /// Resumes the panic of the worker that made it.
     pub fn next_unless(&mut self, stop: &dyn Fn() -> bool) -> Option<T> {
         let mut wait = Duration::ZERO;
         let made = loop {
@@ -90,8 +88,7 @@ impl<T: Send + 'static> Prefetch<T> {
     }
 }
 
-/// Makes what is ordered until stopped. A panic is passed on in place of the thing, so that the
-/// consumer receives it too.
+/// Makes ordered values until stopped. Panics are passed on to the consumer.
 fn work<T>(
     orders: &Mutex<Receiver<Order<T>>>,
     stopped: &AtomicBool,
@@ -102,7 +99,7 @@ fn work<T>(
     while let Ok((number, place)) = next()
         && !stopped.load(Ordering::Relaxed)
     {
-        // Nobody waits for it any more where this fails.
+        // Fails if nobody waits for it any more.
         let _ = place.send(catch_unwind(AssertUnwindSafe(|| make(number))));
     }
 }
@@ -110,16 +107,16 @@ fn work<T>(
 impl<T> Drop for Prefetch<T> {
     fn drop(&mut self) {
         self.stopped.store(true, Ordering::Relaxed);
-        // Whoever waits for an order gets none any more.
+        // Waiting workers receive no further orders.
         self.orders = mpsc::channel().0;
         let deadline = Instant::now() + PATIENCE;
         for worker in self.workers.drain(..) {
             while !worker.is_finished() && Instant::now() < deadline {
                 thread::sleep(Duration::from_millis(1));
             }
-            // One that waits for a network longer ends by itself, or with the process.
+            // A worker that waits for a network ends by itself, or with the process.
             if worker.is_finished() {
-                // Its panics were caught.
+                // Panics were caught.
                 let _ = worker.join();
             }
         }
@@ -141,11 +138,11 @@ mod tests {
     fn who_asks_to_stop_does_not_wait() {
         let mut prefetch =
             Prefetch::start(1, 0, |_| thread::sleep(Duration::from_secs(4))).unwrap();
-        let asked = Instant::now();
-        let waited = || asked.elapsed() > Duration::from_millis(50);
+        let started = Instant::now();
+        let waited = || started.elapsed() > Duration::from_millis(50);
         assert_eq!(prefetch.next_unless(&waited), None);
         drop(prefetch);
-        assert!(asked.elapsed() < Duration::from_secs(4));
+        assert!(started.elapsed() < Duration::from_secs(4));
     }
 
     #[test]
@@ -203,9 +200,9 @@ mod tests {
     #[test]
     fn dropping_ends_the_threads() {
         let alive = Arc::new(());
-        let held = Arc::clone(&alive);
+        let owned = Arc::clone(&alive);
         let mut prefetch = Prefetch::start(4, 0, move |number| {
-            let _held = &held;
+            let _owned = &owned;
             number
         })
         .unwrap();

@@ -1,26 +1,25 @@
-//! Which phrases are danced to one song.
+//! Songs of phrases.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 
 use kinegrad_random::{Key, Purpose};
 
-use crate::manifest::{self, ManifestRow};
-use crate::{DataConfig, DataKind, Error, Store, synthetic};
+use crate::synthetic;
 
-/// The song of the phrase `id`: the `audio_source` that its manifest states, else the take that ids
-/// `TAKE_FIRSTFRAME` name. Each synthetic phrase has music of its own.
+/// The song of phrase `id`: its `audio_source` in the manifest, else the take in ids
+/// `TAKE_FIRSTFRAME`. Each synthetic phrase has its own music.
 pub fn song_of(id: &str, audio_source: Option<&str>) -> String {
-    let made_up = || {
+    let synthetic = || {
         let number = id.rsplit_once('_')?.1.parse().ok()?;
         (id == synthetic::id(number)).then_some(id)
     };
     let take = || id.rsplit_once('_').map_or(id, |(take, _)| take);
-    let song = audio_source.or_else(made_up);
+    let song = audio_source.or_else(synthetic);
     song.unwrap_or_else(take).to_owned()
 }
 
-/// The part `fraction` of `songs` that is held out, in alphabetical order: those with the lowest
-/// hashes of their names, at least one if `fraction` is not 0, never all. Depends on the names alone.
+/// The share `fraction` of `songs` that is held out, in alphabetical order: those with the lowest
+/// hashes of their names, at least one if `fraction` is not 0, never all.
 pub fn held_out_songs(songs: BTreeSet<String>, fraction: f64) -> Vec<String> {
     let most = songs.len().saturating_sub(1);
     let share = (fraction * songs.len() as f64).round() as usize;
@@ -32,47 +31,6 @@ pub fn held_out_songs(songs: BTreeSet<String>, fraction: f64) -> Vec<String> {
     let mut held_out: Vec<String> = order.into_iter().map(|(_, song)| song).collect();
     held_out.sort_unstable();
     held_out
-}
-
-/// What a dataset says of the music of its phrases.
-#[derive(Clone, Debug, Default)]
-pub struct Songs {
-    stated: BTreeMap<String, ManifestRow>,
-}
-
-impl Songs {
-    /// What the manifest of the dataset that `config` describes says; nothing where it has none, or
-    /// this build reads none.
-    ///
-    /// # Errors
-    /// [`Error::Scheme`], [`Error::Store`], and [`Error::Manifest`] for a manifest that cannot be
-    /// used.
-    pub fn read(config: &DataConfig) -> Result<Self, Error> {
-        if config.kind != DataKind::Phrases {
-            return Ok(Self::default());
-        }
-        let source = config.source.as_deref().unwrap_or_default();
-        let rows = match manifest::read(&Store::open(source, &config.store)?) {
-            Ok(rows) => rows.unwrap_or_default(),
-            Err(Error::Feature { .. }) => Vec::new(),
-            Err(error) => return Err(error),
-        };
-        let stated = rows.into_iter().map(|row| (row.id.clone(), row));
-        Ok(Self {
-            stated: stated.collect(),
-        })
-    }
-
-    /// The song of a phrase, see [`song_of`].
-    pub fn song(&self, id: &str) -> String {
-        let row = self.stated.get(id);
-        song_of(id, row.and_then(|row| row.audio_source.as_deref()))
-    }
-
-    /// The tempo of a phrase, beats per minute, where the manifest states one.
-    pub fn tempo(&self, id: &str) -> Option<f64> {
-        self.stated.get(id)?.tempo
-    }
 }
 
 #[cfg(test)]
@@ -91,23 +49,5 @@ mod tests {
         ] {
             assert_eq!(song_of(id, stated), song, "{id} {stated:?}");
         }
-    }
-
-    #[test]
-    fn datasets_without_a_manifest_state_nothing() {
-        let folder = tempfile::tempdir().unwrap();
-        synthetic::write_dataset(folder.path(), 2, 8, 1).unwrap();
-        let config = DataConfig {
-            source: Some(folder.path().display().to_string()),
-            ..DataConfig::default()
-        };
-        let songs = Songs::read(&config).unwrap();
-        assert_eq!(songs.song("W_1_00030"), "W_1");
-        assert_eq!(songs.tempo("W_1_00030"), None);
-        let made_up = DataConfig {
-            kind: DataKind::Synthetic,
-            ..DataConfig::default()
-        };
-        assert_eq!(Songs::read(&made_up).unwrap().song("a_0"), "a");
     }
 }

@@ -1,4 +1,4 @@
-//! Which phrases are held out for validation.
+//! The split into training and validation phrases.
 
 use std::collections::BTreeSet;
 use std::fmt;
@@ -8,10 +8,11 @@ use kinegrad_random::{Key, Purpose};
 use serde::{Deserialize, Serialize};
 
 use crate::file::read_text;
+use crate::pattern::matches;
 use crate::songs::{held_out_songs, song_of};
 use crate::{Error, ValidationSplit};
 
-/// Share held out where neither the config nor the dataset says anything.
+/// Default share of held_out-out phrases.
 const DEFAULT_FRACTION: f64 = 0.1;
 
 /// The rule of a [`ValidationSplit`], with its file read.
@@ -21,7 +22,7 @@ pub(crate) struct Split {
     rule: Rule,
 }
 
-/// A side of the split, as a manifest states it.
+/// A side of the split, as in a manifest.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Side {
@@ -38,14 +39,14 @@ impl fmt::Display for Side {
     }
 }
 
-/// What decides beside the patterns.
+/// The rule beside the patterns.
 #[derive(Debug, PartialEq)]
 enum Rule {
-    /// Nothing: only what the patterns name is held out.
+    /// None: only phrases that match a pattern are held_out out.
     Listed,
     /// A hash of the id.
     Fraction(f64),
-    /// The manifest, where it says something.
+    /// The manifest.
     Manifest,
 }
 
@@ -75,11 +76,11 @@ impl Split {
         Ok(Self { patterns, rule })
     }
 
-    /// Whether each of the phrases is held out, by its id and what the manifest says of it. Where
-    /// neither config nor manifest says anything, whole songs are held out
-    /// ([`held_out_songs`]); phrases by themselves, if each is a song of its own or all are one.
+    /// Whether each phrase is held_out out, by its id and its side in the manifest. Without a side,
+    /// whole songs are held_out out ([`held_out_songs`]), or single phrases if each is a song or all
+    /// are one.
     pub fn holds_out(&self, phrases: &[(&str, Option<Side>)]) -> Vec<bool> {
-        // The same phrases whatever the run's seed, so that runs can be compared.
+        // Independent of the run's seed, so that runs compare.
         let hashed =
             |id: &str, fraction| Key::new(0, Purpose::Split).named(id).uniform() < fraction;
         let unstated = || phrases.iter().filter(|(_, stated)| stated.is_none());
@@ -96,35 +97,12 @@ impl Split {
         phrases.iter().map(holds_out).collect()
     }
 
-    /// A warning for each id or pattern of the rule that holds out none of `ids`.
+    /// A warning for each id or pattern that matches none of `ids`.
     pub fn idle_entries<'a>(&self, ids: impl Iterator<Item = &'a str> + Clone) -> Vec<String> {
         let idle = |pattern: &&String| !ids.clone().any(|id| matches(pattern, id));
         let warning = |pattern| format!("data.validation: `{pattern}` matches no phrase");
         self.patterns.iter().filter(idle).map(warning).collect()
     }
-}
-
-/// Whether the whole of `text` matches `pattern`, in which `*` stands for any run of characters.
-/// Takes at most `pattern.len() * text.len()` steps: only the latest star is ever moved.
-pub fn matches(pattern: &str, text: &str) -> bool {
-    let (pattern, text) = (pattern.as_bytes(), text.as_bytes());
-    let (mut p, mut t) = (0, 0);
-    let mut star: Option<(usize, usize)> = None;
-    while t < text.len() {
-        if pattern.get(p) == Some(&b'*') {
-            star = Some((p + 1, t));
-            p += 1;
-        } else if pattern.get(p) == Some(&text[t]) {
-            p += 1;
-            t += 1;
-        } else if let Some((after, start)) = star {
-            star = Some((after, start + 1));
-            (p, t) = (after, start + 1);
-        } else {
-            return false;
-        }
-    }
-    pattern[p..].iter().all(|&byte| byte == b'*')
 }
 
 #[cfg(test)]
@@ -154,31 +132,11 @@ mod tests {
     }
 
     #[test]
-    fn stars_stand_for_any_run_of_characters() {
-        for (pattern, text, expected) in [
-            ("C_5_*", "C_5_00188", true),
-            ("C_5_*", "C_50_00188", false),
-            ("C_5_*", "C_5_", true),
-            ("*_00188", "C_5_00188", true),
-            ("C*5*8", "C_5_00188", true),
-            ("C*5*8", "C_5_00187", false),
-            ("a", "ab", false),
-            ("ab", "a", false),
-            ("*", "", true),
-            ("**", "x", true),
-            ("*ab*ab", "xabab", true),
-            ("é*", "éa", true),
-        ] {
-            assert_eq!(matches(pattern, text), expected, "{pattern} {text}");
-        }
-    }
-
-    #[test]
     fn the_fraction_is_met_and_adding_phrases_moves_none() {
         let rule = split(0.1, &[], None);
         let ids: Vec<String> = (0..5000).map(|i| format!("song_{i:05}")).collect();
-        let held = ids.iter().filter(|id| alone(&rule, id, None)).count();
-        assert!((430..570).contains(&held), "{held}");
+        let held_out = ids.iter().filter(|id| alone(&rule, id, None)).count();
+        assert!((430..570).contains(&held_out), "{held_out}");
         assert!(
             ids.iter()
                 .all(|id| !alone(&split(0.0, &[], None), id, None))
@@ -194,7 +152,7 @@ mod tests {
     fn lists_replace_the_fraction_and_idle_entries_are_named() {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("ids.txt").display().to_string();
-        fs::write(&file, "\u{feff}# held out\r\nW_1\r\n\r\n  X_*\n").unwrap();
+        fs::write(&file, "\u{feff}# held_out out\r\nW_1\r\n\r\n  X_*\n").unwrap();
         let rule = split(0.99, &["C_5_*"], Some(file.clone()));
         let ids = ["C_5_1", "C_2_1", "W_1", "W_10"];
         assert_eq!(
@@ -210,7 +168,7 @@ mod tests {
     }
 
     #[test]
-    fn the_manifest_s_split_counts_where_the_config_says_nothing() {
+    fn the_manifest_s_split_is_the_default() {
         let rule = split(None, &[], None);
         assert!(alone(&rule, "a", Some(Side::Validation)));
         assert!(!alone(&rule, "a", Some(Side::Train)));
@@ -228,12 +186,13 @@ mod tests {
     }
 
     #[test]
-    fn songs_are_held_out_whole_where_nothing_is_said() {
+    fn songs_are_held_out_whole_by_default() {
         let rule = split(None, &[], None);
         let held_out = |ids: &[String]| -> BTreeSet<String> {
             let phrases: Vec<_> = ids.iter().map(|id| (id.as_str(), None)).collect();
-            let held = ids.iter().zip(rule.holds_out(&phrases));
-            held.filter(|(_, held)| *held)
+            let held_out = ids.iter().zip(rule.holds_out(&phrases));
+            held_out
+                .filter(|(_, held_out)| *held_out)
                 .map(|(id, _)| id.clone())
                 .collect()
         };
@@ -251,31 +210,31 @@ mod tests {
         // Phrases of a song lie on one side, of a few songs as of many.
         for songs in [&["C_2", "W_1"][..], &["a", "b", "c", "d", "e", "f", "g"]] {
             let ids = of(songs, 9);
-            let held = held_out(&ids);
-            let sides: BTreeSet<&str> = held
+            let held_out = held_out(&ids);
+            let sides: BTreeSet<&str> = held_out
                 .iter()
                 .map(|id| id.rsplit_once('_').unwrap().0)
                 .collect();
-            assert_eq!((held.len(), sides.len()), (9, 1), "{held:?}");
+            assert_eq!((held_out.len(), sides.len()), (9, 1), "{held_out:?}");
         }
-        // What the manifest states is left alone, and does not count.
+        // Sides in the manifest are kept, and do not count.
         let stated = [
             ("x_0", Some(Side::Train)),
             ("x_1", None),
             ("y_0", None),
             ("y_1", None),
         ];
-        let held = rule.holds_out(&stated);
+        let flags = rule.holds_out(&stated);
         assert!(
-            !held[0] && held[1] != held[2] && held[2] == held[3],
-            "{held:?}"
+            !flags[0] && flags[1] != flags[2] && flags[2] == flags[3],
+            "{flags:?}"
         );
-        // Of one song there is nothing else than its phrases, and made-up phrases are a song each.
+        // Of one song there is nothing else than its phrases, and synthetic phrases are a song each.
         let one = of(&["C_2"], 200);
         assert!((5..40).contains(&held_out(&one).len()));
-        let made_up: Vec<String> = (0..200).map(crate::synthetic::id).collect();
-        let alone = made_up.iter().filter(|id| alone(&rule, id, None)).count();
-        assert_eq!(held_out(&made_up).len(), alone);
+        let synthetic: Vec<String> = (0..200).map(crate::synthetic::id).collect();
+        let alone = synthetic.iter().filter(|id| alone(&rule, id, None)).count();
+        assert_eq!(held_out(&synthetic).len(), alone);
     }
 
     #[test]

@@ -1,13 +1,13 @@
-//! What samples say of their style, for networks that are conditioned on it.
+//! Style conditions of samples.
 
 use kinegrad_motion::Statistics;
 use kinegrad_motion::phrase::{CHANNELS, STYLE as STYLE_CHANNELS};
 
-/// Name of the condition on the eight style numbers, `[9, 1]`: each normalised, and 1. Zeros are no
+/// Name of the condition on the eight style numbers, `[9, 1]`: normalised, and a 1. Zeros are no
 /// style.
 pub const STYLE: &str = "style";
 
-/// Name of the condition on the label, `[labels, 1]`: 1 in its place. Zeros are no label.
+/// Name of the condition on the label, `[labels, 1]`, one-hot. Zeros are no label.
 pub const LABEL: &str = "label";
 
 /// Style numbers of a phrase.
@@ -35,7 +35,7 @@ impl StyleConditions {
         }
     }
 
-    /// The same with a label of `labels`.
+    /// Adds a label of `labels`.
     #[must_use]
     pub fn with_labels(self, labels: Vec<String>) -> Self {
         Self {
@@ -57,7 +57,7 @@ impl StyleConditions {
     }
 
     /// The values of each condition, in the order of [`shapes`](Self::shapes), for style `numbers`
-    /// in physical units and a label. What is not given or not known is null.
+    /// in physical units and a label. Missing or unknown values are null.
     pub fn values(
         &self,
         numbers: Option<[f64; STYLE_NUMBERS]>,
@@ -111,7 +111,7 @@ mod tests {
     }
 
     #[test]
-    fn conditions_are_as_many_as_are_asked_for() {
+    fn the_number_of_conditions_follows_the_style() {
         let labels = || vec!["rumba".to_owned(), "waltz".to_owned()];
         let none = StyleConditions::default();
         let both = none
@@ -129,7 +129,7 @@ mod tests {
                 vec![0.0, 1.0]
             ]
         );
-        // Nothing said, and a label that is not known, are null.
+        // No values, and an unknown label, are null.
         assert_eq!(
             both.values(None, Some("tango")),
             [vec![0.0; 9], vec![0.0; 2]]

@@ -6,7 +6,7 @@
 
 use kinegrad_capture::{Bvh, RootPose};
 use kinegrad_motion::Quaternion;
-use kinegrad_motion::rotation::length;
+use kinegrad_motion::vector::length;
 
 use crate::smoothing::smooth;
 use crate::{Error, Figure, Frames, Held, rotation6d};

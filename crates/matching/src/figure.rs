@@ -10,7 +10,7 @@
 
 use kinegrad_capture::{Axis, Bvh, RootPose, UpAxis};
 use kinegrad_motion::Quaternion;
-use kinegrad_motion::rotation::length;
+use kinegrad_motion::vector::length;
 
 use crate::{Error, Frames, displacements, rotation6d};
 

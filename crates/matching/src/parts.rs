@@ -1,7 +1,7 @@
 //! Body parts, which are matched each by itself.
 
 use kinegrad_capture::Joint;
-use kinegrad_motion::rotation::length;
+use kinegrad_motion::vector::length;
 use kinegrad_settings::read_toml;
 use serde::{Deserialize, Serialize};
 

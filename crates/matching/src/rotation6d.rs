@@ -4,7 +4,7 @@
 //! docs/sources/genmm.md.
 
 use kinegrad_motion::Quaternion;
-use kinegrad_motion::targets::from_columns;
+use kinegrad_motion::channel_encoding::from_columns;
 
 /// The first two rows of the matrix of a unit quaternion.
 pub fn from_quaternion(rotation: Quaternion) -> [f64; 6] {

@@ -1,12 +1,12 @@
-//! From what a denoiser predicts of a phrase ([`Targets`]) to its 25 channels, with gradients:
-//! [`Targets::decode`] on tensors.
+//! From what a denoiser predicts of a phrase ([`ChannelEncoding`]) to its 25 channels, with gradients:
+//! [`ChannelEncoding::decode`] on tensors.
 
 use std::f64::consts::TAU;
 
 use burn::tensor::Tensor;
+use kinegrad_motion::channel_encoding::{LEAST_HARMONICS, LEAST_SQUARE};
 use kinegrad_motion::phrase::QUATERNION;
-use kinegrad_motion::targets::{LEAST_HARMONICS, LEAST_SQUARE};
-use kinegrad_motion::{OrientationTarget, PhaseTarget, Targets};
+use kinegrad_motion::{ChannelEncoding, OrientationEncoding, PhaseEncoding};
 
 /// Square of the radius below which the gradient of an angle does not grow any more.
 const LEAST_RADIUS_SQUARE: f64 = 1e-4;
@@ -18,7 +18,7 @@ const LEAST_RADIUS_SQUARE: f64 = 1e-4;
 /// # Shapes
 /// - x: `[batch, channels, time]`, the channels of `targets` in physical units
 /// - output: `[batch, 25, time]`
-pub fn decode(targets: Targets, x: Tensor<3>) -> Tensor<3> {
+pub fn decode(targets: ChannelEncoding, x: Tensor<3>) -> Tensor<3> {
     if targets.are_stored_channels() {
         return x;
     }
@@ -29,14 +29,14 @@ pub fn decode(targets: Targets, x: Tensor<3>) -> Tensor<3> {
         vec![
             part(0..QUATERNION.start),
             match targets.orientation {
-                OrientationTarget::Quaternion => orientation,
-                OrientationTarget::CanonicalQuaternion => canonical_signs(unit(orientation)),
-                OrientationTarget::Rotation6d => canonical_signs(nearest_rotations(orientation)),
+                OrientationEncoding::Quaternion => orientation,
+                OrientationEncoding::CanonicalQuaternion => canonical_signs(unit(orientation)),
+                OrientationEncoding::Rotation6d => canonical_signs(nearest_rotations(orientation)),
             },
             part(targets.angular_velocity_channels()),
             match targets.phase {
-                PhaseTarget::Scalar => phase,
-                PhaseTarget::SinCos | PhaseTarget::Harmonics => turns_of(phase),
+                PhaseEncoding::Scalar => phase,
+                PhaseEncoding::SinCos | PhaseEncoding::Harmonics => turns_of(phase),
             },
             part(targets.style_channels()),
         ],
@@ -45,7 +45,7 @@ pub fn decode(targets: Targets, x: Tensor<3>) -> Tensor<3> {
 }
 
 /// The turns from 0 to 1, `[batch, 1, time]`, of pairs of sine and cosine of an angle and its
-/// multiples, `[batch, 2 multiples, time]`, as [`Targets::decode`] has it.
+/// multiples, `[batch, 2 multiples, time]`, as [`ChannelEncoding::decode`] has it.
 fn turns_of(pairs: Tensor<3>) -> Tensor<3> {
     let multiples = pairs.dims()[1] / 2;
     let first = turns(pairs.clone().narrow(1, 0, 2));
@@ -93,7 +93,7 @@ fn unit(x: Tensor<3>) -> Tensor<3> {
 
 /// The unit quaternions `[batch, 4, time]`, of any sign, of rotations whose matrices have the
 /// orthonormal columns that are nearest to the first two columns `[batch, 6, time]`, as
-/// [`nearest_rotation`](kinegrad_motion::targets::nearest_rotation) has them.
+/// [`nearest_rotation`](kinegrad_motion::channel_encoding::nearest_rotation) has them.
 fn nearest_rotations(columns: Tensor<3>) -> Tensor<3> {
     let parts = |x: &Tensor<3>| [0, 1, 2].map(|index| x.clone().narrow(1, index, 1));
     let cross = |p: &Tensor<3>, q: &Tensor<3>, r: &Tensor<3>, s: &Tensor<3>| {
@@ -180,16 +180,16 @@ mod tests {
 
     use super::*;
 
-    fn all() -> Vec<Targets> {
-        use OrientationTarget::{CanonicalQuaternion, Quaternion, Rotation6d};
+    fn all() -> Vec<ChannelEncoding> {
+        use OrientationEncoding::{CanonicalQuaternion, Quaternion, Rotation6d};
         let phases = [
-            PhaseTarget::Scalar,
-            PhaseTarget::SinCos,
-            PhaseTarget::Harmonics,
+            PhaseEncoding::Scalar,
+            PhaseEncoding::SinCos,
+            PhaseEncoding::Harmonics,
         ];
         let of_phase = |phase| {
             [Quaternion, CanonicalQuaternion, Rotation6d]
-                .map(|orientation| Targets { phase, orientation })
+                .map(|orientation| ChannelEncoding { phase, orientation })
         };
         phases.into_iter().flat_map(of_phase).collect()
     }
@@ -269,9 +269,9 @@ mod tests {
     #[test]
     fn nothing_breaks_at_zero_and_at_half_turns() {
         let device = Device::flex().autodiff();
-        let targets = Targets {
-            phase: PhaseTarget::SinCos,
-            orientation: OrientationTarget::Rotation6d,
+        let targets = ChannelEncoding {
+            phase: PhaseEncoding::SinCos,
+            orientation: OrientationEncoding::Rotation6d,
         };
         let channels = targets.channels();
         // Zeros; no rotation; half a turn about each axis; two equal columns.

@@ -1,13 +1,11 @@
-//! Changes of a phrase that leave it a valid motion: turning, mirroring, moving to the origin.
-//!
-//! Each commutes with derivation: the derivatives of the changed pose are the changed derivatives.
-//! Phase and style describe speed, extent and timing, which none of them alters.
+//! Changes of a phrase that keep it a valid motion. Each commutes with derivation, and none alters
+//! phase or style.
 
 use crate::phrase::{ACCELERATION, ANGULAR_VELOCITY, POSITION, QUATERNION, VELOCITY};
-use crate::{Motion, Quaternion};
+use crate::{Phrase, Quaternion};
 
 /// Turns the whole phrase about +y by `angle` radians (+z towards +x).
-pub fn rotate_yaw(motion: &mut Motion, angle: f64) {
+pub fn rotate_yaw(motion: &mut Phrase, angle: f64) {
     let turn = Quaternion::from_yaw(angle);
     for t in 0..motion.frames() {
         for channels in [POSITION, VELOCITY, ACCELERATION, ANGULAR_VELOCITY] {
@@ -18,11 +16,9 @@ pub fn rotate_yaw(motion: &mut Motion, angle: f64) {
     }
 }
 
-/// Reflects the phrase at the plane x = 0, left for right.
-///
-/// Angular velocity is an axial vector: the reflection keeps its x and negates y and z, as it does
-/// with the imaginary part of the quaternion.
-pub fn mirror(motion: &mut Motion) {
+/// Reflects the phrase at the plane x = 0. Angular velocity is an axial vector: its y and z are
+/// negated.
+pub fn mirror(motion: &mut Phrase) {
     for t in 0..motion.frames() {
         for channels in [POSITION, VELOCITY, ACCELERATION] {
             let [x, y, z] = motion.vector(t, channels.clone());
@@ -49,9 +45,8 @@ pub fn mirrored_channels() -> [usize; 7] {
     ]
 }
 
-/// Moves the phrase on the floor so that its first frame stands at x = z = 0 (metres). Height and
-/// every other channel stay; a crop from the middle of a phrase then begins like a whole one.
-pub fn anchor_floor(motion: &mut Motion) {
+/// Moves the phrase on the floor so that its first frame is at x = z = 0 (metres).
+pub fn anchor_floor(motion: &mut Phrase) {
     let [x0, _, z0] = motion.vector(0, POSITION);
     for t in 0..motion.frames() {
         let [x, y, z] = motion.vector(t, POSITION);
@@ -64,9 +59,9 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::kinematics::rederive;
+    use crate::derivatives::rederive;
     use crate::phrase::PHASE;
-    use crate::wandering::wandering;
+    use crate::random_phrase::random_phrase;
     use crate::{CHANNELS, Profile, channel_name, check};
 
     /// The rounding of single precision through two differences: positions of about 1 m carry
@@ -80,7 +75,7 @@ mod tests {
         }
     }
 
-    fn assert_commutes(original: &Motion, change: impl Fn(&mut Motion)) {
+    fn assert_commutes(original: &Phrase, change: impl Fn(&mut Phrase)) {
         let mut changed = original.clone();
         change(&mut changed);
         let mut derived = changed.clone();
@@ -105,7 +100,7 @@ mod tests {
 
     #[test]
     fn a_quarter_turn_takes_forward_to_the_right() {
-        let mut motion = Motion::new(vec![0.0; CHANNELS]).unwrap();
+        let mut motion = Phrase::new(vec![0.0; CHANNELS]).unwrap();
         motion.set_vector(0, POSITION, [0.0, 5.0, 1.0]);
         motion.set_vector(0, VELOCITY, [1.0, 0.0, 0.0]);
         motion.set_quaternion(0, Quaternion::IDENTITY);
@@ -120,8 +115,8 @@ mod tests {
     }
 
     #[test]
-    fn a_mirrored_body_looks_the_mirrored_way() {
-        let mut motion = wandering(5, 2);
+    fn a_mirrored_body_faces_the_mirrored_direction() {
+        let mut motion = random_phrase(5, 2);
         let forward = motion.quaternion(1).rotate([0.0, 0.0, 1.0]);
         mirror(&mut motion);
         let mirrored = motion.quaternion(1).rotate([0.0, 0.0, 1.0]);
@@ -134,22 +129,22 @@ mod tests {
     proptest! {
         #[test]
         fn turning_commutes_with_derivation(seed: u64, angle in -7.0f64..7.0, frames in 4usize..40) {
-            assert_commutes(&wandering(seed, frames), |motion| rotate_yaw(motion, angle));
+            assert_commutes(&random_phrase(seed, frames), |motion| rotate_yaw(motion, angle));
         }
 
         #[test]
         fn mirroring_commutes_with_derivation(seed: u64, frames in 4usize..40) {
-            assert_commutes(&wandering(seed, frames), mirror);
+            assert_commutes(&random_phrase(seed, frames), mirror);
         }
 
         #[test]
         fn anchoring_commutes_with_derivation(seed: u64, frames in 4usize..40) {
-            assert_commutes(&wandering(seed, frames), anchor_floor);
+            assert_commutes(&random_phrase(seed, frames), anchor_floor);
         }
 
         #[test]
         fn mirroring_twice_changes_nothing(seed: u64, frames in 1usize..20) {
-            let original = wandering(seed, frames);
+            let original = random_phrase(seed, frames);
             let mut motion = original.clone();
             mirror(&mut motion);
             prop_assert_ne!(&motion, &original);
@@ -159,7 +154,7 @@ mod tests {
 
         #[test]
         fn turning_forth_and_back_changes_nothing(seed: u64, angle in -7.0f64..7.0) {
-            let original = wandering(seed, 10);
+            let original = random_phrase(seed, 10);
             let mut motion = original.clone();
             rotate_yaw(&mut motion, angle);
             rotate_yaw(&mut motion, -angle);
@@ -170,7 +165,7 @@ mod tests {
 
         #[test]
         fn an_anchored_phrase_starts_at_the_origin(seed: u64) {
-            let original = wandering(seed, 10);
+            let original = random_phrase(seed, 10);
             let mut motion = original.clone();
             anchor_floor(&mut motion);
             let [x, y, z] = motion.vector(0, POSITION);
@@ -181,7 +176,7 @@ mod tests {
 
     #[test]
     fn mirroring_negates_the_channels_that_it_names() {
-        let original = wandering(3, 10);
+        let original = random_phrase(3, 10);
         let mut mirrored = original.clone();
         mirror(&mut mirrored);
         for (t, channel) in (0..10).flat_map(|t| (0..CHANNELS).map(move |c| (t, c))) {

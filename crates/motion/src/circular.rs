@@ -1,20 +1,25 @@
-//! Places on a circle, in cycles: the phase in a beat or a bar, where 0.95 and 0.05 are a tenth apart.
+//! Positions on a circle, in cycles, such as the phase in a beat or a bar.
 
 use std::f64::consts::TAU;
 
-/// The way between two places, the short way around: -0.5 to 0.5. Whole cycles do not count.
+/// The shortest step from one position to another, -0.5 to 0.5. Whole cycles do not count.
 pub fn step(from: f64, to: f64) -> f64 {
     let step = to - from;
     step - step.round()
 }
 
-/// How far two places are apart: 0 to 0.5. Places without any relation are 0.25 apart on average.
+/// An angle in radians, by whole turns within half a turn of 0: -pi to pi.
+pub fn wrapped(angle: f64) -> f64 {
+    angle - TAU * (angle / TAU).round()
+}
+
+/// Distance of two positions, 0 to 0.5; unrelated positions are 0.25 apart on average.
 pub fn distance(a: f64, b: f64) -> f64 {
     step(a, b).abs()
 }
 
-/// Length of the mean of `exp(2 pi i d)` over differences `d` of places: 1 where all are alike,
-/// near 0 where they are spread evenly around; 0 of none.
+/// Length of the mean of `exp(2 pi i d)` over differences `d`: 1 if all are equal, near 0 if they
+/// are spread evenly, 0 of none.
 pub fn concentration(differences: impl IntoIterator<Item = f64>) -> f64 {
     let (mut sine, mut cosine, mut count) = (0.0, 0.0, 0.0);
     for difference in differences {
@@ -35,7 +40,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_short_way_leads_over_the_end_of_the_cycle() {
+    fn shortest_steps_cross_the_end_of_the_cycle() {
         for (from, to, expected) in [
             (0.95, 0.05, 0.1),
             (0.05, 0.95, -0.1),

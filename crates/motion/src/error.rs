@@ -6,7 +6,7 @@ use thiserror::Error;
 /// An error about motion data or about the settings of its processing.
 #[derive(Clone, Debug, Diagnostic, Error, PartialEq)]
 pub enum Error {
-    /// The number of values does not make whole frames, or makes none.
+    /// The values are not one or more whole frames.
     #[error("{values} values are not one or more whole frames of {channels} channels")]
     #[diagnostic(help("a phrase is a row-major array [frames, 25]"))]
     NotWholeFrames {
@@ -28,7 +28,7 @@ pub enum Error {
         found: usize,
     },
 
-    /// The strict profile was asked for without the training phrases' statistics.
+    /// The strict profile needs the statistics of training motion.
     #[error("the profile `strict` compares with training motion, whose statistics are missing")]
     #[diagnostic(help(
         "name the run that holds them with option `run`, or the motion itself with option `source`, \
@@ -36,10 +36,10 @@ pub enum Error {
     ))]
     StatisticsNeeded,
 
-    /// The training phrases' statistics are at hand, but not how the phrases move.
+    /// The statistics do not describe how training motion moves.
     #[error(
-        "the statistics do not say how training motion moves: they came with a dataset, or an \
-         older version of kinegrad wrote them"
+        "the statistics do not describe how training motion moves: they came with a dataset or \
+         from an older version of kinegrad"
     )]
     #[diagnostic(help(
         "measure the training motion itself with option `source`, or use option `profile ccmotion`"
@@ -50,7 +50,7 @@ pub enum Error {
     #[error("the statistics are unusable: {reason}")]
     #[diagnostic(help("compute them again from the training motion"))]
     InvalidStatistics {
-        /// What is wrong.
+        /// The problem.
         reason: String,
     },
 }

@@ -1,16 +1,16 @@
-//! Representations of motion on the host: the 25-channel phrase, rotations, derivatives, training
-//! statistics, augmentation, post-processing, sanity checks and metrics; and joint features as in
-//! HumanML3D ([`humanml`]), with their own frame rates and skeletons.
+//! Representations of motion on the host: the 25-channel phrase, rotations, statistics,
+//! augmentation, post-processing, checks and metrics, and joint features as in HumanML3D
+//! ([`humanml`]).
 //!
-//! The crate has no tensors with gradients and no file I/O. Coordinates are metres and seconds,
-//! right-handed with +y up; a phrase runs at [`FPS`] frames per second. Source: CC-MotionGen,
-//! sections 2, 9 and 10 (docs/sources.md, sections 1.1, 1.12 and 1.13).
+//! There are no tensors with gradients and no file I/O. Coordinates are metres and seconds,
+//! right-handed, +y up; a phrase has [`FPS`] frames per second. Source: CC-MotionGen, sections 2, 9
+//! and 10 (docs/sources.md, sections 1.1, 1.12 and 1.13).
 //!
 //! ```
-//! use kinegrad_motion::{Motion, PostProcessConfig, Profile, check, process};
+//! use kinegrad_motion::{Phrase, PostProcessConfig, Profile, check, process};
 //! let mut frame = [0.0f32; 25];
 //! frame[9] = 2.0; // a quaternion of twice the unit norm
-//! let motion = Motion::new(frame.repeat(4))?;
+//! let motion = Phrase::new(frame.repeat(4))?;
 //! assert!(!check(&motion, Profile::Document, None)?.passed);
 //! let repaired = process(&motion, &PostProcessConfig::default(), None);
 //! assert!(check(&repaired, Profile::Document, None)?.passed);
@@ -19,39 +19,42 @@
 
 pub mod augment;
 pub mod banded;
+pub mod channel_encoding;
 pub mod circular;
 pub mod coherence;
+pub mod derivatives;
 pub mod emphasis;
 pub mod error;
 pub mod feet;
 pub mod goal;
+pub mod heading_alignment;
 pub mod humanml;
-pub mod kinematics;
 pub mod metrics;
 pub mod moments;
-pub mod movement;
+pub mod motion_measures;
 pub mod path;
 pub mod phrase;
 pub mod postprocess;
+pub mod quantiles;
 pub mod representation;
 pub mod rotation;
 pub mod sanity;
-pub mod speed;
 pub mod statistics;
 pub mod stitch;
 pub mod style;
-pub mod targets;
-pub mod turning;
+pub mod time_stretch;
+pub mod vector;
 
 #[cfg(test)]
-mod wandering;
+mod random_phrase;
 
 pub use augment::{anchor_floor, mirror, rotate_yaw};
+pub use channel_encoding::{ChannelEncoding, OrientationEncoding, PhaseEncoding};
+pub use derivatives::derive;
 pub use error::Error;
-pub use kinematics::derive;
 pub use moments::ChannelMoments;
-pub use movement::Movement;
-pub use phrase::{CHANNELS, FPS, Motion, channel_name};
+pub use motion_measures::MotionMeasure;
+pub use phrase::{CHANNELS, FPS, Phrase, channel_name};
 pub use postprocess::{
     ClampLimits, Differences, Hemisphere, PostProcessConfig, PostProcessProfile, process,
     process_around,
@@ -63,7 +66,6 @@ pub use representation::{
 pub use rotation::Quaternion;
 pub use sanity::{Check, Profile, Report, Threshold, Value, check};
 pub use statistics::Statistics;
-pub use targets::{OrientationTarget, PhaseTarget, Targets};
 
-/// Most frames that a motion or a song may have: two hours at 30 frames per second.
+/// Most frames of a motion or a song: two hours at 30 frames per second.
 pub const MAX_FRAMES: usize = 216_000;

@@ -1,33 +1,27 @@
-//! Range, mean and standard deviation of the channels of motion.
+//! Range, mean and standard deviation of channels.
 
 use serde::{Deserialize, Serialize};
 
 /// Range, mean and standard deviation of each channel, as measured, in the representation's units.
-///
-/// [`Statistics`](crate::Statistics) holds the mean and deviation that normalisation uses instead,
-/// which differ where a representation says so.
+/// [`Statistics`](crate::Statistics) may normalise by other values.
 #[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
 pub struct ChannelMoments {
     /// Mean of each channel, `[channels]`.
     pub mean: Vec<f64>,
-    /// Standard deviation of each channel (of the population: divided by the number of frames),
-    /// `[channels]`.
+    /// Standard deviation of each channel (of the population), `[channels]`.
     pub std: Vec<f64>,
     /// Smallest value of each channel, `[channels]`.
     pub min: Vec<f64>,
     /// Largest value of each channel, `[channels]`.
     pub max: Vec<f64>,
-    /// Number of frames of all items together.
+    /// Number of frames of all items.
     pub frames: usize,
     /// Number of items.
     pub items: usize,
 }
 
 impl ChannelMoments {
-    /// Measures items, each `[frames, channels]` row by row, every frame weighing the same.
-    ///
-    /// # Panics
-    /// Panics if there is no frame, or an item is not of whole frames.
+    /// Measures items `[frames, channels]`, row-major; all frames weigh the same.
     pub fn measure<'a>(channels: usize, items: impl IntoIterator<Item = &'a [f32]>) -> Self {
         let items: Vec<&[f32]> = items.into_iter().collect();
         let frames = items.iter().map(|item| item.len()).sum::<usize>() / channels;
@@ -49,8 +43,8 @@ impl ChannelMoments {
         }
     }
 
-    /// Takes in the moments of further items, as if all had been measured together (Chan, Golub
-    /// and LeVeque 1979).
+    /// Adds the moments of further items, as if all had been measured at once (Chan, Golub and
+    /// LeVeque 1979).
     pub fn merge(&mut self, other: &Self) {
         let (n, m) = (self.frames as f64, other.frames as f64);
         let total = n + m;
@@ -69,11 +63,17 @@ impl ChannelMoments {
     }
 }
 
-/// Mean and standard deviation of values (of the population: divided by their number).
+/// Mean of values; NaN of none.
+pub(crate) fn mean(values: impl ExactSizeIterator<Item = f64>) -> f64 {
+    let count = values.len() as f64;
+    values.sum::<f64>() / count
+}
+
+/// Mean and population standard deviation.
 pub(crate) fn mean_and_deviation(values: impl Iterator<Item = f64> + Clone) -> (f64, f64) {
     let count = values.clone().count() as f64;
     let mean = values.clone().sum::<f64>() / count;
-    // A second pass: the difference of two sums of squares would lose the small deviations.
+    // Two passes: the difference of two sums of squares would lose small deviations.
     let squares = values.map(|value| (value - mean).powi(2));
     (mean, (squares.sum::<f64>() / count).sqrt())
 }

@@ -35,8 +35,8 @@ pub const PHASE: usize = 16;
 /// Style descriptors, unbounded.
 pub const STYLE: Range<usize> = 17..25;
 
-/// The name of a channel, for messages and tables: `position.x`, `quaternion.w`, `phase`,
-/// `style.0`; `channel.{n}` beyond the last.
+/// The name of a channel: `position.x`, `quaternion.w`, `phase`, `style.0`; `channel.{n}` beyond
+/// the last.
 pub fn channel_name(channel: usize) -> String {
     const AXES: [&str; 3] = ["x", "y", "z"];
     match channel {
@@ -55,20 +55,17 @@ pub fn channel_name(channel: usize) -> String {
     }
 }
 
-/// A phrase of motion, `[frames, 25]`, at least one frame long, in the dataset's units.
-///
-/// Values may be anything, NaN included: a sample that went wrong is still a `Motion`, and
-/// [`first_non_finite`](Self::first_non_finite) or the sanity checks say so.
+/// A phrase, `[frames, 25]`, at least one frame, in the dataset's units. Values may be NaN or
+/// infinite ([`first_non_finite`](Self::first_non_finite)).
 #[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
-pub struct Motion {
+pub struct Phrase {
     data: Vec<f32>,
 }
 
-impl Motion {
+impl Phrase {
     /// A phrase from row-major `[frames, 25]` values.
     ///
-    /// # Errors
-    /// [`Error::NotWholeFrames`] if the length is zero or no multiple of 25.
+    /// [`Error::NotWholeFrames`] if the length is zero or not a multiple of 25.
     pub fn new(data: Vec<f32>) -> Result<Self, Error> {
         if data.is_empty() || !data.len().is_multiple_of(CHANNELS) {
             return Err(Error::NotWholeFrames {
@@ -111,17 +108,11 @@ impl Motion {
     }
 
     /// The 25 channels of frame `t`.
-    ///
-    /// # Panics
-    /// Panics if there is no frame `t`.
     pub fn frame(&self, t: usize) -> &[f32] {
         &self.data[t * CHANNELS..(t + 1) * CHANNELS]
     }
 
     /// The 25 channels of frame `t`, to be changed.
-    ///
-    /// # Panics
-    /// Panics if there is no frame `t`.
     pub fn frame_mut(&mut self, t: usize) -> &mut [f32] {
         &mut self.data[t * CHANNELS..(t + 1) * CHANNELS]
     }
@@ -136,19 +127,13 @@ impl Motion {
         self.data
     }
 
-    /// The first three channels of `channels` in frame `t`, widened: `vector(t, VELOCITY)`.
-    ///
-    /// # Panics
-    /// Panics if there is no frame `t` or the range is shorter than three channels.
+    /// The first three channels of `channels` in frame `t`: `vector(t, VELOCITY)`.
     pub fn vector(&self, t: usize, channels: Range<usize>) -> [f64; 3] {
         let values = &self.frame(t)[channels];
         [0, 1, 2].map(|axis| f64::from(values[axis]))
     }
 
     /// Writes `vector` into the first three channels of `channels` in frame `t`.
-    ///
-    /// # Panics
-    /// Panics if there is no frame `t` or the range is shorter than three channels.
     pub fn set_vector(&mut self, t: usize, channels: Range<usize>, vector: [f64; 3]) {
         let values = &mut self.frame_mut(t)[channels];
         for (value, component) in values[..3].iter_mut().zip(vector) {
@@ -157,9 +142,6 @@ impl Motion {
     }
 
     /// The orientation in frame `t`, as stored (not normalised).
-    ///
-    /// # Panics
-    /// Panics if there is no frame `t`.
     pub fn quaternion(&self, t: usize) -> Quaternion {
         let values = &self.frame(t)[QUATERNION];
         let [w, x, y, z] = [0, 1, 2, 3].map(|part| f64::from(values[part]));
@@ -167,9 +149,6 @@ impl Motion {
     }
 
     /// Writes the orientation of frame `t`.
-    ///
-    /// # Panics
-    /// Panics if there is no frame `t`.
     pub fn set_quaternion(&mut self, t: usize, orientation: Quaternion) {
         let Quaternion { w, x, y, z } = orientation;
         let values = &mut self.frame_mut(t)[QUATERNION];
@@ -179,9 +158,6 @@ impl Motion {
     }
 
     /// A copy of some frames.
-    ///
-    /// # Panics
-    /// Panics if the range is empty or reaches beyond the last frame.
     #[must_use]
     pub fn slice(&self, frames: Range<usize>) -> Self {
         assert!(!frames.is_empty(), "a phrase has at least one frame");
@@ -201,8 +177,8 @@ impl Motion {
 mod tests {
     use super::*;
 
-    fn counting(frames: usize) -> Motion {
-        Motion::new((0..frames * CHANNELS).map(|v| v as f32).collect()).unwrap()
+    fn counting(frames: usize) -> Phrase {
+        Phrase::new((0..frames * CHANNELS).map(|v| v as f32).collect()).unwrap()
     }
 
     #[test]
@@ -229,7 +205,7 @@ mod tests {
     #[test]
     fn a_phrase_is_whole_frames() {
         for values in [0, 1, 24, 26, 49] {
-            let error = Motion::new(vec![0.0; values]).unwrap_err();
+            let error = Phrase::new(vec![0.0; values]).unwrap_err();
             assert_eq!(
                 error,
                 Error::NotWholeFrames {
@@ -238,7 +214,7 @@ mod tests {
                 }
             );
         }
-        assert_eq!(Motion::new(vec![0.0; 50]).unwrap().frames(), 2);
+        assert_eq!(Phrase::new(vec![0.0; 50]).unwrap().frames(), 2);
     }
 
     #[test]
@@ -246,9 +222,9 @@ mod tests {
         let motion = counting(3);
         let transposed = motion.channel_major();
         assert_eq!(transposed[..4], [0.0, 25.0, 50.0, 1.0]);
-        assert_eq!(Motion::from_channel_major(&transposed, 3).unwrap(), motion);
-        assert!(Motion::from_channel_major(&transposed, 4).is_err());
-        assert!(Motion::from_channel_major(&[], 0).is_err());
+        assert_eq!(Phrase::from_channel_major(&transposed, 3).unwrap(), motion);
+        assert!(Phrase::from_channel_major(&transposed, 4).is_err());
+        assert!(Phrase::from_channel_major(&[], 0).is_err());
     }
 
     #[test]

@@ -6,7 +6,11 @@
 use std::f64::consts::PI;
 use std::ops::Mul;
 
-/// A Hamilton quaternion; a rotation where its norm is 1. `q` and `-q` are the same rotation.
+use nalgebra::Vector3;
+
+use crate::vector::{length, unit};
+
+/// A Hamilton quaternion; a rotation if its norm is 1. `q` and `-q` are the same rotation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Quaternion {
     /// Scalar part.
@@ -37,7 +41,7 @@ impl Quaternion {
     /// The rotation about the direction of `vector` by its length in radians.
     pub fn from_rotation_vector(vector: [f64; 3]) -> Self {
         let angle = length(vector);
-        // sin(angle / 2) / angle, by its series where the quotient loses digits.
+        // sin(angle / 2) / angle, by its series near 0.
         let factor = if angle < 1e-4 {
             0.5 - angle * angle / 48.0
         } else {
@@ -47,13 +51,13 @@ impl Quaternion {
         Self::new((0.5 * angle).cos(), x, y, z)
     }
 
-    /// The rotation vector in radians, the shortest way: its length is at most pi. The norm does
-    /// not matter; the zero quaternion gives the zero vector.
+    /// The rotation vector in radians, of length at most pi. The norm does not matter; the zero
+    /// quaternion gives the zero vector.
     pub fn to_rotation_vector(self) -> [f64; 3] {
-        // Of q and -q, the one with w >= 0 turns by at most pi.
+        // Of q and -q, the one with w >= 0 rotates by at most pi.
         let Self { w, x, y, z } = if self.w < 0.0 { self.scale(-1.0) } else { self };
         let sin = length([x, y, z]);
-        // The angle is 2 atan2(sin, w), well behaved at 0 and at pi where acos is not.
+        // The angle is 2 atan2(sin, w), which is accurate near 0 and pi, unlike acos.
         let factor = if sin > 1e-12 * w {
             2.0 * sin.atan2(w) / sin
         } else {
@@ -71,7 +75,7 @@ impl Quaternion {
         Self::new(self.w, -self.x, -self.y, -self.z)
     }
 
-    /// The inner product; negative where two neighbours in time lie in opposite hemispheres.
+    /// The inner product; negative if the two lie in opposite hemispheres.
     pub fn dot(self, other: Self) -> f64 {
         self.w * other.w + self.x * other.x + self.y * other.y + self.z * other.z
     }
@@ -88,10 +92,10 @@ impl Quaternion {
         Self::new(w * factor, x * factor, y * factor, z * factor)
     }
 
-    /// The same direction with norm 1; the identity where the norm is zero or not finite.
+    /// The same direction with norm 1; the identity if the norm is zero or not finite.
     #[must_use]
     pub fn normalised(self) -> Self {
-        // Scaled by the largest part first: the square of a tiny or huge part would leave f64.
+        // Scaling by the largest part first avoids overflow and underflow of squares.
         let parts = [self.w, self.x, self.y, self.z].map(f64::abs);
         let largest = parts.into_iter().fold(0.0, f64::max);
         let scaled = self.scale(1.0 / largest);
@@ -110,24 +114,22 @@ impl Quaternion {
         [turned.x, turned.y, turned.z]
     }
 
-    /// The rotation that lies `fraction` of the way to `other`, at constant angular speed and the
-    /// shorter way, for unit quaternions.
+    /// Spherical interpolation between unit quaternions, along the shorter arc.
     #[must_use]
     pub fn slerp(self, other: Self, fraction: f64) -> Self {
         let turn = (other * self.conjugate()).to_rotation_vector();
         Self::from_rotation_vector(turn.map(|v| v * fraction)) * self
     }
 
-    /// The turn about +y in radians, from -pi to pi, that is part of a rotation: with the rotation
-    /// about a horizontal axis that is left it makes the whole. Zero upside down, where none is told
-    /// from another.
+    /// The rotation about +y, in radians from -pi to pi, of the swing-twist decomposition. Zero
+    /// upside down, where it is undefined.
     pub fn twist(self) -> f64 {
         let half = self.y.atan2(self.w);
         2.0 * (half - PI * (half / PI).round())
     }
 
-    /// Heading in radians, from -pi to pi: the angle about +y from +z to the turned +z, seen from
-    /// above. Zero where the turned +z is vertical.
+    /// Heading in radians, from -pi to pi: the angle about +y from +z to the rotated +z, seen from
+    /// above. Zero if the rotated +z is vertical.
     pub fn yaw(self) -> f64 {
         let [x, _, z] = self.rotate([0.0, 0.0, 1.0]);
         x.atan2(z)
@@ -149,13 +151,22 @@ impl Mul for Quaternion {
     }
 }
 
-/// Euclidean length of a vector.
-pub fn length(vector: [f64; 3]) -> f64 {
-    vector
-        .iter()
-        .map(|component| component * component)
-        .sum::<f64>()
-        .sqrt()
+/// The shortest rotation from the direction of `from` to that of `to`: the quaternion
+/// (|u||v| + u.v, u x v), normalised. Opposite vectors are half a turn apart, about +y where possible;
+/// a zero vector gives the identity.
+pub fn between(from: [f64; 3], to: [f64; 3]) -> Quaternion {
+    let (u, v) = (Vector3::from(unit(from)), Vector3::from(unit(to)));
+    let (scalar, mut axis) = (u.norm() * v.norm() + u.dot(&v), u.cross(&v));
+    if scalar == 0.0 && axis.norm() == 0.0 && u.norm() > 0.0 && v.norm() > 0.0 {
+        let across = |direction: Vector3<f64>| direction - u * u.dot(&direction);
+        let [about_y, about_x] = [Vector3::y(), Vector3::x()].map(across);
+        axis = if about_y.norm() > 1e-6 {
+            about_y
+        } else {
+            about_x
+        };
+    }
+    Quaternion::new(scalar, axis.x, axis.y, axis.z).normalised()
 }
 
 #[cfg(test)]
@@ -165,6 +176,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
+    use crate::vector::minus;
 
     fn close(a: [f64; 3], b: [f64; 3], tolerance: f64) -> bool {
         (0..3).all(|axis| (a[axis] - b[axis]).abs() <= tolerance)
@@ -183,7 +195,7 @@ mod tests {
     }
 
     #[test]
-    fn quarter_turns_go_the_right_way() {
+    fn quarter_turns_have_the_right_sign() {
         let quarter = 0.5 * PI;
         let about = |axis: usize| {
             let mut turn = [0.0; 3];
@@ -241,7 +253,7 @@ mod tests {
     }
 
     #[test]
-    fn slerp_goes_the_shorter_way_at_constant_speed() {
+    fn slerp_takes_the_shorter_arc_at_constant_speed() {
         let (from, to) = (Quaternion::from_yaw(3.0), Quaternion::from_yaw(-3.0));
         for (fraction, yaw) in [(0.0, 3.0), (0.25, 3.0708), (0.75, -3.0708), (1.0, -3.0)] {
             for to in [to, to.scale(-1.0)] {
@@ -282,5 +294,18 @@ mod tests {
         fn yaw_is_read_back(angle in -3.1f64..3.1) {
             prop_assert!((Quaternion::from_yaw(angle).yaw() - angle).abs() < 1e-12);
         }
+    }
+
+    #[test]
+    fn opposite_directions_are_half_a_turn_apart() {
+        for from in [[0.0, 0.0, -1.0], [0.0, 2.0, 0.0], [1.0, 0.0, 0.0]] {
+            let to = from.map(|value| -value);
+            let turned = between(from, to).rotate(from);
+            assert!(length(minus(turned, to)) < 1e-12, "{from:?}: {turned:?}");
+        }
+        // Facing backwards is a yaw.
+        let half = between([0.0, 0.0, -1.0], [0.0, 0.0, 1.0]);
+        assert!((half.to_rotation_vector()[1].abs() - PI).abs() < 1e-12);
+        assert_eq!(between([0.0; 3], [0.0, 1.0, 0.0]), Quaternion::IDENTITY);
     }
 }

@@ -1,8 +1,8 @@
-//! Statistics of training motion: normalisation, and bounds of real motion for sanity checks.
+//! Statistics of training motion: normalisation, and bounds for sanity checks.
 //!
-//! The source trains on raw values and clips predicted data to +-1 while positions range over +-100
-//! (docs/sources.md, section 1.14, hazard 6). Here each channel is brought to zero mean and unit
-//! deviation, except where a [representation](crate::Representation) says otherwise.
+//! The source trains on raw values and clips predictions to +-1, while positions range over +-100
+//! (docs/sources.md, section 1.14, hazard 6). Here each channel has zero mean and unit deviation,
+//! unless a [representation](crate::Representation) defines it otherwise.
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -15,41 +15,39 @@ use crate::{ChannelMoments, Error};
 /// A channel whose deviation is below this counts as constant.
 pub(crate) const CONSTANT: f64 = 1e-8;
 
-/// Statistics of the training motion, computed once and stored in the run.
+/// Statistics of the training motion, stored in the run.
 ///
-/// A normalised value is `(value - mean) / std`. Reading refuses lists of unequal length, values
-/// that are not finite, and a `std` that is not positive.
+/// A normalised value is `(value - mean) / std`. Deserialising rejects lists of unequal length,
+/// values that are not finite, and a `std` that is not positive.
 #[derive(Clone, Debug, Default, Deserialize, PartialEq, Serialize)]
 #[serde(try_from = "Stored", into = "Stored")]
 pub struct Statistics {
-    /// What normalisation subtracts, `[channels]`.
+    /// Subtracted by normalisation, `[channels]`.
     pub mean: Vec<f64>,
-    /// What normalisation divides by, `[channels]`.
+    /// Divided by in normalisation, `[channels]`.
     pub std: Vec<f64>,
-    /// Smallest and largest value of each channel, `[channels]` each; none where they came with a
-    /// dataset.
+    /// Smallest and largest value of each channel, `[channels]` each; none of published statistics.
     pub range: Option<[Vec<f64>; 2]>,
-    /// Number of frames of all items together; 0 where that is not known.
+    /// Number of frames of all items; 0 if unknown.
     pub frames: usize,
-    /// Number of items; 0 where that is not known.
+    /// Number of items; 0 if unknown.
     pub items: usize,
-    /// Root mean square of the root's speed over all frames, metres per second; this and the next
-    /// two are none where they were not measured.
+    /// Root mean square of the root's speed, metres per second; this and the next two are none if
+    /// they were not measured.
     pub rms_speed: Option<f64>,
-    /// Root mean square of the root's acceleration over all frames, metres per second squared.
+    /// Root mean square of the root's acceleration, metres per second squared.
     pub rms_acceleration: Option<f64>,
-    /// 95th percentile (linear interpolation) of the items' mean jerk norms, metres per second
-    /// cubed.
+    /// 95th percentile of the items' mean jerk norms, metres per second cubed.
     pub jerk_p95: Option<f64>,
-    /// 1st and 99th percentile over the items of how they move, by the name of the
-    /// [measure](crate::Movement); empty where it was not measured.
+    /// 1st and 99th percentile over the items of each [measure](crate::MotionMeasure), by name;
+    /// empty if not measured.
     pub movement: BTreeMap<String, [f64; 2]>,
-    /// The reading of the root that they belong to, of joint features.
+    /// Representation of the root of joint features.
     pub root: Option<Root>,
 }
 
 impl Statistics {
-    /// Those of motion that is its own normalised form, in -1 to 1.
+    /// Statistics of motion that needs no normalisation, in -1 to 1.
     pub fn unit(channels: usize) -> Self {
         Self {
             mean: vec![0.0; channels],
@@ -64,7 +62,7 @@ impl Statistics {
         }
     }
 
-    /// Zero mean and unit deviation in every channel; a constant channel is left as it is.
+    /// Zero mean and unit deviation in every channel; constant channels keep their scale.
     pub fn standard(moments: ChannelMoments) -> Self {
         let ChannelMoments {
             mean,
@@ -87,7 +85,7 @@ impl Statistics {
         }
     }
 
-    /// Means and deviations that come with a dataset, used as they are.
+    /// Means and deviations that come with a dataset.
     ///
     /// # Errors
     /// [`Error::InvalidStatistics`] if a value is not finite or a deviation not positive.
@@ -106,7 +104,7 @@ impl Statistics {
         self.mean.len()
     }
 
-    /// The normalised values of one channel of `rows`, `[frames, channels]` row by row.
+    /// The normalised values of one channel of `rows`, `[frames, channels]`.
     pub fn normalize_channel<'a>(
         &self,
         rows: &'a [f32],
@@ -117,8 +115,8 @@ impl Statistics {
         frames.map(move |frame| normalized(frame[channel], mean, std))
     }
 
-    /// The normalised values of `rows`, `[frames, channels]` row by row, as channel-major
-    /// `[channels, frames]`: what a network sees.
+    /// The normalised values of `rows`, `[frames, channels]`, as channel-major `[channels,
+    /// frames]`.
     pub fn normalize(&self, rows: &[f32]) -> Vec<f32> {
         let channels = 0..self.channels();
         channels
@@ -126,8 +124,7 @@ impl Statistics {
             .collect()
     }
 
-    /// The rows `[frames, channels]` of a network's output, normalised channel-major values
-    /// `[channels, frames]`.
+    /// The rows `[frames, channels]` of normalised channel-major values `[channels, frames]`.
     pub fn denormalize(&self, values: &[f32]) -> Vec<f32> {
         let frames = values.len() / self.channels();
         let row_major = (0..frames).flat_map(|t| (0..self.channels()).map(move |c| (t, c)));
@@ -136,11 +133,11 @@ impl Statistics {
             .collect()
     }
 
-    /// Smallest and largest value of each channel in the training motion in normalised units,
-    /// `[channels]` each: the bounds for clipping predicted data. The source's bounds of +-1 would
-    /// cut real data, which reaches 21 standard deviations in single channels.
+    /// Smallest and largest value of each channel in training motion in normalised units,
+    /// `[channels]` each: the bounds for clipping predicted data. The source's +-1 would clip real
+    /// data, which reaches 21 standard deviations.
     pub fn normalized_range(&self) -> Option<[Vec<f32>; 2]> {
-        // Rounded like the data, so that the extreme item itself stays within.
+        // Rounded like the data, so that extreme items stay within.
         let bound = |values: &Vec<f64>| {
             let channels = values.iter().zip(self.mean.iter().zip(&self.std));
             channels
@@ -150,10 +147,9 @@ impl Statistics {
         self.range.as_ref().map(|range| range.each_ref().map(bound))
     }
 
-    /// Widens the range of the horizontal `vectors` to what they reach when motion is turned about
-    /// the vertical by any angle (their length, at most), and of the `signed` channels to +-1. A
-    /// model trained on rotated motion generates it in all directions, which the range as measured
-    /// would clip.
+    /// Widens the range of horizontal `vectors` to all directions of the same length, and of
+    /// `signed` channels to +-1. Models that are trained on rotated motion generate it in all
+    /// directions.
     pub fn widen_range_for_yaw(&mut self, vectors: &[Range<usize>], signed: Range<usize>) {
         let Some([min, max]) = &mut self.range else {
             return;
@@ -171,7 +167,8 @@ impl Statistics {
         }
     }
 
-    /// Widens the range of `channels` to be symmetric about zero: augmentation negates them.
+    /// Widens the range of `channels` to be symmetric about zero, for augmentation that negates
+    /// them.
     pub fn widen_range_for_signs(&mut self, channels: impl IntoIterator<Item = usize>) {
         let Some([min, max]) = &mut self.range else {
             return;
@@ -182,8 +179,8 @@ impl Statistics {
         }
     }
 
-    /// Widens the range of `channels` by `factor`, at least 1, away from zero: augmentation
-    /// multiplies them by up to that.
+    /// Widens the range of `channels` by `factor`, at least 1, away from zero, for augmentation
+    /// that scales them.
     pub fn widen_range_by(&mut self, factor: f64, channels: impl IntoIterator<Item = usize>) {
         let Some([min, max]) = &mut self.range else {
             return;
@@ -231,18 +228,7 @@ fn normalized(value: f32, mean: f64, std: f64) -> f32 {
     ((f64::from(value) - mean) / std) as f32
 }
 
-/// The `percent`-th percentile with linear interpolation between the two nearest of the `values`,
-/// of which there is at least one.
-pub fn percentile(mut values: Vec<f64>, percent: f64) -> f64 {
-    values.sort_by(f64::total_cmp);
-    let place = percent / 100.0 * (values.len() - 1) as f64;
-    let below = place.floor() as usize;
-    let above = (below + 1).min(values.len() - 1);
-    values[below] + (values[above] - values[below]) * place.fract()
-}
-
-/// [`Statistics`] as stored. The number of items is called after what they are, as runs of all
-/// versions say it.
+/// [`Statistics`] as stored. The number of items is named after their kind.
 #[derive(Clone, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 struct Stored {
@@ -377,13 +363,6 @@ mod tests {
                 .all(|v| (low[channel]..=high[channel]).contains(v));
             assert!(within && row.contains(&low[channel]) && row.contains(&high[channel]));
         }
-    }
-
-    #[test]
-    fn percentiles_are_interpolated() {
-        assert_eq!(percentile(vec![7.0], 95.0), 7.0);
-        assert_eq!(percentile(vec![3.0, 1.0, 2.0], 50.0), 2.0);
-        assert!((percentile(vec![20.0, 0.0, 10.0], 95.0) - 19.0).abs() < 1e-12);
     }
 
     #[test]

@@ -1,14 +1,13 @@
-//! One motion of overlapping windows.
+//! One motion from overlapping windows.
 //!
-//! A long phrase is drawn in windows of the length that a model was trained on. Each stands where
-//! its own first frame puts it: heading, height and all derivatives are those of the world, but
-//! the place on the floor is relative to the window's beginning ([`crate::anchor_floor`]). Windows
-//! are therefore moved on the floor before they are blended, by what agrees best with their
-//! neighbours (least squares over the overlaps; [`crate::turning`] turns them before), and blended with weights that rise and fall with
-//! the squared sine and add up to 1 in every frame.
+//! Windows are sampled at the length that a model was trained on. Positions on the floor are
+//! relative to a window's first frame ([`crate::anchor_floor`]); all else is in world coordinates.
+//! So windows are rotated ([`crate::heading_alignment`]), moved on the floor to agree with their
+//! neighbours (least squares over the overlaps), and blended with squared-sine weights that add up
+//! to 1.
 //!
-//! Known frames hold everywhere: windows are moved to where those say, and what a window says
-//! otherwise at their edges fades out over a third of a second.
+//! Known frames are kept: windows move to where they are, and the difference at their edges fades
+//! out over a third of a second.
 
 #[cfg(test)]
 mod tests;
@@ -17,15 +16,15 @@ use std::ops::Range;
 
 use crate::banded::{BAND, Cholesky};
 use crate::phrase::{CHANNELS, PHASE, POSITION, QUATERNION};
-use crate::{OrientationTarget, PhaseTarget, Targets};
+use crate::{ChannelEncoding, OrientationEncoding, PhaseEncoding};
 
-/// Channels that are relative to the first frame of a window: the place on the floor.
+/// Channels that are relative to a window's first frame: the position on the floor.
 const FLOOR: [usize; 2] = [POSITION.start, POSITION.start + 2];
 
-/// Windows share one part in so many of their frames with the next, or more.
+/// Windows share at least one in so many of their frames with the next.
 const OVERLAP: usize = 3;
 
-/// Weight of known frames beside overlaps when a window finds its place.
+/// Weight of known frames beside overlaps in the positions of windows.
 const KNOWN: f64 = 100.0;
 
 /// Frames over which the difference to a known frame fades.
@@ -39,13 +38,13 @@ pub struct Windows {
     starts: Vec<usize>,
 }
 
-/// What the channels of windows are.
+/// The channels of windows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Layout {
     /// The 25 of a phrase in physical units.
     Phrase,
-    /// Those that a denoiser predicts, normalised; a phase that is one number is in -1 to 1.
-    Predicted(Targets),
+    /// Those that a denoiser predicts, normalised; a scalar phase is in -1 to 1.
+    Predicted(ChannelEncoding),
 }
 
 impl Layout {
@@ -53,27 +52,28 @@ impl Layout {
     pub fn channels(self) -> usize {
         match self {
             Self::Phrase => CHANNELS,
-            Self::Predicted(targets) => targets.channels(),
+            Self::Predicted(encoding) => encoding.channels(),
         }
     }
 
-    /// Channels of quaternions, whose signs differ between windows; none of rotations that have
-    /// no sign.
+    /// Channels of quaternions, whose signs differ between windows.
     fn quaternions(self) -> Range<usize> {
         match self {
-            Self::Predicted(targets) if targets.orientation == OrientationTarget::Rotation6d => {
+            Self::Predicted(encoding)
+                if encoding.orientation == OrientationEncoding::Rotation6d =>
+            {
                 0..0
             }
             _ => QUATERNION,
         }
     }
 
-    /// The channel of a phase that jumps at the end of a bar, and its values at start and end.
+    /// The channel of a phase that jumps at bar lines, and its values at start and end of a bar.
     fn jumping_phase(self) -> Option<(usize, [f64; 2])> {
         match self {
             Self::Phrase => Some((PHASE, [0.0, 1.0])),
-            Self::Predicted(targets) if targets.phase == PhaseTarget::Scalar => {
-                Some((targets.phase_channels().start, [-1.0, 1.0]))
+            Self::Predicted(encoding) if encoding.phase == PhaseEncoding::Scalar => {
+                Some((encoding.phase_channels().start, [-1.0, 1.0]))
             }
             Self::Predicted(_) => None,
         }
@@ -82,17 +82,16 @@ impl Layout {
 
 /// Frames of a motion that are given.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Known {
-    /// Of each frame of the motion, whether it is known.
+pub struct KnownFrames {
+    /// Of each frame, whether it is known.
     pub is_known: Vec<bool>,
-    /// `[channels, frames]`; only the known frames are read. The sign of quaternions is continuous
-    /// within each of their runs.
+    /// `[channels, frames]`; only known frames are read. The sign of quaternions is continuous
+    /// within each run of them.
     pub values: Vec<f32>,
 }
 
 impl Windows {
-    /// Evenly spread windows of `length` frames over `frames`: one, if the motion is not longer,
-    /// which then has that many frames.
+    /// Evenly spread windows of `length` frames over `frames`; a shorter motion is one window.
     ///
     /// # Panics
     /// Panics if there are no frames, or the windows have none.
@@ -135,14 +134,14 @@ impl Windows {
         self.starts[window]..self.starts[window] + self.length
     }
 
-    /// Weight of frame `t` of the motion in a window, relative to other windows.
+    /// Relative weight of frame `t` of the motion in a window.
     pub(crate) fn weight(&self, window: usize, t: usize) -> f64 {
         let phase = (t - self.starts[window]) as f64 + 0.5;
         let sine = (std::f64::consts::PI * phase / self.length as f64).sin();
         sine * sine
     }
 
-    /// The windows that have frame `t`.
+    /// The windows that contain frame `t`.
     fn at(&self, t: usize) -> Range<usize> {
         let first = self
             .starts
@@ -151,15 +150,18 @@ impl Windows {
         first..end
     }
 
-    /// Blends windows `[windows, channels, length]` to one motion `[channels, frames]`, and replaces each by its part of that, moved on the floor to where
-    /// the window stood and with quaternions of the sign that they had.
+    /// Blends windows `[windows, channels, length]` to one motion `[channels, frames]`, and
+    /// replaces each window by its part of that motion, at the window's position on the floor and
+    /// with its signs of quaternions.
     ///
-    /// Where frames are `known`, the motion has their values and stands where they stand; else the
-    /// first window stays where it is.
-    ///
-    /// # Panics
-    /// Panics if the sizes do not fit.
-    pub fn stitch(&self, values: &mut [f32], known: Option<&Known>, layout: Layout) -> Vec<f32> {
+    /// Where frames are `known`, the motion has their values and position; otherwise the first
+    /// window keeps its position.
+    pub fn stitch(
+        &self,
+        values: &mut [f32],
+        known: Option<&KnownFrames>,
+        layout: Layout,
+    ) -> Vec<f32> {
         let channels = layout.channels();
         assert_eq!(values.len(), self.len() * channels * self.length, "windows");
         let places = self.places(values, known, channels);
@@ -173,10 +175,15 @@ impl Windows {
         motion
     }
 
-    /// Where the first frame of each window lies on the floor of the whole motion.
-    fn places(&self, values: &[f32], known: Option<&Known>, channels: usize) -> Vec<[f64; 2]> {
-        // The normal equations of `weight |o_next - o - d|^2` over all neighbours and
-        // `weight |o - d|^2` for known frames.
+    /// Position of each window's first frame on the floor of the whole motion.
+    fn places(
+        &self,
+        values: &[f32],
+        known: Option<&KnownFrames>,
+        channels: usize,
+    ) -> Vec<[f64; 2]> {
+        // The normal equations of `weight |o_next - o - d|^2` over neighbours and `weight |o -
+        // d|^2` over known frames.
         let mut normal = vec![[0.0; BAND]; self.len()];
         let mut sides = [vec![0.0; self.len()], vec![0.0; self.len()]];
         let at = |window: usize, channel: usize, t: usize| {
@@ -274,7 +281,7 @@ impl Windows {
         motion: &[f32],
         values: &mut [f32],
         places: &[[f64; 2]],
-        known: Option<&Known>,
+        known: Option<&KnownFrames>,
         layout: Layout,
     ) {
         let (channels, quaternions) = (layout.channels(), layout.quaternions());
@@ -296,14 +303,14 @@ impl Windows {
         }
     }
 
-    /// The signs by which quaternions of the motion become those of a window: each frame's own, but
-    /// one for all known frames, whose sign the window goes by.
+    /// The signs that turn quaternions of the motion into those of a window: each frame's own, but
+    /// one for all known frames.
     fn signs(
         &self,
         motion: &[f32],
         values: &[f32],
         start: usize,
-        known: Option<&Known>,
+        known: Option<&KnownFrames>,
         quaternions: &Range<usize>,
     ) -> Vec<f32> {
         let dots: Vec<f32> = (0..self.length)
@@ -326,13 +333,14 @@ impl Windows {
     }
 }
 
-/// Frames from the start of a window to that of the next, at most.
+/// Largest distance between the starts of neighbouring windows, frames.
 fn most_apart(length: usize) -> usize {
     (length - length.div_ceil(OVERLAP)).max(1)
 }
 
-/// Puts known frames into a motion `[channels, frames]`, and fades what it differs by at their edges.
-fn put(motion: &mut [f32], known: &Known, layout: Layout) {
+/// Writes known frames into a motion `[channels, frames]`, and fades out the difference at their
+/// edges.
+fn put(motion: &mut [f32], known: &KnownFrames, layout: Layout) {
     let (channels, quaternions) = (layout.channels(), layout.quaternions());
     let frames = known.is_known.len();
     let edges: Vec<(usize, bool)> = (0..frames)
@@ -354,7 +362,7 @@ fn put(motion: &mut [f32], known: &Known, layout: Layout) {
             .take_while(|&t| !known.is_known[t]);
         let reached: Vec<usize> = reached.collect();
         let at = |values: &[f32], channel: usize, t: usize| values[channel * frames + t];
-        // Quaternions of the other sign are turned first.
+        // Quaternions of the other sign are negated first.
         for t in reached.iter().copied().chain([edge]) {
             let products = quaternions
                 .clone()

@@ -1,7 +1,7 @@
-//! The eight style channels of recorded motion, measured from the motion itself.
+//! The eight style channels of recorded motion, measured from the motion.
 //!
-//! The source's style is a learned representation in four pairs (CC-MotionGen, section 2.5);
-//! recorded motion has none. These measures fill the same pairs with what each is about:
+//! The source's style is a learned representation in four pairs (CC-MotionGen, section 2.5). These
+//! measures fill the same pairs:
 //!
 //! | channels | pair of the source | measures |
 //! |---|---|---|
@@ -10,13 +10,13 @@
 //! | 4, 5 | rhythmic feel | burstiness; mean turning about the vertical / 3 (rad/s) |
 //! | 6, 7 | body attitude | 5 (mean height - median height of the take) (m); mean tilt of the body's up axis from the vertical (rad) |
 //!
-//! Means are over the 30 frames `t - 15 .. t + 15`, and a frame beyond an end of the take is the
-//! end itself. The extents are over the 60 frames `t - 30 .. t + 30` as far as the take goes.
-//! Burstiness is the root mean square of the floor speed less its own mean, divided by the mean
-//! speed plus 0.1 m/s: large where the body stops and goes, small where it flows.
+//! Means are over the 30 frames `t - 15 .. t + 15`, with the ends repeated; extents over the frames
+//! `t - 30 .. t + 30` of the take. Burstiness is the root mean square of the floor speed minus its
+//! mean, divided by the mean speed plus 0.1 m/s.
 
-use crate::kinematics::{angular_velocity, forward_differences};
-use crate::rotation::length;
+use crate::derivatives::{angular_velocity, forward_differences};
+use crate::quantiles::median;
+use crate::vector::length;
 use crate::{FPS, Quaternion};
 
 /// Frames of a mean: one second.
@@ -25,14 +25,11 @@ const MEAN_FRAMES: usize = 30;
 /// Frames of an extent: two seconds.
 const EXTENT_FRAMES: usize = 60;
 
-/// Added to the speed that burstiness is divided by, so that rest is not infinitely bursty, m/s.
+/// Added to the speed that burstiness is divided by, m/s.
 const REST_SPEED: f64 = 0.1;
 
-/// Style of every frame of a take at 30 frames per second: `positions` `[frames, 3]` in metres,
-/// +y up, unit `orientations` `[frames]`; `[frames, 8]`.
-///
-/// # Panics
-/// Panics if the two differ in length.
+/// Style of every frame, `[frames, 8]`, of a take at 30 frames per second: `positions` `[frames,
+/// 3]` in metres, unit `orientations` `[frames]`.
 pub fn describe(positions: &[[f64; 3]], orientations: &[Quaternion]) -> Vec<[f64; 8]> {
     assert_eq!(
         positions.len(),
@@ -41,8 +38,7 @@ pub fn describe(positions: &[[f64; 3]], orientations: &[Quaternion]) -> Vec<[f64
     );
     let frames = positions.len();
     let velocity = forward_differences(positions, FPS);
-    // No velocity is known after the last difference: the last two accelerations repeat the one
-    // before them.
+    // The last two accelerations repeat the one before them.
     let mut acceleration = forward_differences(&velocity[..frames.saturating_sub(1)], FPS);
     acceleration.resize(frames, acceleration.last().copied().unwrap_or_default());
 
@@ -75,7 +71,7 @@ pub fn describe(positions: &[[f64; 3]], orientations: &[Quaternion]) -> Vec<[f64
         .collect()
 }
 
-/// Means over the frames around each one; the ends repeat beyond themselves.
+/// Means over the frames around each one, with the ends repeated.
 fn running_mean(values: &[f64]) -> Vec<f64> {
     let half = MEAN_FRAMES as isize / 2;
     let last = values.len() as isize - 1;
@@ -85,7 +81,7 @@ fn running_mean(values: &[f64]) -> Vec<f64> {
         .collect()
 }
 
-/// Sizes of the box around the positions near frame `t`, metres.
+/// Size of the bounding box of the positions near frame `t`, metres.
 fn extent(positions: &[[f64; 3]], t: usize) -> [f64; 3] {
     let half = EXTENT_FRAMES / 2;
     let near = &positions[t.saturating_sub(half)..(t + half).min(positions.len())];
@@ -98,19 +94,8 @@ fn extent(positions: &[[f64; 3]], t: usize) -> [f64; 3] {
 /// Angle of the body's up axis from the vertical in radians.
 fn tilt(orientation: Quaternion) -> f64 {
     let [x, y, z] = orientation.rotate([0.0, 1.0, 0.0]);
-    // Unlike acos, exact near the vertical.
+    // Unlike acos, accurate near the vertical.
     x.hypot(z).atan2(y)
-}
-
-/// The middle of the values, the mean of the two middle ones of an even number; 0 for none.
-pub fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    let middle = values.len() / 2;
-    match values.len() {
-        0 => 0.0,
-        n if n % 2 == 1 => values[middle],
-        _ => 0.5 * (values[middle - 1] + values[middle]),
-    }
 }
 
 #[cfg(test)]
@@ -138,7 +123,7 @@ mod tests {
     }
 
     #[test]
-    fn an_even_turning_way_has_the_measures_of_its_speeds() {
+    fn constant_speed_and_turning_have_their_measures() {
         // 0.6 m/s along x, 0.8 m/s along z, turning at 1.5 rad/s.
         let frames = 120;
         let at = |t: usize| t as f64 / FPS;
@@ -171,7 +156,7 @@ mod tests {
     }
 
     #[test]
-    fn stop_and_go_is_burstier_than_an_even_way() {
+    fn stop_and_go_is_burstier_than_constant_speed() {
         // Half a second at 1 m/s, half a second of rest.
         let mut x = 0.0;
         let positions: Vec<_> = (0..180)
@@ -185,12 +170,5 @@ mod tests {
         // The speed is 0 or 1, half the time each, 0.5 off its mean.
         assert!((style[90][0] - 0.5).abs() < 1e-9);
         assert!((style[90][4] - 0.5 / 0.6).abs() < 1e-9, "{}", style[90][4]);
-    }
-
-    #[test]
-    fn medians_of_odd_and_even_lists() {
-        assert_eq!(median(vec![3.0, 1.0, 2.0]), 2.0);
-        assert_eq!(median(vec![4.0, 1.0, 2.0, 3.0]), 2.5);
-        assert_eq!(median(Vec::new()), 0.0);
     }
 }

@@ -7,7 +7,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use kinegrad_cli::checkpoint;
 use kinegrad_data::humanml::{CaptionLabels, CaptionText, Clip, ClipSamples};
 use kinegrad_data::{Batch, DataConfig, DataKind, Item, ItemSet, Loader};
-use kinegrad_data::{Phrase, PhraseSamples};
+use kinegrad_data::{PhraseItem, PhraseSamples};
 use kinegrad_motion::{CHANNELS, Representation, Statistics};
 use kinegrad_train::Error;
 use kinegrad_train::checkpoint::State;
@@ -30,7 +30,7 @@ pub struct Dataset {
 
 /// The items of a side.
 enum Items {
-    Phrases(ItemSet<Phrase>),
+    Phrases(ItemSet<PhraseItem>),
     Clips(Box<Clips>),
 }
 
@@ -186,7 +186,7 @@ impl Dataset {
         };
         match config.data.kind {
             DataKind::Phrases | DataKind::Synthetic => {
-                let dataset = kinegrad_data::Dataset::<Phrase>::open_with_progress(
+                let dataset = kinegrad_data::Dataset::<PhraseItem>::open_with_progress(
                     &config.data,
                     &*until_interrupted(),
                 )?;

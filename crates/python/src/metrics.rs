@@ -4,7 +4,7 @@ use kinegrad_motion::humanml::Joints;
 use kinegrad_motion::metrics::{
     self, FeatureMoments, feature_diversity, mean_jerk, skating_ratio, sliding_ratio,
 };
-use kinegrad_motion::{CHANNELS, Motion, Statistics};
+use kinegrad_motion::{CHANNELS, Phrase, Statistics};
 use kinegrad_train::Error;
 use numpy::{PyArrayDyn, PyReadonlyArrayDyn};
 use pyo3::prelude::*;
@@ -155,10 +155,10 @@ pub fn beat_alignment(kinematic: Vec<f64>, music: Vec<f64>) -> Option<f64> {
     metrics::beat_alignment(&kinematic, &music)
 }
 
-fn phrase(motion: &PyReadonlyArrayDyn<'_, f32>) -> Result<Motion, Error> {
+fn phrase(motion: &PyReadonlyArrayDyn<'_, f32>) -> Result<Phrase, Error> {
     let (shape, values) = shape_and_values(motion);
     match *shape {
-        [frames, CHANNELS] if frames > 0 => Ok(Motion::new(values)?),
+        [frames, CHANNELS] if frames > 0 => Ok(Phrase::new(values)?),
         _ => Err(Error::usage(
             format!("the motion is of shape {shape:?}"),
             format!("a phrase is [T, {CHANNELS}]"),

@@ -7,11 +7,11 @@ use std::path::{Path, PathBuf};
 
 use kinegrad_data::file::read_text;
 use kinegrad_motion::Statistics;
-use kinegrad_motion::feet::{ContactRule, hold};
+use kinegrad_motion::feet::{ContactRule, lock_joints};
 use kinegrad_motion::humanml::{Extraction, Features, Joints, Root, Skeleton};
 use kinegrad_motion::path::{
-    Along, Course, Edges, HEADING_ORDER, HEADING_WINDOW, PathError, PathPlan, PathReport, Polyline,
-    Turning, Warp, headings_of, placed, savgol, smoothed, unwrapped,
+    ArcLengthMode, Course, Edges, HEADING_ORDER, HEADING_WINDOW, HeadingMode, PathError, PathPlan,
+    PathReport, Polyline, Warp, headings_of, placed, savgol, smoothed, unwrapped,
 };
 
 use serde_json::Value;
@@ -33,8 +33,8 @@ pub struct PathTarget {
 impl PathTarget {
     /// How bodies are turned on it: as their own way turns, and one that stands not by its sway.
     const WARP: Warp = Warp {
-        along: Along::Stretch,
-        turning: Turning::Relative,
+        along: ArcLengthMode::Stretch,
+        turning: HeadingMode::Relative,
         smooth: true,
         least_speed: Warp::STANDING,
     };
@@ -181,7 +181,7 @@ impl PathTarget {
     ) -> Result<Followed, Error> {
         let (joints, legs_short) = match fix_feet {
             true => {
-                let held = hold(&moved, before, skeleton, &ContactRule::default())?;
+                let held = lock_joints(&moved, before, skeleton, &ContactRule::default())?;
                 (held.joints, held.missed)
             }
             false => (moved, 0.0),

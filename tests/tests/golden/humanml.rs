@@ -5,10 +5,10 @@
 use std::path::{Path, PathBuf};
 
 use kinegrad_motion::Quaternion;
+use kinegrad_motion::humanml::bone_rotations::{facing, inverse_kinematics, to_columns};
 use kinegrad_motion::humanml::extract::{canonicalize, in_facing_frame, rescale};
-use kinegrad_motion::humanml::kinematics::{facing, inverse_kinematics, to_columns};
 use kinegrad_motion::humanml::{Extraction, Features, Heading, Joints, Root, Skeleton};
-use kinegrad_motion::rotation::length;
+use kinegrad_motion::vector::length;
 use kinegrad_motion::{JointFeatures, Measured, Statistics};
 use kinegrad_tests::golden::{Golden, compared, wide};
 use kinegrad_tests::trials;

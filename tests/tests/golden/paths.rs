@@ -4,9 +4,9 @@
 use kinegrad_motion::feet::{StepRule, steps};
 use kinegrad_motion::humanml::{Joints, Root, Skeleton};
 use kinegrad_motion::path::{
-    Along, CatmullRom, Course, Edges, Parameterization, PathFeatures, PathLoss, PathLossConfig,
-    Polyline, Turning, Warp, headings_of, placed, root_channels, savgol, savgol_weights, slide,
-    unwrapped, wrapped,
+    ArcLengthMode, CatmullRom, Course, Edges, HeadingMode, Parameterization, PathFeatures,
+    PathLoss, PathLossConfig, Polyline, Warp, headings_of, placed, root_channels, savgol,
+    savgol_weights, slide, unwrapped, wrapped,
 };
 use kinegrad_tests::golden::Golden;
 use kinegrad_tests::trials;
@@ -202,7 +202,7 @@ fn golden_warp(golden: Golden) {
         let path = Polyline::new(points(&golden, &format!("in.{case}.points"))).expect("a path");
         let out = |what: &str| format!("out.{case}.{what}");
         let track: Vec<[f64; 2]> = clip.track(0).iter().map(|[x, _, z]| [*x, *z]).collect();
-        let course = Course::of_motion(&path, &track, Along::Stretch);
+        let course = Course::of_motion(&path, &track, ArcLengthMode::Stretch);
         golden.compare(&out("target"), course.points.as_flattened(), TOLERANCE);
         let length = path.length().max(f64::MIN_POSITIVE);
         let shares: Vec<f64> = course.metres.iter().map(|metres| metres / length).collect();
@@ -210,9 +210,9 @@ fn golden_warp(golden: Golden) {
             golden.compare(&out("u"), &shares, TOLERANCE);
         }
         for (name, turning, smooth) in [
-            ("face", Turning::Face, false),
-            ("relative", Turning::Relative, false),
-            ("relative_smooth", Turning::Relative, true),
+            ("face", HeadingMode::Face, false),
+            ("relative", HeadingMode::Relative, false),
+            ("relative_smooth", HeadingMode::Relative, true),
         ] {
             if !golden.has(&out(&format!("{name}.delta"))) {
                 continue;
@@ -242,7 +242,7 @@ fn golden_warp(golden: Golden) {
     let line = Polyline::new(points(&golden, "in.line.points")).expect("a path");
     // Its root does not move, so it has no heading of its own.
     let face = Warp {
-        turning: Turning::Face,
+        turning: HeadingMode::Face,
         ..Warp::default()
     };
     let warped = face.apply(&standing, &skeleton, &line).expect("a body");

@@ -1,7 +1,7 @@
 //! Post-processor and checks of the profile `ccmotion` against golden file 10 (docs/sources.md,
 //! sections 1.12 and 1.13).
 
-use kinegrad_motion::{Hemisphere, Motion, PostProcessConfig, Profile, Value, check, process};
+use kinegrad_motion::{Hemisphere, Phrase, PostProcessConfig, Profile, Value, check, process};
 use kinegrad_tests::golden::{Golden, compared};
 use kinegrad_tests::trials;
 use kinegrad_tests::trials::GoldenTest;
@@ -29,8 +29,8 @@ fn motions(golden: &Golden) -> Vec<String> {
     motions
 }
 
-fn motion(golden: &Golden, name: &str) -> Motion {
-    Motion::new(golden.get(&format!("in.{name}.motion")).f32s()).expect("whole frames")
+fn motion(golden: &Golden, name: &str) -> Phrase {
+    Phrase::new(golden.get(&format!("in.{name}.motion")).f32s()).expect("whole frames")
 }
 
 /// The settings of an option of the file.

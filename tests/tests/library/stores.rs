@@ -5,7 +5,7 @@ use std::path::Path;
 
 use kinegrad_data::manifest::{self, ManifestRow};
 use kinegrad_data::{
-    AUDIO, Batch, DataConfig, Dataset, Digest, Error, Loader, MANIFEST, Phrase, PhraseSamples,
+    AUDIO, Batch, DataConfig, Dataset, Digest, Error, Loader, MANIFEST, PhraseItem, PhraseSamples,
     Side, Store, StoreConfig, features_path, motion_path, synthetic,
 };
 use kinegrad_motion::Statistics;
@@ -73,7 +73,11 @@ fn config(source: &str, cache: &Path, endpoint: Option<String>) -> DataConfig {
     config
 }
 
-fn loader(dataset: &Dataset<Phrase>, statistics: Arc<Statistics>, config: &DataConfig) -> Loader {
+fn loader(
+    dataset: &Dataset<PhraseItem>,
+    statistics: Arc<Statistics>,
+    config: &DataConfig,
+) -> Loader {
     let samples = PhraseSamples::new(dataset.train.clone(), statistics, config, 7);
     Loader::new(samples, config, 7, 0)
 }
@@ -84,7 +88,7 @@ fn numbers(batch: Batch) -> Vec<f32> {
 }
 
 /// The first batches of a dataset, as their numbers.
-fn batches(dataset: &Dataset<Phrase>, config: &DataConfig) -> Result<Vec<Vec<f32>>, Error> {
+fn batches(dataset: &Dataset<PhraseItem>, config: &DataConfig) -> Result<Vec<Vec<f32>>, Error> {
     let statistics = Arc::new(dataset.statistics()?);
     let mut loader = loader(dataset, statistics, config);
     (0..6)
@@ -121,13 +125,13 @@ fn bucket_equals_folder(emulator: &Emulator, scheme: &str, with_manifest: bool) 
     );
 
     let local = config(&set.display().to_string(), &cache, None);
-    let expected = Dataset::<Phrase>::open(&local).expect("the folder opens");
+    let expected = Dataset::<PhraseItem>::open(&local).expect("the folder opens");
     let expected_batches = batches(&expected, &local).expect("batches");
-    let cold = Dataset::<Phrase>::open(&remote).expect("the bucket opens");
+    let cold = Dataset::<PhraseItem>::open(&remote).expect("the bucket opens");
     assert_eq!(cold.digest, expected.digest);
     assert_eq!(batches(&cold, &remote).expect("batches"), expected_batches);
     assert_eq!(cold.report().disk_hits, 0);
-    let warm = Dataset::<Phrase>::open(&remote).expect("the bucket opens again");
+    let warm = Dataset::<PhraseItem>::open(&remote).expect("the bucket opens again");
     assert_eq!(batches(&warm, &remote).expect("batches"), expected_batches);
     let report = warm.report();
     assert_eq!(report.disk_hits, 2 * PHRASES as u64, "{report:?}");
@@ -135,7 +139,7 @@ fn bucket_equals_folder(emulator: &Emulator, scheme: &str, with_manifest: bool) 
     let mut bare = remote.clone();
     bare.cache.disk_mib = 0;
     bare.cache.memory_mib = 0;
-    let uncached = Dataset::<Phrase>::open(&bare).expect("the bucket opens");
+    let uncached = Dataset::<PhraseItem>::open(&bare).expect("the bucket opens");
     assert_eq!(
         batches(&uncached, &bare).expect("batches"),
         expected_batches
@@ -143,7 +147,7 @@ fn bucket_equals_folder(emulator: &Emulator, scheme: &str, with_manifest: bool) 
     let report = uncached.report();
     assert_eq!((report.memory_hits, report.disk_hits), (0, 0));
     assert!(report.reads > 3 * PHRASES as u64, "{report:?}");
-    let ids = |dataset: &Dataset<Phrase>| {
+    let ids = |dataset: &Dataset<PhraseItem>| {
         dataset
             .validation
             .ids()
@@ -188,7 +192,7 @@ fn local_batches(folder: &tempfile::TempDir, remote: &DataConfig) -> Vec<Vec<f32
         ..remote.clone()
     };
     batches(
-        &Dataset::<Phrase>::open(&local).expect("the folder opens"),
+        &Dataset::<PhraseItem>::open(&local).expect("the folder opens"),
         &local,
     )
     .expect("batches")
@@ -212,7 +216,8 @@ fn passing_faults_are_survived_and_no_wrong_byte_is_used() {
         );
         server.inject("synthetic_00003/trajectory.npy", fault, 2);
         server.inject("synthetic_00007/features.npz", fault, 2);
-        let dataset = Dataset::<Phrase>::open(&config).unwrap_or_else(|e| panic!("{fault:?}: {e}"));
+        let dataset =
+            Dataset::<PhraseItem>::open(&config).unwrap_or_else(|e| panic!("{fault:?}: {e}"));
         let found = batches(&dataset, &config).unwrap_or_else(|e| panic!("{fault:?}: {e}"));
         assert_eq!(found, local_batches(&folder, &config), "{fault:?}");
         let injected = server.injected();
@@ -229,7 +234,7 @@ fn passing_faults_are_survived_and_no_wrong_byte_is_used() {
 fn a_stalled_answer_is_given_up_and_tried_again() {
     let (folder, server, config) = web(true);
     server.inject("synthetic_00003/features.npz", Fault::Stall, 1);
-    let dataset = Dataset::<Phrase>::open(&config).expect("the second try answers");
+    let dataset = Dataset::<PhraseItem>::open(&config).expect("the second try answers");
     assert_eq!(
         batches(&dataset, &config).expect("batches"),
         local_batches(&folder, &config)
@@ -251,7 +256,7 @@ fn lasting_faults_end_with_the_object_s_name() {
         config.store.max_retries = 1;
         config.store.timeout_seconds = 0.3;
         server.inject("synthetic_00005/features.npz", fault, usize::MAX);
-        let message = Dataset::<Phrase>::open(&config)
+        let message = Dataset::<PhraseItem>::open(&config)
             .expect_err("it never works")
             .to_string();
         let object = format!(
@@ -271,7 +276,7 @@ fn forbidden_objects_are_not_tried_again() {
         Fault::Status(403),
         usize::MAX,
     );
-    let error = Dataset::<Phrase>::open(&config).expect_err("forbidden");
+    let error = Dataset::<PhraseItem>::open(&config).expect_err("forbidden");
     let message = error.to_string();
     assert!(message.contains("access denied"), "{message}");
     assert_eq!(server.injected(), 1);
@@ -288,7 +293,7 @@ fn phrases_of_a_batch_that_are_far_away_are_read_at_once() {
     let most_with = |concurrency| {
         let mut config = config.clone();
         config.store.concurrency = concurrency;
-        let dataset = Dataset::<Phrase>::open(&config).expect("all is there");
+        let dataset = Dataset::<PhraseItem>::open(&config).expect("all is there");
         let statistics = Arc::new(dataset.statistics().expect("statistics"));
         server.take_most_under_way();
         server.inject("synthetic_", Fault::Slow, config.batch_size);
@@ -306,7 +311,7 @@ fn changed_under_way(change: impl Fn(&Path)) -> (String, Vec<Vec<f32>>) {
     let (folder, _server, mut config) = web(true);
     config.cache.memory_mib = 0;
     config.num_workers = 0;
-    let dataset = Dataset::<Phrase>::open(&config).expect("all is there");
+    let dataset = Dataset::<PhraseItem>::open(&config).expect("all is there");
     let statistics = Arc::new(dataset.statistics().expect("statistics"));
     let mut loader = loader(&dataset, statistics, &config);
     let mut before = vec![];
@@ -357,7 +362,7 @@ fn an_object_that_is_deleted_under_way_stops_the_run_by_name() {
 #[test]
 fn web_servers_need_a_manifest_and_take_no_files() {
     let (_folder, _server, config) = web(false);
-    let message = Dataset::<Phrase>::open(&config)
+    let message = Dataset::<PhraseItem>::open(&config)
         .expect_err("no manifest")
         .to_string();
     assert!(
@@ -375,7 +380,7 @@ fn a_damaged_cache_is_read_past() {
     let (folder, server, mut config) = web(true);
     config.cache.disk_mib = 100;
     let expected = local_batches(&folder, &config);
-    Dataset::<Phrase>::open(&config).expect("cold");
+    Dataset::<PhraseItem>::open(&config).expect("cold");
     let cold = server.requests("features.npz");
     let objects = folder.path().join("cache/objects");
     for (name, mut bytes) in contents(&objects) {
@@ -383,7 +388,7 @@ fn a_damaged_cache_is_read_past() {
         bytes[100] ^= 4;
         fs::write(path, bytes).expect("written");
     }
-    let again = Dataset::<Phrase>::open(&config).expect("warm, and damaged");
+    let again = Dataset::<PhraseItem>::open(&config).expect("warm, and damaged");
     assert_eq!(batches(&again, &config).expect("batches"), expected);
     assert_eq!(server.requests("features.npz"), 2 * cold);
     assert_eq!(again.report().disk_hits, 0);
@@ -410,7 +415,7 @@ fn faults_before_a_bucket_are_survived_too() {
     proxy.inject("list-type", Fault::Reset, 2);
     proxy.inject("trajectory", Fault::Truncate, 3);
     proxy.inject("features", Fault::Reset, 3);
-    let opened = Dataset::<Phrase>::open(&remote).expect("the bucket opens");
+    let opened = Dataset::<PhraseItem>::open(&remote).expect("the bucket opens");
     assert_eq!(
         batches(&opened, &remote).expect("batches"),
         local_batches(&folder, &remote)
@@ -426,7 +431,7 @@ fn manifests_with_tricks_are_refused() {
     tricked[4].id = "../../outside".to_owned();
     let store = Store::open(&set.display().to_string(), &StoreConfig::default()).expect("a folder");
     manifest::write(&store, tricked).expect("written");
-    let message = Dataset::<Phrase>::open(&config)
+    let message = Dataset::<PhraseItem>::open(&config)
         .expect_err("a trick")
         .to_string();
     assert!(

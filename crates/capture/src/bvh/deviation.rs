@@ -1,8 +1,7 @@
 //! The joints of a file that was made of a clip, and how far they are from the clip's.
 
-use kinegrad_motion::humanml::kinematics::minus;
 use kinegrad_motion::humanml::{Joints, Skeleton};
-use kinegrad_motion::rotation::length;
+use kinegrad_motion::vector::{length, minus};
 
 use super::Bvh;
 

@@ -1,9 +1,10 @@
 //! Converting joint positions to a BVH skeleton.
 
 use kinegrad_motion::Quaternion;
-use kinegrad_motion::humanml::kinematics::{Across, between, forward, minus};
+use kinegrad_motion::humanml::bone_rotations::{Across, forward};
 use kinegrad_motion::humanml::{Joints, Skeleton};
-use kinegrad_motion::rotation::length;
+use kinegrad_motion::rotation::between;
+use kinegrad_motion::vector::{length, minus};
 
 use super::{Bvh, Joint};
 use crate::Error;

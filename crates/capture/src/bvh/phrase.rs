@@ -1,7 +1,7 @@
 //! Phrases, and other lone roots, as BVH.
 
 use kinegrad_motion::phrase::POSITION;
-use kinegrad_motion::{FPS, Motion, Quaternion};
+use kinegrad_motion::{FPS, Phrase, Quaternion};
 
 use super::{Bvh, Joint};
 use crate::Error;
@@ -23,7 +23,7 @@ impl Bvh {
     ///
     /// # Errors
     /// [`Error::Setting`] if `units_per_metre` is not positive or the phrase is not finite.
-    pub fn from_phrase(phrase: &Motion, units_per_metre: f64) -> Result<Self, Error> {
+    pub fn from_phrase(phrase: &Phrase, units_per_metre: f64) -> Result<Self, Error> {
         let frames = 0..phrase.frames();
         let positions: Vec<[f64; 3]> = frames.clone().map(|t| phrase.vector(t, POSITION)).collect();
         let turns: Vec<Quaternion> = frames.map(|t| phrase.quaternion(t)).collect();

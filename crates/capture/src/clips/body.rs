@@ -2,10 +2,10 @@
 
 use std::ops::Range;
 
-use kinegrad_motion::humanml::kinematics::{Across, forward, minus, plus};
+use kinegrad_motion::humanml::bone_rotations::{Across, forward};
 use kinegrad_motion::humanml::{Joints, Skeleton};
-use kinegrad_motion::rotation::length;
-use kinegrad_motion::speed::spline;
+use kinegrad_motion::time_stretch::spline;
+use kinegrad_motion::vector::{length, minus, plus};
 
 use super::centres::Centres;
 use super::map::JointMap;

@@ -3,9 +3,8 @@
 use std::ops::Range;
 
 use kinegrad_motion::humanml::extract::{canonicalize, leg_ratio, rescale};
-use kinegrad_motion::humanml::kinematics::minus;
 use kinegrad_motion::humanml::{Extraction, FeatureError, Features, Joints, Skeleton};
-use kinegrad_motion::rotation::length;
+use kinegrad_motion::vector::{length, minus};
 
 /// Toes that move less than this from frame to frame stand, metres.
 const STANDING: f64 = 0.01;

@@ -1,7 +1,7 @@
 //! Joints that are not where a capture has joints: between two of them, and on a chain's last bone.
 
 use kinegrad_motion::humanml::Skeleton;
-use kinegrad_motion::rotation::length;
+use kinegrad_motion::vector::length;
 
 use super::tests::{body_of, capture, walking};
 use super::*;

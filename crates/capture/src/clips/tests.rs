@@ -8,7 +8,7 @@ use kinegrad_data::{Store, StoreConfig};
 use kinegrad_motion::Quaternion;
 use kinegrad_motion::humanml::walk::{self, Course};
 use kinegrad_motion::humanml::{Joints, Skeleton};
-use kinegrad_motion::rotation::length;
+use kinegrad_motion::vector::length;
 
 use super::*;
 use crate::{Bvh, UpAxis};

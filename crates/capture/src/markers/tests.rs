@@ -3,7 +3,7 @@ use crate::MarkerGaps;
 use crate::RootSource;
 use crate::c3d::tests::writer::Example;
 use kinegrad_motion::Quaternion;
-use kinegrad_motion::rotation::length;
+use kinegrad_motion::vector::length;
 
 const PELVIS: [&str; 4] = ["d:LFWT", "d:RFWT", "d:LBWT", "d:RBWT"];
 

@@ -6,7 +6,7 @@ use std::ops::Range;
 
 use kinegrad_data::manifest::{Flag, ManifestRow};
 use kinegrad_data::{AudioFeatures, AudioLayout, Digest, features_bytes, motion_bytes};
-use kinegrad_motion::{FPS, Motion, Profile, check};
+use kinegrad_motion::{FPS, Phrase, Profile, check};
 
 use super::align::AlignedTrack;
 use super::grid::Timeline;
@@ -227,7 +227,7 @@ impl AlignedTake<'_> {
         Ok(NewPhrase { row, motion, audio })
     }
 
-    fn flags(&self, motion: &Motion, frames: &Range<usize>) -> Vec<Flag> {
+    fn flags(&self, motion: &Phrase, frames: &Range<usize>) -> Vec<Flag> {
         let mut borders = self.aligned.borders.iter();
         let joined = borders.any(|border| (frames.start + 1..frames.end).contains(border));
         let damaged = self.song.is_some_and(|song| song.damage.is_some());

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use kinegrad_motion::path::{Along, Turning};
+use kinegrad_motion::path::{ArcLengthMode, HeadingMode};
 
 use super::values::named;
 
@@ -29,12 +29,12 @@ pub struct WarpArguments {
     pub overwrite: bool,
     /// `stretch`: over the whole path, faster or slower than before; `own`: at the motion's speed,
     /// until one of them ends
-    #[arg(long, value_parser = named::<Along>, default_value = "stretch")]
-    pub along: Along,
-    /// Turning of the body: `relative`, with the direction of movement (side steps stay side steps);
+    #[arg(long, value_parser = named::<ArcLengthMode>, default_value = "stretch")]
+    pub along: ArcLengthMode,
+    /// HeadingMode of the body: `relative`, with the direction of movement (side steps stay side steps);
     /// `face`, facing along the path; `free`, none
-    #[arg(long, value_parser = named::<Turning>, default_value = "relative", value_name = "TURNING")]
-    pub heading: Turning,
+    #[arg(long, value_parser = named::<HeadingMode>, default_value = "relative", value_name = "TURNING")]
+    pub heading: HeadingMode,
     /// Do not smooth turns over time
     #[arg(long)]
     pub sharp: bool,

@@ -5,10 +5,10 @@ use std::process::ExitCode;
 
 use kinegrad_data::Digest;
 use kinegrad_data::file::read_text;
-use kinegrad_motion::feet::{ContactRule, hold_above};
+use kinegrad_motion::feet::{ContactRule, lock_joints_above};
 use kinegrad_motion::humanml::{Extraction, Features, Joints, Skeleton};
 use kinegrad_motion::metrics::{mean_jerk, skating_ratio};
-use kinegrad_motion::path::{Along, PathPlan, PathReport, Warp};
+use kinegrad_motion::path::{ArcLengthMode, PathPlan, PathReport, Warp};
 use kinegrad_report::table;
 use kinegrad_train::Error;
 use kinegrad_train::systems::Systems;
@@ -97,7 +97,7 @@ pub fn run(systems: Systems<'_>, arguments: WarpArguments) -> Result<ExitCode, E
         joints.joints(),
     )?;
     let locked = match arguments.lock_feet {
-        true => Some(hold_above(
+        true => Some(lock_joints_above(
             &warped.joints,
             &own,
             &skeleton,
@@ -252,7 +252,7 @@ impl Record {
     }
 
     /// Prints notes and warnings.
-    fn doubt(&self, given: usize, along: Along) {
+    fn doubt(&self, given: usize, along: ArcLengthMode) {
         if self.frames < given {
             tell!(
                 "note: the path ends after {} of {given} frames, at {:.2} m",
@@ -261,7 +261,7 @@ impl Record {
             );
         }
         match self.speed_ratio {
-            0.0 if along == Along::Own => {}
+            0.0 if along == ArcLengthMode::Own => {}
             0.0 => tell!("warning: the motion stands still, so it slides along the path"),
             ratio if !USUAL.contains(&ratio) => tell!(
                 "warning: the root is {ratio:.2} times as fast as before, so feet slide: give a path of \

@@ -5,7 +5,7 @@ use std::path::Path;
 use kinegrad_capture::Units;
 use kinegrad_capture::{Bvh, UpAxis};
 use kinegrad_data::file::read_file;
-use kinegrad_motion::feet::{ContactRule, hold};
+use kinegrad_motion::feet::{ContactRule, lock_joints};
 use kinegrad_motion::humanml::{Joints, Skeleton};
 use kinegrad_train::Error;
 
@@ -167,7 +167,7 @@ fn with_locked_feet(
     // In BVH bones have constant lengths: feet that are locked before would slide again.
     let rigid = bvh.joints_of(skeleton, CENTIMETRES);
     let rigid = rigid.expect("a file of these joints");
-    let locked = hold(&rigid, joints, skeleton, &ContactRule::default())?;
+    let locked = lock_joints(&rigid, joints, skeleton, &ContactRule::default())?;
     let short = match locked.missed > EXACT {
         true => format!("; legs are up to {:.3} m too short", locked.missed),
         false => String::new(),

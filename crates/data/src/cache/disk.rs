@@ -1,10 +1,9 @@
-//! Files of remote datasets on disk, named by what they hold.
+//! Cache of remote files on disk, by content.
 //!
-//! `objects/AB/SHA256` holds the bytes whose SHA-256 is its name, so that a damaged file is known
-//! when it is read, and equal files of two datasets are one. `names/KEY` holds the checksum that
-//! belongs to one version of one object of a store that keeps no manifest. Every file appears by a
-//! rename and is never changed, so any number of processes may share the folder; one of them at a
-//! time makes room.
+//! `objects/AB/SHA256` contains the bytes with that SHA-256, so damage is detected when read and
+//! equal files are shared. `names/KEY` contains the checksum of one version of one object of a
+//! store without a manifest. Files appear by a rename and never change, so processes may share the
+//! folder; one at a time evicts files.
 
 use std::fs::{self, File, TryLockError};
 use std::path::{Path, PathBuf};
@@ -15,20 +14,20 @@ use crate::digest::Digest;
 use crate::file::{lock_file, read_file, read_text};
 use crate::{Error, atomic};
 
-/// After a clean-up, so much of the bound is in use: room for the next files.
+/// Share of the limit that is in use after eviction.
 const KEPT_SHARE: f64 = 0.9;
 
-/// A folder of files, bounded in bytes.
+/// A folder of files with a size limit.
 #[derive(Debug)]
 pub(crate) struct DiskCache {
     folder: PathBuf,
     limit: u64,
-    /// Bytes written since the folder was last measured.
+    /// Bytes written since the last measurement.
     unmeasured: AtomicU64,
 }
 
 impl DiskCache {
-    /// The cache in `folder`, made where it is missing.
+    /// The cache in `folder`, created if missing.
     ///
     /// # Errors
     /// [`Error::Io`].
@@ -47,7 +46,7 @@ impl DiskCache {
         Ok(cache)
     }
 
-    /// The bytes with this checksum, if they are here and whole. A damaged file is removed.
+    /// The bytes with this checksum, if present and intact. A damaged file is removed.
     pub fn get(&self, digest: &Digest) -> Option<Vec<u8>> {
         let path = self.object(digest);
         let bytes = read_file(&path, self.limit).ok()?;
@@ -55,14 +54,14 @@ impl DiskCache {
             let _ = fs::remove_file(&path);
             return None;
         }
-        // The time of last use decides what goes first; a read-only cache works without.
+        // The modification time orders the eviction; a read-only cache works without.
         if let Ok(file) = File::options().append(true).open(&path) {
             let _ = file.set_modified(SystemTime::now());
         }
         Some(bytes)
     }
 
-    /// Keeps `bytes`. A full disk only means that they are not kept.
+    /// Stores `bytes`, unless the disk is full.
     pub fn put(&self, digest: &Digest, bytes: &[u8]) {
         if bytes.len() as u64 > self.limit {
             return;
@@ -78,17 +77,17 @@ impl DiskCache {
         }
     }
 
-    /// The checksum kept under `key`.
+    /// The checksum stored under `key`.
     pub fn name(&self, key: &Digest) -> Option<Digest> {
         let text = read_text(&self.folder.join("names").join(key.to_string())).ok()?;
         Digest::parse(text.trim())
     }
 
-    /// Keeps a checksum under `key`.
+    /// Stores a checksum under `key`.
     pub fn put_name(&self, key: &Digest, digest: &Digest) {
         let path = self.folder.join("names").join(key.to_string());
         let text = digest.to_string();
-        // Without it the object is read again, no more.
+        // Without it the object is read again.
         let _ = atomic::write(&path, text.as_bytes());
     }
 
@@ -97,13 +96,12 @@ impl DiskCache {
         self.folder.join("objects").join(&name[..2]).join(name)
     }
 
-    /// Removes the files unused for longest until the bound holds. If another process is doing
-    /// so, leaves it to that one.
+    /// Removes the least recently used files until the limit holds, unless another process does so.
     fn make_room(&self) {
         let Ok(lock) = lock_file(&self.folder.join("lock")) else {
             return;
         };
-        // Where files cannot be locked, each process makes room by itself.
+        // Without file locks, each process evicts by itself.
         if matches!(lock.try_lock(), Err(TryLockError::WouldBlock)) {
             return;
         }
@@ -116,9 +114,9 @@ impl DiskCache {
             return;
         }
         files.sort_unstable();
-        let kept = (self.limit as f64 * KEPT_SHARE) as u64;
+        let target = (self.limit as f64 * KEPT_SHARE) as u64;
         for (_, path, bytes) in files {
-            if total <= kept {
+            if total <= target {
                 break;
             }
             if fs::remove_file(&path).is_ok() {
@@ -128,8 +126,7 @@ impl DiskCache {
     }
 }
 
-/// All files below `folder`, each with the time of its last use and its bytes; what vanishes
-/// meanwhile is passed over.
+/// All files in `folder` with time of last use and size.
 fn collect(folder: &Path, files: &mut Vec<(SystemTime, PathBuf, u64)>) {
     for entry in fs::read_dir(folder).into_iter().flatten().flatten() {
         let Ok(metadata) = entry.metadata() else {

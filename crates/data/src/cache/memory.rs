@@ -1,4 +1,4 @@
-//! Items in memory, bounded in bytes, with least-recently-used eviction.
+//! Items in memory, with a size limit and least-recently-used eviction.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -6,15 +6,15 @@ use lru::LruCache;
 
 use crate::Item;
 
-/// Items by their number in the dataset.
+/// Items by their index in the dataset.
 #[derive(Debug)]
 pub(crate) struct MemoryCache<T> {
     limit: usize,
-    held: Mutex<Held<T>>,
+    entries: Mutex<Entries<T>>,
 }
 
 #[derive(Debug)]
-struct Held<T> {
+struct Entries<T> {
     items: LruCache<usize, Arc<T>>,
     bytes: usize,
 }
@@ -22,47 +22,47 @@ struct Held<T> {
 impl<T: Item> MemoryCache<T> {
     /// An empty cache of at most `limit` bytes.
     pub fn new(limit: usize) -> Self {
-        let held = Held {
+        let entries = Entries {
             items: LruCache::unbounded(),
             bytes: 0,
         };
         Self {
             limit,
-            held: Mutex::new(held),
+            entries: Mutex::new(entries),
         }
     }
 
-    fn lock(&self) -> MutexGuard<'_, Held<T>> {
+    fn lock(&self) -> MutexGuard<'_, Entries<T>> {
         // Nothing that panics runs under the lock.
-        self.held.lock().unwrap_or_else(PoisonError::into_inner)
+        self.entries.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Item `number`, if it is held.
+    /// Item `number`, if cached.
     pub fn get(&self, number: usize) -> Option<Arc<T>> {
         self.lock().items.get(&number).cloned()
     }
 
-    /// Whether item `number` is held now; counts as no use of it.
-    pub fn holds(&self, number: usize) -> bool {
+    /// Whether item `number` is cached, without using it.
+    pub fn contains(&self, number: usize) -> bool {
         self.lock().items.contains(&number)
     }
 
-    /// Holds item `number` from now on, unless it alone exceeds the limit.
+    /// Caches item `number`, unless it exceeds the limit.
     pub fn put(&self, number: usize, item: Arc<T>) {
         let bytes = item.bytes();
         if bytes > self.limit {
             return;
         }
-        let mut held = self.lock();
-        if let Some(before) = held.items.put(number, item) {
-            held.bytes -= before.bytes();
+        let mut entries = self.lock();
+        if let Some(before) = entries.items.put(number, item) {
+            entries.bytes -= before.bytes();
         }
-        held.bytes += bytes;
-        while held.bytes > self.limit {
-            let Some((_, oldest)) = held.items.pop_lru() else {
+        entries.bytes += bytes;
+        while entries.bytes > self.limit {
+            let Some((_, oldest)) = entries.items.pop_lru() else {
                 break;
             };
-            held.bytes -= oldest.bytes();
+            entries.bytes -= oldest.bytes();
         }
     }
 }
@@ -85,13 +85,13 @@ mod tests {
         assert!(cache.get(0).is_some());
         cache.put(3, phrases[3].clone());
         cache.put(3, phrases[3].clone());
-        let held: Vec<bool> = (0..4).map(|n| cache.get(n).is_some()).collect();
-        assert_eq!(held, [true, false, true, true]);
+        let cached: Vec<bool> = (0..4).map(|n| cache.get(n).is_some()).collect();
+        assert_eq!(cached, [true, false, true, true]);
         assert!(cache.lock().bytes <= 3 * one);
     }
 
     #[test]
-    fn what_is_larger_than_the_bound_is_not_held() {
+    fn what_is_larger_than_the_bound_is_not_cached() {
         let cache = MemoryCache::new(100);
         cache.put(0, Arc::new(synthetic::phrase(0, 10, 0)));
         assert!(cache.get(0).is_none());

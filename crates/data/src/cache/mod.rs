@@ -1,4 +1,4 @@
-//! Caches: items in memory, files of remote datasets on disk.
+//! Caches: items in memory, remote files on disk.
 
 mod disk;
 mod memory;

@@ -1,14 +1,14 @@
-//! What the table `data` may say of clips.
+//! Validation of the table `data` for clips.
 
 use kinegrad_settings::{InvalidSetting, Refused, in_range, require};
 
 use super::{DataConfig, DataKind, MIN_FRAMES, StatisticsOf};
 use crate::humanml::SkeletonName;
 
-/// Checks the table `humanml3d`, and what the rest of `data` says of clips.
+/// Validates the table `humanml3d` and the other keys of `data` for clips.
 ///
 /// # Errors
-/// Names the first key that cannot be followed.
+/// Names the first invalid key.
 pub(super) fn validate(data: &DataConfig) -> Result<(), InvalidSetting> {
     let clips = &data.humanml3d;
     let (unit, least) = (clips.unit_frames, clips.unit_frames.max(MIN_FRAMES));
@@ -55,7 +55,7 @@ fn validate_walks(data: &DataConfig) -> Result<(), InvalidSetting> {
     .hint("walks keep to `data.humanml3d.min_frames` and `max_frames`; 20 frames are one second")
 }
 
-/// The lists of a HumanML3D dataset decide which clips are held out, and nothing else does.
+/// The lists of a HumanML3D dataset alone decide the split.
 fn validate_split(data: &DataConfig) -> Result<(), InvalidSetting> {
     let split = &data.validation;
     for (key, set) in [
@@ -70,13 +70,13 @@ fn validate_split(data: &DataConfig) -> Result<(), InvalidSetting> {
     Ok(())
 }
 
-/// What is done to phrases alone.
+/// Rejects settings of phrases.
 fn validate_no_phrase_settings(data: &DataConfig) -> Result<(), InvalidSetting> {
     let augment = &data.augment;
     let anchored = "every sample begins at the origin facing +z";
     let mirrored = "a HumanML3D copy lists its mirrored clips beside the others";
     let turned = "features hold no quaternions";
-    let long = "data.humanml3d.unit_frames says how long samples are";
+    let long = "data.humanml3d.unit_frames sets the length of samples";
     let silent = "clips have no music";
     for (key, set, hint) in [
         (

@@ -1,20 +1,20 @@
-//! Captions as labels: the distinct captions of a dataset, of which a model learns an embedding each.
+//! Captions as labels: the distinct captions of a dataset, each with a learned embedding.
 
 use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
 
 use kinegrad_ranks::{Alone, Sharing};
 
-use crate::survey::OpenProgress;
+use crate::progress::OpenProgress;
 use crate::{Error, ItemSet};
 
 use super::Clip;
 
-/// The most captions that a model learns an embedding of each. HumanML3D has 45,000 distinct ones,
-/// most of which occur once: there is nothing to learn from those alone.
+/// Most captions with a learned embedding. HumanML3D has 45,000 distinct ones, most of which occur
+/// once.
 pub const MAX_CAPTIONS: usize = 4096;
 
-/// The captions that a model knows, each with its row in the model's table.
+/// The captions of a model, each with its row in the embedding table.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct CaptionLabels {
     captions: Arc<[String]>,
@@ -22,7 +22,7 @@ pub struct CaptionLabels {
 }
 
 impl CaptionLabels {
-    /// Labels of these distinct `captions`, in the order of their rows.
+    /// Labels of distinct `captions`, in row order.
     pub fn new(captions: Vec<String>) -> Self {
         let rows = captions.iter().cloned().zip(0..).collect();
         Self {
@@ -31,18 +31,18 @@ impl CaptionLabels {
         }
     }
 
-    /// The captions, in the order of their rows.
+    /// The captions, in row order.
     pub fn captions(&self) -> &[String] {
         &self.captions
     }
 
-    /// The row of a caption that is known to the letter.
+    /// The row of a caption, by exact match.
     pub fn row(&self, caption: &str) -> Option<usize> {
         self.rows.get(caption).copied()
     }
 
-    /// The row of a caption as someone types it: the one that is the same to the letter, else the
-    /// only one that is the same but for capitals, spaces and the punctuation at its end.
+    /// The row of a typed caption: by exact match, else the only one that differs in capitals,
+    /// spaces and final punctuation.
     pub fn row_of_typed(&self, text: &str) -> Option<usize> {
         let exact = self.row(text.trim());
         exact.or_else(|| {
@@ -56,7 +56,7 @@ impl CaptionLabels {
         })
     }
 
-    /// What the model is told: 1 in the caption's row, or zeros for no caption.
+    /// The one-hot condition of a row, or zeros for no caption.
     ///
     /// # Shapes
     /// - output: `[captions]`
@@ -69,7 +69,7 @@ impl CaptionLabels {
     }
 }
 
-/// A caption without what people type differently.
+/// A caption without capitals, extra spaces and final punctuation.
 fn plain(text: &str) -> String {
     let words: Vec<&str> = text.split_whitespace().collect();
     let text = words.join(" ").to_lowercase();
@@ -77,11 +77,11 @@ fn plain(text: &str) -> String {
 }
 
 impl ItemSet<Clip> {
-    /// The distinct captions of the clips in alphabetical order, each with the id of the first clip
-    /// that has it, telling `progress` how many clips are read.
+    /// The distinct captions of the clips in alphabetical order, each with the id of its first
+    /// clip, with `progress` over clips.
     ///
     /// # Errors
-    /// As [`get`](Self::get), and [`Error::Interrupted`] if `progress` says so.
+    /// As [`get`](Self::get), and [`Error::Interrupted`].
     pub fn captions_with_progress(
         &self,
         progress: OpenProgress,
@@ -89,11 +89,11 @@ impl ItemSet<Clip> {
         self.captions_among(progress, &Alone)
     }
 
-    /// [`captions_with_progress`](Self::captions_with_progress) by ranks that each read a part of the
-    /// clips. Collective.
+    /// [`captions_with_progress`](Self::captions_with_progress) by ranks that each read a part of
+    /// the clips. Collective.
     ///
     /// # Errors
-    /// As there, and [`Error::OtherReader`] where another rank has failed.
+    /// As there, and [`Error::OtherReader`].
     pub fn captions_among(
         &self,
         progress: OpenProgress,
@@ -122,7 +122,7 @@ mod tests {
     use super::*;
     use crate::humanml::{CaptionText, ClipSamples, Humanml3dConfig};
     use crate::loader::Samples as _;
-    use crate::survey::unheard;
+    use crate::progress::no_progress;
     use crate::{DataConfig, DataKind, Dataset};
 
     fn labels() -> CaptionLabels {
@@ -169,7 +169,7 @@ mod tests {
         config.synthetic.phrases = 9;
         let dataset = Dataset::<Clip>::open(&config).unwrap();
         let statistics = Arc::new(dataset.statistics().unwrap());
-        let captions = dataset.train.captions_with_progress(&unheard).unwrap();
+        let captions = dataset.train.captions_with_progress(&no_progress).unwrap();
         let clips = dataset.train.load().unwrap();
         let texts = clips.iter().flat_map(|clip| &clip.captions);
         assert!(texts.clone().all(|caption| caption.embedding.is_none()));

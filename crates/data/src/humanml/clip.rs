@@ -1,4 +1,4 @@
-//! One clip: its features and its captions, read from the layout of HumanML3D.
+//! One clip: features and captions, read from the layout of HumanML3D.
 
 use std::borrow::Cow;
 use std::path::Path;
@@ -8,38 +8,36 @@ use kinegrad_motion::humanml::{Features, Root, Skeleton, TEXT_CHANNELS};
 use kinegrad_motion::metrics::text_motion::Token;
 
 use crate::files::Files;
-use crate::library::{Origin, Reading, Wanted};
+use crate::item_store::{ItemSource, ReadItem, ReadRequest};
 use crate::listing::Expected;
 use crate::magnitude::first_unusable;
 use crate::{Error, FileError, Item, ItemSet, StoreError, atomic, npy};
 
 use super::config::SkeletonName;
 use super::embeddings::Embeddings;
-use super::{Caption, parse_captions, texts};
+use super::texts::{self, texts_path};
+use super::{Caption, parse_captions};
 
-/// The folder of all features, in files `ID.npy`.
+/// Folder of all features, in files `ID.npy`.
 pub const FEATURES: &str = "new_joint_vecs";
-/// The folder of all captions, in files `ID.txt`.
-pub const TEXTS: &str = "texts";
 
 /// Clips in the order of their ids. A clone is another handle to the same ones.
 pub type ClipSet = ItemSet<Clip>;
 
-/// A clip: features `[frames, channels]` and the captions that describe it.
+/// A clip: features `[frames, channels]` and captions.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Clip {
     /// Name of its files.
     pub id: String,
-    /// Its features with relative root, as stored.
+    /// Features with relative root, as stored.
     pub features: Features,
-    /// Those of its captions that can be used, in their order: passages of fewer than
-    /// `data.humanml3d.min_frames` frames are left out. May be empty.
+    /// Usable captions in order: those of ranges shorter than `data.humanml3d.min_frames` are
+    /// dropped. May be empty.
     pub captions: Vec<Caption>,
 }
 
 impl Clip {
-    /// The caption that stands for the clip: the first that is of all of it, otherwise the first of
-    /// a passage; none of a clip without captions.
+    /// The first caption of the whole clip, else the first one; none without captions.
     pub fn caption(&self) -> Option<&Caption> {
         let whole = self
             .captions
@@ -48,7 +46,7 @@ impl Clip {
         whole.or(self.captions.first())
     }
 
-    /// Drops the captions of passages of fewer than `min_frames` frames; how many those were.
+    /// Drops captions of ranges of fewer than `min_frames` frames and returns their number.
     pub(super) fn drop_short_captions(&mut self, fps: f64, min_frames: usize) -> usize {
         let (before, frames) = (self.captions.len(), self.features.frames());
         let usable = |caption: &Caption| caption.frames(frames, fps).len() >= min_frames;
@@ -93,7 +91,7 @@ impl Item for Clip {
         vec![
             ("captions", self.captions.len()),
             (
-                "captions of passages",
+                "captions of ranges",
                 count(|caption| caption.seconds.is_some()),
             ),
             (
@@ -105,22 +103,16 @@ impl Item for Clip {
     }
 }
 
-/// Where the features of clip `id` lie within its dataset.
+/// Path of the features of clip `id` in its dataset.
 pub fn features_path(id: &str) -> String {
     format!("{FEATURES}/{id}.npy")
 }
 
-/// Where the captions of clip `id` lie within its dataset.
-pub fn texts_path(id: &str) -> String {
-    format!("{TEXTS}/{id}.txt")
-}
-
-/// Parses the bytes of a `.npy` file of features with relative root, `[frames, channels]` of
-/// `skeleton`, in metres or, as those of KIT-ML, in millimetres; `file` names it in errors.
+/// Parses a `.npy` file of features with relative root, `[frames, channels]` of `skeleton`, in
+/// metres or (KIT-ML) millimetres; `file` names it in errors.
 ///
 /// # Errors
-/// [`FileError`] for what is no such array, for another number of channels than the skeleton's and
-/// for numbers that are not finite.
+/// [`FileError`] for another array, another number of channels, and values that are not finite.
 pub fn parse_features(
     bytes: &[u8],
     file: &str,
@@ -150,8 +142,8 @@ pub fn parse_features(
     })
 }
 
-/// The last axis of an array of `axes` axes, if it is as wide as the skeleton's features and no
-/// other is empty.
+/// The width of an array of `axes` axes, if it is that of the skeleton's features and no axis is
+/// empty.
 pub(super) fn check_width(
     shape: &[usize],
     axes: usize,
@@ -189,7 +181,7 @@ pub(super) fn check_width(
     }
 }
 
-/// Writes `features` as `[frames, channels]` little-endian float32, whole or not at all.
+/// Writes `features` as `[frames, channels]` little-endian float32, atomically.
 ///
 /// # Errors
 /// [`Error::Io`].
@@ -208,17 +200,17 @@ pub fn features_bytes(features: &Features) -> Vec<u8> {
 pub(super) struct ClipFiles {
     pub files: Files,
     pub skeleton: Skeleton,
-    /// None where the model is not conditioned on text.
+    /// None if the model is not conditioned on text.
     pub embeddings: Option<Embeddings>,
     pub captions_required: bool,
     pub min_frames: usize,
     pub max_frames: usize,
-    /// What else decides what is trained on: the statistics files.
+    /// Checksums of the statistics files.
     pub fingerprint: String,
 }
 
 impl ClipFiles {
-    /// Captions with their embeddings, and the checksum of their file; none where it is missing.
+    /// Captions with their embeddings, and the checksum of their file, if there is one.
     fn captions(
         &self,
         id: &str,
@@ -242,11 +234,11 @@ impl ClipFiles {
             ));
         }
         if let Some(embeddings) = self.embeddings.as_ref().filter(|_| !captions.is_empty()) {
-            let said: Vec<&str> = captions
+            let texts: Vec<&str> = captions
                 .iter()
                 .map(|caption| caption.text.as_str())
                 .collect();
-            let rows = embeddings.of(id, &said)?;
+            let rows = embeddings.of(id, &texts)?;
             for (caption, row) in captions.iter_mut().zip(rows) {
                 caption.embedding = Some(row.clone());
             }
@@ -255,10 +247,10 @@ impl ClipFiles {
     }
 }
 
-impl Origin<Clip> for ClipFiles {
-    fn read(&self, wanted: Wanted<'_>) -> Result<Reading<Clip>, FileError> {
-        let Wanted { id, recorded, .. } = wanted;
-        let [features, captions @ ..] = wanted.expected else {
+impl ItemSource<Clip> for ClipFiles {
+    fn read(&self, request: ReadRequest<'_>) -> Result<ReadItem<Clip>, FileError> {
+        let ReadRequest { id, recorded, .. } = request;
+        let [features, captions @ ..] = request.expected else {
             unreachable!("a clip has a file of features");
         };
         let path = features_path(id);
@@ -277,9 +269,9 @@ impl Origin<Clip> for ClipFiles {
             _ => None,
         };
         if let Some(reason) = reason {
-            return Ok(Reading {
+            return Ok(ReadItem {
                 left_out: Some(format!("{reason}: {frames} frames")),
-                ..Reading::of(clip)
+                ..ReadItem::of(clip)
             });
         }
         let mut content = vec![digest];
@@ -293,17 +285,17 @@ impl Origin<Clip> for ClipFiles {
             let lost = clip.drop_short_captions(fps, self.min_frames);
             note = (lost > 0).then(|| {
                 let min_frames = self.min_frames;
-                format!("{lost} caption(s) of passages of fewer than {min_frames} frames")
+                format!("{lost} caption(s) of ranges of fewer than {min_frames} frames")
             });
             if self.captions_required && clip.captions.is_empty() {
                 left_out = note.take();
             }
         }
-        Ok(Reading {
+        Ok(ReadItem {
             note,
             left_out,
             content,
-            ..Reading::of(clip)
+            ..ReadItem::of(clip)
         })
     }
 
@@ -320,5 +312,5 @@ impl Origin<Clip> for ClipFiles {
     }
 }
 
-/// An embedding for a clip or caption that has none.
+/// The embedding of a clip or caption without one.
 pub(super) const NO_EMBEDDING: [f32; TEXT_CHANNELS] = [0.0; TEXT_CHANNELS];

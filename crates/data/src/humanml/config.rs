@@ -7,38 +7,34 @@ use kinegrad_motion::humanml::{Root, Skeleton};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// How the clips of `kind = "humanml3d"` and `kind = "synthetic_walks"` are read.
+/// Reading of the clips of `kind = "humanml3d"` and `kind = "synthetic_walks"`.
 ///
-/// Defaults are those of HumanML3D and of the published training on it; for KIT-ML set `skeleton`
-/// and `min_frames = 24`.
+/// Defaults are those of HumanML3D; for KIT-ML set `skeleton` and `min_frames = 24`.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Humanml3dConfig {
-    /// How batches say where the root is: relative to the frame before, as the files do, or
-    /// absolute.
+    /// Representation of the root in batches.
     pub root: Root,
-    /// Whose joints the features are of.
+    /// Skeleton of the features.
     pub skeleton: SkeletonName,
-    /// File within the dataset with the ids of the training clips, one a line.
+    /// File in the dataset with the ids of the training clips, one per line.
     pub train_list: String,
-    /// The same of the held-out clips; empty where none are held out.
+    /// The same for held-out clips; empty for none.
     pub validation_list: String,
-    /// The same of the clips of the final evaluation, which training never reads
-    /// (`evaluation.split = "test"`).
+    /// The same for the final evaluation (`evaluation.split = "test"`).
     pub test_list: String,
-    /// Clips, and passages that captions speak of, with fewer frames are left out.
+    /// Shorter clips, and captions of shorter ranges, are left out.
     pub min_frames: usize,
-    /// Clips with this many frames or more are left out.
+    /// Clips of this length or longer are left out.
     pub max_frames: usize,
     /// Sample lengths are multiples of this.
     pub unit_frames: usize,
-    /// What a model is told of a caption.
+    /// Text condition of a model.
     pub text: CaptionText,
-    /// File within the dataset with the embeddings of the captions; empty, or absent, where the
-    /// model is not conditioned on text. Not read with `text = "labels"`.
+    /// File in the dataset with the embeddings of the captions; may be empty or missing for models
+    /// without text. Not read with `text = "labels"`.
     pub text_embeddings: String,
-    /// Whether a clip without captions is a bad one; by default, where there are embeddings or
-    /// captions are labels.
+    /// Clips without captions; by default required if there are embeddings or captions are labels.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub captions: Option<CaptionRule>,
 }
@@ -61,7 +57,7 @@ impl Default for Humanml3dConfig {
     }
 }
 
-/// A skeleton that is built in.
+/// A built-in skeleton.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum SkeletonName {
@@ -80,7 +76,7 @@ impl SkeletonName {
         }
     }
 
-    /// The skeleton whose features have so many channels.
+    /// The skeleton with this number of feature channels.
     pub fn of_channels(channels: usize) -> Option<Self> {
         [Self::Humanml3d, Self::Kit]
             .into_iter()
@@ -95,30 +91,29 @@ impl fmt::Display for SkeletonName {
     }
 }
 
-/// What a model is told of a caption.
+/// Text condition of a model.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum CaptionText {
-    /// Its embedding by a text encoder, from the file `text_embeddings`: any sentence can be asked
-    /// for.
+    /// The embedding by a text encoder, from the file `text_embeddings`: any sentence may be used.
     Embeddings,
-    /// Which of the distinct captions it is. The model learns an embedding of each, for datasets
-    /// with few captions; no other sentence can be asked for.
+    /// The index among the distinct captions, with a learned embedding each: for datasets with few
+    /// captions; no other sentence may be used.
     Labels,
 }
 
-/// What becomes of a clip without captions.
+/// Handling of a clip without captions.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum CaptionRule {
-    /// It is a bad clip.
+    /// A bad clip.
     Required,
-    /// It is a clip without condition.
+    /// A clip without a condition.
     Optional,
 }
 
 impl Humanml3dConfig {
-    /// What the rows of a batch are.
+    /// Representation of the rows of a batch.
     pub fn representation(&self) -> JointFeatures {
         JointFeatures {
             skeleton: self.skeleton.skeleton(),

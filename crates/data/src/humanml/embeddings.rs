@@ -1,4 +1,4 @@
-//! The embeddings of the captions: one safetensors file, `[captions, 512]` for each clip.
+//! Embeddings of captions: one safetensors file, `[captions, 512]` for each clip.
 
 use std::collections::HashMap;
 use std::path::Path;
@@ -19,9 +19,9 @@ const HINT: &str = "`kinegrad text embed` makes the file (docs/dataset.md); data
 /// The embeddings of all captions of a dataset, in memory.
 #[derive(Debug)]
 pub(super) struct Embeddings {
-    /// Those of each clip, in the order of its captions.
+    /// Embeddings of each clip, in the order of its captions.
     clips: HashMap<String, Vec<Arc<[f32]>>>,
-    /// Checksums of the captions that were embedded, of those clips of which the file says it.
+    /// Checksums of the embedded captions, for clips with one in the file.
     captions: HashMap<String, String>,
     file: String,
     pub digest: Digest,
@@ -31,8 +31,8 @@ impl Embeddings {
     /// Parses the file called `file`, whose checksum is `digest`.
     ///
     /// # Errors
-    /// [`FileError::Unusable`] for what is no safetensors file, and for a tensor of another
-    /// shape or type, or with a number that is not finite.
+    /// [`FileError::Unusable`] for another kind of file, and a tensor of another shape or type, or
+    /// with values that are not finite.
     pub fn parse(bytes: &[u8], file: &str, digest: Digest) -> Result<Self, FileError> {
         let tensors = SafeTensors::deserialize(bytes).map_err(|error| {
             let found = format!("no safetensors file ({error})");
@@ -55,8 +55,7 @@ impl Embeddings {
     /// The embeddings of the captions of clip `id`.
     ///
     /// # Errors
-    /// [`FileError::Unusable`] where there are none or not so many, or they are of other captions, if the
-    /// file says of which.
+    /// [`FileError::Unusable`] if they are missing, of another number, or of other captions.
     pub fn of(&self, id: &str, captions: &[&str]) -> Result<&[Arc<[f32]>], FileError> {
         let found = match self.clips.get(id) {
             Some(rows) if rows.len() == captions.len() => {
@@ -84,7 +83,8 @@ impl Embeddings {
 /// One embedding by name: `FILE#KEY` for the first row of a tensor, `FILE#KEY:N` for row N.
 ///
 /// # Errors
-/// [`FileError`] for a name of another form, a file that cannot be read, and what is no embedding.
+/// [`FileError`] for another form of name, an unreadable file, and a tensor that is not an
+/// embedding.
 pub fn read_embedding(name: &str) -> Result<Vec<f32>, FileError> {
     let expected = "FILE#KEY or FILE#KEY:N, with the key of a tensor and a row";
     let refused = |found: &str| FileError::unexpected(name, found, expected, HINT);
@@ -139,7 +139,7 @@ fn rows(id: &str, tensor: &TensorView, file: &str) -> Result<Vec<Arc<[f32]>>, Fi
     Ok(rows.map(Arc::from).collect())
 }
 
-/// The numbers of a tensor in single or half precision; none for other types.
+/// The numbers of a tensor in single or half precision; `None` for other types.
 pub(super) fn numbers(tensor: &TensorView) -> Option<Vec<f32>> {
     Some(match tensor.dtype() {
         Dtype::F32 => {
@@ -156,18 +156,18 @@ pub(super) fn numbers(tensor: &TensorView) -> Option<Vec<f32>> {
     })
 }
 
-/// What tells captions from others.
+/// Checksum of captions.
 fn checksum(captions: &[&str]) -> String {
     Digest::of(captions.join("\n").as_bytes()).to_string()
 }
 
-/// Writes a file of embeddings, whole or not at all: `[texts, 512]` float32 under each name. Of clips, `of`
-/// has the captions: the file is refused where they have changed.
+/// Writes a file of embeddings atomically: `[texts, 512]` float32 under each name. `of` has the
+/// captions of clips; the file is rejected if they change.
 ///
 /// # Errors
 /// [`Error::Io`].
 ///
-/// # Panics
+/// Panics if a name occurs twice, or a row has another width.
 /// Panics if a name comes up twice, or a row has another number of values.
 pub fn write_embeddings(
     path: &Path,
@@ -218,7 +218,7 @@ mod tests {
             |bytes: &[u8]| Embeddings::parse(bytes, "e.safetensors", Digest::of(bytes)).unwrap();
         let read = parsed(&serialize(two(), HashMap::new()));
         assert_eq!(read.of("a", &["x", "y"]).unwrap()[1][..], rows[1]);
-        // A file that says of which captions it is.
+        // A file with checksums of its captions.
         let of = HashMap::from([("a".to_owned(), checksum(&["x", "y"]))]);
         let tied = parsed(&serialize(two(), of));
         assert!(tied.of("a", &["x", "y"]).is_ok());

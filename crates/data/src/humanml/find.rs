@@ -1,4 +1,4 @@
-//! Finding out that a dataset holds clips.
+//! Detection of datasets of clips.
 
 use super::SkeletonName;
 use super::clip::{FEATURES, features_path};
@@ -9,14 +9,14 @@ use crate::npy::parse;
 use crate::store::{Store, StoreError};
 use crate::{DataConfig, Error};
 
-/// Clips of a list that are looked at for their skeleton: some may be missing.
+/// Clips of a list that are read to detect the skeleton.
 const LOOKED_AT: usize = 8;
 
-/// Whether the dataset that `config` names as its source is in the HumanML3D layout, and of which
-/// skeleton: `None` where it is not, `Some(None)` where no clip says.
+/// Whether the dataset of `config` is in the HumanML3D layout, and its skeleton: `None` if it is
+/// not, `Some(None)` if the skeleton is unknown.
 ///
 /// # Errors
-/// As [`Store::open`], and for a store that cannot be read.
+/// As [`Store::open`], and for an unreadable store.
 pub fn find_clips(config: &DataConfig) -> Result<Option<Option<SkeletonName>>, Error> {
     let store = Store::open(config.source.as_deref().unwrap_or_default(), &config.store)?;
     if let Ok(Some(motion)) = store.place(MOTION_FILE.0)
@@ -26,12 +26,12 @@ pub fn find_clips(config: &DataConfig) -> Result<Option<Option<SkeletonName>>, E
     }
     let list = &config.humanml3d.train_list;
     let found = match store.find(list, MAX_BYTES) {
-        // What a bucket says of objects that are not there, to those who may not list it.
+        // The answer of a bucket about missing objects to users who may not list it.
         Err(StoreError::Denied { .. }) => None,
         found => found?,
     };
     let Some(bytes) = found else {
-        // A copy without its list is one all the same: opening it says what is missing.
+        // Opening a copy without its list reports what is missing.
         let features = store.place(FEATURES)?;
         return Ok(features.filter(|folder| folder.is_dir()).map(|_| None));
     };
@@ -60,7 +60,7 @@ mod tests {
     }
 
     #[test]
-    fn layouts_and_skeletons_are_told_apart() {
+    fn layouts_and_skeletons_are_distinguished() {
         let folder = tempfile::tempdir().unwrap();
         let at = |name: &str| folder.path().join(name);
         assert_eq!(found(&at("nowhere")), None);

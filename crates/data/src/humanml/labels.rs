@@ -1,4 +1,4 @@
-//! What the clips of a dataset are labelled with: `labels.json`.
+//! Labels of the clips of a dataset: `labels.json`.
 
 use std::collections::BTreeMap;
 
@@ -7,11 +7,10 @@ use crate::{DataConfig, DataKind, Error, FileError, Store};
 /// The file of labels, which only prepared datasets have.
 pub const LABELS: &str = "labels.json";
 
-/// The longest file of labels: some million clips.
+/// Largest file of labels.
 const MAX_BYTES: u64 = 1 << 28;
 
-/// The labels of each clip by its id, each the value of a name: `content` is `walk`, `style` is
-/// `happy`.
+/// The labels of each clip by id, as values by name: `content` is `walk`, `style` is `happy`.
 pub type ClipLabels = BTreeMap<String, BTreeMap<String, String>>;
 
 /// The bytes of the file that holds `labels`.

@@ -9,15 +9,16 @@ use crate::split::Side;
 use crate::{Error, FileError};
 
 use super::Humanml3dConfig;
-use super::clip::{FEATURES, TEXTS, features_path, texts_path};
+use super::clip::{FEATURES, features_path};
+use super::texts::{TEXTS, texts_path};
 
-/// The longest list: some millions of ids.
+/// Largest list.
 pub(super) const MAX_BYTES: u64 = 1 << 28;
 
 /// The clips of both lists, sorted by id.
 ///
 /// # Errors
-/// [`Error::File`] for a list that is missing, empty or holds what is no id, and for a clip on both
+/// [`Error::File`] for a list that is missing, empty or has invalid ids, and for a clip on both
 /// lists; [`Error::Store`].
 pub(super) fn read_lists(
     files: &Files,
@@ -25,7 +26,7 @@ pub(super) fn read_lists(
     warnings: &mut Vec<String>,
 ) -> Result<Vec<Listed>, Error> {
     let mut sides: BTreeMap<String, Side> = BTreeMap::new();
-    // An evaluation may hold out the clips of another list.
+    // An evaluation may hold out another list.
     let held_out = match config.validation_list == config.test_list {
         true => "test_list",
         false => "validation_list",
@@ -95,7 +96,7 @@ pub(super) fn read_lists(
     Ok(listed.collect())
 }
 
-/// The ids of a list with their lines. Empty lines and those that begin with `#` are passed over.
+/// The ids of a list with their lines. Empty lines and comments (`#`) are skipped.
 pub(super) fn parse_list(bytes: &[u8], file: &str) -> Result<Vec<(usize, String)>, FileError> {
     let hint = "a list names clips as their files are called, without the ending";
     let text = str::from_utf8(bytes)

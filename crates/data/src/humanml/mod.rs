@@ -1,8 +1,8 @@
 //! Clips in the HumanML3D format: joint features with captions, and synthetic walks.
 //!
-//! A dataset is a folder, a bucket or a web server's path with `new_joint_vecs/ID.npy` (`[frames,
-//! 263]`, relative root), `texts/ID.txt` (captions) and lists of the clips of each side. See
-//! `docs/dataset.md`.
+//! A dataset is a folder, a bucket or a web server's path with `new_joint_vecs/ID.npy`
+//! (`[frames, 263]`, relative root), `texts/ID.txt` (captions) and a list of clips for each side.
+//! See `docs/dataset.md`.
 //!
 //! ```
 //! use std::sync::Arc;
@@ -31,16 +31,15 @@ mod find;
 mod labels;
 mod lists;
 mod samples;
+mod scan;
 mod statistics;
-mod survey;
 mod synthetic;
 mod texts;
 mod word_vectors;
 
 pub use caption_labels::{CaptionLabels, MAX_CAPTIONS};
 pub use clip::{
-    Clip, ClipSet, FEATURES, TEXTS, features_bytes, features_path, parse_features, texts_path,
-    write_features,
+    Clip, ClipSet, FEATURES, features_bytes, features_path, parse_features, write_features,
 };
 pub use config::{CaptionRule, CaptionText, Humanml3dConfig, SkeletonName};
 pub use embeddings::{read_embedding, write_embeddings};
@@ -49,5 +48,5 @@ pub use labels::{ClipLabels, LABELS, labels_bytes, labels_of, read_labels};
 pub use samples::ClipSamples;
 pub use statistics::statistics_files;
 pub use synthetic::{synthetic_id, walk, write_walks};
-pub use texts::{Caption, parse_captions, read_captions};
+pub use texts::{Caption, TEXTS, parse_captions, read_captions, texts_path};
 pub use word_vectors::{parse_word_vectors, read_word_vectors};

@@ -1,4 +1,4 @@
-//! From clips to samples: caption, passage, crop, root, normalisation.
+//! From clips to samples: caption, range, crop, root, normalisation.
 
 use std::borrow::Cow;
 use std::sync::Arc;
@@ -16,8 +16,8 @@ use crate::{Batch, Crop, DataConfig, Error};
 use super::clip::NO_EMBEDDING;
 use super::{Caption, CaptionLabels, Clip, ClipSet};
 
-/// Samples of clips, conditioned on a caption, by its embedding or [as a label](Self::with_labels):
-/// as long as whole units of `data.humanml3d.unit_frames` allow.
+/// Samples of clips, conditioned on a caption by its embedding or [as a label](Self::with_labels);
+/// lengths are multiples of `data.humanml3d.unit_frames` if possible.
 #[derive(Clone, Debug)]
 pub struct ClipSamples {
     clips: ClipSet,
@@ -34,8 +34,8 @@ pub struct ClipSamples {
 }
 
 impl ClipSamples {
-    /// Samples of the first `channels` of the features of `clips`, normalised by `statistics`, cut
-    /// as `config` says with draws of this `seed`.
+    /// Samples of the first `channels` of the features of `clips`, normalised by `statistics`,
+    /// cropped by `config` and `seed`.
     ///
     /// # Panics
     /// Panics if `statistics` or `channels` are not of the `representation`.
@@ -69,8 +69,7 @@ impl ClipSamples {
         }
     }
 
-    /// The same with the [`WORDS`] of captions in place of their embeddings, and which clips have the
-    /// same [`CAPTIONS`].
+    /// Uses the [`WORDS`] of captions in place of embeddings, and adds [`CAPTIONS`].
     #[must_use]
     pub fn with_words(self, words: Arc<WordVectors>) -> Self {
         Self {
@@ -79,8 +78,7 @@ impl ClipSamples {
         }
     }
 
-    /// The same, conditioned on which of `labels` the caption is; one that is not among them is no
-    /// caption.
+    /// Conditions on the index of the caption among `labels`; other captions are no condition.
     #[must_use]
     pub fn with_labels(self, labels: CaptionLabels) -> Self {
         Self {
@@ -89,11 +87,11 @@ impl ClipSamples {
         }
     }
 
-    /// How the way of training sample `n` is bent, if it is.
+    /// The random bend of training sample `n`, if any.
     fn bend(&self, n: u64) -> Option<Bend> {
         let key = Key::new(self.seed, Purpose::Augment).at(n);
         let bends = key.named("path_warp").uniform() < self.path_warp_prob;
-        bends.then(|| Bend::drawn(key.named("bend")))
+        bends.then(|| Bend::random(key.named("bend")))
     }
 
     /// Channels of the condition on a caption.
@@ -126,8 +124,8 @@ impl Samples for ClipSamples {
         self.clips.get(position)
     }
 
-    /// Validation takes the first caption and the leading crop. Every sample begins at the origin
-    /// facing +z, its rotations too, as if extraction had begun there.
+    /// Validation takes the first caption and the leading crop. Samples begin at the origin facing
+    /// +z, as if extraction had begun there.
     fn push(&self, batch: &mut Batch, clip: &Arc<Clip>, number: Option<u64>) {
         let below = |bound, purpose| {
             number.map_or(0, |n| {
@@ -139,29 +137,29 @@ impl Samples for ClipSamples {
             captions => Some(&clip.captions[below(captions, Purpose::Caption)]),
         };
         let frames = clip.features.frames();
-        let passage = caption.map_or(0..frames, |caption| {
+        let caption_range = caption.map_or(0..frames, |caption| {
             caption.frames(frames, self.representation.fps())
         });
-        // The reader has left shorter passages out; held clips may be of any length.
-        let passage = match passage.is_empty() {
+        // The reader drops shorter ranges; clips in memory may be of any length.
+        let caption_range = match caption_range.is_empty() {
             true => 0..frames,
-            false => passage,
+            false => caption_range,
         };
-        let most = passage.len().min(self.target_frames);
+        let most = caption_range.len().min(self.target_frames);
         let length = match most - most % self.unit_frames {
             0 => most,
             length => length,
         };
-        let first = passage.start
+        let first = caption_range.start
             + match self.crop {
-                Crop::Random => below(passage.len() - length + 1, Purpose::Crop),
+                Crop::Random => below(caption_range.len() - length + 1, Purpose::Crop),
                 Crop::Leading => 0,
             };
         let skeleton = &self.representation.skeleton;
         let features = clip.features.crop(skeleton, first..first + length);
         let features = features.expect("the reader takes features of this skeleton alone");
         let bend = number.and_then(|n| self.bend(n));
-        // A single frame has no way to bend.
+        // A single frame cannot be bent.
         let bent = bend.and_then(|bend| bend.of_features(&features, skeleton).ok());
         let features = bent.unwrap_or(features);
         let features = features.with_root(self.representation.root);
@@ -209,7 +207,7 @@ impl Samples for ClipSamples {
     }
 }
 
-/// A number that clips with the same captions share; of 24 bits, which a float holds.
+/// A number that clips with the same captions share, of 24 bits, which a float represents exactly.
 fn captions_number(clip: &Clip) -> f32 {
     let texts = clip.captions.iter().map(|caption| caption.text.as_str());
     let texts = texts.collect::<Vec<_>>().join("\n");
@@ -217,7 +215,7 @@ fn captions_number(clip: &Clip) -> f32 {
     (number & 0xff_ffff) as f32
 }
 
-/// The words of a sentence as [`WORDS`] are.
+/// The words of a sentence as [`WORDS`].
 fn by_channel(sentence: &[(Cow<'_, [f32]>, PartOfSpeech)], width: usize) -> Vec<f32> {
     let vectors = (0..width).flat_map(|channel| sentence.iter().map(move |(of, _)| of[channel]));
     let classes = sentence
@@ -309,7 +307,7 @@ mod tests {
             let mut starts = BTreeSet::new();
             for batch in batches(&config, 263, 0, 6) {
                 for sample in 0..3 {
-                    // A passage may be shorter than the crop.
+                    // A range may be shorter than the crop.
                     let mask = &batch.mask[50 * sample..][..50];
                     let valid = mask.iter().filter(|&&value| value == 1.0).count();
                     assert!(valid >= 40 && valid % 4 == 0, "{valid}");
@@ -343,7 +341,7 @@ mod tests {
     }
 
     #[test]
-    fn ways_are_bent_as_often_as_asked_and_nothing_else_is() {
+    fn trajectories_are_bent_with_the_given_probability() {
         for root in [Root::Absolute, Root::Relative] {
             let with = |path_warp_prob| {
                 let mut config = config();
@@ -392,12 +390,12 @@ mod tests {
             }
             assert!((18..42).contains(&bent), "{bent} of 60");
             assert!(turned * 2 > bent, "{turned} of {bent} turn");
-            let held = |config: &DataConfig| {
+            let validation = |config: &DataConfig| {
                 let all = samples(config, 263);
                 let count = all.clips.load().unwrap().len();
                 all.collate(0..count).unwrap()
             };
-            assert_eq!(held(&plain), held(&half));
+            assert_eq!(validation(&plain), validation(&half));
         }
     }
 
@@ -415,13 +413,13 @@ mod tests {
     }
 
     #[test]
-    fn every_caption_comes_up_with_its_own_passage() {
+    fn every_caption_comes_up_with_its_own_range() {
         let mut config = config();
         config.batch_size = 64;
         let clip = (0..40).map(|index| walk(index, 90, 3));
         let mut clip = clip.filter(|clip| clip.captions.len() == 4);
         let mut clip = clip.next().expect("a walk that turns");
-        // Passages that leave one start each tell the crops of captions apart.
+        // Each range allows one start, which identifies the caption.
         for (caption, seconds) in clip.captions.iter_mut().zip([
             None,
             Some((0.0, 2.0)),
@@ -463,7 +461,7 @@ mod tests {
     #[test]
     fn words_of_captions_fill_their_places() {
         let config = config();
-        let vectors = Arc::new(WordVectors::drawn(6));
+        let vectors = Arc::new(WordVectors::random(6));
         let all = samples(&config, 263).with_words(vectors.clone());
         let clips = all.clips.load().unwrap();
         let batch = all.collate(0..clips.len()).unwrap();

@@ -1,4 +1,4 @@
-//! Mean and deviation of each channel that a dataset brings along.
+//! Mean and deviation of each channel that come with a dataset.
 
 use kinegrad_motion::humanml::{Root, Skeleton};
 use kinegrad_motion::{JointFeatures, Statistics};
@@ -17,8 +17,7 @@ fn names(root: Root) -> [&'static str; 2] {
     }
 }
 
-/// The paths and bytes of both files that hold the mean and deviation of `statistics`, which are of
-/// clips with this `root`.
+/// Paths and bytes of the files of mean and deviation of `statistics` of clips with this `root`.
 pub fn statistics_files(root: Root, statistics: &Statistics) -> [(&'static str, Vec<u8>); 2] {
     let [mean, std] = names(root);
     let bytes = |values: &[f64]| {
@@ -35,8 +34,8 @@ pub fn statistics_files(root: Root, statistics: &Statistics) -> [(&'static str, 
 /// checksums of both files.
 ///
 /// # Errors
-/// [`Error::File`] for one file without the other, for another layout, and for numbers that cannot
-/// be used; [`Error::Store`].
+/// [`Error::File`] for one file without the other, another layout, and unusable numbers;
+/// [`Error::Store`].
 pub(super) fn given(
     files: &Files,
     representation: &JointFeatures,

@@ -1,6 +1,5 @@
-//! Made-up clips: walks along random paths, with captions that say what they are.
-//!
-//! Everything is a function of (seed, number of the walk).
+//! Synthetic clips: walks along random paths, with captions that describe them. All is a function
+//! of seed and index.
 
 use std::collections::HashMap;
 use std::f64::consts::{PI, TAU};
@@ -12,7 +11,7 @@ use kinegrad_motion::metrics::text_motion::Token;
 use kinegrad_random::{Key, Purpose};
 use rayon::prelude::*;
 
-use crate::library::{Origin, Reading, Wanted};
+use crate::item_store::{ItemSource, ReadItem, ReadRequest};
 use crate::split::Split;
 use crate::synthetic::write_whole;
 use crate::{
@@ -20,7 +19,8 @@ use crate::{
     atomic,
 };
 
-use super::clip::{self, features_path, texts_path, write_features};
+use super::clip::{self, features_path, write_features};
+use super::texts::{self, texts_path};
 use super::{Caption, Clip, embeddings};
 
 /// Id of synthetic walk number `index`: `walk_00007`.
@@ -28,9 +28,8 @@ pub fn synthetic_id(index: usize) -> String {
     format!("walk_{index:05}")
 }
 
-/// Walk number `index` of this `seed`: `frames` frames of features of
-/// [`Skeleton::humanml3d`], at 20 a second, with captions and embeddings that follow from the
-/// captions' words alone (of unit length).
+/// Walk number `index` of this `seed`: `frames` frames of features of [`Skeleton::humanml3d`] at 20
+/// per second, with captions and unit-length embeddings keyed by the captions' words.
 ///
 /// # Panics
 /// Panics if `frames` is zero.
@@ -41,7 +40,7 @@ pub fn walk(index: usize, frames: usize, seed: u64) -> Clip {
     let skeleton = Skeleton::humanml3d();
     let seconds = frames as f64 / skeleton.description().fps;
     let plan = Plan::new(key, seconds);
-    // Every row of features is of a frame and the next.
+    // Every row of features needs the next frame.
     let joints = walk::joints(&plan.course(), &skeleton, frames + 1);
     let joints = Joints::new(joints, skeleton.joints()).expect("whole finite frames");
     let extraction = Extraction {
@@ -56,18 +55,18 @@ pub fn walk(index: usize, frames: usize, seed: u64) -> Clip {
     }
 }
 
-/// What a walk is to look like, and so what is said of it.
+/// The shape of a walk, and its captions.
 struct Plan {
     shape: Shape,
     /// +1 to the left, -1 to the right.
     side: f64,
-    /// Its place in [`PACES`].
+    /// Index in [`PACES`].
     pace: usize,
     /// Metres per second.
     speed: f64,
-    /// Where the speed stands in its slow change, radians.
+    /// Phase of the slow change of speed, radians.
     ease: f64,
-    /// How sharp circles and windings are, 0 to 1.
+    /// Sharpness of circles and windings, 0 to 1.
     sharpness: f64,
     /// Middle of a turn, seconds.
     turn_seconds: f64,
@@ -81,7 +80,7 @@ enum Shape {
     Winding,
 }
 
-/// Slowest speed of each pace in metres per second, and how captions say it.
+/// Slowest speed of each pace in metres per second, and its words in captions.
 const PACES: [(f64, &str, &str); 3] = [
     (0.6, "walks slowly", "walking slowly"),
     (0.95, "walks", "walking"),
@@ -93,7 +92,7 @@ const TURN_SECONDS: f64 = 1.6;
 
 impl Plan {
     fn new(key: Key, seconds: f64) -> Self {
-        let draw = |place: u64| key.at(place).uniform();
+        let uniform = |place: u64| key.at(place).uniform();
         let pace = key.at(0).integers(1, PACES.len())[0];
         Self {
             shape: match key.at(1).integers(1, 4)[0] {
@@ -102,12 +101,12 @@ impl Plan {
                 2 => Shape::Turn,
                 _ => Shape::Winding,
             },
-            side: if draw(2) < 0.5 { 1.0 } else { -1.0 },
+            side: if uniform(2) < 0.5 { 1.0 } else { -1.0 },
             pace,
-            speed: PACES[pace].0 + 0.25 * draw(3),
-            ease: TAU * draw(4),
-            sharpness: draw(5),
-            turn_seconds: (0.45 + 0.1 * draw(6)) * seconds,
+            speed: PACES[pace].0 + 0.25 * uniform(3),
+            ease: TAU * uniform(4),
+            sharpness: uniform(5),
+            turn_seconds: (0.45 + 0.1 * uniform(6)) * seconds,
         }
     }
 
@@ -141,8 +140,7 @@ impl Plan {
         }
     }
 
-    /// Two captions of the whole walk and, where it turns, one of what comes before and one of the
-    /// rest.
+    /// Two captions of the whole walk and, if it turns, one of the part before and one of the rest.
     fn captions(&self, seconds: f64) -> Vec<Caption> {
         let side = if self.side > 0.0 { "left" } else { "right" };
         let (_, walks, walking) = PACES[self.pace];
@@ -191,7 +189,7 @@ fn caption(text: String, seconds: Option<(f64, f64)>) -> Caption {
     }
 }
 
-/// Walks that are made up anew each time.
+/// Walks that are synthesised on demand.
 #[derive(Debug)]
 pub(super) struct Walks {
     config: SyntheticConfig,
@@ -210,16 +208,16 @@ impl Walks {
     }
 }
 
-impl Origin<Clip> for Walks {
-    fn read(&self, wanted: Wanted<'_>) -> Result<Reading<Clip>, FileError> {
-        let mut clip = walk(wanted.number, self.config.frames, self.config.seed);
+impl ItemSource<Clip> for Walks {
+    fn read(&self, request: ReadRequest<'_>) -> Result<ReadItem<Clip>, FileError> {
+        let mut clip = walk(request.number, self.config.frames, self.config.seed);
         clip.drop_short_captions(Skeleton::humanml3d().description().fps, self.min_frames);
         if !self.conditional {
             clip.captions
                 .iter_mut()
                 .for_each(|caption| caption.embedding = None);
         }
-        Ok(Reading::of(clip))
+        Ok(ReadItem::of(clip))
     }
 
     fn fingerprint(&self) -> String {
@@ -228,11 +226,10 @@ impl Origin<Clip> for Walks {
 }
 
 /// Writes `clips` walks of this `seed`, `frames` frames each, into `folder` in the layout of
-/// HumanML3D, with embeddings of the captions. A tenth of them is on the list of held-out clips,
-/// the same as `kind = "synthetic_walks"` holds out.
+/// HumanML3D with embeddings. A tenth is held out, as with `kind = "synthetic_walks"`.
 ///
 /// # Errors
-/// [`Error::Config`] for sizes out of range, [`Error::Exists`] if `folder` already holds a dataset,
+/// [`Error::Config`] for sizes out of range, [`Error::Exists`] if `folder` contains a dataset,
 /// [`Error::Io`].
 pub fn write_walks(folder: &Path, clips: usize, frames: usize, seed: u64) -> Result<(), Error> {
     let config = DataConfig {
@@ -253,7 +250,7 @@ pub fn write_walks(folder: &Path, clips: usize, frames: usize, seed: u64) -> Res
     } = config.humanml3d;
     let parts = [
         clip::FEATURES,
-        clip::TEXTS,
+        texts::TEXTS,
         train_list.as_str(),
         &validation_list,
         &text_embeddings,
@@ -274,7 +271,10 @@ pub fn write_walks(folder: &Path, clips: usize, frames: usize, seed: u64) -> Res
         let ids: Vec<_> = ids.collect();
         let held_out = split.holds_out(&ids);
         for (list, side) in [(&train_list, false), (&validation_list, true)] {
-            let of_side = ids.iter().zip(&held_out).filter(|(_, held)| **held == side);
+            let of_side = ids
+                .iter()
+                .zip(&held_out)
+                .filter(|(_, held_out)| **held_out == side);
             let text: String = of_side.map(|((id, _), _)| format!("{id}\n")).collect();
             atomic::write(&staging.join(list), text.as_bytes())?;
         }
@@ -305,7 +305,7 @@ mod tests {
 
     #[test]
     fn captions_say_where_and_how_fast_the_walk_goes() {
-        let mut said = BTreeSet::new();
+        let mut texts = BTreeSet::new();
         for index in 0..60 {
             let clip = walk(index, 120, 2);
             let absolute = clip.features.to_absolute();
@@ -340,12 +340,12 @@ mod tests {
                 let embedding = caption.embedding.as_deref().unwrap();
                 let square: f32 = embedding.iter().map(|value| value * value).sum();
                 assert!((square - 1.0).abs() < 1e-5 && embedding.len() == TEXT_CHANNELS);
-                said.insert(caption.text.clone());
+                texts.insert(caption.text.clone());
             }
         }
-        assert!(said.len() > 25, "{said:?}");
-        let said = |text: &str| caption(text.to_owned(), None).embedding;
-        assert_eq!(said("a"), said("a"));
-        assert_ne!(said("a"), said("b"));
+        assert!(texts.len() > 25, "{texts:?}");
+        let embedding = |text: &str| caption(text.to_owned(), None).embedding;
+        assert_eq!(embedding("a"), embedding("a"));
+        assert_ne!(embedding("a"), embedding("b"));
     }
 }

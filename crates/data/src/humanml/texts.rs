@@ -1,4 +1,4 @@
-//! The captions of a clip: `texts/ID.txt`, one a line.
+//! The captions of a clip: `texts/ID.txt`, one per line.
 
 use std::borrow::Cow;
 use std::fs;
@@ -11,30 +11,35 @@ use kinegrad_motion::metrics::text_motion::{PartOfSpeech, Token};
 use crate::FileError;
 use crate::file::read_file;
 
-use super::clip::TEXTS;
+/// Folder of all captions, in files `ID.txt`.
+pub const TEXTS: &str = "texts";
 
-/// The longest file of captions.
+/// Largest file of captions.
 pub(super) const MAX_BYTES: u64 = 1 << 20;
 
-/// What a line of a caption file is.
+/// Format of a line.
 const LINE: &str = "`CAPTION#TOKENS#FROM#TO`";
 
-/// One sentence that describes a clip, or a passage of it.
+/// Path of the captions of clip `id` in its dataset.
+pub fn texts_path(id: &str) -> String {
+    format!("{TEXTS}/{id}.txt")
+}
+
+/// A caption of a clip, or of a range of it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Caption {
     /// The sentence.
     pub text: String,
-    /// Its words with their parts of speech, by which the text-motion evaluator reads it; may be
-    /// empty.
+    /// Words with parts of speech for the text-motion evaluator; may be empty.
     pub tokens: Vec<Token>,
-    /// Begin and end of the passage in seconds; none where the sentence describes the whole clip.
+    /// The caption range in seconds; `None` for the whole clip.
     pub seconds: Option<(f64, f64)>,
-    /// Its embedding, `[512]`; none in a dataset without.
+    /// Its embedding, `[512]`, if the dataset has one.
     pub embedding: Option<Arc<[f32]>>,
 }
 
 impl Caption {
-    /// Its tokens or, where the file states none, the words of its text without parts of speech.
+    /// Its tokens or, if the file has none, the words of its text.
     pub fn words(&self) -> Cow<'_, [Token]> {
         if !self.tokens.is_empty() {
             return Cow::Borrowed(&self.tokens);
@@ -47,7 +52,7 @@ impl Caption {
         words.filter(|word| !word.is_empty()).map(token).collect()
     }
 
-    /// The frames that it describes of a clip of `frames` frames at `fps` a second.
+    /// The caption range in frames, of a clip of `frames` frames.
     pub fn frames(&self, frames: usize, fps: f64) -> Range<usize> {
         let Some((from, to)) = self.seconds else {
             return 0..frames;
@@ -67,9 +72,9 @@ impl Caption {
 
 /// Parses a file of captions; `file` names it in errors.
 ///
-/// A line is `CAPTION#TOKENS#FROM#TO`: the sentence, its words with parts of speech
-/// ([`Token::parse_all`] reads anything), and the passage in seconds, for which 0.0 and 0.0 (or
-/// NaN) mean the whole clip. Empty lines are passed over.
+/// A line is `CAPTION#TOKENS#FROM#TO`: sentence, words with parts of speech ([`Token::parse_all`]),
+/// and the range in seconds, where 0.0 and 0.0 (or NaN) are the whole clip. Empty lines are
+/// skipped.
 ///
 /// # Errors
 /// [`FileError::Unusable`] with the line.
@@ -103,7 +108,7 @@ pub fn parse_captions(bytes: &[u8], file: &str) -> Result<Vec<Caption>, FileErro
         .collect()
 }
 
-/// The captions of every clip of the dataset in a local `folder`, `texts/ID.txt`, by id.
+/// The captions of every clip in a local dataset `folder`, by id.
 ///
 /// # Errors
 /// [`FileError`] for a folder without texts, and as [`parse_captions`].
@@ -134,7 +139,7 @@ pub fn read_captions(folder: &Path) -> Result<Vec<(String, Vec<Caption>)>, FileE
     }
 }
 
-/// A caption, or what was found and what is expected instead.
+/// A caption, or what was found and what is expected.
 fn parse_line(line: &str) -> Result<Caption, (String, String)> {
     let mut fields = line.rsplitn(4, '#');
     let (Some(to), Some(from), Some(tokens), Some(text)) =
@@ -163,7 +168,7 @@ fn parse_line(line: &str) -> Result<Caption, (String, String)> {
     })
 }
 
-/// The beginning of a text that may be long.
+/// The beginning of a long text.
 fn shortened(text: &str) -> String {
     match text.char_indices().nth(60) {
         Some((end, _)) => format!("{}...", &text[..end]),
@@ -177,7 +182,7 @@ mod tests {
     use proptest::prelude::*;
 
     #[test]
-    fn captions_of_whole_clips_and_of_passages_are_read() {
+    fn captions_of_whole_clips_and_of_ranges_are_read() {
         let text = "\u{feff}a man walks.#a/DET man/NOUN#0.0#0.0\r\n\n\
                     steps #2 and turns#x#nan#NaN\n he sits #y# 1.25 #3.5";
         let captions = parse_captions(text.as_bytes(), "a.txt").unwrap();

@@ -9,20 +9,20 @@ use super::embeddings::numbers;
 use crate::FileError;
 use crate::file::{MAX_TENSOR_BYTES, read_file};
 
-/// The tensor of vectors, `[words, width]`.
+/// Name of the tensor of vectors, `[words, width]`.
 const TENSOR: &str = "vectors";
 
-/// The entry of the metadata that names the words, as a list in JSON.
+/// Metadata entry with the words, a JSON list.
 const WORDS: &str = "words";
 
 const HINT: &str = "docs/dataset.md shows how to make the file of the published vectors";
 
-/// Reads a file of word vectors: a tensor `vectors`, `[words, width]` in single or half
-/// precision, and a metadata entry `words`, a JSON list of as many words.
+/// Reads a file of word vectors: a tensor `vectors`, `[words, width]` in single or half precision,
+/// and a metadata entry `words`, a JSON list of as many words.
 ///
 /// # Errors
-/// [`FileError::Unusable`] for what cannot be read or is no such file, for words that come
-/// twice, numbers that are not finite, and without the word `unk`.
+/// [`FileError::Unusable`] for another kind of file, repeated words, values that are not finite,
+/// and without the word `unk`.
 pub fn read_word_vectors(path: &Path) -> Result<WordVectors, FileError> {
     let bytes = read_file(path, MAX_TENSOR_BYTES).map_err(FileError::read(path))?;
     parse_word_vectors(&bytes, &path.display().to_string())
@@ -101,7 +101,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_is_said() {
+    fn problems_are_named() {
         let three = "[\"the\", \"unk\", \"walk\"]";
         let f32 = |shape: &[usize], entry| file(Dtype::F32, shape, entry);
         for (bytes, found) in [

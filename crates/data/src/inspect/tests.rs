@@ -15,7 +15,7 @@ fn counts_and_statistics_are_those_of_the_phrases() {
         ..DataConfig::default()
     };
     config.validation.patterns = vec!["*3".into(), "*4".into()];
-    let found = inspect(&config, &unheard).unwrap();
+    let found = inspect(&config, &no_progress).unwrap();
     assert_eq!(
         (found.items, found.bad_items, found.train, found.validation),
         (5, 0, 3, 2)
@@ -64,7 +64,7 @@ fn every_kind_of_problem_is_listed_and_none_stops_the_rest() {
     let folder = tempfile::tempdir().unwrap();
     synthetic::write_dataset(folder.path(), 8, 30, 3).unwrap();
     let id = synthetic::id;
-    let change = |index: usize, change: &dyn Fn(&mut kinegrad_motion::Motion)| {
+    let change = |index: usize, change: &dyn Fn(&mut kinegrad_motion::Phrase)| {
         let path = folder.path().join(motion_path(&id(index)));
         let mut motion = read_motion(&path).unwrap();
         change(&mut motion);
@@ -90,7 +90,7 @@ fn every_kind_of_problem_is_listed_and_none_stops_the_rest() {
             source,
             ..DataConfig::default()
         },
-        &unheard,
+        &no_progress,
     )
     .unwrap();
     assert_eq!((found.items, found.bad_items), (6, 2));
@@ -129,7 +129,7 @@ fn a_dataset_without_one_usable_phrase_is_still_described() {
             source,
             ..DataConfig::default()
         },
-        &unheard,
+        &no_progress,
     )
     .unwrap();
     assert_eq!((found.items, found.bad_items, found.frames), (0, 1, 0));
@@ -143,7 +143,7 @@ fn synthetic_datasets_are_described_without_files() {
         kind: crate::DataKind::Synthetic,
         ..DataConfig::default()
     };
-    let found = inspect(&config, &unheard).unwrap();
+    let found = inspect(&config, &no_progress).unwrap();
     assert_eq!(
         (found.source.as_str(), found.items, found.frames),
         ("synthetic", 64, 7680)
@@ -170,7 +170,7 @@ fn clips_are_counted_and_what_is_wrong_is_listed() {
         source: Some(folder.path().display().to_string()),
         ..DataConfig::default()
     };
-    let found = inspect(&config, &unheard).unwrap();
+    let found = inspect(&config, &no_progress).unwrap();
     assert_eq!((found.items, found.bad_items, found.left_out), (10, 1, 1));
     assert_eq!(found.train + found.validation, 10);
     assert_eq!(
@@ -206,7 +206,7 @@ fn groups_are_summed_up_over_all_clips() {
     };
     config.synthetic.phrases = 4;
     config.synthetic.frames = 50;
-    let found = inspect(&config, &unheard).unwrap();
+    let found = inspect(&config, &no_progress).unwrap();
     assert_eq!((found.items, found.frames), (4, 200));
     let clips: Vec<_> = (0..4).map(|index| walk(index, 50, 0)).collect();
     let heights: Vec<f64> = (clips.iter())

@@ -1,8 +1,8 @@
-//! Tables in a build without the feature `manifest`: there are none.
+//! Tables in a build without the feature `manifest`.
 
 use super::{Cells, ManifestRow};
 
-/// A table. This build makes none.
+/// A table, which this build cannot make.
 #[derive(Clone, Debug)]
 pub(super) enum DataFrame {}
 

@@ -9,7 +9,7 @@ pub(super) fn numbers(column: &Column) -> Result<Vec<Option<f64>>, String> {
     Ok(numbers.iter().collect())
 }
 
-/// A column as values of the type `to`.
+/// A column cast to the type `to`.
 pub(super) fn cast(column: &Column, to: &DataType) -> Result<Column, String> {
     let broken = |error| format!("column `{}`: {error}", column.name());
     column.cast(to).map_err(broken)

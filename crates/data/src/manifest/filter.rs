@@ -8,19 +8,19 @@
 //! VALUE    = NUMBER | WORD | 'TEXT' | "TEXT"
 //! ```
 //!
-//! `like` takes a pattern with `*` for any run of characters. A missing value meets no condition.
+//! `like` takes a pattern with `*` for any characters. Missing values meet no condition.
 
 use std::cmp::Ordering;
 
 use polars::prelude::{DataFrame, DataType};
 
 use super::columns::{cast, numbers};
-use crate::split::matches;
+use crate::pattern::matches;
 
-/// Most conditions and brackets of one filter.
+/// Most parts of a filter.
 const MAX_PARTS: usize = 200;
 
-/// Which rows of `frame` meet the condition; in an error, what is wrong with it.
+/// The rows of `frame` that meet the condition, or the condition's error.
 pub(super) fn rows(condition: &str, frame: &DataFrame) -> Result<Vec<bool>, String> {
     let words = words(condition)?;
     if words.len() > MAX_PARTS {
@@ -37,7 +37,7 @@ pub(super) fn rows(condition: &str, frame: &DataFrame) -> Result<Vec<bool>, Stri
     }
 }
 
-/// What is left of a condition, and the table whose rows it is about.
+/// The rest of a condition, and its table.
 struct Reader<'a> {
     rest: &'a [Word],
     frame: &'a DataFrame,
@@ -78,7 +78,7 @@ impl Reader<'_> {
         compare(self.frame, &column.text, &operator.text, &value.text)
     }
 
-    /// Whether this word comes next, which is then passed.
+    /// Consumes this word if it is next.
     fn take(&mut self, keyword: &str) -> bool {
         match self.rest {
             [first, after @ ..] if first.is(keyword) => {
@@ -140,7 +140,7 @@ fn compare(
     Ok(met.collect())
 }
 
-/// A part of a condition, and whether it was in quotes.
+/// A part of a condition, and whether it was quoted.
 #[derive(Debug, PartialEq)]
 struct Word {
     text: String,
@@ -225,7 +225,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_is_said() {
+    fn problems_are_named() {
         for (text, expected) in [
             ("", "COLUMN OPERATOR VALUE"),
             ("tempo", "COLUMN OPERATOR VALUE"),

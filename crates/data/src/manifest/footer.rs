@@ -1,10 +1,9 @@
-//! The footer that polars is given, in place of the file's own.
+//! A validated footer for polars, in place of the file's own.
 //!
-//! polars (0.55) takes what a Parquet file says of itself at its word: a page of -2 values, a list
-//! of 2^31 columns or an Arrow schema of 2000 nested lists ends the process, as a failed allocation
-//! and a full stack do not unwind. So the footer is parsed here within a budget and written anew
-//! with the flat columns of text and numbers alone, whose pages have been checked (Parquet format,
-//! "Metadata").
+//! polars (0.55) trusts a Parquet file: a page of -2 values, a list of 2^31 columns or an Arrow
+//! schema of 2000 nested lists aborts the process, as failed allocations and full stacks do not
+//! unwind. So the footer is parsed here within a budget and rewritten with the flat columns of text
+//! and numbers, whose pages are checked (Parquet format, "Metadata").
 
 use std::collections::HashSet;
 
@@ -16,33 +15,33 @@ use polars_parquet_format::{
 
 use super::pages::unpacked_bytes;
 
-/// The longest footer: it grows with columns and groups of rows, not with rows.
+/// Largest footer; it grows with columns and row groups, not with rows.
 const MAX_FOOTER_BYTES: usize = 4 << 20;
 
-/// Memory that a parsed footer may take for each of its bytes. An element of a list counts for 8
-/// bytes, and takes 1 in the file at least.
+/// Memory of a parsed footer per byte. An element of a list counts for 8 bytes, and takes at least
+/// 1 in the file.
 const FOOTER_BUDGET: usize = 8;
 
-/// The most values for each byte of the file. Nearly every row has a checksum of its own, whose 32
-/// bytes no compression shortens; so this allows for some 256 columns.
+/// Most values per byte of the file. Nearly every row has an incompressible checksum of 32 bytes;
+/// this allows some 256 columns.
 const MAX_VALUES_PER_BYTE: usize = 8;
 
-/// The most unpacked bytes for each byte of the file, beside [`SPARE_BYTES`]: rows of 8 KiB.
+/// Most unpacked bytes per byte of the file, beside [`SPARE_BYTES`].
 const MAX_UNPACKING: usize = 256;
 
 /// Unpacked bytes that every file may have.
 const SPARE_BYTES: usize = 1 << 20;
 
-/// How many bytes a file of `length` bytes may unpack to.
+/// Most bytes that a file of `length` bytes may unpack to.
 pub(super) fn most_unpacked(length: usize) -> usize {
     length.saturating_mul(MAX_UNPACKING) + SPARE_BYTES
 }
 
-/// The file with a footer that lists the `wanted` columns, or all of them; nested ones, dates and
-/// times are left out.
+/// The file with a footer of the `wanted` columns, or all; nested ones, dates and times are
+/// dropped.
 ///
 /// # Errors
-/// What is wrong with the footer or a page.
+/// A problem of the footer or a page.
 pub(super) fn rewritten(mut file: Vec<u8>, wanted: Option<&[&str]>) -> Result<Vec<u8>, String> {
     let [.., a, b, c, d, b'P', b'A', b'R', b'1'] = *file.as_slice() else {
         return Err("it does not end with PAR1".to_owned());
@@ -70,7 +69,7 @@ pub(super) fn rewritten(mut file: Vec<u8>, wanted: Option<&[&str]>) -> Result<Ve
     Ok(file)
 }
 
-/// The footer of the columns that are read, where their pages in `body` agree with it.
+/// The footer of the columns that are read, if it agrees with their pages in `body`.
 fn checked(
     footer: FileMetaData,
     body: &[u8],
@@ -127,14 +126,14 @@ fn checked(
     ))
 }
 
-/// The leaves of a schema, in order: those that are read, and `None` for each of the others.
+/// The leaves of a schema in order: those that are read, `None` for others.
 fn leaves(
     schema: &[SchemaElement],
     wanted: Option<&[&str]>,
 ) -> Result<Vec<Option<SchemaElement>>, String> {
     let mut leaves = Vec::new();
     let mut names = HashSet::new();
-    // Elements that are still to come of the nested column under way: columns stand depth first.
+    // Elements of the current nested column that follow, depth first.
     let mut nested = 0_usize;
     for element in schema.iter().skip(1) {
         let flat = nested == 0;
@@ -157,7 +156,7 @@ fn leaves(
     Ok(leaves)
 }
 
-/// A column of text, numbers or truth values as this build of polars reads it.
+/// A column of text, numbers or booleans in the types of this polars build.
 fn readable(element: &SchemaElement) -> Option<SchemaElement> {
     let mut leaf = element.clone();
     if !matches!(
@@ -206,7 +205,7 @@ fn readable(element: &SchemaElement) -> Option<SchemaElement> {
     is_read.then_some(leaf)
 }
 
-/// Where a column lies, and how it is packed, without statistics and indexes.
+/// Position and codec of a column, without statistics and indexes.
 fn chunk(
     column: ColumnChunk,
     leaf: &SchemaElement,
@@ -233,7 +232,7 @@ fn chunk(
         None,
         column.data_page_offset,
         None,
-        // Some writers say 0 where there is no dictionary.
+        // Some writers use 0 without a dictionary.
         column.dictionary_page_offset.filter(|offset| *offset > 0),
         None,
         None,
@@ -243,7 +242,7 @@ fn chunk(
     ))
 }
 
-/// The bytes of a column's pages, as polars takes them.
+/// The byte range of a column's pages, as polars reads it.
 fn range(column: &ColumnMetaData) -> Option<std::ops::Range<usize>> {
     let start = column.dictionary_page_offset;
     let start = usize::try_from(start.unwrap_or(column.data_page_offset)).ok()?;

@@ -1,7 +1,6 @@
-//! `manifest.parquet`: one row for each phrase, with where it comes from and its checksums.
+//! `manifest.parquet`: one row for each phrase, with its sources and checksums.
 //!
-//! Reading and writing it needs the Cargo feature `manifest`; without it every attempt is
-//! [`Error::Feature`].
+//! Needs the Cargo feature `manifest`; without it every attempt is [`Error::Feature`].
 
 #[cfg(feature = "manifest")]
 mod columns;
@@ -12,18 +11,20 @@ mod footer;
 #[cfg(feature = "manifest")]
 mod pages;
 mod row;
+mod songs;
 #[cfg_attr(not(feature = "manifest"), path = "absent.rs")]
 mod table;
 #[cfg(all(test, feature = "manifest"))]
 mod tests;
 
 pub use row::{Flag, ManifestRow};
+pub use songs::Songs;
 
 use crate::layout::MANIFEST;
 use crate::{Error, Store};
 use table::DataFrame;
 
-/// The longest manifest that is read: some millions of phrases.
+/// Largest manifest.
 pub const MAX_BYTES: u64 = 1 << 30;
 
 /// Whether this build reads and writes manifests.
@@ -32,8 +33,8 @@ pub const SUPPORTED: bool = cfg!(feature = "manifest");
 /// Reads the manifest of `store`; `None` if it has none.
 ///
 /// # Errors
-/// [`Error::Store`]; [`Error::Manifest`] for a file that is none, a missing column, an id that
-/// is no plain name or occurs twice, a checksum that is none.
+/// [`Error::Store`]; [`Error::Manifest`] for another kind of file, a missing column, an invalid or
+/// repeated id, or an invalid checksum.
 pub fn read(store: &Store) -> Result<Option<Vec<ManifestRow>>, Error> {
     let bytes = store.find(MANIFEST, MAX_BYTES)?;
     let rows = bytes.map(|bytes| parse(bytes, &store.name_of(MANIFEST)));
@@ -48,7 +49,7 @@ pub fn parse(bytes: Vec<u8>, object: &str) -> Result<Vec<ManifestRow>, Error> {
     attempt(object, || table::rows(bytes))
 }
 
-/// Writes the manifest of `rows`, sorted by id, into `store`; equal rows make equal bytes.
+/// Writes the manifest of `rows`, sorted by id, into `store`; equal rows give equal bytes.
 ///
 /// # Errors
 /// [`Error::Store`].
@@ -60,18 +61,18 @@ pub fn write(store: &Store, rows: Vec<ManifestRow>) -> Result<(), Error> {
 /// The cells of a column.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Cells {
-    /// Text; none where nothing is known.
+    /// Text; `None` if unknown.
     Texts(Vec<Option<String>>),
     /// Whole numbers.
     Integers(Vec<i64>),
     /// Numbers.
     Numbers(Vec<f64>),
-    /// Yes or no.
+    /// Booleans.
     Flags(Vec<bool>),
 }
 
-/// Writes a manifest of these columns by their names, all of one length, into `store`: that of a
-/// dataset which is not of phrases.
+/// Writes a manifest of named columns of equal length into `store`, for datasets that are not of
+/// phrases.
 ///
 /// # Errors
 /// [`Error::Store`]; [`Error::Manifest`] for columns of different lengths or the same name.
@@ -80,7 +81,7 @@ pub fn write_columns(store: &Store, columns: Vec<(String, Cells)>) -> Result<(),
     Ok(store.write(MANIFEST, bytes)?)
 }
 
-/// What comes of the manifest called `object`.
+/// Runs `made` on the manifest `object`, if this build supports it.
 fn attempt<T>(object: &str, made: impl FnOnce() -> Result<T, String>) -> Result<T, Error> {
     let object = object.to_owned();
     if !SUPPORTED {
@@ -92,7 +93,7 @@ fn attempt<T>(object: &str, made: impl FnOnce() -> Result<T, String>) -> Result<
     made().map_err(|problem| Error::Manifest { object, problem })
 }
 
-/// Rows of a manifest, with all its columns: those of kinegrad and any that others have added.
+/// Rows of a manifest with all columns, including user-defined ones.
 #[derive(Clone, Debug)]
 pub struct Selection {
     frame: DataFrame,
@@ -102,7 +103,7 @@ impl Selection {
     /// All rows of the manifest of `store`; `None` if it has none.
     ///
     /// # Errors
-    /// [`Error::Store`]; [`Error::Manifest`] for a file that is none.
+    /// [`Error::Store`]; [`Error::Manifest`].
     pub fn read(store: &Store) -> Result<Option<Self>, Error> {
         let Some(bytes) = store.find(MANIFEST, MAX_BYTES)? else {
             return Ok(None);
@@ -114,7 +115,7 @@ impl Selection {
     /// The rows that meet `condition`, as `tempo > 100 and split = train`.
     ///
     /// # Errors
-    /// What is wrong with the condition.
+    /// The problem of the condition.
     pub fn filter(&self, condition: &str) -> Result<Self, String> {
         let frame = table::filter(&self.frame, condition)?;
         Ok(Self { frame })
@@ -130,13 +131,13 @@ impl Selection {
         self.len() == 0
     }
 
-    /// The values of a column of text; missing ones are empty. `None` if there is no such column.
+    /// The values of a text column; missing ones are empty. `None` without the column.
     pub fn texts(&self, column: &str) -> Option<Vec<String>> {
         let texts = table::texts(self.frame.column(column).ok()?).ok()?;
         Some(texts.into_iter().map(Option::unwrap_or_default).collect())
     }
 
-    /// The values of a column of numbers. `None` if there is no such column.
+    /// The values of a numeric column. `None` without the column.
     pub fn numbers(&self, column: &str) -> Option<Vec<Option<f64>>> {
         table::numbers(self.frame.column(column).ok()?).ok()
     }

@@ -1,13 +1,12 @@
-//! Whether the pages of a column say the same as its footer (Parquet format, "Data Pages").
+//! Consistency of a column's pages and footer (Parquet format, "Data Pages").
 
 use polars_parquet_format::thrift::protocol::TCompactInputProtocol;
 use polars_parquet_format::{Encoding, PageHeader, PageType};
 
-/// Memory that a parsed page header may take for each byte of its column.
+/// Memory of a parsed page header per byte of its column.
 const HEADER_BUDGET: usize = 8;
 
-/// How values may be written. Those of the delta encodings count themselves within the page, and
-/// polars believes them.
+/// Supported encodings. Delta encodings contain their own counts, which polars trusts.
 const ENCODINGS: [Encoding; 5] = [
     Encoding::PLAIN,
     Encoding::PLAIN_DICTIONARY,
@@ -16,11 +15,11 @@ const ENCODINGS: [Encoding; 5] = [
     Encoding::BYTE_STREAM_SPLIT,
 ];
 
-/// The bytes that the pages of one flat column in one group of rows unpack to, where they hold just
-/// `values` values and unpack to `limit` bytes at most.
+/// The bytes that the pages of a flat column in one row group unpack to, if they contain exactly
+/// `values` values and at most `limit` bytes.
 ///
 /// # Errors
-/// What is wrong with them.
+/// A problem of the pages.
 pub(super) fn unpacked_bytes(
     mut pages: &[u8],
     values: usize,
@@ -43,7 +42,7 @@ pub(super) fn unpacked_bytes(
     Ok(limit - unpacked_left)
 }
 
-/// The values of the next page and the bytes that it unpacks to, as its header says.
+/// The values of the next page and its unpacked bytes, by its header.
 fn next(rest: &mut &[u8], may_be_dictionary: bool) -> Result<(usize, usize), String> {
     let budget = HEADER_BUDGET * rest.len();
     let mut protocol = TCompactInputProtocol::new(&mut *rest, budget);
@@ -139,7 +138,7 @@ mod tests {
         }
     }
 
-    /// What is said of a column of 5 values in these pages, which may unpack to 40 bytes.
+    /// The result for a column of 5 values in these pages, which may unpack to 40 bytes.
     fn read(pages: &[PageHeader]) -> Result<usize, String> {
         let mut bytes = Vec::new();
         for page in pages {

@@ -1,4 +1,4 @@
-//! What a manifest says of one phrase.
+//! A row of the manifest.
 
 use std::fmt;
 
@@ -9,63 +9,63 @@ use crate::{AudioGroup, Digest, Side};
 /// A row of the manifest.
 #[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
 pub struct ManifestRow {
-    /// The phrase's id: the name of its folders.
+    /// Id of the phrase, the name of its folders.
     pub id: String,
-    /// The motion it was cut from, as the plan names it.
+    /// The source motion, as named in the plan.
     pub motion_source: String,
-    /// The song, as the plan names it; none where the features are zeros.
+    /// The song, as named in the plan; none if the features are zeros.
     pub audio_source: Option<String>,
-    /// Its first frame on the take's time line: that of the song; where there is none, that of the
-    /// motion used, which begins at `audio_start_seconds`.
+    /// Its first frame on the take's time line: that of the song, or, without one, that of the used
+    /// motion, which begins at `audio_start_seconds`.
     pub first_frame: i64,
-    /// Frames.
+    /// Number of frames.
     pub frames: i64,
     /// Frames per second.
     pub fps: f64,
-    /// Beats within it; none where no beats are known.
+    /// Number of beats, if known.
     pub beats: Option<f64>,
-    /// Beats per minute; none where no beats are known.
+    /// Beats per minute, if known.
     pub tempo: Option<f64>,
-    /// Its side of the split; none where the plan leaves that to training.
+    /// Its side of the split; none if training decides.
     pub split: Option<Side>,
-    /// Length of its motion file in bytes.
+    /// Size of its motion file, bytes.
     pub motion_bytes: i64,
     /// Checksum of its motion file.
     pub motion_sha256: Digest,
-    /// Length of its audio file in bytes.
+    /// Size of its audio file, bytes.
     pub audio_bytes: i64,
     /// Checksum of its audio file.
     pub audio_sha256: Digest,
-    /// The groups of audio features in its audio file; none where the manifest does not say.
+    /// Groups of audio features in its audio file; none if unknown.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub audio_features: Option<Vec<AudioGroup>>,
-    /// What it is called, such as the kind of dance; none where the plan does not say.
+    /// Its label, such as the dance style, if any.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub label: Option<String>,
-    /// What is notable about it, see [`Flag`].
+    /// Notes about it.
     pub flags: Vec<Flag>,
 }
 
-/// What is notable about a phrase.
+/// A note about a phrase.
 #[derive(Clone, Copy, Debug, Deserialize, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Flag {
-    /// It has no song: its audio features are zeros.
+    /// No song: audio features are zeros.
     NoAudio,
-    /// It has no beats: its phase is zero throughout.
+    /// No beats: the phase is zero.
     NoBeats,
-    /// A border between two captured units lies within it.
+    /// It contains a border between two captured units.
     JoinedUnits,
-    /// Markers were missing over short gaps and were interpolated.
+    /// Short gaps of markers were interpolated.
     FilledGaps,
     /// It fails CC-MotionGen's sanity checks.
     FailsDocumentChecks,
-    /// A part of its song was damaged or is missing: what follows may be early.
+    /// A part of its song was damaged or missing: what follows may be early.
     DamagedAudio,
 }
 
 impl fmt::Display for Flag {
-    /// As the manifest writes it.
+    /// Its name in the manifest.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         self.serialize(f)
     }

@@ -1,4 +1,4 @@
-//! Rows of a manifest as a Parquet file, and such a file as a table.
+//! Conversion between manifest rows and Parquet tables.
 
 use std::collections::HashSet;
 use std::io::Cursor;
@@ -22,7 +22,7 @@ use super::{Cells, filter, footer};
 use crate::layout::check_id;
 use crate::{AudioGroup, Digest, Side};
 
-/// The column of labels, which only some manifests have.
+/// The optional column of labels.
 const LABEL_COLUMN: &str = "label";
 
 /// The Parquet file of `rows`, sorted by id.
@@ -53,8 +53,7 @@ pub(super) fn encode_columns(columns: Vec<(String, Cells)>) -> Result<Vec<u8>, S
     Ok(bytes)
 }
 
-/// The `wanted` columns that a Parquet file has, or all of them; in an error, what is wrong with
-/// it.
+/// The `wanted` columns of a Parquet file, or all; or its problem.
 pub(super) fn decode(bytes: Vec<u8>, wanted: Option<&[&str]>) -> Result<DataFrame, String> {
     let most_text = footer::most_unpacked(bytes.len());
     // polars panics on some damaged pages.
@@ -62,12 +61,12 @@ pub(super) fn decode(bytes: Vec<u8>, wanted: Option<&[&str]>) -> Result<DataFram
         let file = footer::rewritten(bytes, wanted)?;
         let reader = ParquetReader::new(Cursor::new(file));
         let frame = reader.finish().map_err(|e| e.to_string())?;
-        // polars makes tables of columns without comparing their lengths.
+        // polars does not compare the lengths of columns.
         let height = frame.height();
         if let Some(column) = frame.columns().iter().find(|c| c.len() != height) {
             return Err(format!("column `{}` is cut off", column.name()));
         }
-        // Cells share the text of a dictionary, until they are copied into rows.
+        // Cells share the text of a dictionary until they are copied into rows.
         let text: usize = frame.columns().iter().map(text_bytes).sum();
         if text > most_text {
             return Err(format!("{text} bytes of text, {most_text} allowed"));
@@ -79,7 +78,7 @@ pub(super) fn decode(bytes: Vec<u8>, wanted: Option<&[&str]>) -> Result<DataFram
         .map_err(|reason| format!("not a readable Parquet file: {reason}"))
 }
 
-/// The bytes of all cells of a column of text.
+/// Total bytes of a text column's cells.
 fn text_bytes(column: &Column) -> usize {
     match (column.str(), column.binary()) {
         (Ok(texts), _) => texts.iter().flatten().map(str::len).sum(),
@@ -115,7 +114,7 @@ pub(super) fn table(rows: &[ManifestRow]) -> Result<DataFrame, PolarsError> {
             row.flags.iter().map(Flag::to_string).collect::<Vec<_>>().join(",")
         }),
     )?;
-    // A dataset without labels has the columns that it had before there were any.
+    // The column exists only with labels.
     if rows.iter().any(|row| row.label.is_some()) {
         let labels = some_texts(&|row| row.label.clone());
         frame.with_column(Column::new(LABEL_COLUMN.into(), labels))?;
@@ -123,8 +122,8 @@ pub(super) fn table(rows: &[ManifestRow]) -> Result<DataFrame, PolarsError> {
     Ok(frame)
 }
 
-/// The rows of a Parquet file; in an error, what is wrong with it. Only ids and checksums must be
-/// there: a manifest written by hand need not know the rest.
+/// The rows of a Parquet file, or its problem. Only ids and checksums are required, so that
+/// manifests can be written by hand.
 pub(super) fn rows(bytes: Vec<u8>) -> Result<Vec<ManifestRow>, String> {
     let written = table(&[]).map_err(|error| error.to_string())?;
     let columns: Vec<&str> = written
@@ -216,14 +215,14 @@ pub(super) fn rows(bytes: Vec<u8>) -> Result<Vec<ManifestRow>, String> {
         .collect()
 }
 
-/// The rows of a table that meet a condition; in an error, what is wrong with that.
+/// The rows of a table that meet a condition, or the condition's error.
 pub(super) fn filter(frame: &DataFrame, condition: &str) -> Result<DataFrame, String> {
     let rows = filter::rows(condition, frame)?;
     let mask = BooleanChunked::from_slice("chosen".into(), &rows);
     frame.filter(&mask).map_err(|error| error.to_string())
 }
 
-/// Groups of audio features as a cell lists them.
+/// Groups of audio features as a cell.
 fn listed(groups: &[AudioGroup]) -> String {
     let names = groups.iter().map(|group| match group {
         AudioGroup::Document => "document",

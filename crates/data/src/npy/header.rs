@@ -1,20 +1,20 @@
-//! The header of a `.npy` file: a Python dictionary of dtype, order and shape behind a magic
-//! string (NumPy's `numpy.lib.format`, versions 1 to 3).
+//! The header of a `.npy` file: a Python dictionary of dtype, order and shape after a magic string
+//! (NumPy's `numpy.lib.format`, versions 1 to 3).
 
 use crate::FileError;
 
-/// NumPy refuses longer headers too.
+/// NumPy's limit.
 pub(super) const MAX_HEADER_BYTES: usize = 10_000;
 
-/// Written headers end at a multiple of this, as NumPy's do, so that the data can be mapped.
+/// Alignment of the data, as NumPy's, so that it can be mapped.
 const ALIGNMENT: usize = 64;
 
-/// What a header says.
+/// A parsed header.
 #[derive(Debug, PartialEq)]
 pub(super) struct Header {
-    /// Double precision, otherwise single.
+    /// Double precision, else single.
     pub(super) double: bool,
-    /// The first axis is the fastest, otherwise the last.
+    /// The first axis is the fastest, else the last.
     pub(super) fortran_order: bool,
     pub(super) shape: Vec<usize>,
     /// The product of the axes.
@@ -31,7 +31,7 @@ pub(super) fn write(shape: &[usize]) -> Vec<u8> {
         _ => axes.trim_end_matches(", "),
     };
     let mut text = format!("{{'descr': '<f4', 'fortran_order': False, 'shape': ({axes}), }}");
-    // Magic string, version, length of the text, and the line feed at its end.
+    // Magic string, version, length of the text, and final line feed.
     let around = 10 + 1;
     let padded = (text.len() + around).next_multiple_of(ALIGNMENT) - around;
     text.extend(std::iter::repeat_n(' ', padded - text.len()));
@@ -79,7 +79,7 @@ pub(super) fn read(bytes: &[u8], file: &str) -> Result<Header, FileError> {
         }
     };
     let shape = axes(shape).map_err(not_npy)?;
-    // A zero elsewhere can hide an axis longer than the file.
+    // A zero axis can hide an axis longer than the file.
     let length = shape
         .iter()
         .try_fold(1u64, |product, &axis| product.checked_mul(axis as u64))
@@ -95,7 +95,7 @@ pub(super) fn read(bytes: &[u8], file: &str) -> Result<Header, FileError> {
 
 const TOO_LARGE: &str = "its header declares an array too large to exist";
 
-/// The header's text and where the data begin.
+/// The header's text and the offset of the data.
 fn text(bytes: &[u8]) -> Result<(&str, usize), String> {
     if bytes.len() < 10 || &bytes[..6] != b"\x93NUMPY" {
         return Err("it does not begin as one".to_owned());
@@ -124,7 +124,7 @@ fn text(bytes: &[u8]) -> Result<(&str, usize), String> {
 /// The keys of the dictionary.
 const KEYS: [&str; 3] = ["descr", "fortran_order", "shape"];
 
-/// The dictionary's values of [`KEYS`], as they are spelt.
+/// The dictionary's values of [`KEYS`], as text.
 fn entries(text: &str) -> Result<[&str; 3], String> {
     let no_dictionary = || "its header is no dictionary".to_owned();
     let mut rest = text
@@ -154,7 +154,7 @@ fn entries(text: &str) -> Result<[&str; 3], String> {
     }
 }
 
-/// Where the first entry of `text` ends: at a comma outside of brackets and quotes, or at its end.
+/// The end of the first entry of `text`: a comma outside of brackets and quotes, or the end.
 fn end_of_entry(text: &str) -> Result<usize, String> {
     let (mut depth, mut quote) = (0usize, None);
     for (place, byte) in text.bytes().enumerate() {
@@ -193,7 +193,7 @@ fn axes(tuple: &str) -> Result<Vec<usize>, String> {
     let axes: Vec<usize> = axes
         .map(|axis| self::axis(axis.trim_ascii()))
         .collect::<Result<_, _>>()?;
-    // One number in brackets is no tuple without its comma.
+    // A single number in brackets is not a tuple.
     if axes.len() == 1 && closed.is_none() {
         return Err(wrong());
     }

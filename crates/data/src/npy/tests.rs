@@ -260,7 +260,7 @@ fn a_motion_is_written_as_the_dataset_stores_it() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a/trajectory.npy");
     let values: Vec<f32> = (0..75).map(|i| i as f32 / 7.0).collect();
-    let written = Motion::new(values.clone()).unwrap();
+    let written = Phrase::new(values.clone()).unwrap();
     write_motion(&path, &written).unwrap();
     assert_eq!(read_motion(&path).unwrap().as_slice(), &values[..]);
     let bytes = std::fs::read(&path).unwrap();

@@ -58,7 +58,7 @@ fn stored_members_are_read_too() {
 fn broken_archives_say_what_is_wrong() {
     let good = archive(|_, rows| Some(member(rows, 4)));
     let mut flipped = good.clone();
-    // A byte of mel's data: only the checksum can tell.
+    // A byte of mel's data: only the checksum differs.
     flipped[300] ^= 1;
     for (bytes, expected) in [
         (

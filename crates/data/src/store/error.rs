@@ -1,19 +1,19 @@
-//! Why a store could not give or take an object.
+//! Errors of stores.
 
 use miette::Diagnostic;
 use thiserror::Error;
 
-/// What went wrong with one object. `object` is its path or address.
+/// A problem of one object. `object` is its path or address.
 #[derive(Clone, Debug, Error, Diagnostic)]
 pub enum StoreError {
-    /// There is no such object.
+    /// The object does not exist.
     #[error("{object}: not found")]
     #[diagnostic(help("check data.source; was the file moved or deleted?"))]
     Missing {
         /// The object.
         object: String,
     },
-    /// The store does not let this user in.
+    /// Access is denied.
     #[error("{object}: access denied: {reason}")]
     #[diagnostic(help(
         "credentials come from the environment (GOOGLE_APPLICATION_CREDENTIALS for gs://, \
@@ -24,10 +24,10 @@ pub enum StoreError {
     Denied {
         /// The object.
         object: String,
-        /// What the store says.
+        /// The store's reason.
         reason: String,
     },
-    /// It did not work, however often it was tried.
+    /// Every attempt failed.
     #[error("{object}: cannot {action} after {attempts} attempt(s): {reason}")]
     #[diagnostic(help(
         "check the path, its permissions and the free space, and for an address the network; \
@@ -36,38 +36,38 @@ pub enum StoreError {
     Failed {
         /// The object.
         object: String,
-        /// What was tried: `read`, `write`, `list`, `remove`, `open`.
+        /// The attempted action: `read`, `write`, `list`, `remove`, `open`.
         action: &'static str,
-        /// How often.
+        /// Number of attempts.
         attempts: usize,
-        /// What went wrong the last time.
+        /// The last reason.
         reason: String,
     },
-    /// Its bytes are not those that the manifest or the start of the run recorded.
+    /// The bytes differ from those in the manifest or at the start of the run.
     #[error(
         "{object}: its contents are not those {recorded}: sha256 {found} found, {expected} expected"
     )]
     #[diagnostic(help(
-        "the object was changed or damaged: restore it, or make it again (`kinegrad data prepare \
-         PLAN.toml --again`) and start a new run"
+        "the object was changed or damaged: restore it, or prepare the dataset again and \
+         start a new run"
     ))]
     Changed {
         /// The object.
         object: String,
-        /// Where the expected checksum comes from.
+        /// Origin of the expected checksum.
         recorded: &'static str,
-        /// The checksum of what was read, hexadecimal.
+        /// The found checksum, hexadecimal.
         found: String,
         /// The checksum expected.
         expected: String,
     },
-    /// The object is longer than anything that belongs there.
+    /// The object is too large.
     #[error("{object}: {found} bytes found, {limit} allowed")]
     #[diagnostic(help("this is not a file of a phrase dataset"))]
     TooLarge {
         /// The object.
         object: String,
-        /// Its length in bytes.
+        /// Its size in bytes.
         found: u64,
         /// The longest allowed.
         limit: u64,
@@ -78,19 +78,19 @@ pub enum StoreError {
     Outside {
         /// The object.
         object: String,
-        /// Where it leads.
+        /// Target of the link.
         target: String,
     },
-    /// The path would lead out of the dataset, or is none.
+    /// The path is invalid or leads out of the dataset.
     #[error("path `{path}`: {reason}")]
     #[diagnostic(help("ids are plain names: no `/`, no `\\`, no `..`, at most 200 bytes"))]
     Path {
         /// The path.
         path: String,
-        /// What is wrong with it.
+        /// The problem.
         reason: &'static str,
     },
-    /// A web server cannot list what it holds.
+    /// A web server cannot list objects.
     #[error("{uri}: http cannot list phrases and there is no manifest.parquet")]
     #[diagnostic(help(
         "`kinegrad data prepare` writes a manifest; without one a dataset works from a folder, \
@@ -110,8 +110,7 @@ pub enum StoreError {
 }
 
 impl StoreError {
-    /// Whether it says something of this one object alone: nothing of the store behind it, nor
-    /// that the dataset is not the one that was recorded.
+    /// Whether the error concerns this object only, not the store or the identity of the dataset.
     pub fn concerns_one_object(&self) -> bool {
         match self {
             Self::Missing { .. }

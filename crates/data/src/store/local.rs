@@ -1,4 +1,4 @@
-//! A dataset in a folder of this machine.
+//! A dataset in a local folder.
 
 use std::fs;
 use std::io::ErrorKind;
@@ -9,7 +9,7 @@ use crate::file::read_file;
 use crate::layout::check_path;
 use crate::{Error, atomic};
 
-/// A folder that nothing is read outside of.
+/// A folder whose contents are never read outside of it.
 #[derive(Clone, Debug)]
 pub(super) struct Folder {
     root: PathBuf,
@@ -44,10 +44,10 @@ impl Folder {
         })
     }
 
-    /// Where a file lies or would lie, if that is within the folder.
+    /// Path of a file, existing or not, if it is within the folder.
     pub fn place(&self, path: &str) -> Result<PathBuf, StoreError> {
         check_path(path)?;
-        // Folders that are there may be links; those that are not are made within the last one.
+        // Existing folders may be links; others are created within the last one.
         let mut folder = Path::new(path);
         while let Some(parent) = folder.parent().filter(|parent| *parent != Path::new("")) {
             folder = parent;
@@ -59,7 +59,7 @@ impl Folder {
         Ok(self.root.join(path))
     }
 
-    /// Removes a file, if it is there, and its folder below the root if nothing else is in it.
+    /// Removes a file, if it exists, and its empty folder below the root.
     pub fn remove(&self, path: &str) -> Result<(), StoreError> {
         let full = match self.inside(path) {
             Ok(full) => full,
@@ -68,7 +68,7 @@ impl Folder {
         };
         fs::remove_file(&full).map_err(|reason| failed(&full, "remove", &reason))?;
         if let Some(folder) = full.parent().filter(|folder| *folder != self.root) {
-            // Fails where something else is in it.
+            // Fails if the folder is not empty.
             let _ = fs::remove_dir(folder);
         }
         Ok(())
@@ -85,7 +85,7 @@ impl Folder {
                 continue;
             }
             let path = format!("{folder}/{name}/{file}");
-            // A folder without its file is listed as well: reading it says what is missing.
+            // A folder without its file is listed: reading it reports what is missing.
             let metadata = fs::metadata(self.root.join(&path));
             objects.push(Object {
                 bytes: metadata.as_ref().map_or(0, |metadata| metadata.len()),
@@ -96,7 +96,7 @@ impl Folder {
         Ok(objects)
     }
 
-    /// The files directly below `folder`, hidden ones left out.
+    /// The files directly in `folder`, without hidden ones.
     pub fn list_files(&self, folder: &str) -> Result<Vec<Object>, StoreError> {
         let place = self.root.join(folder);
         let unreadable = |reason| failed(&place, "list", &reason);
@@ -118,12 +118,12 @@ impl Folder {
         Ok(objects)
     }
 
-    /// The full path, all links followed, if that still lies within the folder.
+    /// The full path, if it is within the folder after following links.
     fn inside(&self, path: &str) -> Result<PathBuf, StoreError> {
         check_path(path)?;
         let full = self.root.join(path);
         let real = full.canonicalize().map_err(|reason| {
-            // As in a checkout whose large files were not fetched.
+            // As in a checkout without its large files.
             let dangling = fs::symlink_metadata(&full).is_ok_and(|data| data.is_symlink());
             match dangling {
                 true => broken(&full, "read", "a symbolic link to nothing"),

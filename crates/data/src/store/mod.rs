@@ -1,8 +1,7 @@
-//! Stores: one way to read, write and list the files of a dataset, wherever it lies.
+//! Stores: reading, writing and listing the files of a dataset anywhere.
 //!
-//! A folder of this machine is read directly: unlike `object_store`'s own local store, which
-//! follows them, symbolic links that lead out of the folder are refused. Buckets and web servers
-//! go through `object_store` (Cargo feature `cloud`).
+//! Local folders are read directly, because `object_store`'s local store follows symbolic links out
+//! of the folder. Buckets and web servers use `object_store` (Cargo feature `cloud`).
 
 mod error;
 mod local;
@@ -20,7 +19,7 @@ pub use error::StoreError;
 use crate::location::Location;
 use crate::{Counters, Error, StoreConfig};
 
-/// A dataset's place. Clones share connections and counters.
+/// The location of a dataset. Clones share connections and counters.
 #[derive(Clone, Debug)]
 pub struct Store {
     kind: Kind,
@@ -34,25 +33,24 @@ enum Kind {
     Remote(Arc<remote::Remote>),
 }
 
-/// What a store's listing tells of one object.
+/// An object in a listing.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Object {
     /// Its path within the store.
     pub path: String,
     /// Its length in bytes.
     pub bytes: u64,
-    /// What changes when its contents do: an entity tag or the time of its last change.
+    /// Version of its contents: entity tag or modification time.
     pub version: String,
 }
 
 impl Store {
-    /// The store that `source` names; see [`crate::DataConfig::source`]. A local folder need not
-    /// exist yet.
+    /// The store of `source` (see [`crate::DataConfig::source`]). A local folder need not exist
+    /// yet.
     ///
     /// # Errors
-    /// [`Error::Scheme`] for a source of another kind; [`Error::Feature`] for a bucket or web
-    /// server in a build without `cloud`; [`Error::Store`] for credentials or an endpoint that
-    /// cannot be used.
+    /// [`Error::Scheme`] for another kind of source; [`Error::Feature`] for a remote source in a
+    /// build without `cloud`; [`Error::Store`] for unusable credentials or endpoints.
     pub fn open(source: &str, config: &StoreConfig) -> Result<Self, Error> {
         let counters = Arc::new(Counters::default());
         let kind = match Location::parse(source)? {
@@ -74,7 +72,7 @@ impl Store {
         Ok(Self { kind, counters })
     }
 
-    /// The store's address, as messages name it.
+    /// The store's address, for messages.
     pub fn uri(&self) -> String {
         match &self.kind {
             Kind::Local(folder) => folder.root().display().to_string(),
@@ -83,7 +81,7 @@ impl Store {
         }
     }
 
-    /// The store's address with the endpoint behind it: two providers may have the same bucket.
+    /// The store's address with its endpoint: two providers may have the same bucket.
     pub(crate) fn address(&self) -> String {
         match &self.kind {
             Kind::Local(_) => self.uri(),
@@ -92,7 +90,7 @@ impl Store {
         }
     }
 
-    /// Whether it can be written to.
+    /// Whether it is writable.
     pub fn is_writable(&self) -> bool {
         match &self.kind {
             Kind::Local(_) => true,
@@ -101,12 +99,12 @@ impl Store {
         }
     }
 
-    /// How messages name the object at `path`.
+    /// Name of the object at `path` in messages.
     pub fn name_of(&self, path: &str) -> String {
         format!("{}/{path}", self.uri().trim_end_matches('/'))
     }
 
-    /// Whether reads go over a network, so that keeping a copy pays.
+    /// Whether reads use a network, so that caching helps.
     pub fn is_remote(&self) -> bool {
         match &self.kind {
             Kind::Local(_) => false,
@@ -115,15 +113,15 @@ impl Store {
         }
     }
 
-    /// Reads the object at `path` whole. `limit` bounds its length in bytes.
+    /// Reads the object at `path`, of at most `limit` bytes.
     ///
     /// # Errors
-    /// [`StoreError`]: [`StoreError::Missing`] where there is none, [`StoreError::TooLarge`].
+    /// [`StoreError::Missing`], [`StoreError::TooLarge`] and others.
     pub fn read(&self, path: &str, limit: u64) -> Result<Vec<u8>, StoreError> {
         Ok(self.read_version(path, limit)?.0)
     }
 
-    /// Reads the object at `path` whole, if there is one.
+    /// Reads the object at `path`, if it exists.
     ///
     /// # Errors
     /// As [`read`](Self::read), but for [`StoreError::Missing`].
@@ -134,7 +132,7 @@ impl Store {
         }
     }
 
-    /// [`read`](Self::read), with the version of what was read, as a listing tells it.
+    /// [`read`](Self::read) with the version of the object.
     pub(crate) fn read_version(
         &self,
         path: &str,
@@ -149,7 +147,7 @@ impl Store {
         Ok((bytes, version))
     }
 
-    /// Writes the object at `path`, whole or not at all.
+    /// Writes the object at `path`, atomically.
     ///
     /// # Errors
     /// [`StoreError`]; [`StoreError::ReadOnly`] for a web server.
@@ -161,7 +159,7 @@ impl Store {
         }
     }
 
-    /// Removes the object at `path`, if there is one.
+    /// Removes the object at `path`, if it exists.
     ///
     /// # Errors
     /// [`StoreError`]; [`StoreError::ReadOnly`] for a web server.
@@ -173,11 +171,10 @@ impl Store {
         }
     }
 
-    /// Where on this machine the object at `path` lies or would lie; none in buckets and on
-    /// servers.
+    /// Local path of the object at `path`, existing or not; `None` for remote stores.
     ///
     /// # Errors
-    /// [`StoreError::Outside`] where a link leads out of the folder.
+    /// [`StoreError::Outside`] if a link leads out of the folder.
     pub fn place(&self, path: &str) -> Result<Option<PathBuf>, StoreError> {
         match &self.kind {
             Kind::Local(folder) => folder.place(path).map(Some),
@@ -202,7 +199,7 @@ impl Store {
         Ok(objects)
     }
 
-    /// All objects named `FOLDER/NAME.ENDING`, sorted by path; none where there is no such folder.
+    /// All objects named `FOLDER/NAME.ENDING`, sorted by path; none without the folder.
     ///
     /// # Errors
     /// [`StoreError`]; [`StoreError::NoListing`] for a web server.
@@ -222,8 +219,8 @@ impl Store {
         Ok(objects)
     }
 
-    /// The version of each object directly below `folder`, by its path: what a cached copy of it
-    /// is known by. None where nothing is cached, or nothing can be listed.
+    /// The version of each object directly in `folder`, by path, for the cache. Empty without a
+    /// cache or listing.
     ///
     /// # Errors
     /// [`StoreError`].
@@ -245,7 +242,7 @@ impl Store {
         }
     }
 
-    /// What has been read so far.
+    /// Counters of reads.
     pub fn counters(&self) -> &Arc<Counters> {
         &self.counters
     }

@@ -1,9 +1,8 @@
 //! A dataset in a bucket or on a web server, through `object_store`.
 //!
-//! Credentials and endpoints come from the environment as `object_store` reads it
-//! (`GOOGLE_APPLICATION_CREDENTIALS`, `AWS_ACCESS_KEY_ID` and so on); `data.store` overrides the
-//! endpoint. Every request is tried again here, with the body it should have brought, so that a
-//! connection cut in the middle of an object is a retry like any other.
+//! Credentials and endpoints come from the environment (`GOOGLE_APPLICATION_CREDENTIALS`,
+//! `AWS_ACCESS_KEY_ID` and so on); `data.store` overrides the endpoint. Every request is retried
+//! here with its body, so that a cut connection is a retry like any other.
 
 use std::sync::{Arc, Once};
 use std::time::{Duration, UNIX_EPOCH};
@@ -19,10 +18,10 @@ use crate::layout::check_path;
 use crate::location::Service;
 use crate::{Counters, Error, StoreConfig};
 
-/// The first pause before trying again; each next one is twice as long.
+/// First pause before a retry; it doubles each time.
 const FIRST_PAUSE: Duration = Duration::from_millis(100);
 
-/// The longest pause.
+/// Longest pause.
 const LONGEST_PAUSE: Duration = Duration::from_secs(20);
 
 /// A bucket with its prefix, or a web server with its path.
@@ -30,10 +29,10 @@ const LONGEST_PAUSE: Duration = Duration::from_secs(20);
 pub(super) struct Remote {
     uri: String,
     store: Box<dyn ObjectStore>,
-    /// The path within the bucket; a web server's is part of its address.
+    /// Path within the bucket; empty for web servers.
     prefix: String,
     can_list: bool,
-    /// The endpoint that the config names; empty for the service's own.
+    /// Endpoint of the config; empty for the service's own.
     endpoint: String,
     max_retries: usize,
     requests: Semaphore,
@@ -178,7 +177,7 @@ impl Remote {
         Ok(objects.collect())
     }
 
-    /// How messages name `path`, and its place in the bucket.
+    /// Name of `path` in messages, and its key in the bucket.
     fn key(&self, path: &str) -> Result<(String, Path), StoreError> {
         check_path(path)?;
         let object = format!("{}/{path}", self.uri);
@@ -193,7 +192,7 @@ impl Remote {
         Ok((object, key))
     }
 
-    /// Does `request` until it succeeds, cannot succeed, or has been tried often enough.
+    /// Runs `request` until it succeeds, fails for good, or has been retried often enough.
     fn try_often<T, F>(
         &self,
         object: &str,
@@ -231,13 +230,13 @@ impl Remote {
     }
 }
 
-/// A factor from 0.75 to 1.25, so that those who failed together do not come back together.
+/// A factor from 0.75 to 1.25, so that clients do not retry at the same time.
 fn jitter() -> f64 {
     let now = UNIX_EPOCH.elapsed();
     0.75 + 0.5 * f64::from(now.unwrap_or_default().subsec_nanos() % 1000) / 1000.0
 }
 
-/// What changes when the object does. Listings and answers quote tags differently.
+/// Version of an object. Listings and responses quote tags differently.
 fn version(meta: &ObjectMeta) -> String {
     match &meta.e_tag {
         Some(tag) => format!("{} {}", meta.size, tag.trim_matches('"')),
@@ -245,16 +244,15 @@ fn version(meta: &ObjectMeta) -> String {
     }
 }
 
-/// Why one attempt failed.
+/// Reasons of a failed attempt.
 enum Failure {
     Request(object_store::Error),
     CutOff(String),
-    /// No further attempt would change it.
+    /// Retrying would not help.
     Final(StoreError),
 }
 
-/// What has failed for good. Services that tell a machine who it is fail like any other address:
-/// what is missing then is credentials.
+/// The final error. Failing metadata services of machines mean missing credentials.
 fn failed(object: &str, action: &'static str, attempts: usize, reason: String) -> StoreError {
     const SIGNS: [&str; 4] = ["169.254.", "token request", "api/token", "redential"];
     let object = object.to_owned();
@@ -269,17 +267,17 @@ fn failed(object: &str, action: &'static str, attempts: usize, reason: String) -
     }
 }
 
-/// Whether a server has refused the request as such: 4xx, but for those that ask for patience.
+/// Whether a server has rejected the request: 4xx, except those that ask to wait.
 fn is_refused(reason: &str) -> bool {
     let Some((_, status)) = reason.split_once("status code: ") else {
-        // What comes without a length cannot be checked for being whole.
+        // Responses without a length cannot be checked for completeness.
         return reason.contains("Content-Length");
     };
     let patience = ["408", "425", "429"];
     status.starts_with('4') && !patience.iter().any(|known| status.starts_with(known))
 }
 
-/// The error that trying again would not change.
+/// The error, if retrying would not help.
 fn final_error(
     error: &object_store::Error,
     object: &str,
@@ -301,7 +299,7 @@ fn final_error(
     }
 }
 
-/// The innermost cause and the outermost message, on one line and not longer than it helps.
+/// The innermost cause and the outermost message, on one short line.
 fn in_short(error: &(dyn std::error::Error + 'static)) -> String {
     let mut innermost = error;
     while let Some(cause) = innermost.source() {

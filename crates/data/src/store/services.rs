@@ -1,4 +1,4 @@
-//! The services behind addresses, and how they are spoken to.
+//! Builders of the remote services.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -11,10 +11,10 @@ use object_store::{ClientOptions, ObjectStore, RetryConfig, StaticCredentialProv
 use crate::StoreConfig;
 use crate::location::Service;
 
-/// The `bucket`, with its environment's credentials, or the web server at `uri`.
+/// The `bucket`, with credentials of the environment, or the web server at `uri`.
 ///
 /// # Errors
-/// If credentials or the endpoint cannot be used.
+/// If credentials or the endpoint are unusable.
 pub(super) fn open(
     service: Service,
     uri: &str,
@@ -28,7 +28,7 @@ pub(super) fn open(
     }
 }
 
-/// A bucket is written to by Google's XML interface, which not every emulator has.
+/// Buckets are written by Google's XML interface, which some emulators lack.
 fn gcs(bucket: &str, config: &StoreConfig) -> object_store::Result<Box<dyn ObjectStore>> {
     let mut builder = GoogleCloudStorageBuilder::from_env()
         .with_bucket_name(bucket)
@@ -40,7 +40,7 @@ fn gcs(bucket: &str, config: &StoreConfig) -> object_store::Result<Box<dyn Objec
         builder = builder.with_base_url(endpoint.trim_end_matches('/'));
     }
     if config.anonymous || (emulator.is_some() && config.endpoint.is_none()) {
-        // Writing asks for credentials all the same: there are some, and they are empty.
+        // Writing needs credentials, so these are empty.
         let nobody = GcpCredential {
             bearer: String::new(),
         };
@@ -51,7 +51,7 @@ fn gcs(bucket: &str, config: &StoreConfig) -> object_store::Result<Box<dyn Objec
     Ok(Box::new(builder.build()?))
 }
 
-/// The emulator that the environment names, as Google's own libraries read it.
+/// The emulator in the environment, as for Google's libraries.
 fn emulator() -> Option<String> {
     let host = std::env::var("STORAGE_EMULATOR_HOST").ok()?;
     if host.is_empty() {
@@ -89,14 +89,14 @@ fn http(uri: &str, config: &StoreConfig) -> object_store::Result<Box<dyn ObjectS
 fn client_options(config: &StoreConfig) -> ClientOptions {
     let patience = Duration::from_secs_f64(config.timeout_seconds);
     ClientOptions::new()
-        // An endpoint that the user names may be an emulator without TLS.
+        // The user's endpoint may be an emulator without TLS.
         .with_allow_http(true)
         .with_connect_timeout(patience)
         .with_read_timeout(patience)
         .with_timeout_disabled()
 }
 
-/// All attempts are counted here, not inside `object_store` as well.
+/// All attempts are counted here, not in `object_store`.
 fn no_retries() -> RetryConfig {
     RetryConfig {
         max_retries: 0,

@@ -1,8 +1,8 @@
-//! The motion of a synthetic phrase: four moves danced to its music.
+//! The motion of a synthetic phrase: four moves that follow its music.
 
 use std::f64::consts::{PI, TAU};
 
-use kinegrad_motion::{FPS, Motion, Quaternion, derive};
+use kinegrad_motion::{FPS, Phrase, Quaternion, derive};
 use kinegrad_random::Key;
 
 use super::music::{BEATS_PER_BAR, MOVES, Music};
@@ -11,7 +11,7 @@ use super::style;
 /// Stream below a phrase's key.
 const DANCER: u64 = 3;
 
-/// Where the body is and how it is turned, in its own frame: metres and radians.
+/// Position and rotation of the body in its own frame, metres and radians.
 #[derive(Clone, Copy, Default)]
 struct Pose {
     /// Right, up, forward.
@@ -23,8 +23,8 @@ struct Pose {
     roll: f64,
 }
 
-/// Move number `kind` at a beat: sway from side to side, step to and fro, walk a circle, bounce.
-/// All are near their origin at a bar line, where moves change.
+/// Move `kind` at a beat: sway, step to and fro, walk a circle, bounce. All are near their origin
+/// at bar lines, where moves change.
 fn pose(kind: usize, beat: f64) -> Pose {
     let (bar, half, whole) = (0.5 * PI * beat, PI * beat, TAU * beat);
     match kind {
@@ -59,8 +59,8 @@ fn pose(kind: usize, beat: f64) -> Pose {
     }
 }
 
-/// The dance to `music`, `frames` frames, standing at x = z = 0 in the first one.
-pub fn perform(music: &Music, phrase: Key, frames: usize) -> Motion {
+/// The dance to `music`, `frames` frames, at x = z = 0 in the first one.
+pub fn perform(music: &Music, phrase: Key, frames: usize) -> Phrase {
     assert!(frames > 0, "a phrase has at least one frame");
     let draws = phrase.at(DANCER).normals(4);
     let [heading, height, drift_x, drift_z] = [0, 1, 2, 3].map(|i| f64::from(draws[i]));
@@ -68,7 +68,7 @@ pub fn perform(music: &Music, phrase: Key, frames: usize) -> Motion {
     let height = 0.95 + 0.03 * height.clamp(-3.0, 3.0);
     let facing = Quaternion::from_yaw(heading);
 
-    // Two frames more than asked for: the last ones have no differences of their own.
+    // Two more frames, because the last ones have no differences of their own.
     let posed = frames + 2;
     let mut positions = Vec::with_capacity(posed);
     let mut quaternions = Vec::with_capacity(posed);
@@ -83,7 +83,7 @@ pub fn perform(music: &Music, phrase: Key, frames: usize) -> Motion {
             roll,
         } = blended(music.moves(beat), beat);
         let [right, up, forward] = offset.map(|metres| size * metres);
-        // What no music tells: a slow drift, different in every phrase.
+        // A slow drift, independent of the music.
         let slow = (TAU * 0.1 * t as f64 / FPS).sin();
         let [x, y, z] = facing.rotate([right, up, forward]);
         positions.push([
@@ -108,7 +108,7 @@ pub fn perform(music: &Music, phrase: Key, frames: usize) -> Motion {
         .slice(0..frames)
 }
 
-/// The moves in these shares.
+/// A weighted mean of moves.
 fn blended(shares: [f64; MOVES], beat: f64) -> Pose {
     let mut sum = Pose::default();
     for (kind, share) in shares.into_iter().enumerate() {

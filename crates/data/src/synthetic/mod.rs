@@ -1,10 +1,9 @@
-//! Synthetic phrases: dances that follow a beat, with audio features that carry it.
+//! Synthetic phrases: dances that follow a beat, with matching audio features.
 //!
-//! A phrase has a tempo, a place in the bar, an energy and one of four moves for each bar. All of
-//! it can be heard in the [features](music) and seen in the [motion](dance), so that a small model
-//! gains from listening. Motion is smooth, of human scale, and its velocity, acceleration and
-//! angular velocity are the forward differences of its pose by construction. Everything is a
-//! function of (seed, number of the phrase).
+//! A phrase has a tempo, a position in the bar, an energy and one of four moves for each bar, all
+//! of which are present in its [features](music) and its [motion](dance), so that a small model
+//! gains from audio. Motion is smooth, of human scale and coherent by construction. All is a
+//! function of seed and index.
 
 mod dance;
 mod music;
@@ -18,7 +17,7 @@ use kinegrad_random::{Key, Purpose};
 use rayon::prelude::*;
 
 use crate::{
-    AudioLayout, Error, Phrase, SyntheticConfig, features_path, motion_path, write_features,
+    AudioLayout, Error, PhraseItem, SyntheticConfig, features_path, motion_path, write_features,
     write_motion,
 };
 use music::Music;
@@ -32,11 +31,11 @@ pub fn id(index: usize) -> String {
 ///
 /// # Panics
 /// Panics if `frames` is zero.
-pub fn phrase(index: usize, frames: usize, seed: u64) -> Phrase {
+pub fn phrase(index: usize, frames: usize, seed: u64) -> PhraseItem {
     let key = Key::new(seed, Purpose::Synthetic).at(index as u64);
     let music = Music::new(key);
     let motion = dance::perform(&music, key, frames);
-    Phrase {
+    PhraseItem {
         id: id(index),
         motion,
         audio: music.features(frames, key),
@@ -48,13 +47,13 @@ pub fn phrase(index: usize, frames: usize, seed: u64) -> Phrase {
 ///
 /// # Panics
 /// Panics if `frames` is zero.
-pub fn phrase_in(layout: AudioLayout, index: usize, frames: usize, seed: u64) -> Phrase {
+pub fn phrase_in(layout: AudioLayout, index: usize, frames: usize, seed: u64) -> PhraseItem {
     let phrase = phrase(index, frames, seed);
     if !layout.beats {
         return phrase;
     }
     let music = Music::new(Key::new(seed, Purpose::Synthetic).at(index as u64));
-    Phrase {
+    PhraseItem {
         audio: phrase.audio.with_beats(music.pulse(frames).as_ref()),
         ..phrase
     }
@@ -64,19 +63,18 @@ pub fn phrase_in(layout: AudioLayout, index: usize, frames: usize, seed: u64) ->
 ///
 /// # Panics
 /// Panics if `frames` is zero.
-pub fn phrases(phrases: usize, frames: usize, seed: u64) -> Vec<Arc<Phrase>> {
+pub fn phrases(phrases: usize, frames: usize, seed: u64) -> Vec<Arc<PhraseItem>> {
     (0..phrases)
         .into_par_iter()
         .map(|index| Arc::new(phrase(index, frames, seed)))
         .collect()
 }
 
-/// Writes a synthetic dataset into `folder` in the phrase layout (CC-MotionGen, section 1.3).
-///
-/// It is built under a temporary name inside `folder` and moved into place when complete.
+/// Writes a synthetic dataset into `folder` in the phrase layout (CC-MotionGen, section 1.3),
+/// atomically.
 ///
 /// # Errors
-/// [`Error::Config`] for sizes out of range, [`Error::Exists`] if `folder` already holds a dataset,
+/// [`Error::Config`] for sizes out of range, [`Error::Exists`] if `folder` contains a dataset,
 /// [`Error::Io`].
 pub fn write_dataset(folder: &Path, phrases: usize, frames: usize, seed: u64) -> Result<(), Error> {
     let config = SyntheticConfig {
@@ -111,11 +109,11 @@ pub fn write_dataset_in(
     })
 }
 
-/// Writes a dataset that consists of `parts` into `folder`: `fill` makes them in the folder that
-/// it is given, a temporary one inside `folder`, and they are moved into place when complete.
+/// Writes the `parts` of a dataset into `folder`: `fill` makes them in a temporary folder inside,
+/// and they are moved when complete.
 ///
 /// # Errors
-/// [`Error::Exists`] if one of the parts is there already, [`Error::Io`], and those of `fill`.
+/// [`Error::Exists`] if a part exists, [`Error::Io`], and those of `fill`.
 pub(crate) fn write_whole(
     folder: &Path,
     parts: &[&str],
@@ -146,7 +144,7 @@ pub(crate) fn write_whole(
 mod tests {
     use super::*;
     use kinegrad_motion::phrase::{ACCELERATION, PHASE, POSITION, QUATERNION, STYLE, VELOCITY};
-    use kinegrad_motion::{FPS, Profile, check, kinematics, phrase_statistics};
+    use kinegrad_motion::{FPS, Profile, check, derivatives, phrase_statistics};
 
     #[test]
     fn phrases_pass_the_strict_checks_and_are_of_human_scale() {
@@ -190,7 +188,7 @@ mod tests {
                 }
             }
             // The last frame looks forward too: it does not stand still for want of a next one.
-            let jerk = kinematics::jerk(&motion);
+            let jerk = derivatives::jerk(&motion);
             assert!(jerk[118].iter().map(|value| value.powi(2)).sum::<f64>() < 1000f64.powi(2));
             assert!(motion.vector(119, ACCELERATION) != motion.vector(118, ACCELERATION));
         }
@@ -254,7 +252,7 @@ mod tests {
     #[test]
     fn style_follows_the_motion() {
         let motion = phrase(0, 120, 0).motion;
-        let speed = |t: usize| kinegrad_motion::rotation::length(motion.vector(t, VELOCITY));
+        let speed = |t: usize| kinegrad_motion::vector::length(motion.vector(t, VELOCITY));
         let mean = (45..76).map(speed).sum::<f64>() / 31.0;
         let style = f64::from(motion.frame(60)[STYLE.start]);
         assert!((style - mean).abs() < 0.05, "{style} {mean}");

@@ -1,12 +1,13 @@
-//! The music of a synthetic phrase: tempo, bars, moves, energy, and the features that carry them.
+//! The music of a synthetic phrase: tempo, bars, moves, energy and features.
 
 use kinegrad_audio::Pulse;
 use kinegrad_motion::FPS;
 use kinegrad_random::Key;
 
-use crate::features::{AUDIO_CHANNELS, AudioFeatures};
+use crate::audio_layout::AUDIO_CHANNELS;
+use crate::features::AudioFeatures;
 
-/// How many moves there are.
+/// Number of moves.
 pub const MOVES: usize = 4;
 
 /// Beats of a bar.
@@ -27,14 +28,14 @@ const RMS: usize = 160;
 const CENTROID: usize = 161;
 const ONSET: usize = 162;
 
-/// The chord that accompanies each move, as pitch classes.
+/// The chord of each move, as pitch classes.
 const CHORDS: [[usize; 3]; MOVES] = [[0, 4, 7], [5, 9, 0], [7, 11, 2], [9, 0, 4]];
 
-/// What is played, before it becomes features.
+/// A score, from which features are made.
 #[derive(Clone, Debug)]
 pub struct Music {
     beats_per_second: f64,
-    /// Beat at frame 0, at least one bar, so that every bar has a number.
+    /// Beat at frame 0, at least one bar.
     first_beat: f64,
     energy: f64,
     swell: f64,
@@ -64,18 +65,18 @@ impl Music {
     pub fn pulse(&self, frames: usize) -> Option<Pulse> {
         let moment = |beat: f64| (beat - self.first_beat) / self.beats_per_second;
         let last = self.beat(frames).ceil() as usize;
-        // From beat 0, which begins a bar, a bar and more before the first frame.
+        // From beat 0, more than a bar before the first frame.
         let beats = (0..=last).map(|beat| moment(beat as f64)).collect();
         Some(Pulse::new(beats)?.with_downbeat(BEATS_PER_BAR as u32, moment(0.0)))
     }
 
-    /// Loudness and size of movement around 1, swelling over four bars.
+    /// Loudness and size of movement around 1, with a period of four bars.
     pub fn energy(&self, beat: f64) -> f64 {
         self.energy + 0.12 * (std::f64::consts::TAU * beat / 16.0 + self.swell).sin()
     }
 
-    /// Share of each move, adding to 1. A bar has one move; they blend over the beat around the
-    /// bar line, with two continuous derivatives.
+    /// Share of each move, adding to 1. A bar has one move; they blend over the beat around the bar
+    /// line, with two continuous derivatives.
     pub fn moves(&self, beat: f64) -> [f64; MOVES] {
         let line = (beat / BEATS_PER_BAR).round();
         let since_line = beat - BEATS_PER_BAR * line;
@@ -91,9 +92,8 @@ impl Music {
         self.bars.at(bar as u64).integers(1, MOVES)[0]
     }
 
-    /// The audio features `[163, frames]`: onset peaks on the beats (the first of a bar is the
-    /// strongest), loudness that decays after them, a chord, a spectrum and a brightness for each
-    /// move, and a little noise.
+    /// The audio features `[163, frames]`: onset peaks on the beats (strongest on the downbeat),
+    /// decaying loudness, a chord, spectrum and brightness for each move, and noise.
     pub fn features(&self, frames: usize, phrase: Key) -> AudioFeatures {
         let noise = phrase.at(NOISE).normals(AUDIO_CHANNELS * frames);
         let mut features = AudioFeatures::zeros(frames);
@@ -109,7 +109,7 @@ impl Music {
         features
     }
 
-    /// All features of a frame but the MFCC, which follow from the mel bands; within [0, 1].
+    /// All features of a frame except the MFCC, in [0, 1].
     fn frame_features(&self, t: usize) -> [f64; AUDIO_CHANNELS] {
         let beat = self.beat(t);
         let moves = self.moves(beat);
@@ -151,8 +151,7 @@ impl Music {
     }
 }
 
-/// The first 20 cosine coefficients of the mel bands, each with zero mean and unit deviation over
-/// the phrase.
+/// The first 20 cosine coefficients of the mel bands, each with zero mean and unit deviation.
 fn fill_mfcc(features: &mut AudioFeatures) {
     let frames = features.frames();
     for coefficient in 0..RMS - MFCC {
@@ -211,7 +210,7 @@ mod tests {
     }
 
     #[test]
-    fn moves_can_be_told_from_the_features() {
+    fn moves_follow_from_the_features() {
         let mut seen = [0; MOVES];
         for index in 0..16 {
             let (music, key) = music(index);

@@ -1,8 +1,8 @@
 //! Feet of a new motion that rest where those of its examples do.
 
 use kinegrad_capture::{Bvh, RootPose};
-use kinegrad_motion::feet::{Leg, lock, steadied};
-use kinegrad_motion::rotation::length;
+use kinegrad_motion::feet::{Leg, lock, without_short_runs};
+use kinegrad_motion::vector::length;
 
 use super::{Example, Figure};
 use crate::parts::feet;
@@ -50,7 +50,7 @@ impl Figure {
             let flags = origins
                 .iter()
                 .map(|&(example, frame)| rests[example][index][frame]);
-            steadied(flags.collect(), SHORTEST)
+            without_short_runs(flags.collect(), SHORTEST)
         });
         let contacts: Vec<Vec<bool>> = contacts.collect();
         let world: Vec<Vec<RootPose>> = (0..bvh.frames()).map(|t| bvh.world(t)).collect();

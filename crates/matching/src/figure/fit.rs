@@ -1,7 +1,7 @@
 //! Whether motions are of one skeleton, and can be written with the channels of the first.
 
 use kinegrad_capture::{Bvh, Channel};
-use kinegrad_motion::rotation::length;
+use kinegrad_motion::vector::length;
 
 use super::survey::{carriers, thinning, travel};
 use super::{Example, Figure};

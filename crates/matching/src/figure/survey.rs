@@ -2,7 +2,7 @@
 
 use kinegrad_capture::{Bvh, Channel};
 
-use kinegrad_motion::rotation::length;
+use kinegrad_motion::vector::length;
 
 use super::Example;
 use crate::Error;

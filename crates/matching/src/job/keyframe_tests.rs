@@ -33,7 +33,7 @@ fn missed(made: &Made, t: usize, from: usize, first: usize) -> (f64, f64) {
     let (found, pose) = (made.bvh.locals(t), walk(70).bvh.locals(from));
     let turns = found[first..].iter().zip(&pose[first..]).map(|(a, b)| {
         let turn = (a.orientation.conjugate() * b.orientation).to_rotation_vector();
-        kinegrad_motion::rotation::length(turn).to_degrees()
+        kinegrad_motion::vector::length(turn).to_degrees()
     });
     let height = (found[1].position[1] - pose[1].position[1]).abs();
     (turns.fold(0.0, f64::max), height)
@@ -144,7 +144,7 @@ fn a_loop_that_turns_heads_at_its_end_as_at_its_beginning() {
         let made = job.make(&[walk(70)]).unwrap();
         let step = |a: usize, b: usize| {
             let [a, b] = [a, b].map(|t| made.bvh.locals(t)[1].orientation);
-            kinegrad_motion::rotation::length((a.conjugate() * b).to_rotation_vector())
+            kinegrad_motion::vector::length((a.conjugate() * b).to_rotation_vector())
         };
         let most = (1..100).map(|t| step(t - 1, t)).fold(0.0, f64::max);
         assert!(step(99, 0) <= 1.2 * most, "{} {most}", step(99, 0));

@@ -1,7 +1,7 @@
 //! How a loop goes over its seam.
 
 use kinegrad_capture::Bvh;
-use kinegrad_motion::rotation::length;
+use kinegrad_motion::vector::length;
 use serde::Serialize;
 
 use crate::{Figure, Looping, Made, percentile_95};

@@ -1,6 +1,6 @@
 //! The table `decoder` of a training config.
 
-use kinegrad_motion::{CHANNELS, OrientationTarget, PhaseTarget, Targets};
+use kinegrad_motion::{CHANNELS, ChannelEncoding, OrientationEncoding, PhaseEncoding};
 use kinegrad_settings::{ABOVE_ZERO, InvalidSetting, Refused, in_range};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -46,12 +46,12 @@ pub struct OutputActivations {
 impl OutputActivations {
     /// Those of heads that say `targets`: sine and cosine, and what becomes a unit quaternion by
     /// the conversion, are not bounded.
-    pub(super) fn of(self, targets: Targets) -> Self {
+    pub(super) fn of(self, targets: ChannelEncoding) -> Self {
         let mut own = self;
-        if targets.phase != PhaseTarget::Scalar {
+        if targets.phase != PhaseEncoding::Scalar {
             own.phase = OutputActivation::None;
         }
-        if targets.orientation != OrientationTarget::Quaternion {
+        if targets.orientation != OrientationEncoding::Quaternion {
             own.quaternion = OutputActivation::None;
         }
         own

@@ -142,14 +142,14 @@ mod tests {
     use burn::tensor::{Device, TensorData};
     use kinegrad_motion::coherence::fit_heading;
     use kinegrad_motion::phrase::{ANGULAR_VELOCITY, CHANNELS};
-    use kinegrad_motion::{Motion, Quaternion};
+    use kinegrad_motion::{Phrase, Quaternion};
     use kinegrad_random::{Key, Purpose};
 
     use super::super::orientation::tests::{assert_gradients, shaken, tensors};
     use super::*;
 
     /// A dancer who leans, and whose heading jumps in every seventh frame.
-    fn jumping(seed: u64, frames: usize) -> Motion {
+    fn jumping(seed: u64, frames: usize) -> Phrase {
         let mut motion = shaken(seed, frames);
         for t in (4..frames).step_by(7) {
             let turned = Quaternion::from_yaw(0.8) * motion.quaternion(t);

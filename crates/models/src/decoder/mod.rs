@@ -13,7 +13,7 @@ use burn::module::Module;
 use burn::tensor::Tensor;
 use burn::tensor::activation::sigmoid;
 use kinegrad_kernels::{gelu, linear_map};
-use kinegrad_motion::Targets;
+use kinegrad_motion::ChannelEncoding;
 use kinegrad_motion::phrase::{ANGULAR_VELOCITY, CHANNELS, FPS, QUATERNION};
 use kinegrad_settings::{InvalidSetting, Refused, in_range};
 
@@ -32,7 +32,7 @@ use crate::{Dropout, DropoutKey, Initializer};
 const LEAST_NORM: f64 = 1e-12;
 
 /// Mean and deviation of each channel, by which the latent is normalised: `[channels]` each, of the
-/// denoiser's [`Targets`].
+/// denoiser's [`ChannelEncoding`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct Normalization {
     /// Subtracted mean.
@@ -67,7 +67,7 @@ impl DecoderBlock {
 /// motion, which couples the frames. Should be created with [`DecoderConfig::init`].
 ///
 /// The latent is the normalised motion that a sampler generates; the output is in metres, seconds
-/// and radians. Where the denoiser predicts other [`Targets`] than the 25 channels, so do the heads,
+/// and radians. Where the denoiser predicts other [`ChannelEncoding`] than the 25 channels, so do the heads,
 /// and what they say of phase and orientation is converted at the end.
 #[derive(Module, Debug)]
 pub struct MotionDecoder {
@@ -89,7 +89,7 @@ pub struct MotionDecoder {
     #[module(skip)]
     normalization: Normalization,
     #[module(skip)]
-    targets: Targets,
+    targets: ChannelEncoding,
 }
 
 impl DecoderConfig {
@@ -106,7 +106,7 @@ impl DecoderConfig {
         normalization: Normalization,
         init: &Initializer,
     ) -> Result<MotionDecoder, InvalidSetting> {
-        self.init_for(Targets::default(), normalization, init)
+        self.init_for(ChannelEncoding::default(), normalization, init)
     }
 
     /// [`init`](Self::init) for latents of these `targets`. Where they are not the stored ones, the
@@ -119,7 +119,7 @@ impl DecoderConfig {
     /// Panics if the normalisation has other channels.
     pub fn init_for(
         &self,
-        targets: Targets,
+        targets: ChannelEncoding,
         normalization: Normalization,
         init: &Initializer,
     ) -> Result<MotionDecoder, InvalidSetting> {

@@ -78,15 +78,15 @@ pub(super) mod tests {
     use kinegrad_kernels::Mode;
     use kinegrad_motion::coherence::fit_orientation;
     use kinegrad_motion::phrase::{ANGULAR_VELOCITY, CHANNELS, QUATERNION};
-    use kinegrad_motion::{Motion, Quaternion};
+    use kinegrad_motion::{Phrase, Quaternion};
     use kinegrad_random::{Key, Purpose};
 
     use super::*;
 
     /// A dancer who turns, and says of both orientation and turning something else than is.
-    pub(in super::super) fn shaken(seed: u64, frames: usize) -> Motion {
+    pub(in super::super) fn shaken(seed: u64, frames: usize) -> Phrase {
         let noise = Key::new(seed, Purpose::Noise).normals(6 * frames);
-        let mut motion = Motion::new(vec![0.0; CHANNELS * frames]).unwrap();
+        let mut motion = Phrase::new(vec![0.0; CHANNELS * frames]).unwrap();
         for (t, noise) in noise.chunks(6).enumerate() {
             let noise: Vec<f64> = noise.iter().map(|&value| f64::from(value)).collect();
             let turn = [0.1 * noise[0], 0.1 * noise[1], 0.1 * noise[2]];
@@ -102,7 +102,7 @@ pub(super) mod tests {
         motion
     }
 
-    pub(in super::super) fn tensors(motions: &[Motion], device: &Device) -> [Tensor<3>; 2] {
+    pub(in super::super) fn tensors(motions: &[Phrase], device: &Device) -> [Tensor<3>; 2] {
         let frames = motions[0].frames();
         let rows: Vec<f32> = motions.iter().flat_map(|m| m.as_slice().to_vec()).collect();
         let rows = TensorData::new(rows, [motions.len(), frames, CHANNELS]);
@@ -142,7 +142,7 @@ pub(super) mod tests {
     /// Asserts that a loss of quaternions and angular velocities has the gradients that changes by
     /// `step` up and down say, each within what is `allowed` of it.
     pub(in super::super) fn assert_gradients(
-        motions: &[Motion],
+        motions: &[Phrase],
         loss: impl Fn(Tensor<3>, Tensor<3>) -> Tensor<1>,
         step: f32,
         allowed: fn(f64) -> f64,

@@ -2,7 +2,7 @@ use burn::tensor::{Device, TensorData};
 use kinegrad_kernels::Mode;
 use kinegrad_kernels::host_values;
 use kinegrad_motion::phrase::{ACCELERATION, PHASE, POSITION, VELOCITY};
-use kinegrad_motion::{Motion, OrientationTarget, PhaseTarget, kinematics};
+use kinegrad_motion::{OrientationEncoding, PhaseEncoding, Phrase, derivatives};
 use kinegrad_random::{Key, Purpose};
 
 use super::*;
@@ -83,9 +83,9 @@ fn assert_coherent(coherence: Coherence) {
     // The angular velocity is that of the quaternions as written, by the code that checks it.
     let rows = host_values(y.clone().swap_dims(1, 2));
     for rows in rows.chunks_exact(time * CHANNELS) {
-        let motion = Motion::new(rows.to_vec()).unwrap();
-        let errors = kinematics::rotation_errors(&motion);
-        assert!(kinematics::mean_norm(&errors) < 1e-4, "{errors:?}");
+        let motion = Phrase::new(rows.to_vec()).unwrap();
+        let errors = derivatives::rotation_errors(&motion);
+        assert!(derivatives::mean_norm(&errors) < 1e-4, "{errors:?}");
         let last = motion.vector(time - 1, ANGULAR_VELOCITY);
         assert_eq!(last, motion.vector(time - 2, ANGULAR_VELOCITY));
     }
@@ -157,9 +157,9 @@ fn bad_sizes_are_refused_by_key() {
 #[test]
 fn a_fresh_decoder_of_other_targets_undoes_normalisation_and_conversion() {
     let device = Device::flex();
-    let targets = Targets {
-        phase: PhaseTarget::SinCos,
-        orientation: OrientationTarget::Rotation6d,
+    let targets = ChannelEncoding {
+        phase: PhaseEncoding::SinCos,
+        orientation: OrientationEncoding::Rotation6d,
     };
     let channels = targets.channels();
     let (batch, time) = (2, 7);
@@ -200,9 +200,9 @@ fn a_fresh_decoder_of_other_targets_undoes_normalisation_and_conversion() {
 
 #[test]
 fn a_decoder_too_narrow_for_its_targets_is_refused() {
-    let targets = Targets {
-        phase: PhaseTarget::SinCos,
-        orientation: OrientationTarget::Rotation6d,
+    let targets = ChannelEncoding {
+        phase: PhaseEncoding::SinCos,
+        orientation: OrientationEncoding::Rotation6d,
     };
     let normalization = Normalization {
         mean: vec![0.0; targets.channels()],

@@ -148,7 +148,7 @@ impl FlowRollout {
             bones: settings
                 .constant_bones
                 .then(|| skeleton.offsets_of_frame(last)),
-            stream: stream.facing_anywhere(),
+            stream: stream.with_own_heading(),
             rows: VecDeque::with_capacity(space.history + 1),
             text: vec![0.0; TEXT_CHANNELS],
             device: device.clone(),

@@ -1,6 +1,6 @@
 //! The sizes and conditions of the UNet.
 
-use kinegrad_motion::{OrientationTarget, PhaseTarget, Targets};
+use kinegrad_motion::{ChannelEncoding, OrientationEncoding, PhaseEncoding};
 use kinegrad_settings::{InvalidSetting, Refused, in_range, require};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -42,10 +42,10 @@ pub struct UNet1dConfig {
     /// Dropout inside the residual blocks.
     pub dropout: f64,
     /// The predicted encoding of the phase.
-    pub phase_target: PhaseTarget,
+    pub phase_target: PhaseEncoding,
     /// The predicted encoding of the orientation. `data.augment.flip_quaternion` goes with
     /// `quaternion` alone: to the others q and -q are the same.
-    pub orientation_target: OrientationTarget,
+    pub orientation_target: OrientationEncoding,
     /// The style condition, in addition to the audio.
     pub style: StyleConditioning,
     /// The labels of `style = "label"` and `"both"`. If empty, those of the training phrases; the
@@ -102,8 +102,8 @@ impl UNet1dConfig {
             audio_conditioning: AudioConditioning::Document,
             beats: Beats::Given,
             dropout: 0.1,
-            phase_target: PhaseTarget::Scalar,
-            orientation_target: OrientationTarget::Quaternion,
+            phase_target: PhaseEncoding::Scalar,
+            orientation_target: OrientationEncoding::Quaternion,
             style: StyleConditioning::None,
             style_labels: Vec::new(),
         }
@@ -129,8 +129,8 @@ impl UNet1dConfig {
 
 impl UNet1dConfig {
     /// The channels that are predicted.
-    pub fn targets(&self) -> Targets {
-        Targets {
+    pub fn targets(&self) -> ChannelEncoding {
+        ChannelEncoding {
             phase: self.phase_target,
             orientation: self.orientation_target,
         }

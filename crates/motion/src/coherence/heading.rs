@@ -1,64 +1,57 @@
-//! The headings nearest to those of orientations, each as far as it is sure, and to the angular
+//! The headings nearest to those of orientations, weighted by their confidence, and to the angular
 //! velocity about the vertical:
 //!
 //! ```text
 //! min_h  sum_t w_t |h_t - exp(i psi_t)|^2 / s_h^2 + |h_{t+1} - exp(i d_t) h_t|^2 / s_w^2
 //! ```
 //!
-//! over complex numbers of any size. `psi_t` is the heading of frame t, the turn about the vertical
-//! that is part of it ([`Quaternion::twist`]), and `d_t` what the angular velocity turns it by until
-//! the next. Their arguments say by how many whole turns the headings `psi_t` are to be
-//! moved; the same fit of those angles themselves, which cannot turn around at once where a complex
-//! number passes through zero, is the result.
+//! over complex numbers of any size. `psi_t` is the heading of frame t, the
+//! [twist](Quaternion::twist) about the vertical, and `d_t` its change by the angular velocity. The
+//! arguments of `h` determine by how many whole turns each `psi_t` is moved. The result is the same
+//! fit of those angles, which cannot flip where a complex number passes through zero.
 //!
-//! A network that is unsure of an orientation predicts a mean of many. They stand alike and face
-//! elsewhere: the tilt of the mean is sound, and its heading points anywhere. The weights `w_t` are the
-//! squares of how sure it is, so that the angular velocities lead over frames that say little. Bodies
-//! stay as tilted as they were.
-
-use std::f64::consts::TAU;
+//! A network that is uncertain about an orientation predicts a mean of many. Its tilt is sound, but
+//! its heading is arbitrary. The weights `w_t` are the squared confidences, so that angular
+//! velocities dominate in uncertain frames. Tilt is not changed.
 
 use super::{OrientationFit, weight};
+use crate::circular::wrapped;
 use crate::phrase::{ANGULAR_VELOCITY, FPS};
-use crate::{Motion, Quaternion};
+use crate::{Phrase, Quaternion};
 
-/// Least weight of a frame.
+/// Smallest weight of a frame.
 const LEAST_WEIGHT: f64 = 1e-4;
 
-/// How sure quaternions are of their headings, 0 to 1, by their norms: a mean of orientations that
-/// differ is short.
-pub fn sureness_of(motion: &Motion) -> Vec<f64> {
+/// Confidence of headings, 0 to 1, `[frames]`, by the norms of quaternions: a mean of different
+/// orientations is short.
+pub fn heading_confidence(motion: &Phrase) -> Vec<f64> {
     let frames = 0..motion.frames();
     frames
         .map(|t| motion.quaternion(t).norm().min(1.0))
         .collect()
 }
 
-/// The squared cosine of half the tilt of bodies, 120 degrees, beyond which they are turned less and
-/// less: upside down not at all.
+/// Squared cosine of half the tilt (120 degrees) beyond which bodies are rotated less; upside down
+/// not at all.
 pub const UPRIGHT: f64 = 0.25;
 
-/// Turns the orientations of a phrase of any length about the vertical to the headings nearest to
-/// theirs and to the angular velocities, except in frames that are `known`. `sureness`, 0 to 1, says
-/// how sure each heading is. All quaternions but the known become unit quaternions. The angular velocity
-/// turns with the body, and about the vertical changes as that of the headings does. `std` are the
-/// training deviations of the channels, `[25]`.
-///
-/// # Panics
-/// Panics if there is not one flag and one number for each frame, or the deviation is not positive.
-pub fn fit_heading(motion: &mut Motion, std: &[f64], known: &[bool], sureness: &[f64]) {
+/// Rotates the orientations of a phrase about the vertical to the headings nearest to theirs and to
+/// the angular velocities, except in `known` frames. `confidence` is 0 to 1. All other quaternions
+/// become unit quaternions; the angular velocity is rotated with the body, and its vertical
+/// component follows the headings. `std` are the training deviations of the channels, `[25]`.
+pub fn fit_heading(motion: &mut Phrase, std: &[f64], known: &[bool], confidence: &[f64]) {
     let frames = motion.frames();
     assert_eq!(known.len(), frames, "known frames");
-    assert_eq!(sureness.len(), frames, "how sure frames are");
+    assert_eq!(confidence.len(), frames, "confidence of each frame");
     let units: Vec<Quaternion> = (0..frames)
         .map(|t| motion.quaternion(t).normalised())
         .collect();
     let weights = known
         .iter()
-        .zip(sureness)
-        .map(|(&known, sure)| match known {
+        .zip(confidence)
+        .map(|(&known, confidence)| match known {
             true => weight(known),
-            false => sure.powi(2).clamp(LEAST_WEIGHT, 1.0),
+            false => confidence.powi(2).clamp(LEAST_WEIGHT, 1.0),
         });
     let vertical = ANGULAR_VELOCITY.start + 1;
     let fit = OrientationFit::of_weighted_headings(weights.collect(), std[vertical]);
@@ -89,15 +82,15 @@ pub fn fit_heading(motion: &mut Motion, std: &[f64], known: &[bool], sureness: &
         fitted.push(before + wrapped(angle - before));
     }
     fit.fit(&mut fitted);
-    // Upside down the heading and the axis of the tilt may each be anything.
-    let told = units.iter().map(|unit| {
+    // Upside down, heading and tilt axis are undefined.
+    let upright_share = units.iter().map(|unit| {
         let upright = unit.w.powi(2) + unit.y.powi(2);
         (upright / UPRIGHT).min(1.0)
     });
-    let told: Vec<f64> = told.collect();
+    let upright_share: Vec<f64> = upright_share.collect();
     let turn = |t: usize| match known[t] {
         true => 0.0,
-        false => told[t] * wrapped(along[t] + fitted[t] - headings[t]),
+        false => upright_share[t] * wrapped(along[t] + fitted[t] - headings[t]),
     };
     let turns: Vec<f64> = (0..frames).map(turn).collect();
     for t in (0..frames).filter(|&t| !known[t]) {
@@ -106,25 +99,20 @@ pub fn fit_heading(motion: &mut Motion, std: &[f64], known: &[bool], sureness: &
         let mut rate = turn.rotate(motion.vector(t, ANGULAR_VELOCITY));
         if t + 1 < frames {
             let step = headings[t + 1] + turns[t + 1] - headings[t] - turns[t];
-            rate[1] += told[t] * wrapped(step - steps[t]) * FPS;
+            rate[1] += upright_share[t] * wrapped(step - steps[t]) * FPS;
         }
         motion.set_vector(t, ANGULAR_VELOCITY, rate);
     }
 }
 
-/// An angle in radians, from -pi to pi.
-fn wrapped(angle: f64) -> f64 {
-    angle - TAU * (angle / TAU).round()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::rotation::length;
+    use crate::vector::length;
 
     /// A body that turns about the vertical while it leans to and fro, by at most 20 degrees.
-    fn turning(frames: usize) -> Motion {
-        let mut motion = crate::wandering::wandering(4, frames);
+    fn turning(frames: usize) -> Phrase {
+        let mut motion = crate::random_phrase::random_phrase(4, frames);
         for t in 0..frames {
             let lean = 0.35 * (0.2 * t as f64).sin();
             let turn = Quaternion::from_yaw(1.2 * (0.05 * t as f64).sin() + 0.02 * t as f64);
@@ -135,7 +123,7 @@ mod tests {
         motion
     }
 
-    fn apart(a: &Motion, b: &Motion) -> f64 {
+    fn apart(a: &Phrase, b: &Phrase) -> f64 {
         let apart = |t| (a.quaternion(t) * b.quaternion(t).conjugate()).to_rotation_vector();
         (0..a.frames())
             .map(|t| length(apart(t)))
@@ -143,7 +131,7 @@ mod tests {
     }
 
     /// The cosine of the tilt.
-    fn upright(motion: &Motion, t: usize) -> f64 {
+    fn upright(motion: &Phrase, t: usize) -> f64 {
         motion.quaternion(t).normalised().rotate([0.0, 1.0, 0.0])[1]
     }
 
@@ -241,7 +229,7 @@ mod tests {
             (165.0, 0.3),
             (180.0, 0.3),
         ] {
-            let mut motion = crate::wandering::wandering(4, 150);
+            let mut motion = crate::random_phrase::random_phrase(4, 150);
             let noise = kinegrad_random::Key::new(3, kinegrad_random::Purpose::Noise).normals(900);
             for t in 0..150 {
                 let pitch = peak.to_radians() * (0.021 * t as f64).sin().abs();
@@ -268,7 +256,7 @@ mod tests {
     }
 
     #[test]
-    fn a_body_that_hardly_turns_and_says_little_keeps_its_heading() {
+    fn a_slowly_turning_body_with_low_confidence_keeps_its_heading() {
         let mut motion = turning(300);
         for t in 0..300 {
             motion.set_quaternion(t, Quaternion::from_yaw(0.7));

@@ -1,30 +1,28 @@
-//! The nearest motion that agrees with itself, to one whose channels contradict each other.
+//! Fits of the nearest coherent motion to channels that contradict each other.
 //!
-//! A phrase says how it moves more than once: by its positions, velocities and accelerations, and
-//! by its orientations and angular velocities. A network that predicts all of them is wrong about
-//! each a little and independently from frame to frame, so that its positions shake while its
-//! accelerations are calm. Each fit here is a least-squares problem over all frames, with few
-//! diagonals, solved in time and memory proportional to the frames:
+//! A phrase states its movement several times: by positions, velocities and accelerations, and by
+//! orientations and angular velocities. A network predicts each with a small, independent error, so
+//! that positions shake while accelerations are smooth. Each fit is a banded least-squares problem
+//! over all frames, linear in time and memory:
 //!
 //! - [`fit_trajectory`]: positions to positions, velocities and accelerations
-//! - [`fit_heading`]: headings to orientations, each as far as it is sure, and angular velocities
+//! - [`fit_heading`]: headings to orientations, weighted by confidence, and angular velocities
 //! - [`fit_orientation`]: orientations to quaternions and angular velocities
 //! - [`fit_phase`]: a phase that advances steadily
 //!
-//! That a fitted motion is coherent is true by construction and says nothing of the network.
+//! A fitted motion is coherent by construction; that is no merit of the network.
 
 mod heading;
 mod orientation;
 mod phase;
 mod trajectory;
 
-pub use heading::{UPRIGHT, fit_heading, sureness_of};
+pub use heading::{UPRIGHT, fit_heading, heading_confidence};
 pub use orientation::{OrientationFit, fit_orientation};
 pub use phase::fit_phase;
 pub use trajectory::{CoherentFit, EXTRA_FRAMES, coherent_matrix, fit_trajectory};
 
-/// Weight of what is said of a frame that is known, where others have 1: tension between frames
-/// moves it by a few millionths.
+/// Weight of known frames; others have 1. They move by a few millionths.
 const KNOWN: f64 = 1e8;
 
 fn weight(known: bool) -> f64 {

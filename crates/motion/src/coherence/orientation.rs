@@ -1,19 +1,19 @@
-//! The orientations nearest to quaternions `Q` and angular velocities `W`, which contradict each
+//! The orientations nearest to quaternions `Q` and angular velocities `W` that contradict each
 //! other:
 //!
 //! ```text
 //! min_q  sum_t |q_t - Q_t|^2 / s_q^2 + |q_{t+1} - exp(W_t / fps) q_t|^2 / s_w^2
 //! ```
 //!
-//! over quaternions of any norm, which are normalised in the end. With `r_t` the rotation that the
-//! angular velocities alone lead to, and `q_t = r_t u_t`, the second term is `|u_{t+1} - u_t|^2`:
-//! the four components of `u` part, and each has one diagonal beside the main one.
+//! over quaternions of any norm, which are normalised at the end. With `r_t` the integral of the
+//! angular velocities and `q_t = r_t u_t`, the second term is `|u_{t+1} - u_t|^2`: the four
+//! components of `u` are independent tridiagonal systems.
 
 use super::weight;
 use crate::banded::{BAND, Cholesky};
-use crate::kinematics::make_sign_continuous;
+use crate::derivatives::make_sign_continuous;
 use crate::phrase::{ANGULAR_VELOCITY, FPS};
-use crate::{Motion, Quaternion};
+use crate::{Phrase, Quaternion};
 
 /// The scale `s_q`: root mean square of a component of unit quaternions.
 const QUATERNION_SCALE: f64 = 0.5;
@@ -21,23 +21,23 @@ const QUATERNION_SCALE: f64 = 0.5;
 /// The scale of headings: root mean square of a component of unit complex numbers.
 const HEADING_SCALE: f64 = std::f64::consts::FRAC_1_SQRT_2;
 
-/// Least scale of a step: a body that hardly turns would ask for more than double precision holds.
+/// Smallest scale of a step, for numerical precision.
 const LEAST_STEP: f64 = 1e-6;
 
-/// The same of headings, of which whole stretches may weigh next to nothing.
+/// The same for headings, where long stretches may have little weight.
 const LEAST_TURN: f64 = 1e-3;
 
-/// The fit of the components of `u` for motion of some length.
+/// The fit of one component of `u`.
 #[derive(Clone, Debug)]
 pub struct OrientationFit {
-    /// Of each frame: 1, less where it says little, or that of a known frame.
+    /// Weight of each frame.
     weights: Vec<f64>,
     factor: Cholesky<BAND>,
 }
 
 impl OrientationFit {
-    /// The fit of `frames` frames; `rates` are the training deviations of the angular velocity in
-    /// radians per second.
+    /// The fit of `frames` frames; `rates` are the training deviations of the angular velocity,
+    /// rad/s.
     ///
     /// # Panics
     /// Panics unless the deviations are positive.
@@ -46,14 +46,14 @@ impl OrientationFit {
     }
 
     fn around(known: &[bool], rates: &[f64]) -> Self {
-        // Half a rotation vector is what a small rotation adds to a quaternion.
+        // A small rotation adds half its rotation vector to a quaternion.
         let step_scale = rates.iter().sum::<f64>() / rates.len() as f64 / (2.0 * FPS);
         let weights = known.iter().map(|&known| weight(known)).collect();
         Self::weighted(weights, [QUATERNION_SCALE, step_scale])
     }
 
-    /// The fit of headings of `frames` frames; `rate` is the training deviation of the angular velocity
-    /// about the vertical in radians per second.
+    /// The fit of headings of `frames` frames; `rate` is the training deviation of the angular
+    /// velocity about the vertical, rad/s.
     ///
     /// # Panics
     /// Panics unless the deviation is positive.
@@ -67,7 +67,7 @@ impl OrientationFit {
         Self::weighted(weights, [HEADING_SCALE, (rate / FPS).max(LEAST_TURN)])
     }
 
-    /// The fit with a weight of each frame, and the scales of a component and of its steps.
+    /// The fit with a weight for each frame, and the scales of a component and of its steps.
     fn weighted(weights: Vec<f64>, [scale, step_scale]: [f64; 2]) -> Self {
         assert!(step_scale > 0.0, "deviations of the angular velocity");
         let stiffness = (scale / step_scale.max(LEAST_STEP)).powi(2);
@@ -91,8 +91,8 @@ impl OrientationFit {
         self.weights.len()
     }
 
-    /// The fitted values of one component, in place of what is said of it, `[frames]`. Without
-    /// known frames or weights it is its own adjoint.
+    /// Fits one component in place, `[frames]`. Without known frames or weights it is its own
+    /// adjoint.
     pub fn fit(&self, component: &mut [f64]) {
         for (value, weight) in component.iter_mut().zip(&self.weights) {
             *value *= weight;
@@ -101,13 +101,10 @@ impl OrientationFit {
     }
 }
 
-/// Replaces the quaternions of a phrase of any length by those nearest to its quaternions and
-/// angular velocities, of unit norm and continuous sign, except in frames that are `known`. `std`
-/// are the training deviations of the channels, `[25]`; angular velocities are left as they are.
-///
-/// # Panics
-/// Panics if there is not one flag for each frame, or a deviation is not positive.
-pub fn fit_orientation(motion: &mut Motion, std: &[f64], known: &[bool]) {
+/// Replaces the quaternions of a phrase by those nearest to its quaternions and angular velocities,
+/// of unit norm and continuous sign, except in `known` frames. `std` are the training deviations of
+/// the channels, `[25]`; angular velocities are kept.
+pub fn fit_orientation(motion: &mut Phrase, std: &[f64], known: &[bool]) {
     let frames = motion.frames();
     assert_eq!(known.len(), frames, "known frames");
     let fit = OrientationFit::around(known, &std[ANGULAR_VELOCITY]);
@@ -149,17 +146,17 @@ mod tests {
     use kinegrad_random::{Key, Purpose};
 
     use super::*;
-    use crate::wandering::wandering;
+    use crate::random_phrase::random_phrase;
 
     /// Mean angle in radians between the orientations of two motions.
-    fn apart(a: &Motion, b: &Motion) -> f64 {
+    fn apart(a: &Phrase, b: &Phrase) -> f64 {
         let apart = |t| (a.quaternion(t) * b.quaternion(t).conjugate()).to_rotation_vector();
-        let angles = (0..a.frames()).map(|t| crate::rotation::length(apart(t)));
+        let angles = (0..a.frames()).map(|t| crate::vector::length(apart(t)));
         angles.sum::<f64>() / a.frames() as f64
     }
 
-    fn turn_acceleration(motion: &Motion) -> f64 {
-        let rates = crate::movement::rates(motion);
+    fn turn_acceleration(motion: &Phrase) -> f64 {
+        let rates = crate::derivatives::angular_rates(motion);
         let steps = rates.windows(2).map(|pair| {
             let parts = pair[1].iter().zip(pair[0]).map(|(b, a)| (b - a).powi(2));
             parts.sum::<f64>().sqrt()
@@ -168,7 +165,7 @@ mod tests {
     }
 
     /// The motion with noise of each quaternion, and of each angular velocity, and random signs.
-    fn shaken(motion: &Motion, quaternion: f64, rate: f64) -> Motion {
+    fn shaken(motion: &Phrase, quaternion: f64, rate: f64) -> Phrase {
         let mut shaken = motion.clone();
         let noise = Key::new(9, Purpose::Noise).normals(8 * motion.frames());
         for (t, noise) in noise.chunks(8).enumerate() {
@@ -177,9 +174,9 @@ mod tests {
             let sign = if noise[6] < 0.0 { -1.0 } else { 1.0 };
             let turned = Quaternion::from_rotation_vector(turn) * motion.quaternion(t);
             shaken.set_quaternion(t, turned.scale(sign));
-            let said = motion.vector(t, ANGULAR_VELOCITY);
-            let said = [0, 1, 2].map(|axis| said[axis] + rate * noise[3 + axis]);
-            shaken.set_vector(t, ANGULAR_VELOCITY, said);
+            let noisy = motion.vector(t, ANGULAR_VELOCITY);
+            let noisy = [0, 1, 2].map(|axis| noisy[axis] + rate * noise[3 + axis]);
+            shaken.set_vector(t, ANGULAR_VELOCITY, noisy);
         }
         shaken
     }
@@ -187,7 +184,7 @@ mod tests {
     #[test]
     fn orientations_that_agree_stay() {
         for frames in [1, 2, 3, 47] {
-            let original = wandering(5, frames);
+            let original = random_phrase(5, frames);
             let mut fitted = original.clone();
             fit_orientation(&mut fitted, &[0.7; 25], &vec![false; frames]);
             assert!(apart(&original, &fitted) < 1e-4, "{frames}");
@@ -196,7 +193,7 @@ mod tests {
 
     #[test]
     fn shaking_goes_and_the_turn_stays() {
-        let original = wandering(6, 120);
+        let original = random_phrase(6, 120);
         let shaken = shaken(&original, 0.1, 0.1);
         let mut fitted = shaken.clone();
         fit_orientation(&mut fitted, &[1.0; 25], &[false; 120]);
@@ -217,10 +214,10 @@ mod tests {
 
     #[test]
     fn known_frames_stay_and_the_others_turn_towards_them() {
-        let original = wandering(7, 60);
+        let original = random_phrase(7, 60);
         let mut motion = original.clone();
         for t in 20..60 {
-            // The rest faces elsewhere, and says the same of how it turns.
+            // The rest faces elsewhere with the same angular velocity.
             let turned = Quaternion::from_yaw(0.5) * original.quaternion(t);
             motion.set_quaternion(t, turned.scale(-1.0));
         }
@@ -230,7 +227,7 @@ mod tests {
             assert_eq!(motion.frame(t), original.frame(t), "{t}");
         }
         // Half a radian at once would be 0.97.
-        let least = |motion: &Motion| {
+        let least = |motion: &Phrase| {
             let step = |t| motion.quaternion(t).dot(motion.quaternion(t - 1));
             (1..60).map(step).fold(1.0, f64::min)
         };

@@ -1,96 +1,93 @@
-//! The phase that is nearest to the stated one and advances steadily.
+//! The nearest phase that advances steadily.
 //!
-//! A model that hears the beats and not which of them begins a bar jumps between bars by whole beats.
-//! So the phase is fitted in the part of a bar that is steadiest, whole bars where they are steady
-//! ([`parts`]), and the bar is then the one that most frames agree with: motion that is in time stays
-//! in time.
+//! A model that knows the beats but not the bar lines jumps by whole beats. So the phase is fitted
+//! in the fraction of a bar that is steadiest ([`parts`]), and then placed in the bar that most
+//! frames agree with.
 //!
-//! First the turns `p` of a path through that part that does not turn back are found, by dynamic
-//! programming: of all that advance by half to one and a half of the tempo a frame, the one with the
-//! most of `cos 2 pi (p_t - phase_t)`. Where the phase jumps by less, the path catches up. Then the
+//! Dynamic programming finds a path `p` whose advance a frame is half to one and a half of the
+//! tempo and that maximises `sum cos 2 pi (p_t - phase_t)`. Then the path is moved to the nearby
+//! stated phases and smoothed:
 //! path is moved to the stated phases near it, and smoothed:
 //!
 //! ```text
 //! min_q  sum_t |q_t - p_t - d_t|^2 + S^4 |q_{t+2} - 2 q_{t+1} + q_t|^2
 //! ```
 //!
-//! with `d_t` the distance from the path to the stated phase the shortest way around, where it is less
-//! than an eighth of a turn; other frames count with the path's own phase.
+//! with `d_t` the shortest distance from the path to the stated phase where it is below an eighth
+//! of a turn, otherwise 0.
 
 use std::f64::consts::TAU;
 
 use super::weight;
 use crate::banded::{BAND, Cholesky};
 use crate::phrase::PHASE;
-use crate::{Motion, circular};
+use crate::{Phrase, circular};
 
-/// `S`: a change of tempo that comes and goes within four seconds is taken for noise.
+/// `S`: changes of tempo within four seconds are noise.
 const STEADINESS_FRAMES: f64 = 20.0;
 
-/// Places in a bar that a path goes through.
+/// Positions in a bar of the dynamic programme.
 const PLACES: usize = 256;
 
-/// Most advances that a path chooses from.
+/// Most advances to choose from.
 const MOST_ADVANCES: usize = 32;
 
-/// The path's advance a frame lies between these shares of the tempo.
+/// Range of the advance a frame, relative to the tempo.
 const SHARES: [f64; 2] = [0.5, 1.5];
 
-/// Frames over which the tempo is taken to be one.
+/// Frames over which the tempo is constant.
 const SPAN_FRAMES: usize = 120;
 
 /// Tempos that are compared.
 const TEMPOS: usize = 4 * SPAN_FRAMES;
 
-/// Turns from the path within which a stated phase counts.
+/// Distance from the path, in turns, within which a stated phase counts.
 const NEAR: f64 = 0.125;
 
-/// Most parts of a bar that a phase may jump by and be steady.
+/// Most parts of a bar.
 const MOST_PARTS: usize = 8;
 
-/// What the agreement of fewer parts may lack of the best.
+/// Allowed loss of agreement for fewer parts.
 const AGREEMENT_MARGIN: f64 = 0.1;
 
 /// The second difference of three frames.
 const SECOND_DIFFERENCE: [f64; 3] = [1.0, -2.0, 1.0];
 
-/// Replaces the phase of a phrase of any length by the nearest one that advances steadily, from 0
-/// to below 1, except in frames that are `known`.
-///
-/// # Panics
-/// Panics if there is not one flag for each frame.
-pub fn fit_phase(motion: &mut Motion, known: &[bool]) {
+/// Replaces the phase by the nearest one that advances steadily, in [0, 1), except in `known`
+/// frames.
+pub fn fit_phase(motion: &mut Phrase, known: &[bool]) {
     let frames = motion.frames();
     assert_eq!(known.len(), frames, "known frames");
-    let said: Vec<f64> = (0..frames)
+    let stated: Vec<f64> = (0..frames)
         .map(|t| f64::from(motion.frame(t)[PHASE]))
         .collect();
     let in_parts = |parts: usize| -> Vec<f64> {
-        let of_part: Vec<f64> = said.iter().map(|turn| parts as f64 * turn).collect();
+        let of_part: Vec<f64> = stated.iter().map(|turn| parts as f64 * turn).collect();
         let fitted = fit(&of_part, known);
-        let bar = bar(&fitted, &said, known, parts);
+        let bar = bar(&fitted, &stated, known, parts);
         let turns = fitted.iter().map(|turn| (turn + bar) / parts as f64);
         turns.collect()
     };
-    let parts = parts(&said);
+    let parts = parts(&stated);
     let mut fitted = in_parts(parts);
-    // Frames that are known of two bars: only whole bars lead from one to the other.
-    let misses = |t: usize| known[t] && circular::distance(fitted[t], said[t]) > 0.5 / parts as f64;
+    // Known frames in different bars need a fit in whole bars.
+    let misses =
+        |t: usize| known[t] && circular::distance(fitted[t], stated[t]) > 0.5 / parts as f64;
     if (0..frames).any(misses) {
         fitted = in_parts(1);
     }
     for t in (0..frames).filter(|t| !known[*t]) {
         let phase = fitted[t].rem_euclid(1.0) as f32;
-        // What is just below 1 may round to it.
+        // Values just below 1 may round to it.
         motion.frame_mut(t)[PHASE] = if phase < 1.0 { phase } else { 0.0 };
     }
 }
 
-/// Into how many parts a bar is divided for the phase to be steady: the fewest whose agreement with
-/// one tempo at a time lacks little of the best.
-fn parts(said: &[f64]) -> usize {
+/// Number of parts of a bar in which the phase is steady: the fewest whose agreement with a tempo
+/// is nearly the best.
+fn parts(stated: &[f64]) -> usize {
     let agreement = |parts: usize| {
-        let of_part: Vec<f64> = said.iter().map(|turn| parts as f64 * turn).collect();
+        let of_part: Vec<f64> = stated.iter().map(|turn| parts as f64 * turn).collect();
         tempo(&of_part).agreement
     };
     let agreements: Vec<f64> = (1..=MOST_PARTS).map(agreement).collect();
@@ -101,14 +98,13 @@ fn parts(said: &[f64]) -> usize {
     1 + enough.unwrap_or(0)
 }
 
-/// The whole turns to add to `fitted`, in `parts` of a bar, for the bar that goes best with what is
-/// said.
-fn bar(fitted: &[f64], said: &[f64], known: &[bool], parts: usize) -> f64 {
+/// The whole turns to add to `fitted`, in `parts` of a bar, that agree best with the stated phases.
+fn bar(fitted: &[f64], stated: &[f64], known: &[bool], parts: usize) -> f64 {
     let agreement = |bar: usize| {
-        let frames = fitted.iter().zip(said).zip(known);
-        let gains = frames.map(|((turn, said), known)| {
+        let frames = fitted.iter().zip(stated).zip(known);
+        let gains = frames.map(|((turn, stated), known)| {
             let turn = (turn + bar as f64) / parts as f64;
-            weight(*known) * (TAU * (turn - said)).cos()
+            weight(*known) * (TAU * (turn - stated)).cos()
         });
         gains.sum::<f64>()
     };
@@ -117,14 +113,14 @@ fn bar(fitted: &[f64], said: &[f64], known: &[bool], parts: usize) -> f64 {
     best.map_or(0.0, |(_, bar)| bar)
 }
 
-/// The steady path nearest to what is said, counted on over the turns.
-fn fit(said: &[f64], known: &[bool]) -> Vec<f64> {
-    let path = path(said, known);
-    let frames = said.len();
+/// The steady path nearest to the stated phases, unwrapped.
+fn fit(stated: &[f64], known: &[bool]) -> Vec<f64> {
+    let path = path(stated, known);
+    let frames = stated.len();
     let mut normal = vec![[0.0; BAND]; frames];
     let mut fitted = Vec::with_capacity(frames);
     for (t, row) in normal.iter_mut().enumerate() {
-        let rest = said[t] - path[t];
+        let rest = stated[t] - path[t];
         let rest = rest - rest.round();
         let near = known[t] || rest.abs() < NEAR;
         row[0] = weight(known[t]);
@@ -141,21 +137,21 @@ fn fit(said: &[f64], known: &[bool]) -> Vec<f64> {
     fitted
 }
 
-/// The turns, counted on, of the path that goes best with the phases that are `said`.
-fn path(said: &[f64], known: &[bool]) -> Vec<f64> {
+/// The path, unwrapped, that agrees best with the stated phases.
+fn path(stated: &[f64], known: &[bool]) -> Vec<f64> {
     let place = |turn: f64| (turn * PLACES as f64).rem_euclid(PLACES as f64) as usize % PLACES;
     let cosines: Vec<f64> = (0..PLACES)
         .map(|place| (TAU * place as f64 / PLACES as f64).cos())
         .collect();
     let gain = |t: usize, at: usize| {
-        let apart = (at + PLACES - place(said[t])) % PLACES;
+        let apart = (at + PLACES - place(stated[t])) % PLACES;
         weight(known[t]) * cosines[apart]
     };
-    let advances = advances(said);
+    let advances = advances(stated);
     let from = |at: usize, advance: i64| (at as i64 - advance).rem_euclid(PLACES as i64) as usize;
     let mut best: Vec<f64> = (0..PLACES).map(|at| gain(0, at)).collect();
-    let mut chosen: Vec<[u8; PLACES]> = Vec::with_capacity(said.len());
-    for t in 1..said.len() {
+    let mut chosen: Vec<[u8; PLACES]> = Vec::with_capacity(stated.len());
+    for t in 1..stated.len() {
         let mut next = vec![0.0; PLACES];
         let mut choice = [0; PLACES];
         for (at, (next, choice)) in next.iter_mut().zip(&mut choice).enumerate() {
@@ -168,7 +164,7 @@ fn path(said: &[f64], known: &[bool]) -> Vec<f64> {
             }
             *next = most + gain(t, at);
         }
-        // Sums of known frames would swallow the others.
+        // Large sums of known frames would lose the others' digits.
         let largest = next.iter().copied().fold(f64::NEG_INFINITY, f64::max);
         next.iter_mut().for_each(|sum| *sum -= largest);
         best = next;
@@ -188,14 +184,14 @@ fn path(said: &[f64], known: &[bool]) -> Vec<f64> {
         count += step;
         path.push(count as f64 / PLACES as f64);
     }
-    path.truncate(said.len());
+    path.truncate(stated.len());
     path
 }
 
-/// Places that a path may advance by in a frame: those around the tempo of what is said, and none
-/// that stands still, of a tempo that allows it.
-fn advances(said: &[f64]) -> Vec<i64> {
-    let mean = tempo(said).advance * PLACES as f64;
+/// Possible advances of a path in a frame, around the tempo. None stands still if the tempo allows
+/// that.
+fn advances(stated: &[f64]) -> Vec<i64> {
+    let mean = tempo(stated).advance * PLACES as f64;
     let mut bounds = SHARES.map(|share| share * mean);
     bounds.sort_by(f64::total_cmp);
     let [mut low, mut high] = [bounds[0].floor() as i64, bounds[1].ceil() as i64];
@@ -213,16 +209,16 @@ fn advances(said: &[f64]) -> Vec<i64> {
 struct Tempo {
     /// Turns a frame.
     advance: f64,
-    /// From 0 to 1: how well the phases go with it.
+    /// Agreement of the phases, 0 to 1.
     agreement: f64,
 }
 
-/// The advance in turns a frame that the phases go with best, from half a turn back to half a turn on:
-/// the largest mean over spans of `|sum exp(2 pi i (phase_t - advance t))|`. Noise of each frame by
-/// itself drowns the advance from one frame to the next, and not this.
-fn tempo(said: &[f64]) -> Tempo {
+/// The advance in turns a frame, -0.5 to 0.5, that agrees best with the phases: the largest mean
+/// over spans of `|sum exp(2 pi i (phase_t - advance t))|`. Unlike single steps, this is robust to
+/// noise.
+fn tempo(stated: &[f64]) -> Tempo {
     let unit = |turns: f64| (TAU * turns).sin_cos();
-    let phases: Vec<(f64, f64)> = said.iter().map(|&turns| unit(turns)).collect();
+    let phases: Vec<(f64, f64)> = stated.iter().map(|&turns| unit(turns)).collect();
     let fits = |advance: f64| {
         let (sin, cos) = unit(advance);
         let of_span = |span: &[(f64, f64)]| {
@@ -240,7 +236,7 @@ fn tempo(said: &[f64]) -> Tempo {
     let (sum, advance) = best.expect("tempos");
     Tempo {
         advance,
-        agreement: sum / said.len() as f64,
+        agreement: sum / stated.len() as f64,
     }
 }
 
@@ -252,15 +248,15 @@ mod tests {
     use crate::phrase::CHANNELS;
 
     /// A motion with these phases in turns.
-    fn with_phases(turns: &[f64]) -> Motion {
-        let mut motion = Motion::new(vec![0.0; CHANNELS * turns.len()]).expect("whole frames");
+    fn with_phases(turns: &[f64]) -> Phrase {
+        let mut motion = Phrase::new(vec![0.0; CHANNELS * turns.len()]).expect("whole frames");
         for (t, turn) in turns.iter().enumerate() {
             motion.frame_mut(t)[PHASE] = turn.rem_euclid(1.0) as f32;
         }
         motion
     }
 
-    fn distance(motion: &Motion, turns: &[f64]) -> f64 {
+    fn distance(motion: &Phrase, turns: &[f64]) -> f64 {
         let phase = |t: usize| f64::from(motion.frame(t)[PHASE]);
         let distances = turns.iter().enumerate();
         let distances = distances.map(|(t, turn)| circular::distance(phase(t), *turn));
@@ -287,11 +283,11 @@ mod tests {
             .map(|seconds| 0.9 + 0.45 * seconds + 0.15 / 120.0 * seconds * seconds)
             .collect();
         let noise = Key::new(3, Purpose::Noise).normals(truth.len());
-        let said = truth.iter().zip(noise);
-        let said: Vec<f64> = said.map(|(turn, n)| turn + 0.05 * f64::from(n)).collect();
-        let mut motion = with_phases(&said);
+        let stated = truth.iter().zip(noise);
+        let stated: Vec<f64> = stated.map(|(turn, n)| turn + 0.05 * f64::from(n)).collect();
+        let mut motion = with_phases(&stated);
         assert!(
-            crate::movement::phase_steps(&motion)
+            crate::motion_measures::phase_steps(&motion)
                 .iter()
                 .any(|step| *step < -0.05)
         );
@@ -301,7 +297,7 @@ mod tests {
             "{}",
             distance(&motion, &truth)
         );
-        for step in crate::movement::phase_steps(&motion) {
+        for step in crate::motion_measures::phase_steps(&motion) {
             assert!((0.005..0.03).contains(&step), "{step}");
         }
     }
@@ -317,14 +313,14 @@ mod tests {
             .map(|(t, turn)| later(t, *turn))
             .collect();
         let blip = |t: usize| if (600..610).contains(&t) { 0.25 } else { 0.0 };
-        let said: Vec<f64> = lasting
+        let stated: Vec<f64> = lasting
             .iter()
             .enumerate()
             .map(|(t, turn)| turn + blip(t))
             .collect();
-        let mut motion = with_phases(&said);
+        let mut motion = with_phases(&stated);
         fit_phase(&mut motion, &[false; 900]);
-        let steps = crate::movement::phase_steps(&motion);
+        let steps = crate::motion_measures::phase_steps(&motion);
         assert!(
             steps.iter().all(|step| (0.004..0.02).contains(step)),
             "{steps:?}"
@@ -342,13 +338,13 @@ mod tests {
             let jumps = Key::new(6, Purpose::Noise).integers(frames / 40, beats as usize);
             let noise = Key::new(5, Purpose::Noise).normals(frames);
             let truth: Vec<f64> = (0..frames).map(|t| 0.37 + tempo * t as f64).collect();
-            let said: Vec<f64> = (0..frames)
+            let stated: Vec<f64> = (0..frames)
                 .map(|t| {
                     let bar = jumps[(t / 40).min(jumps.len() - 1)] as f64 * beat;
                     truth[t] + bar + 0.01 * f64::from(noise[t])
                 })
                 .collect();
-            let mut motion = with_phases(&said);
+            let mut motion = with_phases(&stated);
             fit_phase(&mut motion, &vec![false; frames]);
             let off = |t: usize| {
                 let phase = f64::from(motion.frame(t)[PHASE]);
@@ -356,7 +352,7 @@ mod tests {
             };
             let worst = (0..frames).map(off).fold(0.0, f64::max);
             assert!(worst < 0.06, "{beats} {tempo}: {worst}");
-            let steps = crate::movement::phase_steps(&motion);
+            let steps = crate::motion_measures::phase_steps(&motion);
             let steady = |step: &f64| (step - tempo).abs() < 0.002;
             assert!(steps.iter().all(steady), "{beats} {tempo}");
         }
@@ -364,23 +360,23 @@ mod tests {
 
     #[test]
     fn known_frames_choose_the_bar() {
-        // The last second is known, a beat from what the others say; so is the first, of either bar.
+        // The last second is known, a beat off the others; so is the first, in either bar.
         for first in [0.25, 0.0] {
             let frames = 300;
             let truth = |t: usize| 0.2 + 0.0151 * t as f64;
-            let said = |t: usize| match t {
+            let stated = |t: usize| match t {
                 0..30 => truth(t) + first,
                 270.. => truth(t) + 0.25,
                 _ => truth(t) + 0.25 * ((t / 30) % 4) as f64,
             };
-            let said: Vec<f64> = (0..frames).map(said).collect();
+            let stated: Vec<f64> = (0..frames).map(stated).collect();
             let known: Vec<bool> = (0..frames).map(|t| !(30..270).contains(&t)).collect();
-            let (mut motion, before) = (with_phases(&said), with_phases(&said));
+            let (mut motion, before) = (with_phases(&stated), with_phases(&stated));
             fit_phase(&mut motion, &known);
             for t in (0..30).chain(270..frames) {
                 assert_eq!(motion.frame(t), before.frame(t));
             }
-            let steps = crate::movement::phase_steps(&motion);
+            let steps = crate::motion_measures::phase_steps(&motion);
             let allowed = if first == 0.25 { 0.002 } else { 0.013 };
             let steady = |step: &f64| (step - 0.0151).abs() < allowed;
             assert!(steps.iter().all(steady), "{first}: {steps:?}");
@@ -390,10 +386,10 @@ mod tests {
     #[test]
     fn long_motion_and_wild_phases_take_their_time() {
         let noise = Key::new(8, Purpose::Noise).uniforms(20_000);
-        let said: Vec<f64> = noise.into_iter().map(f64::from).collect();
-        let mut motion = with_phases(&said);
-        fit_phase(&mut motion, &vec![false; said.len()]);
-        let phases = (0..said.len()).map(|t| motion.frame(t)[PHASE]);
+        let stated: Vec<f64> = noise.into_iter().map(f64::from).collect();
+        let mut motion = with_phases(&stated);
+        fit_phase(&mut motion, &vec![false; stated.len()]);
+        let phases = (0..stated.len()).map(|t| motion.frame(t)[PHASE]);
         assert!(phases.into_iter().all(|phase| (0.0..1.0).contains(&phase)));
     }
 
@@ -401,15 +397,15 @@ mod tests {
     fn the_tempo_is_found_under_much_noise() {
         for seed in 0..40 {
             let noise = Key::new(seed, Purpose::Noise).normals(120);
-            let said = noise.iter().enumerate();
-            let said: Vec<f64> = said
+            let stated = noise.iter().enumerate();
+            let stated: Vec<f64> = stated
                 .map(|(t, n)| t as f64 / 60.0 + 0.15 * f64::from(*n))
                 .collect();
-            let found = tempo(&said).advance;
+            let found = tempo(&stated).advance;
             assert!((found - 1.0 / 60.0).abs() < 0.004, "{seed}: {found}");
-            let mut motion = with_phases(&said);
+            let mut motion = with_phases(&stated);
             fit_phase(&mut motion, &[false; 120]);
-            let steps = crate::movement::phase_steps(&motion);
+            let steps = crate::motion_measures::phase_steps(&motion);
             assert!(
                 steps.iter().all(|step| (0.0..0.035).contains(step)),
                 "{seed}"
@@ -418,7 +414,7 @@ mod tests {
     }
 
     #[test]
-    fn a_known_phase_is_met() {
+    fn a_known_phase_is_kept() {
         let mut turns: Vec<f64> = (0..60).map(|t| 0.02 * f64::from(t)).collect();
         turns[40..].iter_mut().for_each(|turn| *turn += 0.2);
         let known: Vec<bool> = (0..60).map(|t| t < 40).collect();
@@ -427,7 +423,7 @@ mod tests {
         for t in 0..40 {
             assert_eq!(motion.frame(t), before.frame(t));
         }
-        let steps = crate::movement::phase_steps(&motion);
+        let steps = crate::motion_measures::phase_steps(&motion);
         assert!(steps[39..].iter().all(|step| (0.0..0.05).contains(step)));
     }
 }

@@ -1,42 +1,38 @@
-//! The nearest coherent trajectory to estimates of position, velocity and acceleration.
-//!
-//! A phrase states the same trajectory three times: by its positions, by its velocities and by its
-//! accelerations. Where the three are estimates that contradict each other, this is the
-//! trajectory that fits all of them best:
+//! The nearest coherent trajectory to estimates of position, velocity and acceleration that
+//! contradict each other:
 //!
 //! ```text
 //! min_p  sum_t |p_t - P_t|^2 / s_p^2 + |fps (p_{t+1} - p_t) - V_t|^2 / s_v^2
 //!              + |fps^2 (p_{t+2} - 2 p_{t+1} + p_t) - A_t|^2 / s_a^2
 //! ```
 //!
-//! With the training deviations as scales `s`, it is the orthogonal projection of the normalised
-//! estimates onto the coherent motions. It is linear in them; the normal equations have two
-//! diagonals beside the main one, so that a fit takes time and memory proportional to the frames.
-//! Differences are forward, as everywhere ([`crate::kinematics`]); two frames beyond the last one
-//! let the last velocity and acceleration say what follows.
+//! With the training deviations as scales `s`, this is the orthogonal projection of the normalised
+//! estimates onto coherent motion. The normal equations have two diagonals beside the main one.
+//! Differences are forward ([`crate::derivatives`]); two extra frames complete the last velocity
+//! and acceleration.
 
 use super::weight;
-use crate::Motion;
+use crate::Phrase;
 use crate::banded::{BAND, Cholesky};
 use crate::phrase::{ACCELERATION, FPS, POSITION, VELOCITY};
 
-/// Frames that the fitted trajectory has beyond those of the estimates.
+/// Frames of the fitted trajectory beyond those of the estimates.
 pub const EXTRA_FRAMES: usize = 2;
 
-/// Least scales of velocity and acceleration beside that of position, 1/s and 1/s^2.
+/// Smallest scales of velocity and acceleration relative to that of position, 1/s and 1/s^2.
 const LEAST_RATES: [f64; 2] = [1e-3, 1e-2];
 
-/// What one frame of each estimate says of the positions from its own frame on.
+/// The estimates as linear combinations of positions from their own frame on.
 const STENCILS: [&[f64]; 3] = [
     &[1.0],
     &[-FPS, FPS],
     &[FPS * FPS, -2.0 * FPS * FPS, FPS * FPS],
 ];
 
-/// The fit of one axis of motion of some length.
+/// The fit of one axis.
 #[derive(Clone, Debug)]
 pub struct CoherentFit {
-    /// Of each estimate and frame `1 / s^2`, times that of a known frame.
+    /// `1 / s^2` for each estimate and frame, times the weight of a known frame.
     weights: [Vec<f64>; 3],
     /// Of the normal equations.
     factor: Cholesky<BAND>,
@@ -51,15 +47,13 @@ impl CoherentFit {
         Self::around(&vec![false; frames], scales)
     }
 
-    /// The same, but the estimates of the frames that are `known` are met, as far as they agree
-    /// with each other.
+    /// The same, but the fit passes through the estimates of `known` frames.
     ///
     /// # Panics
     /// Panics if a scale is not positive.
     pub fn around(known: &[bool], scales: [f64; 3]) -> Self {
         assert!(scales.iter().all(|&scale| scale > 0.0), "scales {scales:?}");
-        // Within known frames their positions say all; at the end of them velocity and acceleration
-        // lead on. Elsewhere the two would pull at the positions, where they do not agree with them.
+        // Within known frames the positions decide; at their end velocity and acceleration lead on.
         let is_last = |t: usize| known[t] && known.get(t + 1) != Some(&true);
         let decides: [&dyn Fn(usize) -> bool; 3] = [&|t| known[t], &is_last, &is_last];
         let weights = [0, 1, 2].map(|estimate| {
@@ -90,8 +84,8 @@ impl CoherentFit {
         self.weights[0].len()
     }
 
-    /// The fitted positions, `[frames + 2]`, for position, velocity and acceleration, `[frames]`
-    /// each.
+    /// The fitted positions, `[frames + 2]`, of estimates `[frames]` of position, velocity and
+    /// acceleration.
     pub fn positions(&self, estimates: [&[f64]; 3]) -> Vec<f64> {
         let mut positions = vec![0.0; self.frames() + EXTRA_FRAMES];
         for ((stencil, weights), estimate) in STENCILS.iter().zip(&self.weights).zip(estimates) {
@@ -105,24 +99,22 @@ impl CoherentFit {
         positions
     }
 
-    /// The adjoint of [`positions`](Self::positions): from the gradient of the fitted positions to
-    /// those of the three estimates.
+    /// The adjoint of [`positions`](Self::positions).
     pub fn adjoint(&self, mut gradient: Vec<f64>) -> [Vec<f64>; 3] {
         self.factor.solve(&mut gradient);
         let estimates = [0, 1, 2].map(|estimate| (STENCILS[estimate], &self.weights[estimate]));
         estimates.map(|(stencil, weights)| {
             let of = |(t, weight): (usize, &f64)| {
-                let said = stencil.iter().zip(&gradient[t..]);
-                weight * said.map(|(a, g)| a * g).sum::<f64>()
+                let terms = stencil.iter().zip(&gradient[t..]);
+                weight * terms.map(|(a, g)| a * g).sum::<f64>()
             };
             weights.iter().enumerate().map(of).collect()
         })
     }
 }
 
-/// The dense matrix of a fit, `[frames + 2, 3 frames]`, row-major: for devices that multiply
-/// matrices rather than solve recursions. Its columns are those of the estimates end to end, each
-/// divided by its scale: `[P / s_p | V / s_v | A / s_a]`.
+/// The dense matrix of a fit, `[frames + 2, 3 frames]`, row-major, for devices that multiply
+/// matrices. Columns are those of the scaled estimates `[P / s_p | V / s_v | A / s_a]`.
 ///
 /// # Panics
 /// Panics if a scale is not positive.
@@ -138,13 +130,10 @@ pub fn coherent_matrix(frames: usize, scales: [f64; 3]) -> Vec<f32> {
     (0..rows).flat_map(row).collect()
 }
 
-/// Replaces position, velocity and acceleration of a phrase of any length by those of the nearest
-/// coherent trajectory, except in frames that are `known`, which it passes through. `std` are the
-/// training deviations of the channels, `[25]`.
-///
-/// # Panics
-/// Panics if there is not one flag for each frame, or a deviation is not positive.
-pub fn fit_trajectory(motion: &mut Motion, std: &[f64], known: &[bool]) {
+/// Replaces position, velocity and acceleration of a phrase by those of the nearest coherent
+/// trajectory, except in `known` frames, which it passes through. `std` are the training deviations
+/// of the channels, `[25]`.
+pub fn fit_trajectory(motion: &mut Phrase, std: &[f64], known: &[bool]) {
     let frames = motion.frames();
     assert_eq!(known.len(), frames, "known frames");
     for axis in 0..3 {
@@ -157,7 +146,7 @@ pub fn fit_trajectory(motion: &mut Motion, std: &[f64], known: &[bool]) {
         };
         let estimates = components.map(column);
         let [position, velocity, acceleration] = components.map(|channel| std[channel]);
-        // An axis that hardly moves would ask more of the positions than double precision holds.
+        // A nearly constant axis would exceed double precision.
         let scales = [
             position,
             velocity.max(LEAST_RATES[0] * position),
@@ -285,11 +274,11 @@ mod tests {
     fn the_adjoint_is_the_gradient() {
         let frames = 9;
         let fit = CoherentFit::new(frames, SCALES);
-        let draw = |seed, n| -> Vec<f64> {
+        let normals = |seed, n| -> Vec<f64> {
             let values = Key::new(seed, Purpose::Noise).normals(n);
             values.into_iter().map(f64::from).collect()
         };
-        let (y, g) = (draw(1, 3 * frames), draw(2, frames + EXTRA_FRAMES));
+        let (y, g) = (normals(1, 3 * frames), normals(2, frames + EXTRA_FRAMES));
         let loss = |y: &[f64]| -> f64 {
             let mut parts = y.chunks(frames);
             let parts = [(); 3].map(|()| parts.next().expect("three"));
@@ -316,7 +305,7 @@ mod tests {
 
     #[test]
     fn an_axis_that_hardly_moves_keeps_its_precision() {
-        let mut motion = crate::wandering::wandering(2, 600);
+        let mut motion = crate::random_phrase::random_phrase(2, 600);
         let original = motion.clone();
         let mut std = [0.9; 25];
         std[VELOCITY].fill(1e-7);
@@ -332,7 +321,7 @@ mod tests {
 
     #[test]
     fn known_positions_hold_where_known_accelerations_say_otherwise() {
-        let mut motion = crate::wandering::wandering(5, 90);
+        let mut motion = crate::random_phrase::random_phrase(5, 90);
         let noise = Key::new(1, Purpose::Noise).normals(90);
         for (t, noise) in noise.into_iter().enumerate().take(58) {
             let [x, y, z] = motion.vector(t, ACCELERATION);
@@ -341,14 +330,14 @@ mod tests {
         let known: Vec<bool> = (0..90).map(|t| t < 60).collect();
         let original = motion.clone();
         fit_trajectory(&mut motion, &[0.5; 25], &known);
-        // The first frame after the known ones goes on from where they are written.
-        let step = |motion: &Motion| motion.frame(60)[0] - motion.frame(59)[0];
+        // The first frame after the known ones continues from them.
+        let step = |motion: &Phrase| motion.frame(60)[0] - motion.frame(59)[0];
         assert!((step(&motion) - step(&original)).abs() < 1e-3);
     }
 
     #[test]
-    fn a_fit_passes_through_what_is_known_and_goes_on_from_there() {
-        let mut motion = crate::wandering::wandering(3, 60);
+    fn a_fit_passes_through_known_frames_and_continues_from_there() {
+        let mut motion = crate::random_phrase::random_phrase(3, 60);
         let original = motion.clone();
         for t in 20..60 {
             // The rest lies 2 m aside.
@@ -363,10 +352,10 @@ mod tests {
         for t in 0..59 {
             let step = |axis| (motion.frame(t + 1)[axis] - motion.frame(t)[axis]) * FPS as f32;
             for axis in POSITION {
-                let said = motion.frame(t)[VELOCITY.start + axis];
+                let stated = motion.frame(t)[VELOCITY.start + axis];
                 assert!(
-                    (step(axis) - said).abs() < 2e-3,
-                    "{t}: {} {said}",
+                    (step(axis) - stated).abs() < 2e-3,
+                    "{t}: {} {stated}",
                     step(axis)
                 );
             }

@@ -7,29 +7,27 @@ use serde::{Deserialize, Serialize};
 
 use super::{EmphasisError, EmphasisProjection};
 
-/// Which matrix mixes the emphasised features.
+/// Kind of matrix that mixes the emphasised features.
 #[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum EmphasisKind {
-    /// None: features stay as they are.
+    /// No projection.
     #[default]
     None,
-    /// Independent normal numbers, as the published models have it.
+    /// Independent normal numbers, as in published models.
     Gaussian,
-    /// A random rotation or reflection: the same emphasis, with the smallest condition number that it can have.
+    /// A random rotation or reflection: the same emphasis with the smallest condition number.
     Orthogonal,
 }
 
-/// How the trajectory is emphasised within a frame's features (GMD, appendix C).
-///
-/// The matrix is a function of these settings and of the number of features; it is stored with a
-/// model all the same, as a published model's matrix follows from no seed.
+/// Emphasis of the trajectory within a frame's features (GMD, appendix C). The matrix follows from
+/// these settings and the number of features, and is stored with the model.
 #[derive(Clone, Debug, Deserialize, PartialEq, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct EmphasisConfig {
-    /// Which matrix, if any.
+    /// Kind of matrix.
     pub kind: EmphasisKind,
-    /// How much larger the emphasised features become, c in the source.
+    /// Factor of the emphasised features, c in the source.
     pub scale: f64,
     /// Seed of the matrix.
     pub seed: u64,
@@ -50,8 +48,7 @@ impl Default for EmphasisConfig {
 }
 
 impl EmphasisConfig {
-    /// Rejects a scale that is not positive or beyond a million, and channels that are missing or
-    /// repeated.
+    /// Rejects a scale out of range, and missing or repeated channels.
     ///
     /// # Errors
     /// Names the first such setting.
@@ -59,28 +56,28 @@ impl EmphasisConfig {
         check(self.scale, &self.channels, usize::MAX)
     }
 
-    /// The projection of frames with `dimension` features; `None` where the kind is none.
+    /// The projection of frames with `dimension` features; `None` if the kind is none.
     ///
     /// # Errors
     /// [`EmphasisError::Setting`] if a setting is out of range or a channel is not among
-    /// the features; [`EmphasisError::Singular`] if the drawn matrix cannot be undone.
+    /// the features; [`EmphasisError::Singular`] if the matrix cannot be inverted.
     pub fn projection(
         &self,
         dimension: usize,
     ) -> Result<Option<EmphasisProjection>, EmphasisError> {
-        // Before any number is drawn.
+        // Before any random number.
         check(self.scale, &self.channels, dimension)?;
         let construct = match self.kind {
             EmphasisKind::None => return Ok(None),
             EmphasisKind::Gaussian => EmphasisProjection::gaussian,
             EmphasisKind::Orthogonal => EmphasisProjection::orthogonal,
         };
-        let draws = Key::new(self.seed, Purpose::Emphasis).normals(dimension * dimension);
-        construct(&draws, dimension, self.scale, &self.channels).map(Some)
+        let normals = Key::new(self.seed, Purpose::Emphasis).normals(dimension * dimension);
+        construct(&normals, dimension, self.scale, &self.channels).map(Some)
     }
 }
 
-/// Largest scale: beyond it single precision cannot hold a frame and undo the projection.
+/// Largest scale that single precision can invert.
 const LARGEST_SCALE: f64 = 1e6;
 
 /// Rejects a scale or channels that no projection of `dimension` features can have.

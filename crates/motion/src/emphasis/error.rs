@@ -41,14 +41,14 @@ pub enum EmphasisError {
         found: f32,
     },
 
-    /// The matrix cannot be undone in single precision.
+    /// The matrix cannot be inverted in single precision.
     #[error(
         "the projection matrix is singular: its condition number is {condition_number:.1e}, \
          allowed: less than {limit:.1e}"
     )]
     #[diagnostic(help(
-        "motion cannot be brought back from it; check that the matrix is complete, or draw \
-         another one with another seed or a smaller `scale`"
+        "motion cannot be brought back from it; check that the matrix is complete, or use \
+         another seed or a smaller `scale`"
     ))]
     Singular {
         /// Largest singular value divided by the smallest.

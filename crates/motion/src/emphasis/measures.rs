@@ -1,9 +1,10 @@
-//! What a projection costs: conditioning, evenness of the variances, error of a round trip.
+//! Measures of a projection: conditioning, variances, round-trip error.
 
 use kinegrad_random::{Key, Purpose};
 use serde::Serialize;
 
 use super::EmphasisProjection;
+use crate::moments::mean;
 
 /// Frames of the round trip.
 const FRAMES: usize = 196;
@@ -13,30 +14,30 @@ const FRAMES: usize = 196;
 pub struct EmphasisMeasures {
     /// Largest singular value divided by the smallest.
     pub condition_number: f64,
-    /// Smallest variance of a projected feature, those of the frame independent and of variance 1.
+    /// Smallest variance of a projected feature, for independent features of variance 1.
     pub variance_min: f64,
     /// Mean of these variances.
     pub variance_mean: f64,
     /// Largest of these variances.
     pub variance_max: f64,
-    /// (Population) standard deviation of these variances.
+    /// Population standard deviation of these variances.
     pub variance_std: f64,
     /// Share of the emphasised features in the total variance.
     pub trajectory_share: f64,
-    /// Largest absolute error of frames projected and brought back in single precision. The frames
-    /// are drawn from the standard normal distribution.
+    /// Largest absolute error of standard normal frames projected and brought back in single
+    /// precision.
     pub round_trip_max: f64,
     /// Mean absolute error of the same frames.
     pub round_trip_mean: f64,
 }
 
 impl EmphasisProjection {
-    /// Measures this projection, with 196 frames drawn from `seed` for the round trip.
+    /// Measures this projection, with 196 random frames of `seed` for the round trip.
     pub fn measure(&self, seed: u64) -> EmphasisMeasures {
         let variances = self.variance_per_dimension();
         let variance_mean = mean(variances.iter().copied());
         let spread = mean(variances.iter().map(|v| (v - variance_mean).powi(2)));
-        // One level below the draws of the matrix itself.
+        // One level below the matrix's own numbers.
         let frames = Key::new(seed, Purpose::Emphasis)
             .at(0)
             .normals(FRAMES * self.dimension());
@@ -56,9 +57,4 @@ impl EmphasisProjection {
             round_trip_mean: mean(errors),
         }
     }
-}
-
-fn mean(values: impl ExactSizeIterator<Item = f64>) -> f64 {
-    let count = values.len();
-    values.sum::<f64>() / count as f64
 }

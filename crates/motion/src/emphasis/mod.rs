@@ -1,13 +1,12 @@
-//! Emphasis projection: increases the weight of the trajectory in the input of a motion model.
+//! Emphasis projection: a larger weight of the trajectory in the input of a motion model.
 //!
-//! Among a frame's 263 features the root's rotation and ground position are three, and a model that
-//! predicts all of them equally well can be inaccurate about where the body goes. These three rows
-//! are multiplied by a scale c, and a random matrix distributes them over all features, so that
-//! each has about unit variance again. A frame is a row: `y = x P`, `x = y P^-1`. Source: Guided
-//! Motion Diffusion, appendix C.
+//! The root's rotation and ground position are three of a frame's 263 features, so a model can
+//! neglect them. They are multiplied by a scale c, and a random matrix distributes them over all
+//! features so that each keeps about unit variance. A frame is a row: `y = x P`, `x = y P^-1`.
+//! Source: Guided Motion Diffusion, appendix C.
 //!
-//! Deviation: the source's factor `1/(D - 3 + 3 c^2)` is one of variance; the matrix carries its
-//! square root. Taken as an amplitude it would leave a variance of 1/560 at c = 10.
+//! Deviation: the source's factor `1/(D - 3 + 3 c^2)` is a variance; the matrix has its square
+//! root. As an amplitude it would give a variance of 1/560 at c = 10.
 
 mod config;
 mod error;
@@ -19,63 +18,60 @@ pub use measures::EmphasisMeasures;
 
 use nalgebra::DMatrix;
 
-/// From this condition number on no digit of a single-precision value survives there and back.
+/// Condition number at which single precision has no digit left.
 const SINGULAR: f64 = 1.0 / f32::EPSILON as f64;
 
-/// A projection of frames of `dimension` features, and its inverse.
-///
-/// Made by [`EmphasisConfig::projection`] from settings, or from a published model's matrix.
+/// A projection of frames of `dimension` features, and its inverse. Made by
+/// [`EmphasisConfig::projection`], or from a published model's matrix.
 #[derive(Clone, Debug, PartialEq)]
 pub struct EmphasisProjection {
     channels: Vec<usize>,
-    // nalgebra keeps columns: these are the transposed matrices, whose memory is P row by row.
+    // nalgebra is column-major: these are transposes, whose memory is P row by row.
     matrix: DMatrix<f32>,
     inverse: DMatrix<f32>,
     condition_number: f64,
 }
 
 impl EmphasisProjection {
-    /// The published construction: `draws`, independent standard normal numbers
+    /// The published construction: `normals`, independent standard normal numbers
     /// `[dimension, dimension]`, the rows of `channels` times `scale`, all divided by
     /// `sqrt(D - n + n c^2)` with D the dimension, n the number of channels and c the scale.
     ///
-    /// The variance of a projected feature is 1 on average over draws; in one matrix of 263 at
-    /// c = 10 it lies between about 0.4 and 3, and the condition number is in the thousands.
+    /// Projected features have variance 1 on average over matrices; in one matrix of 263 at c = 10
+    /// it is about 0.4 to 3, and the condition number is in the thousands.
     ///
     /// # Errors
     /// [`EmphasisError::Setting`] if the scale or a channel is out of range; else those of
     /// [`from_matrix`](Self::from_matrix).
     pub fn gaussian(
-        draws: &[f32],
+        normals: &[f32],
         dimension: usize,
         scale: f64,
         channels: &[usize],
     ) -> Result<Self, EmphasisError> {
-        let mut transposed = read(draws, dimension)?;
+        let mut transposed = read(normals, dimension)?;
         config::check(scale, channels, dimension)?;
         emphasise(&mut transposed, scale, channels);
         transposed /= total_variance(dimension, channels.len(), scale).sqrt();
         Self::new(transposed.cast(), channels)
     }
 
-    /// The same emphasis, spread by an orthogonal matrix Q: `P = s diag(c or 1) Q` with
-    /// `s^2 (D - n + n c^2) = D`, symbols as for [`gaussian`](Self::gaussian). Q follows from
-    /// `draws` by QR decomposition, R's diagonal positive, which makes it uniformly distributed.
-    ///
-    /// The variance averaged over features is exactly 1, the condition number exactly the scale
-    /// (its inverse for scales below 1), which no matrix with these row norms undercuts.
+    /// The same emphasis with an orthogonal matrix Q: `P = s diag(c or 1) Q`, `s^2 (D - n + n c^2)
+    /// = D`. Q comes from a QR decomposition of `normals` with a positive diagonal of R, and so is
+    /// uniformly distributed. The mean variance is exactly 1, and the condition number exactly the
+    /// scale, the minimum for these row norms.
     ///
     /// # Errors
     /// As for [`gaussian`](Self::gaussian).
     pub fn orthogonal(
-        draws: &[f32],
+        normals: &[f32],
         dimension: usize,
         scale: f64,
         channels: &[usize],
     ) -> Result<Self, EmphasisError> {
-        let draws = read(draws, dimension)?;
+        let normals = read(normals, dimension)?;
         config::check(scale, channels, dimension)?;
-        let decomposition = draws.qr();
+        let decomposition = normals.qr();
         let mut rotation = decomposition.q();
         let signs = decomposition.r().diagonal();
         for (mut column, sign) in rotation.column_iter_mut().zip(signs.iter()) {
@@ -88,9 +84,8 @@ impl EmphasisProjection {
         Self::new(transposed.cast(), channels)
     }
 
-    /// A published model's matrix, row by row `[dimension, dimension]`, with the scale and the
-    /// channels that it was made with, which only describe it. The inverse is computed here, in
-    /// double precision.
+    /// A published model's matrix, row by row `[dimension, dimension]`, with the scale and channels
+    /// that describe it. The inverse is computed in double precision.
     ///
     /// # Errors
     /// [`EmphasisError::NotSquare`], [`EmphasisError::NonFinite`] or [`EmphasisError::Singular`]
@@ -108,7 +103,7 @@ impl EmphasisProjection {
     }
 
     fn new(transposed: DMatrix<f32>, channels: &[usize]) -> Result<Self, EmphasisError> {
-        // The matrix as stored is what must be undone.
+        // The stored matrix is what must be inverted.
         let stored: DMatrix<f64> = transposed.clone().cast();
         let singular_values = stored.singular_values();
         let condition_number = singular_values.max() / singular_values.min();
@@ -145,36 +140,30 @@ impl EmphasisProjection {
     }
 
     /// Projects frame-major values `[frames, dimension]` in single precision: `y = x P`.
-    ///
-    /// # Panics
-    /// Panics if these are not whole frames.
     pub fn project(&self, frames: &[f32]) -> Vec<f32> {
         multiply(&self.matrix, frames)
     }
 
     /// Brings projected values `[frames, dimension]` back in single precision: `x = y P^-1`.
-    ///
-    /// # Panics
-    /// Panics if these are not whole frames.
     pub fn unproject(&self, frames: &[f32]) -> Vec<f32> {
         multiply(&self.inverse, frames)
     }
 
-    /// Largest singular value of P divided by the smallest: how much larger than the rounding of a
-    /// projected frame the error of the frame brought back may be, relative to their sizes.
+    /// Largest singular value of P divided by the smallest: the amplification of rounding errors in
+    /// a round trip.
     pub fn condition_number(&self) -> f64 {
         self.condition_number
     }
 
-    /// Variance of each projected feature, `[dimension]`, where the features are independent and
-    /// of unit variance: `sum_i P_ij^2`.
+    /// Variance of each projected feature, `[dimension]`, for independent features of unit
+    /// variance: `sum_i P_ij^2`.
     pub fn variance_per_dimension(&self) -> Vec<f64> {
         let squares = self.matrix.clone().cast::<f64>().map(|value| value.powi(2));
         squares.column_sum().as_slice().to_vec()
     }
 
-    /// Share of the emphasised features in the total variance. [`relative_importance`] is what is
-    /// expected of it.
+    /// Share of the emphasised features in the total variance; [`relative_importance`] is its
+    /// expectation.
     pub fn trajectory_share(&self) -> f64 {
         let squares = self.matrix.clone().cast::<f64>().map(|value| value.powi(2));
         let of_rows = squares.row_sum();
@@ -183,9 +172,8 @@ impl EmphasisProjection {
     }
 }
 
-/// Share of `channels` features in the total variance of `dimension` features of unit variance
-/// when they are made `scale` times larger: `n c^2 / (D - n + n c^2)` (GMD, appendix, equation 4,
-/// there with n = 3 and D = 263).
+/// Share of `channels` features in the total variance of `dimension` features of unit variance,
+/// scaled by `scale`: `n c^2 / (D - n + n c^2)` (GMD, appendix, equation 4).
 ///
 /// # Panics
 /// Panics if there are more channels than features.
@@ -193,7 +181,7 @@ pub fn relative_importance(scale: f64, channels: usize, dimension: usize) -> f64
     channels as f64 * scale.powi(2) / total_variance(dimension, channels, scale)
 }
 
-/// Variance of all features together before it is scaled down: `D - n + n c^2`.
+/// Total variance before scaling down: `D - n + n c^2`.
 fn total_variance(dimension: usize, channels: usize, scale: f64) -> f64 {
     (dimension - channels) as f64 + channels as f64 * scale.powi(2)
 }

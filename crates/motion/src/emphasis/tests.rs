@@ -1,4 +1,4 @@
-//! What both kinds of matrix promise, and what is refused.
+//! Properties of both kinds of matrix, and errors.
 
 use proptest::prelude::*;
 

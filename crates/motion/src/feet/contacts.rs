@@ -1,30 +1,29 @@
-//! When a foot stands.
+//! Foot contacts.
 
 use std::ops::Range;
 
-use crate::humanml::kinematics::minus;
 use crate::metrics::{SKATING_HEIGHT, SKATING_SPEED};
-use crate::rotation::length;
+use crate::vector::{length, minus};
 
-/// When a foot is taken to stand on the floor, by where its sole is in each frame.
+/// Foot contacts by the position of the sole.
 ///
-/// A contact needs a frame that is low and slow. It goes on to either side through frames that are
-/// not quite so, or a foot at the threshold would be set down and lifted from frame to frame.
+/// A contact has a frame that is low and slow, and continues to either side with looser thresholds
+/// (hysteresis).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ContactRule {
-    /// A contact has a frame in which the sole is lower than this above the floor, metres.
+    /// Height of the sole above the floor in such a frame, metres.
     pub height: f64,
-    /// In that frame the sole is slower than this, metres per second.
+    /// Speed of the sole in that frame, metres per second.
     pub speed: f64,
-    /// A contact goes on while height and speed are below so many times these.
+    /// Factor of both thresholds for the rest of the contact.
     pub lasting: f64,
-    /// Contacts that are shorter than this are none, and gaps that are shorter are closed, seconds.
+    /// Shortest contact and shortest gap, seconds.
     pub shortest: f64,
 }
 
 impl Default for ContactRule {
-    /// The height at which foot skating is measured, and a speed above what counts as skating: the
-    /// feet that skate are to be found. For an eighth of a second.
+    /// The height at which foot skating is measured, a speed above its threshold so that skating
+    /// feet are found, and an eighth of a second.
     fn default() -> Self {
         Self {
             height: SKATING_HEIGHT,
@@ -36,9 +35,9 @@ impl Default for ContactRule {
 }
 
 impl ContactRule {
-    /// Whether the foot stands, `[frames]`, whose sole is at `path`, `[frames, 3]`, metres with +y
-    /// up, at `fps` frames per second above a floor of that height. A sole is as fast as in the
-    /// slower of the two steps to its neighbours: the first and last frame of a contact stand.
+    /// Contacts `[frames]` of a sole at `path`, `[frames, 3]`, metres with +y up, at `fps` frames
+    /// per second above a floor of that height. The speed of a frame is that of the slower step to
+    /// a neighbour.
     pub fn contacts(&self, path: &[[f64; 3]], fps: f64, floor: f64) -> Vec<bool> {
         let steps: Vec<f64> = path
             .windows(2)
@@ -61,42 +60,42 @@ impl ContactRule {
             }
         }
         let shortest = (self.shortest * fps).ceil().max(1.0) as usize;
-        steadied(contacts, shortest)
+        without_short_runs(contacts, shortest)
     }
 }
 
-/// When a joint stands, by its height and its step to the next frame alone, as in the literature; the
-/// last frame has the step before. Lengths are metres, of a frame.
+/// Contacts of a joint by its height and its step to the next frame, as in the literature; the last
+/// frame repeats the step before. Lengths in metres, a frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum StepRule {
     /// Low, and a short step (docs/sources.md, section 7, "Edge Considerations").
     HeightAndStep {
-        /// It is lower than this above the floor.
+        /// Largest height above the floor.
         height: f64,
-        /// Its step is shorter than this.
+        /// Longest step.
         step: f64,
     },
     /// A short step in both directions, at any height (docs/sources.md, section 7, option A).
     VerticalAndHorizontal {
-        /// Its vertical step is shorter than this.
+        /// Largest vertical step.
         vertical: f64,
-        /// Its horizontal step is shorter than this.
+        /// Largest horizontal step.
         horizontal: f64,
     },
-    /// A squared step below this, as HumanML3D's flags.
+    /// A squared step below this, as in HumanML3D.
     SquaredStep(f64),
-    /// A step of at most this, as losses of standing feet have it.
+    /// A step of at most this, as in losses on foot contact.
     Step(f64),
 }
 
 impl StepRule {
-    /// Low and slow, with the thresholds of this project.
+    /// The thresholds of this project.
     pub const LOW_AND_SLOW: Self = Self::HeightAndStep {
         height: 0.12,
         step: 0.03,
     };
 
-    /// Whether the joint at `path`, `[frames, 3]`, stands above a floor of that height.
+    /// Contacts of the joint at `path`, `[frames, 3]`, above a floor of that height.
     pub fn contacts(&self, path: &[[f64; 3]], floor: f64) -> Vec<bool> {
         let stands = |(here, [x, y, z]): (&[f64; 3], [f64; 3])| match *self {
             Self::HeightAndStep { height, step } => {
@@ -113,7 +112,7 @@ impl StepRule {
     }
 }
 
-/// The way of each frame to the next, the last one repeated; of a single frame none.
+/// Steps to the next frame, the last one repeated; zero for a single frame.
 pub fn steps(path: &[[f64; 3]]) -> Vec<[f64; 3]> {
     let pairs = path.windows(2).map(|pair| minus(pair[1], pair[0]));
     let mut steps: Vec<[f64; 3]> = pairs.collect();
@@ -122,7 +121,7 @@ pub fn steps(path: &[[f64; 3]]) -> Vec<[f64; 3]> {
     steps
 }
 
-/// The ranges of frames that are in contact, in order.
+/// Runs of frames in contact, in order.
 pub fn runs(contacts: &[bool]) -> Vec<Range<usize>> {
     let mut runs: Vec<Range<usize>> = Vec::new();
     for (t, _) in contacts.iter().enumerate().filter(|(_, contact)| **contact) {
@@ -134,15 +133,15 @@ pub fn runs(contacts: &[bool]) -> Vec<Range<usize>> {
     runs
 }
 
-/// Contacts without gaps and then without contacts of fewer than `shortest` frames.
-pub fn steadied(mut contacts: Vec<bool>, shortest: usize) -> Vec<bool> {
+/// Closes gaps and then removes contacts of fewer than `shortest` frames.
+pub fn without_short_runs(mut contacts: Vec<bool>, shortest: usize) -> Vec<bool> {
     for value in [false, true] {
         let mut first = 0;
         for t in 0..=contacts.len() {
             if t < contacts.len() && contacts[t] == value {
                 continue;
             }
-            // A gap at either end is none.
+            // Gaps at either end stay.
             let inside = value || first > 0 && t < contacts.len();
             if inside && t - first < shortest {
                 contacts[first..t].fill(!value);
@@ -169,7 +168,7 @@ mod tests {
             ("###...###", "###...###"),
             (".##.##.", ".#####."),
         ] {
-            assert_eq!(steadied(read(found), 3), read(steady), "{found}");
+            assert_eq!(without_short_runs(read(found), 3), read(steady), "{found}");
         }
         assert_eq!(runs(&read(".##...#")), [1..3, 6..7]);
         assert!(runs(&read("...")).is_empty());

@@ -1,53 +1,51 @@
-//! Feet that slide are held still while they touch the ground: two-bone inverse kinematics.
+//! Feet that are locked to the ground in contact, by two-bone inverse kinematics.
 //!
-//! Motions that are averaged, learned or cut together let feet slide. While a foot is in contact,
-//! [`lock`] brings it to where it is on average during that contact; hip and knee follow, and
-//! everything that hangs on the foot goes along without turning. Before and after a contact the
-//! correction fades within a few frames, and beyond that nothing changes.
+//! Averaged, learned or edited motion lets feet slide. [`lock`] moves a foot in contact to its mean
+//! position during that contact; hip and knee follow, and everything below the ankle moves along
+//! without rotation. Before and after a contact the correction fades within a few frames.
 //!
-//! Contacts may come from anywhere, such as an example that the motion was made of;
-//! [`ContactRule::contacts`] finds them by height and speed. [`hold`] does both for the joints of a
-//! [`Skeleton`](crate::humanml::Skeleton).
+//! [`ContactRule::contacts`] finds contacts by height and speed; [`lock_joints`] does both for the
+//! joints of a [`Skeleton`](crate::humanml::Skeleton).
 
-mod body;
 mod contacts;
+mod locked_joints;
 
 #[cfg(test)]
 mod tests;
 
-pub use body::{Held, hold, hold_above};
-pub use contacts::{ContactRule, StepRule, runs, steadied, steps};
+pub use contacts::{ContactRule, StepRule, runs, steps, without_short_runs};
+pub use locked_joints::{LockedJoints, lock_joints, lock_joints_above};
 
 use std::ops::Range;
 
 use crate::Quaternion;
-use crate::humanml::kinematics::{between, minus, plus};
-use crate::rotation::length;
+use crate::rotation::between;
+use crate::vector::{length, minus, plus};
 
-/// A leg is stretched to this part of its bones' length at most, so that the knee keeps its side.
-/// One that was straighter may stay so.
+/// Longest leg as a share of its bones' length, so that the knee keeps its side. Legs that were
+/// straighter may stay so.
 const STRETCH: f64 = 0.9999;
 
-/// A leg whose knee is nearer to the line from hip to ankle than this part of its thigh says too
-/// little about the side of its knee: that of the sole counts more the straighter it is.
+/// If the knee is nearer to the line from hip to ankle than this share of the thigh, the side of
+/// the sole decides increasingly where the knee bends.
 const STRAIGHT: f64 = 0.01;
 
 /// A leg, by the indices of its joints.
 #[derive(Clone, Copy, Debug, Eq, PartialEq)]
 pub struct Leg {
-    /// The joint that the thigh turns about.
+    /// Parent joint of the thigh.
     pub hip: usize,
-    /// The joint below, which the shin turns about.
+    /// Joint between thigh and shin.
     pub knee: usize,
-    /// The joint below that, at the end of the shin.
+    /// Joint at the end of the shin.
     pub ankle: usize,
-    /// The joint that stays still in contact: the ankle, or one that hangs on it, such as the toe.
+    /// The joint that is locked in contact: the ankle or one below it, such as the toe.
     pub sole: usize,
 }
 
 impl Leg {
-    /// The leg above an ankle. None if fewer than two joints are above it, or the sole hangs
-    /// elsewhere.
+    /// The leg above an ankle; `None` if it has fewer than two parents, or the sole is not below
+    /// it.
     pub fn above(ankle: usize, sole: usize, parents: &[Option<usize>]) -> Option<Self> {
         let knee = parents[ankle]?;
         let hip = parents[knee]?;
@@ -61,8 +59,8 @@ impl Leg {
     }
 }
 
-/// Turns of a leg in one frame, in the world: what its joints' orientations are multiplied by from the
-/// left. The ankle's orientation does not change.
+/// Rotations of a leg in one frame, in world coordinates, to be multiplied from the left. The
+/// ankle's orientation does not change.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Turns {
     /// The thigh's.
@@ -71,24 +69,21 @@ pub struct Turns {
     pub knee: Quaternion,
 }
 
-/// A motion whose feet are held.
+/// A motion with locked feet.
 #[derive(Clone, Debug)]
 pub struct Locked {
-    /// Where the joints are, `[frames][joints]`.
+    /// Positions of the joints, `[frames][joints]`.
     pub positions: Vec<Vec<[f64; 3]>>,
-    /// What turned, `[legs][frames]`.
+    /// Rotations of the legs, `[legs][frames]`.
     pub turns: Vec<Vec<Turns>>,
-    /// How far each sole is from where it should be, as no leg reaches further than it is long,
+    /// Distance of each sole from its contact position where the leg is too short,
     /// `[legs][frames]`.
     pub missed: Vec<Vec<f64>>,
 }
 
-/// The motion `positions`, `[frames][joints]`, with every leg's sole held still wherever `contacts`,
-/// `[legs][frames]`, says so; corrections fade within `blend` frames before and after. `parents`
-/// come before their children. A place beyond a leg's reach is approached as far as it goes.
-///
-/// # Panics
-/// Panics if the lists do not fit each other.
+/// Locks every leg's sole in `positions`, `[frames][joints]`, where `contacts`, `[legs][frames]`,
+/// are set; corrections fade within `blend` frames before and after. `parents` precede their
+/// children. Positions out of a leg's reach are approached as far as possible.
 pub fn lock(
     positions: &[Vec<[f64; 3]>],
     parents: &[Option<usize>],
@@ -121,8 +116,8 @@ pub fn lock(
     }
 }
 
-/// Mean distance that a joint moves per frame from one frame in contact to the next, as `path`,
-/// `[frames]`, has it. Zero if there are no two such frames.
+/// Mean step of a joint between frames in contact, of a `path` `[frames]`; zero if there are no two
+/// such frames.
 pub fn sliding(path: &[[f64; 3]], contacts: &[bool]) -> f64 {
     let steps = path.windows(2).zip(contacts.windows(2));
     let steps = steps.filter(|(_, contacts)| contacts[0] && contacts[1]);
@@ -132,7 +127,7 @@ pub fn sliding(path: &[[f64; 3]], contacts: &[bool]) -> f64 {
     sum / f64::from(count.max(1))
 }
 
-/// What a path is moved by, `[frames]`: in a contact, to the mean place of that contact.
+/// Corrections of a path, `[frames]`: in contact, to the mean position of that contact.
 fn corrections(path: &[[f64; 3]], contacts: &[bool], blend: usize) -> Vec<[f64; 3]> {
     let frames = path.len();
     let runs = runs(contacts);
@@ -145,7 +140,7 @@ fn corrections(path: &[[f64; 3]], contacts: &[bool], blend: usize) -> Vec<[f64; 
         for t in first..end {
             by[t] = minus(still, path[t]);
         }
-        // A fade ends before the next contact, which has a correction of its own.
+        // A fade ends before the next contact.
         let before = index.checked_sub(1).map_or(0, |index| runs[index].end);
         let after = runs.get(index + 1).map_or(frames, |run| run.start);
         let (reach, edge) = (blend.min(first - before), minus(still, path[first]));
@@ -162,13 +157,13 @@ fn corrections(path: &[[f64; 3]], contacts: &[bool], blend: usize) -> Vec<[f64; 
     by
 }
 
-/// 1 at a contact and 0 beyond the reach, flat at both.
+/// 1 at a contact and 0 beyond the reach, smooth at both.
 fn fade(distance: usize, reach: usize) -> f64 {
     let part = distance as f64 / (reach + 1) as f64;
     1.0 - part * part * (3.0 - 2.0 * part)
 }
 
-/// Moves the ankle of a frame, and all that hangs on it, by `by`; thigh and shin keep their lengths.
+/// Moves the ankle of a frame, and all joints below it, by `by`; bones keep their lengths.
 fn bend(frame: &mut [[f64; 3]], parents: &[Option<usize>], leg: &Leg, by: [f64; 3]) -> Turns {
     let [hip, knee, ankle] = [leg.hip, leg.knee, leg.ankle].map(|joint| frame[joint]);
     let still = Turns {
@@ -189,7 +184,7 @@ fn bend(frame: &mut [[f64; 3]], parents: &[Option<usize>], leg: &Leg, by: [f64; 
         let inner: f64 = (0..3).map(|axis| vector[axis] * along[axis]).sum();
         minus(vector, along.map(|value| inner * value))
     };
-    // The whole leg towards its place, then the knee within the plane that it bends in.
+    // First the whole leg, then the knee within its plane.
     let aim = between(minus(ankle, hip), wanted);
     let thigh_aimed = aim.rotate(minus(knee, hip));
     let shin_aimed = aim.rotate(minus(ankle, knee));
@@ -204,7 +199,7 @@ fn bend(frame: &mut [[f64; 3]], parents: &[Option<usize>], leg: &Leg, by: [f64; 
     }
     let bent = length(aside);
     if bent <= 1e-9 * thigh && y > 1e-6 * thigh {
-        // Neither knee nor sole tells a side.
+        // Neither knee nor sole determines a side.
         return still;
     }
     let aside = aside.map(|value| value / bent.max(f64::MIN_POSITIVE));
@@ -215,7 +210,7 @@ fn bend(frame: &mut [[f64; 3]], parents: &[Option<usize>], leg: &Leg, by: [f64; 
         hip: between(thigh_aimed, new_thigh) * aim,
         knee: between(shin_aimed, new_shin) * aim,
     };
-    // What hangs on which of the three.
+    // The part of the leg to which each joint belongs.
     let mut carried: Vec<Option<usize>> = vec![None; frame.len()];
     let old: Vec<[f64; 3]> = frame.to_vec();
     for joint in 0..frame.len() {

@@ -83,7 +83,7 @@ fn turns_lead_to_the_same_places() {
 }
 
 #[test]
-fn contacts_close_to_each_other_are_held_each_in_its_place() {
+fn close_contacts_are_locked_at_their_own_positions() {
     let motion = sliding_leg(20);
     let contacts: Vec<bool> = (0..20).map(|t| t != 9 && t != 10).collect();
     let locked = lock(
@@ -110,7 +110,7 @@ fn a_place_out_of_reach_is_approached() {
 }
 
 #[test]
-fn legs_of_different_bones_are_held_each_in_its_place() {
+fn legs_of_different_bones_are_locked_at_their_own_positions() {
     // A pelvis with a long right and a short left leg.
     let parents = [None, Some(0), Some(1), Some(2), Some(0), Some(4), Some(5)];
     let legs = [1, 4].map(|hip| Leg {

@@ -10,10 +10,10 @@ use super::{Goal, GroundTargets, Obstacle};
 #[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum GuidanceNorm {
-    /// Absolute differences, p = 1 in the source: canonical.
+    /// Absolute differences, p = 1 in the source.
     #[default]
     L1,
-    /// Squared differences, as the published demonstration has it.
+    /// Squared differences, as in the published demonstration.
     Mse,
 }
 
@@ -23,9 +23,8 @@ pub enum GuidanceNorm {
 pub struct GuidanceConfig {
     /// The norm of the distance from a target.
     pub norm: GuidanceNorm,
-    /// Only this many frames from the first on enter the sum of distances, while the divisor counts
-    /// the targets of all frames. The published programs have 120 here; without a number all
-    /// frames enter.
+    /// Number of frames that enter the sum of distances, from the first on; the divisor counts the
+    /// targets of all frames. 120 in the published programs; all frames by default.
     pub frame_limit: Option<usize>,
 }
 
@@ -45,16 +44,15 @@ impl GuidanceConfig {
 ///   + sum_b v_b / N_b sum_obstacles sum_n max(0, margin_b - d(p))
 /// ```
 ///
-/// p is the ground position `[x, z]` of sample b in frame n, g its target and m 1 where it has one,
-/// M the number of values that have a target (two for each keyframe) in the whole batch of B
-/// samples, d the signed distance from an obstacle, N_b the number of the goal's frames, w and v
-/// the weights of the goal. With a margin of 0 an obstacle counts by the depth in it.
+/// p is the ground position `[x, z]` of sample b in frame n, g its target, m the mask of targets, M
+/// the number of masked values in the batch of B samples, d the signed distance from an obstacle,
+/// N_b the number of the goal's frames, w and v the goal's weights.
 #[derive(Clone, Debug)]
 pub struct GuidanceLoss {
     norm: GuidanceNorm,
     frame_limit: usize,
     frames: usize,
-    // What each term of the first sum is multiplied by, but for the sample's weight: B / M.
+    // B / M, the factor of each term of the first sum.
     factor: f64,
     samples: Vec<Sample>,
 }
@@ -66,13 +64,13 @@ struct Sample {
     obstacles: Vec<Obstacle>,
     margin: f64,
     obstacle_weight: f64,
-    // Frames of the goal: the clip ends there, whatever is drawn behind it.
+    // Frames of the goal; later ones are free.
     frames: usize,
 }
 
 impl GuidanceLoss {
-    /// The loss of a batch with one goal for each sample, whose motions have `frames` frames; those
-    /// beyond a shorter goal's own are free.
+    /// The loss of a batch with one goal per sample, for motions of `frames` frames. Frames beyond
+    /// a shorter goal are free.
     ///
     /// # Errors
     /// If [`Goal::validate`] or [`GuidanceConfig::validate`] refuses, or a goal is longer than
@@ -93,15 +91,11 @@ impl GuidanceLoss {
         Ok(Self::of_samples(config, samples.collect(), frames))
     }
 
-    /// The loss of the goals for a motion that is to follow `paths`, one for each goal and at most
-    /// `frames` long, from beginning to end: they replace keyframes and trajectories. Obstacles and
-    /// weights stay those of the goals.
+    /// The loss of motions that follow `paths`, one per goal and at most `frames` long, which
+    /// replace keyframes and trajectories.
     ///
     /// # Errors
     /// As [`new`](Self::new).
-    ///
-    /// # Panics
-    /// Panics if there is not one path of at most `frames` positions for each goal.
     pub fn along(
         config: &GuidanceConfig,
         goals: &[Goal],
@@ -123,21 +117,15 @@ impl GuidanceLoss {
             norm: config.norm,
             frame_limit: config.frame_limit.unwrap_or(frames),
             frames,
-            // Without a target there is no term to multiply.
+            // Without targets there is no term.
             factor: samples.len() as f64 / masked.max(1) as f64,
             samples,
         }
     }
 
-    /// The loss of ground positions `[batch, frames, 2]` in metres and its gradient with respect to
-    /// them, `[batch, frames, 2]`.
-    ///
-    /// Where the loss has a kink the gradient is one of its subgradients: 0 for a coordinate that
-    /// equals its target under the absolute norm, and 0 at exactly the margin from an obstacle.
-    /// [`Obstacle::distance_and_gradient`] says which one at equal distances.
-    ///
-    /// # Panics
-    /// Panics if there are not `2 * frames` values for each goal.
+    /// The loss of ground positions `[batch, frames, 2]` in metres and its gradient, `[batch,
+    /// frames, 2]`. At a kink it is a subgradient: 0 at the target under the absolute norm, and 0
+    /// at exactly the margin.
     pub fn evaluate(&self, positions: &[f64]) -> (f64, Vec<f64>) {
         let width = 2 * self.frames;
         assert_eq!(
@@ -203,7 +191,7 @@ impl Sample {
             for (position, gradient) in positions.iter().zip(gradient.iter_mut()).take(frames) {
                 let (distance, direction) = obstacle.distance_and_gradient(*position);
                 let depth = self.margin - distance;
-                // So that a position that is not a number does not pass for one in the open.
+                // NaN must not pass as outside.
                 if depth <= 0.0 {
                     continue;
                 }
@@ -217,7 +205,7 @@ impl Sample {
     }
 }
 
-/// -1, 0 or 1; of a value that is not a number, that value.
+/// -1, 0 or 1; NaN stays NaN.
 fn sign(value: f64) -> f64 {
     if value == 0.0 { 0.0 } else { value.signum() }
 }

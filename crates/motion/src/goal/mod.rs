@@ -23,7 +23,7 @@
 //! vertices = [[2.0, 0.0], [3.0, 0.0], [2.5, 1.0]]
 //! ```
 //!
-//! Instead of keyframes it may hold a trajectory, a position for each frame of a range:
+//! A trajectory, one position for each frame of a range, may replace the keyframes:
 //!
 //! ```toml
 //! frames = 40
@@ -33,17 +33,17 @@
 //! points = [[0.0, 0.0], [0.0, 0.05], [0.01, 0.1]]
 //! ```
 
-mod doubts;
+mod feasibility;
+mod ground_targets;
 mod guidance;
 mod obstacle;
 mod polygon;
 mod schedule;
-mod targets;
 
+pub use ground_targets::{GROUND_X, GroundTargets, TRAJECTORY_CHANNELS};
 pub use guidance::{GuidanceConfig, GuidanceLoss, GuidanceNorm};
 pub use obstacle::Obstacle;
 pub use schedule::{GuidanceSchedule, Phase};
-pub use targets::{GROUND_X, GroundTargets, TRAJECTORY_CHANNELS};
 
 use kinegrad_settings::{InvalidSetting, Refused, in_range, require};
 use schemars::JsonSchema;
@@ -54,10 +54,10 @@ use crate::MAX_FRAMES;
 /// Furthest position from the origin along each axis, metres.
 const MAX_METRES: f64 = 1e5;
 
-/// Largest factor of a part of the guidance.
+/// Largest weight.
 const MAX_WEIGHT: f64 = 1e9;
 
-/// Rejects a coordinate that nobody reaches, or that is none.
+/// Rejects coordinates out of range.
 fn check_metres(key: &str, metres: f64) -> Result<(), InvalidSetting> {
     in_range(key, metres, -MAX_METRES..=MAX_METRES)
         .hint("metres on the ground, x to the left of the first frame's body and z ahead of it")
@@ -128,13 +128,13 @@ pub struct Goal {
     /// Clearance around obstacles, metres.
     #[serde(default)]
     pub margin: f64,
-    /// Keyframes in any order, at most one for each frame. In a document `[[keyframe]]`.
+    /// Keyframes in any order, at most one for each frame.
     #[serde(default, rename = "keyframe", skip_serializing_if = "Vec::is_empty")]
     pub keyframes: Vec<Keyframe>,
     /// A trajectory instead of keyframes.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub trajectory: Option<Trajectory>,
-    /// Obstacles to avoid, `[[obstacle]]` in TOML.
+    /// Obstacles to avoid.
     #[serde(default, rename = "obstacle", skip_serializing_if = "Vec::is_empty")]
     pub obstacles: Vec<Obstacle>,
     /// Weights of the parts.
@@ -151,11 +151,11 @@ impl Goal {
         }
     }
 
-    /// Rejects invalid goals: outside the clip, contradictory, not finite, or empty. Other
+    /// Rejects goals that are outside the clip, contradictory, not finite, or empty. Other
     /// functions of this module accept every valid goal.
     ///
     /// # Errors
-    /// Names the first such value by its place, such as `keyframe[2].frame`; lists count from 0.
+    /// Names the first invalid value, such as `keyframe[2].frame`; lists count from 0.
     pub fn validate(&self) -> Result<(), InvalidSetting> {
         in_range("frames", self.frames, 1..=MAX_FRAMES)
             .hint("`frames` is the length of the clip")?;
@@ -235,9 +235,6 @@ impl Goal {
     }
 
     /// The target positions: the keyframes, or the trajectory.
-    ///
-    /// # Panics
-    /// Panics if [`validate`](Self::validate) would refuse a frame.
     pub fn points(&self) -> GroundTargets {
         match &self.trajectory {
             Some(Trajectory {
@@ -250,10 +247,7 @@ impl Goal {
 
     /// The positions that are imputed in early sampling steps: the trajectory, or the keyframes
     /// with the [line between them](GroundTargets::point_to_point). With obstacles only the
-    /// keyframes are used, because the line could pass through an obstacle (GMD, appendix F).
-    ///
-    /// # Panics
-    /// Panics if [`validate`](Self::validate) would refuse a frame.
+    /// keyframes, because the line could cross an obstacle (GMD, appendix F).
     pub fn dense(&self) -> GroundTargets {
         if self.trajectory.is_some() || !self.obstacles.is_empty() {
             return self.points();
@@ -261,10 +255,7 @@ impl Goal {
         GroundTargets::point_to_point(&self.keyframes, self.frames)
     }
 
-    /// The positions that are used in a phase of the sampler, or `None`.
-    ///
-    /// # Panics
-    /// Panics if [`validate`](Self::validate) would refuse a frame.
+    /// The positions that are used in a phase of the sampler.
     pub fn targets(&self, phase: Phase) -> Option<GroundTargets> {
         match phase {
             Phase::Dense => Some(self.dense()),

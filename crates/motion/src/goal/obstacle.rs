@@ -21,8 +21,7 @@ pub enum Obstacle {
     },
     /// The inside of a simple polygon.
     Polygon {
-        /// Corners `[x, z]` in order, in either direction. The first one may stand again at the
-        /// end.
+        /// Corners `[x, z]` in order, in either direction. The first may be repeated at the end.
         vertices: Vec<[f64; 2]>,
     },
 }
@@ -33,12 +32,9 @@ impl Obstacle {
         self.distance_and_gradient(point).0
     }
 
-    /// The [signed distance](Self::signed_distance) and its gradient, the unit vector in which it
-    /// grows.
-    ///
-    /// Where several edges are nearest the gradient is that of the first one, and on an edge it is
-    /// the edge's outward normal. In a disc's centre every direction is as good: it is +x there,
-    /// not zero, so that guidance finds a way out.
+    /// The [signed distance](Self::signed_distance) and its gradient, a unit vector: that of the
+    /// first of several nearest edges, the outward normal on an edge, and +x in a disc's centre so
+    /// that guidance finds a way out.
     pub fn distance_and_gradient(&self, point: [f64; 2]) -> (f64, [f64; 2]) {
         match self {
             &Self::Disc { x, z, radius } => {
@@ -54,8 +50,8 @@ impl Obstacle {
         }
     }
 
-    /// Rejects numbers that are not finite, a radius that is not positive, and polygons with fewer
-    /// than three corners or edges that touch one another.
+    /// Rejects numbers that are not finite, radii that are not positive, and polygons with fewer
+    /// than three corners or touching edges.
     ///
     /// # Errors
     /// Names the first such value.

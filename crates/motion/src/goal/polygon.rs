@@ -1,8 +1,8 @@
-//! Plane geometry of simple polygons: signed distance, and which polygons are simple.
+//! Plane geometry of simple polygons.
 
 use kinegrad_settings::{InvalidSetting, Refused, require};
 
-/// The edges of a closed polygon without those of no length.
+/// The edges of a closed polygon, without those of length zero.
 fn edges(vertices: &[[f64; 2]]) -> impl Iterator<Item = ([f64; 2], [f64; 2])> + Clone {
     let after = vertices.iter().cycle().skip(1);
     let edges = vertices.iter().zip(after);
@@ -10,7 +10,7 @@ fn edges(vertices: &[[f64; 2]]) -> impl Iterator<Item = ([f64; 2], [f64; 2])> + 
 }
 
 /// Signed distance of a point from a simple polygon's edge, negative inside, and its gradient. A
-/// polygon without edges is nowhere: infinitely far in no direction.
+/// polygon without edges is infinitely far.
 pub(super) fn distance_and_gradient(vertices: &[[f64; 2]], point: [f64; 2]) -> (f64, [f64; 2]) {
     let mut inside = false;
     let mut nearest = (f64::INFINITY, [0.0; 2], [0.0; 2]);
@@ -21,11 +21,11 @@ pub(super) fn distance_and_gradient(vertices: &[[f64; 2]], point: [f64; 2]) -> (
         let closest = [a[0] + share * along[0], a[1] + share * along[1]];
         let offset = minus(point, closest);
         let distance = offset[0].hypot(offset[1]);
-        // A point that is not a number has a distance that is none.
+        // NaN stays NaN.
         if distance < nearest.0 || distance.is_nan() {
             nearest = (distance, offset, along);
         }
-        // A ray from the point in +x enters or leaves where it crosses an edge.
+        // A ray from the point in +x crosses the edge.
         if (a[1] > point[1]) != (b[1] > point[1]) {
             let crossing = a[0] + (point[1] - a[1]) / along[1] * along[0];
             inside ^= point[0] < crossing;
@@ -33,7 +33,7 @@ pub(super) fn distance_and_gradient(vertices: &[[f64; 2]], point: [f64; 2]) -> (
     }
     let (distance, offset, along) = nearest;
     if distance == 0.0 {
-        // To the right of an edge of a polygon that runs anticlockwise (x to z).
+        // The outward side of an edge of an anticlockwise polygon (x to z).
         let length = along[0].hypot(along[1]).copysign(doubled_area(vertices));
         return (0.0, [along[1] / length, -along[0] / length]);
     }
@@ -47,8 +47,8 @@ fn doubled_area(vertices: &[[f64; 2]]) -> f64 {
     edges(vertices).map(|(a, b)| cross(a, b)).sum()
 }
 
-/// Rejects a polygon with fewer than three distinct corners and one whose edges touch one another
-/// elsewhere than at the corners that they share.
+/// Rejects polygons with fewer than three distinct corners, and edges that touch elsewhere than at
+/// shared corners.
 pub(super) fn check(vertices: &[[f64; 2]]) -> Result<(), InvalidSetting> {
     let edges: Vec<_> = edges(vertices).collect();
     let mut corners: Vec<[f64; 2]> = edges.iter().map(|(corner, _)| *corner).collect();
@@ -83,7 +83,7 @@ pub(super) fn check(vertices: &[[f64; 2]]) -> Result<(), InvalidSetting> {
     Ok(())
 }
 
-/// Whether the second edge, which begins where the first one ends, runs back over it.
+/// Whether the second edge, which follows the first, runs back over it.
 fn folds_back((a, b): ([f64; 2], [f64; 2]), (_, c): ([f64; 2], [f64; 2])) -> bool {
     let (first, second) = (minus(b, a), minus(c, b));
     cross(first, second) == 0.0 && dot(first, second) < 0.0

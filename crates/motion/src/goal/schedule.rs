@@ -1,10 +1,10 @@
-//! The phases of guidance and imputation over the timesteps.
+//! Phases of guidance and imputation over the timesteps.
 
 use kinegrad_settings::{InvalidSetting, Refused, require};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// The targets that are used in a step.
+/// The targets that act in a step.
 #[derive(Clone, Copy, Debug, Deserialize, Eq, PartialEq, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Phase {
@@ -12,27 +12,26 @@ pub enum Phase {
     Dense,
     /// The keyframes alone.
     Points,
-    /// None: the model finishes the motion by itself.
+    /// None: the model finishes the motion.
     Off,
 }
 
-/// Until which timestep of a sampler, counted down, each [`Phase`] acts.
+/// The last timestep, counted down, at which each [`Phase`] acts.
 ///
-/// The appendix (GMD, F) ends guidance and imputation at t = 20; the published evaluation changes
-/// from the line to the keyframes at t = 100. The published demonstration goes on imputing to t = 1
-/// with the motion model, which is `motion_until = 1` here.
+/// GMD, appendix F, ends guidance and imputation at t = 20; the published evaluation changes from
+/// the line to the keyframes at t = 100. The published demonstration imputes into the motion model
+/// until t = 1 (`motion_until = 1`).
 #[derive(Clone, Debug, Deserialize, Eq, PartialEq, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct GuidanceSchedule {
-    /// Last timestep at which the line between the keyframes acts with them; below it they act
-    /// alone.
+    /// Last timestep at which the line between the keyframes acts.
     pub dense_until: usize,
-    /// Last timestep at which keyframes act; below it the model finishes the motion by itself.
+    /// Last timestep at which keyframes act.
     pub points_until: usize,
-    /// Last timestep at which positions are imputed into the motion model's samples, instead of
-    /// `points_until`, which still ends guidance. The published demonstration has 1. Keyframes without a
-    /// first stage end at `points_until` at the latest: single frames that are put in their places to the
-    /// end are jumped to.
+    /// Last timestep at which positions are imputed into the motion model's samples (1 in the
+    /// published demonstration); `points_until` still ends guidance. By default `points_until`.
+    /// Keyframes without a trajectory model end at `points_until` at the latest, because the motion
+    /// would jump to single imputed frames.
     pub motion_until: Option<usize>,
 }
 
@@ -47,12 +46,12 @@ impl Default for GuidanceSchedule {
 }
 
 impl GuidanceSchedule {
-    /// What guides at timestep `t`, and what is imputed then into a trajectory model's samples.
+    /// Phase of guidance and of imputation into a trajectory model's samples at timestep `t`.
     pub fn phase(&self, t: usize) -> Phase {
         self.until(self.points_until, t)
     }
 
-    /// What is imputed at timestep `t` into the motion model's samples.
+    /// Phase of imputation into the motion model's samples at timestep `t`.
     pub fn phase_of_motion(&self, t: usize) -> Phase {
         self.until(self.motion_until.unwrap_or(self.points_until), t)
     }

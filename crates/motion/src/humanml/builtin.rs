@@ -11,7 +11,7 @@ const FORWARD: [f64; 3] = [0.0, 0.0, 1.0];
 /// A joint: name, raw direction, offset in the reference pose in metres.
 type Joint = (&'static str, [f64; 3], [f64; 3]);
 
-/// Joints and directions: docs/sources.md, section 3.1. The offsets are this framework's own.
+/// Joints and directions: docs/sources.md, section 3.1. The offsets are this project's own.
 const HUMANML3D: [Joint; 22] = [
     ("pelvis", [0.0; 3], [0.0; 3]),
     ("left_hip", LEFT, [0.085, -0.075, 0.0]),
@@ -37,9 +37,9 @@ const HUMANML3D: [Joint; 22] = [
     ("right_wrist", DOWN, [-0.25, 0.0, 0.0]),
 ];
 
-/// Left and right as the published facing joints and contact flags name them. The published raw
-/// directions of hips and shoulders point to the other side (`LEFT` for those of the right), so
-/// the rotations there hold a large turn; positions do not depend on it.
+/// Left and right as in the published facing joints and contact flags. The published raw directions
+/// of hips and shoulders point to the other side, so rotations contain a large turn; positions do
+/// not depend on it.
 const KIT: [Joint; 21] = [
     ("root", [0.0; 3], [0.0; 3]),
     ("pelvis", UP, [0.0, 0.06, 0.0]),
@@ -67,8 +67,8 @@ const KIT: [Joint; 21] = [
 impl Skeleton {
     /// The 22 joints of HumanML3D at 20 frames per second: 263 channels.
     ///
-    /// The reference pose is this framework's own, of a grown person; the dataset's is that of
-    /// its first clip and comes with it ([`with_rest_pose`](Self::with_rest_pose)).
+    /// The reference pose is this project's own; the dataset's is that of its first clip
+    /// ([`with_rest_pose`](Self::with_rest_pose)).
     pub fn humanml3d() -> Self {
         built_in(
             &HUMANML3D,
@@ -110,8 +110,8 @@ impl Skeleton {
 
     /// The 21 joints of KIT at 12.5 frames per second: 251 channels.
     ///
-    /// The reference pose is this framework's own, in metres; the dataset's files are in
-    /// millimetres and converted when they are read ([`FeatureLayout::in_metres`]).
+    /// The reference pose is this project's own, in metres; the dataset's files are in millimetres
+    /// and are converted when read ([`FeatureLayout::in_metres`]).
     ///
     /// [`FeatureLayout::in_metres`]: super::FeatureLayout::in_metres
     pub fn kit() -> Self {
@@ -154,7 +154,7 @@ impl Skeleton {
     }
 }
 
-/// The skeleton of these joints; the description says all else.
+/// The skeleton of these joints and the rest of the description.
 fn built_in(joints: &[Joint], description: SkeletonDescription) -> Skeleton {
     let joint_names = joints.iter().map(|(name, ..)| name.to_string()).collect();
     Skeleton::new(SkeletonDescription {

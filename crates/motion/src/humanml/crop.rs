@@ -1,26 +1,23 @@
 //! Parts of a clip as clips of their own.
 //!
-//! Positions, velocities and contacts are in the body's facing frame and stay what they are. The
-//! rotations do not: each is the shortest from a raw direction to that of a bone in the world, seen
-//! from the facing frame, so that the first of every chain holds the heading twice (see
-//! [`kinematics`](super::kinematics)). In a world that is turned they are others.
+//! Positions, velocities and contacts are in the body's facing frame and do not change. Rotations
+//! do: each is the shortest from a raw direction to a bone's direction in the world, so they depend
+//! on the heading (see [`bone_rotations`](super::bone_rotations)).
 
 use std::ops::Range;
 
-use super::kinematics::{between, from_columns, minus, to_columns};
+use super::bone_rotations::{from_columns, to_columns};
 use super::{FeatureError, Features, Root, Skeleton};
 use crate::Quaternion;
+use crate::rotation::between;
+use crate::vector::minus;
 
 impl Features {
-    /// The frames of `range` as if extraction had begun with the first of them: turned and moved so
-    /// that it is at x = z = 0 and faces +z, the rotations with the rest. Of frames that begin so
-    /// nothing changes.
+    /// The frames of `range` as if extraction had begun there: moved and rotated so that the first
+    /// is at x = z = 0 and faces +z. Frames that already begin so do not change.
     ///
     /// # Errors
     /// [`FeatureError::LengthMismatch`] if they are not features of `skeleton`.
-    ///
-    /// # Panics
-    /// Panics if `range` is empty or reaches beyond the last frame.
     pub fn crop(&self, skeleton: &Skeleton, range: Range<usize>) -> Result<Self, FeatureError> {
         skeleton.accept_layout(self.layout())?;
         let part = self.slice(range.clone());
@@ -37,7 +34,7 @@ impl Features {
                 (row[0], row[1], row[2]) = ((angle - first_angle) as f32, x as f32, z as f32);
             }
         }
-        // A start that faces +z changes no rotation, not even by rounding.
+        // A start that faces +z changes nothing, not even by rounding.
         if start != Quaternion::IDENTITY {
             let rows = values.chunks_exact_mut(layout.channels());
             for (row, &facing) in rows.zip(facing) {
@@ -48,14 +45,14 @@ impl Features {
     }
 }
 
-/// The rotations of one frame, six columns for each joint but the root, of a body with root
-/// quaternion `facing`, in the world turned by `start`.
+/// Rotations of one frame, six columns for each joint but the root, in the world rotated by
+/// `start`; `facing` is the root quaternion.
 fn turn_rotations(skeleton: &Skeleton, columns: &mut [f32], facing: Quaternion, start: Quaternion) {
     let raw = &skeleton.description().raw_directions;
     let (columns, _) = columns.as_chunks_mut::<6>();
     let turned_facing = facing * start.conjugate();
     for chain in skeleton.chains() {
-        // The bones above in the old world and in the new one.
+        // The parent bones in the old world and in the new one.
         let (mut above, mut turned_above) = (facing, turned_facing);
         for [_, end] in chain {
             let columns = &mut columns[end - 1];
@@ -128,7 +125,7 @@ mod tests {
                 let places = found.joints_from_rotations(&skeleton).unwrap().to_f32();
                 let apart = largest(&places, &found.joints().to_f32());
                 assert!(apart < 1e-4, "{range:?} {root}: {apart}");
-                // What is cut alone does not.
+                // A slice alone does not.
                 let cut = whole.slice(range.clone());
                 if range.start > 0 {
                     let rotations = |features: &Features| features.frame(0)[67..193].to_vec();

@@ -1,11 +1,9 @@
-//! A skeleton as it is written in files.
+//! A skeleton as stored in files.
 
 use serde::{Deserialize, Serialize};
 
-/// The description of a skeleton, as written in files; [`Skeleton`](super::Skeleton) is its checked
-/// form.
-///
-/// Joints are given by their indices. Axes: +x left, +y up, +z forward.
+/// The description of a skeleton, as stored in files; [`Skeleton`](super::Skeleton) is its
+/// validated form. Joints are indices. Axes: +x left, +y up, +z forward.
 #[derive(Clone, Debug, Default, Deserialize, PartialEq, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct SkeletonDescription {
@@ -15,25 +13,25 @@ pub struct SkeletonDescription {
     pub fps: f64,
     /// Names of the joints, `[J]`, the root first.
     pub joint_names: Vec<String>,
-    /// The bones, as chains from joint to joint. The first chain begins at joint 0, every later
-    /// one at a joint of an earlier one; the rotations of each chain begin at the root's.
+    /// Bones as chains of joints. The first chain begins at joint 0, each later one at a joint of
+    /// an earlier one; rotations of each chain begin at the root's.
     pub chains: Vec<Vec<usize>>,
-    /// Directions that bones take without rotation, `[J, 3]`: unit vectors, of joint 0 unused.
+    /// Directions of bones without rotation, `[J, 3]`: unit vectors, joint 0 unused.
     pub raw_directions: Vec<[f64; 3]>,
-    /// Child minus parent in the reference pose, `[J, 3]`, metres, of joint 0 unused: the lengths
-    /// are those of the bones that clips are rescaled to.
+    /// Child minus parent in the reference pose, `[J, 3]`, metres, joint 0 unused: clips are
+    /// rescaled to these bone lengths.
     pub rest_offsets: Vec<[f64; 3]>,
-    /// The joints that show where the body faces.
+    /// Joints that define the facing direction.
     pub face_joints: FaceJoints,
-    /// Pairs of left and right joints; those of no pair lie in the middle.
+    /// Pairs of left and right joints; others lie in the middle.
     pub mirrored_joints: Vec<[usize; 2]>,
     /// The joints of the feet, in the order of the contact flags.
     pub feet: Feet,
-    /// The joints whose bones' lengths together measure the body: a knee and an ankle.
+    /// Two joints whose bones' lengths measure the body: a knee and an ankle.
     pub leg_joints: [usize; 2],
 }
 
-/// The joints that show where the body faces.
+/// Joints that define the facing direction.
 #[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct FaceJoints {

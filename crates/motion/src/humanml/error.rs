@@ -17,15 +17,15 @@ pub enum FeatureError {
         field: String,
         /// The value found.
         found: String,
-        /// What is allowed, in words.
+        /// The allowed values.
         allowed: &'static str,
     },
 
-    /// The number of values does not make whole frames, or makes none.
+    /// The values are not one or more whole frames.
     #[error("{values} values of `{what}` are not one or more whole frames of {width} numbers")]
     #[diagnostic(help("{what} are a row-major array [frames, {width}]"))]
     NotWholeFrames {
-        /// What the values are.
+        /// Kind of the values.
         what: &'static str,
         /// Number of values given.
         values: usize,
@@ -44,7 +44,7 @@ pub enum FeatureError {
         found: usize,
     },
 
-    /// Two things that belong together do not fit each other in size.
+    /// Two sizes do not match.
     #[error("`{what}` has {found} entries where {expected} are needed")]
     #[diagnostic(help("features, joints, statistics and skeleton must be of the same kind"))]
     LengthMismatch {
@@ -56,7 +56,7 @@ pub enum FeatureError {
         found: usize,
     },
 
-    /// A clip is too short for what is asked of it.
+    /// A clip has too few frames.
     #[error("the clip has {found} frames where at least {needed} are needed")]
     #[diagnostic(help("every feature row is taken from a frame and the next"))]
     TooFewFrames {
@@ -66,7 +66,7 @@ pub enum FeatureError {
         needed: usize,
     },
 
-    /// A clip shows no scale.
+    /// The legs have no length.
     #[error("the legs have no length in the first frame")]
     #[diagnostic(help(
         "check `leg_joints` of the skeleton, or leave the clip's bones as they are"
@@ -77,7 +77,7 @@ pub enum FeatureError {
     #[error("`{what}` are not finite in frame {frame} (counted from 0), {entry}")]
     #[diagnostic(help("repair or leave out this clip: one such value spoils all that follows"))]
     NonFinite {
-        /// What the values are.
+        /// Kind of the values.
         what: &'static str,
         /// First frame that is not finite.
         frame: usize,
@@ -85,7 +85,7 @@ pub enum FeatureError {
         entry: String,
     },
 
-    /// Features of one reading of the root came where the other is needed.
+    /// Features have the wrong representation of the root.
     #[error("features with {found} root came where {expected} root is needed")]
     #[diagnostic(help("convert them with `to_absolute` or `to_relative` first"))]
     WrongRoot {

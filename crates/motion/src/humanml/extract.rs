@@ -5,24 +5,25 @@
 use kinegrad_settings::{Refused, in_range};
 use serde::{Deserialize, Serialize};
 
-use super::kinematics::{
-    Across, Heading, between, forward, forward_kinematics, inverse_kinematics, minus, plus,
-    to_columns,
+use super::bone_rotations::{
+    Across, Heading, forward, forward_kinematics, inverse_kinematics, to_columns,
 };
 use super::{FeatureError, Features, Joints, Root, Skeleton};
 use crate::Quaternion;
+use crate::rotation::between;
+use crate::vector::{minus, plus};
 
-/// How features are made of joints.
+/// Settings of the extraction of features from joints.
 #[derive(Clone, Copy, Debug, Deserialize, PartialEq, Serialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Extraction {
-    /// Gives every clip the bones of the skeleton's reference pose first ([`rescale`]), as the
-    /// published data set did.
+    /// Rescale every clip to the bones of the skeleton's reference pose ([`rescale`]), as in the
+    /// published dataset.
     pub rescale: bool,
-    /// A joint of a foot stands where its squared displacement to the next frame is less than
-    /// this, in square metres. The published 0.002 are 4.5 cm a frame; there is no height test.
+    /// A foot joint is in contact where its squared displacement to the next frame is below this,
+    /// square metres. The published 0.002 are 4.5 cm a frame, without a height test.
     pub contact_threshold: f64,
-    /// The heading that the root follows; published features have the smoothed one.
+    /// Heading of the root; published features use the smoothed one.
     pub heading: Heading,
 }
 
@@ -37,17 +38,13 @@ impl Default for Extraction {
 }
 
 impl Extraction {
-    /// The features of a clip, with relative root: T frames give T - 1 rows.
-    ///
-    /// The clip is rescaled if `rescale` says so, and put where features begin
-    /// ([`canonicalize`]).
+    /// The features of a clip, with relative root: T frames give T - 1 rows. The clip is rescaled
+    /// if `rescale` is set, and [canonicalized](canonicalize).
     ///
     /// # Errors
-    /// [`FeatureError::Setting`] for a contact threshold that is negative or not finite;
-    /// [`FeatureError::LengthMismatch`] if they are not joints of `skeleton`;
-    /// [`FeatureError::TooFewFrames`] for a single frame; [`FeatureError::NoLegs`] if there is no
-    /// scale to be found; [`FeatureError::NonFinite`] if coordinates are so large that something
-    /// overflows.
+    /// [`FeatureError::Setting`] for an invalid contact threshold; [`FeatureError::LengthMismatch`]
+    /// for joints of another skeleton; [`FeatureError::TooFewFrames`] for a single frame;
+    /// [`FeatureError::NoLegs`]; [`FeatureError::NonFinite`] if values overflow.
     pub fn features(&self, skeleton: &Skeleton, joints: &Joints) -> Result<Features, FeatureError> {
         let joints = if self.rescale {
             &rescale(skeleton, joints)?
@@ -57,8 +54,7 @@ impl Extraction {
         self.features_in_place(skeleton, &canonicalize(skeleton, joints)?)
     }
 
-    /// [`features`](Self::features) with a row for each frame: the last frame moves on as the one before
-    /// does.
+    /// [`features`](Self::features) with a row for each frame: the last step is repeated.
     ///
     /// # Errors
     /// As [`features`](Self::features).
@@ -67,11 +63,11 @@ impl Extraction {
         skeleton: &Skeleton,
         joints: &Joints,
     ) -> Result<Features, FeatureError> {
-        self.features(skeleton, &going_on(joints)?)
+        self.features(skeleton, &extrapolated(joints)?)
     }
 
-    /// The features of a clip as it stands: neither rescaled nor moved. Heights are above y = 0,
-    /// and the first frame counts as facing +z.
+    /// The features of a clip without rescaling or moving. Heights are above y = 0, and the first
+    /// frame counts as facing +z.
     ///
     /// # Errors
     /// As [`features`](Self::features).
@@ -99,15 +95,15 @@ impl Extraction {
         Features::new(values, layout, Root::Relative)
     }
 
-    /// Rejects settings that no features can be made with.
+    /// Rejects an invalid contact threshold.
     pub(super) fn must_be_valid(&self) -> Result<(), FeatureError> {
         in_range("contact_threshold", self.contact_threshold, 0.0..)
             .hint("square metres; 0.002 in the published data set")?;
         Ok(())
     }
 
-    /// The features of a frame, whose rotations are given, and of its change to the next, whose
-    /// root quaternion is given.
+    /// The features of a frame with its rotations, and of its step to the next frame with its root
+    /// quaternion.
     pub(super) fn row(
         &self,
         skeleton: &Skeleton,
@@ -121,9 +117,8 @@ impl Extraction {
             .collect();
         let mut values = Vec::with_capacity(skeleton.layout().channels());
         let turn = next_facing * facing.conjugate();
-        // Of the two quaternions of a turn the one by less than half a circle, also where the heading
-        // passes the direction opposite to the first frame's. The published script takes the other
-        // there, and so turns back for a frame.
+        // The shorter rotation, also where the heading passes the direction opposite to the first
+        // frame's. The published script takes the longer one there, and turns back for a frame.
         let half_turn = turn.y.copysign(turn.y * turn.w);
         let [x, _, z] = next_facing.rotate(steps[0]);
         values.extend([half_turn.clamp(-1.0, 1.0).asin(), x, z, frame[0][1]]);
@@ -138,11 +133,11 @@ impl Extraction {
     }
 }
 
-/// The clip with one frame more, which moves on as the last one does.
+/// The clip with one more frame, which repeats the last step.
 ///
 /// # Errors
-/// [`FeatureError::NonFinite`] if coordinates are so large that something overflows.
-pub fn going_on(joints: &Joints) -> Result<Joints, FeatureError> {
+/// [`FeatureError::NonFinite`] if values overflow.
+pub fn extrapolated(joints: &Joints) -> Result<Joints, FeatureError> {
     let mut places = joints.as_slice().to_vec();
     let last = joints.frames() - 1;
     let (before, now) = (joints.frame(last.saturating_sub(1)), joints.frame(last));
@@ -154,8 +149,8 @@ pub fn going_on(joints: &Joints) -> Result<Joints, FeatureError> {
     Joints::new(places, joints.joints())
 }
 
-/// The joints of one frame with the root's place on the ground subtracted, turned by the root
-/// quaternion `facing`.
+/// The joints of one frame relative to the root's ground position, rotated by the root quaternion
+/// `facing`.
 pub fn in_facing_frame(frame: &[[f64; 3]], facing: Quaternion) -> impl Iterator<Item = [f64; 3]> {
     let [x, _, z] = frame[0];
     frame
@@ -163,13 +158,12 @@ pub fn in_facing_frame(frame: &[[f64; 3]], facing: Quaternion) -> impl Iterator<
         .map(move |place| facing.rotate(minus(*place, [x, 0.0, z])))
 }
 
-/// The clip with the bones of the skeleton's reference pose: the same rotations, and the root's
-/// way scaled by the ratio of the legs' lengths.
+/// The clip with the bones of the skeleton's reference pose: the same rotations, and the root
+/// trajectory scaled by the ratio of leg lengths.
 ///
 /// # Errors
-/// [`FeatureError::LengthMismatch`] if they are not joints of `skeleton`;
-/// [`FeatureError::NoLegs`] if the legs have no length in the first frame;
-/// [`FeatureError::NonFinite`] if coordinates are so large that something overflows.
+/// [`FeatureError::LengthMismatch`] for joints of another skeleton; [`FeatureError::NoLegs`];
+/// [`FeatureError::NonFinite`] if values overflow.
 pub fn rescale(skeleton: &Skeleton, joints: &Joints) -> Result<Joints, FeatureError> {
     let rotations = inverse_kinematics(skeleton, joints, Heading::Raw)?;
     let ratio = leg_ratio(skeleton, joints)?;
@@ -178,11 +172,10 @@ pub fn rescale(skeleton: &Skeleton, joints: &Joints) -> Result<Joints, FeatureEr
     forward_kinematics(skeleton, &skeleton.offsets(), &roots, &rotations)
 }
 
-/// How much longer the legs of the skeleton's reference pose are than those of a clip's first frame.
+/// Ratio of the leg lengths of the skeleton's reference pose to those of a clip's first frame.
 ///
 /// # Errors
-/// [`FeatureError::LengthMismatch`] if they are not joints of `skeleton`;
-/// [`FeatureError::NoLegs`] if the legs have no length in the first frame.
+/// [`FeatureError::LengthMismatch`] for joints of another skeleton; [`FeatureError::NoLegs`].
 pub fn leg_ratio(skeleton: &Skeleton, joints: &Joints) -> Result<f64, FeatureError> {
     joints.must_be_of(skeleton)?;
     let legs = |offsets: &[[f64; 3]]| {
@@ -201,12 +194,12 @@ pub fn leg_ratio(skeleton: &Skeleton, joints: &Joints) -> Result<f64, FeatureErr
     Ok(legs(&skeleton.offsets()) / source)
 }
 
-/// The clip put where features begin: its lowest joint on the floor y = 0, its first frame's root
-/// at x = z = 0, its first frame facing +z.
+/// The clip moved and rotated to the origin of features: lowest joint on the floor y = 0, the first
+/// frame's root at x = z = 0, facing +z.
 ///
 /// # Errors
-/// [`FeatureError::LengthMismatch`] if they are not joints of `skeleton`;
-/// [`FeatureError::NonFinite`] if coordinates are so large that something overflows.
+/// [`FeatureError::LengthMismatch`] for joints of another skeleton; [`FeatureError::NonFinite`] if
+/// values overflow.
 pub fn canonicalize(skeleton: &Skeleton, joints: &Joints) -> Result<Joints, FeatureError> {
     joints.must_be_of(skeleton)?;
     let heights = joints.as_slice().iter().map(|[_, y, _]| *y);

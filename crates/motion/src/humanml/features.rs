@@ -4,13 +4,12 @@ use std::ops::Range;
 
 use serde::{Deserialize, Serialize};
 
-use super::kinematics::{forward_kinematics, from_columns};
+use super::bone_rotations::{forward_kinematics, from_columns};
 use super::{FeatureError, FeatureLayout, Joints, Root, Skeleton};
 use crate::Quaternion;
 
-/// The features of one clip, `[frames, channels]`, single precision as stored, finite.
-///
-/// Row t speaks of frame t and its change to frame t + 1, so T frames of joints make T - 1 rows.
+/// The features of one clip, `[frames, channels]`, single precision, finite. Row t describes frame
+/// t and its step to frame t + 1, so T frames of joints give T - 1 rows.
 #[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
 pub struct Features {
     values: Vec<f32>,
@@ -52,12 +51,12 @@ impl Features {
         self.values.len() / self.layout.channels()
     }
 
-    /// Which channel says what.
+    /// The channel layout.
     pub fn layout(&self) -> FeatureLayout {
         self.layout
     }
 
-    /// How the first channels say where the root is.
+    /// Representation of the root.
     pub fn root(&self) -> Root {
         self.root
     }
@@ -73,20 +72,13 @@ impl Features {
     }
 
     /// The channels of frame `t`.
-    ///
-    /// # Panics
-    /// Panics if there is no frame `t`.
     pub fn frame(&self, t: usize) -> &[f32] {
         let channels = self.layout.channels();
         &self.values[t * channels..(t + 1) * channels]
     }
 
-    /// The rows of `range` as they are: with absolute root the part stays where it is. With relative
-    /// root it begins at x = z = 0 facing +z, but its rotations are those of where it was:
-    /// [`crop`](Self::crop) turns them too.
-    ///
-    /// # Panics
-    /// Panics if `range` is empty or reaches beyond the last frame.
+    /// The rows of `range` unchanged. With relative root the part begins at x = z = 0 facing +z,
+    /// but its rotations do not; [`crop`](Self::crop) rotates them too.
     #[must_use]
     pub fn slice(&self, range: Range<usize>) -> Self {
         assert!(!range.is_empty(), "a clip has at least one frame");
@@ -120,8 +112,8 @@ impl Features {
         self.with_root(Root::Absolute)
     }
 
-    /// The same features with relative root ([`Root::convert`]): where the way began is lost, and
-    /// the last row's change repeats the one before.
+    /// The same features with relative root ([`Root::convert`]): the start is lost, and the last
+    /// row repeats the step before.
     #[must_use]
     pub fn to_relative(&self) -> Self {
         self.with_root(Root::Relative)
@@ -147,8 +139,7 @@ impl Features {
         }
     }
 
-    /// The joints by their positions in the features, `[frames, J, 3]`: turned from the facing
-    /// frame to the world and moved to the root's place on the ground.
+    /// The joints from the positions in the features, `[frames, J, 3]`.
     pub fn joints(&self) -> Joints {
         let count = self.layout.joints();
         let mut places = Vec::with_capacity(self.frames() * count);
@@ -165,13 +156,12 @@ impl Features {
         Joints::computed(places, count)
     }
 
-    /// The joints by their rotations in the features, `[frames, J, 3]`: forward kinematics with the
-    /// bones of the skeleton's reference pose, from the root's place, the root turned by the root
-    /// quaternion itself.
+    /// The joints from the rotations in the features, `[frames, J, 3]`: forward kinematics with the
+    /// bones of the skeleton's reference pose.
     ///
     /// # Errors
-    /// [`FeatureError::LengthMismatch`] if they are not features of `skeleton`;
-    /// [`FeatureError::NonFinite`] if the way is so far that it overflows.
+    /// [`FeatureError::LengthMismatch`] for features of another skeleton;
+    /// [`FeatureError::NonFinite`] if positions overflow.
     pub fn joints_from_rotations(&self, skeleton: &Skeleton) -> Result<Joints, FeatureError> {
         skeleton.accept_layout(self.layout)?;
         let mut rotations = Vec::with_capacity(self.frames() * self.layout.joints());
@@ -185,14 +175,13 @@ impl Features {
         forward_kinematics(skeleton, &skeleton.offsets(), &roots, &rotations)
     }
 
-    /// The features of the clip reflected at the plane x = 0, left for right; exactly those that
-    /// the mirrored joints ([`Joints::mirror`]) have, as the two sides of a [`Skeleton`] are
-    /// images of each other.
+    /// The features of the clip reflected at the plane x = 0: exactly those of the mirrored joints
+    /// ([`Joints::mirror`]), as a [`Skeleton`] is symmetric.
     ///
     /// # Errors
     /// [`FeatureError::LengthMismatch`] if they are not features of `skeleton`.
     pub fn mirror(&self, skeleton: &Skeleton) -> Result<Self, FeatureError> {
-        /// Signs of a rotation's two columns: a reflected turn keeps its part about x alone.
+        /// Signs of a rotation's two columns.
         const ROTATION: [f32; 6] = [1.0, -1.0, -1.0, -1.0, 1.0, 1.0];
         const VECTOR: [f32; 3] = [-1.0, 1.0, 1.0];
         skeleton.accept_layout(self.layout)?;
@@ -200,7 +189,7 @@ impl Features {
         let (layout, channels) = (self.layout, self.layout.channels());
         let mut source: Vec<usize> = (0..channels).collect();
         let mut sign = vec![1.0; channels];
-        // Half angle and sideways way change sign in both readings of the root.
+        // Half angle and sideways step change sign in both representations of the root.
         (sign[0], sign[1]) = (-1.0, -1.0);
         let mut reflect = |range: Range<usize>, first_joint: usize, signs: &[f32]| {
             for channel in range.clone() {
@@ -230,7 +219,7 @@ impl Features {
 mod tests {
     use proptest::prelude::*;
 
-    use super::super::{Extraction, moving};
+    use super::super::{Extraction, test_clip};
     use super::*;
 
     /// Relative features as of a real clip: small changes, other channels by their number.
@@ -273,7 +262,7 @@ mod tests {
     fn a_part_of_an_absolute_clip_stays_where_it_is() {
         let skeleton = Skeleton::humanml3d();
         let clip = Extraction::default()
-            .features(&skeleton, &moving(&skeleton, 20))
+            .features(&skeleton, &test_clip(&skeleton, 20))
             .unwrap();
         let absolute = clip.to_absolute();
         let part = absolute.slice(5..9);
@@ -293,7 +282,7 @@ mod tests {
             ..Extraction::default()
         };
         for skeleton in [Skeleton::humanml3d(), Skeleton::kit()] {
-            let joints = moving(&skeleton, 30);
+            let joints = test_clip(&skeleton, 30);
             let features = extraction.features(&skeleton, &joints).unwrap();
             let mirrored = joints.mirror(&skeleton).unwrap();
             assert_eq!(mirrored.mirror(&skeleton).unwrap(), joints);
@@ -308,7 +297,7 @@ mod tests {
     #[test]
     fn features_of_any_skeleton_lead_back_to_its_joints() {
         for skeleton in [Skeleton::humanml3d(), Skeleton::kit()] {
-            let joints = moving(&skeleton, 30);
+            let joints = test_clip(&skeleton, 30);
             let joints = super::super::extract::canonicalize(&skeleton, &joints).unwrap();
             let features = Extraction::default().features(&skeleton, &joints).unwrap();
             for found in [

@@ -1,4 +1,4 @@
-//! Where the joints are, frame by frame.
+//! Joint positions over time.
 
 use serde::{Deserialize, Serialize};
 
@@ -64,17 +64,11 @@ impl Joints {
     }
 
     /// The joints of frame `t`, `[J, 3]`.
-    ///
-    /// # Panics
-    /// Panics if there is no frame `t`.
     pub fn frame(&self, t: usize) -> &[[f64; 3]] {
         &self.values[t * self.joints..(t + 1) * self.joints]
     }
 
-    /// Where one joint is in each frame, `[frames, 3]`.
-    ///
-    /// # Panics
-    /// Panics if there is no such joint.
+    /// Positions of one joint, `[frames, 3]`.
     pub fn track(&self, joint: usize) -> Vec<[f64; 3]> {
         (0..self.frames()).map(|t| self.frame(t)[joint]).collect()
     }
@@ -90,13 +84,13 @@ impl Joints {
         values.map(|value| *value as f32).collect()
     }
 
-    /// Positions that are whole frames and finite because what they come from is.
+    /// Positions that are whole frames and finite by construction.
     pub(super) fn computed(values: Vec<[f64; 3]>, joints: usize) -> Self {
         debug_assert!(values.len().is_multiple_of(joints));
         Self { values, joints }
     }
 
-    /// Rejects the joints of another skeleton than `skeleton`.
+    /// Rejects joints of another skeleton.
     ///
     /// # Errors
     /// [`FeatureError::LengthMismatch`] for another number of joints.
@@ -104,8 +98,8 @@ impl Joints {
         FeatureError::unless_equal("joints of a frame", skeleton.joints(), self.joints)
     }
 
-    /// The clip reflected at the plane x = 0, left for right: the joints of each pair change
-    /// places and x is negated, as the dataset's own mirrored half is made.
+    /// The clip reflected at the plane x = 0: the joints of each pair are swapped and x is negated,
+    /// as in the dataset's mirrored half.
     ///
     /// # Errors
     /// [`FeatureError::LengthMismatch`] if they are not joints of `skeleton`.

@@ -33,7 +33,7 @@ pub struct FeatureLayout {
 }
 
 impl FeatureLayout {
-    /// Channels that say where the root is: rotation, ground x, ground z, height.
+    /// Channels of the root: rotation, ground x, ground z, height.
     pub const ROOT: Range<usize> = 0..4;
 
     /// The layout of a skeleton with `joints` joints.
@@ -101,9 +101,8 @@ impl FeatureLayout {
         ]
     }
 
-    /// The joint that channel `index` speaks of, none for the root's four and the contact flags,
-    /// whose joints depend on the skeleton; and what it says of it, in the names of the published
-    /// index list.
+    /// The joint of channel `index` (none for the root and contact flags) and its component, by the
+    /// published names.
     pub(super) fn channel(self, index: usize) -> (Option<usize>, &'static str) {
         assert!(index < self.channels(), "channel {index} does not exist");
         let of = |range: Range<usize>, first_joint: usize, components: &[&'static str]| {
@@ -134,10 +133,7 @@ impl FeatureLayout {
     }
 
     /// Name of channel `index` without a skeleton, such as `root.height_y`, `joint_3.ric_x` or
-    /// `contact_0`; for messages.
-    ///
-    /// # Panics
-    /// Panics unless `index` is less than [`channels`](Self::channels).
+    /// `contact_0`.
     pub fn channel_name(self, index: usize) -> String {
         let (joint, component) = self.channel(index);
         match joint {

@@ -1,17 +1,17 @@
 //! Joint positions and joint features as in HumanML3D: 263 channels for 22 joints, or `12 J - 1`
 //! for J joints.
 //!
-//! Metres (published features in millimetres are converted when they are read), +y up, frames of the skeleton's own rate, velocities per frame. Root quaternions turn
-//! the world to the facing frame and enter the features by half their angle ([`Root`]). Features
-//! are stored in single precision; everything is computed in double precision. Source: C. Guo et
-//! al., "Generating Diverse and Natural 3D Human Motions from Text" (2022), and GMD, appendix B,
-//! both as docs/sources.md reads them, sections 3 and 4.1.
+//! Metres (published features in millimetres are converted when read), +y up, the skeleton's own
+//! frame rate, velocities per frame. Root quaternions map world to facing frame and enter the
+//! features by half their angle ([`Root`]). Features are stored in single precision and computed in
+//! double. Source: C. Guo et al., "Generating Diverse and Natural 3D Human Motions from Text"
+//! (2022), and GMD, appendix B (docs/sources.md, sections 3 and 4.1).
 //!
 //! ```
 //! use kinegrad_motion::humanml::{Extraction, Features, Joints, Root, Skeleton};
 //! use kinegrad_motion::{JointFeatures, representation};
 //! let skeleton = Skeleton::humanml3d();
-//! // Ten frames of a figure that walks along +x in the reference pose.
+//! // Ten frames of a body that walks along +x in the reference pose.
 //! let mut places = Vec::new();
 //! for t in 0..10 {
 //!     let mut frame = vec![[0.1 * t as f64, 0.9, 0.0]; skeleton.joints()];
@@ -33,10 +33,10 @@
 //! # Ok::<(), kinegrad_motion::humanml::FeatureError>(())
 //! ```
 
-/// Numbers of a text's pooled feature: those of CLIP's ViT-B/32, as published models are
-/// conditioned on.
+/// Width of a pooled text feature: CLIP's ViT-B/32, which published models are conditioned on.
 pub const TEXT_CHANNELS: usize = 512;
 
+pub mod bone_rotations;
 mod builtin;
 mod crop;
 mod description;
@@ -44,7 +44,6 @@ mod error;
 pub mod extract;
 mod features;
 mod joints;
-pub mod kinematics;
 mod layout;
 mod next_pose;
 mod root;
@@ -55,16 +54,16 @@ mod validate;
 pub mod walk;
 
 #[cfg(test)]
-mod moving;
+mod test_clip;
 #[cfg(test)]
-pub(crate) use moving::moving;
+pub(crate) use test_clip::test_clip;
 
+pub use bone_rotations::Heading;
 pub use description::{FaceJoints, Feet, SkeletonDescription};
 pub use error::FeatureError;
 pub use extract::Extraction;
 pub use features::Features;
 pub use joints::Joints;
-pub use kinematics::Heading;
 pub use layout::FeatureLayout;
 pub use next_pose::NextPose;
 pub use root::Root;

@@ -1,26 +1,26 @@
-//! The next pose as a target to learn, and back.
+//! The next pose as a prediction target.
 
 use std::fmt;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::kinematics::plus;
 use super::{FeatureError, FeatureLayout};
 use crate::Quaternion;
+use crate::vector::plus;
 
-/// How the next pose is said, `[J, 3]` in metres, in the facing frame of the present one with the
-/// root's place on the ground subtracted (docs/sources.md, section 5).
+/// Representation of the next pose, `[J, 3]` in metres, in the facing frame of the current one
+/// relative to the root's ground position (docs/sources.md, section 5).
 ///
-/// A row of features holds both: its displacements lead to the next frame. That is why a history
-/// from which frame t + 1 is to be predicted ends with row t - 1: row t knows the answer.
+/// A row of features determines both. So the history from which frame t + 1 is predicted ends with
+/// row t - 1: row t contains the answer.
 #[derive(Clone, Copy, Debug, Default, Deserialize, Eq, JsonSchema, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum NextPose {
-    /// Where the joints will be.
+    /// Joint positions.
     #[default]
     Position,
-    /// How far each joint will move.
+    /// Joint displacements.
     Displacement,
 }
 
@@ -32,7 +32,7 @@ impl fmt::Display for NextPose {
 }
 
 impl NextPose {
-    /// The target that a row of features holds, `[12 J - 1]` to `[J, 3]`.
+    /// The target of a row of features, `[12 J - 1]` to `[J, 3]`.
     ///
     /// # Errors
     /// [`FeatureError::InvalidChannels`] if no skeleton has so many channels.
@@ -50,8 +50,8 @@ impl NextPose {
         Ok(target)
     }
 
-    /// The next frame in the world, `[J, 3]`, that a target leads to from the present `frame`, whose
-    /// root quaternion (world to facing frame) is `facing`.
+    /// The next frame in the world, `[J, 3]`, from a target, the current `frame` and its root
+    /// quaternion `facing` (world to facing frame).
     ///
     /// # Errors
     /// [`FeatureError::LengthMismatch`] unless there are three numbers for each joint.
@@ -78,14 +78,14 @@ impl NextPose {
 
 #[cfg(test)]
 mod tests {
-    use super::super::{Extraction, FeatureStream, Heading, Skeleton, moving};
+    use super::super::{Extraction, FeatureStream, Heading, Skeleton, test_clip};
     use super::*;
-    use crate::rotation::length;
+    use crate::vector::length;
 
     #[test]
     fn targets_lead_to_the_next_frame() {
         for skeleton in [Skeleton::humanml3d(), Skeleton::kit()] {
-            let clip = moving(&skeleton, 20);
+            let clip = test_clip(&skeleton, 20);
             let extraction = Extraction {
                 rescale: false,
                 heading: Heading::Raw,

@@ -1,9 +1,8 @@
 //! The root path: conversion between relative and absolute root channels.
 //!
-//! Channels 0 to 3 of a frame are (rotation, x, z, height). The root quaternion is (cos a, 0,
-//! sin a, 0) and turns the world to the facing frame: `a` is half of an angle, and a body with yaw
-//! psi (from +z towards +x) has a = -psi / 2. Source: GMD, appendix B; docs/sources.md, section
-//! 4.1.
+//! Channels 0 to 3 of a frame are (rotation, x, z, height). The root quaternion is (cos a, 0, sin
+//! a, 0) and maps world to facing frame: for yaw psi (from +z towards +x), a = -psi / 2. Source:
+//! GMD, appendix B; docs/sources.md, section 4.1.
 
 use std::fmt;
 
@@ -12,15 +11,15 @@ use serde::{Deserialize, Serialize};
 
 use crate::Quaternion;
 
-/// How channels 0 to 2 say where the root is and where it faces.
+/// Representation of the root in channels 0 to 2.
 #[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Root {
-    /// By the change to the next frame, as HumanML3D is published: the way begins at x = z = 0
-    /// facing +z, and the last frame's change leads nowhere.
+    /// Changes to the next frame, as in published HumanML3D; the path begins at x = z = 0 facing
+    /// +z.
     #[default]
     Relative,
-    /// By place and half angle themselves.
+    /// Position and half angle.
     Absolute,
 }
 
@@ -79,10 +78,8 @@ impl Root {
         }
     }
 
-    /// The same way read as `to`, `[frames, 4]`.
-    ///
-    /// From absolute to relative the way loses where it begins, and the change after the last
-    /// frame, which nothing determines, repeats the one before (of a single frame it is zero).
+    /// The same path in representation `to`, `[frames, 4]`. From absolute to relative, the start is
+    /// lost and the last change repeats the one before (zero for a single frame).
     pub fn convert(self, channels: &[[f64; 4]], to: Self) -> Vec<[f64; 4]> {
         match (self, to) {
             (Self::Relative, Self::Absolute) => {
@@ -107,15 +104,11 @@ impl Root {
         }
     }
 
-    /// The gradient with respect to channels 0 to 3, `[frames, 4]`, of anything whose gradient
-    /// with respect to the ground positions (x, z) is `upstream`, `[frames, 2]`.
+    /// The gradient with respect to channels 0 to 3, `[frames, 4]`, given `upstream`, the gradient
+    /// with respect to ground positions (x, z), `[frames, 2]`.
     ///
-    /// Exact, by the chain rule through the sums: with G(s) the sum of `upstream` from frame s on,
-    /// a relative step before frame s gets G(s) in its own frame, and each rotation gets what all
-    /// later angles get. Height never moves the ground position.
-    ///
-    /// # Panics
-    /// Panics unless `upstream` has one entry for each frame.
+    /// With G(s) the sum of `upstream` from frame s on, a relative step before frame s gets G(s) in
+    /// its own frame, and each rotation gets the sum over all later angles.
     pub fn ground_gradient(self, channels: &[[f64; 4]], upstream: &[[f64; 2]]) -> Vec<[f64; 4]> {
         assert_eq!(upstream.len(), channels.len(), "one gradient a frame");
         if self == Self::Absolute {
@@ -128,7 +121,7 @@ impl Root {
             later = [later[0] + upstream[t][0], later[1] + upstream[t][1]];
             let [_, x, z, _] = channels[t - 1];
             let step = turn(-angles[t], [x, z]);
-            // Both change together: a grown by one unit turns the step by two towards (-z, x).
+            // a grown by one unit turns the step by two towards (-z, x).
             angle_gradient += 2.0 * (later[1] * step[0] - later[0] * step[1]);
             let [x, z] = turn(angles[t], later);
             gradient[t - 1] = [angle_gradient, x, z, 0.0];
@@ -138,9 +131,6 @@ impl Root {
 
     /// The squared ground distances to `target` (x, z), summed over all frames, in square metres,
     /// with the gradient with respect to channels 0 to 3, `[frames, 4]`.
-    ///
-    /// # Panics
-    /// Panics unless `target` has one entry for each frame.
     pub fn ground_distance(
         self,
         channels: &[[f64; 4]],
@@ -159,7 +149,7 @@ impl Root {
     }
 }
 
-/// The ground vector (x, z) turned by the root quaternion of half angle `angle`.
+/// The ground vector (x, z) rotated by the root quaternion of half angle `angle`.
 fn turn(angle: f64, [x, z]: [f64; 2]) -> [f64; 2] {
     let (sin, cos) = (2.0 * angle).sin_cos();
     [x * cos + z * sin, z * cos - x * sin]
@@ -171,7 +161,7 @@ mod tests {
 
     use super::*;
 
-    fn ways(frames: usize) -> impl Strategy<Value = Vec<[f64; 4]>> {
+    fn trajectories(frames: usize) -> impl Strategy<Value = Vec<[f64; 4]>> {
         let row = (-0.2..0.2, -0.1..0.1, -0.1..0.1, 0.5..1.5).prop_map(<[f64; 4]>::from);
         proptest::collection::vec(row, 1..=frames)
     }
@@ -179,45 +169,48 @@ mod tests {
     #[test]
     fn a_quarter_turn_walks_sideways() {
         let quarter = std::f64::consts::FRAC_PI_4;
-        let way = [[-quarter, 0.0, 2.0, 0.9], [0.0, 0.0, 1.0, 1.0], [0.0; 4]];
-        let positions = Root::Relative.positions(&way);
+        let trajectory = [[-quarter, 0.0, 2.0, 0.9], [0.0, 0.0, 1.0, 1.0], [0.0; 4]];
+        let positions = Root::Relative.positions(&trajectory);
         // Facing +x from the second frame on, forward leads along +x.
         let expected = [[0.0, 0.9, 0.0], [2.0, 1.0, 0.0], [3.0, 0.0, 0.0]];
         for (found, expected) in positions.iter().flatten().zip(expected.iter().flatten()) {
             assert!((found - expected).abs() < 1e-12);
         }
-        assert_eq!(Root::Relative.half_angles(&way), [0.0, -quarter, -quarter]);
+        assert_eq!(
+            Root::Relative.half_angles(&trajectory),
+            [0.0, -quarter, -quarter]
+        );
     }
 
     proptest! {
         #[test]
-        fn a_relative_way_returns_but_for_its_last_change(way in ways(196)) {
-            let absolute = Root::Relative.convert(&way, Root::Absolute);
+        fn a_relative_trajectory_returns_but_for_its_last_change(trajectory in trajectories(196)) {
+            let absolute = Root::Relative.convert(&trajectory, Root::Absolute);
             prop_assert_eq!(
                 Root::Absolute.positions(&absolute),
-                Root::Relative.positions(&way)
+                Root::Relative.positions(&trajectory)
             );
             let back = Root::Absolute.convert(&absolute, Root::Relative);
-            for (a, b) in back.iter().zip(&way).take(way.len() - 1) {
+            for (a, b) in back.iter().zip(&trajectory).take(trajectory.len() - 1) {
                 for (a, b) in a.iter().zip(b) {
                     prop_assert!((a - b).abs() < 1e-12);
                 }
             }
-            if way.len() > 1 {
-                prop_assert_eq!(&back[way.len() - 1][..3], &back[way.len() - 2][..3]);
+            if trajectory.len() > 1 {
+                prop_assert_eq!(&back[trajectory.len() - 1][..3], &back[trajectory.len() - 2][..3]);
             }
         }
 
         #[test]
-        fn the_ground_gradient_is_that_of_small_changes(way in ways(12), pull in -1.0..1.0) {
+        fn the_ground_gradient_is_that_of_small_changes(trajectory in trajectories(12), pull in -1.0..1.0) {
             let target: Vec<[f64; 2]> =
-                (0..way.len()).map(|t| [pull, 0.1 * t as f64]).collect();
+                (0..trajectory.len()).map(|t| [pull, 0.1 * t as f64]).collect();
             for root in [Root::Relative, Root::Absolute] {
-                let (_, gradient) = root.ground_distance(&way, &target);
-                for t in 0..way.len() {
+                let (_, gradient) = root.ground_distance(&trajectory, &target);
+                for t in 0..trajectory.len() {
                     for channel in 0..4 {
                         let distance = |change: f64| {
-                            let mut changed = way.clone();
+                            let mut changed = trajectory.clone();
                             changed[t][channel] += change;
                             root.ground_distance(&changed, &target).0
                         };

@@ -4,10 +4,10 @@ use serde::{Deserialize, Serialize};
 
 use super::{FeatureError, FeatureLayout, Feet, SkeletonDescription};
 use crate::feet::Leg;
-use crate::rotation::length;
+use crate::vector::length;
 
-/// A skeleton whose description is sound. Made from a [`SkeletonDescription`], which is also its
-/// stored form, or built in: [`humanml3d`](Self::humanml3d), [`kit`](Self::kit).
+/// A valid skeleton, made from a [`SkeletonDescription`] (also its stored form) or built in:
+/// [`humanml3d`](Self::humanml3d), [`kit`](Self::kit).
 #[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
 #[serde(try_from = "SkeletonDescription", into = "SkeletonDescription")]
 pub struct Skeleton {
@@ -51,7 +51,7 @@ impl Skeleton {
         })
     }
 
-    /// What it was made from.
+    /// Its description.
     pub fn description(&self) -> &SkeletonDescription {
         &self.description
     }
@@ -71,21 +71,20 @@ impl Skeleton {
         self.layout
     }
 
-    /// The bones of the chains in order: chain by chain, parent and child.
+    /// Bones by chain: parent and child.
     pub fn chains(&self) -> impl Iterator<Item = impl Iterator<Item = [usize; 2]>> {
         let pairs = |chain: &'_ [usize]| [chain[0], chain[1]];
         let chains = self.description.chains.iter();
         chains.map(move |chain| chain.windows(2).map(pairs))
     }
 
-    /// The joints of left and right contact flags, in their order.
+    /// The joints of the contact flags.
     pub fn contact_joints(&self) -> [usize; 4] {
         let Feet { left, right } = self.description.feet;
         [left[0], left[1], right[0], right[1]]
     }
 
-    /// The left and the right leg, from the hips of the facing joints to the toes. One without a
-    /// knee and an ankle is left out.
+    /// The left and right leg, from hip to toe; a leg without knee and ankle is left out.
     pub fn legs(&self) -> Vec<Leg> {
         let (hips, feet) = (&self.description.face_joints, &self.description.feet);
         let sides = [(hips.left_hip, feet.left), (hips.right_hip, feet.right)];
@@ -104,7 +103,7 @@ impl Skeleton {
         sides.into_iter().filter_map(leg).collect()
     }
 
-    /// The joint at the place of each when left and right change sides, `[J]`.
+    /// The mirror image of each joint, `[J]`.
     pub fn mirrored(&self) -> Vec<usize> {
         let mut mirrored: Vec<usize> = (0..self.joints()).collect();
         for &[left, right] in &self.description.mirrored_joints {
@@ -113,17 +112,14 @@ impl Skeleton {
         mirrored
     }
 
-    /// Offsets of the joints without rotation, `[J, 3]`, metres: raw directions with the lengths
-    /// of the reference bones.
+    /// Offsets of the joints without rotation, `[J, 3]`, metres: raw directions with the reference
+    /// bones' lengths.
     pub fn offsets(&self) -> Vec<[f64; 3]> {
         let lengths = self.description.rest_offsets.iter().map(|o| length(*o));
         self.offsets_of_lengths(lengths)
     }
 
     /// Offsets of the joints without rotation with the bone lengths of one frame of a clip.
-    ///
-    /// # Panics
-    /// Panics unless `frame` has J entries.
     pub fn offsets_of_frame(&self, frame: &[[f64; 3]]) -> Vec<[f64; 3]> {
         assert_eq!(frame.len(), self.joints(), "a place for each joint");
         let bone = |(joint, parent): (usize, &Option<usize>)| {
@@ -146,9 +142,6 @@ impl Skeleton {
     }
 
     /// Name of channel `index` of the features, such as `root.height_y` or `left_hip.ric_x`.
-    ///
-    /// # Panics
-    /// Panics if there is no such channel.
     pub fn channel_name(&self, index: usize) -> String {
         let (joint, component) = self.layout.channel(index);
         let contact = index.checked_sub(self.layout.contacts().start);

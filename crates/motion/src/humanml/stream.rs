@@ -1,38 +1,34 @@
-//! Features while a motion still goes on.
+//! Features of a motion in real time.
 
-use super::kinematics::{forward_kinematics, inverse_kinematics, raw_root, rotations_of_frame};
+use super::bone_rotations::{forward_kinematics, inverse_kinematics, raw_root, rotations_of_frame};
 use super::{Extraction, FeatureError, Heading, Joints, Skeleton};
 use crate::Quaternion;
 
-/// Features frame by frame: each frame completes the row of the one before. The rows are those of
-/// [`Extraction::features_in_place`] with [`Heading::Raw`], the first frame facing +z. Only the
-/// last frame is kept.
-///
-/// The smoothed heading of published features looks 80 frames ahead, so that it cannot be known
-/// live.
+/// Features frame by frame: each frame completes the row of the one before. Rows equal those of
+/// [`Extraction::features_in_place`] with [`Heading::Raw`]. The smoothed heading of published
+/// features looks 80 frames ahead and is unavailable in real time.
 #[derive(Clone, Debug)]
 pub struct FeatureStream {
     skeleton: Skeleton,
     extraction: Extraction,
-    last: Option<Posed>,
+    last: Option<PosedFrame>,
     frames: usize,
     /// Whether the first frame has its own heading.
-    anywhere: bool,
+    own_heading: bool,
 }
 
 /// A frame, with its rotations.
 #[derive(Clone, Debug)]
-struct Posed {
+struct PosedFrame {
     places: Vec<[f64; 3]>,
     rotations: Vec<Quaternion>,
 }
 
-/// Furthest place of a joint from the origin along each axis, metres.
+/// Largest coordinate of a joint, metres.
 const FURTHEST: f64 = 1e15;
 
 impl FeatureStream {
-    /// A stream before its first frame, whose joints of a foot stand below `contact_threshold`
-    /// ([`Extraction::contact_threshold`]).
+    /// A stream before its first frame, with this [`Extraction::contact_threshold`].
     ///
     /// # Errors
     /// [`FeatureError::Setting`] for a contact threshold that is negative or not finite.
@@ -48,29 +44,26 @@ impl FeatureStream {
             extraction,
             last: None,
             frames: 0,
-            anywhere: false,
+            own_heading: false,
         })
     }
 
-    /// The same for a motion that need not begin facing +z: the first frame has its own heading too.
-    ///
-    /// The rotations of published features are shortest turns from the rest pose as it stands in
-    /// the world, so that they alone depend on where a motion faces.
+    /// The same for a motion that need not begin facing +z. Only the rotations of published
+    /// features depend on the heading.
     #[must_use]
-    pub fn facing_anywhere(self) -> Self {
+    pub fn with_own_heading(self) -> Self {
         Self {
-            anywhere: true,
+            own_heading: true,
             ..self
         }
     }
 
-    /// Takes the next frame, `[J, 3]` in metres, and gives the row of the one before, `[12 J - 1]`;
-    /// none for the first.
+    /// Adds the next frame, `[J, 3]` in metres, and returns the row of the one before, `[12 J -
+    /// 1]`; none for the first.
     ///
     /// # Errors
     /// [`FeatureError::LengthMismatch`] for another number of joints; [`FeatureError::NonFinite`]
-    /// if a coordinate is not finite or so large that something overflows. The stream then stays as
-    /// it was.
+    /// if a coordinate is not finite or too large. The stream is then unchanged.
     pub fn push(&mut self, frame: &[[f64; 3]]) -> Result<Option<Vec<f32>>, FeatureError> {
         FeatureError::unless_equal("joints of a frame", self.skeleton.joints(), frame.len())?;
         let not_finite = |what, entry| FeatureError::NonFinite {
@@ -78,13 +71,13 @@ impl FeatureStream {
             frame: self.frames,
             entry,
         };
-        // What is further away overflows in the squares of the next row. False for NaN.
+        // Larger coordinates overflow when squared. False for NaN.
         let bad = |place: &[f64; 3]| !place.iter().all(|value| value.abs() <= FURTHEST);
         if let Some(joint) = frame.iter().position(bad) {
             return Err(not_finite("joints", format!("joint {joint}")));
         }
         let root = match &self.last {
-            None if !self.anywhere => Quaternion::IDENTITY,
+            None if !self.own_heading => Quaternion::IDENTITY,
             _ => raw_root(&self.skeleton, frame),
         };
         let row = self.last.as_ref().map(|last| {
@@ -98,7 +91,7 @@ impl FeatureStream {
             let name = self.skeleton.layout().channel_name(channel);
             return Err(not_finite("features", format!("channel `{name}`")));
         }
-        self.last = Some(Posed {
+        self.last = Some(PosedFrame {
             places: frame.to_vec(),
             rotations: rotations_of_frame(&self.skeleton, frame, root),
         });
@@ -106,21 +99,20 @@ impl FeatureStream {
         Ok(row)
     }
 
-    /// The last frame, `[J, 3]`, and its root quaternion, world to facing frame.
+    /// The last frame, `[J, 3]`, and its root quaternion.
     pub fn last(&self) -> Option<(&[[f64; 3]], Quaternion)> {
         let last = self.last.as_ref()?;
         Some((&last.places, last.rotations[0]))
     }
 
-    /// Frames taken.
+    /// Number of frames added.
     pub fn frames(&self) -> usize {
         self.frames
     }
 }
 
 /// The frame, `[J, 3]`, with bones of the lengths of `offsets` ([`Skeleton::offsets_of_frame`]) in
-/// the directions that they have: its rotations, by inverse kinematics, put into forward ones. The
-/// root stays.
+/// their own directions. The root keeps its position.
 ///
 /// # Errors
 /// [`FeatureError::LengthMismatch`] for another number of joints or offsets;
@@ -141,9 +133,9 @@ pub fn with_bones(
 mod tests {
     use proptest::prelude::*;
 
-    use super::super::moving;
+    use super::super::test_clip;
     use super::*;
-    use crate::rotation::length;
+    use crate::vector::length;
 
     fn raw() -> Extraction {
         Extraction {
@@ -167,7 +159,7 @@ mod tests {
             kit in any::<bool>(),
         ) {
             let skeleton = if kit { Skeleton::kit() } else { Skeleton::humanml3d() };
-            let clip = moving(&skeleton, frames);
+            let clip = test_clip(&skeleton, frames);
             let places = clip.as_slice().iter().enumerate().map(|(at, place)| {
                 let shift = |i: usize| noise[(at * 7 + i) % noise.len()];
                 [0, 1, 2].map(|i| place[i] + shift(i))
@@ -188,7 +180,7 @@ mod tests {
             stretch in proptest::collection::vec(0.5..1.5f64, 22),
         ) {
             let skeleton = Skeleton::humanml3d();
-            let clip = moving(&skeleton, 9);
+            let clip = test_clip(&skeleton, 9);
             let frame = clip.frame(8);
             let offsets = skeleton.offsets_of_frame(clip.frame(0));
             let mut stretched = frame.to_vec();
@@ -206,9 +198,9 @@ mod tests {
     }
 
     #[test]
-    fn a_motion_may_begin_facing_anywhere() {
+    fn a_motion_may_begin_with_any_heading() {
         let skeleton = Skeleton::humanml3d();
-        let clip = moving(&skeleton, 12);
+        let clip = test_clip(&skeleton, 12);
         let turn = Quaternion::from_yaw(2.0);
         let turned: Vec<[f64; 3]> = clip.as_slice().iter().map(|p| turn.rotate(*p)).collect();
         let turned = Joints::new(turned, skeleton.joints()).unwrap();
@@ -219,8 +211,8 @@ mod tests {
             let kept = |row: Vec<f32>| [&row[..rotations.start], &row[rotations.end..]].concat();
             rows.flat_map(kept).collect()
         };
-        let anywhere = || stream(&skeleton).facing_anywhere();
-        let (found, expected) = (rows(&turned, anywhere()), rows(&clip, anywhere()));
+        let own_heading = || stream(&skeleton).with_own_heading();
+        let (found, expected) = (rows(&turned, own_heading()), rows(&clip, own_heading()));
         let apart = |a: &[f32], b: &[f32]| {
             let pairs = a.iter().zip(b);
             pairs.fold(0.0f32, |most, (a, b)| most.max((a - b).abs()))
@@ -236,7 +228,7 @@ mod tests {
     #[test]
     fn raw_and_smoothed_heading_are_not_the_same() {
         let skeleton = Skeleton::humanml3d();
-        let clip = moving(&skeleton, 30);
+        let clip = test_clip(&skeleton, 30);
         let smoothed = Extraction {
             heading: Heading::Smoothed,
             ..raw()
@@ -249,7 +241,7 @@ mod tests {
     #[test]
     fn a_bad_frame_is_refused_and_leaves_the_stream_as_it_was() {
         let skeleton = Skeleton::humanml3d();
-        let clip = moving(&skeleton, 3);
+        let clip = test_clip(&skeleton, 3);
         let mut stream = stream(&skeleton);
         let mut untouched = stream.clone();
         for s in [&mut stream, &mut untouched] {

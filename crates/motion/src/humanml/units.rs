@@ -1,11 +1,11 @@
-//! Features in metres, whatever unit they were published in.
+//! Conversion of published features to metres.
 //!
-//! The published features of HumanML3D are in metres. Those of KIT-ML were made of joints in
-//! millimetres and not rescaled, so their root is some hundreds of units above the floor.
+//! HumanML3D is in metres. KIT-ML's features come from joints in millimetres, so their root is
+//! hundreds of units above the floor.
 
 use super::FeatureLayout;
 
-/// A root that is on average higher above the floor than this is one in millimetres: 10 m or 1 cm.
+/// Roots whose mean height is above this are in millimetres.
 pub(crate) const HIGHEST_ROOT: f64 = 10.0;
 
 /// Metres in a millimetre.
@@ -15,16 +15,15 @@ pub(crate) const MILLIMETRE: f64 = 1e-3;
 const HEIGHT: usize = 3;
 
 impl FeatureLayout {
-    /// Whether a channel is a length: ground and height of the root, positions and displacements,
-    /// and not rotations or contacts.
+    /// Whether a channel is a length: root position, joint positions and displacements.
     fn is_length(self, channel: usize) -> bool {
         let [_, ground, height, positions, _, displacements, _] = self.groups();
         let lengths = [ground, height, positions, displacements];
         lengths.iter().any(|group| group.contains(&channel))
     }
 
-    /// Features `[frames, channels]` row by row, in metres: those in millimetres, which their roots'
-    /// mean height tells, are converted.
+    /// Features `[frames, channels]`, converted to metres if the mean height of the root shows
+    /// millimetres.
     pub fn in_metres(self, mut rows: Vec<f32>) -> Vec<f32> {
         let heights = rows.chunks_exact(self.channels()).map(|row| row[HEIGHT]);
         let (frames, sum) = heights.fold((0, 0.0), |(n, sum), y| (n + 1, sum + f64::from(y)));
@@ -39,8 +38,8 @@ impl FeatureLayout {
         rows
     }
 
-    /// Mean and deviation of features, `[channels]` each, in metres: those of features in
-    /// millimetres are converted, so that normalised features stay what they are.
+    /// Mean and deviation of features, `[channels]` each, converted to metres if they are in
+    /// millimetres. Normalised features stay the same.
     ///
     /// # Panics
     /// Panics unless both have the layout's channels.
@@ -58,13 +57,13 @@ impl FeatureLayout {
 
 #[cfg(test)]
 mod tests {
-    use super::super::{Extraction, Features, Joints, Root, Skeleton, moving};
+    use super::super::{Extraction, Features, Joints, Root, Skeleton, test_clip};
 
     #[test]
     fn features_of_millimetres_become_those_of_metres() {
         let skeleton = Skeleton::kit();
         let layout = skeleton.layout();
-        let joints = moving(&skeleton, 20);
+        let joints = test_clip(&skeleton, 20);
         let extraction = |unit: f64| Extraction {
             rescale: false,
             contact_threshold: 0.002 * unit * unit,

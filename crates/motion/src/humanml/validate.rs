@@ -1,9 +1,9 @@
-//! What a description of a skeleton must fulfil.
+//! Validation of a skeleton's description.
 
 use super::{FeatureError, Feet, SkeletonDescription};
-use crate::rotation::length;
+use crate::vector::length;
 
-/// A raw direction may miss the length 1 by this.
+/// Tolerance of the length of raw directions.
 const UNIT: f64 = 1e-6;
 
 /// The parent of each joint by the chains, which must reach every joint once.
@@ -111,7 +111,7 @@ pub(super) fn the_rest(description: &SkeletonDescription) -> Result<(), FeatureE
     mirrored(description)
 }
 
-/// The two sides must be images of each other, as mirrored features are exact only then.
+/// The two sides must be mirror images, as mirroring of features requires.
 fn mirrored(description: &SkeletonDescription) -> Result<(), FeatureError> {
     let directions = &description.raw_directions;
     let mut image: Vec<usize> = (0..directions.len()).collect();

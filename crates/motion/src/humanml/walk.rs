@@ -1,17 +1,14 @@
-//! A person who walks along a path: joints by forward kinematics, with feet that stay where they
-//! are set.
+//! A person who walks along a path, by forward kinematics without foot sliding.
 //!
-//! The path is that of the pelvis on the ground. Each foot stands on a print beside the path for
-//! three fifths of a stride and swings to the next print for the rest; the legs reach from the
-//! hips to the ankles with a bend at the knee. Bones keep the lengths of the skeleton.
+//! The pelvis follows the path. Each foot stands on a print beside the path for three fifths of a
+//! stride and swings to the next print for the rest. Bones keep the skeleton's lengths.
 
 use super::Skeleton;
-use super::kinematics::{minus, plus};
-use crate::rotation::length;
+use crate::vector::{length, minus, plus};
 
-/// Steps of the table of the path, per second.
+/// Steps of the path's table, per second.
 const TABLE_RATE: f64 = 200.0;
-/// Seconds that the path goes on before the first and after the last frame.
+/// Seconds of the path before the first and after the last frame.
 const MARGIN_SECONDS: f64 = 3.0;
 /// Share of a stride in which a foot stands.
 const STANCE: f64 = 0.6;
@@ -20,7 +17,7 @@ const ANKLE_HEIGHT: f64 = 0.07;
 
 type Point = [f64; 3];
 
-/// Where a walk leads.
+/// Speed and turning of a walk.
 pub struct Course {
     /// Speed in metres per second at a time in seconds.
     pub speed: Box<dyn Fn(f64) -> f64>,
@@ -60,7 +57,7 @@ impl Path {
         Self { start, steps }
     }
 
-    /// x, z, yaw and phase at a time in seconds; that of the nearer end beyond the table.
+    /// x, z, yaw and phase at a time in seconds, clamped to the table.
     fn at(&self, time: f64) -> [f64; 4] {
         let last = self.steps.len() - 1;
         let place = ((time - self.start) * TABLE_RATE).clamp(0.0, last as f64);
@@ -71,7 +68,7 @@ impl Path {
         })
     }
 
-    /// The time at which so many strides have been made.
+    /// The time at which the phase is reached.
     fn time_of_phase(&self, phase: f64) -> f64 {
         let after = self.steps.partition_point(|step| step[3] < phase);
         let after = after.clamp(1, self.steps.len() - 1);
@@ -81,7 +78,7 @@ impl Path {
     }
 }
 
-/// The joints `[frames, 22, 3]` of a walk along `course`, metres, +y up, at the rate of
+/// The joints `[frames, 22, 3]` of a walk along `course`, metres, +y up, at the frame rate of
 /// `skeleton`, which is that of HumanML3D.
 pub fn joints(course: &Course, skeleton: &Skeleton, frames: usize) -> Vec<Point> {
     let fps = skeleton.description().fps;
@@ -92,7 +89,7 @@ pub fn joints(course: &Course, skeleton: &Skeleton, frames: usize) -> Vec<Point>
         .collect()
 }
 
-/// Sizes and habits that hold for a whole walk.
+/// Sizes of a walker.
 struct Walker<'a> {
     offsets: &'a [Point],
     /// Height of the pelvis above the ground.
@@ -107,7 +104,8 @@ impl<'a> Walker<'a> {
         let offsets = &skeleton.description().rest_offsets[..];
         let speeds = (0..=20).map(|i| (course.speed)(seconds * f64::from(i) / 20.0));
         let fastest = speeds.fold(0.0, f64::max);
-        // The pelvis is so low that the leg behind reaches the ground to the end of its stance.
+        // The pelvis is low enough for the rear leg to reach the ground until the end of its
+        // stance.
         let reach = 0.5 * STANCE * fastest / (0.55 + 0.35 * fastest) + 0.02;
         let leg = 0.985 * (length(offsets[4]) + length(offsets[7]));
         let stretched = (leg * leg - reach * reach).sqrt();
@@ -138,7 +136,7 @@ impl<'a> Walker<'a> {
             [(1.0, [16, 18, 20], 13), (-1.0, [17, 19, 21], 14)]
         {
             place(shoulder, collar, self.offsets[shoulder]);
-            // An arm swings with the leg of the other side.
+            // An arm swings with the opposite leg.
             let swing = -side * self.arm_swing * (std::f64::consts::TAU * phase).cos();
             for (joint, parent, angle) in [(elbow, shoulder, swing), (wrist, elbow, swing + 0.35)] {
                 let hanging = [0.1 * side, -angle.cos(), angle.sin()];
@@ -158,8 +156,7 @@ impl<'a> Walker<'a> {
         pose
     }
 
-    /// Where the ankle of a foot is and where the foot points, at a phase of its own that is
-    /// `ahead` of the path's.
+    /// Position of an ankle and heading of its foot, at a phase that is `ahead` of the path's.
     fn ankle(&self, path: &Path, phase: f64, ahead: f64, side: f64) -> (Point, f64) {
         let stride = phase.floor();
         let print = |stride: f64| {
@@ -181,14 +178,13 @@ impl<'a> Walker<'a> {
     }
 }
 
-/// Knee and ankle of a leg with these two bones from `hip` towards `target`, the knee bent
-/// `forward`; the ankle stops where the leg is stretched.
+/// Knee and ankle of a leg with these bones from `hip` towards `target`, the knee bent `forward`.
 fn reach(hip: Point, target: Point, bones: [f64; 2], forward: Point) -> (Point, Point) {
     let [thigh, shank] = bones;
-    let way = minus(target, hip);
+    let to_target = minus(target, hip);
     let (least, most) = ((thigh - shank).abs() + 1e-3, 0.999 * (thigh + shank));
-    let along = way.map(|value| value / length(way));
-    let distance = length(way).clamp(least, most);
+    let along = to_target.map(|value| value / length(to_target));
+    let distance = length(to_target).clamp(least, most);
     let ankle = std::array::from_fn(|i| hip[i] + distance * along[i]);
     let down = (thigh * thigh + distance * distance - shank * shank) / (2.0 * distance);
     let out = (thigh * thigh - down * down).max(0.0).sqrt();

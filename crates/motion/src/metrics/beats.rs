@@ -1,43 +1,38 @@
 //! Beat alignment of motion and music.
 //!
-//! The beat alignment score of Li et al. 2021 (AIST++), <https://arxiv.org/abs/2101.08779>, with
-//! the beats that this data allows: the phrase carries the root alone. The music's beats are
-//! whatever a beat tracker found.
+//! The beat alignment score of Li et al. 2021 (AIST++), <https://arxiv.org/abs/2101.08779>, for the
+//! motion of the root.
 
 use kinegrad_random::Key;
 
 use crate::phrase::VELOCITY;
-use crate::rotation::length;
-use crate::{FPS, Motion};
+use crate::vector::length;
+use crate::{FPS, Phrase};
 
 /// Width of the score's bell, seconds: the paper's 3 frames at 60 frames per second.
 pub const BEAT_SIGMA: f64 = 0.05;
 
-/// Times in seconds at which the root is slowest: the local minima of the length of the velocity
-/// channels. A stretch of equal speed below both of its neighbours is one beat, at its middle. The
-/// first and the last frame are none, nor is a stretch that touches them: the speed beyond is not
-/// known. The speed is not smoothed.
-pub fn kinematic_beats(motion: &Motion) -> Vec<f64> {
+/// Times in seconds at which the root is slowest: local minima of the velocity channels' norm,
+/// unsmoothed. A plateau is one beat, at its middle; the ends are none.
+pub fn kinematic_beats(motion: &Phrase) -> Vec<f64> {
     peaks(motion, |speed| -speed)
 }
 
-/// Times in seconds at which the root is fastest: the local maxima of the same speed. Of real ballroom
-/// dancers these fall on beats more often than by chance, and the slowest moments do not
-/// (docs/results.md).
-pub fn speed_peaks(motion: &Motion) -> Vec<f64> {
+/// Times in seconds at which the root is fastest. Real ballroom dancers are fastest on beats more
+/// often than by chance, which is not true of the slowest moments (docs/results.md).
+pub fn speed_peaks(motion: &Phrase) -> Vec<f64> {
     peaks(motion, |speed| speed)
 }
 
-/// Times in seconds of the local maxima of what `of` makes of the speed.
-fn peaks(motion: &Motion, of: fn(f64) -> f64) -> Vec<f64> {
+/// Times in seconds of the local maxima of a function of the speed.
+fn peaks(motion: &Phrase, of: fn(f64) -> f64) -> Vec<f64> {
     let values = (0..motion.frames()).map(|t| of(length(motion.vector(t, VELOCITY))));
     let places = local_maxima(&values.collect::<Vec<_>>()).into_iter();
     places.map(|place| place / FPS).collect()
 }
 
 /// Mean over the kinematic beats of `exp(-d^2 / (2 sigma^2))`, d the distance in seconds to the
-/// nearest music beat and sigma [`BEAT_SIGMA`]: 1 where every kinematic beat falls on a music
-/// beat, 0 where none comes near one. `None` where either has no beats.
+/// nearest music beat and sigma [`BEAT_SIGMA`]. `None` if either has no beats.
 pub fn beat_alignment(kinematic: &[f64], music: &[f64]) -> Option<f64> {
     if kinematic.is_empty() || music.is_empty() {
         return None;
@@ -52,12 +47,11 @@ pub fn beat_alignment(kinematic: &[f64], music: &[f64]) -> Option<f64> {
     Some(kinematic.iter().map(score).sum::<f64>() / kinematic.len() as f64)
 }
 
-/// Offsets that the score of chance is the mean of.
+/// Number of offsets for the chance level.
 const OFFSETS: usize = 50;
 
-/// What [`beat_alignment`] is by chance: its mean over random offsets, drawn from `key`, by which
-/// the motion's beats are moved on a circle of `seconds`, so that what leaves at the end returns at
-/// the beginning. They keep their number and their rhythm, and lose their place in the music.
+/// Chance level of [`beat_alignment`]: its mean over random circular shifts of the motion's beats
+/// within `seconds`.
 pub fn chance_alignment(kinematic: &[f64], music: &[f64], seconds: f64, key: Key) -> Option<f64> {
     let at = |offset: f32| {
         let moved = kinematic
@@ -68,8 +62,7 @@ pub fn chance_alignment(kinematic: &[f64], music: &[f64], seconds: f64, key: Key
     super::mean(key.uniforms(OFFSETS).into_iter().map(at))
 }
 
-/// Places, in frames, of the values that are higher than what precedes and follows them; a plateau
-/// counts once, at its middle. Nothing at the ends.
+/// Positions, in frames, of local maxima; a plateau counts once, at its middle. None at the ends.
 fn local_maxima(values: &[f64]) -> Vec<f64> {
     let mut maxima = Vec::new();
     let mut start = 0;
@@ -99,8 +92,8 @@ mod tests {
     use crate::CHANNELS;
 
     /// A phrase with these speeds, in changing directions.
-    fn with_speeds(speeds: &[f64]) -> Motion {
-        let mut motion = Motion::new(vec![0.0; speeds.len() * CHANNELS]).unwrap();
+    fn with_speeds(speeds: &[f64]) -> Phrase {
+        let mut motion = Phrase::new(vec![0.0; speeds.len() * CHANNELS]).unwrap();
         for (t, &speed) in speeds.iter().enumerate() {
             let direction = [[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 1.0]][t % 3];
             motion.set_vector(t, VELOCITY, direction.map(|axis| axis * speed));

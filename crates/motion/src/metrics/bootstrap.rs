@@ -1,32 +1,32 @@
-//! Means with intervals.
+//! Means with bootstrap intervals.
 
 use kinegrad_random::{Key, Purpose};
 use serde::Serialize;
 
-use crate::statistics::percentile;
+use crate::quantiles::percentile;
 
-/// How often the values are drawn again.
+/// Number of resamples.
 const RESAMPLES: u64 = 2000;
 
-/// The mean of some values and how far it would move with other ones.
+/// The mean of some values with its 95 % interval.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Estimate {
     /// The mean of all values.
     pub mean: f64,
-    /// The lower end of the interval of 95 %.
+    /// Lower end of the interval.
     pub low: f64,
-    /// The upper end.
+    /// Upper end of the interval.
     pub high: f64,
 }
 
 impl Estimate {
-    /// The mean of the values of all `groups` with its percentile interval by the bootstrap
-    /// (Efron and Tibshirani 1993, sections 8 and 13): 2000 times, as many groups as there are are
-    /// drawn with replacement, and in each as many values as it has. Values of one group may depend
-    /// on each other, as phrases of one song do. Depends on `seed` and the values alone, whatever is
-    /// estimated beside them, so that means over the same groups are drawn alike.
+    /// The mean of the values of all `groups` with its bootstrap percentile interval (Efron and
+    /// Tibshirani 1993, sections 8 and 13): 2000 times, groups are resampled with replacement, and
+    /// then the values of each. Values of one group may be dependent, such as phrases of one song.
+    /// Depends on `seed` and the values alone, so estimates over the same groups use the same
+    /// resamples.
     ///
-    /// `None` of no values, and where one is not finite.
+    /// `None` of no values, or if one is not finite.
     pub fn of(groups: &[Vec<f64>], seed: u64) -> Option<Self> {
         let groups: Vec<&[f64]> = groups
             .iter()
@@ -40,9 +40,9 @@ impl Estimate {
         let key = Key::new(seed, Purpose::Bootstrap);
         let means = (0..RESAMPLES).map(|resample| {
             let key = key.at(resample);
-            let drawn = key.at(0).integers(groups.len(), groups.len());
+            let resampled = key.at(0).integers(groups.len(), groups.len());
             let (mut sum, mut count) = (0.0, 0);
-            for (place, group) in drawn.into_iter().enumerate() {
+            for (place, group) in resampled.into_iter().enumerate() {
                 let group = groups[group];
                 for value in key.at(1 + place as u64).integers(group.len(), group.len()) {
                     sum += group[value];
@@ -65,8 +65,8 @@ mod tests {
     use super::*;
 
     fn normals(seed: u64, count: usize) -> Vec<f64> {
-        let drawn = Key::new(seed, Purpose::Noise).normals(count);
-        drawn.into_iter().map(f64::from).collect()
+        let normals = Key::new(seed, Purpose::Noise).normals(count);
+        normals.into_iter().map(f64::from).collect()
     }
 
     #[test]

@@ -1,14 +1,13 @@
-//! How much phrases differ from one another.
+//! Differences between phrases.
 
 use kinegrad_random::{Key, Purpose};
 
 use super::{TRAJECTORY, mean};
-use crate::{Motion, Statistics};
+use crate::{Phrase, Statistics};
 
-/// Root mean square over frames and [`TRAJECTORY`] channels of the difference of two phrases, in
-/// training standard deviations. Of phrases of different length the first frames are compared,
-/// as many as the shorter one has.
-pub fn trajectory_distance(a: &Motion, b: &Motion, training: &Statistics) -> f64 {
+/// Root mean square difference of two phrases over frames and [`TRAJECTORY`] channels, in training
+/// standard deviations, over the length of the shorter one.
+pub fn trajectory_distance(a: &Phrase, b: &Phrase, training: &Statistics) -> f64 {
     let frames = a.frames().min(b.frames());
     let mut sum = 0.0;
     for t in 0..frames {
@@ -23,43 +22,37 @@ pub fn trajectory_distance(a: &Motion, b: &Motion, training: &Statistics) -> f64
 
 /// Mean [`trajectory_distance`] over all pairs of phrases; `None` for fewer than two phrases or
 /// where a value is not finite.
-pub fn diversity(motions: &[&Motion], training: &Statistics) -> Option<f64> {
+pub fn diversity(motions: &[&Phrase], training: &Statistics) -> Option<f64> {
     mean(motions.iter().enumerate().flat_map(|(index, a)| {
         let others = motions[index + 1..].iter();
         others.map(move |b| Some(trajectory_distance(a, b, training)))
     }))
 }
 
-/// Mean Euclidean distance of feature vectors `[n, features]`: over all pairs where there are at
-/// most `pairs` of them, else over `pairs` pairs drawn from `seed`, each of two different vectors.
-/// `None` for fewer than two vectors, no pairs, or where a value is not finite.
-///
-/// # Panics
-/// Panics if the vectors differ in length.
+/// Mean Euclidean distance of feature vectors `[n, features]` over all pairs, or over `pairs`
+/// random pairs of different vectors if there are more. `None` for fewer than two vectors, no
+/// pairs, or values that are not finite.
 pub fn feature_diversity(features: &[Vec<f64>], pairs: usize, seed: u64) -> Option<f64> {
     let count = features.len();
     if count < 2 || pairs == 0 {
         return None;
     }
-    let drawn: Vec<(usize, usize)> = if count * (count - 1) / 2 <= pairs {
+    let indices: Vec<(usize, usize)> = if count * (count - 1) / 2 <= pairs {
         let all = (0..count).flat_map(|first| (0..first).map(move |second| (first, second)));
         all.collect()
     } else {
         let key = Key::new(seed, Purpose::Pairs);
         let firsts = key.at(0).integers(pairs, count);
         let seconds = key.at(1).integers(pairs, count - 1);
-        // The second one is drawn from all but the first.
+        // The second is sampled from all but the first.
         let others = |(first, second)| (first, second + usize::from(second >= first));
         firsts.into_iter().zip(seconds).map(others).collect()
     };
     let between = |(first, second): (usize, usize)| distance(&features[first], &features[second]);
-    mean(drawn.into_iter().map(between).map(Some))
+    mean(indices.into_iter().map(between).map(Some))
 }
 
 /// Euclidean distance.
-///
-/// # Panics
-/// Panics if the vectors differ in length.
 pub(super) fn distance(a: &[f64], b: &[f64]) -> f64 {
     assert_eq!(a.len(), b.len(), "feature vectors of one length");
     let squares = a.iter().zip(b).map(|(a, b)| (a - b).powi(2));
@@ -72,16 +65,16 @@ mod tests {
 
     use super::*;
     use crate::CHANNELS;
-    use crate::wandering::wandering;
+    use crate::random_phrase::random_phrase;
 
     fn training() -> Statistics {
-        let phrases: Vec<Motion> = (0..5).map(|seed| wandering(seed, 40)).collect();
+        let phrases: Vec<Phrase> = (0..5).map(|seed| random_phrase(seed, 40)).collect();
         crate::phrase_statistics(&phrases).unwrap()
     }
 
     /// A phrase with `value` in one channel of every frame, zero elsewhere.
-    fn constant(channel: usize, value: f64, frames: usize) -> Motion {
-        let mut motion = Motion::new(vec![0.0; frames * CHANNELS]).unwrap();
+    fn constant(channel: usize, value: f64, frames: usize) -> Phrase {
+        let mut motion = Phrase::new(vec![0.0; frames * CHANNELS]).unwrap();
         (0..frames).for_each(|t| motion.frame_mut(t)[channel] = value as f32);
         motion
     }
@@ -113,7 +106,7 @@ mod tests {
     #[test]
     fn unequal_phrases_are_compared_over_the_shorter_one() {
         let training = training();
-        let (long, short) = (wandering(8, 30), wandering(9, 20));
+        let (long, short) = (random_phrase(8, 30), random_phrase(9, 20));
         let cut = trajectory_distance(&long.slice(0..20), &short, &training);
         assert_eq!(trajectory_distance(&long, &short, &training), cut);
         assert_eq!(trajectory_distance(&short, &long, &training), cut);
@@ -122,7 +115,7 @@ mod tests {
     #[test]
     fn too_few_or_broken_phrases_have_no_diversity() {
         let training = training();
-        let good = wandering(1, 10);
+        let good = random_phrase(1, 10);
         assert_eq!(diversity(&[], &training), None);
         assert_eq!(diversity(&[&good], &training), None);
         assert_eq!(diversity(&[&good, &good], &training), Some(0.0));
@@ -146,28 +139,28 @@ mod tests {
     }
 
     #[test]
-    fn drawn_pairs_come_near_to_all_pairs() {
-        let draw = |index| Key::new(1, Purpose::Synthetic).at(index).normals(8);
+    fn sampled_pairs_approximate_all_pairs() {
+        let vector = |index| Key::new(1, Purpose::Synthetic).at(index).normals(8);
         let wide = |vector: Vec<f32>| vector.into_iter().map(f64::from).collect();
-        let features: Vec<Vec<f64>> = (0..60).map(draw).map(wide).collect();
+        let features: Vec<Vec<f64>> = (0..60).map(vector).map(wide).collect();
         let all = feature_diversity(&features, 60 * 59 / 2, 0).unwrap();
-        let drawn = feature_diversity(&features, 600, 0).unwrap();
-        assert!((drawn / all - 1.0).abs() < 0.05, "{drawn} of {all}");
-        assert_ne!(feature_diversity(&features, 600, 1), Some(drawn));
+        let sampled = feature_diversity(&features, 600, 0).unwrap();
+        assert!((sampled / all - 1.0).abs() < 0.05, "{sampled} of {all}");
+        assert_ne!(feature_diversity(&features, 600, 1), Some(sampled));
     }
 
     proptest! {
         #[test]
         fn order_does_not_matter_and_scale_carries_over(seed: u64, factor in 1.0f32..10.0) {
             let training = training();
-            let phrases = [0, 1, 2].map(|i| wandering(seed.wrapping_add(i), 12));
+            let phrases = [0, 1, 2].map(|i| random_phrase(seed.wrapping_add(i), 12));
             let [a, b, c] = phrases.each_ref();
             let straight = diversity(&[a, b, c], &training).unwrap();
             let shuffled = diversity(&[c, a, b], &training).unwrap();
             prop_assert!((straight - shuffled).abs() < 1e-12);
             let larger = phrases.each_ref().map(|phrase| {
                 let values = phrase.as_slice().iter().map(|value| value * factor).collect();
-                Motion::new(values).unwrap()
+                Phrase::new(values).unwrap()
             });
             let scaled = diversity(&larger.each_ref(), &training).unwrap();
             prop_assert!((scaled / (straight * f64::from(factor)) - 1.0).abs() < 1e-5);

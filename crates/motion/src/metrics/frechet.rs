@@ -4,11 +4,11 @@ use nalgebra::{DMatrix, DVector, SymmetricEigen};
 
 use super::TRAJECTORY;
 use crate::moments::mean_and_deviation;
-use crate::{Motion, Statistics};
+use crate::{Phrase, Statistics};
 
-/// Mean and (population) standard deviation over the frames of each [`TRAJECTORY`] channel, in
-/// training standard deviations: 9 means, then 9 deviations.
-pub fn trajectory_features(motion: &Motion, training: &Statistics) -> Vec<f64> {
+/// Mean and population standard deviation over frames of each [`TRAJECTORY`] channel, in training
+/// standard deviations: 9 means, then 9 deviations.
+pub fn trajectory_features(motion: &Phrase, training: &Statistics) -> Vec<f64> {
     let moments = TRAJECTORY.map(|channel| {
         let values = (0..motion.frames()).map(|t| f64::from(motion.frame(t)[channel]));
         let (mean, deviation) = mean_and_deviation(values);
@@ -27,15 +27,11 @@ pub struct FeatureMoments {
 }
 
 impl FeatureMoments {
-    /// Mean and unbiased covariance (divided by n - 1) of `features`, `[n, features]`. `None` for
-    /// fewer than two vectors or where a value is not finite. With no more vectors than features
-    /// the covariance is singular, which the distance allows.
-    ///
-    /// # Panics
-    /// Panics if the vectors differ in length.
+    /// Mean and unbiased covariance of `features`, `[n, features]`. `None` for fewer than two
+    /// vectors or values that are not finite. The covariance may be singular.
     pub fn compute(features: &[Vec<f64>]) -> Option<Self> {
         let count = features.len();
-        // An eigendecomposition of NaN does not end.
+        // The eigendecomposition of NaN does not terminate.
         if count < 2 || features.iter().flatten().any(|value| !value.is_finite()) {
             return None;
         }
@@ -62,9 +58,6 @@ impl FeatureMoments {
 /// ```
 ///
 /// Source: Heusel et al. 2017, <https://arxiv.org/abs/1706.08500>.
-///
-/// # Panics
-/// Panics if the two have different numbers of features.
 pub fn frechet_distance(a: &FeatureMoments, b: &FeatureMoments) -> f64 {
     let root = square_root(&a.covariance);
     let mut product = &root * &b.covariance * &root;
@@ -76,11 +69,11 @@ pub fn frechet_distance(a: &FeatureMoments, b: &FeatureMoments) -> f64 {
         .map(|eigenvalue| eigenvalue.max(0.0).sqrt())
         .sum();
     let spread = a.covariance.trace() + b.covariance.trace() - 2.0 * cross;
-    // Rounding may leave the distance of two equal sets a little below 0.
+    // Rounding may leave the distance of equal sets below 0.
     ((&a.mean - &b.mean).norm_squared() + spread).max(0.0)
 }
 
-/// The symmetric square root of a covariance, its eigenvalues cut to 0 from below.
+/// The symmetric square root of a covariance, with eigenvalues clamped to 0.
 fn square_root(covariance: &DMatrix<f64>) -> DMatrix<f64> {
     let SymmetricEigen {
         eigenvalues,
@@ -97,19 +90,19 @@ mod tests {
 
     use super::*;
     use crate::CHANNELS;
-    use crate::wandering::wandering;
+    use crate::random_phrase::random_phrase;
 
     fn moments(features: &[&[f64]]) -> FeatureMoments {
         let features: Vec<_> = features.iter().map(|vector| vector.to_vec()).collect();
         FeatureMoments::compute(&features).unwrap()
     }
 
-    fn drawn(seed: u64, count: usize, size: usize) -> Vec<Vec<f64>> {
-        let draw = |index: usize| {
+    fn features_of(seed: u64, count: usize, size: usize) -> Vec<Vec<f64>> {
+        let vector = |index: usize| {
             let values = Key::new(seed, Purpose::Synthetic).at(index as u64);
             values.normals(size).into_iter().map(f64::from).collect()
         };
-        (0..count).map(draw).collect()
+        (0..count).map(vector).collect()
     }
 
     #[test]
@@ -146,10 +139,10 @@ mod tests {
 
     #[test]
     fn features_are_means_then_deviations_in_training_units() {
-        let mut training = crate::phrase_statistics([&wandering(0, 9)]).unwrap();
+        let mut training = crate::phrase_statistics([&random_phrase(0, 9)]).unwrap();
         training.std[..9].fill(1.0);
         training.std[4] = 0.5;
-        let mut motion = Motion::new(vec![0.0; 2 * CHANNELS]).unwrap();
+        let mut motion = Phrase::new(vec![0.0; 2 * CHANNELS]).unwrap();
         motion.frame_mut(0)[4] = 1.0;
         motion.frame_mut(1)[4] = 3.0;
         let mut expected = vec![0.0; 18];
@@ -169,9 +162,9 @@ mod tests {
         #[test]
         fn it_is_a_squared_distance(seed: u64, count in 2usize..40, shift in -5.0..5.0f64) {
             let size = 18;
-            let features = drawn(seed, count, size);
+            let features = features_of(seed, count, size);
             let a = FeatureMoments::compute(&features).unwrap();
-            let b = FeatureMoments::compute(&drawn(seed ^ 1, 30, size)).unwrap();
+            let b = FeatureMoments::compute(&features_of(seed ^ 1, 30, size)).unwrap();
             let there = frechet_distance(&a, &b);
             prop_assert!(there > 0.0);
             // The root of an eigenvalue that should be 0 is about 1e-8.

@@ -1,4 +1,4 @@
-//! Did the motion reach its goal, and at what cost?
+//! Metrics of motions with goals.
 
 use std::fmt;
 
@@ -11,22 +11,18 @@ use super::{
 use crate::goal::Goal;
 use crate::humanml::Joints;
 
-/// One generated motion and what was asked of it.
+/// One generated motion and its goal.
 #[derive(Clone, Copy, Debug)]
 pub struct GoalSample<'a> {
-    /// What was asked.
+    /// The goal.
     pub goal: &'a Goal,
-    /// Ground positions `[x, z]` of the root, one for each frame of the goal or more, metres.
+    /// Ground positions `[x, z]` of the root, metres, for at least each frame of the goal.
     pub ground: &'a [[f64; 2]],
-    /// The body, if it is known.
+    /// The body, if known.
     pub joints: Option<&'a Joints>,
 }
 
-/// Distance in metres of the root from each position that the goal asks for, keyframes or
-/// trajectory, in the order of frames.
-///
-/// # Panics
-/// Panics if the motion is shorter than the goal, or [`Goal::validate`] would refuse a frame.
+/// Distance in metres of the root from each target of the goal, in the order of frames.
 pub fn keyframe_distances(goal: &Goal, ground: &[[f64; 2]]) -> Vec<f64> {
     let distance = |(frame, [x, z]): (usize, [f64; 2])| {
         let [there_x, there_z] = ground[frame];
@@ -35,11 +31,7 @@ pub fn keyframe_distances(goal: &Goal, ground: &[[f64; 2]]) -> Vec<f64> {
     goal.points().masked().map(distance).collect()
 }
 
-/// Number of the goal's frames in which the root is inside of an obstacle; the margin does not
-/// count.
-///
-/// # Panics
-/// Panics if the motion is shorter than the goal.
+/// Number of the goal's frames in which the root is inside an obstacle, without the margin.
 pub fn inside_obstacles(goal: &Goal, ground: &[[f64; 2]]) -> usize {
     let inside = |position: &&[f64; 2]| {
         let mut obstacles = goal.obstacles.iter();
@@ -48,49 +40,42 @@ pub fn inside_obstacles(goal: &Goal, ground: &[[f64; 2]]) -> usize {
     ground[..goal.frames].iter().filter(inside).count()
 }
 
-/// How generated motions reach their goals and how they look meanwhile.
-///
-/// A metric that cannot be computed, for want of keyframes, obstacles, joints or features, or
-/// because a value is not finite, is `None`. The two thresholds are the ones in use in the field.
+/// Goal errors of generated motions, and their quality. A metric without data or with
+/// values that are not finite is `None`. The thresholds are those of the field.
 #[derive(Clone, Debug, Default, Deserialize, PartialEq, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct GoalReport {
     /// Number of motions.
     pub samples: usize,
-    /// Number of positions that were asked for.
+    /// Number of target positions.
     pub keyframes: usize,
-    /// Share of the motions with keyframes of which one or more is missed by more than 20 cm.
+    /// Share of the motions with keyframes that miss one by more than 20 cm.
     pub trajectory_error_20cm: Option<f64>,
-    /// Share of the motions with keyframes of which one or more is missed by more than 50 cm.
+    /// Share of the motions with keyframes that miss one by more than 50 cm.
     pub trajectory_error_50cm: Option<f64>,
-    /// Share of all motions' keyframes that are missed by more than 20 cm.
+    /// Share of all keyframes that are missed by more than 20 cm.
     pub location_error_20cm: Option<f64>,
-    /// Share of all motions' keyframes that are missed by more than 50 cm.
+    /// Share of all keyframes that are missed by more than 50 cm.
     pub location_error_50cm: Option<f64>,
     /// Mean distance from all motions' keyframes, metres.
     pub average_error: Option<f64>,
     /// Mean over motions of [`skating_ratio`], as published.
     pub foot_skating: Option<f64>,
-    /// Mean over motions of [`sliding_ratio`], which counts single quick steps too.
+    /// Mean over motions of [`sliding_ratio`], which also counts single quick steps.
     #[serde(default)]
     pub foot_sliding: Option<f64>,
     /// Mean over motions of [`mean_jerk`], metres per second cubed.
     pub jerk: Option<f64>,
-    /// Share of the frames of all motions with obstacles in which the root is inside of one.
+    /// Share of the frames of all motions with obstacles in which the root is inside one.
     pub inside_obstacles: Option<f64>,
-    /// [`feature_diversity`], once [`with_features`](Self::with_features) has seen them.
+    /// [`feature_diversity`], from [`with_features`](Self::with_features).
     pub diversity: Option<f64>,
-    /// [`frechet_distance`] from real motion, once [`with_features`](Self::with_features) has seen
-    /// the features of both.
+    /// [`frechet_distance`] from real motion, from [`with_features`](Self::with_features).
     pub frechet_distance: Option<f64>,
 }
 
 impl GoalReport {
-    /// Measures motions of `fps` frames per second. `feet` are the joints of the toes.
-    ///
-    /// # Panics
-    /// Panics if a motion is shorter than its goal, if [`Goal::validate`] would refuse a frame, or
-    /// if a foot is not among the joints.
+    /// Measures motions of `fps` frames per second; `feet` are the joints of the toes.
     pub fn compute(samples: &[GoalSample], fps: f64, feet: &[usize]) -> Self {
         let distances: Vec<Vec<f64>> = samples
             .iter()
@@ -131,11 +116,8 @@ impl GoalReport {
         }
     }
 
-    /// Adds what feature vectors `[n, features]` of the generated motions and of real ones tell:
-    /// the diversity over `pairs` pairs drawn from `seed`, and the Fréchet distance.
-    ///
-    /// # Panics
-    /// Panics if the vectors differ in length.
+    /// Adds the metrics of feature vectors `[n, features]` of generated and real motions: diversity
+    /// over `pairs` random pairs, and the Fréchet distance.
     #[must_use]
     pub fn with_features(
         mut self,
@@ -151,7 +133,7 @@ impl GoalReport {
         self
     }
 
-    /// The metrics in the order in which they print, each with its name and unit.
+    /// The metrics in print order, with name and unit.
     pub fn rows(&self) -> [(&'static str, Option<f64>, &'static str); 11] {
         [
             ("trajectory error, 20 cm", self.trajectory_error_20cm, ""),
@@ -170,7 +152,7 @@ impl GoalReport {
 }
 
 impl fmt::Display for GoalReport {
-    /// One line for each metric that could be computed.
+    /// One line for each available metric.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{} motions, {} keyframes", self.samples, self.keyframes)?;
         for (name, value, unit) in self.rows() {

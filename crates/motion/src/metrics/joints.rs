@@ -1,7 +1,7 @@
-//! How a body moves: feet that slide, and how jerky the joints are.
+//! Foot sliding and jerk of a body.
 
+use crate::derivatives::{jerk_of, mean_norm};
 use crate::humanml::Joints;
-use crate::kinematics::{jerk_of, mean_norm};
 
 /// A foot below this height stands on the ground, metres.
 pub const SKATING_HEIGHT: f64 = 0.05;
@@ -10,12 +10,9 @@ pub const SKATING_HEIGHT: f64 = 0.05;
 /// between two frames at 20 frames per second.
 pub const SKATING_SPEED: f64 = 0.5;
 
-/// Share of the steps from one frame to the next, at `fps` frames per second, in which one of the
-/// `feet` (the toes' joints) slides: it is below [`SKATING_HEIGHT`] in both frames and moves
-/// horizontally faster than [`SKATING_SPEED`]. `None` for fewer than two frames.
-///
-/// # Panics
-/// Panics if a foot is not among the joints.
+/// Share of the steps between frames, at `fps` frames per second, in which one of the `feet` (toe
+/// joints) slides: below [`SKATING_HEIGHT`] in both frames and horizontally faster than
+/// [`SKATING_SPEED`]. `None` for fewer than two frames.
 pub fn sliding_ratio(joints: &Joints, fps: f64, feet: &[usize]) -> Option<f64> {
     let steps = joints.frames() - 1;
     let slides = |t: usize, foot: usize| {
@@ -27,14 +24,9 @@ pub fn sliding_ratio(joints: &Joints, fps: f64, feet: &[usize]) -> Option<f64> {
     (steps > 0).then(|| slid.count() as f64 / steps as f64)
 }
 
-/// Foot skating as the published evaluation computes it: the share of the steps from one frame to
-/// the next in which one of the `feet` is below [`SKATING_HEIGHT`] in both frames and moves
-/// horizontally faster than [`SKATING_SPEED`], both in that step and on average over it and the two
-/// steps on either side; steps beyond the ends count as still (docs/sources.md, section 4.13).
-/// `None` for fewer than two frames.
-///
-/// # Panics
-/// Panics if a foot is not among the joints.
+/// Foot skating as in the published evaluation: as [`sliding_ratio`], but the mean speed over the
+/// step and two steps on either side must exceed [`SKATING_SPEED`] too; steps beyond the ends count
+/// as zero (docs/sources.md, section 4.13). `None` for fewer than two frames.
 pub fn skating_ratio(joints: &Joints, fps: f64, feet: &[usize]) -> Option<f64> {
     let speeds: Vec<Vec<SkatingStep>> = feet
         .iter()
@@ -45,14 +37,14 @@ pub fn skating_ratio(joints: &Joints, fps: f64, feet: &[usize]) -> Option<f64> {
     (steps > 0).then(|| (0..steps).filter(skates).count() as f64 / steps as f64)
 }
 
-/// A step of a foot from one frame to the next.
+/// A step of a foot between frames.
 #[derive(Clone, Copy, Debug)]
 pub struct SkatingStep {
     /// Whether the foot is on the ground in both frames.
     pub contact: bool,
     /// Horizontal speed, metres per second.
     pub speed: f64,
-    /// The mean of the speed of five steps, this one in the middle.
+    /// Mean speed over five steps, with this one in the middle.
     pub mean_speed: f64,
 }
 
@@ -62,10 +54,7 @@ impl SkatingStep {
     }
 }
 
-/// The steps of a foot, as [`skating_ratio`] sees them.
-///
-/// # Panics
-/// Panics if the foot is not among the joints.
+/// The steps of a foot, for [`skating_ratio`].
 pub fn skating_steps(joints: &Joints, fps: f64, foot: usize) -> Vec<SkatingStep> {
     let track = joints.track(foot);
     let speed = |pair: &[[f64; 3]]| (pair[1][0] - pair[0][0]).hypot(pair[1][2] - pair[0][2]) * fps;
@@ -81,8 +70,8 @@ pub fn skating_steps(joints: &Joints, fps: f64, foot: usize) -> Vec<SkatingStep>
     speeds.iter().enumerate().map(step).collect()
 }
 
-/// Mean over joints and frames of the Euclidean norm of the third difference of position times the
-/// cube of the frame rate `fps`, metres per second cubed. `None` for fewer than four frames.
+/// Mean over joints and frames of the jerk norm, metres per second cubed. `None` for fewer than
+/// four frames.
 pub fn mean_jerk(joints: &Joints, fps: f64) -> Option<f64> {
     let jerk = |joint: usize| mean_norm(&jerk_of(&joints.track(joint), fps));
     let sum = || (0..joints.joints()).map(jerk).sum::<f64>();

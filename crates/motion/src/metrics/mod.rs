@@ -1,12 +1,9 @@
-//! How a set of phrases compares with others: variety, distance to real motion, agreement with
-//! the music.
+//! Metrics of sets of phrases: variety, distance to real motion, agreement with the music.
 //!
-//! Variety and distance look at the trajectory of the root, [`TRAJECTORY`], in units of the
-//! training phrases' standard deviations. A metric that cannot be computed, for want of phrases
-//! or because a value is not finite, is `None`.
-//!
-//! How well generated bodies reach a [`Goal`](crate::goal::Goal), and how they move meanwhile, is
-//! in [`GoalReport`]; how well they match their captions, in [`text_motion`].
+//! Variety and distance use the root's trajectory, [`TRAJECTORY`], in training standard deviations.
+//! A metric without data or with values that are not finite is `None`. [`GoalReport`] measures how
+//! well bodies reach a [`Goal`](crate::goal::Goal), [`text_motion`] how well they match their
+//! captions.
 
 mod beats;
 mod bootstrap;
@@ -41,5 +38,5 @@ pub fn mean(values: impl Iterator<Item = Option<f64>>) -> Option<f64> {
     mean.is_finite().then_some(mean)
 }
 
-/// The channels that variety and distance look at: position, velocity and acceleration.
+/// The channels of variety and distance: position, velocity and acceleration.
 pub const TRAJECTORY: Range<usize> = 0..9;

@@ -1,16 +1,10 @@
-//! How far the phase of motion is from that of the music.
+//! Phase error of motion and music.
 
 use crate::circular;
 
-/// Mean over frames of the [circular distance](circular::distance) of two bar phases, counted in
-/// cycles of which a bar has `cycles_per_bar`: with 1 in bars, with the beats of a bar in beats,
-/// whose phase is the bar's times that number, modulo 1. From 0 to 0.5; 0.25 for phases without any
-/// relation.
-///
-/// NaN of no frames, and where a phase is not finite.
-///
-/// # Panics
-/// Panics if the phases differ in length.
+/// Mean [circular distance](circular::distance) of two bar phases over frames, in cycles of which a
+/// bar has `cycles_per_bar`: 1 for bars, the number of beats of a bar for beats. From 0 to 0.5,
+/// 0.25 by chance. NaN of no frames or values that are not finite.
 pub fn phase_error(found: &[f64], expected: &[f64], cycles_per_bar: f64) -> f64 {
     assert_eq!(found.len(), expected.len(), "one phase a frame");
     let distance =
@@ -58,8 +52,8 @@ mod tests {
     fn phases_without_relation_are_a_quarter_apart() {
         let key = Key::new(3, Purpose::Noise);
         let [a, b] = [0, 1].map(|k| -> Vec<f64> {
-            let drawn = key.at(k).uniforms(20_000);
-            drawn.into_iter().map(f64::from).collect()
+            let uniforms = key.at(k).uniforms(20_000);
+            uniforms.into_iter().map(f64::from).collect()
         });
         for cycles in [1.0, 3.0, 4.0] {
             let found = phase_error(&a, &b, cycles);

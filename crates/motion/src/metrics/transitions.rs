@@ -1,21 +1,20 @@
-//! How smoothly one movement passes into the next: Peak Jerk and Area Under the Jerk (Barquero et al.
-//! 2024, section 4; docs/sources.md, section 6.6).
+//! Smoothness of transitions: Peak Jerk and Area Under the Jerk (Barquero et al. 2024, section 4;
+//! docs/sources.md, section 6.6).
 
 use serde::{Deserialize, Serialize};
 
 use crate::humanml::Joints;
 
-/// The mean jerk of real motion that [`TransitionJerk`] is compared with, as published for HumanML3D at
-/// 20 frames per second, metres per frame cubed.
+/// The published mean jerk of real motion of HumanML3D at 20 frames per second, metres per frame
+/// cubed.
 pub const HUMANML3D_JERK: f64 = 0.033_031_363;
 
 /// The same of BABEL at 30 frames per second.
 pub const BABEL_JERK: f64 = 0.016_383_045;
 
-/// The jerk of each frame, metres per frame cubed: of all joints the largest sum of the absolute
-/// components of the third difference. Three fewer than frames.
-///
-/// The sum depends on the heading: windows that are compared must be turned alike.
+/// Jerk of each frame, `[frames - 3]`, metres per frame cubed: the largest sum over joints of the
+/// absolute components of the third difference. The sum depends on the heading, so compared windows
+/// need the same one.
 pub fn jerk_of_frames(joints: &Joints) -> Vec<f64> {
     let frames = joints.frames().saturating_sub(3);
     let of_joint = |t: usize, joint: usize| -> f64 {
@@ -38,13 +37,13 @@ pub fn jerk_of_frames(joints: &Joints) -> Vec<f64> {
 pub struct TransitionJerk {
     /// The largest value over time of the mean over transitions.
     pub peak: f64,
-    /// How far that mean is from the jerk of real motion, absolute, summed over time.
+    /// Sum over time of the absolute difference of that mean from the jerk of real motion.
     pub area: f64,
 }
 
 impl TransitionJerk {
-    /// Of curves of [`jerk_of_frames`], each around one transition and none longer than the first; the
-    /// frames that shorter ones lack count as 0, as in the published program. `None` of no frames.
+    /// Measures curves of [`jerk_of_frames`], each around one transition. Missing frames of shorter
+    /// curves count as 0, as in the published program. `None` of no frames.
     pub fn of(curves: &[Vec<f64>], real_jerk: f64) -> Option<Self> {
         let frames = curves
             .iter()
@@ -70,7 +69,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_jump_is_a_peak_and_steady_motion_is_none() {
+    fn a_jump_is_a_peak_and_constant_velocity_is_none() {
         let joints = |jump: f64| {
             let places = (0..12).flat_map(|t| {
                 let by = if t < 6 { 0.0 } else { jump };
@@ -78,15 +77,15 @@ mod tests {
             });
             Joints::new(places.collect(), 2).unwrap()
         };
-        let steady = jerk_of_frames(&joints(0.0));
-        assert_eq!(steady.len(), 9);
-        assert!(steady.iter().all(|jerk| *jerk < 1e-12));
+        let constant = jerk_of_frames(&joints(0.0));
+        assert_eq!(constant.len(), 9);
+        assert!(constant.iter().all(|jerk| *jerk < 1e-12));
         let jumping = jerk_of_frames(&joints(0.3));
-        let found = TransitionJerk::of(&[jumping.clone(), steady.clone()], 0.0).unwrap();
+        let found = TransitionJerk::of(&[jumping.clone(), constant.clone()], 0.0).unwrap();
         // Differences of a step are 1, -2, 1.
         assert!((found.peak - 0.3).abs() < 1e-9, "{}", found.peak);
         assert!((found.area - 0.6).abs() < 1e-9, "{}", found.area);
-        let real = TransitionJerk::of(&[steady], 0.01).unwrap();
+        let real = TransitionJerk::of(&[constant], 0.01).unwrap();
         assert!((real.area - 0.09).abs() < 1e-9);
         assert_eq!(TransitionJerk::of(&[], 0.0), None);
         assert_eq!(TransitionJerk::of(&[vec![]], 0.0), None);

@@ -1,4 +1,4 @@
-//! How much several motions of one condition differ.
+//! Variety of several motions of one condition.
 
 use kinegrad_random::{Key, Purpose};
 
@@ -6,14 +6,11 @@ use super::diversity::distance;
 use super::mean;
 use crate::moments::mean_and_deviation;
 
-/// Trajectory diversity (Guided Motion Diffusion): of the repetitions of each condition, the root
-/// mean square distance of the ground positions from their mean over the repetitions, over all
-/// frames; then the mean over conditions. `None` of nothing or where a value is not finite.
+/// Trajectory diversity (Guided Motion Diffusion): the root mean square distance of the ground
+/// positions of repetitions from their mean, averaged over conditions. `None` of nothing or values
+/// that are not finite.
 ///
 /// `paths[condition][repetition]` are positions `[x, z]` in metres.
-///
-/// # Panics
-/// Panics if the repetitions of a condition differ in length.
 pub fn trajectory_diversity(paths: &[Vec<Vec<[f64; 2]>>]) -> Option<f64> {
     mean(paths.iter().map(|repetitions| {
         let (count, frames) = (repetitions.len(), repetitions.first()?.len());
@@ -35,10 +32,9 @@ pub fn trajectory_diversity(paths: &[Vec<Vec<[f64; 2]>>]) -> Option<f64> {
 }
 
 /// Multimodality: the mean Euclidean distance between the embeddings of two motions of one
-/// condition, over `pairs` pairs of places that `seed` draws, the same for all conditions. The
-/// firsts of the pairs are different, and so are the seconds; a motion may meet itself across the
-/// two, as in the published program. `None` of nothing, for fewer repetitions than pairs, or where a
-/// value is not finite.
+/// condition, over `pairs` random pairs, the same for all conditions. Firsts are distinct, and so
+/// are seconds; a motion may be paired with itself, as in the published program. `None` of nothing,
+/// fewer repetitions than pairs, or values that are not finite.
 ///
 /// `embeddings[condition][repetition]` are vectors of one length.
 pub fn multimodality(embeddings: &[Vec<Vec<f64>>], pairs: usize, seed: u64) -> Option<f64> {
@@ -51,8 +47,8 @@ pub fn multimodality(embeddings: &[Vec<Vec<f64>>], pairs: usize, seed: u64) -> O
     mean_pair_distance(embeddings, &firsts, &seconds)
 }
 
-/// The mean Euclidean distance of the repetitions at these places, over all conditions: `firsts[i]`
-/// and `seconds[i]` are a pair. `None` of nothing or where a value is not finite.
+/// The mean Euclidean distance of repetitions `firsts[i]` and `seconds[i]` over all conditions.
+/// `None` of nothing or values that are not finite.
 ///
 /// # Panics
 /// Panics if a condition has no such repetition.
@@ -68,8 +64,8 @@ pub fn mean_pair_distance(
     mean(distances)
 }
 
-/// Half the width of the 95 % interval of the mean of replications, as published: 1.96 (population)
-/// standard deviations, divided by the square root of their number. NaN of nothing.
+/// Half the width of the published 95 % interval of the mean of replications: 1.96 population
+/// standard deviations divided by the square root of their number. NaN of nothing.
 pub fn replication_interval(values: &[f64]) -> f64 {
     let (_, deviation) = mean_and_deviation(values.iter().copied());
     1.96 * deviation / (values.len() as f64).sqrt()

@@ -1,40 +1,40 @@
-//! Ways that are bent at random: paths for training (docs/sources.md, section 7, option E).
+//! Randomly bent trajectories for training (docs/sources.md, section 7, option E).
 
 use std::f64::consts::TAU;
 
 use kinegrad_random::Key;
 
-use super::headings::calm;
+use super::headings::without_sway;
 use super::{Warp, between, placed};
-use crate::feet::{ContactRule, hold};
-use crate::humanml::extract::{canonicalize, going_on};
+use crate::feet::{ContactRule, lock_joints};
+use crate::humanml::extract::{canonicalize, extrapolated};
 use crate::humanml::{Extraction, FeatureError, Features, Joints, Skeleton};
 
-/// Largest curvature of the whole way, radians a metre: a circle of 1.25 m.
+/// Largest overall curvature, radians per metre (a circle of 1.25 m).
 const CURVATURE: f64 = 0.8;
 /// Largest amplitude of a wave, radians.
 const AMPLITUDE: f64 = 0.5;
 /// Shortest and longest wave, metres.
 const WAVES: [f64; 2] = [2.0, 6.0];
-/// What a foot may miss of where it stands, metres.
+/// Allowed distance of a locked foot from its contact position, metres.
 const MISSED: f64 = 0.05;
 
-/// How a way is bent: its direction turns by an angle that depends on the metres walked.
+/// A bend of a trajectory: its direction is rotated by an angle that depends on the arc length.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Bend {
-    /// Turn of the whole way, radians a metre.
+    /// Overall curvature, radians per metre.
     pub curvature: f64,
-    /// Waves of the direction: amplitude in radians, length in metres, phase in radians.
+    /// Waves of the direction: amplitude (radians), length (metres), phase (radians).
     pub waves: [[f64; 3]; 2],
 }
 
 impl Bend {
-    /// A bend at random: part of a circle and two waves.
-    pub fn drawn(key: Key) -> Self {
-        let drawn = key.uniforms(7);
-        let mut drawn = drawn.into_iter().map(f64::from);
+    /// A random bend: an arc and two waves.
+    pub fn random(key: Key) -> Self {
+        let uniforms = key.uniforms(7);
+        let mut uniforms = uniforms.into_iter().map(f64::from);
         let mut between = |low: f64, high: f64| {
-            let share = drawn.next().expect("seven numbers");
+            let share = uniforms.next().expect("seven numbers");
             low + (high - low) * share
         };
         let curvature = between(-CURVATURE, CURVATURE);
@@ -45,7 +45,7 @@ impl Bend {
         Self { curvature, waves }
     }
 
-    /// What the direction is turned by after so many metres, radians: nothing at first.
+    /// Rotation of the direction at an arc length, radians; zero at the start.
     pub fn turn(&self, metres: f64) -> f64 {
         let wave = |[amplitude, length, phase]: [f64; 3]| {
             amplitude * ((TAU * metres / length + phase).sin() - phase.sin())
@@ -53,15 +53,15 @@ impl Bend {
         self.curvature * metres + self.waves.map(wave).iter().sum::<f64>()
     }
 
-    /// `joints` of so many frames a second on the bent way: each step and the body turned by the angle of
-    /// its place. The way keeps its length, steps and heights stay what they are. Metres count where the
-    /// body goes, without its sway: one that stands is not turned.
+    /// `joints` at `fps` frames per second on the bent trajectory: each step and the body are
+    /// rotated by the angle at its arc length. Length, steps and heights are kept. Arc length
+    /// ignores sway and standing.
     pub fn apply(&self, joints: &Joints, fps: f64) -> Joints {
         let track = joints.track(0).into_iter();
         let track: Vec<[f64; 2]> = track.map(|[x, _, z]| [x, z]).collect();
         let mut metres = 0.0;
         let mut turns = vec![self.turn(0.0)];
-        for pair in calm(&track).windows(2) {
+        for pair in without_sway(&track).windows(2) {
             let step = between(pair[0], pair[1]);
             if step * fps >= Warp::STANDING {
                 metres += step;
@@ -78,12 +78,12 @@ impl Bend {
         placed(joints, &points, &turns).expect("a point and a turn for each frame")
     }
 
-    /// The features of a clip on the bent way, its feet held where they stand; with relative root. One
-    /// whose legs do not reach stays as it is.
+    /// The features of a clip on the bent trajectory with locked feet, with relative root.
+    /// Unchanged if the legs do not reach.
     ///
     /// # Errors
-    /// [`FeatureError::TooFewFrames`] for a single frame; [`FeatureError::LengthMismatch`] unless they
-    /// are features of `skeleton`.
+    /// [`FeatureError::TooFewFrames`] for a single frame; [`FeatureError::LengthMismatch`] for
+    /// features of another skeleton.
     pub fn of_features(
         &self,
         features: &Features,
@@ -91,12 +91,12 @@ impl Bend {
     ) -> Result<Features, FeatureError> {
         let joints = features.joints();
         let bent = self.apply(&joints, skeleton.description().fps);
-        let held = hold(&bent, &joints, skeleton, &ContactRule::default())?;
-        if held.missed > MISSED {
+        let locked = lock_joints(&bent, &joints, skeleton, &ContactRule::default())?;
+        if locked.missed > MISSED {
             return Ok(features.to_relative());
         }
-        // Features begin at the origin; the floor is the clip's, not this part's lowest joint.
-        let joints = going_on(&held.joints)?;
+        // Features begin at the origin; the floor is that of the whole clip.
+        let joints = extrapolated(&locked.joints)?;
         let moved = canonicalize(skeleton, &joints)?;
         let floor = joints.frame(0)[0][1] - moved.frame(0)[0][1];
         let places = moved.as_slice().iter().map(|[x, y, z]| [*x, y + floor, *z]);
@@ -110,12 +110,11 @@ mod tests {
     use kinegrad_random::Purpose;
 
     use super::*;
-    use crate::humanml::kinematics::minus;
     use crate::humanml::walk::{Course, joints as walk};
     use crate::metrics::skating_ratio;
     use crate::path::course::walked;
     use crate::path::{headings_of_gait, unwrapped};
-    use crate::rotation::length;
+    use crate::vector::{length, minus};
 
     fn straight(frames: usize) -> (Joints, Skeleton) {
         let skeleton = Skeleton::humanml3d();
@@ -155,7 +154,7 @@ mod tests {
         let (joints, skeleton) = straight(60);
         let key = Key::new(3, Purpose::Augment);
         let bent: Vec<Joints> = (0..20)
-            .map(|n| Bend::drawn(key.at(n)).apply(&joints, 20.0))
+            .map(|n| Bend::random(key.at(n)).apply(&joints, 20.0))
             .collect();
         let ends: Vec<f64> = bent.iter().map(|bent| heading_at(bent, 59)).collect();
         let most = ends.iter().copied().fold(f64::MIN, f64::max);
@@ -175,7 +174,7 @@ mod tests {
     }
 
     #[test]
-    fn features_say_the_bent_way_and_its_feet_do_not_slide_more() {
+    fn features_follow_the_bend_and_feet_do_not_slide_more() {
         let (joints, skeleton) = straight(70);
         let features = Extraction::default();
         let features = features.features_of_all_frames(&skeleton, &joints).unwrap();
@@ -184,12 +183,12 @@ mod tests {
             |joints: &Joints| skating_ratio(joints, 20.0, &[feet[1], feet[3]]).unwrap_or(0.0);
         let before = skates(&features.joints());
         for n in 0..5 {
-            let bend = Bend::drawn(Key::new(8, Purpose::Augment).at(n));
+            let bend = Bend::random(Key::new(8, Purpose::Augment).at(n));
             let made = bend.of_features(&features, &skeleton).unwrap();
             assert_eq!(made.frames(), features.frames());
-            let (found, asked) = (made.joints(), bend.apply(&features.joints(), 20.0));
+            let (found, expected) = (made.joints(), bend.apply(&features.joints(), 20.0));
             let turned = |joints: &Joints| heading_at(joints, 65) - heading_at(joints, 5);
-            let apart = turned(&found) - turned(&asked);
+            let apart = turned(&found) - turned(&expected);
             assert!(apart.abs() < 0.05, "{apart}");
             assert!(skates(&found) <= before + 0.05, "{}", skates(&found));
         }
@@ -212,7 +211,7 @@ mod tests {
             rescale: false,
             ..Extraction::default()
         };
-        let joints = going_on(&standing).unwrap();
+        let joints = extrapolated(&standing).unwrap();
         let moved = canonicalize(&skeleton, &joints).unwrap();
         let places = moved.as_slice().iter().map(|[x, y, z]| [*x, y + 0.5, *z]);
         let lifted = Joints::new(places.collect(), 22).unwrap();

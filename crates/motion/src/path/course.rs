@@ -1,40 +1,39 @@
-//! Where on a path each frame is.
+//! The position on a path of each frame.
 
 use serde::{Deserialize, Serialize};
 
 use super::{Polyline, STILL, between};
 
-/// How the frames of a motion lie along a path.
+/// Arc length along a path over the frames of a motion.
 #[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Along {
-    /// All of the path, in the proportions of the motion's own way: its speed changes by the ratio
-    /// of the two lengths. A motion that stands is spread evenly.
+pub enum ArcLengthMode {
+    /// The whole path, in the proportions of the motion's own trajectory. A standing motion is
+    /// spread evenly.
     #[default]
     Stretch,
-    /// Metre by metre as the motion goes: its speed stays. It ends where the path does, or stops
-    /// before.
+    /// The motion's own arc length and speed, until the path or the motion ends.
     Own,
 }
 
-/// A ground position for each frame.
+/// A position on a path for each frame.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Course {
-    /// Metres along the path, `[frames]`.
+    /// Arc length on the path, metres, `[frames]`.
     pub metres: Vec<f64>,
-    /// Where that is, `[frames]`.
+    /// Ground positions, `[frames]`.
     pub points: Vec<[f64; 2]>,
 }
 
 impl Course {
-    /// The course along `path` of a motion whose root is at `track`, a position for each frame. With
-    /// [`Along::Own`] it may have fewer frames, at least one.
-    pub fn of_motion(path: &Polyline, track: &[[f64; 2]], along: Along) -> Self {
+    /// The course along `path` of a motion with root positions `track`. With [`ArcLengthMode::Own`]
+    /// it may have fewer frames, at least one.
+    pub fn of_motion(path: &Polyline, track: &[[f64; 2]], along: ArcLengthMode) -> Self {
         let walked = walked(track);
         let total = walked.last().copied().unwrap_or(0.0);
         let length = path.length();
         let metres = match along {
-            Along::Stretch => {
+            ArcLengthMode::Stretch => {
                 let last = track.len().saturating_sub(1).max(1) as f64;
                 let share = |(t, metres): (usize, &f64)| match total < STILL {
                     true => t as f64 / last,
@@ -46,7 +45,7 @@ impl Course {
                     .map(|at| share(at) * length)
                     .collect()
             }
-            Along::Own => {
+            ArcLengthMode::Own => {
                 let on_path = walked
                     .iter()
                     .take_while(|metres| **metres <= length + STILL);
@@ -56,8 +55,8 @@ impl Course {
         Self::at(path, metres)
     }
 
-    /// The course of `frames` frames along `path`: at `speed` metres a second and so many frames a
-    /// second, standing at its end once that is reached; or without a speed evenly from end to end.
+    /// The course of `frames` frames along `path` at `speed` metres per second, standing at its
+    /// end; without a speed, evenly from end to end.
     pub fn at_speed(path: &Polyline, frames: usize, speed: Option<f64>, fps: f64) -> Self {
         let length = path.length();
         let step = match speed {
@@ -68,7 +67,7 @@ impl Course {
         Self::at(path, metres.collect())
     }
 
-    /// The course that is at `points`, one for each frame.
+    /// The course through `points`, one for each frame.
     pub fn through(points: Vec<[f64; 2]>) -> Self {
         Self {
             metres: walked(&points),
@@ -90,7 +89,7 @@ impl Course {
     }
 }
 
-/// Metres that a track has covered at each frame.
+/// Arc length of a track at each frame, metres.
 pub(super) fn walked(track: &[[f64; 2]]) -> Vec<f64> {
     let mut metres = 0.0;
     let covered = |t: usize| {
@@ -113,21 +112,21 @@ mod tests {
     #[test]
     fn a_motion_is_stretched_or_keeps_its_metres() {
         let track: Vec<[f64; 2]> = [0.0, 1.0, 1.0, 3.0, 4.0].map(|x| [x, 0.0]).to_vec();
-        let stretched = Course::of_motion(&line(8.0), &track, Along::Stretch);
+        let stretched = Course::of_motion(&line(8.0), &track, ArcLengthMode::Stretch);
         assert_eq!(stretched.metres, [0.0, 2.0, 2.0, 6.0, 8.0]);
         assert_eq!(stretched.points[3], [0.0, 6.0]);
-        let own = Course::of_motion(&line(8.0), &track, Along::Own);
+        let own = Course::of_motion(&line(8.0), &track, ArcLengthMode::Own);
         assert_eq!(own.metres, [0.0, 1.0, 1.0, 3.0, 4.0]);
         // A path that is shorter ends it.
-        let own = Course::of_motion(&line(2.0), &track, Along::Own);
+        let own = Course::of_motion(&line(2.0), &track, ArcLengthMode::Own);
         assert_eq!(own.metres, [0.0, 1.0, 1.0]);
         let standing = [[1.0, 1.0]; 3];
         assert_eq!(
-            Course::of_motion(&line(4.0), &standing, Along::Stretch).metres,
+            Course::of_motion(&line(4.0), &standing, ArcLengthMode::Stretch).metres,
             [0.0, 2.0, 4.0]
         );
         assert_eq!(
-            Course::of_motion(&line(4.0), &standing, Along::Own).metres,
+            Course::of_motion(&line(4.0), &standing, ArcLengthMode::Own).metres,
             [0.0; 3]
         );
     }

@@ -7,7 +7,7 @@ use crate::humanml::FeatureError;
 /// An error about a path or a motion that follows one.
 #[derive(Clone, Debug, Diagnostic, Error, PartialEq)]
 pub enum PathError {
-    /// A path of fewer than two points.
+    /// A path has fewer than two points.
     #[error("a path has {found} points, at least 2 are needed")]
     #[diagnostic(help("give where it begins and where it ends, `[x, z]` in metres"))]
     TooFewPoints {
@@ -15,10 +15,8 @@ pub enum PathError {
         found: usize,
     },
 
-    /// A point that is nowhere.
-    #[error(
-        "point {index} of the path (counted from 0) is [{x}, {z}], allowed: at most 5000 m either way"
-    )]
+    /// A point is out of range.
+    #[error("point {index} of the path (counted from 0) is [{x}, {z}], allowed: -5000 to 5000 m")]
     #[diagnostic(help("points are `[x, z]` in metres, at most 5 km from the origin"))]
     NotAPoint {
         /// The point.

@@ -1,20 +1,21 @@
-//! Where a track over the ground leads, frame by frame.
+//! Direction of a ground track in each frame.
 
 use std::f64::consts::{PI, TAU};
 
 use super::{STILL, smoothed};
+use crate::circular;
 
-/// What a path says of each frame to a network (docs/sources.md, section 7, option C).
+/// Path features of a frame for a network (docs/sources.md, section 7, option C).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PathFeatures {
     /// Ground position `[x, z]`, metres.
     pub position: [f64; 2],
-    /// Change of the position per frame: central differences, one-sided at both ends.
+    /// Step per frame: central differences, one-sided at both ends.
     pub step: [f64; 2],
-    /// Direction of the step, radians, -pi to pi. Frames that hardly move keep the last one; without
-    /// any it is 0.
+    /// Direction of the step, radians, -pi to pi. Frames that hardly move keep the last direction,
+    /// at first 0.
     pub heading: f64,
-    /// Change of the heading per metre, 0 in frames that hardly move.
+    /// Change of the heading per metre; 0 in frames that hardly move.
     pub curvature: f64,
 }
 
@@ -46,25 +47,25 @@ pub fn headings_of(track: &[[f64; 2]]) -> Vec<f64> {
     headings(&gradient(track))
 }
 
-/// Where somebody goes who is at `track`, frame by frame: headings of the track without its sway, held
-/// while the step is shorter than `least` metres.
+/// Headings of a walk at `track` without its sway, kept while the step is shorter than `least`
+/// metres.
 pub fn headings_of_gait(track: &[[f64; 2]], least: f64) -> Vec<f64> {
-    headings_above(&gradient(&calm(track)), least.max(STILL))
+    headings_above(&gradient(&without_sway(track)), least.max(STILL))
 }
 
-/// A track without the sway of its steps.
-pub(super) fn calm(track: &[[f64; 2]]) -> Vec<[f64; 2]> {
+/// A track without the sway of steps.
+pub(super) fn without_sway(track: &[[f64; 2]]) -> Vec<[f64; 2]> {
     smoothed(track, GAIT_WINDOW, 1)
 }
 
-/// Frames that a gait is averaged over: about a step of a walk.
+/// Smoothing window for a gait, frames: about one step.
 const GAIT_WINDOW: usize = 13;
 
 fn headings(steps: &[[f64; 2]]) -> Vec<f64> {
     headings_above(steps, STILL)
 }
 
-/// Directions of steps, held while they are shorter than `least`.
+/// Directions of steps, kept while they are shorter than `least`.
 fn headings_above(steps: &[[f64; 2]], least: f64) -> Vec<f64> {
     let moving = |[dx, dz]: &[f64; 2]| dx.hypot(*dz) >= least;
     let heading = |[dx, dz]: &[f64; 2]| dx.atan2(*dz);
@@ -89,7 +90,7 @@ fn gradient(track: &[[f64; 2]]) -> Vec<[f64; 2]> {
     (0..track.len()).map(difference).collect()
 }
 
-/// Angles without jumps: whole turns are added so that each is within half a turn of the one before.
+/// Angles without jumps: each is within half a turn of the one before.
 pub fn unwrapped(angles: &[f64]) -> Vec<f64> {
     let mut last: Option<f64> = None;
     let unwrap = |angle: &f64| {
@@ -100,9 +101,9 @@ pub fn unwrapped(angles: &[f64]) -> Vec<f64> {
     angles.iter().map(unwrap).collect()
 }
 
-/// The angle within half a turn of 0: -pi to pi, of which pi is one.
+/// The angle in (-pi, pi].
 pub fn wrapped(angle: f64) -> f64 {
-    let turned = angle - TAU * (angle / TAU).round();
+    let turned = circular::wrapped(angle);
     match turned <= -PI {
         true => turned + TAU,
         false => turned,
@@ -148,7 +149,7 @@ mod tests {
     }
 
     #[test]
-    fn angles_unwrap_the_short_way() {
+    fn angles_unwrap_by_shortest_steps() {
         let found = unwrapped(&[3.0, -3.0, 2.5, -2.5]);
         assert!(found.windows(2).all(|pair| (pair[1] - pair[0]).abs() <= PI));
         assert_eq!(wrapped(PI), PI);

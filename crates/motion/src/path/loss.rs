@@ -1,5 +1,5 @@
-//! How far a root is from its path, as a loss with a gradient (docs/sources.md, section 7, options B
-//! and D).
+//! Distance of a root from its path, as a loss with a gradient (docs/sources.md, section 7, options
+//! B and D).
 
 use kinegrad_settings::{InvalidSetting, Refused, in_range};
 use schemars::JsonSchema;
@@ -7,16 +7,16 @@ use serde::{Deserialize, Serialize};
 
 use crate::humanml::Root;
 
-/// Below this a distance has no direction, metres.
+/// Smoothing of the distance at zero, metres.
 const ROUNDED: f64 = 1e-6;
 
-/// The parts of a [`PathLoss`].
+/// Weights of a [`PathLoss`].
 #[derive(Clone, Copy, Debug, Default, Deserialize, PartialEq, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct PathLossConfig {
-    /// Weight of the heading beside the distance; 0 leaves the heading free.
+    /// Weight of the heading relative to the distance; 0 ignores the heading.
     pub heading: f64,
-    /// Distance from the path that costs nothing, metres.
+    /// Distance from the path without loss, metres.
     pub tolerance: f64,
 }
 
@@ -29,31 +29,27 @@ impl PathLossConfig {
     }
 }
 
-/// The distance of a root from where a path has it, frame by frame, with p its ground position and
-/// psi its heading:
+/// The distance of a root from its path, with p the ground position and psi the heading:
 ///
 /// ```text
 /// L = sum_t |p - path|^2 + heading sum_t (1 - cos(psi - psi_path))
 /// ```
 ///
-/// With a tolerance, `max(0, |p - path| - tolerance)^2` in place of the square.
+/// With a tolerance, the square is `max(0, |p - path| - tolerance)^2`.
 #[derive(Clone, Debug)]
 pub struct PathLoss {
-    /// Its parts.
+    /// Weights.
     pub config: PathLossConfig,
-    /// Where the root should be, `[frames]`; behind the last it is free.
+    /// Positions of the path, `[frames]`; later frames are free.
     pub points: Vec<[f64; 2]>,
-    /// Where the path leads, `[frames]`, radians.
+    /// Headings of the path, `[frames]`, radians.
     pub headings: Vec<f64>,
 }
 
 impl PathLoss {
-    /// The loss of a clip's first three channels (rotation, x, z, in radians and metres; `root` says
-    /// how they are read) and its gradient with respect to them. A relative root's sums are
-    /// differentiated: early frames move all that follow, and the last row moves nothing.
-    ///
-    /// # Panics
-    /// Panics if there are fewer frames than points, or another number of headings.
+    /// The loss of a clip's first three channels (rotation, x, z, in radians and metres, in
+    /// representation `root`) and its gradient. With a relative root, early frames move all later
+    /// ones, and the last row moves nothing.
     pub fn evaluate(&self, root: Root, channels: &[[f64; 3]]) -> (f64, Vec<[f64; 3]>) {
         assert_eq!(self.points.len(), self.headings.len(), "a heading a point");
         assert!(
@@ -90,12 +86,12 @@ impl PathLoss {
     }
 }
 
-/// The gradient by the rotation channel of that by headings.
+/// The gradient with respect to the rotation channel, from that with respect to headings.
 fn by_rotation(root: Root, by_heading: &[f64]) -> Vec<f64> {
     match root {
         Root::Absolute => by_heading.iter().map(|slope| -2.0 * slope).collect(),
         Root::Relative => {
-            // A change turns all frames behind it.
+            // A change rotates all later frames.
             let mut behind = 0.0;
             let mut slopes: Vec<f64> = by_heading
                 .iter()
@@ -112,12 +108,8 @@ fn by_rotation(root: Root, by_heading: &[f64]) -> Vec<f64> {
     }
 }
 
-/// The first three channels of a root that is at `points` and faces `headings`: rotation, x and z.
-/// With a relative root the path begins at the origin, facing +z, and the last row repeats the change
-/// before.
-///
-/// # Panics
-/// Panics if there is not a heading for each point.
+/// The first three channels (rotation, x, z) of a root at `points` with `headings`. With a relative
+/// root the path begins at the origin, facing +z, and the last row repeats the change before.
 pub fn root_channels(points: &[[f64; 2]], headings: &[f64], root: Root) -> Vec<[f64; 3]> {
     assert_eq!(points.len(), headings.len(), "a heading for each point");
     let both = points.iter().zip(headings);

@@ -1,4 +1,4 @@
-//! How a motion follows a path.
+//! Measures of how a motion follows a path.
 
 use serde::{Deserialize, Serialize};
 
@@ -7,8 +7,9 @@ use super::{Course, Polyline, headings_of, wrapped};
 use crate::feet::{StepRule, steps};
 use crate::humanml::{FeatureError, Joints, Skeleton};
 use crate::metrics::{mean_jerk, skating_ratio};
+use crate::moments::mean;
 
-/// How a motion follows a path, and how it looks meanwhile.
+/// Path errors of a motion, and its quality.
 #[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct PathReport {
@@ -16,12 +17,12 @@ pub struct PathReport {
     pub mean_distance: f64,
     /// The largest one.
     pub largest_distance: f64,
-    /// Mean distance of the root from where it should be in that frame, metres.
+    /// Mean distance of the root from its position on the course, metres.
     pub mean_error: f64,
-    /// Mean angle between where the body faces and where the path leads, degrees; this and what follows
+    /// Mean angle between the body's heading and the path's, degrees; this and the following are
     /// none for a root without a body.
     pub heading_error: Option<f64>,
-    /// Mean horizontal way per frame of ankles and toes that are low and slow, metres.
+    /// Mean horizontal step of ankles and toes that are low and slow, metres.
     pub slide: Option<f64>,
     /// [`skating_ratio`] of the toes; none for a single frame.
     pub foot_skating: Option<f64>,
@@ -30,11 +31,11 @@ pub struct PathReport {
 }
 
 impl PathReport {
-    /// Measures a motion against a path and where on it each frame should be.
+    /// Measures a motion against a path and its course.
     ///
     /// # Errors
-    /// [`FeatureError::LengthMismatch`] unless they are joints of `skeleton`, one frame for each of
-    /// the course.
+    /// [`FeatureError::LengthMismatch`] for joints of another skeleton, or another number of frames
+    /// than the course.
     pub fn of(
         joints: &Joints,
         skeleton: &Skeleton,
@@ -59,7 +60,7 @@ impl PathReport {
         })
     }
 
-    /// Measures where a root without a body is, `track`, a position for each frame of the course.
+    /// Measures a root without a body at `track`, one position for each frame of the course.
     ///
     /// # Panics
     /// Panics without a frame.
@@ -82,9 +83,8 @@ impl PathReport {
     }
 }
 
-/// Mean horizontal way per frame of `feet` in the frames in which they are low and slow, above the
-/// lowest joint of the clip (docs/sources.md, section 7, "Edge Considerations"). Zero without such a
-/// frame.
+/// Mean horizontal step of `feet` in frames in which they are low and slow, above the lowest joint
+/// of the clip (docs/sources.md, section 7, "Edge Considerations"). Zero without such a frame.
 pub fn slide(joints: &Joints, feet: &[usize]) -> f64 {
     let heights = joints.as_slice().iter().map(|place| place[1]);
     let floor = heights.fold(f64::INFINITY, f64::min);
@@ -104,12 +104,7 @@ pub fn slide(joints: &Joints, feet: &[usize]) -> f64 {
     if frames > 0.0 { metres / frames } else { 0.0 }
 }
 
-fn mean(values: impl ExactSizeIterator<Item = f64>) -> f64 {
-    let count = values.len() as f64;
-    values.sum::<f64>() / count
-}
-
-/// Distance of a place from the nearest point of a path, metres.
+/// Distance of a position from the nearest point of a path, metres.
 pub fn distance_from(path: &Polyline, [x, z]: [f64; 2]) -> f64 {
     let segment = |pair: &[[f64; 2]]| {
         let ([ax, az], [bx, bz]) = (pair[0], pair[1]);

@@ -1,9 +1,8 @@
-//! Paths over the ground: lines and curves by arc length, what they say of each frame, and motions
-//! that are moved onto them.
+//! Paths on the ground: lines and curves by arc length, their features, and motions that are warped
+//! onto them.
 //!
 //! Ground points are `[x, z]` in metres. A heading is `atan2(dx, dz)`: 0 along +z, growing towards
-//! +x, as a turn about +y. Source: the note on path-conditioned generation (docs/sources.md,
-//! section 7), whose formulas are read as `docs/paths.md` says.
+//! +x. Source: docs/sources.md, section 7, with the readings in `docs/paths.md`.
 //!
 //! ```
 //! use kinegrad_motion::path::Polyline;
@@ -15,7 +14,6 @@
 
 mod bend;
 mod course;
-mod drawing;
 mod error;
 mod headings;
 mod loss;
@@ -24,10 +22,11 @@ mod plan;
 mod polyline;
 mod smoothing;
 mod spline;
+mod svg;
 mod warp;
 
 pub use bend::Bend;
-pub use course::{Along, Course};
+pub use course::{ArcLengthMode, Course};
 pub use error::PathError;
 pub use headings::{PathFeatures, headings_of, headings_of_gait, unwrapped, wrapped};
 pub use loss::{PathLoss, PathLossConfig, root_channels};
@@ -36,9 +35,9 @@ pub use plan::{CurveKind, PathPlan};
 pub use polyline::{PathPoint, Polyline};
 pub use smoothing::{Edges, HEADING_ORDER, HEADING_WINDOW, savgol, savgol_weights, smoothed};
 pub use spline::{CatmullRom, Parameterization};
-pub use warp::{Turning, Warp, Warped, placed};
+pub use warp::{HeadingMode, Warp, Warped, placed};
 
-/// Slower frames have no direction, metres per frame; shorter paths have none either, metres.
+/// Steps below this have no direction, metres per frame, nor have shorter paths, metres.
 const STILL: f64 = 1e-6;
 
 fn between([ax, az]: [f64; 2], [bx, bz]: [f64; 2]) -> f64 {

@@ -1,14 +1,14 @@
-//! Paths as users write them: TOML, a table of points, a drawing.
+//! Path files: TOML, a table of points, SVG.
 
 use kinegrad_settings::{ABOVE_ZERO, Document, in_range};
 use schemars::JsonSchema;
 use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize};
 
-use super::drawing::{Drawing, read_drawing};
+use super::svg::{SvgPath, read_svg};
 use super::{CatmullRom, Parameterization, PathError, Polyline};
 
-/// What runs through the points of a path.
+/// Curve through the points of a path.
 #[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum CurveKind {
@@ -31,26 +31,26 @@ pub enum CurveKind {
 #[derive(Clone, Debug, Deserialize, PartialEq, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct PathPlan {
-    /// Ground positions `[x, z]` that it leads through, metres.
+    /// Ground positions `[x, z]`, metres.
     #[serde(deserialize_with = "ground_points")]
     pub points: Vec<[f64; 2]>,
-    /// What runs through them.
+    /// Curve through the points.
     #[serde(default)]
     pub curve: CurveKind,
-    /// How a spline runs through them.
+    /// Parameterization of a spline.
     #[serde(default)]
     pub parameterization: Parameterization,
-    /// Whether it returns to where it begins.
+    /// Whether the path returns to its start.
     #[serde(default)]
     pub closed: bool,
-    /// How fast a motion follows it, metres per second; without it from end to end in the motion's
-    /// time.
+    /// Speed of a motion that follows it, metres per second; by default from end to end in the
+    /// motion's time.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub speed: Option<f64>,
 }
 
 impl PathPlan {
-    /// A line from point to point.
+    /// A polyline.
     pub fn line(points: Vec<[f64; 2]>) -> Self {
         Self {
             points,
@@ -61,8 +61,8 @@ impl PathPlan {
         }
     }
 
-    /// The path in `text`, by the ending of its `file`'s name: `.csv`, a table with a column for x
-    /// and one for z; `.svg`, a drawing, `metres_per_unit`; anything else TOML.
+    /// The path in `text`, by the extension of `file`: `.csv`, a table with columns x and z; `.svg`
+    /// with `metres_per_unit`; otherwise TOML.
     ///
     /// # Errors
     /// [`PathError::Document`], [`PathError::File`] with the place in the file, and as
@@ -87,7 +87,7 @@ impl PathPlan {
                                    option `metres_per_unit 0.01`";
                     in_file(problem.to_owned())
                 })?;
-                let Drawing { points, closed } = read_drawing(text, scale).map_err(in_file)?;
+                let SvgPath { points, closed } = read_svg(text, scale).map_err(in_file)?;
                 Self {
                     closed,
                     ..Self::line(points)
@@ -109,7 +109,7 @@ impl PathPlan {
         }
     }
 
-    /// Rejects what is no path.
+    /// Rejects invalid paths.
     ///
     /// # Errors
     /// As [`polyline`](Self::polyline), and [`PathError::NoLength`].
@@ -123,7 +123,7 @@ impl PathPlan {
         }
     }
 
-    /// The path by arc length; a spline as 64 straight pieces between neighbouring points.
+    /// The path by arc length; splines have 64 segments between neighbouring points.
     ///
     /// # Errors
     /// [`PathError::TooFewPoints`], [`PathError::NotAPoint`].

@@ -1,25 +1,24 @@
-//! Lines through points, by arc length.
+//! Polylines by arc length.
 
 use super::{PathError, STILL, between};
 
-/// Furthest point from the origin along each axis, metres: single precision, in which motion is stored,
-/// knows half a millimetre there.
+/// Largest coordinate, metres: single precision resolves half a millimetre there.
 pub(super) const MAX_METRES: f64 = 5e3;
 
-/// A line from point to point over the ground.
+/// A polyline on the ground.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Polyline {
     points: Vec<[f64; 2]>,
-    /// Metres from the first point to each along the line.
+    /// Arc length of each point, metres.
     cumulative: Vec<f64>,
 }
 
-/// A place on a path.
+/// A position on a path.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PathPoint {
     /// Where it is, metres.
     pub point: [f64; 2],
-    /// Where the path leads from there, of length 1.
+    /// Unit tangent.
     pub tangent: [f64; 2],
 }
 
@@ -31,7 +30,7 @@ impl PathPoint {
 }
 
 impl Polyline {
-    /// The line through `points`, of which neighbours may be the same.
+    /// The polyline through `points`; neighbours may be equal.
     ///
     /// # Errors
     /// [`PathError::TooFewPoints`], [`PathError::NotAPoint`].
@@ -40,7 +39,7 @@ impl Polyline {
         Ok(Self::through(points))
     }
 
-    /// The line through points that are finite; a curve may lead beyond what its points may be.
+    /// The polyline through finite points, which may exceed the range of user input.
     pub(super) fn through(points: Vec<[f64; 2]>) -> Self {
         let mut metres = 0.0;
         let mut cumulative = vec![0.0];
@@ -56,23 +55,23 @@ impl Polyline {
         &self.points
     }
 
-    /// Metres from the first point to each along the line.
+    /// Arc length of each point, metres.
     pub fn cumulative(&self) -> &[f64] {
         &self.cumulative
     }
 
-    /// Its length, metres.
+    /// Total length, metres.
     pub fn length(&self) -> f64 {
         *self.cumulative.last().expect("two points or more")
     }
 
-    /// The place at this share of its length, 0 to 1; the nearer end beyond them. A line without
-    /// length is its first point, leading to +z.
+    /// The position at a share of its length, clamped to 0 to 1. A line without length is its first
+    /// point, with tangent +z.
     pub fn at(&self, share: f64) -> PathPoint {
         self.at_metres(share.clamp(0.0, 1.0) * self.length())
     }
 
-    /// The place so many metres along the line; the nearer end beyond it.
+    /// The position at an arc length, clamped to the line.
     pub fn at_metres(&self, metres: f64) -> PathPoint {
         let length = self.length();
         if length < STILL {
@@ -82,7 +81,7 @@ impl Polyline {
             };
         }
         let metres = metres.clamp(0.0, length);
-        // The last segment of some length that begins at or before.
+        // The last segment with a length that begins at or before.
         let begun = self.cumulative.partition_point(|begin| *begin <= metres);
         let mut segment = begun.clamp(1, self.points.len() - 1) - 1;
         let long = |segment: usize| self.cumulative[segment + 1] - self.cumulative[segment];
@@ -98,7 +97,7 @@ impl Polyline {
         }
     }
 
-    /// Its part up to so many metres along it; all of it beyond its length.
+    /// The part up to an arc length.
     #[must_use]
     pub fn up_to(&self, metres: f64) -> Self {
         if metres >= self.length() {
@@ -111,7 +110,7 @@ impl Polyline {
         Self::through(points)
     }
 
-    /// Points at equal distances along the line, the ends among them.
+    /// Points at equal distances along the line, including both ends.
     ///
     /// # Panics
     /// Panics for fewer than two.
@@ -122,7 +121,7 @@ impl Polyline {
     }
 }
 
-/// Rejects lists of points that make no path.
+/// Rejects invalid lists of points.
 pub(super) fn must_be_points(points: &[[f64; 2]]) -> Result<(), PathError> {
     let bad = |point: &[f64; 2]| !point.iter().all(|value| value.abs() <= MAX_METRES);
     if let Some(index) = points.iter().position(bad) {

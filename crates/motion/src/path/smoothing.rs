@@ -1,28 +1,27 @@
-//! Savitzky-Golay filters (1964): at each frame the value of the polynomial that fits the frames
-//! around it best.
+//! Savitzky-Golay filters (1964): the value of the best-fitting polynomial around each frame.
 
 use nalgebra::{DMatrix, DVector};
 
-/// Frames of the window that headings are smoothed with.
+/// Window for headings, frames.
 pub const HEADING_WINDOW: usize = 11;
 
-/// Order of the polynomials that headings are smoothed with.
+/// Polynomial order for headings.
 pub const HEADING_ORDER: usize = 3;
 
-/// What stands for the frames beyond both ends.
+/// Values beyond both ends.
 #[derive(Clone, Copy, Debug, Default, Eq, PartialEq)]
 pub enum Edges {
-    /// None: the polynomials of the first and of the last whole window say what is at the edges.
+    /// None: the polynomials of the first and last window are extrapolated.
     #[default]
     Fitted,
     /// The first and the last value.
     Nearest,
-    /// The values mirrored at the first and the last one.
+    /// Mirrored values.
     Mirror,
 }
 
-/// Weights of the `window` values around a frame, whose sum is the value, or the derivative of that
-/// order, `at` frames from the window's middle of the polynomial of `order` that fits them.
+/// Weights of the `window` values around a frame for the value, or `derivative`, of their
+/// polynomial of `order` at offset `at` from the window's middle.
 ///
 /// # Panics
 /// Panics unless `window` is odd and greater than `order`.
@@ -32,7 +31,7 @@ pub fn savgol_weights(window: usize, order: usize, at: f64, derivative: usize) -
         "{window} frames, order {order}"
     );
     let half = (window / 2) as f64;
-    // Of offsets from -1 to 1, which keep the powers alike.
+    // Offsets from -1 to 1 keep the powers well conditioned.
     let scale = half.max(1.0);
     let offsets = |i: usize| (i as f64 - half) / scale;
     let powers = DMatrix::from_fn(window, order + 1, |i, p| offsets(i).powi(p as i32));
@@ -43,7 +42,7 @@ pub fn savgol_weights(window: usize, order: usize, at: f64, derivative: usize) -
             factor * (at / scale).powi((p - derivative) as i32) / scale.powi(derivative as i32)
         }
     });
-    // The weights w with powers^T w = wanted of least length: Q R^-T wanted.
+    // The shortest weights w with powers^T w = wanted: Q R^-T wanted.
     let decomposed = powers.qr();
     let solved = decomposed
         .r()
@@ -53,8 +52,8 @@ pub fn savgol_weights(window: usize, order: usize, at: f64, derivative: usize) -
     (decomposed.q() * solved).iter().copied().collect()
 }
 
-/// `values` smoothed with a window of so many frames. Shorter lists have the largest odd window that
-/// they are long, and a lower order where that needs it; fewer than 3 values stay as they are.
+/// `values` smoothed with `window` frames. Shorter lists use their largest odd window and, if
+/// needed, a lower order; fewer than 3 values are kept.
 ///
 /// # Panics
 /// Panics unless `window` is odd and greater than `order`.
@@ -105,10 +104,7 @@ pub fn savgol(values: &[f64], window: usize, order: usize, edges: Edges) -> Vec<
     (0..n).map(smoothed).collect()
 }
 
-/// A track over the ground, of which each axis is [smoothed](savgol), its ends fitted.
-///
-/// # Panics
-/// As [`savgol`].
+/// A ground track with each axis [smoothed](savgol), ends fitted.
 pub fn smoothed(track: &[[f64; 2]], window: usize, order: usize) -> Vec<[f64; 2]> {
     let axis = |i: usize| {
         let values: Vec<f64> = track.iter().map(|point| point[i]).collect();

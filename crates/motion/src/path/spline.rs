@@ -6,14 +6,13 @@ use serde::{Deserialize, Serialize};
 use super::polyline::must_be_points;
 use super::{PathError, Polyline, between};
 
-/// Control points that are nearer to each other than this are one, metres.
+/// Distance below which control points are equal, metres.
 const SAME: f64 = 1e-8;
 
-/// Straight pieces of a segment by which its length is measured.
+/// Straight pieces of a segment.
 const STEPS: usize = 64;
 
-/// How fast a spline runs through its knots: the distance between two is the distance of their
-/// points to this power.
+/// Parameterization of a spline: the knot distance is the point distance to this power.
 #[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Parameterization {
@@ -39,7 +38,7 @@ impl Parameterization {
 /// A curve through control points.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CatmullRom {
-    /// Of each segment the two control points that it connects, and one before and after.
+    /// For each segment its two control points and one before and after.
     segments: Vec<[[f64; 2]; 4]>,
     power: f64,
 }
@@ -48,8 +47,7 @@ pub struct CatmullRom {
 type Moving = [[f64; 2]; 2];
 
 impl CatmullRom {
-    /// The curve through `points`, with the direction of the first and last two at its ends. With
-    /// `closed` it returns to its first point.
+    /// The curve through `points`, extended in the direction of its end points, or closed.
     ///
     /// # Errors
     /// As [`Polyline::new`].
@@ -96,15 +94,12 @@ impl CatmullRom {
         })
     }
 
-    /// Number of segments between control points.
+    /// Number of segments.
     pub fn segments(&self) -> usize {
         self.segments.len()
     }
 
-    /// The point at `tau`, 0 to 1, of a segment, and its derivative by `tau`.
-    ///
-    /// # Panics
-    /// Panics if there is no such segment.
+    /// The point at `tau`, 0 to 1, of a segment, and its derivative.
     pub fn at(&self, segment: usize, tau: f64) -> ([f64; 2], [f64; 2]) {
         let points = self.segments[segment];
         if between(points[1], points[2]) == 0.0 {
@@ -116,7 +111,7 @@ impl CatmullRom {
         }
         let unit = knots[2] - knots[1];
         let t = knots[1] + tau * unit;
-        // Between two moving points, linear in t from knot a to knot b.
+        // Linear interpolation in t of two moving points, from knot a to knot b.
         let mix = |[p, dp]: Moving, [q, dq]: Moving, a: f64, b: f64| -> Moving {
             let (left, right) = ((b - t) / (b - a), (t - a) / (b - a));
             let value = [0, 1].map(|i| left * p[i] + right * q[i]);

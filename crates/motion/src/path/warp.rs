@@ -1,64 +1,63 @@
-//! A motion that is moved onto a path afterwards (docs/sources.md, section 7, option A).
+//! Warping of a motion onto a path (docs/sources.md, section 7, option A).
 
 use serde::{Deserialize, Serialize};
 
 use super::course::walked;
 use super::{
-    Along, Course, Edges, HEADING_ORDER, HEADING_WINDOW, PathError, Polyline, STILL, headings_of,
-    headings_of_gait, savgol, unwrapped,
+    ArcLengthMode, Course, Edges, HEADING_ORDER, HEADING_WINDOW, PathError, Polyline, STILL,
+    headings_of, headings_of_gait, savgol, unwrapped,
 };
-use crate::humanml::kinematics::{Across, forward};
+use crate::humanml::bone_rotations::{Across, forward};
 use crate::humanml::{FeatureError, Joints, Skeleton};
 
-/// How a body is turned on its path.
+/// Heading of a body on its path.
 #[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Turning {
-    /// As the direction of its way turns: who walks sideways goes on walking sideways.
+pub enum HeadingMode {
+    /// Rotated like the direction of its trajectory: a sideways walk stays sideways.
     #[default]
     Relative,
-    /// To face along the path.
+    /// Along the path.
     Face,
-    /// Not at all.
+    /// Unchanged.
     Free,
 }
 
-/// How a motion is moved onto a path.
+/// Settings of the warp of a motion onto a path.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Warp {
-    /// Where on the path each frame is.
-    pub along: Along,
-    /// How the body turns.
-    pub turning: Turning,
-    /// Whether turns are smoothed over time, by a Savitzky-Golay filter of 11 frames and order 3.
+    /// Arc length of each frame.
+    pub along: ArcLengthMode,
+    /// Heading of the body.
+    pub turning: HeadingMode,
+    /// Whether rotations are smoothed by a Savitzky-Golay filter of 11 frames and order 3.
     pub smooth: bool,
-    /// For relative turns: slower than this the root has no direction of its own, metres per second; a
-    /// body that stands sways, and is not turned by that. At 0 every step has one.
+    /// Speed below which the root has no direction, metres per second, for relative headings: the
+    /// sway of a standing body is not followed. At 0 every step has a direction.
     pub least_speed: f64,
 }
 
 impl Warp {
-    /// A speed below which a person stands, metres per second.
+    /// Speed below which a person stands, metres per second.
     pub const STANDING: f64 = 0.15;
 }
 
 /// A motion on a path.
 #[derive(Clone, Debug)]
 pub struct Warped {
-    /// Where its joints are.
+    /// The joints.
     pub joints: Joints,
-    /// Where the path has the root in each frame.
+    /// The course of the root.
     pub course: Course,
-    /// What each frame is turned by about +y, radians.
+    /// Rotation of each frame about +y, radians.
     pub turned: Vec<f64>,
-    /// How much faster the root is than it was: the length of its way on the path to that before,
-    /// 0 for a motion that stood.
+    /// Ratio of the trajectory's length on the path to that before, 0 for a standing motion.
     pub speed_ratio: f64,
 }
 
 impl Warp {
-    /// `joints` on `path`: each frame turned about the vertical through its root, and moved so that
-    /// the root is on the path. Heights and bones stay as they are.
+    /// `joints` on `path`: each frame is rotated about the vertical through its root and moved.
+    /// Heights and bones are kept.
     ///
     /// # Errors
     /// [`PathError::Features`] unless they are joints of `skeleton`.
@@ -87,10 +86,8 @@ impl Warp {
         })
     }
 
-    /// What each frame of `joints`, whose root is at `track`, is turned by about +y on its course, radians.
-    ///
-    /// # Panics
-    /// Panics if there are fewer frames than points of the course.
+    /// Rotation about +y of each frame of `joints`, whose root is at `track`, on its course,
+    /// radians.
     pub fn turns(
         &self,
         joints: &Joints,
@@ -99,12 +96,12 @@ impl Warp {
         course: &Course,
     ) -> Vec<f64> {
         let own = match self.turning {
-            Turning::Free => return vec![0.0; track.len()],
-            Turning::Relative if self.least_speed > 0.0 => {
+            HeadingMode::Free => return vec![0.0; track.len()],
+            HeadingMode::Relative if self.least_speed > 0.0 => {
                 headings_of_gait(track, self.least_speed / skeleton.description().fps)
             }
-            Turning::Relative => headings_of(track),
-            Turning::Face => facing(joints, skeleton)[..track.len()].to_vec(),
+            HeadingMode::Relative => headings_of(track),
+            HeadingMode::Face => facing(joints, skeleton)[..track.len()].to_vec(),
         };
         let path = unwrapped(&headings_of(&course.points));
         let turns = path
@@ -119,11 +116,11 @@ impl Warp {
     }
 }
 
-/// `joints`, each frame turned by an angle about the vertical through its root, whose ground position
-/// becomes that of `points`. Frames beyond the last point are left out.
+/// `joints` with each frame rotated by `turns` about the vertical through its root, which is moved
+/// to `points`. Frames beyond the last point are dropped.
 ///
 /// # Errors
-/// [`FeatureError::LengthMismatch`] for another number of angles than of points, or more than of
+/// [`FeatureError::LengthMismatch`] unless there are as many angles as points, and at least as many
 /// frames.
 pub fn placed(joints: &Joints, points: &[[f64; 2]], turns: &[f64]) -> Result<Joints, FeatureError> {
     FeatureError::unless_equal("angles", points.len(), turns.len())?;
@@ -140,7 +137,7 @@ pub fn placed(joints: &Joints, points: &[[f64; 2]], turns: &[f64]) -> Result<Joi
     Joints::new(places, joints.joints())
 }
 
-/// Where a body faces in each frame, radians.
+/// Heading of a body in each frame, radians.
 pub(super) fn facing(joints: &Joints, skeleton: &Skeleton) -> Vec<f64> {
     let heading = |t: usize| {
         let [x, _, z] = forward(skeleton, joints.frame(t), Across::Consistent);
@@ -154,10 +151,9 @@ mod tests {
     use std::f64::consts::PI;
 
     use super::*;
-    use crate::humanml::kinematics::minus;
     use crate::humanml::walk::{Course as Walk, joints as walk};
     use crate::path::wrapped;
-    use crate::rotation::length;
+    use crate::vector::{length, minus};
 
     fn walking(frames: usize) -> (Joints, Skeleton) {
         let skeleton = Skeleton::humanml3d();
@@ -177,7 +173,7 @@ mod tests {
     fn the_root_is_on_the_path_and_bones_stay() {
         let (joints, skeleton) = walking(70);
         let path = corner();
-        for turning in [Turning::Relative, Turning::Face, Turning::Free] {
+        for turning in [HeadingMode::Relative, HeadingMode::Face, HeadingMode::Free] {
             for smooth in [false, true] {
                 let warp = Warp {
                     turning,
@@ -212,7 +208,7 @@ mod tests {
             facing(&warped.joints, &skeleton)
         };
         let to_left = -PI / 2.0;
-        for turning in [Turning::Relative, Turning::Face] {
+        for turning in [HeadingMode::Relative, HeadingMode::Face] {
             let warp = Warp {
                 turning,
                 ..Warp::default()
@@ -236,7 +232,7 @@ mod tests {
             assert!(wrapped(heading - to_left - before).abs() < 1e-6);
         }
         let face = Warp {
-            turning: Turning::Face,
+            turning: HeadingMode::Face,
             ..Warp::default()
         };
         assert!(wrapped(facing_of(&sideways, face)[30] - to_left).abs() < 1e-6);
@@ -276,7 +272,7 @@ mod tests {
     fn its_own_speed_ends_at_the_end_of_the_path() {
         let (joints, skeleton) = walking(70);
         let own = Warp {
-            along: Along::Own,
+            along: ArcLengthMode::Own,
             ..Warp::default()
         };
         let short = Polyline::new(vec![[0.0, 0.0], [1.0, 0.0]]).unwrap();

@@ -3,27 +3,26 @@
 use kinegrad_settings::{ABOVE_ZERO, InvalidSetting, in_range, require};
 use serde::{Deserialize, Serialize};
 
-/// Which of the two quaternions of a rotation, `q` or `-q`, is kept.
+/// The sign of a rotation's quaternion, `q` or `-q`.
 #[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Hemisphere {
-    /// The one nearer to the frame before, so that no sign jumps in time. The sound rule.
+    /// The one nearer to the frame before: continuous in time.
     #[default]
     Continuous,
-    /// The one with w >= 0, frame by frame, as CC-MotionGen has it. A turn through w = 0 then jumps
-    /// from `q` to `-q` between two frames; most real dances have such turns.
+    /// `w >= 0` in every frame, as in CC-MotionGen. A rotation through `w = 0`, common in real
+    /// dances, then flips the sign between two frames.
     PositiveW,
 }
 
-/// Which differences step 5 blends with.
+/// Differences of step 5.
 #[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Differences {
-    /// `x[t+1] - x[t]`, as the losses and the checks take them: blending halves what they measure.
+    /// `x[t+1] - x[t]`, as in the losses and checks.
     #[default]
     Forward,
-    /// `x[t] - x[t-1]`, as CC-MotionGen has it, which may make it worse (docs/sources.md, section
-    /// 1.14, hazard 9).
+    /// `x[t] - x[t-1]`, as in CC-MotionGen (docs/sources.md, section 1.14, hazard 9).
     Backward,
 }
 
@@ -53,11 +52,11 @@ impl Default for ClampLimits {
     }
 }
 
-/// A ready configuration of the post-processor.
+/// A preset of the post-processor.
 #[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum PostProcessProfile {
-    /// [`PostProcessConfig::default`], the sound reading.
+    /// [`PostProcessConfig::default`].
     #[default]
     Default,
     /// [`PostProcessConfig::document`], CC-MotionGen's to the letter.
@@ -77,24 +76,22 @@ impl From<PostProcessProfile> for PostProcessConfig {
     }
 }
 
-/// What [`process`](super::process) does (CC-MotionGen, section 9.1; docs/sources.md, section
-/// 1.12).
-///
-/// [`default`](Self::default) is the sound reading, [`document`](Self::document) the literal one,
-/// and [`none`](Self::none) does nothing; the steps stand in the order in which they run.
+/// Settings of [`process`](super::process) (CC-MotionGen, section 9.1; docs/sources.md, section
+/// 1.12), in the order of the steps. Presets: [`default`](Self::default),
+/// [`document`](Self::document) and [`none`](Self::none).
 #[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct PostProcessConfig {
     /// Step 1: clamp position, velocity, acceleration and angular velocity to `limits`.
     pub clamp_values: bool,
-    /// Bounds of the clamps.
+    /// Limits of the clamps.
     pub limits: ClampLimits,
-    /// Widen each channel's bounds to the range of the training phrases, where their statistics are
-    /// at hand: real dances turn faster than CC-MotionGen's 10 rad/s.
+    /// Widen the limits of each channel to the range of the training phrases, if known: real dances
+    /// exceed CC-MotionGen's 10 rad/s.
     pub widen_limits: bool,
-    /// Step 2: bring quaternions to unit norm and to one `hemisphere`.
+    /// Step 2: normalise quaternions and make their sign follow `hemisphere`.
     pub normalize_quaternions: bool,
-    /// Which of `q` and `-q` steps 2 and 3 keep.
+    /// Sign of quaternions in steps 2 and 3.
     pub hemisphere: Hemisphere,
     /// Step 3: replace each quaternion by the mean of its neighbours.
     pub smooth_quaternions: bool,
@@ -102,31 +99,28 @@ pub struct PostProcessConfig {
     pub quaternion_smoothing_window: usize,
     /// Step 4: clamp the phase to [0, 1].
     pub clamp_phase: bool,
-    /// Step 4: hold the phase where it steps back by at most half a bar.
+    /// Step 4: keep the phase where it steps back by at most half a bar.
     pub enforce_phase_monotonic: bool,
-    /// Step 5: blend velocity half and half with the differences of position.
+    /// Step 5: average velocity with the differences of position.
     pub enforce_velocity_coherence: bool,
-    /// Step 5: blend acceleration half and half with the differences of velocity.
+    /// Step 5: average acceleration with the differences of velocity.
     pub enforce_accel_coherence: bool,
-    /// Which differences those are.
+    /// Differences of step 5.
     pub differences: Differences,
     /// Step 6: replace vectors and style by their mean over neighbouring frames.
     pub apply_smoothing: bool,
     /// Frames in that mean, odd.
     pub smoothing_kernel_size: usize,
-    /// Step 7: replace position, velocity, acceleration, quaternions and phase by those of the
-    /// nearest motion that agrees with itself ([`crate::coherence`]), where the training phrases'
-    /// statistics are at hand. Not in CC-MotionGen. Positions then move as the accelerations say,
-    /// whatever the network: coherence of such motion is no merit of its training.
+    /// Step 7: fit the nearest coherent motion ([`crate::coherence`]), if training statistics are
+    /// known. Not in CC-MotionGen. Coherence of such motion is no merit of the network.
     pub fit_coherent_motion: bool,
-    /// Step 8: replace the angular velocity by that of the quaternions as written. CC-MotionGen
-    /// leaves the two unrelated.
+    /// Step 8: derive the angular velocity from the quaternions. Not in CC-MotionGen.
     pub derive_angular_velocity: bool,
 }
 
 impl Default for PostProcessConfig {
-    /// Unit norm, signs continuous in time, phase clamped, clamps no tighter than the training
-    /// range, the nearest coherent motion, angular velocity that of the quaternions.
+    /// Unit norm, continuous signs, clamped phase, limits no tighter than the training range,
+    /// coherent motion, derived angular velocity.
     fn default() -> Self {
         Self {
             clamp_values: true,
@@ -142,8 +136,7 @@ impl Default for PostProcessConfig {
 }
 
 impl PostProcessConfig {
-    /// CC-MotionGen's defaults: w >= 0 in every frame, its clamps as they stand, backward
-    /// differences, every channel as the model says.
+    /// CC-MotionGen's defaults: `w >= 0`, its limits, backward differences, no fit.
     pub fn document() -> Self {
         Self {
             widen_limits: false,

@@ -1,10 +1,10 @@
-//! Repairs of a generated phrase before it is written.
+//! Post-processing of a generated phrase.
 //!
-//! Steps, in this order (CC-MotionGen, section 9.2; steps 3, 5 (acceleration) and 6 and the
-//! monotonic phase are only named there, and defined in docs/sources.md, section 1.12):
+//! Steps (CC-MotionGen, section 9.2; steps 3, 5 (acceleration) and 6 and the monotonic phase are
+//! defined in docs/sources.md, section 1.12):
 //!
 //! 1. values clamped
-//! 2. quaternions brought to unit norm and to one hemisphere
+//! 2. quaternions normalised, with the sign of one hemisphere
 //! 3. quaternions smoothed
 //! 4. phase clamped, then made monotonic
 //! 5. velocity, then acceleration, blended with the differences
@@ -12,8 +12,7 @@
 //! 7. the nearest coherent motion fitted (not in CC-MotionGen)
 //! 8. angular velocity derived from the quaternions (not in CC-MotionGen)
 //!
-//! Steps 1 to 6 work in double precision and are rounded once; the angular velocity is that of the
-//! quaternions as they are written.
+//! Steps 1 to 6 use double precision and are rounded once.
 
 mod config;
 mod orientation;
@@ -22,41 +21,45 @@ pub use config::{ClampLimits, Differences, Hemisphere, PostProcessConfig, PostPr
 
 use std::ops::Range;
 
-use crate::coherence::{fit_heading, fit_orientation, fit_phase, fit_trajectory, sureness_of};
+use crate::coherence::{
+    fit_heading, fit_orientation, fit_phase, fit_trajectory, heading_confidence,
+};
 use crate::phrase::{
     ACCELERATION, ANGULAR_VELOCITY, CHANNELS, FPS, PHASE, POSITION, STYLE, VELOCITY,
 };
-use crate::{Motion, Statistics};
+use crate::{Phrase, Statistics};
 
 /// A phrase `[frames, 25]` in double precision.
 type Frames = Vec<[f64; CHANNELS]>;
 
-/// Post-processes a phrase. `statistics` widen the clamps to the training phrases' range where
-/// [`PostProcessConfig::widen_limits`] asks for it, and scale the fit of coherent motion.
+/// Post-processes a phrase. `statistics` widen the limits if [`PostProcessConfig::widen_limits`] is
+/// set, and scale the fit of coherent motion.
 ///
-/// NaN stays NaN (the sanity checks find it), in a motion that nothing is fitted to; infinities are
-/// clamped like other large values where the channel has a clamp.
+/// NaN stays NaN and prevents the fit; infinities are clamped if the channel has limits.
 pub fn process(
-    motion: &Motion,
+    motion: &Phrase,
     config: &PostProcessConfig,
     statistics: Option<&Statistics>,
-) -> Motion {
+) -> Phrase {
     let none = vec![false; motion.frames()];
-    process_around(motion, config, statistics, &none, &sureness_of(motion))
+    process_around(
+        motion,
+        config,
+        statistics,
+        &none,
+        &heading_confidence(motion),
+    )
 }
 
-/// The same for a phrase of which some frames are `known`: the fit of coherent motion passes through
-/// them. `sureness`, 0 to 1, says how sure each heading is. Other steps treat all frames alike.
-///
-/// # Panics
-/// Panics if there is not one flag and one number for each frame.
+/// The same for a phrase with `known` frames, which the fit passes through. `confidence`, 0 to 1,
+/// is that of each heading. Other steps treat all frames alike.
 pub fn process_around(
-    motion: &Motion,
+    motion: &Phrase,
     config: &PostProcessConfig,
     statistics: Option<&Statistics>,
     known: &[bool],
-    sureness: &[f64],
-) -> Motion {
+    confidence: &[f64],
+) -> Phrase {
     assert_eq!(known.len(), motion.frames(), "known frames");
     let mut frames: Frames = motion
         .as_slice()
@@ -105,7 +108,7 @@ pub fn process_around(
     {
         let mut fitted = processed.clone();
         fit_trajectory(&mut fitted, std, known);
-        fit_heading(&mut fitted, std, known, sureness);
+        fit_heading(&mut fitted, std, known, confidence);
         fit_orientation(&mut fitted, std, known);
         fit_phase(&mut fitted, known);
         if fitted.first_non_finite().is_none() {
@@ -118,12 +121,11 @@ pub fn process_around(
     processed
 }
 
-/// Makes the angular velocity that of the quaternions: their forward differences, the last one
-/// repeated. A single frame has none. What is
-/// not finite stays for the checks to find, and does not spread to the frame before.
-pub fn derive_angular_velocity(motion: &mut Motion) {
+/// Derives the angular velocity from the quaternions: forward differences, the last one repeated.
+/// Values that are not finite stay and do not spread.
+pub fn derive_angular_velocity(motion: &mut Phrase) {
     let finite = |vector: [f64; 3]| vector.iter().all(|value| value.is_finite());
-    let rates = crate::movement::rates(motion);
+    let rates = crate::derivatives::angular_rates(motion);
     let last = rates.last().copied();
     for (t, rate) in rates.into_iter().chain(last).enumerate() {
         if finite(rate) && finite(motion.vector(t, ANGULAR_VELOCITY)) {
@@ -154,7 +156,7 @@ fn clamp_values(frames: &mut Frames, config: &PostProcessConfig, statistics: Opt
     }
 }
 
-/// A drop of at most half a bar is a step back and is held; a larger one is the next bar.
+/// A drop of at most half a bar is a step back; a larger one is the next bar.
 fn make_phase_monotonic(frames: &mut Frames) {
     for t in 1..frames.len() {
         let step = frames[t][PHASE] - frames[t - 1][PHASE];
@@ -164,7 +166,7 @@ fn make_phase_monotonic(frames: &mut Frames) {
     }
 }
 
-/// Takes the mean of the `explicit` derivative and the difference of the vector `base`.
+/// Averages the `explicit` derivative with the difference of the vector `base`.
 fn blend_with_differences(
     frames: &mut Frames,
     base: Range<usize>,
@@ -177,7 +179,7 @@ fn blend_with_differences(
     for (base, explicit) in base.zip(explicit) {
         let values: Vec<f64> = frames.iter().map(|frame| frame[base]).collect();
         for (t, frame) in frames.iter_mut().enumerate() {
-            // A frame at the end takes the difference of its neighbour.
+            // The frame at the end uses its neighbour's difference.
             let next = match differences {
                 Differences::Forward => (t + 1).min(values.len() - 1),
                 Differences::Backward => t.max(1),
@@ -188,8 +190,8 @@ fn blend_with_differences(
     }
 }
 
-/// A centred mean over `kernel_size` frames, the first and last frame repeated beyond the ends.
-/// Quaternion and phase are left out: a mean of components is no mean of theirs.
+/// A centred mean over `kernel_size` frames, with the ends repeated, of all channels but quaternion
+/// and phase.
 fn smooth_over_time(frames: &mut Frames, kernel_size: usize) {
     let original = frames.clone();
     let channels = || {
@@ -209,14 +211,14 @@ fn smooth_over_time(frames: &mut Frames, kernel_size: usize) {
     }
 }
 
-/// Indices of the `size` frames (odd) centred at `t`, those beyond an end replaced by the end.
+/// Indices of the `size` frames (odd) centred at `t`, with the ends repeated.
 fn window(t: usize, size: usize, frames: usize) -> impl Iterator<Item = usize> {
     let reach = size / 2;
     (0..2 * reach + 1).map(move |offset| (t + offset).saturating_sub(reach).min(frames - 1))
 }
 
-/// The value within the bounds. Unlike `f64::max` it keeps NaN, and unlike `f64::clamp` it never
-/// panics.
+/// The value within the limits. Keeps NaN, unlike `f64::max`, and never panics, unlike
+/// `f64::clamp`.
 fn clamp(value: f64, low: f64, high: f64) -> f64 {
     if value < low {
         low
@@ -231,11 +233,11 @@ fn clamp(value: f64, low: f64, high: f64) -> f64 {
 mod tests {
     use super::*;
     use crate::Quaternion;
-    use crate::kinematics::{mean_norm, velocity_errors};
-    use crate::wandering::wandering;
+    use crate::derivatives::{mean_norm, velocity_errors};
+    use crate::random_phrase::random_phrase;
 
-    fn wild(frames: usize) -> Motion {
-        let mut motion = wandering(8, frames);
+    fn wild(frames: usize) -> Phrase {
+        let mut motion = random_phrase(8, frames);
         for t in 0..frames {
             motion.set_vector(t, POSITION, [150.0, -20.0, -101.0]);
             motion.set_vector(t, VELOCITY, [49.0, 51.0, -1e9]);
@@ -248,7 +250,7 @@ mod tests {
 
     #[test]
     fn the_defaults_leave_a_sound_phrase_alone() {
-        let motion = wandering(1, 60);
+        let motion = random_phrase(1, 60);
         let processed = process(&motion, &PostProcessConfig::default(), None);
         let pairs = processed.as_slice().iter().zip(motion.as_slice());
         for (index, (after, before)) in pairs.enumerate() {
@@ -261,14 +263,14 @@ mod tests {
 
     #[test]
     fn the_angular_velocity_is_that_of_the_written_quaternions() {
-        let mut motion = wandering(5, 31);
+        let mut motion = random_phrase(5, 31);
         for t in 0..31 {
             // Short quaternions of either sign, and an account that has nothing to do with them.
             let sign = if t % 3 == 0 { -0.6 } else { 0.6 };
             motion.set_quaternion(t, motion.quaternion(t).scale(sign));
             motion.set_vector(t, ANGULAR_VELOCITY, [1.0, -2.0, 0.5]);
         }
-        let error = |motion: &Motion| mean_norm(&crate::kinematics::rotation_errors(motion));
+        let error = |motion: &Phrase| mean_norm(&crate::derivatives::rotation_errors(motion));
         let literal = process(&motion, &PostProcessConfig::document(), None);
         assert!(error(&literal) > 1.0);
         assert_eq!(literal.vector(7, ANGULAR_VELOCITY), [1.0, -2.0, 0.5]);
@@ -303,7 +305,7 @@ mod tests {
         assert_eq!(bare.vector(1, ANGULAR_VELOCITY), [-10.0, 9.0, 10.0]);
         assert_eq!(bare.frame(1)[PHASE], 1.0);
 
-        let mut training = wandering(2, 3);
+        let mut training = random_phrase(2, 3);
         training.set_vector(0, ANGULAR_VELOCITY, [0.0, 0.0, 20.0]);
         training.set_vector(1, ANGULAR_VELOCITY, [-30.0, 0.0, 0.0]);
         let statistics = crate::phrase_statistics([&training]).unwrap();
@@ -321,8 +323,8 @@ mod tests {
     }
 
     #[test]
-    fn backward_phase_is_held_and_the_next_bar_begins() {
-        let mut motion = wandering(4, 6);
+    fn backward_phase_is_clamped_and_the_next_bar_begins() {
+        let mut motion = random_phrase(4, 6);
         for (t, phase) in [0.8, 0.7, 0.75, 0.9, 0.2, 0.1].into_iter().enumerate() {
             motion.frame_mut(t)[PHASE] = phase;
         }
@@ -337,7 +339,7 @@ mod tests {
 
     #[test]
     fn coherence_blends_half_of_the_backward_difference() {
-        let mut motion = wandering(4, 3);
+        let mut motion = random_phrase(4, 3);
         for (t, x) in [0.0, 1.0, 3.0].into_iter().enumerate() {
             motion.set_vector(t, POSITION, [x, 0.0, 0.0]);
             motion.set_vector(t, VELOCITY, [10.0, 0.0, 0.0]);
@@ -359,7 +361,7 @@ mod tests {
 
     #[test]
     fn forward_differences_halve_what_the_checks_measure() {
-        let mut motion = wandering(4, 30);
+        let mut motion = random_phrase(4, 30);
         for t in 0..30 {
             let v = motion.vector(t, VELOCITY);
             let wrong = if t % 3 == 0 { 0.9 } else { -0.4 };
@@ -369,14 +371,14 @@ mod tests {
             enforce_velocity_coherence: true,
             ..PostProcessConfig::none()
         };
-        let error = |motion: &Motion| mean_norm(&velocity_errors(motion));
+        let error = |motion: &Phrase| mean_norm(&velocity_errors(motion));
         let processed = process(&motion, &config, None);
         assert!((error(&processed) / error(&motion) - 0.5).abs() < 1e-3);
     }
 
     #[test]
     fn smoothing_is_a_centred_mean_of_vectors_and_style() {
-        let mut motion = wandering(4, 4);
+        let mut motion = random_phrase(4, 4);
         for (t, value) in [0.0, 3.0, 6.0, 12.0].into_iter().enumerate() {
             motion.set_vector(t, POSITION, [value; 3]);
             motion.frame_mut(t)[STYLE.end - 1] = value as f32;
@@ -405,7 +407,7 @@ mod tests {
             ..PostProcessConfig::default()
         };
         for frames in 1..4 {
-            let motion = wandering(6, frames);
+            let motion = random_phrase(6, frames);
             for (kernel, limit) in [(0, -1.0), (1, f64::NAN), (8, 0.0)] {
                 let config = PostProcessConfig {
                     quaternion_smoothing_window: kernel,
@@ -425,7 +427,7 @@ mod tests {
 
     #[test]
     fn nan_is_not_hidden() {
-        let mut motion = wandering(6, 5);
+        let mut motion = random_phrase(6, 5);
         let channels = 0..CHANNELS;
         channels
             .clone()
@@ -443,8 +445,8 @@ mod tests {
     }
 
     #[test]
-    fn a_lost_orientation_is_held() {
-        let mut motion = wandering(6, 3);
+    fn a_vanishing_quaternion_repeats_the_one_before() {
+        let mut motion = random_phrase(6, 3);
         motion.set_quaternion(1, Quaternion::new(0.0, 1e-12, 0.0, 0.0));
         let processed = process(&motion, &PostProcessConfig::default(), None);
         assert_eq!(processed.quaternion(1), processed.quaternion(0));

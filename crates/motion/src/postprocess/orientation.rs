@@ -2,7 +2,7 @@
 
 use super::{Frames, Hemisphere, window};
 use crate::Quaternion;
-use crate::kinematics::make_sign_continuous;
+use crate::derivatives::make_sign_continuous;
 use crate::phrase::{CHANNELS, QUATERNION};
 
 /// A norm below this carries no direction.
@@ -15,8 +15,8 @@ pub(super) fn normalize(frames: &mut Frames, hemisphere: Hemisphere) {
     write(frames, &quaternions);
 }
 
-/// Replaces each quaternion by the normalised mean of the `size` quaternions around it, each taken
-/// with the sign nearer to the centre.
+/// Replaces each quaternion by the normalised mean of the `size` quaternions around it, with signs
+/// nearest to the centre.
 pub(super) fn smooth(frames: &mut Frames, size: usize, hemisphere: Hemisphere) {
     let original: Vec<Quaternion> = frames.iter().map(read).collect();
     let mut smoothed: Vec<Quaternion> = (0..original.len())
@@ -46,8 +46,8 @@ fn finish(quaternions: &mut [Quaternion], hemisphere: Hemisphere) {
     for quaternion in quaternions.iter_mut() {
         let norm = quaternion.norm();
         *quaternion = match hemisphere {
-            // CC-MotionGen's division leaves a vanishing quaternion short; here the unit norm is a
-            // promise, so the orientation before it is held.
+            // CC-MotionGen leaves a vanishing quaternion short; here the previous orientation is
+            // repeated.
             Hemisphere::Continuous if norm < SMALLEST_NORM => previous,
             _ => quaternion.scale(1.0 / norm.max(SMALLEST_NORM)),
         };
@@ -121,7 +121,7 @@ mod tests {
     }
 
     #[test]
-    fn smoothing_does_not_depend_on_signs_and_keeps_a_steady_turn() {
+    fn smoothing_does_not_depend_on_signs_and_keeps_a_constant_turn() {
         for hemisphere in [Hemisphere::Continuous, Hemisphere::PositiveW] {
             let (mut smoothed, mut plain) = (turning(), turning());
             smooth(&mut smoothed, 5, hemisphere);

@@ -1,28 +1,27 @@
-//! Full-body representations: joint features as in HumanML3D, and joint positions.
+//! Full-body representations: HumanML3D joint features, and joint positions.
 
 use std::ops::Range;
 
 use super::{Curves, Representation};
-use crate::humanml::kinematics::minus;
+use crate::derivatives::{differences, jerk_of};
 use crate::humanml::units::MILLIMETRE;
 use crate::humanml::{FeatureLayout, Features, Joints, Root, Skeleton};
-use crate::kinematics::{differences, jerk_of};
-use crate::rotation::length;
-use crate::statistics::{CONSTANT, percentile};
+use crate::quantiles::percentile;
+use crate::statistics::CONSTANT;
+use crate::vector::{length, minus};
 use crate::{ChannelMoments, Statistics};
 
-/// How far the columns of a rotation may be from unit length.
+/// Allowed deviation of a rotation's columns from unit length.
 const COLUMN_TOLERANCE: f32 = 0.05;
 
 /// Joint features of a skeleton, `[frames, 12 J - 1]` for J joints (docs/sources.md, section 3.1).
-///
-/// Normalisation averages deviations within the seven groups of the layout, so that the parts of a
-/// position keep their proportions (docs/sources.md, section 3.5).
+/// Normalisation averages deviations within the seven groups of the layout (docs/sources.md,
+/// section 3.5).
 #[derive(Clone, Debug)]
 pub struct JointFeatures {
-    /// Whose joints they are of.
+    /// The skeleton.
     pub skeleton: Skeleton,
-    /// How their first channels say where the root is.
+    /// Representation of the root.
     pub root: Root,
 }
 
@@ -36,15 +35,15 @@ impl JointFeatures {
         Features::new(rows, self.layout(), self.root).ok()
     }
 
-    /// How far the root's way, read with `root`, is from what the features say of joint 0's
-    /// displacements: squared metres over all frames.
+    /// Difference between the root's trajectory, read with `root`, and joint 0's displacements:
+    /// squared metres over all frames.
     fn mismatch(&self, rows: &[f32], root: Root) -> f64 {
         let Ok(features) = Features::new(rows.to_vec(), self.layout(), root) else {
             return 0.0;
         };
-        let way = features.root_positions();
+        let trajectory = features.root_positions();
         let displacement = self.layout().velocities().start;
-        let steps = way.windows(2).enumerate().map(|(t, pair)| {
+        let steps = trajectory.windows(2).enumerate().map(|(t, pair)| {
             let [x, _, z] = [0, 1, 2].map(|axis| pair[1][axis] - pair[0][axis]);
             let stated = &features.frame(t)[displacement..displacement + 3];
             let stated = f64::from(stated[0]).hypot(f64::from(stated[2]));
@@ -115,8 +114,8 @@ impl Representation for JointFeatures {
         Some(&self.skeleton)
     }
 
-    /// Both readings of the root have as many channels: the one counts that fits the displacements
-    /// of joint 0.
+    /// Both representations of the root have as many channels; the one that fits joint 0's
+    /// displacements is accepted.
     fn accepts(&self, shape: &[usize], values: &[f32]) -> bool {
         let fits =
             matches!(shape, [_, channels] if *channels == self.channels()) && !values.is_empty();
@@ -128,7 +127,7 @@ impl Representation for JointFeatures {
         fits && (own < other || self.root == Root::Relative && own == other)
     }
 
-    /// The first invalid rotation, as in features that were normalised or have another layout.
+    /// The first invalid rotation, as in normalised features or another layout.
     fn implausible(&self, rows: &[f32]) -> Option<String> {
         let frames = rows.chunks_exact(self.channels()).enumerate();
         frames.into_iter().find_map(|(t, frame)| {
@@ -163,11 +162,11 @@ impl Representation for JointFeatures {
     }
 }
 
-/// Positions of a skeleton's joints, `[frames, J, 3]`, metres with +y up. Those in centimetres or
-/// millimetres, as some are published, are converted: bodies are told by their size.
+/// Positions of a skeleton's joints, `[frames, J, 3]`, metres with +y up. Centimetres and
+/// millimetres are recognised by the size of bodies and converted.
 #[derive(Clone, Debug)]
 pub struct JointPositions {
-    /// Whose joints they are.
+    /// The skeleton.
     pub skeleton: Skeleton,
 }
 
@@ -180,7 +179,7 @@ impl Representation for JointPositions {
         3 * self.skeleton.joints()
     }
 
-    /// Those of the features: datasets store clips of such bodies as features.
+    /// That of features: datasets store such clips as features.
     fn stored_channels(&self) -> usize {
         self.skeleton.layout().channels()
     }
@@ -217,7 +216,7 @@ impl Representation for JointPositions {
     }
 }
 
-/// Metres of the unit that bodies are in: their joints are a metre or less from the root.
+/// Metres per unit of the positions: joints are at most about a metre from the root.
 fn unit_of(joints: &Joints) -> f64 {
     /// Metres in a centimetre.
     const CENTIMETRE: f64 = 1e-2;
@@ -234,7 +233,7 @@ fn unit_of(joints: &Joints) -> f64 {
     }
 }
 
-/// Where a root stands on the ground, `[frames, 2]`: x and z in metres.
+/// Ground path of a root, `[frames, 2]`: x and z in metres.
 #[derive(Clone, Copy, Debug)]
 pub struct GroundPath {
     /// Frames per second.
@@ -266,7 +265,7 @@ impl Representation for GroundPath {
         Joints::new(places.collect(), 1).ok()
     }
 
-    /// The place, and speed and jerk as of a body; the ground has no height.
+    /// Position, and speed and jerk as of a body.
     fn curves(&self, rows: &[f32]) -> Vec<Curves> {
         let place = Curves::channels("position (m)", rows, 2, 0..2, &["x", "z"]);
         let joints = self.joints(rows);
@@ -370,7 +369,7 @@ mod tests {
         let representation = JointPositions {
             skeleton: skeleton.clone(),
         };
-        let joints = crate::humanml::moving(&skeleton, 4);
+        let joints = crate::humanml::test_clip(&skeleton, 4);
         let metres = representation.joints(&joints.to_f32()).unwrap();
         for unit in [1e3, 1e2] {
             let large: Vec<f32> = joints.to_f32().iter().map(|value| unit * value).collect();

@@ -1,8 +1,8 @@
 //! Representations of motion.
 //!
-//! A [`Representation`] defines the channels of a frame, the frame rate, the normalisation, the
-//! joint positions, the sanity checks and the curves to plot. Models are trained on [`Phrases`] and
-//! [`JointFeatures`]; [`JointPositions`] is a common exchange format.
+//! A [`Representation`] defines channels, frame rate, normalisation, joint positions, checks and
+//! curves. Models are trained on [`Phrases`] and [`JointFeatures`]; [`JointPositions`] is an
+//! exchange format.
 
 mod joints;
 mod phrases;
@@ -18,12 +18,12 @@ use serde::{Deserialize, Serialize};
 
 use crate::humanml::{Joints, Skeleton};
 use crate::metrics::mean_jerk;
+use crate::quantiles::percentile;
 use crate::sanity::body;
-use crate::statistics::percentile;
 use crate::{ChannelMoments, Error, Profile, Report, Statistics};
 
 /// A representation of motion. Rows are `[frames, channels]`, row-major, in the units of the
-/// dataset; they may contain any values, including NaN, unless a method says otherwise.
+/// dataset; they may contain any values, including NaN, unless stated otherwise.
 pub trait Representation: Debug + Send + Sync {
     /// Its name, for messages.
     fn name(&self) -> String;
@@ -31,7 +31,7 @@ pub trait Representation: Debug + Send + Sync {
     /// Number of channels.
     fn channels(&self) -> usize;
 
-    /// Number of channels of the rows that its datasets hold and its statistics describe.
+    /// Number of channels of stored rows and their statistics.
     fn stored_channels(&self) -> usize {
         self.channels()
     }
@@ -67,8 +67,8 @@ pub trait Representation: Debug + Send + Sync {
         channels.map(|c| (self.channel_name(c), c..c + 1)).collect()
     }
 
-    /// How training motion with these `moments` is normalised; `jerks` has the mean jerk of each
-    /// item ([`mean_jerk`](Self::mean_jerk)), at least one.
+    /// Statistics that normalise motion with these `moments`; `jerks` are the [mean
+    /// jerks](Self::mean_jerk) of the items, at least one.
     fn statistics(&self, moments: ChannelMoments, jerks: Vec<f64>) -> Statistics {
         Statistics {
             jerk_p95: Some(percentile(jerks, 95.0)),
@@ -83,7 +83,7 @@ pub trait Representation: Debug + Send + Sync {
         jerk.unwrap_or_default()
     }
 
-    /// How finite rows move, by the name of the measure, where that is measured.
+    /// Measures of how finite rows move, by name.
     fn movement(&self, _rows: &[f32]) -> Vec<(&'static str, f64)> {
         Vec::new()
     }
@@ -96,8 +96,9 @@ pub trait Representation: Debug + Send + Sync {
     /// Checks whether rows are plausible motion; `statistics` are those of training motion.
     ///
     /// # Errors
-    /// [`Error::StatisticsNeeded`] if the profile compares with training motion and there are
-    /// none, [`Error::MovementUnknown`] if they do not say how it moves. Motion that fails is no error: see [`Report::passed`].
+    /// [`Error::StatisticsNeeded`] without the statistics that the profile needs,
+    /// [`Error::MovementUnknown`] if they do not describe movement. Failed checks are no error
+    /// ([`Report::passed`]).
     fn check(
         &self,
         rows: &[f32],
@@ -123,7 +124,7 @@ pub trait Representation: Debug + Send + Sync {
     }
 }
 
-/// Time series of a motion that are plotted in one chart.
+/// Time series in one chart.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Curves {
     /// Title with unit.
@@ -140,7 +141,7 @@ impl Curves {
         }
     }
 
-    /// Channels of the rows as they are.
+    /// Channels of the rows.
     fn channels(
         title: &str,
         rows: &[f32],
@@ -162,12 +163,12 @@ impl Curves {
     }
 }
 
-/// The moments and mean jerks of items, measured one after the other.
+/// Moments and mean jerks of items.
 #[derive(Clone, Debug, Deserialize, Serialize)]
 pub struct Measured {
     moments: ChannelMoments,
     jerks: Vec<f64>,
-    /// Of each measure the values of all items.
+    /// Values of all items by measure.
     movement: BTreeMap<String, Vec<f64>>,
 }
 
@@ -188,7 +189,7 @@ impl Measured {
         }
     }
 
-    /// Takes in further items.
+    /// Adds further items.
     pub fn merge(&mut self, other: Self) {
         self.moments.merge(&other.moments);
         self.jerks.extend(other.jerks);
@@ -197,7 +198,7 @@ impl Measured {
         }
     }
 
-    /// What was measured of the channels.
+    /// Moments of the channels.
     pub fn moments(&self) -> &ChannelMoments {
         &self.moments
     }

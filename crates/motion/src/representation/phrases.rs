@@ -1,31 +1,28 @@
 //! Phrases: the 25 channels of CC-MotionGen.
 
 use super::{Curves, Representation};
+use crate::derivatives::{angular_rates, differences, jerk, jerk_of, mean_jerk_norm};
 use crate::humanml::Joints;
-use crate::kinematics::{differences, jerk, jerk_of, mean_jerk_norm};
-use crate::movement::rates;
 use crate::phrase::{ACCELERATION, ANGULAR_VELOCITY, PHASE, POSITION, QUATERNION, STYLE, VELOCITY};
-use crate::rotation::length;
-use crate::statistics::percentile;
+use crate::quantiles::percentile;
+use crate::vector::length;
 use crate::{
-    CHANNELS, ChannelMoments, Error, FPS, Motion, Movement, Profile, Report, Statistics,
+    CHANNELS, ChannelMoments, Error, FPS, MotionMeasure, Phrase, Profile, Report, Statistics,
     channel_name, sanity,
 };
 
-/// Phrases, `[frames, 25]` at 30 frames per second (docs/sources.md, section 1.1).
-///
-/// Normalisation leaves the quaternion as it is (its norm would no longer be 1) and brings the
-/// phase from [0, 1] to [-1, 1].
+/// Phrases, `[frames, 25]` at 30 frames per second (docs/sources.md, section 1.1). Normalisation
+/// keeps the quaternion and maps the phase from [0, 1] to [-1, 1].
 #[derive(Clone, Copy, Debug)]
 pub struct Phrases;
 
-/// The statistics of whole phrases that are finite; none of no phrases.
-pub fn phrase_statistics<'a>(phrases: impl IntoIterator<Item = &'a Motion>) -> Option<Statistics> {
-    super::statistics_of(&Phrases, phrases.into_iter().map(Motion::as_slice))
+/// The statistics of whole, finite phrases; none of no phrases.
+pub fn phrase_statistics<'a>(phrases: impl IntoIterator<Item = &'a Phrase>) -> Option<Statistics> {
+    super::statistics_of(&Phrases, phrases.into_iter().map(Phrase::as_slice))
 }
 
-fn motion(rows: &[f32]) -> Motion {
-    Motion::new(rows.to_vec()).expect("whole frames of 25 channels")
+fn motion(rows: &[f32]) -> Phrase {
+    Phrase::new(rows.to_vec()).expect("whole frames of 25 channels")
 }
 
 impl Representation for Phrases {
@@ -70,7 +67,7 @@ impl Representation for Phrases {
 
     fn movement(&self, rows: &[f32]) -> Vec<(&'static str, f64)> {
         let motion = motion(rows);
-        let measures = Movement::ALL.into_iter();
+        let measures = MotionMeasure::ALL.into_iter();
         measures
             .filter_map(|measure| Some((measure.name(), measure.of(&motion)?)))
             .collect()
@@ -98,7 +95,7 @@ impl Representation for Phrases {
             |title, range, names: &[&str]| Curves::channels(title, rows, CHANNELS, range, names);
         let frames = 0..motion.frames();
         let norms = frames.map(|t| motion.quaternion(t).norm()).collect();
-        // What the channels say of the movement, and how the poses move.
+        // Channels and derivatives of the poses.
         let sizes = |channels: Vec<[f64; 3]>| channels.into_iter().map(length).collect();
         let twice = |title, channels: Vec<[f64; 3]>, poses: Vec<[f64; 3]>| {
             let series = [("channels", channels), ("poses", poses)];
@@ -124,7 +121,7 @@ impl Representation for Phrases {
             Curves::new("quaternion norm", vec![("|q|".into(), norms)]),
             twice("speed (m/s)", vectors(VELOCITY), path),
             twice("jerk (m/s³)", jerk(&motion), bends),
-            twice("turn rate (rad/s)", turns, rates(&motion)),
+            twice("turn rate (rad/s)", turns, angular_rates(&motion)),
         ]
     }
 }
@@ -132,16 +129,16 @@ impl Representation for Phrases {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::wandering::wandering;
+    use crate::random_phrase::random_phrase;
 
     #[test]
     fn quaternions_stay_and_the_phase_is_centred() {
-        let phrases: Vec<Motion> = (0..5).map(|seed| wandering(seed, 20)).collect();
+        let phrases: Vec<Phrase> = (0..5).map(|seed| random_phrase(seed, 20)).collect();
         let statistics = phrase_statistics(&phrases).unwrap();
         assert_eq!((statistics.items, statistics.frames), (5, 100));
         for phrase in &phrases {
             let normalized = statistics.normalize(phrase.as_slice());
-            let seen = Motion::from_channel_major(&normalized, 20).unwrap();
+            let seen = Phrase::from_channel_major(&normalized, 20).unwrap();
             for t in 0..20 {
                 assert_eq!(phrase.frame(t)[QUATERNION], seen.frame(t)[QUATERNION]);
                 assert_eq!(seen.frame(t)[PHASE], 2.0 * phrase.frame(t)[PHASE] - 1.0);
@@ -151,7 +148,7 @@ mod tests {
 
     #[test]
     fn curves_show_how_the_poses_move_beside_what_the_channels_say() {
-        let mut motion = wandering(3, 40);
+        let mut motion = random_phrase(3, 40);
         motion.set_vector(20, POSITION, motion.vector(20, POSITION).map(|x| x + 0.05));
         let curves = Phrases.curves(motion.as_slice());
         let largest = |title: &str, series: usize| {
@@ -167,7 +164,7 @@ mod tests {
 
     #[test]
     fn scales_of_real_motion_are_those_of_the_vectors() {
-        let mut motion = Motion::new(vec![0.0; 4 * CHANNELS]).unwrap();
+        let mut motion = Phrase::new(vec![0.0; 4 * CHANNELS]).unwrap();
         for (t, speed) in [1.0, 1.0, 5.0, 5.0].into_iter().enumerate() {
             motion.set_vector(t, VELOCITY, [0.6 * speed, 0.0, -0.8 * speed]);
             motion.set_vector(t, ACCELERATION, [0.0, 2.0 * t as f64, 0.0]);

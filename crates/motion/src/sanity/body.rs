@@ -1,27 +1,25 @@
-//! Checks of a body: bones that keep their lengths, feet on the floor, and how jerky it moves.
+//! Checks of a body: bone lengths, feet, floor and jerk.
 
 use super::{Check, JERK_FACTOR, Profile, Report, Threshold, finite, range};
-use crate::humanml::kinematics::minus;
 use crate::humanml::{Joints, Skeleton};
 use crate::metrics::{mean_jerk, sliding_ratio};
-use crate::rotation::length;
+use crate::vector::{length, minus};
 use crate::{Error, Statistics};
 
-/// How much a bone's length may vary, over its mean.
+/// Allowed variation of a bone's length, relative to its mean.
 const BONE_TOLERANCE: f64 = 0.05;
-/// How far below the floor a joint may be, metres.
+/// Allowed depth of a joint below the floor, metres.
 const FLOOR_TOLERANCE: f64 = 0.05;
-/// Share of the steps in which a foot may slide.
+/// Allowed share of the steps in which a foot slides.
 const SKATING_SHARE: f64 = 0.5;
-/// How many times the training clips' root mean square the root's speed may be.
+/// Allowed multiple of the training clips' root mean square speed.
 const SPEED_FACTOR: f64 = 3.0;
 
-/// Checks the `joints` that `rows` stand for; none where a value is not finite. The profile
-/// `strict` compares with training motion, too.
+/// Checks the `joints` of `rows`; none if a value is not finite. The profile `strict` also compares
+/// with training motion.
 ///
 /// # Errors
-/// [`Error::StatisticsNeeded`] if the profile is strict and there are none, or they do not say how
-/// jerky training motion is.
+/// [`Error::StatisticsNeeded`] if the profile is strict and the statistics do not have the jerk.
 pub(crate) fn check(
     rows: &[f32],
     joints: Option<&Joints>,
@@ -126,7 +124,7 @@ fn floor(joints: &Joints) -> Check {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::humanml::moving;
+    use crate::humanml::test_clip;
     use crate::representation::{JointPositions, Representation, statistics_of};
 
     fn representation() -> JointPositions {
@@ -138,7 +136,7 @@ mod tests {
     /// The checks that a good clip fails after a change of its joints, `[frames, 22, 3]`.
     fn failing(change: impl Fn(usize, usize, &mut [f32; 3])) -> Vec<&'static str> {
         let representation = representation();
-        let mut good = moving(&representation.skeleton, 40).to_f32();
+        let mut good = test_clip(&representation.skeleton, 40).to_f32();
         // High enough that no swinging foot reaches the floor.
         good.iter_mut()
             .skip(1)
@@ -177,7 +175,7 @@ mod tests {
             }
         });
         assert_eq!(stretched, ["bone_length"]);
-        // What is below the floor stands on it, too: its feet slide.
+        // Feet below the floor are on the ground too: they slide.
         assert_eq!(failing(|_, _, p| p[1] -= 3.0), ["floor", "skating"]);
         assert_eq!(failing(|t, _, p| p[0] += 0.3 * t as f32), ["speed"]);
         let trembling = failing(|t, _, p| p[1] += 0.05 * (t % 2) as f32);

@@ -1,8 +1,8 @@
-//! CC-MotionGen's five checks, as they stand.
+//! CC-MotionGen's five checks.
 
 use super::{Check, Report, Threshold, coherence, finite_phrase, jerk, phase};
-use crate::Motion;
-use crate::kinematics::{acceleration_errors, mean_absolute_component, velocity_errors};
+use crate::Phrase;
+use crate::derivatives::{acceleration_errors, mean_absolute_component, velocity_errors};
 
 /// Smallest and largest mean quaternion norm.
 const QUATERNION_NORM: [f64; 2] = [0.95, 1.05];
@@ -18,7 +18,7 @@ const MAX_ACCELERATION_ERROR: f64 = 100.0;
 
 /// Makes the five checks of [`Profile::Document`](super::Profile::Document) (CC-MotionGen, section
 /// 10.1; docs/sources.md, section 1.13), and the line `finite` where it fails.
-pub(super) fn check(motion: &Motion) -> Report {
+pub(super) fn check(motion: &Phrase) -> Report {
     let mut checks = vec![
         quaternion(motion),
         phase(motion, [0.0, 1.0]),
@@ -36,7 +36,7 @@ pub(super) fn check(motion: &Motion) -> Report {
             MAX_ACCELERATION_ERROR,
         ),
     ];
-    // The five do not look at style and angular velocity.
+    // The five checks ignore style and angular velocity.
     let finite = finite_phrase(motion);
     if !finite.passed {
         checks.push(finite);
@@ -44,7 +44,7 @@ pub(super) fn check(motion: &Motion) -> Report {
     Report::new(checks)
 }
 
-fn quaternion(motion: &Motion) -> Check {
+fn quaternion(motion: &Phrase) -> Check {
     let frames = motion.frames();
     let norms = (0..frames).map(|t| motion.quaternion(t).norm());
     let mean = norms.sum::<f64>() / frames as f64;
@@ -58,11 +58,11 @@ mod tests {
     use super::*;
     use crate::phrase::PHASE;
     use crate::phrase::{ACCELERATION, VELOCITY};
-    use crate::wandering::wandering;
+    use crate::random_phrase::random_phrase;
 
     /// Changes every frame of a good phrase, then names the checks that fail.
-    fn failing(change: impl Fn(&mut Motion, usize)) -> Vec<&'static str> {
-        let mut motion = wandering(7, 20);
+    fn failing(change: impl Fn(&mut Phrase, usize)) -> Vec<&'static str> {
+        let mut motion = random_phrase(7, 20);
         (0..20).for_each(|t| change(&mut motion, t));
         let report = check(&motion);
         report
@@ -73,7 +73,7 @@ mod tests {
             .collect()
     }
 
-    fn add(motion: &mut Motion, t: usize, channels: std::ops::Range<usize>, offset: f64) {
+    fn add(motion: &mut Phrase, t: usize, channels: std::ops::Range<usize>, offset: f64) {
         let moved = motion
             .vector(t, channels.clone())
             .map(|value| value + offset);
@@ -82,7 +82,7 @@ mod tests {
 
     #[test]
     fn a_good_phrase_passes_five_checks() {
-        let report = check(&wandering(7, 20));
+        let report = check(&random_phrase(7, 20));
         let names: Vec<_> = report.checks.iter().map(|check| check.name).collect();
         let document = [
             "quaternion",
@@ -98,7 +98,7 @@ mod tests {
     #[test]
     fn each_check_fails_where_it_should() {
         assert!(failing(|_, _| ()).is_empty());
-        let scale = |m: &mut Motion, t, factor| m.set_quaternion(t, m.quaternion(t).scale(factor));
+        let scale = |m: &mut Phrase, t, factor| m.set_quaternion(t, m.quaternion(t).scale(factor));
         assert_eq!(failing(|m, t| scale(m, t, 1.06)), ["quaternion"]);
         assert_eq!(failing(|m, t| scale(m, t, 0.94)), ["quaternion"]);
         assert_eq!(failing(|m, t| m.frame_mut(t)[PHASE] += 0.9), ["phase"]);
@@ -113,7 +113,7 @@ mod tests {
             ["accel_coherence"]
         );
         assert!(failing(|m, t| add(m, t, ACCELERATION, 99.0)).is_empty());
-        let zigzag = |m: &mut Motion, t: usize| add(m, t, ACCELERATION, [0.0, 1000.0][t % 2]);
+        let zigzag = |m: &mut Phrase, t: usize| add(m, t, ACCELERATION, [0.0, 1000.0][t % 2]);
         assert_eq!(failing(zigzag), ["jerk", "accel_coherence"]);
     }
 }

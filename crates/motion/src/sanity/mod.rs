@@ -1,12 +1,11 @@
-//! Is a phrase plausible motion?
+//! Plausibility checks of a phrase.
 //!
-//! Two profiles: [`Profile::Document`] makes the five checks of CC-MotionGen, section 10.1, as they
-//! stand (docs/sources.md, section 1.13). Most of them cannot fail where it matters (section 1.14,
-//! hazard 10): they take means over frames, and the jerk bound is beyond what the clamps let
-//! through. They look at the channels alone: jerk is that of the acceleration channels, so that a
-//! shaking path under a calm account of itself passes. [`Profile::Strict`] looks at every frame,
-//! holds velocity, acceleration and angular velocity against the poses, and compares how the poses
-//! [move](crate::Movement) with the training phrases.
+//! [`Profile::Document`] makes the five checks of CC-MotionGen, section 10.1 (docs/sources.md,
+//! section 1.13). Most of them cannot fail where it matters (section 1.14, hazard 10): they are
+//! means over frames, the jerk bound exceeds what the clamps pass, and they read channels alone, so
+//! that a shaking path passes. [`Profile::Strict`] checks every frame, compares the explicit
+//! derivatives with the poses, and the [measures](crate::MotionMeasure) of the poses with the
+//! training phrases.
 
 pub(crate) mod body;
 mod document;
@@ -17,25 +16,23 @@ use serde::{Deserialize, Serialize};
 
 pub use report::{Check, Report, Threshold, Value};
 
-use crate::kinematics::mean_jerk_norm;
+use crate::derivatives::mean_jerk_norm;
 use crate::phrase::PHASE;
-use crate::{Error, Motion, Statistics, channel_name};
+use crate::{Error, Phrase, Statistics, channel_name};
 
-/// How many times the training motion's 95th percentile the mean jerk may be.
+/// Allowed multiple of the training motion's 95th percentile of the mean jerk.
 const JERK_FACTOR: f64 = 3.0;
 
-/// Which checks are made.
+/// Set of checks.
 #[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Profile {
-    /// CC-MotionGen's five checks, with its thresholds, which look at channels and not at how the
-    /// poses move. A phrase that is not finite fails them too,
-    /// by a sixth line `finite` that appears only then.
+    /// CC-MotionGen's five checks and thresholds. A phrase that is not finite also fails by a sixth
+    /// line `finite`.
     #[default]
     #[serde(rename = "ccmotion")]
     Document,
-    /// Every frame, the channels against the poses, and how the poses move against how those of the
-    /// training phrases do.
+    /// Every frame, channels against poses, and poses against the training phrases.
     Strict,
 }
 
@@ -49,11 +46,11 @@ impl std::fmt::Display for Profile {
 /// Checks a phrase. The profile `ccmotion` needs no `statistics`.
 ///
 /// # Errors
-/// If the profile is strict, [`Error::StatisticsNeeded`] without `statistics`, and
-/// [`Error::MovementUnknown`] where they do not say how training motion moves. A phrase that fails
-/// is no error: see [`Report::passed`].
+/// For the profile `strict`, [`Error::StatisticsNeeded`] without `statistics` and
+/// [`Error::MovementUnknown`] if they do not describe movement. Failed checks are no error
+/// ([`Report::passed`]).
 pub fn check(
-    motion: &Motion,
+    motion: &Phrase,
     profile: Profile,
     statistics: Option<&Statistics>,
 ) -> Result<Report, Error> {
@@ -66,7 +63,7 @@ pub fn check(
     }
 }
 
-/// No NaN and no infinity among values.
+/// Counts NaN and infinities.
 fn finite(values: &[f32]) -> Check {
     let bad = values.iter().filter(|value| !value.is_finite()).count();
     let message = match bad {
@@ -76,8 +73,8 @@ fn finite(values: &[f32]) -> Check {
     Check::new("finite", bad as f64, Threshold::AtMost(0.0), message)
 }
 
-/// [`finite`] of a phrase, which names the first place where it is not.
-fn finite_phrase(motion: &Motion) -> Check {
+/// [`finite`] of a phrase, with the first position.
+fn finite_phrase(motion: &Phrase) -> Check {
     let mut check = finite(motion.as_slice());
     if let Some((frame, channel)) = motion.first_non_finite() {
         let channel = channel_name(channel);
@@ -87,7 +84,7 @@ fn finite_phrase(motion: &Motion) -> Check {
 }
 
 /// The phase of every frame.
-fn phase(motion: &Motion, allowed: [f64; 2]) -> Check {
+fn phase(motion: &Phrase, allowed: [f64; 2]) -> Check {
     let [low, high] = range((0..motion.frames()).map(|t| f64::from(motion.frame(t)[PHASE])));
     let message = format!("phase from {low:.4} to {high:.4}");
     let value = Value::Range([low, high]);
@@ -95,19 +92,19 @@ fn phase(motion: &Motion, allowed: [f64; 2]) -> Check {
 }
 
 /// The mean jerk norm, metres per second cubed.
-fn jerk(motion: &Motion, allowed: Threshold) -> Check {
+fn jerk(motion: &Phrase, allowed: Threshold) -> Check {
     let mean = mean_jerk_norm(motion);
     Check::new("jerk", mean, allowed, format!("mean jerk {mean:.1} m/s^3"))
 }
 
-/// How far what a channel says is from what it follows from; `message` has `{error}` in it.
+/// Error of an explicit derivative; `message` contains `{error}`.
 fn coherence(name: &'static str, error: f64, message: &str, below: f64) -> Check {
     let error = Value::Number(error);
     let message = message.replace("{error}", &error.to_string());
     Check::new(name, error, Threshold::Below(below), message)
 }
 
-/// Smallest and largest value; both NaN if one of the values is.
+/// Smallest and largest value; both NaN if one is NaN.
 fn range(values: impl Iterator<Item = f64>) -> [f64; 2] {
     values.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], value| {
         // `f64::min` would drop a NaN.
@@ -123,21 +120,21 @@ fn range(values: impl Iterator<Item = f64>) -> [f64; 2] {
 mod tests {
     use super::*;
     use crate::CHANNELS;
-    use crate::wandering::wandering;
+    use crate::random_phrase::random_phrase;
 
     #[test]
-    fn strict_without_statistics_says_where_to_take_them_from() {
-        let error = check(&wandering(1, 5), Profile::Strict, None).unwrap_err();
+    fn strict_without_statistics_has_a_hint() {
+        let error = check(&random_phrase(1, 5), Profile::Strict, None).unwrap_err();
         let help = miette::Diagnostic::help(&error).unwrap().to_string();
         assert!(
-            help.contains("--run") && help.contains("--source"),
+            help.contains("`run`") && help.contains("`source`"),
             "{help}"
         );
     }
 
     #[test]
     fn one_bad_value_in_any_channel_fails_both_profiles() {
-        let good = wandering(2, 6);
+        let good = random_phrase(2, 6);
         let statistics = crate::phrase_statistics([&good]).unwrap();
         for profile in [Profile::Document, Profile::Strict] {
             assert!(check(&good, profile, Some(&statistics)).unwrap().passed);
@@ -155,9 +152,9 @@ mod tests {
 
     #[test]
     fn nan_makes_the_measured_value_nan_and_the_check_fail() {
-        let mut motion = wandering(2, 6);
+        let mut motion = random_phrase(2, 6);
         (0..CHANNELS).for_each(|channel| motion.frame_mut(3)[channel] = f32::NAN);
-        let statistics = crate::phrase_statistics([&wandering(2, 6)]).unwrap();
+        let statistics = crate::phrase_statistics([&random_phrase(2, 6)]).unwrap();
         for profile in [Profile::Document, Profile::Strict] {
             let report = check(&motion, profile, Some(&statistics)).unwrap();
             assert!(
@@ -169,9 +166,9 @@ mod tests {
 
     #[test]
     fn the_shortest_phrases_are_checked() {
-        let statistics = crate::phrase_statistics([&wandering(2, 40)]).unwrap();
+        let statistics = crate::phrase_statistics([&random_phrase(2, 40)]).unwrap();
         for frames in [1, 2] {
-            let motion = wandering(2, frames);
+            let motion = random_phrase(2, frames);
             for profile in [Profile::Document, Profile::Strict] {
                 let report = check(&motion, profile, Some(&statistics)).unwrap();
                 assert!(report.passed, "{profile:?}, {frames}: {report:#?}");

@@ -1,4 +1,4 @@
-//! What the checks found.
+//! Results of the checks.
 
 use std::fmt;
 
@@ -33,9 +33,9 @@ pub struct Check {
     pub name: &'static str,
     /// Whether the value lies within the threshold.
     pub passed: bool,
-    /// What was measured, in the units of the check.
+    /// The measured value, in the units of the check.
     pub value: Value,
-    /// What is allowed.
+    /// The allowed values.
     pub threshold: Threshold,
     /// The measurement in words.
     pub message: String,
@@ -59,10 +59,10 @@ impl Check {
         }
     }
 
-    /// Whichever of two outcomes of one check lies farther beyond its threshold, or less far within.
+    /// The outcome farther beyond its threshold, or less far within.
     pub fn worse(self, other: Self) -> Self {
         let excess = |check: &Self| check.threshold.excess(check.value);
-        // What is not a number is the worst.
+        // NaN is the worst.
         if excess(&self) >= excess(&other) || excess(&self).is_nan() {
             self
         } else {
@@ -87,7 +87,8 @@ impl From<f64> for Value {
     }
 }
 
-/// What a check allows. In JSON an object such as `{"below": 5.0}` or `{"within": [0.0, 1.0]}`.
+/// Allowed values of a check. In JSON an object such as `{"below": 5.0}` or
+/// `{"within": [0.0, 1.0]}`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Threshold {
@@ -102,7 +103,7 @@ pub enum Threshold {
 }
 
 impl Threshold {
-    /// Whether the value (of a range both ends) is allowed. NaN never is.
+    /// Whether the value (both ends of a range) is allowed. NaN never is.
     pub fn admits(self, value: Value) -> bool {
         let admits = |value: f64| match self {
             Self::Below(bound) => value < bound,
@@ -116,8 +117,8 @@ impl Threshold {
         }
     }
 
-    /// How far beyond the bound the value lies (of a range the worse end): negative within. NaN of
-    /// what is not a number.
+    /// Distance of the value (the worse end of a range) beyond the bound: negative within. NaN of
+    /// NaN.
     fn excess(self, value: Value) -> f64 {
         let excess = |value: f64| match self {
             Self::Below(bound) | Self::AtMost(bound) => value - bound,
@@ -161,7 +162,7 @@ impl fmt::Display for Threshold {
     }
 }
 
-/// About four digits: plain where that is readable, else with an exponent.
+/// About four digits.
 fn short(number: f64) -> String {
     match number.abs() {
         size if !number.is_finite() || (1e6..).contains(&size) => format!("{number:.3e}"),

@@ -1,42 +1,41 @@
-//! Checks of every frame, with bounds taken from the training phrases.
+//! Checks of every frame, with bounds from the training phrases.
 
 use std::ops::Range;
 
 use super::{Check, JERK_FACTOR, Report, Threshold, coherence, finite_phrase, jerk, phase, range};
-use crate::kinematics::{acceleration_errors, mean_norm, rotation_errors, velocity_errors};
-use crate::movement::{Bounds, phase_steps};
-use crate::{FPS, Motion, Movement, Statistics};
+use crate::derivatives::{acceleration_errors, mean_norm, rotation_errors, velocity_errors};
+use crate::motion_measures::{Bounds, phase_steps};
+use crate::{FPS, MotionMeasure, Phrase, Statistics};
 
-/// Largest deviation of a quaternion's norm from 1.
+/// Allowed deviation of a quaternion's norm from 1.
 const NORM_TOLERANCE: f64 = 1e-3;
 
-/// Share of the training phrases' root mean square at which an error of velocity or acceleration
-/// counts as incoherent.
+/// Allowed error of velocity and acceleration, relative to the training phrases' root mean square.
 const COHERENCE_SHARE: f64 = 0.1;
 
-/// Windows that begin within the length of one.
+/// Number of windows that begin within the length of one.
 const WINDOWS_A_LENGTH: usize = 8;
 
-/// Frames of a window at least: all measures are of as many.
+/// Shortest window, frames, for which all measures exist.
 const SHORTEST_WINDOW: usize = 31;
 
-/// Mean error of the angular velocity, radians per second, at which it counts as incoherent.
+/// Allowed mean error of the angular velocity, radians per second.
 const MAX_ROTATION_ERROR: f64 = 0.1;
 
-/// The largest tilt, degrees: bounds stay below it, halfway to it where dancers lie on the floor.
+/// Largest possible tilt, degrees; bounds stay below it.
 const UPSIDE_DOWN: f64 = 180.0;
 
-/// How far the phase may run backwards from one frame to the next, bars.
+/// Allowed backward step of the phase, bars.
 const PHASE_TOLERANCE: f64 = 0.01;
 
-/// Makes the checks of [`Profile::Strict`](super::Profile::Strict); none where the statistics do
-/// not say how lively training motion is and how it moves.
+/// Makes the checks of [`Profile::Strict`](super::Profile::Strict); none if the statistics do not
+/// describe movement.
 ///
-/// What is a mean over frames is checked in windows as long as the training phrases, an eighth of one
-/// apart, and the worst of them is reported: a minute of dancing does not make up for five seconds of
-/// standing. A phrase too short for a measure of the movement is not checked for
-/// it, and one shorter than the training phrases is held to bounds as much wider as it is shorter.
-pub(super) fn check(motion: &Motion, training: &Statistics) -> Option<Report> {
+/// Means are checked in windows of the training phrases' length, an eighth apart, and the worst is
+/// reported: a minute of dancing does not compensate five seconds of standing. Phrases too short
+/// for a measure are not checked for it, and those shorter than the training phrases have
+/// proportionally wider bounds.
+pub(super) fn check(motion: &Phrase, training: &Statistics) -> Option<Report> {
     if training.movement.is_empty() {
         return None;
     }
@@ -62,8 +61,8 @@ pub(super) fn check(motion: &Motion, training: &Statistics) -> Option<Report> {
     Some(Report::new(checks))
 }
 
-/// Windows that cover `frames` frames, of the mean length of the training phrases, if that is a second
-/// or more: a single one of a phrase that is hardly longer.
+/// Windows of the training phrases' mean length, at least a second, that cover `frames` frames; one
+/// window for hardly longer phrases.
 fn windows(frames: usize, training: &Statistics) -> Vec<Range<usize>> {
     let length = (training.frames / training.items.max(1)).max(SHORTEST_WINDOW);
     if frames <= length + length / WINDOWS_A_LENGTH {
@@ -74,7 +73,7 @@ fn windows(frames: usize, training: &Statistics) -> Vec<Range<usize>> {
     starts.map(|start| start..start + length).collect()
 }
 
-/// Says in the messages of checks of a window which one it is.
+/// Adds the window to the messages of its checks.
 fn name_window(checks: &mut [Check], window: &Range<usize>) {
     let [from, to] = [window.start, window.end].map(|frame| frame as f64 / FPS);
     for check in checks {
@@ -82,9 +81,8 @@ fn name_window(checks: &mut [Check], window: &Range<usize>) {
     }
 }
 
-/// The checks of means over frames, and of how the poses move; none where the statistics do not say
-/// how lively training motion is.
-fn means(motion: &Motion, training: &Statistics) -> Option<Vec<Check>> {
+/// Checks of means and of movement; none if the statistics lack a value.
+fn means(motion: &Phrase, training: &Statistics) -> Option<Vec<Check>> {
     let mut checks = vec![
         coherence(
             "velocity_coherence",
@@ -106,16 +104,15 @@ fn means(motion: &Motion, training: &Statistics) -> Option<Vec<Check>> {
         ),
         jerk(motion, Threshold::AtMost(JERK_FACTOR * training.jerk_p95?)),
     ];
-    let measures = Movement::ALL.into_iter();
+    let measures = MotionMeasure::ALL.into_iter();
     checks.extend(measures.filter_map(|measure| movement(measure, motion, training)));
     Some(checks)
 }
 
-/// A measure of the movement against its 1st and 99th percentile in training motion; `None` where
-/// it is not checked.
-fn movement(measure: Movement, motion: &Motion, training: &Statistics) -> Option<Check> {
+/// A measure against its 1st and 99th percentile in training motion; `None` if it is not checked.
+fn movement(measure: MotionMeasure, motion: &Phrase, training: &Statistics) -> Option<Check> {
     let &[low, high] = training.movement.get(measure.name())?;
-    // A part of a phrase may be calmer than the whole, and as lively as the whole's sum allows.
+    // A part of a phrase may be less or more lively than the whole.
     let whole = training.frames as f64 / training.items.max(1) as f64;
     let shorter = (whole / motion.frames() as f64).max(1.0);
     let threshold = match measure.bounds() {
@@ -137,7 +134,7 @@ fn movement(measure: Movement, motion: &Motion, training: &Statistics) -> Option
 }
 
 /// The smallest step of the phase; none of a single frame.
-fn phase_direction(motion: &Motion) -> Option<Check> {
+fn phase_direction(motion: &Phrase) -> Option<Check> {
     let steps = phase_steps(motion);
     (!steps.is_empty()).then(|| {
         let [smallest, _] = range(steps.into_iter());
@@ -147,7 +144,7 @@ fn phase_direction(motion: &Motion) -> Option<Check> {
     })
 }
 
-fn quaternion_norm(motion: &Motion) -> Check {
+fn quaternion_norm(motion: &Phrase) -> Check {
     let deviations = (0..motion.frames()).map(|t| (motion.quaternion(t).norm() - 1.0).abs());
     let [_, largest] = range(deviations);
     Check::new(
@@ -158,7 +155,7 @@ fn quaternion_norm(motion: &Motion) -> Check {
     )
 }
 
-fn quaternion_sign(motion: &Motion) -> Check {
+fn quaternion_sign(motion: &Phrase) -> Check {
     let neighbours = 1..motion.frames();
     let [smallest, _] = if neighbours.is_empty() {
         [1.0; 2] // A single frame has no neighbour to disagree with.

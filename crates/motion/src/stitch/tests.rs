@@ -1,9 +1,9 @@
 use super::*;
-use crate::wandering::wandering;
-use crate::{Motion, anchor_floor};
+use crate::random_phrase::random_phrase;
+use crate::{Phrase, anchor_floor};
 
 /// The windows of a motion, each anchored where it begins.
-fn cut(windows: &Windows, motion: &Motion) -> Vec<f32> {
+fn cut(windows: &Windows, motion: &Phrase) -> Vec<f32> {
     let parts = (0..windows.len()).map(|window| {
         let mut part = motion.slice(windows.of(window));
         anchor_floor(&mut part);
@@ -52,7 +52,7 @@ fn windows_cover_all_frames_and_overlap() {
 
 #[test]
 fn pieces_of_a_motion_make_the_motion() {
-    let mut motion = wandering(4, 91);
+    let mut motion = random_phrase(4, 91);
     anchor_floor(&mut motion);
     let windows = Windows::new(91, 24);
     let mut values = cut(&windows, &motion);
@@ -65,7 +65,7 @@ fn pieces_of_a_motion_make_the_motion() {
     }
     let before = values.clone();
     let stitched = windows.stitch(&mut values, None, Layout::Phrase);
-    let stitched = Motion::from_channel_major(&stitched, 91).unwrap();
+    let stitched = Phrase::from_channel_major(&stitched, 91).unwrap();
     for t in 0..91 {
         assert_near(&stitched.frame(t)[..9], &motion.frame(t)[..9], 2e-5);
         assert!(stitched.quaternion(t).dot(motion.quaternion(t)).abs() > 1.0 - 1e-6);
@@ -91,17 +91,17 @@ fn phases_are_blended_on_their_circle() {
 }
 
 #[test]
-fn pieces_in_other_targets_make_the_motion() {
-    let mut motion = wandering(4, 91);
+fn windows_in_other_encodings_make_the_motion() {
+    let mut motion = random_phrase(4, 91);
     anchor_floor(&mut motion);
-    let targets = Targets {
-        phase: PhaseTarget::SinCos,
-        orientation: OrientationTarget::Rotation6d,
+    let encoding = ChannelEncoding {
+        phase: PhaseEncoding::SinCos,
+        orientation: OrientationEncoding::Rotation6d,
     };
-    let layout = Layout::Predicted(targets);
-    let columns = |motion: &Motion| {
-        let rows = targets.encode(motion.as_slice()).into_owned();
-        let channels = targets.channels();
+    let layout = Layout::Predicted(encoding);
+    let columns = |motion: &Phrase| {
+        let rows = encoding.encode(motion.as_slice()).into_owned();
+        let channels = encoding.channels();
         (0..channels)
             .flat_map(|c| {
                 rows.iter()
@@ -124,13 +124,13 @@ fn pieces_in_other_targets_make_the_motion() {
     assert_near(&stitched, &columns(&motion), 2e-5);
     assert_near(&values, &before, 2e-5);
     // Known frames of these channels hold too, and fade.
-    let known = Known {
+    let known = KnownFrames {
         is_known: (0..91).map(|t| (30..40).contains(&t)).collect(),
         values: columns(&motion),
     };
     let mut still = vec![0.0; values.len()];
     let stitched = windows.stitch(&mut still, Some(&known), layout);
-    let sine = targets.phase_channels().start * 91;
+    let sine = encoding.phase_channels().start * 91;
     assert_eq!(
         stitched[sine + 30..sine + 40],
         known.values[sine + 30..sine + 40]
@@ -143,7 +143,7 @@ fn predicted_phases_of_one_number_are_blended_around_the_bar() {
     // Two windows that differ by a little, across the end of a bar.
     let windows = Windows::new(30, 20);
     assert_eq!(windows.starts(), [0, 10]);
-    let layout = Layout::Predicted(Targets::default());
+    let layout = Layout::Predicted(ChannelEncoding::default());
     let turn = |window: usize, t: usize| 0.9 + 0.01 * t as f64 + 0.04 * window as f64;
     let mut values = vec![0.0; 2 * CHANNELS * 20];
     for (window, values) in values.chunks_mut(CHANNELS * 20).enumerate() {
@@ -168,7 +168,7 @@ fn predicted_phases_of_one_number_are_blended_around_the_bar() {
 fn windows_that_differ_agree_afterwards() {
     let windows = Windows::new(50, 20);
     let mut values: Vec<f32> = (0..windows.len())
-        .flat_map(|window| wandering(window as u64, 20).channel_major())
+        .flat_map(|window| random_phrase(window as u64, 20).channel_major())
         .collect();
     let motion = windows.stitch(&mut values, None, Layout::Phrase);
     let height = |window: usize, t: usize| {
@@ -186,13 +186,13 @@ fn windows_that_differ_agree_afterwards() {
 
 #[test]
 fn known_frames_are_met_exactly_and_say_where_the_motion_stands() {
-    let mut motion = wandering(8, 70);
+    let mut motion = random_phrase(8, 70);
     for t in 0..70 {
         let [x, y, z] = motion.vector(t, POSITION);
         motion.set_vector(t, POSITION, [x + 40.0, y, z - 7.0]);
     }
     let windows = Windows::new(70, 24);
-    let known = Known {
+    let known = KnownFrames {
         is_known: (0..70).map(|t| (30..40).contains(&t)).collect(),
         values: motion.channel_major(),
     };
@@ -204,7 +204,7 @@ fn known_frames_are_met_exactly_and_say_where_the_motion_stands() {
     }
     // The windows were cut from it, so that all of it is there.
     assert_near(&stitched[..70], &known.values[..70], 1e-4);
-    // Where they say something else, the edge is no step.
+    // Where they differ, the edge is no step.
     let mut still = vec![0.0; values.len()];
     let stitched = windows.stitch(&mut still, Some(&known), Layout::Phrase);
     let height = |t: usize| stitched[70 + t];

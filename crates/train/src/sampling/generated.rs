@@ -1,7 +1,7 @@
 //! Generated motion and its files.
 
 use kinegrad_motion::CHANNELS;
-use kinegrad_motion::Motion;
+use kinegrad_motion::Phrase;
 use kinegrad_motion::humanml::{Features, Joints, Skeleton};
 
 use super::Contents;
@@ -27,9 +27,9 @@ pub enum Generated {
     /// A phrase, `[T, 25]`.
     Phrase {
         /// Post-processed.
-        motion: Motion,
+        motion: Phrase,
         /// The raw model output.
-        raw: Motion,
+        raw: Phrase,
     },
     /// A clip of a body.
     Clip {
@@ -69,7 +69,7 @@ impl Generated {
     pub fn files(self) -> Vec<(&'static str, Contents)> {
         match self {
             Self::Phrase { motion, raw } => {
-                let array = |motion: Motion| Contents::Array {
+                let array = |motion: Phrase| Contents::Array {
                     shape: vec![motion.frames(), CHANNELS],
                     values: motion.into_vec(),
                 };

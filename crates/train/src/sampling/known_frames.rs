@@ -4,9 +4,9 @@ use std::ops::Range;
 use std::path::Path;
 
 use kinegrad_data::read_motion;
-use kinegrad_motion::kinematics::make_sign_continuous;
-use kinegrad_motion::stitch::Known;
-use kinegrad_motion::{CHANNELS, Motion, Quaternion, channel_name};
+use kinegrad_motion::derivatives::make_sign_continuous;
+use kinegrad_motion::stitch;
+use kinegrad_motion::{CHANNELS, Phrase, Quaternion, channel_name};
 
 use super::KnownFramesCondition;
 use crate::error::Error;
@@ -15,7 +15,7 @@ use crate::error::Error;
 #[derive(Clone, Debug, PartialEq)]
 pub struct KnownFrames {
     /// As the stored numbers, `[frames, 25]`; zeros elsewhere.
-    pub motion: Motion,
+    pub motion: Phrase,
     /// The frames of the sample that are given.
     pub frames: Vec<Range<usize>>,
 }
@@ -118,7 +118,7 @@ impl KnownFramesCondition {
                  `frames`)",
             ));
         }
-        let mut motion = Motion::new(vec![0.0; frames * CHANNELS])?;
+        let mut motion = Phrase::new(vec![0.0; frames * CHANNELS])?;
         for t in known.iter().cloned().flatten() {
             motion.frame_mut(t).copy_from_slice(phrase.frame(of + t));
         }
@@ -136,7 +136,7 @@ impl KnownFrames {
     }
 
     /// The given frames with unit quaternions of continuous sign, `[25, frames]`.
-    pub fn known(&self) -> Known {
+    pub fn known(&self) -> stitch::KnownFrames {
         let mut is_known = vec![false; self.motion.frames()];
         self.frames
             .iter()
@@ -151,7 +151,7 @@ impl KnownFrames {
         for (t, quaternion) in given.into_iter().zip(quaternions) {
             motion.set_quaternion(t, quaternion);
         }
-        Known {
+        stitch::KnownFrames {
             values: motion.channel_major(),
             is_known,
         }
@@ -160,7 +160,7 @@ impl KnownFrames {
     /// Puts the numbers of the given frames into `motion`, whose other quaternions get the sign
     /// that fits the first of them. Where the motion has turned around once more until a later
     /// range, the quaternions of that range get the sign that goes on from there.
-    pub fn put_into(&self, motion: &mut Motion) {
+    pub fn put_into(&self, motion: &mut Phrase) {
         let Some(first) = self.frames.first().map(|range| range.start) else {
             return;
         };
@@ -197,7 +197,7 @@ mod tests {
         };
         let motion = |angles: &[f64]| {
             let frames = angles.iter().flat_map(|angle| facing(*angle));
-            Motion::new(frames.collect()).expect("frames")
+            Phrase::new(frames.collect()).expect("frames")
         };
         let given = KnownFrames {
             motion: motion(&[0.0; 12]),

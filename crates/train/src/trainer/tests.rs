@@ -2,7 +2,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use burn::tensor::{Device, Tensor};
-use kinegrad_data::{Batch, Dataset, Phrase, PhraseSamples, synthetic};
+use kinegrad_data::{Batch, Dataset, PhraseItem, PhraseSamples, synthetic};
 use kinegrad_models::layers::Linear;
 use kinegrad_models::{Initializer, LoraConfig, UNet1dConfig};
 use kinegrad_motion::{Phrases, phrase_statistics};
@@ -93,9 +93,9 @@ fn trainer_with(batches: usize, states: &str, on_host: bool) -> Trainer<Squares>
     let overrides: Vec<String> = overrides.collect();
     let config = BUILT_IN.parse("", "c.toml", &overrides).unwrap();
     let phrase = |(index, frames)| Arc::new(synthetic::phrase(index, frames, 2));
-    let phrases: Vec<Arc<Phrase>> = [9, 4, 12].into_iter().enumerate().map(phrase).collect();
+    let phrases: Vec<Arc<PhraseItem>> = [9, 4, 12].into_iter().enumerate().map(phrase).collect();
     let statistics = phrase_statistics(phrases.iter().map(|phrase| &phrase.motion)).unwrap();
-    let dataset = Dataset::<Phrase>::of_items(phrases, Vec::new(), Phrases);
+    let dataset = Dataset::<PhraseItem>::of_items(phrases, Vec::new(), Phrases);
     let given = Arc::new(statistics.clone());
     let samples = PhraseSamples::new(dataset.train.clone(), given, &config.data, 1);
     let device = Device::flex().autodiff();

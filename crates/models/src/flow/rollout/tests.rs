@@ -144,7 +144,7 @@ fn bones_are_constant_where_they_are_asked_to_be() {
         let bones = Skeleton::humanml3d().offsets_of_frame(frame);
         bones
             .into_iter()
-            .map(kinegrad_motion::rotation::length)
+            .map(kinegrad_motion::vector::length)
             .collect::<Vec<f64>>()
     };
     let history = walked(6);

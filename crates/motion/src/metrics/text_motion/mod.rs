@@ -1,8 +1,7 @@
-//! How well motions match their captions: the metrics over embeddings of both, and the words that
-//! captions are encoded by.
+//! Metrics of motions and their captions.
 //!
-//! The embeddings are those of the field's published pair of encoders (C. Guo et al., "Generating
-//! Diverse and Natural 3D Human Motions from Text", 2022). [`TextMotionReport`] has the metrics.
+//! The embeddings are those of the published pair of encoders (C. Guo et al., "Generating Diverse
+//! and Natural 3D Human Motions from Text", 2022). [`TextMotionReport`] has the metrics.
 
 mod report;
 mod words;

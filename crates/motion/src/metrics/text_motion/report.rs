@@ -8,25 +8,21 @@ use serde::{Deserialize, Serialize};
 use crate::metrics::diversity::distance;
 use crate::metrics::{FeatureMoments, feature_diversity, frechet_distance, mean};
 
-/// Motions that each caption is ranked among.
+/// Number of motions that each caption is ranked among.
 pub const POOL: usize = 32;
 
-/// Pairs over which diversity is measured.
+/// Number of pairs for diversity.
 pub const DIVERSITY_PAIRS: usize = 300;
 
-/// Share of the captions whose own motion is the nearest, among the two nearest, and among the
-/// three nearest of its pool. Embeddings are `[n, width]`, a caption's and its motion's at the
-/// same place.
+/// R-precision: the share of the captions whose own motion is the nearest, among the two nearest,
+/// and among the three nearest of its pool. Embeddings are `[n, width]`, caption and motion at the
+/// same index.
 ///
-/// Pools are [`POOL`] pairs in their order; what is left over at the end is not ranked. Of two
-/// motions equally near, the first counts as nearer: motions that are all alike rank as by chance.
-/// Where another caption of the pool has the same embedding, its motion is as good as the own one:
-/// datasets with few captions repeat them.
-/// Each caption ranks motions by Euclidean distance, as in the published program (the paper tells
-/// it the other way around). `None` for less than one pool or where a value is not finite.
-///
-/// # Panics
-/// Panics if there are not as many captions as motions, or the embeddings differ in length.
+/// Pools are [`POOL`] consecutive pairs; the remainder is not ranked. Of equally near motions the
+/// first is nearer, so identical motions rank by chance. Captions of the pool with the same
+/// embedding count as the own one, because small datasets repeat captions. Motions are ranked by
+/// Euclidean distance for each caption, as in the published program (the paper has it the other way
+/// around). `None` for less than one pool or values that are not finite.
 pub fn r_precision(texts: &[Vec<f64>], motions: &[Vec<f64>]) -> Option<[f64; 3]> {
     assert_eq!(texts.len(), motions.len(), "a caption for each motion");
     let mut found = [0usize; 3];
@@ -51,22 +47,15 @@ pub fn r_precision(texts: &[Vec<f64>], motions: &[Vec<f64>]) -> Option<[f64; 3]>
     (ranked > 0).then(|| found.map(|count| count as f64 / ranked as f64))
 }
 
-/// Mean Euclidean distance between each caption's embedding and its motion's, both `[n, width]`;
-/// also called matching score. `None` of nothing or where a value is not finite.
-///
-/// # Panics
-/// Panics if there are not as many captions as motions, or the embeddings differ in length.
+/// Mean Euclidean distance between the embeddings of captions and their motions, both `[n, width]`;
+/// also called matching score. `None` of nothing or values that are not finite.
 pub fn multimodal_distance(texts: &[Vec<f64>], motions: &[Vec<f64>]) -> Option<f64> {
     assert_eq!(texts.len(), motions.len(), "a caption for each motion");
     mean(texts.iter().zip(motions).map(|(a, b)| Some(distance(a, b))))
 }
 
-/// Share of the motions whose nearest caption, of all different ones, is their own, by Euclidean
-/// distance; embeddings as those of [`r_precision`]. `None` of nothing, of one caption alone, or
-/// where a value is not finite.
-///
-/// # Panics
-/// Panics if there are not as many captions as motions, or the embeddings differ in length.
+/// Share of the motions whose nearest caption, of all distinct ones, is their own; embeddings as in
+/// [`r_precision`]. `None` of nothing, a single caption, or values that are not finite.
 pub fn caption_accuracy(texts: &[Vec<f64>], motions: &[Vec<f64>]) -> Option<f64> {
     assert_eq!(texts.len(), motions.len(), "a caption for each motion");
     let mut different: Vec<&Vec<f64>> = Vec::new();
@@ -89,14 +78,9 @@ pub fn caption_accuracy(texts: &[Vec<f64>], motions: &[Vec<f64>]) -> Option<f64>
     mean(texts.iter().zip(motions).map(own_is_nearest))
 }
 
-/// Share of the motions whose nearest caption, of all different ones, is that of a motion with the
-/// same label: `labels` are the values of one label, such as the action, of the motions at the same
-/// places. Motions without one are not counted. Embeddings as those of [`r_precision`]. `None` for
-/// fewer than two values, or where an embedding is not finite.
-///
-/// # Panics
-/// Panics if there are not as many captions and labels as motions, or the embeddings differ in
-/// length.
+/// Share of the motions whose nearest caption, of all distinct ones, belongs to a motion with the
+/// same label: `labels` are the values of one label, such as the action. Motions without one are
+/// not counted. `None` for fewer than two values or embeddings that are not finite.
 pub fn label_accuracy(
     texts: &[Vec<f64>],
     motions: &[Vec<f64>],
@@ -108,7 +92,7 @@ pub fn label_accuracy(
         motions.len(),
         "a label, or none, for each motion"
     );
-    // Of each caption, the values of the motions that have it.
+    // For each caption, the label values of its motions.
     let mut different: Vec<(&Vec<f64>, BTreeSet<&str>)> = Vec::new();
     for (text, label) in texts.iter().zip(labels) {
         let Some(label) = label else { continue };
@@ -136,17 +120,15 @@ pub fn label_accuracy(
     }))
 }
 
-/// How motions match their captions and how they compare with real ones, by their embeddings.
-///
-/// A metric that cannot be computed, for want of motions or because a value is not finite, is
-/// `None`. The published program leaves the remainder after the last whole pool out of all
-/// metrics; here it is left out of the R-precision alone.
+/// Metrics of motions, their captions and real motions, by their embeddings. A metric without data
+/// or with values that are not finite is `None`. The published program drops the remainder after
+/// the last pool for all metrics; here only for the R-precision.
 #[derive(Clone, Debug, Default, Deserialize, PartialEq, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct TextMotionReport {
     /// Number of motions.
     pub samples: usize,
-    /// Number of whole pools, for the R-precision.
+    /// Number of pools, for the R-precision.
     pub pools: usize,
     /// First number of [`r_precision`].
     pub r_precision_top1: Option<f64>,
@@ -157,24 +139,20 @@ pub struct TextMotionReport {
     /// [`caption_accuracy`].
     #[serde(default)]
     pub caption_accuracy: Option<f64>,
-    /// [`label_accuracy`] of each label, by its name; of clips without labels, none.
+    /// [`label_accuracy`] by label; empty without labels.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub label_accuracy: BTreeMap<String, Option<f64>>,
     /// [`multimodal_distance`].
     pub multimodal_distance: Option<f64>,
-    /// [`frechet_distance`] from real motion, known as FID.
+    /// [`frechet_distance`] from real motion (FID).
     pub frechet_distance: Option<f64>,
     /// [`feature_diversity`] over [`DIVERSITY_PAIRS`] pairs.
     pub diversity: Option<f64>,
 }
 
 impl TextMotionReport {
-    /// Measures motions by their embeddings, those of their captions at the same places and those
-    /// of real motions, of which there may be more or fewer. Real motions given for both are
-    /// measured as published "real motions" are. `seed` draws the pairs for diversity.
-    ///
-    /// # Panics
-    /// Panics if there are not as many captions as motions, or the embeddings differ in length.
+    /// Measures motions by the embeddings of them, their captions (at the same index) and real
+    /// motions. `seed` determines the pairs for diversity.
     pub fn compute(texts: &[Vec<f64>], motions: &[Vec<f64>], real: &[Vec<f64>], seed: u64) -> Self {
         let r_precision = r_precision(texts, motions);
         let moments = FeatureMoments::compute(motions).zip(FeatureMoments::compute(real));
@@ -192,11 +170,7 @@ impl TextMotionReport {
         }
     }
 
-    /// With the [`label_accuracy`] of each of the `labels` of the motions, at the same places as the
-    /// embeddings that the report was computed of.
-    ///
-    /// # Panics
-    /// As [`label_accuracy`].
+    /// Adds the [`label_accuracy`] of each label of the motions.
     #[must_use]
     pub fn with_labels(
         mut self,
@@ -214,7 +188,7 @@ impl TextMotionReport {
         self
     }
 
-    /// The metrics in the order in which they print, each with its name.
+    /// The metrics in print order, with name.
     pub fn rows(&self) -> Vec<(String, Option<f64>)> {
         let named = |(name, value): (&str, Option<f64>)| (name.to_owned(), value);
         let of_label =
@@ -236,7 +210,7 @@ impl TextMotionReport {
 }
 
 impl fmt::Display for TextMotionReport {
-    /// One line for each metric that could be computed.
+    /// One line for each available metric.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(
             f,
@@ -380,12 +354,12 @@ mod tests {
 
     #[test]
     fn a_report_has_all_metrics_and_survives_storage() {
-        let drawn = |seed: u64| -> Vec<Vec<f64>> {
-            let draw = |index| Key::new(seed, Purpose::Synthetic).at(index).normals(4);
+        let embeddings = |seed: u64| -> Vec<Vec<f64>> {
+            let vector = |index| Key::new(seed, Purpose::Synthetic).at(index).normals(4);
             let wide = |vector: Vec<f32>| vector.into_iter().map(f64::from).collect();
-            (0..70).map(draw).map(wide).collect()
+            (0..70).map(vector).map(wide).collect()
         };
-        let (texts, motions) = (drawn(1), drawn(2));
+        let (texts, motions) = (embeddings(1), embeddings(2));
         let report = TextMotionReport::compute(&texts, &motions, &motions, 5);
         assert_eq!((report.samples, report.pools), (70, 2));
         assert!(report.frechet_distance.unwrap() < 1e-9);

@@ -7,14 +7,14 @@ use std::fmt;
 use kinegrad_random::{Key, Purpose};
 use thiserror::Error;
 
-/// The most words of a caption that are read.
+/// Most words of a caption that are read.
 pub const MAX_WORDS: usize = 20;
 
-/// What stands in for words without a vector.
+/// Replacement of words without a vector.
 const UNKNOWN: &str = "unk";
 
-/// The classes of words, in the order of the encoder's one-hot vectors. Certain words count as a
-/// class of their own, whatever their part of speech.
+/// Classes of words, in the order of the encoder's one-hot vectors. Some words have a class of
+/// their own.
 #[derive(Clone, Copy, Debug, Eq, Hash, PartialEq)]
 pub enum PartOfSpeech {
     /// `VERB`.
@@ -50,7 +50,7 @@ pub enum PartOfSpeech {
 }
 
 impl PartOfSpeech {
-    /// All of them, in order, with their names in caption files.
+    /// All classes in order, with their names in caption files.
     pub const ALL: [(Self, &'static str); 15] = [
         (Self::Verb, "VERB"),
         (Self::Noun, "NOUN"),
@@ -74,14 +74,14 @@ impl PartOfSpeech {
         Self::ALL[self as usize].1
     }
 
-    /// The class of that name; [`Other`](Self::Other) for every name that is not one.
+    /// The class of that name; [`Other`](Self::Other) for unknown names.
     pub fn from_name(name: &str) -> Self {
         let mut all = Self::ALL.into_iter();
         all.find(|(_, known)| *known == name)
             .map_or(Self::Other, |(class, _)| class)
     }
 
-    /// The class that `word` has by itself.
+    /// The class of a word by itself.
     fn of_word(word: &str) -> Option<Self> {
         Some(match word {
             "left" | "right" | "clockwise" | "counterclockwise" | "anticlockwise" | "forward"
@@ -106,15 +106,15 @@ impl PartOfSpeech {
 /// A word of a caption. Displays as `word/POS`.
 #[derive(Clone, Debug, Eq, Hash, PartialEq)]
 pub struct Token {
-    /// The word, as a dictionary has it.
+    /// The word in its dictionary form.
     pub word: String,
-    /// Its part of speech, as the caption file states it.
+    /// Its part of speech in the caption file.
     pub part_of_speech: PartOfSpeech,
 }
 
 impl Token {
-    /// Parses words `word/POS` with spaces between them. A word without `/POS` is
-    /// [`PartOfSpeech::Other`]; what has no word is passed over.
+    /// Parses words `word/POS` separated by spaces. A word without `/POS` is
+    /// [`PartOfSpeech::Other`]; empty words are skipped.
     pub fn parse_all(text: &str) -> Vec<Self> {
         text.split_whitespace()
             .map(|token| token.rsplit_once('/').unwrap_or((token, "")))
@@ -133,13 +133,13 @@ impl fmt::Display for Token {
     }
 }
 
-/// Word vectors that cannot be used.
+/// Unusable word vectors.
 #[derive(Clone, Debug, Error, PartialEq)]
 #[error("the word vectors have {found}, expected {expected}")]
 pub struct WordVectorsError {
-    /// What was found.
+    /// The finding.
     pub found: String,
-    /// What is expected.
+    /// The expectation.
     pub expected: &'static str,
 }
 
@@ -152,21 +152,20 @@ pub struct WordVectors {
 
 #[derive(Clone, Debug, PartialEq)]
 enum Vocabulary {
-    /// Some words, each with a row.
-    Stated {
+    /// Rows by word.
+    Table {
         places: HashMap<String, usize>,
         values: Vec<f32>,
     },
-    /// All words there are.
-    Drawn,
+    /// A random vector for every word.
+    Random,
 }
 
 impl WordVectors {
-    /// The vectors `[words, width]` of different words, `unk` among them.
+    /// The vectors `[words, width]` of distinct words, including `unk`.
     ///
     /// # Errors
-    /// If the values make no whole vector for each word or are not finite, if a word comes twice,
-    /// and if there is no `unk`.
+    /// If the values are not one finite vector per word, a word occurs twice, or `unk` is missing.
     pub fn new(words: Vec<String>, values: Vec<f32>) -> Result<Self, WordVectorsError> {
         let refused = |found, expected| WordVectorsError { found, expected };
         let (count, width) = (words.len(), values.len() / words.len().max(1));
@@ -190,17 +189,16 @@ impl WordVectors {
             return Err(refused(found, "a vector for it: that of words without one"));
         }
         Ok(Self {
-            vocabulary: Vocabulary::Stated { places, values },
+            vocabulary: Vocabulary::Table { places, values },
             width,
         })
     }
 
-    /// A vector of `width` normal numbers for every word there is, drawn from the word: it tells
-    /// words apart and knows nothing of what they mean. For captions of few words, where an encoder
-    /// learns the meaning of each.
-    pub fn drawn(width: usize) -> Self {
+    /// A normal random vector of `width` numbers for every word, keyed by the word. For captions
+    /// with few words, whose meaning an encoder can learn.
+    pub fn random(width: usize) -> Self {
         Self {
-            vocabulary: Vocabulary::Drawn,
+            vocabulary: Vocabulary::Random,
             width,
         }
     }
@@ -213,19 +211,19 @@ impl WordVectors {
     /// The vector of a word, if it has one.
     pub fn vector(&self, word: &str) -> Option<Cow<'_, [f32]>> {
         match &self.vocabulary {
-            Vocabulary::Stated { places, values } => {
+            Vocabulary::Table { places, values } => {
                 let start = places.get(word)? * self.width;
                 Some(Cow::Borrowed(&values[start..start + self.width]))
             }
-            Vocabulary::Drawn => {
+            Vocabulary::Random => {
                 let key = Key::new(0, Purpose::WordVectors).named(word);
                 Some(Cow::Owned(key.normals(self.width)))
             }
         }
     }
 
-    /// Vectors and classes of a caption's first [`MAX_WORDS`] words between `sos` and `eos`. A
-    /// word without a vector has that of `unk` and is [`PartOfSpeech::Other`].
+    /// Vectors and classes of a caption's first [`MAX_WORDS`] words, between `sos` and `eos`. Words
+    /// without a vector use that of `unk` and are [`PartOfSpeech::Other`].
     pub fn sentence(&self, tokens: &[Token]) -> Vec<(Cow<'_, [f32]>, PartOfSpeech)> {
         let words = tokens.iter().take(MAX_WORDS);
         let words = words.map(|token| (token.word.as_str(), token.part_of_speech));
@@ -288,8 +286,8 @@ mod tests {
     }
 
     #[test]
-    fn every_word_has_a_drawn_vector_of_its_own() {
-        let vectors = WordVectors::drawn(5);
+    fn every_word_has_a_random_vector_of_its_own() {
+        let vectors = WordVectors::random(5);
         let [walk, again, run] = ["walk", "walk", "run"].map(|word| vectors.vector(word).unwrap());
         assert_eq!((walk.len(), &walk), (5, &again));
         assert_ne!(walk, run);

@@ -2,17 +2,17 @@
 
 use super::*;
 use crate::phrase::{ACCELERATION, ANGULAR_VELOCITY, PHASE, POSITION, VELOCITY};
-use crate::wandering::wandering;
+use crate::random_phrase::random_phrase;
 use crate::{Quaternion, derive};
 
 fn training() -> Statistics {
-    let phrases: Vec<Motion> = (0..20).map(|seed| wandering(seed, 60)).collect();
+    let phrases: Vec<Phrase> = (0..20).map(|seed| random_phrase(seed, 60)).collect();
     crate::phrase_statistics(&phrases).unwrap()
 }
 
 /// Changes one frame of a good phrase, then names the checks that fail.
-fn failing(change: impl Fn(&mut Motion)) -> Vec<&'static str> {
-    let mut motion = wandering(7, 60);
+fn failing(change: impl Fn(&mut Phrase)) -> Vec<&'static str> {
+    let mut motion = random_phrase(7, 60);
     change(&mut motion);
     let report = check(&motion, &training()).unwrap();
     report
@@ -23,7 +23,7 @@ fn failing(change: impl Fn(&mut Motion)) -> Vec<&'static str> {
         .collect()
 }
 
-fn add_everywhere(motion: &mut Motion, channels: std::ops::Range<usize>, offset: [f64; 3]) {
+fn add_everywhere(motion: &mut Phrase, channels: std::ops::Range<usize>, offset: [f64; 3]) {
     for t in 0..motion.frames() {
         let value = motion.vector(t, channels.clone());
         motion.set_vector(
@@ -37,10 +37,10 @@ fn add_everywhere(motion: &mut Motion, channels: std::ops::Range<usize>, offset:
 #[test]
 fn coherent_phrases_pass() {
     for seed in 0..20 {
-        let report = check(&wandering(seed, 60), &training()).unwrap();
+        let report = check(&random_phrase(seed, 60), &training()).unwrap();
         assert!(report.passed, "{report:#?}");
         // Two of the measures depend on the length.
-        assert_eq!(report.checks.len(), 9 + Movement::ALL.len() - 2);
+        assert_eq!(report.checks.len(), 9 + MotionMeasure::ALL.len() - 2);
     }
 }
 
@@ -96,8 +96,8 @@ fn trembling_fails() {
 /// A phrase of these poses whose other channels follow from them.
 fn with_poses(
     pose: impl Fn(usize, [f64; 3], Quaternion, f64) -> ([f64; 3], Quaternion, f64),
-) -> Motion {
-    let good = wandering(7, 60);
+) -> Phrase {
+    let good = random_phrase(7, 60);
     let (mut positions, mut quaternions, mut phases) = (Vec::new(), Vec::new(), Vec::new());
     for t in 0..60 {
         let phase = f64::from(good.frame(t)[PHASE]);
@@ -109,7 +109,7 @@ fn with_poses(
     derive(&positions, &quaternions, &phases, &[[0.0; 8]; 60]).unwrap()
 }
 
-fn failed(motion: &Motion) -> Vec<&'static str> {
+fn failed(motion: &Phrase) -> Vec<&'static str> {
     let report = check(motion, &training()).unwrap();
     let failed = report.checks.iter().filter(|check| !check.passed);
     failed.map(|check| check.name).collect()
@@ -118,7 +118,7 @@ fn failed(motion: &Motion) -> Vec<&'static str> {
 #[test]
 fn broken_movement_that_agrees_with_its_channels_fails_by_name() {
     assert!(failed(&with_poses(|_, p, q, phase| (p, q, phase))).is_empty());
-    let first = wandering(7, 60);
+    let first = random_phrase(7, 60);
     let (place, pose) = (first.vector(0, POSITION), first.quaternion(0));
 
     let frozen = failed(&with_poses(|_, _, _, phase| (place, pose, phase)));
@@ -185,8 +185,8 @@ fn a_body_that_falls_over_fails_and_a_slight_lean_never_does() {
 #[test]
 fn no_part_of_a_long_motion_makes_up_for_another() {
     let training = training();
-    let long = wandering(7, 600);
-    let failed = |motion: &Motion| {
+    let long = random_phrase(7, 600);
+    let failed = |motion: &Phrase| {
         let report = check(motion, &training).unwrap();
         report
             .checks
@@ -196,7 +196,7 @@ fn no_part_of_a_long_motion_makes_up_for_another() {
             .collect::<Vec<_>>()
     };
     assert_eq!(failed(&long), []);
-    // It stands for three seconds of twenty, from second 8 on, and goes on from there.
+    // It stands for three seconds of twenty, from second 8 on, and then continues.
     let standing = |t: usize| t.clamp(0, 240) + t.saturating_sub(330);
     let poses = (0..600).map(standing);
     let positions: Vec<_> = poses.clone().map(|t| long.vector(t, POSITION)).collect();
@@ -254,5 +254,5 @@ fn statistics_of_before_the_movement_was_measured_say_too_little() {
         movement: Default::default(),
         ..training()
     };
-    assert!(check(&wandering(7, 60), &old).is_none());
+    assert!(check(&random_phrase(7, 60), &old).is_none());
 }

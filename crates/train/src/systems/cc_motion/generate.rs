@@ -10,7 +10,7 @@ use kinegrad_kernels::batch_invariant;
 use kinegrad_models::{AudioCondition, MotionDecoder, UNet1d};
 use kinegrad_motion::phrase::CHANNELS;
 use kinegrad_motion::postprocess::PostProcessConfig;
-use kinegrad_motion::{Motion, Phrases, Statistics, Targets, process_around};
+use kinegrad_motion::{ChannelEncoding, Phrase, Phrases, Statistics, process_around};
 use kinegrad_random::{Key, Purpose};
 
 use super::lengths::windows;
@@ -32,23 +32,23 @@ const BATCH: usize = 32;
 #[derive(Clone, Debug)]
 pub struct Sample {
     /// The raw model output, decoded or de-normalised.
-    pub raw: Motion,
+    pub raw: Phrase,
     /// Post-processed.
-    pub motion: Motion,
+    pub motion: Phrase,
 }
 
 /// A motion as a network predicts it.
 pub(super) struct Raw {
-    motion: Motion,
+    motion: Phrase,
     /// How sure it is of the heading of each frame, 0 to 1.
-    sureness: Vec<f64>,
+    confidence: Vec<f64>,
 }
 
 /// Of a decoder, which does not say how sure it is.
-impl From<Motion> for Raw {
-    fn from(motion: Motion) -> Self {
-        let sureness = vec![1.0; motion.frames()];
-        Self { motion, sureness }
+impl From<Phrase> for Raw {
+    fn from(motion: Phrase) -> Self {
+        let confidence = vec![1.0; motion.frames()];
+        Self { motion, confidence }
     }
 }
 
@@ -57,7 +57,7 @@ pub struct Generator {
     pub(super) unet: UNet1d,
     pub(super) decoder: Option<MotionDecoder>,
     pub(super) diffusion: GaussianDiffusion,
-    pub(super) targets: Targets,
+    pub(super) targets: ChannelEncoding,
     pub(super) post_processing: PostProcessConfig,
     pub(super) style: Option<Asked>,
     pub(super) device: Device,
@@ -200,16 +200,16 @@ impl Generator {
     /// If they are not whole frames.
     pub(super) fn predicted(&self, values: &[f32]) -> Result<Raw, Error> {
         let rows = self.state.normalization().denormalize(values);
-        let sureness = self.targets.sureness(&rows);
-        let motion = Motion::new(self.targets.decode(rows))?;
-        Ok(Raw { motion, sureness })
+        let confidence = self.targets.confidence(&rows);
+        let motion = Phrase::new(self.targets.decode(rows))?;
+        Ok(Raw { motion, confidence })
     }
 
     /// The post-processed sample of a raw motion of which some frames are known.
     pub(super) fn finished(&self, raw: Raw, is_known: &[bool]) -> Sample {
-        let Raw { motion, sureness } = raw;
+        let Raw { motion, confidence } = raw;
         let (steps, statistics) = (&self.post_processing, Some(self.statistics()));
-        let processed = process_around(&motion, steps, statistics, is_known, &sureness);
+        let processed = process_around(&motion, steps, statistics, is_known, &confidence);
         Sample {
             raw: motion,
             motion: processed,
@@ -316,7 +316,7 @@ impl Generator {
             let width = self.decoder.as_ref().map_or(drawn, |_| CHANNELS);
             for values in values.chunks(width * frames) {
                 let raw = match &self.decoder {
-                    Some(_) => Motion::from_channel_major(values, frames)?.into(),
+                    Some(_) => Phrase::from_channel_major(values, frames)?.into(),
                     None => self.predicted(values)?,
                 };
                 take(self.finished(raw, &vec![false; frames]))?;

@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 use std::path::PathBuf;
 
-use kinegrad_data::{DataConfig, DataKind, Dataset, Phrase, Songs, song_of};
+use kinegrad_data::{DataConfig, DataKind, Dataset, PhraseItem, Songs, song_of};
 
 use super::start::Starts;
 use crate::checkpoint::State;
@@ -33,7 +33,7 @@ fn place(source: &str) -> PathBuf {
 /// are none of the songs: measures of them are not of what is new to the model.
 pub(super) fn warn(
     starts: &Starts,
-    dataset: &Dataset<Phrase>,
+    dataset: &Dataset<PhraseItem>,
     data: &DataConfig,
     observer: &mut dyn Observer,
 ) {
@@ -44,7 +44,12 @@ pub(super) fn warn(
     }
 }
 
-fn warnings(key: &str, state: &State, dataset: &Dataset<Phrase>, data: &DataConfig) -> Vec<String> {
+fn warnings(
+    key: &str,
+    state: &State,
+    dataset: &Dataset<PhraseItem>,
+    data: &DataConfig,
+) -> Vec<String> {
     // Datasets of one digest are split alike.
     let same = state.dataset_sha256.as_deref() == Some(&dataset.digest.to_string());
     if same || dataset.validation.is_empty() {
@@ -57,7 +62,7 @@ fn warnings(key: &str, state: &State, dataset: &Dataset<Phrase>, data: &DataConf
         return Vec::new();
     }
     before.cache.memory_mib = 0;
-    let opened = Dataset::<Phrase>::open(&before);
+    let opened = Dataset::<PhraseItem>::open(&before);
     let opened = opened.map(|trained| (trained.train, [&before, data].map(Songs::read)));
     let (trained, songs) = match opened {
         Ok((trained, [Ok(heard), Ok(own)])) => (trained, [heard, own]),

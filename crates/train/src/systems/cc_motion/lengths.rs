@@ -2,18 +2,18 @@
 
 use std::sync::Arc;
 
-use kinegrad_data::Phrase;
-use kinegrad_motion::OrientationTarget;
+use kinegrad_data::PhraseItem;
+use kinegrad_motion::OrientationEncoding;
 use kinegrad_motion::stitch::Windows;
 
 use super::networks::targets;
 use crate::config::Config;
 
 /// The first frames of a phrase, at most `longest`: as validation has it.
-pub(super) fn leading(phrase: &Arc<Phrase>, longest: usize) -> Arc<Phrase> {
+pub(super) fn leading(phrase: &Arc<PhraseItem>, longest: usize) -> Arc<PhraseItem> {
     match phrase.frames() > longest {
         false => phrase.clone(),
-        true => Arc::new(Phrase {
+        true => Arc::new(PhraseItem {
             id: phrase.id.clone(),
             motion: phrase.motion.slice(0..longest),
             audio: phrase.audio.slice(0..longest),
@@ -27,7 +27,7 @@ pub(super) fn leading(phrase: &Arc<Phrase>, longest: usize) -> Arc<Phrase> {
 /// windows do not fit together.
 pub(super) fn windows(config: &Config, frames: usize) -> Option<Windows> {
     let longest = config.data.target_frames;
-    let fit = targets(config).orientation != OrientationTarget::CanonicalQuaternion;
+    let fit = targets(config).orientation != OrientationEncoding::CanonicalQuaternion;
     (fit && frames > longest).then(|| Windows::new(frames, longest))
 }
 

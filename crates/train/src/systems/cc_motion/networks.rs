@@ -7,7 +7,7 @@ use kinegrad_models::parameters::ParameterInfo;
 use kinegrad_models::{
     DecoderConfig, Initializer, MotionDecoder, MotionModel, UNet1d, UNet1dConfig, parameters,
 };
-use kinegrad_motion::{Phrases, Statistics, Targets};
+use kinegrad_motion::{ChannelEncoding, Phrases, Statistics};
 
 use super::recipe_name::RecipeName;
 use super::{CcMotionConfig, CcMotionNetwork};
@@ -74,7 +74,7 @@ pub(super) fn unet1d(config: &Config) -> &UNet1dConfig {
 }
 
 /// The channels that the denoiser of a config predicts.
-pub(crate) fn targets(config: &Config) -> Targets {
+pub(crate) fn targets(config: &Config) -> ChannelEncoding {
     unet1d(config).targets()
 }
 

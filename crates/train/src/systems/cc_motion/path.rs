@@ -9,7 +9,7 @@ use std::path::PathBuf;
 use kinegrad_motion::path::{PathPlan, PathReport};
 use kinegrad_motion::phrase::{ACCELERATION, FPS, POSITION, VELOCITY};
 use kinegrad_motion::stitch::Windows;
-use kinegrad_motion::{Motion, Statistics};
+use kinegrad_motion::{Phrase, Statistics};
 use kinegrad_settings::{InvalidSetting, in_range};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -112,7 +112,7 @@ impl Asked {
     }
 
     /// What the record of a phrase says.
-    pub fn record(&self, motion: &Motion) -> PathRecord {
+    pub fn record(&self, motion: &Phrase) -> PathRecord {
         let frames = (0..motion.frames()).map(|t| motion.frame(t));
         let track = frames.map(|frame| GROUND.map(|axis| f64::from(frame[POSITION.start + axis])));
         let track: Vec<[f64; 2]> = track.collect();
@@ -212,7 +212,7 @@ impl PhrasePath {
     }
 
     /// Moves a drawn phrase to where the path begins, and with `override` onto it in every frame.
-    pub fn finish(&self, motion: &mut Motion) {
+    pub fn finish(&self, motion: &mut Phrase) {
         let start = self.points[0];
         for t in 0..motion.frames() {
             let frame = motion.frame_mut(t);
@@ -340,7 +340,7 @@ mod tests {
 
     #[test]
     fn a_drawn_phrase_begins_where_the_path_does() {
-        let mut motion = Motion::new(vec![0.25; CHANNELS * 20]).unwrap();
+        let mut motion = Phrase::new(vec![0.25; CHANNELS * 20]).unwrap();
         path(PhrasePathMethod::Guidance, 20).finish(&mut motion);
         assert_eq!(motion.frame(5)[..3], [2.25, 0.25, 0.25]);
         path(PhrasePathMethod::Override, 20).finish(&mut motion);

@@ -5,12 +5,12 @@ use std::collections::BTreeSet;
 use std::iter::repeat_n;
 use std::path::{Path, PathBuf};
 
-use kinegrad_data::{AudioFeatures, DataConfig, DataKind, Dataset, Phrase, load_audio};
+use kinegrad_data::{AudioFeatures, DataConfig, DataKind, Dataset, PhraseItem, load_audio};
 use kinegrad_models::Beats;
 use kinegrad_motion::path::PathPlan;
 use kinegrad_motion::postprocess::PostProcessConfig;
 use kinegrad_motion::stitch::Windows;
-use kinegrad_motion::{Motion, OrientationTarget, Profile, Report, Statistics, check};
+use kinegrad_motion::{OrientationEncoding, Phrase, Profile, Report, Statistics, check};
 use kinegrad_random::{Key, Purpose};
 
 use super::CcMotionConfig;
@@ -96,7 +96,8 @@ impl<'a> Phrases<'a> {
             tasks: Vec::new(),
         };
         if let Some(count) = request.held_out_items() {
-            let dataset = Dataset::<Phrase>::open_with_progress(&config.data, &*sink.reading())?;
+            let dataset =
+                Dataset::<PhraseItem>::open_with_progress(&config.data, &*sink.reading())?;
             for phrase in dataset.held_out().first(count)? {
                 let windows = windows(config, phrase.audio.frames());
                 resolved.push(
@@ -167,7 +168,7 @@ impl<'a> Phrases<'a> {
         let path = path.transpose()?;
         let must_join = known.is_some() || path.is_some();
         if (must_join || (is_song && frames > length))
-            && targets(config).orientation == OrientationTarget::CanonicalQuaternion
+            && targets(config).orientation == OrientationEncoding::CanonicalQuaternion
         {
             let message = "a run with `model.orientation_target = \"canonical_quaternion\"` samples \
                            each motion from its own first heading: windows of a song, known frames \
@@ -340,7 +341,7 @@ fn generated(sample: Sample) -> Generated {
 }
 
 /// A line of both profiles' verdicts.
-fn checked(name: &str, motion: &Motion, statistics: &Statistics) -> Result<Vec<String>, Error> {
+fn checked(name: &str, motion: &Phrase, statistics: &Statistics) -> Result<Vec<String>, Error> {
     let document = Some(check(motion, Profile::Document, None)?);
     // Statistics of before the movement was measured say too little.
     let strict = check(motion, Profile::Strict, Some(statistics)).ok();
@@ -366,7 +367,7 @@ fn checked(name: &str, motion: &Motion, statistics: &Statistics) -> Result<Vec<S
 }
 
 /// The condition of a phrase of a dataset.
-fn of_phrase(phrase: &Phrase, data: &DataConfig) -> Audio {
+fn of_phrase(phrase: &PhraseItem, data: &DataConfig) -> Audio {
     Audio {
         name: phrase.id.clone(),
         features: phrase.audio.clone(),
@@ -487,7 +488,7 @@ fn of_phrases(
         data.kind = DataKind::Phrases;
         data.source = Some(source.to_owned());
     }
-    let dataset = Dataset::<Phrase>::open_with_progress(&data, &*sink.reading())?;
+    let dataset = Dataset::<PhraseItem>::open_with_progress(&data, &*sink.reading())?;
     let mut found = Vec::new();
     for side in [&dataset.validation, &dataset.train] {
         match item {

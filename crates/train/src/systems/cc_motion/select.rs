@@ -5,7 +5,7 @@ use std::rc::Rc;
 use std::sync::Arc;
 
 use burn::tensor::Device;
-use kinegrad_data::{Batch, Phrase, PhraseSet};
+use kinegrad_data::{Batch, PhraseItem, PhraseSet};
 use kinegrad_diffusion::GaussianDiffusion;
 use kinegrad_models::{GradientSum, MotionDecoder, MotionModel, UNet1d};
 
@@ -43,7 +43,7 @@ impl Networks for MotionModel {
 /// What samples are drawn for and compared with.
 pub(super) struct Selection {
     by: SelectBy,
-    phrases: Vec<Arc<Phrase>>,
+    phrases: Vec<Arc<PhraseItem>>,
     diffusion: GaussianDiffusion,
     /// What a checkpoint would say.
     state: State,

@@ -2,7 +2,7 @@
 
 use burn::tensor::Device;
 use kinegrad_models::{Beats, MotionModel, parameters};
-use kinegrad_motion::{OrientationTarget, Phrases};
+use kinegrad_motion::{OrientationEncoding, Phrases};
 use kinegrad_settings::{Refused, require};
 use toml::Table;
 
@@ -165,11 +165,11 @@ pub(super) fn must_use(config: &Config) -> Result<(), Error> {
     require(learns, "data.augment.audio_noise", noise, allowed)
         .hint("the tracker would learn from beats with noise; `audio_masks` vary the music")?;
     let (orientation, augment) = (targets(config).orientation, &config.data.augment);
-    let flips = augment.flip_quaternion && orientation != OrientationTarget::Quaternion;
+    let flips = augment.flip_quaternion && orientation != OrientationEncoding::Quaternion;
     let of_one_sign = "false with this `model.orientation_target`";
     require(!flips, "data.augment.flip_quaternion", true, of_one_sign)
         .hint("q and -q are one rotation, and one target: there is nothing to learn from both")?;
-    let turns = augment.rotate_yaw && orientation == OrientationTarget::CanonicalQuaternion;
+    let turns = augment.rotate_yaw && orientation == OrientationEncoding::CanonicalQuaternion;
     let turned_back = "false with `model.orientation_target = \"canonical_quaternion\"`";
     require(!turns, "data.augment.rotate_yaw", true, turned_back)
         .hint("each sample is turned to face +z, whichever way it was turned before")?;

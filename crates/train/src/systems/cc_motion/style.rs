@@ -4,7 +4,7 @@
 use std::collections::BTreeSet;
 
 use burn::tensor::{Device, Tensor, TensorData};
-use kinegrad_data::{Dataset, LABEL, Phrase, STYLE, StyleConditions, is_label};
+use kinegrad_data::{Dataset, LABEL, PhraseItem, STYLE, StyleConditions, is_label};
 use kinegrad_kernels::Lengths;
 use kinegrad_models::{AudioCondition, StyleCondition, StyleConditioning};
 use kinegrad_motion::Statistics;
@@ -26,7 +26,7 @@ use crate::sampling::Style;
 /// labels does not know.
 pub(super) fn with_labels(
     config: Config,
-    dataset: &Dataset<Phrase>,
+    dataset: &Dataset<PhraseItem>,
     observer: &mut dyn Observer,
 ) -> Result<Config, Error> {
     let mut own = config.own::<CcMotionConfig>().clone();

@@ -3,11 +3,11 @@
 use std::sync::Arc;
 
 use kinegrad_data::{
-    AugmentConfig, Dataset, Phrase, PhraseSamples, StatisticsOf, target_statistics,
+    AugmentConfig, Dataset, PhraseItem, PhraseSamples, StatisticsOf, target_statistics,
 };
 use kinegrad_diffusion::GaussianDiffusion;
 use kinegrad_motion::phrase::{ACCELERATION, POSITION, VELOCITY};
-use kinegrad_motion::{OrientationTarget, Phrases, Statistics, Targets};
+use kinegrad_motion::{ChannelEncoding, OrientationEncoding, Phrases, Statistics};
 use kinegrad_settings::InvalidSetting;
 
 use super::networks::{denoiser, networks, targets};
@@ -28,7 +28,7 @@ pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome
     let mut setup = setup.with_gradients(own.model.activation_checkpointing);
     let (together, reading) = (setup.together.clone(), observer.reading());
     let data = &setup.config.data;
-    let dataset = Dataset::<Phrase>::open_among(data, &*observer.reading(), &*setup.together)?;
+    let dataset = Dataset::<PhraseItem>::open_among(data, &*observer.reading(), &*setup.together)?;
     setup.check_dataset(&dataset, observer)?;
     let config = style::with_labels(setup.config.clone(), &dataset, observer)?;
     setup.config = config.clone();
@@ -65,7 +65,7 @@ pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome
         leaks::warn(starts, &dataset, &config.data, observer);
     }
     let targets = targets(&config);
-    let measured = |dataset: &Dataset<Phrase>| dataset.statistics_among(&*reading, &*together);
+    let measured = |dataset: &Dataset<PhraseItem>| dataset.statistics_among(&*reading, &*together);
     let (statistics, network_statistics) = match (&setup.checkpoint, &starts) {
         (Some(checkpoint), _) => {
             let stored = checkpoint.state.statistics_of(&Phrases)?.clone();
@@ -85,7 +85,7 @@ pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome
                 // Of a start of before it was measured.
                 statistics.movement = measured(&dataset)?.movement;
             }
-            (wide(Targets::default(), statistics), own)
+            (wide(ChannelEncoding::default(), statistics), own)
         }
         (None, None) => {
             let wide = |targets, statistics, before: &AugmentConfig| {
@@ -109,7 +109,7 @@ pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome
                 Ok::<_, Error>(wide(targets, drawn?, &of_crops))
             });
             (
-                wide(Targets::default(), measured(&dataset)?, &none),
+                wide(ChannelEncoding::default(), measured(&dataset)?, &none),
                 own.transpose()?,
             )
         }
@@ -174,7 +174,7 @@ pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome
 /// predicted ones are clipped to; `before` is the augmentation that the range takes in already.
 fn widened(
     mut statistics: Statistics,
-    targets: Targets,
+    targets: ChannelEncoding,
     augment: &AugmentConfig,
     before: &AugmentConfig,
 ) -> Statistics {
@@ -191,7 +191,7 @@ fn widened(
     if augment.mirror {
         statistics.widen_range_for_signs(targets.mirrored_channels());
     }
-    if augment.flip_quaternion && targets.orientation == OrientationTarget::Quaternion {
+    if augment.flip_quaternion && targets.orientation == OrientationEncoding::Quaternion {
         statistics.widen_range_for_signs(targets.orientation_channels());
     }
     if augment.rotate_yaw && !before.rotate_yaw {
@@ -211,29 +211,29 @@ fn widened(
 #[cfg(test)]
 mod tests {
     use kinegrad_motion::{CHANNELS, phrase_statistics, rotate_yaw};
-    use kinegrad_motion::{Motion, mirror};
+    use kinegrad_motion::{Phrase, mirror};
 
     use super::*;
 
     /// Phrases that lie to one side in every channel.
-    fn phrases() -> Vec<Motion> {
+    fn phrases() -> Vec<Phrase> {
         let value = |i: usize| 0.2 + ((i * 7919) % 101) as f32 / 200.0;
         let phrase =
             |shift: usize| -> Vec<f32> { (0..20 * CHANNELS).map(|i| value(i + shift)).collect() };
         (0..3)
-            .map(|n| Motion::new(phrase(n)).expect("whole frames"))
+            .map(|n| Phrase::new(phrase(n)).expect("whole frames"))
             .collect()
     }
 
     /// Channels in which a changed phrase leaves the range of the statistics.
-    fn cut(statistics: &Statistics, change: impl Fn(&mut Motion)) -> Vec<usize> {
-        cut_of(statistics, Targets::default(), change)
+    fn cut(statistics: &Statistics, change: impl Fn(&mut Phrase)) -> Vec<usize> {
+        cut_of(statistics, ChannelEncoding::default(), change)
     }
 
     fn cut_of(
         statistics: &Statistics,
-        targets: Targets,
-        change: impl Fn(&mut Motion),
+        targets: ChannelEncoding,
+        change: impl Fn(&mut Phrase),
     ) -> Vec<usize> {
         let [low, high] = statistics.normalized_range().expect("measured");
         let mut cut = Vec::new();
@@ -250,7 +250,7 @@ mod tests {
         cut
     }
 
-    fn flip(phrase: &mut Motion) {
+    fn flip(phrase: &mut Phrase) {
         (0..20).for_each(|t| phrase.set_quaternion(t, phrase.quaternion(t).scale(-1.0)));
     }
 
@@ -261,15 +261,20 @@ mod tests {
         let with = |set: fn(&mut AugmentConfig)| {
             let mut augment = none.clone();
             set(&mut augment);
-            widened(measured.clone(), Targets::default(), &augment, &none)
+            widened(
+                measured.clone(),
+                ChannelEncoding::default(),
+                &augment,
+                &none,
+            )
         };
         assert!(!cut(&measured, mirror).is_empty() && !cut(&measured, flip).is_empty());
-        let turn = |phrase: &mut Motion| rotate_yaw(phrase, 2.0);
+        let turn = |phrase: &mut Phrase| rotate_yaw(phrase, 2.0);
         assert!(!cut(&measured, turn).is_empty());
         assert!(cut(&with(|a| a.mirror = true), mirror).is_empty());
         assert!(cut(&with(|a| a.flip_quaternion = true), flip).is_empty());
         assert!(cut(&with(|a| a.rotate_yaw = true), turn).is_empty());
-        let faster = |phrase: &mut Motion| {
+        let faster = |phrase: &mut Phrase| {
             for t in 0..20 {
                 for (channels, factor) in [(POSITION, 1.5), (VELOCITY, 1.5), (ACCELERATION, 2.25)] {
                     let scaled = phrase.vector(t, channels.clone()).map(|v| factor * v);
@@ -285,11 +290,11 @@ mod tests {
 
     #[test]
     fn the_range_of_other_targets_takes_in_each_augmentation() {
-        use kinegrad_motion::{ChannelMoments, PhaseTarget};
+        use kinegrad_motion::{ChannelMoments, PhaseEncoding};
 
-        let targets = Targets {
-            phase: PhaseTarget::SinCos,
-            orientation: OrientationTarget::Rotation6d,
+        let targets = ChannelEncoding {
+            phase: PhaseEncoding::SinCos,
+            orientation: OrientationEncoding::Rotation6d,
         };
         let encoded: Vec<Vec<f32>> = phrases()
             .iter()
@@ -308,10 +313,10 @@ mod tests {
                 ..none.clone()
             },
         );
-        let turn = |phrase: &mut Motion| rotate_yaw(phrase, 2.0);
+        let turn = |phrase: &mut Phrase| rotate_yaw(phrase, 2.0);
         assert!(cut_of(&measured, targets, |_| ()).is_empty());
         assert!(cut_of(&measured, targets, flip).is_empty());
-        for (augment, change) in [(mirrored, &mirror as &dyn Fn(&mut Motion)), (turned, &turn)] {
+        for (augment, change) in [(mirrored, &mirror as &dyn Fn(&mut Phrase)), (turned, &turn)] {
             assert!(!cut_of(&measured, targets, change).is_empty());
             let wide = widened(measured.clone(), targets, &augment, &none);
             assert!(cut_of(&wide, targets, change).is_empty(), "{augment:?}");
@@ -326,7 +331,7 @@ mod tests {
             ..AugmentConfig::default()
         };
         let none = AugmentConfig::default();
-        let stored = Targets::default();
+        let stored = ChannelEncoding::default();
         let once = widened(measured, stored, &turned, &none);
         assert_eq!(widened(once.clone(), stored, &turned, &turned), once);
     }

@@ -15,12 +15,14 @@ use kinegrad_diffusion::{
 };
 use kinegrad_kernels::{batch_invariant, host_values};
 use kinegrad_models::decoder::Coherence;
-use kinegrad_motion::coherence::{fit_heading, fit_orientation, fit_trajectory, sureness_of};
-use kinegrad_motion::kinematics::make_sign_continuous;
+use kinegrad_motion::coherence::{
+    fit_heading, fit_orientation, fit_trajectory, heading_confidence,
+};
+use kinegrad_motion::derivatives::make_sign_continuous;
+use kinegrad_motion::heading_alignment::HeadingAlignment;
 use kinegrad_motion::postprocess::derive_angular_velocity;
-use kinegrad_motion::stitch::{Known, Layout, Windows};
-use kinegrad_motion::turning::Turning;
-use kinegrad_motion::{Motion, Statistics};
+use kinegrad_motion::stitch::{self, Layout, Windows};
+use kinegrad_motion::{Phrase, Statistics};
 use kinegrad_random::Key;
 
 use super::generate::{Generator, Sample};
@@ -96,9 +98,9 @@ impl Generator {
     }
 
     /// Known frames of a phrase in the channels and units of the network.
-    fn normalized(&self, known: &Known) -> Known {
+    fn normalized(&self, known: &stitch::KnownFrames) -> stitch::KnownFrames {
         let frames = known.is_known.len();
-        let phrase = Motion::from_channel_major(&known.values, frames).expect("25 channels");
+        let phrase = Phrase::from_channel_major(&known.values, frames).expect("25 channels");
         let (rows, channels) = (
             self.targets.encode(phrase.as_slice()),
             self.targets.channels(),
@@ -109,15 +111,20 @@ impl Generator {
             let value = f64::from(rows[t * channels + channel]);
             ((value - mean[channel]) / std[channel]) as f32
         });
-        Known {
+        stitch::KnownFrames {
             values: values.collect(),
             is_known: known.is_known.clone(),
         }
     }
 
     /// Windows as the network predicts them, as one motion of which each becomes its part.
-    fn stitched(&self, whole: &Whole<'_>, values: &mut [f32], known: Option<&Known>) -> Vec<f32> {
-        let turning = Turning {
+    fn stitched(
+        &self,
+        whole: &Whole<'_>,
+        values: &mut [f32],
+        known: Option<&stitch::KnownFrames>,
+    ) -> Vec<f32> {
+        let turning = HeadingAlignment {
             layout: Layout::Predicted(self.targets),
             statistics: Some(self.state.normalization()),
         };
@@ -129,10 +136,10 @@ impl Generator {
     /// is where it is: they stay as they are.
     fn turned_and_stitched(
         &self,
-        turning: Turning<'_>,
+        turning: HeadingAlignment<'_>,
         whole: &Whole<'_>,
         values: &mut [f32],
-        known: Option<&Known>,
+        known: Option<&stitch::KnownFrames>,
     ) -> Vec<f32> {
         let windows = &whole.windows;
         if !self.state.config.data.augment.rotate_yaw || whole.path.is_some() {
@@ -154,7 +161,7 @@ impl Generator {
     fn latents(
         &self,
         whole: &Whole<'_>,
-        known: Option<&Known>,
+        known: Option<&stitch::KnownFrames>,
         sampling: &SamplingConfig,
         key: Key,
         on_windows: &mut dyn FnMut(usize, usize) -> ControlFlow<()>,
@@ -241,9 +248,9 @@ impl Generator {
     fn decoded(
         &self,
         whole: &Whole<'_>,
-        known: Option<&Known>,
+        known: Option<&stitch::KnownFrames>,
         latents: &[f32],
-    ) -> Result<Motion, Error> {
+    ) -> Result<Phrase, Error> {
         let decoder = self.decoder.as_ref().expect("asked before");
         let windows = &whole.windows;
         let channels = self.targets.channels();
@@ -255,12 +262,12 @@ impl Generator {
             let motion = batch_invariant(batch.len(), || decoder.frames(latent, None));
             decoded.extend(host_values(motion));
         }
-        let turning = Turning {
+        let turning = HeadingAlignment {
             layout: Layout::Phrase,
             statistics: None,
         };
         let all = self.turned_and_stitched(turning, whole, &mut decoded, known);
-        let mut motion = Motion::from_channel_major(&all, windows.frames())?;
+        let mut motion = Phrase::from_channel_major(&all, windows.frames())?;
         let coherence = decoder.coherence();
         if coherence != Coherence::None {
             let none = || vec![false; windows.frames()];
@@ -268,8 +275,8 @@ impl Generator {
             let std = &self.statistics().std;
             fit_trajectory(&mut motion, std, &is_known);
             if coherence == Coherence::Full {
-                let sureness = sureness_of(&motion);
-                fit_heading(&mut motion, std, &is_known, &sureness);
+                let confidence = heading_confidence(&motion);
+                fit_heading(&mut motion, std, &is_known, &confidence);
                 fit_orientation(&mut motion, std, &is_known);
             }
         }

@@ -2,7 +2,7 @@
 
 use kinegrad_motion::humanml::{Extraction, FeatureLayout, FeatureStream, Joints, Skeleton};
 use kinegrad_motion::metrics::{FeatureMoments, frechet_distance, mean_jerk, skating_ratio};
-use kinegrad_motion::rotation::length;
+use kinegrad_motion::vector::length;
 use serde::Serialize;
 
 /// Means over motions.
@@ -160,7 +160,7 @@ fn quarter(joints: &Joints, number: usize) -> Joints {
 fn features(skeleton: &Skeleton, joints: &Joints) -> Option<Vec<Vec<f32>>> {
     let threshold = Extraction::default().contact_threshold;
     let stream = FeatureStream::new(skeleton.clone(), threshold).ok()?;
-    let mut stream = stream.facing_anywhere();
+    let mut stream = stream.with_own_heading();
     let mut rows = Vec::with_capacity(joints.frames());
     for t in 0..joints.frames() {
         rows.extend(stream.push(joints.frame(t)).ok()?);

@@ -61,7 +61,7 @@ impl PoseSpace {
     pub fn rows(&self, frames: &Joints) -> Result<Vec<Vec<f32>>, FeatureError> {
         let threshold = Extraction::default().contact_threshold;
         let stream = FeatureStream::new(self.skeleton.clone(), threshold)?;
-        let mut stream = stream.facing_anywhere();
+        let mut stream = stream.with_own_heading();
         let mut rows = Vec::with_capacity(frames.frames());
         for t in 0..frames.frames() {
             rows.extend(stream.push(frames.frame(t))?);
@@ -306,7 +306,7 @@ mod tests {
 
     use kinegrad_data::{DataConfig, DataKind, Dataset, Loader};
     use kinegrad_motion::humanml::FeatureLayout;
-    use kinegrad_motion::rotation::length;
+    use kinegrad_motion::vector::length;
 
     use super::*;
 
@@ -463,7 +463,7 @@ mod tests {
                 let of_row = space.target_of(rows.last().expect("a next pose"));
                 let mut stream = FeatureStream::new(skeleton, 0.002)
                     .expect("a threshold")
-                    .facing_anywhere();
+                    .with_own_heading();
                 for t in 0..=now {
                     stream.push(found.frame(t)).expect("finite");
                 }

@@ -187,7 +187,7 @@ impl<'a> Clips<'a> {
         let text = text.map(|condition| text_of(&condition, &inputs, &trained.device));
         let text = text.transpose()?.flatten();
         for (file, goal, _) in &goals {
-            for doubt in goal.doubts(fps) {
+            for doubt in goal.feasibility_warnings(fps) {
                 sink.warning(&format!("{}: {doubt}", file.display()));
             }
         }

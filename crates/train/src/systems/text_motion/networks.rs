@@ -23,7 +23,7 @@ pub(super) fn channels(config: &Config) -> usize {
 /// If there is a file that cannot be read.
 pub(super) fn word_vectors(words: &WordsConfig) -> Result<WordVectors, Error> {
     Ok(match words.vectors.as_os_str().is_empty() {
-        true => WordVectors::drawn(words.width),
+        true => WordVectors::random(words.width),
         false => read_word_vectors(&words.vectors)?,
     })
 }

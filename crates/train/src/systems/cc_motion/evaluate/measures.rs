@@ -3,13 +3,13 @@
 use std::sync::Arc;
 
 use kinegrad_audio::beats::track;
-use kinegrad_data::Phrase;
-use kinegrad_motion::kinematics::mean_jerk_norm;
+use kinegrad_data::PhraseItem;
+use kinegrad_motion::derivatives::mean_jerk_norm;
 use kinegrad_motion::metrics::{
     FeatureMoments, beat_alignment, diversity, frechet_distance, kinematic_beats, mean,
     trajectory_features,
 };
-use kinegrad_motion::{Motion, Profile, Report, Statistics, Value, check, phrase_statistics};
+use kinegrad_motion::{Phrase, Profile, Report, Statistics, Value, check, phrase_statistics};
 use serde::Serialize;
 
 use super::moving::{MovementSpread, movement_spreads};
@@ -111,7 +111,7 @@ fn mean_value(values: impl Iterator<Item = Value>, count: f64) -> Value {
 /// What motions are measured against.
 pub(super) struct Reference<'a> {
     statistics: Statistics,
-    phrases: &'a [Arc<Phrase>],
+    phrases: &'a [Arc<PhraseItem>],
     held_out: Option<FeatureMoments>,
     training: Option<FeatureMoments>,
     /// Beats of each held-out phrase's music, seconds.
@@ -122,11 +122,11 @@ impl<'a> Reference<'a> {
     /// The reference of these phrases, in units of the run's `statistics`. Where those do not say
     /// how training motion moves, the `training` phrases do (the held-out ones, if there are none).
     pub fn new(
-        held_out: &'a [Arc<Phrase>],
-        training: &[Arc<Phrase>],
+        held_out: &'a [Arc<PhraseItem>],
+        training: &[Arc<PhraseItem>],
         statistics: &Statistics,
     ) -> Self {
-        let moments = |phrases: &[Arc<Phrase>]| {
+        let moments = |phrases: &[Arc<PhraseItem>]| {
             let motions = phrases.iter().map(|phrase| &phrase.motion);
             feature_moments(motions, statistics)
         };
@@ -156,7 +156,7 @@ impl<'a> Reference<'a> {
 
     /// The numbers of motions, a list for each held-out phrase (at least one), in their order, all
     /// lists of the same length (at least one).
-    pub fn measure(&self, motions: &[Vec<Motion>]) -> Measures {
+    pub fn measure(&self, motions: &[Vec<Phrase>]) -> Measures {
         let all = || motions.iter().flatten();
         let rates = |profile| {
             let report = |motion| check(motion, profile, Some(&self.statistics));
@@ -165,11 +165,11 @@ impl<'a> Reference<'a> {
         };
         let seeds = motions.first().map_or(0, Vec::len);
         let by_seed = (0..seeds).map(|seed| {
-            let drawn: Vec<&Motion> = motions.iter().map(|samples| &samples[seed]).collect();
+            let drawn: Vec<&Phrase> = motions.iter().map(|samples| &samples[seed]).collect();
             diversity(&drawn, &self.statistics)
         });
         let by_phrase = motions.iter().map(|samples| {
-            let samples: Vec<&Motion> = samples.iter().collect();
+            let samples: Vec<&Phrase> = samples.iter().collect();
             diversity(&samples, &self.statistics)
         });
         let alignment = motions
@@ -201,7 +201,7 @@ impl<'a> Reference<'a> {
 }
 
 fn feature_moments<'a>(
-    motions: impl Iterator<Item = &'a Motion>,
+    motions: impl Iterator<Item = &'a Phrase>,
     statistics: &Statistics,
 ) -> Option<FeatureMoments> {
     let features: Vec<_> = motions
@@ -217,25 +217,25 @@ mod tests {
 
     use super::*;
 
-    fn phrases(range: std::ops::Range<usize>) -> Vec<Arc<Phrase>> {
+    fn phrases(range: std::ops::Range<usize>) -> Vec<Arc<PhraseItem>> {
         range
             .map(|index| Arc::new(synthetic::phrase(index, 60, 1)))
             .collect()
     }
 
-    fn motions(phrases: &[Arc<Phrase>], seeds: usize) -> Vec<Vec<Motion>> {
+    fn motions(phrases: &[Arc<PhraseItem>], seeds: usize) -> Vec<Vec<Phrase>> {
         phrases
             .iter()
             .map(|phrase| vec![phrase.motion.clone(); seeds])
             .collect()
     }
 
-    fn statistics(phrases: &[Arc<Phrase>]) -> Statistics {
+    fn statistics(phrases: &[Arc<PhraseItem>]) -> Statistics {
         kinegrad_motion::phrase_statistics(phrases.iter().map(|phrase| &phrase.motion)).unwrap()
     }
 
     /// The phrase moved by `metres` along x, in every frame.
-    fn moved(phrase: &Phrase, metres: f64) -> Motion {
+    fn moved(phrase: &PhraseItem, metres: f64) -> Phrase {
         let mut motion = phrase.motion.clone();
         for t in 0..motion.frames() {
             let [x, y, z] = motion.vector(t, POSITION);
@@ -325,7 +325,7 @@ mod tests {
         let measures = reference.measure(&drawn);
         let phase = measures.strict.check("phase").unwrap();
         assert_eq!(phase.pass_rate, 0.75);
-        let highest = |motion: &Motion| {
+        let highest = |motion: &Phrase| {
             let phases = (0..motion.frames()).map(|t| f64::from(motion.frame(t)[PHASE]));
             phases.fold(f64::NEG_INFINITY, f64::max)
         };

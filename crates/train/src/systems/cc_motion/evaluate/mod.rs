@@ -11,8 +11,8 @@ use std::iter::repeat_n;
 use std::ops::ControlFlow;
 use std::sync::Arc;
 
-use kinegrad_data::{AudioFeatures, Phrase};
-use kinegrad_motion::Motion;
+use kinegrad_data::{AudioFeatures, PhraseItem};
+use kinegrad_motion::Phrase;
 use kinegrad_random::{Key, Purpose};
 use serde::Serialize;
 
@@ -74,8 +74,8 @@ pub struct Evaluation {
 /// If the sampler's settings cannot work.
 pub fn evaluate(
     generator: &Generator,
-    held_out: &[Arc<Phrase>],
-    training: &[Arc<Phrase>],
+    held_out: &[Arc<PhraseItem>],
+    training: &[Arc<PhraseItem>],
     settings: &EvaluationSettings,
     together: &Together,
     on_step: &mut dyn FnMut(usize, usize) -> ControlFlow<()>,
@@ -97,8 +97,8 @@ pub fn evaluate(
         )?;
         Ok((drawn, repaired))
     })?;
-    let (raw, processed): (Vec<Vec<Motion>>, Vec<Vec<Motion>>) = samples.into_iter().unzip();
-    let real: Vec<Vec<Motion>> = held_out
+    let (raw, processed): (Vec<Vec<Phrase>>, Vec<Vec<Phrase>>) = samples.into_iter().unzip();
+    let real: Vec<Vec<Phrase>> = held_out
         .iter()
         .map(|phrase| vec![phrase.motion.clone()])
         .collect();
@@ -115,7 +115,7 @@ pub fn evaluate(
 }
 
 /// The audio condition for `phrase`, the same for all of its samples.
-fn condition(phrase: &Phrase, settings: &EvaluationSettings) -> AudioFeatures {
+fn condition(phrase: &PhraseItem, settings: &EvaluationSettings) -> AudioFeatures {
     match settings.cond {
         CondSource::Phrases => phrase.audio.clone(),
         CondSource::Noise => {
@@ -144,7 +144,8 @@ mod tests {
     #[test]
     fn noise_conditions_differ_by_phrase_and_seed_and_have_the_phrase_s_length() {
         let phrases = [synthetic::phrase(0, 20, 1), synthetic::phrase(1, 30, 1)];
-        let noise = |phrase: &Phrase, seed| condition(phrase, &settings(CondSource::Noise, seed));
+        let noise =
+            |phrase: &PhraseItem, seed| condition(phrase, &settings(CondSource::Noise, seed));
         let [first, second] = phrases.each_ref().map(|phrase| noise(phrase, 0));
         assert_eq!((first.frames(), second.frames()), (20, 30));
         assert_eq!(first, noise(&phrases[0], 0));

@@ -1,7 +1,7 @@
 //! How motions move, as a table.
 
-use kinegrad_motion::statistics::percentile;
-use kinegrad_motion::{Motion, Movement};
+use kinegrad_motion::quantiles::percentile;
+use kinegrad_motion::{MotionMeasure, Phrase};
 use serde::Serialize;
 
 /// A measure of the movement over a set of motions.
@@ -24,9 +24,9 @@ pub struct MovementSpread {
 
 /// All measures of the motions.
 pub(super) fn movement_spreads<'a>(
-    motions: impl Iterator<Item = &'a Motion> + Clone,
+    motions: impl Iterator<Item = &'a Phrase> + Clone,
 ) -> Vec<MovementSpread> {
-    let spread = |measure: Movement| {
+    let spread = |measure: MotionMeasure| {
         let values = motions.clone().filter_map(|motion| measure.of(motion));
         let values: Vec<f64> = values.filter(|value| value.is_finite()).collect();
         let at = |percent| (!values.is_empty()).then(|| percentile(values.clone(), percent));
@@ -39,7 +39,7 @@ pub(super) fn movement_spreads<'a>(
             p99: at(99.0),
         }
     };
-    Movement::ALL.into_iter().map(spread).collect()
+    MotionMeasure::ALL.into_iter().map(spread).collect()
 }
 
 #[cfg(test)]
@@ -51,10 +51,10 @@ mod tests {
 
     #[test]
     fn the_table_looks_at_the_path_and_not_at_the_channels() {
-        let mut motions: Vec<Motion> = (0..5)
+        let mut motions: Vec<Phrase> = (0..5)
             .map(|index| synthetic::phrase(index, 60, 1).motion)
             .collect();
-        let jerk = |motions: &[Motion]| {
+        let jerk = |motions: &[Phrase]| {
             let spreads = movement_spreads(motions.iter());
             let found = spreads
                 .into_iter()
@@ -80,7 +80,7 @@ mod tests {
         let mut broken = long.clone();
         broken.frame_mut(5)[0] = f32::NAN;
         let all = [long.clone(), short.clone(), broken];
-        let travel = |motions: &[Motion]| {
+        let travel = |motions: &[Phrase]| {
             let spreads = movement_spreads(motions.iter());
             spreads
                 .into_iter()
@@ -88,7 +88,7 @@ mod tests {
                 .unwrap()
         };
         let alone = travel(&all[..1]);
-        assert_eq!(alone.median, Movement::Travel.of(&long));
+        assert_eq!(alone.median, MotionMeasure::Travel.of(&long));
         assert_eq!(travel(&all), alone);
         assert_eq!(travel(&[short]).median, None);
     }

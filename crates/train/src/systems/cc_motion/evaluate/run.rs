@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use std::ops::ControlFlow;
 use std::sync::Arc;
 
-use kinegrad_data::{DataKind, Dataset, Phrase, PhraseSet, Songs};
+use kinegrad_data::{DataKind, Dataset, PhraseItem, PhraseSet, Songs};
 
 use super::listening::{self, Heard, Listened, Listening, ListeningSettings, Stage};
 use super::report::evaluated;
@@ -44,7 +44,7 @@ pub fn prepare<'a>(
         data.source = Some(source.clone());
     }
     let unheard = |_, _| ControlFlow::Continue(());
-    let dataset = Dataset::<Phrase>::open_among(&data, &unheard, &*request.together)?;
+    let dataset = Dataset::<PhraseItem>::open_among(&data, &unheard, &*request.together)?;
     if dataset.validation.is_empty() {
         let message = format!(
             "no phrase is held out for {}: all {} are trained on",
@@ -82,7 +82,7 @@ pub fn prepare<'a>(
         sampling: trained.config().sampling.clone(),
     };
     let training = dataset.train.load()?;
-    let drawn = |phrase: &Arc<Phrase>| {
+    let drawn = |phrase: &Arc<PhraseItem>| {
         let windows = windows(trained.config(), phrase.frames());
         Ok(windows.map_or(phrase.frames(), |windows| windows.length()))
     };
@@ -118,7 +118,7 @@ fn listening<'a>(
     request: &EvaluationRequest,
     wanted: &EvaluationConfig,
     songs: &Songs,
-    held_out: Vec<Arc<Phrase>>,
+    held_out: Vec<Arc<PhraseItem>>,
     train: &PhraseSet,
 ) -> Result<Evaluate<'a>, Error> {
     if wanted.cond != CondSource::Phrases {
@@ -129,7 +129,7 @@ fn listening<'a>(
     }
     let frames = trained.config().data.target_frames;
     let beats_per_bar = wanted.beats_per_bar.map(|beats| beats as f64);
-    let listened = |phrases: Vec<Arc<Phrase>>| -> Vec<Listened> {
+    let listened = |phrases: Vec<Arc<PhraseItem>>| -> Vec<Listened> {
         let cut = phrases.iter().map(|phrase| leading(phrase, frames));
         cut.filter_map(|phrase| Listened::new(phrase, songs, beats_per_bar))
             .collect()

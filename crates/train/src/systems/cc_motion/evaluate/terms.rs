@@ -4,8 +4,8 @@
 use std::sync::Arc;
 
 use burn::tensor::{Device, Tensor, TensorData};
-use kinegrad_data::Phrase;
-use kinegrad_motion::Motion;
+use kinegrad_data::PhraseItem;
+use kinegrad_motion::Phrase;
 use kinegrad_motion::phrase::CHANNELS;
 use serde::Serialize;
 
@@ -26,7 +26,7 @@ pub struct LossTerm {
 ///
 /// The audio condition is all that a sample from noise has of its phrase: its squared error is
 /// about twice the variance of real motion, and half of that for the mean motion.
-pub(super) fn loss_terms(motions: &[Vec<Motion>], held_out: &[Arc<Phrase>]) -> Vec<LossTerm> {
+pub(super) fn loss_terms(motions: &[Vec<Phrase>], held_out: &[Arc<PhraseItem>]) -> Vec<LossTerm> {
     let config = TemporalLossConfig::document();
     let count = motions.iter().map(Vec::len).sum::<usize>() as f64;
     let mut means: Vec<LossTerm> = Vec::new();
@@ -54,7 +54,7 @@ pub(super) fn loss_terms(motions: &[Vec<Motion>], held_out: &[Arc<Phrase>]) -> V
 }
 
 /// `[1, 25, frames]` on the CPU.
-fn tensor(motion: &Motion) -> Tensor<3> {
+fn tensor(motion: &Phrase) -> Tensor<3> {
     let shape = [1, CHANNELS, motion.frames()];
     Tensor::from_data(
         TensorData::new(motion.channel_major(), shape),

@@ -6,7 +6,7 @@ use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_diffusion::{GaussianDiffusion, Rollout, RolloutMode, rollout_timesteps};
 use kinegrad_models::UNet1d;
 use kinegrad_models::channel_encoding::decode;
-use kinegrad_motion::{PhaseTarget, Statistics, Targets};
+use kinegrad_motion::{PhaseEncoding, Statistics, ChannelEncoding};
 use kinegrad_random::Key;
 
 use crate::denoising::Inputs;
@@ -19,7 +19,7 @@ pub struct Rollouts {
     pub(super) rollout: Rollout,
     pub(super) config: RolloutConfig,
     pub(super) statistics: Arc<Statistics>,
-    pub(super) targets: Targets,
+    pub(super) targets: ChannelEncoding,
     /// Deviations of the 25 channels, which errors of decoded motion are in units of.
     pub(super) std: Vec<f64>,
 }
@@ -48,7 +48,7 @@ impl Rollouts {
             },
             config: config.clone(),
             std: statistics.std.clone(),
-            targets: Targets::default(),
+            targets: ChannelEncoding::default(),
             statistics,
         })
     }
@@ -56,7 +56,7 @@ impl Rollouts {
     /// The same over motion in the channels of `targets`, which the statistics then are of;
     /// `stored` are those of the 25 channels.
     #[must_use]
-    pub fn with_targets(self, targets: Targets, stored: &Statistics) -> Self {
+    pub fn with_targets(self, targets: ChannelEncoding, stored: &Statistics) -> Self {
         Self {
             targets,
             std: stored.std.clone(),
@@ -158,8 +158,8 @@ impl Rollouts {
     ) -> Tensor<1> {
         let std = channels(&self.std, &decoded.device());
         match self.targets.phase {
-            PhaseTarget::Scalar => normalized_error(decoded, target, mask, weights, &std),
-            PhaseTarget::SinCos | PhaseTarget::Harmonics => {
+            PhaseEncoding::Scalar => normalized_error(decoded, target, mask, weights, &std),
+            PhaseEncoding::SinCos | PhaseEncoding::Harmonics => {
                 let target = with_nearer_phase(target, decoded);
                 normalized_error(decoded, &target, mask, weights, &std)
             }

@@ -1,7 +1,7 @@
 //! The validation loss at high noise.
 
 use burn::tensor::{Tensor, TensorData};
-use kinegrad_data::{AUDIO, AudioFeatures, Phrase};
+use kinegrad_data::{AUDIO, AudioFeatures, PhraseItem};
 use kinegrad_random::{Key, Purpose};
 
 use crate::denoising::{Conditions, Draws, Inputs};
@@ -24,7 +24,7 @@ pub(super) fn high_noise(num_train_timesteps: usize) -> Vec<usize> {
 /// The loss of the motion on one phrase that hears `audio`, as many frames, as validation has it (not
 /// weighted, and of a network that tracks the beats with those that it finds): mean over the levels of [`high_noise`]. Noise depends on the phrase's id and the level
 /// alone, so that losses of one phrase differ by what is heard.
-pub(super) fn loss(generator: &Generator, phrase: &Phrase, audio: &AudioFeatures) -> f64 {
+pub(super) fn loss(generator: &Generator, phrase: &PhraseItem, audio: &AudioFeatures) -> f64 {
     let device = &generator.device;
     let timesteps = high_noise(generator.diffusion.config.num_train_timesteps);
     let (levels, frames) = (timesteps.len(), phrase.frames());

@@ -3,7 +3,7 @@
 use kinegrad_motion::metrics::{
     beat_alignment, chance_alignment, kinematic_beats, phase_error, speed_peaks,
 };
-use kinegrad_motion::{FPS, Motion};
+use kinegrad_motion::{FPS, Phrase};
 use kinegrad_random::{Key, Purpose};
 use serde::{Deserialize, Serialize};
 
@@ -50,8 +50,8 @@ impl<'a> Dancing<'a> {
 
     /// The score of samples, at least one, that heard music of these bar phases and beats in a bar,
     /// if it had beats.
-    pub fn score(&self, samples: &[Motion], heard: Option<&(Vec<f64>, f64)>, seed: u64) -> Score {
-        let mean = |of: &dyn Fn(&Motion) -> f64| {
+    pub fn score(&self, samples: &[Phrase], heard: Option<&(Vec<f64>, f64)>, seed: u64) -> Score {
+        let mean = |of: &dyn Fn(&Phrase) -> f64| {
             samples.iter().map(of).sum::<f64>() / samples.len() as f64
         };
         let error = |expected: &[f64], cycles: f64| {
@@ -59,7 +59,7 @@ impl<'a> Dancing<'a> {
         };
         let seconds = self.to.phrase.frames() as f64 / FPS;
         let key = Key::new(seed, Purpose::BeatOffset).named(&self.to.phrase.id);
-        let aligned = |moments: fn(&Motion) -> Vec<f64>| {
+        let aligned = |moments: fn(&Phrase) -> Vec<f64>| {
             let (scores, chances): (Vec<f64>, Vec<f64>) = samples
                 .iter()
                 .filter_map(|motion| {
@@ -139,14 +139,14 @@ impl MeasuredPhrase {
 mod tests {
     use std::sync::Arc;
 
-    use kinegrad_data::{Phrase, Songs, synthetic};
+    use kinegrad_data::{PhraseItem, Songs, synthetic};
     use kinegrad_motion::phrase::PHASE;
 
     use super::*;
 
     /// A phrase of so many frames that begins late in a bar of `rate` bars a second.
     fn listened(id: &str, frames: usize, rate: f64, beats_per_bar: u32) -> Listened {
-        let mut phrase = Phrase {
+        let mut phrase = PhraseItem {
             id: id.to_owned(),
             ..synthetic::phrase(frames, frames, 1)
         };
@@ -160,7 +160,7 @@ mod tests {
     }
 
     /// The motion with another phase.
-    fn moved(motion: &Motion, phase: impl Fn(usize) -> f64) -> Motion {
+    fn moved(motion: &Phrase, phase: impl Fn(usize) -> f64) -> Phrase {
         let mut motion = motion.clone();
         for t in 0..motion.frames() {
             motion.frame_mut(t)[PHASE] = phase(t).rem_euclid(1.0) as f32;
@@ -180,7 +180,7 @@ mod tests {
                     music[t] + beats_late / beats
                 })
             };
-            let score = |motion: Motion| dancing.score(&[motion], None, 0);
+            let score = |motion: Phrase| dancing.score(&[motion], None, 0);
             assert!(score(shifted(0.0)).beat_phase_error < 1e-6);
             let half = score(shifted(0.5));
             assert!((half.beat_phase_error - 0.5).abs() < 1e-5, "{half:?}");

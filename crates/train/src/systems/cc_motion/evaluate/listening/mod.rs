@@ -12,8 +12,8 @@ mod tracked;
 use std::ops::ControlFlow;
 use std::sync::Arc;
 
-use kinegrad_data::{AudioFeatures, Phrase};
-use kinegrad_motion::Motion;
+use kinegrad_data::{AudioFeatures, PhraseItem};
+use kinegrad_motion::Phrase;
 use kinegrad_motion::metrics::Estimate;
 use serde::Serialize;
 
@@ -83,7 +83,7 @@ pub(super) struct Stage<'a> {
     /// Phrases to train on, for their music.
     pub training: &'a [Listened],
     /// All phrases to train on, to compare samples with.
-    pub real: &'a [Arc<Phrase>],
+    pub real: &'a [Arc<PhraseItem>],
 }
 
 /// Measures how a model listens. All conditions of a phrase share their noise, in the loss and in
@@ -182,7 +182,7 @@ fn sweep(
     on_step: &mut dyn FnMut(&'static str, usize, usize) -> ControlFlow<()>,
 ) -> Result<Vec<AtScale>, Error> {
     let (held_out, scales) = (stage.held_out, &settings.guidance_scales);
-    let phrases: Vec<Arc<Phrase>> = held_out.iter().map(|one| one.phrase.clone()).collect();
+    let phrases: Vec<Arc<PhraseItem>> = held_out.iter().map(|one| one.phrase.clone()).collect();
     let reference = Reference::new(&phrases, stage.real, generator.statistics());
     let mut guidance = Vec::with_capacity(scales.len());
     for (place, &guidance_scale) in scales.iter().enumerate() {
@@ -203,7 +203,7 @@ fn sweep(
             let score = dancing[index].score(&samples, None, settings.seed);
             Ok((samples, score))
         })?;
-        let (motions, scores): (Vec<Vec<Motion>>, Vec<Score>) = drawn.into_iter().unzip();
+        let (motions, scores): (Vec<Vec<Phrase>>, Vec<Score>) = drawn.into_iter().unzip();
         let songs = held_out.iter().map(|one| one.song.as_str());
         guidance.push(AtScale::new(
             guidance_scale,
@@ -239,7 +239,7 @@ fn draw(
     settings: &ListeningSettings,
     sampling: &SamplingConfig,
     on_step: &mut dyn FnMut(usize, usize) -> ControlFlow<()>,
-) -> Result<Vec<Motion>, Error> {
+) -> Result<Vec<Phrase>, Error> {
     let seed = item_seed(settings.seed, &listened.phrase.id);
     let conditions: Vec<_> = heard
         .iter()

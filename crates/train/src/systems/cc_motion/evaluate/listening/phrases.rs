@@ -3,11 +3,11 @@
 use std::sync::Arc;
 
 use kinegrad_audio::pulse::BEAT_FEATURES;
-use kinegrad_data::{AUDIO_CHANNELS, Phrase, Songs};
-use kinegrad_motion::movement::phase_steps;
+use kinegrad_data::{AUDIO_CHANNELS, PhraseItem, Songs};
+use kinegrad_motion::motion_measures::phase_steps;
 use kinegrad_motion::phrase::PHASE;
-use kinegrad_motion::statistics::percentile;
-use kinegrad_motion::{FPS, Motion, circular};
+use kinegrad_motion::quantiles::percentile;
+use kinegrad_motion::{FPS, Phrase, circular};
 
 /// Beats in a bar where nothing is known of them.
 const COMMON_TIME: f64 = 4.0;
@@ -20,7 +20,7 @@ const TOLERANCE: f64 = 0.1;
 #[derive(Clone, Debug)]
 pub(in super::super) struct Listened {
     /// The part of it that is heard and danced.
-    pub phrase: Arc<Phrase>,
+    pub phrase: Arc<PhraseItem>,
     /// What it is danced to.
     pub song: String,
     /// Beats in a bar.
@@ -35,7 +35,7 @@ impl Listened {
     /// The phrase with what `songs` say of it; `stated` counts before everything else as the beats
     /// in a bar. `None` where its phase advances by less than a beat: nothing can be out of time
     /// with it.
-    pub fn new(phrase: Arc<Phrase>, songs: &Songs, stated: Option<f64>) -> Option<Self> {
+    pub fn new(phrase: Arc<PhraseItem>, songs: &Songs, stated: Option<f64>) -> Option<Self> {
         let measured = || {
             let tempo = songs.tempo(&phrase.id);
             beats_in_a_bar(&phrase.motion, tempo.map(|tempo| tempo / 60.0 / FPS))
@@ -86,14 +86,14 @@ impl Listened {
 }
 
 /// The bar phase in each frame of a motion.
-pub(super) fn bars(motion: &Motion) -> Vec<f64> {
+pub(super) fn bars(motion: &Phrase) -> Vec<f64> {
     let phase = |t: usize| f64::from(motion.frame(t)[PHASE]);
     (0..motion.frames()).map(phase).collect()
 }
 
 /// The whole number of steps of the beat phase, in beats a frame, that are one of the bar phase of
 /// `motion`; `None` where there is none near.
-fn beats_in_a_bar(motion: &Motion, beat_step: Option<f64>) -> Option<f64> {
+fn beats_in_a_bar(motion: &Phrase, beat_step: Option<f64>) -> Option<f64> {
     let steps = phase_steps(motion);
     if steps.is_empty() {
         return None;
@@ -104,7 +104,7 @@ fn beats_in_a_bar(motion: &Motion, beat_step: Option<f64>) -> Option<f64> {
 }
 
 /// The median advance of the beat phase from frame to frame, by the phrase's beat features.
-fn beat_step(phrase: &Phrase) -> Option<f64> {
+fn beat_step(phrase: &PhraseItem) -> Option<f64> {
     if !phrase.audio.layout().beats || phrase.frames() < 2 {
         return None;
     }
@@ -132,7 +132,7 @@ mod tests {
     use super::*;
 
     /// A synthetic phrase whose phase advances by `bars` a second from `start`.
-    fn with_phase(index: usize, frames: usize, start: f64, bars: f64) -> Phrase {
+    fn with_phase(index: usize, frames: usize, start: f64, bars: f64) -> PhraseItem {
         let mut phrase = synthetic::phrase(index, frames, 1);
         for t in 0..frames {
             let phase = (start + bars * t as f64 / FPS).rem_euclid(1.0);
@@ -141,7 +141,7 @@ mod tests {
         phrase
     }
 
-    fn listened(phrase: Phrase, stated: Option<f64>) -> Option<Listened> {
+    fn listened(phrase: PhraseItem, stated: Option<f64>) -> Option<Listened> {
         Listened::new(Arc::new(phrase), &Songs::default(), stated)
     }
 

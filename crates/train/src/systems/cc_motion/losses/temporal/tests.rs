@@ -63,7 +63,7 @@ fn gradients_are_finite_where_formulas_are_not() {
 
 #[test]
 fn angular_velocity_agrees_with_that_of_the_phrases() {
-    use kinegrad_motion::{Quaternion, kinematics};
+    use kinegrad_motion::{Quaternion, derivatives};
     let quaternions: Vec<Quaternion> = (0..8)
         .map(|t| {
             let angle = 0.4 * f64::from(t * t) / 8.0;
@@ -71,7 +71,7 @@ fn angular_velocity_agrees_with_that_of_the_phrases() {
             Quaternion::from_rotation_vector(axis)
         })
         .collect();
-    let turns = kinematics::angular_velocity(&quaternions, 30.0);
+    let turns = derivatives::angular_velocity(&quaternions, 30.0);
     let mut values = vec![0.0f32; 8 * 25];
     for (t, frame) in values.chunks_mut(25).enumerate() {
         let q = quaternions[t];

@@ -1,12 +1,12 @@
-//! A clip for the tests of this folder: bones that keep their lengths, turning slowly.
+//! A clip for the tests of this folder, with constant bone lengths.
 
-use super::kinematics::plus;
 use super::{Joints, Skeleton};
 use crate::Quaternion;
+use crate::vector::plus;
 
-/// A clip of `frames` frames in which every bone swings about its rest pose by its own angles,
-/// while the body walks and turns.
-pub fn moving(skeleton: &Skeleton, frames: usize) -> Joints {
+/// A clip of `frames` frames in which every bone swings about its rest pose while the body walks
+/// and turns.
+pub fn test_clip(skeleton: &Skeleton, frames: usize) -> Joints {
     let rest = &skeleton.description().rest_offsets;
     let mut values = Vec::with_capacity(frames * rest.len());
     for t in 0..frames {

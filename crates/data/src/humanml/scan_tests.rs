@@ -1,4 +1,4 @@
-//! Datasets that are read, and what is said of those that cannot be.
+//! Datasets that are read, and errors of those that cannot be.
 
 use std::fs;
 use std::path::Path;
@@ -35,7 +35,7 @@ fn features_file(folder: &Path, index: usize) -> std::path::PathBuf {
 }
 
 fn texts_file(folder: &Path, index: usize) -> std::path::PathBuf {
-    folder.join(super::super::clip::texts_path(&id(index)))
+    folder.join(super::super::texts::texts_path(&id(index)))
 }
 
 fn write_array(path: &Path, shape: &[usize]) {
@@ -129,7 +129,7 @@ fn statistics_come_from_the_dataset_where_they_are_of_the_root() {
     for name in ["Mean.npy", "Std.npy"] {
         write_array(&folder.path().join(name), &[263]);
     }
-    // Those files are for the relative root and say nothing of the absolute one.
+    // Those files are for the relative root only.
     let again = Dataset::<Clip>::open(&config).unwrap();
     assert_eq!(again.statistics().unwrap(), absolute.statistics().unwrap());
     assert_eq!(again.digest, absolute.digest);
@@ -203,7 +203,7 @@ fn captions_are_needed_where_there_are_embeddings() {
 }
 
 #[test]
-fn passages_too_short_are_dropped_and_clips_of_other_lengths_left_out() {
+fn short_ranges_are_dropped_and_clips_of_other_lengths_left_out() {
     let (folder, mut config) = dataset(6);
     let write = |index: usize, frames: usize| {
         let clip = walk(index, frames, 5);
@@ -234,7 +234,7 @@ fn passages_too_short_are_dropped_and_clips_of_other_lengths_left_out() {
 }
 
 #[test]
-fn lists_decide_and_what_is_wrong_with_them_is_said() {
+fn lists_decide_and_their_problems_are_named() {
     let (folder, mut config) = dataset(6);
     let list = |name: &str, text: &str| fs::write(folder.path().join(name), text).unwrap();
     list("train.txt", "walk_00001\nwalk_00000\nwalk_00001\n");
@@ -397,9 +397,9 @@ fn kit_clips_in_millimetres_are_read_in_metres() {
 }
 
 #[test]
-fn datasets_of_phrases_and_of_clips_are_told_apart() {
+fn datasets_of_phrases_and_of_clips_are_distinguished() {
     let (_folder, config) = dataset(3);
-    let found = Dataset::<crate::Phrase>::open(&config)
+    let found = Dataset::<crate::PhraseItem>::open(&config)
         .unwrap_err()
         .to_string();
     assert!(

@@ -1,12 +1,13 @@
-//! Music played faster or slower, as its features.
+//! Time stretch of audio features.
 
 use std::f64::consts::TAU;
 use std::ops::Range;
 
 use kinegrad_motion::circular::step;
-use kinegrad_motion::speed::{between, frames_at_speed};
+use kinegrad_motion::time_stretch::{between, frames_at_speed};
 
-use crate::features::{AUDIO_CHANNELS, AudioFeatures};
+use crate::audio_layout::AUDIO_CHANNELS;
+use crate::features::AudioFeatures;
 
 // Rows of the beat features.
 const BEAT: Range<usize> = 0..2;
@@ -15,9 +16,9 @@ const BAR_KNOWN: usize = 4;
 const MARK: usize = 5;
 const TEMPO: usize = 6;
 
-/// The features of music played at `speed`, above 1 faster, at the moments of
-/// [`at_speed`](kinegrad_motion::speed::at_speed): what sounds at a moment is the same, pitch
-/// included. Where beats are told, they and the tempo are those that are then heard.
+/// The features of music played at `speed`, at the times of
+/// [`at_speed`](kinegrad_motion::time_stretch::at_speed), with unchanged pitch. Beat marks and
+/// tempo follow the speed.
 pub(crate) fn at_speed(audio: &AudioFeatures, speed: f64) -> AudioFeatures {
     let from = audio.frames();
     let frames = frames_at_speed(from, speed);
@@ -47,7 +48,7 @@ pub(crate) fn at_speed(audio: &AudioFeatures, speed: f64) -> AudioFeatures {
                 beats[circle.start * frames + t] = (TAU * at).sin() as f32;
                 beats[(circle.start + 1) * frames + t] = (TAU * at).cos() as f32;
                 if circle == BEAT {
-                    // A beat falls between half a frame before and half a frame after.
+                    // A beat falls within half a frame.
                     let [first, last] =
                         [-0.5, 0.5].map(|half| place(moment + half * speed).map(f64::floor));
                     beats[MARK * frames + t] = f32::from(u8::from(first < last));
@@ -56,7 +57,7 @@ pub(crate) fn at_speed(audio: &AudioFeatures, speed: f64) -> AudioFeatures {
         }
         for (t, &(a, _, _)) in moments.iter().enumerate() {
             beats[BAR_KNOWN * frames + t] = source(BAR_KNOWN)[a];
-            // The logarithm of the tempo; a song without beats has none.
+            // The logarithm of the tempo; zero without beats.
             if source(BEAT.start)[a].hypot(source(BEAT.start + 1)[a]) > 0.5 {
                 beats[TEMPO * frames + t] += speed.log2() as f32;
             }
@@ -65,8 +66,7 @@ pub(crate) fn at_speed(audio: &AudioFeatures, speed: f64) -> AudioFeatures {
     AudioFeatures::new(frames, values).expect("as many channels as before")
 }
 
-/// Places on a circle of which sines and cosines are told, counted on from frame to frame; none
-/// where both are zero.
+/// Unwrapped positions on a circle of sines and cosines; none where both are zero.
 fn unwrapped(sine: &[f32], cosine: &[f32]) -> Vec<Option<f64>> {
     let mut before: Option<f64> = None;
     let place = |(&s, &c): (&f32, &f32)| {
@@ -77,7 +77,7 @@ fn unwrapped(sine: &[f32], cosine: &[f32]) -> Vec<Option<f64>> {
     sine.iter().zip(cosine).map(place).collect()
 }
 
-/// The place at a moment, in frames: between two frames, or on from the first or last two.
+/// The position at a time in frames, inter- or extrapolated.
 fn position(places: &[Option<f64>], moment: f64) -> Option<f64> {
     if places.len() < 2 {
         return places[0];

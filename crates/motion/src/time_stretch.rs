@@ -1,44 +1,43 @@
 //! A phrase played faster or slower.
 
 use crate::circular::step;
-use crate::kinematics::rederive;
+use crate::derivatives::rederive;
 use crate::phrase::{PHASE, POSITION, STYLE};
-use crate::{CHANNELS, Motion, Quaternion};
+use crate::{CHANNELS, Phrase, Quaternion};
 
-/// Frames that `frames` last when they are played at `speed`: from the first on as far as the last.
+/// Length of `frames` frames played at `speed`, from the first frame to the last.
 pub fn frames_at_speed(frames: usize, speed: f64) -> usize {
-    // Rounding must not lose the last frame where it is met exactly.
+    // Rounding must not drop a last frame that is reached exactly.
     ((frames.saturating_sub(1)) as f64 / speed + 1e-9).floor() as usize + 1
 }
 
-/// The phrase played at `speed`, above 1 faster: the same path and turns in less time. Frame `t` is
-/// the moment `speed * t` of the original, counted in frames.
+/// The phrase played at `speed`: the same path and rotations in `1 / speed` of the time. Frame `t`
+/// is frame `speed * t` of the original.
 ///
-/// Positions and quaternions run along cubic splines, so that accelerations stay smooth, and
-/// velocities follow from them. The phase advances by the same way around; the style of each moment
-/// goes with it unchanged.
+/// Positions and quaternions follow cubic splines, so that accelerations stay smooth; derivatives
+/// follow from them. The phase takes shortest steps, and style is interpolated unchanged.
 ///
 /// # Panics
 /// Panics unless `speed` is finite and above zero.
 #[must_use]
-pub fn at_speed(motion: &Motion, speed: f64) -> Motion {
+pub fn at_speed(motion: &Phrase, speed: f64) -> Phrase {
     assert!(speed.is_finite() && speed > 0.0, "a speed: {speed}");
     let frames = frames_at_speed(motion.frames(), speed);
-    let moments: Vec<f64> = (0..frames).map(|t| speed * t as f64).collect();
-    let mut played = Motion::new(vec![0.0; frames * CHANNELS]).expect("at least one frame");
+    let times: Vec<f64> = (0..frames).map(|t| speed * t as f64).collect();
+    let mut played = Phrase::new(vec![0.0; frames * CHANNELS]).expect("at least one frame");
 
     for channel in POSITION {
         let rows: Vec<f64> = (0..motion.frames())
             .map(|t| f64::from(motion.frame(t)[channel]))
             .collect();
-        for (t, value) in spline(&rows, &moments).into_iter().enumerate() {
+        for (t, value) in spline(&rows, &times).into_iter().enumerate() {
             played.frame_mut(t)[channel] = value as f32;
         }
     }
     let mut rows: [Vec<f64>; 4] = Default::default();
     let mut before = motion.quaternion(0);
     for t in 0..motion.frames() {
-        // Along one sign, whichever the frames are written with.
+        // With one continuous sign.
         let q = motion.quaternion(t);
         before = if before.dot(q) < 0.0 {
             q.scale(-1.0)
@@ -52,8 +51,8 @@ pub fn at_speed(motion: &Motion, speed: f64) -> Motion {
             row.push(value);
         }
     }
-    let [w, x, y, z] = [0, 1, 2, 3].map(|row| spline(&rows[row], &moments));
-    for (t, &moment) in moments.iter().enumerate() {
+    let [w, x, y, z] = [0, 1, 2, 3].map(|row| spline(&rows[row], &times));
+    for (t, &time) in times.iter().enumerate() {
         let turned = Quaternion {
             w: w[t],
             x: x[t],
@@ -61,7 +60,7 @@ pub fn at_speed(motion: &Motion, speed: f64) -> Motion {
             z: z[t],
         };
         played.set_quaternion(t, turned.scale(1.0 / turned.norm().max(f64::MIN_POSITIVE)));
-        let (from, to, fraction) = between(motion.frames(), moment);
+        let (from, to, fraction) = between(motion.frames(), time);
         let (from, to) = (motion.frame(from), motion.frame(to));
         let phase = f64::from(from[PHASE]);
         let phase = phase + fraction * step(phase, f64::from(to[PHASE]));
@@ -76,31 +75,31 @@ pub fn at_speed(motion: &Motion, speed: f64) -> Motion {
     played
 }
 
-/// The frames around a moment, of `frames`, and how far it is from the first to the second.
-pub fn between(frames: usize, moment: f64) -> (usize, usize, f64) {
-    let from = (moment.max(0.0) as usize).min(frames - 1);
+/// The frames around a time in frames, of `frames`, and its fraction from the first to the second.
+pub fn between(frames: usize, time: f64) -> (usize, usize, f64) {
+    let from = (time.max(0.0) as usize).min(frames - 1);
     let to = (from + 1).min(frames - 1);
-    (from, to, (moment - from as f64).clamp(0.0, 1.0))
+    (from, to, (time - from as f64).clamp(0.0, 1.0))
 }
 
-/// The cubic spline through `values` at 0, 1, 2 and so on, at `moments` within them. Its second
-/// derivative is constant over the first and the last step.
+/// The cubic spline through `values` at 0, 1, 2, ..., at `times` within them. Its second derivative
+/// is constant over the first and the last step.
 ///
 /// # Panics
 /// Panics if there are no values.
-pub fn spline(values: &[f64], moments: &[f64]) -> Vec<f64> {
+pub fn spline(values: &[f64], times: &[f64]) -> Vec<f64> {
     let curvature = curvature(values);
-    let at = |&moment: &f64| {
-        let (from, to, b) = between(values.len(), moment);
+    let at = |&time: &f64| {
+        let (from, to, b) = between(values.len(), time);
         let a = 1.0 - b;
         let bend = (a.powi(3) - a) * curvature[from] + (b.powi(3) - b) * curvature[to];
         a * values[from] + b * values[to] + bend / 6.0
     };
-    moments.iter().map(at).collect()
+    times.iter().map(at).collect()
 }
 
-/// Second derivatives of the spline at its values: of `m[i-1] + 4 m[i] + m[i+1] = 6 (y[i-1] - 2 y[i]
-/// + y[i+1])`, solved from both ends.
+/// Second derivatives of the spline at its knots: `m[i-1] + 4 m[i] + m[i+1] = 6 (y[i-1] - 2 y[i] +
+/// y[i+1])`.
 fn curvature(values: &[f64]) -> Vec<f64> {
     let inner = values.len().saturating_sub(2);
     if inner == 0 {
@@ -138,22 +137,22 @@ mod tests {
 
     use super::*;
     use crate::phrase::{ACCELERATION, ANGULAR_VELOCITY};
-    use crate::wandering::wandering;
+    use crate::random_phrase::random_phrase;
 
     #[test]
     fn a_spline_follows_parabolas_and_waves() {
         let parabola: Vec<f64> = (0..9).map(|t| f64::from(t * t) - 3.0).collect();
-        let moments = [0.0, 0.25, 3.5, 7.75, 8.0];
-        for (value, moment) in spline(&parabola, &moments).into_iter().zip(moments) {
-            assert!((value - (moment * moment - 3.0)).abs() < 1e-12);
+        let times = [0.0, 0.25, 3.5, 7.75, 8.0];
+        for (value, time) in spline(&parabola, &times).into_iter().zip(times) {
+            assert!((value - (time * time - 3.0)).abs() < 1e-12);
         }
         let wave: Vec<f64> = (0..60).map(|t| (TAU * f64::from(t) / 15.0).sin()).collect();
-        let moments: Vec<f64> = (0..50)
+        let times: Vec<f64> = (0..50)
             .map(|t| 4.0 + f64::from(t))
             .map(|t| t + 0.3)
             .collect();
-        for (value, moment) in spline(&wave, &moments).into_iter().zip(&moments) {
-            assert!((value - (TAU * moment / 15.0).sin()).abs() < 1e-3);
+        for (value, time) in spline(&wave, &times).into_iter().zip(&times) {
+            assert!((value - (TAU * time / 15.0).sin()).abs() < 1e-3);
         }
         for few in [&[2.0][..], &[2.0, 4.0], &[2.0, 4.0, 6.0]] {
             let last = (few.len() - 1) as f64;
@@ -175,14 +174,17 @@ mod tests {
             (120, 1.2, 100),
         ] {
             assert_eq!(frames_at_speed(frames, speed), expected, "{frames} {speed}");
-            assert_eq!(at_speed(&wandering(1, frames), speed).frames(), expected);
+            assert_eq!(
+                at_speed(&random_phrase(1, frames), speed).frames(),
+                expected
+            );
         }
     }
 
     #[test]
-    fn the_same_path_is_gone_in_another_time() {
+    fn the_same_path_takes_another_time() {
         for speed in [0.8, 1.25] {
-            let original = wandering(5, 60);
+            let original = random_phrase(5, 60);
             let played = at_speed(&original, speed);
             let mut checked = 0;
             for t in 2..played.frames() - 3 {
@@ -203,7 +205,7 @@ mod tests {
     #[test]
     fn accelerations_stay_those_of_a_smooth_path() {
         // One turn in 60 frames on a circle of a metre.
-        let mut circle = Motion::new(vec![0.0; 90 * CHANNELS]).unwrap();
+        let mut circle = Phrase::new(vec![0.0; 90 * CHANNELS]).unwrap();
         for t in 0..90 {
             let angle = TAU * t as f64 / 60.0;
             circle.set_vector(t, POSITION, [angle.sin(), 1.0, angle.cos()]);

@@ -2,10 +2,10 @@
 
 use super::{Goal, Obstacle};
 
-/// Speed that a sprinter reaches, metres per second.
+/// Top speed of a sprinter, metres per second.
 const FASTEST: f64 = 12.0;
 
-/// A position that the root is to have.
+/// A target position of the root.
 struct Stop {
     name: String,
     frame: usize,
@@ -13,22 +13,21 @@ struct Stop {
 }
 
 impl Goal {
-    /// What is impossible about a valid goal in a clip of `fps` frames per second, in words: ways
-    /// that are too far for the time, positions inside an obstacle. Empty for a goal that a body
-    /// can reach.
-    pub fn doubts(&self, fps: f64) -> Vec<String> {
+    /// Warnings about a valid goal in a clip of `fps` frames per second: segments that need more
+    /// than a sprinter's speed, and positions inside an obstacle.
+    pub fn feasibility_warnings(&self, fps: f64) -> Vec<String> {
         let stops = self.stops();
-        let too_fast = match self.trajectory {
-            // Each of many points would be a line.
+        let segments = match self.trajectory {
+            // One warning for all points.
             Some(_) => fastest(&stops, fps).into_iter().collect(),
-            None => ways(&stops, fps).map(|(_, text)| text).collect(),
+            None => too_fast(&stops, fps).map(|(_, text)| text).collect(),
         };
-        let mut doubts: Vec<String> = too_fast;
-        doubts.extend(self.inside_obstacles(&stops));
-        doubts
+        let mut warnings: Vec<String> = segments;
+        warnings.extend(self.inside_obstacles(&stops));
+        warnings
     }
 
-    /// Where the root is to be, by frame. A clip begins at the origin.
+    /// Target positions by frame. A clip begins at the origin.
     fn stops(&self) -> Vec<Stop> {
         let mut stops: Vec<Stop> = match &self.trajectory {
             Some(trajectory) => {
@@ -63,7 +62,7 @@ impl Goal {
     }
 
     fn inside_obstacles(&self, stops: &[Stop]) -> Vec<String> {
-        let mut doubts = Vec::new();
+        let mut warnings = Vec::new();
         for (index, obstacle) in self.obstacles.iter().enumerate() {
             let depth = |stop: &Stop| -Obstacle::signed_distance(obstacle, stop.position);
             let inside = || stops.iter().filter(|stop| depth(stop) > 0.0);
@@ -74,18 +73,18 @@ impl Goal {
                 1 => String::new(),
                 all => format!(", and {} more positions are inside it", all - 1),
             };
-            doubts.push(format!(
+            warnings.push(format!(
                 "{name} (frame {frame}) is {:.2} m inside obstacle[{index}]{more}: the goal \
                  contradicts itself",
                 depth(deepest)
             ));
         }
-        doubts
+        warnings
     }
 }
 
-/// The ways between neighbouring stops that take more than a sprinter, with their speed.
-fn ways(stops: &[Stop], fps: f64) -> impl Iterator<Item = (f64, String)> {
+/// Segments between neighbouring targets that are too fast, with their speed.
+fn too_fast(stops: &[Stop], fps: f64) -> impl Iterator<Item = (f64, String)> {
     stops.windows(2).filter_map(move |pair| {
         let [from, to] = pair else { return None };
         let metres = (to.position[0] - from.position[0]).hypot(to.position[1] - from.position[1]);
@@ -100,10 +99,10 @@ fn ways(stops: &[Stop], fps: f64) -> impl Iterator<Item = (f64, String)> {
     })
 }
 
-/// The fastest of them, and how many there are beside it.
+/// The fastest of them, and the number of others.
 fn fastest(stops: &[Stop], fps: f64) -> Option<String> {
-    let all = ways(stops, fps).count();
-    let (_, text) = ways(stops, fps).max_by(|a, b| a.0.total_cmp(&b.0))?;
+    let all = too_fast(stops, fps).count();
+    let (_, text) = too_fast(stops, fps).max_by(|a, b| a.0.total_cmp(&b.0))?;
     Some(match all {
         1 => text,
         all => format!("{text}; {} other steps are too fast too", all - 1),
@@ -124,32 +123,36 @@ mod tests {
     }
 
     #[test]
-    fn a_way_that_no_body_runs_is_named_with_distance_time_and_speed() {
-        let doubts = goal(&[(30, 0.0, 100.0)]).doubts(20.0);
-        assert_eq!(doubts.len(), 1);
+    fn a_segment_that_is_too_fast_is_named_with_distance_time_and_speed() {
+        let warnings = goal(&[(30, 0.0, 100.0)]).feasibility_warnings(20.0);
+        assert_eq!(warnings.len(), 1);
         for part in [
             "the start (frame 0)",
             "keyframe[0] (frame 30)",
             "100.0 m in 1.50 s",
             "66.7 m/s",
         ] {
-            assert!(doubts[0].contains(part), "{doubts:?}");
+            assert!(warnings[0].contains(part), "{warnings:?}");
         }
-        // Keyframes in any order; only the second way is too far.
-        let doubts = goal(&[(60, 0.0, 30.0), (40, 0.0, 10.0)]).doubts(20.0);
-        assert_eq!(doubts.len(), 1, "{doubts:?}");
-        assert!(doubts[0].contains("from keyframe[1] (frame 40) to keyframe[0] (frame 60)"));
+        // Keyframes in any order; only the second segment is too fast.
+        let warnings = goal(&[(60, 0.0, 30.0), (40, 0.0, 10.0)]).feasibility_warnings(20.0);
+        assert_eq!(warnings.len(), 1, "{warnings:?}");
+        assert!(warnings[0].contains("from keyframe[1] (frame 40) to keyframe[0] (frame 60)"));
     }
 
     #[test]
     fn what_a_body_can_run_draws_no_word() {
-        assert!(goal(&[(20, 0.0, 11.9)]).doubts(20.0).is_empty());
         assert!(
-            goal(&[(0, 5.0, 5.0), (20, 5.0, 6.0)])
-                .doubts(20.0)
+            goal(&[(20, 0.0, 11.9)])
+                .feasibility_warnings(20.0)
                 .is_empty()
         );
-        assert!(Goal::new(10).doubts(20.0).is_empty());
+        assert!(
+            goal(&[(0, 5.0, 5.0), (20, 5.0, 6.0)])
+                .feasibility_warnings(20.0)
+                .is_empty()
+        );
+        assert!(Goal::new(10).feasibility_warnings(20.0).is_empty());
     }
 
     #[test]
@@ -160,12 +163,12 @@ mod tests {
             first_frame: 0,
             points,
         });
-        let doubts = goal.doubts(20.0);
-        assert_eq!(doubts.len(), 1, "{doubts:?}");
-        assert!(doubts[0].contains("trajectory.points[1] (frame 1) to trajectory.points[2]"));
+        let warnings = goal.feasibility_warnings(20.0);
+        assert_eq!(warnings.len(), 1, "{warnings:?}");
+        assert!(warnings[0].contains("trajectory.points[1] (frame 1) to trajectory.points[2]"));
         assert!(
-            doubts[0].ends_with("; 1 other steps are too fast too"),
-            "{doubts:?}"
+            warnings[0].ends_with("; 1 other steps are too fast too"),
+            "{warnings:?}"
         );
     }
 
@@ -177,8 +180,8 @@ mod tests {
             z: 1.25,
             radius: 0.5,
         }];
-        let doubts = goal.doubts(20.0);
-        assert_eq!(doubts.len(), 1, "{doubts:?}");
-        assert!(doubts[0].starts_with("keyframe[0] (frame 60) is 0.25 m inside obstacle[0]"));
+        let warnings = goal.feasibility_warnings(20.0);
+        assert_eq!(warnings.len(), 1, "{warnings:?}");
+        assert!(warnings[0].starts_with("keyframe[0] (frame 60) is 0.25 m inside obstacle[0]"));
     }
 }

@@ -1,9 +1,9 @@
-//! What a denoiser predicts of a phrase: its 25 channels as they are, or with the phase and the
-//! orientation in forms that have no jumps.
+//! The channels in which a denoiser predicts a phrase: its 25 channels, or phase and orientation in
+//! continuous forms.
 //!
-//! A phase of 0.99 and one of 0.01 are neighbours in a bar and far apart as numbers; q and -q are
-//! one rotation and add up to zero. A network that predicts means does badly on both. [`Targets`]
-//! says what stands in their place; everything on disk keeps the 25 channels.
+//! A phase of 0.99 and one of 0.01 are close in a bar but far apart as numbers, and q and -q are
+//! one rotation but add up to zero. A network that predicts means does badly on both.
+//! [`ChannelEncoding`] replaces them; files keep the 25 channels.
 //!
 //! ```text
 //! network   position velocity acceleration orientation angular velocity    phase    style
@@ -19,37 +19,35 @@ use serde::{Deserialize, Serialize};
 
 use crate::augment::mirrored_channels;
 use crate::phrase::{ANGULAR_VELOCITY, CHANNELS, PHASE, QUATERNION, STYLE};
-use crate::{ChannelMoments, Motion, Quaternion, Statistics, rotate_yaw};
+use crate::vector::{cross, dot};
+use crate::{ChannelMoments, Phrase, Quaternion, Statistics, rotate_yaw};
 
-/// Below this square, a predicted axis of a rotation, or the area of two, is not divided by its size.
+/// Predicted rotation axes whose square is below this are not normalised, nor areas of two.
 pub const LEAST_SQUARE: f64 = 1e-8;
 
-/// What is predicted of the phase.
+/// Encoding of the phase.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
-pub enum PhaseTarget {
-    /// The number from 0 to 1 (CC-MotionGen), which jumps at each bar.
+pub enum PhaseEncoding {
+    /// A number from 0 to 1 (CC-MotionGen), with a jump at each bar line.
     #[default]
     Scalar,
-    /// Sine and cosine of the angle in the bar.
+    /// Sine and cosine of the phase angle.
     SinCos,
-    /// Sine and cosine of the angle in the bar, of its double, threefold and fourfold. Music tells
-    /// where a beat falls before it tells which beat of the bar it is: the mean over the beats of a
-    /// bar, which a denoiser predicts then, is zero in the first pair, and the beat itself in the
-    /// pair of as many as the bar has beats. Together they are the first Fourier coefficients of
-    /// where in the bar the motion may be.
+    /// Sine and cosine of the phase angle and of its multiples up to 4: the first Fourier
+    /// coefficients of the distribution of the phase. A network that knows the beat but not the bar
+    /// line predicts zero in the first pair, and the beat in the pair of the bar's number of beats.
     Harmonics,
 }
 
-/// Multiples of the angle in the bar whose sines and cosines [`PhaseTarget::Harmonics`] predicts.
+/// Multiples of the phase angle in [`PhaseEncoding::Harmonics`].
 pub const HARMONICS: usize = 4;
 
-/// Square of the sizes of all harmonics together below which they do not say where in a beat the
-/// motion is.
+/// Sum of squares of all harmonics below which they do not determine the phase.
 pub const LEAST_HARMONICS: f64 = 1e-8;
 
-impl PhaseTarget {
-    /// Multiples of the angle in the bar that are predicted by sine and cosine.
+impl PhaseEncoding {
+    /// Number of multiples of the phase angle that are predicted by sine and cosine.
     pub fn harmonics(self) -> usize {
         match self {
             Self::Scalar => 0,
@@ -59,12 +57,11 @@ impl PhaseTarget {
     }
 }
 
-/// The turns in [0, 1) of the bar that sines and cosines, in pairs, of its angle and the multiples of
-/// it say: the turn `t` of the first pair, moved by what the others differ from its multiples, each
-/// weighted as a least-squares step has it:
+/// The phase, in [0, 1), of pairs of sine and cosine of its angle and multiples: the phase `t` of
+/// the first pair, corrected by a weighted least-squares step towards the others:
 ///
 /// ```text
-/// d_k = (turns of pair k - k t, the shortest way) / k     w_k = k^2 |pair k|^2
+/// d_k = (turns of pair k - k t, shortest) / k     w_k = k^2 |pair k|^2
 /// turn = t + sum_k w_k d_k / sum_k w_k
 /// ```
 fn turn_of(pairs: &[f32]) -> f32 {
@@ -84,37 +81,37 @@ fn turn_of(pairs: &[f32]) -> f32 {
         all += weight;
     }
     let turn = (first + moved / all).rem_euclid(1.0) as f32;
-    // Just below a whole turn rounds to it.
+    // Values just below 1 may round to it.
     if turn >= 1.0 { 0.0 } else { turn }
 }
 
-/// What is predicted of the orientation.
+/// Encoding of the orientation.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
-pub enum OrientationTarget {
-    /// The quaternion as stored (CC-MotionGen).
+pub enum OrientationEncoding {
+    /// The stored quaternion (CC-MotionGen).
     #[default]
     Quaternion,
-    /// The quaternion of a sample that is turned so that its first frame faces +z, with `w >= 0`
-    /// there and without changes of sign after. Samples then begin in that direction.
+    /// The quaternion of a sample rotated so that its first frame faces +z, with `w >= 0` there and
+    /// continuous sign. All samples then begin in that direction.
     CanonicalQuaternion,
-    /// The first two columns of the rotation matrix (Zhou et al. 2019,
-    /// <https://arxiv.org/abs/1812.07035>), which are continuous in the rotation.
+    /// The first two columns of the rotation matrix, a continuous representation (Zhou et al. 2019,
+    /// <https://arxiv.org/abs/1812.07035>).
     #[serde(rename = "rotation_6d")]
     Rotation6d,
 }
 
-/// The channels that a denoiser predicts of a phrase.
+/// The channels in which a denoiser predicts a phrase.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Targets {
-    /// Of the phase.
-    pub phase: PhaseTarget,
-    /// Of the orientation.
-    pub orientation: OrientationTarget,
+pub struct ChannelEncoding {
+    /// Encoding of the phase.
+    pub phase: PhaseEncoding,
+    /// Encoding of the orientation.
+    pub orientation: OrientationEncoding,
 }
 
-impl Targets {
-    /// Whether these are the 25 channels of the phrase themselves.
+impl ChannelEncoding {
+    /// Whether these are the 25 stored channels.
     pub fn are_stored_channels(self) -> bool {
         self == Self::default()
     }
@@ -127,8 +124,8 @@ impl Targets {
     /// Channels of the orientation.
     pub fn orientation_channels(self) -> Range<usize> {
         let width = match self.orientation {
-            OrientationTarget::Quaternion | OrientationTarget::CanonicalQuaternion => 4,
-            OrientationTarget::Rotation6d => 6,
+            OrientationEncoding::Quaternion | OrientationEncoding::CanonicalQuaternion => 4,
+            OrientationEncoding::Rotation6d => 6,
         };
         QUATERNION.start..QUATERNION.start + width
     }
@@ -157,28 +154,24 @@ impl Targets {
         let moved = |channel: usize| match channel {
             c if c < QUATERNION.start => Some(c),
             c if ANGULAR_VELOCITY.contains(&c) => Some(rotation.start + c - ANGULAR_VELOCITY.start),
-            c if self.orientation != OrientationTarget::Rotation6d => Some(c),
+            c if self.orientation != OrientationEncoding::Rotation6d => Some(c),
             _ => None,
         };
         let mut negated: Vec<usize> = stored.into_iter().filter_map(moved).collect();
-        if self.orientation == OrientationTarget::Rotation6d {
+        if self.orientation == OrientationEncoding::Rotation6d {
             // S R S with S = diag(-1, 1, 1): y and z of the first column, x of the second.
             negated.extend([1, 2, 3].map(|offset| QUATERNION.start + offset));
         }
         negated
     }
 
-    /// The rows `[frames, channels]` that a denoiser is trained on, of `rows` `[frames, 25]` of one
-    /// sample in the dataset's units.
-    ///
-    /// # Panics
-    /// Panics if the rows are not whole frames, at least one.
+    /// Encodes `rows` `[frames, 25]` of one sample in the dataset's units as `[frames, channels]`.
     pub fn encode(self, rows: &[f32]) -> Cow<'_, [f32]> {
         if self.are_stored_channels() {
             return Cow::Borrowed(rows);
         }
-        let mut motion = Motion::new(rows.to_vec()).expect("whole frames of 25 channels");
-        if self.orientation == OrientationTarget::CanonicalQuaternion {
+        let mut motion = Phrase::new(rows.to_vec()).expect("whole frames of 25 channels");
+        if self.orientation == OrientationEncoding::CanonicalQuaternion {
             let heading = motion.quaternion(0).yaw();
             rotate_yaw(&mut motion, -heading);
             let found = (0..motion.frames()).map(|t| motion.quaternion(t));
@@ -191,10 +184,10 @@ impl Targets {
             let frame = motion.frame(t);
             encoded.extend_from_slice(&frame[..QUATERNION.start]);
             match self.orientation {
-                OrientationTarget::Quaternion | OrientationTarget::CanonicalQuaternion => {
+                OrientationEncoding::Quaternion | OrientationEncoding::CanonicalQuaternion => {
                     encoded.extend_from_slice(&frame[QUATERNION]);
                 }
-                OrientationTarget::Rotation6d => {
+                OrientationEncoding::Rotation6d => {
                     let unit = motion.quaternion(t).normalised();
                     let columns = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]].map(|axis| unit.rotate(axis));
                     encoded.extend(columns.iter().flatten().map(|&value| value as f32));
@@ -202,8 +195,8 @@ impl Targets {
             }
             encoded.extend_from_slice(&frame[ANGULAR_VELOCITY]);
             match self.phase {
-                PhaseTarget::Scalar => encoded.push(frame[PHASE]),
-                PhaseTarget::SinCos | PhaseTarget::Harmonics => {
+                PhaseEncoding::Scalar => encoded.push(frame[PHASE]),
+                PhaseEncoding::SinCos | PhaseEncoding::Harmonics => {
                     for k in 1..=self.phase.harmonics() {
                         let (sin, cos) = (TAU * k as f64 * f64::from(frame[PHASE])).sin_cos();
                         encoded.extend([sin as f32, cos as f32]);
@@ -215,9 +208,9 @@ impl Targets {
         Cow::Owned(encoded)
     }
 
-    /// The rows `[frames, 25]` of predicted `rows` `[frames, channels]` of one sample: a phase in
-    /// [0, 1), and unit quaternions without changes of sign, the first with `w >= 0`. What is not
-    /// finite stays so.
+    /// Decodes predicted `rows` `[frames, channels]` of one sample to `[frames, 25]`: a phase in
+    /// [0, 1), and unit quaternions with continuous sign, the first with `w >= 0`. Values that are
+    /// not finite stay so.
     pub fn decode(self, rows: Vec<f32>) -> Vec<f32> {
         if self.are_stored_channels() {
             return rows;
@@ -227,12 +220,12 @@ impl Targets {
             let values = frame[self.orientation_channels()].iter();
             let values: Vec<f64> = values.map(|&value| f64::from(value)).collect();
             match self.orientation {
-                OrientationTarget::Rotation6d => nearest_rotation(&values),
+                OrientationEncoding::Rotation6d => nearest_rotation(&values),
                 _ => Quaternion::new(values[0], values[1], values[2], values[3]),
             }
         });
         let orientations = match self.orientation {
-            OrientationTarget::Quaternion => orientations.collect(),
+            OrientationEncoding::Quaternion => orientations.collect(),
             _ => canonical_signs(orientations.collect()),
         };
         let mut decoded = Vec::with_capacity(frames.len() * CHANNELS);
@@ -242,51 +235,50 @@ impl Targets {
             decoded.extend_from_slice(&frame[self.angular_velocity_channels()]);
             let phase = &frame[self.phase_channels()];
             decoded.push(match self.phase {
-                PhaseTarget::Scalar => phase[0],
-                PhaseTarget::SinCos | PhaseTarget::Harmonics => turn_of(phase),
+                PhaseEncoding::Scalar => phase[0],
+                PhaseEncoding::SinCos | PhaseEncoding::Harmonics => turn_of(phase),
             });
             decoded.extend_from_slice(&frame[self.style_channels()]);
         }
         decoded
     }
 
-    /// How sure predicted `rows` `[frames, channels]` are of each heading, 0 to 1, `[frames]`: the area
-    /// that the two columns of a rotation span, or the norm of the quaternion. A mean of orientations
-    /// that differ is short. NaN of what is not finite.
-    pub fn sureness(self, rows: &[f32]) -> Vec<f64> {
+    /// Confidence of the predicted heading, 0 to 1, `[frames]`: the area spanned by the two columns
+    /// of a rotation, or the norm of the quaternion. A mean of different orientations is short. NaN
+    /// of values that are not finite.
+    pub fn confidence(self, rows: &[f32]) -> Vec<f64> {
         let length = |v: &[f64]| v.iter().map(|part| part * part).sum::<f64>().sqrt();
-        let sure = |frame: &[f32]| {
+        let of_frame = |frame: &[f32]| {
             let values = frame[self.orientation_channels()].iter();
             let v: Vec<f64> = values.map(|&value| f64::from(value)).collect();
             match self.orientation {
-                OrientationTarget::Quaternion | OrientationTarget::CanonicalQuaternion => {
+                OrientationEncoding::Quaternion | OrientationEncoding::CanonicalQuaternion => {
                     length(&v).min(1.0)
                 }
-                OrientationTarget::Rotation6d => {
+                OrientationEncoding::Rotation6d => {
                     let [a, b] = pair(&v);
                     length(&cross(a, b)).min(1.0)
                 }
             }
         };
-        rows.chunks_exact(self.channels()).map(sure).collect()
+        rows.chunks_exact(self.channels()).map(of_frame).collect()
     }
 
-    /// How such channels with these `moments` are normalised: zero mean and unit deviation, except
-    /// that quaternions, rotations, sines and cosines stay as they are and a phase of 0 to 1
-    /// becomes one of -1 to 1.
+    /// Statistics that normalise such channels: zero mean and unit deviation, but quaternions,
+    /// rotations, sines and cosines stay as they are, and a phase of 0 to 1 is mapped to -1 to 1.
     pub fn statistics(self, moments: ChannelMoments) -> Statistics {
         let mut statistics = Statistics::standard(moments);
         let (orientation, phase) = (self.orientation_channels(), self.phase_channels());
         statistics.mean[orientation.clone()].fill(0.0);
         statistics.std[orientation].fill(1.0);
         let (mean, std) = match self.phase {
-            PhaseTarget::Scalar => (0.5, 0.5),
-            PhaseTarget::SinCos | PhaseTarget::Harmonics => (0.0, 1.0),
+            PhaseEncoding::Scalar => (0.5, 0.5),
+            PhaseEncoding::SinCos | PhaseEncoding::Harmonics => (0.0, 1.0),
         };
         statistics.mean[phase.clone()].fill(mean);
         statistics.std[phase.clone()].fill(std);
         if let Some([min, max]) = &mut statistics.range
-            && self.phase != PhaseTarget::Scalar
+            && self.phase != PhaseEncoding::Scalar
         {
             min[phase.clone()].fill(-1.0);
             max[phase].fill(1.0);
@@ -295,8 +287,8 @@ impl Targets {
     }
 }
 
-/// Unit quaternions of the same rotations, each in the hemisphere of the one before, the first in
-/// that of no rotation; those that are not finite stay.
+/// Unit quaternions with continuous sign, the first in the hemisphere of the identity; values that
+/// are not finite stay.
 fn canonical_signs(mut quaternions: Vec<Quaternion>) -> Vec<Quaternion> {
     let mut before = Quaternion::IDENTITY;
     for quaternion in &mut quaternions {
@@ -310,11 +302,8 @@ fn canonical_signs(mut quaternions: Vec<Quaternion>) -> Vec<Quaternion> {
     quaternions
 }
 
-/// The rotation whose matrix has nearly these first two columns, `[6]`, by Gram and Schmidt: the first
-/// is kept in direction. Its sign is arbitrary. Not finite where the columns are not.
-///
-/// # Panics
-/// Panics if there are fewer than six numbers.
+/// The rotation of a matrix whose first two columns are given, `[6]`, by Gram-Schmidt: the
+/// direction of the first column is kept. Its sign is arbitrary; not finite if the columns are not.
 pub fn from_columns(columns: &[f64]) -> Quaternion {
     let unit = |v: [f64; 3]| v.map(|part| part / dot(v, v).max(LEAST_SQUARE).sqrt());
     let [a, b] = pair(columns);
@@ -323,22 +312,18 @@ pub fn from_columns(columns: &[f64]) -> Quaternion {
     of_orthonormal(a, unit([0, 1, 2].map(|i| b[i] - along * a[i])))
 }
 
-/// The rotation whose matrix has the orthonormal columns that are nearest to these first two, `[6]`,
-/// in least squares, where they span an area; its sign is arbitrary. Not finite where the columns are
-/// not.
+/// The rotation of the orthonormal columns nearest to these two, `[6]`, in least squares; its sign
+/// is arbitrary, and it is not finite if the columns are not.
 ///
-/// A column that is short, as the mean of many directions is, turns the other one little. Of a dancer
-/// whose heading is open the side is short and the upward axis is not: by Gram and Schmidt, which
-/// keep the first direction, the body would fall over.
+/// A short column, such as the mean of many directions, has little influence on the other one. With
+/// Gram-Schmidt, a body with uncertain heading would fall over, because its side axis is short and
+/// its up axis is not.
 ///
 /// With `M` the columns, `p = |a|^2`, `q = |b|^2`, `r = a.b` and `s = |a x b|`, they are
 ///
 /// ```text
 /// M (M^T M)^{-1/2} = M [[q + s, -r], [-r, p + s]] / (s sqrt(p + q + 2 s))
 /// ```
-///
-/// # Panics
-/// Panics if there are fewer than six numbers.
 pub fn nearest_rotation(columns: &[f64]) -> Quaternion {
     let [a, b] = pair(columns);
     let (p, q, r) = (dot(a, a), dot(b, b), dot(a, b));
@@ -352,18 +337,6 @@ pub fn nearest_rotation(columns: &[f64]) -> Quaternion {
 /// Two columns of six numbers.
 fn pair(columns: &[f64]) -> [[f64; 3]; 2] {
     [0, 3].map(|first| std::array::from_fn(|axis| columns[first + axis]))
-}
-
-fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
-    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-}
-
-fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
-    [
-        a[1] * b[2] - a[2] * b[1],
-        a[2] * b[0] - a[0] * b[2],
-        a[0] * b[1] - a[1] * b[0],
-    ]
 }
 
 /// The rotation whose matrix has these first two columns.

@@ -1,24 +1,22 @@
-//! Derivatives of a phrase and how far its explicit channels agree with them.
+//! Derivatives of a phrase, and the errors of its explicit channels.
 //!
-//! Everything is a forward difference: the value of frame t is taken from frames t and t + 1, and
-//! the last frame repeats the one before (CC-MotionGen, section 2.3; docs/sources.md, section 1.1).
+//! All are forward differences: the value of frame t comes from frames t and t + 1, and the last
+//! frame repeats the one before (CC-MotionGen, section 2.3; docs/sources.md, section 1.1).
 
 use std::ops::Range;
 
-use crate::humanml::kinematics::minus;
 use crate::phrase::{ACCELERATION, ANGULAR_VELOCITY, FPS, PHASE, POSITION, STYLE, VELOCITY};
-use crate::rotation::length;
-use crate::{CHANNELS, Error, Motion, Quaternion};
+use crate::vector::{length, minus};
+use crate::{CHANNELS, Error, Phrase, Quaternion};
 
-/// Forward differences of vectors `[frames, 3]` times `fps`, the last frame repeated: units per
-/// second. A single frame stands still.
+/// Forward differences of vectors `[frames, 3]` times `fps`, the last one repeated. A single frame
+/// has velocity zero.
 pub fn forward_differences(values: &[[f64; 3]], fps: f64) -> Vec<[f64; 3]> {
     repeat_last(differences(values, fps), values.len())
 }
 
-/// Angular velocity in radians per second, world frame, `[frames, 3]`: the rotation vector of
-/// `q[t+1] * conj(q[t])` times `fps`, the last frame repeated. The signs of the quaternions do not
-/// matter.
+/// Angular velocity, radians per second, world frame, `[frames, 3]`: the rotation vector of `q[t+1]
+/// * conj(q[t])` times `fps`, the last one repeated. Signs of quaternions do not matter.
 pub fn angular_velocity(quaternions: &[Quaternion], fps: f64) -> Vec<[f64; 3]> {
     let turns = quaternions.windows(2).map(|pair| {
         let turn = pair[1] * pair[0].conjugate();
@@ -27,8 +25,19 @@ pub fn angular_velocity(quaternions: &[Quaternion], fps: f64) -> Vec<[f64; 3]> {
     repeat_last(turns.collect(), quaternions.len())
 }
 
-/// Negates quaternions so that each lies in the hemisphere of the one before. The first one stays;
-/// a quaternion that is not finite is passed over.
+/// Angular velocity between neighbouring frames by the quaternions, of any norm and sign: radians per
+/// second, world frame, `[frames - 1, 3]`. NaN stays NaN.
+pub fn angular_rates(motion: &Phrase) -> Vec<[f64; 3]> {
+    let frames = 0..motion.frames();
+    let quaternions: Vec<Quaternion> = frames.map(|t| motion.quaternion(t)).collect();
+    let mut rates = angular_velocity(&quaternions, FPS);
+    // The last one repeats the one before.
+    rates.pop();
+    rates
+}
+
+/// Negates quaternions so that each lies in the hemisphere of the one before. The first one keeps
+/// its sign; quaternions that are not finite are skipped.
 pub fn make_sign_continuous(quaternions: &mut [Quaternion]) {
     let mut previous: Option<Quaternion> = None;
     for quaternion in quaternions {
@@ -41,13 +50,12 @@ pub fn make_sign_continuous(quaternions: &mut [Quaternion]) {
     }
 }
 
-/// A phrase whose velocity, acceleration and angular velocity follow from its pose.
+/// A phrase whose velocity, acceleration and angular velocity are derived from its pose.
 ///
-/// `positions` `[frames, 3]` in metres, `quaternions` of any norm and sign (stored with norm 1 and
-/// continuous sign), `phase` from 0 to 1, `style` `[frames, 8]`. The derivatives are taken from
-/// the values as stored in single precision, so that the phrase agrees with itself to the rounding
-/// of one subtraction. As the last velocity repeats, the acceleration before the last frame is
-/// zero; a caller that minds computes two frames more and slices them off.
+/// `positions` `[frames, 3]` in metres, `quaternions` of any norm and sign, `phase` from 0 to 1,
+/// `style` `[frames, 8]`. Derivatives use the stored single-precision values. Because the last
+/// velocity is repeated, the acceleration before the last frame is zero; compute two more frames
+/// and slice them off to avoid that.
 ///
 /// # Errors
 /// [`Error::LengthMismatch`] if the arrays differ in length; [`Error::NotWholeFrames`] if they are
@@ -57,7 +65,7 @@ pub fn derive(
     quaternions: &[Quaternion],
     phase: &[f64],
     style: &[[f64; 8]],
-) -> Result<Motion, Error> {
+) -> Result<Phrase, Error> {
     let frames = positions.len();
     let lengths = [
         ("quaternions", quaternions.len()),
@@ -73,7 +81,7 @@ pub fn derive(
             });
         }
     }
-    let mut motion = Motion::new(vec![0.0; frames * CHANNELS])?;
+    let mut motion = Phrase::new(vec![0.0; frames * CHANNELS])?;
     let mut units: Vec<Quaternion> = quaternions.iter().map(|q| q.normalised()).collect();
     make_sign_continuous(&mut units);
     for t in 0..frames {
@@ -89,14 +97,14 @@ pub fn derive(
     Ok(motion)
 }
 
-/// Replaces velocity, acceleration and angular velocity by those that follow from the stored
-/// positions and quaternions.
-pub fn rederive(motion: &mut Motion) {
+/// Replaces velocity, acceleration and angular velocity by the derivatives of the stored positions
+/// and quaternions.
+pub fn rederive(motion: &mut Phrase) {
     let velocity = forward_differences(&vectors(motion, POSITION), FPS);
     for (t, value) in velocity.into_iter().enumerate() {
         motion.set_vector(t, VELOCITY, value);
     }
-    // From the velocity as rounded to single precision: that is what the checks compare with.
+    // The checks compare with the velocity as rounded to single precision.
     let acceleration = forward_differences(&vectors(motion, VELOCITY), FPS);
     let quaternions: Vec<Quaternion> = (0..motion.frames()).map(|t| motion.quaternion(t)).collect();
     let turning = angular_velocity(&quaternions, FPS);
@@ -107,31 +115,30 @@ pub fn rederive(motion: &mut Motion) {
 }
 
 /// `v[t] - fps (p[t+1] - p[t])` in metres per second, `[frames - 1, 3]`.
-pub fn velocity_errors(motion: &Motion) -> Vec<[f64; 3]> {
+pub fn velocity_errors(motion: &Phrase) -> Vec<[f64; 3]> {
     errors(motion, POSITION, VELOCITY)
 }
 
 /// `a[t] - fps (v[t+1] - v[t])` in metres per second squared, `[frames - 1, 3]`.
-pub fn acceleration_errors(motion: &Motion) -> Vec<[f64; 3]> {
+pub fn acceleration_errors(motion: &Phrase) -> Vec<[f64; 3]> {
     errors(motion, VELOCITY, ACCELERATION)
 }
 
-/// `w[t]` less the rotation vector of `q[t+1] * conj(q[t])` times `fps`, in radians per second,
+/// `w[t]` minus the rotation vector of `q[t+1] * conj(q[t])` times `fps`, radians per second,
 /// `[frames - 1, 3]`.
-pub fn rotation_errors(motion: &Motion) -> Vec<[f64; 3]> {
+pub fn rotation_errors(motion: &Phrase) -> Vec<[f64; 3]> {
     let stored = vectors(motion, ANGULAR_VELOCITY).into_iter();
-    let derived = crate::movement::rates(motion).into_iter();
+    let derived = angular_rates(motion).into_iter();
     stored.zip(derived).map(|(a, b)| minus(a, b)).collect()
 }
 
 /// `fps (a[t+1] - a[t])` in metres per second cubed, `[frames - 1, 3]`.
-pub fn jerk(motion: &Motion) -> Vec<[f64; 3]> {
+pub fn jerk(motion: &Phrase) -> Vec<[f64; 3]> {
     differences(&vectors(motion, ACCELERATION), FPS)
 }
 
-/// Mean over frames of the Euclidean norm of the [`jerk`], in metres per second cubed; 0 for a
-/// single frame.
-pub fn mean_jerk_norm(motion: &Motion) -> f64 {
+/// Mean Euclidean norm of the [`jerk`], metres per second cubed; 0 of a single frame.
+pub fn mean_jerk_norm(motion: &Phrase) -> f64 {
     mean_norm(&jerk(motion))
 }
 
@@ -148,26 +155,25 @@ pub fn mean_absolute_component(vectors: &[[f64; 3]]) -> f64 {
     total / (3 * vectors.len()).max(1) as f64
 }
 
-fn errors(motion: &Motion, base: Range<usize>, explicit: Range<usize>) -> Vec<[f64; 3]> {
+fn errors(motion: &Phrase, base: Range<usize>, explicit: Range<usize>) -> Vec<[f64; 3]> {
     let derived = differences(&vectors(motion, base), FPS);
     let stored = vectors(motion, explicit).into_iter();
     stored.zip(derived).map(|(a, b)| minus(a, b)).collect()
 }
 
-fn vectors(motion: &Motion, channels: Range<usize>) -> Vec<[f64; 3]> {
+fn vectors(motion: &Phrase, channels: Range<usize>) -> Vec<[f64; 3]> {
     (0..motion.frames())
         .map(|t| motion.vector(t, channels.clone()))
         .collect()
 }
 
-/// Third differences of positions `[frames, 3]` in metres, times the cube of `fps`: jerk in metres
-/// per second cubed, three fewer than the positions.
+/// Jerk of positions `[frames, 3]` in metres: third differences times `fps^3`, `[frames - 3, 3]`.
 pub(crate) fn jerk_of(positions: &[[f64; 3]], fps: f64) -> Vec<[f64; 3]> {
     let derive = |values: &[[f64; 3]]| differences(values, fps);
     derive(&derive(&derive(positions)))
 }
 
-/// Forward differences of vectors `[frames, 3]` times `fps`, one fewer than the vectors.
+/// Forward differences of vectors `[frames, 3]` times `fps`, `[frames - 1, 3]`.
 pub(crate) fn differences(values: &[[f64; 3]], fps: f64) -> Vec<[f64; 3]> {
     values
         .windows(2)
@@ -186,7 +192,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::wandering::wandering;
+    use crate::random_phrase::random_phrase;
 
     #[test]
     fn differences_look_forward_and_repeat_the_last() {
@@ -245,7 +251,7 @@ mod tests {
 
     #[test]
     fn errors_and_jerk_are_measured() {
-        let mut motion = wandering(3, 12);
+        let mut motion = random_phrase(3, 12);
         for t in 0..12 {
             let [x, y, z] = motion.vector(t, VELOCITY);
             motion.set_vector(t, VELOCITY, [x + 3.0, y - 4.0, z]);
@@ -261,7 +267,7 @@ mod tests {
     proptest! {
         #[test]
         fn derived_phrases_are_coherent(seed: u64, frames in 1usize..50) {
-            let motion = wandering(seed, frames);
+            let motion = random_phrase(seed, frames);
             prop_assert!(mean_norm(&velocity_errors(&motion)) < 1e-6);
             prop_assert!(mean_norm(&acceleration_errors(&motion)) < 1e-5);
             for t in 1..frames {

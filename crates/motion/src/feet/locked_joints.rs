@@ -3,50 +3,49 @@
 use super::{ContactRule, Leg, lock, sliding};
 use crate::humanml::{FeatureError, Joints, Skeleton};
 
-/// Within how many seconds a correction fades: five frames at 20 frames per second.
+/// Seconds over which a correction fades: five frames at 20 frames per second.
 const BLEND_SECONDS: f64 = 0.25;
 
-/// Joints whose feet are held.
+/// Joints whose feet are locked in contact.
 #[derive(Clone, Debug)]
-pub struct Held {
-    /// Where the joints are.
+pub struct LockedJoints {
+    /// The joints.
     pub joints: Joints,
-    /// Part of the frames in which a foot is in contact, of all feet.
+    /// Share of the frames in contact, of all feet.
     pub in_contact: f64,
     /// Mean speed of feet in contact before, metres per second.
     pub before: f64,
-    /// The same after.
+    /// Mean speed of feet in contact after.
     pub after: f64,
-    /// How far a foot is from where it should stand, at most, as its leg does not reach so far,
-    /// metres.
+    /// Largest distance of a foot from its contact position, where the leg is too short, metres.
     pub missed: f64,
 }
 
-/// `joints` with feet that stay where they stand. `seen` are the joints in which `rule` finds
-/// contacts above the floor y = 0: `joints` themselves, or what they were made from.
+/// Locks the feet of `joints` in contact. `rule` finds the contacts in `seen`, the joints
+/// themselves or their source, above the floor y = 0.
 ///
 /// # Errors
 /// [`FeatureError::LengthMismatch`] unless both are the same frames of joints of `skeleton`.
-pub fn hold(
+pub fn lock_joints(
     joints: &Joints,
     seen: &Joints,
     skeleton: &Skeleton,
     rule: &ContactRule,
-) -> Result<Held, FeatureError> {
-    hold_above(joints, seen, skeleton, rule, 0.0)
+) -> Result<LockedJoints, FeatureError> {
+    lock_joints_above(joints, seen, skeleton, rule, 0.0)
 }
 
-/// [`hold`] above a floor of that height.
+/// [`lock_joints`] above a floor of that height.
 ///
 /// # Errors
-/// As [`hold`].
-pub fn hold_above(
+/// As [`lock_joints`].
+pub fn lock_joints_above(
     joints: &Joints,
     seen: &Joints,
     skeleton: &Skeleton,
     rule: &ContactRule,
     floor: f64,
-) -> Result<Held, FeatureError> {
+) -> Result<LockedJoints, FeatureError> {
     joints.must_be_of(skeleton)?;
     seen.must_be_of(skeleton)?;
     FeatureError::unless_equal("frames", joints.frames(), seen.frames())?;
@@ -68,7 +67,7 @@ pub fn hold_above(
     let flags = contacts.concat();
     let standing = flags.iter().filter(|&&contact| contact).count();
     let missed = locked.missed.concat().into_iter().fold(0.0, f64::max);
-    Ok(Held {
+    Ok(LockedJoints {
         in_contact: standing as f64 / flags.len().max(1) as f64,
         before: speed(joints),
         after: speed(&joints_after),
@@ -80,13 +79,12 @@ pub fn hold_above(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::humanml::kinematics::minus;
     use crate::humanml::walk::{Course, joints as walk};
     use crate::metrics::skating_ratio;
-    use crate::rotation::length;
+    use crate::vector::{length, minus};
 
     /// A walk whose joints slide along by `slide` metres a second, to the left as well. Where it
-    /// slides back its strides are longer than its way, so that its legs reach every place.
+    /// slides back its strides are longer than its path, so that its legs reach every place.
     fn sliding_walk(skeleton: &Skeleton, slide: f64) -> Joints {
         let course = Course {
             speed: Box::new(|_| 1.1),
@@ -121,25 +119,25 @@ mod tests {
         let skeleton = Skeleton::humanml3d();
         let rule = ContactRule::default();
         let slid = sliding_walk(&skeleton, -0.4);
-        let held = hold(&slid, &slid, &skeleton, &rule).unwrap();
+        let locked = lock_joints(&slid, &slid, &skeleton, &rule).unwrap();
         assert!(
-            held.in_contact > 0.4 && held.in_contact < 0.8,
+            locked.in_contact > 0.4 && locked.in_contact < 0.8,
             "{}",
-            held.in_contact
+            locked.in_contact
         );
-        assert!(held.before > 0.3, "{}", held.before);
+        assert!(locked.before > 0.3, "{}", locked.before);
         assert!(
-            held.after < 1e-6 && held.missed < 1e-9,
+            locked.after < 1e-6 && locked.missed < 1e-9,
             "{} {}",
-            held.after,
-            held.missed
+            locked.after,
+            locked.missed
         );
         // Every contact stays within a millimetre of one place.
         let fps = skeleton.description().fps;
         let mut places = 0;
         for leg in skeleton.legs() {
             let contacts = rule.contacts(&slid.track(leg.sole), fps, 0.0);
-            let path = held.joints.track(leg.sole);
+            let path = locked.joints.track(leg.sole);
             for run in super::super::runs(&contacts) {
                 places += 1;
                 let first = path[run.start];
@@ -150,7 +148,7 @@ mod tests {
         assert!(places >= 4, "{places}");
         // Bones keep their lengths, and what is above the legs its place.
         for t in 0..slid.frames() {
-            let (old, new) = (slid.frame(t), held.joints.frame(t));
+            let (old, new) = (slid.frame(t), locked.joints.frame(t));
             for (joint, parent) in skeleton.parents().iter().enumerate() {
                 let Some(parent) = *parent else { continue };
                 let bone = |frame: &[[f64; 3]]| length(minus(frame[joint], frame[parent]));
@@ -171,14 +169,14 @@ mod tests {
             pairs.fold(0.0, f64::max)
         };
         assert!(
-            largest(&held.joints) < largest(&slid) + 0.08,
+            largest(&locked.joints) < largest(&slid) + 0.08,
             "{} {}",
-            largest(&held.joints),
+            largest(&locked.joints),
             largest(&slid)
         );
         let skates = |joints: &Joints| skating_ratio(joints, fps, &[10, 11]).unwrap();
         let quick = sliding_walk(&skeleton, -0.48);
-        let quick_held = hold(&quick, &quick, &skeleton, &rule).unwrap();
+        let quick_held = lock_joints(&quick, &quick, &skeleton, &rule).unwrap();
         // A foot that has just left is low and quick: what a walk that does not slide has as well.
         let own = skates(&sliding_walk(&skeleton, 0.0));
         let (before, after) = (skates(&quick), skates(&quick_held.joints));
@@ -190,9 +188,9 @@ mod tests {
         // It slides on, beyond its strides.
         let skeleton = Skeleton::humanml3d();
         let slid = sliding_walk(&skeleton, 0.4);
-        let held = hold(&slid, &slid, &skeleton, &ContactRule::default()).unwrap();
-        assert!(held.missed > 0.02, "{}", held.missed);
-        assert!(held.after < 0.6 * held.before, "{}", held.after);
+        let locked = lock_joints(&slid, &slid, &skeleton, &ContactRule::default()).unwrap();
+        assert!(locked.missed > 0.02, "{}", locked.missed);
+        assert!(locked.after < 0.6 * locked.before, "{}", locked.after);
         for leg in skeleton.legs() {
             for t in 0..slid.frames() {
                 let bone = |joints: &Joints, [a, b]: [usize; 2]| {
@@ -203,7 +201,7 @@ mod tests {
                     [leg.knee, leg.ankle],
                     [leg.ankle, leg.sole],
                 ] {
-                    assert!((bone(&slid, ends) - bone(&held.joints, ends)).abs() < 1e-5);
+                    assert!((bone(&slid, ends) - bone(&locked.joints, ends)).abs() < 1e-5);
                 }
             }
         }
@@ -216,18 +214,21 @@ mod tests {
         let above = walk.as_slice().iter().map(|[x, y, z]| [*x, y + 0.3, *z]);
         let flying = Joints::new(above.collect(), 22).unwrap();
         let rule = ContactRule::default();
-        let held = hold(&flying, &flying, &skeleton, &rule).unwrap();
-        assert_eq!(held.joints, flying);
+        let locked = lock_joints(&flying, &flying, &skeleton, &rule).unwrap();
+        assert_eq!(locked.joints, flying);
         // On a floor at that height it stands as often as the walk does on its own.
-        let on_floor = hold_above(&flying, &flying, &skeleton, &rule, 0.3).unwrap();
-        let own = hold(&walk, &walk, &skeleton, &rule).unwrap();
+        let on_floor = lock_joints_above(&flying, &flying, &skeleton, &rule, 0.3).unwrap();
+        let own = lock_joints(&walk, &walk, &skeleton, &rule).unwrap();
         assert!(own.in_contact > 0.1 && on_floor.in_contact == own.in_contact);
-        assert_eq!((held.in_contact, held.before, held.missed), (0.0, 0.0, 0.0));
+        assert_eq!(
+            (locked.in_contact, locked.before, locked.missed),
+            (0.0, 0.0, 0.0)
+        );
         // Contacts of other joints count.
-        let held = hold(&flying, &walk, &skeleton, &ContactRule::default()).unwrap();
-        assert!(held.after < 1e-6 && held.joints != flying);
+        let locked = lock_joints(&flying, &walk, &skeleton, &ContactRule::default()).unwrap();
+        assert!(locked.after < 1e-6 && locked.joints != flying);
         let short = Joints::new(walk.as_slice()[..22].to_vec(), 22).unwrap();
-        assert!(hold(&walk, &short, &skeleton, &ContactRule::default()).is_err());
-        assert!(hold(&walk, &walk, &Skeleton::kit(), &ContactRule::default()).is_err());
+        assert!(lock_joints(&walk, &short, &skeleton, &ContactRule::default()).is_err());
+        assert!(lock_joints(&walk, &walk, &Skeleton::kit(), &ContactRule::default()).is_err());
     }
 }

@@ -1,8 +1,8 @@
 //! The items of an open dataset, read on demand.
 //!
-//! Opening a dataset reads every item once and notes the checksums of its files. From then on an
-//! item comes from memory, from the disk cache or from the store again, and in the last two
-//! cases only with those checksums: what changes under a run is never trained on.
+//! Opening a dataset reads every item once and records the checksums of its files. Later an item
+//! comes from memory, the disk cache or the store, with the same checksums: files that change
+//! during a run are never trained on.
 
 use std::fmt::Debug;
 use std::sync::Arc;
@@ -17,86 +17,86 @@ use crate::listing::{Expected, Listed};
 use crate::split::Side;
 use crate::{Counters, Error, FileError};
 
-/// Where items come from, and those that are held in memory.
+/// The source of items, and those in memory.
 #[derive(Debug)]
-pub(crate) struct Library<T> {
+pub(crate) struct ItemStore<T> {
     pub entries: Vec<Entry>,
-    origin: Box<dyn Origin<T>>,
+    source: Box<dyn ItemSource<T>>,
     memory: MemoryCache<T>,
     pub counters: Arc<Counters>,
-    /// Most items worth reading at once from afar; 0 where they are not far.
+    /// Most items worth reading at once from remote storage; 0 if local.
     pub concurrency: usize,
 }
 
-/// What is known of an item that can be used.
+/// Facts about a usable item.
 #[derive(Clone, Debug, Deserialize, Serialize)]
 pub(crate) struct Entry {
     pub id: String,
     pub frames: usize,
-    /// Its side of the split, where the dataset states one.
+    /// Its side of the split, if the dataset defines it.
     pub side: Option<Side>,
-    /// What the item is called, such as the kind of dance.
+    /// Its label, such as the dance style.
     pub label: Option<String>,
-    /// Checksums of its files; none where there are no files.
+    /// Checksums of its files.
     content: Vec<Digest>,
-    /// Number of the item in its origin.
+    /// Its index in the source.
     number: usize,
 }
 
-/// Which item is to be read.
+/// A request to read an item.
 #[derive(Clone, Copy)]
-pub(crate) struct Wanted<'a> {
-    /// Its number in its origin.
+pub(crate) struct ReadRequest<'a> {
+    /// Its index in the source.
     pub number: usize,
     pub id: &'a str,
-    /// What its files are to be.
+    /// Expected versions of its files.
     pub expected: &'a [Expected],
-    /// Where that comes from.
+    /// Origin of the expected versions.
     pub recorded: &'static str,
 }
 
-/// A maker of items.
-pub(crate) trait Origin<T>: Debug + Send + Sync {
-    /// The item that is `wanted`.
+/// A source of items.
+pub(crate) trait ItemSource<T>: Debug + Send + Sync {
+    /// Reads the requested item.
     ///
     /// # Errors
     /// [`FileError`].
-    fn read(&self, wanted: Wanted<'_>) -> Result<Reading<T>, FileError>;
+    fn read(&self, request: ReadRequest<'_>) -> Result<ReadItem<T>, FileError>;
 
-    /// The files that they are read from; none where there are none.
+    /// The files that items are read from, if any.
     fn files(&self) -> Option<&Files> {
         None
     }
 
-    /// Most items worth reading at once from afar; 0 where they are not far.
+    /// Most items worth reading at once from remote storage; 0 if local.
     fn concurrency(&self) -> usize {
         self.files().map_or(0, |files| files.concurrency)
     }
 
-    /// Whether every item is in memory already.
+    /// Whether every item is in memory.
     fn is_memory(&self) -> bool {
         false
     }
 
-    /// What decides the items beside their files.
+    /// Everything that determines the items beside their files.
     fn fingerprint(&self) -> String {
         String::new()
     }
 }
 
-/// An item as it was read.
-pub(crate) struct Reading<T> {
+/// An item as read.
+pub(crate) struct ReadItem<T> {
     pub item: Arc<T>,
-    /// What is odd about it.
+    /// A note about it.
     pub note: Option<String>,
-    /// Why it does not belong to the dataset although it is in order.
+    /// The reason why a valid item is left out.
     pub left_out: Option<String>,
     /// Checksums of its files.
     pub content: Vec<Digest>,
 }
 
-impl<T> Reading<T> {
-    /// An item without files, about which nothing is odd.
+impl<T> ReadItem<T> {
+    /// An item without files and notes.
     pub fn of(item: impl Into<Arc<T>>) -> Self {
         Self {
             item: item.into(),
@@ -107,16 +107,16 @@ impl<T> Reading<T> {
     }
 }
 
-/// Reads listed item `number` of `origin` for the first time.
+/// Reads listed item `number` of `source` for the first time.
 ///
 /// # Errors
 /// [`FileError`].
-pub(crate) fn meet<T: Item>(
-    origin: &dyn Origin<T>,
+pub(crate) fn index_item<T: Item>(
+    source: &dyn ItemSource<T>,
     listed: &Listed,
     number: usize,
-) -> Result<(Entry, Reading<T>), FileError> {
-    let read = origin.read(Wanted {
+) -> Result<(Entry, ReadItem<T>), FileError> {
+    let read = source.read(ReadRequest {
         number,
         id: &listed.id,
         expected: &listed.files,
@@ -133,13 +133,13 @@ pub(crate) fn meet<T: Item>(
     Ok((entry, read))
 }
 
-/// Items that are all there already.
+/// Items in memory.
 #[derive(Debug)]
-struct Held<T>(Vec<Arc<T>>);
+struct InMemory<T>(Vec<Arc<T>>);
 
-impl<T: Item> Origin<T> for Held<T> {
-    fn read(&self, wanted: Wanted<'_>) -> Result<Reading<T>, FileError> {
-        Ok(Reading::of(self.0[wanted.number].clone()))
+impl<T: Item> ItemSource<T> for InMemory<T> {
+    fn read(&self, request: ReadRequest<'_>) -> Result<ReadItem<T>, FileError> {
+        Ok(ReadItem::of(self.0[request.number].clone()))
     }
 
     fn is_memory(&self) -> bool {
@@ -147,22 +147,25 @@ impl<T: Item> Origin<T> for Held<T> {
     }
 }
 
-impl<T: Item> Library<T> {
-    /// A library of `entries`; `memory` may hold some of them already, by their numbers in the
-    /// origin.
-    pub fn new(origin: Box<dyn Origin<T>>, entries: Vec<Entry>, memory: MemoryCache<T>) -> Self {
-        let counters = origin.files().map(|files| files.store.counters().clone());
+impl<T: Item> ItemStore<T> {
+    /// A store of `entries`; `memory` may contain some of them, by their index in the source.
+    pub fn new(
+        source: Box<dyn ItemSource<T>>,
+        entries: Vec<Entry>,
+        memory: MemoryCache<T>,
+    ) -> Self {
+        let counters = source.files().map(|files| files.store.counters().clone());
         Self {
             counters: counters.unwrap_or_default(),
-            concurrency: origin.concurrency(),
+            concurrency: source.concurrency(),
             entries,
-            origin,
+            source,
             memory,
         }
     }
 
-    /// A library of items that stay in memory.
-    pub fn held(items: Vec<Arc<T>>) -> Self {
+    /// A store of items in memory.
+    pub fn in_memory(items: Vec<Arc<T>>) -> Self {
         let entry = |(number, item): (usize, &Arc<T>)| Entry {
             id: item.id().to_owned(),
             frames: item.frames(),
@@ -173,13 +176,13 @@ impl<T: Item> Library<T> {
         };
         let entries = items.iter().enumerate().map(entry).collect();
         let memory = MemoryCache::new(0);
-        Self::new(Box::new(Held(items)), entries, memory)
+        Self::new(Box::new(InMemory(items)), entries, memory)
     }
 
     /// The item of entry `index`.
     ///
     /// # Errors
-    /// [`Error::BadItem`] if its files are gone, have changed or cannot be read any more.
+    /// [`Error::BadItem`] if its files are gone, changed or unreadable.
     pub fn get(&self, index: usize) -> Result<Arc<T>, Error> {
         let entry = &self.entries[index];
         if let Some(item) = self.memory.get(entry.number) {
@@ -188,7 +191,7 @@ impl<T: Item> Library<T> {
         }
         let expected = entry.content.iter().copied().map(Expected::Checksum);
         let expected: Vec<Expected> = expected.collect();
-        let read = self.origin.read(Wanted {
+        let read = self.source.read(ReadRequest {
             number: entry.number,
             id: &entry.id,
             expected: &expected,
@@ -201,19 +204,19 @@ impl<T: Item> Library<T> {
         Ok(item)
     }
 
-    /// Number of the item of entry `index` in its origin.
+    /// Index of the item of entry `index` in the source.
     pub fn number(&self, index: usize) -> usize {
         self.entries[index].number
     }
 
-    /// Whether the item of entry `index` needs neither reading nor making now.
-    pub fn is_at_hand(&self, index: usize) -> bool {
-        self.origin.is_memory() || self.memory.holds(self.entries[index].number)
+    /// Whether the item of entry `index` is in memory.
+    pub fn is_cached(&self, index: usize) -> bool {
+        self.source.is_memory() || self.memory.contains(self.entries[index].number)
     }
 
-    /// A checksum of everything the items hold, and of which of them (by index) are `held_out`.
+    /// Checksum of all items and of the indices that are `held_out`.
     pub fn digest(&self, held_out: &[usize]) -> Digest {
-        let fingerprint = self.origin.fingerprint();
+        let fingerprint = self.source.fingerprint();
         let parts = self.entries.iter().enumerate().flat_map(|(index, entry)| {
             let side: &[u8] = match held_out.binary_search(&index) {
                 Ok(_) => b"validation",

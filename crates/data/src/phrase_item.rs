@@ -1,8 +1,8 @@
-//! One phrase: its motion and its music, read from the dataset's layout.
+//! One phrase: motion and music, read from the dataset's layout.
 
 use std::path::Path;
 
-use kinegrad_motion::{CHANNELS, FPS, Motion, channel_name};
+use kinegrad_motion::{CHANNELS, FPS, Phrase, channel_name};
 
 use crate::audio_layout::AudioLayout;
 use crate::features::{AudioFeatures, audio_channel_name};
@@ -12,25 +12,25 @@ use crate::{FileError, npy, npz};
 
 /// A phrase: motion `[frames, 25]` and audio features `[channels, frames]` over the same frames.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Phrase {
+pub struct PhraseItem {
     /// Name of its folders.
     pub id: String,
     /// Motion in the dataset's units.
-    pub motion: Motion,
+    pub motion: Phrase,
     /// Audio features as stored.
     pub audio: AudioFeatures,
-    /// What it is called, such as the kind of dance.
+    /// Its label, such as the dance style.
     pub label: Option<String>,
 }
 
-impl Phrase {
-    /// Parses a phrase whose audio features are of `layout`, each file given as its bytes and the name that messages give it, and cuts
-    /// motion and audio to their common length, from the front (CC-MotionGen, section 6.1). Also
-    /// returns a note where they differ by more than a frame.
+impl PhraseItem {
+    /// Parses a phrase with audio features of `layout`, from the bytes and names of its files, and
+    /// cuts both to their common length (CC-MotionGen, section 6.1). Also returns a note if they
+    /// differ by more than a frame.
     ///
     /// # Errors
-    /// [`FileError`] for a file that cannot be used, and for a number that is not finite or larger
-    /// than [`LARGEST`](crate::LARGEST), wherever it stands.
+    /// [`FileError`] for an unusable file, or a value that is not finite or exceeds
+    /// [`LARGEST`](crate::LARGEST).
     pub(crate) fn parse(
         id: &str,
         (motion, name): (&[u8], &str),
@@ -76,10 +76,10 @@ impl Phrase {
     }
 }
 
-/// Reads the audio features `[channels, frames]` of a `features.npz` outside any dataset.
+/// Reads the audio features `[channels, frames]` of a `features.npz`.
 ///
 /// # Errors
-/// [`FileError`] for a file that cannot be used or holds a number that is not finite or larger than
+/// [`FileError`] for an unusable file, or a value that is not finite or exceeds
 /// [`LARGEST`](crate::LARGEST).
 pub fn load_audio(path: &Path, layout: AudioLayout) -> Result<AudioFeatures, FileError> {
     let bytes = read_file(path, npz::MAX_FEATURES_BYTES).map_err(FileError::read(path))?;
@@ -104,16 +104,16 @@ mod tests {
     use crate::synthetic;
 
     /// The files of a synthetic phrase with so many frames of each.
-    fn files(phrase: &Phrase, motion_frames: usize, audio_frames: usize) -> (Vec<u8>, Vec<u8>) {
+    fn files(phrase: &PhraseItem, motion_frames: usize, audio_frames: usize) -> (Vec<u8>, Vec<u8>) {
         (
             npy::motion_bytes(&phrase.motion.slice(0..motion_frames)),
             npz::features_bytes(&phrase.audio.slice(0..audio_frames)),
         )
     }
 
-    fn parse(motion: &[u8], audio: &[u8]) -> Result<(Phrase, Option<String>), FileError> {
+    fn parse(motion: &[u8], audio: &[u8]) -> Result<(PhraseItem, Option<String>), FileError> {
         let layout = AudioLayout::DOCUMENT;
-        Phrase::parse(
+        PhraseItem::parse(
             "a",
             (motion, "trajectory.npy"),
             (audio, "features.npz"),
@@ -155,18 +155,18 @@ mod tests {
     }
 
     #[test]
-    fn beat_features_are_read_where_they_are_asked_for_and_named_where_they_are_missing() {
+    fn beat_features_are_read_if_configured_and_named_if_missing() {
         let made = synthetic::phrase(0, 9, 1);
         let pulse = kinegrad_audio::Pulse::new(vec![0.0, 0.1, 0.2]).unwrap();
-        let heard = made.audio.with_beats(Some(&pulse));
+        let audio_with_beats = made.audio.with_beats(Some(&pulse));
         let motion = npy::motion_bytes(&made.motion);
         let parse = |audio: &[u8], layout| {
             let names = ("trajectory.npy", "features.npz");
-            Phrase::parse("a", (&motion, names.0), (audio, names.1), layout)
+            PhraseItem::parse("a", (&motion, names.0), (audio, names.1), layout)
         };
-        let stored = npz::features_bytes(&heard);
+        let stored = npz::features_bytes(&audio_with_beats);
         let with = parse(&stored, AudioLayout::WITH_BEATS).unwrap().0;
-        assert_eq!(with.audio, heard);
+        assert_eq!(with.audio, audio_with_beats);
         let without = parse(&stored, AudioLayout::DOCUMENT).unwrap().0;
         assert_eq!(without.audio, made.audio);
         let lacking = npz::features_bytes(&made.audio);

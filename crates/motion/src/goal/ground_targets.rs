@@ -4,7 +4,7 @@ use super::Keyframe;
 
 /// Channels of the trajectory model, in its order: root rotation, x, z, height.
 pub const TRAJECTORY_CHANNELS: usize = 4;
-/// The x channel, of the trajectory model as of a motion's features; z is the next.
+/// The x channel of the trajectory model and of a motion's features; z follows.
 pub const GROUND_X: usize = 1;
 
 /// Ground positions in metres for some frames of a clip.
@@ -14,10 +14,7 @@ pub struct GroundTargets {
 }
 
 impl GroundTargets {
-    /// The keyframes alone, in a clip of `frames` frames. Of two for one frame the last counts.
-    ///
-    /// # Panics
-    /// Panics if a keyframe lies outside of the clip.
+    /// The keyframes alone, in a clip of `frames` frames. The last of two for one frame counts.
     pub fn points(keyframes: &[Keyframe], frames: usize) -> Self {
         let mut targets = vec![None; frames];
         for keyframe in keyframes {
@@ -26,14 +23,8 @@ impl GroundTargets {
         Self { targets }
     }
 
-    /// The keyframes and straight lines between them, walked at even speed, beginning at the
-    /// origin in frame 0. Frames after the last keyframe have no target.
-    ///
-    /// If frame 0 is not a keyframe, the line from the origin to the first keyframe is included; if
-    /// it is one, it need not be at the origin.
-    ///
-    /// # Panics
-    /// Panics if a keyframe lies outside of the clip.
+    /// The keyframes and straight lines between them at constant speed, from the origin in frame 0
+    /// unless that is a keyframe. Frames after the last keyframe have no target.
     pub fn point_to_point(keyframes: &[Keyframe], frames: usize) -> Self {
         let mut ordered: Vec<&Keyframe> = keyframes.iter().collect();
         ordered.sort_by_key(|keyframe| keyframe.frame);
@@ -52,9 +43,6 @@ impl GroundTargets {
     }
 
     /// A position for each frame from `first_frame` on.
-    ///
-    /// # Panics
-    /// Panics if the positions reach beyond the clip.
     pub fn trajectory(positions: &[[f64; 2]], first_frame: usize, frames: usize) -> Self {
         let mut targets = vec![None; frames];
         for (target, &position) in targets[first_frame..][..positions.len()]
@@ -83,8 +71,7 @@ impl GroundTargets {
     }
 
     /// The targets as values `[channels, frames]` of a clip that may be longer, in metres, and
-    /// which of them are given: 1 for x and z of the frames that have a target. All else is 0 in
-    /// both.
+    /// their mask: 1 for x and z of frames with a target.
     pub fn in_channels(&self, channels: usize, frames: usize) -> [Vec<f32>; 2] {
         let mut values = vec![0.0; channels * frames];
         let mut given = values.clone();

@@ -1,32 +1,34 @@
-//! Windows of one motion, turned to face the same way.
+//! Alignment of the headings of overlapping windows.
 //!
-//! To a model whose training phrases were turned about the vertical at random, no heading is better
-//! than another, and each window that it draws may face any way. Where neighbours face opposite ways
-//! the mean of their rotations is none, and the dancer spins in the overlap. So each window is turned
-//! about the vertical, as it is moved on the floor ([`crate::stitch`]), before they are blended.
+//! A model that was trained on randomly rotated phrases samples windows of any heading. If
+//! neighbours face opposite directions, the mean of their rotations is undefined, and the dancer
+//! spins in the overlap. So each window is rotated about the vertical before windows are moved and
+//! blended ([`crate::stitch`]).
 
 use crate::phrase::{ACCELERATION, POSITION, QUATERNION, VELOCITY};
 use crate::rotation::Quaternion;
-use crate::stitch::{Known, Layout, Windows};
-use crate::{OrientationTarget, Statistics};
+use crate::stitch::{KnownFrames, Layout, Windows};
+use crate::{OrientationEncoding, Statistics};
 
-/// What the channels of windows are, and the units that they are in.
+/// The channels of windows and their units.
 #[derive(Clone, Copy, Debug)]
-pub struct Turning<'a> {
-    /// What they are.
+pub struct HeadingAlignment<'a> {
+    /// The channels.
     pub layout: Layout,
-    /// Those by which they are normalised; none of physical units.
+    /// Statistics that normalise them; none for physical units.
     pub statistics: Option<&'a Statistics>,
 }
 
-impl Turning<'_> {
-    /// The angles about the vertical, in radians, by which windows `[windows, channels, length]` face
-    /// as their neighbours do where they overlap. Windows with `known` frames face as those say, and
-    /// without any the first window stays as it is.
-    ///
-    /// # Panics
-    /// Panics if the sizes do not fit.
-    pub fn angles(&self, windows: &Windows, values: &[f32], known: Option<&Known>) -> Vec<f64> {
+impl HeadingAlignment<'_> {
+    /// Rotation angles about the vertical, radians, by which windows `[windows, channels, length]`
+    /// agree with their neighbours in the overlaps. Windows with `known` frames agree with those;
+    /// without any, the first window keeps its heading.
+    pub fn angles(
+        &self,
+        windows: &Windows,
+        values: &[f32],
+        known: Option<&KnownFrames>,
+    ) -> Vec<f64> {
         let (channels, length) = (self.layout.channels(), windows.length());
         assert_eq!(values.len(), windows.len() * channels * length, "windows");
         let facing = |window: usize, t: usize| {
@@ -67,7 +69,7 @@ impl Turning<'_> {
         angles.into_iter().map(Option::unwrap_or_default).collect()
     }
 
-    /// Turns each window by its angle.
+    /// Rotates each window by its angle.
     pub fn turn(&self, windows: &Windows, values: &mut [f32], angles: &[f64]) {
         let length = windows.length();
         let windows = values.chunks_mut(self.layout.channels() * length);
@@ -101,15 +103,15 @@ impl Turning<'_> {
     fn is_quaternion(&self) -> bool {
         match self.layout {
             Layout::Phrase => true,
-            Layout::Predicted(targets) => targets.orientation != OrientationTarget::Rotation6d,
+            Layout::Predicted(encoding) => encoding.orientation != OrientationEncoding::Rotation6d,
         }
     }
 
-    /// Channels of horizontal parts of vectors, x and z.
+    /// Channels of the horizontal components of vectors, x and z.
     fn horizontal(&self) -> Vec<[usize; 2]> {
         let rotation = match self.layout {
             Layout::Phrase => crate::phrase::ANGULAR_VELOCITY,
-            Layout::Predicted(targets) => targets.angular_velocity_channels(),
+            Layout::Predicted(encoding) => encoding.angular_velocity_channels(),
         };
         let mut starts = vec![
             POSITION.start,
@@ -123,7 +125,7 @@ impl Turning<'_> {
         starts.into_iter().map(|start| [start, start + 2]).collect()
     }
 
-    /// Where the body's own x axis points over the ground, as z and x, and where its y axis leans.
+    /// Horizontal components (z, x) of the body's own x and y axes.
     fn facing(&self, value: impl Fn(usize) -> f32) -> [[f64; 2]; 2] {
         let at = |channel: usize| self.physical(channel, value(channel));
         let axes = match self.is_quaternion() {
@@ -165,8 +167,8 @@ fn quaternion(parts: &[f64]) -> Quaternion {
 
 type Facing = [[f64; 2]; 2];
 
-/// The angle by which the second of each pair is turned to face as the first, in weighted least
-/// squares; none of no pairs.
+/// The rotation angle from the second to the first of each pair, in weighted least squares; none of
+/// no pairs.
 fn angle(pairs: impl Iterator<Item = (Facing, Facing, f64)>) -> Option<f64> {
     let mut sums = None;
     for (here, there, weight) in pairs {
@@ -182,11 +184,11 @@ fn angle(pairs: impl Iterator<Item = (Facing, Facing, f64)>) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::wandering::wandering;
-    use crate::{Motion, PhaseTarget, Targets, anchor_floor, rotate_yaw};
+    use crate::random_phrase::random_phrase;
+    use crate::{ChannelEncoding, PhaseEncoding, Phrase, anchor_floor, rotate_yaw};
 
     /// The windows of a motion, each anchored where it begins and turned by an angle.
-    fn cut(windows: &Windows, motion: &Motion, angles: &[f64]) -> Vec<Motion> {
+    fn cut(windows: &Windows, motion: &Phrase, angles: &[f64]) -> Vec<Phrase> {
         let parts = angles.iter().enumerate().map(|(window, angle)| {
             let mut part = motion.slice(windows.of(window));
             anchor_floor(&mut part);
@@ -196,8 +198,8 @@ mod tests {
         parts.collect()
     }
 
-    fn rows(parts: &[Motion]) -> Vec<f32> {
-        parts.iter().flat_map(Motion::channel_major).collect()
+    fn rows(parts: &[Phrase]) -> Vec<f32> {
+        parts.iter().flat_map(Phrase::channel_major).collect()
     }
 
     fn turned(angle: f64) -> f64 {
@@ -207,10 +209,10 @@ mod tests {
 
     #[test]
     fn windows_that_were_turned_are_turned_back() {
-        let (motion, windows) = (wandering(3, 61), Windows::new(61, 24));
+        let (motion, windows) = (random_phrase(3, 61), Windows::new(61, 24));
         let by: Vec<f64> = (0..windows.len()).map(|w| 2.3 * w as f64).collect();
         let parts = cut(&windows, &motion, &by);
-        let turning = Turning {
+        let turning = HeadingAlignment {
             layout: Layout::Phrase,
             statistics: None,
         };
@@ -224,8 +226,8 @@ mod tests {
         for (a, b) in values.iter().zip(&straight) {
             assert!((a - b).abs() < 0.02, "{a} {b}");
         }
-        // Known frames say which way, from the window that has them in both directions.
-        let known = Known {
+        // Known frames decide the heading, from the window that has them in both directions.
+        let known = KnownFrames {
             is_known: (0..61).map(|t| (25..30).contains(&t)).collect(),
             values: motion.channel_major(),
         };
@@ -237,21 +239,24 @@ mod tests {
     }
 
     #[test]
-    fn normalised_targets_turn_as_phrases_do() {
+    fn normalised_encodings_rotate_as_phrases_do() {
         let windows = Windows::new(20, 20);
-        let motion = wandering(4, 20);
-        for orientation in [OrientationTarget::Rotation6d, OrientationTarget::Quaternion] {
-            let targets = Targets {
-                phase: PhaseTarget::Harmonics,
+        let motion = random_phrase(4, 20);
+        for orientation in [
+            OrientationEncoding::Rotation6d,
+            OrientationEncoding::Quaternion,
+        ] {
+            let encoding = ChannelEncoding {
+                phase: PhaseEncoding::Harmonics,
                 orientation,
             };
-            let channels = targets.channels();
+            let channels = encoding.channels();
             let mean = (0..channels).map(|c| 0.1 * c as f64 - 0.7);
             let std = (0..channels).map(|c| 0.5 + 0.03 * c as f64);
             let statistics = Statistics::new(mean.collect(), std.collect(), None).unwrap();
-            let own = |motion: &Motion| statistics.normalize(&targets.encode(motion.as_slice()));
-            let turning = Turning {
-                layout: Layout::Predicted(targets),
+            let own = |motion: &Phrase| statistics.normalize(&encoding.encode(motion.as_slice()));
+            let turning = HeadingAlignment {
+                layout: Layout::Predicted(encoding),
                 statistics: Some(&statistics),
             };
             let mut values = own(&motion);

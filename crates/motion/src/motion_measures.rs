@@ -1,57 +1,54 @@
-//! How a phrase moves, measured on its positions and rotations.
+//! Measures of how a phrase moves, by its positions, quaternions and phase.
 //!
-//! The channels for velocity, acceleration and angular velocity are a phrase's own account of its
-//! movement, which generated phrases get wrong: here nothing but positions, quaternions and phase is
-//! looked at. All measures that are checked are means over frames or extremes of them, so that
-//! phrases of different lengths compare.
+//! The channels for velocity, acceleration and angular velocity are not used: generated phrases get
+//! them wrong. Measures that are checked are means or extremes over frames, so that phrases of
+//! different lengths compare.
 
-use crate::kinematics::{angular_velocity, differences, mean_norm};
+use crate::derivatives::{angular_rates, differences, mean_norm};
 use crate::phrase::{PHASE, POSITION};
-use crate::rotation::length;
-use crate::{FPS, Motion, Quaternion, circular};
+use crate::vector::length;
+use crate::{FPS, Phrase, circular};
 
 /// Frames in a second.
 const SECOND: usize = FPS as usize;
 
-/// How far outside the 1st and 99th percentile of the training phrases a measure may be, as a
-/// factor.
+/// Allowed factor beyond the 1st and 99th percentile of the training phrases.
 const FACTOR: f64 = 2.0;
 
-/// The same for the advance of the phase. Tempi differ less than dancers: half the tempo of the
-/// slowest training phrase is no tempo, but an error.
+/// The same for the phase: tempi vary less than dancers, and half the slowest tempo is an error.
 const PHASE_FACTOR: f64 = 1.5;
 
-/// A lean in degrees that is no fault even of dancers who were trained on bodies that stand upright.
+/// Tilt in degrees that is always allowed.
 const HARMLESS_TILT: f64 = 20.0;
 
-/// On which sides a measure is held against the training phrases.
+/// The sides on which a measure is compared with the training phrases.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Bounds {
-    /// Not below the 1st percentile divided by the factor, nor above the 99th times it.
+    /// At least the 1st percentile divided by the factor, and at most the 99th times it.
     Both(f64),
-    /// Not above the 99th percentile times the factor: a small value is no fault.
+    /// At most the 99th percentile times the factor.
     Upper(f64),
-    /// The same, but a value up to `harmless` is no fault whatever the training phrases are.
+    /// The same, but values up to `harmless` are always allowed.
     UpperBeyond {
-        /// How many times the 99th percentile it may be.
+        /// Multiple of the 99th percentile.
         factor: f64,
-        /// The value that is always allowed, in the measure's unit.
+        /// Value that is always allowed, in the measure's unit.
         harmless: f64,
     },
-    /// Not at all: it depends on the phrase's length.
+    /// Not compared: it depends on the phrase's length.
     Unchecked,
 }
 
 /// A measure of how a phrase moves.
 #[derive(Clone, Copy, Debug, Eq, PartialEq)]
-pub enum Movement {
+pub enum MotionMeasure {
     /// Mean speed of the root along its path, metres per second.
     PathSpeed,
     /// Mean norm of the second difference of the positions, metres per second squared.
     PathAcceleration,
     /// Mean norm of the third difference of the positions, metres per second cubed.
     PathJerk,
-    /// Mean distance on the floor between the places at two moments a second apart, metres.
+    /// Mean distance on the floor between positions one second apart, metres.
     Travel,
     /// Mean angle between the orientations of neighbouring frames, degrees per second.
     TurnRate,
@@ -61,18 +58,17 @@ pub enum Movement {
     LargestTurn,
     /// Largest angle between the body's own upward axis, its local +y, and the vertical, degrees.
     LargestTilt,
-    /// Mean advance of the phase, bars per second; steps are taken the short way around.
+    /// Mean advance of the phase by shortest steps, bars per second.
     PhaseRate,
-    /// Largest step of the phase from one frame to the next, the short way around, bars.
+    /// Largest shortest step of the phase between frames, bars.
     LargestPhaseStep,
-    /// Distance on the floor between the first and the last place, metres.
+    /// Distance on the floor between the first and the last position, metres.
     NetTravel,
-    /// How often the phase passes from the end of a bar to the beginning of the next, less how often
-    /// it passes back.
+    /// Number of bar lines that the phase passes, minus those that it passes backwards.
     PhaseWraps,
 }
 
-impl Movement {
+impl MotionMeasure {
     /// All measures.
     pub const ALL: [Self; 12] = [
         Self::PathSpeed,
@@ -107,7 +103,7 @@ impl Movement {
         }
     }
 
-    /// What it measures, in words.
+    /// Its description, for messages.
     pub fn title(self) -> &'static str {
         match self {
             Self::PathSpeed => "mean speed along the path",
@@ -141,10 +137,10 @@ impl Movement {
         }
     }
 
-    /// On which sides it is checked, and by what factor.
+    /// The sides on which it is checked, and by which factor.
     pub fn bounds(self) -> Bounds {
         match self {
-            // Who turns and counts evenly, or dances on the spot, is no worse for it.
+            // Even turning, counting or standing is no fault.
             Self::LargestTurn | Self::LargestPhaseStep | Self::Travel => Bounds::Upper(FACTOR),
             Self::LargestTilt => Bounds::UpperBeyond {
                 factor: FACTOR,
@@ -156,8 +152,8 @@ impl Movement {
         }
     }
 
-    /// Its value; `None` where the phrase has too few frames for it.
-    pub fn of(self, motion: &Motion) -> Option<f64> {
+    /// Its value; `None` if the phrase is too short.
+    pub fn of(self, motion: &Phrase) -> Option<f64> {
         let frames = motion.frames();
         let positions =
             || -> Vec<[f64; 3]> { (0..frames).map(|t| motion.vector(t, POSITION)).collect() };
@@ -178,7 +174,7 @@ impl Movement {
             }
             Self::TurnRate => mean(&turns(motion)).map(|rate| rate * FPS),
             Self::TurnAcceleration => {
-                let changes = differences(&rates(motion), FPS);
+                let changes = differences(&angular_rates(motion), FPS);
                 (!changes.is_empty()).then(|| mean_norm(&changes).to_degrees())
             }
             Self::LargestTurn => largest(turns(motion)),
@@ -195,39 +191,28 @@ fn mean(values: &[f64]) -> Option<f64> {
     (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
 }
 
-/// The largest value; NaN if one of them is, none of none.
+/// The largest value, NaN if one is NaN; `None` of none.
 fn largest(values: Vec<f64>) -> Option<f64> {
     // `f64::max` would drop a NaN.
     let larger = |a: f64, b: f64| if a.is_nan() || a > b { a } else { b };
     values.into_iter().reduce(larger)
 }
 
-fn floor_distance(motion: &Motion, from: usize, to: usize) -> f64 {
+fn floor_distance(motion: &Phrase, from: usize, to: usize) -> f64 {
     let [a, b] = [from, to].map(|t| motion.vector(t, POSITION));
     (b[0] - a[0]).hypot(b[2] - a[2])
 }
 
-/// Angular velocity between neighbouring frames from the quaternions, whatever their norms and
-/// signs: radians per second, world frame, `[frames - 1, 3]`. NaN stays NaN.
-pub fn rates(motion: &Motion) -> Vec<[f64; 3]> {
-    let frames = 0..motion.frames();
-    let quaternions: Vec<Quaternion> = frames.map(|t| motion.quaternion(t)).collect();
-    let mut rates = angular_velocity(&quaternions, FPS);
-    // The last one repeats the one before.
-    rates.pop();
-    rates
-}
-
 /// Angles between neighbouring frames, degrees, `[frames - 1]`.
-fn turns(motion: &Motion) -> Vec<f64> {
-    let rates = rates(motion).into_iter();
+fn turns(motion: &Phrase) -> Vec<f64> {
+    let rates = angular_rates(motion).into_iter();
     rates
         .map(|rate| (length(rate) / FPS).to_degrees())
         .collect()
 }
 
 /// Angles between the body's upward axis and the vertical, degrees, `[frames]`.
-fn tilts(motion: &Motion) -> Vec<f64> {
+fn tilts(motion: &Phrase) -> Vec<f64> {
     let tilt = |t| {
         let quaternion = motion.quaternion(t);
         let [x, y, z] = quaternion
@@ -238,19 +223,18 @@ fn tilts(motion: &Motion) -> Vec<f64> {
     (0..motion.frames()).map(tilt).collect()
 }
 
-/// Steps of the phase from frame to frame, taken the short way around: -0.5 to 0.5, `[frames - 1]`.
-pub fn phase_steps(motion: &Motion) -> Vec<f64> {
+/// Shortest steps of the phase between frames, -0.5 to 0.5, `[frames - 1]`.
+pub fn phase_steps(motion: &Phrase) -> Vec<f64> {
     let phase = |t: usize| f64::from(motion.frame(t)[PHASE]);
     (1..motion.frames())
         .map(|t| circular::step(phase(t - 1), phase(t)))
         .collect()
 }
 
-/// How often the phase passes from the end of a bar to the beginning of the next, less how often it
-/// passes back.
-fn phase_wraps(motion: &Motion) -> f64 {
+/// Number of bar lines that the phase passes, minus those that it passes backwards.
+fn phase_wraps(motion: &Phrase) -> f64 {
     let phase = |t: usize| f64::from(motion.frame(t)[PHASE]);
-    // A step of more than half a bar is one the other way around.
+    // A step of more than half a bar counts as one in the other direction.
     (1..motion.frames())
         .map(|t| (phase(t - 1) - phase(t)).round())
         .sum()
@@ -259,11 +243,11 @@ fn phase_wraps(motion: &Motion) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::derive;
+    use crate::{Quaternion, derive};
 
     /// A phrase that walks along x at 0.6 m/s while it turns about the vertical at 90 degrees per
     /// second, half a bar a second.
-    fn steady(frames: usize) -> Motion {
+    fn constant_motion(frames: usize) -> Phrase {
         let seconds = |t: usize| t as f64 / FPS;
         let positions: Vec<_> = (0..frames).map(|t| [0.6 * seconds(t), 1.0, 0.0]).collect();
         let turn = |t: usize| [0.0, std::f64::consts::FRAC_PI_2 * seconds(t), 0.0];
@@ -275,8 +259,8 @@ mod tests {
     }
 
     #[test]
-    fn steady_motion_has_the_values_it_was_made_with() {
-        let motion = steady(121);
+    fn constant_motion_has_its_values() {
+        let motion = constant_motion(121);
         let expected = [
             0.6,
             0.0,
@@ -291,11 +275,11 @@ mod tests {
             2.4,
             2.0,
         ];
-        for (measure, expected) in Movement::ALL.into_iter().zip(expected) {
+        for (measure, expected) in MotionMeasure::ALL.into_iter().zip(expected) {
             let value = measure.of(&motion).unwrap();
             // Third differences of values rounded to single precision.
             let tolerance = match measure {
-                Movement::PathJerk | Movement::TurnAcceleration => 0.05,
+                MotionMeasure::PathJerk | MotionMeasure::TurnAcceleration => 0.05,
                 _ => 1e-3,
             };
             assert!((value - expected).abs() < tolerance, "{measure:?}: {value}");
@@ -309,60 +293,67 @@ mod tests {
             .collect();
         let still = vec![Quaternion::IDENTITY; 61];
         let motion = derive(&positions, &still, &[0.0; 61], &[[0.0; 8]; 61]).unwrap();
-        assert!((Movement::PathSpeed.of(&motion).unwrap() - 0.6).abs() < 1e-6);
-        assert_eq!(Movement::Travel.of(&motion), Some(0.0));
+        assert!((MotionMeasure::PathSpeed.of(&motion).unwrap() - 0.6).abs() < 1e-6);
+        assert_eq!(MotionMeasure::Travel.of(&motion), Some(0.0));
     }
 
     #[test]
     fn a_phase_that_wavers_at_the_end_of_the_bar_wraps_once() {
-        let mut motion = steady(7);
+        let mut motion = constant_motion(7);
         for (t, phase) in [0.9, 0.98, 0.02, 0.97, 0.01, 0.05, 0.2]
             .into_iter()
             .enumerate()
         {
             motion.frame_mut(t)[PHASE] = phase;
         }
-        assert_eq!(Movement::PhaseWraps.of(&motion), Some(1.0));
+        assert_eq!(MotionMeasure::PhaseWraps.of(&motion), Some(1.0));
     }
 
     #[test]
     fn what_is_not_a_number_is_not_passed_over() {
         for channel in [0, 9, PHASE] {
-            let mut motion = steady(60);
+            let mut motion = constant_motion(60);
             motion.frame_mut(20)[channel] = f32::NAN;
-            let asked = match channel {
-                0 => vec![Movement::PathSpeed, Movement::PathJerk, Movement::Travel],
-                9 => vec![
-                    Movement::TurnRate,
-                    Movement::LargestTurn,
-                    Movement::LargestTilt,
+            let measures = match channel {
+                0 => vec![
+                    MotionMeasure::PathSpeed,
+                    MotionMeasure::PathJerk,
+                    MotionMeasure::Travel,
                 ],
-                _ => vec![Movement::PhaseRate, Movement::LargestPhaseStep],
+                9 => vec![
+                    MotionMeasure::TurnRate,
+                    MotionMeasure::LargestTurn,
+                    MotionMeasure::LargestTilt,
+                ],
+                _ => vec![MotionMeasure::PhaseRate, MotionMeasure::LargestPhaseStep],
             };
-            for measure in asked {
+            for measure in measures {
                 assert!(measure.of(&motion).unwrap().is_nan(), "{measure:?}");
             }
         }
     }
 
     #[test]
-    fn channels_that_speak_of_the_movement_are_not_asked() {
-        let mut motion = steady(60);
-        let before = Movement::ALL.map(|measure| measure.of(&motion));
+    fn explicit_derivatives_do_not_enter() {
+        let mut motion = constant_motion(60);
+        let before = MotionMeasure::ALL.map(|measure| measure.of(&motion));
         for t in 0..60 {
             motion.frame_mut(t)[crate::phrase::VELOCITY].fill(9.0);
             motion.frame_mut(t)[crate::phrase::ACCELERATION].fill(-9.0);
             motion.frame_mut(t)[crate::phrase::ANGULAR_VELOCITY].fill(5.0);
         }
-        assert_eq!(Movement::ALL.map(|measure| measure.of(&motion)), before);
+        assert_eq!(
+            MotionMeasure::ALL.map(|measure| measure.of(&motion)),
+            before
+        );
     }
 
     #[test]
     fn the_sign_of_a_quaternion_is_no_turn() {
-        let mut motion = steady(60);
-        let before = Movement::TurnRate.of(&motion);
+        let mut motion = constant_motion(60);
+        let before = MotionMeasure::TurnRate.of(&motion);
         motion.set_quaternion(30, motion.quaternion(30).scale(-1.0));
-        let after = Movement::TurnRate.of(&motion);
+        let after = MotionMeasure::TurnRate.of(&motion);
         assert!((before.unwrap() - after.unwrap()).abs() < 1e-3);
     }
 
@@ -370,10 +361,10 @@ mod tests {
     fn the_tilt_is_that_of_the_body_whatever_its_heading() {
         let tilted = |tilt: f64| {
             let lean = Quaternion::from_rotation_vector([tilt.to_radians(), 0.0, 0.0]);
-            let mut motion = steady(60);
+            let mut motion = constant_motion(60);
             let turned = Quaternion::from_yaw(2.0) * lean;
             motion.set_quaternion(30, turned.scale(-0.5));
-            Movement::LargestTilt.of(&motion).unwrap()
+            MotionMeasure::LargestTilt.of(&motion).unwrap()
         };
         for tilt in [0.0, 25.0, 90.0, 172.0] {
             assert!((tilted(tilt) - tilt).abs() < 1e-3, "{tilt}");
@@ -385,8 +376,8 @@ mod tests {
         // From how many frames on each has one.
         let needed = [2, 3, 4, 31, 2, 3, 2, 1, 2, 2, 2, 2];
         for frames in [1, 2, 3, 4, 30, 31] {
-            let motion = steady(frames);
-            for (measure, needed) in Movement::ALL.into_iter().zip(needed) {
+            let motion = constant_motion(frames);
+            for (measure, needed) in MotionMeasure::ALL.into_iter().zip(needed) {
                 let known = measure.of(&motion).is_some();
                 assert_eq!(known, frames >= needed, "{measure:?} of {frames}");
             }

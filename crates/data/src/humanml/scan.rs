@@ -1,11 +1,11 @@
-//! Which clips a dataset holds, and what comes with them.
+//! The clips of a dataset, their statistics and embeddings.
 
 use crate::file::MAX_TENSOR_BYTES;
 use crate::files::Files;
 use crate::listing::{Listed, ids};
+use crate::scan::{Listable, Scan};
 use crate::split::Split;
 use crate::store::Store;
-use crate::survey::{Listable, Survey};
 use crate::{DataConfig, DataKind, Error};
 
 use super::clip::ClipFiles;
@@ -15,10 +15,10 @@ use super::synthetic::Walks;
 use super::{CaptionRule, CaptionText, Clip, statistics, synthetic_id};
 
 impl Listable for Clip {
-    fn survey(config: &DataConfig) -> Result<Survey<Self>, Error> {
+    fn scan(config: &DataConfig) -> Result<Scan<Self>, Error> {
         match config.kind {
             DataKind::Humanml3d => files(config),
-            DataKind::SyntheticWalks => made_up(config),
+            DataKind::SyntheticWalks => synthetic_walks(config),
             kind @ (DataKind::Phrases | DataKind::Synthetic) => Err(Error::wrong_kind(
                 kind,
                 "\"humanml3d\" or \"synthetic_walks\"",
@@ -28,24 +28,24 @@ impl Listable for Clip {
     }
 }
 
-/// Walks, which the rule of the config divides.
-fn made_up(config: &DataConfig) -> Result<Survey<Clip>, Error> {
+/// Walks, split by the rule of the config.
+fn synthetic_walks(config: &DataConfig) -> Result<Scan<Clip>, Error> {
     let conditional = config.humanml3d.reads_embeddings();
     let split = Split::new(&config.validation)?;
-    let mut listed = Listed::made_up(config.synthetic.phrases, synthetic_id);
+    let mut listed = Listed::synthetic(config.synthetic.phrases, synthetic_id);
     listed.truncate(config.num_phrases.unwrap_or(usize::MAX));
-    Ok(Survey {
+    Ok(Scan {
         representation: config.humanml3d.representation(),
         given: None,
         warnings: split.idle_entries(ids(&listed)),
         split: Some(split),
-        origin: Box::new(Walks::new(config, conditional)),
+        source: Box::new(Walks::new(config, conditional)),
         listed,
     })
 }
 
-/// Clips in files, which the dataset's lists divide.
-fn files(config: &DataConfig) -> Result<Survey<Clip>, Error> {
+/// Clips in files, split by the dataset's lists.
+fn files(config: &DataConfig) -> Result<Scan<Clip>, Error> {
     let humanml3d = &config.humanml3d;
     let mut warnings = Vec::new();
     let source = config.source.as_deref().unwrap_or_default();
@@ -63,11 +63,11 @@ fn files(config: &DataConfig) -> Result<Survey<Clip>, Error> {
         Some((statistics, [mean, std])) => (Some(statistics), format!("{mean}{std}")),
         None => (None, String::new()),
     };
-    Ok(Survey {
+    Ok(Scan {
         split: None,
         warnings,
         listed,
-        origin: Box::new(ClipFiles {
+        source: Box::new(ClipFiles {
             files,
             skeleton: representation.skeleton.clone(),
             captions_required: match humanml3d.captions {
@@ -103,5 +103,5 @@ fn read_embeddings(
 }
 
 #[cfg(test)]
-#[path = "survey_tests.rs"]
+#[path = "scan_tests.rs"]
 mod tests;

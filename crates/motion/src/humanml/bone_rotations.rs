@@ -1,9 +1,9 @@
-//! From joints to the rotations of the bones that end there, and back.
+//! Rotations of bones from joint positions, and back.
 //!
-//! The rotation of joint b turns the bone that *ends* at b. In the published data the rotations of
-//! every chain begin at the root quaternion, those of the arms too, and the root quaternion turns
-//! the world to the body while the bones' rotations turn the other way: the first of a chain holds
-//! the heading twice. Source: HumanML3D (docs/sources.md, section 3.2).
+//! The rotation of joint b rotates the bone that *ends* at b. In the published data the rotations
+//! of every chain begin at the root quaternion, which maps world to body while bone rotations map
+//! the other way, so the first of a chain contains the heading twice. Source: HumanML3D
+//! (docs/sources.md, section 3.2).
 
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
@@ -11,35 +11,35 @@ use serde::{Deserialize, Serialize};
 use super::FaceJoints;
 use super::{FeatureError, Joints, Skeleton};
 use crate::Quaternion;
-use crate::rotation::length;
+use crate::rotation::between;
+use crate::vector::{minus, plus, unit};
 
-/// Standard deviation of the heading's filter in frames.
+/// Standard deviation of the heading filter, frames.
 const HEADING_DEVIATION: f64 = 20.0;
-/// The filter is cut off so many frames away.
+/// Reach of the filter, frames.
 const HEADING_REACH: usize = 80;
 
-/// Which heading the root quaternion follows.
+/// Heading of the root quaternion.
 #[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Heading {
-    /// That of each frame by itself: all that is known while a motion still goes on.
+    /// The heading of each frame, available in real time.
     Raw,
     /// Filtered over time with a Gaussian of 20 frames that reaches 80 frames ahead.
     #[default]
     Smoothed,
 }
 
-/// The direction from the right side to the left or the other way round, and so forward or
-/// backward: what is added up of hips and shoulders.
+/// Signs with which the vectors across hips and shoulders are added.
 #[derive(Clone, Copy, Debug, Eq, PartialEq)]
 pub enum Across {
     /// Both from left to right.
     Consistent,
-    /// Shoulders from left to right, hips from right to left: so the published data set was made.
+    /// Shoulders from left to right, hips from right to left, as in the published dataset.
     Published,
 }
 
-/// The horizontal direction that the joints of one frame face, not of length 1.
+/// The horizontal direction that the joints of one frame face, of any length.
 pub fn forward(skeleton: &Skeleton, frame: &[[f64; 3]], across: Across) -> [f64; 3] {
     let FaceJoints {
         right_hip,
@@ -57,8 +57,7 @@ pub fn forward(skeleton: &Skeleton, frame: &[[f64; 3]], across: Across) -> [f64;
     [z, 0.0, -x]
 }
 
-/// The horizontal unit vector that the body faces, `[frames, 3]`, with the published signs: the
-/// hips enter from right to left, the shoulders from left to right.
+/// The horizontal unit vector that the body faces, `[frames, 3]`, with the published signs.
 ///
 /// # Errors
 /// [`FeatureError::LengthMismatch`] if they are not joints of `skeleton`.
@@ -79,7 +78,7 @@ pub fn facing(
     Ok(directions.into_iter().map(unit).collect())
 }
 
-/// Vectors filtered over time; beyond the ends the first and last frame go on.
+/// Vectors filtered over time, with the ends repeated.
 fn smooth(vectors: &[[f64; 3]]) -> Vec<[f64; 3]> {
     let reach = HEADING_REACH as i64;
     let weight = |offset: i64| (-0.5 * (offset as f64 / HEADING_DEVIATION).powi(2)).exp();
@@ -98,8 +97,8 @@ fn smooth(vectors: &[[f64; 3]]) -> Vec<[f64; 3]> {
         .collect()
 }
 
-/// The rotations of all joints, `[frames, J]` row by row: the root quaternion (world to facing
-/// frame, of the first frame the identity), then those of the bones that end at joints 1 to J-1.
+/// Rotations of all joints, `[frames, J]`: the root quaternion (world to facing frame, the identity
+/// in the first frame), then those of the bones that end at joints 1 to J-1.
 ///
 /// # Errors
 /// [`FeatureError::LengthMismatch`] if they are not joints of `skeleton`.
@@ -143,12 +142,12 @@ pub(super) fn raw_root(skeleton: &Skeleton, frame: &[[f64; 3]]) -> Quaternion {
     between(facing, [0.0, 0.0, 1.0])
 }
 
-/// The joints that rotations give, for bones `offsets` `[J, 3]`, root positions `[frames, 3]` and
-/// rotations `[frames, J]` as [`inverse_kinematics`] makes them.
+/// The joints of rotations `[frames, J]` as of [`inverse_kinematics`], with bones `offsets` `[J,
+/// 3]` and root positions `[frames, 3]`.
 ///
 /// # Errors
-/// [`FeatureError::LengthMismatch`] if a list has another length, [`FeatureError::NonFinite`] if
-/// the joints are not finite.
+/// [`FeatureError::LengthMismatch`] for lists of other lengths, [`FeatureError::NonFinite`] if the
+/// joints are not finite.
 pub fn forward_kinematics(
     skeleton: &Skeleton,
     offsets: &[[f64; 3]],
@@ -173,16 +172,15 @@ pub fn forward_kinematics(
     Joints::new(places, count)
 }
 
-/// The first two columns of the rotation's matrix, one after the other.
+/// The first two columns of the rotation matrix.
 pub fn to_columns(rotation: Quaternion) -> [f64; 6] {
     let [a, b, c] = rotation.rotate([1.0, 0.0, 0.0]);
     let [d, e, f] = rotation.rotate([0.0, 1.0, 0.0]);
     [a, b, c, d, e, f]
 }
 
-/// The rotation whose matrix has these first two columns, made orthonormal: the first normalised;
-/// the third along first x second; the second third x first. Of columns that span no plane it is
-/// the identity.
+/// The rotation of a matrix with these first two columns, made orthonormal: the first normalised,
+/// the third along first x second. The identity if they span no plane.
 pub fn from_columns([a, b, c, d, e, f]: [f64; 6]) -> Quaternion {
     let first = Vector3::new(a, b, c);
     let third = first.cross(&Vector3::new(d, e, f));
@@ -195,68 +193,15 @@ pub fn from_columns([a, b, c, d, e, f]: [f64; 6]) -> Quaternion {
     Quaternion::new(turn.w, turn.i, turn.j, turn.k)
 }
 
-/// The shortest rotation from the direction of `from` to that of `to`: the quaternion normalised
-/// from (|u||v| + u.v, u x v). Opposite vectors are half a turn apart, about +y where possible; a
-/// vector without length is not turned.
-pub fn between(from: [f64; 3], to: [f64; 3]) -> Quaternion {
-    let (u, v) = (Vector3::from(unit(from)), Vector3::from(unit(to)));
-    let (scalar, axis) = (u.norm() * v.norm() + u.dot(&v), u.cross(&v));
-    if scalar == 0.0 && axis.norm() == 0.0 && u.norm() > 0.0 && v.norm() > 0.0 {
-        let across = |direction: Vector3<f64>| direction - u * u.dot(&direction);
-        let axis = [Vector3::y(), Vector3::x()].map(across);
-        let axis = if axis[0].norm() > 1e-6 {
-            axis[0]
-        } else {
-            axis[1]
-        };
-        return Quaternion::new(0.0, axis.x, axis.y, axis.z).normalised();
-    }
-    Quaternion::new(scalar, axis.x, axis.y, axis.z).normalised()
-}
-
-/// The vector with length 1; the zero vector stays.
-fn unit(vector: [f64; 3]) -> [f64; 3] {
-    let length = length(vector);
-    if length > 0.0 {
-        vector.map(|value| value / length)
-    } else {
-        vector
-    }
-}
-
-/// `a + b`.
-pub fn plus(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
-    [0, 1, 2].map(|i| a[i] + b[i])
-}
-
-/// `a - b`.
-pub fn minus(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
-    [0, 1, 2].map(|i| a[i] - b[i])
-}
-
 #[cfg(test)]
 mod tests {
-    use std::f64::consts::PI;
-
     use proptest::prelude::*;
 
     use super::*;
+    use crate::vector::length;
 
     fn vector() -> impl Strategy<Value = [f64; 3]> {
         proptest::array::uniform3(-2.0..2.0f64)
-    }
-
-    #[test]
-    fn opposite_directions_are_half_a_turn_apart() {
-        for from in [[0.0, 0.0, -1.0], [0.0, 2.0, 0.0], [1.0, 0.0, 0.0]] {
-            let to = from.map(|value| -value);
-            let turned = between(from, to).rotate(from);
-            assert!(length(minus(turned, to)) < 1e-12, "{from:?}: {turned:?}");
-        }
-        // Facing backwards is a yaw.
-        let half = between([0.0, 0.0, -1.0], [0.0, 0.0, 1.0]);
-        assert!((half.to_rotation_vector()[1].abs() - PI).abs() < 1e-12);
-        assert_eq!(between([0.0; 3], [0.0, 1.0, 0.0]), Quaternion::IDENTITY);
     }
 
     #[test]

@@ -1,6 +1,5 @@
-//! Meeting every item of a dataset once.
+//! Reading every item of a dataset once.
 
-use std::ops::ControlFlow;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -12,88 +11,71 @@ use serde::{Deserialize, Serialize};
 use crate::cache::MemoryCache;
 use crate::item::Item;
 use crate::item_set::ItemSet;
-use crate::library::{self, Entry, Library, Origin};
+use crate::item_store::{Entry, ItemSource, ItemStore, index_item};
 use crate::listing::Listed;
+use crate::progress::{OpenProgress, go_on};
 use crate::split::{Side, Split};
 use crate::{DataConfig, Digest, Error, FileError, OnBadPhrase, StoreError};
 
-/// Progress callback with the number of items read and in total. Called from several threads and
-/// now and then from the one that opens the dataset. `Break` ends with [`Error::Interrupted`].
-pub type OpenProgress<'a> = &'a (dyn Fn(usize, usize) -> ControlFlow<()> + Sync);
-
-/// Items that are met between two calls of the progress callback on the thread that opens.
+/// Items between two progress callbacks on the opening thread.
 const CHUNK: usize = 512;
 
-/// Progress that nobody hears of.
-pub(crate) fn unheard(_done: usize, _total: usize) -> ControlFlow<()> {
-    ControlFlow::Continue(())
-}
-
-/// Asks whether to go on.
-pub(crate) fn go_on(progress: OpenProgress, done: usize, total: usize) -> Result<(), Error> {
-    match progress(done, total) {
-        ControlFlow::Continue(()) => Ok(()),
-        ControlFlow::Break(()) => Err(Error::Interrupted),
-    }
-}
-
-/// A dataset whose items are known by name.
-pub(crate) struct Survey<T: Item> {
-    /// What the rows of the items are.
+/// A dataset whose items are listed but not read.
+pub(crate) struct Scan<T: Item> {
+    /// Representation of the motion.
     pub representation: T::Representation,
-    /// The statistics that the dataset brings along.
+    /// Statistics that come with the dataset.
     pub given: Option<Statistics>,
-    /// What is said of the side of the split; where there is nothing, the dataset decides.
+    /// The rule of the split; without one, the dataset's own.
     pub split: Option<Split>,
-    pub origin: Box<dyn Origin<T>>,
-    /// What is odd about the dataset as a whole.
+    pub source: Box<dyn ItemSource<T>>,
+    /// Warnings about the dataset.
     pub warnings: Vec<String>,
     pub listed: Vec<Listed>,
 }
 
-/// Items that are listed by a config.
+/// Items that a config can list.
 pub(crate) trait Listable: Item {
     /// Lists the items of a valid `config`.
     ///
-    /// # Errors
-    /// [`Error::Config`] where `config` is of other items; [`Error::Scheme`], [`Error::Feature`],
+    /// [`Error::Config`] if `config` is of other items; [`Error::Scheme`], [`Error::Feature`],
     /// [`Error::Store`], [`Error::Manifest`], [`Error::File`], [`Error::MissingFolder`],
     /// [`Error::NothingToTrainOn`], [`Error::Io`].
-    fn survey(config: &DataConfig) -> Result<Survey<Self>, Error>
+    fn scan(config: &DataConfig) -> Result<Scan<Self>, Error>
     where
         Self: Sized;
 }
 
-/// What was read of a dataset.
+/// The result of reading a dataset.
 pub(crate) struct Gathered<T> {
     pub entries: Vec<Entry>,
     /// Id and reason of each bad item.
     pub skipped: Vec<(String, String)>,
-    /// Id and reason of each item that is in order and does not belong here.
+    /// Id and reason of each valid item that is left out.
     pub left_out: Vec<(String, String)>,
-    /// Id and what is odd about it.
+    /// Id and note of items.
     pub notes: Vec<(String, String)>,
     pub memory: MemoryCache<T>,
 }
 
-/// What came of reading an item.
+/// The outcome of reading an item.
 #[derive(Deserialize, Serialize)]
-enum Met {
-    /// It can be used; what is odd about it.
+enum Outcome {
+    /// Usable, with a note.
     Good(Entry, Option<String>),
-    /// It is in order and does not belong here; why.
+    /// Valid, but left out, with the reason.
     LeftOut(String),
-    /// It cannot be used; why.
+    /// Unusable, with the reason.
     Bad(String),
 }
 
-impl<T: Item> Survey<T> {
-    /// Reads all items, keeps so many in memory as `config` allows, and sets bad ones apart as
-    /// `on_bad` says; if it says nothing, all of them, those that are not as they were recorded
-    /// too. Ranks that share it read a part each, and keep that in memory.
+impl<T: Item> Scan<T> {
+    /// Reads all items, caches as many as `config` allows, and handles bad ones as `on_bad` says;
+    /// if `None`, all bad items are collected, including changed ones. Ranks read and cache a part
+    /// each.
     ///
     /// # Errors
-    /// [`Error::Store`] if the store itself fails; [`Error::BadItem`] for the first bad item by id;
+    /// [`Error::Store`] if the store fails; [`Error::BadItem`] for the first bad item by id;
     /// [`Error::Interrupted`]; [`Error::OtherListing`]; [`Error::OtherReader`].
     pub fn gather(
         &self,
@@ -104,33 +86,33 @@ impl<T: Item> Survey<T> {
     ) -> Result<Gathered<T>, Error> {
         self.must_list_the_same(sharing)?;
         let memory = MemoryCache::new(config.cache.memory_mib << 20);
-        let (total, met) = (self.listed.len(), AtomicUsize::new(0));
-        let (concurrency, ranks) = (self.origin.concurrency(), sharing.size());
-        let meet = |number: usize| {
-            let outcome = library::meet(&*self.origin, &self.listed[number], number);
+        let (total, done) = (self.listed.len(), AtomicUsize::new(0));
+        let (concurrency, ranks) = (self.source.concurrency(), sharing.size());
+        let read_one = |number: usize| {
+            let outcome = index_item(&*self.source, &self.listed[number], number);
             if let Err(FileError::Store(error)) = &outcome
                 && !concerns_one_item(error, concurrency == 0, on_bad.is_none())
             {
                 return Err(Error::Store(error.clone()));
             }
-            let read = (met.fetch_add(1, Ordering::Relaxed) + 1) * ranks;
+            let read = (done.fetch_add(1, Ordering::Relaxed) + 1) * ranks;
             go_on(progress, read.min(total), total)?;
             Ok(outcome.map(|(entry, read)| match read.left_out {
-                Some(reason) => Met::LeftOut(reason),
+                Some(reason) => Outcome::LeftOut(reason),
                 None => {
                     memory.put(number, read.item);
-                    Met::Good(entry, read.note)
+                    Outcome::Good(entry, read.note)
                 }
             }))
         };
-        let some = |numbers: &[usize]| -> Result<Vec<Result<Met, FileError>>, Error> {
-            numbers.par_iter().map(|&number| meet(number)).collect()
+        let some = |numbers: &[usize]| -> Result<Vec<Result<Outcome, FileError>>, Error> {
+            numbers.par_iter().map(|&number| read_one(number)).collect()
         };
-        // Threads that wait for a network are not bound to the number of cores.
+        // Threads that wait for a network may exceed the number of cores.
         let pool = rayon::ThreadPoolBuilder::new().num_threads(concurrency);
         let pool = (concurrency > 0).then(|| pool.build().ok()).flatten();
         let mut outcomes = Vec::with_capacity(total);
-        // The first that this rank has found to be bad.
+        // The first bad item of this rank.
         let mut bad = None;
         let chunk = CHUNK * ranks;
         for start in (0..total).step_by(chunk) {
@@ -141,21 +123,21 @@ impl<T: Item> Survey<T> {
                 |number| number,
                 |own| {
                     go_on(progress, start, total)?;
-                    let met = match &pool {
+                    let read = match &pool {
                         Some(pool) => pool.install(|| some(&own)),
                         None => some(&own),
                     }?;
-                    let met = own.into_iter().zip(met).map(|(number, met)| {
-                        met.unwrap_or_else(|cause| {
-                            let said = Met::Bad(cause.to_string());
+                    let read = own.into_iter().zip(read).map(|(number, outcome)| {
+                        outcome.unwrap_or_else(|cause| {
+                            let bad_item = Outcome::Bad(cause.to_string());
                             bad.get_or_insert((number, cause));
-                            said
+                            bad_item
                         })
                     });
-                    Ok(met.collect())
+                    Ok(read.collect())
                 },
             )?);
-            let is_bad = |met: &Met| matches!(met, Met::Bad(_));
+            let is_bad = |outcome: &Outcome| matches!(outcome, Outcome::Bad(_));
             if on_bad == Some(OnBadPhrase::Error)
                 && let Some(number) = outcomes.iter().position(is_bad)
             {
@@ -179,9 +161,9 @@ impl<T: Item> Survey<T> {
         };
         for (Listed { id, .. }, outcome) in self.listed.iter().zip(outcomes) {
             match outcome {
-                Met::LeftOut(reason) => gathered.left_out.push((id.clone(), reason)),
-                Met::Bad(cause) => gathered.skipped.push((id.clone(), cause)),
-                Met::Good(entry, note) => {
+                Outcome::LeftOut(reason) => gathered.left_out.push((id.clone(), reason)),
+                Outcome::Bad(cause) => gathered.skipped.push((id.clone(), cause)),
+                Outcome::Good(entry, note) => {
                     gathered.notes.extend(note.map(|note| (id.clone(), note)));
                     gathered.entries.push(entry);
                 }
@@ -190,7 +172,7 @@ impl<T: Item> Survey<T> {
         Ok(gathered)
     }
 
-    /// Rejects to share a dataset of which ranks do not see the same items.
+    /// Rejects datasets that ranks list differently.
     fn must_list_the_same(&self, sharing: &dyn Sharing<Error>) -> Result<(), Error> {
         if sharing.size() == 1 {
             return Ok(());
@@ -206,8 +188,7 @@ impl<T: Item> Survey<T> {
         }
     }
 
-    /// The sides of the split of what was gathered, to train on and held out, and a checksum of
-    /// all.
+    /// The training and held-out items, and a checksum of all.
     pub fn divide(
         self,
         entries: Vec<Entry>,
@@ -222,18 +203,18 @@ impl<T: Item> Survey<T> {
         };
         let (validation, train): (Vec<usize>, Vec<usize>) =
             (0..entries.len()).partition(|&index| held_out[index]);
-        let library = Arc::new(Library::new(self.origin, entries, memory));
-        let digest = library.digest(&validation);
-        let train = ItemSet::new(library.clone(), train);
-        (train, ItemSet::new(library, validation), digest)
+        let store = Arc::new(ItemStore::new(self.source, entries, memory));
+        let digest = store.digest(&validation);
+        let train = ItemSet::new(store.clone(), train);
+        (train, ItemSet::new(store, validation), digest)
     }
 }
 
-/// Whether other items may be good all the same; of a store `here`, where changes may be
-/// `tolerated`.
+/// Whether a store error concerns one item only; `here` for a local store, `tolerated` if changes
+/// are.
 fn concerns_one_item(error: &StoreError, here: bool, tolerated: bool) -> bool {
     match error {
-        // A file that this machine does not give out says nothing of the next one.
+        // A local file that is not accessible says nothing about the next one.
         StoreError::Denied { .. } | StoreError::Failed { .. } => here,
         StoreError::Changed { .. } => tolerated,
         _ => error.concerns_one_object(),

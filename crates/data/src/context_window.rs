@@ -1,39 +1,39 @@
-//! Passages: a phrase within the recording it was cut from.
+//! Phrases within the recordings that they were cut from.
 
 use std::borrow::Cow;
 use std::ops::Range;
 use std::sync::Arc;
 
-use kinegrad_motion::kinematics::rederive;
+use kinegrad_motion::derivatives::rederive;
 use kinegrad_motion::phrase::{POSITION, VELOCITY};
-use kinegrad_motion::{FPS, Motion, anchor_floor};
+use kinegrad_motion::{FPS, Phrase, anchor_floor};
 
 use crate::features::AudioFeatures;
-use crate::{Error, Phrase, PhraseSet};
+use crate::{Error, PhraseItem, PhraseSet};
 
-/// A phrase and what was recorded around it.
+/// A phrase and the recording around it.
 #[derive(Clone, Debug)]
-pub struct Passage {
-    /// The phrase, joined with so much of its recording as a crop can reach.
-    pub(crate) take: Arc<Phrase>,
-    /// The phrase's own frames in the take.
+pub struct ContextWindow {
+    /// The phrase, joined with the part of its recording that a crop can reach.
+    pub(crate) take: Arc<PhraseItem>,
+    /// The phrase's own frames in the recording.
     pub(crate) own: Range<usize>,
     /// The phrase's id.
     pub(crate) id: String,
 }
 
-/// Some frames of motion or audio, which is copied only where it was changed.
+/// Some frames of motion or audio, copied only if changed.
 #[derive(Clone, Debug)]
 pub(crate) struct Window<'a, T: Clone> {
-    /// What they are frames of.
+    /// The data.
     pub of: Cow<'a, T>,
-    /// Which.
+    /// The frames.
     pub frames: Range<usize>,
 }
 
-impl Passage {
+impl ContextWindow {
     /// A phrase without neighbours.
-    pub(crate) fn alone(phrase: Arc<Phrase>) -> Self {
+    pub(crate) fn alone(phrase: Arc<PhraseItem>) -> Self {
         Self {
             own: 0..phrase.frames(),
             id: phrase.id.clone(),
@@ -41,11 +41,11 @@ impl Passage {
         }
     }
 
-    /// The `frames` of its take.
+    /// Motion and audio of some `frames`.
     pub(crate) fn window(
         &self,
         frames: Range<usize>,
-    ) -> (Window<'_, Motion>, Window<'_, AudioFeatures>) {
+    ) -> (Window<'_, Phrase>, Window<'_, AudioFeatures>) {
         let motion = Window {
             of: Cow::Borrowed(&self.take.motion),
             frames: frames.clone(),
@@ -57,11 +57,11 @@ impl Passage {
         (motion, audio)
     }
 
-    /// The phrase's own frames, at most `longest`, standing at the origin as a phrase alone does.
+    /// The phrase's own frames, at most `longest`, anchored at the origin.
     pub(crate) fn leading(
         &self,
         longest: usize,
-    ) -> (Window<'_, Motion>, Window<'_, AudioFeatures>) {
+    ) -> (Window<'_, Phrase>, Window<'_, AudioFeatures>) {
         let frames = self.own.start..self.own.start + self.own.len().min(longest);
         let (mut motion, audio) = self.window(frames.clone());
         if frames.start > 0 {
@@ -75,8 +75,8 @@ impl Passage {
         (motion, audio)
     }
 
-    /// The first frames that a crop of `target_frames` may have: those within the phrase, and,
-    /// where it has neighbours, up to half its length around. Never empty.
+    /// The possible first frames of a crop of `target_frames`: within the phrase and, with
+    /// neighbours, up to half its length around. Never empty.
     pub(crate) fn starts(&self, target_frames: usize) -> Range<usize> {
         let frames = self.take.frames();
         let length = frames.min(target_frames);
@@ -92,22 +92,22 @@ impl Passage {
     }
 }
 
-/// How far before or after a phrase of so many frames a crop may begin.
+/// Largest distance of a crop's start from a phrase, frames.
 fn reach(frames: usize) -> usize {
     frames / 2
 }
 
-/// A passage for each phrase of a set, created on demand.
+/// The context of each phrase of a set, created on demand.
 #[derive(Clone, Debug)]
-pub(crate) struct Passages {
+pub(crate) struct ContextWindows {
     phrases: PhraseSet,
-    /// For each phrase the positions of its recording; only itself where none are joined.
+    /// For each phrase the positions of its recording; only itself without joining.
     recordings: Arc<[Range<usize>]>,
     target_frames: usize,
 }
 
-impl Passages {
-    /// Each of the `phrases`, sorted by id; `joined` with its neighbours of the same recording, or
+impl ContextWindows {
+    /// The contexts of `phrases`, sorted by id; `joined` with the neighbours of their recording, or
     /// alone.
     pub fn new(phrases: PhraseSet, target_frames: usize, joined: bool) -> Self {
         let mut recordings = Vec::with_capacity(phrases.len());
@@ -126,24 +126,24 @@ impl Passages {
         }
     }
 
-    /// The phrases, one for each passage.
+    /// The phrases.
     pub fn phrases(&self) -> &PhraseSet {
         &self.phrases
     }
 
-    /// Whether passage `position` needs no work: a phrase alone that is in memory now.
-    pub fn is_at_hand(&self, position: usize) -> bool {
-        self.recordings[position].len() == 1 && self.phrases.is_at_hand(position)
+    /// Whether context `position` is a single phrase in memory.
+    pub fn is_cached(&self, position: usize) -> bool {
+        self.recordings[position].len() == 1 && self.phrases.is_cached(position)
     }
 
-    /// Passage `position`, read from where it lies.
+    /// Reads context `position`.
     ///
     /// # Errors
     /// As [`PhraseSet::get`].
-    pub fn get(&self, position: usize) -> Result<Passage, Error> {
+    pub fn get(&self, position: usize) -> Result<ContextWindow, Error> {
         let recording = &self.recordings[position];
         if recording.len() == 1 {
-            return self.phrases.get(position).map(Passage::alone);
+            return self.phrases.get(position).map(ContextWindow::alone);
         }
         let own = self.phrases.frames(position);
         let needed = reach(own) + self.target_frames.saturating_sub(own);
@@ -160,8 +160,8 @@ impl Passages {
         let parts: Vec<_> = (first..end)
             .map(|part| self.phrases.get(part))
             .collect::<Result<_, _>>()?;
-        Ok(Passage {
-            take: Arc::new(Phrase {
+        Ok(ContextWindow {
+            take: Arc::new(PhraseItem {
                 label: parts[position - first].label.clone(),
                 ..join(&parts)
             }),
@@ -171,8 +171,8 @@ impl Passages {
     }
 }
 
-/// Whether the phrase after `position` begins where this one ends: ids `NAME_FIRSTFRAME` of the
-/// same recording.
+/// Whether the phrase after `position` continues this one: ids `NAME_FIRSTFRAME` of the same
+/// recording.
 fn follows(phrases: &PhraseSet, position: usize) -> bool {
     let parse = |id: &str| {
         let (name, first) = id.rsplit_once('_')?;
@@ -186,19 +186,18 @@ fn follows(phrases: &PhraseSet, position: usize) -> bool {
     }
 }
 
-/// One long phrase out of phrases that follow each other.
+/// Joins consecutive phrases.
 ///
-/// Each phrase stands on the floor where its own first frame is the origin, so the next one is
-/// moved to go on with the mean of the velocities on both sides of the seam; height is the
-/// recording's and stays. Quaternions keep their sign across the seam.
-fn join(phrases: &[Arc<Phrase>]) -> Phrase {
+/// Each phrase is anchored at its own first frame, so the next one is moved to continue with the
+/// mean velocity of both sides. Height is kept, and the sign of quaternions is continuous.
+fn join(phrases: &[Arc<PhraseItem>]) -> PhraseItem {
     let (first, rest) = phrases.split_first().expect("a run has a phrase");
     if rest.is_empty() {
         return (**first).clone();
     }
     let mut values = first.motion.as_slice().to_vec();
     for phrase in rest {
-        let before = Motion::new(values.clone()).expect("whole frames");
+        let before = Phrase::new(values.clone()).expect("whole frames");
         let mut next = phrase.motion.clone();
         let last = before.frames() - 1;
         let seam_velocity = {
@@ -220,7 +219,7 @@ fn join(phrases: &[Arc<Phrase>]) -> Phrase {
         }
         values.extend_from_slice(next.as_slice());
     }
-    let mut motion = Motion::new(values).expect("whole frames");
+    let mut motion = Phrase::new(values).expect("whole frames");
     rederive(&mut motion);
     let audio = (0..first.audio.channels())
         .flat_map(|channel| {
@@ -231,7 +230,7 @@ fn join(phrases: &[Arc<Phrase>]) -> Phrase {
         .copied()
         .collect();
     let audio = AudioFeatures::new(motion.frames(), audio).expect("as many frames as the motion");
-    Phrase {
+    PhraseItem {
         id: first.id.clone(),
         motion,
         audio,
@@ -246,7 +245,7 @@ mod tests {
     use kinegrad_motion::{Profile, check, phrase_statistics};
 
     /// A recording of 90 frames cut into phrases of 30, each moved to the origin.
-    fn cut() -> (Phrase, Vec<Arc<Phrase>>) {
+    fn cut() -> (PhraseItem, Vec<Arc<PhraseItem>>) {
         let whole = synthetic::phrase(0, 90, 4);
         let phrases = (0..3)
             .map(|i| {
@@ -259,7 +258,7 @@ mod tests {
                     }
                 }
                 let audio = whole.audio.slice(frames);
-                Arc::new(Phrase {
+                Arc::new(PhraseItem {
                     id: format!("song_{:05}", 100 + 30 * i),
                     motion,
                     audio,
@@ -273,11 +272,11 @@ mod tests {
     #[test]
     fn joined_phrases_are_the_recording_again() {
         let (whole, phrases) = cut();
-        let passages = Passages::new(phrases.into(), 30, true);
-        assert_eq!(passages.phrases().len(), 3);
-        let passage = passages.get(1).unwrap();
-        let take = &passage.take;
-        assert_eq!((take.frames(), passage.own.clone()), (90, 30..60));
+        let contexts = ContextWindows::new(phrases.into(), 30, true);
+        assert_eq!(contexts.phrases().len(), 3);
+        let context = contexts.get(1).unwrap();
+        let take = &context.take;
+        assert_eq!((take.frames(), context.own.clone()), (90, 30..60));
         assert_eq!(take.audio, whole.audio);
         let mut expected = whole.motion.clone();
         anchor_floor(&mut expected);
@@ -303,7 +302,7 @@ mod tests {
     fn only_neighbours_are_joined() {
         let (_, phrases) = cut();
         let apart = vec![phrases[0].clone(), phrases[2].clone()];
-        let apart = Passages::new(apart.into(), 20, true);
+        let apart = ContextWindows::new(apart.into(), 20, true);
         assert!((0..2).all(|position| apart.get(position).unwrap().own == (0..30)));
         assert_eq!(apart.get(0).unwrap().starts(20), 0..11);
     }
@@ -312,11 +311,11 @@ mod tests {
     fn crops_begin_up_to_half_a_phrase_around() {
         let (_, phrases) = cut();
         let starts = |target_frames: usize| {
-            let passages = Passages::new(phrases.clone().into(), target_frames, true);
+            let contexts = ContextWindows::new(phrases.clone().into(), target_frames, true);
             [0, 1, 2].map(|position| {
-                let passage = passages.get(position).unwrap();
-                let starts = passage.starts(target_frames);
-                let first = 30 * position - passage.own.start;
+                let context = contexts.get(position).unwrap();
+                let starts = context.starts(target_frames);
+                let first = 30 * position - context.own.start;
                 first + starts.start..first + starts.end
             })
         };

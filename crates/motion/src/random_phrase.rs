@@ -1,21 +1,21 @@
-//! A dancer for the tests of this crate: smooth, coherent by construction, different by seed.
+//! A random phrase for the tests of this crate: smooth and coherent.
 
 use std::f64::consts::TAU;
 
 use kinegrad_random::{Key, Purpose};
 
-use crate::{FPS, Motion, Quaternion, derive};
+use crate::{FPS, Phrase, Quaternion, derive};
 
 /// A coherent phrase of `frames` frames: sums of slow sines in position and rotation.
-pub fn wandering(seed: u64, frames: usize) -> Motion {
+pub fn random_phrase(seed: u64, frames: usize) -> Phrase {
     let key = Key::new(seed, Purpose::Synthetic);
     let wave = |channel: u64, t: usize| -> f64 {
-        let draws = key.at(channel).uniforms(6);
+        let uniforms = key.at(channel).uniforms(6);
         let seconds = t as f64 / FPS;
         (0..3)
             .map(|part| {
-                let frequency = 0.5 + f64::from(draws[2 * part]);
-                let offset = TAU * f64::from(draws[2 * part + 1]);
+                let frequency = 0.5 + f64::from(uniforms[2 * part]);
+                let offset = TAU * f64::from(uniforms[2 * part + 1]);
                 (TAU * frequency * seconds + offset).sin() / (1 + part) as f64
             })
             .sum()

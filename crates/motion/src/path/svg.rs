@@ -1,37 +1,37 @@
-//! Paths that are drawn: the first path, line or polyline of an SVG file.
+//! Paths in SVG files.
 
 use kurbo::{BezPath, PathEl};
 use roxmltree::{Document, Node, ParsingOptions};
 
 use super::polyline::MAX_METRES;
 
-/// How far straight pieces may be from a curve, metres.
+/// Tolerance of the flattening of curves, metres.
 const TOLERANCE: f64 = 1e-3;
 
-/// Metres that a unit of a drawing may have.
+/// Allowed metres per unit.
 const SCALES: std::ops::RangeInclusive<f64> = 1e-6..=1e4;
 
-/// What of an SVG file is not drawn where it stands.
+/// SVG elements whose children are not rendered in place.
 const HIDDEN: [&str; 6] = ["defs", "clipPath", "marker", "mask", "pattern", "symbol"];
 
-/// Elements and texts of a drawing at most: entities of a document type may multiply them.
+/// Most nodes of a file, whose entities may multiply them.
 const MOST_NODES: u32 = 1 << 20;
 
-/// What an SVG file holds.
+/// The path of an SVG file.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct Drawing {
+pub(super) struct SvgPath {
     /// Points `[x, z]`, metres.
     pub points: Vec<[f64; 2]>,
-    /// Whether it returns to where it begins.
+    /// Whether it is closed.
     pub closed: bool,
 }
 
-/// The first `path`, `polyline`, `polygon` or `line` of an SVG file, of whose unit there are `scale`
-/// metres: x to the right is x, up is z. What is after a gap of that path is left out.
+/// The first `path`, `polyline`, `polygon` or `line` of an SVG file, with `scale` metres per unit:
+/// x to the right, z up. Only the first subpath is read.
 ///
 /// # Errors
-/// In words.
-pub(super) fn read_drawing(text: &str, scale: f64) -> Result<Drawing, String> {
+/// A message.
+pub(super) fn read_svg(text: &str, scale: f64) -> Result<SvgPath, String> {
     if !SCALES.contains(&scale) {
         return Err(format!(
             "a unit is {scale} metres, allowed: {} to {}",
@@ -39,7 +39,7 @@ pub(super) fn read_drawing(text: &str, scale: f64) -> Result<Drawing, String> {
             SCALES.end()
         ));
     }
-    // Drawing programs write a document type, which needs not be read.
+    // Drawing programs write a document type.
     let options = ParsingOptions {
         allow_dtd: true,
         nodes_limit: MOST_NODES,
@@ -48,7 +48,7 @@ pub(super) fn read_drawing(text: &str, scale: f64) -> Result<Drawing, String> {
     let document = Document::parse_with_options(text, options);
     let document = document.map_err(|error| format!("it is no SVG: {error}"))?;
     let names = ["path", "polyline", "polygon", "line"];
-    let drawn = |node: &Node| {
+    let is_path = |node: &Node| {
         let hidden = node.ancestors().any(|node| {
             HIDDEN.contains(&node.tag_name().name())
                 || node.attribute("display") == Some("none")
@@ -56,7 +56,7 @@ pub(super) fn read_drawing(text: &str, scale: f64) -> Result<Drawing, String> {
         });
         node.is_element() && names.contains(&node.tag_name().name()) && !hidden
     };
-    let node = document.descendants().find(drawn);
+    let node = document.descendants().find(is_path);
     let node = node.ok_or("it holds no `path`, `polyline`, `polygon` or `line`")?;
     let turned =
         |node: Node| node.has_attribute("transform") || style_of(&node).contains("transform");
@@ -85,7 +85,7 @@ pub(super) fn read_drawing(text: &str, scale: f64) -> Result<Drawing, String> {
             point.x, point.y
         ));
     }
-    let mut drawing = Drawing {
+    let mut path = SvgPath {
         points: Vec::new(),
         closed: false,
     };
@@ -94,15 +94,15 @@ pub(super) fn read_drawing(text: &str, scale: f64) -> Result<Drawing, String> {
         parts += usize::from(matches!(element, PathEl::MoveTo(_)));
         match element {
             _ if parts > 1 => {}
-            // Up on the page is away from the viewer.
+            // Up on the page is +z.
             PathEl::MoveTo(point) | PathEl::LineTo(point) => {
-                drawing.points.push([scale * point.x, -scale * point.y]);
+                path.points.push([scale * point.x, -scale * point.y]);
             }
-            PathEl::ClosePath => drawing.closed = true,
+            PathEl::ClosePath => path.closed = true,
             _ => unreachable!("a flattened path has lines only"),
         }
     });
-    Ok(drawing)
+    Ok(path)
 }
 
 /// A node's style without spaces.
@@ -143,14 +143,14 @@ mod tests {
     fn lines_and_curves_of_a_drawing_are_read_in_metres() {
         let text =
             svg("<text>a</text><path d='M 100 0 C 100 -100 200 -100 200 -200 M 0 0 L 5 5'/>");
-        let drawing = read_drawing(&text, 0.01).unwrap();
-        assert_eq!(drawing.points[0], [1.0, 0.0]);
-        assert_eq!(drawing.points.last(), Some(&[2.0, 2.0]));
-        assert!(drawing.points.len() > 5 && !drawing.closed);
-        let polygon = read_drawing(&svg("<polygon points='0,0 10,0 10,-20'/>"), 0.1).unwrap();
+        let found = read_svg(&text, 0.01).unwrap();
+        assert_eq!(found.points[0], [1.0, 0.0]);
+        assert_eq!(found.points.last(), Some(&[2.0, 2.0]));
+        assert!(found.points.len() > 5 && !found.closed);
+        let polygon = read_svg(&svg("<polygon points='0,0 10,0 10,-20'/>"), 0.1).unwrap();
         assert_eq!(polygon.points, [[0.0, 0.0], [1.0, 0.0], [1.0, 2.0]]);
         assert!(polygon.closed);
-        let line = read_drawing(&svg("<line x1='0' y1='0' x2='0' y2='-30'/>"), 0.1).unwrap();
+        let line = read_svg(&svg("<line x1='0' y1='0' x2='0' y2='-30'/>"), 0.1).unwrap();
         assert_eq!(line.points, [[0.0, 0.0], [0.0, 3.0]]);
         let plan = PathPlan::read(&svg("<polyline points='0,0 1,-1'/>"), "a.SVG", Some(2.0));
         assert_eq!(plan.unwrap().points[1], [2.0, 2.0]);
@@ -160,17 +160,17 @@ mod tests {
     fn programs_write_document_types_and_hide_what_is_not_seen() {
         let hidden = "<path style='fill:red; display : none' d='M 0 0 L 9 9'/>\
                       <g display='none'><path d='M 0 0 L 8 8'/></g>";
-        let drawn = svg(&format!("{hidden}<path d='M 0 0 L 0 -3'/>"));
+        let path = svg(&format!("{hidden}<path d='M 0 0 L 0 -3'/>"));
         let text = format!(
             "<?xml version='1.0'?>\n<!DOCTYPE svg PUBLIC '-//W3C//DTD SVG 1.1//EN' \
-             'http://www.w3.org/Graphics/SVG/1.1/DTD/svg11.dtd'>\n{drawn}"
+             'http://www.w3.org/Graphics/SVG/1.1/DTD/svg11.dtd'>\n{path}"
         );
-        let drawing = read_drawing(&text, 1.0).unwrap();
-        assert_eq!(drawing.points, [[0.0, 0.0], [0.0, 3.0]]);
+        let svg = read_svg(&text, 1.0).unwrap();
+        assert_eq!(svg.points, [[0.0, 0.0], [0.0, 3.0]]);
     }
 
     #[test]
-    fn what_is_not_drawn_is_refused() {
+    fn hidden_paths_are_refused() {
         for (text, scale, expected) in [
             ("no", 1.0, "it is no SVG"),
             (&svg("<rect/>"), 1.0, "it holds no `path`"),
@@ -204,7 +204,7 @@ mod tests {
                 "it holds no `path`",
             ),
         ] {
-            let found = read_drawing(text, scale).unwrap_err();
+            let found = read_svg(text, scale).unwrap_err();
             assert!(found.contains(expected), "{found}");
         }
     }

@@ -2,27 +2,27 @@ use proptest::prelude::*;
 
 use super::*;
 use crate::phrase::{POSITION, VELOCITY};
-use crate::wandering::wandering;
+use crate::random_phrase::random_phrase;
 use crate::{channel_name, mirror};
 
 /// All combinations.
-fn all() -> Vec<Targets> {
-    use OrientationTarget::{CanonicalQuaternion, Quaternion, Rotation6d};
+fn all() -> Vec<ChannelEncoding> {
+    use OrientationEncoding::{CanonicalQuaternion, Quaternion, Rotation6d};
     let phases = [
-        PhaseTarget::Scalar,
-        PhaseTarget::SinCos,
-        PhaseTarget::Harmonics,
+        PhaseEncoding::Scalar,
+        PhaseEncoding::SinCos,
+        PhaseEncoding::Harmonics,
     ];
     let of_phase = |phase| {
         [Quaternion, CanonicalQuaternion, Rotation6d]
-            .map(|orientation| Targets { phase, orientation })
+            .map(|orientation| ChannelEncoding { phase, orientation })
     };
     phases.into_iter().flat_map(of_phase).collect()
 }
 
 /// A phrase that turns all ways, whose quaternions change sign and whose phase wraps.
-fn phrase(seed: u64, frames: usize) -> Motion {
-    let mut motion = wandering(seed, frames);
+fn phrase(seed: u64, frames: usize) -> Phrase {
+    let mut motion = random_phrase(seed, frames);
     for t in 0..frames {
         let angle = 0.4 * t as f64 + seed as f64;
         let unit = Quaternion::from_rotation_vector([angle.sin(), 1.3 * angle, 0.7]);
@@ -33,7 +33,7 @@ fn phrase(seed: u64, frames: usize) -> Motion {
     motion
 }
 
-/// How far apart two phases are in the bar.
+/// Distance of two phases in the bar.
 fn apart(a: f32, b: f32) -> f32 {
     let difference = a - b;
     (difference - difference.round()).abs()
@@ -42,7 +42,7 @@ fn apart(a: f32, b: f32) -> f32 {
 #[test]
 fn the_stored_channels_stay_bit_for_bit() {
     let motion = phrase(3, 17);
-    let targets = Targets::default();
+    let targets = ChannelEncoding::default();
     assert_eq!(targets.channels(), CHANNELS);
     assert_eq!(targets.encode(motion.as_slice()), motion.as_slice());
     assert_eq!(
@@ -64,9 +64,9 @@ fn what_is_encoded_comes_back() {
             let motion = phrase(seed, 23);
             let encoded = targets.encode(motion.as_slice()).into_owned();
             assert_eq!(encoded.len(), 23 * targets.channels());
-            let decoded = Motion::new(targets.decode(encoded)).unwrap();
+            let decoded = Phrase::new(targets.decode(encoded)).unwrap();
             let mut expected = motion.clone();
-            if targets.orientation == OrientationTarget::CanonicalQuaternion {
+            if targets.orientation == OrientationEncoding::CanonicalQuaternion {
                 rotate_yaw(&mut expected, -motion.quaternion(0).yaw());
             }
             for t in 0..23 {
@@ -87,7 +87,7 @@ fn what_is_encoded_comes_back() {
                     "{targets:?}, frame {t}: {dot}"
                 );
             }
-            if targets.orientation != OrientationTarget::Quaternion {
+            if targets.orientation != OrientationEncoding::Quaternion {
                 assert!(decoded.quaternion(0).w >= 0.0);
                 let continuous = |t| decoded.quaternion(t).dot(decoded.quaternion(t - 1)) >= 0.0;
                 assert!((1..23).all(continuous), "{targets:?}");
@@ -98,9 +98,9 @@ fn what_is_encoded_comes_back() {
 
 #[test]
 fn neighbouring_phases_and_both_quaternions_of_a_rotation_are_near() {
-    let targets = Targets {
-        phase: PhaseTarget::SinCos,
-        orientation: OrientationTarget::Rotation6d,
+    let targets = ChannelEncoding {
+        phase: PhaseEncoding::SinCos,
+        orientation: OrientationEncoding::Rotation6d,
     };
     let motion = phrase(1, 1);
     let with = |phase: f32, sign: f64| {
@@ -118,10 +118,10 @@ fn neighbouring_phases_and_both_quaternions_of_a_rotation_are_near() {
 }
 
 #[test]
-fn a_canonical_sample_faces_z_whichever_way_it_was_turned() {
-    let targets = Targets {
-        orientation: OrientationTarget::CanonicalQuaternion,
-        ..Targets::default()
+fn a_canonical_sample_faces_z_after_any_rotation() {
+    let targets = ChannelEncoding {
+        orientation: OrientationEncoding::CanonicalQuaternion,
+        ..ChannelEncoding::default()
     };
     let motion = phrase(2, 9);
     let encoded = targets.encode(motion.as_slice()).into_owned();
@@ -132,18 +132,18 @@ fn a_canonical_sample_faces_z_whichever_way_it_was_turned() {
         let largest = encoded.iter().zip(&again).map(|(a, b)| (a - b).abs());
         assert!(largest.fold(0.0, f32::max) < 3e-5);
     }
-    let facing = Motion::new(encoded).unwrap();
+    let facing = Phrase::new(encoded).unwrap();
     assert!(facing.quaternion(0).yaw().abs() < 1e-6);
-    let speed = |motion: &Motion| crate::rotation::length(motion.vector(4, VELOCITY));
+    let speed = |motion: &Phrase| crate::vector::length(motion.vector(4, VELOCITY));
     assert!((speed(&facing) - speed(&motion)).abs() < 1e-6);
-    let height = |motion: &Motion| motion.vector(4, POSITION)[1];
+    let height = |motion: &Phrase| motion.vector(4, POSITION)[1];
     assert!((height(&facing) - height(&motion)).abs() < 1e-6);
 }
 
 #[test]
 fn mirroring_negates_the_channels_that_are_named() {
     for targets in all() {
-        if targets.orientation == OrientationTarget::CanonicalQuaternion {
+        if targets.orientation == OrientationEncoding::CanonicalQuaternion {
             // It turns the sample back too.
             continue;
         }
@@ -187,7 +187,7 @@ fn statistics_leave_circles_and_rotations_as_they_are() {
         let low = values.iter().copied().fold(low, f32::min);
         let high = values.iter().copied().fold(high, f32::max);
         assert!(low < -0.8 && high > 0.8, "{targets:?}: {low} {high}");
-        if targets.phase != PhaseTarget::Scalar {
+        if targets.phase != PhaseEncoding::Scalar {
             let [min, max] = statistics.range.unwrap();
             assert_eq!((min[phase.start], max[phase.end - 1]), (-1.0, 1.0));
         }
@@ -196,9 +196,9 @@ fn statistics_leave_circles_and_rotations_as_they_are() {
 
 #[test]
 fn predictions_of_any_size_decode_and_numbers_that_are_none_stay() {
-    let targets = Targets {
-        phase: PhaseTarget::SinCos,
-        orientation: OrientationTarget::Rotation6d,
+    let targets = ChannelEncoding {
+        phase: PhaseEncoding::SinCos,
+        orientation: OrientationEncoding::Rotation6d,
     };
     let channels = targets.channels();
     assert_eq!(channels, 28);
@@ -213,16 +213,16 @@ fn predictions_of_any_size_decode_and_numbers_that_are_none_stay() {
     assert_eq!(targets.decode(rows)[PHASE], 0.0);
     let mut rows = vec![0.5; 3 * channels];
     rows[channels + targets.orientation_channels().start] = f32::NAN;
-    let broken = Motion::new(targets.decode(rows)).unwrap();
+    let broken = Phrase::new(targets.decode(rows)).unwrap();
     assert!(broken.first_non_finite().is_some());
     assert!(broken.quaternion(2).norm().is_finite());
 }
 
 #[test]
 fn beats_place_what_the_bar_leaves_open() {
-    let targets = Targets {
-        phase: PhaseTarget::Harmonics,
-        ..Targets::default()
+    let targets = ChannelEncoding {
+        phase: PhaseEncoding::Harmonics,
+        ..ChannelEncoding::default()
     };
     let decoded = |bar: f64, of_bar: f32, beats: usize, beat: f64| {
         let mut rows = vec![0.0; targets.channels()];
@@ -249,10 +249,10 @@ fn beats_place_what_the_bar_leaves_open() {
     }
     // The first beat of a bar is also near the end of the bar before.
     assert!(decoded(0.98, 0.5, 4, 0.02) < 0.01);
-    // A mean over all beats of a bar says nothing of the bar.
+    // A mean over all beats of a bar does not determine the bar.
     let mut mean = vec![0.0; targets.channels()];
     for beat in 0..4 {
-        let mut motion = wandering(0, 1);
+        let mut motion = random_phrase(0, 1);
         motion.frame_mut(0)[PHASE] = 0.25 * beat as f32 + 0.05;
         let rows = targets.encode(motion.as_slice());
         mean.iter_mut()
@@ -301,8 +301,8 @@ proptest! {
 
     #[test]
     fn phases_come_back_in_the_bar(phase in 0.0f32..1.0, radius in 0.01f32..3.0) {
-        let targets = Targets { phase: PhaseTarget::SinCos, ..Targets::default() };
-        let mut motion = wandering(0, 1);
+        let targets = ChannelEncoding { phase: PhaseEncoding::SinCos, ..ChannelEncoding::default() };
+        let mut motion = random_phrase(0, 1);
         motion.frame_mut(0)[PHASE] = phase;
         let mut rows = targets.encode(motion.as_slice()).into_owned();
         rows[targets.phase_channels()].iter_mut().for_each(|value| *value *= radius);
@@ -314,7 +314,7 @@ proptest! {
 
 #[test]
 fn a_dancer_whose_heading_is_open_stands_upright() {
-    // What is left of the side points upward a little; the upward axis is sure.
+    // The rest of the side axis points upward a little; the up axis is certain.
     let columns = [0.001, 0.004, -0.002, 0.05, 0.96, -0.02];
     let tilt = |rotation: Quaternion| rotation.rotate([0.0, 1.0, 0.0])[1].acos().to_degrees();
     assert!(tilt(nearest_rotation(&columns)) < 5.0);
@@ -324,15 +324,15 @@ fn a_dancer_whose_heading_is_open_stands_upright() {
 #[test]
 fn a_mean_of_orientations_that_differ_is_unsure() {
     for orientation in [
-        OrientationTarget::CanonicalQuaternion,
-        OrientationTarget::Rotation6d,
+        OrientationEncoding::CanonicalQuaternion,
+        OrientationEncoding::Rotation6d,
     ] {
-        let targets = Targets {
+        let targets = ChannelEncoding {
             orientation,
-            ..Targets::default()
+            ..ChannelEncoding::default()
         };
         let encoded = |turn: f64| {
-            let mut motion = wandering(3, 2);
+            let mut motion = random_phrase(3, 2);
             // The first frame of a canonical sample is at rest.
             motion.set_quaternion(0, Quaternion::IDENTITY);
             motion.set_quaternion(1, Quaternion::from_rotation_vector([turn, 0.4 * turn, 0.0]));
@@ -341,7 +341,7 @@ fn a_mean_of_orientations_that_differ_is_unsure() {
         let mean = |a: &[f32], b: &[f32]| -> Vec<f32> {
             a.iter().zip(b).map(|(a, b)| (a + b) / 2.0).collect()
         };
-        let of = |turn: f64| targets.sureness(&mean(&encoded(turn), &encoded(-turn)));
+        let of = |turn: f64| targets.confidence(&mean(&encoded(turn), &encoded(-turn)));
         let [none, some, much] = [0.0, 0.6, 1.5].map(of);
         assert!((none[1] - 1.0).abs() < 1e-6, "{none:?}");
         assert!(some[1] < 0.96 && much[1] < 0.75, "{some:?} {much:?}");
@@ -353,7 +353,7 @@ fn a_mean_of_orientations_that_differ_is_unsure() {
     rows[QUATERNION.start] = f32::NAN;
     rows[QUATERNION.start] = 0.0;
     rows[QUATERNION].copy_from_slice(&[0.0, 0.3, 0.0, 0.4]);
-    let [sure] = Targets::default().sureness(&rows)[..] else {
+    let [sure] = ChannelEncoding::default().confidence(&rows)[..] else {
         panic!("one frame")
     };
     assert!((sure - 0.5).abs() < 1e-6);

@@ -1,0 +1,22 @@
+//! Progress of reading a dataset.
+
+use std::ops::ControlFlow;
+
+use crate::Error;
+
+/// Progress callback with the number of items read and in total, called from several threads.
+/// `Break` ends with [`Error::Interrupted`].
+pub type OpenProgress<'a> = &'a (dyn Fn(usize, usize) -> ControlFlow<()> + Sync);
+
+/// Progress that is ignored.
+pub(crate) fn no_progress(_done: usize, _total: usize) -> ControlFlow<()> {
+    ControlFlow::Continue(())
+}
+
+/// Reports progress, and stops if asked to.
+pub(crate) fn go_on(progress: OpenProgress, done: usize, total: usize) -> Result<(), Error> {
+    match progress(done, total) {
+        ControlFlow::Continue(()) => Ok(()),
+        ControlFlow::Break(()) => Err(Error::Interrupted),
+    }
+}
