@@ -6,7 +6,7 @@ use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_diffusion::{GaussianDiffusion, Rollout, RolloutMode, rollout_timesteps};
 use kinegrad_models::UNet1d;
 use kinegrad_models::channel_encoding::decode;
-use kinegrad_motion::{PhaseEncoding, Statistics, ChannelEncoding};
+use kinegrad_motion::{ChannelEncoding, PhaseEncoding, Statistics};
 use kinegrad_random::Key;
 
 use crate::denoising::Inputs;
