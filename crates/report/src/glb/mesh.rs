@@ -2,15 +2,11 @@
 
 use std::f32::consts::{FRAC_PI_2, TAU};
 
-use gltf_json as json;
-use json::material::{PbrBaseColorFactor, PbrMetallicRoughness, StrengthFactor};
-use json::mesh::{Mode, Primitive, Semantic};
-use json::validation::Checked::Valid;
-use json::{Index, Material};
+use serde_json::{Value, json};
 
-use super::buffer::Buffer;
+use super::document::{ARRAY_BUFFER, Document, push};
 use super::rig::Rig;
-use super::turn::Turn;
+use super::rotation::Rotation;
 use crate::scene::Figure;
 
 /// Corners around a capsule.
@@ -103,7 +99,7 @@ impl Mesh {
     /// A cylinder with round ends.
     fn capsule(&mut self, [from, to]: [[f32; 3]; 2], radius: f32) {
         let along = [0, 1, 2].map(|axis| f64::from(to[axis] - from[axis]));
-        let turn = Turn::between([0.0, 1.0, 0.0], along);
+        let turn = Rotation::between([0.0, 1.0, 0.0], along);
         let first = self.places.len() as u32;
         // Rings from the lower to the upper pole: each end has its own at the equator.
         let rings = 2 * (RINGS + 1);
@@ -140,46 +136,32 @@ impl Mesh {
         }
     }
 
-    /// Adds the mesh to a document.
-    pub fn push(self, root: &mut json::Root, buffer: &mut Buffer, name: &str) -> Index<json::Mesh> {
-        let places = buffer.vertices(root, &self.places);
-        let normals = buffer.vertices(root, &self.normals);
-        let triangles = buffer.indices(root, &self.triangles);
-        let mut attributes = vec![(Semantic::Positions, places), (Semantic::Normals, normals)];
+    /// Adds the mesh to a document and returns its index.
+    pub fn push(self, document: &mut Document, name: &str) -> usize {
+        let mut attributes = json!({
+            "POSITION": document.ranged(&self.places, ARRAY_BUFFER),
+            "NORMAL": document.ranged(&self.normals, ARRAY_BUFFER),
+        });
+        let triangles = document.indices(&self.triangles);
         if !self.joints.is_empty() {
             let joints: Vec<[u16; 4]> = self.joints.iter().map(|joint| [*joint, 0, 0, 0]).collect();
             let weights = vec![[1.0, 0.0, 0.0, 0.0]; joints.len()];
-            attributes.push((Semantic::Joints(0), buffer.joints(root, &joints)));
-            attributes.push((Semantic::Weights(0), buffer.weights(root, &weights)));
+            attributes["JOINTS_0"] = json!(document.joints(&joints));
+            attributes["WEIGHTS_0"] = json!(document.floats(&weights, ARRAY_BUFFER));
         }
-        if root.materials.is_empty() {
-            root.push(Material {
-                pbr_metallic_roughness: PbrMetallicRoughness {
-                    base_color_factor: PbrBaseColorFactor(COLOUR),
-                    metallic_factor: StrengthFactor(0.0),
-                    roughness_factor: StrengthFactor(0.7),
-                    ..PbrMetallicRoughness::default()
-                },
-                ..Material::default()
-            });
-        }
-        let attributes = attributes.into_iter();
-        root.push(json::Mesh {
-            extensions: None,
-            extras: json::Extras::default(),
-            name: Some(name.to_string()),
-            primitives: vec![Primitive {
-                attributes: attributes.map(|(kind, at)| (Valid(kind), at)).collect(),
-                extensions: None,
-                extras: json::Extras::default(),
-                indices: Some(triangles),
-                material: Some(Index::new(0)),
-                mode: Valid(Mode::Triangles),
-                targets: None,
-            }],
-            weights: None,
-        })
+        let primitive = json!({ "attributes": attributes, "indices": triangles, "material": 0 });
+        push(
+            &mut document.meshes,
+            json!({ "name": name, "primitives": [primitive] }),
+        )
     }
+}
+
+/// The material of all meshes.
+pub(super) fn material() -> Value {
+    json!({ "pbrMetallicRoughness": {
+        "baseColorFactor": COLOUR, "metallicFactor": 0.0, "roughnessFactor": 0.7,
+    }})
 }
 
 #[cfg(test)]
@@ -196,7 +178,7 @@ mod tests {
             for corners in mesh.triangles.chunks_exact(3) {
                 let [a, b, c] = [0, 1, 2].map(|n| mesh.places[corners[n] as usize].map(f64::from));
                 let side = |from: [f64; 3], to: [f64; 3]| [0, 1, 2].map(|i| to[i] - from[i]);
-                let across = super::super::turn::cross(side(a, b), side(a, c));
+                let across = super::super::rotation::cross(side(a, b), side(a, c));
                 let normal = [0, 1, 2].map(|axis| {
                     let corners = corners.iter();
                     corners
@@ -204,7 +186,7 @@ mod tests {
                         .sum()
                 });
                 assert!(
-                    super::super::turn::dot(across, normal) > 0.0,
+                    super::super::rotation::dot(across, normal) > 0.0,
                     "{a:?} {b:?} {c:?}"
                 );
             }

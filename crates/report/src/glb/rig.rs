@@ -1,6 +1,6 @@
 //! From joint positions to nodes with translations and rotations.
 
-use super::turn::Turn;
+use super::rotation::Rotation;
 use crate::scene::Figure;
 
 /// A translation that stays this near to that of the first frame, in metres, is that of the first
@@ -27,13 +27,13 @@ pub(super) struct RigNode {
     /// Within the parent, one per frame.
     pub translations: Vec<[f32; 3]>,
     /// Within the parent, one per frame.
-    pub rotations: Vec<Turn>,
+    pub rotations: Vec<Rotation>,
 }
 
 impl Rig {
     pub fn new(figure: &Figure) -> Self {
         let mut rig = Self::tree(figure);
-        let mut before = vec![Turn::IDENTITY; rig.nodes.len()];
+        let mut before = vec![Rotation::IDENTITY; rig.nodes.len()];
         for frame in 0..figure.frames() {
             rig.pose(figure, frame, &mut before);
         }
@@ -79,7 +79,7 @@ impl Rig {
     }
 
     /// Adds a frame; `before` are the turns of all nodes in the world in the frame before.
-    fn pose(&mut self, figure: &Figure, frame: usize, before: &mut [Turn]) {
+    fn pose(&mut self, figure: &Figure, frame: usize, before: &mut [Rotation]) {
         let place = |frame: usize, joint: usize| figure.joint(frame, joint).map(f64::from);
         let bone = |frame: usize, from: usize, to: usize| {
             let (a, b) = (place(frame, from), place(frame, to));
@@ -87,11 +87,11 @@ impl Rig {
         };
         // Where each node is and how it lies, as a reader of the file finds it: rounding in a node
         // is made up for by the next.
-        let mut world: Vec<([f64; 3], Turn)> = Vec::with_capacity(self.nodes.len());
+        let mut world: Vec<([f64; 3], Rotation)> = Vec::with_capacity(self.nodes.len());
         for (node, before) in self.nodes.iter_mut().zip(before) {
             let (origin, above) = node
                 .parent
-                .map_or(([0.0; 3], Turn::IDENTITY), |parent| world[parent]);
+                .map_or(([0.0; 3], Rotation::IDENTITY), |parent| world[parent]);
             let at = place(frame, node.at);
             let away = [0, 1, 2].map(|axis| at[axis] - origin[axis]);
             let inside = above.inverse().rotate(away).map(|value| value as f32);
@@ -100,21 +100,21 @@ impl Rig {
                 _ => inside,
             };
             let local = if let (None, Some(turns)) = (node.parent, &figure.orientations) {
-                Turn::unit(turns[frame].map(f64::from))
+                Rotation::unit(turns[frame].map(f64::from))
             } else if let Some(end) = node.bone_to {
                 let now = above.inverse().rotate(bone(frame, node.at, end));
-                Turn::between(bone(0, node.at, end), now)
+                Rotation::between(bone(0, node.at, end), now)
             } else if node.fits.is_empty() || frame == 0 {
-                Turn::IDENTITY
+                Rotation::IDENTITY
             } else {
                 let ends = node.fits.iter();
                 let pairs: Vec<_> = ends
                     .map(|end| (bone(0, node.at, *end), bone(frame, node.at, *end)))
                     .collect();
-                above.inverse().times(Turn::fitting(&pairs, *before))
+                above.inverse().times(Rotation::fitting(&pairs, *before))
             };
             let last = node.rotations.last().copied();
-            let local = local.after(last.unwrap_or(Turn::IDENTITY)).rounded();
+            let local = local.after(last.unwrap_or(Rotation::IDENTITY)).rounded();
             *before = above.times(local);
             let moved = above.rotate(translation.map(f64::from));
             let arrived = [0, 1, 2].map(|axis| origin[axis] + moved[axis]);

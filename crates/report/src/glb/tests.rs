@@ -3,7 +3,7 @@ use std::collections::HashMap;
 use gltf::animation::util::ReadOutputs;
 use gltf::{Gltf, Node};
 
-use super::turn::{Turn, dot};
+use super::rotation::{Rotation, dot};
 use super::*;
 use crate::scene::tests::{body, dancer};
 
@@ -22,12 +22,12 @@ fn walker(frames: usize) -> Figure {
     let mut positions = Vec::new();
     for frame in 0..frames {
         let t = frame as f64 / 20.0;
-        let mut turns = vec![Turn::IDENTITY; bones.len()];
+        let mut turns = vec![Rotation::IDENTITY; bones.len()];
         let mut places = vec![[50.0 + 0.5 * t, 0.9, -1.5 * t]; bones.len()];
         for joint in 1..bones.len() {
             let parent = parents[joint].unwrap();
             let swing = (joint as f64 + 2.0 * t).sin();
-            let own = Turn::unit([1.0, 0.4 * swing, 0.7 * t, 0.3 * (t + joint as f64).cos()]);
+            let own = Rotation::unit([1.0, 0.4 * swing, 0.7 * t, 0.3 * (t + joint as f64).cos()]);
             turns[joint] = turns[parent].times(own);
             let stretch = if joint == 4 { 1.0 + 0.1 * swing } else { 1.0 };
             let arm = turns[joint].rotate(bones[joint].map(|value: f64| stretch * value));
@@ -89,14 +89,14 @@ impl Reader {
     }
 
     /// Place and rotation in the world of the nodes of the figure with this name, by node name.
-    fn world(&self, figure: &str, frame: usize) -> HashMap<String, ([f64; 3], Turn)> {
+    fn world(&self, figure: &str, frame: usize) -> HashMap<String, ([f64; 3], Rotation)> {
         let scene = self.gltf.default_scene().unwrap();
         let root = scene
             .nodes()
             .find(|node| node.name() == Some(figure))
             .unwrap();
         let mut world = HashMap::new();
-        self.visit(&root, frame, ([0.0; 3], Turn::IDENTITY), &mut world);
+        self.visit(&root, frame, ([0.0; 3], Rotation::IDENTITY), &mut world);
         world
     }
 
@@ -104,8 +104,8 @@ impl Reader {
         &self,
         node: &Node<'_>,
         frame: usize,
-        (origin, above): ([f64; 3], Turn),
-        world: &mut HashMap<String, ([f64; 3], Turn)>,
+        (origin, above): ([f64; 3], Rotation),
+        world: &mut HashMap<String, ([f64; 3], Rotation)>,
     ) {
         let (mut translation, mut rotation, _) = node.transform().decomposed();
         if let Some((_, values)) = self.tracks.get(&(node.index(), false)) {
@@ -119,7 +119,7 @@ impl Reader {
         let place = [0, 1, 2].map(|axis| origin[axis] + moved[axis]);
         let [x, y, z, w] = rotation.map(f64::from);
         assert!(((x * x + y * y + z * z + w * w).sqrt() - 1.0).abs() < 1e-6);
-        let turn = above.times(Turn::unit([w, x, y, z]));
+        let turn = above.times(Rotation::unit([w, x, y, z]));
         for child in node.children() {
             self.visit(&child, frame, (place, turn), world);
         }

@@ -2,12 +2,12 @@
 
 /// A unit quaternion (w, x, y, z).
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Turn(pub [f64; 4]);
+pub(super) struct Rotation(pub [f64; 4]);
 
 /// Steps that the search for the best rotation takes at most.
 const STEPS: usize = 60;
 
-impl Turn {
+impl Rotation {
     pub const IDENTITY: Self = Self([1.0, 0.0, 0.0, 0.0]);
 
     /// The quaternion with norm 1; the identity where it has none.
@@ -170,27 +170,30 @@ mod tests {
         for from in directions {
             for to in directions {
                 let scale = (dot(from, from) / dot(to, to)).sqrt();
-                let turned = Turn::between(from, to).rotate(from);
+                let turned = Rotation::between(from, to).rotate(from);
                 assert!(
                     near(turned, to.map(|value| scale * value), 1e-9),
                     "{from:?} {to:?}"
                 );
             }
         }
-        assert_eq!(Turn::between([0.0; 3], [1.0, 0.0, 0.0]), Turn::IDENTITY);
+        assert_eq!(
+            Rotation::between([0.0; 3], [1.0, 0.0, 0.0]),
+            Rotation::IDENTITY
+        );
     }
 
     #[test]
     fn a_rotation_is_found_from_what_it_turned() {
-        let known = Turn::unit([0.7, 0.2, -0.6, 0.3]);
+        let known = Rotation::unit([0.7, 0.2, -0.6, 0.3]);
         let rest = [[0.1, -0.4, 0.0], [-0.1, -0.4, 0.05], [0.0, 0.5, 0.1]];
         let pairs = rest.map(|v| (v, known.rotate(v)));
-        let found = Turn::fitting(&pairs, Turn::IDENTITY);
+        let found = Rotation::fitting(&pairs, Rotation::IDENTITY);
         for v in rest {
             assert!(near(found.rotate(v), known.rotate(v), 1e-2), "{found:?}");
         }
-        let again = Turn::fitting(&pairs, found);
+        let again = Rotation::fitting(&pairs, found);
         assert!(near(again.rotate(rest[0]), known.rotate(rest[0]), 1e-3));
-        assert_eq!(Turn::fitting(&[], known), known);
+        assert_eq!(Rotation::fitting(&[], known), known);
     }
 }
