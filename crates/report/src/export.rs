@@ -20,7 +20,7 @@ pub enum ExportError {
         problem: String,
     },
     /// Joints are points: nothing says which bones connect them.
-    #[error("{}: the skeleton of `{figure}` is not known", out.display())]
+    #[error("{}: the skeleton of `{object}` is not known", out.display())]
     #[diagnostic(help(
         "GIF, MP4 and GLB files show bones, and nothing says which of its {joints} joints a bone \
          connects: give a BVH file, or joint positions of a known skeleton (22 joints of HumanML3D, 21 \
@@ -29,8 +29,8 @@ pub enum ExportError {
     NoSkeleton {
         /// The file that was to be written.
         out: PathBuf,
-        /// Name of the figure.
-        figure: String,
+        /// Name of the object.
+        object: String,
         /// Number of its joints.
         joints: usize,
     },
@@ -89,31 +89,31 @@ pub fn check(scene: &Scene, out: &Path) -> Result<(), ExportError> {
         out: out.to_path_buf(),
         problem,
     };
-    if scene.figures.is_empty() {
+    if scene.objects.is_empty() {
         return Err(refused("there is no motion".into()));
     }
-    for figure in &scene.figures {
-        let name = &figure.name;
-        if figure.frames() == 0 {
+    for object in &scene.objects {
+        let name = &object.name;
+        if object.frames() == 0 {
             return Err(refused(format!("`{name}` has no frames")));
         }
-        if !(figure.fps.is_finite() && figure.fps > 0.0) {
+        if !(object.fps.is_finite() && object.fps > 0.0) {
             return Err(refused(format!(
                 "`{name}` has {} frames a second",
-                figure.fps
+                object.fps
             )));
         }
-        let hang = figure.parents.iter().enumerate();
-        let (mut hang, joints) = (hang.skip(1), figure.joints());
+        let hang = object.parents.iter().enumerate();
+        let (mut hang, joints) = (hang.skip(1), object.joints());
         if !hang.all(|(joint, parent)| parent.is_some_and(|p| p < joints && p != joint)) {
             return Err(ExportError::NoSkeleton {
                 out: out.to_path_buf(),
-                figure: name.clone(),
+                object: name.clone(),
                 joints,
             });
         }
-        let turns = figure.orientations.iter().flatten().flatten();
-        let mut numbers = figure.positions.iter().chain(turns);
+        let turns = object.orientations.iter().flatten().flatten();
+        let mut numbers = object.positions.iter().chain(turns);
         if !numbers.all(|number| number.is_finite()) {
             return Err(refused(format!("`{name}` is not finite throughout")));
         }

@@ -12,7 +12,7 @@ use crate::scene::Scene;
 const MOST_FPS: f64 = 20.0;
 /// Colour of pixels that stay as they are.
 const UNCHANGED: u8 = PALETTE.len() as u8;
-/// Pixels of a lone figure, and of each of several.
+/// Pixels of a lone object, and of each of several.
 const ALONE: (u32, u32) = (400, 360);
 /// See [`ALONE`].
 const BESIDE: (u32, u32) = (320, 340);
@@ -38,7 +38,7 @@ pub fn write(scene: &Scene, out: &Path, stop: &dyn Fn() -> bool) -> Result<(), E
 
 /// Pixels that a scene is drawn with.
 pub(crate) fn size(scene: &Scene) -> (u32, u32) {
-    match scene.figures.len() as u32 {
+    match scene.objects.len() as u32 {
         0 | 1 => ALONE,
         count @ 2..=3 => (count * BESIDE.0, BESIDE.1),
         count => {
@@ -206,12 +206,12 @@ fn nearest(pixel: &[u8]) -> u8 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::Figure;
+    use crate::scene::SceneObject;
     use crate::scene::tests::{body, dancer};
 
-    fn scene(figures: Vec<Figure>) -> Scene {
+    fn scene(objects: Vec<SceneObject>) -> Scene {
         Scene {
-            figures,
+            objects,
             ..Scene::default()
         }
     }
@@ -269,9 +269,9 @@ mod tests {
     #[test]
     fn delays_add_up_to_the_length() {
         for fps in [12.0, 20.0, 24.0, 30.0, 60.0, 120.0, 29.97] {
-            let mut figure = dancer(137, 0.0);
-            figure.fps = fps;
-            let scene = scene(vec![figure]);
+            let mut object = dancer(137, 0.0);
+            object.fps = fps;
+            let scene = scene(vec![object]);
             let timing = timing(&scene);
             let total: u32 = timing.iter().map(|(_, delay)| u32::from(*delay)).sum();
             let seconds = 137.0 / fps;
@@ -286,10 +286,10 @@ mod tests {
 
     #[test]
     fn what_stands_still_is_one_picture() {
-        let mut figure = body(1);
-        figure.positions = figure.positions.repeat(60);
-        figure.contacts.clear();
-        let (pictures, delays) = decode(&encoded(&scene(vec![figure]), (80, 80)));
+        let mut object = body(1);
+        object.positions = object.positions.repeat(60);
+        object.contacts.clear();
+        let (pictures, delays) = decode(&encoded(&scene(vec![object]), (80, 80)));
         assert_eq!((pictures.len(), delays), (1, vec![300]));
     }
 
@@ -309,12 +309,12 @@ mod tests {
         let out = folder.path().join("dance.gif");
         let mut broken = body(2);
         broken.positions[0] = f32::NAN;
-        for (figures, reason) in [
+        for (objects, reason) in [
             (vec![], "there is no motion"),
             (vec![body(0)], "`body` has no frames"),
             (vec![broken], "`body` is not finite"),
         ] {
-            let error = write(&scene(figures), &out, &|| false)
+            let error = write(&scene(objects), &out, &|| false)
                 .unwrap_err()
                 .to_string();
             assert!(

@@ -225,7 +225,7 @@ mod tests {
 
     fn scene(song: bool) -> Scene {
         Scene {
-            figures: vec![body(20)],
+            objects: vec![body(20)],
             song: song.then(|| Song {
                 media_type: "audio/mpeg",
                 bytes: b"a song".to_vec(),
@@ -320,7 +320,7 @@ mod tests {
     fn sizes_are_even() {
         for count in 1..20 {
             let scene = Scene {
-                figures: vec![dancer(1, 0.0); count],
+                objects: vec![dancer(1, 0.0); count],
                 ..Scene::default()
             };
             let (width, height) = crate::gif::size(&scene);

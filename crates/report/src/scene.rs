@@ -1,4 +1,4 @@
-//! What viewers, animated pictures and files for other programs show: moving figures, what stands on
+//! What viewers, animated pictures and files for other programs show: moving objects, what stands on
 //! the floor around them, and a song.
 
 /// Figures that move beside one another.
@@ -6,17 +6,17 @@
 pub struct Scene {
     /// Title of the page.
     pub title: String,
-    /// The figures; all start at the same moment.
-    pub figures: Vec<Figure>,
+    /// The objects; all start at the same moment.
+    pub objects: Vec<SceneObject>,
     /// Goal of position control, drawn on the floor.
     pub floor: Floor,
     /// Music that is played with the motion.
     pub song: Option<Song>,
 }
 
-/// A figure in motion. Metres, +y up.
+/// An object in motion. Metres, +y up.
 #[derive(Clone, Debug, Default)]
-pub struct Figure {
+pub struct SceneObject {
     /// Its name.
     pub name: String,
     /// Frames per second.
@@ -103,7 +103,7 @@ pub struct Song {
     pub beats: Vec<f64>,
 }
 
-impl Figure {
+impl SceneObject {
     /// Number of joints.
     pub fn joints(&self) -> usize {
         self.parents.len()
@@ -131,27 +131,27 @@ impl Figure {
 }
 
 impl Scene {
-    /// Length of the longest figure in seconds.
+    /// Length of the longest object in seconds.
     pub fn seconds(&self) -> f64 {
-        let lengths = self.figures.iter().map(Figure::seconds);
+        let lengths = self.objects.iter().map(SceneObject::seconds);
         lengths
             .filter(|length| length.is_finite())
             .fold(0.0, f64::max)
     }
 
-    /// Seconds from one frame to the next of the figure with the most frames per second; 0 without
-    /// figures.
+    /// Seconds from one frame to the next of the object with the most frames per second; 0 without
+    /// objects.
     pub fn frame_seconds(&self) -> f64 {
         let fps = self
-            .figures
+            .objects
             .iter()
-            .map(|figure| figure.fps)
+            .map(|object| object.fps)
             .fold(0.0, f64::max);
         if fps > 0.0 { 1.0 / fps } else { 0.0 }
     }
 }
 
-/// A figure at one moment.
+/// An object at one moment.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Pose {
     /// Place of each joint.
@@ -171,14 +171,14 @@ pub(crate) enum Side {
 /// Radius of a bone in metres, and as a part of its length at most.
 const BONE_RADIUS: (f32, f32) = (0.032, 0.25);
 
-impl Figure {
+impl SceneObject {
     /// The frame that is nearest to a moment.
     pub(crate) fn frame_at(&self, seconds: f64) -> usize {
         let frame = (seconds * self.fps).round().max(0.0) as usize;
         frame.min(self.frames().saturating_sub(1))
     }
 
-    /// The figure at a moment, between two frames too; at its first or last one beyond them.
+    /// The object at a moment, between two frames too; at its first or last one beyond them.
     pub(crate) fn pose(&self, seconds: f64) -> Pose {
         let last = self.frames().saturating_sub(1);
         let place = (seconds * self.fps).clamp(0.0, last as f64);
@@ -275,7 +275,7 @@ pub(crate) mod tests {
 
     /// A body of four joints at 20 frames per second: a root, a head, a left and a right foot. It
     /// goes forward, turns and bends.
-    pub fn body(frames: usize) -> Figure {
+    pub fn body(frames: usize) -> SceneObject {
         let mut positions = Vec::new();
         for frame in 0..frames {
             let t = frame as f32 / 20.0;
@@ -293,7 +293,7 @@ pub(crate) mod tests {
             }
         }
         let names = ["pelvis", "head", "left_foot", "right_foot"];
-        Figure {
+        SceneObject {
             name: "body".into(),
             fps: 20.0,
             positions,
@@ -303,38 +303,38 @@ pub(crate) mod tests {
                 joint: 2,
                 frames: (0..frames).map(|frame| frame % 10 < 5).collect(),
             }],
-            ..Figure::default()
+            ..SceneObject::default()
         }
     }
 
     /// A lone root at 30 frames per second that walks and turns, and faces `yaw` first.
-    pub fn dancer(frames: usize, yaw: f32) -> Figure {
+    pub fn dancer(frames: usize, yaw: f32) -> SceneObject {
         let seconds = |frame: usize| frame as f32 / 30.0;
         let turn = |frame: usize| {
             let half = (yaw + 2.0 * seconds(frame)) / 2.0;
             [half.cos(), 0.0, half.sin(), 0.0]
         };
         let place = |frame: usize| [0.4 * seconds(frame), 0.95, 0.2 * seconds(frame)];
-        Figure {
+        SceneObject {
             name: "phrase".into(),
             fps: 30.0,
             positions: (0..frames).flat_map(place).collect(),
             joint_names: vec!["root".into()],
             parents: vec![None],
             orientations: Some((0..frames).map(turn).collect()),
-            ..Figure::default()
+            ..SceneObject::default()
         }
     }
 
     #[test]
     fn poses_lie_between_frames() {
-        let figure = body(10);
-        let (from, to) = (figure.joint(3, 2), figure.joint(4, 2));
-        assert_eq!(figure.pose(3.0 / 20.0).joints[2], from);
-        let half = figure.pose(3.5 / 20.0).joints[2];
+        let object = body(10);
+        let (from, to) = (object.joint(3, 2), object.joint(4, 2));
+        assert_eq!(object.pose(3.0 / 20.0).joints[2], from);
+        let half = object.pose(3.5 / 20.0).joints[2];
         assert!((0..3).all(|axis| (half[axis] - (from[axis] + to[axis]) / 2.0).abs() < 1e-6));
-        assert_eq!(figure.pose(99.0).joints[2], figure.joint(9, 2));
-        assert_eq!(figure.pose(-1.0).joints[2], figure.joint(0, 2));
+        assert_eq!(object.pose(99.0).joints[2], object.joint(9, 2));
+        assert_eq!(object.pose(-1.0).joints[2], object.joint(0, 2));
         let mut dancer = dancer(3, 0.0);
         let known = dancer.pose(0.05).orientation.unwrap();
         // The same orientation with the other sign.
@@ -357,11 +357,11 @@ pub(crate) mod tests {
             ("neck", Side::Middle),
         ];
         for (name, side) in names {
-            let figure = Figure {
+            let object = SceneObject {
                 joint_names: vec![name.into()],
-                ..Figure::default()
+                ..SceneObject::default()
             };
-            assert_eq!(figure.side(0), side, "{name}");
+            assert_eq!(object.side(0), side, "{name}");
         }
     }
 }

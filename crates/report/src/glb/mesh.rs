@@ -7,7 +7,7 @@ use serde_json::{Value, json};
 use super::document::{ARRAY_BUFFER, Document, push};
 use super::rig::Rig;
 use super::rotation::Rotation;
-use crate::scene::Figure;
+use crate::scene::SceneObject;
 
 /// Corners around a capsule.
 const SIDES: u32 = 10;
@@ -32,20 +32,20 @@ pub(super) struct Mesh {
 
 impl Mesh {
     /// A capsule over every bone, in the bind pose, moved by the node that turns the bone.
-    pub fn skin(figure: &Figure, rig: &Rig, bind: &[[f32; 3]]) -> Self {
+    pub fn skin(object: &SceneObject, rig: &Rig, bind: &[[f32; 3]]) -> Self {
         let mut mesh = Self::default();
         let places: Vec<[f32; 3]> = rig.joints.iter().map(|node| bind[*node]).collect();
         for (index, node) in rig.nodes.iter().enumerate() {
             let Some(end) = node.bone_to else { continue };
-            let radius = figure.bone_radius(end, &places);
+            let radius = object.bone_radius(end, &places);
             if radius > 0.0 {
                 mesh.capsule([bind[index], places[end]], radius);
                 mesh.joints.resize(mesh.places.len(), index as u16);
             }
         }
         for (joint, place) in places.iter().enumerate() {
-            if figure.is_head(joint) {
-                let radius = 2.6 * figure.bone_radius(joint, &places);
+            if object.is_head(joint) {
+                let radius = 2.6 * object.bone_radius(joint, &places);
                 mesh.capsule([*place, *place], radius);
                 mesh.joints
                     .resize(mesh.places.len(), rig.joints[joint] as u16);

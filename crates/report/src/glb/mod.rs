@@ -24,7 +24,7 @@ use std::path::Path;
 use serde_json::json;
 
 use crate::export::{self, ExportError};
-use crate::scene::{Figure, Scene};
+use crate::scene::{SceneObject, Scene};
 use document::{Document, push};
 use mesh::Mesh;
 use rig::Rig;
@@ -43,26 +43,26 @@ pub fn write(scene: &Scene, out: &Path) -> Result<(), ExportError> {
 
 fn encode(scene: &Scene) -> Vec<u8> {
     let mut document = Document::default();
-    let spacing = scene.figures.iter().map(width).fold(0.0, f32::max) + GAP;
-    for (index, figure) in scene.figures.iter().enumerate() {
-        add(&mut document, figure, [spacing * index as f32, 0.0, 0.0]);
+    let spacing = scene.objects.iter().map(width).fold(0.0, f32::max) + GAP;
+    for (index, object) in scene.objects.iter().enumerate() {
+        add(&mut document, object, [spacing * index as f32, 0.0, 0.0]);
     }
     document.finish(&scene.title, mesh::material())
 }
 
 /// Extent along x over all frames, metres.
-fn width(figure: &Figure) -> f32 {
-    let x = || figure.positions.chunks_exact(3).map(|place| place[0]);
+fn width(object: &SceneObject) -> f32 {
+    let x = || object.positions.chunks_exact(3).map(|place| place[0]);
     x().fold(f32::MIN, f32::max) - x().fold(f32::MAX, f32::min)
 }
 
 /// Adds an object: a node for itself, the nodes of its joints, their animation and a mesh.
-fn add(document: &mut Document, figure: &Figure, place: [f32; 3]) {
-    let rig = Rig::new(figure);
+fn add(document: &mut Document, object: &SceneObject, place: [f32; 3]) {
+    let rig = Rig::new(object);
     let first = document.nodes.len() + 1;
     let holder = push(
         &mut document.nodes,
-        json!({ "name": figure.name, "translation": place, "children": [first] }),
+        json!({ "name": object.name, "translation": place, "children": [first] }),
     );
     document.roots.push(holder);
     for (index, joint) in rig.nodes.iter().enumerate() {
@@ -79,13 +79,13 @@ fn add(document: &mut Document, figure: &Figure, place: [f32; 3]) {
         }
         document.nodes.push(node);
     }
-    animate(document, figure, &rig, first);
-    add_mesh(document, figure, &rig, first, place);
+    animate(document, object, &rig, first);
+    add_mesh(document, object, &rig, first, place);
 }
 
 /// Adds the animation of nodes that move; `first` is the node of the first joint.
-fn animate(document: &mut Document, figure: &Figure, rig: &Rig, first: usize) {
-    let times = (0..figure.frames()).map(|frame| [(frame as f64 / figure.fps) as f32]);
+fn animate(document: &mut Document, object: &SceneObject, rig: &Rig, first: usize) {
+    let times = (0..object.frames()).map(|frame| [(frame as f64 / object.fps) as f32]);
     let times = document.ranged(&times.collect::<Vec<_>>(), None);
     for (index, joint) in rig.nodes.iter().enumerate() {
         let (translations, rotations) = (&joint.translations, &joint.rotations);
@@ -108,18 +108,18 @@ fn animate(document: &mut Document, figure: &Figure, rig: &Rig, first: usize) {
 }
 
 /// Adds a skin over the bones, or the body of a lone root.
-fn add_mesh(document: &mut Document, figure: &Figure, rig: &Rig, first: usize, place: [f32; 3]) {
-    if figure.joints() == 1 {
-        let mesh = match figure.orientations {
+fn add_mesh(document: &mut Document, object: &SceneObject, rig: &Rig, first: usize, place: [f32; 3]) {
+    if object.joints() == 1 {
+        let mesh = match object.orientations {
             Some(_) => Mesh::body(),
             None => Mesh::ball(),
         };
-        let mesh = mesh.push(document, &figure.name);
+        let mesh = mesh.push(document, &object.name);
         document.nodes[first]["mesh"] = json!(mesh);
         return;
     }
     let bind = rig.bind(place);
-    let mesh = Mesh::skin(figure, rig, &bind).push(document, &figure.name);
+    let mesh = Mesh::skin(object, rig, &bind).push(document, &object.name);
     let inverse = bind.iter().map(|[x, y, z]| {
         let mut matrix = [0.0; 16];
         for diagonal in [0, 5, 10, 15] {
@@ -131,11 +131,11 @@ fn add_mesh(document: &mut Document, figure: &Figure, rig: &Rig, first: usize, p
     let inverse = document.floats(&inverse.collect::<Vec<_>>(), None);
     let joints: Vec<usize> = (first..first + rig.nodes.len()).collect();
     let skin = json!({
-        "inverseBindMatrices": inverse, "joints": joints, "name": figure.name, "skeleton": first,
+        "inverseBindMatrices": inverse, "joints": joints, "name": object.name, "skeleton": first,
     });
     let skin = push(&mut document.skins, skin);
     // The transform of a node with a skin is ignored, so it has no parent.
-    let node = json!({ "name": format!("{} skin", figure.name), "mesh": mesh, "skin": skin });
+    let node = json!({ "name": format!("{} skin", object.name), "mesh": mesh, "skin": skin });
     let node = push(&mut document.nodes, node);
     document.roots.push(node);
 }

@@ -1,16 +1,16 @@
 //! From joint positions to nodes with translations and rotations.
 
 use super::rotation::Rotation;
-use crate::scene::Figure;
+use crate::scene::SceneObject;
 
 /// A translation that stays this near to that of the first frame, in metres, is that of the first
 /// frame: bones of fixed length need no animation.
 const STILL: f64 = 5e-6;
 
-/// The nodes of a figure, each after its parent.
+/// The nodes of an object, each after its parent.
 pub(super) struct Rig {
     pub nodes: Vec<RigNode>,
-    /// The node of each of the figure's joints.
+    /// The node of each of the object's joints.
     pub joints: Vec<usize>,
 }
 
@@ -22,7 +22,7 @@ pub(super) struct RigNode {
     pub bone_to: Option<usize>,
     /// The joints that it turns as fits them best.
     fits: Vec<usize>,
-    /// The figure's joint at its place.
+    /// The object's joint at its place.
     at: usize,
     /// Within the parent, one per frame.
     pub translations: Vec<[f32; 3]>,
@@ -31,28 +31,28 @@ pub(super) struct RigNode {
 }
 
 impl Rig {
-    pub fn new(figure: &Figure) -> Self {
-        let mut rig = Self::tree(figure);
+    pub fn new(object: &SceneObject) -> Self {
+        let mut rig = Self::tree(object);
         let mut before = vec![Rotation::IDENTITY; rig.nodes.len()];
-        for frame in 0..figure.frames() {
-            rig.pose(figure, frame, &mut before);
+        for frame in 0..object.frames() {
+            rig.pose(object, frame, &mut before);
         }
         rig
     }
 
     /// The nodes before they move: parents first, whatever the order of the joints.
-    fn tree(figure: &Figure) -> Self {
+    fn tree(object: &SceneObject) -> Self {
         let children = |joint: usize| -> Vec<usize> {
-            let all = 0..figure.joints();
-            all.filter(|child| figure.parents[*child] == Some(joint))
+            let all = 0..object.joints();
+            all.filter(|child| object.parents[*child] == Some(joint))
                 .collect()
         };
         let mut nodes: Vec<RigNode> = Vec::new();
-        let mut joints = vec![0; figure.joints()];
+        let mut joints = vec![0; object.joints()];
         let mut waiting = vec![(0, None)];
         while let Some((joint, parent)) = waiting.pop() {
             let below = children(joint);
-            let name = figure.joint_names.get(joint).cloned();
+            let name = object.joint_names.get(joint).cloned();
             let name = name.unwrap_or_else(|| format!("joint_{joint}"));
             let place = nodes.len();
             joints[joint] = place;
@@ -66,7 +66,7 @@ impl Rig {
             for child in below.iter().rev() {
                 let mut turned_by = place;
                 if below.len() > 1 {
-                    let end = figure.joint_names.get(*child).cloned();
+                    let end = object.joint_names.get(*child).cloned();
                     let end = end.unwrap_or_else(|| format!("joint_{child}"));
                     turned_by = nodes.len();
                     let name = format!("{name}_to_{end}");
@@ -79,8 +79,8 @@ impl Rig {
     }
 
     /// Adds a frame; `before` are the turns of all nodes in the world in the frame before.
-    fn pose(&mut self, figure: &Figure, frame: usize, before: &mut [Rotation]) {
-        let place = |frame: usize, joint: usize| figure.joint(frame, joint).map(f64::from);
+    fn pose(&mut self, object: &SceneObject, frame: usize, before: &mut [Rotation]) {
+        let place = |frame: usize, joint: usize| object.joint(frame, joint).map(f64::from);
         let bone = |frame: usize, from: usize, to: usize| {
             let (a, b) = (place(frame, from), place(frame, to));
             [0, 1, 2].map(|axis| b[axis] - a[axis])
@@ -99,7 +99,7 @@ impl Rig {
                 (Some(first), Some(_)) if near(*first, inside) => *first,
                 _ => inside,
             };
-            let local = if let (None, Some(turns)) = (node.parent, &figure.orientations) {
+            let local = if let (None, Some(turns)) = (node.parent, &object.orientations) {
                 Rotation::unit(turns[frame].map(f64::from))
             } else if let Some(end) = node.bone_to {
                 let now = above.inverse().rotate(bone(frame, node.at, end));
@@ -124,7 +124,7 @@ impl Rig {
         }
     }
 
-    /// Where the nodes are in the bind pose, which is the first frame, with the figure at `place`.
+    /// Where the nodes are in the bind pose, which is the first frame, with the object at `place`.
     pub fn bind(&self, place: [f32; 3]) -> Vec<[f32; 3]> {
         let mut places: Vec<[f32; 3]> = Vec::with_capacity(self.nodes.len());
         for node in &self.nodes {

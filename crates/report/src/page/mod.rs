@@ -49,7 +49,7 @@ pub enum Block {
     Table(Table),
     /// Charts beside one another.
     Charts(Vec<Chart>),
-    /// Moving figures beside one another.
+    /// Moving objects beside one another.
     Scenes(Vec<Thumbnail>),
     /// A long table, folded away below its title.
     Folded {

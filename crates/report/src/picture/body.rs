@@ -1,7 +1,7 @@
 //! A body along its path: poses from the side, the way from above, when the feet stand.
 
 use super::panel::{Panel, Pose};
-use crate::scene::{Figure, Floor};
+use crate::scene::{SceneObject, Floor};
 
 /// Metres that a body must move for its poses to stand where they are.
 const ALONG: f64 = 2.0;
@@ -21,16 +21,16 @@ const SIDES: usize = 48;
 
 /// The poses of a body, its path from above with what stands on the floor, and when its feet stand
 /// on the ground; of a lone root the path alone.
-pub fn body_panels(figure: &Figure, floor: &Floor) -> Vec<Panel> {
+pub fn body_panels(object: &SceneObject, floor: &Floor) -> Vec<Panel> {
     let mut panels = Vec::new();
-    panels.extend(poses(figure));
-    panels.push(path(figure, floor));
-    panels.extend(contacts(figure));
+    panels.extend(poses(object));
+    panels.push(path(object, floor));
+    panels.extend(contacts(object));
     panels
 }
 
-fn path(figure: &Figure, floor: &Floor) -> Panel {
-    let root = (0..figure.frames()).map(|t| figure.joint(t, 0));
+fn path(object: &SceneObject, floor: &Floor) -> Panel {
+    let root = (0..object.frames()).map(|t| object.joint(t, 0));
     let root = root.map(|[x, _, z]| (x.into(), z.into())).collect();
     let mut series = vec![("path".to_string(), root)];
     if !floor.path.is_empty() {
@@ -56,27 +56,27 @@ fn path(figure: &Figure, floor: &Floor) -> Panel {
     })
 }
 
-fn contacts(figure: &Figure) -> Option<Panel> {
-    let tracks = figure.contacts.iter().map(|contact| {
-        let name = figure.joint_names.get(contact.joint);
+fn contacts(object: &SceneObject) -> Option<Panel> {
+    let tracks = object.contacts.iter().map(|contact| {
+        let name = object.joint_names.get(contact.joint);
         (
             name.map_or("foot", String::as_str),
             contact.frames.as_slice(),
         )
     });
-    let any = !figure.contacts.is_empty();
-    any.then(|| Panel::strip("on the ground", figure.fps, tracks))
+    let any = !object.contacts.is_empty();
+    any.then(|| Panel::strip("on the ground", object.fps, tracks))
 }
 
 /// Poses at even moments: where they are if the body goes somewhere, else side by side.
-fn poses(figure: &Figure) -> Option<Panel> {
-    if figure.joints() < 2 || figure.frames() == 0 {
+fn poses(object: &SceneObject) -> Option<Panel> {
+    if object.joints() < 2 || object.frames() == 0 {
         return None;
     }
-    let frames = figure.frames();
-    let axis = direction(figure);
+    let frames = object.frames();
+    let axis = direction(object);
     let along = |frame: usize, joint: usize| {
-        let [x, _, z] = figure.joint(frame, joint).map(f64::from);
+        let [x, _, z] = object.joint(frame, joint).map(f64::from);
         x * axis[0] + z * axis[1]
     };
     let ways = (0..frames).map(|t| along(t, 0));
@@ -87,10 +87,10 @@ fn poses(figure: &Figure) -> Option<Panel> {
         false => BESIDE,
     };
     let count = count.min(frames);
-    let loose: Vec<usize> = (0..figure.joints())
-        .filter(|joint| figure.parents[*joint].is_none() && !figure.parents.contains(&Some(*joint)))
+    let loose: Vec<usize> = (0..object.joints())
+        .filter(|joint| object.parents[*joint].is_none() && !object.parents.contains(&Some(*joint)))
         .collect();
-    let digits = if count as f64 > 10.0 * figure.seconds() {
+    let digits = if count as f64 > 10.0 * object.seconds() {
         2
     } else {
         1
@@ -103,16 +103,16 @@ fn poses(figure: &Figure) -> Option<Panel> {
             false => APART * index as f64 - along(frame, 0),
         };
         let place = |joint: usize| {
-            let height = f64::from(figure.joint(frame, joint)[1]);
+            let height = f64::from(object.joint(frame, joint)[1]);
             (along(frame, joint) + shift, height)
         };
-        let bones = figure.parents.iter().enumerate();
+        let bones = object.parents.iter().enumerate();
         let bones =
             bones.filter_map(|(joint, parent)| parent.map(|parent| [place(parent), place(joint)]));
         let joints = loose.iter().map(|&joint| place(joint));
-        let heights = (0..figure.joints()).map(|joint| place(joint).1);
+        let heights = (0..object.joints()).map(|joint| place(joint).1);
         Pose {
-            label: format!("{:.*} s", digits, frame as f64 / figure.fps),
+            label: format!("{:.*} s", digits, frame as f64 / object.fps),
             top: (place(0).0, super::axes::extremes(heights).1 + 0.1),
             bones: bones.collect(),
             joints: joints.collect(),
@@ -126,10 +126,10 @@ fn poses(figure: &Figure) -> Option<Panel> {
 }
 
 /// The unit vector (x, z) along which the root moves most, towards where it ends.
-fn direction(figure: &Figure) -> [f64; 2] {
-    let track: Vec<[f64; 2]> = (0..figure.frames())
+fn direction(object: &SceneObject) -> [f64; 2] {
+    let track: Vec<[f64; 2]> = (0..object.frames())
         .map(|t| {
-            let [x, _, z] = figure.joint(t, 0);
+            let [x, _, z] = object.joint(t, 0);
             [x.into(), z.into()]
         })
         .collect();
@@ -154,16 +154,16 @@ mod tests {
     use super::*;
 
     /// A mast of one metre that goes along z, metres a frame.
-    fn mast(step: f32) -> Figure {
+    fn mast(step: f32) -> SceneObject {
         let frames = (0..20).flat_map(|t| {
             let z = step * t as f32;
             [0.0, 0.0, z, 0.0, 1.0, z]
         });
-        Figure {
+        SceneObject {
             fps: 10.0,
             positions: frames.collect(),
             parents: vec![None, Some(0)],
-            ..Figure::default()
+            ..SceneObject::default()
         }
     }
 

@@ -3,7 +3,7 @@
 
 mod camera;
 mod canvas;
-mod figure;
+mod object;
 mod floor;
 mod label;
 mod painter;
@@ -60,7 +60,7 @@ impl Image {
     }
 }
 
-/// The scene at a moment, `size` pixels wide and high, at least 16 each: every figure seen from
+/// The scene at a moment, `size` pixels wide and high, at least 16 each: every object seen from
 /// the front at an angle, several beside one another. The camera holds the whole motion, or follows
 /// the root where that goes far.
 pub fn picture(scene: &Scene, seconds: f64, size: (u32, u32)) -> Image {
@@ -101,10 +101,10 @@ mod tests {
         found
     }
 
-    fn scene(figures: Vec<crate::scene::Figure>) -> Scene {
+    fn scene(objects: Vec<crate::scene::SceneObject>) -> Scene {
         Scene {
             title: "test".into(),
-            figures,
+            objects,
             ..Scene::default()
         }
     }
@@ -155,7 +155,7 @@ mod tests {
     }
 
     #[test]
-    fn figures_stand_beside_one_another() {
+    fn objects_stand_beside_one_another() {
         let two = picture(&scene(vec![body(10), body(10)]), 0.0, (400, 150));
         let left = extent(&two, LEFT).unwrap();
         assert!(left[0] < 200 && left[2] > 200, "{left:?}");
@@ -220,8 +220,8 @@ mod tests {
 
     #[test]
     fn odd_scenes_draw_something() {
-        for figures in [vec![], vec![crate::scene::Figure::default()]] {
-            let image = picture(&scene(figures), 1.0, (32, 32));
+        for objects in [vec![], vec![crate::scene::SceneObject::default()]] {
+            let image = picture(&scene(objects), 1.0, (32, 32));
             assert_eq!(image.rgb.len(), 3 * 32 * 32);
         }
         let mut broken = body(3);

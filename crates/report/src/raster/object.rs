@@ -3,7 +3,7 @@
 use super::Image;
 use super::camera::{Camera, Seen};
 use super::palette::{CONTACT, EDGE, FRONT, LEFT, MIDDLE, NOSE, RIGHT, SHADOW};
-use crate::scene::{Figure, Pose, Side, rotate};
+use crate::scene::{SceneObject, Pose, Side, rotate};
 
 /// Half sizes of an oriented body in metres: to its side, up and to its front.
 const BODY: [f32; 3] = [0.17, 0.26, 0.1];
@@ -37,19 +37,19 @@ enum Shape {
     },
 }
 
-/// Draws a figure as it stands in `pose`, with its shadow; `standing` are the joints with contact.
+/// Draws an object as it stands in `pose`, with its shadow; `standing` are the joints with contact.
 pub(super) fn draw(
     image: &mut Image,
     camera: &Camera,
-    figure: &Figure,
+    object: &SceneObject,
     pose: &Pose,
     standing: &[usize],
 ) {
-    shadow(image, camera, figure, pose);
+    shadow(image, camera, object, pose);
     let mut parts = Vec::new();
     match pose.orientation {
         Some(orientation) => body(&mut parts, camera, pose.joints[0], orientation),
-        None => limbs(&mut parts, camera, figure, pose),
+        None => limbs(&mut parts, camera, object, pose),
     }
     for joint in standing {
         if let Some(seen) = camera.see(pose.joints[*joint]) {
@@ -90,23 +90,23 @@ fn limb(ends: [Seen; 2], radii: [f32; 2], colour: [u8; 3], nearer: f32) -> Part 
     }
 }
 
-fn limbs(parts: &mut Vec<Part>, camera: &Camera, figure: &Figure, pose: &Pose) {
-    let colour = |joint: usize| match figure.side(joint) {
+fn limbs(parts: &mut Vec<Part>, camera: &Camera, object: &SceneObject, pose: &Pose) {
+    let colour = |joint: usize| match object.side(joint) {
         Side::Left => LEFT,
         Side::Right => RIGHT,
         Side::Middle => MIDDLE,
     };
     for (joint, place) in pose.joints.iter().enumerate() {
-        let radius = figure.bone_radius(joint, &pose.joints);
-        let end = match figure.parents[joint] {
+        let radius = object.bone_radius(joint, &pose.joints);
+        let end = match object.parents[joint] {
             Some(parent) => pose.joints[parent],
-            None if figure.joints() == 1 => *place,
+            None if object.joints() == 1 => *place,
             None => continue,
         };
         if let Some(seen) = camera.line(end, *place) {
             parts.push(limb(seen, [radius; 2], colour(joint), 0.0));
         }
-        if let (true, Some(seen)) = (figure.is_head(joint), camera.see(*place)) {
+        if let (true, Some(seen)) = (object.is_head(joint), camera.see(*place)) {
             parts.push(limb([seen, seen], [2.6 * radius; 2], colour(joint), 0.0));
         }
     }
@@ -167,15 +167,15 @@ fn body(parts: &mut Vec<Part>, camera: &Camera, centre: [f32; 3], orientation: [
     }
 }
 
-/// The shadow of the figure, right below it.
-fn shadow(image: &mut Image, camera: &Camera, figure: &Figure, pose: &Pose) {
+/// The shadow of the object, right below it.
+fn shadow(image: &mut Image, camera: &Camera, object: &SceneObject, pose: &Pose) {
     let ground = |joint: usize| {
         let [x, _, z] = pose.joints[joint];
         [x, 0.0, z]
     };
     for joint in 0..pose.joints.len() {
-        let end = figure.parents[joint].unwrap_or(joint);
-        let lone = figure.joints() == 1;
+        let end = object.parents[joint].unwrap_or(joint);
+        let lone = object.joints() == 1;
         let radius = if lone { BODY[0] } else { 0.04 };
         if let Some([a, b]) = camera.line(ground(end), ground(joint)) {
             image.stroke([a.at, b.at], [radius * a.scale, radius * b.scale], SHADOW);

@@ -16,7 +16,7 @@ pub const POSITION_ERROR: f64 = 0.0002;
 /// Step between levels that is fine enough for positions of people, metres.
 const FINE: f64 = 0.0001;
 
-/// Least number of levels over the spread of a figure that fine steps still leave.
+/// Least number of levels over the spread of an object that fine steps still leave.
 const LEAST_LEVELS: f64 = 8192.0;
 
 /// The level of a number of a curve that is not finite: nothing is drawn there.
@@ -24,7 +24,7 @@ const GAP: u16 = u16::MAX;
 
 /// Positions `[frames, joints, 3]` as a pack of `3 * joints` channels.
 ///
-/// With 16 bits a coordinate is at most half a step off: steps are 0.1 mm where the figure keeps
+/// With 16 bits a coordinate is at most half a step off: steps are 0.1 mm where the object keeps
 /// within 6.5 m, and grow with the spread. A spread in which half a step exceeded
 /// [`POSITION_ERROR`] (26 m) is stored as the values are, in single precision.
 pub fn positions(values: &[f32], joints: usize) -> Value {

@@ -1,8 +1,8 @@
-//! Pages that show a [`Scene`]: figures in motion to look at from all sides, with music, curves and
+//! Pages that show a [`Scene`]: objects in motion to look at from all sides, with music, curves and
 //! what stands on the floor. A page is one file that needs no network.
 //!
 //! Positions are stored to 0.2 mm at worst (see [`encode`]). The drawing is ours, on a 2D canvas:
-//! it needs no graphics processor, and any number of figures fit on a page.
+//! it needs no graphics processor, and any number of objects fit on a page.
 
 mod encode;
 #[cfg(test)]
@@ -16,7 +16,7 @@ use base64::prelude::BASE64_STANDARD;
 use serde_json::{Value, json};
 
 use crate::page::escape;
-use crate::scene::{Contact, Figure, Floor, Origins, Scene, Song};
+use crate::scene::{Contact, SceneObject, Floor, Origins, Scene, Song};
 
 /// What pages with viewers may load, for `<meta http-equiv="Content-Security-Policy">`: only what
 /// stands in the page itself.
@@ -84,28 +84,28 @@ fn inert(json: &Value) -> String {
 }
 
 fn scene_json(scene: &Scene, small: bool) -> Value {
-    let figures: Vec<Value> = scene
-        .figures
+    let objects: Vec<Value> = scene
+        .objects
         .iter()
-        .map(|figure| figure_json(figure, small))
+        .map(|object| object_json(object, small))
         .collect();
     let song = scene.song.as_ref().filter(|_| !small);
     json!({
         "title": scene.title,
-        "figures": figures,
+        "figures": objects,
         "floor": floor_json(&scene.floor),
         "song": song.map(song_json),
     })
 }
 
-fn figure_json(figure: &Figure, small: bool) -> Value {
-    let frames = figure.frames();
-    let parents = figure.parents.iter().map(|parent| match parent {
+fn object_json(object: &SceneObject, small: bool) -> Value {
+    let frames = object.frames();
+    let parents = object.parents.iter().map(|parent| match parent {
         Some(parent) => json!(parent),
         None => json!(-1),
     });
-    let contacts = figure.contacts.iter();
-    let charts = figure.curves.iter().filter(|_| !small);
+    let contacts = object.contacts.iter();
+    let charts = object.curves.iter().filter(|_| !small);
     let series: Vec<&[f32]> = charts
         .clone()
         .flat_map(|chart| chart.series.iter().map(|(_, values)| values.as_slice()))
@@ -115,17 +115,17 @@ fn figure_json(figure: &Figure, small: bool) -> Value {
         json!({ "title": chart.title, "series": names })
     });
     json!({
-        "name": figure.name,
-        "fps": figure.fps,
+        "name": object.name,
+        "fps": object.fps,
         "frames": frames,
-        "joints": figure.joint_names,
+        "joints": object.joint_names,
         "parents": parents.collect::<Vec<_>>(),
-        "positions": encode::positions(&figure.positions, figure.joints()),
-        "orientations": figure.orientations.as_deref().map(encode::orientations),
+        "positions": encode::positions(&object.positions, object.joints()),
+        "orientations": object.orientations.as_deref().map(encode::orientations),
         "contacts": contacts.map(contact_json).collect::<Vec<_>>(),
         "charts": named.collect::<Vec<_>>(),
         "curves": encode::curves(&series, frames),
-        "origins": figure.origins.as_ref().filter(|_| !small).map(origins_json),
+        "origins": object.origins.as_ref().filter(|_| !small).map(origins_json),
     })
 }
 

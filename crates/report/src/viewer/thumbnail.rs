@@ -5,7 +5,7 @@ use serde_json::{Value, json};
 use super::{DATA, element, scene_json};
 use crate::scene::Scene;
 
-/// A figure or several as a small viewer: it loops while it is on the screen, and has neither curves
+/// An object or several as a small viewer: it loops while it is on the screen, and has neither curves
 /// nor song.
 #[derive(Clone, Debug)]
 pub struct Thumbnail {
@@ -23,7 +23,7 @@ impl From<Scene> for Thumbnail {
 }
 
 impl Thumbnail {
-    /// A thumbnail of each figure in a [page](super::page); none where the text is no such page.
+    /// A thumbnail of each object in a [page](super::page); none where the text is no such page.
     pub fn of_page(page: &str) -> Vec<Self> {
         let data = || {
             let [begin, end] = DATA;
@@ -34,22 +34,22 @@ impl Thumbnail {
         let Some(mut scene) = data() else {
             return Vec::new();
         };
-        let figures = scene
+        let objects = scene
             .get_mut("figures")
             .and_then(Value::as_array_mut)
             .map(std::mem::take);
         let floor = scene.get_mut("floor").map(Value::take);
-        let thumbnails = figures.unwrap_or_default().into_iter();
-        let thumbnails = thumbnails.filter(Value::is_object).map(|mut figure| {
-            let title = figure["name"].as_str().unwrap_or_default().to_owned();
+        let thumbnails = objects.unwrap_or_default().into_iter();
+        let thumbnails = thumbnails.filter(Value::is_object).map(|mut object| {
+            let title = object["name"].as_str().unwrap_or_default().to_owned();
             // What a small viewer does not show.
-            let frames = figure["frames"].as_u64().unwrap_or_default() as usize;
-            figure["charts"] = json!([]);
-            figure["curves"] = super::encode::curves(&[], frames);
+            let frames = object["frames"].as_u64().unwrap_or_default() as usize;
+            object["charts"] = json!([]);
+            object["curves"] = super::encode::curves(&[], frames);
             Self {
                 data: json!({
                     "title": title,
-                    "figures": [figure],
+                    "figures": [object],
                     "floor": floor,
                     "song": null,
                 }),
@@ -68,21 +68,21 @@ impl Thumbnail {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::Figure;
+    use crate::scene::SceneObject;
     use crate::scene::tests::{body, dancer};
     use crate::viewer::page;
 
     #[test]
-    fn a_page_gives_the_thumbnails_of_its_figures() {
-        let figures = [body(12), dancer(20, 0.5)];
-        let scene = |figures: &[Figure]| Scene {
-            title: figures[0].name.clone(),
-            figures: figures.to_vec(),
+    fn a_page_gives_the_thumbnails_of_its_objects() {
+        let objects = [body(12), dancer(20, 0.5)];
+        let scene = |objects: &[SceneObject]| Scene {
+            title: objects[0].name.clone(),
+            objects: objects.to_vec(),
             ..Scene::default()
         };
-        let found = Thumbnail::of_page(&page(&scene(&figures)));
+        let found = Thumbnail::of_page(&page(&scene(&objects)));
         let found: Vec<String> = found.iter().map(Thumbnail::html).collect();
-        let each = figures.map(|figure| Thumbnail::from(scene(&[figure])).html());
+        let each = objects.map(|object| Thumbnail::from(scene(&[object])).html());
         assert_eq!(found, each);
     }
 
