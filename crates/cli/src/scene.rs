@@ -13,7 +13,7 @@ use kinegrad_motion::humanml::Joints;
 use kinegrad_motion::phrase::QUATERNION;
 use kinegrad_motion::{CHANNELS, Motion as Phrase, Phrases, Representation};
 use kinegrad_report::Panel;
-use kinegrad_report::scene::{Curves, SceneObject, Floor, Scene};
+use kinegrad_report::scene::{Curves, Floor, Scene, SceneObject};
 use kinegrad_train::Error;
 use kinegrad_train::systems::Systems;
 use kinegrad_train::systems::gmd::read_goal;

@@ -9,7 +9,7 @@ use kinegrad_motion::Quaternion;
 use kinegrad_motion::rotation::length;
 
 use crate::smoothing::smooth;
-use crate::{Error, Figure, Frames, Held, rotation6d};
+use crate::{Error, Frames, Held, MotionMatrix, rotation6d};
 
 /// Mean jerk of the second around a key frame, as a part of that elsewhere, at most.
 const AROUND: f64 = 1.4;
@@ -79,7 +79,7 @@ pub fn jerk_around(jerks: &[f64], frame: f64, rate: f64) -> [f64; 2] {
 /// or no smoothing helps. `around`: whether the last frame is followed by the first; then both sides of
 /// that seam are smoothed alike. Otherwise the ends are free.
 pub(crate) fn around_keyframes(
-    figure: &Figure,
+    layout: &MotionMatrix,
     frames: &mut Frames,
     held: &[Held],
     around: bool,
@@ -90,7 +90,7 @@ pub(crate) fn around_keyframes(
     }
     // What calms one may leave less of the rest for another to be measured by.
     for _ in 0..ROUNDS {
-        if !around_each(figure, frames, held, around)? {
+        if !around_each(layout, frames, held, around)? {
             break;
         }
     }
@@ -99,7 +99,7 @@ pub(crate) fn around_keyframes(
 
 /// Smooths a motion around each of its key frames in turn, and says whether anything was.
 fn around_each(
-    figure: &Figure,
+    layout: &MotionMatrix,
     frames: &mut Frames,
     held: &[Held],
     around: bool,
@@ -112,7 +112,7 @@ fn around_each(
         };
         let key = Held::frame(*at, n);
         if !around {
-            changed |= around_one(figure, frames, held, key, false)?;
+            changed |= around_one(layout, frames, held, key, false)?;
             continue;
         }
         // A loop is the same from any frame on: with the key frame in its middle it has no end there.
@@ -141,7 +141,7 @@ fn around_each(
         });
         let moved: Vec<Held> = moved.collect();
         frames.values_mut().rotate_left(shift * channels);
-        let smoothed = around_one(figure, frames, &moved, middle, true);
+        let smoothed = around_one(layout, frames, &moved, middle, true);
         frames.values_mut().rotate_right(shift * channels);
         changed |= smoothed?;
     }
@@ -151,14 +151,14 @@ fn around_each(
 /// Smooths a motion around the key frame at `key`, and says whether it was needed; `keep_ends`: whether
 /// its ends stay as they are.
 fn around_one(
-    figure: &Figure,
+    layout: &MotionMatrix,
     frames: &mut Frames,
     held: &[Held],
     key: usize,
     keep_ends: bool,
 ) -> Result<bool, Error> {
     let (n, key) = (frames.frames(), key as f64);
-    let rate = 1.0 / figure.frame_time();
+    let rate = 1.0 / layout.frame_time();
     let fade = |t: usize| {
         let beyond = (t as f64 + 1.5 - key).abs() - NEAR * rate;
         (1.0 - beyond / (FADE * rate)).clamp(0.0, 1.0).powi(3)
@@ -167,7 +167,7 @@ fn around_one(
     let mut strength = FIRST;
     let mut needed = false;
     for _ in 0..MOST {
-        let [near, rest] = jerk_around(&jerks(&figure.bvh(frames)?), key, rate);
+        let [near, rest] = jerk_around(&jerks(&layout.to_bvh(frames)?), key, rate);
         if near <= AROUND * rest || rest == 0.0 {
             break;
         }
@@ -188,7 +188,7 @@ fn around_one(
 /// the 95th percentile of the motions that it is made of. Joints that hang on a fixed one are smoothed
 /// as they are in the world: a back that is steady within its hips trembles with them.
 pub(crate) fn over_fixed_parts(
-    figure: &Figure,
+    layout: &MotionMatrix,
     frames: &mut Frames,
     held: &[Held],
     usual: f64,
@@ -196,12 +196,12 @@ pub(crate) fn over_fixed_parts(
     if frames.frames() < SHORTEST {
         return Ok(());
     }
-    let border = Border::of(figure, frames, held)?;
+    let border = Border::of(layout, frames, held)?;
     let mut voted = frames.clone();
     border.to_world(&mut voted);
     let mut strengths = vec![0.0; frames.frames() - 3];
     for _ in 0..MOST_OVER {
-        let jerks = jerks(&figure.bvh(frames)?);
+        let jerks = jerks(&layout.to_bvh(frames)?);
         let above = |t: usize| jerks[t] > OVER * usual;
         let near = |t: usize| t.saturating_sub(3)..(t + 4).min(jerks.len());
         let reached = (0..jerks.len()).map(|t| near(t).any(above));
@@ -226,18 +226,18 @@ struct Border {
 }
 
 impl Border {
-    fn of(figure: &Figure, frames: &Frames, held: &[Held]) -> Result<Self, Error> {
+    fn of(layout: &MotionMatrix, frames: &Frames, held: &[Held]) -> Result<Self, Error> {
         let is_fixed = |joint: usize| {
-            let first = figure.rotation_of(joint).start;
+            let first = layout.rotation_of(joint).start;
             held.iter().any(|held| match held {
                 Held::Channels { channels, .. } => channels.contains(&first),
                 Held::Keyframe { .. } => false,
             })
         };
-        let bvh = figure.bvh(frames)?;
+        let bvh = layout.to_bvh(frames)?;
         let world = (0..bvh.frames()).map(|t| bvh.world(t));
         let world: Vec<Vec<RootPose>> = world.collect();
-        let joints = figure
+        let joints = layout
             .joints()
             .iter()
             .enumerate()
@@ -246,7 +246,7 @@ impl Border {
                     .parent
                     .filter(|&parent| is_fixed(parent) && !is_fixed(joint))?;
                 let turns = world.iter().map(|poses| poses[parent].orientation);
-                Some((figure.rotation_of(joint).start, turns.collect()))
+                Some((layout.rotation_of(joint).start, turns.collect()))
             });
         let joints = joints.collect();
         Ok(Self { joints })

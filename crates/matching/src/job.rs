@@ -8,8 +8,8 @@ use crate::calm::{self, jerks, percentile_95};
 use crate::metrics::Seam;
 use crate::synthesis::{start_noise, synthesize_from, synthesize_like};
 use crate::{
-    Channels, Error, Example, Figure, FigureOptions, Frames, Held, Keyframe, Length, Looping, Part,
-    Request, Settings, Sliding, Synthesis, feet,
+    Channels, Error, Example, Frames, Held, Keyframe, Length, Looping, MatrixOptions, MotionMatrix,
+    Part, Request, Settings, Sliding, Synthesis, feet,
 };
 
 mod conflicts;
@@ -83,7 +83,7 @@ pub struct Made {
     /// The same as a matrix, and where it comes from.
     pub synthesis: Synthesis,
     /// How the files are matrices.
-    pub figure: Figure,
+    pub layout: MotionMatrix,
     /// The examples as matrices.
     pub examples: Vec<Frames>,
     /// The parts that were matched, one for each list of origins.
@@ -107,7 +107,7 @@ impl Job {
             (true, Some(first)) => feet(first.bvh.joints()),
             _ => Vec::new(),
         };
-        let options = FigureOptions {
+        let options = MatrixOptions {
             up: self.up,
             contacts,
             heading: self.heading,
@@ -118,32 +118,38 @@ impl Job {
             .iter()
             .filter_map(|(_, source)| source.as_ref());
         let others: Vec<&Example> = fixed.chain(&self.content).chain(sources).collect();
-        let figure = Figure::with(examples, &others, options)?;
+        let layout = MotionMatrix::with(examples, &others, options)?;
         if self
             .keyframes
             .iter()
             .any(|(keyframe, _)| keyframe.place.is_some())
         {
             let motions = examples.iter().chain(others);
-            figure.must_travel_upright(motions, "`place` of a key frame")?;
+            layout.must_travel_upright(motions, "`place` of a key frame")?;
         }
-        let matrices = examples.iter().map(|example| figure.frames(example));
+        let matrices = examples.iter().map(|example| layout.to_frames(example));
         let matrices: Vec<Frames> = matrices.collect::<Result<_, _>>()?;
         for (example, frames) in examples.iter().zip(&matrices) {
-            self.must_have_a_patch(example, frames, &figure)?;
+            self.must_have_a_patch(example, frames, &layout)?;
         }
         let parts = match &self.parts {
-            PartChoice::Whole => vec![Part::whole(&figure)],
-            PartChoice::Automatic => Part::automatic(&figure),
-            PartChoice::File { file, text } => Part::read(text, file, &figure)?,
+            PartChoice::Whole => vec![Part::whole(&layout)],
+            PartChoice::Automatic => Part::automatic(&layout),
+            PartChoice::File { file, text } => Part::read(text, file, &layout)?,
         };
         let known = match &self.parts {
-            PartChoice::Whole => Part::automatic(&figure),
+            PartChoice::Whole => Part::automatic(&layout),
             _ => parts.clone(),
         };
-        let fixed = self.fixed.iter().map(|fixed| figure.frames(&fixed.motion));
+        let fixed = self
+            .fixed
+            .iter()
+            .map(|fixed| layout.to_frames(&fixed.motion));
         let fixed: Vec<Frames> = fixed.collect::<Result<_, _>>()?;
-        let content = self.content.as_ref().map(|content| figure.frames(content));
+        let content = self
+            .content
+            .as_ref()
+            .map(|content| layout.to_frames(content));
         let content = content.transpose()?;
         let given = self
             .fixed
@@ -152,30 +158,30 @@ impl Job {
             .chain(&self.content);
         let given = given.zip(fixed.iter().chain(&content));
         for (example, frames) in given.clone() {
-            self.must_have_a_patch(example, frames, &figure)?;
+            self.must_have_a_patch(example, frames, &layout)?;
         }
         let given: Vec<(&Example, usize)> = given
             .map(|(example, frames)| (example, frames.frames()))
             .collect();
-        let frames = self.frames(&figure, &matrices, &given)?;
+        let frames = self.frames(&layout, &matrices, &given)?;
         let mut held = Vec::new();
         for (keyframe, source) in &self.keyframes {
             let (source, poses) = match source {
-                Some(source) => (source, &figure.frames(source)?),
+                Some(source) => (source, &layout.to_frames(source)?),
                 None => (&examples[0], &matrices[0]),
             };
-            held.push(keyframe.held(&figure, &known, source, poses, frames)?);
+            held.push(keyframe.held(&layout, &known, source, poses, frames)?);
         }
         for (fixed, motion) in self.fixed.iter().zip(&fixed) {
             held.push(Held::Channels {
-                channels: Part::named(&fixed.part, &known, &figure, "--fix")?
-                    .channels(&figure)
+                channels: Part::named(&fixed.part, &known, &layout, "--fix")?
+                    .channels(&layout)
                     .channels,
                 motion: motion.clone(),
             });
         }
-        self.must_agree(&figure, &held, frames)?;
-        let groups: Vec<Channels> = parts.iter().map(|part| part.channels(&figure)).collect();
+        self.must_agree(&layout, &held, frames)?;
+        let groups: Vec<Channels> = parts.iter().map(|part| part.channels(&layout)).collect();
         let request = Request {
             examples: &matrices,
             frames,
@@ -185,7 +191,7 @@ impl Job {
         };
         let usual = match fixed.is_empty() {
             true => None,
-            false => Some(usual_jerk(&figure, matrices.iter().chain(&fixed))?),
+            false => Some(usual_jerk(&layout, matrices.iter().chain(&fixed))?),
         };
         let around = self.settings.looping != Looping::Off;
         // A loop that a key frame holds in its place cannot begin elsewhere: of several the first whose
@@ -195,44 +201,44 @@ impl Job {
             false => 1,
         };
         let first = request.levels()?.synthesis[0];
-        let mut calmest: Option<(f64, Figure, Synthesis, Bvh)> = None;
+        let mut calmest: Option<(f64, MotionMatrix, Synthesis, Bvh)> = None;
         for attempt in 0..most {
             let mut synthesis = match &content {
                 Some(content) => synthesize_like(&request, content)?,
                 None => {
-                    let noise = start_noise(self.seed, attempt, first, figure.channels());
+                    let noise = start_noise(self.seed, attempt, first, layout.channels());
                     synthesize_from(&request, &noise)?
                 }
             };
             if around && held.is_empty() && content.is_none() {
                 synthesis.begin_where_calm();
             }
-            let mut figure = figure.clone();
-            let bvh = self.finished(&mut figure, &mut synthesis.frames, &held, usual)?;
+            let mut layout = layout.clone();
+            let bvh = self.finished(&mut layout, &mut synthesis.frames, &held, usual)?;
             let jump = match most {
                 1 => None,
-                _ => Seam::of(&figure, &bvh).map(|seam| seam.jump()),
+                _ => Seam::of(&layout, &bvh).map(|seam| seam.jump()),
             };
             let jump = jump.unwrap_or(0.0);
             if calmest.as_ref().is_none_or(|(least, ..)| jump < *least) {
-                calmest = Some((jump, figure, synthesis, bvh));
+                calmest = Some((jump, layout, synthesis, bvh));
             }
             if jump <= CALM {
                 break;
             }
         }
-        let (_, figure, synthesis, mut bvh) = calmest.expect("one motion or more");
+        let (_, layout, synthesis, mut bvh) = calmest.expect("one motion or more");
         let jerk = usual.map(|usual| percentile_95(&jerks(&bvh)) / usual.max(f64::MIN_POSITIVE));
         let mut sliding = None;
         if self.feet {
             let origins = &synthesis.origins;
-            let (held, slid) = figure.with_held_feet(&bvh, examples, &parts, origins)?;
+            let (held, slid) = layout.with_held_feet(&bvh, examples, &parts, origins)?;
             (bvh, sliding) = (held, Some(slid));
         }
         Ok(Made {
             bvh,
             synthesis,
-            figure,
+            layout,
             examples: matrices,
             parts,
             sliding,
@@ -244,48 +250,48 @@ impl Job {
     /// it as BVH; `usual` is the jerk of the motions that it is made of, where something is fixed.
     fn finished(
         &self,
-        figure: &mut Figure,
+        layout: &mut MotionMatrix,
         frames: &mut Frames,
         held: &[Held],
         usual: Option<f64>,
     ) -> Result<Bvh, Error> {
         let around = self.settings.looping != Looping::Off;
         if around {
-            figure.close(frames);
+            layout.close(frames);
         }
         let points = self.keyframes.iter().filter_map(|(keyframe, _)| {
-            let frame = (keyframe.time / figure.frame_time()).round() as usize;
+            let frame = (keyframe.time / layout.frame_time()).round() as usize;
             Some((frame, keyframe.place?))
         });
         let points: Vec<(usize, [f64; 2])> = points.collect();
         let first = points.iter().min_by_key(|(frame, _)| *frame);
         match first {
-            Some((0, place)) => figure.start_at(*place),
+            Some((0, place)) => layout.start_at(*place),
             // A loop begins anywhere: its first place says where it is.
-            Some(point) if around => figure.start_for(frames, *point),
+            Some(point) if around => layout.start_for(frames, *point),
             _ => {}
         }
-        figure.lead(frames, &points, around);
-        calm::around_keyframes(figure, frames, held, around)?;
+        layout.lead(frames, &points, around);
+        calm::around_keyframes(layout, frames, held, around)?;
         if let Some(usual) = usual {
-            calm::over_fixed_parts(figure, frames, held, usual)?;
+            calm::over_fixed_parts(layout, frames, held, usual)?;
         }
         // What was smoothed has moved the way a little.
-        figure.lead(frames, &points, around);
-        figure.bvh(frames)
+        layout.lead(frames, &points, around);
+        layout.to_bvh(frames)
     }
 
     fn must_have_a_patch(
         &self,
         example: &Example,
         frames: &Frames,
-        figure: &Figure,
+        layout: &MotionMatrix,
     ) -> Result<(), Error> {
         let (found, p) = (frames.frames(), self.settings.patch_size);
         if found >= p {
             return Ok(());
         }
-        let rate = 1.0 / figure.frame_time();
+        let rate = 1.0 / layout.frame_time();
         let problem = format!(
             "frames: {found} at {rate:.0} a second, allowed: at least `patch_size`, which is {p}"
         );
@@ -296,14 +302,14 @@ impl Job {
     /// Frames of the new motion; `given` are the motions that set its length, with their frames.
     fn frames(
         &self,
-        figure: &Figure,
+        layout: &MotionMatrix,
         examples: &[Frames],
         given: &[(&Example, usize)],
     ) -> Result<usize, Error> {
         let all = examples.iter().map(Frames::frames).sum();
         let asked = self
             .length
-            .map(|length| length.frames(all, figure.frame_time()));
+            .map(|length| length.frames(all, layout.frame_time()));
         let frames = match (given.first(), asked) {
             (Some((_, frames)), _) => *frames,
             (None, asked) => asked.unwrap_or(2 * all),
@@ -327,10 +333,10 @@ impl Job {
 
 /// The largest of the motions' 95th percentiles of jerk.
 fn usual_jerk<'a>(
-    figure: &Figure,
+    layout: &MotionMatrix,
     motions: impl Iterator<Item = &'a Frames>,
 ) -> Result<f64, Error> {
-    let usual = motions.map(|motion| Ok(percentile_95(&jerks(&figure.bvh(motion)?))));
+    let usual = motions.map(|motion| Ok(percentile_95(&jerks(&layout.to_bvh(motion)?))));
     let usual: Vec<f64> = usual.collect::<Result<_, Error>>()?;
     Ok(usual.into_iter().fold(0.0, f64::max))
 }

@@ -2,7 +2,7 @@
 
 use serde::Deserialize;
 
-use crate::{Error, Example, Figure, Frames, Held, Part};
+use crate::{Error, Example, Frames, Held, MotionMatrix, Part};
 
 /// Seconds before and after a key frame that bend towards it.
 const REACH: f64 = 0.4;
@@ -94,15 +94,15 @@ impl Keyframe {
     /// For a moment that the motion or the source does not have, or an unknown part.
     pub fn held(
         &self,
-        figure: &Figure,
+        layout: &MotionMatrix,
         parts: &[Part],
         source: &Example,
         poses: &Frames,
         frames: usize,
     ) -> Result<Held, Error> {
-        let frame = |seconds: f64| (seconds / figure.frame_time()).round() as usize;
+        let frame = |seconds: f64| (seconds / layout.frame_time()).round() as usize;
         let (t, from) = (frame(self.time), frame(self.source_time));
-        let end = |frames: usize| (frames - 1) as f64 * figure.frame_time();
+        let end = |frames: usize| (frames - 1) as f64 * layout.frame_time();
         if from >= poses.frames() {
             let problem = format!(
                 "`source_time` is {}, allowed: 0 to {:.2}, where {} ends",
@@ -119,12 +119,12 @@ impl Keyframe {
             return Err(Error::file(self.called(), problem, hint));
         }
         let part = match &self.part {
-            Some(name) => Part::named(name, parts, figure, self.called())?,
-            None => Part::whole(figure),
+            Some(name) => Part::named(name, parts, layout, self.called())?,
+            None => Part::whole(layout),
         };
-        let mut channels = part.channels(figure).channels;
+        let mut channels = part.channels(layout).channels;
         // The horizontal way says how the body moves on, not where it is.
-        channels.retain(|channel| *channel == figure.height() || !figure.way().contains(channel));
+        channels.retain(|channel| *channel == layout.height() || !layout.way().contains(channel));
         Ok(Held::Keyframe {
             at: (t as f64 + 0.5) / frames as f64,
             source: poses.columns(&channels),
@@ -139,20 +139,21 @@ impl Keyframe {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::FigureOptions;
-    use crate::figure::tests::example;
+    use crate::MatrixOptions;
+    use crate::motion_matrix::tests::example;
 
     #[test]
     fn key_frames_are_read_and_bounded() {
         let walk = example("walk.bvh", 60, 1.0 / 30.0);
-        let figure = Figure::new(std::slice::from_ref(&walk), FigureOptions::default()).unwrap();
-        let poses = figure.frames(&walk).unwrap();
+        let layout =
+            MotionMatrix::new(std::slice::from_ref(&walk), MatrixOptions::default()).unwrap();
+        let poses = layout.to_frames(&walk).unwrap();
         let read = |text: &str| Keyframe::read(text, "k.toml");
         let text = "[[keyframe]]\ntime = 2.0\nsource_time = 0.5\npart = 'LeftLeg'\n";
         let [key] = &read(text).unwrap()[..] else {
             panic!("one")
         };
-        let held = key.held(&figure, &[], &walk, &poses, 90).unwrap();
+        let held = key.held(&layout, &[], &walk, &poses, 90).unwrap();
         let Held::Keyframe {
             at,
             channels,
@@ -169,7 +170,7 @@ mod tests {
         assert_eq!(from, 15);
         assert_eq!(source.frame(15)[0], poses.frame(15)[channels[0]]);
         let late = key
-            .held(&figure, &[], &walk, &poses, 50)
+            .held(&layout, &[], &walk, &poses, 50)
             .unwrap_err()
             .to_string();
         assert_eq!(late, "k.toml, key frame 1: `time` is 2, allowed: 0 to 1.63");
@@ -177,11 +178,11 @@ mod tests {
             part: None,
             ..key.clone()
         };
-        let held = whole.held(&figure, &[], &walk, &poses, 90).unwrap();
+        let held = whole.held(&layout, &[], &walk, &poses, 90).unwrap();
         let Held::Keyframe { channels, .. } = held else {
             panic!("a key frame")
         };
-        assert_eq!(channels.len(), figure.channels() - 2);
+        assert_eq!(channels.len(), layout.channels() - 2);
         for (text, said) in [
             (
                 "[[keyframe]]\ntime = -1.0\nsource_time = 0.0",

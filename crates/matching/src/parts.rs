@@ -4,7 +4,7 @@ use kinegrad_capture::Joint;
 use kinegrad_motion::rotation::length;
 use serde::Deserialize;
 
-use crate::{Channels, Error, Figure};
+use crate::{Channels, Error, MotionMatrix};
 
 /// A bone chain that is shorter than this part of the longest is no limb: fingers, ears, a tail.
 const LIMB: f64 = 0.25;
@@ -63,11 +63,11 @@ const COMMON: [(&str, &[&str], bool); 3] = [
 
 impl Part {
     /// Its channels.
-    pub fn channels(&self, figure: &Figure) -> Channels {
+    pub fn channels(&self, layout: &MotionMatrix) -> Channels {
         let joints = self.joints.iter();
-        let mut channels: Vec<usize> = joints.flat_map(|&j| figure.channels_of(j)).collect();
+        let mut channels: Vec<usize> = joints.flat_map(|&j| layout.channels_of(j)).collect();
         if self.way {
-            channels.extend(figure.way());
+            channels.extend(layout.way());
         }
         channels.sort_unstable();
         Channels {
@@ -80,8 +80,8 @@ impl Part {
     /// on it, with the joint of the trunk that it hangs on. The way of the body belongs to the
     /// trunk and to limbs that hang on the joint that travels, the legs. A skeleton that does not
     /// branch is one part.
-    pub fn automatic(figure: &Figure) -> Vec<Self> {
-        let joints = figure.joints();
+    pub fn automatic(layout: &MotionMatrix) -> Vec<Self> {
+        let joints = layout.joints();
         let reach = reach(joints);
         let long = |joint: usize| length(joints[joint].offset) + reach[joint] >= LIMB * reach[0];
         let children = |parent: usize| {
@@ -101,7 +101,7 @@ impl Part {
                 limbs.push(Self {
                     name: bare(&joints[joint].name).to_string(),
                     joints: [vec![parent], subtree].concat(),
-                    way: parent == figure.travelling(),
+                    way: parent == layout.travelling(),
                 });
             }
         }
@@ -114,10 +114,10 @@ impl Part {
     }
 
     /// The whole body as one part.
-    pub fn whole(figure: &Figure) -> Self {
+    pub fn whole(layout: &MotionMatrix) -> Self {
         Self {
             name: "body".to_string(),
-            joints: (0..figure.joints().len()).collect(),
+            joints: (0..layout.joints().len()).collect(),
             way: true,
         }
     }
@@ -127,9 +127,9 @@ impl Part {
     /// none of them is a part called `rest`.
     ///
     /// # Errors
-    /// For a file that cannot be read so, joints that the figure does not have, and parts without
+    /// For a file that cannot be read so, joints that the layout does not have, and parts without
     /// joints.
-    pub fn read(text: &str, file: &str, figure: &Figure) -> Result<Vec<Self>, Error> {
+    pub fn read(text: &str, file: &str, layout: &MotionMatrix) -> Result<Vec<Self>, Error> {
         let hint = "docs/matching.md describes files of parts";
         let document: Document =
             toml::from_str(text).map_err(|error| Error::toml(file, text, &error, hint))?;
@@ -144,10 +144,10 @@ impl Part {
             }
             let mut joints = Vec::new();
             for name in &entry.joints {
-                joints.push(joint(figure, name, file)?);
+                joints.push(joint(layout, name, file)?);
             }
             for name in &entry.below {
-                joints.extend(subtree(figure.joints(), joint(figure, name, file)?));
+                joints.extend(subtree(layout.joints(), joint(layout, name, file)?));
             }
             joints.sort_unstable();
             joints.dedup();
@@ -161,7 +161,7 @@ impl Part {
                 way: entry.way,
             });
         }
-        let mut rest = Self::whole(figure);
+        let mut rest = Self::whole(layout);
         rest.name = "rest".to_string();
         let taken = |joint: &usize| parts.iter().any(|part: &Self| part.joints.contains(joint));
         rest.joints.retain(|joint| !taken(joint));
@@ -174,7 +174,7 @@ impl Part {
             }
             parts.push(rest);
         } else if rest.way {
-            let travels = figure.travelling();
+            let travels = layout.travelling();
             for part in &mut parts {
                 part.way = part.joints.contains(&travels);
             }
@@ -187,11 +187,16 @@ impl Part {
     ///
     /// # Errors
     /// Names what there is.
-    pub fn named(name: &str, parts: &[Self], figure: &Figure, asks: &str) -> Result<Self, Error> {
+    pub fn named(
+        name: &str,
+        parts: &[Self],
+        layout: &MotionMatrix,
+        asks: &str,
+    ) -> Result<Self, Error> {
         if let Some(part) = parts.iter().find(|part| part.name == name) {
             return Ok(part.clone());
         }
-        let joints = figure.joints();
+        let joints = layout.joints();
         let of = |found: Vec<usize>, way| Self {
             name: name.to_string(),
             joints: found,
@@ -214,13 +219,13 @@ impl Part {
                     && COMMON.iter().all(only_legs)
             };
             let mut found: Vec<usize> = (1..joints.len())
-                .filter(|&joint| joint != figure.travelling())
+                .filter(|&joint| joint != layout.travelling())
                 .filter(|&joint| called(joint, words) || thigh(joint))
                 .flat_map(|joint| subtree(joints, joint))
                 .collect();
             if !found.is_empty() {
                 // Legs stand on the ground as the joint that they hang on turns.
-                found.extend(way.then(|| figure.travelling()));
+                found.extend(way.then(|| layout.travelling()));
                 found.sort_unstable();
                 found.dedup();
                 return Ok(of(found, *way));
@@ -232,7 +237,7 @@ impl Part {
         {
             Some(joint) => {
                 let below = subtree(joints, joint);
-                let way = below.contains(&figure.travelling());
+                let way = below.contains(&layout.travelling());
                 Ok(of(below, way))
             }
             None => {
@@ -263,8 +268,8 @@ pub fn feet(joints: &[Joint]) -> Vec<usize> {
         .collect()
 }
 
-fn joint(figure: &Figure, name: &str, file: &str) -> Result<usize, Error> {
-    let joints = figure.joints();
+fn joint(layout: &MotionMatrix, name: &str, file: &str) -> Result<usize, Error> {
+    let joints = layout.joints();
     let found = joints
         .iter()
         .position(|joint| joint.name == name || bare(&joint.name) == name);
@@ -314,18 +319,18 @@ mod tests {
     use kinegrad_capture::Bvh;
 
     use super::*;
-    use crate::FigureOptions;
-    use crate::figure::tests::example;
+    use crate::MatrixOptions;
+    use crate::motion_matrix::tests::example;
 
-    fn walk() -> Figure {
+    fn walk() -> MotionMatrix {
         let walk = example("walk.bvh", 20, 1.0 / 30.0);
-        Figure::new(&[walk], FigureOptions::default()).unwrap()
+        MotionMatrix::new(&[walk], MatrixOptions::default()).unwrap()
     }
 
     #[test]
     fn limbs_hang_on_the_trunk_by_a_shared_joint() {
-        let figure = walk();
-        let parts = Part::automatic(&figure);
+        let layout = walk();
+        let parts = Part::automatic(&layout);
         let named: Vec<_> = parts.iter().map(|part| part.name.as_str()).collect();
         assert_eq!(named, ["trunk", "LeftLeg", "RightLeg"]);
         assert_eq!(parts[0].joints, [0, 1]);
@@ -333,19 +338,19 @@ mod tests {
         assert!(parts.iter().all(|part| part.way));
         let mut all: Vec<usize> = parts
             .iter()
-            .flat_map(|p| p.channels(&figure).channels)
+            .flat_map(|p| p.channels(&layout).channels)
             .collect();
         all.sort_unstable();
         all.dedup();
-        assert!(all.into_iter().eq(0..figure.channels()));
-        assert_eq!(feet(figure.joints()), [3, 5]);
+        assert!(all.into_iter().eq(0..layout.channels()));
+        assert_eq!(feet(layout.joints()), [3, 5]);
     }
 
     #[test]
     fn parts_are_read_and_the_rest_is_one() {
-        let figure = walk();
+        let layout = walk();
         let text = "[[part]]\nname = 'left'\nbelow = ['LeftLeg']\n";
-        let parts = Part::read(text, "parts.toml", &figure).unwrap();
+        let parts = Part::read(text, "parts.toml", &layout).unwrap();
         assert_eq!(parts[0].joints, [2, 3]);
         assert_eq!((parts[1].name.as_str(), parts[1].way), ("rest", true));
         assert_eq!(parts[1].joints, [0, 1, 4, 5]);
@@ -360,7 +365,7 @@ mod tests {
                 "unknown field `jonts`",
             ),
         ] {
-            let error = Part::read(text, "parts.toml", &figure)
+            let error = Part::read(text, "parts.toml", &layout)
                 .unwrap_err()
                 .to_string();
             assert!(error.contains(said), "{error}");
@@ -369,10 +374,10 @@ mod tests {
 
     #[test]
     fn names_mean_parts_words_or_joints() {
-        let figure = walk();
-        let parts = Part::automatic(&figure);
+        let layout = walk();
+        let parts = Part::automatic(&layout);
         let of = |name: &str| {
-            Part::named(name, &parts, &figure, "--fix").map(|part| (part.joints, part.way))
+            Part::named(name, &parts, &layout, "--fix").map(|part| (part.joints, part.way))
         };
         assert_eq!(of("LeftLeg").unwrap(), (vec![1, 2, 3], true));
         assert_eq!(of("legs").unwrap(), (vec![1, 2, 3, 4, 5], true));
@@ -394,8 +399,8 @@ mod tests {
             text.replace(from, to)
         });
         walk.bvh = Bvh::parse(text.as_bytes(), "walk.bvh").unwrap();
-        let figure = Figure::new(&[walk], FigureOptions::default()).unwrap();
-        let legs = Part::named("legs", &[], &figure, "--fix").unwrap();
+        let layout = MotionMatrix::new(&[walk], MatrixOptions::default()).unwrap();
+        let legs = Part::named("legs", &[], &layout, "--fix").unwrap();
         assert_eq!((legs.joints, legs.way), (vec![1, 2, 3], true));
     }
 }

@@ -1,14 +1,14 @@
 //! What cannot be asked for together.
 
 use super::Job;
-use crate::{Error, Figure, Held, Looping};
+use crate::{Error, Held, Looping, MotionMatrix};
 
 impl Job {
     /// Refuses what would be met in part and passed over without a word. `held`: what the motion of
     /// `frames` frames must keep to, key frames first, in the order of the job.
     pub(super) fn must_agree(
         &self,
-        figure: &Figure,
+        layout: &MotionMatrix,
         held: &[Held],
         frames: usize,
     ) -> Result<(), Error> {
@@ -37,7 +37,7 @@ impl Job {
                     let (part, before) = (&self.fixed[index].part, &self.fixed[place].part);
                     let problem = format!(
                         "`{part}` follows it, and {}, which is of `{before}` too, follows {}",
-                        named(figure, channel),
+                        named(layout, channel),
                         self.fixed[place].motion.file
                     );
                     let hint =
@@ -56,14 +56,14 @@ impl Job {
                 if let Some(&channel) = shared(key, fixed).first() {
                     let problem = format!(
                         "at {time} s {} has a pose, and follows {} as part of `{}`",
-                        named(figure, channel),
+                        named(layout, channel),
                         own.motion.file,
                         own.part
                     );
                     let hint = "give the key frame a `part` that nothing fixes";
                     return Err(Error::file(self.keyframes[index].0.called(), problem, hint));
                 }
-                let way = figure.way();
+                let way = layout.way();
                 if self.keyframes[index].0.place.is_some()
                     && channels(fixed).iter().any(|channel| way.contains(channel))
                 {
@@ -82,7 +82,7 @@ impl Job {
                 let hint = "key frames of one moment have different parts, or lie a frame apart";
                 let [own, other] = [index, place].map(|index| &self.keyframes[index].0);
                 if let Some(channel) = contradiction(key, before) {
-                    let problem = format!("at {time} s {} has two poses", named(figure, channel));
+                    let problem = format!("at {time} s {} has two poses", named(layout, channel));
                     return Err(Error::file(self.keyframes[index].0.called(), problem, hint));
                 }
                 if own.place.is_some() && other.place.is_some() && own.place != other.place {
@@ -127,11 +127,11 @@ fn contradiction(one: &Held, other: &Held) -> Option<usize> {
 }
 
 /// What a channel is of, for messages.
-fn named(figure: &Figure, channel: usize) -> String {
-    let joints = 0..figure.joints().len();
-    let mut of = joints.filter(|&joint| figure.channels_of(joint).contains(&channel));
+fn named(layout: &MotionMatrix, channel: usize) -> String {
+    let joints = 0..layout.joints().len();
+    let mut of = joints.filter(|&joint| layout.channels_of(joint).contains(&channel));
     match of.next() {
-        Some(joint) => format!("`{}`", figure.joints()[joint].name),
+        Some(joint) => format!("`{}`", layout.joints()[joint].name),
         None => "the way over the ground".to_string(),
     }
 }
@@ -139,7 +139,7 @@ fn named(figure: &Figure, channel: usize) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::figure::tests::example;
+    use crate::motion_matrix::tests::example;
     use crate::{Example, Fixed, Keyframe};
 
     fn walk(file: &str, frames: usize) -> Example {

@@ -1,8 +1,8 @@
 //! Key frames of whole jobs: close together, near the ends, and in loops; places and headings.
 
 use super::*;
-use crate::figure::tests::example;
 use crate::jerk_around;
+use crate::motion_matrix::tests::example;
 
 fn walk(frames: usize) -> Example {
     example("walk.bvh", frames, 1.0 / 30.0)
@@ -81,7 +81,7 @@ fn a_loop_with_a_key_frame_is_calm_at_its_seam() {
 #[test]
 fn key_frames_near_an_end_jerk_little_more_than_the_rest() {
     // The same walk at thrice its pace.
-    let text = crate::figure::tests::text(210, 1.0 / 10.0);
+    let text = crate::motion_matrix::tests::text(210, 1.0 / 10.0);
     let text = text.replace("Frame Time: 0.1\n", "Frame Time: 0.03333333\n");
     let wild = Example {
         file: "wild.bvh".to_string(),

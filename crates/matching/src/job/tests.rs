@@ -1,7 +1,7 @@
 //! Whole jobs.
 
 use super::*;
-use crate::figure::tests::example;
+use crate::motion_matrix::tests::example;
 use crate::{Preset, jerk_around};
 
 fn job() -> Job {
@@ -42,7 +42,7 @@ fn the_paper_divides_the_body_and_matches_contacts() {
     };
     let made = paper.make(&[walk(70)]).unwrap();
     assert_eq!(made.synthesis.origins.len(), 3);
-    assert_eq!(made.figure.contacts(), [3, 5]);
+    assert_eq!(made.layout.contacts(), [3, 5]);
     assert_eq!(made.bvh.frames(), 140);
 }
 
@@ -59,8 +59,8 @@ fn fixed_parts_are_those_of_their_motion() {
     };
     let made = job.make(&[walk(70)]).unwrap();
     assert_eq!(made.bvh.frames(), 64);
-    let held = made.figure.frames(&legs).unwrap();
-    let channels = made.figure.channels_of(3);
+    let held = made.layout.to_frames(&legs).unwrap();
+    let channels = made.layout.channels_of(3);
     assert_eq!(
         made.synthesis.frames.columns(&channels),
         held.columns(&channels)
@@ -109,7 +109,7 @@ fn key_frames_are_met() {
 #[test]
 fn a_pose_from_a_wilder_motion_jerks_little_more_than_the_rest() {
     // The same walk at thrice its pace.
-    let mut text = crate::figure::tests::text(210, 1.0 / 10.0);
+    let mut text = crate::motion_matrix::tests::text(210, 1.0 / 10.0);
     text = text.replace("Frame Time: 0.1\n", "Frame Time: 0.03333333\n");
     let wild = Example {
         file: "wild.bvh".to_string(),
@@ -131,7 +131,7 @@ fn a_pose_from_a_wilder_motion_jerks_little_more_than_the_rest() {
     let made = job.make(&[walk(70)]).unwrap();
     let [near, rest] = jerk_around(&jerks(&made.bvh), 60.0, 30.0);
     assert!(near <= 1.5 * rest, "{near} {rest}");
-    let held = made.figure.frames(&wild).unwrap();
+    let held = made.layout.to_frames(&wild).unwrap();
     assert_eq!(made.synthesis.frames.frame(60)[..24], held.frame(90)[..24]);
 }
 
@@ -147,8 +147,8 @@ fn a_content_is_followed_in_the_manner_of_the_examples() {
     assert_eq!(made.bvh.frames(), 120);
     // The content is the examples' own walk, so its steps stay in time.
     let (channels, wanted) = (
-        made.figure.channels_of(2),
-        made.figure.frames(&content).unwrap(),
+        made.layout.channels_of(2),
+        made.layout.to_frames(&content).unwrap(),
     );
     let apart = |t: usize| {
         let pairs = channels
@@ -219,7 +219,7 @@ fn a_motion_without_a_patch_is_refused() {
 
 /// A body that sways above feet of which one rests while the other swings.
 fn stepping() -> Example {
-    let mut text = crate::figure::tests::text(1, 1.0 / 30.0);
+    let mut text = crate::motion_matrix::tests::text(1, 1.0 / 30.0);
     text = text.replace("Foot", "Shin").replace("Leg", "Thigh");
     for side in ["Left", "Right"] {
         let foot = format!(

@@ -8,7 +8,7 @@ mod windows;
 
 use serde::Serialize;
 
-use crate::{Figure, Frames, Made};
+use crate::{Frames, Made, MotionMatrix};
 
 pub use novelty::{Novelty, Run};
 pub use seam::Seam;
@@ -85,7 +85,7 @@ impl Measures {
 impl Made {
     /// Measures of the rotations of these joints, by their indices; all if there are none.
     pub fn measures(&self, joints: &[usize]) -> Option<Measures> {
-        let channels = rotations(&self.figure, joints);
+        let channels = rotations(&self.layout, joints);
         let examples = self
             .examples
             .iter()
@@ -98,7 +98,7 @@ impl Made {
     pub fn novelty(&self) -> Vec<Novelty> {
         let origins = self.synthesis.origins.iter();
         origins
-            .map(|origins| Novelty::of(origins, self.figure.frame_time()))
+            .map(|origins| Novelty::of(origins, self.layout.frame_time()))
             .collect()
     }
 
@@ -110,14 +110,14 @@ impl Made {
 }
 
 /// Channels of the rotations of these joints; of all, if there are none.
-fn rotations(figure: &Figure, joints: &[usize]) -> Vec<usize> {
+fn rotations(layout: &MotionMatrix, joints: &[usize]) -> Vec<usize> {
     match joints {
-        [] => (0..figure.joints().len())
-            .flat_map(|joint| figure.rotation_of(joint))
+        [] => (0..layout.joints().len())
+            .flat_map(|joint| layout.rotation_of(joint))
             .collect(),
         joints => joints
             .iter()
-            .flat_map(|&joint| figure.rotation_of(joint))
+            .flat_map(|&joint| layout.rotation_of(joint))
             .collect(),
     }
 }

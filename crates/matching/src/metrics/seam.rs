@@ -4,7 +4,7 @@ use kinegrad_capture::Bvh;
 use kinegrad_motion::rotation::length;
 use serde::Serialize;
 
-use crate::{Figure, Looping, Made, percentile_95};
+use crate::{Looping, Made, MotionMatrix, percentile_95};
 
 /// The step from a loop's last frame to its first, in parts of the 95th percentile of all other steps,
 /// and the change of velocity there in parts of that of all others: means over the joints, whose places
@@ -19,25 +19,25 @@ pub struct Seam {
 
 impl Seam {
     /// The seam of a motion. None with fewer than four frames.
-    pub(crate) fn of(figure: &Figure, bvh: &Bvh) -> Option<Self> {
+    pub(crate) fn of(layout: &MotionMatrix, bvh: &Bvh) -> Option<Self> {
         let n = bvh.frames();
         if n < 4 {
             return None;
         }
         // What carries the joint that travels may stay behind.
-        let mut travel = vec![false; figure.joints().len()];
-        for (joint, own) in figure.joints().iter().enumerate() {
+        let mut travel = vec![false; layout.joints().len()];
+        for (joint, own) in layout.joints().iter().enumerate() {
             let with = own.parent.is_some_and(|parent| travel[parent]);
-            travel[joint] = joint == figure.travelling() || with;
+            travel[joint] = joint == layout.travelling() || with;
         }
         let places: Vec<Vec<[f64; 3]>> = (0..n)
             .map(|t| {
                 let world = bvh.world(t);
-                let (x, y) = figure.from_above(world[figure.travelling()].position);
+                let (x, y) = layout.from_above(world[layout.travelling()].position);
                 let seen = world.iter().zip(&travel).filter(|(_, travels)| **travels);
                 let seen = seen.map(|(pose, _)| {
-                    let (a, b) = figure.from_above(pose.position);
-                    [a - x, b - y, pose.position[figure.up()]]
+                    let (a, b) = layout.from_above(pose.position);
+                    [a - x, b - y, pose.position[layout.up()]]
                 });
                 seen.collect()
             })
@@ -79,7 +79,7 @@ impl Made {
     pub fn seam(&self, looping: Looping) -> Option<Seam> {
         match looping {
             Looping::Off => None,
-            _ => Seam::of(&self.figure, &self.bvh),
+            _ => Seam::of(&self.layout, &self.bvh),
         }
     }
 }

@@ -57,7 +57,7 @@ fn changes(frames: &Frames) -> Vec<f64> {
 impl Made {
     /// How much of the motion stands still, beside the examples.
     pub fn stillness(&self) -> Option<Stillness> {
-        let channels = rotations(&self.figure, &[]);
+        let channels = rotations(&self.layout, &[]);
         let examples = self.examples.iter();
         let examples: Vec<Frames> = examples.map(|each| each.columns(&channels)).collect();
         Stillness::of(&self.synthesis.frames.columns(&channels), &examples)

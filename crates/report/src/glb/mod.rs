@@ -24,7 +24,7 @@ use std::path::Path;
 use serde_json::json;
 
 use crate::export::{self, ExportError};
-use crate::scene::{SceneObject, Scene};
+use crate::scene::{Scene, SceneObject};
 use document::{Document, push};
 use mesh::Mesh;
 use rig::Rig;
@@ -108,7 +108,13 @@ fn animate(document: &mut Document, object: &SceneObject, rig: &Rig, first: usiz
 }
 
 /// Adds a skin over the bones, or the body of a lone root.
-fn add_mesh(document: &mut Document, object: &SceneObject, rig: &Rig, first: usize, place: [f32; 3]) {
+fn add_mesh(
+    document: &mut Document,
+    object: &SceneObject,
+    rig: &Rig,
+    first: usize,
+    place: [f32; 3],
+) {
     if object.joints() == 1 {
         let mesh = match object.orientations {
             Some(_) => Mesh::body(),

@@ -1,7 +1,7 @@
 //! A body along its path: poses from the side, the way from above, when the feet stand.
 
 use super::panel::{Panel, Pose};
-use crate::scene::{SceneObject, Floor};
+use crate::scene::{Floor, SceneObject};
 
 /// Metres that a body must move for its poses to stand where they are.
 const ALONG: f64 = 2.0;

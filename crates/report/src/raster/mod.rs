@@ -3,9 +3,9 @@
 
 mod camera;
 mod canvas;
-mod object;
 mod floor;
 mod label;
+mod object;
 mod painter;
 
 pub(crate) use painter::Painter;

@@ -3,7 +3,7 @@
 use super::Image;
 use super::camera::{Camera, Seen};
 use super::palette::{CONTACT, EDGE, FRONT, LEFT, MIDDLE, NOSE, RIGHT, SHADOW};
-use crate::scene::{SceneObject, Pose, Side, rotate};
+use crate::scene::{Pose, SceneObject, Side, rotate};
 
 /// Half sizes of an oriented body in metres: to its side, up and to its front.
 const BODY: [f32; 3] = [0.17, 0.26, 0.1];

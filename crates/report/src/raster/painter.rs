@@ -2,8 +2,8 @@
 
 use super::camera::{Camera, bounds, middle};
 use super::palette::BACKGROUND;
-use super::{Image, object, floor, label};
-use crate::scene::{SceneObject, Floor, Scene};
+use super::{Image, floor, label, object};
+use crate::scene::{Floor, Scene, SceneObject};
 
 /// The widest motion that a camera at rest looks at, in metres.
 const AT_REST: f32 = 6.0;

@@ -16,7 +16,7 @@ use base64::prelude::BASE64_STANDARD;
 use serde_json::{Value, json};
 
 use crate::page::escape;
-use crate::scene::{Contact, SceneObject, Floor, Origins, Scene, Song};
+use crate::scene::{Contact, Floor, Origins, Scene, SceneObject, Song};
 
 /// What pages with viewers may load, for `<meta http-equiv="Content-Security-Policy">`: only what
 /// stands in the page itself.

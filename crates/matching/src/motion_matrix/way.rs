@@ -5,10 +5,10 @@ use std::f64::consts::TAU;
 use kinegrad_capture::{Axis, RootPose, UpAxis};
 use kinegrad_motion::Quaternion;
 
-use super::Figure;
+use super::MotionMatrix;
 use crate::{Frames, places, rotation6d};
 
-impl Figure {
+impl MotionMatrix {
     /// The way of the joint that travels, `[frames]`, in the file's units.
     pub fn path(&self, frames: &Frames) -> Vec<[f64; 3]> {
         self.way_of(frames)

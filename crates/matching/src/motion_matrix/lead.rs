@@ -2,7 +2,7 @@
 
 use kinegrad_motion::banded::Cholesky;
 
-use super::Figure;
+use super::MotionMatrix;
 use crate::Frames;
 use crate::smoothing::THIRD;
 
@@ -13,7 +13,7 @@ const FADE: f64 = 0.25;
 /// within a second or two.
 const NEAR: f64 = 1e-3;
 
-impl Figure {
+impl MotionMatrix {
     /// Bends the way of a motion, so that at frame `t` it is at `place` on the two axes that do not
     /// point up, in the file's units, for each of `points`. The first frame stays where it is
     /// ([`start_at`](Self::start_at) says otherwise), and frames behind the last point are moved as

@@ -4,7 +4,7 @@ use kinegrad_capture::{Bvh, RootPose};
 use kinegrad_motion::feet::{Leg, lock, steadied};
 use kinegrad_motion::rotation::length;
 
-use super::{Example, Figure};
+use super::{Example, MotionMatrix};
 use crate::parts::feet;
 use crate::{Error, Part, Sliding};
 
@@ -17,7 +17,7 @@ const SHORTEST: usize = 3;
 /// Frames within which a correction fades.
 const BLEND: usize = 5;
 
-impl Figure {
+impl MotionMatrix {
     /// The motion `bvh` with its feet held still where those of the examples rest. `origins` of each
     /// part say which frame of which example a frame continues.
     ///

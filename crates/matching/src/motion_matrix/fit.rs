@@ -4,7 +4,7 @@ use kinegrad_capture::{Bvh, Channel};
 use kinegrad_motion::rotation::length;
 
 use super::survey::{carriers, thinning, travel};
-use super::{Example, Figure};
+use super::{Example, MotionMatrix};
 use crate::Error;
 
 /// Largest part by which the frame rates of examples may differ.
@@ -16,7 +16,7 @@ const SAME_BONES: f64 = 0.25;
 /// Turn, in the vector part of a quaternion, and distance, in scaled units, that cannot be seen.
 const UNSEEN: f64 = 1e-3;
 
-impl Figure {
+impl MotionMatrix {
     /// Rejects a motion of another skeleton or frame rate.
     ///
     /// # Errors

@@ -40,7 +40,7 @@ pub struct Example {
 
 /// What of a motion is matched, and how it is seen.
 #[derive(Clone, Debug, Default)]
-pub struct FigureOptions {
+pub struct MatrixOptions {
     /// The axis that points up in the files.
     pub up: UpAxis,
     /// Joints, by their indices, whose contact with the ground is matched as well.
@@ -52,7 +52,7 @@ pub struct FigureOptions {
 
 /// How the motions of one skeleton are matrices.
 #[derive(Clone, Debug)]
-pub struct Figure {
+pub struct MotionMatrix {
     file: String,
     bvh: Bvh,
     up: Axis,
@@ -71,14 +71,14 @@ pub struct Figure {
     start: [f64; 3],
 }
 
-impl Figure {
-    /// The figure of the examples, which have one skeleton. Motions of 59 frames a second and more
+impl MotionMatrix {
+    /// The layout of the examples, which have one skeleton. Motions of 59 frames a second and more
     /// are thinned to every second frame, as often as needed.
     ///
     /// # Errors
     /// If there are no examples, their joints, bones or frame rates differ, the first has no channels
     /// for what moves in another, or no bone has a length.
-    pub fn new(examples: &[Example], options: FigureOptions) -> Result<Self, Error> {
+    pub fn new(examples: &[Example], options: MatrixOptions) -> Result<Self, Error> {
         Self::with(examples, &[], options)
     }
 
@@ -90,7 +90,7 @@ impl Figure {
     pub fn with(
         examples: &[Example],
         others: &[&Example],
-        options: FigureOptions,
+        options: MatrixOptions,
     ) -> Result<Self, Error> {
         let Some(first) = examples.first() else {
             return Err(Error::file(
@@ -100,7 +100,7 @@ impl Figure {
             ));
         };
         let (_, frame_time) = thinning(&first.bvh);
-        let mut figure = Self {
+        let mut layout = Self {
             file: first.file.clone(),
             bvh: first.bvh.clone(),
             up: match options.up {
@@ -120,45 +120,45 @@ impl Figure {
         let motions = || examples.iter().chain(others.iter().copied());
         let mut all = Vec::new();
         for motion in motions() {
-            figure.must_fit(motion)?;
+            layout.must_fit(motion)?;
             all.push(travel(&motion.bvh));
         }
         let range = |joint: usize| all.iter().map(|ranges| ranges[joint]).fold(0.0, f64::max);
-        let ranges: Vec<f64> = (0..figure.bvh.joints().len()).map(range).collect();
-        figure.travelling = travelling_in_any(&figure.bvh, &all, &ranges);
-        figure.carriers = carriers(&figure.bvh, figure.travelling);
-        figure.scale = scale(first, figure.travelling)?;
-        let parent = figure.joints()[figure.travelling].parent;
-        figure.base = match (figure.carriers.is_empty(), parent) {
+        let ranges: Vec<f64> = (0..layout.bvh.joints().len()).map(range).collect();
+        layout.travelling = travelling_in_any(&layout.bvh, &all, &ranges);
+        layout.carriers = carriers(&layout.bvh, layout.travelling);
+        layout.scale = scale(first, layout.travelling)?;
+        let parent = layout.joints()[layout.travelling].parent;
+        layout.base = match (layout.carriers.is_empty(), parent) {
             (true, None) => [0.0; 3],
-            (true, Some(parent)) => figure.bvh.world(0)[parent].position,
+            (true, Some(parent)) => layout.bvh.world(0)[parent].position,
             (false, _) => {
-                let offsets = figure
+                let offsets = layout
                     .carriers
                     .iter()
-                    .map(|&joint| figure.joints()[joint].offset);
+                    .map(|&joint| layout.joints()[joint].offset);
                 offsets.fold([0.0; 3], |sum, offset| {
                     [0, 1, 2].map(|i| sum[i] + offset[i])
                 })
             }
         };
         for motion in motions() {
-            figure.must_have_the_bones(motion)?;
-            figure.must_be_written(motion)?;
+            layout.must_have_the_bones(motion)?;
+            layout.must_be_written(motion)?;
         }
         if options.heading {
-            figure.must_travel_upright(motions(), "option `heading`")?;
+            layout.must_travel_upright(motions(), "`--heading`")?;
         }
-        let shifts = |joint: &usize| ranges[*joint] * figure.scale > STILL;
+        let shifts = |joint: &usize| ranges[*joint] * layout.scale > STILL;
         let carries =
-            |joint: &usize| *joint == figure.travelling || figure.carriers.contains(joint);
-        figure.shifting = (0..ranges.len())
+            |joint: &usize| *joint == layout.travelling || layout.carriers.contains(joint);
+        layout.shifting = (0..ranges.len())
             .filter(|joint| shifts(joint) && !carries(joint))
             .collect();
-        let pose = figure.locals(&first.bvh, 0)[figure.travelling];
-        figure.start = pose.position;
-        figure.heading = options.heading.then(|| figure.heading_of(pose.orientation));
-        Ok(figure)
+        let pose = layout.locals(&first.bvh, 0)[layout.travelling];
+        layout.start = pose.position;
+        layout.heading = options.heading.then(|| layout.heading_of(pose.orientation));
+        Ok(layout)
     }
 
     /// The joints, as in the file.
@@ -256,7 +256,7 @@ impl Figure {
     ///
     /// # Errors
     /// As [`must_fit`](Self::must_fit), and for numbers beyond single precision.
-    pub fn frames(&self, example: &Example) -> Result<Frames, Error> {
+    pub fn to_frames(&self, example: &Example) -> Result<Frames, Error> {
         self.must_fit(example)?;
         let bvh = &example.bvh;
         let (every, _) = thinning(bvh);
@@ -314,7 +314,7 @@ impl Figure {
     ///
     /// # Panics
     /// Panics if it has other channels.
-    pub fn bvh(&self, frames: &Frames) -> Result<Bvh, Error> {
+    pub fn to_bvh(&self, frames: &Frames) -> Result<Bvh, Error> {
         assert_eq!(frames.channels(), self.channels());
         let joints = self.joints().len();
         let mut still = self.bvh.locals(0);
