@@ -9,7 +9,7 @@ use kinegrad_motion::Quaternion;
 use kinegrad_motion::rotation::length;
 
 use crate::smoothing::smooth;
-use crate::{Error, Frames, Held, MotionMatrix, rotation6d};
+use crate::{Constraint, Error, Frames, MotionMatrix, rotation6d};
 
 /// Mean jerk of the second around a key frame, as a part of that elsewhere, at most.
 const AROUND: f64 = 1.4;
@@ -81,7 +81,7 @@ pub fn jerk_around(jerks: &[f64], frame: f64, rate: f64) -> [f64; 2] {
 pub(crate) fn around_keyframes(
     layout: &MotionMatrix,
     frames: &mut Frames,
-    held: &[Held],
+    constraints: &[Constraint],
     around: bool,
 ) -> Result<(), Error> {
     let n = frames.frames();
@@ -90,7 +90,7 @@ pub(crate) fn around_keyframes(
     }
     // What calms one may leave less of the rest for another to be measured by.
     for _ in 0..ROUNDS {
-        if !around_each(layout, frames, held, around)? {
+        if !around_each(layout, frames, constraints, around)? {
             break;
         }
     }
@@ -101,45 +101,30 @@ pub(crate) fn around_keyframes(
 fn around_each(
     layout: &MotionMatrix,
     frames: &mut Frames,
-    held: &[Held],
+    constraints: &[Constraint],
     around: bool,
 ) -> Result<bool, Error> {
     let n = frames.frames();
     let mut changed = false;
-    for held_frame in held {
-        let Held::Keyframe { at, .. } = held_frame else {
+    for constraint in constraints {
+        let Constraint::Keyframe { at, .. } = constraint else {
             continue;
         };
-        let key = Held::frame(*at, n);
+        let key = Constraint::frame(*at, n);
         if !around {
-            changed |= around_one(layout, frames, held, key, false)?;
+            changed |= around_one(layout, frames, constraints, key, false)?;
             continue;
         }
         // A loop is the same from any frame on: with the key frame in its middle it has no end there.
         let (middle, channels) = (n / 2, frames.channels());
         let shift = (key + n - middle) % n;
-        let moved = held.iter().map(|held| match held.clone() {
-            Held::Keyframe {
-                at,
-                channels,
-                source,
-                from,
-                frames,
-                reach,
-            } => {
-                let t = (Held::frame(at, n) + n - shift) % n;
-                Held::Keyframe {
-                    at: (t as f64 + 0.5) / n as f64,
-                    channels,
-                    source,
-                    from,
-                    frames,
-                    reach,
-                }
+        let mut moved = constraints.to_vec();
+        for constraint in &mut moved {
+            if let Constraint::Keyframe { at, .. } = constraint {
+                let t = (Constraint::frame(*at, n) + n - shift) % n;
+                *at = (t as f64 + 0.5) / n as f64;
             }
-            held @ Held::Channels { .. } => held,
-        });
-        let moved: Vec<Held> = moved.collect();
+        }
         frames.values_mut().rotate_left(shift * channels);
         let smoothed = around_one(layout, frames, &moved, middle, true);
         frames.values_mut().rotate_right(shift * channels);
@@ -153,7 +138,7 @@ fn around_each(
 fn around_one(
     layout: &MotionMatrix,
     frames: &mut Frames,
-    held: &[Held],
+    constraints: &[Constraint],
     key: usize,
     keep_ends: bool,
 ) -> Result<bool, Error> {
@@ -178,7 +163,7 @@ fn around_one(
         });
         needed = true;
         *frames = voted.clone();
-        smooth(frames, &strengths.collect::<Vec<_>>(), held);
+        smooth(frames, &strengths.collect::<Vec<_>>(), constraints);
         strength *= STRONGER;
     }
     Ok(needed)
@@ -190,13 +175,13 @@ fn around_one(
 pub(crate) fn over_fixed_parts(
     layout: &MotionMatrix,
     frames: &mut Frames,
-    held: &[Held],
+    constraints: &[Constraint],
     usual: f64,
 ) -> Result<(), Error> {
     if frames.frames() < SHORTEST {
         return Ok(());
     }
-    let border = Border::of(layout, frames, held)?;
+    let border = Border::of(layout, frames, constraints)?;
     let mut voted = frames.clone();
     border.to_world(&mut voted);
     let mut strengths = vec![0.0; frames.frames() - 3];
@@ -213,7 +198,7 @@ pub(crate) fn over_fixed_parts(
             *strength = (STRONGER * *strength).clamp(FIRST, STRONGEST);
         }
         *frames = voted.clone();
-        smooth(frames, &strengths, held);
+        smooth(frames, &strengths, constraints);
         border.to_parents(frames);
     }
     Ok(())
@@ -226,12 +211,16 @@ struct Border {
 }
 
 impl Border {
-    fn of(layout: &MotionMatrix, frames: &Frames, held: &[Held]) -> Result<Self, Error> {
+    fn of(
+        layout: &MotionMatrix,
+        frames: &Frames,
+        constraints: &[Constraint],
+    ) -> Result<Self, Error> {
         let is_fixed = |joint: usize| {
             let first = layout.rotation_of(joint).start;
-            held.iter().any(|held| match held {
-                Held::Channels { channels, .. } => channels.contains(&first),
-                Held::Keyframe { .. } => false,
+            constraints.iter().any(|constraint| match constraint {
+                Constraint::Channels { channels, .. } => channels.contains(&first),
+                Constraint::Keyframe { .. } => false,
             })
         };
         let bvh = layout.to_bvh(frames)?;

@@ -8,8 +8,8 @@ use crate::calm::{self, jerks, percentile_95};
 use crate::metrics::Seam;
 use crate::synthesis::{start_noise, synthesize_from, synthesize_like};
 use crate::{
-    Channels, Error, Example, Frames, Held, Keyframe, Length, Looping, MatrixOptions, MotionMatrix,
-    Part, Request, Settings, Sliding, Synthesis, feet,
+    Channels, Constraint, Error, Example, Frames, Keyframe, Length, Looping, MatrixOptions,
+    MotionMatrix, Part, Request, Settings, Sliding, Synthesis, feet,
 };
 
 mod conflicts;
@@ -164,30 +164,30 @@ impl Job {
             .map(|(example, frames)| (example, frames.frames()))
             .collect();
         let frames = self.frames(&layout, &matrices, &given)?;
-        let mut held = Vec::new();
+        let mut constraints = Vec::new();
         for (keyframe, source) in &self.keyframes {
             let (source, poses) = match source {
                 Some(source) => (source, &layout.to_frames(source)?),
                 None => (&examples[0], &matrices[0]),
             };
-            held.push(keyframe.held(&layout, &known, source, poses, frames)?);
+            constraints.push(keyframe.constraint(&layout, &known, source, poses, frames)?);
         }
         for (fixed, motion) in self.fixed.iter().zip(&fixed) {
-            held.push(Held::Channels {
+            constraints.push(Constraint::Channels {
                 channels: Part::named(&fixed.part, &known, &layout, "--fix")?
                     .channels(&layout)
                     .channels,
                 motion: motion.clone(),
             });
         }
-        self.must_agree(&layout, &held, frames)?;
+        self.must_agree(&layout, &constraints, frames)?;
         let groups: Vec<Channels> = parts.iter().map(|part| part.channels(&layout)).collect();
         let request = Request {
             examples: &matrices,
             frames,
             settings: &self.settings,
             groups: &groups,
-            held: &held,
+            constraints: &constraints,
         };
         let usual = match fixed.is_empty() {
             true => None,
@@ -196,7 +196,7 @@ impl Job {
         let around = self.settings.looping != Looping::Off;
         // A loop that a key frame holds in its place cannot begin elsewhere: of several the first whose
         // seam is calm, or the calmest.
-        let most = match around && !held.is_empty() && content.is_none() {
+        let most = match around && !constraints.is_empty() && content.is_none() {
             true => MOST_LOOPS,
             false => 1,
         };
@@ -210,11 +210,11 @@ impl Job {
                     synthesize_from(&request, &noise)?
                 }
             };
-            if around && held.is_empty() && content.is_none() {
+            if around && constraints.is_empty() && content.is_none() {
                 synthesis.begin_where_calm();
             }
             let mut layout = layout.clone();
-            let bvh = self.finished(&mut layout, &mut synthesis.frames, &held, usual)?;
+            let bvh = self.finished(&mut layout, &mut synthesis.frames, &constraints, usual)?;
             let jump = match most {
                 1 => None,
                 _ => Seam::of(&layout, &bvh).map(|seam| seam.jump()),
@@ -232,8 +232,8 @@ impl Job {
         let mut sliding = None;
         if self.feet {
             let origins = &synthesis.origins;
-            let (held, slid) = layout.with_held_feet(&bvh, examples, &parts, origins)?;
-            (bvh, sliding) = (held, Some(slid));
+            let (locked, slid) = layout.with_held_feet(&bvh, examples, &parts, origins)?;
+            (bvh, sliding) = (locked, Some(slid));
         }
         Ok(Made {
             bvh,
@@ -252,7 +252,7 @@ impl Job {
         &self,
         layout: &mut MotionMatrix,
         frames: &mut Frames,
-        held: &[Held],
+        constraints: &[Constraint],
         usual: Option<f64>,
     ) -> Result<Bvh, Error> {
         let around = self.settings.looping != Looping::Off;
@@ -272,9 +272,9 @@ impl Job {
             _ => {}
         }
         layout.lead(frames, &points, around);
-        calm::around_keyframes(layout, frames, held, around)?;
+        calm::around_keyframes(layout, frames, constraints, around)?;
         if let Some(usual) = usual {
-            calm::over_fixed_parts(layout, frames, held, usual)?;
+            calm::over_fixed_parts(layout, frames, constraints, usual)?;
         }
         // What was smoothed has moved the way a little.
         layout.lead(frames, &points, around);

@@ -2,7 +2,7 @@
 
 use serde::Deserialize;
 
-use crate::{Error, Example, Frames, Held, MotionMatrix, Part};
+use crate::{Constraint, Error, Example, Frames, MotionMatrix, Part};
 
 /// Seconds before and after a key frame that bend towards it.
 const REACH: f64 = 0.4;
@@ -92,14 +92,14 @@ impl Keyframe {
     ///
     /// # Errors
     /// For a moment that the motion or the source does not have, or an unknown part.
-    pub fn held(
+    pub fn constraint(
         &self,
         layout: &MotionMatrix,
         parts: &[Part],
         source: &Example,
         poses: &Frames,
         frames: usize,
-    ) -> Result<Held, Error> {
+    ) -> Result<Constraint, Error> {
         let frame = |seconds: f64| (seconds / layout.frame_time()).round() as usize;
         let (t, from) = (frame(self.time), frame(self.source_time));
         let end = |frames: usize| (frames - 1) as f64 * layout.frame_time();
@@ -125,7 +125,7 @@ impl Keyframe {
         let mut channels = part.channels(layout).channels;
         // The horizontal way says how the body moves on, not where it is.
         channels.retain(|channel| *channel == layout.height() || !layout.way().contains(channel));
-        Ok(Held::Keyframe {
+        Ok(Constraint::Keyframe {
             at: (t as f64 + 0.5) / frames as f64,
             source: poses.columns(&channels),
             from,
@@ -153,15 +153,15 @@ mod tests {
         let [key] = &read(text).unwrap()[..] else {
             panic!("one")
         };
-        let held = key.held(&layout, &[], &walk, &poses, 90).unwrap();
-        let Held::Keyframe {
+        let constraint = key.constraint(&layout, &[], &walk, &poses, 90).unwrap();
+        let Constraint::Keyframe {
             at,
             channels,
             source,
             from,
             reach,
             ..
-        } = held
+        } = constraint
         else {
             panic!("a key frame")
         };
@@ -170,7 +170,7 @@ mod tests {
         assert_eq!(from, 15);
         assert_eq!(source.frame(15)[0], poses.frame(15)[channels[0]]);
         let late = key
-            .held(&layout, &[], &walk, &poses, 50)
+            .constraint(&layout, &[], &walk, &poses, 50)
             .unwrap_err()
             .to_string();
         assert_eq!(late, "k.toml, key frame 1: `time` is 2, allowed: 0 to 1.63");
@@ -178,8 +178,8 @@ mod tests {
             part: None,
             ..key.clone()
         };
-        let held = whole.held(&layout, &[], &walk, &poses, 90).unwrap();
-        let Held::Keyframe { channels, .. } = held else {
+        let constraint = whole.constraint(&layout, &[], &walk, &poses, 90).unwrap();
+        let Constraint::Keyframe { channels, .. } = constraint else {
             panic!("a key frame")
         };
         assert_eq!(channels.len(), layout.channels() - 2);

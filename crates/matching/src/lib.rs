@@ -14,7 +14,7 @@
 //!     frames: 200,
 //!     settings: &Settings::of(Preset::Published),
 //!     groups: &[],
-//!     held: &[],
+//!     constraints: &[],
 //! };
 //! let new = synthesize(&request, 0)?;
 //! assert_eq!(new.frames.frames(), 200);
@@ -22,12 +22,12 @@
 //! ```
 
 mod calm;
+mod constraint;
 mod diagonals;
 mod displacement;
 mod distance;
 mod error;
 mod frames;
-mod held;
 mod job;
 mod keyframes;
 mod length;
@@ -44,10 +44,10 @@ mod synthesis;
 mod vote;
 
 pub use calm::{jerk_around, jerks, percentile_95};
+pub use constraint::Constraint;
 pub use displacement::{displacements, places};
 pub use error::Error;
 pub use frames::Frames;
-pub use held::Held;
 pub use job::{Fixed, Job, Made, PartChoice};
 pub use keyframes::Keyframe;
 pub use kinegrad_capture::Axis;

@@ -39,9 +39,9 @@ pub struct Matches {
 }
 
 /// Bytes of distances that a search holds, from the first pass to the second and to the next search.
-const HELD: usize = 64 << 20;
+const CACHE_BYTES: usize = 64 << 20;
 /// Bytes of a tile that is not held.
-const TILE: usize = 8 << 20;
+const TILE_BYTES: usize = 8 << 20;
 /// Frames of the synthesis that are compared before their distances are summed.
 const AT_A_TIME: usize = 32;
 
@@ -54,12 +54,12 @@ pub struct Search<'a> {
     moving: Moving,
     padded: Padded,
     distance: Distance,
-    most_held: usize,
-    last: Option<Held>,
+    cache_bytes: usize,
+    cache: Option<Cache>,
 }
 
 /// What a search leaves to the next one.
-struct Held {
+struct Cache {
     synthesis: Padded,
     /// Rows of a tile, but for the last.
     rows: usize,
@@ -76,8 +76,8 @@ impl<'a> Search<'a> {
             padded: moving.padded(pool.frames()),
             moving,
             distance,
-            most_held: HELD,
-            last: None,
+            cache_bytes: CACHE_BYTES,
+            cache: None,
         }
     }
 
@@ -85,7 +85,7 @@ impl<'a> Search<'a> {
     #[must_use]
     pub fn among(self, searches: usize) -> Self {
         Self {
-            most_held: HELD / searches.max(1),
+            cache_bytes: CACHE_BYTES / searches.max(1),
             ..self
         }
     }
@@ -110,21 +110,21 @@ impl<'a> Search<'a> {
         }
         let (frames, width) = (synthesis.frames(), self.padded.frames());
         let patches = frames - p + 1;
-        let holds = frames * width * size_of::<f32>() <= self.most_held;
+        let holds = frames * width * size_of::<f32>() <= self.cache_bytes;
         let share = patches.div_ceil(2 * rayon::current_num_threads());
         let most = match holds {
             true => patches,
-            false => TILE / size_of::<f32>() / width,
+            false => TILE_BYTES / size_of::<f32>() / width,
         };
         let rows = share.clamp(32, most.max(32));
         let firsts: Vec<usize> = (0..patches).step_by(rows).collect();
-        let last = self.last.take();
+        let last = self.cache.take();
         let last = last.filter(|last| (last.synthesis.frames(), last.rows) == (frames, rows));
         let search = &*self;
         let tile = |synthesis: &Padded, first: usize| {
             search.tile(synthesis, first, rows.min(patches - first))
         };
-        let (synthesis, held) = match last {
+        let (synthesis, cached) = match last {
             Some(mut last) => {
                 let changed = self.moving.renew(&mut last.synthesis, synthesis);
                 let tiles = firsts.par_iter().zip(&mut last.tiles);
@@ -141,8 +141,8 @@ impl<'a> Search<'a> {
             }
         };
         let tiles = firsts.par_iter().enumerate();
-        let tiles = tiles.map(|(index, &first)| match &held {
-            Some(held) => Cow::Borrowed(held[index].as_slice()),
+        let tiles = tiles.map(|(index, &first)| match &cached {
+            Some(tiles) => Cow::Borrowed(tiles[index].as_slice()),
             None => Cow::Owned(tile(&synthesis, first)),
         });
         let smallest: Vec<f32> = match alpha {
@@ -164,7 +164,7 @@ impl<'a> Search<'a> {
             .flat_map_iter(|tile| search.first_smallest(&tile, &scale))
             .collect();
         let (nearest, distances) = found.into_iter().unzip();
-        self.last = held.map(|tiles| Held {
+        self.cache = cached.map(|tiles| Cache {
             synthesis,
             rows,
             tiles,

@@ -2,7 +2,7 @@
 
 use kinegrad_motion::banded::Cholesky;
 
-use crate::{Frames, Held};
+use crate::{Constraint, Frames};
 
 /// Weights of a third difference's frames.
 pub(crate) const THIRD: [f64; 4] = [-1.0, 3.0, -3.0, 1.0];
@@ -20,7 +20,7 @@ const KEPT: f64 = 1e9;
 ///
 /// # Panics
 /// Panics if there is not a strength for each third difference.
-pub(crate) fn smooth(frames: &mut Frames, strength: &[f64], held: &[Held]) {
+pub(crate) fn smooth(frames: &mut Frames, strength: &[f64], constraints: &[Constraint]) {
     let n = frames.frames();
     assert_eq!(
         strength.len() + 3,
@@ -37,13 +37,13 @@ pub(crate) fn smooth(frames: &mut Frames, strength: &[f64], held: &[Held]) {
     }
     let mut follows = vec![false; frames.channels()];
     let mut key_frames: Vec<Vec<usize>> = vec![Vec::new(); frames.channels()];
-    for held in held {
-        match held {
-            Held::Channels { channels, .. } => {
+    for constraint in constraints {
+        match constraint {
+            Constraint::Channels { channels, .. } => {
                 channels.iter().for_each(|&channel| follows[channel] = true);
             }
-            Held::Keyframe { at, channels, .. } => {
-                let t = Held::frame(*at, n);
+            Constraint::Keyframe { at, channels, .. } => {
+                let t = Constraint::frame(*at, n);
                 channels
                     .iter()
                     .for_each(|&channel| key_frames[channel].push(t));
@@ -106,7 +106,7 @@ mod tests {
         let values = (0..40).flat_map(|t| [wild(t), wild(t + 7)]);
         let before = Frames::new(2, values.collect());
         let source = before.columns(&[0]);
-        let key_frame = Held::Keyframe {
+        let key_frame = Constraint::Keyframe {
             at: 20.5 / 40.0,
             channels: vec![0],
             source,
@@ -130,7 +130,7 @@ mod tests {
             assert!(size(&after) < 0.2 * size(&before));
         }
         let mut followed = before.clone();
-        let follows = Held::Channels {
+        let follows = Constraint::Channels {
             channels: vec![1],
             motion: before.clone(),
         };

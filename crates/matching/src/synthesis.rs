@@ -6,7 +6,7 @@ use kinegrad_random::{Key, Purpose};
 use kinegrad_settings::{InvalidSetting, Refused, in_range, require};
 
 use crate::vote::{vote, vote_around, with_ends, without_ends};
-use crate::{Frames, Held, Levels, Looping, Matches, Pool, Search, Settings, Start};
+use crate::{Constraint, Frames, Levels, Looping, Matches, Pool, Search, Settings, Start};
 
 /// A group of channels that is matched by itself.
 #[derive(Clone, Debug, PartialEq)]
@@ -91,7 +91,7 @@ pub struct Request<'a> {
     /// all channels are matched together.
     pub groups: &'a [Channels],
     /// What the motion must keep to.
-    pub held: &'a [Held],
+    pub constraints: &'a [Constraint],
 }
 
 impl Request<'_> {
@@ -158,7 +158,7 @@ pub fn start(examples: &[Frames], noise: &Frames, sigma: f64, start: Start) -> F
 }
 
 /// One step: matching against `search`, which is among the patches of `pool`, and voting. `bent` are the
-/// frames that bend towards key frames, as of [`Held::hold`].
+/// frames that bend towards key frames, as of [`Constraint::apply_all`].
 ///
 /// # Panics
 /// As [`Search::nearest`].
@@ -282,7 +282,7 @@ fn refined_over(
             Some(coarser) if looping == Looping::Even => coarser.resampled_around(length),
             Some(coarser) => coarser.resampled(length),
         };
-        let bent = Held::hold(request.held, &mut frames, looping != Looping::Off);
+        let bent = Constraint::apply_all(request.constraints, &mut frames, looping != Looping::Off);
         let pools: Vec<Pool> = groups
             .iter()
             .map(|group| {
@@ -304,7 +304,7 @@ fn refined_over(
                 })
                 .unzip();
             frames = together(groups, voted, channels);
-            Held::hold(request.held, &mut frames, looping != Looping::Off);
+            Constraint::apply_all(request.constraints, &mut frames, looping != Looping::Off);
             origins = matches
                 .iter()
                 .zip(&pools)

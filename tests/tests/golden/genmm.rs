@@ -234,7 +234,7 @@ fn run(golden: Golden) {
         frames: *lengths.last().expect("a level"),
         settings: &settings,
         groups: &[],
-        held: &[],
+        constraints: &[],
     };
     let levels = request.levels().expect("valid");
     assert_eq!(levels.synthesis, lengths);

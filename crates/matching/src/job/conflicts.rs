@@ -1,7 +1,7 @@
 //! What cannot be asked for together.
 
 use super::Job;
-use crate::{Error, Held, Looping, MotionMatrix};
+use crate::{Constraint, Error, Looping, MotionMatrix};
 
 impl Job {
     /// Refuses what would be met in part and passed over without a word. `held`: what the motion of
@@ -9,7 +9,7 @@ impl Job {
     pub(super) fn must_agree(
         &self,
         layout: &MotionMatrix,
-        held: &[Held],
+        constraints: &[Constraint],
         frames: usize,
     ) -> Result<(), Error> {
         if let (Looping::Even | Looping::Halves, Some(fixed)) =
@@ -22,11 +22,13 @@ impl Job {
             let hint = "leave option `loop` or option `fix` out";
             return Err(Error::file(&fixed.motion.file, problem, hint));
         }
-        let (keys, fixed) = held.split_at(self.keyframes.len());
+        let (keys, fixed) = constraints.split_at(self.keyframes.len());
         for (index, one) in fixed.iter().enumerate() {
             for (place, other) in fixed[..index].iter().enumerate() {
-                let (Held::Channels { motion, .. }, Held::Channels { motion: others, .. }) =
-                    (one, other)
+                let (
+                    Constraint::Channels { motion, .. },
+                    Constraint::Channels { motion: others, .. },
+                ) = (one, other)
                 else {
                     continue;
                 };
@@ -46,9 +48,9 @@ impl Job {
                 }
             }
         }
-        let moment = |held: &Held| match held {
-            Held::Keyframe { at, .. } => Held::frame(*at, frames),
-            Held::Channels { .. } => 0,
+        let moment = |constraint: &Constraint| match constraint {
+            Constraint::Keyframe { at, .. } => Constraint::frame(*at, frames),
+            Constraint::Channels { .. } => 0,
         };
         for (index, key) in keys.iter().enumerate() {
             let time = self.keyframes[index].0.time;
@@ -96,22 +98,22 @@ impl Job {
 }
 
 /// Channels that both hold.
-fn shared(one: &Held, other: &Held) -> Vec<usize> {
+fn shared(one: &Constraint, other: &Constraint) -> Vec<usize> {
     let others = channels(other);
     let own = channels(one).iter().copied();
     own.filter(|channel| others.contains(channel)).collect()
 }
 
-fn channels(held: &Held) -> &[usize] {
-    match held {
-        Held::Channels { channels, .. } | Held::Keyframe { channels, .. } => channels,
+fn channels(constraint: &Constraint) -> &[usize] {
+    match constraint {
+        Constraint::Channels { channels, .. } | Constraint::Keyframe { channels, .. } => channels,
     }
 }
 
 /// A channel to which two key frames give different values.
-fn contradiction(one: &Held, other: &Held) -> Option<usize> {
-    let value = |held: &Held, wanted: usize| match held {
-        Held::Keyframe {
+fn contradiction(one: &Constraint, other: &Constraint) -> Option<usize> {
+    let value = |constraint: &Constraint, wanted: usize| match constraint {
+        Constraint::Keyframe {
             channels,
             source,
             from,
@@ -120,7 +122,7 @@ fn contradiction(one: &Held, other: &Held) -> Option<usize> {
             let place = channels.iter().position(|&channel| channel == wanted)?;
             Some(source.frame(*from)[place])
         }
-        Held::Channels { .. } => None,
+        Constraint::Channels { .. } => None,
     };
     let mut shared = shared(one, other).into_iter();
     shared.find(|&channel| value(one, channel) != value(other, channel))

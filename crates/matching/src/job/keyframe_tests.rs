@@ -109,8 +109,8 @@ fn a_key_frame_does_not_hold_up_the_rest() {
     for seed in [0, 1, 2] {
         let without = still(seed, &[]);
         for (time, source_time) in [(0.5, 2.0), (1.0, 0.3), (3.0, 1.0)] {
-            let held = still(seed, &[key(time, source_time)]);
-            assert!(held <= without + 0.05, "{seed} {time}: {held} {without}");
+            let with = still(seed, &[key(time, source_time)]);
+            assert!(with <= without + 0.05, "{seed} {time}: {with} {without}");
         }
     }
 }

@@ -59,11 +59,11 @@ fn fixed_parts_are_those_of_their_motion() {
     };
     let made = job.make(&[walk(70)]).unwrap();
     assert_eq!(made.bvh.frames(), 64);
-    let held = made.layout.to_frames(&legs).unwrap();
+    let legs_frames = made.layout.to_frames(&legs).unwrap();
     let channels = made.layout.channels_of(3);
     assert_eq!(
         made.synthesis.frames.columns(&channels),
-        held.columns(&channels)
+        legs_frames.columns(&channels)
     );
     let longer = Job {
         length: Some(Length::Frames(80)),
@@ -131,8 +131,11 @@ fn a_pose_from_a_wilder_motion_jerks_little_more_than_the_rest() {
     let made = job.make(&[walk(70)]).unwrap();
     let [near, rest] = jerk_around(&jerks(&made.bvh), 60.0, 30.0);
     assert!(near <= 1.5 * rest, "{near} {rest}");
-    let held = made.layout.to_frames(&wild).unwrap();
-    assert_eq!(made.synthesis.frames.frame(60)[..24], held.frame(90)[..24]);
+    let source = made.layout.to_frames(&wild).unwrap();
+    assert_eq!(
+        made.synthesis.frames.frame(60)[..24],
+        source.frame(90)[..24]
+    );
 }
 
 #[test]
@@ -255,16 +258,16 @@ fn feet_are_held_where_those_of_the_example_rest() {
     let said = feet.make(&[walk(70)]).unwrap_err().to_string();
     assert!(said.contains("no joint with two bones"), "{said}");
     let free = job().make(&[stepping()]).unwrap();
-    let held = feet.make(&[stepping()]).unwrap();
+    let locked = feet.make(&[stepping()]).unwrap();
     assert!(free.sliding.is_none());
-    let slid = held.sliding.unwrap();
+    let slid = locked.sliding.unwrap();
     assert!(slid.in_contact > 0.1 && slid.before > 1.0, "{slid:?}");
     assert!(slid.after < 0.05 * slid.before, "{slid:?}");
     // The file has it, and nothing above the legs moves.
-    let foot = held.bvh.joint("LeftFoot").unwrap();
+    let foot = locked.bvh.joint("LeftFoot").unwrap();
     let mut moved = 0;
-    for t in 0..held.bvh.frames() {
-        let (new, old) = (held.bvh.world(t), free.bvh.world(t));
+    for t in 0..locked.bvh.frames() {
+        let (new, old) = (locked.bvh.world(t), free.bvh.world(t));
         let apart = |joint: usize| {
             let axes = 0..3;
             let of = |axis: usize| (new[joint].position[axis] - old[joint].position[axis]).abs();

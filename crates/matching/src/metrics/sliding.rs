@@ -32,9 +32,9 @@ impl Sliding {
             legs.iter().zip(contacts).map(of).sum::<f64>() / legs.len() as f64
         };
         let flags = contacts.concat();
-        let held = flags.iter().filter(|&&contact| contact).count();
+        let in_contact = flags.iter().filter(|&&contact| contact).count();
         Self {
-            in_contact: held as f64 / flags.len() as f64,
+            in_contact: in_contact as f64 / flags.len() as f64,
             before: speed(before),
             after: speed(after),
         }

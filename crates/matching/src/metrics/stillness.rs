@@ -9,7 +9,7 @@ use crate::{Frames, Made};
 const STILL: f64 = 0.1;
 
 /// A change that is no more than the rounding of a file.
-const HELD: f64 = 1e-5;
+const UNCHANGED: f64 = 1e-5;
 
 /// Share of frames that stand still: the Euclidean distance of all rotations to the frame before, six
 /// numbers a joint, is below a tenth of the examples' median. Means of many patches that differ move
@@ -27,7 +27,7 @@ impl Stillness {
     fn of(motion: &Frames, examples: &[Frames]) -> Option<Self> {
         let usual: Vec<f64> = examples.iter().flat_map(changes).collect();
         // Frames that are held say nothing of how fast the others are.
-        let mut moving: Vec<f64> = usual.iter().copied().filter(|c| *c > HELD).collect();
+        let mut moving: Vec<f64> = usual.iter().copied().filter(|c| *c > UNCHANGED).collect();
         if moving.is_empty() || motion.frames() < 2 {
             return None;
         }
@@ -74,9 +74,9 @@ mod tests {
         let example = walk(|t| t as f32);
         let of = |motion: &Frames| Stillness::of(motion, std::slice::from_ref(&example)).unwrap();
         assert_eq!(of(&walk(|t| 0.5 * t as f32)).motion, 0.0);
-        let held = of(&walk(|t| t.min(79) as f32));
-        assert!((held.motion - 20.0 / 99.0).abs() < 1e-12, "{held:?}");
-        assert_eq!(held.examples, 0.0);
+        let stopped = of(&walk(|t| t.min(79) as f32));
+        assert!((stopped.motion - 20.0 / 99.0).abs() < 1e-12, "{stopped:?}");
+        assert_eq!(stopped.examples, 0.0);
         // Examples that rest themselves.
         let resting = walk(|t| t.max(30) as f32);
         let both = Stillness::of(&example, &[example.clone(), resting]).unwrap();

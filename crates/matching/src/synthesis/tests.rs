@@ -59,7 +59,7 @@ proptest! {
             frames,
             settings: &settings,
             groups: &[],
-            held: &[],
+            constraints: &[],
         };
         let new = synthesize(&request, seed).unwrap();
         prop_assert_eq!(new.frames.frames(), frames);
@@ -182,7 +182,7 @@ fn threads_change_no_bit() {
         frames: 611,
         settings: &settings,
         groups: &[],
-        held: &[],
+        constraints: &[],
     };
     let on = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads);
@@ -215,7 +215,7 @@ fn the_end_of_a_loop_leads_into_its_beginning() {
                 frames: 150,
                 settings: &settings,
                 groups: &[],
-                held: &[],
+                constraints: &[],
             };
             let frames = synthesize(&request, seed).unwrap().frames;
             let largest = (1..150)
@@ -242,7 +242,7 @@ fn a_loop_begins_where_it_is_calm() {
         frames: 150,
         settings: &settings,
         groups: &[],
-        held: &[],
+        constraints: &[],
     };
     let before = synthesize(&request, 0).unwrap();
     let mut turned = before.clone();
@@ -276,7 +276,7 @@ fn seeds_differ_and_repeat() {
         frames: 240,
         settings: &settings,
         groups: &[],
-        held: &[],
+        constraints: &[],
     };
     let of = |seed| synthesize(&request, seed).unwrap().frames;
     assert_eq!(of(0), of(0));
@@ -296,7 +296,7 @@ fn groups_are_matched_apart_and_shared_channels_averaged() {
         frames: 120,
         settings: &settings,
         groups: &groups,
-        held: &[],
+        constraints: &[],
     };
     let new = synthesize(&request, 3).unwrap();
     assert_eq!(new.origins.len(), 2);
@@ -310,15 +310,15 @@ fn groups_are_matched_apart_and_shared_channels_averaged() {
 }
 
 #[test]
-fn held_channels_come_out_as_they_went_in() {
+fn constrained_channels_come_out_as_they_went_in() {
     let settings = settings(5);
     let walk = motion(9, 90, 4);
-    let held = [
-        Held::Channels {
+    let constraints = [
+        Constraint::Channels {
             channels: vec![1, 3],
             motion: walk.clone(),
         },
-        Held::Keyframe {
+        Constraint::Keyframe {
             at: 40.5 / 90.0,
             channels: vec![0],
             source: Frames::new(1, vec![0.25; 3]),
@@ -332,7 +332,7 @@ fn held_channels_come_out_as_they_went_in() {
         frames: 90,
         settings: &settings,
         groups: &[],
-        held: &held,
+        constraints: &constraints,
     };
     let new = synthesize(&request, 3).unwrap().frames;
     assert_eq!(new.columns(&[1, 3]), walk.columns(&[1, 3]));
@@ -348,7 +348,7 @@ fn what_is_too_short_is_refused() {
             frames,
             settings: &settings,
             groups: &[],
-            held: &[],
+            constraints: &[],
         };
         synthesize(&request, 0).unwrap_err().to_string()
     };
@@ -374,7 +374,7 @@ fn a_ratio_of_one_has_one_level() {
         frames: 90,
         settings: &settings,
         groups: &[],
-        held: &[],
+        constraints: &[],
     };
     assert_eq!(request.levels().unwrap().count(), 1);
     synthesize(&request, 0).unwrap();

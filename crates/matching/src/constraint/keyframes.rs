@@ -1,6 +1,6 @@
 //! Key frames of a level, all together.
 
-use super::Held;
+use super::Constraint;
 use crate::Frames;
 
 /// Frames of a level that bend towards a key frame at least: about half a patch, so that patches of
@@ -23,30 +23,32 @@ struct Key<'a> {
 
 /// Makes a level's motion pass its key frames. What they weigh is summed up before any frame changes,
 /// so their order does not matter. Says of each frame whether it bends; nothing without key frames.
-pub(super) fn hold(held: &[Held], frames: &mut Frames, around: bool) -> Vec<bool> {
+pub(super) fn apply(constraints: &[Constraint], frames: &mut Frames, around: bool) -> Vec<bool> {
     let n = frames.frames();
     let least = LEAST_REACH.min(n / FRAMES_PER_REACH);
-    let keys = held.iter().filter_map(|held| match held {
-        Held::Channels { .. } => None,
-        Held::Keyframe {
-            at,
-            channels,
-            source,
-            from,
-            frames: finest,
-            reach,
-        } => {
-            let pace = (*finest as f64 / n as f64).max(1.0);
-            Some(Key {
-                t: Held::frame(*at, n),
+    let keys = constraints
+        .iter()
+        .filter_map(|constraint| match constraint {
+            Constraint::Channels { .. } => None,
+            Constraint::Keyframe {
+                at,
                 channels,
                 source,
-                from: *from,
-                pace,
-                reach: ((*reach as f64 / pace).ceil() as usize).max(least),
-            })
-        }
-    });
+                from,
+                frames: finest,
+                reach,
+            } => {
+                let pace = (*finest as f64 / n as f64).max(1.0);
+                Some(Key {
+                    t: Constraint::frame(*at, n),
+                    channels,
+                    source,
+                    from: *from,
+                    pace,
+                    reach: ((*reach as f64 / pace).ceil() as usize).max(least),
+                })
+            }
+        });
     let keys: Vec<Key<'_>> = keys.collect();
     if keys.is_empty() {
         return Vec::new();

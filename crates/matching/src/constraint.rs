@@ -2,11 +2,11 @@
 
 use crate::Frames;
 
-mod keys;
+mod keyframes;
 
 /// What a synthesis must keep to.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Held {
+pub enum Constraint {
     /// Channels that follow a given motion.
     Channels {
         /// The channels.
@@ -32,7 +32,7 @@ pub enum Held {
     },
 }
 
-impl Held {
+impl Constraint {
     /// The frame of `frames` that is at the part `at` of a motion's length.
     pub(crate) fn frame(at: f64, frames: usize) -> usize {
         let t = (at * frames as f64 - 0.5).round().max(0.0) as usize;
@@ -51,10 +51,10 @@ impl Held {
     ///
     /// # Panics
     /// Panics if the channels are not there.
-    pub fn hold(held: &[Self], frames: &mut Frames, around: bool) -> Vec<bool> {
-        let bent = keys::hold(held, frames, around);
-        for held in held {
-            if let Self::Channels { channels, motion } = held {
+    pub fn apply_all(constraints: &[Self], frames: &mut Frames, around: bool) -> Vec<bool> {
+        let bent = keyframes::apply(constraints, frames, around);
+        for constraint in constraints {
+            if let Self::Channels { channels, motion } = constraint {
                 let motion = motion.columns(channels).resampled(frames.frames());
                 for t in 0..frames.frames() {
                     let row = frames.frame_mut(t);
@@ -70,13 +70,13 @@ impl Held {
 
 #[cfg(test)]
 mod tests {
-    use super::keys::falloff;
+    use super::keyframes::falloff;
     use super::*;
 
     #[test]
     fn a_key_frame_is_met_and_its_neighbours_bend() {
         let mut frames = Frames::zeros(21, 2);
-        let key = Held::Keyframe {
+        let key = Constraint::Keyframe {
             at: 10.5 / 21.0,
             channels: vec![1],
             source: Frames::new(1, vec![5.0, 3.0, 2.0, 3.0, 5.0, 7.0]),
@@ -84,7 +84,7 @@ mod tests {
             frames: 21,
             reach: 4,
         };
-        Held::hold(std::slice::from_ref(&key), &mut frames, false);
+        Constraint::apply_all(std::slice::from_ref(&key), &mut frames, false);
         let second: Vec<f32> = (0..21).map(|t| frames.frame(t)[1]).collect();
         assert_eq!(second[10], 2.0);
         // The neighbours are those of the source, weighted, and held at its ends.
@@ -96,32 +96,32 @@ mod tests {
         // At a level of a third of the frames the source goes three times as fast, and the bend is as
         // much shorter.
         let mut coarse = Frames::zeros(7, 2);
-        Held::hold(&[key], &mut coarse, false);
+        Constraint::apply_all(&[key], &mut coarse, false);
         let second: Vec<f32> = (0..7).map(|t| coarse.frame(t)[1]).collect();
         assert_eq!((second[3], second[4]), (2.0, 7.0 * falloff(1, 2)));
     }
 
     #[test]
-    fn held_channels_are_those_of_the_motion() {
+    fn constrained_channels_are_those_of_the_motion() {
         let motion = Frames::new(2, (0..20).map(|value| value as f32).collect());
         let mut frames = Frames::zeros(10, 2);
-        let held = Held::Channels {
+        let constraint = Constraint::Channels {
             channels: vec![0],
             motion: motion.clone(),
         };
-        Held::hold(std::slice::from_ref(&held), &mut frames, false);
+        Constraint::apply_all(std::slice::from_ref(&constraint), &mut frames, false);
         for t in 0..10 {
             assert_eq!(frames.frame(t), [motion.frame(t)[0], 0.0]);
         }
         let mut coarse = Frames::zeros(5, 2);
-        Held::hold(&[held], &mut coarse, false);
+        Constraint::apply_all(&[constraint], &mut coarse, false);
         assert_eq!(coarse.frame(1)[0], 5.0);
     }
 
     /// A key of channel 0 (and 1, if `both`) with a value that stays.
-    fn still(frame: usize, of: usize, both: bool, value: f32, reach: usize) -> Held {
+    fn still(frame: usize, of: usize, both: bool, value: f32, reach: usize) -> Constraint {
         let channels = if both { vec![0, 1] } else { vec![0] };
-        Held::Keyframe {
+        Constraint::Keyframe {
             at: (frame as f64 + 0.5) / of as f64,
             source: Frames::new(channels.len(), vec![value; channels.len()]),
             channels,
@@ -141,7 +141,7 @@ mod tests {
                 still(40, 60, true, 3.0, reach),
             ];
             let mut frames = Frames::zeros(60, 2);
-            Held::hold(&keys, &mut frames, false);
+            Constraint::apply_all(&keys, &mut frames, false);
             let met = [20, 21, 26, 40].map(|t| frames.frame(t)[0]);
             assert_eq!(met, [1.0, -2.0, 5.0, 3.0], "{reach}");
             assert_eq!([26, 40].map(|t| frames.frame(t)[1]), [5.0, 3.0]);
@@ -153,7 +153,7 @@ mod tests {
         // One frame of a coarse level holds the mean of two.
         let keys = [still(20, 60, false, 1.0, 5), still(21, 60, false, 3.0, 5)];
         let mut coarse = Frames::zeros(6, 2);
-        Held::hold(&keys, &mut coarse, false);
+        Constraint::apply_all(&keys, &mut coarse, false);
         assert_eq!(coarse.frame(2)[0], 2.0);
     }
 
@@ -161,13 +161,13 @@ mod tests {
     fn a_key_frame_of_a_loop_bends_frames_on_both_sides_of_the_seam() {
         let mut frames = Frames::zeros(40, 2);
         let key = still(1, 40, false, 2.0, 6);
-        Held::hold(std::slice::from_ref(&key), &mut frames, true);
+        Constraint::apply_all(std::slice::from_ref(&key), &mut frames, true);
         for away in 1..6 {
             let [behind, before] = [1 + away, (41 - away) % 40].map(|t| frames.frame(t)[0]);
             assert!(behind > 0.0 && behind == before, "{away}");
         }
         let mut open = Frames::zeros(40, 2);
-        Held::hold(&[key], &mut open, false);
+        Constraint::apply_all(&[key], &mut open, false);
         assert_eq!(open.frame(39)[0], 0.0);
     }
 }
