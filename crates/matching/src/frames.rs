@@ -92,7 +92,7 @@ impl Frames {
     }
 
     /// [`resampled`](Self::resampled) of a motion whose last frame is followed by its first.
-    pub fn resampled_around(&self, frames: usize) -> Self {
+    pub fn resampled_loop(&self, frames: usize) -> Self {
         let n = self.frames();
         let ends = [n - 1].into_iter().chain(0..n).chain([0]);
         let values = ends.flat_map(|t| self.frame(t)).copied().collect();
@@ -175,8 +175,8 @@ mod tests {
     fn around_the_circle_the_ends_meet() {
         let circle = Frames::new(1, vec![0.0, 1.0, 2.0, 1.0]);
         let values = [0.25, 0.25, 0.75, 1.25, 1.75, 1.75, 1.25, 0.75];
-        assert_eq!(circle.resampled_around(8).values(), values);
-        assert_eq!(circle.resampled_around(4), circle);
+        assert_eq!(circle.resampled_loop(8).values(), values);
+        assert_eq!(circle.resampled_loop(4), circle);
     }
 
     #[test]

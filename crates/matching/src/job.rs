@@ -4,7 +4,7 @@ use kinegrad_capture::{Bvh, UpAxis};
 use kinegrad_motion::MAX_FRAMES;
 use kinegrad_settings::{Refused, in_range};
 
-use crate::calm::{self, jerks, percentile_95};
+use crate::limit_jerk::{self, jerks, percentile_95};
 use crate::metrics::Seam;
 use crate::synthesis::{start_noise, synthesize_from, synthesize_like};
 use crate::{
@@ -15,9 +15,9 @@ use crate::{
 mod conflicts;
 
 /// Loops that are made until the seam of one is calm.
-const MOST_LOOPS: u64 = 8;
+const MAX_LOOPS: u64 = 8;
 /// A seam is calm if its jumps are at most this part of the 95th percentile of all.
-const CALM: f64 = 0.95;
+const SMOOTH_SEAM: f64 = 0.95;
 
 /// How the body is divided.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -72,7 +72,7 @@ pub struct Job {
     pub fixed: Vec<Fixed>,
     /// Whether feet are held still where those of the examples rest. It moves legs of key frames and
     /// of parts that are fixed as well, and the seam of a loop.
-    pub feet: bool,
+    pub lock_feet: bool,
 }
 
 /// A new motion and what it was made of.
@@ -125,7 +125,7 @@ impl Job {
             .any(|(keyframe, _)| keyframe.place.is_some())
         {
             let motions = examples.iter().chain(others);
-            layout.must_travel_upright(motions, "`place` of a key frame")?;
+            layout.must_have_upright_root(motions, "`place` of a key frame")?;
         }
         let matrices = examples.iter().map(|example| layout.to_frames(example));
         let matrices: Vec<Frames> = matrices.collect::<Result<_, _>>()?;
@@ -197,7 +197,7 @@ impl Job {
         // A loop that a key frame holds in its place cannot begin elsewhere: of several the first whose
         // seam is calm, or the calmest.
         let most = match around && !constraints.is_empty() && content.is_none() {
-            true => MOST_LOOPS,
+            true => MAX_LOOPS,
             false => 1,
         };
         let first = request.levels()?.synthesis[0];
@@ -211,7 +211,7 @@ impl Job {
                 }
             };
             if around && constraints.is_empty() && content.is_none() {
-                synthesis.begin_where_calm();
+                synthesis.rotate_to_smoothest_seam();
             }
             let mut layout = layout.clone();
             let bvh = self.finished(&mut layout, &mut synthesis.frames, &constraints, usual)?;
@@ -223,16 +223,16 @@ impl Job {
             if calmest.as_ref().is_none_or(|(least, ..)| jump < *least) {
                 calmest = Some((jump, layout, synthesis, bvh));
             }
-            if jump <= CALM {
+            if jump <= SMOOTH_SEAM {
                 break;
             }
         }
         let (_, layout, synthesis, mut bvh) = calmest.expect("one motion or more");
         let jerk = usual.map(|usual| percentile_95(&jerks(&bvh)) / usual.max(f64::MIN_POSITIVE));
         let mut sliding = None;
-        if self.feet {
+        if self.lock_feet {
             let origins = &synthesis.origins;
-            let (locked, slid) = layout.with_held_feet(&bvh, examples, &parts, origins)?;
+            let (locked, slid) = layout.with_locked_feet(&bvh, examples, &parts, origins)?;
             (bvh, sliding) = (locked, Some(slid));
         }
         Ok(Made {
@@ -257,7 +257,7 @@ impl Job {
     ) -> Result<Bvh, Error> {
         let around = self.settings.looping != Looping::Off;
         if around {
-            layout.close(frames);
+            layout.close_heading(frames);
         }
         let points = self.keyframes.iter().filter_map(|(keyframe, _)| {
             let frame = (keyframe.time / layout.frame_time()).round() as usize;
@@ -268,16 +268,16 @@ impl Job {
         match first {
             Some((0, place)) => layout.start_at(*place),
             // A loop begins anywhere: its first place says where it is.
-            Some(point) if around => layout.start_for(frames, *point),
+            Some(point) if around => layout.start_through(frames, *point),
             _ => {}
         }
-        layout.lead(frames, &points, around);
-        calm::around_keyframes(layout, frames, constraints, around)?;
+        layout.warp_root(frames, &points, around);
+        limit_jerk::around_keyframes(layout, frames, constraints, around)?;
         if let Some(usual) = usual {
-            calm::over_fixed_parts(layout, frames, constraints, usual)?;
+            limit_jerk::over_fixed_parts(layout, frames, constraints, usual)?;
         }
         // What was smoothed has moved the way a little.
-        layout.lead(frames, &points, around);
+        layout.warp_root(frames, &points, around);
         layout.to_bvh(frames)
     }
 

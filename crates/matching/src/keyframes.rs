@@ -124,7 +124,9 @@ impl Keyframe {
         };
         let mut channels = part.channels(layout).channels;
         // The horizontal way says how the body moves on, not where it is.
-        channels.retain(|channel| *channel == layout.height() || !layout.way().contains(channel));
+        channels.retain(|channel| {
+            *channel == layout.height() || !layout.root_channels().contains(channel)
+        });
         Ok(Constraint::Keyframe {
             at: (t as f64 + 0.5) / frames as f64,
             source: poses.columns(&channels),

@@ -21,7 +21,6 @@
 //! # Ok::<(), kinegrad_settings::InvalidSetting>(())
 //! ```
 
-mod calm;
 mod constraint;
 mod diagonals;
 mod displacement;
@@ -31,6 +30,7 @@ mod frames;
 mod job;
 mod keyframes;
 mod length;
+mod limit_jerk;
 mod metrics;
 mod motion_matrix;
 mod nearest;
@@ -43,7 +43,6 @@ mod smoothing;
 mod synthesis;
 mod vote;
 
-pub use calm::{jerk_around, jerks, percentile_95};
 pub use constraint::Constraint;
 pub use displacement::{displacements, places};
 pub use error::Error;
@@ -52,6 +51,7 @@ pub use job::{Fixed, Job, Made, PartChoice};
 pub use keyframes::Keyframe;
 pub use kinegrad_capture::Axis;
 pub use length::Length;
+pub use limit_jerk::{jerk_around, jerks, percentile_95};
 pub use metrics::{Measures, Novelty, Run, Seam, Sliding, Stillness};
 pub use motion_matrix::{Example, MatrixOptions, MotionMatrix};
 pub use nearest::{Distance, Matches, Search};
@@ -63,4 +63,4 @@ pub use synthesis::{
     Channels, Request, Synthesis, start, start_noise, step, synthesize, synthesize_from,
     synthesize_like,
 };
-pub use vote::{vote, vote_around, with_ends, without_ends};
+pub use vote::{pad_loop, unpad_loop, vote, vote_loop};

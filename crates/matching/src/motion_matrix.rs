@@ -14,13 +14,13 @@ use kinegrad_motion::rotation::length;
 
 use crate::{Error, Frames, displacements, rotation6d};
 
-mod feet;
-mod fit;
-mod lead;
-mod survey;
-mod way;
+mod compatibility;
+mod foot_locking;
+mod root_trajectory;
+mod root_warp;
+mod skeleton;
 
-use survey::{carriers, scale, thinning, travel, travelling_in_any};
+use skeleton::{ancestors, common_root_joint, position_ranges, scale, thinning};
 
 /// Channels of a rotation.
 const ROTATION: usize = 6;
@@ -58,12 +58,12 @@ pub struct MotionMatrix {
     up: Axis,
     scale: f64,
     frame_time: f64,
-    travelling: usize,
+    root_joint: usize,
     /// Joints above the one that travels, where nothing else hangs on them.
-    carriers: Vec<usize>,
+    ancestors: Vec<usize>,
     /// Where what carries the joint that travels stands in a new motion, with no turn.
     base: [f64; 3],
-    shifting: Vec<usize>,
+    translated: Vec<usize>,
     contacts: Vec<usize>,
     /// Heading of the first example's first frame, in radians; none if motions are seen from
     /// outside.
@@ -109,10 +109,10 @@ impl MotionMatrix {
             },
             scale: 1.0,
             frame_time,
-            travelling: 0,
-            carriers: Vec::new(),
+            root_joint: 0,
+            ancestors: Vec::new(),
             base: [0.0; 3],
-            shifting: Vec::new(),
+            translated: Vec::new(),
             contacts: options.contacts,
             heading: None,
             start: [0.0; 3],
@@ -120,21 +120,21 @@ impl MotionMatrix {
         let motions = || examples.iter().chain(others.iter().copied());
         let mut all = Vec::new();
         for motion in motions() {
-            layout.must_fit(motion)?;
-            all.push(travel(&motion.bvh));
+            layout.must_match(motion)?;
+            all.push(position_ranges(&motion.bvh));
         }
         let range = |joint: usize| all.iter().map(|ranges| ranges[joint]).fold(0.0, f64::max);
         let ranges: Vec<f64> = (0..layout.bvh.joints().len()).map(range).collect();
-        layout.travelling = travelling_in_any(&layout.bvh, &all, &ranges);
-        layout.carriers = carriers(&layout.bvh, layout.travelling);
-        layout.scale = scale(first, layout.travelling)?;
-        let parent = layout.joints()[layout.travelling].parent;
-        layout.base = match (layout.carriers.is_empty(), parent) {
+        layout.root_joint = common_root_joint(&layout.bvh, &all, &ranges);
+        layout.ancestors = ancestors(&layout.bvh, layout.root_joint);
+        layout.scale = scale(first, layout.root_joint)?;
+        let parent = layout.joints()[layout.root_joint].parent;
+        layout.base = match (layout.ancestors.is_empty(), parent) {
             (true, None) => [0.0; 3],
             (true, Some(parent)) => layout.bvh.world(0)[parent].position,
             (false, _) => {
                 let offsets = layout
-                    .carriers
+                    .ancestors
                     .iter()
                     .map(|&joint| layout.joints()[joint].offset);
                 offsets.fold([0.0; 3], |sum, offset| {
@@ -143,19 +143,19 @@ impl MotionMatrix {
             }
         };
         for motion in motions() {
-            layout.must_have_the_bones(motion)?;
-            layout.must_be_written(motion)?;
+            layout.must_match_bones(motion)?;
+            layout.must_have_channels(motion)?;
         }
         if options.heading {
-            layout.must_travel_upright(motions(), "`--heading`")?;
+            layout.must_have_upright_root(motions(), "`--heading`")?;
         }
         let shifts = |joint: &usize| ranges[*joint] * layout.scale > STILL;
         let carries =
-            |joint: &usize| *joint == layout.travelling || layout.carriers.contains(joint);
-        layout.shifting = (0..ranges.len())
+            |joint: &usize| *joint == layout.root_joint || layout.ancestors.contains(joint);
+        layout.translated = (0..ranges.len())
             .filter(|joint| shifts(joint) && !carries(joint))
             .collect();
-        let pose = layout.locals(&first.bvh, 0)[layout.travelling];
+        let pose = layout.locals(&first.bvh, 0)[layout.root_joint];
         layout.start = pose.position;
         layout.heading = options.heading.then(|| layout.heading_of(pose.orientation));
         Ok(layout)
@@ -172,14 +172,14 @@ impl MotionMatrix {
     }
 
     /// The joint whose way is followed.
-    pub fn travelling(&self) -> usize {
-        self.travelling
+    pub fn root_joint(&self) -> usize {
+        self.root_joint
     }
 
     /// Number of channels.
     pub fn channels(&self) -> usize {
         let joints = ROTATION * (self.joints().len() + self.contacts.len());
-        joints + 3 * self.shifting.len() + usize::from(self.heading.is_some()) + 3
+        joints + 3 * self.translated.len() + usize::from(self.heading.is_some()) + 3
     }
 
     /// Channels of a joint: its rotation, its place if that changes, its contact. The way of the
@@ -187,10 +187,14 @@ impl MotionMatrix {
     pub fn channels_of(&self, joint: usize) -> Vec<usize> {
         let mut channels: Vec<usize> = self.rotation_of(joint).collect();
         let places = ROTATION * self.joints().len();
-        if let Some(place) = self.shifting.iter().position(|&shifting| shifting == joint) {
+        if let Some(place) = self
+            .translated
+            .iter()
+            .position(|&translated| translated == joint)
+        {
             channels.extend(places + 3 * place..places + 3 * place + 3);
         }
-        let contacts = places + 3 * self.shifting.len();
+        let contacts = places + 3 * self.translated.len();
         if let Some(place) = self.contacts.iter().position(|&contact| contact == joint) {
             let first = contacts + ROTATION * place;
             channels.extend(first..first + ROTATION);
@@ -205,7 +209,7 @@ impl MotionMatrix {
 
     /// Channels of the way of the joint that travels: the turn of its heading in radians, if motions
     /// are seen from there, and x, y and z.
-    pub fn way(&self) -> std::ops::Range<usize> {
+    pub fn root_channels(&self) -> std::ops::Range<usize> {
         self.channels() - 3 - usize::from(self.heading.is_some())..self.channels()
     }
 
@@ -229,14 +233,14 @@ impl MotionMatrix {
     /// along.
     fn locals(&self, bvh: &Bvh, t: usize) -> Vec<RootPose> {
         let mut poses = bvh.locals(t);
-        if self.carriers.is_empty() {
+        if self.ancestors.is_empty() {
             return poses;
         }
-        for &joint in &self.carriers {
+        for &joint in &self.ancestors {
             poses[joint] = self.upright(joint);
         }
-        let world = bvh.world(t)[self.travelling];
-        poses[self.travelling] = RootPose {
+        let world = bvh.world(t)[self.root_joint];
+        poses[self.root_joint] = RootPose {
             position: [0, 1, 2].map(|axis| world.position[axis] - self.base[axis]),
             orientation: world.orientation,
         };
@@ -255,16 +259,16 @@ impl MotionMatrix {
     /// The motion of an example, `[frames, channels]`, after thinning.
     ///
     /// # Errors
-    /// As [`must_fit`](Self::must_fit), and for numbers beyond single precision.
+    /// As [`must_match`](Self::must_match), and for numbers beyond single precision.
     pub fn to_frames(&self, example: &Example) -> Result<Frames, Error> {
-        self.must_fit(example)?;
+        self.must_match(example)?;
         let bvh = &example.bvh;
         let (every, _) = thinning(bvh);
         let times: Vec<usize> = (0..bvh.frames()).step_by(every).collect();
         let mut poses: Vec<Vec<RootPose>> = times.iter().map(|&t| self.locals(bvh, t)).collect();
-        let start = poses[0][self.travelling].position;
-        let way = poses.iter().map(|pose| {
-            let place = pose[self.travelling].position;
+        let start = poses[0][self.root_joint].position;
+        let trajectory = poses.iter().map(|pose| {
+            let place = pose[self.root_joint].position;
             [0, 1, 2].map(|axis| {
                 let origin = if axis == self.up as usize {
                     0.0
@@ -274,10 +278,10 @@ impl MotionMatrix {
                 (place[axis] - origin) * self.scale
             })
         });
-        let mut way = displacements(&way.collect::<Vec<_>>(), Some(self.up));
+        let mut trajectory = displacements(&trajectory.collect::<Vec<_>>(), Some(self.up));
         let turns = self
             .heading
-            .map(|_| self.seen_from_heading(&mut poses, &mut way));
+            .map(|_| self.to_heading_frame(&mut poses, &mut trajectory));
         let contacts = self.contacts_of(bvh, &times);
         let mut values: Vec<f32> = Vec::with_capacity(times.len() * self.channels());
         for (t, pose) in poses.iter().enumerate() {
@@ -285,7 +289,7 @@ impl MotionMatrix {
                 let rotation = rotation6d::from_quaternion(joint.orientation);
                 values.extend(rotation.map(|value| value as f32));
             }
-            for &joint in &self.shifting {
+            for &joint in &self.translated {
                 values.extend(
                     pose[joint]
                         .position
@@ -296,7 +300,7 @@ impl MotionMatrix {
                 values.extend([if contact[t] { 1.0 } else { 0.0 }, 0.0, 0.0, 0.0, 0.0, 0.0]);
             }
             values.extend(turns.as_ref().map(|turns| turns[t] as f32));
-            values.extend(way[t].map(|value| value as f32));
+            values.extend(trajectory[t].map(|value| value as f32));
         }
         if !values.iter().all(|value| value.is_finite()) {
             let hint = "lengths are scaled by the longest bone: check the positions";
@@ -318,12 +322,12 @@ impl MotionMatrix {
         assert_eq!(frames.channels(), self.channels());
         let joints = self.joints().len();
         let mut still = self.bvh.locals(0);
-        for &joint in &self.carriers {
+        for &joint in &self.ancestors {
             still[joint] = self.upright(joint);
         }
-        let way = self.way_of(frames);
+        let trajectory = self.root_trajectory(frames);
         let mut locals = Vec::with_capacity(frames.frames() * joints);
-        for (t, (place, heading)) in way.into_iter().enumerate() {
+        for (t, (place, heading)) in trajectory.into_iter().enumerate() {
             let frame = frames.frame(t);
             let numbers = |from: usize| frame[from..].iter().copied().map(f64::from);
             for (joint, still) in still.iter().enumerate() {
@@ -335,14 +339,14 @@ impl MotionMatrix {
                 });
             }
             let own = &mut locals[t * joints..];
-            for (index, &joint) in self.shifting.iter().enumerate() {
+            for (index, &joint) in self.translated.iter().enumerate() {
                 let mut values = numbers(ROTATION * joints + 3 * index);
                 own[joint].position =
                     [(); 3].map(|()| values.next().expect("a place") / self.scale);
             }
-            let travelling = &mut own[self.travelling];
-            travelling.position = place;
-            travelling.orientation = self.turned(heading) * travelling.orientation;
+            let root_joint = &mut own[self.root_joint];
+            root_joint.position = place;
+            root_joint.orientation = self.heading_rotation(heading) * root_joint.orientation;
         }
         Ok(self.bvh.reposed(self.frame_time, &locals)?)
     }
@@ -369,4 +373,4 @@ impl MotionMatrix {
 pub(crate) mod tests;
 
 #[cfg(test)]
-mod fit_tests;
+mod compatibility_tests;

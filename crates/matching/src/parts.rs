@@ -17,7 +17,7 @@ pub struct Part {
     /// Its joints, by their indices; neighbouring parts share the joint that connects them.
     pub joints: Vec<usize>,
     /// Whether the way of the joint that travels belongs to it.
-    pub way: bool,
+    pub root_trajectory: bool,
 }
 
 /// A file of body parts.
@@ -39,7 +39,7 @@ struct Entry {
     #[serde(default)]
     below: Vec<String>,
     #[serde(default)]
-    way: bool,
+    root_trajectory: bool,
 }
 
 /// Words in the names of joints, for parts that are asked for by a common name.
@@ -66,8 +66,8 @@ impl Part {
     pub fn channels(&self, layout: &MotionMatrix) -> Channels {
         let joints = self.joints.iter();
         let mut channels: Vec<usize> = joints.flat_map(|&j| layout.channels_of(j)).collect();
-        if self.way {
-            channels.extend(layout.way());
+        if self.root_trajectory {
+            channels.extend(layout.root_channels());
         }
         channels.sort_unstable();
         Channels {
@@ -101,14 +101,14 @@ impl Part {
                 limbs.push(Self {
                     name: bare(&joints[joint].name).to_string(),
                     joints: [vec![parent], subtree].concat(),
-                    way: parent == layout.travelling(),
+                    root_trajectory: parent == layout.root_joint(),
                 });
             }
         }
         let trunk = Self {
             name: "trunk".to_string(),
             joints: (0..joints.len()).filter(|&joint| in_trunk[joint]).collect(),
-            way: true,
+            root_trajectory: true,
         };
         [vec![trunk], limbs].concat()
     }
@@ -118,7 +118,7 @@ impl Part {
         Self {
             name: "body".to_string(),
             joints: (0..layout.joints().len()).collect(),
-            way: true,
+            root_trajectory: true,
         }
     }
 
@@ -158,14 +158,14 @@ impl Part {
             parts.push(Self {
                 name: entry.name,
                 joints,
-                way: entry.way,
+                root_trajectory: entry.root_trajectory,
             });
         }
         let mut rest = Self::whole(layout);
         rest.name = "rest".to_string();
         let taken = |joint: &usize| parts.iter().any(|part: &Self| part.joints.contains(joint));
         rest.joints.retain(|joint| !taken(joint));
-        rest.way = parts.iter().all(|part| !part.way);
+        rest.root_trajectory = parts.iter().all(|part| !part.root_trajectory);
         if !rest.joints.is_empty() {
             if parts.iter().any(|part| part.name == rest.name) {
                 let problem =
@@ -173,10 +173,10 @@ impl Part {
                 return Err(Error::file(file, problem, hint));
             }
             parts.push(rest);
-        } else if rest.way {
-            let travels = layout.travelling();
+        } else if rest.root_trajectory {
+            let travels = layout.root_joint();
             for part in &mut parts {
-                part.way = part.joints.contains(&travels);
+                part.root_trajectory = part.joints.contains(&travels);
             }
         }
         Ok(parts)
@@ -197,12 +197,12 @@ impl Part {
             return Ok(part.clone());
         }
         let joints = layout.joints();
-        let of = |found: Vec<usize>, way| Self {
+        let of = |found: Vec<usize>, root_trajectory| Self {
             name: name.to_string(),
             joints: found,
-            way,
+            root_trajectory,
         };
-        if let Some((_, words, way)) = COMMON.iter().find(|(common, ..)| *common == name) {
+        if let Some((_, words, has_root)) = COMMON.iter().find(|(common, ..)| *common == name) {
             let called = |joint: usize, words: &[&str]| {
                 let joint = bare(&joints[joint].name).to_lowercase();
                 words.iter().any(|word| joint.contains(word))
@@ -219,16 +219,16 @@ impl Part {
                     && COMMON.iter().all(only_legs)
             };
             let mut found: Vec<usize> = (1..joints.len())
-                .filter(|&joint| joint != layout.travelling())
+                .filter(|&joint| joint != layout.root_joint())
                 .filter(|&joint| called(joint, words) || thigh(joint))
                 .flat_map(|joint| subtree(joints, joint))
                 .collect();
             if !found.is_empty() {
                 // Legs stand on the ground as the joint that they hang on turns.
-                found.extend(way.then(|| layout.travelling()));
+                found.extend(has_root.then(|| layout.root_joint()));
                 found.sort_unstable();
                 found.dedup();
-                return Ok(of(found, *way));
+                return Ok(of(found, *has_root));
             }
         }
         match joints
@@ -237,8 +237,8 @@ impl Part {
         {
             Some(joint) => {
                 let below = subtree(joints, joint);
-                let way = below.contains(&layout.travelling());
-                Ok(of(below, way))
+                let has_root = below.contains(&layout.root_joint());
+                Ok(of(below, has_root))
             }
             None => {
                 let parts = parts.iter().map(|part| format!("`{}`", part.name));
@@ -335,7 +335,7 @@ mod tests {
         assert_eq!(named, ["trunk", "LeftLeg", "RightLeg"]);
         assert_eq!(parts[0].joints, [0, 1]);
         assert_eq!(parts[1].joints, [1, 2, 3]);
-        assert!(parts.iter().all(|part| part.way));
+        assert!(parts.iter().all(|part| part.root_trajectory));
         let mut all: Vec<usize> = parts
             .iter()
             .flat_map(|p| p.channels(&layout).channels)
@@ -352,7 +352,10 @@ mod tests {
         let text = "[[part]]\nname = 'left'\nbelow = ['LeftLeg']\n";
         let parts = Part::read(text, "parts.toml", &layout).unwrap();
         assert_eq!(parts[0].joints, [2, 3]);
-        assert_eq!((parts[1].name.as_str(), parts[1].way), ("rest", true));
+        assert_eq!(
+            (parts[1].name.as_str(), parts[1].root_trajectory),
+            ("rest", true)
+        );
         assert_eq!(parts[1].joints, [0, 1, 4, 5]);
         for (text, said) in [
             (
@@ -377,7 +380,8 @@ mod tests {
         let layout = walk();
         let parts = Part::automatic(&layout);
         let of = |name: &str| {
-            Part::named(name, &parts, &layout, "--fix").map(|part| (part.joints, part.way))
+            Part::named(name, &parts, &layout, "--fix")
+                .map(|part| (part.joints, part.root_trajectory))
         };
         assert_eq!(of("LeftLeg").unwrap(), (vec![1, 2, 3], true));
         assert_eq!(of("legs").unwrap(), (vec![1, 2, 3, 4, 5], true));
@@ -401,6 +405,6 @@ mod tests {
         walk.bvh = Bvh::parse(text.as_bytes(), "walk.bvh").unwrap();
         let layout = MotionMatrix::new(&[walk], MatrixOptions::default()).unwrap();
         let legs = Part::named("legs", &[], &layout, "--fix").unwrap();
-        assert_eq!((legs.joints, legs.way), (vec![1, 2, 3], true));
+        assert_eq!((legs.joints, legs.root_trajectory), (vec![1, 2, 3], true));
     }
 }

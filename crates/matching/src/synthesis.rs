@@ -5,7 +5,7 @@ use std::borrow::Cow;
 use kinegrad_random::{Key, Purpose};
 use kinegrad_settings::{InvalidSetting, Refused, in_range, require};
 
-use crate::vote::{vote, vote_around, with_ends, without_ends};
+use crate::vote::{pad_loop, unpad_loop, vote, vote_loop};
 use crate::{Constraint, Frames, Levels, Looping, Matches, Pool, Search, Settings, Start};
 
 /// A group of channels that is matched by itself.
@@ -46,7 +46,7 @@ pub struct Synthesis {
 impl Synthesis {
     /// Begins a loop at another of its frames: the one whose step and change of velocity from the
     /// frames before are smallest, in parts of their means. It is the same loop.
-    pub fn begin_where_calm(&mut self) {
+    pub fn rotate_to_smoothest_seam(&mut self) {
         let n = self.frames.frames();
         let apart = |terms: [(usize, f32); 3]| {
             let [a, b, c] = terms.map(|(t, weight)| (self.frames.frame(t % n), weight));
@@ -178,10 +178,10 @@ pub fn step(
     let (n, half) = (bent.len(), p / 2);
     let ends = if n > 0 { n + 2 * half } else { 0 };
     let bent: Vec<bool> = (0..ends).map(|t| bent[(t + n - half % n) % n]).collect();
-    let matches = search.nearest(&with_ends(current, p), alpha, &bent);
+    let matches = search.nearest(&pad_loop(current, p), alpha, &bent);
     let voted = match looping {
-        Looping::Even => vote_around(pool, &matches.nearest),
-        _ => without_ends(&vote(pool, &matches.nearest), p),
+        Looping::Even => vote_loop(pool, &matches.nearest),
+        _ => unpad_loop(&vote(pool, &matches.nearest), p),
     };
     (voted, matches)
 }
@@ -279,7 +279,7 @@ fn refined_over(
             .collect();
         let mut frames = match current {
             None => first.take().expect("the first level")(&examples, length),
-            Some(coarser) if looping == Looping::Even => coarser.resampled_around(length),
+            Some(coarser) if looping == Looping::Even => coarser.resampled_loop(length),
             Some(coarser) => coarser.resampled(length),
         };
         let bent = Constraint::apply_all(request.constraints, &mut frames, looping != Looping::Off);

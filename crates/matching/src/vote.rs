@@ -30,7 +30,7 @@ pub fn vote(pool: &Pool, nearest: &[usize]) -> Frames {
 ///
 /// # Panics
 /// As [`vote`].
-pub fn vote_around(pool: &Pool, nearest: &[usize]) -> Frames {
+pub fn vote_loop(pool: &Pool, nearest: &[usize]) -> Frames {
     let (p, n) = (pool.patch_size(), nearest.len());
     let channels = pool.frames().channels();
     let starts: Vec<usize> = nearest.iter().map(|&patch| pool.start(patch)).collect();
@@ -86,15 +86,15 @@ impl WithSimd for Add<'_> {
 
 /// The synthesis with `patch_size / 2` frames of the other end before and after it: its patches go
 /// over the seam.
-pub fn with_ends(frames: &Frames, patch_size: usize) -> Frames {
+pub fn pad_loop(frames: &Frames, patch_size: usize) -> Frames {
     let (n, half) = (frames.frames(), patch_size / 2);
     let wrapped = (0..n + 2 * half).flat_map(|t| frames.frame((t + n - half % n) % n));
     Frames::new(frames.channels(), wrapped.copied().collect())
 }
 
-/// The voted result of [`with_ends`] without the added frames: the first and the last
+/// The voted result of [`pad_loop`] without the added frames: the first and the last
 /// `patch_size / 2` frames become the mean of themselves and of their copies at the other end.
-pub fn without_ends(padded: &Frames, patch_size: usize) -> Frames {
+pub fn unpad_loop(padded: &Frames, patch_size: usize) -> Frames {
     let half = patch_size / 2;
     let (n, channels) = (padded.frames() - 2 * half, padded.channels());
     let inner = &padded.values()[half * channels..(half + n) * channels];
@@ -135,14 +135,14 @@ mod tests {
         #[test]
         fn ends_come_and_go(frames in 9..40usize, half in 0..5usize) {
             let motion = numbered(frames);
-            let padded = with_ends(&motion, 2 * half + 1);
+            let padded = pad_loop(&motion, 2 * half + 1);
             prop_assert_eq!(padded.frames(), frames + 2 * half);
             prop_assert_eq!(padded.frame(half), motion.frame(0));
             if half > 0 {
                 prop_assert_eq!(padded.frame(0), motion.frame(frames - half));
                 prop_assert_eq!(padded.frame(frames + half), motion.frame(0));
             }
-            prop_assert_eq!(&without_ends(&padded, 2 * half + 1), &motion);
+            prop_assert_eq!(&unpad_loop(&padded, 2 * half + 1), &motion);
         }
     }
 
@@ -150,7 +150,7 @@ mod tests {
     fn around_the_circle_every_frame_has_a_whole_patch_of_votes() {
         let pool = Pool::new(&[numbered(6)], 3);
         // Patches 0 1 2, 3 4 5, 2 3 4 and 1 2 3 around frames 0 to 3.
-        let voted = vote_around(&pool, &[0, 3, 2, 1]);
+        let voted = vote_loop(&pool, &[0, 3, 2, 1]);
         let thirds = voted.values().iter().map(|value| (3.0 * value).round());
         assert!(thirds.eq([
             1.0 + 3.0 + 3.0,

@@ -193,7 +193,7 @@ fn job(
         parts,
         keyframes,
         fixed: fixed.collect::<Result<_, Error>>()?,
-        feet: arguments.lock_feet,
+        lock_feet: arguments.lock_feet,
     })
 }
 
@@ -253,7 +253,7 @@ fn note_short(job: &Job, made: &Made) {
 
 /// Says that the examples turn around, where patches fit only those that face the same way.
 fn note_turns(made: &Made) {
-    let arc = made.layout.turns_over(&made.examples).map(f64::to_degrees);
+    let arc = made.layout.heading_arc(&made.examples).map(f64::to_degrees);
     if let Some(arc) = arc.filter(|arc| *arc > TURNS) {
         tell!(
             "note: the examples face over {arc:.0} degrees, and what faces one way goes on only with what \

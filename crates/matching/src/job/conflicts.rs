@@ -65,9 +65,11 @@ impl Job {
                     let hint = "give the key frame a `part` that nothing fixes";
                     return Err(Error::file(self.keyframes[index].0.called(), problem, hint));
                 }
-                let way = layout.way();
+                let trajectory = layout.root_channels();
                 if self.keyframes[index].0.place.is_some()
-                    && channels(fixed).iter().any(|channel| way.contains(channel))
+                    && channels(fixed)
+                        .iter()
+                        .any(|channel| trajectory.contains(channel))
                 {
                     let problem = format!(
                         "at {time} s the body has a place, and its way follows {} as part of `{}`",

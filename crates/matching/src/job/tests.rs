@@ -251,7 +251,7 @@ fn stepping() -> Example {
 #[test]
 fn feet_are_held_where_those_of_the_example_rest() {
     let feet = Job {
-        feet: true,
+        lock_feet: true,
         ..job()
     };
     // Both feet of the walk have one bone above them, below the hips that they share.

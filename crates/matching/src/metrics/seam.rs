@@ -28,15 +28,15 @@ impl Seam {
         let mut travel = vec![false; layout.joints().len()];
         for (joint, own) in layout.joints().iter().enumerate() {
             let with = own.parent.is_some_and(|parent| travel[parent]);
-            travel[joint] = joint == layout.travelling() || with;
+            travel[joint] = joint == layout.root_joint() || with;
         }
         let places: Vec<Vec<[f64; 3]>> = (0..n)
             .map(|t| {
                 let world = bvh.world(t);
-                let (x, y) = layout.from_above(world[layout.travelling()].position);
+                let (x, y) = layout.top_view(world[layout.root_joint()].position);
                 let seen = world.iter().zip(&travel).filter(|(_, travels)| **travels);
                 let seen = seen.map(|(pose, _)| {
-                    let (a, b) = layout.from_above(pose.position);
+                    let (a, b) = layout.top_view(pose.position);
                     [a - x, b - y, pose.position[layout.up()]]
                 });
                 seen.collect()

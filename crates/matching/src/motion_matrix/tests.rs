@@ -4,7 +4,7 @@ use std::fmt::Write;
 
 use kinegrad_motion::Quaternion;
 
-use super::survey::travelling;
+use super::skeleton::root_joint;
 use super::*;
 
 /// A layout of hips and two legs below a root that stays, `frames` of it.
@@ -64,7 +64,7 @@ fn layout(examples: &[Example]) -> MotionMatrix {
 fn a_motion_comes_back_as_it_was() {
     let walk = example("walk.bvh", 60, 1.0 / 30.0);
     let layout = layout(std::slice::from_ref(&walk));
-    assert_eq!(layout.joints()[layout.travelling()].name, "Hips");
+    assert_eq!(layout.joints()[layout.root_joint()].name, "Hips");
     let frames = layout.to_frames(&walk).unwrap();
     assert_eq!((frames.frames(), frames.channels()), (60, 6 * 6 + 3));
     let back = layout.to_bvh(&frames).unwrap();
@@ -75,7 +75,7 @@ fn a_motion_comes_back_as_it_was() {
         }
     }
     // The first displacement is one, and the height stays a height.
-    let way = layout.way();
+    let way = layout.root_channels();
     let first = &frames.frame(0)[way.clone()];
     assert_eq!(first[0], frames.frame(1)[way.start]);
     assert!((f64::from(first[1]) * 43.0 - 92.0).abs() < 1e-4);
@@ -104,7 +104,7 @@ fn a_motion_seen_from_its_heading_comes_back_and_turns_do_not_matter() {
     turned.bvh = walk.bvh.reposed(1.0 / 30.0, &locals).unwrap();
     let ((layout, frames), (other, others)) = (of(&walk), of(&turned));
     assert_eq!(frames.channels(), 6 * 6 + 4);
-    assert_eq!(layout.way().len(), 4);
+    assert_eq!(layout.root_channels().len(), 4);
     for (a, b) in frames.values().iter().zip(others.values()) {
         assert!((a - b).abs() < 1e-4, "{a} {b}");
     }
@@ -131,7 +131,7 @@ fn the_axis_that_points_up_keeps_its_place() {
     let frames = layout.to_frames(&walk).unwrap();
     let height = |t: usize| f64::from(frames.frame(t)[layout.height()]) * 43.0;
     assert!((height(30) - 80.0).abs() < 1e-3 && height(0).abs() < 1e-3);
-    assert_eq!(layout.from_above([1.0, 2.0, 3.0]), (1.0, -2.0));
+    assert_eq!(layout.top_view([1.0, 2.0, 3.0]), (1.0, -2.0));
     let path = layout.path(&frames);
     assert_eq!(path.len(), 40);
     for (t, found) in path.iter().enumerate() {
@@ -274,15 +274,15 @@ fn other_skeletons_and_rates_are_named() {
 #[test]
 fn a_sliding_limb_does_not_carry_the_body() {
     let bvh = example("walk.bvh", 20, 0.04).bvh;
-    assert_eq!(travelling(&bvh, &[0.0, 5.0, 9.0, 0.0, 9.0, 0.0]), 1);
-    assert_eq!(travelling(&bvh, &[0.0, 0.0, 9.0, 0.0, 0.0, 0.0]), 0);
+    assert_eq!(root_joint(&bvh, &[0.0, 5.0, 9.0, 0.0, 9.0, 0.0]), 1);
+    assert_eq!(root_joint(&bvh, &[0.0, 0.0, 9.0, 0.0, 0.0, 0.0]), 0);
     // Most of the body hangs on the second joint of five, but not all.
     let text = "HIERARCHY\nROOT Hips\n{\nOFFSET 0 1 0\nCHANNELS 0\nJOINT Spine\n{\nOFFSET 0 1 0\n\
         CHANNELS 3 Xposition Yposition Zposition\nJOINT Neck\n{\nOFFSET 0 1 0\nCHANNELS 0\n\
         JOINT Head\n{\nOFFSET 0 1 0\nCHANNELS 0\nEnd Site\n{\nOFFSET 0 1 0\n}\n}\n}\n}\nJOINT Tail\n{\nOFFSET 0 0 -1\nCHANNELS 0\n\
         End Site\n{\nOFFSET 0 0 -1\n}\n}\n}\nMOTION\nFrames: 1\nFrame Time: 0.03\n0 1 0\n";
     let bvh = Bvh::parse(text.as_bytes(), "sways.bvh").unwrap();
-    assert_eq!(travelling(&bvh, &[0.0, 0.4, 0.0, 0.0, 0.0]), 0);
+    assert_eq!(root_joint(&bvh, &[0.0, 0.4, 0.0, 0.0, 0.0]), 0);
 }
 
 #[test]
@@ -295,13 +295,13 @@ fn the_arc_of_the_headings_goes_over_the_end_of_the_circle() {
         };
         let layout = MotionMatrix::new(std::slice::from_ref(&walk), options).unwrap();
         let mut frames = layout.to_frames(&walk).unwrap();
-        let six = layout.rotation_of(layout.travelling());
+        let six = layout.rotation_of(layout.root_joint());
         for t in 0..60 {
             let turned = Quaternion::from_yaw(facing(t as f64 / 59.0));
             let values = rotation6d::from_quaternion(turned).map(|value| value as f32);
             frames.frame_mut(t)[six.clone()].copy_from_slice(&values);
         }
-        layout.turns_over(&[frames])
+        layout.heading_arc(&[frames])
     };
     let near = |found: Option<f64>, expected: f64| (found.unwrap() - expected).abs() < 1e-3;
     assert!(near(of(false, &|part| 0.5 + part), 1.0));

@@ -246,7 +246,7 @@ fn a_loop_begins_where_it_is_calm() {
     };
     let before = synthesize(&request, 0).unwrap();
     let mut turned = before.clone();
-    turned.begin_where_calm();
+    turned.rotate_to_smoothest_seam();
     let steps = |frames: &Frames| -> Vec<f32> {
         let step = |t: usize| {
             let pairs = frames.frame(t).iter().zip(frames.frame((t + 1) % 150));

@@ -77,7 +77,7 @@ fn coverage(made: &Made, examples: &[String]) -> Panel {
 fn path(made: &Made, metres: f64) -> Panel {
     let of = |frames| {
         let path = made.layout.path(frames).into_iter();
-        path.map(|place| made.layout.from_above(place.map(|value| value * metres)))
+        path.map(|place| made.layout.top_view(place.map(|value| value * metres)))
             .collect()
     };
     let series = vec![

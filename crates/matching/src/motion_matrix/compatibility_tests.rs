@@ -79,7 +79,7 @@ fn another_motion_that_travels_in_another_joint_keeps_its_way() {
                 ..MatrixOptions::default()
             };
             let layout = MotionMatrix::with(&examples, &[other], options).unwrap();
-            assert_eq!(layout.travelling(), 1);
+            assert_eq!(layout.root_joint(), 1);
             let back = layout.to_bvh(&layout.to_frames(other).unwrap()).unwrap();
             let start = [&back, &other.bvh].map(|bvh| bvh.world(0)[3].position);
             for t in 0..40 {
@@ -215,5 +215,5 @@ fn a_way_within_a_joint_that_turns_is_not_seen_from_a_heading() {
     );
     MotionMatrix::new(&[upright], by_heading()).unwrap();
     let layout = MotionMatrix::new(&[turned], MatrixOptions::default()).unwrap();
-    assert_eq!(layout.travelling(), 1);
+    assert_eq!(layout.root_joint(), 1);
 }

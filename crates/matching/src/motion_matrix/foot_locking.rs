@@ -23,7 +23,7 @@ impl MotionMatrix {
     ///
     /// # Errors
     /// If no joint is called a foot, or none has two bones above it.
-    pub(crate) fn with_held_feet(
+    pub(crate) fn with_locked_feet(
         &self,
         bvh: &Bvh,
         examples: &[Example],

@@ -1,4 +1,4 @@
-//! A way that passes given places.
+//! A trajectory that passes given places.
 
 use kinegrad_motion::banded::Cholesky;
 
@@ -14,7 +14,7 @@ const FADE: f64 = 0.25;
 const NEAR: f64 = 1e-3;
 
 impl MotionMatrix {
-    /// Bends the way of a motion, so that at frame `t` it is at `place` on the two axes that do not
+    /// Bends the trajectory of a motion, so that at frame `t` it is at `place` on the two axes that do not
     /// point up, in the file's units, for each of `points`. The first frame stays where it is
     /// ([`start_at`](Self::start_at) says otherwise), and frames behind the last point are moved as
     /// that is.
@@ -29,7 +29,12 @@ impl MotionMatrix {
     /// and the second, the jerk, has it change its speed over a quarter of a second, or half the time
     /// between points that are close. `around`: the last
     /// frame is followed by the first, where the steps stay as they are.
-    pub(crate) fn lead(&self, frames: &mut Frames, points: &[(usize, [f64; 2])], around: bool) {
+    pub(crate) fn warp_root(
+        &self,
+        frames: &mut Frames,
+        points: &[(usize, [f64; 2])],
+        around: bool,
+    ) {
         let mut points: Vec<_> = points.iter().filter(|(t, _)| *t > 0).copied().collect();
         points.sort_by_key(|(t, _)| *t);
         points.dedup_by_key(|(t, _)| *t);
@@ -38,23 +43,23 @@ impl MotionMatrix {
         }
         let axes = (0..3).filter(|&axis| axis != self.up as usize);
         let axes: Vec<usize> = axes.collect();
-        let way = self.way_of(frames);
+        let trajectory = self.root_trajectory(frames);
         let fade = FADE / self.frame_time;
         let moved = axes.iter().enumerate().map(|(place, &axis)| {
             let missed = points.iter().map(|&(t, wanted)| {
-                let missed = wanted[place] - self.base[axis] - way[t].0[axis];
+                let missed = wanted[place] - self.base[axis] - trajectory[t].0[axis];
                 (t, missed * self.scale)
             });
-            moved(frames.frames(), &missed.collect::<Vec<_>>(), fade, around)
+            offsets(frames.frames(), &missed.collect::<Vec<_>>(), fade, around)
         });
         let moved: Vec<Vec<f64>> = moved.collect();
         let first = self.channels() - 3;
-        for (t, (_, heading)) in way.iter().enumerate().skip(1) {
+        for (t, (_, heading)) in trajectory.iter().enumerate().skip(1) {
             let mut step = [0.0; 3];
             for (&axis, moved) in axes.iter().zip(&moved) {
                 step[axis] = moved[t] - moved[t - 1];
             }
-            let step = self.turned(-heading).rotate(step);
+            let step = self.heading_rotation(-heading).rotate(step);
             for &axis in &axes {
                 frames.frame_mut(t)[first + axis] += step[axis] as f32;
             }
@@ -64,7 +69,7 @@ impl MotionMatrix {
 
 /// What each of `n` frames is moved by, where the frames of `points`, in order and behind the first
 /// frame, are moved by given values.
-fn moved(n: usize, points: &[(usize, f64)], fade: f64, around: bool) -> Vec<f64> {
+fn offsets(n: usize, points: &[(usize, f64)], fade: f64, around: bool) -> Vec<f64> {
     let last = points.last().map_or(0, |(t, _)| *t);
     let mut knots = vec![(0, 0.0)];
     if around {
@@ -78,8 +83,8 @@ fn moved(n: usize, points: &[(usize, f64)], fade: f64, around: bool) -> Vec<f64>
         let ends = n.saturating_sub(3).max(last + 1)..n;
         knots.extend(ends.map(|t| (t, end)));
     }
-    let even = even(n, &knots);
-    let slow = slow(n, points, fade);
+    let even = linear(n, &knots);
+    let slow = step_weights(n, points, fade);
     let mut matrix: Vec<[f64; 4]> = slow
         .iter()
         .map(|slow| [NEAR * slow, 0.0, 0.0, 0.0])
@@ -111,10 +116,10 @@ fn moved(n: usize, points: &[(usize, f64)], fade: f64, around: bool) -> Vec<f64>
         .collect()
 }
 
-/// What the square of the step to each frame weighs. A change of speed that lasted longer than the way to
+/// What the square of the step to each frame weighs. A change of speed that lasted longer than the trajectory to
 /// the next point would lead far beyond it: between close points, and on either side of them, it is
 /// quicker.
-fn slow(n: usize, points: &[(usize, f64)], fade: f64) -> Vec<f64> {
+fn step_weights(n: usize, points: &[(usize, f64)], fade: f64) -> Vec<f64> {
     let times = std::iter::once(0).chain(points.iter().map(|(t, _)| *t));
     let times: Vec<usize> = times.collect();
     let gaps: Vec<usize> = times.windows(2).map(|pair| pair[1] - pair[0]).collect();
@@ -134,7 +139,7 @@ fn slow(n: usize, points: &[(usize, f64)], fade: f64) -> Vec<f64> {
 }
 
 /// The straight course between knots, which begin at frame 0, level behind the last.
-fn even(n: usize, knots: &[(usize, f64)]) -> Vec<f64> {
+fn linear(n: usize, knots: &[(usize, f64)]) -> Vec<f64> {
     let mut values = vec![knots[knots.len() - 1].1; n];
     for pair in knots.windows(2) {
         let [(from, begin), (to, end)] = [pair[0], pair[1]];
@@ -187,7 +192,7 @@ mod tests {
                     points[0].1 = 0.0; // A loop starts so that its first place is passed.
                 }
                 let points = &points[..];
-                let moved = moved(300, points, FRAMES, around);
+                let moved = offsets(300, points, FRAMES, around);
                 assert_eq!(moved[0], 0.0);
                 for &(t, value) in points {
                     assert_eq!(moved[t], value, "{points:?}");
@@ -209,14 +214,14 @@ mod tests {
     #[test]
     fn what_is_moved_is_moved_calmly() {
         // From rest to rest within half a second, 0.3 m take 140 m/s^3.
-        let alone = moved(300, &[(15, 0.3)], FRAMES, false);
+        let alone = offsets(300, &[(15, 0.3)], FRAMES, false);
         assert!(jerk(&alone) < 30.0, "{}", jerk(&alone));
-        let far = moved(300, &[(120, 1.0)], FRAMES, false);
+        let far = offsets(300, &[(120, 1.0)], FRAMES, false);
         assert!(jerk(&far) < 15.0, "{}", jerk(&far));
         assert!(beyond(&far, &[(120, 1.0)]) < 0.05);
         // Two close places later on ask for nothing.
         let points = [(150, 2.0), (300, -1.0), (420, -1.0), (422, -1.0)];
-        let beside = moved(500, &points, FRAMES, false);
+        let beside = offsets(500, &points, FRAMES, false);
         assert!(jerk(&beside) < 15.0, "{}", jerk(&beside));
     }
 
@@ -224,17 +229,17 @@ mod tests {
     fn short_and_long_motions_and_places_in_all_frames_are_led() {
         for n in [2, 3, 4, 5] {
             for around in [false, true] {
-                let found = moved(n, &[(n - 1, 2.0)], FRAMES, around);
+                let found = offsets(n, &[(n - 1, 2.0)], FRAMES, around);
                 assert_eq!(found[n - 1], 2.0, "{n}");
                 assert!(found.iter().all(|x| x.is_finite()));
             }
         }
         for fade in [1e-80, 0.1, FRAMES, 15.0] {
             let all: Vec<(usize, f64)> = (1..40).map(|t| (t, (t as f64).sin())).collect();
-            let found = moved(40, &all, fade, false);
+            let found = offsets(40, &all, fade, false);
             assert!(all.iter().all(|&(t, value)| found[t] == value));
         }
-        let found = moved(200_000, &[(50, 1.0), (180_000, -5.0)], 15.0, false);
+        let found = offsets(200_000, &[(50, 1.0), (180_000, -5.0)], 15.0, false);
         assert!(found.iter().all(|x| x.is_finite()));
         assert!(
             (found[199_999] + 5.0).abs() < 1e-3

@@ -3,7 +3,7 @@
 use kinegrad_capture::{Bvh, Channel};
 use kinegrad_motion::rotation::length;
 
-use super::survey::{carriers, thinning, travel};
+use super::skeleton::{ancestors, position_ranges, thinning};
 use super::{Example, MotionMatrix};
 use crate::Error;
 
@@ -21,7 +21,7 @@ impl MotionMatrix {
     ///
     /// # Errors
     /// Names the first joint that differs.
-    pub fn must_fit(&self, example: &Example) -> Result<(), Error> {
+    pub fn must_match(&self, example: &Example) -> Result<(), Error> {
         let (own, other) = (self.bvh.joints(), example.bvh.joints());
         let hint = "motions of one skeleton can be matched: the same joints in the same order";
         for (index, joint) in other.iter().enumerate() {
@@ -63,10 +63,10 @@ impl MotionMatrix {
 
     /// Rejects a motion whose bones are of another size or point elsewhere. Joints that travel, and
     /// those that carry them, have no bone.
-    pub(super) fn must_have_the_bones(&self, example: &Example) -> Result<(), Error> {
+    pub(super) fn must_match_bones(&self, example: &Example) -> Result<(), Error> {
         let (own, other) = (bones(&self.bvh), bones(&example.bvh));
         let has_bone = |joint: &usize| {
-            *joint > 0 && *joint != self.travelling && !self.carriers.contains(joint)
+            *joint > 0 && *joint != self.root_joint && !self.ancestors.contains(joint)
         };
         let joints: Vec<usize> = (0..own.len()).filter(has_bone).collect();
         let both = joints.iter().flat_map(|&joint| [own[joint], other[joint]]);
@@ -98,14 +98,14 @@ impl MotionMatrix {
     }
 
     /// Rejects a motion that moves a joint for which the first example has no channels to write it.
-    pub(super) fn must_be_written(&self, example: &Example) -> Result<(), Error> {
-        let ranges = travel(&example.bvh);
+    pub(super) fn must_have_channels(&self, example: &Example) -> Result<(), Error> {
+        let ranges = position_ranges(&example.bvh);
         for (joint, moving) in example.bvh.joints().iter().enumerate() {
             if ranges[joint] * self.scale < UNSEEN {
                 continue;
             }
-            let writer = match self.carriers.contains(&joint) {
-                true => self.travelling,
+            let writer = match self.ancestors.contains(&joint) {
+                true => self.root_joint,
                 false => joint,
             };
             let writer = &self.joints()[writer];
@@ -127,15 +127,15 @@ impl MotionMatrix {
         Ok(())
     }
 
-    /// Rejects motions whose travelling joint is within one that turns or moves: its way is then not
+    /// Rejects motions whose root_joint joint is within one that turns or moves: its way is then not
     /// one over the ground. `asked`: what needs that.
-    pub(crate) fn must_travel_upright<'a>(
+    pub(crate) fn must_have_upright_root<'a>(
         &self,
         motions: impl IntoIterator<Item = &'a Example>,
         asked: &str,
     ) -> Result<(), Error> {
-        let parent = self.joints()[self.travelling].parent;
-        let Some(parent) = parent.filter(|_| self.carriers.is_empty()) else {
+        let parent = self.joints()[self.root_joint].parent;
+        let Some(parent) = parent.filter(|_| self.ancestors.is_empty()) else {
             return Ok(());
         };
         for motion in motions {
@@ -147,7 +147,7 @@ impl MotionMatrix {
             };
             if !(0..motion.bvh.frames()).all(stands) {
                 let [own, above] =
-                    [self.travelling, parent].map(|joint| &self.joints()[joint].name);
+                    [self.root_joint, parent].map(|joint| &self.joints()[joint].name);
                 let problem = format!("`{own}` travels within `{above}`, which turns or moves");
                 let hint =
                     format!("{asked} needs a joint that travels over the ground: leave it out");
@@ -161,12 +161,12 @@ impl MotionMatrix {
 /// The place of each joint within its parent. None where it changes and no offset says what the bone is,
 /// or nothing else hangs on what is above it: hips that sway below a root are where the file began.
 fn bones(bvh: &Bvh) -> Vec<Option<[f64; 3]>> {
-    let (still, ranges) = (bvh.locals(0), travel(bvh));
+    let (still, ranges) = (bvh.locals(0), position_ranges(bvh));
     let joints = bvh.joints().iter().zip(still).zip(ranges).enumerate();
     let bone = joints.map(|(index, ((joint, pose), range))| match range > 0.0 {
         false => Some(pose.position),
         true => Some(joint.offset)
-            .filter(|&offset| length(offset) > 0.0 && carriers(bvh, index).is_empty()),
+            .filter(|&offset| length(offset) > 0.0 && ancestors(bvh, index).is_empty()),
     });
     bone.collect()
 }

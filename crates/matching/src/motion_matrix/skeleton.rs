@@ -24,7 +24,7 @@ pub(super) fn thinning(bvh: &Bvh) -> (usize, f64) {
 /// The joint that travels furthest of those that the body hangs on: all of it, or most and it
 /// travels further than any bone is long. Or one below it that travels nearly as far by itself, in another
 /// file, where nothing else hangs between them. `ranges`: how far each travels within its parent.
-pub(super) fn travelling(bvh: &Bvh, ranges: &[f64]) -> usize {
+pub(super) fn root_joint(bvh: &Bvh, ranges: &[f64]) -> usize {
     let joints = bvh.joints();
     // A collar bone that slides by more than the body sways does not carry it, nor does a back that
     // sways behind a pelvis that stays.
@@ -41,7 +41,7 @@ pub(super) fn travelling(bvh: &Bvh, ranges: &[f64]) -> usize {
             .fold(0.0, f64::max)
     };
     let carrying = |joint: &usize| {
-        let alone = *joint == 0 || !carriers(bvh, *joint).is_empty();
+        let alone = *joint == 0 || !ancestors(bvh, *joint).is_empty();
         alone || 2 * below[*joint] > joints.len() && ranges[*joint] > longest(*joint)
     };
     let candidates = (0..joints.len()).filter(carrying);
@@ -54,7 +54,7 @@ pub(super) fn travelling(bvh: &Bvh, ranges: &[f64]) -> usize {
         .find(|&joint| ranges[joint] == most)
         .unwrap_or(0);
     while let Some(child) = (joint + 1..joints.len()).find(|&j| joints[j].parent == Some(joint))
-        && carriers(bvh, child).contains(&joint)
+        && ancestors(bvh, child).contains(&joint)
         && carrying(&child)
         && ranges[child] > 0.5 * most
     {
@@ -63,13 +63,13 @@ pub(super) fn travelling(bvh: &Bvh, ranges: &[f64]) -> usize {
     joint
 }
 
-/// [`travelling`] of several motions, whose joints travel by `all`, `[motions][joints]`, and at most by
+/// [`root_joint`] of several motions, whose joints travel by `all`, `[motions][joints]`, and at most by
 /// `ranges`. Where one travels in a joint below that of the others, by which those carry it, it is that
 /// one: its place in the world says all of the way.
-pub(super) fn travelling_in_any(bvh: &Bvh, all: &[Vec<f64>], ranges: &[f64]) -> usize {
-    let own = all.iter().map(|ranges| travelling(bvh, ranges));
-    own.fold(travelling(bvh, ranges), |joint, own| {
-        match carriers(bvh, own).contains(&joint) {
+pub(super) fn common_root_joint(bvh: &Bvh, all: &[Vec<f64>], ranges: &[f64]) -> usize {
+    let own = all.iter().map(|ranges| root_joint(bvh, ranges));
+    own.fold(root_joint(bvh, ranges), |joint, own| {
+        match ancestors(bvh, own).contains(&joint) {
             true => own,
             false => joint,
         }
@@ -77,7 +77,7 @@ pub(super) fn travelling_in_any(bvh: &Bvh, all: &[Vec<f64>], ranges: &[f64]) -> 
 }
 
 /// The joints above one, its parent first; none if something else hangs on them.
-pub(super) fn carriers(bvh: &Bvh, joint: usize) -> Vec<usize> {
+pub(super) fn ancestors(bvh: &Bvh, joint: usize) -> Vec<usize> {
     let joints = bvh.joints();
     let above = std::iter::successors(joints[joint].parent, |&parent| joints[parent].parent);
     let above: Vec<usize> = above.collect();
@@ -90,9 +90,9 @@ pub(super) fn carriers(bvh: &Bvh, joint: usize) -> Vec<usize> {
 
 /// What lengths are multiplied by. The offset of a joint that travels within its parent is no bone;
 /// that of the root counts in the published program.
-pub(super) fn scale(example: &Example, travelling: usize) -> Result<f64, Error> {
+pub(super) fn scale(example: &Example, root_joint: usize) -> Result<f64, Error> {
     let joints = example.bvh.joints().iter().enumerate();
-    let bones = joints.filter(|&(index, _)| index == 0 || index != travelling);
+    let bones = joints.filter(|&(index, _)| index == 0 || index != root_joint);
     let offsets = bones.flat_map(|(_, joint)| {
         let ends = joint.end_sites.iter().copied();
         ends.chain([joint.offset])
@@ -107,7 +107,7 @@ pub(super) fn scale(example: &Example, travelling: usize) -> Result<f64, Error> 
 }
 
 /// How far each joint travels within its parent, in file units: the most along one axis.
-pub(super) fn travel(bvh: &Bvh) -> Vec<f64> {
+pub(super) fn position_ranges(bvh: &Bvh) -> Vec<f64> {
     let mut travel = vec![0.0; bvh.joints().len()];
     let mut first = 0;
     for (joint, travel) in bvh.joints().iter().zip(&mut travel) {
