@@ -1,58 +1,55 @@
-//! What a synthesis must keep to: fixed channels and key frames, at every level.
+//! Constraints of a synthesis, applied at every level: fixed channels and key frames.
 
 use crate::Frames;
 
 mod keyframes;
 
-/// What a synthesis must keep to.
+/// A constraint of a synthesis.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Constraint {
     /// Channels that follow a given motion.
     Channels {
         /// The channels.
         channels: Vec<usize>,
-        /// The motion they are taken from, `[frames, channels]` with all channels; the new motion
-        /// is as long.
+        /// The motion, `[frames, channels]` with all channels, as long as the new one.
         motion: Frames,
     },
-    /// A frame whose channels have given values.
+    /// A frame with given values.
     Keyframe {
-        /// When, as a part of the motion's length: frame t of n is (t + 0.5) / n.
+        /// Time as a part of the motion: frame t of n is (t + 0.5) / n.
         at: f64,
         /// The channels.
         channels: Vec<usize>,
-        /// The motion that the values are from, `[frames, channels]` of these channels alone.
+        /// The source motion, `[frames, channels]` of these channels alone.
         source: Frames,
-        /// The frame of it that is taken.
+        /// The frame of the source.
         from: usize,
         /// Frames of the new motion.
         frames: usize,
-        /// Of those the ones before and after it that bend towards it.
+        /// Frames before and after it that are blended towards the source.
         reach: usize,
     },
 }
 
 impl Constraint {
-    /// The frame of `frames` that is at the part `at` of a motion's length.
+    /// The frame at time `at` in a motion of `frames` frames.
     pub(crate) fn frame(at: f64, frames: usize) -> usize {
         let t = (at * frames as f64 - 0.5).round().max(0.0) as usize;
         t.min(frames - 1)
     }
 
-    /// Makes the motion of a level, `[frames, channels]`, keep to all of `held`.
+    /// Applies `constraints` to the motion of a level, `[frames, channels]`.
     ///
-    /// Every key frame is met exactly, and its neighbours go over to those that it has in its source,
-    /// with a weight that falls off to 0 with no corner within its reach, or sooner where another key
-    /// frame of the same channel is nearer: so it is passed as the source passes it, and patches of the
-    /// source match it at every level. Key frames that a coarse level has in one frame are averaged
-    /// there. `around`: whether the last frame is followed by the first. Channels that follow a motion
-    /// are set after that. Says of each frame whether it bends towards a key frame; nothing where there
-    /// is none.
+    /// Key frames are met exactly. Their neighbours blend into the neighbours in the source, with a
+    /// smooth weight that falls to 0 within the reach or before the next key frame of the same
+    /// channel: patches of the source then match there at every level. Key frames that fall into
+    /// one frame of a coarse level are averaged. `is_loop`: the last frame is followed by the
+    /// first. Fixed channels are set last. Returns whether each frame was blended; empty without
+    /// key frames.
     ///
-    /// # Panics
-    /// Panics if the channels are not there.
-    pub fn apply_all(constraints: &[Self], frames: &mut Frames, around: bool) -> Vec<bool> {
-        let bent = keyframes::apply(constraints, frames, around);
+    /// If a channel does not exist.
+    pub fn apply_all(constraints: &[Self], frames: &mut Frames, is_loop: bool) -> Vec<bool> {
+        let bent = keyframes::apply(constraints, frames, is_loop);
         for constraint in constraints {
             if let Self::Channels { channels, motion } = constraint {
                 let motion = motion.columns(channels).resampled(frames.frames());

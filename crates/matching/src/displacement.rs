@@ -1,10 +1,10 @@
-//! The way of the root as displacements from frame to frame.
+//! Root trajectories as displacements between frames.
 
 use kinegrad_capture::Axis;
 
 /// The displacements of a path, `[frames]`: the difference to the frame before, on every axis but
-/// `kept`, which stays as it is. Frame 0 has no frame before it and gets the place of frame 1, as
-/// in the published program; of a path that starts at the origin, that is its first displacement.
+/// `kept`, which keeps its value. Frame 0 gets the place of frame 1, as in the published program:
+/// for a path from the origin this is its first displacement.
 ///
 /// Source: GenMM; docs/sources/genmm.md.
 pub fn displacements(path: &[[f64; 3]], kept: Option<Axis>) -> Vec<[f64; 3]> {
@@ -18,8 +18,8 @@ pub fn displacements(path: &[[f64; 3]], kept: Option<Axis>) -> Vec<[f64; 3]> {
         .collect()
 }
 
-/// The path of displacements, `[frames]`, that starts at `start`: their running sum on every axis
-/// but `kept`. What frame 0 says of the others does not matter.
+/// The path of displacements, `[frames]`, from `start`: their running sum on every axis but `kept`.
+/// Frame 0 is ignored on the others.
 pub fn places(displacements: &[[f64; 3]], start: [f64; 3], kept: Option<Axis>) -> Vec<[f64; 3]> {
     let mut place = start;
     let mut path = Vec::with_capacity(displacements.len());

@@ -1,10 +1,10 @@
-//! What keeps a motion from being made.
+//! Errors of matching.
 
 use kinegrad_settings::InvalidSetting;
 use miette::Diagnostic;
 use thiserror::Error;
 
-/// What keeps a motion from being made.
+/// Errors of matching.
 #[derive(Debug, Diagnostic, Error)]
 pub enum Error {
     /// A setting is out of range.
@@ -23,15 +23,15 @@ pub enum Error {
     File {
         /// The file.
         file: String,
-        /// What is wrong with it: what was found, and what is allowed.
+        /// The problem: the value found and the values allowed.
         problem: String,
-        /// What to do.
+        /// The remedy.
         hint: String,
     },
 }
 
 impl Error {
-    /// What a TOML file cannot be read for, and in which line.
+    /// An [`Error::File`] of a TOML file, with the line.
     pub(crate) fn toml(
         file: &str,
         text: &str,

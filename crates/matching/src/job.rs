@@ -1,4 +1,4 @@
-//! A whole job: from BVH motions to a new one.
+//! Jobs: from BVH motions to a new one.
 
 use kinegrad_capture::{Bvh, UpAxis};
 use kinegrad_motion::MAX_FRAMES;
@@ -14,20 +14,20 @@ use crate::{
 
 mod conflicts;
 
-/// Loops that are made until the seam of one is calm.
+/// Most attempts at a loop with a smooth seam.
 const MAX_LOOPS: u64 = 8;
-/// A seam is calm if its jumps are at most this part of the 95th percentile of all.
+/// A seam is smooth if its jumps are at most this part of the 95th percentile.
 const SMOOTH_SEAM: f64 = 0.95;
 
-/// How the body is divided.
+/// Division of the body into parts.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub enum PartChoice {
-    /// Not at all.
+    /// One part.
     #[default]
     Whole,
-    /// By where the skeleton branches.
+    /// By the branches of the skeleton.
     Automatic,
-    /// As the text of a TOML file says.
+    /// From a TOML file.
     File {
         /// The file, for messages.
         file: String,
@@ -36,71 +36,70 @@ pub enum PartChoice {
     },
 }
 
-/// A body part that follows a given motion.
+/// A body part fixed to a given motion.
 #[derive(Clone, Debug)]
 pub struct Fixed {
     /// The part, named as in [`Part::named`].
     pub part: String,
-    /// The motion, which is as long as the new one.
+    /// The motion, as long as the new one.
     pub motion: Example,
 }
 
-/// What is to be made. By default twice the examples, with the settings of the published program.
+/// A job. By default twice the length of the examples, with the settings of the published program.
 #[derive(Clone, Debug, Default)]
 pub struct Job {
     /// The settings of the synthesis.
     pub settings: Settings,
-    /// How long the motion is; without one as long as what is fixed or the content, else twice the
+    /// Length of the motion; by default that of the fixed motions or the content, else twice the
     /// examples.
     pub length: Option<Length>,
     /// Seed of the noise.
     pub seed: u64,
-    /// A motion whose coarse course the new one starts from in place of noise, so that it does the
-    /// same in the manner of the examples; it is as long.
+    /// A motion whose coarse level replaces the noise: the new motion does the same in the style of
+    /// the examples, at the same length.
     pub content: Option<Example>,
     /// The axis that points up in the files.
     pub up: UpAxis,
-    /// Whether contacts of the feet are matched as well.
+    /// Whether foot contacts are matched as well.
     pub contacts: bool,
-    /// Whether the body is seen from its heading.
+    /// Whether the root is relative to its heading.
     pub heading: bool,
-    /// How the body is divided.
+    /// Division of the body.
     pub parts: PartChoice,
-    /// Poses that the motion takes, each with the motion it is from: none is the first example.
+    /// Key frames with their source motions; none is the first example.
     pub keyframes: Vec<(Keyframe, Option<Example>)>,
-    /// Parts that follow given motions.
+    /// Fixed parts.
     pub fixed: Vec<Fixed>,
-    /// Whether feet are held still where those of the examples rest. It moves legs of key frames and
-    /// of parts that are fixed as well, and the seam of a loop.
+    /// Whether feet are locked where those of the examples rest. This also moves legs of key frames
+    /// and of fixed parts, and the seam of a loop.
     pub lock_feet: bool,
 }
 
-/// A new motion and what it was made of.
+/// A new motion and its sources.
 #[derive(Clone, Debug)]
 pub struct Made {
     /// The motion, with the hierarchy of the first example.
     pub bvh: Bvh,
-    /// The same as a matrix, and where it comes from.
+    /// Its matrix and origins, before feet are locked.
     pub synthesis: Synthesis,
-    /// How the files are matrices.
+    /// The layout of the matrices.
     pub layout: MotionMatrix,
-    /// The examples as matrices.
+    /// The matrices of the examples.
     pub examples: Vec<Frames>,
-    /// The parts that were matched, one for each list of origins.
+    /// The matched parts, one for each list of origins.
     pub parts: Vec<Part>,
-    /// How far feet slid, if they were held; only `bvh` has them held.
+    /// Foot sliding, if feet are locked.
     pub sliding: Option<Sliding>,
-    /// Where something is fixed: the 95th percentile of jerk, as a part of that of the motion among
-    /// examples and fixed ones that jerks most.
+    /// With fixed parts: the 95th percentile of jerk, relative to the largest of the examples and
+    /// fixed motions.
     pub jerk: Option<f64>,
 }
 
 impl Job {
-    /// Makes a motion of the examples.
+    /// Synthesises a motion.
     ///
-    /// # Errors
-    /// For settings out of range, files that do not fit each other, examples shorter than a patch,
-    /// and parts or moments that are not there.
+    /// For settings out of range, motions that do not match, examples shorter than a patch, and
+    /// unknown parts or times.
     pub fn make(&self, examples: &[Example]) -> Result<Made, Error> {
         self.settings.validate()?;
         let contacts = match (self.contacts, examples.first()) {
@@ -193,10 +192,10 @@ impl Job {
             true => None,
             false => Some(usual_jerk(&layout, matrices.iter().chain(&fixed))?),
         };
-        let around = self.settings.looping != Looping::Off;
-        // A loop that a key frame holds in its place cannot begin elsewhere: of several the first whose
-        // seam is calm, or the calmest.
-        let most = match around && !constraints.is_empty() && content.is_none() {
+        let is_loop = self.settings.looping != Looping::Off;
+        // A loop with key frames cannot begin elsewhere: the first of several with a smooth seam is
+        // taken, or the smoothest.
+        let most = match is_loop && !constraints.is_empty() && content.is_none() {
             true => MAX_LOOPS,
             false => 1,
         };
@@ -210,7 +209,7 @@ impl Job {
                     synthesize_from(&request, &noise)?
                 }
             };
-            if around && constraints.is_empty() && content.is_none() {
+            if is_loop && constraints.is_empty() && content.is_none() {
                 synthesis.rotate_to_smoothest_seam();
             }
             let mut layout = layout.clone();
@@ -246,8 +245,8 @@ impl Job {
         })
     }
 
-    /// Leads a motion where its key frames say, smooths it around them and over what is fixed, and says
-    /// it as BVH; `usual` is the jerk of the motions that it is made of, where something is fixed.
+    /// Warps the trajectory through the key frames' places, limits jerk around key frames and over
+    /// fixed parts, and converts to BVH. `usual`: the jerk of the source motions, with fixed parts.
     fn finished(
         &self,
         layout: &mut MotionMatrix,
@@ -255,8 +254,8 @@ impl Job {
         constraints: &[Constraint],
         usual: Option<f64>,
     ) -> Result<Bvh, Error> {
-        let around = self.settings.looping != Looping::Off;
-        if around {
+        let is_loop = self.settings.looping != Looping::Off;
+        if is_loop {
             layout.close_heading(frames);
         }
         let points = self.keyframes.iter().filter_map(|(keyframe, _)| {
@@ -267,17 +266,17 @@ impl Job {
         let first = points.iter().min_by_key(|(frame, _)| *frame);
         match first {
             Some((0, place)) => layout.start_at(*place),
-            // A loop begins anywhere: its first place says where it is.
-            Some(point) if around => layout.start_through(frames, *point),
+            // The start of a loop is free: its first place determines where it is.
+            Some(point) if is_loop => layout.start_through(frames, *point),
             _ => {}
         }
-        layout.warp_root(frames, &points, around);
-        limit_jerk::around_keyframes(layout, frames, constraints, around)?;
+        layout.warp_root(frames, &points, is_loop);
+        limit_jerk::around_keyframes(layout, frames, constraints, is_loop)?;
         if let Some(usual) = usual {
             limit_jerk::over_fixed_parts(layout, frames, constraints, usual)?;
         }
-        // What was smoothed has moved the way a little.
-        layout.warp_root(frames, &points, around);
+        // Smoothing moves the trajectory slightly.
+        layout.warp_root(frames, &points, is_loop);
         layout.to_bvh(frames)
     }
 
@@ -299,7 +298,7 @@ impl Job {
         Err(Error::file(&example.file, problem, hint))
     }
 
-    /// Frames of the new motion; `given` are the motions that set its length, with their frames.
+    /// Length of the new motion; `given` are the motions that set it, with their frames.
     fn frames(
         &self,
         layout: &MotionMatrix,
@@ -331,7 +330,7 @@ impl Job {
     }
 }
 
-/// The largest of the motions' 95th percentiles of jerk.
+/// The largest 95th percentile of jerk of the motions.
 fn usual_jerk<'a>(
     layout: &MotionMatrix,
     motions: impl Iterator<Item = &'a Frames>,

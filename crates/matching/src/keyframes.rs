@@ -4,34 +4,33 @@ use serde::Deserialize;
 
 use crate::{Constraint, Error, Example, Frames, MotionMatrix, Part};
 
-/// Seconds before and after a key frame that bend towards it.
+/// Default reach in seconds.
 const REACH: f64 = 0.4;
 
-/// Largest coordinate of a place, in the file's units: beyond it, single precision knows no step.
+/// Largest coordinate of a place in file units, for single precision.
 const FURTHEST: f64 = 1e6;
 
-/// The latest moment, in seconds.
+/// Largest time in seconds.
 const LATEST: f64 = 1e6;
 
-/// A pose that the new motion takes at a moment.
+/// A pose of the new motion at a time.
 #[derive(Clone, Debug, Default, Deserialize, PartialEq)]
 #[serde(deny_unknown_fields)]
 pub struct Keyframe {
-    /// When, in seconds.
+    /// Time in seconds.
     pub time: f64,
-    /// The moment of the source at which it has the pose, in seconds.
+    /// Time of the pose in its source, in seconds.
     pub source_time: f64,
-    /// File that the pose is taken from; without one the first example.
+    /// File of the pose; none is the first example.
     pub file: Option<String>,
-    /// The part of the body that takes the pose, named as in [`Part::named`]; without one all of
-    /// it.
+    /// The body part with the pose, named as in [`Part::named`]; none is the whole body.
     pub part: Option<String>,
-    /// Where the joint that travels is then, on the two axes that do not point up, in the file's
-    /// units. The way is bent towards it; without it the way goes on as it does.
+    /// Horizontal place of the root joint, in file units. The root trajectory is warped through it;
+    /// none leaves it free.
     pub place: Option<[f64; 2]>,
-    /// Seconds before and after it that bend towards the pose; without it 0.4.
+    /// Seconds before and after that blend into the pose; 0.4 by default.
     pub reach: Option<f64>,
-    /// What messages call it: the file that it is of, and its number there.
+    /// Its name in messages: the file and its number there.
     #[serde(skip)]
     pub name: String,
 }
@@ -43,11 +42,10 @@ struct Document {
 }
 
 impl Keyframe {
-    /// The key frames of a TOML file: tables `[[keyframe]]` with `time` and `source_time` in seconds,
-    /// and where they are needed `file`, `part`, `place` and `reach`.
+    /// The key frames of a TOML file: tables `[[keyframe]]` with `time` and `source_time` in
+    /// seconds, optionally `file`, `part`, `place` and `reach`.
     ///
-    /// # Errors
-    /// For a file that cannot be read so.
+    /// For a malformed file.
     pub fn read(text: &str, file: &str) -> Result<Vec<Self>, Error> {
         let hint = "docs/matching.md describes files of key frames";
         let mut document: Document =
@@ -79,7 +77,7 @@ impl Keyframe {
         Ok(document.keyframe)
     }
 
-    /// What messages call it.
+    /// Its name in messages.
     pub(crate) fn called(&self) -> &str {
         match self.name.as_str() {
             "" => "key frame",
@@ -87,11 +85,10 @@ impl Keyframe {
         }
     }
 
-    /// What a motion of `frames` frames must keep to: the pose of `source`, whose matrix is
-    /// `poses`, but for the horizontal way.
+    /// The constraint of a motion of `frames` frames: the pose of `source`, whose matrix is
+    /// `poses`, without the horizontal trajectory.
     ///
-    /// # Errors
-    /// For a moment that the motion or the source does not have, or an unknown part.
+    /// For a time outside of the motion or the source, and an unknown part.
     pub fn constraint(
         &self,
         layout: &MotionMatrix,
@@ -123,7 +120,7 @@ impl Keyframe {
             None => Part::whole(layout),
         };
         let mut channels = part.channels(layout).channels;
-        // The horizontal way says how the body moves on, not where it is.
+        // The horizontal trajectory holds displacements, not places.
         channels.retain(|channel| {
             *channel == layout.height() || !layout.root_channels().contains(channel)
         });

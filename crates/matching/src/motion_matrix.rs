@@ -1,12 +1,12 @@
 //! Motions of any skeleton as matrices, and back to BVH.
 //!
-//! A frame is, in this order: six numbers of each joint's rotation within its parent
-//! ([`rotation6d`](crate::rotation6d)); the place within the parent of every other joint whose
-//! place changes; the contact of each foot in the first of six channels; and the way of the joint
-//! that travels, its height as it is and its horizontal place as the displacement from the frame
-//! before. On request that joint's rotation and displacement are seen from its heading, and the
-//! turn of the heading since the frame before stands in front of the way. Lengths are scaled by 1 /
-//! ceil(largest component of an offset). Source: GenMM; docs/sources/genmm.md.
+//! A frame holds, in this order: the local rotation of each joint as six numbers
+//! ([`rotation6d`](crate::rotation6d)); the local position of every other joint whose position
+//! changes; the contact of each foot, in the first of six channels; and the root trajectory, its
+//! height absolute and its horizontal position as the displacement from the frame before.
+//! Optionally the root's rotation and displacement are relative to its heading, and the change of
+//! heading since the frame before precedes the trajectory. Lengths are scaled by 1 / ceil(largest
+//! component of an offset). Source: GenMM; docs/sources/genmm.md.
 
 use kinegrad_capture::{Axis, Bvh, RootPose, UpAxis};
 use kinegrad_motion::Quaternion;
@@ -24,12 +24,12 @@ use skeleton::{ancestors, common_root_joint, position_ranges, scale, thinning};
 
 /// Channels of a rotation.
 const ROTATION: usize = 6;
-/// Distance between two frames, in scaled units, below which a foot is in contact.
+/// Speed in scaled units a frame below which a foot is in contact.
 const CONTACT: f64 = 0.018;
-/// Change of a place, in scaled units, that is no more than the rounding of a file.
+/// Change of a position, in scaled units, that is rounding.
 const STILL: f64 = 1e-5;
 
-/// A motion to learn from.
+/// An example motion.
 #[derive(Clone, Debug)]
 pub struct Example {
     /// Its file, for messages.
@@ -38,19 +38,19 @@ pub struct Example {
     pub bvh: Bvh,
 }
 
-/// What of a motion is matched, and how it is seen.
+/// Options of a [`MotionMatrix`].
 #[derive(Clone, Debug, Default)]
 pub struct MatrixOptions {
     /// The axis that points up in the files.
     pub up: UpAxis,
-    /// Joints, by their indices, whose contact with the ground is matched as well.
+    /// Indices of the joints whose ground contact is matched as well.
     pub contacts: Vec<usize>,
-    /// Whether the body is seen from its heading: a walk to the north is then like one to the east.
-    /// The published program sees it from outside.
+    /// Whether the root is relative to its heading, so that a walk north equals a walk east. The
+    /// published program uses world coordinates.
     pub heading: bool,
 }
 
-/// How the motions of one skeleton are matrices.
+/// The layout of the motions of one skeleton as matrices.
 #[derive(Clone, Debug)]
 pub struct MotionMatrix {
     file: String,
@@ -59,31 +59,29 @@ pub struct MotionMatrix {
     scale: f64,
     frame_time: f64,
     root_joint: usize,
-    /// Joints above the one that travels, where nothing else hangs on them.
+    /// Joints above the root joint, if nothing else hangs on them.
     ancestors: Vec<usize>,
-    /// Where what carries the joint that travels stands in a new motion, with no turn.
+    /// Position of the ancestors in a new motion, with no rotation.
     base: [f64; 3],
     translated: Vec<usize>,
     contacts: Vec<usize>,
-    /// Heading of the first example's first frame, in radians; none if motions are seen from
-    /// outside.
+    /// Heading of the first frame of the first example, in radians; none in world coordinates.
     heading: Option<f64>,
     start: [f64; 3],
 }
 
 impl MotionMatrix {
-    /// The layout of the examples, which have one skeleton. Motions of 59 frames a second and more
-    /// are thinned to every second frame, as often as needed.
+    /// The layout for examples of one skeleton. Motions of 59 frames a second and more are
+    /// downsampled by powers of two.
     ///
-    /// # Errors
-    /// If there are no examples, their joints, bones or frame rates differ, the first has no channels
-    /// for what moves in another, or no bone has a length.
+    /// Without examples; if joints, bones or frame rates differ; if the first lacks channels for a
+    /// motion of another; if all bones have length 0.
     pub fn new(examples: &[Example], options: MatrixOptions) -> Result<Self, Error> {
         Self::with(examples, &[], options)
     }
 
-    /// [`new`](Self::new), for other motions beside the examples too, of which parts or poses are
-    /// taken: what travels and what changes its place is what does so in any of them.
+    /// [`new`](Self::new) with further motions that parts or poses are taken from: the root joint
+    /// and the joints whose position changes are those of all motions.
     ///
     /// # Errors
     /// As [`new`](Self::new).
@@ -161,17 +159,17 @@ impl MotionMatrix {
         Ok(layout)
     }
 
-    /// The joints, as in the file.
+    /// The joints, in file order.
     pub fn joints(&self) -> &[kinegrad_capture::Joint] {
         self.bvh.joints()
     }
 
-    /// Seconds from one frame to the next, after thinning.
+    /// Seconds between frames after downsampling.
     pub fn frame_time(&self) -> f64 {
         self.frame_time
     }
 
-    /// The joint whose way is followed.
+    /// The joint whose trajectory carries the body.
     pub fn root_joint(&self) -> usize {
         self.root_joint
     }
@@ -182,8 +180,8 @@ impl MotionMatrix {
         joints + 3 * self.translated.len() + usize::from(self.heading.is_some()) + 3
     }
 
-    /// Channels of a joint: its rotation, its place if that changes, its contact. The way of the
-    /// joint that travels is in [`way`](Self::way).
+    /// Channels of a joint: rotation, position if it changes, contact. The root trajectory is in
+    /// [`root_channels`](Self::root_channels).
     pub fn channels_of(&self, joint: usize) -> Vec<usize> {
         let mut channels: Vec<usize> = self.rotation_of(joint).collect();
         let places = ROTATION * self.joints().len();
@@ -207,30 +205,29 @@ impl MotionMatrix {
         ROTATION * joint..ROTATION * (joint + 1)
     }
 
-    /// Channels of the way of the joint that travels: the turn of its heading in radians, if motions
-    /// are seen from there, and x, y and z.
+    /// Channels of the root trajectory: the change of heading in radians, if motions are relative
+    /// to it, then x, y and z.
     pub fn root_channels(&self) -> std::ops::Range<usize> {
         self.channels() - 3 - usize::from(self.heading.is_some())..self.channels()
     }
 
-    /// The channel of the height of the joint that travels.
+    /// The channel of the root height.
     pub fn height(&self) -> usize {
         self.channels() - 3 + self.up()
     }
 
-    /// Which coordinate of a place is its height.
+    /// The index of the vertical axis.
     pub(crate) fn up(&self) -> usize {
         self.up as usize
     }
 
-    /// Indices of the joints that are in contact with the ground at times.
+    /// Indices of the joints whose contact is matched.
     pub fn contacts(&self) -> &[usize] {
         &self.contacts
     }
 
-    /// Poses within the parents. What moves the joints above the one that travels moves it instead:
-    /// in some files the hips travel, in others of the same skeleton the root does and takes them
-    /// along.
+    /// Local poses. Motion of the ancestors is moved into the root joint: in some files the hips
+    /// travel, in others of the same skeleton the node above them does.
     fn locals(&self, bvh: &Bvh, t: usize) -> Vec<RootPose> {
         let mut poses = bvh.locals(t);
         if self.ancestors.is_empty() {
@@ -247,8 +244,8 @@ impl MotionMatrix {
         poses
     }
 
-    /// How a joint above the one that travels stands in new motions: the way and the heading are then
-    /// those over the ground.
+    /// The pose of an ancestor in new motions, without rotation: trajectory and heading are then
+    /// relative to the ground.
     fn upright(&self, joint: usize) -> RootPose {
         RootPose {
             position: self.joints()[joint].offset,
@@ -256,10 +253,9 @@ impl MotionMatrix {
         }
     }
 
-    /// The motion of an example, `[frames, channels]`, after thinning.
+    /// The matrix of an example, `[frames, channels]`, after downsampling.
     ///
-    /// # Errors
-    /// As [`must_match`](Self::must_match), and for numbers beyond single precision.
+    /// Those of [`must_match`](Self::must_match), and numbers beyond single precision.
     pub fn to_frames(&self, example: &Example) -> Result<Frames, Error> {
         self.must_match(example)?;
         let bvh = &example.bvh;
@@ -310,7 +306,7 @@ impl MotionMatrix {
         Ok(Frames::new(self.channels(), values))
     }
 
-    /// A motion, `[frames, channels]`, as a file with the joints, channels and units of the first
+    /// A matrix, `[frames, channels]`, as a motion with the joints, channels and units of the first
     /// example, which starts where that does.
     ///
     /// # Errors
@@ -351,7 +347,7 @@ impl MotionMatrix {
         Ok(self.bvh.reposed(self.frame_time, &locals)?)
     }
 
-    /// Whether each contact joint rests in each of the frames `times`, `[contacts][times]`.
+    /// The contact of each contact joint in the frames `times`, `[contacts][times]`.
     fn contacts_of(&self, bvh: &Bvh, times: &[usize]) -> Vec<Vec<bool>> {
         if self.contacts.is_empty() {
             return Vec::new();

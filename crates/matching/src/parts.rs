@@ -1,4 +1,4 @@
-//! Body parts, which are matched each by itself.
+//! Body parts, each matched by itself.
 
 use kinegrad_capture::Joint;
 use kinegrad_motion::rotation::length;
@@ -6,17 +6,17 @@ use serde::Deserialize;
 
 use crate::{Channels, Error, MotionMatrix};
 
-/// A bone chain that is shorter than this part of the longest is no limb: fingers, ears, a tail.
+/// A bone chain shorter than this part of the longest is not a limb: fingers, ears, a tail.
 const LIMB: f64 = 0.25;
 
 /// A body part.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Part {
-    /// What it is called.
+    /// Its name.
     pub name: String,
-    /// Its joints, by their indices; neighbouring parts share the joint that connects them.
+    /// Indices of its joints; neighbouring parts share the joint that connects them.
     pub joints: Vec<usize>,
-    /// Whether the way of the joint that travels belongs to it.
+    /// Whether the root trajectory belongs to it.
     pub root_trajectory: bool,
 }
 
@@ -35,14 +35,15 @@ struct Entry {
     /// Joints by name.
     #[serde(default)]
     joints: Vec<String>,
-    /// Joints with all that hangs on them.
+    /// Joints with their descendants.
     #[serde(default)]
     below: Vec<String>,
     #[serde(default)]
     root_trajectory: bool,
 }
 
-/// Words in the names of joints, for parts that are asked for by a common name.
+/// Common part names: words in the names of their joints, and whether the root trajectory belongs
+/// to them.
 const COMMON: [(&str, &[&str], bool); 3] = [
     (
         "legs",
@@ -76,10 +77,9 @@ impl Part {
         }
     }
 
-    /// Parts by where the skeleton branches: the trunk, and a limb for each long chain that hangs
-    /// on it, with the joint of the trunk that it hangs on. The way of the body belongs to the
-    /// trunk and to limbs that hang on the joint that travels, the legs. A skeleton that does not
-    /// branch is one part.
+    /// Parts by the branches of the skeleton: the trunk, and a limb for each long chain below it,
+    /// with the trunk joint above. The root trajectory belongs to the trunk and to the limbs below
+    /// the root joint, the legs. A skeleton that does not branch is one part.
     pub fn automatic(layout: &MotionMatrix) -> Vec<Self> {
         let joints = layout.joints();
         let reach = reach(joints);
@@ -123,12 +123,10 @@ impl Part {
     }
 
     /// The parts of a TOML file: tables `[[part]]` with `name`, `joints` (names), `below` (joints
-    /// with all that hangs on them) and `way` (whether the body's way belongs to it). What is in
-    /// none of them is a part called `rest`.
+    /// with their descendants) and `root_trajectory` (whether it belongs to the part). All other
+    /// joints form a part called `rest`.
     ///
-    /// # Errors
-    /// For a file that cannot be read so, joints that the layout does not have, and parts without
-    /// joints.
+    /// For a malformed file, unknown joints, and parts without joints.
     pub fn read(text: &str, file: &str, layout: &MotionMatrix) -> Result<Vec<Self>, Error> {
         let hint = "docs/matching.md describes files of parts";
         let document: Document =
@@ -182,11 +180,10 @@ impl Part {
         Ok(parts)
     }
 
-    /// The part that a name means: one of `parts`, `legs`, `arms` or `head` by the words in the
-    /// names of joints, or a joint with all that hangs on it. `asks`: what names it, for messages.
+    /// The part of a name: one of `parts`; `legs`, `arms` or `head` by the words in joint names; or
+    /// a joint with its descendants. `asks`: the source of the name, for messages.
     ///
-    /// # Errors
-    /// Names what there is.
+    /// Lists the known names.
     pub fn named(
         name: &str,
         parts: &[Self],
@@ -224,7 +221,7 @@ impl Part {
                 .flat_map(|joint| subtree(joints, joint))
                 .collect();
             if !found.is_empty() {
-                // Legs stand on the ground as the joint that they hang on turns.
+                // The joint above the legs turns them, so it belongs to them.
                 found.extend(has_root.then(|| layout.root_joint()));
                 found.sort_unstable();
                 found.dedup();
@@ -255,7 +252,7 @@ impl Part {
     }
 }
 
-/// The joints whose names say that they are feet.
+/// The joints named foot, toe or ankle.
 pub fn feet(joints: &[Joint]) -> Vec<usize> {
     let is_foot = |joint: &Joint| {
         let name = bare(&joint.name).to_lowercase();
@@ -280,12 +277,12 @@ fn joint(layout: &MotionMatrix, name: &str, file: &str) -> Result<usize, Error> 
     })
 }
 
-/// A name without its prefix up to a colon.
+/// A joint name without its namespace, as in `mixamorig:Hips`.
 fn bare(name: &str) -> &str {
     name.rsplit(':').next().unwrap_or(name)
 }
 
-/// A joint and all that hangs on it.
+/// A joint and its descendants.
 fn subtree(joints: &[Joint], top: usize) -> Vec<usize> {
     let mut inside = vec![false; joints.len()];
     inside[top] = true;
@@ -295,7 +292,7 @@ fn subtree(joints: &[Joint], top: usize) -> Vec<usize> {
     (top..joints.len()).filter(|&joint| inside[joint]).collect()
 }
 
-/// Length of the longest chain of bones that hangs on each joint.
+/// Length of the longest bone chain below each joint.
 fn reach(joints: &[Joint]) -> Vec<f64> {
     let mut reach: Vec<f64> = joints
         .iter()

@@ -1,25 +1,24 @@
-//! A course near a given one that is smoother where it is asked to be.
+//! Smoothing with a strength for each frame.
 
 use kinegrad_motion::banded::Cholesky;
 
 use crate::{Constraint, Frames};
 
-/// Weights of a third difference's frames.
+/// Coefficients of a third difference.
 pub(crate) const THIRD: [f64; 4] = [-1.0, 3.0, -3.0, 1.0];
-/// Weight of a frame that must keep its values, beside 1 of all others.
+/// Weight of a frame that must keep its values; others have 1.
 const KEPT: f64 = 1e9;
 
-/// Moves every channel x of a motion to the y for which
+/// Replaces every channel x by the y that minimises
 ///
 /// ```text
 /// sum over t of (y[t] - x[t])^2 + sum over t of strength[t] (y[t+3] - 3 y[t+2] + 3 y[t+1] - y[t])^2
 /// ```
 ///
-/// is least, where y must be x in key frames. Channels that follow a given motion stay as they are,
-/// and so do frames that no strength above 0 reaches.
+/// where y equals x in key frames. Fixed channels do not change, nor do frames that no strength
+/// above 0 reaches.
 ///
-/// # Panics
-/// Panics if there is not a strength for each third difference.
+/// If there is not a strength for each third difference.
 pub(crate) fn smooth(frames: &mut Frames, strength: &[f64], constraints: &[Constraint]) {
     let n = frames.frames();
     assert_eq!(

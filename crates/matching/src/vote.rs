@@ -1,13 +1,13 @@
-//! Voting: every frame becomes the mean of all selected patches that cover it.
+//! Voting: every frame is the mean of the selected patches that cover it.
 
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
 use crate::{Frames, Pool};
 
-/// The motion of `nearest.len() + patch_size - 1` frames in which patch i is the example patch
-/// `nearest[i]`, `[frames, channels]`: a frame is the mean of the patches that cover it, which are
-/// one at either end and `patch_size` in the middle.
+/// The motion of `nearest.len() + patch_size - 1` frames whose patch i is the example patch
+/// `nearest[i]`, `[frames, channels]`. A frame is the mean of the patches that cover it: one at
+/// either end, `patch_size` in the middle.
 ///
 /// # Panics
 /// Panics if `nearest` is empty or names no patch of `pool`.
@@ -24,9 +24,8 @@ pub fn vote(pool: &Pool, nearest: &[usize]) -> Frames {
     voted
 }
 
-/// The motion of `nearest.len()` frames in which the example patch `nearest[i]` is around frame i,
-/// `[frames, channels]`, and the last frame is followed by the first: every frame is the mean of the
-/// `patch_size` patches that cover it.
+/// The loop of `nearest.len()` frames in which the example patch `nearest[i]` is centred on frame
+/// i, `[frames, channels]`: every frame is the mean of the `patch_size` patches that cover it.
 ///
 /// # Panics
 /// As [`vote`].
@@ -37,7 +36,7 @@ pub fn vote_loop(pool: &Pool, nearest: &[usize]) -> Frames {
     let mut voted = Frames::zeros(n, channels);
     let frames = voted.values_mut().par_chunks_exact_mut(channels);
     frames.enumerate().for_each(|(t, frame)| {
-        // The patch that has this frame in its place `within`; a short motion goes around twice.
+        // The patch with this frame at `within`; a short motion wraps twice.
         let patch = |within: usize| (t + p / 2 + (p / n + 1) * n - within) % n;
         mean(
             pool,
@@ -48,12 +47,12 @@ pub fn vote_loop(pool: &Pool, nearest: &[usize]) -> Frames {
     voted
 }
 
-/// Puts the mean of the pool's frames `sources` into `frame`, which is zero.
+/// Adds the mean of the pool frames `sources` to `frame`, which is zero.
 fn mean(pool: &Pool, sources: impl ExactSizeIterator<Item = usize>, frame: &mut [f32]) {
     let count = sources.len() as f32;
     let mut sources = sources.peekable();
     while let Some(source) = sources.next() {
-        // Patches that continue each other have the same frame here.
+        // Consecutive patches share this frame.
         let mut same = 1.0;
         while sources.next_if_eq(&source).is_some() {
             same += 1.0;
@@ -66,7 +65,7 @@ fn mean(pool: &Pool, sources: impl ExactSizeIterator<Item = usize>, frame: &mut 
     }
 }
 
-/// Adds values times a weight.
+/// Adds weighted values.
 struct Add<'a> {
     values: &'a [f32],
     weight: f32,
@@ -84,16 +83,16 @@ impl WithSimd for Add<'_> {
     }
 }
 
-/// The synthesis with `patch_size / 2` frames of the other end before and after it: its patches go
-/// over the seam.
+/// A loop padded by `patch_size / 2` frames of the other end on both sides, so that patches span
+/// the seam.
 pub fn pad_loop(frames: &Frames, patch_size: usize) -> Frames {
     let (n, half) = (frames.frames(), patch_size / 2);
     let wrapped = (0..n + 2 * half).flat_map(|t| frames.frame((t + n - half % n) % n));
     Frames::new(frames.channels(), wrapped.copied().collect())
 }
 
-/// The voted result of [`pad_loop`] without the added frames: the first and the last
-/// `patch_size / 2` frames become the mean of themselves and of their copies at the other end.
+/// Inverse of [`pad_loop`] after voting: the first and last `patch_size / 2` frames are averaged
+/// with their copies at the other end.
 pub fn unpad_loop(padded: &Frames, patch_size: usize) -> Frames {
     let half = patch_size / 2;
     let (n, channels) = (padded.frames() - 2 * half, padded.channels());

@@ -1,11 +1,11 @@
-//! What cannot be asked for together.
+//! Contradictory constraints.
 
 use super::Job;
 use crate::{Constraint, Error, Looping, MotionMatrix};
 
 impl Job {
-    /// Refuses what would be met in part and passed over without a word. `held`: what the motion of
-    /// `frames` frames must keep to, key frames first, in the order of the job.
+    /// Rejects contradictory constraints. `constraints` of the motion of `frames` frames: key
+    /// frames first, in the order of the job.
     pub(super) fn must_agree(
         &self,
         layout: &MotionMatrix,
@@ -72,10 +72,10 @@ impl Job {
                         .any(|channel| trajectory.contains(channel))
                 {
                     let problem = format!(
-                        "at {time} s the body has a place, and its way follows {} as part of `{}`",
+                        "at {time} s the body has a place, and its root trajectory follows {} as part of `{}`",
                         own.motion.file, own.part
                     );
-                    let hint = "leave `place` out, or fix no part that brings the way";
+                    let hint = "leave `place` out, or fix no part with the root trajectory";
                     return Err(Error::file(self.keyframes[index].0.called(), problem, hint));
                 }
             }
@@ -99,7 +99,7 @@ impl Job {
     }
 }
 
-/// Channels that both hold.
+/// Channels of both constraints.
 fn shared(one: &Constraint, other: &Constraint) -> Vec<usize> {
     let others = channels(other);
     let own = channels(one).iter().copied();
@@ -112,7 +112,7 @@ fn channels(constraint: &Constraint) -> &[usize] {
     }
 }
 
-/// A channel to which two key frames give different values.
+/// A channel with different values in two key frames.
 fn contradiction(one: &Constraint, other: &Constraint) -> Option<usize> {
     let value = |constraint: &Constraint, wanted: usize| match constraint {
         Constraint::Keyframe {
@@ -130,13 +130,13 @@ fn contradiction(one: &Constraint, other: &Constraint) -> Option<usize> {
     shared.find(|&channel| value(one, channel) != value(other, channel))
 }
 
-/// What a channel is of, for messages.
+/// Name of the joint of a channel.
 fn named(layout: &MotionMatrix, channel: usize) -> String {
     let joints = 0..layout.joints().len();
     let mut of = joints.filter(|&joint| layout.channels_of(joint).contains(&channel));
     match of.next() {
         Some(joint) => format!("`{}`", layout.joints()[joint].name),
-        None => "the way over the ground".to_string(),
+        None => "the root trajectory".to_string(),
     }
 }
 
@@ -188,7 +188,7 @@ mod tests {
         job.keyframes[0].0.place = Some([1.0, 2.0]);
         let led = said(&job);
         assert!(
-            led.contains("the body has a place, and its way follows legs.bvh as part of `LeftLeg`"),
+            led.contains("the body has a place, and its root trajectory follows legs.bvh as part of `LeftLeg`"),
             "{led}"
         );
         // Parts that share the hips of one motion agree, of two they do not.

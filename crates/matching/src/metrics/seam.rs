@@ -1,4 +1,4 @@
-//! How a loop goes over its seam.
+//! Seams of loops.
 
 use kinegrad_capture::Bvh;
 use kinegrad_motion::rotation::length;
@@ -6,9 +6,9 @@ use serde::Serialize;
 
 use crate::{Looping, Made, MotionMatrix, percentile_95};
 
-/// The step from a loop's last frame to its first, in parts of the 95th percentile of all other steps,
-/// and the change of velocity there in parts of that of all others: means over the joints, whose places
-/// are seen from above the joint that travels.
+/// The seam of a loop: the step from the last frame to the first and the change of velocity there,
+/// relative to the 95th percentiles of the rest. Means over the joints, in coordinates relative to
+/// the root.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Seam {
     /// The step.
@@ -18,13 +18,13 @@ pub struct Seam {
 }
 
 impl Seam {
-    /// The seam of a motion. None with fewer than four frames.
+    /// The seam of a motion; none with fewer than four frames.
     pub(crate) fn of(layout: &MotionMatrix, bvh: &Bvh) -> Option<Self> {
         let n = bvh.frames();
         if n < 4 {
             return None;
         }
-        // What carries the joint that travels may stay behind.
+        // Ancestors of the root joint are left out.
         let mut travel = vec![false; layout.joints().len()];
         for (joint, own) in layout.joints().iter().enumerate() {
             let with = own.parent.is_some_and(|parent| travel[parent]);
@@ -75,7 +75,7 @@ impl Seam {
 }
 
 impl Made {
-    /// How a loop goes over its seam. None of other motions.
+    /// The seam of a loop; none of other motions.
     pub fn seam(&self, looping: Looping) -> Option<Seam> {
         match looping {
             Looping::Off => None,

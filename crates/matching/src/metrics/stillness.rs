@@ -1,19 +1,19 @@
-//! How much of a motion stands still.
+//! Still frames of a motion.
 
 use serde::Serialize;
 
 use super::rotations;
 use crate::{Frames, Made};
 
-/// Part of the examples' median change between frames that differ, below which a pose stands still.
+/// Threshold of a still frame, as a part of the examples' median change between frames that differ.
 const STILL: f64 = 0.1;
 
-/// A change that is no more than the rounding of a file.
+/// A change that is rounding.
 const UNCHANGED: f64 = 1e-5;
 
-/// Share of frames that stand still: the Euclidean distance of all rotations to the frame before, six
-/// numbers a joint, is below a tenth of the examples' median. Means of many patches that differ move
-/// less than any of them, which neither coverage nor diversity tells.
+/// Part of still frames: frames whose rotations differ from the frame before by less than a tenth
+/// of the examples' median. Means of many different patches move less than any of them, which
+/// neither coverage nor diversity shows.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Stillness {
     /// Of the new motion.
@@ -23,10 +23,10 @@ pub struct Stillness {
 }
 
 impl Stillness {
-    /// Of rotations, `[frames, channels]` each. None without two frames in each.
+    /// From rotations, `[frames, channels]`. None with fewer than two frames.
     fn of(motion: &Frames, examples: &[Frames]) -> Option<Self> {
         let usual: Vec<f64> = examples.iter().flat_map(changes).collect();
-        // Frames that are held say nothing of how fast the others are.
+        // Repeated frames are excluded from the median.
         let mut moving: Vec<f64> = usual.iter().copied().filter(|c| *c > UNCHANGED).collect();
         if moving.is_empty() || motion.frames() < 2 {
             return None;
@@ -55,7 +55,7 @@ fn changes(frames: &Frames) -> Vec<f64> {
 }
 
 impl Made {
-    /// How much of the motion stands still, beside the examples.
+    /// Still frames of the motion and the examples.
     pub fn stillness(&self) -> Option<Stillness> {
         let channels = rotations(&self.layout, &[]);
         let examples = self.examples.iter();

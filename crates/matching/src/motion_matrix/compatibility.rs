@@ -1,4 +1,4 @@
-//! Whether motions are of one skeleton, and can be written with the channels of the first.
+//! Checks that motions have one skeleton and can be written with the channels of the first.
 
 use kinegrad_capture::{Bvh, Channel};
 use kinegrad_motion::rotation::length;
@@ -7,17 +7,17 @@ use super::skeleton::{ancestors, position_ranges, thinning};
 use super::{Example, MotionMatrix};
 use crate::Error;
 
-/// Largest part by which the frame rates of examples may differ.
+/// Largest relative difference of frame rates.
 const SAME_RATE: f64 = 0.01;
-/// Largest difference of a joint's place within its parent, as a part of the longest bone. Bodies of
-/// two people differ less, by a sixth in captures that are called by the same names; centimetres and
-/// metres differ more, and so do rest poses whose rotations mean something else.
+/// Largest difference of a joint offset, as a part of the longest bone. Bodies of two people differ
+/// by up to a sixth in captures with equal names; a change of units or of the rest pose differs by
+/// more.
 const SAME_BONES: f64 = 0.25;
-/// Turn, in the vector part of a quaternion, and distance, in scaled units, that cannot be seen.
+/// Rotation (vector part of a quaternion) and distance (scaled units) that cannot be seen.
 const UNSEEN: f64 = 1e-3;
 
 impl MotionMatrix {
-    /// Rejects a motion of another skeleton or frame rate.
+    /// Checks skeleton and frame rate.
     ///
     /// # Errors
     /// Names the first joint that differs.
@@ -61,8 +61,7 @@ impl MotionMatrix {
         Ok(())
     }
 
-    /// Rejects a motion whose bones are of another size or point elsewhere. Joints that travel, and
-    /// those that carry them, have no bone.
+    /// Checks sizes and directions of bones. The root joint and its ancestors have none.
     pub(super) fn must_match_bones(&self, example: &Example) -> Result<(), Error> {
         let (own, other) = (bones(&self.bvh), bones(&example.bvh));
         let has_bone = |joint: &usize| {
@@ -97,7 +96,7 @@ impl MotionMatrix {
         Ok(())
     }
 
-    /// Rejects a motion that moves a joint for which the first example has no channels to write it.
+    /// Checks that the first example has channels for every joint that moves.
     pub(super) fn must_have_channels(&self, example: &Example) -> Result<(), Error> {
         let ranges = position_ranges(&example.bvh);
         for (joint, moving) in example.bvh.joints().iter().enumerate() {
@@ -127,8 +126,8 @@ impl MotionMatrix {
         Ok(())
     }
 
-    /// Rejects motions whose root_joint joint is within one that turns or moves: its way is then not
-    /// one over the ground. `asked`: what needs that.
+    /// Checks that no ancestor of the root joint rotates or moves; otherwise the root trajectory is
+    /// not one over the ground. `asked`: the option that needs it.
     pub(crate) fn must_have_upright_root<'a>(
         &self,
         motions: impl IntoIterator<Item = &'a Example>,
@@ -158,8 +157,8 @@ impl MotionMatrix {
     }
 }
 
-/// The place of each joint within its parent. None where it changes and no offset says what the bone is,
-/// or nothing else hangs on what is above it: hips that sway below a root are where the file began.
+/// The offset of each joint. None where the position changes and the offset is no bone, as for hips
+/// that move below a root.
 fn bones(bvh: &Bvh) -> Vec<Option<[f64; 3]>> {
     let (still, ranges) = (bvh.locals(0), position_ranges(bvh));
     let joints = bvh.joints().iter().zip(still).zip(ranges).enumerate();

@@ -1,4 +1,4 @@
-//! Feet of a new motion that rest where those of its examples do.
+//! Locks the feet of a new motion where those of its examples rest.
 
 use kinegrad_capture::{Bvh, RootPose};
 use kinegrad_motion::feet::{Leg, lock, steadied};
@@ -8,21 +8,20 @@ use super::{Example, MotionMatrix};
 use crate::parts::feet;
 use crate::{Error, Part, Sliding};
 
-/// Speed, in leg lengths a second, below which a foot near the floor rests: 0.2 m/s for a person.
+/// Speed in leg lengths a second below which a foot near the floor rests: 0.2 m/s for a person.
 const RESTING: f64 = 0.25;
-/// Height above the lowest place of a sole, in leg lengths, up to which it is near the floor.
+/// Height above the lowest sole position, in leg lengths, that counts as near the floor.
 const NEAR: f64 = 0.15;
-/// Frames of the shortest contact, and one more than those of the longest gap that is closed.
+/// Shortest contact in frames; shorter gaps are closed.
 const SHORTEST: usize = 3;
-/// Frames within which a correction fades.
+/// Frames over which a correction fades.
 const BLEND: usize = 5;
 
 impl MotionMatrix {
-    /// The motion `bvh` with its feet held still where those of the examples rest. `origins` of each
-    /// part say which frame of which example a frame continues.
+    /// The motion `bvh` with its feet locked where those of the examples rest. `origins`: for each
+    /// part the example and frame that each frame continues.
     ///
-    /// # Errors
-    /// If no joint is called a foot, or none has two bones above it.
+    /// If no foot has two bones above it.
     pub(crate) fn with_locked_feet(
         &self,
         bvh: &Bvh,
@@ -82,7 +81,7 @@ impl MotionMatrix {
         Ok((bvh.reposed(bvh.frame_time(), &locals)?, slid))
     }
 
-    /// A leg for each topmost joint that is called a foot; its sole is the foot's first joint.
+    /// A leg for each topmost foot joint; its sole is the first joint of the foot.
     fn legs(&self, parents: &[Option<usize>]) -> Vec<Leg> {
         let feet = feet(self.joints());
         let below = |joint: usize| parents[joint].is_some_and(|parent| feet.contains(&parent));
@@ -92,7 +91,7 @@ impl MotionMatrix {
             Leg::above(ankle, *toe.unwrap_or(&ankle), parents)
         };
         let legs: Vec<Leg> = ankles.filter_map(leg).collect();
-        // A joint that two legs hang on is no hip of one.
+        // A joint shared by two legs is not a hip.
         let hangs = |joint: usize, top: usize| {
             let mut above = std::iter::successors(Some(joint), |&joint| parents[joint]);
             above.any(|joint| joint == top)
@@ -106,7 +105,7 @@ impl MotionMatrix {
         legs.iter().filter(own).copied().collect()
     }
 
-    /// Whether each leg's sole rests near the floor, `[legs][frames]` after thinning.
+    /// Whether each sole rests near the floor, `[legs][frames]` after downsampling.
     fn resting(&self, bvh: &Bvh, legs: &[Leg]) -> Vec<Vec<bool>> {
         let (every, _) = super::thinning(bvh);
         let frames = (0..bvh.frames()).step_by(every);

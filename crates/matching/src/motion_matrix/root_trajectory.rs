@@ -1,4 +1,4 @@
-//! The way of the joint that travels, seen from outside or from its heading.
+//! Root trajectories in world coordinates or relative to the heading.
 
 use std::f64::consts::TAU;
 
@@ -9,7 +9,7 @@ use super::MotionMatrix;
 use crate::{Frames, places, rotation6d};
 
 impl MotionMatrix {
-    /// The way of the joint that travels, `[frames]`, in the file's units.
+    /// Root positions, `[frames]`, in file units.
     pub fn path(&self, frames: &Frames) -> Vec<[f64; 3]> {
         self.root_trajectory(frames)
             .into_iter()
@@ -17,7 +17,7 @@ impl MotionMatrix {
             .collect()
     }
 
-    /// Has motions start at `place`, on the two axes that do not point up, in the file's units.
+    /// Sets the start of motions to `place`, horizontal, in file units.
     pub(crate) fn start_at(&mut self, place: [f64; 2]) {
         let level = (0..3).filter(|&axis| axis != self.up as usize);
         for (axis, place) in level.zip(place) {
@@ -25,7 +25,7 @@ impl MotionMatrix {
         }
     }
 
-    /// Has motions start where `frames` pass `place` at frame `t` without a bend.
+    /// Sets the start of motions so that `frames` pass `place` at frame `t`.
     pub(crate) fn start_through(&mut self, frames: &Frames, (t, place): (usize, [f64; 2])) {
         let passed = self.root_trajectory(frames)[t].0;
         let level = (0..3).filter(|&axis| axis != self.up as usize);
@@ -34,8 +34,8 @@ impl MotionMatrix {
         }
     }
 
-    /// Closes the heading of a loop: what is missing to whole turns from its first frame around to it
-    /// is shared out evenly, so that the body goes on as it began. Without a heading nothing changes.
+    /// Closes the heading of a loop: the difference between the total turn and the nearest multiple
+    /// of a full turn is distributed evenly over the frames.
     pub(crate) fn close_heading(&self, frames: &mut Frames) {
         if self.heading.is_none() {
             return;
@@ -46,8 +46,7 @@ impl MotionMatrix {
         (0..n).for_each(|t| frames.frame_mut(t)[turn] -= share as f32);
     }
 
-    /// Place of the joint that travels, in the file's units, and the heading that its rotation is
-    /// seen from, in radians, `[frames]`.
+    /// Root position in file units and heading in radians, `[frames]`.
     pub(super) fn root_trajectory(&self, frames: &Frames) -> Vec<([f64; 3], f64)> {
         let mut heading = self.heading.unwrap_or(0.0);
         let (mut headings, mut displaced) = (Vec::new(), Vec::new());
@@ -68,21 +67,21 @@ impl MotionMatrix {
             .collect()
     }
 
-    /// The turn about the vertical by `heading` radians.
+    /// The rotation about the vertical by `heading` radians.
     pub(super) fn heading_rotation(&self, heading: f64) -> Quaternion {
         let mut vector = [0.0; 3];
         vector[self.up as usize] = heading;
         Quaternion::from_rotation_vector(vector)
     }
 
-    /// How far a rotation turns about the vertical, in radians.
+    /// The heading of a rotation, in radians.
     pub(super) fn heading_of(&self, rotation: Quaternion) -> f64 {
         let about = [rotation.x, rotation.y, rotation.z][self.up as usize];
         2.0 * about.atan2(rotation.w)
     }
 
-    /// The arc in radians that holds all headings of the joint that travels in motions that are seen
-    /// from outside; none of others.
+    /// The smallest arc in radians that contains all root headings; none if motions are relative to
+    /// the heading.
     pub fn heading_arc(&self, motions: &[Frames]) -> Option<f64> {
         if self.heading.is_some() {
             return None;
@@ -103,9 +102,8 @@ impl MotionMatrix {
         Some(TAU - gaps.fold(first + TAU - last, f64::max))
     }
 
-    /// Turns rotations and displacements of the joint that travels to where it heads, and returns
-    /// the turns of the heading since the frame before, `[frames]`. The first frame moves and turns
-    /// as the second does.
+    /// Makes root rotations and displacements relative to the heading, and returns the changes of
+    /// heading, `[frames]`. The first frame gets the displacement and change of the second.
     pub(super) fn to_heading_frame(
         &self,
         poses: &mut [Vec<RootPose>],
@@ -135,7 +133,7 @@ impl MotionMatrix {
         turns
     }
 
-    /// A place from above: to the right and towards the viewer, in the file's units.
+    /// A position in top view: right and towards the viewer, in file units.
     pub fn top_view(&self, place: [f64; 3]) -> (f64, f64) {
         let up = match self.up {
             Axis::Z => UpAxis::Z,

@@ -1,4 +1,4 @@
-//! What must hold of every synthesis.
+//! Properties of every synthesis.
 
 use proptest::prelude::*;
 
@@ -304,7 +304,7 @@ fn groups_are_matched_apart_and_shared_channels_averaged() {
     let voted = [(3, vec![1.0; 6]), (2, vec![3.0; 4])];
     let voted = voted.map(|(channels, values)| Frames::new(channels, values));
     assert_eq!(
-        together(&groups, voted.to_vec(), 4).values(),
+        merged(&groups, voted.to_vec(), 4).values(),
         [1.0, 1.0, 2.0, 3.0, 1.0, 1.0, 2.0, 3.0]
     );
 }
