@@ -297,7 +297,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_position_leads_back_to_its_moment(
+        fn a_position_maps_back_to_its_time(
             gaps in prop::collection::vec(0.05f64..2.0, 2..40),
             at in -5.0f64..60.0,
         ) {

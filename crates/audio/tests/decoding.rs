@@ -89,7 +89,7 @@ fn four_formats_give_the_same_samples() {
 }
 
 #[test]
-fn what_is_lost_is_told() {
+fn lost_audio_is_reported() {
     let mp3 = std::fs::read(fixture("mp3")).expect("the fixture is readable");
     let half = mp3.len() / 2;
     let without_a_part = [&mp3[..half], &mp3[half + 4000..]].concat();

@@ -242,7 +242,7 @@ mod tests {
     }
 
     #[test]
-    fn coherence_goes_from_many_patches_to_few() {
+    fn coherence_lowers_the_number_of_patches() {
         let at = |coherence| {
             let settings = Settings::of(Preset::Published)
                 .with_coherence(coherence)

@@ -100,7 +100,7 @@ mod tests {
     }
 
     #[test]
-    fn the_course_is_smoother_and_keeps_what_is_held() {
+    fn smoothing_keeps_constraints() {
         let wild = |t: usize| (t as f32 * 2.3).sin();
         let values = (0..40).flat_map(|t| [wild(t), wild(t + 7)]);
         let before = Frames::new(2, values.collect());

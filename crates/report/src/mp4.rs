@@ -1,4 +1,4 @@
-//! Films with the song, by `ffmpeg`.
+//! MP4 videos with the song, through `ffmpeg`.
 
 use std::ffi::{OsStr, OsString};
 use std::fs;
@@ -15,24 +15,22 @@ use crate::scene::{Scene, Song};
 const ENCODER: &str = "ffmpeg";
 /// Pictures per second.
 const FPS: u32 = 30;
-/// How often a film has the pixels of a GIF, along each side.
+/// Pixels of a video relative to a GIF, along each side.
 const SCALE: u32 = 2;
-/// How many of ffmpeg's last lines an error repeats.
+/// Lines of ffmpeg in an error.
 const LAST_LINES: usize = 4;
 
-/// Writes a scene as an MP4 file (H.264, and AAC where there is a song) by the `ffmpeg` on the
-/// PATH. The song starts where the scene says; where it is shorter than the motion, silence follows.
-/// `stop` is asked before each picture.
+/// Writes a scene as an MP4 file (H.264, and AAC with a song) through the `ffmpeg` on the PATH. A
+/// song shorter than the motion is followed by silence. `stop` is called before each picture.
 ///
-/// # Errors
-/// Those of [`must_be_exportable`](crate::must_be_exportable);
-/// [`ExportError::NoEncoder`] where there is no ffmpeg, [`ExportError::Encoder`] where it fails;
-/// [`ExportError::Write`]; [`ExportError::Interrupted`] once `stop` says so.
+/// Those of [`must_be_exportable`](crate::must_be_exportable); [`ExportError::NoEncoder`] without
+/// ffmpeg, [`ExportError::Encoder`] if it fails; [`ExportError::Write`];
+/// [`ExportError::Interrupted`] once `stop` returns true.
 pub fn write(scene: &Scene, out: &Path, stop: &dyn Fn() -> bool) -> Result<(), ExportError> {
     write_by(OsStr::new(ENCODER), scene, out, stop)
 }
 
-/// Refuses to write `out` where there is no ffmpeg on the PATH.
+/// Checks that ffmpeg is on the PATH.
 ///
 /// # Errors
 /// [`ExportError::NoEncoder`].
@@ -52,7 +50,7 @@ pub fn must_have_encoder(out: &Path) -> Result<(), ExportError> {
         })
 }
 
-/// [`write`] by another program that takes the same arguments.
+/// [`write`] through another program with the same arguments.
 fn write_by(
     program: &OsStr,
     scene: &Scene,
@@ -103,7 +101,7 @@ fn encode(
         .stdin(Stdio::piped())
         .stdout(Stdio::null())
         .stderr(Stdio::piped());
-    // A Ctrl-C is for this process alone, which then ends the other one.
+    // Ctrl-C reaches only this process, which then ends ffmpeg.
     #[cfg(unix)]
     std::os::unix::process::CommandExt::process_group(&mut command, 0);
     let mut child = command.spawn().map_err(|reason| ExportError::NoEncoder {
@@ -118,7 +116,7 @@ fn encode(
         });
     }
     let status = match status {
-        // A program that does not take all pictures says why when it ends.
+        // A program that closes its input early explains that on exit.
         Ok(status) if status.success() && taken && film.exists() => return Ok(()),
         Ok(status) => status.to_string(),
         Err(reason) => reason.to_string(),
@@ -130,7 +128,7 @@ fn encode(
     })
 }
 
-/// Hands the pictures over; how the program ended, what it said, and whether it took all.
+/// Feeds the pictures; returns exit status, messages, and whether all were taken.
 fn feed(
     child: &mut Child,
     painter: &Painter<'_>,
@@ -139,7 +137,7 @@ fn feed(
 ) -> (std::io::Result<std::process::ExitStatus>, String, bool) {
     let mut pictures = child.stdin.take().expect("it is piped");
     let mut errors = child.stderr.take().expect("it is piped");
-    // Read while it is fed: it would wait for a reader of what it says.
+    // Its messages are read in parallel, or it would block.
     let said = thread::spawn(move || {
         let mut said = Vec::new();
         let _ = errors.read_to_end(&mut said);
@@ -163,7 +161,7 @@ fn arguments(
     song: Option<(&Song, &Path)>,
     film: &Path,
 ) -> Vec<OsString> {
-    // Names with a colon are no addresses.
+    // A name with a colon is not a URL.
     let file = |path: &Path| {
         let mut name = OsString::from("file:");
         name.push(path);
@@ -187,7 +185,7 @@ fn arguments(
         all.extend(words(&["-map", "0:v:0", "-map", "1:a:0", "-af", "apad"]));
         all.extend(words(&["-c:a", "aac", "-b:a", "160k"]));
     }
-    // The length is that of the motion: the song is padded and cut.
+    // The song is padded and cut to the length of the motion.
     all.extend(words(&["-t", &seconds, "-c:v", "libx264", "-crf", "20"]));
     all.extend(words(&["-pix_fmt", "yuv420p", "-movflags", "+faststart"]));
     all.extend(words(&["-f", "mp4"]));
@@ -249,14 +247,15 @@ mod tests {
     fn the_encoder_gets_all_pictures_and_the_song() {
         let folder = tempfile::tempdir().unwrap();
         let out = folder.path().join("dance.mp4");
-        // Its last argument is the film: it writes down the rest, the song and the picture's size.
+        // It writes its other arguments, the song and the size of the pictures to its last
+        // argument.
         let script = "for last; do :; done\nout=${last#file:}\n\
                       { echo \"$@\"; cat \"${out%film.tmp}song.tmp\"; echo; wc -c; } > \"$out\"";
         let program = stand_in(folder.path(), script);
         write_by(program.as_os_str(), &scene(true), &out, &|| false).unwrap();
         assert_eq!(files(folder.path()), ["dance.mp4", "encoder"]);
-        let told = fs::read_to_string(&out).unwrap();
-        let lines: Vec<&str> = told.lines().collect();
+        let log = fs::read_to_string(&out).unwrap();
+        let lines: Vec<&str> = log.lines().collect();
         assert!(lines[0].contains("-s 800x720 -framerate 30 -i pipe:0 -ss 12.500000 -i file:"));
         assert!(lines[0].contains("-t 1.000000") && lines[0].contains("-pix_fmt yuv420p"));
         assert_eq!(lines[1], "a song");
@@ -272,7 +271,7 @@ mod tests {
         let out = folder.path().join("dance.mp4");
         fs::write(&out, "an older film").unwrap();
         for (script, said) in [
-            // Half a film, and not all pictures read.
+            // An incomplete file, and unread pictures.
             (
                 "for last; do :; done\necho half > \"${last#file:}\"\necho Unknown encoder >&2\nexit 8",
                 "Unknown encoder",
@@ -297,10 +296,10 @@ mod tests {
     }
 
     #[test]
-    fn what_is_stopped_leaves_nothing_behind_and_no_encoder() {
+    fn stopping_leaves_no_file_and_no_encoder() {
         let folder = tempfile::tempdir().unwrap();
         let out = folder.path().join("dance.mp4");
-        // It takes pictures as long as there are any, and goes on for a minute.
+        // It reads all pictures and continues for a minute.
         let script =
             "for last; do :; done\necho half > \"${last#file:}\"\ncat > /dev/null\nexec sleep 60";
         let program = stand_in(folder.path(), script);

@@ -150,7 +150,7 @@ mod tests {
         example(file, frames, 1.0 / 30.0)
     }
 
-    fn said(job: &Job) -> String {
+    fn message(job: &Job) -> String {
         job.make(&[walk("walk.bvh", 70)]).unwrap_err().to_string()
     }
 
@@ -167,7 +167,7 @@ mod tests {
     }
 
     #[test]
-    fn what_contradicts_itself_is_refused() {
+    fn contradictions_are_refused() {
         let fixed = |part: &str, motion: Example| Fixed {
             part: part.to_string(),
             motion,
@@ -178,7 +178,7 @@ mod tests {
             keyframes: vec![(key(0.5, None, None), None)],
             ..Job::default()
         };
-        let missed = said(&job);
+        let missed = message(&job);
         assert!(
             missed.contains("key frame: at 1 s `Hips` has a pose, and follows legs.bvh"),
             "{missed}"
@@ -186,7 +186,7 @@ mod tests {
         job.keyframes[0].0.part = Some("RightFoot".to_string());
         job.make(&[walk("walk.bvh", 70)]).unwrap();
         job.keyframes[0].0.place = Some([1.0, 2.0]);
-        let led = said(&job);
+        let led = message(&job);
         assert!(
             led.contains("the body has a place, and its root trajectory follows legs.bvh as part of `LeftLeg`"),
             "{led}"
@@ -206,14 +206,14 @@ mod tests {
             )
             .unwrap();
         job.fixed[1].motion = other;
-        let two = said(&job);
+        let two = message(&job);
         assert!(
             two.starts_with("other.bvh: `RightLeg` follows it, and `Hips`"),
             "{two}"
         );
         job.fixed.truncate(1);
         job.settings.looping = Looping::Even;
-        let loops = said(&job);
+        let loops = message(&job);
         assert!(
             loops.contains("need not lead into its beginning"),
             "{loops}"
@@ -226,10 +226,10 @@ mod tests {
             keyframes: vec![(one, None), (two, None)],
             ..Job::default()
         };
-        let poses = said(&of(key(0.5, None, None), key(0.9, Some("LeftLeg"), None)));
+        let poses = message(&of(key(0.5, None, None), key(0.9, Some("LeftLeg"), None)));
         assert!(poses.contains("has two poses"), "{poses}");
         let places = [Some([1.0, 2.0]), Some([2.0, 2.0])];
-        let two = said(&of(key(0.5, None, places[0]), key(0.5, None, places[1])));
+        let two = message(&of(key(0.5, None, places[0]), key(0.5, None, places[1])));
         assert!(two.contains("at 1 s the body has two places"), "{two}");
         let apart = of(
             key(0.5, Some("LeftFoot"), None),

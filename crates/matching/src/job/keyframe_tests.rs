@@ -67,7 +67,7 @@ fn key_frames_close_together_are_all_met() {
 }
 
 #[test]
-fn a_loop_with_a_key_frame_is_calm_at_its_seam() {
+fn a_loop_with_a_key_frame_has_a_smooth_seam() {
     for (seed, time) in [(0, 1.0), (1, 2.0), (2, 0.0), (3, 3.3)] {
         let mut job = with(&[key(time, 0.9)]);
         job.settings.looping = Looping::Even;
@@ -98,7 +98,7 @@ fn key_frames_near_an_end_jerk_little_more_than_the_rest() {
 }
 
 #[test]
-fn a_key_frame_does_not_hold_up_the_rest() {
+fn a_key_frame_does_not_still_the_rest() {
     let still = |seed, keyframes: &[Keyframe]| {
         let mut job = with(keyframes);
         job.length = Some(Length::Seconds(6.0));

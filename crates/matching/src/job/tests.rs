@@ -249,7 +249,7 @@ fn stepping() -> Example {
 }
 
 #[test]
-fn feet_are_held_where_those_of_the_example_rest() {
+fn feet_are_locked_where_those_of_the_example_rest() {
     let feet = Job {
         lock_feet: true,
         ..job()

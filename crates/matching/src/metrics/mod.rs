@@ -149,7 +149,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_measured_is_none() {
+    fn unmeasurable_motions_are_none() {
         assert!(Measures::of(&line(0..30), &[line(0..100)]).is_none());
         assert!(Measures::of(&line(0..100), &[line(0..100), line(0..30)]).is_none());
         assert!(Measures::of(&line(0..100), &[]).is_none());

@@ -69,7 +69,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_pose_that_is_held_stands_still_and_a_slow_one_does_not() {
+    fn a_repeated_pose_is_still_and_a_slow_one_is_not() {
         let walk = |pace: fn(usize) -> f32| Frames::new(1, (0..100).map(pace).collect());
         let example = walk(|t| t as f32);
         let of = |motion: &Frames| Stillness::of(motion, std::slice::from_ref(&example)).unwrap();

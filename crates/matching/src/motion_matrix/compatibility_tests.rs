@@ -64,7 +64,7 @@ fn bones_of_another_size_are_refused() {
 }
 
 #[test]
-fn another_motion_that_travels_in_another_joint_keeps_its_way() {
+fn a_motion_with_another_root_joint_keeps_its_trajectory() {
     // The root travels three times as far as the hips of the example, and turns.
     let taken = changed("taken.bvh", |t, pose| {
         pose[1].position = [0.0, pose[1].position[1], 0.0];
@@ -101,7 +101,7 @@ fn another_motion_that_travels_in_another_joint_keeps_its_way() {
 }
 
 #[test]
-fn the_way_of_hips_below_a_turned_root_is_over_the_ground() {
+fn the_trajectory_of_hips_below_a_turned_root_is_over_the_ground() {
     // A root that lies on its back and turns its hips upright again.
     let tip = Quaternion::from_rotation_vector([-std::f64::consts::FRAC_PI_2, 0.0, 0.0]);
     let tipped = changed("tipped.bvh", |_, pose| {
@@ -184,7 +184,7 @@ fn what_the_first_example_cannot_write_is_refused() {
 }
 
 #[test]
-fn a_way_within_a_joint_that_turns_is_not_seen_from_a_heading() {
+fn a_trajectory_within_a_turning_joint_has_no_heading() {
     // A tail on the root, so that nothing above the hips carries them alone.
     let text = text(40, 1.0 / 30.0);
     let tail =

@@ -172,7 +172,7 @@ mod tests {
     }
 
     #[test]
-    fn places_are_met_and_the_way_does_not_fly_off() {
+    fn places_are_met_and_the_trajectory_does_not_overshoot() {
         let cases: [&[(usize, f64)]; 8] = [
             &[(15, 0.3)],
             &[(6, 0.3)],
@@ -210,7 +210,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_moved_is_moved_calmly() {
+    fn offsets_have_little_jerk() {
         // From rest to rest within half a second, 0.3 m take 140 m/s^3.
         let alone = offsets(300, &[(15, 0.3)], FRAMES, false);
         assert!(jerk(&alone) < 30.0, "{}", jerk(&alone));

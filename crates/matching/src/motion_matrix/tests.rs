@@ -153,7 +153,7 @@ fn fast_captures_are_thinned_to_30_frames_a_second() {
 }
 
 #[test]
-fn hips_that_their_root_takes_along_travel_themselves() {
+fn motion_of_the_node_above_the_hips_is_theirs() {
     let walk = example("walk.bvh", 60, 1.0 / 30.0);
     let mut taken = walk.clone();
     let mut locals: Vec<RootPose> = (0..60).flat_map(|t| walk.bvh.locals(t)).collect();
@@ -286,7 +286,7 @@ fn a_sliding_limb_does_not_carry_the_body() {
 }
 
 #[test]
-fn the_arc_of_the_headings_goes_over_the_end_of_the_circle() {
+fn the_arc_of_headings_wraps() {
     let walk = example("walk.bvh", 60, 1.0 / 30.0);
     let of = |heading: bool, facing: &dyn Fn(f64) -> f64| {
         let options = MatrixOptions {

@@ -199,7 +199,7 @@ fn threads_change_no_bit() {
 }
 
 #[test]
-fn the_end_of_a_loop_leads_into_its_beginning() {
+fn a_loop_is_continuous_at_its_seam() {
     let step = |frames: &Frames, from: usize, to: usize| {
         let pairs = frames.frame(from).iter().zip(frames.frame(to));
         pairs.map(|(a, b)| (a - b).powi(2)).sum::<f32>().sqrt()
@@ -232,7 +232,7 @@ fn the_end_of_a_loop_leads_into_its_beginning() {
 }
 
 #[test]
-fn a_loop_begins_where_it_is_calm() {
+fn a_loop_begins_where_it_is_smoothest() {
     let settings = Settings {
         looping: Looping::Even,
         ..settings(11)

@@ -1,4 +1,4 @@
-//! Simple bodies: capsules over bones, a box for a lone root.
+//! Meshes: capsules over bones, a box for a lone root.
 
 use std::f32::consts::{FRAC_PI_2, TAU};
 
@@ -13,25 +13,25 @@ use crate::scene::SceneObject;
 const SIDES: u32 = 10;
 /// Rings of each of its round ends.
 const RINGS: u32 = 3;
-/// Radius in metres of the ball of a lone root without an orientation.
+/// Radius in metres of a lone root without orientation.
 const BALL: f32 = 0.08;
-/// Half sizes of an oriented body in metres: to its side, up and to its front.
+/// Half sizes of an oriented body in metres: side, up, front.
 const BODY: [f32; 3] = [0.17, 0.26, 0.1];
-/// Colour of all bodies, red, green, blue and opacity.
+/// Colour of all meshes (RGBA).
 const COLOUR: [f32; 4] = [0.35, 0.5, 0.72, 1.0];
 
-/// Triangles.
+/// A triangle mesh.
 #[derive(Default)]
 pub(super) struct Mesh {
     places: Vec<[f32; 3]>,
     normals: Vec<[f32; 3]>,
     triangles: Vec<u32>,
-    /// The one joint of the skin that moves each vertex; none without a skin.
+    /// The joint that moves each vertex; empty without a skin.
     joints: Vec<u16>,
 }
 
 impl Mesh {
-    /// A capsule over every bone, in the bind pose, moved by the node that turns the bone.
+    /// A capsule over every bone, in the bind pose, moved by the node of the bone.
     pub fn skin(object: &SceneObject, rig: &Rig, bind: &[[f32; 3]]) -> Self {
         let mut mesh = Self::default();
         let places: Vec<[f32; 3]> = rig.joints.iter().map(|node| bind[*node]).collect();
@@ -52,14 +52,14 @@ impl Mesh {
             }
         }
         if mesh.places.is_empty() {
-            // Bones without any length: the root at least is seen.
+            // If all bones have length 0, the root is shown.
             mesh.capsule([places[0], places[0]], BALL);
             mesh.joints.resize(mesh.places.len(), 0);
         }
         mesh
     }
 
-    /// A box that faces +z, and what shows where it faces.
+    /// A box that faces +z, with a pointer in front.
     pub fn body() -> Self {
         let mut mesh = Self::default();
         for axis in 0..3 {
@@ -78,7 +78,7 @@ impl Mesh {
         mesh
     }
 
-    /// A side of the body's box.
+    /// A side of the box.
     fn face(&mut self, axis: usize, sign: f32) {
         let first = self.places.len() as u32;
         let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
@@ -101,7 +101,7 @@ impl Mesh {
         let along = [0, 1, 2].map(|axis| f64::from(to[axis] - from[axis]));
         let turn = Rotation::between([0.0, 1.0, 0.0], along);
         let first = self.places.len() as u32;
-        // Rings from the lower to the upper pole: each end has its own at the equator.
+        // Rings from pole to pole; each end has its own equator.
         let rings = 2 * (RINGS + 1);
         for ring in 0..rings {
             let (end, step) = if ring <= RINGS {
@@ -125,7 +125,7 @@ impl Mesh {
                 let corner = |ring: u32, side: u32| first + ring * SIDES + side;
                 let (a, b) = (corner(ring, side), corner(ring, next));
                 let (c, d) = (corner(ring + 1, side), corner(ring + 1, next));
-                // At the poles all corners of a ring are one.
+                // All corners of a ring coincide at the poles.
                 if ring > 0 {
                     self.triangles.extend([a, c, b]);
                 }

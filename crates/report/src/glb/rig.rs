@@ -1,28 +1,28 @@
-//! From joint positions to nodes with translations and rotations.
+//! Nodes with translations and rotations from joint positions.
 
 use super::rotation::Rotation;
 use crate::scene::SceneObject;
 
-/// A translation that stays this near to that of the first frame, in metres, is that of the first
-/// frame: bones of fixed length need no animation.
+/// Deviation in metres below which a translation counts as constant: bones of fixed length need no
+/// animation.
 const STILL: f64 = 5e-6;
 
-/// The nodes of an object, each after its parent.
+/// The nodes of an object, parents first.
 pub(super) struct Rig {
     pub nodes: Vec<RigNode>,
-    /// The node of each of the object's joints.
+    /// The node of each joint.
     pub joints: Vec<usize>,
 }
 
-/// A node and how it moves.
+/// An animated node.
 pub(super) struct RigNode {
     pub name: String,
     pub parent: Option<usize>,
-    /// The joint at the end of the bone that this node turns, if it is one alone.
+    /// The joint that this node points at, if it is a single one.
     pub bone_to: Option<usize>,
-    /// The joints that it turns as fits them best.
+    /// The joints that its rotation fits.
     fits: Vec<usize>,
-    /// The object's joint at its place.
+    /// The joint at its position.
     at: usize,
     /// Within the parent, one per frame.
     pub translations: Vec<[f32; 3]>,
@@ -40,7 +40,7 @@ impl Rig {
         rig
     }
 
-    /// The nodes before they move: parents first, whatever the order of the joints.
+    /// The nodes without animation, parents first in any joint order.
     fn tree(object: &SceneObject) -> Self {
         let children = |joint: usize| -> Vec<usize> {
             let all = 0..object.joints();
@@ -78,15 +78,15 @@ impl Rig {
         Self { nodes, joints }
     }
 
-    /// Adds a frame; `before` are the turns of all nodes in the world in the frame before.
+    /// Adds a frame; `before` are the world rotations of all nodes in the previous frame.
     fn pose(&mut self, object: &SceneObject, frame: usize, before: &mut [Rotation]) {
         let place = |frame: usize, joint: usize| object.joint(frame, joint).map(f64::from);
         let bone = |frame: usize, from: usize, to: usize| {
             let (a, b) = (place(frame, from), place(frame, to));
             [0, 1, 2].map(|axis| b[axis] - a[axis])
         };
-        // Where each node is and how it lies, as a reader of the file finds it: rounding in a node
-        // is made up for by the next.
+        // World pose of each node as a reader computes it, so that rounding errors do not
+        // accumulate.
         let mut world: Vec<([f64; 3], Rotation)> = Vec::with_capacity(self.nodes.len());
         for (node, before) in self.nodes.iter_mut().zip(before) {
             let (origin, above) = node
@@ -124,7 +124,7 @@ impl Rig {
         }
     }
 
-    /// Where the nodes are in the bind pose, which is the first frame, with the object at `place`.
+    /// Node positions in the bind pose, the first frame, with the object at `place`.
     pub fn bind(&self, place: [f32; 3]) -> Vec<[f32; 3]> {
         let mut places: Vec<[f32; 3]> = Vec::with_capacity(self.nodes.len());
         for node in &self.nodes {
@@ -135,7 +135,7 @@ impl Rig {
     }
 }
 
-/// Whether two translations are near enough to be one.
+/// Whether two translations count as equal.
 fn near(a: [f32; 3], b: [f32; 3]) -> bool {
     a.iter()
         .zip(b)

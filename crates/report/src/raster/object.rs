@@ -1,13 +1,13 @@
-//! A body as limbs, and a lone root as an oriented box.
+//! Objects: bodies as limbs, lone roots as oriented boxes.
 
-use super::Image;
 use super::camera::{Camera, Seen};
+use super::canvas::Image;
 use super::palette::{CONTACT, EDGE, FRONT, LEFT, MIDDLE, NOSE, RIGHT, SHADOW};
 use crate::scene::{Pose, SceneObject, Side, rotate};
 
-/// Half sizes of an oriented body in metres: to its side, up and to its front.
+/// Half sizes of an oriented body in metres: side, up, front.
 const BODY: [f32; 3] = [0.17, 0.26, 0.1];
-/// How far what shows its front sticks out of it.
+/// Length of the pointer in front, metres.
 const NOSE_LENGTH: f32 = 0.22;
 /// Corners of the six faces of a box, each by the bits of its axes (side, up, front).
 const FACES: [[usize; 4]; 6] = [
@@ -19,7 +19,7 @@ const FACES: [[usize; 4]; 6] = [
     [4, 6, 7, 5],
 ];
 
-/// Something to be drawn, and how far away it is.
+/// A shape with its distance.
 struct Part {
     depth: f32,
     shape: Shape,
@@ -37,7 +37,7 @@ enum Shape {
     },
 }
 
-/// Draws an object as it stands in `pose`, with its shadow; `standing` are the joints with contact.
+/// Draws an object in `pose` with its shadow; `standing` are the joints in contact.
 pub(super) fn draw(
     image: &mut Image,
     camera: &Camera,
@@ -53,7 +53,7 @@ pub(super) fn draw(
     }
     for joint in standing {
         if let Some(seen) = camera.see(pose.joints[*joint]) {
-            // Before the foot that it marks.
+            // In front of the foot.
             parts.push(limb([seen, seen], [0.045; 2], CONTACT, -0.2));
         }
     }
@@ -74,7 +74,7 @@ pub(super) fn draw(
     }
 }
 
-/// A limb of a radius in metres; `nearer` metres are added to its distance.
+/// A limb with radii in metres; `nearer` is added to its distance.
 fn limb(ends: [Seen; 2], radii: [f32; 2], colour: [u8; 3], nearer: f32) -> Part {
     let [a, b] = ends;
     Part {
@@ -167,7 +167,7 @@ fn body(parts: &mut Vec<Part>, camera: &Camera, centre: [f32; 3], orientation: [
     }
 }
 
-/// The shadow of the object, right below it.
+/// The shadow vertically below the object.
 fn shadow(image: &mut Image, camera: &Camera, object: &SceneObject, pose: &Pose) {
     let ground = |joint: usize| {
         let [x, _, z] = pose.joints[joint];

@@ -1,21 +1,22 @@
-//! Draws one scene at many moments.
+//! Draws a scene at many times.
 
 use super::camera::{Camera, bounds, middle};
+use super::canvas::Image;
 use super::palette::BACKGROUND;
-use super::{Image, floor, label, object};
+use super::{floor, label, object};
 use crate::scene::{Floor, Scene, SceneObject};
 
-/// The widest motion that a camera at rest looks at, in metres.
+/// Largest motion of a camera at rest, in metres.
 const AT_REST: f32 = 6.0;
-/// Seconds to both sides over which the way of a camera that follows is smoothed.
+/// Half width of the smoothing of a following camera, seconds.
 const SMOOTHING: f64 = 0.4;
-/// Most points that the way of a root is drawn with.
+/// Most points of a drawn root trajectory.
 const TRAIL_POINTS: usize = 600;
-/// Frames that the size of a motion is measured in, at most.
+/// Most frames for measuring the size of a motion.
 const MEASURED: usize = 300;
-/// How far the body of a lone root is taken to reach along each axis, in metres.
+/// Reach of a lone root along each axis, in metres.
 const LONE_REACH: f32 = 0.35;
-/// Figures that stand in one row; more of them make a square.
+/// Objects in one row; more form a square.
 const ROW: usize = 3;
 /// Smallest side of a picture, in pixels.
 const SMALLEST: u32 = 16;
@@ -33,15 +34,15 @@ pub(crate) struct Painter<'a> {
 struct View<'a> {
     object: &'a SceneObject,
     camera: Camera,
-    /// What the camera looks at when it stands where `camera` says, on the ground.
+    /// Target of the unmoved camera on the ground.
     middle: [f32; 2],
     trail: Vec<[f32; 2]>,
-    /// The ground, where the camera is at rest.
+    /// The ground, if the camera is at rest.
     ground: Option<Image>,
 }
 
 impl<'a> Painter<'a> {
-    /// Gets ready to draw pictures of `size` pixels.
+    /// Prepares pictures of `size` pixels.
     pub fn new(scene: &'a Scene, (width, height): (u32, u32)) -> Self {
         let objects: Vec<&SceneObject> = scene.objects.iter().filter(|f| f.frames() > 0).collect();
         let count = objects.len().max(1);
@@ -70,12 +71,12 @@ impl<'a> Painter<'a> {
         }
     }
 
-    /// Pixels of each picture: as asked for, but never too few.
+    /// Size of each picture in pixels, with a minimum.
     pub fn size(&self) -> (u32, u32) {
         self.size
     }
 
-    /// The scene after so many seconds.
+    /// The scene at a time.
     pub fn at(&self, seconds: f64) -> Image {
         let mut image = Image::filled(self.size.0, self.size.1, BACKGROUND);
         for (index, view) in self.views.iter().enumerate() {
@@ -162,7 +163,7 @@ impl<'a> View<'a> {
         image
     }
 
-    /// Where the root is on the ground, smoothed, so that a following camera does not tremble.
+    /// Smoothed ground position of the root, for a steady camera.
     fn followed(&self, seconds: f64) -> [f32; 2] {
         let places = (-4..=4).map(|step| {
             let moment = seconds + f64::from(step) / 4.0 * SMOOTHING;
@@ -178,8 +179,7 @@ fn on_ground([x, _, z]: [f32; 3]) -> [f32; 2] {
     [x, z]
 }
 
-/// Every joint in frames all over the motion, with the room that a lone root's body takes, and the
-/// ground below the root.
+/// Joint positions over the motion, with the reach of a lone root and the ground below the root.
 fn joints(object: &SceneObject) -> impl Iterator<Item = (usize, [f32; 3])> {
     let step = object.frames().div_ceil(MEASURED).max(1);
     let reach = if object.joints() == 1 {
@@ -198,7 +198,7 @@ fn joints(object: &SceneObject) -> impl Iterator<Item = (usize, [f32; 3])> {
     all.filter(|(_, place)| place.iter().all(|value| value.abs() < 1e6))
 }
 
-/// What a camera at rest has to see: the motion and the goal.
+/// Points for a camera at rest: the motion and the goal.
 fn shown(object: &SceneObject, floor: &Floor) -> Vec<[f32; 3]> {
     let keys = floor.keyframes.iter().map(|(_, at)| *at);
     let points = floor.path.iter().copied().chain(keys);
@@ -213,7 +213,7 @@ fn shown(object: &SceneObject, floor: &Floor) -> Vec<[f32; 3]> {
         .collect()
 }
 
-/// What a camera that follows has to see: the body from its root, and some of the ground.
+/// Points for a following camera: the body relative to its root, and some ground.
 fn around_root(object: &SceneObject) -> Vec<[f32; 3]> {
     let body = joints(object).map(|(frame, [x, y, z])| {
         let [from_x, _, from_z] = object.joint(frame, 0);

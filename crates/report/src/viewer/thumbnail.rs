@@ -1,12 +1,11 @@
-//! Small viewers, made of a scene or taken from a page that was written before.
+//! Small viewers, from scenes or from existing pages.
 
 use serde_json::{Value, json};
 
 use super::{DATA, element, scene_json};
 use crate::scene::Scene;
 
-/// An object or several as a small viewer: it loops while it is on the screen, and has neither curves
-/// nor song.
+/// A small viewer of one or several objects: it loops while it is visible, without curves or song.
 #[derive(Clone, Debug)]
 pub struct Thumbnail {
     title: String,
@@ -23,7 +22,7 @@ impl From<Scene> for Thumbnail {
 }
 
 impl Thumbnail {
-    /// A thumbnail of each object in a [page](super::page); none where the text is no such page.
+    /// A thumbnail of each object in a [page](super::page); none for other text.
     pub fn of_page(page: &str) -> Vec<Self> {
         let data = || {
             let [begin, end] = DATA;
@@ -42,7 +41,7 @@ impl Thumbnail {
         let thumbnails = objects.unwrap_or_default().into_iter();
         let thumbnails = thumbnails.filter(Value::is_object).map(|mut object| {
             let title = object["name"].as_str().unwrap_or_default().to_owned();
-            // What a small viewer does not show.
+            // Omitted in small viewers.
             let frames = object["frames"].as_u64().unwrap_or_default() as usize;
             object["charts"] = json!([]);
             object["curves"] = super::encode::curves(&[], frames);
@@ -59,7 +58,7 @@ impl Thumbnail {
         thumbnails.collect()
     }
 
-    /// As an element of a page that has [`style`](super::style) and [`script`](super::script).
+    /// An element of a page with [`style`](super::style) and [`script`](super::script).
     pub fn html(&self) -> String {
         element(&self.title, &self.data, "kg kg-small")
     }
@@ -87,7 +86,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_page_gives_none_and_nothing_becomes_markup() {
+    fn other_text_gives_none_and_nothing_becomes_markup() {
         for page in ["", "<p>", "<script type=\"application/json\">{</script>"] {
             assert!(Thumbnail::of_page(page).is_empty());
         }

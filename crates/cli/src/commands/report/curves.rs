@@ -1,6 +1,6 @@
 //! The curves of a training.
 
-use kinegrad_report::page::{Chart, Line};
+use kinegrad_report::{Panel, Series};
 use kinegrad_train::telemetry::Record;
 
 /// Numbers of the clock.
@@ -14,7 +14,7 @@ const ORDER: [&str; 5] = ["loss", "val_loss", "lr", "grad_norm", SPEED];
 
 /// Everything that was measured over steps, what belongs together in one chart. Terms are shown
 /// where there are several: one alone is the loss.
-pub fn charts(records: &[Record]) -> Vec<Chart> {
+pub fn charts(records: &[Record]) -> Vec<Panel> {
     let mut names: Vec<&str> = Vec::new();
     for (name, _) in records.iter().flat_map(|record| record.scalars()) {
         if !names.contains(&name.as_str()) && !CLOCK.contains(&name.as_str()) {
@@ -23,19 +23,12 @@ pub fn charts(records: &[Record]) -> Vec<Chart> {
     }
     // A validation counts the steps of the same time again, that at the start none.
     let counts = |record: &Record, name: &str| name != SPEED || record.get("loss").is_some();
-    let line = |name: &str, shown: &str| Line {
-        name: shown.to_string(),
-        points: records
-            .iter()
-            .filter(|record| counts(record, name))
-            .filter_map(|record| Some((record.step as f64, record.get(name)?)))
-            .collect(),
+    let line = |name: &str, shown: &str| -> Series {
+        let records = records.iter().filter(|record| counts(record, name));
+        let points = records.filter_map(|record| Some((record.step as f64, record.get(name)?)));
+        (shown.to_string(), points.collect())
     };
-    let chart = |title: &str, lines: Vec<Line>| Chart {
-        title: title.to_string(),
-        x_label: "step".to_string(),
-        lines,
-    };
+    let chart = |title: &str, lines: Vec<Series>| Panel::lines(title, "step", lines);
     let mut taken = Vec::new();
     let mut charts = Vec::new();
     // Each in its own colour and at its own place, whichever was measured first.
@@ -119,8 +112,8 @@ mod tests {
         let shown: Vec<_> = charts
             .iter()
             .map(|chart| {
-                let names = chart.lines.iter().map(|line| line.name.as_str());
-                (chart.title.as_str(), names.collect::<Vec<_>>())
+                let names = chart.series().iter().map(|(name, _)| name.as_str());
+                (chart.title(), names.collect::<Vec<_>>())
             })
             .collect();
         let expected = [
@@ -143,10 +136,10 @@ mod tests {
             .with("loss", 2.0)
             .with("steps_per_second", 3.0);
         let charts = charts(&[validation(0), step.with("grad_norm", 1.0), validation(1)]);
-        let titles: Vec<&str> = charts.iter().map(|chart| chart.title.as_str()).collect();
+        let titles: Vec<&str> = charts.iter().map(Panel::title).collect();
         assert_eq!(titles, ["loss", "gradient norm", "steps per second"]);
-        assert_eq!(charts[0].lines[0].name, "loss");
-        assert_eq!(charts[2].lines[0].points, [(1.0, 3.0)]);
+        assert_eq!(charts[0].series()[0].0, "loss");
+        assert_eq!(charts[2].series()[0].1, [(1.0, 3.0)]);
     }
 
     #[test]
