@@ -181,24 +181,3 @@ mod tests {
         }
     }
 }
-
-#[cfg(test)]
-mod zz {
-    use super::*;
-    #[test]
-    fn zz_bits() {
-        let planned = rustfft::FftPlannerScalar::<f64>::new().plan_fft_forward(FRAME);
-        let own = Radix4::<f64>::new(FRAME, FftDirection::Forward);
-        let mut same = 0;
-        for bin in 0..BINS {
-            let k = Kernel::new(bin, 0.13);
-            let mut a = k.samples();
-            let mut b = a.clone();
-            planned.process(&mut a);
-            own.process(&mut b);
-            same += usize::from(a == b);
-        }
-        println!("same {same} of {BINS}");
-        assert_eq!(same, BINS);
-    }
-}

@@ -93,7 +93,7 @@ fn distances(made: &Made, motion: &Frames, second: &Example) -> [f64; 6] {
         made.examples[0].clone(),
         layout.to_frames(second).expect("one skeleton"),
     ];
-    let legs = Part::named("legs", &[], layout, "--fix")
+    let legs = Part::named("legs", &[], layout, "fixed part")
         .expect("legs")
         .joints;
     let columns = |of_legs: bool| -> Vec<usize> {

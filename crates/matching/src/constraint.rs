@@ -47,6 +47,7 @@ impl Constraint {
     /// first. Fixed channels are set last. Returns whether each frame was blended; empty without
     /// key frames.
     ///
+    /// # Panics
     /// If a channel does not exist.
     pub fn apply_all(constraints: &[Self], frames: &mut Frames, is_loop: bool) -> Vec<bool> {
         let bent = keyframes::apply(constraints, frames, is_loop);

@@ -12,6 +12,7 @@ pub struct Frames {
 impl Frames {
     /// A matrix of `values`, `[frames, channels]`, row-major.
     ///
+    /// # Panics
     /// If `values` is not a multiple of `channels`, or `channels` is 0.
     pub fn new(channels: usize, values: Vec<f32>) -> Self {
         assert!(channels > 0 && values.len().is_multiple_of(channels));

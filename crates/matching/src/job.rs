@@ -4,12 +4,12 @@ use kinegrad_capture::{Bvh, UpAxis};
 use kinegrad_motion::MAX_FRAMES;
 use kinegrad_settings::{Refused, in_range};
 
+use crate::foot_locking::lock_feet;
 use crate::limit_jerk::{self, jerks, percentile_95};
-use crate::metrics::Seam;
 use crate::synthesis::{start_noise, synthesize_from, synthesize_like};
 use crate::{
-    Channels, Constraint, Error, Example, Frames, Keyframe, Length, Looping, MatrixOptions,
-    MotionMatrix, Part, Request, Settings, Sliding, Synthesis, feet,
+    Channels, Constraint, Error, Example, Frames, Keyframe, Length, Looping, Made, MatrixOptions,
+    MotionMatrix, Part, Request, Seam, Settings, Synthesis, feet,
 };
 
 mod conflicts;
@@ -75,35 +75,16 @@ pub struct Job {
     pub lock_feet: bool,
 }
 
-/// A new motion and its sources.
-#[derive(Clone, Debug)]
-pub struct Made {
-    /// The motion, with the hierarchy of the first example.
-    pub bvh: Bvh,
-    /// Its matrix and origins, before feet are locked.
-    pub synthesis: Synthesis,
-    /// The layout of the matrices.
-    pub layout: MotionMatrix,
-    /// The matrices of the examples.
-    pub examples: Vec<Frames>,
-    /// The matched parts, one for each list of origins.
-    pub parts: Vec<Part>,
-    /// Foot sliding, if feet are locked.
-    pub sliding: Option<Sliding>,
-    /// With fixed parts: the 95th percentile of jerk, relative to the largest of the examples and
-    /// fixed motions.
-    pub jerk: Option<f64>,
-}
-
 impl Job {
     /// Synthesises a motion.
     ///
+    /// # Errors
     /// For settings out of range, motions that do not match, examples shorter than a patch, and
     /// unknown parts or times.
     pub fn make(&self, examples: &[Example]) -> Result<Made, Error> {
         self.settings.validate()?;
-        let contacts = match (self.contacts, examples.first()) {
-            (true, Some(first)) => feet(first.bvh.joints()),
+        let contacts = match examples.first() {
+            Some(first) if self.contacts => feet(first.bvh.joints()),
             _ => Vec::new(),
         };
         let options = MatrixOptions {
@@ -111,71 +92,55 @@ impl Job {
             contacts,
             heading: self.heading,
         };
-        let fixed = self.fixed.iter().map(|fixed| &fixed.motion);
         let sources = self
             .keyframes
             .iter()
             .filter_map(|(_, source)| source.as_ref());
-        let others: Vec<&Example> = fixed.chain(&self.content).chain(sources).collect();
+        // The fixed motions and the content set the length.
+        let given: Vec<&Example> = self.fixed.iter().map(|fixed| &fixed.motion).collect();
+        let given = [given, self.content.iter().collect()].concat();
+        let others: Vec<&Example> = given.iter().copied().chain(sources).collect();
         let layout = MotionMatrix::with(examples, &others, options)?;
-        if self
-            .keyframes
-            .iter()
-            .any(|(keyframe, _)| keyframe.place.is_some())
-        {
+        if self.keyframes.iter().any(|(key, _)| key.place.is_some()) {
             let motions = examples.iter().chain(others);
             layout.must_have_upright_root(motions, "`place` of a key frame")?;
         }
-        let matrices = examples.iter().map(|example| layout.to_frames(example));
-        let matrices: Vec<Frames> = matrices.collect::<Result<_, _>>()?;
-        for (example, frames) in examples.iter().zip(&matrices) {
+        let to_frames = |example: &Example| layout.to_frames(example);
+        let matrices: Vec<Frames> = examples.iter().map(to_frames).collect::<Result<_, _>>()?;
+        let given_matrices = given.iter().map(|example| layout.to_frames(example));
+        let given_matrices: Vec<Frames> = given_matrices.collect::<Result<_, _>>()?;
+        let motions = examples.iter().chain(given.iter().copied());
+        for (example, frames) in motions.zip(matrices.iter().chain(&given_matrices)) {
             self.must_have_a_patch(example, frames, &layout)?;
         }
+        let (fixed, content) = given_matrices.split_at(self.fixed.len());
+        let content = content.first();
         let parts = match &self.parts {
             PartChoice::Whole => vec![Part::whole(&layout)],
             PartChoice::Automatic => Part::automatic(&layout),
             PartChoice::File { file, text } => Part::read(text, file, &layout)?,
         };
-        let known = match &self.parts {
-            PartChoice::Whole => Part::automatic(&layout),
-            _ => parts.clone(),
+        let named = match &self.parts {
+            PartChoice::Whole => &Part::automatic(&layout),
+            _ => &parts,
         };
-        let fixed = self
-            .fixed
-            .iter()
-            .map(|fixed| layout.to_frames(&fixed.motion));
-        let fixed: Vec<Frames> = fixed.collect::<Result<_, _>>()?;
-        let content = self
-            .content
-            .as_ref()
-            .map(|content| layout.to_frames(content));
-        let content = content.transpose()?;
-        let given = self
-            .fixed
-            .iter()
-            .map(|fixed| &fixed.motion)
-            .chain(&self.content);
-        let given = given.zip(fixed.iter().chain(&content));
-        for (example, frames) in given.clone() {
-            self.must_have_a_patch(example, frames, &layout)?;
-        }
-        let given: Vec<(&Example, usize)> = given
-            .map(|(example, frames)| (example, frames.frames()))
+        let lengths: Vec<(&Example, usize)> = given
+            .into_iter()
+            .zip(given_matrices.iter().map(Frames::frames))
             .collect();
-        let frames = self.frames(&layout, &matrices, &given)?;
+        let frames = self.frames(&layout, &matrices, &lengths)?;
         let mut constraints = Vec::new();
         for (keyframe, source) in &self.keyframes {
             let (source, poses) = match source {
                 Some(source) => (source, &layout.to_frames(source)?),
                 None => (&examples[0], &matrices[0]),
             };
-            constraints.push(keyframe.constraint(&layout, &known, source, poses, frames)?);
+            constraints.push(keyframe.constraint(&layout, named, source, poses, frames)?);
         }
-        for (fixed, motion) in self.fixed.iter().zip(&fixed) {
+        for (own, motion) in self.fixed.iter().zip(fixed) {
+            let part = Part::named(&own.part, named, &layout, "fixed part")?;
             constraints.push(Constraint::Channels {
-                channels: Part::named(&fixed.part, &known, &layout, "--fix")?
-                    .channels(&layout)
-                    .channels,
+                channels: part.channels(&layout).channels,
                 motion: motion.clone(),
             });
         }
@@ -190,19 +155,19 @@ impl Job {
         };
         let usual = match fixed.is_empty() {
             true => None,
-            false => Some(usual_jerk(&layout, matrices.iter().chain(&fixed))?),
+            false => Some(usual_jerk(&layout, matrices.iter().chain(fixed))?),
         };
         let is_loop = self.settings.looping != Looping::Off;
         // A loop with key frames cannot begin elsewhere: the first of several with a smooth seam is
         // taken, or the smoothest.
-        let most = match is_loop && !constraints.is_empty() && content.is_none() {
+        let attempts = match is_loop && !constraints.is_empty() && content.is_none() {
             true => MAX_LOOPS,
             false => 1,
         };
         let first = request.levels()?.synthesis[0];
-        let mut calmest: Option<(f64, MotionMatrix, Synthesis, Bvh)> = None;
-        for attempt in 0..most {
-            let mut synthesis = match &content {
+        let mut best: Option<(f64, MotionMatrix, Synthesis, Bvh)> = None;
+        for attempt in 0..attempts {
+            let mut synthesis = match content {
                 Some(content) => synthesize_like(&request, content)?,
                 None => {
                     let noise = start_noise(self.seed, attempt, first, layout.channels());
@@ -214,24 +179,23 @@ impl Job {
             }
             let mut layout = layout.clone();
             let bvh = self.finished(&mut layout, &mut synthesis.frames, &constraints, usual)?;
-            let jump = match most {
+            let seam = match attempts {
                 1 => None,
-                _ => Seam::of(&layout, &bvh).map(|seam| seam.jump()),
+                _ => Seam::of(&layout, &bvh),
             };
-            let jump = jump.unwrap_or(0.0);
-            if calmest.as_ref().is_none_or(|(least, ..)| jump < *least) {
-                calmest = Some((jump, layout, synthesis, bvh));
+            let jump = seam.map_or(0.0, |seam| seam.jump());
+            if best.as_ref().is_none_or(|(least, ..)| jump < *least) {
+                best = Some((jump, layout, synthesis, bvh));
             }
             if jump <= SMOOTH_SEAM {
                 break;
             }
         }
-        let (_, layout, synthesis, mut bvh) = calmest.expect("one motion or more");
+        let (_, layout, synthesis, mut bvh) = best.expect("one motion or more");
         let jerk = usual.map(|usual| percentile_95(&jerks(&bvh)) / usual.max(f64::MIN_POSITIVE));
         let mut sliding = None;
         if self.lock_feet {
-            let origins = &synthesis.origins;
-            let (locked, slid) = layout.with_locked_feet(&bvh, examples, &parts, origins)?;
+            let (locked, slid) = lock_feet(&layout, &bvh, examples, &parts, &synthesis.origins)?;
             (bvh, sliding) = (locked, Some(slid));
         }
         Ok(Made {
@@ -245,7 +209,7 @@ impl Job {
         })
     }
 
-    /// Warps the trajectory through the key frames' places, limits jerk around key frames and over
+    /// Warps the trajectory through the places of key frames, limits jerk around key frames and over
     /// fixed parts, and converts to BVH. `usual`: the jerk of the source motions, with fixed parts.
     fn finished(
         &self,
@@ -263,8 +227,7 @@ impl Job {
             Some((frame, keyframe.place?))
         });
         let points: Vec<(usize, [f64; 2])> = points.collect();
-        let first = points.iter().min_by_key(|(frame, _)| *frame);
-        match first {
+        match points.iter().min_by_key(|(frame, _)| *frame) {
             Some((0, place)) => layout.start_at(*place),
             // The start of a loop is free: its first place determines where it is.
             Some(point) if is_loop => layout.start_through(frames, *point),
@@ -294,7 +257,7 @@ impl Job {
         let problem = format!(
             "frames: {found} at {rate:.0} a second, allowed: at least `patch_size`, which is {p}"
         );
-        let hint = "give a longer motion, or a smaller option `patch_size`";
+        let hint = "give a longer motion, or a smaller `patch_size`";
         Err(Error::file(&example.file, problem, hint))
     }
 
@@ -309,20 +272,17 @@ impl Job {
         let asked = self
             .length
             .map(|length| length.frames(all, layout.frame_time()));
-        let frames = match (given.first(), asked) {
-            (Some((_, frames)), _) => *frames,
-            (None, asked) => asked.unwrap_or(2 * all),
-        };
+        let frames = given.first().map(|(_, frames)| *frames);
+        let frames = frames.or(asked).unwrap_or(2 * all);
         let others = given
             .iter()
             .map(|(other, frames)| (other.file.as_str(), *frames));
-        let mut others = others.chain(asked.map(|frames| ("option `length`", frames)));
+        let mut others = others.chain(asked.map(|frames| ("`length`", frames)));
         if let Some((other, found)) = others.find(|(_, found)| *found != frames) {
-            let file = &given[0].0.file;
             let problem = format!("has {frames} frames, and {other} {found}");
-            let hint = "a part that is fixed and a content set the length: leave option `length` out, and \
-                        give motions of one length";
-            return Err(Error::file(file, problem, hint));
+            let hint = "fixed parts and the content set the length: leave `length` out, and give motions \
+                        of one length";
+            return Err(Error::file(&given[0].0.file, problem, hint));
         }
         in_range("length", frames, self.settings.patch_size..=MAX_FRAMES)
             .hint("a motion has at least one patch, `patch_size`, and at most two hours")?;

@@ -45,6 +45,7 @@ impl Keyframe {
     /// The key frames of a TOML file: tables `[[keyframe]]` with `time` and `source_time` in
     /// seconds, optionally `file`, `part`, `place` and `reach`.
     ///
+    /// # Errors
     /// For a malformed file.
     pub fn read(text: &str, file: &str) -> Result<Vec<Self>, Error> {
         let hint = "docs/matching.md describes files of key frames";
@@ -88,6 +89,7 @@ impl Keyframe {
     /// The constraint of a motion of `frames` frames: the pose of `source`, whose matrix is
     /// `poses`, without the horizontal trajectory.
     ///
+    /// # Errors
     /// For a time outside of the motion or the source, and an unknown part.
     pub fn constraint(
         &self,
@@ -112,7 +114,7 @@ impl Keyframe {
         }
         if t >= frames {
             let problem = format!("`time` is {}, allowed: 0 to {:.2}", self.time, end(frames));
-            let hint = "a longer option `length` has room for it";
+            let hint = "a longer `length` has room for it";
             return Err(Error::file(self.called(), problem, hint));
         }
         let part = match &self.part {

@@ -15,12 +15,12 @@ use kinegrad_motion::rotation::length;
 use crate::{Error, Frames, displacements, rotation6d};
 
 mod compatibility;
-mod foot_locking;
 mod root_trajectory;
 mod root_warp;
 mod skeleton;
 
-use skeleton::{ancestors, common_root_joint, position_ranges, scale, thinning};
+pub(crate) use skeleton::thinning;
+use skeleton::{ancestors, common_root_joint, position_ranges, scale};
 
 /// Channels of a rotation.
 const ROTATION: usize = 6;
@@ -74,6 +74,7 @@ impl MotionMatrix {
     /// The layout for examples of one skeleton. Motions of 59 frames a second and more are
     /// downsampled by powers of two.
     ///
+    /// # Errors
     /// Without examples; if joints, bones or frame rates differ; if the first lacks channels for a
     /// motion of another; if all bones have length 0.
     pub fn new(examples: &[Example], options: MatrixOptions) -> Result<Self, Error> {
@@ -145,7 +146,7 @@ impl MotionMatrix {
             layout.must_have_channels(motion)?;
         }
         if options.heading {
-            layout.must_have_upright_root(motions(), "`--heading`")?;
+            layout.must_have_upright_root(motions(), "`heading`")?;
         }
         let shifts = |joint: &usize| ranges[*joint] * layout.scale > STILL;
         let carries =
@@ -216,6 +217,11 @@ impl MotionMatrix {
         self.channels() - 3 + self.up()
     }
 
+    /// File of the first example, for messages.
+    pub(crate) fn file(&self) -> &str {
+        &self.file
+    }
+
     /// The index of the vertical axis.
     pub(crate) fn up(&self) -> usize {
         self.up as usize
@@ -255,6 +261,7 @@ impl MotionMatrix {
 
     /// The matrix of an example, `[frames, channels]`, after downsampling.
     ///
+    /// # Errors
     /// Those of [`must_match`](Self::must_match), and numbers beyond single precision.
     pub fn to_frames(&self, example: &Example) -> Result<Frames, Error> {
         self.must_match(example)?;

@@ -126,6 +126,7 @@ impl Part {
     /// with their descendants) and `root_trajectory` (whether it belongs to the part). All other
     /// joints form a part called `rest`.
     ///
+    /// # Errors
     /// For a malformed file, unknown joints, and parts without joints.
     pub fn read(text: &str, file: &str, layout: &MotionMatrix) -> Result<Vec<Self>, Error> {
         let hint = "docs/matching.md describes files of parts";
@@ -183,6 +184,7 @@ impl Part {
     /// The part of a name: one of `parts`; `legs`, `arms` or `head` by the words in joint names; or
     /// a joint with its descendants. `asks`: the source of the name, for messages.
     ///
+    /// # Errors
     /// Lists the known names.
     pub fn named(
         name: &str,
@@ -228,53 +230,55 @@ impl Part {
                 return Ok(of(found, *has_root));
             }
         }
-        match joints
-            .iter()
-            .position(|joint| joint.name == name || bare(&joint.name) == name)
-        {
-            Some(joint) => {
-                let below = subtree(joints, joint);
-                let has_root = below.contains(&layout.root_joint());
-                Ok(of(below, has_root))
-            }
-            None => {
-                let parts = parts.iter().map(|part| format!("`{}`", part.name));
-                let parts: Vec<String> = parts.collect();
-                let problem = format!("there is no part or joint `{name}`");
-                let hint = format!(
-                    "parts: {}; or a joint, with all that hangs on it; or `legs`, `arms`, `head`, \
-                     where joints are called so",
-                    parts.join(", ")
-                );
-                Err(Error::file(asks, problem, hint))
-            }
+        if let Some(joint) = find(joints, name) {
+            let below = subtree(joints, joint);
+            let has_root = below.contains(&layout.root_joint());
+            return Ok(of(below, has_root));
         }
+        let parts: Vec<String> = parts
+            .iter()
+            .map(|part| format!("`{}`", part.name))
+            .collect();
+        let hint = format!(
+            "parts: {}; or a joint, with its descendants; or `legs`, `arms`, `head`, where joints are \
+             called so",
+            parts.join(", ")
+        );
+        Err(Error::file(
+            asks,
+            format!("there is no part or joint `{name}`"),
+            hint,
+        ))
     }
 }
 
 /// The joints named foot, toe or ankle.
 pub fn feet(joints: &[Joint]) -> Vec<usize> {
-    let is_foot = |joint: &Joint| {
-        let name = bare(&joint.name).to_lowercase();
+    let is_foot = |joint: &usize| {
+        let name = bare(&joints[*joint].name).to_lowercase();
         ["foot", "toe", "ankle"]
             .iter()
             .any(|word| name.contains(word))
     };
-    (0..joints.len())
-        .filter(|&joint| is_foot(&joints[joint]))
-        .collect()
+    (0..joints.len()).filter(is_foot).collect()
 }
 
 fn joint(layout: &MotionMatrix, name: &str, file: &str) -> Result<usize, Error> {
-    let joints = layout.joints();
-    let found = joints
-        .iter()
-        .position(|joint| joint.name == name || bare(&joint.name) == name);
-    found.ok_or_else(|| {
-        let names: Vec<&str> = joints.iter().map(|joint| bare(&joint.name)).collect();
+    find(layout.joints(), name).ok_or_else(|| {
+        let names: Vec<&str> = layout
+            .joints()
+            .iter()
+            .map(|joint| bare(&joint.name))
+            .collect();
         let problem = format!("there is no joint `{name}`");
         Error::file(file, problem, format!("joints: {}", names.join(", ")))
     })
+}
+
+/// The joint of a name, with or without its namespace.
+fn find(joints: &[Joint], name: &str) -> Option<usize> {
+    let mut joints = joints.iter();
+    joints.position(|joint| joint.name == name || bare(&joint.name) == name)
 }
 
 /// A joint name without its namespace, as in `mixamorig:Hips`.
@@ -294,16 +298,14 @@ fn subtree(joints: &[Joint], top: usize) -> Vec<usize> {
 
 /// Length of the longest bone chain below each joint.
 fn reach(joints: &[Joint]) -> Vec<f64> {
-    let mut reach: Vec<f64> = joints
-        .iter()
-        .map(|joint| {
-            joint
-                .end_sites
-                .iter()
-                .map(|&end| length(end))
-                .fold(0.0, f64::max)
-        })
-        .collect();
+    let end = |joint: &Joint| {
+        joint
+            .end_sites
+            .iter()
+            .map(|&end| length(end))
+            .fold(0.0, f64::max)
+    };
+    let mut reach: Vec<f64> = joints.iter().map(end).collect();
     for joint in (1..joints.len()).rev() {
         let parent = joints[joint].parent.expect("only the root has none");
         reach[parent] = reach[parent].max(length(joints[joint].offset) + reach[joint]);
@@ -377,7 +379,7 @@ mod tests {
         let layout = walk();
         let parts = Part::automatic(&layout);
         let of = |name: &str| {
-            Part::named(name, &parts, &layout, "--fix")
+            Part::named(name, &parts, &layout, "fixed part")
                 .map(|part| (part.joints, part.root_trajectory))
         };
         assert_eq!(of("LeftLeg").unwrap(), (vec![1, 2, 3], true));
@@ -401,7 +403,7 @@ mod tests {
         });
         walk.bvh = Bvh::parse(text.as_bytes(), "walk.bvh").unwrap();
         let layout = MotionMatrix::new(&[walk], MatrixOptions::default()).unwrap();
-        let legs = Part::named("legs", &[], &layout, "--fix").unwrap();
+        let legs = Part::named("legs", &[], &layout, "fixed part").unwrap();
         assert_eq!((legs.joints, legs.root_trajectory), (vec![1, 2, 3], true));
     }
 }

@@ -18,6 +18,7 @@ const KEPT: f64 = 1e9;
 /// where y equals x in key frames. Fixed channels do not change, nor do frames that no strength
 /// above 0 reaches.
 ///
+/// # Panics
 /// If there is not a strength for each third difference.
 pub(crate) fn smooth(frames: &mut Frames, strength: &[f64], constraints: &[Constraint]) {
     let n = frames.frames();

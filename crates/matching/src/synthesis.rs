@@ -187,8 +187,10 @@ pub fn step(
 /// Synthesises a motion from the noise of `seed`. The result does not depend on the number of
 /// threads.
 ///
+/// # Errors
 /// For settings out of range, an example or motion shorter than a patch, and no examples.
 ///
+/// # Panics
 /// If the channels of examples, groups or constraints do not fit.
 pub fn synthesize(request: &Request<'_>, seed: u64) -> Result<Synthesis, InvalidSetting> {
     let first = request.levels()?.synthesis[0];
@@ -204,13 +206,7 @@ pub fn synthesize(request: &Request<'_>, seed: u64) -> Result<Synthesis, Invalid
 /// # Panics
 /// As [`synthesize`], and if the noise has another length.
 pub fn synthesize_from(request: &Request<'_>, noise: &Frames) -> Result<Synthesis, InvalidSetting> {
-    let Settings {
-        sigma, start: from, ..
-    } = *request.settings;
-    refined(request, |examples, length| {
-        assert_eq!(noise.frames(), length, "frames of noise");
-        start(examples, noise, sigma, from)
-    })
+    refined(request, Begin::Noise(noise))
 }
 
 /// [`synthesize`] from the coarse level of `content` in place of noise: `content` in the style of
@@ -225,37 +221,27 @@ pub fn synthesize_like(
     request: &Request<'_>,
     content: &Frames,
 ) -> Result<Synthesis, InvalidSetting> {
-    refined(request, |examples, length| {
-        assert_eq!(content.channels(), examples[0].channels());
-        content.resampled(length)
-    })
+    refined(request, Begin::Content(content))
 }
 
-/// Refines the start `first(examples, length)` of the coarsest level at every level.
-fn refined(
-    request: &Request<'_>,
-    first: impl FnOnce(&[Frames], usize) -> Frames + Send,
-) -> Result<Synthesis, InvalidSetting> {
+/// The motion that the coarsest level starts from.
+#[derive(Clone, Copy)]
+enum Begin<'a> {
+    Noise(&'a Frames),
+    Content(&'a Frames),
+}
+
+/// Refines the start of the coarsest level at every level.
+fn refined(request: &Request<'_>, begin: Begin<'_>) -> Result<Synthesis, InvalidSetting> {
     let levels = request.levels()?;
     // On a thread of the pool: from outside, each of many short loops would wait to be scheduled.
-    Ok(rayon::scope(|_| refined_over(&levels, request, first)))
+    Ok(rayon::scope(|_| refined_over(&levels, request, begin)))
 }
 
 /// [`refined`] over `levels`.
-fn refined_over(
-    levels: &Levels,
-    request: &Request<'_>,
-    first: impl FnOnce(&[Frames], usize) -> Frames,
-) -> Synthesis {
-    let mut first = Some(first);
-    let Settings {
-        patch_size,
-        alpha,
-        num_steps,
-        distance,
-        looping,
-        ..
-    } = *request.settings;
+fn refined_over(levels: &Levels, request: &Request<'_>, begin: Begin<'_>) -> Synthesis {
+    let settings = request.settings;
+    let (looping, is_loop) = (settings.looping, settings.looping != Looping::Off);
     let channels = request.examples[0].channels();
     let whole = [Channels {
         name: "body".to_string(),
@@ -272,39 +258,43 @@ fn refined_over(
         let examples: Vec<Frames> = examples
             .map(|(example, lengths)| example.resampled(lengths[level]))
             .collect();
-        let mut frames = match current {
-            None => first.take().expect("the first level")(&examples, length),
-            Some(coarser) if looping == Looping::Even => coarser.resampled_loop(length),
-            Some(coarser) => coarser.resampled(length),
+        let mut frames = match (current, begin) {
+            (None, Begin::Noise(noise)) => {
+                assert_eq!(noise.frames(), length, "frames of noise");
+                start(&examples, noise, settings.sigma, settings.start)
+            }
+            (None, Begin::Content(content)) => {
+                assert_eq!(content.channels(), channels);
+                content.resampled(length)
+            }
+            (Some(coarser), _) if looping == Looping::Even => coarser.resampled_loop(length),
+            (Some(coarser), _) => coarser.resampled(length),
         };
-        let bent = Constraint::apply_all(request.constraints, &mut frames, looping != Looping::Off);
-        let pools: Vec<Pool> = groups
+        let bent = Constraint::apply_all(request.constraints, &mut frames, is_loop);
+        let pools = groups.iter().map(|group| {
+            let own = examples
+                .iter()
+                .map(|example| group.of(example).into_owned());
+            Pool::new(&own.collect::<Vec<_>>(), settings.patch_size)
+        });
+        let pools: Vec<Pool> = pools.collect();
+        let searches = pools
             .iter()
-            .map(|group| {
-                let own = examples
-                    .iter()
-                    .map(|example| group.of(example).into_owned());
-                Pool::new(&own.collect::<Vec<_>>(), patch_size)
-            })
-            .collect();
-        let mut searches: Vec<Search<'_>> = pools
-            .iter()
-            .map(|pool| Search::new(pool, distance).among(pools.len()))
-            .collect();
-        for _ in 0..num_steps {
+            .map(|pool| Search::new(pool, settings.distance));
+        let mut searches: Vec<Search<'_>> = searches.map(|s| s.among(pools.len())).collect();
+        for _ in 0..settings.num_steps {
             let voted = groups.iter().zip(pools.iter().zip(&mut searches));
             let (voted, matches): (Vec<Frames>, Vec<Matches>) = voted
                 .map(|(group, (pool, search))| {
-                    step(&group.of(&frames), pool, search, alpha, looping, &bent)
+                    let own = group.of(&frames);
+                    step(&own, pool, search, settings.alpha, looping, &bent)
                 })
                 .unzip();
             frames = merged(groups, voted, channels);
-            Constraint::apply_all(request.constraints, &mut frames, looping != Looping::Off);
-            origins = matches
-                .iter()
-                .zip(&pools)
-                .map(|(matches, pool)| origins_of(matches, pool, length, looping))
-                .collect();
+            Constraint::apply_all(request.constraints, &mut frames, is_loop);
+            let found = matches.iter().zip(&pools);
+            let found = found.map(|(matches, pool)| origins_of(matches, pool, length, is_loop));
+            origins = found.collect();
         }
         current = Some(frames);
     }
@@ -343,22 +333,16 @@ fn merged(groups: &[Channels], mut voted: Vec<Frames>, channels: usize) -> Frame
 }
 
 /// The example and frame that each frame continues: its place in the patch around it.
-fn origins_of(
-    matches: &Matches,
-    pool: &Pool,
-    frames: usize,
-    looping: Looping,
-) -> Vec<(usize, usize)> {
-    let looping = looping != Looping::Off;
+fn origins_of(matches: &Matches, pool: &Pool, frames: usize, is_loop: bool) -> Vec<(usize, usize)> {
     let half = pool.patch_size() / 2;
     let last = matches.nearest.len() - 1;
     let origin = |t: usize| {
         // A loop has a patch around every frame, the first around frame 0.
-        let patch = match looping {
+        let patch = match is_loop {
             true => t,
             false => t.saturating_sub(half).min(last),
         };
-        let within = if looping { half } else { t - patch };
+        let within = if is_loop { half } else { t - patch };
         let (example, first) = pool.origin(matches.nearest[patch]);
         (example, first + within)
     };

@@ -81,6 +81,7 @@ pub enum ExportError {
 
 /// Checks that a scene can be written to `out` as a GIF, MP4 or GLB file.
 ///
+/// # Errors
 /// [`ExportError::Scene`] without frames or with values that are not finite,
 /// [`ExportError::NoSkeleton`] for joints without parents.
 pub fn check(scene: &Scene, out: &Path) -> Result<(), ExportError> {

@@ -141,15 +141,13 @@ fn difference(before: &[u8], now: &[u8], width: usize) -> Option<Frame<'static>>
     let apart = |column: &usize| rows().any(|(a, b)| a[*column] != b[*column]);
     let left = (0..width).find(apart)?;
     let right = (0..width).rev().find(apart)?;
-    let part = (top..=bottom).flat_map(|row| {
-        let columns = row * width + left..=row * width + right;
-        columns.map(|at| {
-            if before[at] == now[at] {
-                UNCHANGED
-            } else {
-                now[at]
-            }
-        })
+    let places = (top..=bottom).flat_map(|row| row * width + left..=row * width + right);
+    let part = places.map(|at| {
+        if before[at] == now[at] {
+            UNCHANGED
+        } else {
+            now[at]
+        }
     });
     Some(Frame {
         left: left as u16,

@@ -23,6 +23,7 @@ const LAST_LINES: usize = 4;
 /// Writes a scene as an MP4 file (H.264, and AAC with a song) through the `ffmpeg` on the PATH. A
 /// song shorter than the motion is followed by silence. `stop` is called before each picture.
 ///
+/// # Errors
 /// Those of [`must_be_exportable`](crate::must_be_exportable); [`ExportError::NoEncoder`] without
 /// ffmpeg, [`ExportError::Encoder`] if it fails; [`ExportError::Write`];
 /// [`ExportError::Interrupted`] once `stop` returns true.
@@ -43,11 +44,15 @@ pub fn must_have_encoder(out: &Path) -> Result<(), ExportError> {
         .status();
     started
         .map(|_| ())
-        .map_err(|reason| ExportError::NoEncoder {
-            out: out.to_path_buf(),
-            program: ENCODER.to_string(),
-            reason: reason.to_string(),
-        })
+        .map_err(|reason| no_encoder(out, OsStr::new(ENCODER), &reason))
+}
+
+fn no_encoder(out: &Path, program: &OsStr, reason: &std::io::Error) -> ExportError {
+    ExportError::NoEncoder {
+        out: out.to_path_buf(),
+        program: program.display().to_string(),
+        reason: reason.to_string(),
+    }
 }
 
 /// [`write`] through another program with the same arguments.
@@ -104,11 +109,8 @@ fn encode(
     // Ctrl-C reaches only this process, which then ends ffmpeg.
     #[cfg(unix)]
     std::os::unix::process::CommandExt::process_group(&mut command, 0);
-    let mut child = command.spawn().map_err(|reason| ExportError::NoEncoder {
-        out: out.to_path_buf(),
-        program: program.display().to_string(),
-        reason: reason.to_string(),
-    })?;
+    let child = command.spawn();
+    let mut child = child.map_err(|reason| no_encoder(out, program, &reason))?;
     let (status, said, taken) = feed(&mut child, &painter, count, stop);
     if stop() {
         return Err(ExportError::Interrupted {
@@ -167,37 +169,28 @@ fn arguments(
         name.push(path);
         name
     };
-    let pixels = format!("{width}x{height}");
-    let (fps, seconds) = (FPS.to_string(), format!("{seconds:.6}"));
-    let words = |words: &[&str]| words.iter().map(OsString::from).collect::<Vec<_>>();
-    let mut all = words(&["-hide_banner", "-loglevel", "error", "-nostdin", "-y"]);
-    all.extend(words(&[
-        "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", &pixels,
-    ]));
-    all.extend(words(&["-framerate", &fps, "-i", "pipe:0"]));
+    let words = |text: &str| -> Vec<OsString> { text.split(' ').map(OsString::from).collect() };
+    let mut all = words("-hide_banner -loglevel error -nostdin -y -f rawvideo -pix_fmt rgb24");
+    all.extend(words(&format!(
+        "-s {width}x{height} -framerate {FPS} -i pipe:0"
+    )));
     if let Some((song, path)) = song {
-        all.extend(words(&[
-            "-ss",
-            &format!("{:.6}", song.start.max(0.0)),
-            "-i",
-        ]));
+        all.extend(words(&format!("-ss {:.6} -i", song.start.max(0.0))));
         all.push(file(path));
-        all.extend(words(&["-map", "0:v:0", "-map", "1:a:0", "-af", "apad"]));
-        all.extend(words(&["-c:a", "aac", "-b:a", "160k"]));
+        all.extend(words("-map 0:v:0 -map 1:a:0 -af apad -c:a aac -b:a 160k"));
     }
     // The song is padded and cut to the length of the motion.
-    all.extend(words(&["-t", &seconds, "-c:v", "libx264", "-crf", "20"]));
-    all.extend(words(&["-pix_fmt", "yuv420p", "-movflags", "+faststart"]));
-    all.extend(words(&["-f", "mp4"]));
+    all.extend(words(&format!(
+        "-t {seconds:.6} -c:v libx264 -crf 20 -pix_fmt yuv420p"
+    )));
+    all.extend(words("-movflags +faststart -f mp4"));
     all.push(file(film));
     all
 }
 
 fn last_lines(said: &str) -> String {
-    let lines: Vec<&str> = said
-        .lines()
-        .filter(|line| !line.trim().is_empty())
-        .collect();
+    let lines = said.lines().filter(|line| !line.trim().is_empty());
+    let lines: Vec<&str> = lines.collect();
     let last = &lines[lines.len().saturating_sub(LAST_LINES)..];
     if last.is_empty() {
         return "it said nothing".into();

@@ -4,94 +4,87 @@ use super::Job;
 use crate::{Constraint, Error, Looping, MotionMatrix};
 
 impl Job {
-    /// Rejects contradictory constraints. `constraints` of the motion of `frames` frames: key
-    /// frames first, in the order of the job.
+    /// Rejects contradictory constraints. `constraints` of the motion of `frames` frames: key frames
+    /// first, in the order of the job.
     pub(super) fn must_agree(
         &self,
         layout: &MotionMatrix,
         constraints: &[Constraint],
         frames: usize,
     ) -> Result<(), Error> {
-        if let (Looping::Even | Looping::Halves, Some(fixed)) =
-            (self.settings.looping, self.fixed.first())
+        if let Some(fixed) = self
+            .fixed
+            .first()
+            .filter(|_| self.settings.looping != Looping::Off)
         {
-            let problem = format!(
-                "`{}` follows it, whose end need not lead into its beginning",
-                fixed.part
-            );
-            let hint = "leave option `loop` or option `fix` out";
+            let part = &fixed.part;
+            let problem =
+                format!("`{part}` follows it, whose end need not lead into its beginning");
+            let hint = "leave `looping` or the fixed part out";
             return Err(Error::file(&fixed.motion.file, problem, hint));
         }
         let (keys, fixed) = constraints.split_at(self.keyframes.len());
         for (index, one) in fixed.iter().enumerate() {
-            for (place, other) in fixed[..index].iter().enumerate() {
-                let (
-                    Constraint::Channels { motion, .. },
-                    Constraint::Channels { motion: others, .. },
-                ) = (one, other)
-                else {
-                    continue;
+            for (other, before) in fixed[..index].iter().zip(&self.fixed) {
+                let differs = |channel: &usize| match (one, other) {
+                    (
+                        Constraint::Channels { motion: a, .. },
+                        Constraint::Channels { motion: b, .. },
+                    ) => a.columns(&[*channel]) != b.columns(&[*channel]),
+                    _ => false,
                 };
-                let shared = shared(one, other);
-                let differs =
-                    |channel: &&usize| motion.columns(&[**channel]) != others.columns(&[**channel]);
-                if let Some(&channel) = shared.iter().find(differs) {
-                    let (part, before) = (&self.fixed[index].part, &self.fixed[place].part);
+                if let Some(channel) = shared(one, other).into_iter().find(differs) {
+                    let own = &self.fixed[index];
                     let problem = format!(
-                        "`{part}` follows it, and {}, which is of `{before}` too, follows {}",
+                        "`{}` follows it, and {}, which is of `{}` too, follows {}",
+                        own.part,
                         named(layout, channel),
-                        self.fixed[place].motion.file
+                        before.part,
+                        before.motion.file
                     );
-                    let hint =
-                        "give parts that share no joint; option `parts` divides the body otherwise";
-                    return Err(Error::file(&self.fixed[index].motion.file, problem, hint));
+                    let hint = "give parts that share no joint; `parts` divides the body otherwise";
+                    return Err(Error::file(&own.motion.file, problem, hint));
                 }
             }
         }
-        let moment = |constraint: &Constraint| match constraint {
+        let moment = |key: &Constraint| match key {
             Constraint::Keyframe { at, .. } => Constraint::frame(*at, frames),
             Constraint::Channels { .. } => 0,
         };
         for (index, key) in keys.iter().enumerate() {
-            let time = self.keyframes[index].0.time;
+            let keyframe = &self.keyframes[index].0;
+            let time = keyframe.time;
+            let refused = |problem, hint| Err(Error::file(keyframe.called(), problem, hint));
             for (fixed, own) in fixed.iter().zip(&self.fixed) {
+                let (file, part) = (&own.motion.file, &own.part);
                 if let Some(&channel) = shared(key, fixed).first() {
+                    let name = named(layout, channel);
                     let problem = format!(
-                        "at {time} s {} has a pose, and follows {} as part of `{}`",
-                        named(layout, channel),
-                        own.motion.file,
-                        own.part
+                        "at {time} s {name} has a pose, and follows {file} as part of `{part}`"
                     );
-                    let hint = "give the key frame a `part` that nothing fixes";
-                    return Err(Error::file(self.keyframes[index].0.called(), problem, hint));
+                    return refused(problem, "give the key frame a `part` that nothing fixes");
                 }
-                let trajectory = layout.root_channels();
-                if self.keyframes[index].0.place.is_some()
-                    && channels(fixed)
-                        .iter()
-                        .any(|channel| trajectory.contains(channel))
-                {
+                let root = layout.root_channels();
+                if keyframe.place.is_some() && channels(fixed).iter().any(|c| root.contains(c)) {
                     let problem = format!(
-                        "at {time} s the body has a place, and its root trajectory follows {} as part of `{}`",
-                        own.motion.file, own.part
+                        "at {time} s the body has a place, and its root trajectory follows {file} as \
+                         part of `{part}`"
                     );
                     let hint = "leave `place` out, or fix no part with the root trajectory";
-                    return Err(Error::file(self.keyframes[index].0.called(), problem, hint));
+                    return refused(problem, hint);
                 }
             }
-            for (place, before) in keys[..index].iter().enumerate() {
-                if moment(before) != moment(key) {
-                    continue;
-                }
+            let earlier = keys[..index].iter().zip(&self.keyframes);
+            for (before, (other, _)) in earlier.filter(|(before, _)| moment(before) == moment(key))
+            {
                 let hint = "key frames of one moment have different parts, or lie a frame apart";
-                let [own, other] = [index, place].map(|index| &self.keyframes[index].0);
                 if let Some(channel) = contradiction(key, before) {
-                    let problem = format!("at {time} s {} has two poses", named(layout, channel));
-                    return Err(Error::file(self.keyframes[index].0.called(), problem, hint));
+                    let name = named(layout, channel);
+                    return refused(format!("at {time} s {name} has two poses"), hint);
                 }
-                if own.place.is_some() && other.place.is_some() && own.place != other.place {
-                    let problem = format!("at {time} s the body has two places");
-                    return Err(Error::file(self.keyframes[index].0.called(), problem, hint));
+                let places = (keyframe.place, other.place);
+                if matches!(places, (Some(own), Some(other)) if own != other) {
+                    return refused(format!("at {time} s the body has two places"), hint);
                 }
             }
         }
@@ -114,14 +107,14 @@ fn channels(constraint: &Constraint) -> &[usize] {
 
 /// A channel with different values in two key frames.
 fn contradiction(one: &Constraint, other: &Constraint) -> Option<usize> {
-    let value = |constraint: &Constraint, wanted: usize| match constraint {
+    let value = |key: &Constraint, channel: usize| match key {
         Constraint::Keyframe {
             channels,
             source,
             from,
             ..
         } => {
-            let place = channels.iter().position(|&channel| channel == wanted)?;
+            let place = channels.iter().position(|&other| other == channel)?;
             Some(source.frame(*from)[place])
         }
         Constraint::Channels { .. } => None,
@@ -132,9 +125,8 @@ fn contradiction(one: &Constraint, other: &Constraint) -> Option<usize> {
 
 /// Name of the joint of a channel.
 fn named(layout: &MotionMatrix, channel: usize) -> String {
-    let joints = 0..layout.joints().len();
-    let mut of = joints.filter(|&joint| layout.channels_of(joint).contains(&channel));
-    match of.next() {
+    let mut joints = 0..layout.joints().len();
+    match joints.find(|&joint| layout.channels_of(joint).contains(&channel)) {
         Some(joint) => format!("`{}`", layout.joints()[joint].name),
         None => "the root trajectory".to_string(),
     }

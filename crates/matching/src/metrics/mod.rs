@@ -8,7 +8,7 @@ mod windows;
 
 use serde::Serialize;
 
-use crate::{Frames, Made, MotionMatrix};
+use crate::Frames;
 
 pub use novelty::{Novelty, Run};
 pub use seam::Seam;
@@ -78,46 +78,6 @@ impl Measures {
             furthest_window: local.iter().copied().fold(0.0, f64::max),
             global_diversity: Some(segmented(motion, examples, COVERED)).filter(|d| d.is_finite()),
         })
-    }
-}
-
-impl Made {
-    /// Measures over the rotations of these joints, by index; of all if empty.
-    pub fn measures(&self, joints: &[usize]) -> Option<Measures> {
-        let channels = rotations(&self.layout, joints);
-        let examples = self
-            .examples
-            .iter()
-            .map(|example| example.columns(&channels));
-        let examples: Vec<Frames> = examples.collect();
-        Measures::of(&self.synthesis.frames.columns(&channels), &examples)
-    }
-
-    /// Novelty of each part.
-    pub fn novelty(&self) -> Vec<Novelty> {
-        let origins = self.synthesis.origins.iter();
-        origins
-            .map(|origins| Novelty::of(origins, self.layout.frame_time()))
-            .collect()
-    }
-
-    /// Runs of each part that follow an example.
-    pub fn runs(&self) -> Vec<Vec<Run>> {
-        let origins = self.synthesis.origins.iter();
-        origins.map(|origins| Run::all(origins)).collect()
-    }
-}
-
-/// Rotation channels of these joints; of all if empty.
-fn rotations(layout: &MotionMatrix, joints: &[usize]) -> Vec<usize> {
-    match joints {
-        [] => (0..layout.joints().len())
-            .flat_map(|joint| layout.rotation_of(joint))
-            .collect(),
-        joints => joints
-            .iter()
-            .flat_map(|&joint| layout.rotation_of(joint))
-            .collect(),
     }
 }
 

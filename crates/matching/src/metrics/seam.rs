@@ -4,7 +4,7 @@ use kinegrad_capture::Bvh;
 use kinegrad_motion::rotation::length;
 use serde::Serialize;
 
-use crate::{Looping, Made, MotionMatrix, percentile_95};
+use crate::{MotionMatrix, percentile_95};
 
 /// The seam of a loop: the step from the last frame to the first and the change of velocity there,
 /// relative to the 95th percentiles of the rest. Means over the joints, in coordinates relative to
@@ -71,15 +71,5 @@ impl Seam {
     /// The larger of both.
     pub fn jump(&self) -> f64 {
         self.step.max(self.velocity)
-    }
-}
-
-impl Made {
-    /// The seam of a loop; none of other motions.
-    pub fn seam(&self, looping: Looping) -> Option<Seam> {
-        match looping {
-            Looping::Off => None,
-            _ => Seam::of(&self.layout, &self.bvh),
-        }
     }
 }

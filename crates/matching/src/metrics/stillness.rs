@@ -2,8 +2,7 @@
 
 use serde::Serialize;
 
-use super::rotations;
-use crate::{Frames, Made};
+use crate::Frames;
 
 /// Threshold of a still frame, as a part of the examples' median change between frames that differ.
 const STILL: f64 = 0.1;
@@ -24,7 +23,7 @@ pub struct Stillness {
 
 impl Stillness {
     /// From rotations, `[frames, channels]`. None with fewer than two frames.
-    fn of(motion: &Frames, examples: &[Frames]) -> Option<Self> {
+    pub(crate) fn of(motion: &Frames, examples: &[Frames]) -> Option<Self> {
         let usual: Vec<f64> = examples.iter().flat_map(changes).collect();
         // Repeated frames are excluded from the median.
         let mut moving: Vec<f64> = usual.iter().copied().filter(|c| *c > UNCHANGED).collect();
@@ -52,16 +51,6 @@ fn changes(frames: &Frames) -> Vec<f64> {
         squares.sum::<f64>().sqrt()
     };
     (1..frames.frames()).map(change).collect()
-}
-
-impl Made {
-    /// Still frames of the motion and the examples.
-    pub fn stillness(&self) -> Option<Stillness> {
-        let channels = rotations(&self.layout, &[]);
-        let examples = self.examples.iter();
-        let examples: Vec<Frames> = examples.map(|each| each.columns(&channels)).collect();
-        Stillness::of(&self.synthesis.frames.columns(&channels), &examples)
-    }
 }
 
 #[cfg(test)]

@@ -13,7 +13,7 @@ const THINNED_BELOW: f64 = 0.017;
 const MOST_THINNED: usize = 1 << 20;
 
 /// The downsampling factor and the frame time after it.
-pub(super) fn thinning(bvh: &Bvh) -> (usize, f64) {
+pub(crate) fn thinning(bvh: &Bvh) -> (usize, f64) {
     let mut every = 1;
     while bvh.frame_time() * (every as f64) < THINNED_BELOW && every < MOST_THINNED {
         every *= 2;

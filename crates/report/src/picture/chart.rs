@@ -30,15 +30,11 @@ const LAST: [f64; 3] = [10.0, 50.0, 110.0];
 
 type Chart<'a, B> = ChartContext<'a, B, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
 
-pub(super) fn draw_panel<B>(
+pub(super) fn draw_panel<B: DrawingBackend<ErrorType: 'static>>(
     panel: &Panel,
     area: &DrawingArea<B, Shift>,
     stroke: u32,
-) -> Result<(), Box<dyn Error>>
-where
-    B: DrawingBackend,
-    B::ErrorType: 'static,
-{
+) -> Result<(), Box<dyn Error>> {
     let area = &draw_head(panel, area)?;
     let left = match panel.kind {
         Kind::Strip { .. } => ROW_NAMES,
@@ -143,15 +139,11 @@ fn short(value: f64) -> String {
 }
 
 /// A bar for each range of a row, and the row name beside the plot.
-fn draw_rows<B>(
+fn draw_rows<B: DrawingBackend<ErrorType: 'static>>(
     chart: &mut Chart<'_, B>,
     area: &DrawingArea<B, Shift>,
     rows: &[(String, Vec<Range<f64>>)],
-) -> Result<(), Box<dyn Error>>
-where
-    B: DrawingBackend,
-    B::ErrorType: 'static,
-{
+) -> Result<(), Box<dyn Error>> {
     for (row, (name, spans)) in rows.iter().enumerate() {
         let row = row as f64;
         chart.draw_series(spans.iter().map(|span| {
@@ -167,16 +159,12 @@ where
 }
 
 /// Bodies, darker over time, on a ground line.
-fn draw_poses<B>(
+fn draw_poses<B: DrawingBackend<ErrorType: 'static>>(
     chart: &mut Chart<'_, B>,
     area: &DrawingArea<B, Shift>,
     poses: &[Pose],
     stroke: u32,
-) -> Result<(), Box<dyn Error>>
-where
-    B: DrawingBackend,
-    B::ErrorType: 'static,
-{
+) -> Result<(), Box<dyn Error>> {
     let across = chart.x_range();
     let ground = vec![(across.start, 0.0), (across.end, 0.0)];
     chart.draw_series([PathElement::new(ground, BLACK.mix(0.4))])?;
@@ -198,15 +186,11 @@ where
 }
 
 /// Named dots.
-fn draw_points<B>(
+fn draw_points<B: DrawingBackend<ErrorType: 'static>>(
     chart: &mut Chart<'_, B>,
     area: &DrawingArea<B, Shift>,
     points: &[(String, (f64, f64))],
-) -> Result<(), Box<dyn Error>>
-where
-    B: DrawingBackend,
-    B::ErrorType: 'static,
-{
+) -> Result<(), Box<dyn Error>> {
     for (name, point) in points {
         chart.draw_series([Circle::new(*point, 4, KEYFRAME.filled())])?;
         let (x, y) = pixel(chart, area, *point);
@@ -217,16 +201,12 @@ where
 }
 
 /// Ticks above the plot.
-fn draw_marks<B>(
+fn draw_marks<B: DrawingBackend<ErrorType: 'static>>(
     chart: &Chart<'_, B>,
     area: &DrawingArea<B, Shift>,
     marks: &[f64],
     across: &Range<f64>,
-) -> Result<(), Box<dyn Error>>
-where
-    B: DrawingBackend,
-    B::ErrorType: 'static,
-{
+) -> Result<(), Box<dyn Error>> {
     let top = chart.y_range().end;
     for &mark in marks.iter().filter(|mark| across.contains(mark)) {
         let (x, y) = pixel(chart, area, (mark, top));

@@ -48,14 +48,10 @@ enum Look {
 }
 
 /// Draws title and legend at the top of `area`; returns the rest.
-pub(super) fn draw_head<B>(
+pub(super) fn draw_head<B: DrawingBackend<ErrorType: 'static>>(
     panel: &Panel,
     area: &DrawingArea<B, Shift>,
-) -> Result<DrawingArea<B, Shift>, Box<dyn std::error::Error>>
-where
-    B: DrawingBackend,
-    B::ErrorType: 'static,
-{
+) -> Result<DrawingArea<B, Shift>, Box<dyn std::error::Error>> {
     let font = |size: i32| ("sans-serif", size).into_text_style(area);
     let names = font(11);
     let wide = area.dim_in_pixel().0 as i32;

@@ -158,11 +158,11 @@ impl<'a> Sheet<'a> {
         Ok(Image { width, height, rgb }.png())
     }
 
-    fn draw<B>(&self, root: &DrawingArea<B, Shift>, stroke: u32) -> Result<(), Box<dyn Error>>
-    where
-        B: DrawingBackend,
-        B::ErrorType: 'static,
-    {
+    fn draw<B: DrawingBackend<ErrorType: 'static>>(
+        &self,
+        root: &DrawingArea<B, Shift>,
+        stroke: u32,
+    ) -> Result<(), Box<dyn Error>> {
         font::register();
         root.fill(&WHITE)?;
         for &(panel, corner, size) in &self.panels {
