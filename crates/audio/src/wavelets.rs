@@ -140,15 +140,15 @@ fn sparsify(row: &[Complex64], tail: f64) -> Wavelet {
     let total = sorted.iter().sum::<f64>() + tail;
     sorted.sort_unstable_by(f64::total_cmp);
     let mut sum = tail;
-    let smallest_kept = sorted.iter().copied().find(|magnitude| {
+    let smallest = sorted.iter().copied().find(|magnitude| {
         sum += magnitude;
         sum >= DROPPED_SHARE * total
     });
-    let kept = |w: &Complex64| smallest_kept.is_some_and(|smallest| w.norm() >= smallest);
-    let first_bin = row.iter().position(kept).unwrap_or(0);
-    let end = row.iter().rposition(kept).map_or(0, |last| last + 1);
+    let is_large = |w: &Complex64| smallest.is_some_and(|smallest| w.norm() >= smallest);
+    let first_bin = row.iter().position(is_large).unwrap_or(0);
+    let end = row.iter().rposition(is_large).map_or(0, |last| last + 1);
     let weights = row[first_bin..end].iter().map(|w| {
-        if kept(w) {
+        if is_large(w) {
             Complex32::new(w.re as f32, w.im as f32)
         } else {
             Complex32::ZERO

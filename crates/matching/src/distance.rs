@@ -83,8 +83,8 @@ impl Moving {
             // Independent sums.
             let mut sums = [0.0; 8];
             for still in self.still.chunks(sums.len()) {
-                for (sum, &(channel, kept)) in sums.iter_mut().zip(still) {
-                    *sum += (frame[channel] - kept).powi(2);
+                for (sum, &(channel, constant)) in sums.iter_mut().zip(still) {
+                    *sum += (frame[channel] - constant).powi(2);
                 }
             }
             let before = std::mem::replace(still, sums.iter().sum());

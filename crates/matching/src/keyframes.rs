@@ -184,7 +184,7 @@ mod tests {
             panic!("a key frame")
         };
         assert_eq!(channels.len(), layout.channels() - 2);
-        for (text, said) in [
+        for (text, message) in [
             (
                 "[[keyframe]]\ntime = -1.0\nsource_time = 0.0",
                 "k.toml, key frame 1: `time` is -1.0, allowed: 0 to 1e6 seconds",
@@ -208,7 +208,7 @@ mod tests {
             ),
         ] {
             let error = read(text).unwrap_err().to_string();
-            assert!(error.contains(said), "{error}");
+            assert!(error.contains(message), "{error}");
         }
     }
 }

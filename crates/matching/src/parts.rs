@@ -356,7 +356,7 @@ mod tests {
             ("rest", true)
         );
         assert_eq!(parts[1].joints, [0, 1, 4, 5]);
-        for (text, said) in [
+        for (text, message) in [
             (
                 "[[part]]\nname = 'a'\njoints = ['Tail']\n",
                 "no joint `Tail`",
@@ -370,7 +370,7 @@ mod tests {
             let error = Part::read(text, "parts.toml", &layout)
                 .unwrap_err()
                 .to_string();
-            assert!(error.contains(said), "{error}");
+            assert!(error.contains(message), "{error}");
         }
     }
 

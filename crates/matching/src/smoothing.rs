@@ -7,7 +7,7 @@ use crate::{Constraint, Frames};
 /// Coefficients of a third difference.
 pub(crate) const THIRD: [f64; 4] = [-1.0, 3.0, -3.0, 1.0];
 /// Weight of a frame that must keep its values; others have 1.
-const KEPT: f64 = 1e9;
+const FIXED: f64 = 1e9;
 
 /// Replaces every channel x by the y that minimises
 ///
@@ -53,15 +53,15 @@ pub(crate) fn smooth(frames: &mut Frames, strength: &[f64], constraints: &[Const
     for run in runs {
         let strength = &strength[run.start..run.end - 3];
         for channel in (0..frames.channels()).filter(|&channel| !follows[channel]) {
-            let kept = key_frames[channel].iter();
-            let kept: Vec<usize> = kept
+            let fixed = key_frames[channel].iter();
+            let fixed: Vec<usize> = fixed
                 .filter(|&t| run.contains(t))
                 .map(|t| t - run.start)
                 .collect();
             let course = run.clone().map(|t| f64::from(frames.frame(t)[channel]));
-            let smoothed = smoothed(&course.collect::<Vec<_>>(), strength, &kept);
+            let smoothed = smoothed(&course.collect::<Vec<_>>(), strength, &fixed);
             for (t, value) in run.clone().zip(smoothed) {
-                if !kept.contains(&(t - run.start)) {
+                if !fixed.contains(&(t - run.start)) {
                     frames.frame_mut(t)[channel] = value as f32;
                 }
             }
@@ -69,8 +69,8 @@ pub(crate) fn smooth(frames: &mut Frames, strength: &[f64], constraints: &[Const
     }
 }
 
-fn smoothed(course: &[f64], strength: &[f64], kept: &[usize]) -> Vec<f64> {
-    let weight = |t: usize| if kept.contains(&t) { KEPT } else { 1.0 };
+fn smoothed(course: &[f64], strength: &[f64], fixed: &[usize]) -> Vec<f64> {
+    let weight = |t: usize| if fixed.contains(&t) { FIXED } else { 1.0 };
     let mut matrix: Vec<[f64; 4]> = (0..course.len())
         .map(|t| [weight(t), 0.0, 0.0, 0.0])
         .collect();

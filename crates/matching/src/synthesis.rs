@@ -206,7 +206,7 @@ pub fn synthesize(request: &Request<'_>, seed: u64) -> Result<Synthesis, Invalid
 /// # Panics
 /// As [`synthesize`], and if the noise has another length.
 pub fn synthesize_from(request: &Request<'_>, noise: &Frames) -> Result<Synthesis, InvalidSetting> {
-    refined(request, Begin::Noise(noise))
+    refined(request, CoarseStart::Noise(noise))
 }
 
 /// [`synthesize`] from the coarse level of `content` in place of noise: `content` in the style of
@@ -221,25 +221,25 @@ pub fn synthesize_like(
     request: &Request<'_>,
     content: &Frames,
 ) -> Result<Synthesis, InvalidSetting> {
-    refined(request, Begin::Content(content))
+    refined(request, CoarseStart::Content(content))
 }
 
 /// The motion that the coarsest level starts from.
 #[derive(Clone, Copy)]
-enum Begin<'a> {
+enum CoarseStart<'a> {
     Noise(&'a Frames),
     Content(&'a Frames),
 }
 
 /// Refines the start of the coarsest level at every level.
-fn refined(request: &Request<'_>, begin: Begin<'_>) -> Result<Synthesis, InvalidSetting> {
+fn refined(request: &Request<'_>, from: CoarseStart<'_>) -> Result<Synthesis, InvalidSetting> {
     let levels = request.levels()?;
     // On a thread of the pool: from outside, each of many short loops would wait to be scheduled.
-    Ok(rayon::scope(|_| refined_over(&levels, request, begin)))
+    Ok(rayon::scope(|_| refined_over(&levels, request, from)))
 }
 
 /// [`refined`] over `levels`.
-fn refined_over(levels: &Levels, request: &Request<'_>, begin: Begin<'_>) -> Synthesis {
+fn refined_over(levels: &Levels, request: &Request<'_>, from: CoarseStart<'_>) -> Synthesis {
     let settings = request.settings;
     let (looping, is_loop) = (settings.looping, settings.looping != Looping::Off);
     let channels = request.examples[0].channels();
@@ -258,12 +258,12 @@ fn refined_over(levels: &Levels, request: &Request<'_>, begin: Begin<'_>) -> Syn
         let examples: Vec<Frames> = examples
             .map(|(example, lengths)| example.resampled(lengths[level]))
             .collect();
-        let mut frames = match (current, begin) {
-            (None, Begin::Noise(noise)) => {
+        let mut frames = match (current, from) {
+            (None, CoarseStart::Noise(noise)) => {
                 assert_eq!(noise.frames(), length, "frames of noise");
                 start(&examples, noise, settings.sigma, settings.start)
             }
-            (None, Begin::Content(content)) => {
+            (None, CoarseStart::Content(content)) => {
                 assert_eq!(content.channels(), channels);
                 content.resampled(length)
             }

@@ -98,13 +98,13 @@ pub fn unpad_loop(padded: &Frames, patch_size: usize) -> Frames {
     let (n, channels) = (padded.frames() - 2 * half, padded.channels());
     let inner = &padded.values()[half * channels..(half + n) * channels];
     let mut frames = Frames::new(channels, inner.to_vec());
-    let mut meet = |t: usize, copy: usize| {
+    let mut average = |t: usize, copy: usize| {
         let pairs = frames.frame_mut(t).iter_mut().zip(padded.frame(copy));
         pairs.for_each(|(value, copy)| *value = (*value + copy) / 2.0);
     };
     for k in 0..half {
-        meet(k, half + n + k);
-        meet(n - half + k, k);
+        average(k, half + n + k);
+        average(n - half + k, k);
     }
     frames
 }

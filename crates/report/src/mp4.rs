@@ -111,7 +111,7 @@ fn encode(
     std::os::unix::process::CommandExt::process_group(&mut command, 0);
     let child = command.spawn();
     let mut child = child.map_err(|reason| no_encoder(out, program, &reason))?;
-    let (status, said, taken) = feed(&mut child, &painter, count, stop);
+    let (status, messages, taken) = feed(&mut child, &painter, count, stop);
     if stop() {
         return Err(ExportError::Interrupted {
             out: out.to_path_buf(),
@@ -126,7 +126,7 @@ fn encode(
     Err(ExportError::Encoder {
         out: out.to_path_buf(),
         status,
-        last_lines: last_lines(&said),
+        last_lines: last_lines(&messages),
     })
 }
 
@@ -140,10 +140,10 @@ fn feed(
     let mut pictures = child.stdin.take().expect("it is piped");
     let mut errors = child.stderr.take().expect("it is piped");
     // Its messages are read in parallel, or it would block.
-    let said = thread::spawn(move || {
-        let mut said = Vec::new();
-        let _ = errors.read_to_end(&mut said);
-        String::from_utf8_lossy(&said).into_owned()
+    let messages = thread::spawn(move || {
+        let mut messages = Vec::new();
+        let _ = errors.read_to_end(&mut messages);
+        String::from_utf8_lossy(&messages).into_owned()
     });
     let taken = (0..count).all(|picture| {
         let image = painter.at(picture as f64 / f64::from(FPS));
@@ -154,7 +154,7 @@ fn feed(
         let _ = child.kill();
     }
     let status = child.wait();
-    (status, said.join().unwrap_or_default(), taken)
+    (status, messages.join().unwrap_or_default(), taken)
 }
 
 fn arguments(
@@ -188,12 +188,12 @@ fn arguments(
     all
 }
 
-fn last_lines(said: &str) -> String {
-    let lines = said.lines().filter(|line| !line.trim().is_empty());
+fn last_lines(messages: &str) -> String {
+    let lines = messages.lines().filter(|line| !line.trim().is_empty());
     let lines: Vec<&str> = lines.collect();
     let last = &lines[lines.len().saturating_sub(LAST_LINES)..];
     if last.is_empty() {
-        return "it said nothing".into();
+        return "no messages".into();
     }
     last.join("; ")
 }
@@ -263,18 +263,18 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let out = folder.path().join("dance.mp4");
         fs::write(&out, "an older film").unwrap();
-        for (script, said) in [
+        for (script, messages) in [
             // An incomplete file, and unread pictures.
             (
                 "for last; do :; done\necho half > \"${last#file:}\"\necho Unknown encoder >&2\nexit 8",
                 "Unknown encoder",
             ),
-            ("cat > /dev/null", "it said nothing"),
+            ("cat > /dev/null", "no messages"),
         ] {
             let program = stand_in(folder.path(), script);
             let error = write_by(program.as_os_str(), &scene(true), &out, &|| false).unwrap_err();
             assert!(matches!(error, ExportError::Encoder { .. }), "{error}");
-            assert!(error.to_string().contains(said), "{error}");
+            assert!(error.to_string().contains(messages), "{error}");
             assert_eq!(files(folder.path()), ["dance.mp4", "encoder"]);
         }
         let error =

@@ -69,8 +69,8 @@ fn fixed_parts_are_those_of_their_motion() {
         length: Some(Length::Frames(80)),
         ..job.clone()
     };
-    let said = longer.make(&[walk(70)]).unwrap_err().to_string();
-    assert_eq!(said, "legs.bvh: has 64 frames, and `length` 80");
+    let message = longer.make(&[walk(70)]).unwrap_err().to_string();
+    assert_eq!(message, "legs.bvh: has 64 frames, and `length` 80");
     let unknown = Job {
         fixed: vec![Fixed {
             part: "wings".to_string(),
@@ -78,8 +78,8 @@ fn fixed_parts_are_those_of_their_motion() {
         }],
         ..job
     };
-    let said = unknown.make(&[walk(70)]).unwrap_err().to_string();
-    assert!(said.contains("no part or joint `wings`"), "{said}");
+    let message = unknown.make(&[walk(70)]).unwrap_err().to_string();
+    assert!(message.contains("no part or joint `wings`"), "{message}");
 }
 
 #[test]
@@ -165,8 +165,8 @@ fn a_content_is_followed_in_the_manner_of_the_examples() {
         length: Some(Length::Frames(80)),
         ..job
     };
-    let said = longer.make(&[walk(70)]).unwrap_err().to_string();
-    assert_eq!(said, "content.bvh: has 120 frames, and `length` 80");
+    let message = longer.make(&[walk(70)]).unwrap_err().to_string();
+    assert_eq!(message, "content.bvh: has 120 frames, and `length` 80");
 }
 
 #[test]
@@ -202,21 +202,21 @@ fn places_of_key_frames_are_passed() {
 
 #[test]
 fn a_motion_without_a_patch_is_refused() {
-    let said = |frames: usize| {
+    let message = |frames: usize| {
         let error = job().make(&[walk(40), walk(frames)]).unwrap_err();
         error.to_string()
     };
     assert_eq!(
-        said(1),
+        message(1),
         "walk.bvh: frames: 1 at 30 a second, allowed: at least `patch_size`, which is 11"
     );
-    assert!(said(10).contains("frames: 10 "));
+    assert!(message(10).contains("frames: 10 "));
     let short = Job {
         length: Some(Length::Frames(3)),
         ..job()
     };
-    let said = short.make(&[walk(40)]).unwrap_err().to_string();
-    assert!(said.contains("`length` is 3"), "{said}");
+    let message = short.make(&[walk(40)]).unwrap_err().to_string();
+    assert!(message.contains("`length` is 3"), "{message}");
     assert!(job().make(&[]).is_err());
 }
 
@@ -255,8 +255,8 @@ fn feet_are_locked_where_those_of_the_example_rest() {
         ..job()
     };
     // Both feet of the walk have one bone above them, below the hips that they share.
-    let said = feet.make(&[walk(70)]).unwrap_err().to_string();
-    assert!(said.contains("no joint with two bones"), "{said}");
+    let message = feet.make(&[walk(70)]).unwrap_err().to_string();
+    assert!(message.contains("no joint with two bones"), "{message}");
     let free = job().make(&[stepping()]).unwrap();
     let locked = feet.make(&[stepping()]).unwrap();
     assert!(free.sliding.is_none());

@@ -53,10 +53,10 @@ fn bones_of_another_size_are_refused() {
     );
     // Another rest pose, and somebody a sixth smaller.
     let forth = text(40, 1.0 / 30.0).replace("OFFSET 0 -42.5 0", "OFFSET 0 0 42.5");
-    let said = refused(&[walk(), parsed(&forth, "forth.bvh")]);
+    let message = refused(&[walk(), parsed(&forth, "forth.bvh")]);
     assert!(
-        said.contains("is 42.5000 long and points elsewhere"),
-        "{said}"
+        message.contains("is 42.5000 long and points elsewhere"),
+        "{message}"
     );
     let small = text(40, 1.0 / 30.0).replace("OFFSET 0 -42.5 0", "OFFSET 0 -36 0");
     let examples = [walk(), parsed(&small, "small.bvh")];

@@ -75,9 +75,9 @@ fn a_motion_comes_back_as_it_was() {
         }
     }
     // The first displacement is one, and the height stays a height.
-    let way = layout.root_channels();
-    let first = &frames.frame(0)[way.clone()];
-    assert_eq!(first[0], frames.frame(1)[way.start]);
+    let root = layout.root_channels();
+    let first = &frames.frame(0)[root.clone()];
+    assert_eq!(first[0], frames.frame(1)[root.start]);
     assert!((f64::from(first[1]) * 43.0 - 92.0).abs() < 1e-4);
 }
 
@@ -93,7 +93,7 @@ fn a_motion_seen_from_its_heading_comes_back_and_turns_do_not_matter() {
         let frames = layout.to_frames(walk).unwrap();
         (layout, frames)
     };
-    // The same walk in another direction, with more than half a turn on the way.
+    // The same walk in another direction, with more than half a turn on the root.
     let mut turned = walk.clone();
     let mut locals: Vec<RootPose> = (0..60).flat_map(|t| walk.bvh.locals(t)).collect();
     let turn = Quaternion::from_yaw(2.0);
@@ -245,14 +245,14 @@ fn other_skeletons_and_rates_are_named() {
         let error = MotionMatrix::new(&examples, MatrixOptions::default()).unwrap_err();
         error.to_string()
     };
-    let said = refused(text(20, 1.0 / 30.0).replace("RightLeg", "RightKnee"));
+    let message = refused(text(20, 1.0 / 30.0).replace("RightLeg", "RightKnee"));
     assert_eq!(
-        said,
+        message,
         "other.bvh: joint 5 is `RightKnee` below `Hips`, in walk.bvh `RightLeg` below `Hips`"
     );
-    let said = refused(text(20, 1.0 / 25.0));
+    let message = refused(text(20, 1.0 / 25.0));
     assert_eq!(
-        said,
+        message,
         "other.bvh: 25.0000 frames a second, in walk.bvh 30.0000"
     );
     let flat: String = text(20, 1.0 / 30.0)

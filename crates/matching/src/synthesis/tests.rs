@@ -353,13 +353,13 @@ fn what_is_too_short_is_refused() {
         synthesize(&request, 0).unwrap_err().to_string()
     };
     let long = motion(0, 60, 2);
-    let said = refused(&[long.clone(), motion(0, 10, 2)], 60);
+    let message = refused(&[long.clone(), motion(0, 10, 2)], 60);
     assert_eq!(
-        said,
+        message,
         "`patch_size` is 11 with 10 frames in example 2, allowed: at most the frames of each example"
     );
-    let said = refused(&[long], 10);
-    assert_eq!(said, "`length` is 10, allowed: 11 or more");
+    let message = refused(&[long], 10);
+    assert_eq!(message, "`length` is 10, allowed: 11 or more");
     assert!(refused(&[], 60).contains("`examples` is empty"));
 }
 

@@ -111,8 +111,8 @@ fn block(out: &mut String, block: &Block) {
         }
         Block::Charts(charts) => {
             *out += "<div class=charts>\n";
-            let drawn = charts.iter().filter(|chart| !chart.is_empty());
-            drawn.for_each(|chart| *out += &chart.html());
+            let charts = charts.iter().filter(|chart| !chart.is_empty());
+            charts.for_each(|chart| *out += &chart.html());
             writeln!(out, "</div>")
         }
         Block::Scenes(scenes) => {

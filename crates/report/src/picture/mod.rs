@@ -78,8 +78,8 @@ pub fn draw(
         .extension()
         .is_some_and(|ending| ending.eq_ignore_ascii_case("svg"));
     let sheet = Sheet::new(panels, columns, size);
-    let drawn = if is_svg { sheet.svg() } else { sheet.png() };
-    let written = drawn.and_then(|bytes| Ok(std::fs::write(out, bytes)?));
+    let bytes = if is_svg { sheet.svg() } else { sheet.png() };
+    let written = bytes.and_then(|bytes| Ok(std::fs::write(out, bytes)?));
     written.map_err(|error| PictureError::Drawing {
         path: out.to_path_buf(),
         reason: error.to_string(),
@@ -177,7 +177,7 @@ impl<'a> Sheet<'a> {
 mod tests {
     use super::*;
 
-    fn drawn(panels: &[Panel]) -> String {
+    fn svg(panels: &[Panel]) -> String {
         let sheet = Sheet::new(panels, 1, (520, 250));
         String::from_utf8(sheet.svg().expect("drawn")).expect("text")
     }
@@ -199,7 +199,7 @@ mod tests {
     fn a_metre_on_a_map_is_as_long_to_the_right_as_downwards() {
         let square = [(0.0, 0.0), (3.0, 0.0), (3.0, 3.0), (0.0, 3.0)];
         let map = Panel::map("map", vec![("path".into(), square.to_vec())]);
-        let corners = first_curve(&drawn(&[map]));
+        let corners = first_curve(&svg(&[map]));
         let (across, down) = (corners[1].0 - corners[0].0, corners[2].1 - corners[1].1);
         assert!(down > 100.0, "z goes downwards: {corners:?}");
         assert!((across - down).abs() <= 2.0, "{corners:?}");
@@ -209,7 +209,7 @@ mod tests {
     fn legends_and_ticks_stand_above_the_plot() {
         let curve = |name: &str| (name.to_string(), vec![(0.0, 0.0), (4.0, 1.0)]);
         let panel = Panel::lines("curves", "s", vec![curve("one"), curve("two")]);
-        let svg = drawn(&[panel.with_marks(&[1.0, 2.0])]);
+        let svg = svg(&[panel.with_marks(&[1.0, 2.0])]);
         let top = first_curve(&svg)
             .iter()
             .fold(f64::INFINITY, |top, p| top.min(p.1));
