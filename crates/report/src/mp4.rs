@@ -198,8 +198,10 @@ fn last_lines(messages: &str) -> String {
     last.join("; ")
 }
 
-#[cfg(all(test, unix))]
+#[cfg(test)]
 mod tests {
+    #![cfg(unix)]
+
     use std::os::unix::fs::PermissionsExt;
     use std::path::PathBuf;
 
