@@ -190,7 +190,8 @@ fn check_rate(rate: u32, name: &str) -> Result<(), Error> {
     })
 }
 
-/// Averages the channels of one packet after the other.
+/// Averages the channels of packets.
+#[derive(Default)]
 struct Mono<'a> {
     name: &'a str,
     /// Samples per second, 0 before the first packet.
@@ -208,16 +209,8 @@ struct Mono<'a> {
 
 impl<'a> Mono<'a> {
     fn new(name: &'a str) -> Self {
-        Self {
-            name,
-            rate: 0,
-            channels: 0,
-            skipped_packets: 0,
-            promised: None,
-            signal: None,
-            mono: Vec::new(),
-            interleaved: Vec::new(),
-        }
+        let empty = Self::default();
+        Self { name, ..empty }
     }
 
     /// Reads the audio track to its end.

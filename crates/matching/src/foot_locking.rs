@@ -39,16 +39,12 @@ pub(crate) fn lock_feet(
     }
     let rests = examples
         .iter()
-        .map(|example| resting(layout, &example.bvh, &legs));
+        .map(|each| resting(layout, &each.bvh, &legs));
     let rests: Vec<Vec<Vec<bool>>> = rests.collect();
     let contacts = legs.iter().enumerate().map(|(index, leg)| {
-        let part = parts
-            .iter()
-            .position(|part| part.joints.contains(&leg.ankle));
+        let part = parts.iter().position(|p| p.joints.contains(&leg.ankle));
         let origins = &origins[part.unwrap_or(0)];
-        let flags = origins
-            .iter()
-            .map(|&(example, frame)| rests[example][index][frame]);
+        let flags = origins.iter().map(|&(example, t)| rests[example][index][t]);
         steadied(flags.collect(), SHORTEST)
     });
     let contacts: Vec<Vec<bool>> = contacts.collect();
@@ -71,13 +67,8 @@ pub(crate) fn lock_feet(
         }
         locals.extend(poses);
     }
-    let slid = Sliding::of(
-        &places,
-        &locked.positions,
-        &legs,
-        &contacts,
-        layout.frame_time(),
-    );
+    let frame_time = layout.frame_time();
+    let slid = Sliding::of(&places, &locked.positions, &legs, &contacts, frame_time);
     Ok((bvh.reposed(bvh.frame_time(), &locals)?, slid))
 }
 
@@ -96,12 +87,7 @@ fn legs(layout: &MotionMatrix, parents: &[Option<usize>]) -> Vec<Leg> {
         let mut above = std::iter::successors(Some(joint), |&joint| parents[joint]);
         above.any(|joint| joint == top)
     };
-    let own = |leg: &&Leg| {
-        legs.iter()
-            .filter(|other| hangs(other.ankle, leg.hip))
-            .count()
-            == 1
-    };
+    let own = |leg: &&Leg| legs.iter().filter(|o| hangs(o.ankle, leg.hip)).count() == 1;
     legs.iter().filter(own).copied().collect()
 }
 

@@ -224,17 +224,12 @@ impl Border {
         let bvh = layout.to_bvh(frames)?;
         let world = (0..bvh.frames()).map(|t| bvh.world(t));
         let world: Vec<Vec<RootPose>> = world.collect();
-        let joints = layout
-            .joints()
-            .iter()
-            .enumerate()
-            .filter_map(|(joint, own)| {
-                let parent = own
-                    .parent
-                    .filter(|&parent| is_fixed(parent) && !is_fixed(joint))?;
-                let turns = world.iter().map(|poses| poses[parent].orientation);
-                Some((layout.rotation_of(joint).start, turns.collect()))
-            });
+        let joints = layout.joints().iter().enumerate();
+        let joints = joints.filter_map(|(joint, own)| {
+            let parent = own.parent.filter(|&p| is_fixed(p) && !is_fixed(joint))?;
+            let turns = world.iter().map(|poses| poses[parent].orientation);
+            Some((layout.rotation_of(joint).start, turns.collect()))
+        });
         let joints = joints.collect();
         Ok(Self { joints })
     }

@@ -92,11 +92,8 @@ impl MotionMatrix {
         options: MatrixOptions,
     ) -> Result<Self, Error> {
         let Some(first) = examples.first() else {
-            return Err(Error::file(
-                "no example",
-                "none is given",
-                "name a BVH file",
-            ));
+            let problem = "none is given";
+            return Err(Error::file("no example", problem, "name a BVH file"));
         };
         let (_, frame_time) = thinning(&first.bvh);
         let mut layout = Self {
@@ -127,19 +124,12 @@ impl MotionMatrix {
         layout.root_joint = common_root_joint(&layout.bvh, &all, &ranges);
         layout.ancestors = ancestors(&layout.bvh, layout.root_joint);
         layout.scale = scale(first, layout.root_joint)?;
-        let parent = layout.joints()[layout.root_joint].parent;
-        layout.base = match (layout.ancestors.is_empty(), parent) {
-            (true, None) => [0.0; 3],
-            (true, Some(parent)) => layout.bvh.world(0)[parent].position,
-            (false, _) => {
-                let offsets = layout
-                    .ancestors
-                    .iter()
-                    .map(|&joint| layout.joints()[joint].offset);
-                offsets.fold([0.0; 3], |sum, offset| {
-                    [0, 1, 2].map(|i| sum[i] + offset[i])
-                })
-            }
+        layout.base = match layout.joints()[layout.root_joint].parent {
+            Some(parent) if layout.ancestors.is_empty() => layout.bvh.world(0)[parent].position,
+            _ => layout.ancestors.iter().fold([0.0; 3], |sum, &joint| {
+                let offset = layout.joints()[joint].offset;
+                [0, 1, 2].map(|i| sum[i] + offset[i])
+            }),
         };
         for motion in motions() {
             layout.must_match_bones(motion)?;
@@ -272,13 +262,9 @@ impl MotionMatrix {
         let start = poses[0][self.root_joint].position;
         let trajectory = poses.iter().map(|pose| {
             let place = pose[self.root_joint].position;
-            [0, 1, 2].map(|axis| {
-                let origin = if axis == self.up as usize {
-                    0.0
-                } else {
-                    start[axis]
-                };
-                (place[axis] - origin) * self.scale
+            [0, 1, 2].map(|axis| match axis == self.up() {
+                true => place[axis] * self.scale,
+                false => (place[axis] - start[axis]) * self.scale,
             })
         });
         let mut trajectory = displacements(&trajectory.collect::<Vec<_>>(), Some(self.up));
@@ -293,11 +279,8 @@ impl MotionMatrix {
                 values.extend(rotation.map(|value| value as f32));
             }
             for &joint in &self.translated {
-                values.extend(
-                    pose[joint]
-                        .position
-                        .map(|value| (value * self.scale) as f32),
-                );
+                let place = pose[joint].position;
+                values.extend(place.map(|value| (value * self.scale) as f32));
             }
             for contact in &contacts {
                 values.extend([if contact[t] { 1.0 } else { 0.0 }, 0.0, 0.0, 0.0, 0.0, 0.0]);
@@ -332,10 +315,9 @@ impl MotionMatrix {
         let mut locals = Vec::with_capacity(frames.frames() * joints);
         for (t, (place, heading)) in trajectory.into_iter().enumerate() {
             let frame = frames.frame(t);
-            let numbers = |from: usize| frame[from..].iter().copied().map(f64::from);
+            let value = |index: usize| f64::from(frame[index]);
             for (joint, still) in still.iter().enumerate() {
-                let mut six = numbers(ROTATION * joint);
-                let six = [(); 6].map(|()| six.next().expect("a rotation"));
+                let six = std::array::from_fn(|i| value(ROTATION * joint + i));
                 locals.push(RootPose {
                     position: still.position,
                     orientation: rotation6d::to_quaternion(six),
@@ -343,9 +325,8 @@ impl MotionMatrix {
             }
             let own = &mut locals[t * joints..];
             for (index, &joint) in self.translated.iter().enumerate() {
-                let mut values = numbers(ROTATION * joints + 3 * index);
-                own[joint].position =
-                    [(); 3].map(|()| values.next().expect("a place") / self.scale);
+                let first = ROTATION * joints + 3 * index;
+                own[joint].position = [0, 1, 2].map(|axis| value(first + axis) / self.scale);
             }
             let root_joint = &mut own[self.root_joint];
             root_joint.position = place;

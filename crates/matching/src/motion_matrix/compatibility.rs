@@ -1,6 +1,6 @@
 //! Checks that motions have one skeleton and can be written with the channels of the first.
 
-use kinegrad_capture::{Bvh, Channel};
+use kinegrad_capture::{Bvh, Channel, Joint};
 use kinegrad_motion::rotation::length;
 
 use super::skeleton::{ancestors, position_ranges, thinning};
@@ -25,21 +25,15 @@ impl MotionMatrix {
         let (own, other) = (self.bvh.joints(), example.bvh.joints());
         let hint = "motions of one skeleton can be matched: the same joints in the same order";
         for (index, joint) in other.iter().enumerate() {
-            let same = own
-                .get(index)
-                .is_some_and(|own| own.name == joint.name && own.parent == joint.parent);
-            if !same {
+            let same = |own: &Joint| own.name == joint.name && own.parent == joint.parent;
+            if !own.get(index).is_some_and(same) {
                 let expected = match own.get(index) {
                     Some(own) => format!("`{}`{}", own.name, below(&self.bvh, own.parent)),
                     None => "no more joints".to_string(),
                 };
                 let place = below(&example.bvh, joint.parent);
-                let problem = format!(
-                    "joint {} is `{}`{place}, in {} {expected}",
-                    index + 1,
-                    joint.name,
-                    self.file
-                );
+                let (number, name, file) = (index + 1, &joint.name, &self.file);
+                let problem = format!("joint {number} is `{name}`{place}, in {file} {expected}");
                 return Err(Error::file(&example.file, problem, hint));
             }
         }
@@ -49,12 +43,8 @@ impl MotionMatrix {
         }
         let (_, frame_time) = thinning(&example.bvh);
         if (frame_time / self.frame_time - 1.0).abs() > SAME_RATE {
-            let problem = format!(
-                "{:.4} frames a second, in {} {:.4}",
-                1.0 / frame_time,
-                self.file,
-                1.0 / self.frame_time
-            );
+            let [found, own] = [frame_time, self.frame_time].map(|time| 1.0 / time);
+            let problem = format!("{found:.4} frames a second, in {} {own:.4}", self.file);
             let hint = "examples have one frame rate, 30 or the same: resample the file";
             return Err(Error::file(&example.file, problem, hint));
         }
@@ -79,11 +69,7 @@ impl MotionMatrix {
                 let name = &self.joints()[joint].name;
                 let [found, expected] = [other, own].map(length);
                 let elsewhere = (found - expected).abs() < 0.5 * apart;
-                let points = if elsewhere {
-                    " and points elsewhere"
-                } else {
-                    ""
-                };
+                let points = ["", " and points elsewhere"][usize::from(elsewhere)];
                 let problem = format!(
                     "the bone to `{name}` is {found:.4} long{points}, in {} {expected:.4}",
                     self.file
@@ -108,12 +94,10 @@ impl MotionMatrix {
                 false => joint,
             };
             let writer = &self.joints()[writer];
-            let places = moving
-                .channels
-                .iter()
-                .filter(|channel| matches!(channel, Channel::Position(_)));
-            let mut missing = places.filter(|place| !writer.channels.contains(place));
-            if missing.next().is_some() {
+            let is_missing = |channel: &Channel| {
+                matches!(channel, Channel::Position(_)) && !writer.channels.contains(channel)
+            };
+            if moving.channels.iter().any(is_missing) {
                 let problem = format!(
                     "has no position channels for `{}`, and {} moves `{}`",
                     writer.name, example.file, moving.name

@@ -37,23 +37,15 @@ pub(super) fn root_joint(bvh: &Bvh, ranges: &[f64]) -> usize {
     }
     let longest = |without: usize| {
         let others = (1..joints.len()).filter(move |&joint| joint != without);
-        others
-            .map(|joint| length(joints[joint].offset))
-            .fold(0.0, f64::max)
+        others.map(|j| length(joints[j].offset)).fold(0.0, f64::max)
     };
     let carrying = |joint: &usize| {
         let alone = *joint == 0 || !ancestors(bvh, *joint).is_empty();
         alone || 2 * below[*joint] > joints.len() && ranges[*joint] > longest(*joint)
     };
     let candidates = (0..joints.len()).filter(carrying);
-    let most = candidates
-        .clone()
-        .map(|joint| ranges[joint])
-        .fold(0.0, f64::max);
-    let mut joint = candidates
-        .clone()
-        .find(|&joint| ranges[joint] == most)
-        .unwrap_or(0);
+    let most = candidates.clone().map(|j| ranges[j]).fold(0.0, f64::max);
+    let mut joint = candidates.clone().find(|&j| ranges[j] == most).unwrap_or(0);
     while let Some(child) = (joint + 1..joints.len()).find(|&j| joints[j].parent == Some(joint))
         && ancestors(bvh, child).contains(&joint)
         && carrying(&child)
