@@ -268,7 +268,7 @@ fn what_cannot_be_matched_is_refused_and_leaves_nothing() {
         ),
         (
             "dance.bvh --content dance.bvh --length 3x",
-            &["dance.bvh: has 150 frames, and `length` 450"],
+            &["dance.bvh: has 150 frames, and `--length` 450"],
         ),
         (
             "dance.bvh --content dance.bvh --seed 1",
@@ -297,7 +297,7 @@ fn what_cannot_be_matched_is_refused_and_leaves_nothing() {
         ),
         (
             "dance.bvh short.bvh",
-            &["short.bvh: frames: 9 at 30", "`patch_size`"],
+            &["short.bvh: frames: 9 at 30", "`--patch-size`"],
         ),
         (
             "dance.bvh other.bvh",

@@ -34,7 +34,7 @@ pub(crate) fn lock_feet(
     let legs = legs(layout, &parents);
     if legs.is_empty() {
         let problem = "no joint with two bones above it is called a foot, toe or ankle";
-        let hint = "leave `lock_feet` out: the feet of this skeleton are not known";
+        let hint = "leave option `lock_feet` out: the feet of this skeleton are not known";
         return Err(Error::file(layout.file(), problem, hint));
     }
     let rests = examples

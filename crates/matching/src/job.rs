@@ -257,7 +257,7 @@ impl Job {
         let problem = format!(
             "frames: {found} at {rate:.0} a second, allowed: at least `patch_size`, which is {p}"
         );
-        let hint = "give a longer motion, or a smaller `patch_size`";
+        let hint = "give a longer motion, or a smaller option `patch_size`";
         Err(Error::file(&example.file, problem, hint))
     }
 
@@ -277,11 +277,11 @@ impl Job {
         let others = given
             .iter()
             .map(|(other, frames)| (other.file.as_str(), *frames));
-        let mut others = others.chain(asked.map(|frames| ("`length`", frames)));
+        let mut others = others.chain(asked.map(|frames| ("option `length`", frames)));
         if let Some((other, found)) = others.find(|(_, found)| *found != frames) {
             let problem = format!("has {frames} frames, and {other} {found}");
-            let hint = "fixed parts and the content set the length: leave `length` out, and give motions \
-                        of one length";
+            let hint = "fixed parts and the content set the length: leave option `length` out, and \
+                        give motions of one length";
             return Err(Error::file(&given[0].0.file, problem, hint));
         }
         in_range("length", frames, self.settings.patch_size..=MAX_FRAMES)

@@ -114,7 +114,7 @@ impl Keyframe {
         }
         if t >= frames {
             let problem = format!("`time` is {}, allowed: 0 to {:.2}", self.time, end(frames));
-            let hint = "a longer `length` has room for it";
+            let hint = "a longer option `length` has room for it";
             return Err(Error::file(self.called(), problem, hint));
         }
         let part = match &self.part {

@@ -136,7 +136,7 @@ impl MotionMatrix {
             layout.must_have_channels(motion)?;
         }
         if options.heading {
-            layout.must_have_upright_root(motions(), "`heading`")?;
+            layout.must_have_upright_root(motions(), "option `heading`")?;
         }
         let shifts = |joint: &usize| ranges[*joint] * layout.scale > STILL;
         let carries =

@@ -20,7 +20,7 @@ impl Job {
             let part = &fixed.part;
             let problem =
                 format!("`{part}` follows it, whose end need not lead into its beginning");
-            let hint = "leave `looping` or the fixed part out";
+            let hint = "leave option `loop` or option `fix` out";
             return Err(Error::file(&fixed.motion.file, problem, hint));
         }
         let (keys, fixed) = constraints.split_at(self.keyframes.len());
@@ -42,7 +42,8 @@ impl Job {
                         before.part,
                         before.motion.file
                     );
-                    let hint = "give parts that share no joint; `parts` divides the body otherwise";
+                    let hint =
+                        "give parts that share no joint; option `parts` divides the body otherwise";
                     return Err(Error::file(&own.motion.file, problem, hint));
                 }
             }

@@ -70,7 +70,7 @@ fn fixed_parts_are_those_of_their_motion() {
         ..job.clone()
     };
     let message = longer.make(&[walk(70)]).unwrap_err().to_string();
-    assert_eq!(message, "legs.bvh: has 64 frames, and `length` 80");
+    assert_eq!(message, "legs.bvh: has 64 frames, and option `length` 80");
     let unknown = Job {
         fixed: vec![Fixed {
             part: "wings".to_string(),
@@ -166,7 +166,10 @@ fn a_content_is_followed_in_the_manner_of_the_examples() {
         ..job
     };
     let message = longer.make(&[walk(70)]).unwrap_err().to_string();
-    assert_eq!(message, "content.bvh: has 120 frames, and `length` 80");
+    assert_eq!(
+        message,
+        "content.bvh: has 120 frames, and option `length` 80"
+    );
 }
 
 #[test]
