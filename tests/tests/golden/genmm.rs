@@ -5,8 +5,8 @@ use std::path::PathBuf;
 use kinegrad_matching::rotation6d;
 use kinegrad_matching::{
     Axis, CoarseRatio, Distance, Frames, Looping, Matches, Pool, Preset, Request, Search, Settings,
-    Start, displacements, places, pyramid_lengths, start, step, synthesize_from, vote, pad_loop,
-    unpad_loop,
+    Start, displacements, pad_loop, places, pyramid_lengths, start, step, synthesize_from,
+    unpad_loop, vote,
 };
 use kinegrad_motion::Quaternion;
 use kinegrad_tests::golden::{Golden, compared};
