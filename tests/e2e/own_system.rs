@@ -577,7 +577,7 @@ fn a_system_of_ones_own_has_every_command() {
     }
     kinegrad(here, "plot @/drawn-000.npy --out @/drawn.svg");
     let picture = fs::read_to_string(here.join("drawn.svg")).expect("a picture");
-    assert!(picture.contains("path from above") && picture.contains("height (m)"));
+    assert!(picture.contains("root path, top view") && picture.contains("height (m)"));
     kinegrad(here, "plot @/whole/toy --out @/losses.svg");
     kinegrad(here, "config show @/c.toml");
 }

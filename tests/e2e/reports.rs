@@ -393,14 +393,14 @@ fn every_representation_is_plotted() {
     let path = plot("path.npy");
     holds(
         &path,
-        &["path from above", "position (m)", "speed on the ground"],
+        &["root path, top view", "position (m)", "speed on the ground"],
     );
     assert!(!path.contains("height (m)"));
     for body in ["body.npy", &features] {
         let picture = plot(&format!("{body} --goal goal.toml"));
         let texts = [
             "poses ",
-            "path from above",
+            "root path, top view",
             "on the ground",
             "height (m)",
             "key frames",
@@ -434,7 +434,7 @@ fn joints_of_any_skeleton_and_captures_are_plotted_and_not_checked() {
         let values = wandering(frames * joints * 3);
         write_values(&sandbox.path("joints.npy"), &[frames, joints, 3], &values).expect("written");
         let (picture, _) = plot("joints.npy --fps 10");
-        holds(&picture, &["path from above", "height (m)"]);
+        holds(&picture, &["root path, top view", "height (m)"]);
         assert!(!picture.contains("on the ground\n"), "no foot is known");
         assert_eq!(picture.contains("poses "), joints > 1, "{joints} joints");
         // A dot for each joint of each pose, in addition to the path's.
@@ -463,7 +463,7 @@ fn joints_of_any_skeleton_and_captures_are_plotted_and_not_checked() {
         &picture,
         &[
             "poses ",
-            "path from above",
+            "root path, top view",
             "on the ground",
             "LeftFoot",
             "height (m)",

@@ -10,7 +10,7 @@ use crate::{
 /// is 1.
 pub const LARGEST_SAMPLE: f32 = 1e6;
 
-/// The features of a clip before their normalisation.
+/// The features of a recording before normalisation.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Analysis {
     /// Mel power between 20 and 8000 Hz, `[T, 128]`.
@@ -74,8 +74,7 @@ impl Analysis {
         }
     }
 
-    /// The same analysis with the beats of a song whose tempo is known to be about `bpm` beats per
-    /// minute.
+    /// The same analysis with the beats of a song whose tempo is about `bpm` beats per minute.
     pub fn with_tempo_near(self, bpm: f64) -> Self {
         Self {
             beats: beats::track_near(&self.onset.median, bpm),
@@ -124,7 +123,7 @@ fn check(signal: &[f32]) -> Result<(), Error> {
             found: signal[index],
         });
     }
-    // What allocates later cannot fail in words.
+    // Later allocations cannot report failure.
     let needed = Analysis::memory(signal.len());
     let room = usize::try_from(needed).map(|needed| Vec::<u8>::new().try_reserve_exact(needed));
     match room {

@@ -10,7 +10,7 @@
 use crate::FPS;
 use crate::tempo::{self, FRAMES_PER_MINUTE, LAGS, Tempo};
 
-/// How strictly the beats keep the tempo.
+/// Weight of the tempo in the score.
 const TIGHTNESS: f64 = 100.0;
 /// The first beat has at least this share of the largest local score.
 const FIRST_BEAT_SHARE: f64 = 0.01;
@@ -33,7 +33,7 @@ impl Beats {
     }
 }
 
-/// What the dynamic programme computed on its way to the beats.
+/// Intermediate results of the dynamic programme.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Search {
     /// Frames in a beat, `P`.
@@ -52,8 +52,8 @@ pub fn track(onset_envelope: &[f32]) -> Beats {
     track_at(onset_envelope, tempo::estimate)
 }
 
-/// [`track`] where the tempo is known to be about `bpm` beats per minute, which settles whether a
-/// beat is counted as one, as two or as a half.
+/// [`track`] with a tempo of about `bpm` beats per minute, which decides between a tempo, its half
+/// and its double.
 pub fn track_near(onset_envelope: &[f32], bpm: f64) -> Beats {
     track_at(onset_envelope, |onset| tempo::estimate_near(onset, bpm))
 }

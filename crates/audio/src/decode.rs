@@ -31,8 +31,8 @@ pub const LOWEST_RATE: u32 = 4000;
 /// Largest sample rate that is read, in Hz.
 pub const HIGHEST_RATE: u32 = 768_000;
 
-/// Missing seconds worth a word: MP3 without a header for its length is measured by its size, and
-/// tags at its end count as music then.
+/// Missing seconds worth a warning: an MP3 without a length header is measured by its size, and
+/// tags at its end count as music.
 const NOTICED_SECONDS: f64 = 0.1;
 
 /// A decoded recording.
@@ -47,12 +47,12 @@ pub struct Waveform {
     /// Damaged packets, replaced by silence of the same length as players do. A damaged part in
     /// which not even packets can be found, as in MP3, is lost, and what follows comes early by it.
     pub skipped_packets: usize,
-    /// Seconds that the file's headers promise beyond what it holds; 0 where they promise none.
+    /// Seconds missing relative to the headers of the file; 0 if they state no length.
     pub missing_seconds: f64,
 }
 
 impl Waveform {
-    /// What of the recording was lost, in words.
+    /// A description of lost parts of the recording.
     pub fn damage(&self) -> Option<String> {
         let packets = (self.skipped_packets > 0)
             .then(|| format!("{} damaged packets were skipped", self.skipped_packets));
@@ -72,8 +72,8 @@ impl Waveform {
 /// taken off, resampled to [`SAMPLE_RATE`](crate::SAMPLE_RATE).
 ///
 /// # Errors
-/// [`Error`] names the file and what is wrong with it: unreadable, empty, of unknown format,
-/// without audio, damaged, of an odd sample rate, too long, or with samples out of range.
+/// [`Error`] names the file and the problem: unreadable, empty, of unknown format, without audio,
+/// damaged, of an odd sample rate, too long, or with samples out of range.
 pub fn decode(path: &Path) -> Result<Waveform, Error> {
     let name = path.display().to_string();
     let unreadable = |reason: String| Error::Read {
@@ -121,7 +121,7 @@ pub fn decode_reader(
     })
 }
 
-/// Finds out the format.
+/// Detects the format.
 fn open_format<'s>(
     source: impl MediaSource + 's,
     extension: Option<&str>,
@@ -190,14 +190,15 @@ fn check_rate(rate: u32, name: &str) -> Result<(), Error> {
     })
 }
 
-/// Averages the channels of one packet after the other.
+/// Averages the channels of packets.
+#[derive(Default)]
 struct Mono<'a> {
     name: &'a str,
     /// Samples per second, 0 before the first packet.
     rate: u32,
     channels: usize,
     skipped_packets: usize,
-    /// Samples that the headers promise.
+    /// Length in samples stated by the headers.
     promised: Option<u64>,
     /// The signal so far, from the first packet on.
     signal: Option<Resampling>,
@@ -208,16 +209,8 @@ struct Mono<'a> {
 
 impl<'a> Mono<'a> {
     fn new(name: &'a str) -> Self {
-        Self {
-            name,
-            rate: 0,
-            channels: 0,
-            skipped_packets: 0,
-            promised: None,
-            signal: None,
-            mono: Vec::new(),
-            interleaved: Vec::new(),
-        }
+        let empty = Self::default();
+        Self { name, ..empty }
     }
 
     /// Reads the audio track to its end.
@@ -293,7 +286,7 @@ impl<'a> Mono<'a> {
         Ok(())
     }
 
-    /// Rejects more samples than are read.
+    /// Checks the limit of samples.
     fn must_hold(&self, more: usize) -> Result<(), Error> {
         let most = MAX_SAMPLES.min(MAX_HOURS * 3600 * u64::from(self.rate));
         match self.received() + more as u64 > most {
@@ -306,8 +299,8 @@ impl<'a> Mono<'a> {
         }
     }
 
-    /// Keeps the time of what follows a damaged packet. Before the first good packet nothing is
-    /// known to keep.
+    /// Replaces a damaged packet by silence, so that what follows keeps its time. Damaged packets
+    /// before the first good one are dropped.
     fn skip(&mut self, packet: &Packet) -> Result<(), Error> {
         self.skipped_packets += 1;
         // The formats that are read count packets in samples. A forged duration adds at most a
@@ -338,8 +331,8 @@ impl<'a> Mono<'a> {
         }
     }
 
-    /// Whether it was written without knowing its end, as into a pipe: then the headers promise
-    /// nothing, or more than any recording has.
+    /// Whether the file was written without a known length, as into a pipe: its headers then state
+    /// no length, or an impossible one.
     fn is_endless(&self) -> bool {
         let most = MAX_HOURS * 3600 * u64::from(self.rate.max(1));
         self.promised.is_none_or(|promised| promised > most)

@@ -3,8 +3,7 @@
 use miette::Diagnostic;
 use thiserror::Error;
 
-/// Why a file could not be decoded or a signal not be analysed. `file` is the path, or the name
-/// given for a reader.
+/// Errors of decoding and analysis. `file` is the path, or the name given for a reader.
 #[derive(Clone, Debug, Diagnostic, Error, PartialEq)]
 pub enum Error {
     /// The file could not be opened or read.
@@ -13,7 +12,7 @@ pub enum Error {
     Read {
         /// The file.
         file: String,
-        /// What the operating system says.
+        /// Reason given by the operating system.
         reason: String,
     },
 
@@ -25,7 +24,7 @@ pub enum Error {
         file: String,
     },
 
-    /// The file is in no format that can be read.
+    /// The format of the file is unknown.
     #[error("{file}: no known audio format: {reason}")]
     #[diagnostic(help(
         "MP3, WAV (PCM), FLAC and Ogg Vorbis can be read: convert the file to one, or copy it again if \
@@ -34,7 +33,7 @@ pub enum Error {
     UnknownFormat {
         /// The file.
         file: String,
-        /// What the reader says.
+        /// Reason given by the reader.
         reason: String,
     },
 
@@ -46,7 +45,7 @@ pub enum Error {
         file: String,
     },
 
-    /// The audio track is coded in a way that cannot be read.
+    /// The codec of the audio track is not supported.
     #[error("{file}: the audio track cannot be decoded: {reason}")]
     #[diagnostic(help(
         "PCM, FLAC, MP3 and Vorbis can be decoded: convert the file to WAV, FLAC, MP3 or Ogg"
@@ -54,7 +53,7 @@ pub enum Error {
     UnsupportedCodec {
         /// The file.
         file: String,
-        /// What the decoder says.
+        /// Reason given by the decoder.
         reason: String,
     },
 
@@ -66,7 +65,7 @@ pub enum Error {
         file: String,
         /// Seconds decoded so far.
         second: f64,
-        /// What the reader or decoder says.
+        /// Reason given by the reader or decoder.
         reason: String,
     },
 
@@ -108,7 +107,7 @@ pub enum Error {
         after: u32,
     },
 
-    /// The file is longer than what is read.
+    /// The file is too long.
     #[error("{file}: longer than {hours} hours or {samples} samples")]
     #[diagnostic(help("cut it into pieces: features are normalised over one whole file"))]
     TooLong {
@@ -140,7 +139,7 @@ pub enum Error {
     AnalysisMemory {
         /// Length of the signal.
         minutes: f64,
-        /// What it takes, beside the samples.
+        /// Memory needed in addition to the samples.
         mebibytes: u64,
     },
 
@@ -150,7 +149,7 @@ pub enum Error {
     DecodedSample {
         /// The file.
         file: String,
-        /// Where.
+        /// Time in seconds.
         second: f64,
         /// The value.
         found: f32,

@@ -1,7 +1,7 @@
 //! The audio conditioning tensor.
 //!
-//! Rows 0 to 127 mel, 128 to 139 chroma, 140 to 159 MFCC, 160 RMS, 161 spectral centroid, 162
-//! onset strength. Every row group is normalised over the whole clip.
+//! Rows 0 to 127 mel, 128 to 139 chroma, 140 to 159 MFCC, 160 RMS, 161 spectral centroid, 162 onset
+//! strength. Every row group is normalised over the whole recording.
 
 use std::ops::Range;
 
@@ -29,10 +29,10 @@ pub const ONSET: usize = CENTROID + 1;
 /// Rows of the tensor.
 pub const CHANNELS: usize = ONSET + 1;
 
-/// Keeps the normalisations from dividing by zero.
+/// Avoids division by zero.
 const EPSILON: f64 = 1e-8;
 
-/// The seven features of a clip, tempo and beats. Made by [`extract`](crate::extract).
+/// The seven features of a recording, tempo and beats. Made by [`extract`](crate::extract).
 #[derive(Clone, Debug, PartialEq)]
 pub struct Features {
     frames: usize,
@@ -41,7 +41,7 @@ pub struct Features {
 }
 
 impl Features {
-    /// Normalises and stacks what `analysis` found.
+    /// Normalises and stacks the features of `analysis`.
     pub(crate) fn new(analysis: Analysis) -> Self {
         let frames = analysis.rms.len();
         drop(analysis.cqt);

@@ -4,11 +4,11 @@ use std::panic::{AssertUnwindSafe, catch_unwind, set_hook, take_hook};
 use std::sync::Once;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// Guarded calls under way.
+/// Number of active guarded calls.
 static GUARDED: AtomicUsize = AtomicUsize::new(0);
 
-/// What `call` returns; `None` if it panics. The panic's message is not shown: what it means is
-/// for the caller to say.
+/// The result of `call`; `None` if it panics. The message of the panic is not shown; the caller
+/// reports the error.
 pub fn guarded<T>(call: impl FnOnce() -> T) -> Option<T> {
     static HOOK: Once = Once::new();
     HOOK.call_once(|| {

@@ -1,4 +1,4 @@
-//! Onset strength: how much the spectrum grows from one frame to the next.
+//! Onset strength: growth of the spectrum between frames.
 //!
 //! ```text
 //! d[m, t] = max(0, S[m, t] - S[m, t-1])     S in decibels, 0 to 22050 Hz; d[m, 0] = 0
@@ -13,7 +13,7 @@ use crate::FrameMatrix;
 pub struct OnsetStrength {
     /// Mean over the bands: the conditioning row before its normalisation.
     pub mean: Vec<f32>,
-    /// Median over the bands: what the beat tracker reads.
+    /// Median over the bands, for beat tracking.
     pub median: Vec<f32>,
 }
 

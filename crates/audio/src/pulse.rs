@@ -1,7 +1,7 @@
-//! Where in the beat and in the bar each moment of a song is, and the beat features made of it.
+//! Positions within beats and bars, and the beat features made of them.
 //!
-//! Between two beats the position is linear in time; before the first and after the last, beats go
-//! on as far apart as the nearest two.
+//! The position is linear in time between beats; beyond the ends, beats continue at the distance of
+//! the nearest two.
 
 use std::f64::consts::TAU;
 
@@ -32,14 +32,14 @@ const MOST_MOVED: f64 = 1.0 / FPS;
 /// Beats on either side of a moment that the local tempo is the mean of.
 const TEMPO_REACH: f64 = 2.0;
 
-/// The beats of a song as moments, with the bars where they are known.
+/// The beats of a song in seconds, with the bars if they are known.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Pulse {
     seconds: Vec<f64>,
     bars: Option<Bars>,
 }
 
-/// Which beats begin bars.
+/// The metre.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Bars {
     /// Beats in a bar, at least 1.
@@ -62,13 +62,13 @@ impl Pulse {
     /// Even beats, the first at `start` seconds, the others `seconds_per_beat` apart; none unless
     /// that is positive.
     pub fn even(start: f64, seconds_per_beat: f64) -> Option<Self> {
-        // On either side, two beats go on for ever.
+        // Two beats are extrapolated on both sides.
         Self::new(vec![start, start + seconds_per_beat])
     }
 
-    /// The beats of a tracker, smoothed: they are whole frames, and unevenness of a frame is not in
-    /// the music. Each beat is moved by at most a frame onto the line fitted to the four beats on
-    /// either side. None of fewer than two beats.
+    /// The beats of a tracker, smoothed, as they are rounded to frames: each is moved by at most a
+    /// frame towards the line fitted to the four beats on either side. None of fewer than two
+    /// beats.
     pub fn tracked(beats: &Beats) -> Option<Self> {
         let tracked = beats.times();
         let smoothed = (0..tracked.len()).map(|k| {
@@ -84,8 +84,8 @@ impl Pulse {
         Self::new(smoothed)
     }
 
-    /// The beats from position `first` on, `count` of them, at least two; beyond the ends they go on
-    /// as far apart as the nearest two. Bars are left out.
+    /// `count` beats (at least two) from position `first` on, extrapolated beyond the ends. Bars
+    /// are dropped.
     pub fn from_beat(&self, first: f64, count: usize) -> Self {
         let moment = |k: usize| self.moment(first + k as f64);
         Self {
@@ -94,7 +94,7 @@ impl Pulse {
         }
     }
 
-    /// The same beats, in bars of `beats_per_bar`, at least 1, of which one begins at the beat
+    /// The same beats in bars of `beats_per_bar`, at least 1, one of which begins at the beat
     /// nearest to `downbeat` seconds.
     pub fn with_downbeat(self, beats_per_bar: u32, downbeat: f64) -> Self {
         let downbeat = self.position(downbeat).round();
@@ -172,8 +172,8 @@ impl Pulse {
 /// # Panics
 /// Panics on fewer than two.
 pub fn position(beats: &[f64], seconds: f64) -> f64 {
-    let begun = beats.partition_point(|beat| *beat <= seconds);
-    let last = begun.saturating_sub(1).min(beats.len() - 2);
+    let started = beats.partition_point(|beat| *beat <= seconds);
+    let last = started.saturating_sub(1).min(beats.len() - 2);
     let (from, to) = (beats[last], beats[last + 1]);
     last as f64 + (seconds - from) / (to - from)
 }
@@ -297,7 +297,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_position_leads_back_to_its_moment(
+        fn a_position_maps_back_to_its_time(
             gaps in prop::collection::vec(0.05f64..2.0, 2..40),
             at in -5.0f64..60.0,
         ) {

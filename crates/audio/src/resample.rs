@@ -11,13 +11,13 @@ use crate::SAMPLE_RATE;
 /// the lower Nyquist frequency and stops everything above it, as soxr's "HQ" does.
 const BLOCK: usize = 288;
 
-/// Brings a signal that arrives in pieces to [`SAMPLE_RATE`], linear phase, without delay. Of what
-/// it was given it holds less than a block.
+/// Resamples a signal that arrives in pieces to [`SAMPLE_RATE`], with linear phase and without
+/// delay. It buffers less than a block.
 pub(crate) struct Resampling {
     rate: u32,
     /// None where the signal has the rate already.
     resampler: Option<Fft<f32>>,
-    /// What does not fill a block yet.
+    /// Samples that do not fill a block yet.
     pending: Vec<f32>,
     /// Samples of the filter's delay that are still to come.
     delay: usize,
@@ -47,7 +47,7 @@ impl Resampling {
         self.received
     }
 
-    /// Makes room for what becomes of `more` samples, in larger steps than that.
+    /// Reserves memory for the result of `more` samples.
     ///
     /// # Errors
     /// If there is no memory for it.
@@ -62,7 +62,7 @@ impl Resampling {
         if missing <= self.resampled.capacity() - self.resampled.len() {
             return Ok(());
         }
-        // A quarter more than there is: twice as much would be most of what a song takes.
+        // Grows by a quarter: doubling would need most of the memory of a song.
         let step = missing.max(self.resampled.len() / 4);
         self.resampled.try_reserve_exact(step)
     }

@@ -6,7 +6,9 @@
 use std::f64::consts::TAU;
 
 use rayon::prelude::*;
-use realfft::RealFftPlanner;
+use rustfft::algorithm::Radix4;
+use rustfft::num_complex::Complex64;
+use rustfft::{Fft, FftDirection};
 
 /// Frames of a window, and lags of the autocorrelation.
 pub const LAGS: usize = 240;
@@ -83,36 +85,31 @@ fn tempogram_mean(onset_envelope: &[f32]) -> Vec<f64> {
     let hann: Vec<f64> = (0..LAGS)
         .map(|n| 0.5 - 0.5 * (TAU * n as f64 / LAGS as f64).cos())
         .collect();
-    let mut planner = RealFftPlanner::<f64>::new();
     // Twice as long as a window: the autocorrelation does not wrap.
     let size = (2 * LAGS).next_power_of_two();
-    let (forward, inverse) = (
-        planner.plan_fft_forward(size),
-        planner.plan_fft_inverse(size),
-    );
+    // A planner of double precision would compile all of rustfft a second time.
+    let forward = Radix4::<f64>::new(size, FftDirection::Forward);
+    let inverse = Radix4::<f64>::new(size, FftDirection::Inverse);
     let sums: Vec<Vec<f64>> = (0..frames.div_ceil(WINDOWS))
         .into_par_iter()
         .map(|block| {
             let mut sum = vec![0.0; LAGS];
-            let (mut window, mut spectrum) = (forward.make_input_vec(), forward.make_output_vec());
+            let mut window = vec![Complex64::ZERO; size];
+            let mut scratch = vec![Complex64::ZERO; forward.get_inplace_scratch_len()];
             for t in block * WINDOWS..frames.min((block + 1) * WINDOWS) {
-                window.fill(0.0);
+                window.fill(Complex64::ZERO);
                 for (w, (h, x)) in window.iter_mut().zip(hann.iter().zip(&extended[t..])) {
-                    *w = h * x;
+                    w.re = h * x;
                 }
-                forward
-                    .process(&mut window, &mut spectrum)
-                    .expect("the buffers were made for this transform");
-                spectrum
+                forward.process_with_scratch(&mut window, &mut scratch);
+                window
                     .iter_mut()
                     .for_each(|bin| *bin = bin.norm_sqr().into());
-                inverse
-                    .process(&mut spectrum, &mut window)
-                    .expect("the spectrum of a real signal");
-                let largest = window[..LAGS].iter().fold(0.0f64, |m, v| m.max(v.abs()));
+                inverse.process_with_scratch(&mut window, &mut scratch);
+                let largest = window[..LAGS].iter().fold(0.0f64, |m, v| m.max(v.re.abs()));
                 if largest >= f64::from(f32::MIN_POSITIVE) {
                     for (s, v) in sum.iter_mut().zip(&window) {
-                        *s += v / largest;
+                        *s += v.re / largest;
                     }
                 }
             }

@@ -57,7 +57,7 @@ pub fn estimate(signal: &[f32]) -> f64 {
 /// The peaks of one frame, placed by a parabola through three bins.
 fn peaks(magnitudes: &[f32]) -> Vec<Peak> {
     let threshold = PEAK_THRESHOLD * magnitudes.iter().copied().fold(0.0, f32::max);
-    let kept = |k: usize| {
+    let above_threshold = |k: usize| {
         if magnitudes[k] > threshold {
             magnitudes[k]
         } else {
@@ -66,7 +66,10 @@ fn peaks(magnitudes: &[f32]) -> Vec<Peak> {
     };
     (1..BINS - 1)
         .filter(|&k| (LOWEST_HZ..HIGHEST_HZ).contains(&bin_frequency(k)))
-        .filter(|&k| kept(k) > kept(k - 1) && kept(k) >= kept(k + 1))
+        .filter(|&k| {
+            above_threshold(k) > above_threshold(k - 1)
+                && above_threshold(k) >= above_threshold(k + 1)
+        })
         .map(|k| {
             let [below, at, above] = [k - 1, k, k + 1].map(|k| f64::from(magnitudes[k]));
             let curvature = above + below - 2.0 * at;

@@ -6,8 +6,9 @@
 use std::f64::consts::{PI, TAU};
 
 use rayon::prelude::*;
-use rustfft::FftPlannerScalar;
+use rustfft::algorithm::Radix4;
 use rustfft::num_complex::{Complex32, Complex64};
+use rustfft::{Fft, FftDirection};
 
 use crate::SAMPLE_RATE;
 use crate::cqt::{BINS, BINS_PER_OCTAVE, OCTAVES, bin_frequency};
@@ -41,9 +42,8 @@ pub(crate) fn stride(octave: usize) -> usize {
 
 /// The filters of all [`BINS`], lowest first, `tuning` bins above concert pitch.
 pub(crate) fn all(tuning: f64) -> Vec<Wavelet> {
-    // Without its vector forms: they would be built a second time for the few transforms that need
-    // double precision.
-    let transform = FftPlannerScalar::<f64>::new().plan_fft_forward(FRAME);
+    // A planner of double precision would compile all of rustfft a second time.
+    let transform = Radix4::<f64>::new(FRAME, FftDirection::Forward);
     (0..BINS)
         .into_par_iter()
         .with_min_len(BINS_PER_OCTAVE)
@@ -140,15 +140,15 @@ fn sparsify(row: &[Complex64], tail: f64) -> Wavelet {
     let total = sorted.iter().sum::<f64>() + tail;
     sorted.sort_unstable_by(f64::total_cmp);
     let mut sum = tail;
-    let smallest_kept = sorted.iter().copied().find(|magnitude| {
+    let smallest = sorted.iter().copied().find(|magnitude| {
         sum += magnitude;
         sum >= DROPPED_SHARE * total
     });
-    let kept = |w: &Complex64| smallest_kept.is_some_and(|smallest| w.norm() >= smallest);
-    let first_bin = row.iter().position(kept).unwrap_or(0);
-    let end = row.iter().rposition(kept).map_or(0, |last| last + 1);
+    let is_large = |w: &Complex64| smallest.is_some_and(|smallest| w.norm() >= smallest);
+    let first_bin = row.iter().position(is_large).unwrap_or(0);
+    let end = row.iter().rposition(is_large).map_or(0, |last| last + 1);
     let weights = row[first_bin..end].iter().map(|w| {
-        if kept(w) {
+        if is_large(w) {
             Complex32::new(w.re as f32, w.im as f32)
         } else {
             Complex32::ZERO

@@ -89,7 +89,7 @@ fn four_formats_give_the_same_samples() {
 }
 
 #[test]
-fn what_is_lost_is_told() {
+fn lost_audio_is_reported() {
     let mp3 = std::fs::read(fixture("mp3")).expect("the fixture is readable");
     let half = mp3.len() / 2;
     let without_a_part = [&mp3[..half], &mp3[half + 4000..]].concat();
@@ -103,8 +103,8 @@ fn what_is_lost_is_told() {
             "{lost} {}",
             found.missing_seconds
         );
-        let told = found.damage().expect("damage");
-        assert!(told.contains("shorter than its headers say"), "{told}");
+        let damage = found.damage().expect("damage");
+        assert!(damage.contains("shorter than its headers say"), "{damage}");
     }
     let flac = std::fs::read(fixture("flac")).expect("the fixture is readable");
     let found = read(flac[..flac.len() / 2].to_vec()).expect("the rest decodes");
@@ -200,7 +200,7 @@ proptest! {
         changes in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 0..24),
         // Most of what can go wrong is in the first bytes.
         early in prop::collection::vec((0usize..200, any::<u8>()), 0..6),
-        kept in 0.0f64..1.2,
+        part in 0.0f64..1.2,
     ) {
         let mut bytes = match ["flac", "mp3", "ogg"].get(format) {
             Some(extension) => std::fs::read(fixture(extension))?,
@@ -213,7 +213,7 @@ proptest! {
         for (position, value) in early {
             bytes[position] = value;
         }
-        bytes.truncate((bytes.len() as f64 * kept) as usize);
+        bytes.truncate((bytes.len() as f64 * part) as usize);
         if let Ok(found) = read(bytes) {
             prop_assert!(found.samples.iter().all(|y| y.is_finite()));
         }

@@ -46,7 +46,7 @@ pub fn draw(systems: Systems<'_>, checkpoint: &Path, step: u64) -> Result<Vec<Pr
     let run = checkpoint.parent().and_then(Path::parent);
     let page = preview_page(run.unwrap_or(checkpoint), step);
     write_whole(&page, viewer::page(&scenes.scene).as_bytes())?;
-    let previews = scenes.scene.figures.iter().filter_map(|figure| {
+    let previews = scenes.scene.objects.iter().filter_map(|figure| {
         let mut panels = body_panels(figure, &Floor::default());
         if panels.len() == 1 {
             panels.extend(scene::curve_panels(figure).take(CURVES));
@@ -80,7 +80,7 @@ impl SampleSink for Scenes<'_> {
         let representation = self.systems.representation_of(path, shape, values)?;
         let figure = scene::of(&*representation, values, sample.name.clone());
         self.scene
-            .figures
+            .objects
             .push(figure.ok_or(Error::SampleNotFinite {
                 sample: sample.name,
             })?);

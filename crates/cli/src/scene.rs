@@ -13,7 +13,7 @@ use kinegrad_motion::humanml::Joints;
 use kinegrad_motion::phrase::QUATERNION;
 use kinegrad_motion::{CHANNELS, Phrase, Phrases, Representation};
 use kinegrad_report::Panel;
-use kinegrad_report::scene::{Curves, Figure, Floor, Scene};
+use kinegrad_report::scene::{Curves, Floor, Scene, SceneObject};
 use kinegrad_train::Error;
 use kinegrad_train::systems::Systems;
 use kinegrad_train::systems::gmd::read_goal;
@@ -111,19 +111,19 @@ pub fn read(systems: Systems<'_>, motions: &[PathBuf], reading: &Reading) -> Res
     let figures = motions.iter().zip(names(motions));
     let figures = figures
         .map(|(path, name)| figure(systems, path, name, reading))
-        .collect::<Result<Vec<Figure>, Error>>()?;
+        .collect::<Result<Vec<SceneObject>, Error>>()?;
     let floor = match &reading.goal {
         Some(path) => floor(&read_goal(path)?),
         None => Floor::default(),
     };
-    let seconds = figures.iter().map(Figure::seconds).fold(0.0, f64::max);
+    let seconds = figures.iter().map(SceneObject::seconds).fold(0.0, f64::max);
     let music = reading.music.as_ref();
     let names: Vec<&str> = figures.iter().map(|figure| figure.name.as_str()).collect();
     Ok(Scene {
         title: reading.title.clone().unwrap_or_else(|| names.join(", ")),
         floor,
         song: music.map(|music| song(music, seconds)).transpose()?,
-        figures,
+        objects: figures,
     })
 }
 
@@ -153,7 +153,7 @@ fn figure(
     path: &Path,
     name: String,
     reading: &Reading,
-) -> Result<Figure, Error> {
+) -> Result<SceneObject, Error> {
     let motion = Motion::read(systems, path, &reading.bvh)?;
     let mut figure = of_motion(&motion, name, reading.fps)?;
     figure.origins = origins::beside(path, figure.frames());
@@ -164,7 +164,7 @@ fn figure(
 ///
 /// # Errors
 /// If it cannot be shown.
-pub fn of_motion(motion: &Motion, name: String, fps: f64) -> Result<Figure, Error> {
+pub fn of_motion(motion: &Motion, name: String, fps: f64) -> Result<SceneObject, Error> {
     match motion {
         Motion::Array(array) => {
             of(&*array.representation, &array.values, name).ok_or_else(|| not_finite(&array.path))
@@ -218,7 +218,7 @@ pub fn as_bvh(
 }
 
 /// The figure of rows of a representation; none if a position is not finite.
-pub fn of(representation: &dyn Representation, rows: &[f32], name: String) -> Option<Figure> {
+pub fn of(representation: &dyn Representation, rows: &[f32], name: String) -> Option<SceneObject> {
     let joints = representation.joints(rows)?;
     let fps = representation.fps();
     let curves = representation.curves(rows).into_iter().map(|curves| {
@@ -234,7 +234,7 @@ pub fn of(representation: &dyn Representation, rows: &[f32], name: String) -> Op
     let curves = curves.collect();
     let Some(skeleton) = representation.skeleton() else {
         let is_phrase = representation.name() == Phrases.name();
-        return Some(Figure {
+        return Some(SceneObject {
             name,
             fps,
             positions: joints.to_f32(),
@@ -242,18 +242,18 @@ pub fn of(representation: &dyn Representation, rows: &[f32], name: String) -> Op
             parents: vec![None],
             orientations: is_phrase.then(|| orientations(rows)),
             curves,
-            ..Figure::default()
+            ..SceneObject::default()
         });
     };
     let feet = skeleton.contact_joints();
     let parents = skeleton.parents().to_vec();
     let joint_names = skeleton.description().joint_names.clone();
     let shown = body(name, fps, &joints, joint_names, parents, Some(&feet));
-    Some(Figure { curves, ..shown })
+    Some(SceneObject { curves, ..shown })
 }
 
 /// The curves of a figure, each as a panel.
-pub fn curve_panels(figure: &Figure) -> impl Iterator<Item = Panel> {
+pub fn curve_panels(figure: &SceneObject) -> impl Iterator<Item = Panel> {
     figure.curves.iter().map(|curves| {
         let series = curves.series.iter().map(|(name, values)| {
             let values = values.iter().map(|&value| value.into()).collect();
@@ -278,7 +278,7 @@ fn orientations(rows: &[f32]) -> Vec<[f32; 4]> {
 }
 
 /// Joints of an unknown skeleton.
-fn points(places: &Joints, name: String, fps: f64) -> Result<Figure, Error> {
+fn points(places: &Joints, name: String, fps: f64) -> Result<SceneObject, Error> {
     if !(fps.is_finite() && fps > 0.0) {
         return Err(Error::usage(
             format!("`--fps` is {fps}"),

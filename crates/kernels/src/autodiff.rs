@@ -20,7 +20,7 @@ use crate::host::norm::{self, GroupNormPlan, Statistics};
 use crate::host::recurrence::{GruPlan, GruValues};
 use crate::linear_map::SharedMap;
 
-/// What a convolution's backward pass needs.
+/// State of a convolution's backward pass.
 #[derive(Clone, Debug)]
 struct ConvolutionState {
     x: FlexTensor,
@@ -113,7 +113,7 @@ impl Backward<Flex, 7> for Convolution {
     }
 }
 
-/// What a normalisation's backward pass needs.
+/// State of a normalisation's backward pass.
 #[derive(Clone, Debug)]
 struct NormState {
     x: FlexTensor,
@@ -247,7 +247,7 @@ impl Backward<Flex, 2> for Concat {
     }
 }
 
-/// What a recurrent layer's backward pass needs.
+/// State of a recurrent layer's backward pass.
 #[derive(Clone, Debug)]
 struct GruState {
     inputs: FlexTensor,

@@ -1,7 +1,7 @@
 //! The operations as a Burn backend extension, for Flex and for gradients on it.
 //!
-//! Burn's extension macro has no optional tensors: a tensor that an operation goes without is given
-//! as any other tensor, and [`Given`] says that it does not count.
+//! Burn's extension macro has no optional tensors: a missing tensor is passed as any tensor, and
+//! [`Given`] marks it as missing.
 
 use std::borrow::Cow;
 
@@ -22,18 +22,18 @@ use crate::host::team;
 use crate::lengths::{KeyRanges, Lengths};
 use crate::linear_map::SharedMap;
 
-/// Which of an operation's optional tensors count, and how much of each sample.
+/// Optional tensors that are present, and sample lengths.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Given {
     /// A convolution's bias.
     pub bias: bool,
-    /// What is added to a convolution's output.
+    /// Addend of a convolution's output.
     pub residual: bool,
     /// Scale and shift after a normalisation.
     pub film: bool,
     /// Factors after an activation.
     pub mask: bool,
-    /// Frames of each sample that are not padding; all where nothing is said.
+    /// Valid frames of each sample; all by default.
     pub lengths: Option<Lengths>,
     /// Keys that each query attends to.
     pub keys: Option<KeyRanges>,

@@ -128,8 +128,7 @@ pub(crate) fn in_memory_order(tensor: &FlexTensor) -> Option<&[f32]> {
     Some(&tensor.storage::<f32>()[layout.start_offset()..][..elements])
 }
 
-/// What `of` makes of each element of `x`, which lie in memory as those of `x` do where that has no
-/// gaps.
+/// Applies `of` to each element of `x`; the result has the memory order of `x` if `x` has no gaps.
 pub(crate) fn of_elements(x: &FlexTensor, of: impl Fn(&[f32]) -> Vec<f32>) -> FlexTensor {
     let shape = x.layout().shape().clone();
     match in_memory_order(x) {

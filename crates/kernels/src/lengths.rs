@@ -1,4 +1,4 @@
-//! How much of each sample of a batch is real, and which frames attend to which.
+//! Valid lengths of the samples of a batch, and attention spans.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -25,7 +25,7 @@ impl Lengths {
         &self.0
     }
 
-    /// What a convolution of stride 2 makes of each: half, rounded up.
+    /// Lengths after a convolution of stride 2: half, rounded up.
     #[must_use]
     pub fn halved(&self) -> Self {
         Self(self.0.iter().map(|frames| frames.div_ceil(2)).collect())

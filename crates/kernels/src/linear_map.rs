@@ -11,13 +11,13 @@ use crate::mode::fuses;
 
 /// A linear map of the values of one sample, and its adjoint.
 pub trait LinearMap: Debug + Send + Sync {
-    /// Channels and frames of what comes out, for what goes in.
+    /// Channels and frames of the output for those of the input.
     fn shape(&self, channels: usize, frames: usize) -> [usize; 2];
 
     /// Maps one sample, `[channels, frames]`.
     fn apply(&self, values: &[f32], mapped: &mut [f32]);
 
-    /// Maps the gradient of what comes out to that of what goes in.
+    /// Maps output gradients to input gradients.
     fn adjoint(&self, gradient: &[f32], mapped: &mut [f32]);
 
     /// The same map as operations of the device, for one that is not the host.
@@ -32,7 +32,7 @@ pub type SharedMap = Arc<dyn LinearMap>;
 ///
 /// # Shapes
 /// - x: `[batch, channels, time]`
-/// - output: `[batch, channels, time]`, of the sizes that the map says
+/// - output: `[batch, channels, time]`, with the shape of the map
 pub fn linear_map(x: Tensor<3>, map: SharedMap) -> Tensor<3> {
     if fuses(&x) {
         Tensor::from_dispatch(Dispatch::fused_linear_map(x.into_dispatch(), map))

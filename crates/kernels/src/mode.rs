@@ -12,7 +12,7 @@ use crate::precision::Precision;
 /// The environment variable that sets the [`Mode`].
 pub const VARIABLE: &str = "KINEGRAD_KERNELS";
 
-/// How operations run.
+/// Execution of operations.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Mode {
     /// As kernels where there are some, which is on the CPU.
@@ -25,7 +25,7 @@ pub enum Mode {
 /// The environment variable has a value that means nothing.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ModeError {
-    /// What it holds.
+    /// Its value.
     pub found: String,
 }
 
@@ -34,7 +34,7 @@ thread_local! {
 }
 
 impl Mode {
-    /// What the environment variable says; fused without one.
+    /// The mode of the environment variable; fused by default.
     ///
     /// # Errors
     /// If its value is no mode's name.
@@ -82,7 +82,7 @@ pub(crate) fn scoped<T: Copy, R>(
     work()
 }
 
-/// Whether the operation on this tensor runs as a kernel.
+/// Whether operations on this tensor run as kernels.
 pub(crate) fn fuses<const D: usize>(x: &Tensor<D>) -> bool {
     fn on_flex(kind: &DispatchTensorKind) -> bool {
         match kind {

@@ -62,7 +62,7 @@ impl GroupNorm {
         }
     }
 
-    /// What follows.
+    /// Activation afterwards.
     pub fn activation(mut self, activation: Activation) -> Self {
         self.plan.activation = activation;
         self

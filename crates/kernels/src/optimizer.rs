@@ -68,11 +68,11 @@ pub struct AdamW {
     pub learning_rate: f64,
     /// Steps done with this one.
     pub steps: u64,
-    /// What the gradient is multiplied by first, to clip it.
+    /// Factor of the gradient, for clipping.
     pub gradient_scale: f64,
 }
 
-/// What one parameter's step changes.
+/// State of one parameter.
 pub struct AdamWState<'a> {
     /// The values.
     pub parameter: &'a mut [f32],

@@ -9,13 +9,12 @@ const BLOCK: usize = 16;
 
 /// `W x` of every frame, each product in float32 whatever the device.
 ///
-/// The matrix units of a GPU may multiply with 10 bits of the mantissa's 23 (TF32), which a product
-/// of matrices does not say. Each factor is then off by up to one part in 2,000, and a matrix whose
-/// inverse is large turns that into errors as large as the values themselves. On the CPU a product of
-/// matrices is one of float32. Elsewhere the products are made one by one, which no matrix unit takes
-/// part in, and added up, [`BLOCK`] channels at a time. Splitting both factors into parts of 10 bits
-/// and adding up six products of matrices would be faster, but the parts are right only if nothing
-/// between here and the device reorders their arithmetic.
+/// GPU matrix units may multiply with 10 of the 23 mantissa bits (TF32) without notice. Each factor
+/// then has a relative error of up to 1/2,000, which a matrix with a large inverse amplifies to the
+/// size of the values. The CPU multiplies in float32. Elsewhere products are formed element by
+/// element, which uses no matrix unit, and summed, [`BLOCK`] channels at a time. Splitting the
+/// factors into 10-bit parts and summing six matrix products would be faster, but is only correct
+/// if no compiler reorders the arithmetic.
 ///
 /// # Shapes
 /// - matrix: `[channels_out, channels]`

@@ -10,7 +10,7 @@ use crate::convolution::linear;
 use crate::host::recurrence::GruPlan;
 use crate::mode::fuses;
 
-/// Which way a recurrent layer goes through time.
+/// Direction of a recurrent layer in time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Direction {
     /// From the first step to the last.
@@ -129,7 +129,7 @@ fn composed(
     Tensor::stack(states.into_iter().flatten().collect(), 0)
 }
 
-/// Whether each sequence has each step: `[time, batch, 1]`.
+/// Mask of valid steps: `[time, batch, 1]`.
 fn running(lengths: &[usize], time: usize, like: &Tensor<3>) -> Tensor<3, Bool> {
     let has = (0..time).flat_map(|t| lengths.iter().map(move |length| t < *length));
     let has = TensorData::new(has.collect(), [time, lengths.len(), 1]);

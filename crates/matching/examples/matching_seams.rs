@@ -50,7 +50,7 @@ fn main() {
                 let mut job = job(seed);
                 job.keyframes = vec![(keyframe(part * seconds), None)];
                 let made = job.make(&example).expect("a motion");
-                let rate = 1.0 / made.figure.frame_time();
+                let rate = 1.0 / made.layout.frame_time();
                 let [near, rest] = jerk_around(&jerks(&made.bvh), 5.0 * rate, rate);
                 let source = jerks(&thinned(&example[0], &made));
                 let [own, own_rest] = jerk_around(&source, part * seconds * rate, rate);
@@ -92,6 +92,6 @@ fn keyframe(source_time: f64) -> Keyframe {
 
 /// An example with as many frames a second as what was made of it.
 fn thinned(example: &Example, made: &Made) -> Bvh {
-    let frames = made.figure.frames(example).expect("an example");
-    made.figure.bvh(&frames).expect("an example")
+    let frames = made.layout.to_frames(example).expect("an example");
+    made.layout.to_bvh(&frames).expect("an example")
 }

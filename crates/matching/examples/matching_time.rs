@@ -42,7 +42,7 @@ fn main() {
                 frames: 2 * made.examples[0].frames(),
                 settings: &job.settings,
                 groups: &[],
-                held: &[],
+                constraints: &[],
             };
             let start = Instant::now();
             let new = synthesize(&request, seed).expect("a motion");

@@ -81,24 +81,24 @@ fn main() {
     let made = Job::default()
         .make(std::slice::from_ref(&first))
         .expect("a motion");
-    let frames = made.figure.frames(&second).expect("one skeleton");
+    let frames = made.layout.to_frames(&second).expect("one skeleton");
     print("second as it is", &[distances(&made, &frames, &second)]);
 }
 
 /// Distances of a motion's windows to those of both files, over the legs' joints and all others, and its
 /// jerk.
 fn distances(made: &Made, motion: &Frames, second: &Example) -> [f64; 6] {
-    let figure = &made.figure;
+    let layout = &made.layout;
     let both = [
         made.examples[0].clone(),
-        figure.frames(second).expect("one skeleton"),
+        layout.to_frames(second).expect("one skeleton"),
     ];
-    let legs = Part::named("legs", &[], figure, "--fix")
+    let legs = Part::named("legs", &[], layout, "fixed part")
         .expect("legs")
         .joints;
     let columns = |of_legs: bool| -> Vec<usize> {
-        let joints = (0..figure.joints().len()).filter(|joint| legs.contains(joint) == of_legs);
-        joints.flat_map(|joint| figure.rotation_of(joint)).collect()
+        let joints = (0..layout.joints().len()).filter(|joint| legs.contains(joint) == of_legs);
+        joints.flat_map(|joint| layout.rotation_of(joint)).collect()
     };
     let to = |file: usize, of_legs: bool| {
         let columns = columns(of_legs);
@@ -106,7 +106,7 @@ fn distances(made: &Made, motion: &Frames, second: &Example) -> [f64; 6] {
         measures.expect("more than 30 frames").local_diversity
     };
     let jerk = |frames: &Frames| {
-        let bvh: Bvh = figure.bvh(frames).expect("finite");
+        let bvh: Bvh = layout.to_bvh(frames).expect("finite");
         percentile_95(&jerks(&bvh))
     };
     let usual = jerk(&both[0]).max(jerk(&both[1]));

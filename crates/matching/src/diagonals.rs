@@ -1,4 +1,4 @@
-//! Distances of patches: sums of frames' distances along diagonals.
+//! Patch distances: sums of frame distances along diagonals.
 
 use std::ops::Range;
 
@@ -6,18 +6,18 @@ use pulp::{Simd, WithSimd};
 
 use crate::{Distance, Pool};
 
-/// Registers of sums at a time.
+/// Registers summed at a time.
 const REGISTERS: usize = 4;
 
-/// Puts the distances of `patches` of a synthesis to all patches of a pool in place of their first
-/// frames', which no later patch needs.
+/// Replaces the frame distances of `patches` of a synthesis by their distances to all patches of a
+/// pool. No later patch reads the frame distances of its first frame.
 pub(crate) struct Diagonals<'a> {
     pub(crate) pool: &'a Pool,
     pub(crate) distance: Distance,
-    /// Of frames, `[frames, frames of the pool]`.
+    /// Frame distances, `[frames, frames of the pool]`.
     pub(crate) distances: &'a mut [f32],
     pub(crate) patches: Range<usize>,
-    /// What is to be added to all distances of a frame.
+    /// Added to all distances of a frame.
     pub(crate) still: &'a [f32],
 }
 
@@ -35,8 +35,8 @@ impl WithSimd for Diagonals<'_> {
             }
             let still = simd.splat_f32s(still);
             for (first, start, patches) in self.pool.runs() {
-                // A patch's number is at most that of its first frame: nothing is overwritten that is
-                // still to be read.
+                // A patch's number is at most that of its first frame, so nothing unread is
+                // overwritten.
                 let mut done = 0;
                 while done < patches {
                     let (from, to) = (i * width + start + done, i * width + first + done);
@@ -53,7 +53,7 @@ impl WithSimd for Diagonals<'_> {
 }
 
 impl Diagonals<'_> {
-    /// The distances of `count` patches, in R registers, whose first frames' distances begin at `from`.
+    /// The distances of `count` patches, in R registers, whose frame distances begin at `from`.
     /// Returns `count`.
     #[inline(always)]
     fn sum<S: Simd, const R: usize>(

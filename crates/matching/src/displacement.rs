@@ -1,15 +1,15 @@
-//! The way of the root as displacements from frame to frame.
+//! Root trajectories as displacements between frames.
 
 use kinegrad_capture::Axis;
 
 /// The displacements of a path, `[frames]`: the difference to the frame before, on every axis but
-/// `kept`, which stays as it is. Frame 0 has no frame before it and gets the place of frame 1, as
-/// in the published program; of a path that starts at the origin, that is its first displacement.
+/// `absolute`, which keeps its value. Frame 0 gets the place of frame 1, as in the published program:
+/// for a path from the origin this is its first displacement.
 ///
 /// Source: GenMM; docs/sources/genmm.md.
-pub fn displacements(path: &[[f64; 3]], kept: Option<Axis>) -> Vec<[f64; 3]> {
+pub fn displacements(path: &[[f64; 3]], absolute: Option<Axis>) -> Vec<[f64; 3]> {
     let of = |t: usize, axis: usize| match t {
-        _ if kept.is_some_and(|kept| kept as usize == axis) => path[t][axis],
+        _ if absolute.is_some_and(|absolute| absolute as usize == axis) => path[t][axis],
         0 => path[1.min(path.len() - 1)][axis],
         _ => path[t][axis] - path[t - 1][axis],
     };
@@ -18,14 +18,18 @@ pub fn displacements(path: &[[f64; 3]], kept: Option<Axis>) -> Vec<[f64; 3]> {
         .collect()
 }
 
-/// The path of displacements, `[frames]`, that starts at `start`: their running sum on every axis
-/// but `kept`. What frame 0 says of the others does not matter.
-pub fn places(displacements: &[[f64; 3]], start: [f64; 3], kept: Option<Axis>) -> Vec<[f64; 3]> {
+/// The path of displacements, `[frames]`, from `start`: their running sum on every axis but `absolute`.
+/// Frame 0 is ignored on the others.
+pub fn places(
+    displacements: &[[f64; 3]],
+    start: [f64; 3],
+    absolute: Option<Axis>,
+) -> Vec<[f64; 3]> {
     let mut place = start;
     let mut path = Vec::with_capacity(displacements.len());
     for (t, moved) in displacements.iter().enumerate() {
         for axis in 0..3 {
-            match kept.is_some_and(|kept| kept as usize == axis) {
+            match absolute.is_some_and(|absolute| absolute as usize == axis) {
                 true => place[axis] = moved[axis],
                 false if t > 0 => place[axis] += moved[axis],
                 false => {}
@@ -47,8 +51,8 @@ mod tests {
         fn a_path_comes_back(
             path in proptest::collection::vec(proptest::array::uniform3(-9.0..9.0f64), 1..20),
         ) {
-            for kept in [None, Some(Axis::X), Some(Axis::Y), Some(Axis::Z)] {
-                let back = places(&displacements(&path, kept), path[0], kept);
+            for absolute in [None, Some(Axis::X), Some(Axis::Y), Some(Axis::Z)] {
+                let back = places(&displacements(&path, absolute), path[0], absolute);
                 for (back, place) in back.as_flattened().iter().zip(path.as_flattened()) {
                     prop_assert!((back - place).abs() < 1e-9);
                 }

@@ -1,33 +1,33 @@
-//! Distances between frames: the sum of squared differences over all channels.
+//! Squared distances of frames.
 
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
 use crate::Frames;
 
-/// Channels are filled up with zeros to a multiple of this: what the widest register holds.
+/// Channels are padded to a multiple of the widest register.
 const LANES: usize = 16;
-/// Frames of both sides whose distances are summed at a time, so that each is loaded once for all:
-/// as many sums as there are registers for.
+/// Block of frames of both sides that is loaded once: as many sums as there are registers.
 const ROWS: usize = 2;
 const MORE_ROWS: usize = 4;
 const COLUMNS: usize = 4;
-/// Bytes of `y` that stay in the fastest cache while all of `x` passes by.
+/// Bytes of `y` that fit the fastest cache while all of `x` passes.
 const BLOCK: usize = 16 << 10;
 
-/// How far a channel that stands still may stray, beside values of 1: what angles written as text lose.
+/// Largest deviation of a constant channel, relative to values of 1: the precision of angles
+/// written as text.
 const STRAY: f32 = 1e-6;
 
-/// The channels of examples, by whether they move. Those that stand still, as fingers often do, add the
-/// same to the distances of a frame to all example frames, which is summed once.
+/// The channels of examples, split into moving and constant ones. Constant channels, such as
+/// fingers, add the same to all distances of a frame, which is summed once.
 pub(crate) struct Moving {
     moving: Vec<usize>,
-    /// With the value that the channel keeps to.
+    /// With the constant value.
     still: Vec<(usize, f32)>,
 }
 
 impl Moving {
-    /// The channels of `examples`.
+    /// Splits the channels of `examples`.
     pub(crate) fn of(examples: &Frames) -> Self {
         let mut low = examples.frame(0).to_vec();
         let mut high = low.clone();
@@ -37,7 +37,7 @@ impl Moving {
             }
         }
         let stands = |&c: &usize| high[c] - low[c] <= STRAY * high[c].abs().max(1.0);
-        // At least one is compared, or there would be nothing to lay out.
+        // At least one channel moves, for the layout.
         let (still, moving): (Vec<usize>, Vec<usize>) =
             (1..examples.channels()).partition(|c| stands(c));
         Self {
@@ -49,11 +49,11 @@ impl Moving {
         }
     }
 
-    /// Frames of the same channels, laid out for [`squared`].
+    /// Frames of the same channels in the layout of [`squared`].
     pub(crate) fn padded(&self, frames: &Frames) -> Padded {
         let stride = self.moving.len().next_multiple_of(LANES);
         let values = vec![0.0; frames.frames() * stride + LANES];
-        // Registers that lie across two lines of a cache are read twice.
+        // Registers across two cache lines are loaded twice.
         let first = values.as_ptr().align_offset(size_of::<f32>() * LANES);
         let mut padded = Padded {
             stride,
@@ -65,8 +65,7 @@ impl Moving {
         padded
     }
 
-    /// Puts `frames`, as many as are there, in place of those of `padded`. Says of each whether it is
-    /// another one than before.
+    /// Replaces the frames of `padded` by equally many `frames`; returns whether each changed.
     pub(crate) fn renew(&self, padded: &mut Padded, frames: &Frames) -> Vec<bool> {
         let (stride, first) = (padded.stride, padded.first);
         let values = &mut padded.values[first..first + frames.frames() * stride];
@@ -81,11 +80,11 @@ impl Moving {
                 let before = std::mem::replace(value, frame[channel]);
                 changed |= before.to_bits() ^ value.to_bits();
             }
-            // Several sums, none of which waits for the one before.
+            // Independent sums.
             let mut sums = [0.0; 8];
             for still in self.still.chunks(sums.len()) {
-                for (sum, &(channel, kept)) in sums.iter_mut().zip(still) {
-                    *sum += (frame[channel] - kept).powi(2);
+                for (sum, &(channel, constant)) in sums.iter_mut().zip(still) {
+                    *sum += (frame[channel] - constant).powi(2);
                 }
             }
             let before = std::mem::replace(still, sums.iter().sum());
@@ -95,18 +94,18 @@ impl Moving {
     }
 }
 
-/// Frames whose moving channels are filled up with zeros, so that registers are always full.
+/// Frames with their moving channels padded by zeros.
 pub(crate) struct Padded {
     stride: usize,
     values: Vec<f32>,
-    /// Where the first frame begins.
+    /// Offset of the first frame.
     first: usize,
-    /// Of each frame the squared distance in the channels that stand still.
+    /// Squared distance of each frame in the constant channels.
     still: Vec<f32>,
 }
 
 impl Padded {
-    /// Frames of which all channels are compared.
+    /// Frames with all channels compared.
     pub(crate) fn whole(frames: &Frames) -> Self {
         let all = Moving {
             moving: (0..frames.channels()).collect(),
@@ -119,20 +118,20 @@ impl Padded {
         self.still.len()
     }
 
-    /// The squared distance of each frame to any example frame, in the channels that stand still there.
+    /// Squared distance of each frame to any example frame in the constant channels.
     pub(crate) fn still(&self) -> &[f32] {
         &self.still
     }
 
-    /// `frames` frames from number `first` on.
+    /// `frames` frames from `first` on.
     fn rows(&self, first: usize, frames: usize) -> &[f32] {
         let begin = self.first + first * self.stride;
         &self.values[begin..begin + frames * self.stride]
     }
 }
 
-/// Fills `out`, `[rows, y]`, with the squared distances of the frames of `x` from number `first` on
-/// to those of `y`, in the channels that move. A distance is summed in the same order wherever it stands.
+/// Fills `out`, `[rows, y]`, with the squared distances of the frames of `x` from `first` on to
+/// those of `y` in the moving channels. The order of summation does not depend on the position.
 pub(crate) fn squared(x: &Padded, first: usize, y: &Padded, out: &mut [f32]) {
     assert_eq!(x.stride, y.stride);
     let rows = out.len() / y.frames();
@@ -151,7 +150,7 @@ impl WithSimd for Squared<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        // Sixteen sums, four frames and one difference need more registers than sixteen.
+        // Sixteen sums, four frames and a difference need more than sixteen registers.
         if S::REGISTER_COUNT >= 32 {
             self.fill::<S, MORE_ROWS>(simd);
         } else {
@@ -192,7 +191,7 @@ impl Squared<'_> {
     }
 }
 
-/// The squared distances of R frames to C frames.
+/// Squared distances of R frames to C frames.
 #[inline(always)]
 fn tile<S: Simd, const R: usize, const C: usize>(
     simd: S,
@@ -200,7 +199,7 @@ fn tile<S: Simd, const R: usize, const C: usize>(
     columns: &[f32],
     stride: usize,
 ) -> [[f32; C]; R] {
-    // Loops, not closures: those would be compiled without the instruction set and called.
+    // Loops, as closures would be compiled without the instruction set.
     let mut a: [&[S::f32s]; R] = [&[]; R];
     for (r, row) in rows.chunks_exact(stride).enumerate() {
         a[r] = S::as_simd_f32s(row).0;
@@ -209,7 +208,7 @@ fn tile<S: Simd, const R: usize, const C: usize>(
     for (c, column) in columns.chunks_exact(stride).enumerate() {
         b[c] = S::as_simd_f32s(column).0;
     }
-    // Of one length for the compiler too, which then checks no place.
+    // Equal lengths remove bounds checks.
     let registers = a[0].len();
     for row in a.iter_mut().chain(&mut b) {
         *row = &row[..registers];

@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-/// A motion as a matrix `[frames, channels]`, one frame after the other.
+/// A motion as a matrix `[frames, channels]`, row-major.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Frames {
     channels: usize,
@@ -10,10 +10,10 @@ pub struct Frames {
 }
 
 impl Frames {
-    /// The matrix of `values`, `[frames, channels]` row by row.
+    /// A matrix of `values`, `[frames, channels]`, row-major.
     ///
     /// # Panics
-    /// Panics if there are no channels, or a frame is not whole.
+    /// If `values` is not a multiple of `channels`, or `channels` is 0.
     pub fn new(channels: usize, values: Vec<f32>) -> Self {
         assert!(channels > 0 && values.len().is_multiple_of(channels));
         Self { channels, values }
@@ -37,12 +37,12 @@ impl Frames {
         self.values.len() / self.channels
     }
 
-    /// All values, `[frames, channels]` row by row.
+    /// All values, `[frames, channels]`, row-major.
     pub fn values(&self) -> &[f32] {
         &self.values
     }
 
-    /// All values, to be written to.
+    /// All values, mutable.
     pub fn values_mut(&mut self) -> &mut [f32] {
         &mut self.values
     }
@@ -55,7 +55,7 @@ impl Frames {
         &self.values[t * self.channels..(t + 1) * self.channels]
     }
 
-    /// Frame `t`, `[channels]`, to be written to.
+    /// Frame `t`, `[channels]`, mutable.
     ///
     /// # Panics
     /// Panics if there is none.
@@ -63,7 +63,7 @@ impl Frames {
         &mut self.values[t * self.channels..(t + 1) * self.channels]
     }
 
-    /// Matrices of the same channels, one behind the other.
+    /// Concatenation of matrices along frames.
     ///
     /// # Panics
     /// Panics if there is none, or their channels differ.
@@ -84,15 +84,15 @@ impl Frames {
         Self::new(columns.len(), values.collect())
     }
 
-    /// Linear resampling to `frames` with half-pixel centres, `[frames, channels]`: frame i is read
-    /// at max(0, (i + 0.5) n / frames - 0.5), held at the right end. There is no low-pass filter.
+    /// Linear resampling to `frames` with half-pixel centres: frame i is read at max(0, (i + 0.5) n
+    /// / frames - 0.5), clamped at the end. There is no low-pass filter.
     pub fn resampled(&self, frames: usize) -> Self {
         let scale = self.frames() as f64 / frames as f64;
         self.read_at(frames, |i| ((i + 0.5) * scale - 0.5).max(0.0))
     }
 
-    /// [`resampled`](Self::resampled) of a motion whose last frame is followed by its first.
-    pub fn resampled_around(&self, frames: usize) -> Self {
+    /// [`resampled`](Self::resampled) of a loop.
+    pub fn resampled_loop(&self, frames: usize) -> Self {
         let n = self.frames();
         let ends = [n - 1].into_iter().chain(0..n).chain([0]);
         let values = ends.flat_map(|t| self.frame(t)).copied().collect();
@@ -100,8 +100,8 @@ impl Frames {
         Self::new(self.channels, values).read_at(frames, |i| (i + 0.5) * scale + 0.5)
     }
 
-    /// Linear resampling to `frames` with aligned ends, `[frames, channels]`: frame i is read at
-    /// i (n - 1) / (frames - 1).
+    /// Linear resampling to `frames` with aligned corners: frame i is read at i (n - 1) / (frames -
+    /// 1).
     pub fn resampled_aligned(&self, frames: usize) -> Self {
         let scale = match frames {
             0 | 1 => 0.0,
@@ -110,14 +110,13 @@ impl Frames {
         self.read_at(frames, |i| i * scale)
     }
 
-    /// The frame at `position`, between two frames by linear interpolation, held at the ends,
-    /// `[channels]`.
+    /// The linearly interpolated frame at `position`, clamped, `[channels]`.
     pub fn read(&self, position: f64) -> Vec<f32> {
         let position = position.max(0.0);
         self.read_at(1, |_| position).values
     }
 
-    /// `frames` frames read at the positions that `position` gives.
+    /// Frames at interpolated positions.
     fn read_at(&self, frames: usize, position: impl Fn(f64) -> f64 + Sync) -> Self {
         let last = self.frames() - 1;
         let mut read = Self::zeros(frames, self.channels);
@@ -175,8 +174,8 @@ mod tests {
     fn around_the_circle_the_ends_meet() {
         let circle = Frames::new(1, vec![0.0, 1.0, 2.0, 1.0]);
         let values = [0.25, 0.25, 0.75, 1.25, 1.75, 1.75, 1.25, 0.75];
-        assert_eq!(circle.resampled_around(8).values(), values);
-        assert_eq!(circle.resampled_around(4), circle);
+        assert_eq!(circle.resampled_loop(8).values(), values);
+        assert_eq!(circle.resampled_loop(4), circle);
     }
 
     #[test]

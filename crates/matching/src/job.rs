@@ -1,33 +1,33 @@
-//! A whole job: from BVH motions to a new one.
+//! Jobs: from BVH motions to a new one.
 
 use kinegrad_capture::{Bvh, UpAxis};
 use kinegrad_motion::MAX_FRAMES;
 use kinegrad_settings::{Refused, in_range};
 
-use crate::calm::{self, jerks, percentile_95};
-use crate::metrics::Seam;
+use crate::foot_locking::lock_feet;
+use crate::limit_jerk::{self, jerks, percentile_95};
 use crate::synthesis::{start_noise, synthesize_from, synthesize_like};
 use crate::{
-    Channels, Error, Example, Figure, FigureOptions, Frames, Held, Keyframe, Length, Looping, Part,
-    Request, Settings, Sliding, Synthesis, feet,
+    Channels, Constraint, Error, Example, Frames, Keyframe, Length, Looping, Made, MatrixOptions,
+    MotionMatrix, Part, Request, Seam, Settings, Synthesis, feet,
 };
 
 mod conflicts;
 
-/// Loops that are made until the seam of one is calm.
-const MOST_LOOPS: u64 = 8;
-/// A seam is calm if its jumps are at most this part of the 95th percentile of all.
-const CALM: f64 = 0.95;
+/// Most attempts at a loop with a smooth seam.
+const MAX_LOOPS: u64 = 8;
+/// A seam is smooth if its jumps are at most this part of the 95th percentile.
+const SMOOTH_SEAM: f64 = 0.95;
 
-/// How the body is divided.
+/// Division of the body into parts.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub enum PartChoice {
-    /// Not at all.
+    /// One part.
     #[default]
     Whole,
-    /// By where the skeleton branches.
+    /// By the branches of the skeleton.
     Automatic,
-    /// As the text of a TOML file says.
+    /// From a TOML file.
     File {
         /// The file, for messages.
         file: String,
@@ -36,203 +36,172 @@ pub enum PartChoice {
     },
 }
 
-/// A body part that follows a given motion.
+/// A body part fixed to a given motion.
 #[derive(Clone, Debug)]
 pub struct Fixed {
     /// The part, named as in [`Part::named`].
     pub part: String,
-    /// The motion, which is as long as the new one.
+    /// The motion, as long as the new one.
     pub motion: Example,
 }
 
-/// What is to be made. By default twice the examples, with the settings of the published program.
+/// A job. By default twice the length of the examples, with the settings of the published program.
 #[derive(Clone, Debug, Default)]
 pub struct Job {
     /// The settings of the synthesis.
     pub settings: Settings,
-    /// How long the motion is; without one as long as what is fixed or the content, else twice the
+    /// Length of the motion; by default that of the fixed motions or the content, else twice the
     /// examples.
     pub length: Option<Length>,
     /// Seed of the noise.
     pub seed: u64,
-    /// A motion whose coarse course the new one starts from in place of noise, so that it does the
-    /// same in the manner of the examples; it is as long.
+    /// A motion whose coarse level replaces the noise: the new motion does the same in the style of
+    /// the examples, at the same length.
     pub content: Option<Example>,
     /// The axis that points up in the files.
     pub up: UpAxis,
-    /// Whether contacts of the feet are matched as well.
+    /// Whether foot contacts are matched as well.
     pub contacts: bool,
-    /// Whether the body is seen from its heading.
+    /// Whether the root is relative to its heading.
     pub heading: bool,
-    /// How the body is divided.
+    /// Division of the body.
     pub parts: PartChoice,
-    /// Poses that the motion takes, each with the motion it is from: none is the first example.
+    /// Key frames with their source motions; none is the first example.
     pub keyframes: Vec<(Keyframe, Option<Example>)>,
-    /// Parts that follow given motions.
+    /// Fixed parts.
     pub fixed: Vec<Fixed>,
-    /// Whether feet are held still where those of the examples rest. It moves legs of key frames and
-    /// of parts that are fixed as well, and the seam of a loop.
-    pub feet: bool,
-}
-
-/// A new motion and what it was made of.
-#[derive(Clone, Debug)]
-pub struct Made {
-    /// The motion, with the hierarchy of the first example.
-    pub bvh: Bvh,
-    /// The same as a matrix, and where it comes from.
-    pub synthesis: Synthesis,
-    /// How the files are matrices.
-    pub figure: Figure,
-    /// The examples as matrices.
-    pub examples: Vec<Frames>,
-    /// The parts that were matched, one for each list of origins.
-    pub parts: Vec<Part>,
-    /// How far feet slid, if they were held; only `bvh` has them held.
-    pub sliding: Option<Sliding>,
-    /// Where something is fixed: the 95th percentile of jerk, as a part of that of the motion among
-    /// examples and fixed ones that jerks most.
-    pub jerk: Option<f64>,
+    /// Whether feet are locked where those of the examples rest. This also moves legs of key frames
+    /// and of fixed parts, and the seam of a loop.
+    pub lock_feet: bool,
 }
 
 impl Job {
-    /// Makes a motion of the examples.
+    /// Synthesises a motion.
     ///
     /// # Errors
-    /// For settings out of range, files that do not fit each other, examples shorter than a patch,
-    /// and parts or moments that are not there.
+    /// For settings out of range, motions that do not match, examples shorter than a patch, and
+    /// unknown parts or times.
     pub fn make(&self, examples: &[Example]) -> Result<Made, Error> {
         self.settings.validate()?;
-        let contacts = match (self.contacts, examples.first()) {
-            (true, Some(first)) => feet(first.bvh.joints()),
+        let contacts = match examples.first() {
+            Some(first) if self.contacts => feet(first.bvh.joints()),
             _ => Vec::new(),
         };
-        let options = FigureOptions {
+        let options = MatrixOptions {
             up: self.up,
             contacts,
             heading: self.heading,
         };
-        let fixed = self.fixed.iter().map(|fixed| &fixed.motion);
         let sources = self
             .keyframes
             .iter()
             .filter_map(|(_, source)| source.as_ref());
-        let others: Vec<&Example> = fixed.chain(&self.content).chain(sources).collect();
-        let figure = Figure::with(examples, &others, options)?;
-        if self
-            .keyframes
-            .iter()
-            .any(|(keyframe, _)| keyframe.place.is_some())
-        {
+        // The fixed motions and the content set the length.
+        let given: Vec<&Example> = self.fixed.iter().map(|fixed| &fixed.motion).collect();
+        let given = [given, self.content.iter().collect()].concat();
+        let others: Vec<&Example> = given.iter().copied().chain(sources).collect();
+        let layout = MotionMatrix::with(examples, &others, options)?;
+        if self.keyframes.iter().any(|(key, _)| key.place.is_some()) {
             let motions = examples.iter().chain(others);
-            figure.must_travel_upright(motions, "`place` of a key frame")?;
+            layout.must_have_upright_root(motions, "`place` of a key frame")?;
         }
-        let matrices = examples.iter().map(|example| figure.frames(example));
-        let matrices: Vec<Frames> = matrices.collect::<Result<_, _>>()?;
-        for (example, frames) in examples.iter().zip(&matrices) {
-            self.must_have_a_patch(example, frames, &figure)?;
+        let to_frames = |example: &Example| layout.to_frames(example);
+        let matrices: Vec<Frames> = examples.iter().map(to_frames).collect::<Result<_, _>>()?;
+        let given_matrices = given.iter().map(|example| layout.to_frames(example));
+        let given_matrices: Vec<Frames> = given_matrices.collect::<Result<_, _>>()?;
+        let motions = examples.iter().chain(given.iter().copied());
+        for (example, frames) in motions.zip(matrices.iter().chain(&given_matrices)) {
+            self.must_have_a_patch(example, frames, &layout)?;
         }
+        let (fixed, content) = given_matrices.split_at(self.fixed.len());
+        let content = content.first();
         let parts = match &self.parts {
-            PartChoice::Whole => vec![Part::whole(&figure)],
-            PartChoice::Automatic => Part::automatic(&figure),
-            PartChoice::File { file, text } => Part::read(text, file, &figure)?,
+            PartChoice::Whole => vec![Part::whole(&layout)],
+            PartChoice::Automatic => Part::automatic(&layout),
+            PartChoice::File { file, text } => Part::read(text, file, &layout)?,
         };
-        let known = match &self.parts {
-            PartChoice::Whole => Part::automatic(&figure),
-            _ => parts.clone(),
+        let named = match &self.parts {
+            PartChoice::Whole => &Part::automatic(&layout),
+            _ => &parts,
         };
-        let fixed = self.fixed.iter().map(|fixed| figure.frames(&fixed.motion));
-        let fixed: Vec<Frames> = fixed.collect::<Result<_, _>>()?;
-        let content = self.content.as_ref().map(|content| figure.frames(content));
-        let content = content.transpose()?;
-        let given = self
-            .fixed
-            .iter()
-            .map(|fixed| &fixed.motion)
-            .chain(&self.content);
-        let given = given.zip(fixed.iter().chain(&content));
-        for (example, frames) in given.clone() {
-            self.must_have_a_patch(example, frames, &figure)?;
-        }
-        let given: Vec<(&Example, usize)> = given
-            .map(|(example, frames)| (example, frames.frames()))
+        let lengths: Vec<(&Example, usize)> = given
+            .into_iter()
+            .zip(given_matrices.iter().map(Frames::frames))
             .collect();
-        let frames = self.frames(&figure, &matrices, &given)?;
-        let mut held = Vec::new();
+        let frames = self.frames(&layout, &matrices, &lengths)?;
+        let mut constraints = Vec::new();
         for (keyframe, source) in &self.keyframes {
             let (source, poses) = match source {
-                Some(source) => (source, &figure.frames(source)?),
+                Some(source) => (source, &layout.to_frames(source)?),
                 None => (&examples[0], &matrices[0]),
             };
-            held.push(keyframe.held(&figure, &known, source, poses, frames)?);
+            constraints.push(keyframe.constraint(&layout, named, source, poses, frames)?);
         }
-        for (fixed, motion) in self.fixed.iter().zip(&fixed) {
-            held.push(Held::Channels {
-                channels: Part::named(&fixed.part, &known, &figure, "--fix")?
-                    .channels(&figure)
-                    .channels,
+        for (own, motion) in self.fixed.iter().zip(fixed) {
+            let part = Part::named(&own.part, named, &layout, "fixed part")?;
+            constraints.push(Constraint::Channels {
+                channels: part.channels(&layout).channels,
                 motion: motion.clone(),
             });
         }
-        self.must_agree(&figure, &held, frames)?;
-        let groups: Vec<Channels> = parts.iter().map(|part| part.channels(&figure)).collect();
+        self.must_agree(&layout, &constraints, frames)?;
+        let groups: Vec<Channels> = parts.iter().map(|part| part.channels(&layout)).collect();
         let request = Request {
             examples: &matrices,
             frames,
             settings: &self.settings,
             groups: &groups,
-            held: &held,
+            constraints: &constraints,
         };
         let usual = match fixed.is_empty() {
             true => None,
-            false => Some(usual_jerk(&figure, matrices.iter().chain(&fixed))?),
+            false => Some(usual_jerk(&layout, matrices.iter().chain(fixed))?),
         };
-        let around = self.settings.looping != Looping::Off;
-        // A loop that a key frame holds in its place cannot begin elsewhere: of several the first whose
-        // seam is calm, or the calmest.
-        let most = match around && !held.is_empty() && content.is_none() {
-            true => MOST_LOOPS,
+        let is_loop = self.settings.looping != Looping::Off;
+        // A loop with key frames cannot begin elsewhere: the first of several with a smooth seam is
+        // taken, or the smoothest.
+        let attempts = match is_loop && !constraints.is_empty() && content.is_none() {
+            true => MAX_LOOPS,
             false => 1,
         };
         let first = request.levels()?.synthesis[0];
-        let mut calmest: Option<(f64, Figure, Synthesis, Bvh)> = None;
-        for attempt in 0..most {
-            let mut synthesis = match &content {
+        let mut best: Option<(f64, MotionMatrix, Synthesis, Bvh)> = None;
+        for attempt in 0..attempts {
+            let mut synthesis = match content {
                 Some(content) => synthesize_like(&request, content)?,
                 None => {
-                    let noise = start_noise(self.seed, attempt, first, figure.channels());
+                    let noise = start_noise(self.seed, attempt, first, layout.channels());
                     synthesize_from(&request, &noise)?
                 }
             };
-            if around && held.is_empty() && content.is_none() {
-                synthesis.begin_where_calm();
+            if is_loop && constraints.is_empty() && content.is_none() {
+                synthesis.rotate_to_smoothest_seam();
             }
-            let mut figure = figure.clone();
-            let bvh = self.finished(&mut figure, &mut synthesis.frames, &held, usual)?;
-            let jump = match most {
+            let mut layout = layout.clone();
+            let bvh = self.finished(&mut layout, &mut synthesis.frames, &constraints, usual)?;
+            let seam = match attempts {
                 1 => None,
-                _ => Seam::of(&figure, &bvh).map(|seam| seam.jump()),
+                _ => Seam::of(&layout, &bvh),
             };
-            let jump = jump.unwrap_or(0.0);
-            if calmest.as_ref().is_none_or(|(least, ..)| jump < *least) {
-                calmest = Some((jump, figure, synthesis, bvh));
+            let jump = seam.map_or(0.0, |seam| seam.jump());
+            if best.as_ref().is_none_or(|(least, ..)| jump < *least) {
+                best = Some((jump, layout, synthesis, bvh));
             }
-            if jump <= CALM {
+            if jump <= SMOOTH_SEAM {
                 break;
             }
         }
-        let (_, figure, synthesis, mut bvh) = calmest.expect("one motion or more");
+        let (_, layout, synthesis, mut bvh) = best.expect("one motion or more");
         let jerk = usual.map(|usual| percentile_95(&jerks(&bvh)) / usual.max(f64::MIN_POSITIVE));
         let mut sliding = None;
-        if self.feet {
-            let origins = &synthesis.origins;
-            let (held, slid) = figure.with_held_feet(&bvh, examples, &parts, origins)?;
-            (bvh, sliding) = (held, Some(slid));
+        if self.lock_feet {
+            let (locked, slid) = lock_feet(&layout, &bvh, examples, &parts, &synthesis.origins)?;
+            (bvh, sliding) = (locked, Some(slid));
         }
         Ok(Made {
             bvh,
             synthesis,
-            figure,
+            layout,
             examples: matrices,
             parts,
             sliding,
@@ -240,52 +209,51 @@ impl Job {
         })
     }
 
-    /// Leads a motion where its key frames say, smooths it around them and over what is fixed, and says
-    /// it as BVH; `usual` is the jerk of the motions that it is made of, where something is fixed.
+    /// Warps the trajectory through the places of key frames, limits jerk around key frames and over
+    /// fixed parts, and converts to BVH. `usual`: the jerk of the source motions, with fixed parts.
     fn finished(
         &self,
-        figure: &mut Figure,
+        layout: &mut MotionMatrix,
         frames: &mut Frames,
-        held: &[Held],
+        constraints: &[Constraint],
         usual: Option<f64>,
     ) -> Result<Bvh, Error> {
-        let around = self.settings.looping != Looping::Off;
-        if around {
-            figure.close(frames);
+        let is_loop = self.settings.looping != Looping::Off;
+        if is_loop {
+            layout.close_heading(frames);
         }
         let points = self.keyframes.iter().filter_map(|(keyframe, _)| {
-            let frame = (keyframe.time / figure.frame_time()).round() as usize;
+            let frame = (keyframe.time / layout.frame_time()).round() as usize;
             Some((frame, keyframe.place?))
         });
         let points: Vec<(usize, [f64; 2])> = points.collect();
-        let first = points.iter().min_by_key(|(frame, _)| *frame);
-        match first {
-            Some((0, place)) => figure.start_at(*place),
-            // A loop begins anywhere: its first place says where it is.
-            Some(point) if around => figure.start_for(frames, *point),
+        match points.iter().min_by_key(|(frame, _)| *frame) {
+            Some((0, place)) => layout.start_at(*place),
+            // The start of a loop is free: its first place determines where it is.
+            Some(point) if is_loop => layout.start_through(frames, *point),
             _ => {}
         }
-        figure.lead(frames, &points, around);
-        calm::around_keyframes(figure, frames, held, around)?;
+        layout.warp_root(frames, &points, is_loop);
+        limit_jerk::around_keyframes(layout, frames, constraints, is_loop)?;
         if let Some(usual) = usual {
-            calm::over_fixed_parts(figure, frames, held, usual)?;
+            limit_jerk::over_fixed_parts(layout, frames, constraints, usual)?;
         }
-        // What was smoothed has moved the way a little.
-        figure.lead(frames, &points, around);
-        figure.bvh(frames)
+        // Smoothing moves the trajectory slightly.
+        layout.warp_root(frames, &points, is_loop);
+        layout.to_bvh(frames)
     }
 
     fn must_have_a_patch(
         &self,
         example: &Example,
         frames: &Frames,
-        figure: &Figure,
+        layout: &MotionMatrix,
     ) -> Result<(), Error> {
         let (found, p) = (frames.frames(), self.settings.patch_size);
         if found >= p {
             return Ok(());
         }
-        let rate = 1.0 / figure.frame_time();
+        let rate = 1.0 / layout.frame_time();
         let problem = format!(
             "frames: {found} at {rate:.0} a second, allowed: at least `patch_size`, which is {p}"
         );
@@ -293,31 +261,28 @@ impl Job {
         Err(Error::file(&example.file, problem, hint))
     }
 
-    /// Frames of the new motion; `given` are the motions that set its length, with their frames.
+    /// Length of the new motion; `given` are the motions that set it, with their frames.
     fn frames(
         &self,
-        figure: &Figure,
+        layout: &MotionMatrix,
         examples: &[Frames],
         given: &[(&Example, usize)],
     ) -> Result<usize, Error> {
         let all = examples.iter().map(Frames::frames).sum();
         let asked = self
             .length
-            .map(|length| length.frames(all, figure.frame_time()));
-        let frames = match (given.first(), asked) {
-            (Some((_, frames)), _) => *frames,
-            (None, asked) => asked.unwrap_or(2 * all),
-        };
+            .map(|length| length.frames(all, layout.frame_time()));
+        let frames = given.first().map(|(_, frames)| *frames);
+        let frames = frames.or(asked).unwrap_or(2 * all);
         let others = given
             .iter()
             .map(|(other, frames)| (other.file.as_str(), *frames));
         let mut others = others.chain(asked.map(|frames| ("option `length`", frames)));
         if let Some((other, found)) = others.find(|(_, found)| *found != frames) {
-            let file = &given[0].0.file;
             let problem = format!("has {frames} frames, and {other} {found}");
-            let hint = "a part that is fixed and a content set the length: leave option `length` out, and \
+            let hint = "fixed parts and the content set the length: leave option `length` out, and \
                         give motions of one length";
-            return Err(Error::file(file, problem, hint));
+            return Err(Error::file(&given[0].0.file, problem, hint));
         }
         in_range("length", frames, self.settings.patch_size..=MAX_FRAMES)
             .hint("a motion has at least one patch, `patch_size`, and at most two hours")?;
@@ -325,12 +290,12 @@ impl Job {
     }
 }
 
-/// The largest of the motions' 95th percentiles of jerk.
+/// The largest 95th percentile of jerk of the motions.
 fn usual_jerk<'a>(
-    figure: &Figure,
+    layout: &MotionMatrix,
     motions: impl Iterator<Item = &'a Frames>,
 ) -> Result<f64, Error> {
-    let usual = motions.map(|motion| Ok(percentile_95(&jerks(&figure.bvh(motion)?))));
+    let usual = motions.map(|motion| Ok(percentile_95(&jerks(&layout.to_bvh(motion)?))));
     let usual: Vec<f64> = usual.collect::<Result<_, Error>>()?;
     Ok(usual.into_iter().fold(0.0, f64::max))
 }

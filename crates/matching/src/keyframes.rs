@@ -3,36 +3,35 @@
 use kinegrad_settings::read_toml;
 use serde::{Deserialize, Serialize};
 
-use crate::{Error, Example, Figure, Frames, Held, Part};
+use crate::{Constraint, Error, Example, Frames, MotionMatrix, Part};
 
-/// Seconds before and after a key frame that bend towards it.
+/// Default reach in seconds.
 const REACH: f64 = 0.4;
 
-/// Largest coordinate of a place, in the file's units: beyond it, single precision knows no step.
+/// Largest coordinate of a place in file units, for single precision.
 const FURTHEST: f64 = 1e6;
 
-/// The latest moment, in seconds.
+/// Largest time in seconds.
 const LATEST: f64 = 1e6;
 
-/// A pose that the new motion takes at a moment.
+/// A pose of the new motion at a time.
 #[derive(Clone, Debug, Default, Deserialize, PartialEq, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct Keyframe {
-    /// When, in seconds.
+    /// Time in seconds.
     pub time: f64,
-    /// The moment of the source at which it has the pose, in seconds.
+    /// Time of the pose in its source, in seconds.
     pub source_time: f64,
-    /// File that the pose is taken from; without one the first example.
+    /// File of the pose; none is the first example.
     pub file: Option<String>,
-    /// The part of the body that takes the pose, named as in [`Part::named`]; without one all of
-    /// it.
+    /// The body part with the pose, named as in [`Part::named`]; none is the whole body.
     pub part: Option<String>,
-    /// Where the joint that travels is then, on the two axes that do not point up, in the file's
-    /// units. The way is bent towards it; without it the way goes on as it does.
+    /// Horizontal place of the root joint, in file units. The root trajectory is warped through it;
+    /// none leaves it free.
     pub place: Option<[f64; 2]>,
-    /// Seconds before and after it that bend towards the pose; without it 0.4.
+    /// Seconds before and after that blend into the pose; 0.4 by default.
     pub reach: Option<f64>,
-    /// What messages call it: the file that it is of, and its number there.
+    /// Its name in messages: the file and its number there.
     #[serde(skip)]
     pub name: String,
 }
@@ -44,11 +43,11 @@ struct Document {
 }
 
 impl Keyframe {
-    /// The key frames of a TOML file: tables `[[keyframe]]` with `time` and `source_time` in seconds,
-    /// and where they are needed `file`, `part`, `place` and `reach`.
+    /// The key frames of a TOML file: tables `[[keyframe]]` with `time` and `source_time` in
+    /// seconds, optionally `file`, `part`, `place` and `reach`.
     ///
     /// # Errors
-    /// For a file that cannot be read so.
+    /// For a malformed file.
     pub fn read(text: &str, file: &str) -> Result<Vec<Self>, Error> {
         let hint = "docs/matching.md describes files of key frames";
         let mut document: Document = read_toml(text, file, hint)?;
@@ -79,7 +78,7 @@ impl Keyframe {
         Ok(document.keyframe)
     }
 
-    /// What messages call it.
+    /// Its name in messages.
     pub(crate) fn called(&self) -> &str {
         match self.name.as_str() {
             "" => "key frame",
@@ -87,22 +86,22 @@ impl Keyframe {
         }
     }
 
-    /// What a motion of `frames` frames must keep to: the pose of `source`, whose matrix is
-    /// `poses`, but for the horizontal way.
+    /// The constraint of a motion of `frames` frames: the pose of `source`, whose matrix is
+    /// `poses`, without the horizontal trajectory.
     ///
     /// # Errors
-    /// For a moment that the motion or the source does not have, or an unknown part.
-    pub fn held(
+    /// For a time outside of the motion or the source, and an unknown part.
+    pub fn constraint(
         &self,
-        figure: &Figure,
+        layout: &MotionMatrix,
         parts: &[Part],
         source: &Example,
         poses: &Frames,
         frames: usize,
-    ) -> Result<Held, Error> {
-        let frame = |seconds: f64| (seconds / figure.frame_time()).round() as usize;
+    ) -> Result<Constraint, Error> {
+        let frame = |seconds: f64| (seconds / layout.frame_time()).round() as usize;
         let (t, from) = (frame(self.time), frame(self.source_time));
-        let end = |frames: usize| (frames - 1) as f64 * figure.frame_time();
+        let end = |frames: usize| (frames - 1) as f64 * layout.frame_time();
         if from >= poses.frames() {
             let problem = format!(
                 "`source_time` is {}, allowed: 0 to {:.2}, where {} ends",
@@ -119,13 +118,15 @@ impl Keyframe {
             return Err(Error::file(self.called(), problem, hint));
         }
         let part = match &self.part {
-            Some(name) => Part::named(name, parts, figure, self.called())?,
-            None => Part::whole(figure),
+            Some(name) => Part::named(name, parts, layout, self.called())?,
+            None => Part::whole(layout),
         };
-        let mut channels = part.channels(figure).channels;
-        // The horizontal way says how the body moves on, not where it is.
-        channels.retain(|channel| *channel == figure.height() || !figure.way().contains(channel));
-        Ok(Held::Keyframe {
+        let mut channels = part.channels(layout).channels;
+        // The horizontal trajectory holds displacements, not places.
+        channels.retain(|channel| {
+            *channel == layout.height() || !layout.root_channels().contains(channel)
+        });
+        Ok(Constraint::Keyframe {
             at: (t as f64 + 0.5) / frames as f64,
             source: poses.columns(&channels),
             from,
@@ -139,28 +140,29 @@ impl Keyframe {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::FigureOptions;
-    use crate::figure::tests::example;
+    use crate::MatrixOptions;
+    use crate::motion_matrix::tests::example;
 
     #[test]
     fn key_frames_are_read_and_bounded() {
         let walk = example("walk.bvh", 60, 1.0 / 30.0);
-        let figure = Figure::new(std::slice::from_ref(&walk), FigureOptions::default()).unwrap();
-        let poses = figure.frames(&walk).unwrap();
+        let layout =
+            MotionMatrix::new(std::slice::from_ref(&walk), MatrixOptions::default()).unwrap();
+        let poses = layout.to_frames(&walk).unwrap();
         let read = |text: &str| Keyframe::read(text, "k.toml");
         let text = "[[keyframe]]\ntime = 2.0\nsource_time = 0.5\npart = 'LeftLeg'\n";
         let [key] = &read(text).unwrap()[..] else {
             panic!("one")
         };
-        let held = key.held(&figure, &[], &walk, &poses, 90).unwrap();
-        let Held::Keyframe {
+        let constraint = key.constraint(&layout, &[], &walk, &poses, 90).unwrap();
+        let Constraint::Keyframe {
             at,
             channels,
             source,
             from,
             reach,
             ..
-        } = held
+        } = constraint
         else {
             panic!("a key frame")
         };
@@ -169,7 +171,7 @@ mod tests {
         assert_eq!(from, 15);
         assert_eq!(source.frame(15)[0], poses.frame(15)[channels[0]]);
         let late = key
-            .held(&figure, &[], &walk, &poses, 50)
+            .constraint(&layout, &[], &walk, &poses, 50)
             .unwrap_err()
             .to_string();
         assert_eq!(late, "k.toml, key frame 1: `time` is 2, allowed: 0 to 1.63");
@@ -177,12 +179,12 @@ mod tests {
             part: None,
             ..key.clone()
         };
-        let held = whole.held(&figure, &[], &walk, &poses, 90).unwrap();
-        let Held::Keyframe { channels, .. } = held else {
+        let constraint = whole.constraint(&layout, &[], &walk, &poses, 90).unwrap();
+        let Constraint::Keyframe { channels, .. } = constraint else {
             panic!("a key frame")
         };
-        assert_eq!(channels.len(), figure.channels() - 2);
-        for (text, said) in [
+        assert_eq!(channels.len(), layout.channels() - 2);
+        for (text, message) in [
             (
                 "[[keyframe]]\ntime = -1.0\nsource_time = 0.0",
                 "k.toml, key frame 1: `time` is -1.0, allowed: 0 to 1e6 seconds",
@@ -206,7 +208,7 @@ mod tests {
             ),
         ] {
             let error = read(text).unwrap_err().to_string();
-            assert!(error.contains(said), "{error}");
+            assert!(error.contains(message), "{error}");
         }
     }
 }

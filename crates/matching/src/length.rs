@@ -1,25 +1,24 @@
-//! How long a new motion is.
+//! Length of a new motion.
 
 use std::fmt::{self, Display};
 use std::str::FromStr;
 
 use serde::Serialize;
 
-/// How long a new motion is.
+/// Length of a new motion.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 #[serde(into = "String")]
 pub enum Length {
-    /// So many times all examples together; written `2x`.
+    /// A multiple of the length of all examples; written `2x`.
     Times(f64),
-    /// Frames, at the rate after thinning; written `300`.
+    /// Frames after downsampling; written `300`.
     Frames(usize),
     /// Seconds; written `12.5s`.
     Seconds(f64),
 }
 
 impl Length {
-    /// The number of frames, of examples that have `examples` frames in all; 0 for what is not
-    /// positive.
+    /// The number of frames, where all examples have `examples` frames.
     pub fn frames(self, examples: usize, frame_time: f64) -> usize {
         match self {
             Self::Times(factor) => (factor * examples as f64).round() as usize,

@@ -1,9 +1,9 @@
 //! New motion from one or a few examples, without training: GenMM, generative motion matching.
 //!
 //! Short stretches of the examples, the patches, are matched with a coarse start of noise and
-//! averaged where they overlap, from coarse to fine. So the result is made of the examples' own
-//! movements in another order. Source: W. Li and others, Example-based Motion Synthesis via
-//! Generative Motion Matching (2023), and its published program; docs/sources/genmm.md.
+//! averaged where they overlap, from coarse to fine: the result recombines the movements of the
+//! examples. Source: W. Li and others, Example-based Motion Synthesis via Generative Motion
+//! Matching (2023), and its published program; docs/sources/genmm.md.
 //!
 //! ```
 //! use kinegrad_matching::{Frames, Preset, Request, Settings, synthesize};
@@ -14,25 +14,27 @@
 //!     frames: 200,
 //!     settings: &Settings::of(Preset::Published),
 //!     groups: &[],
-//!     held: &[],
+//!     constraints: &[],
 //! };
 //! let new = synthesize(&request, 0)?;
 //! assert_eq!(new.frames.frames(), 200);
 //! # Ok::<(), kinegrad_settings::InvalidSetting>(())
 //! ```
 
-mod calm;
+mod constraint;
 mod diagonals;
 mod displacement;
 mod distance;
 mod error;
-mod figure;
+mod foot_locking;
 mod frames;
-mod held;
 mod job;
 mod keyframes;
 mod length;
+mod limit_jerk;
+mod made;
 mod metrics;
+mod motion_matrix;
 mod nearest;
 mod parts;
 mod pool;
@@ -43,17 +45,18 @@ mod smoothing;
 mod synthesis;
 mod vote;
 
-pub use calm::{jerk_around, jerks, percentile_95};
+pub use constraint::Constraint;
 pub use displacement::{displacements, places};
 pub use error::Error;
-pub use figure::{Example, Figure, FigureOptions};
 pub use frames::Frames;
-pub use held::Held;
-pub use job::{Fixed, Job, Made, PartChoice};
+pub use job::{Fixed, Job, PartChoice};
 pub use keyframes::Keyframe;
 pub use kinegrad_capture::Axis;
 pub use length::Length;
+pub use limit_jerk::{jerk_around, jerks, percentile_95};
+pub use made::Made;
 pub use metrics::{Measures, Novelty, Run, Seam, Sliding, Stillness};
+pub use motion_matrix::{Example, MatrixOptions, MotionMatrix};
 pub use nearest::{Distance, Matches, Search};
 pub use parts::{Part, feet};
 pub use pool::Pool;
@@ -63,4 +66,4 @@ pub use synthesis::{
     Channels, Request, Synthesis, start, start_noise, step, synthesize, synthesize_from,
     synthesize_like,
 };
-pub use vote::{vote, vote_around, with_ends, without_ends};
+pub use vote::{pad_loop, unpad_loop, vote, vote_loop};

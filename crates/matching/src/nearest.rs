@@ -1,10 +1,9 @@
-//! The example patch that is nearest to each patch of the synthesis.
+//! Nearest example patches.
 //!
-//! A patch distance is a sum of frame distances along a diagonal: D[i, j] is the sum over k of
-//! ||x[i + k] - y[j + k]||^2. So frames are compared once and not once for each patch that covers
-//! them. The p terms are added each time: differences of a running sum would flip neighbours that
-//! lie close together. Rows are computed in tiles; where all tiles together are large, they are
-//! computed twice and never held.
+//! The distance of two patches is a sum of frame distances along a diagonal: D[i, j] is the sum
+//! over k of ||x[i + k] - y[j + k]||^2, so each pair of frames is compared once. The p terms are
+//! added anew for each patch: differences of a running sum would reorder close neighbours. Rows are
+//! computed in tiles; if all tiles exceed the cache, they are computed twice instead of stored.
 
 use std::borrow::Cow;
 
@@ -16,52 +15,52 @@ use crate::diagonals::Diagonals;
 use crate::distance::{Moving, Padded, squared};
 use crate::{Frames, Pool};
 
-/// What the distance of two patches is.
+/// Distance of two patches.
 #[derive(Clone, Copy, Debug, Deserialize, Eq, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Distance {
-    /// The mean of the squared differences of all values, as the published program has it.
+    /// Mean of the squared differences, as in the published program.
     MeanSquare,
-    /// The Euclidean distance, as the paper has it.
+    /// Euclidean distance, as in the paper.
     L2,
 }
 
-/// The nearest patches.
+/// Nearest patches.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Matches {
-    /// The nearest example patch of each patch of the synthesis, by its number in the pool; of
-    /// several equally near ones the first.
+    /// The nearest example patch of each patch of the synthesis, by its number in the pool; the
+    /// first of equally near ones.
     pub nearest: Vec<usize>,
-    /// The distance to it, divided by completeness where there is any.
+    /// The distance to it, divided by completeness if there is any.
     pub distances: Vec<f32>,
-    /// For each example patch its distance to the nearest patch of the synthesis.
+    /// The distance of each example patch to the nearest patch of the synthesis.
     pub smallest: Vec<f32>,
 }
 
-/// Bytes of distances that a search holds, from the first pass to the second and to the next search.
-const HELD: usize = 64 << 20;
-/// Bytes of a tile that is not held.
-const TILE: usize = 8 << 20;
-/// Frames of the synthesis that are compared before their distances are summed.
+/// Most bytes of distances that a search keeps between its passes and for the next search.
+const CACHE_BYTES: usize = 64 << 20;
+/// Bytes of a tile that is not kept.
+const TILE_BYTES: usize = 8 << 20;
+/// Frames compared before their distances are summed.
 const AT_A_TIME: usize = 32;
 
-/// Example patches to compare with, prepared for any number of searches.
+/// Example patches, prepared for searches.
 ///
-/// Distances of patches that did not change since the last search are not computed again: from step to
-/// step of a level most of a motion stays as it is.
+/// Distances of patches that did not change since the last search are reused: most of a motion does
+/// not change from step to step of a level.
 pub struct Search<'a> {
     pool: &'a Pool,
     moving: Moving,
     padded: Padded,
     distance: Distance,
-    most_held: usize,
-    last: Option<Held>,
+    cache_bytes: usize,
+    cache: Option<Cache>,
 }
 
-/// What a search leaves to the next one.
-struct Held {
+/// Distances kept for the next search.
+struct Cache {
     synthesis: Padded,
-    /// Rows of a tile, but for the last.
+    /// Rows of each tile but the last.
     rows: usize,
     /// Distances of all patches.
     tiles: Vec<Vec<f32>>,
@@ -76,27 +75,27 @@ impl<'a> Search<'a> {
             padded: moving.padded(pool.frames()),
             moving,
             distance,
-            most_held: HELD,
-            last: None,
+            cache_bytes: CACHE_BYTES,
+            cache: None,
         }
     }
 
-    /// One of `searches` that are held side by side, which together hold as much as one alone.
+    /// One of `searches` at a time, which share the cache.
     #[must_use]
     pub fn among(self, searches: usize) -> Self {
         Self {
-            most_held: HELD / searches.max(1),
+            cache_bytes: CACHE_BYTES / searches.max(1),
             ..self
         }
     }
 
-    /// The nearest example patch of each patch of `synthesis`, `[frames, channels]`: the smallest
-    /// D[i, j] / (`alpha` + min over i of D[i, j]) over j, or without `alpha` the smallest D[i, j].
-    /// The result is the same on any number of threads, and whatever was searched for before.
+    /// The nearest example patch of each patch of `synthesis`, `[frames, channels]`: the j with the
+    /// smallest D[i, j] / (`alpha` + min over i of D[i, j]), or without `alpha` the smallest D[i,
+    /// j]. The result depends neither on the number of threads nor on earlier searches.
     ///
-    /// `bent`, empty or of each frame: whether it bends towards a key frame. Patches with such frames do
-    /// not count for the minimum over i, if others are left: they are in the example as they are, from the
-    /// first step on, where the rest is noise, which would go around what the example does there.
+    /// `bent`: whether each frame was blended into a key frame, or empty. Patches with such frames
+    /// do not count for the minimum over i, if others are left: they equal the example from the
+    /// first step on, and the rest of the motion would avoid that part of the example.
     ///
     /// # Panics
     /// Panics if the channels differ, or either side is shorter than a patch.
@@ -110,21 +109,21 @@ impl<'a> Search<'a> {
         }
         let (frames, width) = (synthesis.frames(), self.padded.frames());
         let patches = frames - p + 1;
-        let holds = frames * width * size_of::<f32>() <= self.most_held;
+        let holds = frames * width * size_of::<f32>() <= self.cache_bytes;
         let share = patches.div_ceil(2 * rayon::current_num_threads());
         let most = match holds {
             true => patches,
-            false => TILE / size_of::<f32>() / width,
+            false => TILE_BYTES / size_of::<f32>() / width,
         };
         let rows = share.clamp(32, most.max(32));
         let firsts: Vec<usize> = (0..patches).step_by(rows).collect();
-        let last = self.last.take();
+        let last = self.cache.take();
         let last = last.filter(|last| (last.synthesis.frames(), last.rows) == (frames, rows));
         let search = &*self;
         let tile = |synthesis: &Padded, first: usize| {
             search.tile(synthesis, first, rows.min(patches - first))
         };
-        let (synthesis, held) = match last {
+        let (synthesis, cached) = match last {
             Some(mut last) => {
                 let changed = self.moving.renew(&mut last.synthesis, synthesis);
                 let tiles = firsts.par_iter().zip(&mut last.tiles);
@@ -141,8 +140,8 @@ impl<'a> Search<'a> {
             }
         };
         let tiles = firsts.par_iter().enumerate();
-        let tiles = tiles.map(|(index, &first)| match &held {
-            Some(held) => Cow::Borrowed(held[index].as_slice()),
+        let tiles = tiles.map(|(index, &first)| match &cached {
+            Some(tiles) => Cow::Borrowed(tiles[index].as_slice()),
             None => Cow::Owned(tile(&synthesis, first)),
         });
         let smallest: Vec<f32> = match alpha {
@@ -164,7 +163,7 @@ impl<'a> Search<'a> {
             .flat_map_iter(|tile| search.first_smallest(&tile, &scale))
             .collect();
         let (nearest, distances) = found.into_iter().unzip();
-        self.last = held.map(|tiles| Held {
+        self.cache = cached.map(|tiles| Cache {
             synthesis,
             rows,
             tiles,
@@ -176,8 +175,8 @@ impl<'a> Search<'a> {
         }
     }
 
-    /// Computes those rows of a tile again, whose patches have a frame that `changed`; the tile's first
-    /// patch has number `first`.
+    /// Recomputes the rows of a tile whose patches have a frame that `changed`; `first` is the
+    /// first patch of the tile.
     fn renew(&self, tile: &mut [f32], synthesis: &Padded, first: usize, changed: &[bool]) {
         let (p, width) = (self.pool.patch_size(), self.padded.frames());
         let rows = tile.len() / width;
@@ -189,7 +188,7 @@ impl<'a> Search<'a> {
                 row += 1;
                 continue;
             }
-            // Up to a gap so long that the frames around it would not be compared twice.
+            // Up to a gap long enough that no frame is compared twice.
             let mut end = row + 1;
             let mut ahead = end;
             while ahead < rows.min(end + p) {
@@ -204,9 +203,8 @@ impl<'a> Search<'a> {
         }
     }
 
-    /// The distances of `rows` patches of the synthesis from number `first` on to all example patches,
-    /// `[rows, frames of the pool]`: a row has as many as there are patches, and what is behind them
-    /// means nothing.
+    /// Distances of `rows` patches of the synthesis from `first` on to all example patches, `[rows,
+    /// frames of the pool]`; columns beyond the number of patches are undefined.
     fn tile(&self, synthesis: &Padded, first: usize, rows: usize) -> Vec<f32> {
         let mut distances = Vec::new();
         self.fill(&mut distances, synthesis, first, rows);
@@ -214,13 +212,13 @@ impl<'a> Search<'a> {
         distances
     }
 
-    /// Puts a [`tile`](Self::tile) at the beginning of `distances`, whatever they were.
+    /// Writes a [`tile`](Self::tile) to the beginning of `distances`.
     fn fill(&self, distances: &mut Vec<f32>, synthesis: &Padded, first: usize, rows: usize) {
         let (p, width) = (self.pool.patch_size(), self.padded.frames());
         let frames = rows + p - 1;
         distances.resize(frames * width, 0.0);
         let mut summed = 0;
-        // Frames' distances are summed while they are still in a cache.
+        // Frame distances are summed while they are in the cache.
         for start in (0..frames).step_by(AT_A_TIME) {
             let end = frames.min(start + AT_A_TIME);
             let part = &mut distances[start * width..end * width];
@@ -244,7 +242,7 @@ impl<'a> Search<'a> {
         rows.map(move |row| &row[..patches])
     }
 
-    /// For each example patch its distance to the nearest of the tile's patches that count.
+    /// The distance of each example patch to the nearest counted patch of the tile.
     fn smallest(&self, distances: &[f32], counts: &[bool]) -> Vec<f32> {
         let mut smallest = vec![f32::INFINITY; self.pool.patches()];
         pulp::Arch::new().dispatch(
@@ -261,7 +259,7 @@ impl<'a> Search<'a> {
         smallest
     }
 
-    /// The first example patch of the smallest scaled distance, for each patch of the tile.
+    /// The first example patch with the smallest scaled distance, for each patch of the tile.
     fn first_smallest(&self, distances: &[f32], scale: &[f32]) -> Vec<(usize, f32)> {
         let mut scaled = vec![0.0; self.pool.patches()];
         let rows = self.rows(distances);
@@ -276,7 +274,7 @@ impl<'a> Search<'a> {
     }
 }
 
-/// Divides a row by `scale`, and gives the place of the first smallest quotient, and the quotient.
+/// Divides a row by `scale`; returns index and value of the first smallest quotient.
 struct Scaled<'a> {
     row: &'a [f32],
     scale: &'a [f32],

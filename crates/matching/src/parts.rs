@@ -1,24 +1,24 @@
-//! Body parts, which are matched each by itself.
+//! Body parts, each matched by itself.
 
 use kinegrad_capture::Joint;
 use kinegrad_motion::vector::length;
 use kinegrad_settings::read_toml;
 use serde::{Deserialize, Serialize};
 
-use crate::{Channels, Error, Figure};
+use crate::{Channels, Error, MotionMatrix};
 
-/// A bone chain that is shorter than this part of the longest is no limb: fingers, ears, a tail.
+/// A bone chain shorter than this part of the longest is not a limb: fingers, ears, a tail.
 const LIMB: f64 = 0.25;
 
 /// A body part.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Part {
-    /// What it is called.
+    /// Its name.
     pub name: String,
-    /// Its joints, by their indices; neighbouring parts share the joint that connects them.
+    /// Indices of its joints; neighbouring parts share the joint that connects them.
     pub joints: Vec<usize>,
-    /// Whether the way of the joint that travels belongs to it.
-    pub way: bool,
+    /// Whether the root trajectory belongs to it.
+    pub root_trajectory: bool,
 }
 
 /// A file of body parts.
@@ -36,14 +36,15 @@ struct Entry {
     /// Joints by name.
     #[serde(default)]
     joints: Vec<String>,
-    /// Joints with all that hangs on them.
+    /// Joints with their descendants.
     #[serde(default)]
     below: Vec<String>,
     #[serde(default)]
-    way: bool,
+    root_trajectory: bool,
 }
 
-/// Words in the names of joints, for parts that are asked for by a common name.
+/// Common part names: words in the names of their joints, and whether the root trajectory belongs
+/// to them.
 const COMMON: [(&str, &[&str], bool); 3] = [
     (
         "legs",
@@ -64,11 +65,11 @@ const COMMON: [(&str, &[&str], bool); 3] = [
 
 impl Part {
     /// Its channels.
-    pub fn channels(&self, figure: &Figure) -> Channels {
+    pub fn channels(&self, layout: &MotionMatrix) -> Channels {
         let joints = self.joints.iter();
-        let mut channels: Vec<usize> = joints.flat_map(|&j| figure.channels_of(j)).collect();
-        if self.way {
-            channels.extend(figure.way());
+        let mut channels: Vec<usize> = joints.flat_map(|&j| layout.channels_of(j)).collect();
+        if self.root_trajectory {
+            channels.extend(layout.root_channels());
         }
         channels.sort_unstable();
         Channels {
@@ -77,12 +78,11 @@ impl Part {
         }
     }
 
-    /// Parts by where the skeleton branches: the trunk, and a limb for each long chain that hangs
-    /// on it, with the joint of the trunk that it hangs on. The way of the body belongs to the
-    /// trunk and to limbs that hang on the joint that travels, the legs. A skeleton that does not
-    /// branch is one part.
-    pub fn automatic(figure: &Figure) -> Vec<Self> {
-        let joints = figure.joints();
+    /// Parts by the branches of the skeleton: the trunk, and a limb for each long chain below it,
+    /// with the trunk joint above. The root trajectory belongs to the trunk and to the limbs below
+    /// the root joint, the legs. A skeleton that does not branch is one part.
+    pub fn automatic(layout: &MotionMatrix) -> Vec<Self> {
+        let joints = layout.joints();
         let reach = reach(joints);
         let long = |joint: usize| length(joints[joint].offset) + reach[joint] >= LIMB * reach[0];
         let children = |parent: usize| {
@@ -102,35 +102,34 @@ impl Part {
                 limbs.push(Self {
                     name: bare(&joints[joint].name).to_string(),
                     joints: [vec![parent], subtree].concat(),
-                    way: parent == figure.travelling(),
+                    root_trajectory: parent == layout.root_joint(),
                 });
             }
         }
         let trunk = Self {
             name: "trunk".to_string(),
             joints: (0..joints.len()).filter(|&joint| in_trunk[joint]).collect(),
-            way: true,
+            root_trajectory: true,
         };
         [vec![trunk], limbs].concat()
     }
 
     /// The whole body as one part.
-    pub fn whole(figure: &Figure) -> Self {
+    pub fn whole(layout: &MotionMatrix) -> Self {
         Self {
             name: "body".to_string(),
-            joints: (0..figure.joints().len()).collect(),
-            way: true,
+            joints: (0..layout.joints().len()).collect(),
+            root_trajectory: true,
         }
     }
 
     /// The parts of a TOML file: tables `[[part]]` with `name`, `joints` (names), `below` (joints
-    /// with all that hangs on them) and `way` (whether the body's way belongs to it). What is in
-    /// none of them is a part called `rest`.
+    /// with their descendants) and `root_trajectory` (whether it belongs to the part). All other
+    /// joints form a part called `rest`.
     ///
     /// # Errors
-    /// For a file that cannot be read so, joints that the figure does not have, and parts without
-    /// joints.
-    pub fn read(text: &str, file: &str, figure: &Figure) -> Result<Vec<Self>, Error> {
+    /// For a malformed file, unknown joints, and parts without joints.
+    pub fn read(text: &str, file: &str, layout: &MotionMatrix) -> Result<Vec<Self>, Error> {
         let hint = "docs/matching.md describes files of parts";
         let document: Document = read_toml(text, file, hint)?;
         if document.part.is_empty() {
@@ -144,10 +143,10 @@ impl Part {
             }
             let mut joints = Vec::new();
             for name in &entry.joints {
-                joints.push(joint(figure, name, file)?);
+                joints.push(joint(layout, name, file)?);
             }
             for name in &entry.below {
-                joints.extend(subtree(figure.joints(), joint(figure, name, file)?));
+                joints.extend(subtree(layout.joints(), joint(layout, name, file)?));
             }
             joints.sort_unstable();
             joints.dedup();
@@ -158,14 +157,14 @@ impl Part {
             parts.push(Self {
                 name: entry.name,
                 joints,
-                way: entry.way,
+                root_trajectory: entry.root_trajectory,
             });
         }
-        let mut rest = Self::whole(figure);
+        let mut rest = Self::whole(layout);
         rest.name = "rest".to_string();
         let taken = |joint: &usize| parts.iter().any(|part: &Self| part.joints.contains(joint));
         rest.joints.retain(|joint| !taken(joint));
-        rest.way = parts.iter().all(|part| !part.way);
+        rest.root_trajectory = parts.iter().all(|part| !part.root_trajectory);
         if !rest.joints.is_empty() {
             if parts.iter().any(|part| part.name == rest.name) {
                 let problem =
@@ -173,31 +172,36 @@ impl Part {
                 return Err(Error::file(file, problem, hint));
             }
             parts.push(rest);
-        } else if rest.way {
-            let travels = figure.travelling();
+        } else if rest.root_trajectory {
+            let travels = layout.root_joint();
             for part in &mut parts {
-                part.way = part.joints.contains(&travels);
+                part.root_trajectory = part.joints.contains(&travels);
             }
         }
         Ok(parts)
     }
 
-    /// The part that a name means: one of `parts`, `legs`, `arms` or `head` by the words in the
-    /// names of joints, or a joint with all that hangs on it. `asks`: what names it, for messages.
+    /// The part of a name: one of `parts`; `legs`, `arms` or `head` by the words in joint names; or
+    /// a joint with its descendants. `asks`: the source of the name, for messages.
     ///
     /// # Errors
-    /// Names what there is.
-    pub fn named(name: &str, parts: &[Self], figure: &Figure, asks: &str) -> Result<Self, Error> {
+    /// Lists the known names.
+    pub fn named(
+        name: &str,
+        parts: &[Self],
+        layout: &MotionMatrix,
+        asks: &str,
+    ) -> Result<Self, Error> {
         if let Some(part) = parts.iter().find(|part| part.name == name) {
             return Ok(part.clone());
         }
-        let joints = figure.joints();
-        let of = |found: Vec<usize>, way| Self {
+        let joints = layout.joints();
+        let of = |found: Vec<usize>, root_trajectory| Self {
             name: name.to_string(),
             joints: found,
-            way,
+            root_trajectory,
         };
-        if let Some((_, words, way)) = COMMON.iter().find(|(common, ..)| *common == name) {
+        if let Some((_, words, has_root)) = COMMON.iter().find(|(common, ..)| *common == name) {
             let called = |joint: usize, words: &[&str]| {
                 let joint = bare(&joints[joint].name).to_lowercase();
                 words.iter().any(|word| joint.contains(word))
@@ -214,73 +218,75 @@ impl Part {
                     && COMMON.iter().all(only_legs)
             };
             let mut found: Vec<usize> = (1..joints.len())
-                .filter(|&joint| joint != figure.travelling())
+                .filter(|&joint| joint != layout.root_joint())
                 .filter(|&joint| called(joint, words) || thigh(joint))
                 .flat_map(|joint| subtree(joints, joint))
                 .collect();
             if !found.is_empty() {
-                // Legs stand on the ground as the joint that they hang on turns.
-                found.extend(way.then(|| figure.travelling()));
+                // The joint above the legs turns them, so it belongs to them.
+                found.extend(has_root.then(|| layout.root_joint()));
                 found.sort_unstable();
                 found.dedup();
-                return Ok(of(found, *way));
+                return Ok(of(found, *has_root));
             }
         }
-        match joints
+        if let Some(joint) = find(joints, name) {
+            let below = subtree(joints, joint);
+            let has_root = below.contains(&layout.root_joint());
+            return Ok(of(below, has_root));
+        }
+        let parts: Vec<String> = parts
             .iter()
-            .position(|joint| joint.name == name || bare(&joint.name) == name)
-        {
-            Some(joint) => {
-                let below = subtree(joints, joint);
-                let way = below.contains(&figure.travelling());
-                Ok(of(below, way))
-            }
-            None => {
-                let parts = parts.iter().map(|part| format!("`{}`", part.name));
-                let parts: Vec<String> = parts.collect();
-                let problem = format!("there is no part or joint `{name}`");
-                let hint = format!(
-                    "parts: {}; or a joint, with all that hangs on it; or `legs`, `arms`, `head`, \
-                     where joints are called so",
-                    parts.join(", ")
-                );
-                Err(Error::file(asks, problem, hint))
-            }
-        }
+            .map(|part| format!("`{}`", part.name))
+            .collect();
+        let hint = format!(
+            "parts: {}; or a joint, with its descendants; or `legs`, `arms`, `head`, where joints are \
+             called so",
+            parts.join(", ")
+        );
+        Err(Error::file(
+            asks,
+            format!("there is no part or joint `{name}`"),
+            hint,
+        ))
     }
 }
 
-/// The joints whose names say that they are feet.
+/// The joints named foot, toe or ankle.
 pub fn feet(joints: &[Joint]) -> Vec<usize> {
-    let is_foot = |joint: &Joint| {
-        let name = bare(&joint.name).to_lowercase();
+    let is_foot = |joint: &usize| {
+        let name = bare(&joints[*joint].name).to_lowercase();
         ["foot", "toe", "ankle"]
             .iter()
             .any(|word| name.contains(word))
     };
-    (0..joints.len())
-        .filter(|&joint| is_foot(&joints[joint]))
-        .collect()
+    (0..joints.len()).filter(is_foot).collect()
 }
 
-fn joint(figure: &Figure, name: &str, file: &str) -> Result<usize, Error> {
-    let joints = figure.joints();
-    let found = joints
-        .iter()
-        .position(|joint| joint.name == name || bare(&joint.name) == name);
-    found.ok_or_else(|| {
-        let names: Vec<&str> = joints.iter().map(|joint| bare(&joint.name)).collect();
+fn joint(layout: &MotionMatrix, name: &str, file: &str) -> Result<usize, Error> {
+    find(layout.joints(), name).ok_or_else(|| {
+        let names: Vec<&str> = layout
+            .joints()
+            .iter()
+            .map(|joint| bare(&joint.name))
+            .collect();
         let problem = format!("there is no joint `{name}`");
         Error::file(file, problem, format!("joints: {}", names.join(", ")))
     })
 }
 
-/// A name without its prefix up to a colon.
+/// The joint of a name, with or without its namespace.
+fn find(joints: &[Joint], name: &str) -> Option<usize> {
+    let mut joints = joints.iter();
+    joints.position(|joint| joint.name == name || bare(&joint.name) == name)
+}
+
+/// A joint name without its namespace, as in `mixamorig:Hips`.
 fn bare(name: &str) -> &str {
     name.rsplit(':').next().unwrap_or(name)
 }
 
-/// A joint and all that hangs on it.
+/// A joint and its descendants.
 fn subtree(joints: &[Joint], top: usize) -> Vec<usize> {
     let mut inside = vec![false; joints.len()];
     inside[top] = true;
@@ -290,18 +296,16 @@ fn subtree(joints: &[Joint], top: usize) -> Vec<usize> {
     (top..joints.len()).filter(|&joint| inside[joint]).collect()
 }
 
-/// Length of the longest chain of bones that hangs on each joint.
+/// Length of the longest bone chain below each joint.
 fn reach(joints: &[Joint]) -> Vec<f64> {
-    let mut reach: Vec<f64> = joints
-        .iter()
-        .map(|joint| {
-            joint
-                .end_sites
-                .iter()
-                .map(|&end| length(end))
-                .fold(0.0, f64::max)
-        })
-        .collect();
+    let end = |joint: &Joint| {
+        joint
+            .end_sites
+            .iter()
+            .map(|&end| length(end))
+            .fold(0.0, f64::max)
+    };
+    let mut reach: Vec<f64> = joints.iter().map(end).collect();
     for joint in (1..joints.len()).rev() {
         let parent = joints[joint].parent.expect("only the root has none");
         reach[parent] = reach[parent].max(length(joints[joint].offset) + reach[joint]);
@@ -314,42 +318,45 @@ mod tests {
     use kinegrad_capture::Bvh;
 
     use super::*;
-    use crate::FigureOptions;
-    use crate::figure::tests::example;
+    use crate::MatrixOptions;
+    use crate::motion_matrix::tests::example;
 
-    fn walk() -> Figure {
+    fn walk() -> MotionMatrix {
         let walk = example("walk.bvh", 20, 1.0 / 30.0);
-        Figure::new(&[walk], FigureOptions::default()).unwrap()
+        MotionMatrix::new(&[walk], MatrixOptions::default()).unwrap()
     }
 
     #[test]
     fn limbs_hang_on_the_trunk_by_a_shared_joint() {
-        let figure = walk();
-        let parts = Part::automatic(&figure);
+        let layout = walk();
+        let parts = Part::automatic(&layout);
         let named: Vec<_> = parts.iter().map(|part| part.name.as_str()).collect();
         assert_eq!(named, ["trunk", "LeftLeg", "RightLeg"]);
         assert_eq!(parts[0].joints, [0, 1]);
         assert_eq!(parts[1].joints, [1, 2, 3]);
-        assert!(parts.iter().all(|part| part.way));
+        assert!(parts.iter().all(|part| part.root_trajectory));
         let mut all: Vec<usize> = parts
             .iter()
-            .flat_map(|p| p.channels(&figure).channels)
+            .flat_map(|p| p.channels(&layout).channels)
             .collect();
         all.sort_unstable();
         all.dedup();
-        assert!(all.into_iter().eq(0..figure.channels()));
-        assert_eq!(feet(figure.joints()), [3, 5]);
+        assert!(all.into_iter().eq(0..layout.channels()));
+        assert_eq!(feet(layout.joints()), [3, 5]);
     }
 
     #[test]
     fn parts_are_read_and_the_rest_is_one() {
-        let figure = walk();
+        let layout = walk();
         let text = "[[part]]\nname = 'left'\nbelow = ['LeftLeg']\n";
-        let parts = Part::read(text, "parts.toml", &figure).unwrap();
+        let parts = Part::read(text, "parts.toml", &layout).unwrap();
         assert_eq!(parts[0].joints, [2, 3]);
-        assert_eq!((parts[1].name.as_str(), parts[1].way), ("rest", true));
+        assert_eq!(
+            (parts[1].name.as_str(), parts[1].root_trajectory),
+            ("rest", true)
+        );
         assert_eq!(parts[1].joints, [0, 1, 4, 5]);
-        for (text, said) in [
+        for (text, message) in [
             (
                 "[[part]]\nname = 'a'\njoints = ['Tail']\n",
                 "no joint `Tail`",
@@ -360,19 +367,20 @@ mod tests {
                 "unknown key `part[0].jonts`",
             ),
         ] {
-            let error = Part::read(text, "parts.toml", &figure)
+            let error = Part::read(text, "parts.toml", &layout)
                 .unwrap_err()
                 .to_string();
-            assert!(error.contains(said), "{error}");
+            assert!(error.contains(message), "{error}");
         }
     }
 
     #[test]
     fn names_mean_parts_words_or_joints() {
-        let figure = walk();
-        let parts = Part::automatic(&figure);
+        let layout = walk();
+        let parts = Part::automatic(&layout);
         let of = |name: &str| {
-            Part::named(name, &parts, &figure, "--fix").map(|part| (part.joints, part.way))
+            Part::named(name, &parts, &layout, "fixed part")
+                .map(|part| (part.joints, part.root_trajectory))
         };
         assert_eq!(of("LeftLeg").unwrap(), (vec![1, 2, 3], true));
         assert_eq!(of("legs").unwrap(), (vec![1, 2, 3, 4, 5], true));
@@ -394,8 +402,8 @@ mod tests {
             text.replace(from, to)
         });
         walk.bvh = Bvh::parse(text.as_bytes(), "walk.bvh").unwrap();
-        let figure = Figure::new(&[walk], FigureOptions::default()).unwrap();
-        let legs = Part::named("legs", &[], &figure, "--fix").unwrap();
-        assert_eq!((legs.joints, legs.way), (vec![1, 2, 3], true));
+        let layout = MotionMatrix::new(&[walk], MatrixOptions::default()).unwrap();
+        let legs = Part::named("legs", &[], &layout, "fixed part").unwrap();
+        assert_eq!((legs.joints, legs.root_trajectory), (vec![1, 2, 3], true));
     }
 }

@@ -4,8 +4,8 @@ use std::ops::Range;
 
 use crate::Frames;
 
-/// The frames of all examples at one level, one example behind the other. A patch is `patch_size`
-/// frames that follow each other in one example; patches are numbered through all examples.
+/// The frames of all examples at one level, joined. A patch is `patch_size` consecutive frames of
+/// one example; patches are numbered through all examples.
 #[derive(Clone, Debug)]
 pub struct Pool {
     frames: Frames,
@@ -17,8 +17,7 @@ pub struct Pool {
 }
 
 impl Pool {
-    /// The pool of the examples' `patch_size` frames long patches. Examples that are shorter have
-    /// none.
+    /// The patches of the examples, `patch_size` frames each. Shorter examples have none.
     ///
     /// # Panics
     /// Panics if there are no examples, or their channels differ.
@@ -56,8 +55,8 @@ impl Pool {
         self.patches
     }
 
-    /// Runs of patches that follow each other: the first patch's number, its first frame among all,
-    /// and how many there are, at least one.
+    /// Runs of consecutive patches: number of the first, its first frame in the pool, and their
+    /// count.
     pub fn runs(&self) -> impl Iterator<Item = (usize, usize, usize)> + '_ {
         let runs = self.examples.iter().zip(&self.first_patches);
         runs.filter(|(example, _)| example.len() >= self.patch_size)
@@ -67,7 +66,7 @@ impl Pool {
             })
     }
 
-    /// The example that a patch is of, and the patch's first frame in it.
+    /// The example of a patch, and its first frame there.
     ///
     /// # Panics
     /// Panics if there is no such patch.
@@ -78,7 +77,7 @@ impl Pool {
         (example, patch - self.first_patches[example])
     }
 
-    /// The patch's first frame among all.
+    /// The first frame of a patch in the pool.
     ///
     /// # Panics
     /// As [`origin`](Self::origin).

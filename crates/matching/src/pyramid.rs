@@ -1,8 +1,8 @@
-//! Lengths of the pyramid: how many frames examples and synthesis have at each level.
+//! Lengths of the pyramid levels.
 
-/// Lengths of the levels of a motion of `frames` frames, the coarsest first: `frames *
-/// coarse_ratio`, then each `1 / pyr_factor` times as long, rounded with halves to even and always
-/// longer than the one before, up to `frames`. With a ratio of 1 or more there is one level.
+/// Level lengths of a motion of `frames` frames, the coarsest first: `frames * coarse_ratio`, then
+/// each `1 / pyr_factor` times as long, rounded half to even and strictly increasing, up to
+/// `frames`. A ratio of 1 or more gives one level.
 ///
 /// Source: GenMM; docs/sources/genmm.md.
 pub fn pyramid_lengths(frames: usize, coarse_ratio: f64, pyr_factor: f64) -> Vec<usize> {
@@ -28,12 +28,12 @@ pub struct Levels {
 }
 
 impl Levels {
-    /// Levels of examples of `examples` frames and a synthesis of `synthesis`.
+    /// Levels of examples and a synthesis of these lengths.
     ///
-    /// Examples of different lengths keep as many levels as the one with the fewest, from the
-    /// finest down, without levels at which none of them has a patch. The synthesis has as many: where rounding would give it another number, its
-    /// lengths are in the proportion of the longest example's. No level of the synthesis is
-    /// shorter than a patch.
+    /// All examples have as many levels as the one with the fewest, counted from the finest; levels
+    /// at which no example has a patch are dropped. If rounding gives the synthesis another number
+    /// of levels, its lengths are proportional to those of the longest example. No level of the
+    /// synthesis is shorter than a patch.
     ///
     /// # Panics
     /// Panics if there are no examples.

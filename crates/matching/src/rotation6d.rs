@@ -1,7 +1,6 @@
-//! Rotations as six numbers: the first two rows of their matrix, one after the other.
+//! Rotations as six numbers: the first two rows of the matrix.
 //!
-//! Means of six numbers are made rotations again on export alone. Source: GenMM;
-//! docs/sources/genmm.md.
+//! Averaged numbers become rotations on export only. Source: GenMM; docs/sources/genmm.md.
 
 use kinegrad_motion::Quaternion;
 use kinegrad_motion::channel_encoding::from_columns;
@@ -13,8 +12,8 @@ pub fn from_quaternion(rotation: Quaternion) -> [f64; 6] {
     [a, b, c, d, e, f]
 }
 
-/// The rotation whose matrix has nearly these first two rows: the first is kept in direction, the
-/// second made orthogonal to it.
+/// The rotation with approximately these first two matrix rows: the first keeps its direction, the
+/// second is made orthogonal.
 pub fn to_quaternion(rows: [f64; 6]) -> Quaternion {
     from_columns(&rows).conjugate()
 }

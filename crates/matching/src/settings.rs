@@ -8,18 +8,18 @@ use serde::{Deserialize, Serialize};
 
 use crate::Distance;
 
-/// How long the coarsest level is.
+/// Length of the coarsest level.
 #[derive(Clone, Copy, Debug, Deserialize, PartialEq, Serialize)]
 #[serde(try_from = "String", into = "String")]
 pub enum CoarseRatio {
-    /// So many patch sizes of the longest example, K of the paper; written `5x`.
+    /// In patch sizes of the longest example, K of the paper; written `5x`.
     Patches(f64),
-    /// This part of each motion's length; written `0.15`.
+    /// As a part of the length of each motion; written `0.15`.
     Ratio(f64),
 }
 
 impl CoarseRatio {
-    /// The part of each motion's length, where the longest example has `longest` frames.
+    /// The ratio of each motion's length, where the longest example has `longest` frames.
     pub fn ratio(self, patch_size: usize, longest: usize) -> f64 {
         match self {
             Self::Patches(patches) => patches * patch_size as f64 / longest as f64,
@@ -66,42 +66,42 @@ impl TryFrom<String> for CoarseRatio {
     }
 }
 
-/// What the coarsest level begins with.
+/// Start of the coarsest level.
 #[derive(Clone, Copy, Debug, Deserialize, Eq, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Start {
-    /// The examples joined end to end and resampled, plus noise, and of that the remainder of the
-    /// division by 1, as the published program has it.
+    /// The examples joined end to end, resampled, plus noise, modulo 1, as in the published
+    /// program.
     Examples,
-    /// Noise alone, as the paper has it.
+    /// Noise alone, as in the paper.
     Noise,
 }
 
-/// Whether and how a motion's end leads into its beginning.
+/// Loops: motions whose last frame is followed by the first.
 #[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Looping {
-    /// It does not.
+    /// No loop.
     #[default]
     Off,
-    /// As the published program has it: near the seam a frame is the mean of two means, of the
-    /// patches on either side, however many those are. Half a patch away from the seam it jumps.
+    /// As in the published program: near the seam a frame is the mean of two means, those of the
+    /// patches on either side, regardless of their number. Half a patch away from the seam the
+    /// motion jumps.
     Halves,
-    /// Every frame is the mean of all patches that cover it around the circle, and levels are
-    /// resampled around it: the seam is a place like any other.
+    /// Every frame is the mean of all patches that cover it around the loop, and levels are
+    /// resampled around it: the seam is not special.
     Even,
 }
 
-/// Sets of settings.
+/// Presets of the settings.
 #[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Preset {
-    /// Those of the published program: K 5, 3 steps, the mean square, examples with noise, the whole
-    /// body at once.
+    /// The published program: K 5, 3 steps, mean square, examples with noise, the whole body as one
+    /// part.
     #[default]
     Published,
-    /// Those of the paper: K 4, 5 steps, the Euclidean distance, noise alone, by body parts, with
-    /// contacts of the feet.
+    /// The paper: K 4, 5 steps, Euclidean distance, noise alone, body parts, foot contacts.
     Paper,
 }
 
@@ -109,26 +109,26 @@ pub enum Preset {
 #[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct Settings {
-    /// Frames of a patch, p; odd. Smaller: less of the motion is seen at once, and transitions are
+    /// Frames of a patch, p; odd. A smaller patch sees less of the motion and makes transitions
     /// more frequent.
     pub patch_size: usize,
     /// Length of a level divided by that of the next finer one.
     pub pyr_factor: f64,
-    /// Length of the coarsest level, K. More patches: more variety, and less that hangs together.
+    /// Length of the coarsest level, K. More patches give more variety and less coherence.
     pub coarse_ratio: CoarseRatio,
-    /// Completeness: the smaller, the more of the example appears, as patches that nothing is near
-    /// to gain weight; none turns it off. The document says both this and the contrary; this is
-    /// what is measured.
+    /// Completeness: patches that nothing is near gain weight. The smaller, the more of the example
+    /// appears; none turns it off. The document says both this and the contrary; this is what is
+    /// measured.
     pub alpha: Option<f64>,
-    /// Standard deviation of the noise that the coarsest level starts with; 0 is no noise.
+    /// Standard deviation of the noise of the coarsest level; 0 is no noise.
     pub sigma: f64,
     /// Steps of matching and voting at each level, E.
     pub num_steps: usize,
     /// Distance of two patches.
     pub distance: Distance,
-    /// What the coarsest level starts with.
+    /// Start of the coarsest level.
     pub start: Start,
-    /// Whether and how the motion's end leads into its beginning.
+    /// Whether and how the motion loops.
     pub looping: Looping,
 }
 
@@ -139,7 +139,7 @@ impl Default for Settings {
 }
 
 impl Settings {
-    /// The settings of a preset; body parts and contacts are no part of them.
+    /// The settings of a preset. Body parts and contacts are not among them.
     pub fn of(preset: Preset) -> Self {
         let published = Self {
             patch_size: 11,
@@ -165,9 +165,9 @@ impl Settings {
         }
     }
 
-    /// One control from mixing (0) to copying (1), in place of K and alpha: K goes from 12 to 2
-    /// patch sizes and alpha from 0.001 to 0.1, both by equal factors. Beyond 0.1 less of the example
-    /// appears and no more is copied.
+    /// One control from mixing (0) to copying (1) in place of K and alpha: K falls from 12 to 2
+    /// patch sizes and alpha rises from 0.001 to 0.1, both geometrically. Beyond 0.1 less of the
+    /// example appears and no more is copied.
     ///
     /// # Errors
     /// If `coherence` is not between 0 and 1.
@@ -182,7 +182,7 @@ impl Settings {
         })
     }
 
-    /// Rejects settings that no motion can be made with.
+    /// Checks the ranges of all settings.
     ///
     /// # Errors
     /// Names the first such setting.
@@ -242,7 +242,7 @@ mod tests {
     }
 
     #[test]
-    fn coherence_goes_from_many_patches_to_few() {
+    fn coherence_lowers_the_number_of_patches() {
         let at = |coherence| {
             let settings = Settings::of(Preset::Published)
                 .with_coherence(coherence)

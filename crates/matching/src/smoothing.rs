@@ -1,26 +1,26 @@
-//! A course near a given one that is smoother where it is asked to be.
+//! Smoothing with a strength for each frame.
 
 use kinegrad_motion::banded::Cholesky;
 
-use crate::{Frames, Held};
+use crate::{Constraint, Frames};
 
-/// Weights of a third difference's frames.
+/// Coefficients of a third difference.
 pub(crate) const THIRD: [f64; 4] = [-1.0, 3.0, -3.0, 1.0];
-/// Weight of a frame that must keep its values, beside 1 of all others.
-const KEPT: f64 = 1e9;
+/// Weight of a frame that must keep its values; others have 1.
+const FIXED: f64 = 1e9;
 
-/// Moves every channel x of a motion to the y for which
+/// Replaces every channel x by the y that minimises
 ///
 /// ```text
 /// sum over t of (y[t] - x[t])^2 + sum over t of strength[t] (y[t+3] - 3 y[t+2] + 3 y[t+1] - y[t])^2
 /// ```
 ///
-/// is least, where y must be x in key frames. Channels that follow a given motion stay as they are,
-/// and so do frames that no strength above 0 reaches.
+/// where y equals x in key frames. Fixed channels do not change, nor do frames that no strength
+/// above 0 reaches.
 ///
 /// # Panics
-/// Panics if there is not a strength for each third difference.
-pub(crate) fn smooth(frames: &mut Frames, strength: &[f64], held: &[Held]) {
+/// If there is not a strength for each third difference.
+pub(crate) fn smooth(frames: &mut Frames, strength: &[f64], constraints: &[Constraint]) {
     let n = frames.frames();
     assert_eq!(
         strength.len() + 3,
@@ -37,13 +37,13 @@ pub(crate) fn smooth(frames: &mut Frames, strength: &[f64], held: &[Held]) {
     }
     let mut follows = vec![false; frames.channels()];
     let mut key_frames: Vec<Vec<usize>> = vec![Vec::new(); frames.channels()];
-    for held in held {
-        match held {
-            Held::Channels { channels, .. } => {
+    for constraint in constraints {
+        match constraint {
+            Constraint::Channels { channels, .. } => {
                 channels.iter().for_each(|&channel| follows[channel] = true);
             }
-            Held::Keyframe { at, channels, .. } => {
-                let t = Held::frame(*at, n);
+            Constraint::Keyframe { at, channels, .. } => {
+                let t = Constraint::frame(*at, n);
                 channels
                     .iter()
                     .for_each(|&channel| key_frames[channel].push(t));
@@ -53,15 +53,15 @@ pub(crate) fn smooth(frames: &mut Frames, strength: &[f64], held: &[Held]) {
     for run in runs {
         let strength = &strength[run.start..run.end - 3];
         for channel in (0..frames.channels()).filter(|&channel| !follows[channel]) {
-            let kept = key_frames[channel].iter();
-            let kept: Vec<usize> = kept
+            let fixed = key_frames[channel].iter();
+            let fixed: Vec<usize> = fixed
                 .filter(|&t| run.contains(t))
                 .map(|t| t - run.start)
                 .collect();
             let course = run.clone().map(|t| f64::from(frames.frame(t)[channel]));
-            let smoothed = smoothed(&course.collect::<Vec<_>>(), strength, &kept);
+            let smoothed = smoothed(&course.collect::<Vec<_>>(), strength, &fixed);
             for (t, value) in run.clone().zip(smoothed) {
-                if !kept.contains(&(t - run.start)) {
+                if !fixed.contains(&(t - run.start)) {
                     frames.frame_mut(t)[channel] = value as f32;
                 }
             }
@@ -69,8 +69,8 @@ pub(crate) fn smooth(frames: &mut Frames, strength: &[f64], held: &[Held]) {
     }
 }
 
-fn smoothed(course: &[f64], strength: &[f64], kept: &[usize]) -> Vec<f64> {
-    let weight = |t: usize| if kept.contains(&t) { KEPT } else { 1.0 };
+fn smoothed(course: &[f64], strength: &[f64], fixed: &[usize]) -> Vec<f64> {
+    let weight = |t: usize| if fixed.contains(&t) { FIXED } else { 1.0 };
     let mut matrix: Vec<[f64; 4]> = (0..course.len())
         .map(|t| [weight(t), 0.0, 0.0, 0.0])
         .collect();
@@ -101,12 +101,12 @@ mod tests {
     }
 
     #[test]
-    fn the_course_is_smoother_and_keeps_what_is_held() {
+    fn smoothing_keeps_constraints() {
         let wild = |t: usize| (t as f32 * 2.3).sin();
         let values = (0..40).flat_map(|t| [wild(t), wild(t + 7)]);
         let before = Frames::new(2, values.collect());
         let source = before.columns(&[0]);
-        let key_frame = Held::Keyframe {
+        let key_frame = Constraint::Keyframe {
             at: 20.5 / 40.0,
             channels: vec![0],
             source,
@@ -130,7 +130,7 @@ mod tests {
             assert!(size(&after) < 0.2 * size(&before));
         }
         let mut followed = before.clone();
-        let follows = Held::Channels {
+        let follows = Constraint::Channels {
             channels: vec![1],
             motion: before.clone(),
         };

@@ -1,29 +1,29 @@
-//! The synthesis: from a coarse start, level by level, each frame voted for by matched patches.
+//! Synthesis: from a coarse start, level by level, by matching patches and voting.
 
 use std::borrow::Cow;
 
 use kinegrad_random::{Key, Purpose};
 use kinegrad_settings::{InvalidSetting, Refused, in_range, require};
 
-use crate::vote::{vote, vote_around, with_ends, without_ends};
-use crate::{Frames, Held, Levels, Looping, Matches, Pool, Search, Settings, Start};
+use crate::vote::{pad_loop, unpad_loop, vote, vote_loop};
+use crate::{Constraint, Frames, Levels, Looping, Matches, Pool, Search, Settings, Start};
 
-/// A group of channels that is matched by itself.
+/// A group of channels matched by itself.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Channels {
-    /// What it is called.
+    /// Its name.
     pub name: String,
-    /// Its channels, of which other groups may have some as well: those are averaged.
+    /// Its channels; those shared with other groups are averaged.
     pub channels: Vec<usize>,
 }
 
 impl Channels {
-    /// All channels of `frames` in their order?
+    /// Whether these are all channels in order.
     fn whole(&self, channels: usize) -> bool {
         self.channels.iter().copied().eq(0..channels)
     }
 
-    /// Its channels of a motion.
+    /// These channels of a motion.
     fn of<'a>(&self, frames: &'a Frames) -> Cow<'a, Frames> {
         match self.whole(frames.channels()) {
             true => Cow::Borrowed(frames),
@@ -32,21 +32,20 @@ impl Channels {
     }
 }
 
-/// A new motion and where it comes from.
+/// A new motion and its origins.
 #[derive(Clone, Debug)]
 pub struct Synthesis {
     /// The motion, `[frames, channels]`.
     pub frames: Frames,
-    /// Of each group the example and the frame in it that each frame of the motion continues,
-    /// `[groups][frames]`: the frame's place in the patch that was chosen around it in the last
-    /// step.
+    /// For each group, the example and frame that each frame of the motion continues,
+    /// `[groups][frames]`, from the patch around it in the last step.
     pub origins: Vec<Vec<(usize, usize)>>,
 }
 
 impl Synthesis {
-    /// Begins a loop at another of its frames: the one whose step and change of velocity from the
-    /// frames before are smallest, in parts of their means. It is the same loop.
-    pub fn begin_where_calm(&mut self) {
+    /// Rotates a loop to begin at the frame whose step and change of velocity from the frames
+    /// before are smallest relative to their means.
+    pub fn rotate_to_smoothest_seam(&mut self) {
         let n = self.frames.frames();
         let apart = |terms: [(usize, f32); 3]| {
             let [a, b, c] = terms.map(|(t, weight)| (self.frames.frame(t % n), weight));
@@ -57,7 +56,7 @@ impl Synthesis {
                 .sum::<f64>()
                 .sqrt()
         };
-        // From frame t to the next, and the change of velocity about frame t + 1.
+        // The step from frame t and the change of velocity at t + 1.
         let step = |t: usize| apart([(t, -1.0), (t + 1, 1.0), (t, 0.0)]);
         let turn = |t: usize| apart([(t, 1.0), (t + 1, -2.0), (t + 2, 1.0)]);
         let steps: Vec<f64> = (0..n).map(step).collect();
@@ -79,7 +78,7 @@ impl Synthesis {
     }
 }
 
-/// What is to be made of which examples.
+/// The input of a synthesis.
 pub struct Request<'a> {
     /// The examples, each `[frames, channels]`.
     pub examples: &'a [Frames],
@@ -87,15 +86,14 @@ pub struct Request<'a> {
     pub frames: usize,
     /// The settings.
     pub settings: &'a Settings,
-    /// Groups of channels that are matched each by itself; together they have every channel. None:
-    /// all channels are matched together.
+    /// Groups of channels matched separately, which cover every channel. None: one group of all.
     pub groups: &'a [Channels],
-    /// What the motion must keep to.
-    pub held: &'a [Held],
+    /// The constraints.
+    pub constraints: &'a [Constraint],
 }
 
 impl Request<'_> {
-    /// Lengths of all levels.
+    /// Lengths at all levels.
     ///
     /// # Errors
     /// As [`synthesize`].
@@ -124,16 +122,16 @@ impl Request<'_> {
     }
 }
 
-/// The noise of a seed for a start of `frames` frames, standard normal; each `attempt` has its own, the
-/// first one 0.
+/// Standard normal noise of a seed for a start of `frames` frames. Each `attempt`, from 0, has its
+/// own.
 pub fn start_noise(seed: u64, attempt: u64, frames: usize, channels: usize) -> Frames {
     let key = Key::new(seed, Purpose::Matching);
     let key = if attempt == 0 { key } else { key.at(attempt) };
     Frames::new(channels, key.normals(frames * channels))
 }
 
-/// The motion that the coarsest level starts from: of the coarsest `examples` and `noise`, which
-/// has its length and is standard normal.
+/// The start of the coarsest level from the coarsest `examples` and standard normal `noise` of its
+/// length.
 ///
 /// Source: GenMM; docs/sources/genmm.md.
 ///
@@ -149,7 +147,7 @@ pub fn start(examples: &[Frames], noise: &Frames, sigma: f64, start: Start) -> F
     assert_eq!(first.channels(), noise.channels());
     if sigma > 0.0 {
         let values = first.values_mut().iter_mut();
-        // The remainder takes the sign of the sum.
+        // The remainder has the sign of the sum.
         values
             .zip(scaled)
             .for_each(|(value, noise)| *value = (*value + noise) % 1.0);
@@ -157,8 +155,8 @@ pub fn start(examples: &[Frames], noise: &Frames, sigma: f64, start: Start) -> F
     first
 }
 
-/// One step: matching against `search`, which is among the patches of `pool`, and voting. `bent` are the
-/// frames that bend towards key frames, as of [`Held::hold`].
+/// One step: matching against `search` over the patches of `pool`, then voting. `bent`: whether
+/// each frame was blended, from [`Constraint::apply_all`].
 ///
 /// # Panics
 /// As [`Search::nearest`].
@@ -178,29 +176,29 @@ pub fn step(
     let (n, half) = (bent.len(), p / 2);
     let ends = if n > 0 { n + 2 * half } else { 0 };
     let bent: Vec<bool> = (0..ends).map(|t| bent[(t + n - half % n) % n]).collect();
-    let matches = search.nearest(&with_ends(current, p), alpha, &bent);
+    let matches = search.nearest(&pad_loop(current, p), alpha, &bent);
     let voted = match looping {
-        Looping::Even => vote_around(pool, &matches.nearest),
-        _ => without_ends(&vote(pool, &matches.nearest), p),
+        Looping::Even => vote_loop(pool, &matches.nearest),
+        _ => unpad_loop(&vote(pool, &matches.nearest), p),
     };
     (voted, matches)
 }
 
-/// A new motion of the examples, from the noise of `seed`. The same request and seed give the same
-/// motion on any number of threads.
+/// Synthesises a motion from the noise of `seed`. The result does not depend on the number of
+/// threads.
 ///
 /// # Errors
-/// For settings out of range, an example or a motion shorter than a patch, or no examples.
+/// For settings out of range, an example or motion shorter than a patch, and no examples.
 ///
 /// # Panics
-/// Panics if the channels of the examples, groups or held motions do not fit.
+/// If the channels of examples, groups or constraints do not fit.
 pub fn synthesize(request: &Request<'_>, seed: u64) -> Result<Synthesis, InvalidSetting> {
     let first = request.levels()?.synthesis[0];
     let noise = start_noise(seed, 0, first, request.examples[0].channels());
     synthesize_from(request, &noise)
 }
 
-/// [`synthesize`] from `noise`, which is standard normal and as long as the coarsest level.
+/// [`synthesize`] from standard normal `noise` as long as the coarsest level.
 ///
 /// # Errors
 /// As [`synthesize`].
@@ -208,17 +206,11 @@ pub fn synthesize(request: &Request<'_>, seed: u64) -> Result<Synthesis, Invalid
 /// # Panics
 /// As [`synthesize`], and if the noise has another length.
 pub fn synthesize_from(request: &Request<'_>, noise: &Frames) -> Result<Synthesis, InvalidSetting> {
-    let Settings {
-        sigma, start: from, ..
-    } = *request.settings;
-    refined(request, |examples, length| {
-        assert_eq!(noise.frames(), length, "frames of noise");
-        start(examples, noise, sigma, from)
-    })
+    refined(request, CoarseStart::Noise(noise))
 }
 
-/// The motion `content` in the manner of the examples: [`synthesize`] from its coarse course in place
-/// of noise.
+/// [`synthesize`] from the coarse level of `content` in place of noise: `content` in the style of
+/// the examples.
 ///
 /// # Errors
 /// As [`synthesize`].
@@ -229,38 +221,27 @@ pub fn synthesize_like(
     request: &Request<'_>,
     content: &Frames,
 ) -> Result<Synthesis, InvalidSetting> {
-    refined(request, |examples, length| {
-        assert_eq!(content.channels(), examples[0].channels());
-        content.resampled(length)
-    })
+    refined(request, CoarseStart::Content(content))
 }
 
-/// The motion that `first` gives for the coarsest examples and its length, matched and voted for at
-/// every level.
-fn refined(
-    request: &Request<'_>,
-    first: impl FnOnce(&[Frames], usize) -> Frames + Send,
-) -> Result<Synthesis, InvalidSetting> {
+/// The motion that the coarsest level starts from.
+#[derive(Clone, Copy)]
+enum CoarseStart<'a> {
+    Noise(&'a Frames),
+    Content(&'a Frames),
+}
+
+/// Refines the start of the coarsest level at every level.
+fn refined(request: &Request<'_>, from: CoarseStart<'_>) -> Result<Synthesis, InvalidSetting> {
     let levels = request.levels()?;
-    // On one of the pool's threads: from without, each of the many short loops would wait to be taken up.
-    Ok(rayon::scope(|_| refined_over(&levels, request, first)))
+    // On a thread of the pool: from outside, each of many short loops would wait to be scheduled.
+    Ok(rayon::scope(|_| refined_over(&levels, request, from)))
 }
 
 /// [`refined`] over `levels`.
-fn refined_over(
-    levels: &Levels,
-    request: &Request<'_>,
-    first: impl FnOnce(&[Frames], usize) -> Frames,
-) -> Synthesis {
-    let mut first = Some(first);
-    let Settings {
-        patch_size,
-        alpha,
-        num_steps,
-        distance,
-        looping,
-        ..
-    } = *request.settings;
+fn refined_over(levels: &Levels, request: &Request<'_>, from: CoarseStart<'_>) -> Synthesis {
+    let settings = request.settings;
+    let (looping, is_loop) = (settings.looping, settings.looping != Looping::Off);
     let channels = request.examples[0].channels();
     let whole = [Channels {
         name: "body".to_string(),
@@ -277,39 +258,43 @@ fn refined_over(
         let examples: Vec<Frames> = examples
             .map(|(example, lengths)| example.resampled(lengths[level]))
             .collect();
-        let mut frames = match current {
-            None => first.take().expect("the first level")(&examples, length),
-            Some(coarser) if looping == Looping::Even => coarser.resampled_around(length),
-            Some(coarser) => coarser.resampled(length),
+        let mut frames = match (current, from) {
+            (None, CoarseStart::Noise(noise)) => {
+                assert_eq!(noise.frames(), length, "frames of noise");
+                start(&examples, noise, settings.sigma, settings.start)
+            }
+            (None, CoarseStart::Content(content)) => {
+                assert_eq!(content.channels(), channels);
+                content.resampled(length)
+            }
+            (Some(coarser), _) if looping == Looping::Even => coarser.resampled_loop(length),
+            (Some(coarser), _) => coarser.resampled(length),
         };
-        let bent = Held::hold(request.held, &mut frames, looping != Looping::Off);
-        let pools: Vec<Pool> = groups
+        let bent = Constraint::apply_all(request.constraints, &mut frames, is_loop);
+        let pools = groups.iter().map(|group| {
+            let own = examples
+                .iter()
+                .map(|example| group.of(example).into_owned());
+            Pool::new(&own.collect::<Vec<_>>(), settings.patch_size)
+        });
+        let pools: Vec<Pool> = pools.collect();
+        let searches = pools
             .iter()
-            .map(|group| {
-                let own = examples
-                    .iter()
-                    .map(|example| group.of(example).into_owned());
-                Pool::new(&own.collect::<Vec<_>>(), patch_size)
-            })
-            .collect();
-        let mut searches: Vec<Search<'_>> = pools
-            .iter()
-            .map(|pool| Search::new(pool, distance).among(pools.len()))
-            .collect();
-        for _ in 0..num_steps {
+            .map(|pool| Search::new(pool, settings.distance));
+        let mut searches: Vec<Search<'_>> = searches.map(|s| s.among(pools.len())).collect();
+        for _ in 0..settings.num_steps {
             let voted = groups.iter().zip(pools.iter().zip(&mut searches));
             let (voted, matches): (Vec<Frames>, Vec<Matches>) = voted
                 .map(|(group, (pool, search))| {
-                    step(&group.of(&frames), pool, search, alpha, looping, &bent)
+                    let own = group.of(&frames);
+                    step(&own, pool, search, settings.alpha, looping, &bent)
                 })
                 .unzip();
-            frames = together(groups, voted, channels);
-            Held::hold(request.held, &mut frames, looping != Looping::Off);
-            origins = matches
-                .iter()
-                .zip(&pools)
-                .map(|(matches, pool)| origins_of(matches, pool, length, looping))
-                .collect();
+            frames = merged(groups, voted, channels);
+            Constraint::apply_all(request.constraints, &mut frames, is_loop);
+            let found = matches.iter().zip(&pools);
+            let found = found.map(|(matches, pool)| origins_of(matches, pool, length, is_loop));
+            origins = found.collect();
         }
         current = Some(frames);
     }
@@ -319,8 +304,8 @@ fn refined_over(
     }
 }
 
-/// The groups' motions as one; channels that several have are their mean.
-fn together(groups: &[Channels], mut voted: Vec<Frames>, channels: usize) -> Frames {
+/// Merges the motions of groups; shared channels are averaged.
+fn merged(groups: &[Channels], mut voted: Vec<Frames>, channels: usize) -> Frames {
     if let [group] = groups
         && group.whole(channels)
     {
@@ -347,23 +332,17 @@ fn together(groups: &[Channels], mut voted: Vec<Frames>, channels: usize) -> Fra
     whole
 }
 
-/// Example and frame that each frame continues: its place in the patch around it.
-fn origins_of(
-    matches: &Matches,
-    pool: &Pool,
-    frames: usize,
-    looping: Looping,
-) -> Vec<(usize, usize)> {
-    let looping = looping != Looping::Off;
+/// The example and frame that each frame continues: its place in the patch around it.
+fn origins_of(matches: &Matches, pool: &Pool, frames: usize, is_loop: bool) -> Vec<(usize, usize)> {
     let half = pool.patch_size() / 2;
     let last = matches.nearest.len() - 1;
     let origin = |t: usize| {
-        // A looping motion has a patch around every frame; the first is around frame 0.
-        let patch = match looping {
+        // A loop has a patch around every frame, the first around frame 0.
+        let patch = match is_loop {
             true => t,
             false => t.saturating_sub(half).min(last),
         };
-        let within = if looping { half } else { t - patch };
+        let within = if is_loop { half } else { t - patch };
         let (example, first) = pool.origin(matches.nearest[patch]);
         (example, first + within)
     };

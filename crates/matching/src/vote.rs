@@ -1,13 +1,13 @@
-//! Voting: every frame becomes the mean of all selected patches that cover it.
+//! Voting: every frame is the mean of the selected patches that cover it.
 
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
 use crate::{Frames, Pool};
 
-/// The motion of `nearest.len() + patch_size - 1` frames in which patch i is the example patch
-/// `nearest[i]`, `[frames, channels]`: a frame is the mean of the patches that cover it, which are
-/// one at either end and `patch_size` in the middle.
+/// The motion of `nearest.len() + patch_size - 1` frames whose patch i is the example patch
+/// `nearest[i]`, `[frames, channels]`. A frame is the mean of the patches that cover it: one at
+/// either end, `patch_size` in the middle.
 ///
 /// # Panics
 /// Panics if `nearest` is empty or names no patch of `pool`.
@@ -24,20 +24,19 @@ pub fn vote(pool: &Pool, nearest: &[usize]) -> Frames {
     voted
 }
 
-/// The motion of `nearest.len()` frames in which the example patch `nearest[i]` is around frame i,
-/// `[frames, channels]`, and the last frame is followed by the first: every frame is the mean of the
-/// `patch_size` patches that cover it.
+/// The loop of `nearest.len()` frames in which the example patch `nearest[i]` is centred on frame
+/// i, `[frames, channels]`: every frame is the mean of the `patch_size` patches that cover it.
 ///
 /// # Panics
 /// As [`vote`].
-pub fn vote_around(pool: &Pool, nearest: &[usize]) -> Frames {
+pub fn vote_loop(pool: &Pool, nearest: &[usize]) -> Frames {
     let (p, n) = (pool.patch_size(), nearest.len());
     let channels = pool.frames().channels();
     let starts: Vec<usize> = nearest.iter().map(|&patch| pool.start(patch)).collect();
     let mut voted = Frames::zeros(n, channels);
     let frames = voted.values_mut().par_chunks_exact_mut(channels);
     frames.enumerate().for_each(|(t, frame)| {
-        // The patch that has this frame in its place `within`; a short motion goes around twice.
+        // The patch with this frame at `within`; a short motion wraps twice.
         let patch = |within: usize| (t + p / 2 + (p / n + 1) * n - within) % n;
         mean(
             pool,
@@ -48,12 +47,12 @@ pub fn vote_around(pool: &Pool, nearest: &[usize]) -> Frames {
     voted
 }
 
-/// Puts the mean of the pool's frames `sources` into `frame`, which is zero.
+/// Adds the mean of the pool frames `sources` to `frame`, which is zero.
 fn mean(pool: &Pool, sources: impl ExactSizeIterator<Item = usize>, frame: &mut [f32]) {
     let count = sources.len() as f32;
     let mut sources = sources.peekable();
     while let Some(source) = sources.next() {
-        // Patches that continue each other have the same frame here.
+        // Consecutive patches share this frame.
         let mut same = 1.0;
         while sources.next_if_eq(&source).is_some() {
             same += 1.0;
@@ -66,7 +65,7 @@ fn mean(pool: &Pool, sources: impl ExactSizeIterator<Item = usize>, frame: &mut 
     }
 }
 
-/// Adds values times a weight.
+/// Adds weighted values.
 struct Add<'a> {
     values: &'a [f32],
     weight: f32,
@@ -84,28 +83,28 @@ impl WithSimd for Add<'_> {
     }
 }
 
-/// The synthesis with `patch_size / 2` frames of the other end before and after it: its patches go
-/// over the seam.
-pub fn with_ends(frames: &Frames, patch_size: usize) -> Frames {
+/// A loop padded by `patch_size / 2` frames of the other end on both sides, so that patches span
+/// the seam.
+pub fn pad_loop(frames: &Frames, patch_size: usize) -> Frames {
     let (n, half) = (frames.frames(), patch_size / 2);
     let wrapped = (0..n + 2 * half).flat_map(|t| frames.frame((t + n - half % n) % n));
     Frames::new(frames.channels(), wrapped.copied().collect())
 }
 
-/// The voted result of [`with_ends`] without the added frames: the first and the last
-/// `patch_size / 2` frames become the mean of themselves and of their copies at the other end.
-pub fn without_ends(padded: &Frames, patch_size: usize) -> Frames {
+/// Inverse of [`pad_loop`] after voting: the first and last `patch_size / 2` frames are averaged
+/// with their copies at the other end.
+pub fn unpad_loop(padded: &Frames, patch_size: usize) -> Frames {
     let half = patch_size / 2;
     let (n, channels) = (padded.frames() - 2 * half, padded.channels());
     let inner = &padded.values()[half * channels..(half + n) * channels];
     let mut frames = Frames::new(channels, inner.to_vec());
-    let mut meet = |t: usize, copy: usize| {
+    let mut average = |t: usize, copy: usize| {
         let pairs = frames.frame_mut(t).iter_mut().zip(padded.frame(copy));
         pairs.for_each(|(value, copy)| *value = (*value + copy) / 2.0);
     };
     for k in 0..half {
-        meet(k, half + n + k);
-        meet(n - half + k, k);
+        average(k, half + n + k);
+        average(n - half + k, k);
     }
     frames
 }
@@ -135,14 +134,14 @@ mod tests {
         #[test]
         fn ends_come_and_go(frames in 9..40usize, half in 0..5usize) {
             let motion = numbered(frames);
-            let padded = with_ends(&motion, 2 * half + 1);
+            let padded = pad_loop(&motion, 2 * half + 1);
             prop_assert_eq!(padded.frames(), frames + 2 * half);
             prop_assert_eq!(padded.frame(half), motion.frame(0));
             if half > 0 {
                 prop_assert_eq!(padded.frame(0), motion.frame(frames - half));
                 prop_assert_eq!(padded.frame(frames + half), motion.frame(0));
             }
-            prop_assert_eq!(&without_ends(&padded, 2 * half + 1), &motion);
+            prop_assert_eq!(&unpad_loop(&padded, 2 * half + 1), &motion);
         }
     }
 
@@ -150,7 +149,7 @@ mod tests {
     fn around_the_circle_every_frame_has_a_whole_patch_of_votes() {
         let pool = Pool::new(&[numbered(6)], 3);
         // Patches 0 1 2, 3 4 5, 2 3 4 and 1 2 3 around frames 0 to 3.
-        let voted = vote_around(&pool, &[0, 3, 2, 1]);
+        let voted = vote_loop(&pool, &[0, 3, 2, 1]);
         let thirds = voted.values().iter().map(|value| (3.0 * value).round());
         assert!(thirds.eq([
             1.0 + 3.0 + 3.0,

@@ -1,11 +1,10 @@
 //! Stateless randomness: every draw is a function of a [`Key`], and a key is a function of the
-//! run's seed and of what is being drawn.
+//! run's seed and the purpose.
 //!
-//! A generator with a state must be saved to be resumed, and hands out other numbers when the
-//! number of workers changes. Here nothing is saved: the noise of micro-batch 2 of step 700 is
-//! `Key::new(seed, Purpose::Noise).at(700).at(2)`, independently of the caller, the order and the
-//! device. So a killed run continues bit for bit, and a batch is the same with any number of
-//! loader workers.
+//! A generator with a state must be saved for a resume, and its numbers change with the number of
+//! workers. Here nothing is saved: the noise of micro-batch 2 of step 700 is `Key::new(seed,
+//! Purpose::Noise).at(700).at(2)`, independent of caller, order and device. A killed run continues
+//! bit for bit, and a batch is the same with any number of loader workers.
 //!
 //! ```
 //! use kinegrad_random::{Key, Purpose};
@@ -18,8 +17,8 @@ use rand::{Rng, RngExt, SeedableRng, seq::SliceRandom};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
-/// What a number is drawn for. Two purposes never share a stream, so adding a draw to one does
-/// not shift another.
+/// Purpose of a random number. Purposes never share a stream, so a new draw for one does not change
+/// another.
 ///
 /// The discriminants are part of the reproducibility of existing runs: append, never renumber.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -37,7 +36,7 @@ pub enum Purpose {
     Timesteps = 5,
     /// Diffusion noise, keyed by step and micro-batch.
     Noise = 6,
-    /// Which conditions are dropped for classifier-free guidance, keyed by step and micro-batch.
+    /// Dropped conditions of classifier-free guidance, keyed by step and micro-batch.
     CondDropout = 7,
     /// Dropout masks, keyed by step, micro-batch, call and layer.
     Dropout = 8,
@@ -63,17 +62,16 @@ pub enum Purpose {
     Emphasis = 18,
     /// Pairs of feature vectors whose distances are averaged.
     Pairs = 19,
-    /// Which caption describes a clip, keyed by sample.
+    /// The caption of a motion, keyed by sample.
     Caption = 20,
     /// Frames in another order and songs of others in the place of a phrase's music, keyed by its
     /// id.
     Listening = 21,
-    /// Which phrases a bootstrap draws, keyed by resample.
+    /// Phrases of a bootstrap, keyed by resample.
     Bootstrap = 22,
     /// Offsets of motion against music, keyed by the phrase's id.
     BeatOffset = 23,
-    /// Which style conditions are dropped for classifier-free guidance, keyed by step and
-    /// micro-batch.
+    /// Dropped style conditions of classifier-free guidance, keyed by step and micro-batch.
     StyleDropout = 24,
     /// Noise that matching by patches starts from.
     Matching = 25,
@@ -83,9 +81,9 @@ pub enum Purpose {
     Pools = 27,
     /// Vectors of words that have no published ones, keyed by the word.
     WordVectors = 28,
-    /// Which clips are in which half of held-out ones.
+    /// Halves of held-out clips.
     Halves = 29,
-    /// How histories of training drift, keyed by sample.
+    /// Noise of training histories, keyed by sample.
     HistoryDrift = 30,
 }
 

@@ -1,4 +1,4 @@
-//! Which cores a process may run on.
+//! CPU affinity of processes.
 
 /// Words of a set of cores, as many as the system's own sets have bits.
 pub const WORDS: usize = 16;
@@ -11,7 +11,7 @@ pub fn own() -> Cores {
     #[cfg(target_os = "linux")]
     {
         let mut cores: Cores = [0; WORDS];
-        // SAFETY: the call writes at most as many bytes as it is told, of which the set has that many.
+        // SAFETY: the call writes at most the given number of bytes, the size of the set.
         #[allow(unsafe_code)]
         let found =
             unsafe { libc::sched_getaffinity(0, size_of::<Cores>(), cores.as_mut_ptr().cast()) };
@@ -22,7 +22,7 @@ pub fn own() -> Cores {
     [u64::MAX; WORDS]
 }
 
-/// How many of these sets have a core in common with `own`.
+/// Number of sets that share a core with `own`.
 pub fn sharing(own: &Cores, all: &[Cores]) -> usize {
     let meets = |other: &&Cores| own.iter().zip(*other).any(|(a, b)| a & b != 0);
     all.iter().filter(meets).count()

@@ -1,8 +1,7 @@
-//! Processes that train one run together: who they are, and what they tell each other.
+//! Processes that train one run, and their communication.
 //!
-//! Every method of [`Ranks`] that says so is collective: all ranks call it, in the same order. Sums are
-//! formed in one [tree](split) whatever the number of ranks, so that two or four of them end with the
-//! same bytes as one.
+//! Methods of [`Ranks`] marked as collective are called by all ranks in the same order. Sums follow
+//! one [tree](split) for any number of ranks, so two or four of them produce the same bytes as one.
 
 #[cfg(feature = "mpi")]
 mod cores;
@@ -19,19 +18,19 @@ pub use self::mpi::Mpi;
 pub use sharing::{Sharing, from_bytes, shared, to_bytes};
 pub use tree::{add, pairwise, pairwise_with, split};
 
-/// A process among those that share memory with it, which have its cores and graphics cards to share too.
+/// A process among those on its machine, with which it shares cores and GPUs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Local {
     /// Its number, from 0.
     pub rank: usize,
-    /// How many there are.
+    /// Number of these processes.
     pub size: usize,
-    /// How many of them may run on this one's cores, itself among them: all, unless the launcher has
-    /// bound them to cores of their own.
+    /// Number of them that may run on its cores, itself included: all, unless the launcher binds
+    /// them to separate cores.
     pub sharing: usize,
 }
 
-/// Who is given what all have said.
+/// Receivers of gathered values.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Receivers {
     /// Every rank.
@@ -57,32 +56,31 @@ pub trait Ranks: Debug {
         }
     }
 
-    /// What every rank says, in the order of ranks. Collective.
+    /// Gathers the bytes of every rank, in rank order. Collective.
     fn gather(&self, own: &[u8]) -> Vec<Vec<u8>>;
 
-    /// Puts what each rank gives, `lengths[r]` values of rank r, one behind the other into `values` of
-    /// those who receive it; those of others stay as they are. Collective.
+    /// Gathers the values of each rank, `lengths[r]` of rank r, concatenated into `values` of the
+    /// receivers; `values` of other ranks are unchanged. Collective.
     fn gather_into(&self, own: &[f32], lengths: &[usize], to: Receivers, values: &mut [f32]);
 
-    /// Of what each rank gives for each, `lengths[r]` of `values` for rank r, one behind the other, and as many
-    /// from all: puts the sum of what is for this one in the place of its own, [pairwise] over the ranks, an
-    /// order of our own, where `MPI_Reduce_scatter` has any. `received` is room that is kept from one call to
-    /// the next. Collective.
+    /// Reduce-scatter: `values` holds `lengths[r]` values for rank r, concatenated, all lengths
+    /// equal. The own part is replaced by its sum over the ranks in [pairwise] order, which
+    /// `MPI_Reduce_scatter` does not guarantee. `received` is a reused buffer. Collective.
     fn scatter_sums(&self, values: &mut [f32], lengths: &[usize], received: &mut Vec<f32>);
 
-    /// Puts what each rank has in its part of `values`, `lengths[r]` of rank r, one behind the other, there on
-    /// all of them; `sent` is room as well. Collective.
+    /// All-gather: replaces the parts of `values`, `lengths[r]` of rank r, by those of their ranks.
+    /// `sent` is a reused buffer. Collective.
     fn gather_parts(&self, values: &mut [f32], lengths: &[usize], sent: &mut Vec<f32>);
 
-    /// Ends all ranks at once, after a panic: the others wait for something that does not come.
+    /// Ends all ranks after a panic, as the others would wait forever.
     fn abort(&self, code: i32) -> !;
 
-    /// Whether this process writes what there is to write.
+    /// Whether this process writes files and messages.
     fn is_first(&self) -> bool {
         self.rank() == 0
     }
 
-    /// The part of `count` things in order that this rank takes: as many as any other, consecutive.
+    /// The consecutive part of `count` items of this rank, equal for all ranks.
     ///
     /// # Panics
     /// Panics if the number of ranks does not divide them.

@@ -46,7 +46,7 @@ impl Mpi {
         })
     }
 
-    /// Whether a launcher has started this process.
+    /// Whether a launcher started this process.
     pub fn is_launched() -> bool {
         const TOLD: [&str; 4] = ["PMI_RANK", "PMIX_RANK", "OMPI_COMM_WORLD_RANK", "PMI_FD"];
         TOLD.iter().any(|name| std::env::var_os(name).is_some())
@@ -143,10 +143,10 @@ impl Ranks for Mpi {
         let (mut counts, starts) = places(lengths.iter().copied());
         let each = std::mem::take(&mut counts[rank]);
         let first = starts[rank] as usize;
-        // What is sent may not lie in what is received.
+        // MPI forbids overlapping send and receive buffers.
         sent.clear();
         sent.extend_from_slice(&values[first..first + lengths[rank]]);
-        // All of it goes to each of the others.
+        // Each other rank receives all of it.
         let to = (0..size).map(|of| if of == rank { 0 } else { each });
         let (to, from_first) = (to.collect::<Vec<Count>>(), vec![0; size]);
         let sent = Partition::new(&sent[..], &to[..], &from_first[..]);

@@ -15,10 +15,10 @@ pub trait Sharing<E> {
     /// Number of ranks.
     fn size(&self) -> usize;
 
-    /// What every rank has, in the order of ranks. Collective.
+    /// Gathers a value of every rank, in rank order. Collective.
     ///
     /// # Errors
-    /// The own error, or one that says that another rank has failed.
+    /// The own error, or the failure of another rank.
     fn exchange(&self, own: Result<Vec<u8>, E>) -> Result<Vec<Vec<u8>>, E>;
 }
 
@@ -36,9 +36,9 @@ impl<E> Sharing<E> for Alone {
     }
 }
 
-/// What comes of things by their numbers, in their order: `work` is given those of this rank and makes one
-/// result of each. Thing n is that of rank `owner(n)`, counted on beyond the last from the first again. All
-/// ranks have all results. Collective.
+/// Computes results of numbered items: `work` gets the items of this rank and returns one result
+/// each. Item n belongs to rank `owner(n)`, modulo the number of ranks. All ranks receive all
+/// results in order. Collective.
 ///
 /// # Errors
 /// As [`Sharing::exchange`].

@@ -18,8 +18,8 @@ pub fn add(sum: &mut [f32], other: &[f32]) {
     }
 }
 
-/// Adds rows of `each` terms, one behind the other in `rows`, as [`split`] says; the sum is where the first
-/// one was, and of the others nothing is left.
+/// Adds concatenated rows of `each` terms in the order of [`split`]; the sum replaces the first
+/// row, the others are consumed.
 ///
 /// # Panics
 /// Panics if `rows` is not whole rows, or empty.

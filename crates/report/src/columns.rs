@@ -2,22 +2,21 @@
 
 use crate::table::rows;
 
-/// Stands in tables for a value that there is none of.
+/// Placeholder of a missing value in tables.
 const MISSING: &str = "-";
 
-/// Values that belong together: their heading, and each by its name; nothing where one cannot be
-/// computed or does not apply.
+/// A section: its heading and its named values; none where a value does not apply.
 pub type Section<'a> = (&'a str, Vec<(&'a str, Option<String>)>);
 
-/// Values of one thing, such as a run.
+/// A column of values, such as those of a run.
 pub struct Column<'a> {
-    /// What it is of.
+    /// Its label.
     pub label: String,
-    /// The same sections in every column; their names may differ.
+    /// The same sections in every column; names may differ.
     pub sections: Vec<Section<'a>>,
 }
 
-/// A line across all columns: its section's place and heading, its name, its values.
+/// A line across all columns: index and heading of its section, name, values.
 struct Line<'a> {
     section: usize,
     heading: &'a str,
@@ -25,7 +24,7 @@ struct Line<'a> {
     values: Vec<Option<&'a str>>,
 }
 
-/// All columns with a line for each value, for people.
+/// All columns as a table with a line for each value.
 pub fn columns_table(columns: &[Column<'_>]) -> String {
     let mut all = vec![vec![String::new()]];
     all[0].extend(columns.iter().map(|column| column.label.clone()));
@@ -48,8 +47,8 @@ pub fn columns_table(columns: &[Column<'_>]) -> String {
     rows(all)
 }
 
-/// All columns as CSV with a line for each value: the section's heading and the value's name, under
-/// the names of `heads`, then the values. One that is missing leaves its field empty.
+/// All columns as CSV with a line for each value: section heading and name under `heads`, then the
+/// values. A missing value is an empty field.
 pub fn columns_csv(heads: [&str; 2], columns: &[Column<'_>]) -> String {
     let mut csv = csv::Writer::from_writer(Vec::new());
     let labels = columns.iter().map(|column| column.label.as_str());
@@ -64,7 +63,7 @@ pub fn columns_csv(heads: [&str; 2], columns: &[Column<'_>]) -> String {
     String::from_utf8(bytes).expect("text")
 }
 
-/// Each name of a section once, in the order in which they first come.
+/// Each name of a section once, in order of first appearance.
 fn lines<'a>(columns: &'a [Column<'a>]) -> Vec<Line<'a>> {
     let mut lines = Vec::new();
     let sections = columns.first().map_or(0, |column| column.sections.len());

@@ -1,4 +1,4 @@
-//! What files for other programs have in common: their errors, and that none is half-written.
+//! Errors and atomic writing of exported files.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -7,34 +7,34 @@ use miette::Diagnostic;
 
 use crate::scene::Scene;
 
-/// Why a scene was not written.
+/// Errors of exports.
 #[derive(Debug, thiserror::Error, Diagnostic)]
 pub enum ExportError {
-    /// There is nothing to show, or it is not finite.
+    /// The scene is empty or not finite.
     #[error("{}: {problem}", out.display())]
     #[diagnostic(help("give a motion of at least one frame whose numbers are finite"))]
     Scene {
         /// The file that was to be written.
         out: PathBuf,
-        /// What is wrong.
+        /// The problem.
         problem: String,
     },
-    /// Joints are points: nothing says which bones connect them.
-    #[error("{}: the skeleton of `{figure}` is not known", out.display())]
+    /// The skeleton of the joints is unknown.
+    #[error("{}: the skeleton of `{object}` is not known", out.display())]
     #[diagnostic(help(
-        "GIF, MP4 and GLB files show bones, and nothing says which of its {joints} joints a bone \
-         connects: give a BVH file, or joint positions of a known skeleton (22 joints of HumanML3D, 21 \
-         of KIT-ML); the page that `--out PAGE.html` writes shows any joints, as points"
+        "GIF, MP4 and GLB files show bones, and the bones between the {joints} joints are not known: give a \
+         BVH file, or joint positions of a known skeleton (22 joints of HumanML3D, 21 of KIT-ML); \
+         a page shows any joints as points"
     ))]
     NoSkeleton {
         /// The file that was to be written.
         out: PathBuf,
-        /// Name of the figure.
-        figure: String,
+        /// Name of the object.
+        object: String,
         /// Number of its joints.
         joints: usize,
     },
-    /// It was asked to stop.
+    /// Stopped by the caller.
     #[error("{}: interrupted, nothing is written", out.display())]
     Interrupted {
         /// The file that was to be written.
@@ -49,11 +49,11 @@ pub enum ExportError {
         /// What went wrong.
         reason: String,
     },
-    /// There is no `ffmpeg`.
+    /// `ffmpeg` is missing.
     #[error("{}: `{program}` cannot be started: {reason}", out.display())]
     #[diagnostic(help(
-        "MP4 files are made by ffmpeg: install it (as with `apt-get install ffmpeg` or `brew install \
-         ffmpeg`) so that it is on the PATH, or write a GIF"
+        "ffmpeg encodes MP4 files: install it (`apt-get install ffmpeg`, `brew install ffmpeg`) on the \
+         PATH, or write a GIF"
     ))]
     NoEncoder {
         /// The file that was to be written.
@@ -66,54 +66,54 @@ pub enum ExportError {
     /// `ffmpeg` failed.
     #[error("{}: ffmpeg failed ({status}): {last_lines}", out.display())]
     #[diagnostic(help(
-        "MP4 files need an ffmpeg with the encoders libx264 and aac, which can read the song; write a \
-         GIF where it has none"
+        "MP4 files need an ffmpeg with the encoders libx264 and aac that can read the song; otherwise \
+         write a GIF"
     ))]
     Encoder {
         /// The file that was to be written.
         out: PathBuf,
-        /// How it ended.
+        /// Its exit status.
         status: String,
-        /// What it said last.
+        /// The end of its messages.
         last_lines: String,
     },
 }
 
-/// Refuses a scene that cannot be written to `out` as a GIF, MP4 or GLB file.
+/// Checks that a scene can be written to `out` as a GIF, MP4 or GLB file.
 ///
 /// # Errors
-/// [`ExportError::Scene`] without frames or with numbers that are not finite,
-/// [`ExportError::NoSkeleton`] for joints that hang from none.
+/// [`ExportError::Scene`] without frames or with values that are not finite,
+/// [`ExportError::NoSkeleton`] for joints without parents.
 pub fn check(scene: &Scene, out: &Path) -> Result<(), ExportError> {
     let refused = |problem: String| ExportError::Scene {
         out: out.to_path_buf(),
         problem,
     };
-    if scene.figures.is_empty() {
+    if scene.objects.is_empty() {
         return Err(refused("there is no motion".into()));
     }
-    for figure in &scene.figures {
-        let name = &figure.name;
-        if figure.frames() == 0 {
+    for object in &scene.objects {
+        let name = &object.name;
+        if object.frames() == 0 {
             return Err(refused(format!("`{name}` has no frames")));
         }
-        if !(figure.fps.is_finite() && figure.fps > 0.0) {
+        if !(object.fps.is_finite() && object.fps > 0.0) {
             return Err(refused(format!(
                 "`{name}` has {} frames a second",
-                figure.fps
+                object.fps
             )));
         }
-        let hang = figure.parents.iter().enumerate();
-        let (mut hang, joints) = (hang.skip(1), figure.joints());
+        let hang = object.parents.iter().enumerate();
+        let (mut hang, joints) = (hang.skip(1), object.joints());
         if !hang.all(|(joint, parent)| parent.is_some_and(|p| p < joints && p != joint)) {
             return Err(ExportError::NoSkeleton {
                 out: out.to_path_buf(),
-                figure: name.clone(),
+                object: name.clone(),
                 joints,
             });
         }
-        let turns = figure.orientations.iter().flatten().flatten();
-        let mut numbers = figure.positions.iter().chain(turns);
+        let turns = object.orientations.iter().flatten().flatten();
+        let mut numbers = object.positions.iter().chain(turns);
         if !numbers.all(|number| number.is_finite()) {
             return Err(refused(format!("`{name}` is not finite throughout")));
         }
@@ -121,12 +121,12 @@ pub fn check(scene: &Scene, out: &Path) -> Result<(), ExportError> {
     Ok(())
 }
 
-/// The name beside `out` that a file has until it is whole.
+/// A temporary name beside `out`.
 pub(crate) fn temporary(out: &Path, what: &str) -> PathBuf {
     out.with_added_extension(format!("{}.{what}.tmp", std::process::id()))
 }
 
-/// Writes a file under another name first, so that nobody sees half of it.
+/// Writes a file atomically.
 pub(crate) fn write(out: &Path, bytes: &[u8]) -> Result<(), ExportError> {
     let part = temporary(out, "part");
     let written = fs::write(&part, bytes).and_then(|()| fs::rename(&part, out));

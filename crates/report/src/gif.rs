@@ -8,18 +8,18 @@ use crate::export::{self, ExportError};
 use crate::raster::{Image, PALETTE, Painter};
 use crate::scene::Scene;
 
-/// Most pictures per second: motion with more is drawn between its frames.
+/// Most frames per second; faster motion is resampled.
 const MOST_FPS: f64 = 20.0;
-/// Colour of pixels that stay as they are.
+/// Index of unchanged pixels.
 const UNCHANGED: u8 = PALETTE.len() as u8;
-/// Pixels of a lone figure, and of each of several.
+/// Pixels of a single object, and of each of several.
 const ALONE: (u32, u32) = (400, 360);
 /// See [`ALONE`].
 const BESIDE: (u32, u32) = (320, 340);
 
-/// Writes a scene as a GIF that is repeated without end. Each picture holds only what changed, and
-/// the whole lasts as long as the motion: delays are whole hundredths of a second, so what one is
-/// too short the next is longer. `stop` is asked before each picture.
+/// Writes a scene as an endlessly repeated GIF. Each picture holds only the changes. Delays are
+/// whole hundredths of a second whose rounding errors cancel, so the total length is exact. `stop`
+/// is called before each picture.
 ///
 /// # Errors
 /// Those of [`must_be_exportable`](crate::must_be_exportable); [`ExportError::Write`];
@@ -36,9 +36,9 @@ pub fn write(scene: &Scene, out: &Path, stop: &dyn Fn() -> bool) -> Result<(), E
     export::write(out, &bytes)
 }
 
-/// Pixels that a scene is drawn with.
+/// Size of a scene in pixels.
 pub(crate) fn size(scene: &Scene) -> (u32, u32) {
-    match scene.figures.len() as u32 {
+    match scene.objects.len() as u32 {
         0 | 1 => ALONE,
         count @ 2..=3 => (count * BESIDE.0, BESIDE.1),
         count => {
@@ -53,7 +53,7 @@ pub(crate) fn size(scene: &Scene) -> (u32, u32) {
     }
 }
 
-/// Moments and hundredths of a second of each picture.
+/// Time and delay in hundredths of a second of each picture.
 fn timing(scene: &Scene) -> Vec<(f64, u16)> {
     let fps = (1.0 / scene.frame_seconds()).min(MOST_FPS);
     let count = ((scene.seconds() * fps - 1e-6).ceil() as usize).max(1);
@@ -63,14 +63,14 @@ fn timing(scene: &Scene) -> Vec<(f64, u16)> {
     let delays = starts.zip(ends);
     delays
         .map(|(start, end)| {
-            // A delay of less than two hundredths is taken for a tenth by most programs.
+            // Most programs show delays below two hundredths as a tenth.
             let delay = end.saturating_sub(hundredths(start)).max(2);
             (start, delay.min(u64::from(u16::MAX)) as u16)
         })
         .collect()
 }
 
-/// The file; none if it was stopped.
+/// The file; none if stopped.
 fn encode(
     scene: &Scene,
     size: (u32, u32),
@@ -95,7 +95,7 @@ fn encode(
             Some(before) => difference(before, &now, width.into()),
         };
         match (changed, &mut waiting) {
-            // A picture like the one before makes that stay longer.
+            // An unchanged picture extends the delay of the one before.
             (None, Some(frame)) if frame.delay.checked_add(delay).is_some() => frame.delay += delay,
             (changed, _) => {
                 let mut frame = changed.unwrap_or_else(unchanged);
@@ -125,7 +125,7 @@ fn whole(indices: &[u8], width: u16, height: u16) -> Frame<'static> {
     }
 }
 
-/// One pixel that stays as it is.
+/// An unchanged pixel.
 fn unchanged() -> Frame<'static> {
     Frame {
         transparent: Some(UNCHANGED),
@@ -133,7 +133,7 @@ fn unchanged() -> Frame<'static> {
     }
 }
 
-/// The smallest part of a picture that holds all that changed, if something did.
+/// The bounding box of all changes, if there are any.
 fn difference(before: &[u8], now: &[u8], width: usize) -> Option<Frame<'static>> {
     let rows = || before.chunks_exact(width).zip(now.chunks_exact(width));
     let top = rows().position(|(a, b)| a != b)?;
@@ -141,15 +141,13 @@ fn difference(before: &[u8], now: &[u8], width: usize) -> Option<Frame<'static>>
     let apart = |column: &usize| rows().any(|(a, b)| a[*column] != b[*column]);
     let left = (0..width).find(apart)?;
     let right = (0..width).rev().find(apart)?;
-    let part = (top..=bottom).flat_map(|row| {
-        let columns = row * width + left..=row * width + right;
-        columns.map(|at| {
-            if before[at] == now[at] {
-                UNCHANGED
-            } else {
-                now[at]
-            }
-        })
+    let places = (top..=bottom).flat_map(|row| row * width + left..=row * width + right);
+    let part = places.map(|at| {
+        if before[at] == now[at] {
+            UNCHANGED
+        } else {
+            now[at]
+        }
     });
     Some(Frame {
         left: left as u16,
@@ -163,9 +161,9 @@ fn difference(before: &[u8], now: &[u8], width: usize) -> Option<Frame<'static>>
     })
 }
 
-/// Finds the nearest colours, each once.
+/// A cache of nearest palette colours.
 struct Palette {
-    /// Index of each colour of five bits a channel, where it was looked for.
+    /// Palette index of each colour of five bits a channel, once looked up.
     known: Vec<Option<u8>>,
 }
 
@@ -206,17 +204,17 @@ fn nearest(pixel: &[u8]) -> u8 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::Figure;
+    use crate::scene::SceneObject;
     use crate::scene::tests::{body, dancer};
 
-    fn scene(figures: Vec<Figure>) -> Scene {
+    fn scene(objects: Vec<SceneObject>) -> Scene {
         Scene {
-            figures,
+            objects,
             ..Scene::default()
         }
     }
 
-    /// The pictures of a file as a reader puts them together, and their delays.
+    /// The pictures of a file as a reader composes them, and their delays.
     fn decode(bytes: &[u8]) -> (Vec<Vec<[u8; 3]>>, Vec<u16>) {
         let mut options = gif::DecodeOptions::new();
         options.set_color_output(gif::ColorOutput::Indexed);
@@ -269,9 +267,9 @@ mod tests {
     #[test]
     fn delays_add_up_to_the_length() {
         for fps in [12.0, 20.0, 24.0, 30.0, 60.0, 120.0, 29.97] {
-            let mut figure = dancer(137, 0.0);
-            figure.fps = fps;
-            let scene = scene(vec![figure]);
+            let mut object = dancer(137, 0.0);
+            object.fps = fps;
+            let scene = scene(vec![object]);
             let timing = timing(&scene);
             let total: u32 = timing.iter().map(|(_, delay)| u32::from(*delay)).sum();
             let seconds = 137.0 / fps;
@@ -285,11 +283,11 @@ mod tests {
     }
 
     #[test]
-    fn what_stands_still_is_one_picture() {
-        let mut figure = body(1);
-        figure.positions = figure.positions.repeat(60);
-        figure.contacts.clear();
-        let (pictures, delays) = decode(&encoded(&scene(vec![figure]), (80, 80)));
+    fn a_still_motion_is_one_picture() {
+        let mut object = body(1);
+        object.positions = object.positions.repeat(60);
+        object.contacts.clear();
+        let (pictures, delays) = decode(&encoded(&scene(vec![object]), (80, 80)));
         assert_eq!((pictures.len(), delays), (1, vec![300]));
     }
 
@@ -304,17 +302,17 @@ mod tests {
     }
 
     #[test]
-    fn nothing_is_written_of_nothing() {
+    fn nothing_is_written_without_motion() {
         let folder = tempfile::tempdir().unwrap();
         let out = folder.path().join("dance.gif");
         let mut broken = body(2);
         broken.positions[0] = f32::NAN;
-        for (figures, reason) in [
+        for (objects, reason) in [
             (vec![], "there is no motion"),
             (vec![body(0)], "`body` has no frames"),
             (vec![broken], "`body` is not finite"),
         ] {
-            let error = write(&scene(figures), &out, &|| false)
+            let error = write(&scene(objects), &out, &|| false)
                 .unwrap_err()
                 .to_string();
             assert!(

@@ -1,7 +1,9 @@
-//! Reports: tables, side-by-side columns, CSV, plots of named values, and motion to look at.
+//! Reports: tables, columns side by side, CSV, plots, and motion as pages, pictures and files.
 
 mod columns;
+mod escape;
 mod export;
+mod font;
 pub mod gif;
 pub mod glb;
 pub mod mp4;

@@ -1,4 +1,4 @@
-//! Films with the song, by `ffmpeg`.
+//! MP4 videos with the song, through `ffmpeg`.
 
 use std::ffi::{OsStr, OsString};
 use std::fs;
@@ -15,24 +15,23 @@ use crate::scene::{Scene, Song};
 const ENCODER: &str = "ffmpeg";
 /// Pictures per second.
 const FPS: u32 = 30;
-/// How often a film has the pixels of a GIF, along each side.
+/// Pixels of a video relative to a GIF, along each side.
 const SCALE: u32 = 2;
-/// How many of ffmpeg's last lines an error repeats.
+/// Lines of ffmpeg in an error.
 const LAST_LINES: usize = 4;
 
-/// Writes a scene as an MP4 file (H.264, and AAC where there is a song) by the `ffmpeg` on the
-/// PATH. The song starts where the scene says; where it is shorter than the motion, silence follows.
-/// `stop` is asked before each picture.
+/// Writes a scene as an MP4 file (H.264, and AAC with a song) through the `ffmpeg` on the PATH. A
+/// song shorter than the motion is followed by silence. `stop` is called before each picture.
 ///
 /// # Errors
-/// Those of [`must_be_exportable`](crate::must_be_exportable);
-/// [`ExportError::NoEncoder`] where there is no ffmpeg, [`ExportError::Encoder`] where it fails;
-/// [`ExportError::Write`]; [`ExportError::Interrupted`] once `stop` says so.
+/// Those of [`must_be_exportable`](crate::must_be_exportable); [`ExportError::NoEncoder`] without
+/// ffmpeg, [`ExportError::Encoder`] if it fails; [`ExportError::Write`];
+/// [`ExportError::Interrupted`] once `stop` returns true.
 pub fn write(scene: &Scene, out: &Path, stop: &dyn Fn() -> bool) -> Result<(), ExportError> {
     write_by(OsStr::new(ENCODER), scene, out, stop)
 }
 
-/// Refuses to write `out` where there is no ffmpeg on the PATH.
+/// Checks that ffmpeg is on the PATH.
 ///
 /// # Errors
 /// [`ExportError::NoEncoder`].
@@ -45,14 +44,18 @@ pub fn must_have_encoder(out: &Path) -> Result<(), ExportError> {
         .status();
     started
         .map(|_| ())
-        .map_err(|reason| ExportError::NoEncoder {
-            out: out.to_path_buf(),
-            program: ENCODER.to_string(),
-            reason: reason.to_string(),
-        })
+        .map_err(|reason| no_encoder(out, OsStr::new(ENCODER), &reason))
 }
 
-/// [`write`] by another program that takes the same arguments.
+fn no_encoder(out: &Path, program: &OsStr, reason: &std::io::Error) -> ExportError {
+    ExportError::NoEncoder {
+        out: out.to_path_buf(),
+        program: program.display().to_string(),
+        reason: reason.to_string(),
+    }
+}
+
+/// [`write`] through another program with the same arguments.
 fn write_by(
     program: &OsStr,
     scene: &Scene,
@@ -103,22 +106,19 @@ fn encode(
         .stdin(Stdio::piped())
         .stdout(Stdio::null())
         .stderr(Stdio::piped());
-    // A Ctrl-C is for this process alone, which then ends the other one.
+    // Ctrl-C reaches only this process, which then ends ffmpeg.
     #[cfg(unix)]
     std::os::unix::process::CommandExt::process_group(&mut command, 0);
-    let mut child = command.spawn().map_err(|reason| ExportError::NoEncoder {
-        out: out.to_path_buf(),
-        program: program.display().to_string(),
-        reason: reason.to_string(),
-    })?;
-    let (status, said, taken) = feed(&mut child, &painter, count, stop);
+    let child = command.spawn();
+    let mut child = child.map_err(|reason| no_encoder(out, program, &reason))?;
+    let (status, messages, taken) = feed(&mut child, &painter, count, stop);
     if stop() {
         return Err(ExportError::Interrupted {
             out: out.to_path_buf(),
         });
     }
     let status = match status {
-        // A program that does not take all pictures says why when it ends.
+        // A program that closes its input early explains that on exit.
         Ok(status) if status.success() && taken && film.exists() => return Ok(()),
         Ok(status) => status.to_string(),
         Err(reason) => reason.to_string(),
@@ -126,11 +126,11 @@ fn encode(
     Err(ExportError::Encoder {
         out: out.to_path_buf(),
         status,
-        last_lines: last_lines(&said),
+        last_lines: last_lines(&messages),
     })
 }
 
-/// Hands the pictures over; how the program ended, what it said, and whether it took all.
+/// Feeds the pictures; returns exit status, messages, and whether all were taken.
 fn feed(
     child: &mut Child,
     painter: &Painter<'_>,
@@ -139,11 +139,11 @@ fn feed(
 ) -> (std::io::Result<std::process::ExitStatus>, String, bool) {
     let mut pictures = child.stdin.take().expect("it is piped");
     let mut errors = child.stderr.take().expect("it is piped");
-    // Read while it is fed: it would wait for a reader of what it says.
-    let said = thread::spawn(move || {
-        let mut said = Vec::new();
-        let _ = errors.read_to_end(&mut said);
-        String::from_utf8_lossy(&said).into_owned()
+    // Its messages are read in parallel, or it would block.
+    let messages = thread::spawn(move || {
+        let mut messages = Vec::new();
+        let _ = errors.read_to_end(&mut messages);
+        String::from_utf8_lossy(&messages).into_owned()
     });
     let taken = (0..count).all(|picture| {
         let image = painter.at(picture as f64 / f64::from(FPS));
@@ -154,7 +154,7 @@ fn feed(
         let _ = child.kill();
     }
     let status = child.wait();
-    (status, said.join().unwrap_or_default(), taken)
+    (status, messages.join().unwrap_or_default(), taken)
 }
 
 fn arguments(
@@ -163,52 +163,45 @@ fn arguments(
     song: Option<(&Song, &Path)>,
     film: &Path,
 ) -> Vec<OsString> {
-    // Names with a colon are no addresses.
+    // A name with a colon is not a URL.
     let file = |path: &Path| {
         let mut name = OsString::from("file:");
         name.push(path);
         name
     };
-    let pixels = format!("{width}x{height}");
-    let (fps, seconds) = (FPS.to_string(), format!("{seconds:.6}"));
-    let words = |words: &[&str]| words.iter().map(OsString::from).collect::<Vec<_>>();
-    let mut all = words(&["-hide_banner", "-loglevel", "error", "-nostdin", "-y"]);
-    all.extend(words(&[
-        "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", &pixels,
-    ]));
-    all.extend(words(&["-framerate", &fps, "-i", "pipe:0"]));
+    let words = |text: &str| -> Vec<OsString> { text.split(' ').map(OsString::from).collect() };
+    let mut all = words("-hide_banner -loglevel error -nostdin -y -f rawvideo -pix_fmt rgb24");
+    all.extend(words(&format!(
+        "-s {width}x{height} -framerate {FPS} -i pipe:0"
+    )));
     if let Some((song, path)) = song {
-        all.extend(words(&[
-            "-ss",
-            &format!("{:.6}", song.start.max(0.0)),
-            "-i",
-        ]));
+        all.extend(words(&format!("-ss {:.6} -i", song.start.max(0.0))));
         all.push(file(path));
-        all.extend(words(&["-map", "0:v:0", "-map", "1:a:0", "-af", "apad"]));
-        all.extend(words(&["-c:a", "aac", "-b:a", "160k"]));
+        all.extend(words("-map 0:v:0 -map 1:a:0 -af apad -c:a aac -b:a 160k"));
     }
-    // The length is that of the motion: the song is padded and cut.
-    all.extend(words(&["-t", &seconds, "-c:v", "libx264", "-crf", "20"]));
-    all.extend(words(&["-pix_fmt", "yuv420p", "-movflags", "+faststart"]));
-    all.extend(words(&["-f", "mp4"]));
+    // The song is padded and cut to the length of the motion.
+    all.extend(words(&format!(
+        "-t {seconds:.6} -c:v libx264 -crf 20 -pix_fmt yuv420p"
+    )));
+    all.extend(words("-movflags +faststart -f mp4"));
     all.push(file(film));
     all
 }
 
-fn last_lines(said: &str) -> String {
-    let lines: Vec<&str> = said
-        .lines()
-        .filter(|line| !line.trim().is_empty())
-        .collect();
+fn last_lines(messages: &str) -> String {
+    let lines = messages.lines().filter(|line| !line.trim().is_empty());
+    let lines: Vec<&str> = lines.collect();
     let last = &lines[lines.len().saturating_sub(LAST_LINES)..];
     if last.is_empty() {
-        return "it said nothing".into();
+        return "no messages".into();
     }
     last.join("; ")
 }
 
-#[cfg(all(test, unix))]
+#[cfg(test)]
 mod tests {
+    #![cfg(unix)]
+
     use std::os::unix::fs::PermissionsExt;
     use std::path::PathBuf;
 
@@ -225,7 +218,7 @@ mod tests {
 
     fn scene(song: bool) -> Scene {
         Scene {
-            figures: vec![body(20)],
+            objects: vec![body(20)],
             song: song.then(|| Song {
                 media_type: "audio/mpeg",
                 bytes: b"a song".to_vec(),
@@ -249,14 +242,15 @@ mod tests {
     fn the_encoder_gets_all_pictures_and_the_song() {
         let folder = tempfile::tempdir().unwrap();
         let out = folder.path().join("dance.mp4");
-        // Its last argument is the film: it writes down the rest, the song and the picture's size.
+        // It writes its other arguments, the song and the size of the pictures to its last
+        // argument.
         let script = "for last; do :; done\nout=${last#file:}\n\
                       { echo \"$@\"; cat \"${out%film.tmp}song.tmp\"; echo; wc -c; } > \"$out\"";
         let program = stand_in(folder.path(), script);
         write_by(program.as_os_str(), &scene(true), &out, &|| false).unwrap();
         assert_eq!(files(folder.path()), ["dance.mp4", "encoder"]);
-        let told = fs::read_to_string(&out).unwrap();
-        let lines: Vec<&str> = told.lines().collect();
+        let log = fs::read_to_string(&out).unwrap();
+        let lines: Vec<&str> = log.lines().collect();
         assert!(lines[0].contains("-s 800x720 -framerate 30 -i pipe:0 -ss 12.500000 -i file:"));
         assert!(lines[0].contains("-t 1.000000") && lines[0].contains("-pix_fmt yuv420p"));
         assert_eq!(lines[1], "a song");
@@ -271,18 +265,18 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let out = folder.path().join("dance.mp4");
         fs::write(&out, "an older film").unwrap();
-        for (script, said) in [
-            // Half a film, and not all pictures read.
+        for (script, messages) in [
+            // An incomplete file, and unread pictures.
             (
                 "for last; do :; done\necho half > \"${last#file:}\"\necho Unknown encoder >&2\nexit 8",
                 "Unknown encoder",
             ),
-            ("cat > /dev/null", "it said nothing"),
+            ("cat > /dev/null", "no messages"),
         ] {
             let program = stand_in(folder.path(), script);
             let error = write_by(program.as_os_str(), &scene(true), &out, &|| false).unwrap_err();
             assert!(matches!(error, ExportError::Encoder { .. }), "{error}");
-            assert!(error.to_string().contains(said), "{error}");
+            assert!(error.to_string().contains(messages), "{error}");
             assert_eq!(files(folder.path()), ["dance.mp4", "encoder"]);
         }
         let error =
@@ -297,10 +291,10 @@ mod tests {
     }
 
     #[test]
-    fn what_is_stopped_leaves_nothing_behind_and_no_encoder() {
+    fn stopping_leaves_no_file_and_no_encoder() {
         let folder = tempfile::tempdir().unwrap();
         let out = folder.path().join("dance.mp4");
-        // It takes pictures as long as there are any, and goes on for a minute.
+        // It reads all pictures and continues for a minute.
         let script =
             "for last; do :; done\necho half > \"${last#file:}\"\ncat > /dev/null\nexec sleep 60";
         let program = stand_in(folder.path(), script);
@@ -320,7 +314,7 @@ mod tests {
     fn sizes_are_even() {
         for count in 1..20 {
             let scene = Scene {
-                figures: vec![dancer(1, 0.0); count],
+                objects: vec![dancer(1, 0.0); count],
                 ..Scene::default()
             };
             let (width, height) = crate::gif::size(&scene);

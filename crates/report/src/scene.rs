@@ -1,22 +1,22 @@
-//! What viewers, animated pictures and files for other programs show: moving figures, what stands on
-//! the floor around them, and a song.
+//! Scenes for viewers, animated pictures and exported files: moving objects, marks on the floor,
+//! and a song.
 
-/// Figures that move beside one another.
+/// Moving objects side by side.
 #[derive(Clone, Debug, Default)]
 pub struct Scene {
     /// Title of the page.
     pub title: String,
-    /// The figures; all start at the same moment.
-    pub figures: Vec<Figure>,
-    /// Goal of position control, drawn on the floor.
+    /// The objects; all start at the same time.
+    pub objects: Vec<SceneObject>,
+    /// Goal of position control, on the floor.
     pub floor: Floor,
-    /// Music that is played with the motion.
+    /// Music played with the motion.
     pub song: Option<Song>,
 }
 
-/// A figure in motion. Metres, +y up.
+/// A moving object: a body, or a lone root. Metres, +y up.
 #[derive(Clone, Debug, Default)]
-pub struct Figure {
+pub struct SceneObject {
     /// Its name.
     pub name: String,
     /// Frames per second.
@@ -25,46 +25,47 @@ pub struct Figure {
     pub positions: Vec<f32>,
     /// Name of each joint.
     pub joint_names: Vec<String>,
-    /// The joint that each joint hangs from; as many as joints.
+    /// The parent of each joint.
     pub parents: Vec<Option<usize>>,
-    /// Orientation of a lone root (w, x, y, z), one per frame: it is shown as an oriented body.
+    /// Orientations (w, x, y, z) of a lone root, one per frame, which is then shown as an oriented
+    /// body.
     pub orientations: Option<Vec<[f32; 4]>>,
-    /// When feet stand on the ground.
+    /// Ground contacts.
     pub contacts: Vec<Contact>,
     /// Curves over time.
     pub curves: Vec<Curves>,
-    /// Where its frames come from, if it was made of examples.
+    /// Origins of its frames, if it was made of examples.
     pub origins: Option<Origins>,
 }
 
-/// Where the frames of a motion that was made of examples come from.
+/// Origins of the frames of a motion made of examples.
 #[derive(Clone, Debug, Default)]
 pub struct Origins {
     /// Name and number of frames of each example.
     pub examples: Vec<(String, usize)>,
-    /// Name and runs of each part of the body that was matched by itself.
+    /// Name and runs of each part matched by itself.
     pub parts: Vec<(String, Vec<Run>)>,
 }
 
-/// Frames that follow each other as in an example.
+/// Consecutive frames that are consecutive in an example.
 #[derive(Clone, Copy, Debug, Eq, PartialEq)]
 pub struct Run {
-    /// The first of them in the motion.
+    /// First frame in the motion.
     pub start: usize,
     /// The example.
     pub example: usize,
-    /// The first of them in the example.
+    /// First frame in the example.
     pub first: usize,
-    /// How many there are.
+    /// Number of frames.
     pub frames: usize,
 }
 
-/// When a joint stands on the ground.
+/// Ground contact of a joint.
 #[derive(Clone, Debug)]
 pub struct Contact {
     /// The joint.
     pub joint: usize,
-    /// Whether it stands there, one value per frame.
+    /// Contact, one value per frame.
     pub frames: Vec<bool>,
 }
 
@@ -77,7 +78,7 @@ pub struct Curves {
     pub series: Vec<(String, Vec<f32>)>,
 }
 
-/// What is drawn on the ground. Points are `[x, z]` in metres.
+/// Marks on the floor. Points are `[x, z]` in metres.
 #[derive(Clone, Debug, Default)]
 pub struct Floor {
     /// Path to follow.
@@ -86,24 +87,24 @@ pub struct Floor {
     pub keyframes: Vec<(usize, [f32; 2])>,
     /// Centre and radius of each obstacle.
     pub obstacles: Vec<([f32; 2], f32)>,
-    /// Corners of each obstacle that is no disc.
+    /// Corners of each polygonal obstacle.
     pub polygons: Vec<Vec<[f32; 2]>>,
 }
 
-/// Music that belongs to the motion.
+/// Music of a motion.
 #[derive(Clone, Debug)]
 pub struct Song {
     /// Media type of the file, such as `audio/mpeg`.
     pub media_type: &'static str,
     /// The file.
     pub bytes: Vec<u8>,
-    /// Second of the song at which the motion starts.
+    /// Time in the song at which the motion starts, seconds.
     pub start: f64,
     /// Beats, in seconds of the song.
     pub beats: Vec<f64>,
 }
 
-impl Figure {
+impl SceneObject {
     /// Number of joints.
     pub fn joints(&self) -> usize {
         self.parents.len()
@@ -131,36 +132,35 @@ impl Figure {
 }
 
 impl Scene {
-    /// Length of the longest figure in seconds.
+    /// Length of the longest object in seconds.
     pub fn seconds(&self) -> f64 {
-        let lengths = self.figures.iter().map(Figure::seconds);
+        let lengths = self.objects.iter().map(SceneObject::seconds);
         lengths
             .filter(|length| length.is_finite())
             .fold(0.0, f64::max)
     }
 
-    /// Seconds from one frame to the next of the figure with the most frames per second; 0 without
-    /// figures.
+    /// Frame time of the object with the highest frame rate; 0 without objects.
     pub fn frame_seconds(&self) -> f64 {
         let fps = self
-            .figures
+            .objects
             .iter()
-            .map(|figure| figure.fps)
+            .map(|object| object.fps)
             .fold(0.0, f64::max);
         if fps > 0.0 { 1.0 / fps } else { 0.0 }
     }
 }
 
-/// A figure at one moment.
+/// A pose of an object at a time.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Pose {
-    /// Place of each joint.
+    /// Position of each joint.
     pub joints: Vec<[f32; 3]>,
     /// Orientation of a lone root (w, x, y, z).
     pub orientation: Option<[f32; 4]>,
 }
 
-/// The side of the body that a joint belongs to.
+/// The side of the body of a joint.
 #[derive(Clone, Copy, Debug, Eq, PartialEq)]
 pub(crate) enum Side {
     Left,
@@ -168,21 +168,21 @@ pub(crate) enum Side {
     Middle,
 }
 
-/// Radius of a bone in metres, and as a part of its length at most.
+/// Largest radius of a bone in metres, and relative to its length.
 const BONE_RADIUS: (f32, f32) = (0.032, 0.25);
 
-impl Figure {
-    /// The frame that is nearest to a moment.
+impl SceneObject {
+    /// The nearest frame to a time.
     pub(crate) fn frame_at(&self, seconds: f64) -> usize {
         let frame = (seconds * self.fps).round().max(0.0) as usize;
         frame.min(self.frames().saturating_sub(1))
     }
 
-    /// The figure at a moment, between two frames too; at its first or last one beyond them.
+    /// The pose at a time, interpolated between frames, clamped at both ends.
     pub(crate) fn pose(&self, seconds: f64) -> Pose {
         let last = self.frames().saturating_sub(1);
         let place = (seconds * self.fps).clamp(0.0, last as f64);
-        // Moments of frames that were divided and multiplied by their rate are those frames.
+        // Times of frames survive the division by the frame rate.
         let place = if (place - place.round()).abs() < 1e-6 {
             place.round()
         } else {
@@ -207,7 +207,7 @@ impl Figure {
         }
     }
 
-    /// The side that a joint's name says.
+    /// The side of a joint, by its name.
     pub(crate) fn side(&self, joint: usize) -> Side {
         let name = self.joint_names.get(joint).map_or("", String::as_str);
         let name = name.rsplit(':').next().unwrap_or(name);
@@ -232,7 +232,7 @@ impl Figure {
         named && !self.parents.contains(&Some(joint))
     }
 
-    /// Radius in metres of the bone from a joint's parent to it, in a pose.
+    /// Radius in metres of the bone that ends at a joint, in a pose.
     pub(crate) fn bone_radius(&self, joint: usize, places: &[[f32; 3]]) -> f32 {
         let (most, part) = BONE_RADIUS;
         let Some(parent) = self.parents[joint] else {
@@ -244,7 +244,7 @@ impl Figure {
     }
 }
 
-/// The quaternion (w, x, y, z) with norm 1; the identity where it has none.
+/// The normalised quaternion (w, x, y, z); the identity if it has no norm.
 pub(crate) fn normalised(q: [f32; 4]) -> [f32; 4] {
     let norm = q.iter().map(|part| part * part).sum::<f32>().sqrt();
     if norm.is_finite() && norm > 1e-12 {
@@ -254,7 +254,7 @@ pub(crate) fn normalised(q: [f32; 4]) -> [f32; 4] {
     }
 }
 
-/// The vector turned by a unit quaternion (w, x, y, z).
+/// The vector rotated by a unit quaternion (w, x, y, z).
 pub(crate) fn rotate([w, x, y, z]: [f32; 4], v: [f32; 3]) -> [f32; 3] {
     let cross = |a: [f32; 3], b: [f32; 3]| {
         [
@@ -270,98 +270,4 @@ pub(crate) fn rotate([w, x, y, z]: [f32; 4], v: [f32; 3]) -> [f32; 3] {
 }
 
 #[cfg(test)]
-pub(crate) mod tests {
-    use super::*;
-
-    /// A body of four joints at 20 frames per second: a root, a head, a left and a right foot. It
-    /// goes forward, turns and bends.
-    pub fn body(frames: usize) -> Figure {
-        let mut positions = Vec::new();
-        for frame in 0..frames {
-            let t = frame as f32 / 20.0;
-            let root = [0.3 * t, 0.9 + 0.05 * (3.0 * t).sin(), 0.8 * t];
-            let heading = [(0.5 * t).cos(), 0.0, (0.5 * t).sin(), 0.0];
-            let bend = 0.4 * (2.0 * t).sin();
-            for bone in [
-                [0.0; 3],
-                [0.1 * bend, 0.7, 0.7 * bend],
-                [0.2, -0.8 * (1.0 - 0.1 * bend), 0.3 * bend],
-                [-0.2, -0.8, -0.3 * bend],
-            ] {
-                let turned = rotate(heading, bone);
-                positions.extend([0, 1, 2].map(|axis| root[axis] + turned[axis]));
-            }
-        }
-        let names = ["pelvis", "head", "left_foot", "right_foot"];
-        Figure {
-            name: "body".into(),
-            fps: 20.0,
-            positions,
-            joint_names: names.map(String::from).to_vec(),
-            parents: vec![None, Some(0), Some(0), Some(0)],
-            contacts: vec![Contact {
-                joint: 2,
-                frames: (0..frames).map(|frame| frame % 10 < 5).collect(),
-            }],
-            ..Figure::default()
-        }
-    }
-
-    /// A lone root at 30 frames per second that walks and turns, and faces `yaw` first.
-    pub fn dancer(frames: usize, yaw: f32) -> Figure {
-        let seconds = |frame: usize| frame as f32 / 30.0;
-        let turn = |frame: usize| {
-            let half = (yaw + 2.0 * seconds(frame)) / 2.0;
-            [half.cos(), 0.0, half.sin(), 0.0]
-        };
-        let place = |frame: usize| [0.4 * seconds(frame), 0.95, 0.2 * seconds(frame)];
-        Figure {
-            name: "phrase".into(),
-            fps: 30.0,
-            positions: (0..frames).flat_map(place).collect(),
-            joint_names: vec!["root".into()],
-            parents: vec![None],
-            orientations: Some((0..frames).map(turn).collect()),
-            ..Figure::default()
-        }
-    }
-
-    #[test]
-    fn poses_lie_between_frames() {
-        let figure = body(10);
-        let (from, to) = (figure.joint(3, 2), figure.joint(4, 2));
-        assert_eq!(figure.pose(3.0 / 20.0).joints[2], from);
-        let half = figure.pose(3.5 / 20.0).joints[2];
-        assert!((0..3).all(|axis| (half[axis] - (from[axis] + to[axis]) / 2.0).abs() < 1e-6));
-        assert_eq!(figure.pose(99.0).joints[2], figure.joint(9, 2));
-        assert_eq!(figure.pose(-1.0).joints[2], figure.joint(0, 2));
-        let mut dancer = dancer(3, 0.0);
-        let known = dancer.pose(0.05).orientation.unwrap();
-        // The same orientation with the other sign.
-        let turns = dancer.orientations.as_mut().unwrap();
-        turns[2] = turns[2].map(|part| -part);
-        let found = dancer.pose(0.05).orientation.unwrap();
-        assert!((0..4).all(|part| (known[part] - found[part]).abs() < 1e-6));
-    }
-
-    #[test]
-    fn sides_are_told_by_names() {
-        let names = [
-            ("left_hip", Side::Left),
-            ("mixamorig:RightFoot", Side::Right),
-            ("LHip", Side::Left),
-            ("hand_r", Side::Right),
-            ("r_wrist", Side::Right),
-            ("lumbar", Side::Middle),
-            ("root", Side::Middle),
-            ("neck", Side::Middle),
-        ];
-        for (name, side) in names {
-            let figure = Figure {
-                joint_names: vec![name.into()],
-                ..Figure::default()
-            };
-            assert_eq!(figure.side(0), side, "{name}");
-        }
-    }
-}
+pub(crate) mod tests;

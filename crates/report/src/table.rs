@@ -1,10 +1,9 @@
-//! Tables and counts.
+//! Tables and numbers.
 
 use tabled::builder::Builder;
 use tabled::settings::{Alignment, Style, object::Columns};
 
-/// A plain table of rows, of which the first is the header; columns after the first are aligned
-/// right.
+/// A plain table whose first row is the header; columns after the first are right-aligned.
 pub fn rows<R>(rows: impl IntoIterator<Item = R>) -> String
 where
     R: IntoIterator,
@@ -29,7 +28,7 @@ pub fn table<const N: usize>(
     rows(std::iter::once(header.map(String::from)).chain(body))
 }
 
-/// [`rows`] of names and what is said of them.
+/// [`rows`] of names and values.
 pub fn facts<'a>(facts: impl IntoIterator<Item = (&'a str, String)>) -> String {
     let facts = facts.into_iter();
     rows(facts.map(|(name, value)| [name.to_string(), value]))

@@ -54,7 +54,7 @@ impl Work for Matching {
             frames: 2 * self.examples[0].frames(),
             settings: &Settings::of(Preset::Published),
             groups: &[],
-            held: &[],
+            constraints: &[],
         };
         let made = synthesize_from(&request, &self.noise)?.frames;
         let shape = [1, made.frames(), made.channels()];

@@ -5,8 +5,8 @@ use std::path::PathBuf;
 use kinegrad_matching::rotation6d;
 use kinegrad_matching::{
     Axis, CoarseRatio, Distance, Frames, Looping, Matches, Pool, Preset, Request, Search, Settings,
-    Start, displacements, places, pyramid_lengths, start, step, synthesize_from, vote, with_ends,
-    without_ends,
+    Start, displacements, pad_loop, places, pyramid_lengths, start, step, synthesize_from,
+    unpad_loop, vote,
 };
 use kinegrad_motion::Quaternion;
 use kinegrad_tests::golden::{Golden, compared};
@@ -126,7 +126,7 @@ fn golden_patch_distances(golden: Golden) {
             .collect();
         golden.compare_lists("smallest", &wide(&found.smallest), &smallest, TOLERANCE);
     }
-    let looped = search.nearest(&with_ends(&x, P), Some(0.01), &[]);
+    let looped = search.nearest(&pad_loop(&x, P), Some(0.01), &[]);
     indices_match(&golden, "nn_loop_alpha_0.01", &looped);
 }
 
@@ -135,7 +135,7 @@ fn golden_voting(golden: Golden) {
     let plain = vote(&pool, &golden.get("nn_no_alpha").indices());
     golden.compare("blend", &tensor(&plain), TOLERANCE);
     let looped = vote(&pool, &golden.get("nn_loop_alpha_0.01").indices());
-    golden.compare("blend_loop", &tensor(&without_ends(&looped, P)), TOLERANCE);
+    golden.compare("blend_loop", &tensor(&unpad_loop(&looped, P)), TOLERANCE);
 }
 
 fn golden_wrapped_noise(golden: Golden) {
@@ -234,7 +234,7 @@ fn run(golden: Golden) {
         frames: *lengths.last().expect("a level"),
         settings: &settings,
         groups: &[],
-        held: &[],
+        constraints: &[],
     };
     let levels = request.levels().expect("valid");
     assert_eq!(levels.synthesis, lengths);

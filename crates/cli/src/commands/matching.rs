@@ -193,7 +193,7 @@ fn job(
         parts,
         keyframes,
         fixed: fixed.collect::<Result<_, Error>>()?,
-        feet: arguments.lock_feet,
+        lock_feet: arguments.lock_feet,
     })
 }
 
@@ -252,7 +252,7 @@ fn note_short(job: &Job, made: &Made) {
 
 /// Notes examples that turn around: patches match only those with the same heading.
 fn note_turns(made: &Made) {
-    let arc = made.figure.turns_over(&made.examples).map(f64::to_degrees);
+    let arc = made.layout.heading_arc(&made.examples).map(f64::to_degrees);
     if let Some(arc) = arc.filter(|arc| *arc > TURNS) {
         tell!(
             "note: headings of the examples range over {arc:.0} degrees, and patches match only those with \

@@ -1,7 +1,7 @@
 //! Bodies: foot contacts, and curves of motion without a known representation.
 
 use kinegrad_motion::humanml::Joints;
-use kinegrad_report::scene::{Contact, Curves, Figure};
+use kinegrad_report::scene::{Contact, Curves, SceneObject};
 
 use crate::io::is_foot;
 
@@ -26,7 +26,7 @@ pub fn figure(
     joint_names: Vec<String>,
     parents: Vec<Option<usize>>,
     feet: Option<&[usize]>,
-) -> Figure {
+) -> SceneObject {
     let named = || {
         let feet = joint_names.iter().enumerate();
         feet.filter(|(_, name)| is_foot(name))
@@ -39,7 +39,7 @@ pub fn figure(
         joint,
         frames: stands(&joints.track(joint), fps, size),
     });
-    Figure {
+    SceneObject {
         name,
         fps,
         positions: joints.to_f32(),

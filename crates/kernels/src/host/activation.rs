@@ -1,6 +1,6 @@
 use super::simd::{exp, sigmoid};
 
-/// What follows a normalisation.
+/// Activation after a normalisation.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Activation {
     /// Nothing.

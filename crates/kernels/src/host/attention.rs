@@ -59,7 +59,7 @@ impl Attended<'_> {
     }
 }
 
-/// Where the gradients of [`Heads`] go.
+/// Gradients of [`Heads`].
 #[derive(Clone, Copy)]
 pub(crate) struct HeadGradients<'a> {
     pub queries: Columns<'a>,
@@ -81,7 +81,7 @@ const MOST_SCORES: usize = if cfg!(test) { 256 } else { 1 << 20 };
 /// Fewest queries of a part of those that attend to few keys each.
 const SHORTEST_PART: usize = if cfg!(test) { 2 } else { 32 };
 
-/// What a thread holds of the head that it works on.
+/// Buffers of a thread for its current head.
 #[derive(Default)]
 struct Buffers {
     /// Attention `[part, keys]`.
@@ -213,7 +213,7 @@ impl<'a> Heads<'a> {
         starts.map(move |start| start..time.min(start + length))
     }
 
-    /// Writes the attention `[part, span]` of one head to `weights`, and says which keys the span is.
+    /// Writes the attention `[part, span]` of one head to `weights`; returns the keys of the span.
     fn weights(
         &self,
         sample: usize,

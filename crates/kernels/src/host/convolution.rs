@@ -1,8 +1,8 @@
 //! Convolution over time: output, input gradient and weight gradient.
 //!
-//! What is multiplied is first written into rows with zeros around them: copied, repeated
-//! (nearest upsampling) or normalised. Those rows are not kept for the backward pass, which writes
-//! them anew from the input: cheaper than storing them and than reading them back from memory.
+//! Inputs are first written into zero-padded rows: copied, repeated (nearest upsampling) or
+//! normalised. The backward pass recomputes these rows from the input, which is cheaper than
+//! storing and reloading them.
 
 use std::mem::MaybeUninit;
 
@@ -18,12 +18,12 @@ use super::team;
 use crate::invariance::samples;
 use crate::lengths::frames_of;
 
-/// What a convolution is, but for its tensors.
+/// A convolution without its tensors.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ConvolutionPlan {
     /// Kernel, stride and padding.
     pub geometry: Geometry,
-    /// Whether it is the transposed map, with the weight `[in, out, kernel]`.
+    /// Whether it is transposed, with the weight `[in, out, kernel]`.
     pub transposed: bool,
     /// Repeats every input frame twice and keeps so many frames, before all else.
     pub upsample: Option<usize>,
@@ -43,7 +43,7 @@ pub struct Input<'a> {
     pub lengths: Option<&'a [usize]>,
 }
 
-/// Which gradients a backward pass computes.
+/// Gradients of a backward pass.
 #[derive(Clone, Copy, Debug)]
 pub struct Wanted {
     /// Of the input, and of the normalisation's parameters with it.

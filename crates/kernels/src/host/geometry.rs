@@ -1,4 +1,4 @@
-//! Which frames a convolution's frames see.
+//! Receptive fields of convolutions.
 
 /// Kernel size, stride and padding of a convolution over time.
 ///
@@ -29,7 +29,7 @@ pub(crate) struct Phase {
     pub source_first: isize,
     /// Source rows from a window to the next.
     pub source_step: usize,
-    /// The tap that each row of a window goes through.
+    /// The tap of each row of a window.
     pub taps: Vec<usize>,
 }
 

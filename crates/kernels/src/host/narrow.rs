@@ -18,7 +18,7 @@ const MOST_ROWS_OF_ONE_TAP: usize = 16;
 /// Output channels that one task takes at least.
 const LEAST_CHANNELS: usize = 4 * TILE_ROWS;
 
-/// Whether few enough windows of so many taps meet enough output channels.
+/// Whether a product has few windows of few taps relative to its output channels.
 pub(crate) fn is_narrow(rows: usize, channels: usize, taps: usize) -> bool {
     let most = match taps {
         1 => MOST_ROWS_OF_ONE_TAP,

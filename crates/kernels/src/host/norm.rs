@@ -12,14 +12,14 @@ use super::simd::vectorized;
 use super::team;
 use crate::lengths::frames_of;
 
-/// What a group normalisation is, but for its parameters.
+/// A group normalisation without its parameters.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GroupNormPlan {
     /// Groups that the channels divide into.
     pub groups: usize,
     /// Added to the variance.
     pub eps: f64,
-    /// What follows.
+    /// Activation afterwards.
     pub activation: Activation,
 }
 

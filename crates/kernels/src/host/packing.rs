@@ -4,7 +4,7 @@ use super::columns::{LINES, write_columns};
 use super::simd::vectorized;
 use super::team;
 
-/// How a product reads a weight `[outer, inner, kernel]`.
+/// Order in which a product reads a weight `[outer, inner, kernel]`.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Direction<'a> {
     /// Columns are the outer channels; windows run through all taps in order, each with the inner
@@ -33,7 +33,7 @@ impl Weight<'_> {
         }
     }
 
-    /// Whether windows run through all taps in order.
+    /// Whether windows visit all taps in order.
     pub fn gathers(&self) -> bool {
         matches!(self.direction, Direction::Gather)
     }

@@ -45,7 +45,7 @@ impl<'a> Windows<'a> {
     }
 }
 
-/// What is added to a product.
+/// Addends of a product.
 #[derive(Clone, Copy, Default)]
 pub(crate) struct Addends<'a> {
     /// One value a column.
@@ -54,7 +54,7 @@ pub(crate) struct Addends<'a> {
     pub residual: Option<Rows<'a>>,
 }
 
-/// Which rows of the output the windows stand for: `first + row step`.
+/// Output rows of the windows: `first + row step`.
 #[derive(Clone, Copy)]
 pub(crate) struct OutputRows<'a> {
     pub rows: SharedRows<'a, MaybeUninit<f32>>,
@@ -63,7 +63,7 @@ pub(crate) struct OutputRows<'a> {
 }
 
 thread_local! {
-    /// What this thread has packed for the products it is at.
+    /// Panel of the current products of this thread.
     pub(crate) static PANEL: RefCell<Vec<f32>> = const { RefCell::new(Vec::new()) };
 }
 

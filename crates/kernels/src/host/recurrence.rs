@@ -13,8 +13,8 @@ use super::team;
 use crate::lengths::frames_of;
 use crate::recurrence::Direction;
 
-/// What is kept of a step for the backward pass, each of the state's width: reset, update and new,
-/// and the state's part of the new before its reset.
+/// Values stored of a step for the backward pass, each of the state's width: reset, update and new
+/// gates, and the state's part of the new gate before its reset.
 const KEPT: usize = 4;
 
 /// Sizes and direction of a recurrent layer.
@@ -26,7 +26,7 @@ pub struct GruPlan {
     pub batch: usize,
     /// Width of the state.
     pub width: usize,
-    /// Which way it goes.
+    /// Direction in time.
     pub direction: Direction,
 }
 

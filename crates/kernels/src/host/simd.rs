@@ -4,7 +4,7 @@ use pulp::Arch;
 
 /// Runs `work` in code compiled for the best instruction set that this processor has.
 ///
-/// What `work` calls must be inlined into it to be compiled so.
+/// Functions called by `work` must be inlined to be vectorised.
 #[inline(always)]
 pub(crate) fn vectorized<R>(work: impl FnOnce() -> R) -> R {
     Arch::new().dispatch(work)

@@ -17,12 +17,12 @@ const SPINS: u32 = 4000;
 
 /// The number of a section in the upper half of the state.
 const SECTION: u32 = 32;
-/// Whether helpers may still enter the section.
+/// Flag: helpers may still enter the section.
 const OPEN: u64 = 1 << 31;
 /// Helpers that are in the section.
 const INSIDE: u64 = OPEN - 1;
 
-/// What a section does: task `i` of so many.
+/// The work of a section: task `i` of a count.
 #[derive(Clone, Copy)]
 struct Job {
     work: &'static (dyn Fn(usize) + Sync),
@@ -219,7 +219,7 @@ impl Helper {
     }
 }
 
-/// What a helper does for as long as the process lives.
+/// Loop of a helper thread.
 fn help(index: usize, shared: &Shared, asleep: &AtomicBool) {
     let mut seen = 0;
     loop {

@@ -4,7 +4,7 @@ use burn::tensor::Tensor;
 
 use super::AdamW;
 
-/// What one parameter's step changes, on its device: rows of one length.
+/// State of one parameter on its device: rows of one length.
 #[derive(Clone, Debug)]
 pub struct AdamWTensors {
     /// The values.

@@ -1,4 +1,4 @@
-//! What the examples share.
+//! Shared by the examples.
 
 use kinegrad_capture::Bvh;
 use kinegrad_matching::Example;

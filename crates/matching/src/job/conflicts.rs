@@ -1,93 +1,91 @@
-//! What cannot be asked for together.
+//! Contradictory constraints.
 
 use super::Job;
-use crate::{Error, Figure, Held, Looping};
+use crate::{Constraint, Error, Looping, MotionMatrix};
 
 impl Job {
-    /// Refuses what would be met in part and passed over without a word. `held`: what the motion of
-    /// `frames` frames must keep to, key frames first, in the order of the job.
+    /// Rejects contradictory constraints. `constraints` of the motion of `frames` frames: key frames
+    /// first, in the order of the job.
     pub(super) fn must_agree(
         &self,
-        figure: &Figure,
-        held: &[Held],
+        layout: &MotionMatrix,
+        constraints: &[Constraint],
         frames: usize,
     ) -> Result<(), Error> {
-        if let (Looping::Even | Looping::Halves, Some(fixed)) =
-            (self.settings.looping, self.fixed.first())
+        if let Some(fixed) = self
+            .fixed
+            .first()
+            .filter(|_| self.settings.looping != Looping::Off)
         {
-            let problem = format!(
-                "`{}` follows it, whose end need not lead into its beginning",
-                fixed.part
-            );
+            let part = &fixed.part;
+            let problem =
+                format!("`{part}` follows it, whose end need not lead into its beginning");
             let hint = "leave option `loop` or option `fix` out";
             return Err(Error::file(&fixed.motion.file, problem, hint));
         }
-        let (keys, fixed) = held.split_at(self.keyframes.len());
+        let (keys, fixed) = constraints.split_at(self.keyframes.len());
         for (index, one) in fixed.iter().enumerate() {
-            for (place, other) in fixed[..index].iter().enumerate() {
-                let (Held::Channels { motion, .. }, Held::Channels { motion: others, .. }) =
-                    (one, other)
-                else {
-                    continue;
+            for (other, before) in fixed[..index].iter().zip(&self.fixed) {
+                let differs = |channel: &usize| match (one, other) {
+                    (
+                        Constraint::Channels { motion: a, .. },
+                        Constraint::Channels { motion: b, .. },
+                    ) => a.columns(&[*channel]) != b.columns(&[*channel]),
+                    _ => false,
                 };
-                let shared = shared(one, other);
-                let differs =
-                    |channel: &&usize| motion.columns(&[**channel]) != others.columns(&[**channel]);
-                if let Some(&channel) = shared.iter().find(differs) {
-                    let (part, before) = (&self.fixed[index].part, &self.fixed[place].part);
+                if let Some(channel) = shared(one, other).into_iter().find(differs) {
+                    let own = &self.fixed[index];
                     let problem = format!(
-                        "`{part}` follows it, and {}, which is of `{before}` too, follows {}",
-                        named(figure, channel),
-                        self.fixed[place].motion.file
+                        "`{}` follows it, and {}, which is of `{}` too, follows {}",
+                        own.part,
+                        named(layout, channel),
+                        before.part,
+                        before.motion.file
                     );
                     let hint =
                         "give parts that share no joint; option `parts` divides the body otherwise";
-                    return Err(Error::file(&self.fixed[index].motion.file, problem, hint));
+                    return Err(Error::file(&own.motion.file, problem, hint));
                 }
             }
         }
-        let moment = |held: &Held| match held {
-            Held::Keyframe { at, .. } => Held::frame(*at, frames),
-            Held::Channels { .. } => 0,
+        let moment = |key: &Constraint| match key {
+            Constraint::Keyframe { at, .. } => Constraint::frame(*at, frames),
+            Constraint::Channels { .. } => 0,
         };
         for (index, key) in keys.iter().enumerate() {
-            let time = self.keyframes[index].0.time;
+            let keyframe = &self.keyframes[index].0;
+            let time = keyframe.time;
+            let refused = |problem, hint| Err(Error::file(keyframe.called(), problem, hint));
             for (fixed, own) in fixed.iter().zip(&self.fixed) {
+                let (file, part) = (&own.motion.file, &own.part);
                 if let Some(&channel) = shared(key, fixed).first() {
+                    let name = named(layout, channel);
                     let problem = format!(
-                        "at {time} s {} has a pose, and follows {} as part of `{}`",
-                        named(figure, channel),
-                        own.motion.file,
-                        own.part
+                        "at {time} s {name} has a pose, and follows {file} as part of `{part}`"
                     );
-                    let hint = "give the key frame a `part` that nothing fixes";
-                    return Err(Error::file(self.keyframes[index].0.called(), problem, hint));
+                    return refused(problem, "give the key frame a `part` that nothing fixes");
                 }
-                let way = figure.way();
-                if self.keyframes[index].0.place.is_some()
-                    && channels(fixed).iter().any(|channel| way.contains(channel))
-                {
+                let root = layout.root_channels();
+                if keyframe.place.is_some() && channels(fixed).iter().any(|c| root.contains(c)) {
                     let problem = format!(
-                        "at {time} s the body has a place, and its way follows {} as part of `{}`",
-                        own.motion.file, own.part
+                        "at {time} s the body has a place, and its root trajectory follows {file} as \
+                         part of `{part}`"
                     );
-                    let hint = "leave `place` out, or fix no part that brings the way";
-                    return Err(Error::file(self.keyframes[index].0.called(), problem, hint));
+                    let hint = "leave `place` out, or fix no part with the root trajectory";
+                    return refused(problem, hint);
                 }
             }
-            for (place, before) in keys[..index].iter().enumerate() {
-                if moment(before) != moment(key) {
-                    continue;
-                }
+            let earlier = keys[..index].iter().zip(&self.keyframes);
+            for (before, (other, _)) in earlier.filter(|(before, _)| moment(before) == moment(key))
+            {
                 let hint = "key frames of one moment have different parts, or lie a frame apart";
-                let [own, other] = [index, place].map(|index| &self.keyframes[index].0);
                 if let Some(channel) = contradiction(key, before) {
-                    let problem = format!("at {time} s {} has two poses", named(figure, channel));
-                    return Err(Error::file(self.keyframes[index].0.called(), problem, hint));
+                    let name = named(layout, channel);
+                    return refused(format!("at {time} s {name} has two poses"), hint);
                 }
-                if own.place.is_some() && other.place.is_some() && own.place != other.place {
-                    let problem = format!("at {time} s the body has two places");
-                    return Err(Error::file(self.keyframes[index].0.called(), problem, hint));
+                let places = (keyframe.place, other.place);
+                if matches!(places, (Some(own), Some(other)) if own != other) {
+                    return refused(format!("at {time} s the body has two places"), hint);
                 }
             }
         }
@@ -95,58 +93,57 @@ impl Job {
     }
 }
 
-/// Channels that both hold.
-fn shared(one: &Held, other: &Held) -> Vec<usize> {
+/// Channels of both constraints.
+fn shared(one: &Constraint, other: &Constraint) -> Vec<usize> {
     let others = channels(other);
     let own = channels(one).iter().copied();
     own.filter(|channel| others.contains(channel)).collect()
 }
 
-fn channels(held: &Held) -> &[usize] {
-    match held {
-        Held::Channels { channels, .. } | Held::Keyframe { channels, .. } => channels,
+fn channels(constraint: &Constraint) -> &[usize] {
+    match constraint {
+        Constraint::Channels { channels, .. } | Constraint::Keyframe { channels, .. } => channels,
     }
 }
 
-/// A channel to which two key frames give different values.
-fn contradiction(one: &Held, other: &Held) -> Option<usize> {
-    let value = |held: &Held, wanted: usize| match held {
-        Held::Keyframe {
+/// A channel with different values in two key frames.
+fn contradiction(one: &Constraint, other: &Constraint) -> Option<usize> {
+    let value = |key: &Constraint, channel: usize| match key {
+        Constraint::Keyframe {
             channels,
             source,
             from,
             ..
         } => {
-            let place = channels.iter().position(|&channel| channel == wanted)?;
+            let place = channels.iter().position(|&other| other == channel)?;
             Some(source.frame(*from)[place])
         }
-        Held::Channels { .. } => None,
+        Constraint::Channels { .. } => None,
     };
     let mut shared = shared(one, other).into_iter();
     shared.find(|&channel| value(one, channel) != value(other, channel))
 }
 
-/// What a channel is of, for messages.
-fn named(figure: &Figure, channel: usize) -> String {
-    let joints = 0..figure.joints().len();
-    let mut of = joints.filter(|&joint| figure.channels_of(joint).contains(&channel));
-    match of.next() {
-        Some(joint) => format!("`{}`", figure.joints()[joint].name),
-        None => "the way over the ground".to_string(),
+/// Name of the joint of a channel.
+fn named(layout: &MotionMatrix, channel: usize) -> String {
+    let mut joints = 0..layout.joints().len();
+    match joints.find(|&joint| layout.channels_of(joint).contains(&channel)) {
+        Some(joint) => format!("`{}`", layout.joints()[joint].name),
+        None => "the root trajectory".to_string(),
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::figure::tests::example;
+    use crate::motion_matrix::tests::example;
     use crate::{Example, Fixed, Keyframe};
 
     fn walk(file: &str, frames: usize) -> Example {
         example(file, frames, 1.0 / 30.0)
     }
 
-    fn said(job: &Job) -> String {
+    fn message(job: &Job) -> String {
         job.make(&[walk("walk.bvh", 70)]).unwrap_err().to_string()
     }
 
@@ -163,7 +160,7 @@ mod tests {
     }
 
     #[test]
-    fn what_contradicts_itself_is_refused() {
+    fn contradictions_are_refused() {
         let fixed = |part: &str, motion: Example| Fixed {
             part: part.to_string(),
             motion,
@@ -174,7 +171,7 @@ mod tests {
             keyframes: vec![(key(0.5, None, None), None)],
             ..Job::default()
         };
-        let missed = said(&job);
+        let missed = message(&job);
         assert!(
             missed.contains("key frame: at 1 s `Hips` has a pose, and follows legs.bvh"),
             "{missed}"
@@ -182,9 +179,9 @@ mod tests {
         job.keyframes[0].0.part = Some("RightFoot".to_string());
         job.make(&[walk("walk.bvh", 70)]).unwrap();
         job.keyframes[0].0.place = Some([1.0, 2.0]);
-        let led = said(&job);
+        let led = message(&job);
         assert!(
-            led.contains("the body has a place, and its way follows legs.bvh as part of `LeftLeg`"),
+            led.contains("the body has a place, and its root trajectory follows legs.bvh as part of `LeftLeg`"),
             "{led}"
         );
         // Parts that share the hips of one motion agree, of two they do not.
@@ -202,14 +199,14 @@ mod tests {
             )
             .unwrap();
         job.fixed[1].motion = other;
-        let two = said(&job);
+        let two = message(&job);
         assert!(
             two.starts_with("other.bvh: `RightLeg` follows it, and `Hips`"),
             "{two}"
         );
         job.fixed.truncate(1);
         job.settings.looping = Looping::Even;
-        let loops = said(&job);
+        let loops = message(&job);
         assert!(
             loops.contains("need not lead into its beginning"),
             "{loops}"
@@ -222,10 +219,10 @@ mod tests {
             keyframes: vec![(one, None), (two, None)],
             ..Job::default()
         };
-        let poses = said(&of(key(0.5, None, None), key(0.9, Some("LeftLeg"), None)));
+        let poses = message(&of(key(0.5, None, None), key(0.9, Some("LeftLeg"), None)));
         assert!(poses.contains("has two poses"), "{poses}");
         let places = [Some([1.0, 2.0]), Some([2.0, 2.0])];
-        let two = said(&of(key(0.5, None, places[0]), key(0.5, None, places[1])));
+        let two = message(&of(key(0.5, None, places[0]), key(0.5, None, places[1])));
         assert!(two.contains("at 1 s the body has two places"), "{two}");
         let apart = of(
             key(0.5, Some("LeftFoot"), None),

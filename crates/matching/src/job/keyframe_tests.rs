@@ -1,8 +1,8 @@
 //! Key frames of whole jobs: close together, near the ends, and in loops; places and headings.
 
 use super::*;
-use crate::figure::tests::example;
 use crate::jerk_around;
+use crate::motion_matrix::tests::example;
 
 fn walk(frames: usize) -> Example {
     example("walk.bvh", frames, 1.0 / 30.0)
@@ -67,7 +67,7 @@ fn key_frames_close_together_are_all_met() {
 }
 
 #[test]
-fn a_loop_with_a_key_frame_is_calm_at_its_seam() {
+fn a_loop_with_a_key_frame_has_a_smooth_seam() {
     for (seed, time) in [(0, 1.0), (1, 2.0), (2, 0.0), (3, 3.3)] {
         let mut job = with(&[key(time, 0.9)]);
         job.settings.looping = Looping::Even;
@@ -81,7 +81,7 @@ fn a_loop_with_a_key_frame_is_calm_at_its_seam() {
 #[test]
 fn key_frames_near_an_end_jerk_little_more_than_the_rest() {
     // The same walk at thrice its pace.
-    let text = crate::figure::tests::text(210, 1.0 / 10.0);
+    let text = crate::motion_matrix::tests::text(210, 1.0 / 10.0);
     let text = text.replace("Frame Time: 0.1\n", "Frame Time: 0.03333333\n");
     let wild = Example {
         file: "wild.bvh".to_string(),
@@ -98,7 +98,7 @@ fn key_frames_near_an_end_jerk_little_more_than_the_rest() {
 }
 
 #[test]
-fn a_key_frame_does_not_hold_up_the_rest() {
+fn a_key_frame_does_not_still_the_rest() {
     let still = |seed, keyframes: &[Keyframe]| {
         let mut job = with(keyframes);
         job.length = Some(Length::Seconds(6.0));
@@ -109,8 +109,8 @@ fn a_key_frame_does_not_hold_up_the_rest() {
     for seed in [0, 1, 2] {
         let without = still(seed, &[]);
         for (time, source_time) in [(0.5, 2.0), (1.0, 0.3), (3.0, 1.0)] {
-            let held = still(seed, &[key(time, source_time)]);
-            assert!(held <= without + 0.05, "{seed} {time}: {held} {without}");
+            let with = still(seed, &[key(time, source_time)]);
+            assert!(with <= without + 0.05, "{seed} {time}: {with} {without}");
         }
     }
 }

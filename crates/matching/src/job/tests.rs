@@ -1,7 +1,7 @@
 //! Whole jobs.
 
 use super::*;
-use crate::figure::tests::example;
+use crate::motion_matrix::tests::example;
 use crate::{Preset, jerk_around};
 
 fn job() -> Job {
@@ -42,7 +42,7 @@ fn the_paper_divides_the_body_and_matches_contacts() {
     };
     let made = paper.make(&[walk(70)]).unwrap();
     assert_eq!(made.synthesis.origins.len(), 3);
-    assert_eq!(made.figure.contacts(), [3, 5]);
+    assert_eq!(made.layout.contacts(), [3, 5]);
     assert_eq!(made.bvh.frames(), 140);
 }
 
@@ -59,18 +59,18 @@ fn fixed_parts_are_those_of_their_motion() {
     };
     let made = job.make(&[walk(70)]).unwrap();
     assert_eq!(made.bvh.frames(), 64);
-    let held = made.figure.frames(&legs).unwrap();
-    let channels = made.figure.channels_of(3);
+    let legs_frames = made.layout.to_frames(&legs).unwrap();
+    let channels = made.layout.channels_of(3);
     assert_eq!(
         made.synthesis.frames.columns(&channels),
-        held.columns(&channels)
+        legs_frames.columns(&channels)
     );
     let longer = Job {
         length: Some(Length::Frames(80)),
         ..job.clone()
     };
-    let said = longer.make(&[walk(70)]).unwrap_err().to_string();
-    assert_eq!(said, "legs.bvh: has 64 frames, and option `length` 80");
+    let message = longer.make(&[walk(70)]).unwrap_err().to_string();
+    assert_eq!(message, "legs.bvh: has 64 frames, and option `length` 80");
     let unknown = Job {
         fixed: vec![Fixed {
             part: "wings".to_string(),
@@ -78,8 +78,8 @@ fn fixed_parts_are_those_of_their_motion() {
         }],
         ..job
     };
-    let said = unknown.make(&[walk(70)]).unwrap_err().to_string();
-    assert!(said.contains("no part or joint `wings`"), "{said}");
+    let message = unknown.make(&[walk(70)]).unwrap_err().to_string();
+    assert!(message.contains("no part or joint `wings`"), "{message}");
 }
 
 #[test]
@@ -109,7 +109,7 @@ fn key_frames_are_met() {
 #[test]
 fn a_pose_from_a_wilder_motion_jerks_little_more_than_the_rest() {
     // The same walk at thrice its pace.
-    let mut text = crate::figure::tests::text(210, 1.0 / 10.0);
+    let mut text = crate::motion_matrix::tests::text(210, 1.0 / 10.0);
     text = text.replace("Frame Time: 0.1\n", "Frame Time: 0.03333333\n");
     let wild = Example {
         file: "wild.bvh".to_string(),
@@ -131,8 +131,11 @@ fn a_pose_from_a_wilder_motion_jerks_little_more_than_the_rest() {
     let made = job.make(&[walk(70)]).unwrap();
     let [near, rest] = jerk_around(&jerks(&made.bvh), 60.0, 30.0);
     assert!(near <= 1.5 * rest, "{near} {rest}");
-    let held = made.figure.frames(&wild).unwrap();
-    assert_eq!(made.synthesis.frames.frame(60)[..24], held.frame(90)[..24]);
+    let source = made.layout.to_frames(&wild).unwrap();
+    assert_eq!(
+        made.synthesis.frames.frame(60)[..24],
+        source.frame(90)[..24]
+    );
 }
 
 #[test]
@@ -147,8 +150,8 @@ fn a_content_is_followed_in_the_manner_of_the_examples() {
     assert_eq!(made.bvh.frames(), 120);
     // The content is the examples' own walk, so its steps stay in time.
     let (channels, wanted) = (
-        made.figure.channels_of(2),
-        made.figure.frames(&content).unwrap(),
+        made.layout.channels_of(2),
+        made.layout.to_frames(&content).unwrap(),
     );
     let apart = |t: usize| {
         let pairs = channels
@@ -162,8 +165,11 @@ fn a_content_is_followed_in_the_manner_of_the_examples() {
         length: Some(Length::Frames(80)),
         ..job
     };
-    let said = longer.make(&[walk(70)]).unwrap_err().to_string();
-    assert_eq!(said, "content.bvh: has 120 frames, and option `length` 80");
+    let message = longer.make(&[walk(70)]).unwrap_err().to_string();
+    assert_eq!(
+        message,
+        "content.bvh: has 120 frames, and option `length` 80"
+    );
 }
 
 #[test]
@@ -199,27 +205,27 @@ fn places_of_key_frames_are_passed() {
 
 #[test]
 fn a_motion_without_a_patch_is_refused() {
-    let said = |frames: usize| {
+    let message = |frames: usize| {
         let error = job().make(&[walk(40), walk(frames)]).unwrap_err();
         error.to_string()
     };
     assert_eq!(
-        said(1),
+        message(1),
         "walk.bvh: frames: 1 at 30 a second, allowed: at least `patch_size`, which is 11"
     );
-    assert!(said(10).contains("frames: 10 "));
+    assert!(message(10).contains("frames: 10 "));
     let short = Job {
         length: Some(Length::Frames(3)),
         ..job()
     };
-    let said = short.make(&[walk(40)]).unwrap_err().to_string();
-    assert!(said.contains("`length` is 3"), "{said}");
+    let message = short.make(&[walk(40)]).unwrap_err().to_string();
+    assert!(message.contains("`length` is 3"), "{message}");
     assert!(job().make(&[]).is_err());
 }
 
 /// A body that sways above feet of which one rests while the other swings.
 fn stepping() -> Example {
-    let mut text = crate::figure::tests::text(1, 1.0 / 30.0);
+    let mut text = crate::motion_matrix::tests::text(1, 1.0 / 30.0);
     text = text.replace("Foot", "Shin").replace("Leg", "Thigh");
     for side in ["Left", "Right"] {
         let foot = format!(
@@ -246,25 +252,25 @@ fn stepping() -> Example {
 }
 
 #[test]
-fn feet_are_held_where_those_of_the_example_rest() {
+fn feet_are_locked_where_those_of_the_example_rest() {
     let feet = Job {
-        feet: true,
+        lock_feet: true,
         ..job()
     };
     // Both feet of the walk have one bone above them, below the hips that they share.
-    let said = feet.make(&[walk(70)]).unwrap_err().to_string();
-    assert!(said.contains("no joint with two bones"), "{said}");
+    let message = feet.make(&[walk(70)]).unwrap_err().to_string();
+    assert!(message.contains("no joint with two bones"), "{message}");
     let free = job().make(&[stepping()]).unwrap();
-    let held = feet.make(&[stepping()]).unwrap();
+    let locked = feet.make(&[stepping()]).unwrap();
     assert!(free.sliding.is_none());
-    let slid = held.sliding.unwrap();
+    let slid = locked.sliding.unwrap();
     assert!(slid.in_contact > 0.1 && slid.before > 1.0, "{slid:?}");
     assert!(slid.after < 0.05 * slid.before, "{slid:?}");
     // The file has it, and nothing above the legs moves.
-    let foot = held.bvh.joint("LeftFoot").unwrap();
+    let foot = locked.bvh.joint("LeftFoot").unwrap();
     let mut moved = 0;
-    for t in 0..held.bvh.frames() {
-        let (new, old) = (held.bvh.world(t), free.bvh.world(t));
+    for t in 0..locked.bvh.frames() {
+        let (new, old) = (locked.bvh.world(t), free.bvh.world(t));
         let apart = |joint: usize| {
             let axes = 0..3;
             let of = |axis: usize| (new[joint].position[axis] - old[joint].position[axis]).abs();

@@ -1,4 +1,4 @@
-//! What a new motion has of its examples: coverage, diversity and novelty.
+//! Coverage, diversity and novelty of a new motion.
 
 mod novelty;
 mod seam;
@@ -8,7 +8,7 @@ mod windows;
 
 use serde::Serialize;
 
-use crate::{Figure, Frames, Made};
+use crate::Frames;
 
 pub use novelty::{Novelty, Run};
 pub use seam::Seam;
@@ -16,41 +16,40 @@ pub use sliding::Sliding;
 pub use stillness::Stillness;
 use windows::{cheapest, segmented};
 
-/// Frames of a window of coverage, and of the shortest segment of global diversity.
+/// Window of coverage and shortest segment of global diversity, in frames.
 const COVERED: usize = 30;
-/// Frames of a window of local diversity.
+/// Window of local diversity, in frames.
 const LOCAL: usize = 15;
-/// Distance below which a window is covered.
+/// Distance of a covered window.
 const THRESHOLD: f64 = 2.0;
-/// Most pairs of frames that are compared.
+/// Most pairs of frames compared.
 const MOST_PAIRS: usize = 20_000_000;
 
-/// Measures of a new motion. Distances are Euclidean, of the six numbers of each joint's rotation,
-/// averaged over the frames of a window. The definitions are those of the evaluation published with
-/// GANimator, which the paper follows; docs/sources/genmm.md.
+/// Measures of a new motion. Distances are Euclidean over the six numbers of each joint's rotation,
+/// averaged over the frames of a window. Definitions: the evaluation published with GANimator,
+/// which the paper follows; docs/sources/genmm.md.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Measures {
     /// Part of the examples' windows of 30 frames, the last of each left out, whose distance to the
-    /// nearest window of the motion is below 2. The bound is loose: two frames of a dance are 2 to
-    /// 3 apart on average.
+    /// nearest window of the motion is below 2. The threshold is loose: two frames of a dance are 2
+    /// to 3 apart on average.
     pub coverage: f64,
-    /// The mean of those distances: what coverage does not tell.
+    /// Mean of these distances.
     pub window_cost: f64,
-    /// Mean distance of the motion's windows of 15 frames, the last left out, to the nearest
-    /// window of the examples.
+    /// Mean distance of the motion's windows of 15 frames, the last left out, to the nearest window
+    /// of the examples.
     pub local_diversity: f64,
-    /// The largest of those distances.
+    /// Largest of these distances.
     pub furthest_window: f64,
-    /// Mean distance of the motion's frames to the examples', where the motion is cut into segments
-    /// of at least 30 frames that each follow one stretch of an example, so that it is least. None where
-    /// the motion cannot be cut so, as no example is long enough.
+    /// Mean distance of the motion's frames to the examples', minimised over cuts of the motion
+    /// into segments of at least 30 frames that each follow one stretch of an example. None if all
+    /// examples are too short for a cut.
     pub global_diversity: Option<f64>,
 }
 
 impl Measures {
-    /// Measures `motion` against `examples`, both `[frames, channels]` of rotations alone. None
-    /// where one has fewer than 31 frames, or all have so many that more than 20 million pairs of
-    /// frames would be compared.
+    /// Measures `motion` against `examples`, both `[frames, channels]` of rotations. None if one
+    /// has fewer than 31 frames, or more than 20 million pairs of frames would be compared.
     ///
     /// # Panics
     /// Panics if the channels differ.
@@ -82,46 +81,6 @@ impl Measures {
     }
 }
 
-impl Made {
-    /// Measures of the rotations of these joints, by their indices; all if there are none.
-    pub fn measures(&self, joints: &[usize]) -> Option<Measures> {
-        let channels = rotations(&self.figure, joints);
-        let examples = self
-            .examples
-            .iter()
-            .map(|example| example.columns(&channels));
-        let examples: Vec<Frames> = examples.collect();
-        Measures::of(&self.synthesis.frames.columns(&channels), &examples)
-    }
-
-    /// What each part's motion copies, in the order of the parts.
-    pub fn novelty(&self) -> Vec<Novelty> {
-        let origins = self.synthesis.origins.iter();
-        origins
-            .map(|origins| Novelty::of(origins, self.figure.frame_time()))
-            .collect()
-    }
-
-    /// The runs of each part's motion that follow an example, in the order of the parts.
-    pub fn runs(&self) -> Vec<Vec<Run>> {
-        let origins = self.synthesis.origins.iter();
-        origins.map(|origins| Run::all(origins)).collect()
-    }
-}
-
-/// Channels of the rotations of these joints; of all, if there are none.
-fn rotations(figure: &Figure, joints: &[usize]) -> Vec<usize> {
-    match joints {
-        [] => (0..figure.joints().len())
-            .flat_map(|joint| figure.rotation_of(joint))
-            .collect(),
-        joints => joints
-            .iter()
-            .flat_map(|&joint| figure.rotation_of(joint))
-            .collect(),
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -150,7 +109,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_measured_is_none() {
+    fn unmeasurable_motions_are_none() {
         assert!(Measures::of(&line(0..30), &[line(0..100)]).is_none());
         assert!(Measures::of(&line(0..100), &[line(0..100), line(0..30)]).is_none());
         assert!(Measures::of(&line(0..100), &[]).is_none());

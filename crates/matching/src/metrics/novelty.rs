@@ -1,20 +1,20 @@
-//! How much of a motion is copied.
+//! Copied parts of a motion.
 
 use serde::Serialize;
 
-/// Frames that follow each other as in an example before they count as copied: about a second.
+/// Shortest run that counts as copied, in frames: about a second.
 const COPIED: usize = 30;
 
-/// Frames that follow each other as in an example.
+/// Consecutive frames that are consecutive in an example.
 #[derive(Clone, Copy, Debug, Eq, PartialEq)]
 pub struct Run {
-    /// The first of them in the motion.
+    /// First frame in the motion.
     pub start: usize,
     /// The example.
     pub example: usize,
-    /// The first of them in the example.
+    /// First frame in the example.
     pub first: usize,
-    /// How many there are, at least one.
+    /// Number of frames, at least 1.
     pub frames: usize,
 }
 
@@ -39,20 +39,20 @@ impl Run {
     }
 }
 
-/// How much of a motion is copied, by where its frames come from.
+/// Copied parts of a motion, from its origins.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Novelty {
-    /// Part of the frames that are in runs of at least 30 which follow each other as in an example.
+    /// Part of the frames in runs of at least 30.
     pub copied: f64,
-    /// The longest such run, in seconds.
+    /// Longest run, in seconds.
     pub longest_copied_seconds: f64,
-    /// Places a second at which the motion goes on elsewhere in the examples.
+    /// Transitions between runs a second.
     pub splices_per_second: f64,
 }
 
 impl Novelty {
-    /// Of a motion whose frame t continues frame `origins[t].1` of example `origins[t].0`, one
-    /// every `frame_time` seconds.
+    /// Novelty of a motion whose frame t continues frame `origins[t].1` of example `origins[t].0`,
+    /// with `frame_time` seconds a frame.
     ///
     /// # Panics
     /// Panics if there are no frames.

@@ -1,14 +1,14 @@
-//! How a loop goes over its seam.
+//! Seams of loops.
 
 use kinegrad_capture::Bvh;
 use kinegrad_motion::vector::length;
 use serde::Serialize;
 
-use crate::{Figure, Looping, Made, percentile_95};
+use crate::{MotionMatrix, percentile_95};
 
-/// The step from a loop's last frame to its first, in parts of the 95th percentile of all other steps,
-/// and the change of velocity there in parts of that of all others: means over the joints, whose places
-/// are seen from above the joint that travels.
+/// The seam of a loop: the step from the last frame to the first and the change of velocity there,
+/// relative to the 95th percentiles of the rest. Means over the joints, in coordinates relative to
+/// the root.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Seam {
     /// The step.
@@ -18,26 +18,26 @@ pub struct Seam {
 }
 
 impl Seam {
-    /// The seam of a motion. None with fewer than four frames.
-    pub(crate) fn of(figure: &Figure, bvh: &Bvh) -> Option<Self> {
+    /// The seam of a motion; none with fewer than four frames.
+    pub(crate) fn of(layout: &MotionMatrix, bvh: &Bvh) -> Option<Self> {
         let n = bvh.frames();
         if n < 4 {
             return None;
         }
-        // What carries the joint that travels may stay behind.
-        let mut travel = vec![false; figure.joints().len()];
-        for (joint, own) in figure.joints().iter().enumerate() {
+        // Ancestors of the root joint are left out.
+        let mut travel = vec![false; layout.joints().len()];
+        for (joint, own) in layout.joints().iter().enumerate() {
             let with = own.parent.is_some_and(|parent| travel[parent]);
-            travel[joint] = joint == figure.travelling() || with;
+            travel[joint] = joint == layout.root_joint() || with;
         }
         let places: Vec<Vec<[f64; 3]>> = (0..n)
             .map(|t| {
                 let world = bvh.world(t);
-                let (x, y) = figure.from_above(world[figure.travelling()].position);
+                let (x, y) = layout.top_view(world[layout.root_joint()].position);
                 let seen = world.iter().zip(&travel).filter(|(_, travels)| **travels);
                 let seen = seen.map(|(pose, _)| {
-                    let (a, b) = figure.from_above(pose.position);
-                    [a - x, b - y, pose.position[figure.up()]]
+                    let (a, b) = layout.top_view(pose.position);
+                    [a - x, b - y, pose.position[layout.up()]]
                 });
                 seen.collect()
             })
@@ -71,15 +71,5 @@ impl Seam {
     /// The larger of both.
     pub fn jump(&self) -> f64 {
         self.step.max(self.velocity)
-    }
-}
-
-impl Made {
-    /// How a loop goes over its seam. None of other motions.
-    pub fn seam(&self, looping: Looping) -> Option<Seam> {
-        match looping {
-            Looping::Off => None,
-            _ => Seam::of(&self.figure, &self.bvh),
-        }
     }
 }

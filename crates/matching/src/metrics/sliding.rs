@@ -1,22 +1,21 @@
-//! How far feet slide while they are in contact.
+//! Foot sliding.
 
 use kinegrad_motion::feet::{Leg, sliding};
 use serde::Serialize;
 
-/// How far feet slid in contact, before and after they were held.
+/// Foot sliding in contact, before and after locking.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Sliding {
-    /// Part of the frames in which a foot is in contact, of all feet.
+    /// Part of the frames in contact, over all feet.
     pub in_contact: f64,
-    /// Mean speed of feet in contact before, in the file's units a second.
+    /// Mean speed in contact before locking, in file units a second.
     pub before: f64,
-    /// The same after.
+    /// The same after locking.
     pub after: f64,
 }
 
 impl Sliding {
-    /// Of legs in motions `[frames][joints]`, one frame every `frame_time` seconds, whose feet are in
-    /// contact as `contacts` say, `[legs][frames]`.
+    /// Sliding of legs in motions `[frames][joints]` with contacts `[legs][frames]`.
     pub(crate) fn of(
         before: &[Vec<[f64; 3]>],
         after: &[Vec<[f64; 3]>],
@@ -32,9 +31,9 @@ impl Sliding {
             legs.iter().zip(contacts).map(of).sum::<f64>() / legs.len() as f64
         };
         let flags = contacts.concat();
-        let held = flags.iter().filter(|&&contact| contact).count();
+        let in_contact = flags.iter().filter(|&&contact| contact).count();
         Self {
-            in_contact: held as f64 / flags.len() as f64,
+            in_contact: in_contact as f64 / flags.len() as f64,
             before: speed(before),
             after: speed(after),
         }

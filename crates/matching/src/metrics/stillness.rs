@@ -1,19 +1,18 @@
-//! How much of a motion stands still.
+//! Still frames of a motion.
 
 use serde::Serialize;
 
-use super::rotations;
-use crate::{Frames, Made};
+use crate::Frames;
 
-/// Part of the examples' median change between frames that differ, below which a pose stands still.
+/// Threshold of a still frame, as a part of the examples' median change between frames that differ.
 const STILL: f64 = 0.1;
 
-/// A change that is no more than the rounding of a file.
-const HELD: f64 = 1e-5;
+/// A change that is rounding.
+const UNCHANGED: f64 = 1e-5;
 
-/// Share of frames that stand still: the Euclidean distance of all rotations to the frame before, six
-/// numbers a joint, is below a tenth of the examples' median. Means of many patches that differ move
-/// less than any of them, which neither coverage nor diversity tells.
+/// Part of still frames: frames whose rotations differ from the frame before by less than a tenth
+/// of the examples' median. Means of many different patches move less than any of them, which
+/// neither coverage nor diversity shows.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Stillness {
     /// Of the new motion.
@@ -23,11 +22,11 @@ pub struct Stillness {
 }
 
 impl Stillness {
-    /// Of rotations, `[frames, channels]` each. None without two frames in each.
-    fn of(motion: &Frames, examples: &[Frames]) -> Option<Self> {
+    /// From rotations, `[frames, channels]`. None with fewer than two frames.
+    pub(crate) fn of(motion: &Frames, examples: &[Frames]) -> Option<Self> {
         let usual: Vec<f64> = examples.iter().flat_map(changes).collect();
-        // Frames that are held say nothing of how fast the others are.
-        let mut moving: Vec<f64> = usual.iter().copied().filter(|c| *c > HELD).collect();
+        // Repeated frames are excluded from the median.
+        let mut moving: Vec<f64> = usual.iter().copied().filter(|c| *c > UNCHANGED).collect();
         if moving.is_empty() || motion.frames() < 2 {
             return None;
         }
@@ -54,29 +53,19 @@ fn changes(frames: &Frames) -> Vec<f64> {
     (1..frames.frames()).map(change).collect()
 }
 
-impl Made {
-    /// How much of the motion stands still, beside the examples.
-    pub fn stillness(&self) -> Option<Stillness> {
-        let channels = rotations(&self.figure, &[]);
-        let examples = self.examples.iter();
-        let examples: Vec<Frames> = examples.map(|each| each.columns(&channels)).collect();
-        Stillness::of(&self.synthesis.frames.columns(&channels), &examples)
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
-    fn a_pose_that_is_held_stands_still_and_a_slow_one_does_not() {
+    fn a_repeated_pose_is_still_and_a_slow_one_is_not() {
         let walk = |pace: fn(usize) -> f32| Frames::new(1, (0..100).map(pace).collect());
         let example = walk(|t| t as f32);
         let of = |motion: &Frames| Stillness::of(motion, std::slice::from_ref(&example)).unwrap();
         assert_eq!(of(&walk(|t| 0.5 * t as f32)).motion, 0.0);
-        let held = of(&walk(|t| t.min(79) as f32));
-        assert!((held.motion - 20.0 / 99.0).abs() < 1e-12, "{held:?}");
-        assert_eq!(held.examples, 0.0);
+        let stopped = of(&walk(|t| t.min(79) as f32));
+        assert!((stopped.motion - 20.0 / 99.0).abs() < 1e-12, "{stopped:?}");
+        assert_eq!(stopped.examples, 0.0);
         // Examples that rest themselves.
         let resting = walk(|t| t.max(30) as f32);
         let both = Stillness::of(&example, &[example.clone(), resting]).unwrap();

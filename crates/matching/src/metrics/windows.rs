@@ -1,17 +1,17 @@
-//! Distances of windows of one motion to the nearest window of others.
+//! Distances of windows of a motion to the nearest windows of others.
 
 use rayon::prelude::*;
 
 use crate::Frames;
 use crate::distance::{Padded, squared};
 
-/// Frames whose windows are compared at a time.
+/// Windows compared at a time.
 const ROWS: usize = 64;
 
-/// The frames of all targets, one behind the other.
+/// The frames of all targets, joined.
 struct Targets {
     frames: Padded,
-    /// First frame and number of frames of each.
+    /// First frame and length of each.
     ranges: Vec<(usize, usize)>,
 }
 
@@ -29,8 +29,7 @@ impl Targets {
         }
     }
 
-    /// The distances of `rows` frames from number `first` on to all frames of the targets, in
-    /// rows of those.
+    /// Distances of `rows` frames from `first` on to all target frames.
     fn distances(&self, motion: &Padded, first: usize, rows: usize) -> Vec<f32> {
         let mut distances = vec![0.0; rows * self.frames.frames()];
         squared(motion, first, &self.frames, &mut distances);
@@ -41,8 +40,8 @@ impl Targets {
     }
 }
 
-/// For each window of `window` frames of `motion` its distance to the nearest window of the
-/// targets: the mean distance of their frames. Windows never span two targets.
+/// The distance of each window of `window` frames of `motion` to the nearest window of the targets:
+/// the mean distance of their frames. No window spans two targets.
 pub(super) fn cheapest(motion: &Frames, targets: &[Frames], window: usize) -> Vec<f64> {
     let targets = Targets::new(targets);
     let motion = Padded::whole(motion);
@@ -69,18 +68,18 @@ pub(super) fn cheapest(motion: &Frames, targets: &[Frames], window: usize) -> Ve
         .collect()
 }
 
-/// Mean distance of the frames of `motion` to those of the targets, where it is cut into segments
-/// of at least `shortest` frames that each follow a stretch of a target, so that it is least:
-/// G(e) = min over s <= e - shortest of G(s) + the cheapest sum for the frames from s to e.
+/// Mean distance of the frames of `motion` to the targets, minimised over cuts into segments of at
+/// least `shortest` frames that each follow a stretch of a target: G(e) = min over s <= e -
+/// shortest of G(s) + the smallest sum for the frames from s to e.
 pub(super) fn segmented(motion: &Frames, targets: &[Frames], shortest: usize) -> f64 {
     let targets = Targets::new(targets);
     let motion = Padded::whole(motion);
     let frames = motion.frames();
-    // A segment of twice the shortest length is no cheaper than its halves.
+    // A segment of twice the shortest length costs no less than its halves.
     let longest = 2 * shortest - 1;
     let width = targets.frames.frames();
     let firsts: Vec<usize> = (0..frames).step_by(ROWS).collect();
-    // For each end the cheapest sums of the segments of `shortest..=longest` frames before it.
+    // For each end the smallest sums of segments of `shortest..=longest` frames.
     let sums: Vec<Vec<f64>> = firsts
         .par_iter()
         .flat_map_iter(|&first| {

@@ -1,4 +1,4 @@
-//! What must hold of every synthesis.
+//! Properties of every synthesis.
 
 use proptest::prelude::*;
 
@@ -59,7 +59,7 @@ proptest! {
             frames,
             settings: &settings,
             groups: &[],
-            held: &[],
+            constraints: &[],
         };
         let new = synthesize(&request, seed).unwrap();
         prop_assert_eq!(new.frames.frames(), frames);
@@ -182,7 +182,7 @@ fn threads_change_no_bit() {
         frames: 611,
         settings: &settings,
         groups: &[],
-        held: &[],
+        constraints: &[],
     };
     let on = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads);
@@ -199,7 +199,7 @@ fn threads_change_no_bit() {
 }
 
 #[test]
-fn the_end_of_a_loop_leads_into_its_beginning() {
+fn a_loop_is_continuous_at_its_seam() {
     let step = |frames: &Frames, from: usize, to: usize| {
         let pairs = frames.frame(from).iter().zip(frames.frame(to));
         pairs.map(|(a, b)| (a - b).powi(2)).sum::<f32>().sqrt()
@@ -215,7 +215,7 @@ fn the_end_of_a_loop_leads_into_its_beginning() {
                 frames: 150,
                 settings: &settings,
                 groups: &[],
-                held: &[],
+                constraints: &[],
             };
             let frames = synthesize(&request, seed).unwrap().frames;
             let largest = (1..150)
@@ -232,7 +232,7 @@ fn the_end_of_a_loop_leads_into_its_beginning() {
 }
 
 #[test]
-fn a_loop_begins_where_it_is_calm() {
+fn a_loop_begins_where_it_is_smoothest() {
     let settings = Settings {
         looping: Looping::Even,
         ..settings(11)
@@ -242,11 +242,11 @@ fn a_loop_begins_where_it_is_calm() {
         frames: 150,
         settings: &settings,
         groups: &[],
-        held: &[],
+        constraints: &[],
     };
     let before = synthesize(&request, 0).unwrap();
     let mut turned = before.clone();
-    turned.begin_where_calm();
+    turned.rotate_to_smoothest_seam();
     let steps = |frames: &Frames| -> Vec<f32> {
         let step = |t: usize| {
             let pairs = frames.frame(t).iter().zip(frames.frame((t + 1) % 150));
@@ -276,7 +276,7 @@ fn seeds_differ_and_repeat() {
         frames: 240,
         settings: &settings,
         groups: &[],
-        held: &[],
+        constraints: &[],
     };
     let of = |seed| synthesize(&request, seed).unwrap().frames;
     assert_eq!(of(0), of(0));
@@ -296,7 +296,7 @@ fn groups_are_matched_apart_and_shared_channels_averaged() {
         frames: 120,
         settings: &settings,
         groups: &groups,
-        held: &[],
+        constraints: &[],
     };
     let new = synthesize(&request, 3).unwrap();
     assert_eq!(new.origins.len(), 2);
@@ -304,21 +304,21 @@ fn groups_are_matched_apart_and_shared_channels_averaged() {
     let voted = [(3, vec![1.0; 6]), (2, vec![3.0; 4])];
     let voted = voted.map(|(channels, values)| Frames::new(channels, values));
     assert_eq!(
-        together(&groups, voted.to_vec(), 4).values(),
+        merged(&groups, voted.to_vec(), 4).values(),
         [1.0, 1.0, 2.0, 3.0, 1.0, 1.0, 2.0, 3.0]
     );
 }
 
 #[test]
-fn held_channels_come_out_as_they_went_in() {
+fn constrained_channels_come_out_as_they_went_in() {
     let settings = settings(5);
     let walk = motion(9, 90, 4);
-    let held = [
-        Held::Channels {
+    let constraints = [
+        Constraint::Channels {
             channels: vec![1, 3],
             motion: walk.clone(),
         },
-        Held::Keyframe {
+        Constraint::Keyframe {
             at: 40.5 / 90.0,
             channels: vec![0],
             source: Frames::new(1, vec![0.25; 3]),
@@ -332,7 +332,7 @@ fn held_channels_come_out_as_they_went_in() {
         frames: 90,
         settings: &settings,
         groups: &[],
-        held: &held,
+        constraints: &constraints,
     };
     let new = synthesize(&request, 3).unwrap().frames;
     assert_eq!(new.columns(&[1, 3]), walk.columns(&[1, 3]));
@@ -348,18 +348,18 @@ fn what_is_too_short_is_refused() {
             frames,
             settings: &settings,
             groups: &[],
-            held: &[],
+            constraints: &[],
         };
         synthesize(&request, 0).unwrap_err().to_string()
     };
     let long = motion(0, 60, 2);
-    let said = refused(&[long.clone(), motion(0, 10, 2)], 60);
+    let message = refused(&[long.clone(), motion(0, 10, 2)], 60);
     assert_eq!(
-        said,
+        message,
         "`patch_size` is 11 with 10 frames in example 2, allowed: at most the frames of each example"
     );
-    let said = refused(&[long], 10);
-    assert_eq!(said, "`length` is 10, allowed: 11 or more");
+    let message = refused(&[long], 10);
+    assert_eq!(message, "`length` is 10, allowed: 11 or more");
     assert!(refused(&[], 60).contains("`examples` is empty"));
 }
 
@@ -374,7 +374,7 @@ fn a_ratio_of_one_has_one_level() {
         frames: 90,
         settings: &settings,
         groups: &[],
-        held: &[],
+        constraints: &[],
     };
     assert_eq!(request.levels().unwrap().count(), 1);
     synthesize(&request, 0).unwrap();

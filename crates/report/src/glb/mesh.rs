@@ -1,69 +1,65 @@
-//! Simple bodies: capsules over bones, a box for a lone root.
+//! Meshes: capsules over bones, a box for a lone root.
 
 use std::f32::consts::{FRAC_PI_2, TAU};
 
-use gltf_json as json;
-use json::material::{PbrBaseColorFactor, PbrMetallicRoughness, StrengthFactor};
-use json::mesh::{Mode, Primitive, Semantic};
-use json::validation::Checked::Valid;
-use json::{Index, Material};
+use serde_json::{Value, json};
 
-use super::buffer::Buffer;
+use super::document::{ARRAY_BUFFER, Document, push};
 use super::rig::Rig;
-use super::turn::Turn;
-use crate::scene::Figure;
+use super::rotation::Rotation;
+use crate::scene::SceneObject;
 
 /// Corners around a capsule.
 const SIDES: u32 = 10;
 /// Rings of each of its round ends.
 const RINGS: u32 = 3;
-/// Radius in metres of the ball of a lone root without an orientation.
+/// Radius in metres of a lone root without orientation.
 const BALL: f32 = 0.08;
-/// Half sizes of an oriented body in metres: to its side, up and to its front.
+/// Half sizes of an oriented body in metres: side, up, front.
 const BODY: [f32; 3] = [0.17, 0.26, 0.1];
-/// Colour of all bodies, red, green, blue and opacity.
+/// Colour of all meshes (RGBA).
 const COLOUR: [f32; 4] = [0.35, 0.5, 0.72, 1.0];
 
-/// Triangles.
+/// A triangle mesh.
 #[derive(Default)]
 pub(super) struct Mesh {
     places: Vec<[f32; 3]>,
     normals: Vec<[f32; 3]>,
     triangles: Vec<u32>,
-    /// The one joint of the skin that moves each vertex; none without a skin.
+    /// The joint that moves each vertex; empty without a skin.
     joints: Vec<u16>,
 }
 
 impl Mesh {
-    /// A capsule over every bone, in the bind pose, moved by the node that turns the bone.
-    pub fn skin(figure: &Figure, rig: &Rig, bind: &[[f32; 3]]) -> Self {
+    /// A capsule over every bone, in the bind pose, moved by the node of the bone.
+    pub fn skin(object: &SceneObject, rig: &Rig, bind: &[[f32; 3]]) -> Self {
         let mut mesh = Self::default();
         let places: Vec<[f32; 3]> = rig.joints.iter().map(|node| bind[*node]).collect();
         for (index, node) in rig.nodes.iter().enumerate() {
             let Some(end) = node.bone_to else { continue };
-            let radius = figure.bone_radius(end, &places);
+            let radius = object.bone_radius(end, &places);
             if radius > 0.0 {
                 mesh.capsule([bind[index], places[end]], radius);
                 mesh.joints.resize(mesh.places.len(), index as u16);
             }
         }
         for (joint, place) in places.iter().enumerate() {
-            if figure.is_head(joint) {
-                let radius = 2.6 * figure.bone_radius(joint, &places);
+            if object.is_head(joint) {
+                let radius = 2.6 * object.bone_radius(joint, &places);
                 mesh.capsule([*place, *place], radius);
                 mesh.joints
                     .resize(mesh.places.len(), rig.joints[joint] as u16);
             }
         }
         if mesh.places.is_empty() {
-            // Bones without any length: the root at least is seen.
+            // If all bones have length 0, the root is shown.
             mesh.capsule([places[0], places[0]], BALL);
             mesh.joints.resize(mesh.places.len(), 0);
         }
         mesh
     }
 
-    /// A box that faces +z, and what shows where it faces.
+    /// A box that faces +z, with a pointer in front.
     pub fn body() -> Self {
         let mut mesh = Self::default();
         for axis in 0..3 {
@@ -82,7 +78,7 @@ impl Mesh {
         mesh
     }
 
-    /// A side of the body's box.
+    /// A side of the box.
     fn face(&mut self, axis: usize, sign: f32) {
         let first = self.places.len() as u32;
         let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
@@ -103,9 +99,9 @@ impl Mesh {
     /// A cylinder with round ends.
     fn capsule(&mut self, [from, to]: [[f32; 3]; 2], radius: f32) {
         let along = [0, 1, 2].map(|axis| f64::from(to[axis] - from[axis]));
-        let turn = Turn::between([0.0, 1.0, 0.0], along);
+        let turn = Rotation::between([0.0, 1.0, 0.0], along);
         let first = self.places.len() as u32;
-        // Rings from the lower to the upper pole: each end has its own at the equator.
+        // Rings from pole to pole; each end has its own equator.
         let rings = 2 * (RINGS + 1);
         for ring in 0..rings {
             let (end, step) = if ring <= RINGS {
@@ -129,7 +125,7 @@ impl Mesh {
                 let corner = |ring: u32, side: u32| first + ring * SIDES + side;
                 let (a, b) = (corner(ring, side), corner(ring, next));
                 let (c, d) = (corner(ring + 1, side), corner(ring + 1, next));
-                // At the poles all corners of a ring are one.
+                // All corners of a ring coincide at the poles.
                 if ring > 0 {
                     self.triangles.extend([a, c, b]);
                 }
@@ -140,46 +136,32 @@ impl Mesh {
         }
     }
 
-    /// Adds the mesh to a document.
-    pub fn push(self, root: &mut json::Root, buffer: &mut Buffer, name: &str) -> Index<json::Mesh> {
-        let places = buffer.vertices(root, &self.places);
-        let normals = buffer.vertices(root, &self.normals);
-        let triangles = buffer.indices(root, &self.triangles);
-        let mut attributes = vec![(Semantic::Positions, places), (Semantic::Normals, normals)];
+    /// Adds the mesh to a document and returns its index.
+    pub fn push(self, document: &mut Document, name: &str) -> usize {
+        let mut attributes = json!({
+            "POSITION": document.ranged(&self.places, ARRAY_BUFFER),
+            "NORMAL": document.ranged(&self.normals, ARRAY_BUFFER),
+        });
+        let triangles = document.indices(&self.triangles);
         if !self.joints.is_empty() {
             let joints: Vec<[u16; 4]> = self.joints.iter().map(|joint| [*joint, 0, 0, 0]).collect();
             let weights = vec![[1.0, 0.0, 0.0, 0.0]; joints.len()];
-            attributes.push((Semantic::Joints(0), buffer.joints(root, &joints)));
-            attributes.push((Semantic::Weights(0), buffer.weights(root, &weights)));
+            attributes["JOINTS_0"] = json!(document.joints(&joints));
+            attributes["WEIGHTS_0"] = json!(document.floats(&weights, ARRAY_BUFFER));
         }
-        if root.materials.is_empty() {
-            root.push(Material {
-                pbr_metallic_roughness: PbrMetallicRoughness {
-                    base_color_factor: PbrBaseColorFactor(COLOUR),
-                    metallic_factor: StrengthFactor(0.0),
-                    roughness_factor: StrengthFactor(0.7),
-                    ..PbrMetallicRoughness::default()
-                },
-                ..Material::default()
-            });
-        }
-        let attributes = attributes.into_iter();
-        root.push(json::Mesh {
-            extensions: None,
-            extras: json::Extras::default(),
-            name: Some(name.to_string()),
-            primitives: vec![Primitive {
-                attributes: attributes.map(|(kind, at)| (Valid(kind), at)).collect(),
-                extensions: None,
-                extras: json::Extras::default(),
-                indices: Some(triangles),
-                material: Some(Index::new(0)),
-                mode: Valid(Mode::Triangles),
-                targets: None,
-            }],
-            weights: None,
-        })
+        let primitive = json!({ "attributes": attributes, "indices": triangles, "material": 0 });
+        push(
+            &mut document.meshes,
+            json!({ "name": name, "primitives": [primitive] }),
+        )
     }
+}
+
+/// The material of all meshes.
+pub(super) fn material() -> Value {
+    json!({ "pbrMetallicRoughness": {
+        "baseColorFactor": COLOUR, "metallicFactor": 0.0, "roughnessFactor": 0.7,
+    }})
 }
 
 #[cfg(test)]
@@ -196,7 +178,7 @@ mod tests {
             for corners in mesh.triangles.chunks_exact(3) {
                 let [a, b, c] = [0, 1, 2].map(|n| mesh.places[corners[n] as usize].map(f64::from));
                 let side = |from: [f64; 3], to: [f64; 3]| [0, 1, 2].map(|i| to[i] - from[i]);
-                let across = super::super::turn::cross(side(a, b), side(a, c));
+                let across = super::super::rotation::cross(side(a, b), side(a, c));
                 let normal = [0, 1, 2].map(|axis| {
                     let corners = corners.iter();
                     corners
@@ -204,7 +186,7 @@ mod tests {
                         .sum()
                 });
                 assert!(
-                    super::super::turn::dot(across, normal) > 0.0,
+                    super::super::rotation::dot(across, normal) > 0.0,
                     "{a:?} {b:?} {c:?}"
                 );
             }

@@ -1,41 +1,36 @@
 //! Binary glTF 2.0: a scene as animated skeletons with a simple skin, for Blender, game engines and
 //! web viewers.
 //!
-//! Metres, +y up, bodies face +z, as glTF wants it. Each figure is a tree of nodes below a node of
-//! the figure's name, which puts several figures beside one another and is all that stands between
-//! the figure's own coordinates and those of the file. Every joint is a node of its name. The bind
-//! pose is the first frame, with all joints unturned.
+//! Metres, +y up, bodies face +z, as glTF prescribes. Each object is a tree of nodes below a node of
+//! the object's name, whose translation puts objects side by side. Every joint is a node of its name.
+//! The bind pose is the first frame with identity rotations.
 //!
-//! Positions say nothing of rotations, so each joint takes the shortest turn, from its parent's,
-//! that brings the bone to its child to where the child is. A joint where several bones begin
-//! turns as fits its children best; each of the bones then begins with a node of its own in the same
-//! place, named as `pelvis_to_left_hip`, which turns it the rest of the way. Where a bone does not
-//! keep its length, the translation of the joint at its end is animated as well: the joints are
-//! where the scene has them, in every frame. Between frames interpolation is linear.
+//! Positions do not determine rotations. Each joint gets the shortest rotation, relative to its
+//! parent's, that points the bone at its child. A joint with several children gets the rotation that
+//! fits them best; each of its bones begins with an extra node in the same place, named as
+//! `pelvis_to_left_hip`, which adds the remaining rotation. Where a bone changes its length, the
+//! translation of the joint at its end is animated too, so joints are exact in every frame.
+//! Interpolation between frames is linear.
 //!
-//! A lone root with an orientation is a node with a box that moves and turns.
+//! A lone root with an orientation is a node with a box.
 
-mod buffer;
+mod document;
 mod mesh;
 mod rig;
-mod turn;
+mod rotation;
 
 use std::path::Path;
 
-use gltf_json as json;
-use json::animation::{Channel, Interpolation, Property, Sampler, Target};
-use json::scene::UnitQuaternion;
-use json::validation::Checked::Valid;
-use json::{Index, Node};
+use serde_json::json;
 
 use crate::export::{self, ExportError};
-use crate::scene::{Figure, Scene};
-use buffer::Buffer;
+use crate::scene::{Scene, SceneObject};
+use document::{Document, push};
 use mesh::Mesh;
 use rig::Rig;
 
-/// Metres between figures that stand beside one another.
-const APART: f32 = 1.0;
+/// Metres between objects that stand side by side.
+const GAP: f32 = 1.0;
 
 /// Writes a scene as a binary glTF file.
 ///
@@ -46,209 +41,109 @@ pub fn write(scene: &Scene, out: &Path) -> Result<(), ExportError> {
     export::write(out, &encode(scene))
 }
 
-/// The file.
 fn encode(scene: &Scene) -> Vec<u8> {
     let mut document = Document::default();
-    let spacing = scene.figures.iter().map(width).fold(0.0, f32::max) + APART;
-    for (index, figure) in scene.figures.iter().enumerate() {
-        document.figure(figure, [spacing * index as f32, 0.0, 0.0]);
+    let spacing = scene.objects.iter().map(width).fold(0.0, f32::max) + GAP;
+    for (index, object) in scene.objects.iter().enumerate() {
+        add(&mut document, object, [spacing * index as f32, 0.0, 0.0]);
     }
-    document.finish(&scene.title)
+    document.finish(&scene.title, mesh::material())
 }
 
-/// Metres that a figure takes from side to side, over all its frames.
-fn width(figure: &Figure) -> f32 {
-    let sides = || figure.positions.chunks_exact(3).map(|place| place[0]);
-    sides().fold(f32::MIN, f32::max) - sides().fold(f32::MAX, f32::min)
+/// Extent along x over all frames, metres.
+fn width(object: &SceneObject) -> f32 {
+    let x = || object.positions.chunks_exact(3).map(|place| place[0]);
+    x().fold(f32::MIN, f32::max) - x().fold(f32::MAX, f32::min)
 }
 
-/// A glTF document that grows figure by figure.
-#[derive(Default)]
-struct Document {
-    root: json::Root,
-    buffer: Buffer,
-    roots: Vec<Index<Node>>,
-    channels: Vec<Channel>,
-    samplers: Vec<Sampler>,
-}
-
-impl Document {
-    fn figure(&mut self, figure: &Figure, place: [f32; 3]) {
-        let rig = Rig::new(figure);
-        let first = self.root.nodes.len() + 1;
-        let node = |index: usize| Index::new((first + index) as u32);
-        // The node of the figure, those of its joints, and, for a skin, that of the mesh.
-        let holder = self.root.push(Node {
-            name: Some(figure.name.clone()),
-            translation: Some(place),
-            children: Some(vec![node(0)]),
-            ..Node::default()
+/// Adds an object: a node for itself, the nodes of its joints, their animation and a mesh.
+fn add(document: &mut Document, object: &SceneObject, place: [f32; 3]) {
+    let rig = Rig::new(object);
+    let first = document.nodes.len() + 1;
+    let holder = push(
+        &mut document.nodes,
+        json!({ "name": object.name, "translation": place, "children": [first] }),
+    );
+    document.roots.push(holder);
+    for (index, joint) in rig.nodes.iter().enumerate() {
+        let nodes = rig.nodes.iter().enumerate();
+        let children = nodes.filter(|(_, node)| node.parent == Some(index));
+        let children: Vec<usize> = children.map(|(child, _)| first + child).collect();
+        let mut node = json!({
+            "name": joint.name,
+            "translation": joint.translations[0],
+            "rotation": joint.rotations[0].to_gltf(),
         });
-        self.roots.push(holder);
-        for (index, joint) in rig.nodes.iter().enumerate() {
-            let below = rig.nodes.iter().enumerate();
-            let children: Vec<_> = below
-                .filter(|(_, other)| other.parent == Some(index))
-                .map(|(child, _)| node(child))
-                .collect();
-            self.root.push(Node {
-                name: Some(joint.name.clone()),
-                translation: Some(joint.translations[0]),
-                rotation: Some(gltf_quaternion(joint.rotations[0])),
-                children: (!children.is_empty()).then_some(children),
-                ..Node::default()
-            });
+        if !children.is_empty() {
+            node["children"] = json!(children);
         }
-        let nodes: Vec<Index<Node>> = (0..rig.nodes.len()).map(node).collect();
-        self.animate(figure, &rig, &nodes);
-        self.dress(figure, &rig, &nodes, place);
+        document.nodes.push(node);
     }
+    animate(document, object, &rig, first);
+    add_mesh(document, object, &rig, first, place);
+}
 
-    /// The animation of a figure's nodes.
-    fn animate(&mut self, figure: &Figure, rig: &Rig, nodes: &[Index<Node>]) {
-        let times: Vec<f32> = (0..figure.frames())
-            .map(|frame| (frame as f64 / figure.fps) as f32)
-            .collect();
-        let times = self.buffer.scalars(&mut self.root, &times);
-        for (joint, node) in rig.nodes.iter().zip(nodes) {
-            let still = joint
-                .translations
-                .iter()
-                .all(|t| *t == joint.translations[0]);
-            if !still {
-                let values = self.buffer.vectors(&mut self.root, &joint.translations);
-                self.channel(*node, Property::Translation, times, values);
-            }
-            let still = joint
-                .rotations
-                .iter()
-                .all(|turn| *turn == joint.rotations[0]);
-            if !still {
-                let turns: Vec<[f32; 4]> = joint.rotations.iter().map(|q| q.to_gltf()).collect();
-                let values = self.buffer.quaternions(&mut self.root, &turns);
-                self.channel(*node, Property::Rotation, times, values);
-            }
+/// Adds the animation of nodes that move; `first` is the node of the first joint.
+fn animate(document: &mut Document, object: &SceneObject, rig: &Rig, first: usize) {
+    let times = (0..object.frames()).map(|frame| [(frame as f64 / object.fps) as f32]);
+    let times = document.ranged(&times.collect::<Vec<_>>(), None);
+    for (index, joint) in rig.nodes.iter().enumerate() {
+        let (translations, rotations) = (&joint.translations, &joint.rotations);
+        let mut outputs = Vec::new();
+        if translations.iter().any(|value| *value != translations[0]) {
+            outputs.push(("translation", document.ranged(translations, None)));
+        }
+        if rotations.iter().any(|value| *value != rotations[0]) {
+            let rotations: Vec<[f32; 4]> = rotations.iter().map(|q| q.to_gltf()).collect();
+            outputs.push(("rotation", document.ranged(&rotations, None)));
+        }
+        for (path, output) in outputs {
+            let sampler = json!({ "input": times, "interpolation": "LINEAR", "output": output });
+            let sampler = push(&mut document.samplers, sampler);
+            let target = json!({ "node": first + index, "path": path });
+            let channel = json!({ "sampler": sampler, "target": target });
+            document.channels.push(channel);
         }
     }
-
-    fn channel(
-        &mut self,
-        node: Index<Node>,
-        path: Property,
-        input: Index<json::Accessor>,
-        output: Index<json::Accessor>,
-    ) {
-        let sampler = Index::new(self.samplers.len() as u32);
-        self.samplers.push(Sampler {
-            extensions: None,
-            extras: json::Extras::default(),
-            input,
-            interpolation: Valid(Interpolation::Linear),
-            output,
-        });
-        self.channels.push(Channel {
-            sampler,
-            target: Target {
-                extensions: None,
-                extras: json::Extras::default(),
-                node,
-                path: Valid(path),
-            },
-            extensions: None,
-            extras: json::Extras::default(),
-        });
-    }
-
-    /// The mesh of a figure: a skin over its bones, or the body of a lone root.
-    fn dress(&mut self, figure: &Figure, rig: &Rig, nodes: &[Index<Node>], place: [f32; 3]) {
-        if figure.joints() == 1 {
-            let mesh = if figure.orientations.is_some() {
-                Mesh::body()
-            } else {
-                Mesh::ball()
-            };
-            let mesh = mesh.push(&mut self.root, &mut self.buffer, &figure.name);
-            self.root.nodes[nodes[0].value()].mesh = Some(mesh);
-            return;
-        }
-        let bind = rig.bind(place);
-        let mesh = Mesh::skin(figure, rig, &bind);
-        let mesh = mesh.push(&mut self.root, &mut self.buffer, &figure.name);
-        let inverse: Vec<[f32; 16]> = bind
-            .iter()
-            .map(|[x, y, z]| {
-                let mut matrix = [0.0; 16];
-                for diagonal in [0, 5, 10, 15] {
-                    matrix[diagonal] = 1.0;
-                }
-                matrix[12..15].copy_from_slice(&[-x, -y, -z]);
-                matrix
-            })
-            .collect();
-        let inverse = self.buffer.matrices(&mut self.root, &inverse);
-        let skin = self.root.push(json::Skin {
-            extensions: None,
-            extras: json::Extras::default(),
-            inverse_bind_matrices: Some(inverse),
-            joints: nodes.to_vec(),
-            name: Some(figure.name.clone()),
-            skeleton: Some(nodes[0]),
-        });
-        // A mesh with a skin stands at the top: where its node is does not count.
-        let node = self.root.push(Node {
-            name: Some(format!("{} skin", figure.name)),
-            mesh: Some(mesh),
-            skin: Some(skin),
-            ..Node::default()
-        });
-        self.roots.push(node);
-    }
-
-    fn finish(mut self, title: &str) -> Vec<u8> {
-        let name = (!title.is_empty()).then(|| title.to_string());
-        let scene = self.root.push(json::Scene {
-            extensions: None,
-            extras: json::Extras::default(),
-            name: name.clone(),
-            nodes: self.roots,
-        });
-        self.root.scene = Some(scene);
-        if !self.channels.is_empty() {
-            self.root.animations.push(json::Animation {
-                extensions: None,
-                extras: json::Extras::default(),
-                channels: self.channels,
-                name,
-                samplers: self.samplers,
-            });
-        }
-        self.root.asset.generator = Some("kinegrad".to_string());
-        let bytes = self.buffer.finish(&mut self.root);
-        let document = self.root.to_string().expect("plain data");
-        container(document.into_bytes(), bytes)
-    }
 }
 
-fn gltf_quaternion(turn: turn::Turn) -> UnitQuaternion {
-    UnitQuaternion(turn.to_gltf())
-}
-
-/// The chunks of a GLB file: the document filled up with blanks and the buffer with zeros to whole
-/// words.
-fn container(mut document: Vec<u8>, mut buffer: Vec<u8>) -> Vec<u8> {
-    document.resize(document.len().next_multiple_of(4), b' ');
-    buffer.resize(buffer.len().next_multiple_of(4), 0);
-    let length = 12 + 8 + document.len() + 8 + buffer.len();
-    let mut file = Vec::with_capacity(length);
-    file.extend(b"glTF");
-    file.extend(2u32.to_le_bytes());
-    file.extend((length as u32).to_le_bytes());
-    for (kind, chunk) in [(b"JSON", document), (b"BIN\0", buffer)] {
-        file.extend((chunk.len() as u32).to_le_bytes());
-        file.extend(kind);
-        file.extend(chunk);
+/// Adds a skin over the bones, or the body of a lone root.
+fn add_mesh(
+    document: &mut Document,
+    object: &SceneObject,
+    rig: &Rig,
+    first: usize,
+    place: [f32; 3],
+) {
+    if object.joints() == 1 {
+        let mesh = match object.orientations {
+            Some(_) => Mesh::body(),
+            None => Mesh::ball(),
+        };
+        let mesh = mesh.push(document, &object.name);
+        document.nodes[first]["mesh"] = json!(mesh);
+        return;
     }
-    file
+    let bind = rig.bind(place);
+    let mesh = Mesh::skin(object, rig, &bind).push(document, &object.name);
+    let inverse = bind.iter().map(|[x, y, z]| {
+        let mut matrix = [0.0; 16];
+        for diagonal in [0, 5, 10, 15] {
+            matrix[diagonal] = 1.0;
+        }
+        matrix[12..15].copy_from_slice(&[-x, -y, -z]);
+        matrix
+    });
+    let inverse = document.floats(&inverse.collect::<Vec<_>>(), None);
+    let joints: Vec<usize> = (first..first + rig.nodes.len()).collect();
+    let skin = json!({
+        "inverseBindMatrices": inverse, "joints": joints, "name": object.name, "skeleton": first,
+    });
+    let skin = push(&mut document.skins, skin);
+    // The transform of a node with a skin is ignored, so it has no parent.
+    let node = json!({ "name": format!("{} skin", object.name), "mesh": mesh, "skin": skin });
+    let node = push(&mut document.nodes, node);
+    document.roots.push(node);
 }
 
 #[cfg(test)]

@@ -1,58 +1,58 @@
-//! From joint positions to nodes with translations and rotations.
+//! Nodes with translations and rotations from joint positions.
 
-use super::turn::Turn;
-use crate::scene::Figure;
+use super::rotation::Rotation;
+use crate::scene::SceneObject;
 
-/// A translation that stays this near to that of the first frame, in metres, is that of the first
-/// frame: bones of fixed length need no animation.
+/// Deviation in metres below which a translation counts as constant: bones of fixed length need no
+/// animation.
 const STILL: f64 = 5e-6;
 
-/// The nodes of a figure, each after its parent.
+/// The nodes of an object, parents first.
 pub(super) struct Rig {
     pub nodes: Vec<RigNode>,
-    /// The node of each of the figure's joints.
+    /// The node of each joint.
     pub joints: Vec<usize>,
 }
 
-/// A node and how it moves.
+/// An animated node.
 pub(super) struct RigNode {
     pub name: String,
     pub parent: Option<usize>,
-    /// The joint at the end of the bone that this node turns, if it is one alone.
+    /// The joint that this node points at, if it is a single one.
     pub bone_to: Option<usize>,
-    /// The joints that it turns as fits them best.
+    /// The joints that its rotation fits.
     fits: Vec<usize>,
-    /// The figure's joint at its place.
+    /// The joint at its position.
     at: usize,
     /// Within the parent, one per frame.
     pub translations: Vec<[f32; 3]>,
     /// Within the parent, one per frame.
-    pub rotations: Vec<Turn>,
+    pub rotations: Vec<Rotation>,
 }
 
 impl Rig {
-    pub fn new(figure: &Figure) -> Self {
-        let mut rig = Self::tree(figure);
-        let mut before = vec![Turn::IDENTITY; rig.nodes.len()];
-        for frame in 0..figure.frames() {
-            rig.pose(figure, frame, &mut before);
+    pub fn new(object: &SceneObject) -> Self {
+        let mut rig = Self::tree(object);
+        let mut before = vec![Rotation::IDENTITY; rig.nodes.len()];
+        for frame in 0..object.frames() {
+            rig.pose(object, frame, &mut before);
         }
         rig
     }
 
-    /// The nodes before they move: parents first, whatever the order of the joints.
-    fn tree(figure: &Figure) -> Self {
+    /// The nodes without animation, parents first in any joint order.
+    fn tree(object: &SceneObject) -> Self {
         let children = |joint: usize| -> Vec<usize> {
-            let all = 0..figure.joints();
-            all.filter(|child| figure.parents[*child] == Some(joint))
+            let all = 0..object.joints();
+            all.filter(|child| object.parents[*child] == Some(joint))
                 .collect()
         };
         let mut nodes: Vec<RigNode> = Vec::new();
-        let mut joints = vec![0; figure.joints()];
+        let mut joints = vec![0; object.joints()];
         let mut waiting = vec![(0, None)];
         while let Some((joint, parent)) = waiting.pop() {
             let below = children(joint);
-            let name = figure.joint_names.get(joint).cloned();
+            let name = object.joint_names.get(joint).cloned();
             let name = name.unwrap_or_else(|| format!("joint_{joint}"));
             let place = nodes.len();
             joints[joint] = place;
@@ -66,7 +66,7 @@ impl Rig {
             for child in below.iter().rev() {
                 let mut turned_by = place;
                 if below.len() > 1 {
-                    let end = figure.joint_names.get(*child).cloned();
+                    let end = object.joint_names.get(*child).cloned();
                     let end = end.unwrap_or_else(|| format!("joint_{child}"));
                     turned_by = nodes.len();
                     let name = format!("{name}_to_{end}");
@@ -78,20 +78,20 @@ impl Rig {
         Self { nodes, joints }
     }
 
-    /// Adds a frame; `before` are the turns of all nodes in the world in the frame before.
-    fn pose(&mut self, figure: &Figure, frame: usize, before: &mut [Turn]) {
-        let place = |frame: usize, joint: usize| figure.joint(frame, joint).map(f64::from);
+    /// Adds a frame; `before` are the world rotations of all nodes in the previous frame.
+    fn pose(&mut self, object: &SceneObject, frame: usize, before: &mut [Rotation]) {
+        let place = |frame: usize, joint: usize| object.joint(frame, joint).map(f64::from);
         let bone = |frame: usize, from: usize, to: usize| {
             let (a, b) = (place(frame, from), place(frame, to));
             [0, 1, 2].map(|axis| b[axis] - a[axis])
         };
-        // Where each node is and how it lies, as a reader of the file finds it: rounding in a node
-        // is made up for by the next.
-        let mut world: Vec<([f64; 3], Turn)> = Vec::with_capacity(self.nodes.len());
+        // World pose of each node as a reader computes it, so that rounding errors do not
+        // accumulate.
+        let mut world: Vec<([f64; 3], Rotation)> = Vec::with_capacity(self.nodes.len());
         for (node, before) in self.nodes.iter_mut().zip(before) {
             let (origin, above) = node
                 .parent
-                .map_or(([0.0; 3], Turn::IDENTITY), |parent| world[parent]);
+                .map_or(([0.0; 3], Rotation::IDENTITY), |parent| world[parent]);
             let at = place(frame, node.at);
             let away = [0, 1, 2].map(|axis| at[axis] - origin[axis]);
             let inside = above.inverse().rotate(away).map(|value| value as f32);
@@ -99,22 +99,22 @@ impl Rig {
                 (Some(first), Some(_)) if near(*first, inside) => *first,
                 _ => inside,
             };
-            let local = if let (None, Some(turns)) = (node.parent, &figure.orientations) {
-                Turn::unit(turns[frame].map(f64::from))
+            let local = if let (None, Some(turns)) = (node.parent, &object.orientations) {
+                Rotation::unit(turns[frame].map(f64::from))
             } else if let Some(end) = node.bone_to {
                 let now = above.inverse().rotate(bone(frame, node.at, end));
-                Turn::between(bone(0, node.at, end), now)
+                Rotation::between(bone(0, node.at, end), now)
             } else if node.fits.is_empty() || frame == 0 {
-                Turn::IDENTITY
+                Rotation::IDENTITY
             } else {
                 let ends = node.fits.iter();
                 let pairs: Vec<_> = ends
                     .map(|end| (bone(0, node.at, *end), bone(frame, node.at, *end)))
                     .collect();
-                above.inverse().times(Turn::fitting(&pairs, *before))
+                above.inverse().times(Rotation::fitting(&pairs, *before))
             };
             let last = node.rotations.last().copied();
-            let local = local.after(last.unwrap_or(Turn::IDENTITY)).rounded();
+            let local = local.after(last.unwrap_or(Rotation::IDENTITY)).rounded();
             *before = above.times(local);
             let moved = above.rotate(translation.map(f64::from));
             let arrived = [0, 1, 2].map(|axis| origin[axis] + moved[axis]);
@@ -124,7 +124,7 @@ impl Rig {
         }
     }
 
-    /// Where the nodes are in the bind pose, which is the first frame, with the figure at `place`.
+    /// Node positions in the bind pose, the first frame, with the object at `place`.
     pub fn bind(&self, place: [f32; 3]) -> Vec<[f32; 3]> {
         let mut places: Vec<[f32; 3]> = Vec::with_capacity(self.nodes.len());
         for node in &self.nodes {
@@ -135,7 +135,7 @@ impl Rig {
     }
 }
 
-/// Whether two translations are near enough to be one.
+/// Whether two translations count as equal.
 fn near(a: [f32; 3], b: [f32; 3]) -> bool {
     a.iter()
         .zip(b)

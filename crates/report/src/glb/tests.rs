@@ -3,12 +3,12 @@ use std::collections::HashMap;
 use gltf::animation::util::ReadOutputs;
 use gltf::{Gltf, Node};
 
-use super::turn::{Turn, dot};
+use super::rotation::{Rotation, dot};
 use super::*;
 use crate::scene::tests::{body, dancer};
 
 /// A chain with a fork whose bones keep their lengths, and one bone that does not.
-fn walker(frames: usize) -> Figure {
+fn walker(frames: usize) -> SceneObject {
     let parents = [None, Some(0), Some(1), Some(1), Some(2), Some(0), Some(5)];
     let bones = [
         [0.0, 0.0, 0.0],
@@ -22,12 +22,12 @@ fn walker(frames: usize) -> Figure {
     let mut positions = Vec::new();
     for frame in 0..frames {
         let t = frame as f64 / 20.0;
-        let mut turns = vec![Turn::IDENTITY; bones.len()];
+        let mut turns = vec![Rotation::IDENTITY; bones.len()];
         let mut places = vec![[50.0 + 0.5 * t, 0.9, -1.5 * t]; bones.len()];
         for joint in 1..bones.len() {
             let parent = parents[joint].unwrap();
             let swing = (joint as f64 + 2.0 * t).sin();
-            let own = Turn::unit([1.0, 0.4 * swing, 0.7 * t, 0.3 * (t + joint as f64).cos()]);
+            let own = Rotation::unit([1.0, 0.4 * swing, 0.7 * t, 0.3 * (t + joint as f64).cos()]);
             turns[joint] = turns[parent].times(own);
             let stretch = if joint == 4 { 1.0 + 0.1 * swing } else { 1.0 };
             let arm = turns[joint].rotate(bones[joint].map(|value: f64| stretch * value));
@@ -44,13 +44,13 @@ fn walker(frames: usize) -> Figure {
         "leg",
         "foot",
     ];
-    Figure {
+    SceneObject {
         name: "walker".into(),
         fps: 20.0,
         positions,
         joint_names: names.map(String::from).to_vec(),
         parents: parents.to_vec(),
-        ..Figure::default()
+        ..SceneObject::default()
     }
 }
 
@@ -88,15 +88,15 @@ impl Reader {
         Self { gltf, tracks }
     }
 
-    /// Place and rotation in the world of the nodes of the figure with this name, by node name.
-    fn world(&self, figure: &str, frame: usize) -> HashMap<String, ([f64; 3], Turn)> {
+    /// Place and rotation in the world of the nodes of the object with this name, by node name.
+    fn world(&self, object: &str, frame: usize) -> HashMap<String, ([f64; 3], Rotation)> {
         let scene = self.gltf.default_scene().unwrap();
         let root = scene
             .nodes()
-            .find(|node| node.name() == Some(figure))
+            .find(|node| node.name() == Some(object))
             .unwrap();
         let mut world = HashMap::new();
-        self.visit(&root, frame, ([0.0; 3], Turn::IDENTITY), &mut world);
+        self.visit(&root, frame, ([0.0; 3], Rotation::IDENTITY), &mut world);
         world
     }
 
@@ -104,8 +104,8 @@ impl Reader {
         &self,
         node: &Node<'_>,
         frame: usize,
-        (origin, above): ([f64; 3], Turn),
-        world: &mut HashMap<String, ([f64; 3], Turn)>,
+        (origin, above): ([f64; 3], Rotation),
+        world: &mut HashMap<String, ([f64; 3], Rotation)>,
     ) {
         let (mut translation, mut rotation, _) = node.transform().decomposed();
         if let Some((_, values)) = self.tracks.get(&(node.index(), false)) {
@@ -119,7 +119,7 @@ impl Reader {
         let place = [0, 1, 2].map(|axis| origin[axis] + moved[axis]);
         let [x, y, z, w] = rotation.map(f64::from);
         assert!(((x * x + y * y + z * z + w * w).sqrt() - 1.0).abs() < 1e-6);
-        let turn = above.times(Turn::unit([w, x, y, z]));
+        let turn = above.times(Rotation::unit([w, x, y, z]));
         for child in node.children() {
             self.visit(&child, frame, (place, turn), world);
         }
@@ -127,22 +127,22 @@ impl Reader {
     }
 }
 
-fn scene(figures: Vec<Figure>) -> Scene {
+fn scene(objects: Vec<SceneObject>) -> Scene {
     Scene {
         title: "test".into(),
-        figures,
+        objects,
         ..Scene::default()
     }
 }
 
 #[test]
 fn joints_are_where_the_scene_has_them() {
-    for figure in [walker(60), body(60)] {
-        let reader = Reader::new(&encode(&scene(vec![figure.clone()])));
+    for object in [walker(60), body(60)] {
+        let reader = Reader::new(&encode(&scene(vec![object.clone()])));
         for frame in 0..60 {
-            let world = reader.world(&figure.name, frame);
-            for (joint, name) in figure.joint_names.iter().enumerate() {
-                let known = figure.joint(frame, joint);
+            let world = reader.world(&object.name, frame);
+            for (joint, name) in object.joint_names.iter().enumerate() {
+                let known = object.joint(frame, joint);
                 let found = world[name].0;
                 for axis in 0..3 {
                     let apart = (found[axis] - f64::from(known[axis])).abs();
@@ -157,8 +157,8 @@ fn joints_are_where_the_scene_has_them() {
 
 #[test]
 fn bones_of_fixed_length_only_turn() {
-    let figure = walker(30);
-    let reader = Reader::new(&encode(&scene(vec![figure.clone()])));
+    let object = walker(30);
+    let reader = Reader::new(&encode(&scene(vec![object.clone()])));
     let mut moved: Vec<String> = Vec::new();
     for node in reader.gltf.nodes() {
         if reader.tracks.contains_key(&(node.index(), false)) {
@@ -192,8 +192,8 @@ fn rotations_are_continuous() {
 
 #[test]
 fn the_skin_follows_its_bones() {
-    let figure = walker(40);
-    let reader = Reader::new(&encode(&scene(vec![figure.clone()])));
+    let object = walker(40);
+    let reader = Reader::new(&encode(&scene(vec![object.clone()])));
     let blob = reader.gltf.blob.clone().unwrap();
     let skin = reader.gltf.skins().next().unwrap();
     let joints: Vec<String> = skin
@@ -237,11 +237,11 @@ fn the_skin_follows_its_bones() {
             let arm = turn.rotate(local);
             let place = [0, 1, 2].map(|axis| origin[axis] + arm[axis]);
             // No vertex is far from all bones.
-            let nearest = (1..figure.joints()).map(|joint| {
-                let from = figure
-                    .joint(frame, figure.parents[joint].unwrap())
+            let nearest = (1..object.joints()).map(|joint| {
+                let from = object
+                    .joint(frame, object.parents[joint].unwrap())
                     .map(f64::from);
-                let to = figure.joint(frame, joint).map(f64::from);
+                let to = object.joint(frame, joint).map(f64::from);
                 distance(place, from, to)
             });
             let nearest = nearest.fold(f64::INFINITY, f64::min);
@@ -261,11 +261,11 @@ fn distance(point: [f64; 3], from: [f64; 3], to: [f64; 3]) -> f64 {
 
 #[test]
 fn a_phrase_is_a_box_that_moves_and_turns() {
-    let figure = dancer(45, 0.3);
-    let reader = Reader::new(&encode(&scene(vec![figure.clone()])));
+    let object = dancer(45, 0.3);
+    let reader = Reader::new(&encode(&scene(vec![object.clone()])));
     for frame in 0..45 {
         let (place, turn) = reader.world("phrase", frame)["root"];
-        let known = figure.joint(frame, 0);
+        let known = object.joint(frame, 0);
         assert!((0..3).all(|axis| (place[axis] - f64::from(known[axis])).abs() < 1e-6));
         let forward = turn.rotate([0.0, 0.0, 1.0]);
         let yaw = 0.3 + 2.0 * frame as f64 / 30.0;
@@ -280,7 +280,7 @@ fn a_phrase_is_a_box_that_moves_and_turns() {
 }
 
 #[test]
-fn figures_stand_beside_one_another_under_nodes_of_their_own() {
+fn objects_stand_beside_one_another_under_nodes_of_their_own() {
     let mut second = dancer(10, 0.0);
     second.name = "second".into();
     let reader = Reader::new(&encode(&scene(vec![walker(10), second, body(1)])));
@@ -327,9 +327,9 @@ fn numbers_are_aligned_and_have_their_ranges() {
 
 #[test]
 fn a_lone_frame_and_points_without_length_are_written() {
-    let mut figure = body(1);
-    figure.positions.fill(0.5);
-    let reader = Reader::new(&encode(&scene(vec![figure])));
+    let mut object = body(1);
+    object.positions.fill(0.5);
+    let reader = Reader::new(&encode(&scene(vec![object])));
     assert_eq!(reader.gltf.animations().count(), 0);
     assert_eq!(reader.world("body", 0)["head"].0, [0.5; 3]);
 }

@@ -1,10 +1,9 @@
-//! Tables of CSV.
+//! Tables from CSV.
 
 use super::{Cell, Table};
 
-/// The table of a CSV file whose first line names the columns, as
-/// [`columns_csv`](crate::columns_csv) writes it: lines are grouped under their first field, which is
-/// left out where all are empty. `None` if it is none.
+/// The table of a CSV file with a header, as [`columns_csv`](crate::columns_csv) writes it: lines
+/// are grouped by their first field, which is omitted where it is empty. `None` for other text.
 pub fn csv_table(text: &str) -> Option<Table> {
     let mut reader = csv::Reader::from_reader(text.as_bytes());
     let header = reader.headers().ok()?.clone();
@@ -27,7 +26,7 @@ pub fn csv_table(text: &str) -> Option<Table> {
     Some(Table { header, rows })
 }
 
-/// Numbers with about four digits, other text as it is.
+/// Numbers with about four digits, other text unchanged.
 fn shortened(field: &str) -> String {
     let Ok(number) = field.parse::<f64>() else {
         return field.to_string();
@@ -61,7 +60,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_csv_is_no_table() {
+    fn other_text_is_no_table() {
         assert_eq!(csv_table("a,b\n1\n"), None);
         assert_eq!(csv_table("a\n1\n"), None);
         assert_eq!(csv_table("a,b\n").expect("empty").rows.len(), 0);

@@ -1,27 +1,24 @@
-//! A page as HTML.
+//! Pages as HTML.
 
 use std::fmt::Write;
 
 use super::{Block, Cell, Page, Section, Table, Tone};
-use crate::viewer;
+use crate::escape::escape;
+use crate::viewer::{self, CONTENT_SECURITY_POLICY};
 
-/// How the page looks.
+/// Style sheet.
 const STYLE: &str = include_str!("style.css");
 
-/// What the page may load: only what stands in it.
-const POLICY: &str = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; \
-                      img-src data: blob:; media-src data: blob:";
-
-/// A column with a cell that is longer than this is text.
+/// Length of a cell above which its column is text.
 const WORDS: usize = 24;
 
-/// The page as one file.
+/// The page as HTML.
 pub fn html(page: &Page) -> String {
     let title = escape(&page.title);
     let mut out = format!(
         "<!doctype html>\n<html lang=en>\n<head>\n<meta charset=utf-8>\n\
          <meta name=viewport content=\"width=device-width, initial-scale=1\">\n\
-         <meta http-equiv=\"Content-Security-Policy\" content=\"{POLICY}\">\n\
+         <meta http-equiv=\"Content-Security-Policy\" content=\"{CONTENT_SECURITY_POLICY}\">\n\
          <link rel=icon href=\"data:,\">\n<title>{title}</title>\n<style>\n{STYLE}</style>\n"
     );
     let sections = page.sections.iter();
@@ -61,22 +58,6 @@ pub fn html(page: &Page) -> String {
         let _ = writeln!(out, "<script>\n{}</script>", viewer::script());
     }
     out + "</body>\n</html>\n"
-}
-
-/// Text as it may stand in HTML, in quotes too.
-pub fn escape(text: &str) -> String {
-    let mut escaped = String::with_capacity(text.len());
-    for character in text.chars() {
-        match character {
-            '&' => escaped += "&amp;",
-            '<' => escaped += "&lt;",
-            '>' => escaped += "&gt;",
-            '"' => escaped += "&quot;",
-            '\'' => escaped += "&#39;",
-            other => escaped.push(other),
-        }
-    }
-    escaped
 }
 
 fn tone(tone: Tone) -> &'static str {
@@ -130,8 +111,8 @@ fn block(out: &mut String, block: &Block) {
         }
         Block::Charts(charts) => {
             *out += "<div class=charts>\n";
-            let drawn = charts.iter().filter(|chart| !chart.is_empty());
-            drawn.for_each(|chart| *out += &chart.html());
+            let charts = charts.iter().filter(|chart| !chart.is_empty());
+            charts.for_each(|chart| *out += &chart.html());
             writeln!(out, "</div>")
         }
         Block::Scenes(scenes) => {
@@ -189,19 +170,13 @@ fn table(out: &mut String, Table { header, rows }: &Table) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::page::{Chart, Line};
+    use crate::Panel;
 
     #[test]
-    fn nothing_that_is_given_is_markup() {
+    fn text_is_never_markup() {
         let bad = || "<script>alert('1\"&')</script>".to_string();
-        let chart = Chart {
-            title: bad(),
-            x_label: bad(),
-            lines: vec![Line {
-                name: bad(),
-                points: vec![(0.0, 1.0)],
-            }],
-        };
+        let label = "<script>alert(2)</script>";
+        let chart = Panel::lines(bad(), label, vec![(bad(), vec![(0.0, 1.0)])]);
         let table = Table {
             header: vec![bad(), bad()],
             rows: vec![vec![bad().into()], vec![bad().into(), bad().into()]],
@@ -241,7 +216,7 @@ mod tests {
     fn a_section_of_nothing_is_left_out() {
         let mut empty = Section::new("nothing here");
         empty.add(Block::Facts(Vec::new()));
-        empty.add(Block::Charts(vec![Chart::default()]));
+        empty.add(Block::Charts(vec![Panel::lines("", "", vec![])]));
         let mut full = Section::new("something");
         full.add(Block::Text("words".into()));
         let page = Page {

@@ -1,64 +1,64 @@
-//! Pages of results: one HTML file that needs nothing beside itself.
+//! Pages of results, each a self-contained HTML file.
 
-mod chart;
 mod csv;
 mod html;
 
+use crate::Panel;
 use crate::viewer::Thumbnail;
 
-pub use chart::{Chart, Line};
+pub use crate::escape::escape;
 pub use csv::csv_table;
-pub use html::{escape, html};
+pub use html::html;
 
 /// A page.
 #[derive(Clone, Debug, Default)]
 pub struct Page {
     /// Title.
     pub title: String,
-    /// What it is of, in a line below the title.
+    /// Subtitle.
     pub subtitle: String,
-    /// How things stand, beside the title.
+    /// Status, beside the title.
     pub status: Cell,
-    /// What matters most: name and value.
+    /// Main results: name and value.
     pub highlights: Vec<(String, String)>,
-    /// The sections in their order; those without blocks are left out.
+    /// The sections; empty ones are omitted.
     pub sections: Vec<Section>,
 }
 
-/// A part of a page under a heading.
+/// A section of a page.
 #[derive(Clone, Debug, Default)]
 pub struct Section {
     /// The heading.
     pub title: String,
-    /// What it holds.
+    /// Its blocks.
     pub blocks: Vec<Block>,
 }
 
-/// A part of a section.
+/// A block of a section.
 #[derive(Clone, Debug)]
 pub enum Block {
     /// A smaller heading.
     Heading(String),
     /// A paragraph.
     Text(String),
-    /// A paragraph that is to be seen.
+    /// A highlighted paragraph.
     Warning(String),
-    /// Names and what is said of them.
+    /// Names and values.
     Facts(Vec<(String, String)>),
     /// A table.
     Table(Table),
-    /// Charts beside one another.
-    Charts(Vec<Chart>),
-    /// Moving figures beside one another.
+    /// Charts side by side.
+    Charts(Vec<Panel>),
+    /// Moving objects side by side.
     Scenes(Vec<Thumbnail>),
-    /// A long table, folded away below its title.
+    /// A collapsed table.
     Folded {
         /// Title.
         title: String,
         /// The table.
         table: Table,
     },
-    /// Text as it stands, folded away below its title.
+    /// Collapsed preformatted text.
     Source {
         /// Title.
         title: String,
@@ -72,35 +72,35 @@ pub enum Block {
 pub struct Table {
     /// Names of the columns.
     pub header: Vec<String>,
-    /// The rows; one with a single cell is a heading over all columns.
+    /// The rows; a row with a single cell is a heading.
     pub rows: Vec<Vec<Cell>>,
 }
 
 /// A cell of a table.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Cell {
-    /// What it says.
+    /// Its text.
     pub text: String,
-    /// What that means.
+    /// Its tone.
     pub tone: Tone,
 }
 
-/// What a value means.
+/// Tone of a value.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Tone {
-    /// A number or a name.
+    /// Neutral.
     #[default]
     Plain,
-    /// As it should be.
+    /// A good value.
     Good,
-    /// Not as it should be.
+    /// A bad value.
     Bad,
-    /// Going on.
+    /// In progress.
     Busy,
 }
 
 impl Cell {
-    /// A cell of that tone.
+    /// A cell with a tone.
     pub fn new(text: impl Into<String>, tone: Tone) -> Self {
         Self {
             text: text.into(),
@@ -124,12 +124,12 @@ impl Section {
         }
     }
 
-    /// Adds a block, unless there is nothing in it.
+    /// Adds a block unless it is empty.
     pub fn add(&mut self, block: Block) {
         let is_empty = match &block {
             Block::Facts(facts) => facts.is_empty(),
             Block::Table(table) | Block::Folded { table, .. } => table.rows.is_empty(),
-            Block::Charts(charts) => charts.iter().all(Chart::is_empty),
+            Block::Charts(charts) => charts.iter().all(Panel::is_empty),
             Block::Scenes(scenes) => scenes.is_empty(),
             Block::Heading(text) | Block::Text(text) | Block::Warning(text) => text.is_empty(),
             Block::Source { text, .. } => text.is_empty(),

@@ -1,36 +1,36 @@
-//! A body along its path: poses from the side, the way from above, when the feet stand.
+//! Panels of a body: poses in side view, trajectory in top view, ground contacts.
 
 use super::panel::{Panel, Pose};
-use crate::scene::{Figure, Floor};
+use crate::scene::{Floor, SceneObject};
 
-/// Metres that a body must move for its poses to stand where they are.
+/// Root motion in metres from which poses are drawn in place.
 const ALONG: f64 = 2.0;
 
-/// Metres between two poses along a way, at least.
+/// Least distance of poses along a trajectory, metres.
 const BETWEEN: f64 = 0.6;
 
-/// Most poses along a way.
+/// Most poses along a trajectory.
 const MOST: usize = 12;
 
-/// Poses of a body that stays, side by side, and the metres between them.
+/// Number and distance (metres) of poses drawn side by side.
 const BESIDE: usize = 8;
 const APART: f64 = 1.1;
 
-/// Sides of the polygon that stands for a disc.
+/// Sides of a polygon that approximates a disc.
 const SIDES: usize = 48;
 
-/// The poses of a body, its path from above with what stands on the floor, and when its feet stand
-/// on the ground; of a lone root the path alone.
-pub fn body_panels(figure: &Figure, floor: &Floor) -> Vec<Panel> {
+/// The poses of a body, its trajectory in top view with the floor, and its ground contacts; of a
+/// lone root only the trajectory.
+pub fn body_panels(object: &SceneObject, floor: &Floor) -> Vec<Panel> {
     let mut panels = Vec::new();
-    panels.extend(poses(figure));
-    panels.push(path(figure, floor));
-    panels.extend(contacts(figure));
+    panels.extend(poses(object));
+    panels.push(path(object, floor));
+    panels.extend(contacts(object));
     panels
 }
 
-fn path(figure: &Figure, floor: &Floor) -> Panel {
-    let root = (0..figure.frames()).map(|t| figure.joint(t, 0));
+fn path(object: &SceneObject, floor: &Floor) -> Panel {
+    let root = (0..object.frames()).map(|t| object.joint(t, 0));
     let root = root.map(|[x, _, z]| (x.into(), z.into())).collect();
     let mut series = vec![("path".to_string(), root)];
     if !floor.path.is_empty() {
@@ -42,7 +42,7 @@ fn path(figure: &Figure, floor: &Floor) -> Panel {
         let place = (f64::from(*x), f64::from(*z));
         (format!("frame {frame}"), place)
     });
-    let map = Panel::map("path from above (m; x right, z down)", series).with_points(keyframes);
+    let map = Panel::map("root path, top view (m; x right, z down)", series).with_points(keyframes);
     let polygons = floor.polygons.iter();
     let map = polygons.fold(map, |map, corners| {
         map.with_region(corners.iter().map(|&[x, z]| (x.into(), z.into())))
@@ -56,41 +56,41 @@ fn path(figure: &Figure, floor: &Floor) -> Panel {
     })
 }
 
-fn contacts(figure: &Figure) -> Option<Panel> {
-    let tracks = figure.contacts.iter().map(|contact| {
-        let name = figure.joint_names.get(contact.joint);
+fn contacts(object: &SceneObject) -> Option<Panel> {
+    let tracks = object.contacts.iter().map(|contact| {
+        let name = object.joint_names.get(contact.joint);
         (
             name.map_or("foot", String::as_str),
             contact.frames.as_slice(),
         )
     });
-    let any = !figure.contacts.is_empty();
-    any.then(|| Panel::strip("on the ground", figure.fps, tracks))
+    let any = !object.contacts.is_empty();
+    any.then(|| Panel::strip("on the ground", object.fps, tracks))
 }
 
-/// Poses at even moments: where they are if the body goes somewhere, else side by side.
-fn poses(figure: &Figure) -> Option<Panel> {
-    if figure.joints() < 2 || figure.frames() == 0 {
+/// Evenly spaced poses, in place if the body moves, else side by side.
+fn poses(object: &SceneObject) -> Option<Panel> {
+    if object.joints() < 2 || object.frames() == 0 {
         return None;
     }
-    let frames = figure.frames();
-    let axis = direction(figure);
+    let frames = object.frames();
+    let axis = direction(object);
     let along = |frame: usize, joint: usize| {
-        let [x, _, z] = figure.joint(frame, joint).map(f64::from);
+        let [x, _, z] = object.joint(frame, joint).map(f64::from);
         x * axis[0] + z * axis[1]
     };
-    let ways = (0..frames).map(|t| along(t, 0));
-    let (low, high) = super::axes::extremes(ways);
-    let goes = high - low >= ALONG;
-    let count = match goes {
+    let positions = (0..frames).map(|t| along(t, 0));
+    let (low, high) = super::axes::extremes(positions);
+    let is_moving = high - low >= ALONG;
+    let count = match is_moving {
         true => (((high - low) / BETWEEN) as usize).min(MOST),
         false => BESIDE,
     };
     let count = count.min(frames);
-    let loose: Vec<usize> = (0..figure.joints())
-        .filter(|joint| figure.parents[*joint].is_none() && !figure.parents.contains(&Some(*joint)))
+    let loose: Vec<usize> = (0..object.joints())
+        .filter(|joint| object.parents[*joint].is_none() && !object.parents.contains(&Some(*joint)))
         .collect();
-    let digits = if count as f64 > 10.0 * figure.seconds() {
+    let digits = if count as f64 > 10.0 * object.seconds() {
         2
     } else {
         1
@@ -98,38 +98,38 @@ fn poses(figure: &Figure) -> Option<Panel> {
     let moment = |index: usize| index * (frames - 1) / (count - 1).max(1);
     let poses = (0..count).map(|index| {
         let frame = moment(index);
-        let shift = match goes {
+        let shift = match is_moving {
             true => -along(0, 0),
             false => APART * index as f64 - along(frame, 0),
         };
         let place = |joint: usize| {
-            let height = f64::from(figure.joint(frame, joint)[1]);
+            let height = f64::from(object.joint(frame, joint)[1]);
             (along(frame, joint) + shift, height)
         };
-        let bones = figure.parents.iter().enumerate();
+        let bones = object.parents.iter().enumerate();
         let bones =
             bones.filter_map(|(joint, parent)| parent.map(|parent| [place(parent), place(joint)]));
         let joints = loose.iter().map(|&joint| place(joint));
-        let heights = (0..figure.joints()).map(|joint| place(joint).1);
+        let heights = (0..object.joints()).map(|joint| place(joint).1);
         Pose {
-            label: format!("{:.*} s", digits, frame as f64 / figure.fps),
+            label: format!("{:.*} s", digits, frame as f64 / object.fps),
             top: (place(0).0, super::axes::extremes(heights).1 + 0.1),
             bones: bones.collect(),
             joints: joints.collect(),
         }
     });
-    let title = match goes {
-        true => "poses along the way, from the side (m)",
-        false => "poses from the side, one beside the other (m)",
+    let title = match is_moving {
+        true => "poses along the path, side view (m)",
+        false => "poses side by side, side view (m)",
     };
     Some(Panel::poses(title, poses.collect()).wide())
 }
 
-/// The unit vector (x, z) along which the root moves most, towards where it ends.
-fn direction(figure: &Figure) -> [f64; 2] {
-    let track: Vec<[f64; 2]> = (0..figure.frames())
+/// The main direction (x, z) of the root, towards its end.
+fn direction(object: &SceneObject) -> [f64; 2] {
+    let track: Vec<[f64; 2]> = (0..object.frames())
         .map(|t| {
-            let [x, _, z] = figure.joint(t, 0);
+            let [x, _, z] = object.joint(t, 0);
             [x.into(), z.into()]
         })
         .collect();
@@ -153,22 +153,22 @@ fn direction(figure: &Figure) -> [f64; 2] {
 mod tests {
     use super::*;
 
-    /// A mast of one metre that goes along z, metres a frame.
-    fn mast(step: f32) -> Figure {
+    /// A mast of one metre that moves along z by `step` metres a frame.
+    fn mast(step: f32) -> SceneObject {
         let frames = (0..20).flat_map(|t| {
             let z = step * t as f32;
             [0.0, 0.0, z, 0.0, 1.0, z]
         });
-        Figure {
+        SceneObject {
             fps: 10.0,
             positions: frames.collect(),
             parents: vec![None, Some(0)],
-            ..Figure::default()
+            ..SceneObject::default()
         }
     }
 
     #[test]
-    fn the_way_is_seen_from_its_side() {
+    fn the_trajectory_is_seen_from_its_side() {
         let [x, z] = direction(&mast(0.1));
         assert!(x.abs() < 1e-9 && (z - 1.0).abs() < 1e-9, "{x}, {z}");
         let [_, z] = direction(&mast(-0.1));
@@ -176,7 +176,7 @@ mod tests {
     }
 
     #[test]
-    fn a_body_that_goes_is_drawn_where_it_is_and_one_that_stays_beside_itself() {
+    fn poses_of_a_moving_body_are_in_place_and_of_a_still_one_side_by_side() {
         let last = |step: f32| {
             let panel = poses(&mast(step)).expect("poses");
             let places: Vec<(f64, f64)> = panel.places().collect();

@@ -1,4 +1,4 @@
-//! Drawing one panel.
+//! Drawing of a panel.
 
 use std::error::Error;
 use std::ops::Range;
@@ -14,13 +14,13 @@ use super::heat::cells;
 use super::legend::{KEYFRAME, OBSTACLE, colour, draw_head};
 use super::panel::{Kind, Panel, Pose};
 
-/// Around the plot and its axes, pixels.
+/// Margin around the plot and its axes, pixels.
 const MARGIN: u32 = 8;
 
 /// Height of the labels below the plot, pixels.
 const X_LABELS: u32 = 26;
 
-/// Width of the labels left of the plot, pixels: numbers, and names of rows.
+/// Width of the labels left of the plot, pixels: numbers, or row names.
 const Y_LABELS: u32 = 48;
 const ROW_NAMES: u32 = 96;
 
@@ -30,15 +30,11 @@ const LAST: [f64; 3] = [10.0, 50.0, 110.0];
 
 type Chart<'a, B> = ChartContext<'a, B, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
 
-pub(super) fn draw_panel<B>(
+pub(super) fn draw_panel<B: DrawingBackend<ErrorType: 'static>>(
     panel: &Panel,
     area: &DrawingArea<B, Shift>,
     stroke: u32,
-) -> Result<(), Box<dyn Error>>
-where
-    B: DrawingBackend,
-    B::ErrorType: 'static,
-{
+) -> Result<(), Box<dyn Error>> {
     let area = &draw_head(panel, area)?;
     let left = match panel.kind {
         Kind::Strip { .. } => ROW_NAMES,
@@ -56,8 +52,7 @@ where
         .x_label_area_size(X_LABELS)
         .y_label_area_size(left)
         .build_cartesian_2d(x.clone(), y.clone())?;
-    // A map has z downwards, and shows it as it is.
-    // Ticks are sums of steps: zero does not come out even.
+    // Tick positions are sums of steps, so zero is inexact. A map has z downwards.
     let near = |value: f64| {
         let least = 1e-9 * (x.end - x.start).min(y.end - y.start);
         if value.abs() < least { 0.0 } else { value }
@@ -96,7 +91,7 @@ where
     }
     for (index, (_, points)) in panel.series().iter().enumerate() {
         let style = colour(index).stroke_width(stroke);
-        // A line ends where a point cannot be drawn, and goes on behind it.
+        // A line is interrupted where a point cannot be drawn.
         for line in points.split(|(x, y)| !(can_be_drawn(*x) && can_be_drawn(*y))) {
             chart.draw_series(LineSeries::new(line.iter().copied(), style))?;
         }
@@ -110,7 +105,7 @@ where
     draw_marks(&chart, area, &panel.marks, &x)
 }
 
-/// What the axes span in a plot that is `ratio` times as wide as high.
+/// Ranges of the axes of a plot with the aspect `ratio`, width to height.
 fn ranges(panel: &Panel, ratio: f64) -> (Range<f64>, Range<f64>) {
     let across = || bounds(panel.places().map(|place| place.0));
     let up = || bounds(panel.places().map(|place| place.1));
@@ -127,11 +122,11 @@ fn ranges(panel: &Panel, ratio: f64) -> (Range<f64>, Range<f64>) {
     }
 }
 
-/// A label of an axis.
+/// A tick label.
 fn short(value: f64) -> String {
     match value.abs() {
         size if size != 0.0 && !(1e-3..1e5).contains(&size) => format!("{value:.1e}"),
-        // Ticks are sums of steps, which do not come out even.
+        // Tick positions are sums of steps and inexact.
         _ => {
             let text = format!("{value:.4}");
             let text = text.trim_end_matches('0').trim_end_matches('.');
@@ -143,16 +138,12 @@ fn short(value: f64) -> String {
     }
 }
 
-/// A bar for each span of a row, and the row's name beside the plot.
-fn draw_rows<B>(
+/// A bar for each range of a row, and the row name beside the plot.
+fn draw_rows<B: DrawingBackend<ErrorType: 'static>>(
     chart: &mut Chart<'_, B>,
     area: &DrawingArea<B, Shift>,
     rows: &[(String, Vec<Range<f64>>)],
-) -> Result<(), Box<dyn Error>>
-where
-    B: DrawingBackend,
-    B::ErrorType: 'static,
-{
+) -> Result<(), Box<dyn Error>> {
     for (row, (name, spans)) in rows.iter().enumerate() {
         let row = row as f64;
         chart.draw_series(spans.iter().map(|span| {
@@ -167,17 +158,13 @@ where
     Ok(())
 }
 
-/// Bodies, darker as time goes on, on a line that is the ground.
-fn draw_poses<B>(
+/// Bodies, darker over time, on a ground line.
+fn draw_poses<B: DrawingBackend<ErrorType: 'static>>(
     chart: &mut Chart<'_, B>,
     area: &DrawingArea<B, Shift>,
     poses: &[Pose],
     stroke: u32,
-) -> Result<(), Box<dyn Error>>
-where
-    B: DrawingBackend,
-    B::ErrorType: 'static,
-{
+) -> Result<(), Box<dyn Error>> {
     let across = chart.x_range();
     let ground = vec![(across.start, 0.0), (across.end, 0.0)];
     chart.draw_series([PathElement::new(ground, BLACK.mix(0.4))])?;
@@ -198,16 +185,12 @@ where
     Ok(())
 }
 
-/// Dots with their names.
-fn draw_points<B>(
+/// Named dots.
+fn draw_points<B: DrawingBackend<ErrorType: 'static>>(
     chart: &mut Chart<'_, B>,
     area: &DrawingArea<B, Shift>,
     points: &[(String, (f64, f64))],
-) -> Result<(), Box<dyn Error>>
-where
-    B: DrawingBackend,
-    B::ErrorType: 'static,
-{
+) -> Result<(), Box<dyn Error>> {
     for (name, point) in points {
         chart.draw_series([Circle::new(*point, 4, KEYFRAME.filled())])?;
         let (x, y) = pixel(chart, area, *point);
@@ -217,17 +200,13 @@ where
     Ok(())
 }
 
-/// Ticks above the plot, where they cover nothing.
-fn draw_marks<B>(
+/// Ticks above the plot.
+fn draw_marks<B: DrawingBackend<ErrorType: 'static>>(
     chart: &Chart<'_, B>,
     area: &DrawingArea<B, Shift>,
     marks: &[f64],
     across: &Range<f64>,
-) -> Result<(), Box<dyn Error>>
-where
-    B: DrawingBackend,
-    B::ErrorType: 'static,
-{
+) -> Result<(), Box<dyn Error>> {
     let top = chart.y_range().end;
     for &mark in marks.iter().filter(|mark| across.contains(mark)) {
         let (x, y) = pixel(chart, area, (mark, top));
@@ -237,7 +216,7 @@ where
     Ok(())
 }
 
-/// Where a place of the plot is in `area`.
+/// Pixel in `area` of a point of the plot.
 fn pixel<B: DrawingBackend>(
     chart: &Chart<'_, B>,
     area: &DrawingArea<B, Shift>,

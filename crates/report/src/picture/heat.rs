@@ -4,10 +4,10 @@ use plotters::prelude::*;
 
 use super::axes::{can_be_drawn, extremes};
 
-/// Most cells of a heat map along each axis: what a panel has pixels for.
+/// Most cells of a heat map along each axis.
 const CELLS: (usize, usize) = (480, 64);
 
-/// A heat map's rectangles, cells taken together where there are more than can be seen.
+/// The rectangles of a heat map; cells are averaged if there are too many.
 pub(super) fn cells(
     rows: &[Vec<f64>],
     width: f64,

@@ -1,4 +1,4 @@
-//! The title and the names of what is drawn, above a plot, where they cover nothing.
+//! Titles and legends, above the plot.
 
 use plotters::coord::Shift;
 use plotters::prelude::*;
@@ -22,7 +22,7 @@ const MARGIN: i32 = 10;
 pub(super) const KEYFRAME: RGBColor = RGBColor(200, 90, 0);
 pub(super) const OBSTACLE: RGBColor = RGBColor(170, 40, 40);
 
-/// Colours of curves, which are told apart on white.
+/// Colours of curves on white.
 const COLOURS: [RGBColor; 8] = [
     RGBColor(47, 111, 237),
     RGBColor(228, 87, 46),
@@ -39,7 +39,7 @@ pub(super) fn colour(index: usize) -> RGBColor {
     COLOURS[index % COLOURS.len()]
 }
 
-/// How something is drawn.
+/// Symbol of a legend entry.
 #[derive(Clone, Copy)]
 enum Look {
     Line(RGBAColor),
@@ -47,15 +47,11 @@ enum Look {
     Area(RGBColor),
 }
 
-/// Draws title and names at the top of `area`, and returns what is left of it.
-pub(super) fn draw_head<B>(
+/// Draws title and legend at the top of `area`; returns the rest.
+pub(super) fn draw_head<B: DrawingBackend<ErrorType: 'static>>(
     panel: &Panel,
     area: &DrawingArea<B, Shift>,
-) -> Result<DrawingArea<B, Shift>, Box<dyn std::error::Error>>
-where
-    B: DrawingBackend,
-    B::ErrorType: 'static,
-{
+) -> Result<DrawingArea<B, Shift>, Box<dyn std::error::Error>> {
     let font = |size: i32| ("sans-serif", size).into_text_style(area);
     let names = font(11);
     let wide = area.dim_in_pixel().0 as i32;

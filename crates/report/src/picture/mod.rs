@@ -1,9 +1,10 @@
-//! Charts in a grid, as SVG or PNG by the file's ending.
+//! Charts in a grid as SVG or PNG, by file extension.
 
 mod axes;
 mod body;
 mod chart;
 mod heat;
+mod html;
 mod legend;
 mod panel;
 
@@ -13,37 +14,38 @@ use std::path::{Path, PathBuf};
 use miette::Diagnostic;
 use plotters::coord::Shift;
 use plotters::prelude::*;
-use plotters::style::{FontStyle, register_font};
 
 pub use body::body_panels;
 pub use panel::{Panel, Pose, Series};
 
+use crate::font;
+use crate::raster::Image;
 use chart::draw_panel;
 
-/// Why there is no picture.
+/// Errors of pictures.
 #[derive(Debug, thiserror::Error, Diagnostic)]
 pub enum PictureError {
-    /// A file name that ends as no picture's does.
+    /// An unknown file extension.
     #[error("`{}`: ending `{ending}` found", path.display())]
     #[diagnostic(help("pictures are .svg or .png"))]
     Ending {
         /// The file.
         path: PathBuf,
-        /// Its ending.
+        /// Its extension.
         ending: String,
     },
-    /// It cannot be drawn or written.
+    /// Drawing or writing failed.
     #[error("cannot draw {}: {reason}", path.display())]
     #[diagnostic(help("check that its folder exists and can be written"))]
     Drawing {
         /// The file.
         path: PathBuf,
-        /// What went wrong.
+        /// The cause.
         reason: String,
     },
 }
 
-/// Rejects an ending that no picture has.
+/// Checks the file extension.
 ///
 /// # Errors
 /// [`PictureError::Ending`].
@@ -61,7 +63,7 @@ pub fn check_ending(out: &Path) -> Result<(), PictureError> {
     })
 }
 
-/// Draws the panels into `out`, `columns` side by side, each of `size` pixels.
+/// Draws the panels to `out`, `columns` side by side, each `size` pixels.
 ///
 /// # Errors
 /// [`PictureError`].
@@ -76,8 +78,8 @@ pub fn draw(
         .extension()
         .is_some_and(|ending| ending.eq_ignore_ascii_case("svg"));
     let sheet = Sheet::new(panels, columns, size);
-    let drawn = if is_svg { sheet.svg() } else { sheet.png() };
-    let written = drawn.and_then(|bytes| Ok(std::fs::write(out, bytes)?));
+    let bytes = if is_svg { sheet.svg() } else { sheet.png() };
+    let written = bytes.and_then(|bytes| Ok(std::fs::write(out, bytes)?));
     written.map_err(|error| PictureError::Drawing {
         path: out.to_path_buf(),
         reason: error.to_string(),
@@ -95,7 +97,7 @@ pub struct Png {
     pub bytes: Vec<u8>,
 }
 
-/// The panels as [`draw`] writes them to a PNG file; `None` if they cannot be drawn.
+/// The panels as PNG; `None` if they cannot be drawn.
 pub fn draw_png(panels: &[Panel], columns: usize, size: (u32, u32)) -> Option<Png> {
     let sheet = Sheet::new(panels, columns, size);
     let (width, height) = sheet.size;
@@ -107,17 +109,17 @@ pub fn draw_png(panels: &[Panel], columns: usize, size: (u32, u32)) -> Option<Pn
     })
 }
 
-/// A panel with its left upper corner and its size, pixels.
+/// A panel with its upper left corner and size in pixels.
 type Placed<'a> = (&'a Panel, (i32, i32), (u32, u32));
 
-/// Panels at their places in a picture.
+/// Panels placed in a picture.
 struct Sheet<'a> {
     panels: Vec<Placed<'a>>,
     size: (u32, u32),
 }
 
 impl<'a> Sheet<'a> {
-    /// Row by row; a wide panel has a row for itself.
+    /// Row by row; a wide panel fills a row.
     fn new(panels: &'a [Panel], columns: usize, (width, height): (u32, u32)) -> Self {
         let columns = columns.min(panels.len()).max(1) as u32;
         let mut placed = Vec::with_capacity(panels.len());
@@ -149,29 +151,19 @@ impl<'a> Sheet<'a> {
         let (width, height) = self.size;
         let mut pixels = vec![0; 3 * width as usize * height as usize];
         let root = BitMapBackend::with_buffer(&mut pixels, self.size).into_drawing_area();
-        // Wider strokes of a bitmap have spikes where a curve turns back.
+        // Wider bitmap strokes have spikes at sharp corners.
         self.draw(&root, 1)?;
         drop(root);
-        let mut bytes = Vec::new();
-        let mut encoder = png::Encoder::new(&mut bytes, width, height);
-        encoder.set_color(png::ColorType::Rgb);
-        encoder.set_depth(png::BitDepth::Eight);
-        let mut writer = encoder.write_header()?;
-        writer.write_image_data(&pixels)?;
-        writer.finish()?;
-        Ok(bytes)
+        let rgb = pixels;
+        Ok(Image { width, height, rgb }.png())
     }
 
-    fn draw<B>(&self, root: &DrawingArea<B, Shift>, stroke: u32) -> Result<(), Box<dyn Error>>
-    where
-        B: DrawingBackend,
-        B::ErrorType: 'static,
-    {
-        // With its own font a picture is the same on every machine; registering it again is
-        // harmless.
-        let font = epaint_default_fonts::UBUNTU_LIGHT;
-        let registered = register_font("sans-serif", FontStyle::Normal, font);
-        debug_assert!(registered.is_ok(), "the built-in font is one");
+    fn draw<B: DrawingBackend<ErrorType: 'static>>(
+        &self,
+        root: &DrawingArea<B, Shift>,
+        stroke: u32,
+    ) -> Result<(), Box<dyn Error>> {
+        font::register();
         root.fill(&WHITE)?;
         for &(panel, corner, size) in &self.panels {
             draw_panel(panel, &root.clone().shrink(corner, size), stroke)?;
@@ -185,12 +177,12 @@ impl<'a> Sheet<'a> {
 mod tests {
     use super::*;
 
-    fn drawn(panels: &[Panel]) -> String {
+    fn svg(panels: &[Panel]) -> String {
         let sheet = Sheet::new(panels, 1, (520, 250));
         String::from_utf8(sheet.svg().expect("drawn")).expect("text")
     }
 
-    /// The points of the first curve of a picture, which follows its stroke in the legend.
+    /// The points of the first curve, after its stroke in the legend.
     fn first_curve(svg: &str) -> Vec<(f64, f64)> {
         let of_first = |line: &&str| line.contains("<polyline") && line.contains("#2F6FED");
         let line = svg.lines().rfind(of_first);
@@ -207,17 +199,17 @@ mod tests {
     fn a_metre_on_a_map_is_as_long_to_the_right_as_downwards() {
         let square = [(0.0, 0.0), (3.0, 0.0), (3.0, 3.0), (0.0, 3.0)];
         let map = Panel::map("map", vec![("path".into(), square.to_vec())]);
-        let corners = first_curve(&drawn(&[map]));
+        let corners = first_curve(&svg(&[map]));
         let (across, down) = (corners[1].0 - corners[0].0, corners[2].1 - corners[1].1);
         assert!(down > 100.0, "z goes downwards: {corners:?}");
         assert!((across - down).abs() <= 2.0, "{corners:?}");
     }
 
     #[test]
-    fn legends_and_ticks_stand_above_what_is_drawn() {
+    fn legends_and_ticks_stand_above_the_plot() {
         let curve = |name: &str| (name.to_string(), vec![(0.0, 0.0), (4.0, 1.0)]);
         let panel = Panel::lines("curves", "s", vec![curve("one"), curve("two")]);
-        let svg = drawn(&[panel.with_marks(&[1.0, 2.0])]);
+        let svg = svg(&[panel.with_marks(&[1.0, 2.0])]);
         let top = first_curve(&svg)
             .iter()
             .fold(f64::INFINITY, |top, p| top.min(p.1));

@@ -1,4 +1,4 @@
-//! What a chart shows.
+//! Panels: the contents of charts.
 
 use std::ops::Range;
 
@@ -7,53 +7,55 @@ use super::axes::{can_be_drawn, extremes};
 /// A named curve.
 pub type Series = (String, Vec<(f64, f64)>);
 
-/// A body at one moment, seen from the side.
+/// A body at a time, in side view.
 #[derive(Clone, Debug)]
 pub struct Pose {
-    /// The moment.
+    /// Label of the time.
     pub label: String,
-    /// Where the label stands, above the body.
+    /// Position of the label, above the body.
     pub top: (f64, f64),
     /// Both ends of each bone, metres.
     pub bones: Vec<[(f64, f64); 2]>,
-    /// Joints that no bone leads to or from, metres.
+    /// Joints without bones, metres.
     pub joints: Vec<(f64, f64)>,
 }
 
-/// One chart.
+/// A chart.
+#[derive(Clone, Debug)]
 pub struct Panel {
     pub(super) title: String,
     pub(super) x_label: &'static str,
     pub(super) kind: Kind,
-    /// Ticks above the plot at these places.
+    /// Positions of ticks above the plot.
     pub(super) marks: Vec<f64>,
-    /// What lies between the left and the right edge; by default a little more than there is.
+    /// Range of the x axis; by default that of the data with a margin.
     pub(super) across: Option<Range<f64>>,
     /// Named points of a map.
     pub(super) points: Vec<(String, (f64, f64))>,
     /// Corners of the regions of a map.
     pub(super) regions: Vec<Vec<(f64, f64)>>,
-    /// Whether it takes a row of panels for itself.
+    /// Whether it fills a row.
     pub(super) is_wide: bool,
 }
 
+#[derive(Clone, Debug)]
 pub(super) enum Kind {
     Lines(Vec<Series>),
-    /// One metre is as long to the right as downwards, and a mark stands at the start.
+    /// Top view with equal scales and a mark at the start.
     Map(Vec<Series>),
-    /// Bodies from the side; one metre is as long to the right as upwards.
+    /// Bodies in side view, with equal scales.
     Poses(Vec<Pose>),
-    /// Rows of values, the first at the bottom; the last column ends at `width`.
+    /// Rows of values from bottom to top; the last column ends at `width`.
     Heat {
         rows: Vec<Vec<f64>>,
         width: f64,
     },
-    /// Named rows with the times, from and to, at which something holds; they end at `width`.
+    /// Named rows of time ranges, which end at `width`.
     Strip {
         rows: Vec<(String, Vec<Range<f64>>)>,
         width: f64,
     },
-    /// How many values lie in each range.
+    /// Counts of values by range.
     Bars(Vec<(Range<f64>, usize)>),
 }
 
@@ -63,7 +65,7 @@ impl Panel {
         Self::of(title, x_label, Kind::Lines(series))
     }
 
-    /// Values at so many a second, over time.
+    /// Values at `fps` a second over time.
     pub fn over_time<'a>(
         title: impl Into<String>,
         fps: f64,
@@ -77,8 +79,8 @@ impl Panel {
         Self::lines(title, "s", series.collect())
     }
 
-    /// Paths on the floor from above, of points (x, z) in metres: x to the right and z, towards the
-    /// viewer, downwards. Both axes have the same scale.
+    /// Paths on the floor in top view, of points (x, z) in metres: x to the right, z downwards,
+    /// with equal scales.
     pub fn map(title: impl Into<String>, series: Vec<Series>) -> Self {
         let downwards = |(name, points): Series| {
             let points = points.into_iter().map(|(x, z)| (x, -z));
@@ -88,18 +90,18 @@ impl Panel {
         Self::of(title, "m", Kind::Map(series))
     }
 
-    /// Bodies from the side. Both axes have the same scale.
+    /// Bodies in side view, with equal scales.
     pub fn poses(title: impl Into<String>, poses: Vec<Pose>) -> Self {
         Self::of(title, "m", Kind::Poses(poses))
     }
 
-    /// Rows of values over time, darker where they are larger; the last column ends at `seconds`.
+    /// Rows of values over time, darker for larger values; the last column ends at `seconds`.
     pub fn heat(title: impl Into<String>, rows: Vec<Vec<f64>>, seconds: f64) -> Self {
         let width = seconds;
         Self::of(title, "s", Kind::Heat { rows, width })
     }
 
-    /// When each of the named things holds, of values at so many a second; the first is at the top.
+    /// The times at which named flags are true, at `fps` a second, from top to bottom.
     pub fn strip<'a>(
         title: impl Into<String>,
         fps: f64,
@@ -140,14 +142,14 @@ impl Panel {
         Self::of(title, x_label, Kind::Bars(bars.collect()))
     }
 
-    /// The same with ticks above the plot.
+    /// Adds ticks above the plot.
     #[must_use]
     pub fn with_marks(mut self, marks: &[f64]) -> Self {
         self.marks = marks.to_vec();
         self
     }
 
-    /// A map with named points (x, z), such as key frames.
+    /// Adds named points (x, z) to a map, such as key frames.
     #[must_use]
     pub fn with_points(mut self, points: impl IntoIterator<Item = (String, (f64, f64))>) -> Self {
         let points = points.into_iter().map(|(name, (x, z))| (name, (x, -z)));
@@ -155,7 +157,7 @@ impl Panel {
         self
     }
 
-    /// A map with a region between these corners (x, z), such as an obstacle.
+    /// Adds a region with corners (x, z) to a map, such as an obstacle.
     #[must_use]
     pub fn with_region(mut self, corners: impl IntoIterator<Item = (f64, f64)>) -> Self {
         let corners = corners.into_iter().map(|(x, z)| (x, -z));
@@ -163,14 +165,14 @@ impl Panel {
         self
     }
 
-    /// The same from edge to edge: panels below each other line up.
+    /// Sets the range of the x axis, so that panels line up.
     #[must_use]
     pub fn spanning(mut self, across: Range<f64>) -> Self {
         self.across = Some(across);
         self
     }
 
-    /// The same over all columns of a picture.
+    /// Lets the panel fill a row.
     #[must_use]
     pub fn wide(mut self) -> Self {
         self.is_wide = true;
@@ -190,14 +192,20 @@ impl Panel {
         }
     }
 
-    pub(super) fn series(&self) -> &[Series] {
+    /// The title.
+    pub fn title(&self) -> &str {
+        &self.title
+    }
+
+    /// The curves of lines or of a map.
+    pub fn series(&self) -> &[Series] {
         match &self.kind {
             Kind::Lines(series) | Kind::Map(series) => series,
             _ => &[],
         }
     }
 
-    /// Everything that has a place in the plot and can be drawn.
+    /// All points that can be drawn.
     pub(super) fn places(&self) -> impl Iterator<Item = (f64, f64)> + '_ {
         let series = self.series().iter().flat_map(|(_, points)| points.clone());
         let named = self.points.iter().map(|(_, point)| *point);
@@ -218,7 +226,7 @@ impl Panel {
     }
 }
 
-/// The times, from and to, at which the frames are true.
+/// The time ranges in which the frames are true.
 fn spans(frames: &[bool], fps: f64) -> Vec<Range<f64>> {
     let mut spans: Vec<Range<f64>> = Vec::new();
     let mut before = false;
@@ -239,7 +247,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_strip_holds_from_the_first_frame_to_the_end_of_the_last() {
+    fn a_span_lasts_to_the_end_of_its_last_frame() {
         let frames = [true, true, false, true, false, false, true];
         assert_eq!(spans(&frames, 2.0), [0.0..1.0, 1.5..2.0, 3.0..3.5]);
         assert_eq!(spans(&[false; 3], 2.0), []);

@@ -1,28 +1,28 @@
-//! Where things are on the picture.
+//! The camera.
 
-/// Height of the view as an angle, in radians.
+/// Vertical field of view in radians.
 const FIELD_OF_VIEW: f32 = 0.6;
-/// How far to the side of the front the camera stands, in radians.
+/// Azimuth from the front, in radians.
 const AZIMUTH: f32 = 0.55;
-/// How far it looks down, in radians.
+/// Downward angle, in radians.
 const ELEVATION: f32 = 0.3;
-/// Nothing nearer than this is seen, in metres.
+/// Near plane in metres.
 const NEAR: f32 = 0.1;
-/// Part of the view that is left free at its borders.
+/// Margin as a part of the view.
 const MARGIN: f32 = 0.1;
 
-/// A camera that looks at a place from the front at an angle. Bodies at rest face +z, towards it.
+/// A camera that looks at a target from the front at an angle. Bodies at rest face +z, towards it.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Camera {
     eye: [f32; 3],
     /// Right, down and forward.
     axes: [[f32; 3]; 3],
-    /// Pixels per metre at a distance of one metre.
+    /// Pixels per metre at one metre.
     focal: f32,
     centre: [f32; 2],
 }
 
-/// A place on the picture.
+/// A projected point.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Seen {
     /// Pixels from the left and from the top.
@@ -33,11 +33,11 @@ pub(super) struct Seen {
     pub scale: f32,
 }
 
-/// The least distance of a camera from what it looks at, in metres.
+/// Least distance from the target, in metres.
 const NEAREST: f32 = 2.0;
 
 impl Camera {
-    /// A camera that sees all of some points, on a picture of `size` pixels.
+    /// A camera that contains all points, on a picture of `size` pixels.
     pub fn around(points: &[[f32; 3]], size: (u32, u32)) -> Self {
         let target = middle(points);
         let free = 2.0 * MARGIN * (size.0.min(size.1) as f32);
@@ -70,7 +70,7 @@ impl Camera {
         camera
     }
 
-    /// The part of the picture that holds points, if all are before the camera.
+    /// The bounding box of projected points, if all are in front of the camera.
     fn extent(&self, points: &[[f32; 3]]) -> Option<[[f32; 2]; 2]> {
         let mut extent = [[f32::INFINITY; 2], [f32::NEG_INFINITY; 2]];
         for point in points {
@@ -84,7 +84,7 @@ impl Camera {
         (!points.is_empty()).then_some(extent)
     }
 
-    /// A camera that looks at `target` from a distance.
+    /// A camera that looks at `target` from `distance`.
     fn at(target: [f32; 3], distance: f32, (width, height): (u32, u32)) -> Self {
         let (side, front) = AZIMUTH.sin_cos();
         let (high, flat) = ELEVATION.sin_cos();
@@ -102,7 +102,7 @@ impl Camera {
         }
     }
 
-    /// The same camera elsewhere.
+    /// The camera moved by a vector.
     pub fn moved(mut self, by: [f32; 3]) -> Self {
         for (eye, by) in self.eye.iter_mut().zip(by) {
             *eye += by;
@@ -110,18 +110,18 @@ impl Camera {
         self
     }
 
-    /// A direction towards the camera's place from a point.
+    /// The vector from a point to the camera.
     pub fn towards(&self, point: [f32; 3]) -> [f32; 3] {
         [0, 1, 2].map(|axis| self.eye[axis] - point[axis])
     }
 
-    /// Where a point is seen, if it is before the camera.
+    /// The projection of a point in front of the camera.
     pub fn see(&self, point: [f32; 3]) -> Option<Seen> {
         let view = self.view(point);
         (view[2] > NEAR).then(|| self.project(view))
     }
 
-    /// Where the part of a line that lies before the camera is seen.
+    /// The projection of the part of a line in front of the camera.
     pub fn line(&self, a: [f32; 3], b: [f32; 3]) -> Option<[Seen; 2]> {
         let mut ends = [self.view(a), self.view(b)];
         if ends[0][2] <= NEAR && ends[1][2] <= NEAR {
@@ -137,7 +137,7 @@ impl Camera {
         Some(ends.map(|end| self.project(end)))
     }
 
-    /// A point in the camera's axes.
+    /// A point in camera coordinates.
     fn view(&self, point: [f32; 3]) -> [f32; 3] {
         self.axes.map(|axis| {
             let parts = axis.iter().zip(point).zip(self.eye);
@@ -155,7 +155,7 @@ impl Camera {
     }
 }
 
-/// The lowest and the highest coordinates of points; zeros without any.
+/// The bounding box of points; zeros without any.
 pub(super) fn bounds(points: &[[f32; 3]]) -> [[f32; 3]; 2] {
     let of = |extreme: fn(f32, f32) -> f32| {
         let found = points.iter().copied();
@@ -165,7 +165,7 @@ pub(super) fn bounds(points: &[[f32; 3]]) -> [[f32; 3]; 2] {
     [of(f32::min), of(f32::max)]
 }
 
-/// The middle of the box around points.
+/// The centre of the bounding box.
 pub(super) fn middle(points: &[[f32; 3]]) -> [f32; 3] {
     let [low, high] = bounds(points);
     [0, 1, 2].map(|axis| (low[axis] + high[axis]) / 2.0)

@@ -1,9 +1,50 @@
-//! Softened strokes and shapes on a picture.
+//! Pictures, and anti-aliased strokes and shapes on them.
 
-use super::Image;
+/// A picture in memory.
+#[derive(Clone, Debug, Eq, PartialEq)]
+pub struct Image {
+    /// Pixels from left to right.
+    pub width: u32,
+    /// Pixels from top to bottom.
+    pub height: u32,
+    /// Red, green and blue of each pixel, row by row from the top, `[height, width, 3]`.
+    pub rgb: Vec<u8>,
+}
 
 impl Image {
-    /// Mixes a colour into a pixel.
+    /// A picture of one colour.
+    pub(crate) fn filled(width: u32, height: u32, colour: [u8; 3]) -> Self {
+        let pixels = width as usize * height as usize;
+        Self {
+            width,
+            height,
+            rgb: colour.repeat(pixels),
+        }
+    }
+
+    /// The picture as a PNG file.
+    pub fn png(&self) -> Vec<u8> {
+        let mut bytes = Vec::new();
+        let mut encoder = png::Encoder::new(&mut bytes, self.width, self.height);
+        encoder.set_color(png::ColorType::Rgb);
+        encoder.set_depth(png::BitDepth::Eight);
+        let written = encoder
+            .write_header()
+            .and_then(|mut writer| writer.write_image_data(&self.rgb));
+        written.expect("a picture of its own size goes into memory");
+        bytes
+    }
+
+    /// Copies a picture to `(x, y)`; it must lie within.
+    pub(crate) fn paste(&mut self, part: &Self, (x, y): (u32, u32)) {
+        let row = 3 * part.width as usize;
+        for (line, pixels) in part.rgb.chunks_exact(row).enumerate() {
+            let to = 3 * ((y as usize + line) * self.width as usize + x as usize);
+            self.rgb[to..to + row].copy_from_slice(pixels);
+        }
+    }
+
+    /// Blends a colour into a pixel.
     fn blend(&mut self, x: i32, y: i32, colour: [u8; 3], coverage: f32) {
         let at = 3 * (y as usize * self.width as usize + x as usize);
         for (value, new) in self.rgb[at..at + 3].iter_mut().zip(colour) {
@@ -12,14 +53,14 @@ impl Image {
         }
     }
 
-    /// A line with round ends from `a` to `b`, in pixels, whose half widths are `radii` there.
+    /// A line with round caps from `a` to `b`, in pixels, with the half widths `radii` at its ends.
     pub(super) fn stroke(&mut self, ends: [[f32; 2]; 2], radii: [f32; 2], colour: [u8; 3]) {
         let [a, b] = ends;
         let finite = ends.as_flattened().iter().chain(&radii);
         if !finite.copied().all(f32::is_finite) {
             return;
         }
-        // Along the axis on which the line is longer, so that few pixels beside it are looked at.
+        // Along the longer axis, so that few pixels beside the line are visited.
         let main = usize::from((b[1] - a[1]).abs() > (b[0] - a[0]).abs());
         let cross = 1 - main;
         let sizes = [self.width as f32, self.height as f32];
@@ -36,7 +77,7 @@ impl Image {
         let mut step = first;
         while step <= last {
             let centre = a[cross] + slope * (step + 0.5 - a[main]);
-            // Near the ends of a stroke with one thick end the line goes on beyond them.
+            // A thick cap extends beyond the end of the line.
             let from = (centre - beside).floor().max(0.0);
             let to = (centre + beside).ceil().min(sizes[cross] - 1.0);
             let mut other = from;
@@ -55,7 +96,7 @@ impl Image {
         }
     }
 
-    /// A convex shape given by its corners in either direction, in pixels.
+    /// A convex polygon in either orientation, in pixels.
     pub(super) fn convex(&mut self, corners: &[[f32; 2]], colour: [u8; 3], opacity: f32) {
         if !corners.as_flattened().iter().copied().all(f32::is_finite) {
             return;
@@ -88,13 +129,13 @@ impl Image {
     }
 }
 
-/// The edges of a closed shape.
+/// The edges of a polygon.
 fn edges(corners: &[[f32; 2]]) -> impl Iterator<Item = [[f32; 2]; 2]> {
     let next = corners.iter().cycle().skip(1);
     corners.iter().zip(next).map(|(a, b)| [*a, *b])
 }
 
-/// How much of a pixel a stroke covers, from 0 to 1.
+/// Coverage of a pixel by a stroke, 0 to 1.
 fn cover(pixel: [f32; 2], [a, b]: [[f32; 2]; 2], radii: [f32; 2]) -> f32 {
     let (dx, dy) = (b[0] - a[0], b[1] - a[1]);
     let (px, py) = (pixel[0] - a[0], pixel[1] - a[1]);
@@ -116,7 +157,7 @@ mod tests {
 
     const BLACK: [u8; 3] = [0; 3];
 
-    /// How much ink there is, in pixels.
+    /// Total coverage in pixels.
     fn ink(image: &Image) -> f32 {
         let values = image.rgb.iter().step_by(3);
         values.map(|value| 1.0 - f32::from(*value) / 255.0).sum()
@@ -151,7 +192,7 @@ mod tests {
     }
 
     #[test]
-    fn what_lies_outside_is_left_out() {
+    fn shapes_outside_are_clipped() {
         let mut image = Image::filled(16, 16, [255; 3]);
         image.stroke([[-50.0, -9.0], [-20.0, 500.0]], [3.0, 9.0], BLACK);
         image.stroke([[f32::NAN, 0.0], [3.0, 3.0]], [3.0, 9.0], BLACK);

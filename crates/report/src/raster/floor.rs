@@ -1,18 +1,18 @@
-//! What lies on the ground.
+//! Marks on the floor.
 
-use super::Image;
 use super::camera::Camera;
+use super::canvas::Image;
 use super::palette::{GRID, KEYFRAME, OBSTACLE, PATH, TRAIL};
 use crate::scene::Floor;
 
-/// Metres that the grid reaches beyond the middle.
+/// Half size of the grid in metres.
 const GRID_REACH: i32 = 8;
-/// Corners that a circle is drawn with.
+/// Corners of a circle.
 const CIRCLE: usize = 32;
-/// Radius of a key frame in metres, and of one that is now.
+/// Radius of a key frame in metres, and of the current one.
 const KEYFRAME_RADII: [f32; 2] = [0.09, 0.16];
 
-/// Half a width in pixels of a line that is as wide as `metres`, at least one pixel.
+/// Half the width in pixels of a line of `metres`, at least half a pixel.
 fn half(scale: f32, metres: f32) -> f32 {
     (0.5 * scale * metres).max(0.5)
 }
@@ -26,8 +26,8 @@ fn line(image: &mut Image, camera: &Camera, ends: [[f32; 2]; 2], width: f32, col
     }
 }
 
-/// A line through points on the ground.
-fn way(image: &mut Image, camera: &Camera, points: &[[f32; 2]], width: f32, colour: [u8; 3]) {
+/// A polyline on the ground.
+fn polyline(image: &mut Image, camera: &Camera, points: &[[f32; 2]], width: f32, colour: [u8; 3]) {
     for pair in points.windows(2) {
         line(image, camera, [pair[0], pair[1]], width, colour);
     }
@@ -54,7 +54,7 @@ fn disc(
     }
 }
 
-/// What does not move: a grid of one metre around `middle`, the goal, and the way of the root.
+/// Static marks: a grid of one metre around `middle`, the goal, and the root trajectory.
 pub(super) fn draw(
     image: &mut Image,
     camera: &Camera,
@@ -74,14 +74,14 @@ pub(super) fn draw(
     for (centre, radius) in &floor.obstacles {
         disc(image, camera, *centre, *radius, OBSTACLE, 1.0);
     }
-    way(image, camera, trail, 0.02, TRAIL);
-    way(image, camera, &floor.path, 0.05, PATH);
+    polyline(image, camera, trail, 0.02, TRAIL);
+    polyline(image, camera, &floor.path, 0.05, PATH);
     for (_, at) in &floor.keyframes {
         disc(image, camera, *at, KEYFRAME_RADII[0], KEYFRAME, 1.0);
     }
 }
 
-/// The key frames of a frame, larger than the others.
+/// The current key frames, enlarged.
 pub(super) fn draw_now(image: &mut Image, camera: &Camera, floor: &Floor, frame: usize) {
     let now = floor.keyframes.iter();
     for (_, at) in now.filter(|(key, _)| key.abs_diff(frame) <= 2) {

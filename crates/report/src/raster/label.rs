@@ -1,19 +1,17 @@
-//! Names on a picture.
+//! Labels.
 
-use epaint_default_fonts::UBUNTU_LIGHT;
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
-use plotters::style::{FontStyle, register_font};
 
-use super::Image;
+use super::canvas::Image;
 use super::palette::TEXT;
+use crate::font;
 
-/// Writes a name at the top of the part of a picture from `left` on that is `width` pixels wide.
+/// Writes a name at the top of a cell that is `width` pixels wide.
 pub(super) fn write(image: &mut Image, text: &str, left: u32, top: u32, width: u32) {
     let height = (width / 20).clamp(9, 16);
-    let registered = register_font("sans-serif", FontStyle::Normal, UBUNTU_LIGHT);
-    debug_assert!(registered.is_ok(), "the built-in font is one");
-    // About how many letters there is space for.
+    font::register();
+    // Approximate number of letters that fit.
     let most = (2 * width / height) as usize;
     let mut shown: String = text.chars().take(most).collect();
     if shown.len() < text.len() {
@@ -28,7 +26,7 @@ pub(super) fn write(image: &mut Image, text: &str, left: u32, top: u32, width: u
         .color(&colour)
         .pos(Pos::new(HPos::Center, VPos::Top));
     let at = ((left + width / 2) as i32, (top + height / 3) as i32);
-    // A name that cannot be written is no reason to have no picture.
+    // A picture without a label is still useful.
     let _ = area.draw(&Text::new(shown, at, style));
     let _ = area.present();
 }

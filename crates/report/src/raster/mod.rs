@@ -1,73 +1,27 @@
-//! Still pictures of a scene: a small software renderer, so that pictures need neither a browser nor
-//! a graphics processor and are the same on every machine.
+//! Still pictures of a scene: a small software renderer without a browser or GPU, with equal
+//! results on every machine.
 
 mod camera;
 mod canvas;
-mod figure;
 mod floor;
 mod label;
+mod object;
 mod painter;
+mod palette;
 
+pub use canvas::Image;
 pub(crate) use painter::Painter;
 pub(crate) use palette::PALETTE;
 
-mod palette;
-
 use crate::scene::Scene;
 
-/// A picture in memory.
-#[derive(Clone, Debug, Eq, PartialEq)]
-pub struct Image {
-    /// Pixels from left to right.
-    pub width: u32,
-    /// Pixels from top to bottom.
-    pub height: u32,
-    /// Red, green and blue of each pixel, row by row from the top, `[height, width, 3]`.
-    pub rgb: Vec<u8>,
-}
-
-impl Image {
-    /// A picture of one colour.
-    pub(crate) fn filled(width: u32, height: u32, colour: [u8; 3]) -> Self {
-        let pixels = width as usize * height as usize;
-        Self {
-            width,
-            height,
-            rgb: colour.repeat(pixels),
-        }
-    }
-
-    /// The picture as a PNG file.
-    pub fn png(&self) -> Vec<u8> {
-        let mut bytes = Vec::new();
-        let mut encoder = png::Encoder::new(&mut bytes, self.width, self.height);
-        encoder.set_color(png::ColorType::Rgb);
-        encoder.set_depth(png::BitDepth::Eight);
-        let written = encoder
-            .write_header()
-            .and_then(|mut writer| writer.write_image_data(&self.rgb));
-        written.expect("a picture of its own size goes into memory");
-        bytes
-    }
-
-    /// Copies a picture to the place whose upper left corner is `(x, y)`; it must lie within.
-    pub(crate) fn paste(&mut self, part: &Self, (x, y): (u32, u32)) {
-        let row = 3 * part.width as usize;
-        for (line, pixels) in part.rgb.chunks_exact(row).enumerate() {
-            let to = 3 * ((y as usize + line) * self.width as usize + x as usize);
-            self.rgb[to..to + row].copy_from_slice(pixels);
-        }
-    }
-}
-
-/// The scene at a moment, `size` pixels wide and high, at least 16 each: every figure seen from
-/// the front at an angle, several beside one another. The camera holds the whole motion, or follows
-/// the root where that goes far.
+/// The scene at a time, `size` pixels (at least 16 each): every object in a front view at an angle,
+/// side by side. The camera contains the whole motion, or follows the root of a far one.
 pub fn picture(scene: &Scene, seconds: f64, size: (u32, u32)) -> Image {
     Painter::new(scene, size).at(seconds)
 }
 
-/// `count` moments from the first to the last beside one another, each of `size` pixels.
+/// `count` times from start to end side by side, each of `size` pixels.
 pub fn strip(scene: &Scene, count: usize, size: (u32, u32)) -> Image {
     let painter = Painter::new(scene, size);
     let (width, height) = painter.size();
@@ -101,10 +55,10 @@ mod tests {
         found
     }
 
-    fn scene(figures: Vec<crate::scene::Figure>) -> Scene {
+    fn scene(objects: Vec<crate::scene::SceneObject>) -> Scene {
         Scene {
             title: "test".into(),
-            figures,
+            objects,
             ..Scene::default()
         }
     }
@@ -131,7 +85,7 @@ mod tests {
     }
 
     #[test]
-    fn what_moves_is_seen_elsewhere_and_what_stands_is_not() {
+    fn only_moving_objects_change_the_picture() {
         let still = scene(vec![body(1)]);
         let moving = scene(vec![body(40)]);
         let size = (160, 120);
@@ -140,7 +94,7 @@ mod tests {
     }
 
     #[test]
-    fn a_phrase_shows_which_way_it_faces() {
+    fn a_phrase_shows_its_facing() {
         let size = (200, 200);
         let front = picture(&scene(vec![dancer(1, 0.0)]), 0.0, size);
         let back = picture(&scene(vec![dancer(1, std::f32::consts::PI)]), 0.0, size);
@@ -155,7 +109,7 @@ mod tests {
     }
 
     #[test]
-    fn figures_stand_beside_one_another() {
+    fn objects_stand_beside_one_another() {
         let two = picture(&scene(vec![body(10), body(10)]), 0.0, (400, 150));
         let left = extent(&two, LEFT).unwrap();
         assert!(left[0] < 200 && left[2] > 200, "{left:?}");
@@ -174,7 +128,7 @@ mod tests {
     }
 
     #[test]
-    fn a_long_way_is_followed() {
+    fn a_long_trajectory_is_followed() {
         let mut far = body(200);
         for frame in far.positions.chunks_exact_mut(12).enumerate() {
             for joint in frame.1.chunks_exact_mut(3) {
@@ -190,7 +144,7 @@ mod tests {
     }
 
     #[test]
-    fn strips_hold_several_moments() {
+    fn strips_show_several_moments() {
         let moments = strip(&scene(vec![body(40)]), 4, (100, 80));
         assert_eq!((moments.width, moments.height), (400, 80));
         let column = |n: u32| {
@@ -220,8 +174,8 @@ mod tests {
 
     #[test]
     fn odd_scenes_draw_something() {
-        for figures in [vec![], vec![crate::scene::Figure::default()]] {
-            let image = picture(&scene(figures), 1.0, (32, 32));
+        for objects in [vec![], vec![crate::scene::SceneObject::default()]] {
+            let image = picture(&scene(objects), 1.0, (32, 32));
             assert_eq!(image.rgb.len(), 3 * 32 * 32);
         }
         let mut broken = body(3);

@@ -1,21 +1,22 @@
-//! Draws one scene at many moments.
+//! Draws a scene at many times.
 
 use super::camera::{Camera, bounds, middle};
+use super::canvas::Image;
 use super::palette::BACKGROUND;
-use super::{Image, figure, floor, label};
-use crate::scene::{Figure, Floor, Scene};
+use super::{floor, label, object};
+use crate::scene::{Floor, Scene, SceneObject};
 
-/// The widest motion that a camera at rest looks at, in metres.
+/// Largest motion of a camera at rest, in metres.
 const AT_REST: f32 = 6.0;
-/// Seconds to both sides over which the way of a camera that follows is smoothed.
+/// Half width of the smoothing of a following camera, seconds.
 const SMOOTHING: f64 = 0.4;
-/// Most points that the way of a root is drawn with.
+/// Most points of a drawn root trajectory.
 const TRAIL_POINTS: usize = 600;
-/// Frames that the size of a motion is measured in, at most.
+/// Most frames for measuring the size of a motion.
 const MEASURED: usize = 300;
-/// How far the body of a lone root is taken to reach along each axis, in metres.
+/// Reach of a lone root along each axis, in metres.
 const LONE_REACH: f32 = 0.35;
-/// Figures that stand in one row; more of them make a square.
+/// Objects in one row; more form a square.
 const ROW: usize = 3;
 /// Smallest side of a picture, in pixels.
 const SMALLEST: u32 = 16;
@@ -29,22 +30,22 @@ pub(crate) struct Painter<'a> {
     views: Vec<View<'a>>,
 }
 
-/// A figure with its camera.
+/// An object with its camera.
 struct View<'a> {
-    figure: &'a Figure,
+    object: &'a SceneObject,
     camera: Camera,
-    /// What the camera looks at when it stands where `camera` says, on the ground.
+    /// Target of the unmoved camera on the ground.
     middle: [f32; 2],
     trail: Vec<[f32; 2]>,
-    /// The ground, where the camera is at rest.
+    /// The ground, if the camera is at rest.
     ground: Option<Image>,
 }
 
 impl<'a> Painter<'a> {
-    /// Gets ready to draw pictures of `size` pixels.
+    /// Prepares pictures of `size` pixels.
     pub fn new(scene: &'a Scene, (width, height): (u32, u32)) -> Self {
-        let figures: Vec<&Figure> = scene.figures.iter().filter(|f| f.frames() > 0).collect();
-        let count = figures.len().max(1);
+        let objects: Vec<&SceneObject> = scene.objects.iter().filter(|f| f.frames() > 0).collect();
+        let count = objects.len().max(1);
         let columns = if count <= ROW {
             count
         } else {
@@ -58,24 +59,24 @@ impl<'a> Painter<'a> {
             (width / columns).max(SMALLEST),
             (height / rows).max(SMALLEST),
         );
-        let views = figures.into_iter();
+        let views = objects.into_iter();
         Self {
             scene,
             size: (width.max(columns * cell.0), height.max(rows * cell.1)),
             columns,
             cell,
             views: views
-                .map(|figure| View::new(figure, &scene.floor, cell))
+                .map(|object| View::new(object, &scene.floor, cell))
                 .collect(),
         }
     }
 
-    /// Pixels of each picture: as asked for, but never too few.
+    /// Size of each picture in pixels, with a minimum.
     pub fn size(&self) -> (u32, u32) {
         self.size
     }
 
-    /// The scene after so many seconds.
+    /// The scene at a time.
     pub fn at(&self, seconds: f64) -> Image {
         let mut image = Image::filled(self.size.0, self.size.1, BACKGROUND);
         for (index, view) in self.views.iter().enumerate() {
@@ -87,7 +88,7 @@ impl<'a> Painter<'a> {
             if self.views.len() > 1 {
                 label::write(
                     &mut image,
-                    &view.figure.name,
+                    &view.object.name,
                     corner.0,
                     corner.1,
                     self.cell.0,
@@ -99,22 +100,22 @@ impl<'a> Painter<'a> {
 }
 
 impl<'a> View<'a> {
-    fn new(figure: &'a Figure, floor: &Floor, cell: (u32, u32)) -> Self {
-        let step = figure.frames().div_ceil(TRAIL_POINTS);
-        let trail: Vec<[f32; 2]> = (0..figure.frames())
+    fn new(object: &'a SceneObject, floor: &Floor, cell: (u32, u32)) -> Self {
+        let step = object.frames().div_ceil(TRAIL_POINTS);
+        let trail: Vec<[f32; 2]> = (0..object.frames())
             .step_by(step)
-            .map(|frame| on_ground(figure.joint(frame, 0)))
+            .map(|frame| on_ground(object.joint(frame, 0)))
             .collect();
-        let mut points = shown(figure, floor);
+        let mut points = shown(object, floor);
         let [low, high] = bounds(&points);
         let rest = (high[0] - low[0]).max(high[2] - low[2]) <= AT_REST;
         if !rest {
-            points = around_root(figure);
+            points = around_root(object);
         }
         let camera = Camera::around(&points, cell);
         let middle = on_ground(middle(&points));
         let mut view = Self {
-            figure,
+            object,
             camera,
             middle,
             trail,
@@ -137,16 +138,16 @@ impl<'a> View<'a> {
                 self.ground(&camera, middle, floor, cell)
             }
         };
-        let frame = self.figure.frame_at(seconds);
+        let frame = self.object.frame_at(seconds);
         floor::draw_now(&mut image, &camera, floor, frame);
-        let pose = self.figure.pose(seconds);
-        let contacts = self.figure.contacts.iter();
+        let pose = self.object.pose(seconds);
+        let contacts = self.object.contacts.iter();
         let standing: Vec<usize> = contacts
             .filter(|contact| contact.frames.get(frame) == Some(&true))
             .map(|contact| contact.joint)
             .filter(|joint| *joint < pose.joints.len())
             .collect();
-        figure::draw(&mut image, &camera, self.figure, &pose, &standing);
+        object::draw(&mut image, &camera, self.object, &pose, &standing);
         image
     }
 
@@ -162,11 +163,11 @@ impl<'a> View<'a> {
         image
     }
 
-    /// Where the root is on the ground, smoothed, so that a following camera does not tremble.
+    /// Smoothed ground position of the root, for a steady camera.
     fn followed(&self, seconds: f64) -> [f32; 2] {
         let places = (-4..=4).map(|step| {
             let moment = seconds + f64::from(step) / 4.0 * SMOOTHING;
-            on_ground(self.figure.pose(moment).joints[0])
+            on_ground(self.object.pose(moment).joints[0])
         });
         places.fold([0.0; 2], |sum: [f32; 2], [x, z]| {
             [sum[0] + x / 9.0, sum[1] + z / 9.0]
@@ -178,19 +179,18 @@ fn on_ground([x, _, z]: [f32; 3]) -> [f32; 2] {
     [x, z]
 }
 
-/// Every joint in frames all over the motion, with the room that a lone root's body takes, and the
-/// ground below the root.
-fn joints(figure: &Figure) -> impl Iterator<Item = (usize, [f32; 3])> {
-    let step = figure.frames().div_ceil(MEASURED).max(1);
-    let reach = if figure.joints() == 1 {
+/// Joint positions over the motion, with the reach of a lone root and the ground below the root.
+fn joints(object: &SceneObject) -> impl Iterator<Item = (usize, [f32; 3])> {
+    let step = object.frames().div_ceil(MEASURED).max(1);
+    let reach = if object.joints() == 1 {
         LONE_REACH
     } else {
         0.0
     };
-    let frames = (0..figure.frames()).step_by(step);
+    let frames = (0..object.frames()).step_by(step);
     let all = frames.flat_map(move |frame| {
-        let [x, y, z] = figure.joint(frame, 0);
-        let own = (0..figure.joints()).map(move |joint| figure.joint(frame, joint));
+        let [x, y, z] = object.joint(frame, 0);
+        let own = (0..object.joints()).map(move |joint| object.joint(frame, joint));
         let around = [-reach, reach].map(|by| [x + by, y + by, z + by]);
         let places = own.chain(around).chain([[x, 0.0, z]]);
         places.map(move |place| (frame, place))
@@ -198,8 +198,8 @@ fn joints(figure: &Figure) -> impl Iterator<Item = (usize, [f32; 3])> {
     all.filter(|(_, place)| place.iter().all(|value| value.abs() < 1e6))
 }
 
-/// What a camera at rest has to see: the motion and the goal.
-fn shown(figure: &Figure, floor: &Floor) -> Vec<[f32; 3]> {
+/// Points for a camera at rest: the motion and the goal.
+fn shown(object: &SceneObject, floor: &Floor) -> Vec<[f32; 3]> {
     let keys = floor.keyframes.iter().map(|(_, at)| *at);
     let points = floor.path.iter().copied().chain(keys);
     let obstacles = floor
@@ -207,16 +207,16 @@ fn shown(figure: &Figure, floor: &Floor) -> Vec<[f32; 3]> {
         .iter()
         .flat_map(|([x, z], radius)| [[x - radius, z - radius], [x + radius, z + radius]]);
     let ground = points.chain(obstacles).map(|[x, z]| [x, 0.0, z]);
-    joints(figure)
+    joints(object)
         .map(|(_, place)| place)
         .chain(ground)
         .collect()
 }
 
-/// What a camera that follows has to see: the body from its root, and some of the ground.
-fn around_root(figure: &Figure) -> Vec<[f32; 3]> {
-    let body = joints(figure).map(|(frame, [x, y, z])| {
-        let [from_x, _, from_z] = figure.joint(frame, 0);
+/// Points for a following camera: the body relative to its root, and some ground.
+fn around_root(object: &SceneObject) -> Vec<[f32; 3]> {
+    let body = joints(object).map(|(frame, [x, y, z])| {
+        let [from_x, _, from_z] = object.joint(frame, 0);
         [x - from_x, y, z - from_z]
     });
     let ground = [[-0.6, 0.0, -0.6], [0.6, 0.0, 0.6]];

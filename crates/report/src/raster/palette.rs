@@ -1,24 +1,24 @@
-//! The colours of pictures: few, so that animated pictures need no search for good ones.
+//! Colours of pictures; few, so that GIF palettes are exact.
 
-/// What is behind everything.
+/// Background.
 pub(crate) const BACKGROUND: [u8; 3] = [255, 255, 255];
 /// Lines on the floor.
 pub(crate) const GRID: [u8; 3] = [226, 228, 232];
 /// Shadows on the floor.
 pub(crate) const SHADOW: [u8; 3] = [205, 208, 214];
-/// The way of the root.
+/// Root trajectory.
 pub(crate) const TRAIL: [u8; 3] = [158, 166, 180];
 /// Left limbs.
 pub(crate) const LEFT: [u8; 3] = [222, 107, 40];
 /// Right limbs.
 pub(crate) const RIGHT: [u8; 3] = [38, 112, 190];
-/// Trunk and head, and what has no side.
+/// Trunk, head and joints without a side.
 pub(crate) const MIDDLE: [u8; 3] = [74, 84, 102];
 /// Edges of limbs.
 pub(crate) const EDGE: [u8; 3] = [28, 32, 40];
 /// Front of an oriented body.
 pub(crate) const FRONT: [u8; 3] = [92, 160, 222];
-/// What shows where an oriented body faces.
+/// Pointer in front of an oriented body.
 pub(crate) const NOSE: [u8; 3] = [240, 168, 36];
 /// A foot on the ground.
 pub(crate) const CONTACT: [u8; 3] = [52, 168, 83];
@@ -36,10 +36,10 @@ const COLOURS: [[u8; 3]; 14] = [
     TEXT,
 ];
 
-/// Steps from the background to each colour: what softened edges are made of.
+/// Steps from the background to each colour, for anti-aliased edges.
 const STEPS: usize = 4;
 
-/// The colours of an animated picture: the background, and every other colour in four steps from it.
+/// The palette of GIFs: the background and four steps to every other colour.
 pub(crate) const PALETTE: [[u8; 3]; 1 + STEPS * COLOURS.len()] = {
     let mut palette = [BACKGROUND; 1 + STEPS * COLOURS.len()];
     let mut colour = 0;

@@ -101,7 +101,7 @@ const readFigure = async (data) => {
   return figure;
 };
 
-// Extents, bones and the way of the root.
+// Extents, bones and the root trajectory.
 const measure = (figure, parents) => {
   const { positions, count, frames } = figure;
   const low = [Infinity, Infinity, Infinity];
@@ -156,10 +156,10 @@ const measure = (figure, parents) => {
   const tops = figure.bones.filter(({ parent, joint }) => parent === figure.head && /end|top/i.test(figure.joints[joint]));
   figure.top = tops.length === 1 ? tops[0].joint : figure.head;
   figure.bones = figure.bones.filter((bone) => !tops.includes(bone) || tops.length > 1);
-  figure.way = smoothed(figure, Math.round(0.5 * figure.fps));
+  figure.trajectory = smoothed(figure, Math.round(0.5 * figure.fps));
   figure.middle = [(low[0] + high[0]) / 2, (low[2] + high[2]) / 2];
   figure.around = {
-    way: outline(figure, (frame) => [figure.way[2 * frame], figure.way[2 * frame + 1]]),
+    trajectory: outline(figure, (frame) => [figure.trajectory[2 * frame], figure.trajectory[2 * frame + 1]]),
     middle: outline(figure, () => figure.middle),
   };
 };
@@ -174,14 +174,14 @@ const LONE = 0.5;
 // frames: `[reach, height]`, metres, of the lower and upper border of each layer.
 const outline = (figure, axis) => {
   const { positions, count, frames, bones, low, high, height } = figure;
-  const drawn = bones.length > 0 ? [...new Set(bones.flatMap(({ parent, joint }) => [parent, joint]))] : [...Array(count).keys()];
+  const joints = bones.length > 0 ? [...new Set(bones.flatMap(({ parent, joint }) => [parent, joint]))] : [...Array(count).keys()];
   const flesh = count === 1 ? LONE : FLESH * height;
   const [from, to] = [low[1] - flesh, Math.max(high[1] + flesh, low[1] + (count === 1 ? 1 : 0))];
   const thick = (to - from) / LAYERS || 1;
   const reaches = new Array(LAYERS).fill(-1);
   for (let t = 0; t < frames; t++) {
     const [x, z] = axis(t);
-    for (const joint of drawn) {
+    for (const joint of joints) {
       const at = 3 * (t * count + joint);
       const reach = Math.hypot(positions[at] - x, positions[at + 2] - z) + flesh;
       const y = positions[at + 1];
@@ -197,7 +197,7 @@ const outline = (figure, axis) => {
 // The root's place on the ground, `[frames, 2]`, averaged over `half` frames before and after: what
 // a camera follows.
 const smoothed = ({ positions, count, frames, root }, half) => {
-  const way = new Float32Array(2 * frames);
+  const trajectory = new Float32Array(2 * frames);
   for (const [axis, coordinate] of [[0, 0], [1, 2]]) {
     const sums = new Float64Array(frames + 1);
     for (let t = 0; t < frames; t++) {
@@ -205,8 +205,8 @@ const smoothed = ({ positions, count, frames, root }, half) => {
     }
     for (let t = 0; t < frames; t++) {
       const [from, to] = [Math.max(0, t - half), Math.min(frames, t + half + 1)];
-      way[2 * t + axis] = (sums[to] - sums[from]) / (to - from);
+      trajectory[2 * t + axis] = (sums[to] - sums[from]) / (to - from);
     }
   }
-  return way;
+  return trajectory;
 };

@@ -152,7 +152,7 @@ class Painter {
     return points;
   }
 
-  // The whole way of the root, faint, and that of the last two seconds.
+  // The root trajectory, faint, and its last two seconds.
   trails(index, frame) {
     if (!this.trail) return;
     const { context, scene, ratio } = this;
@@ -162,7 +162,7 @@ class Painter {
       const at = 3 * (t * count + root);
       return [positions[at], this.level, positions[at + 2]];
     };
-    const way = (from, to, most) => {
+    const line = (from, to, most) => {
       const step = Math.max(1, Math.ceil((to - from) / most));
       const points = [];
       for (let t = from; t < to; t += step) points.push(place(t));
@@ -175,10 +175,10 @@ class Painter {
     context.strokeStyle = colourOf(index);
     context.globalAlpha = 0.3;
     context.lineWidth = 1.2 * ratio;
-    way(0, frames - 1, 400);
+    line(0, frames - 1, 400);
     context.globalAlpha = 0.9;
     context.lineWidth = 2.6 * ratio;
-    way(Math.max(0, frame - Math.round(2 * fps)), frame, 120);
+    line(Math.max(0, frame - Math.round(2 * fps)), frame, 120);
     context.globalAlpha = 1;
   }
 

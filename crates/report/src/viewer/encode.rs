@@ -1,32 +1,31 @@
-//! Motion and curves as compact text: quantised, predicted, compressed, base64.
+//! Compact text for motion and curves: quantised, predicted, compressed, base64.
 //!
-//! A pack holds channels over the same frames. Each channel becomes 16-bit levels; of these the
-//! second differences are kept (a steady motion has small ones), as zigzag numbers, all low bytes
-//! before all high bytes, in a zlib stream. Browsers unpack it with `DecompressionStream`.
+//! A pack holds channels over the same frames. A channel is quantised to 16 bits and stored as
+//! zigzag second differences, which are small for steady motion, all low bytes before all high
+//! bytes, in a zlib stream. Browsers unpack it with `DecompressionStream`.
 
 use base64::Engine;
 use base64::prelude::BASE64_STANDARD;
 use libdeflater::{CompressionLvl, Compressor};
 use serde_json::{Value, json};
 
-/// Largest error of a quantised position along an axis, metres. Positions that spread too far for
-/// it are stored in single precision.
+/// Largest quantisation error of a position along an axis, metres. Positions that spread too far
+/// are stored in single precision.
 pub const POSITION_ERROR: f64 = 0.0002;
 
-/// Step between levels that is fine enough for positions of people, metres.
+/// A step that is fine enough for positions of people, metres.
 const FINE: f64 = 0.0001;
 
-/// Least number of levels over the spread of a figure that fine steps still leave.
+/// Least number of levels over the spread with fine steps.
 const LEAST_LEVELS: f64 = 8192.0;
 
-/// The level of a number of a curve that is not finite: nothing is drawn there.
+/// The level of a value that is not finite: a gap.
 const GAP: u16 = u16::MAX;
 
 /// Positions `[frames, joints, 3]` as a pack of `3 * joints` channels.
 ///
-/// With 16 bits a coordinate is at most half a step off: steps are 0.1 mm where the figure keeps
-/// within 6.5 m, and grow with the spread. A spread in which half a step exceeded
-/// [`POSITION_ERROR`] (26 m) is stored as the values are, in single precision.
+/// Steps are 0.1 mm up to a spread of 6.5 m and grow with the spread. Where half a step would
+/// exceed [`POSITION_ERROR`] (26 m), values are stored in single precision.
 pub fn positions(values: &[f32], joints: usize) -> Value {
     let width = 3 * joints;
     let axis = |axis: usize| values.iter().skip(axis).step_by(3).map(|v| f64::from(*v));
@@ -56,8 +55,8 @@ pub fn orientations(values: &[[f32; 4]]) -> Value {
     json!({ "kind": "u16", "channels": 4, "least": [-1.0], "step": 1.0 / 32767.0, "data": data })
 }
 
-/// Curves of `frames` values each, in 65534 steps between the least and the largest value of each.
-/// Shorter curves end early; a value that is not finite is a gap.
+/// Curves of `frames` values, quantised to 65534 steps between the minimum and maximum of each.
+/// Shorter curves end early; values that are not finite are gaps.
 pub fn curves(series: &[&[f32]], frames: usize) -> Value {
     let mut levels = Vec::with_capacity(series.len() * frames);
     let mut ranges = Vec::with_capacity(series.len());
@@ -80,13 +79,13 @@ pub fn curves(series: &[&[f32]], frames: usize) -> Value {
     json!({ "channels": series.len(), "ranges": ranges, "data": data })
 }
 
-/// Rows of `width` values as one channel after the other.
+/// Rows of `width` values in channel-major order.
 fn by_channel<T: Copy>(rows: &[T], width: usize) -> Vec<T> {
     let channels = (0..width).flat_map(|channel| rows.iter().skip(channel).step_by(width));
     channels.copied().collect()
 }
 
-/// Second differences of each of `channels`, zigzag, low bytes before high bytes.
+/// Zigzag second differences of each of `channels`, low bytes before high bytes.
 fn predicted(levels: &[u16], channels: usize) -> Vec<u8> {
     let frames = levels.len() / channels.max(1);
     let mut low = Vec::with_capacity(2 * levels.len());
@@ -126,7 +125,7 @@ fn deflated(bytes: &[u8]) -> String {
 mod tests {
     use super::*;
 
-    /// What the page makes of a pack of levels.
+    /// The levels of a pack as the page decodes them.
     fn unpacked(pack: &Value, frames: usize) -> Vec<u16> {
         let channels = pack["channels"].as_u64().unwrap() as usize;
         let packed = BASE64_STANDARD

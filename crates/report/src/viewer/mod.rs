@@ -1,8 +1,8 @@
-//! Pages that show a [`Scene`]: figures in motion to look at from all sides, with music, curves and
-//! what stands on the floor. A page is one file that needs no network.
+//! Pages that show a [`Scene`]: 3D motion with music, curves and floor marks. A page is a
+//! self-contained file.
 //!
-//! Positions are stored to 0.2 mm at worst (see [`encode`]). The drawing is ours, on a 2D canvas:
-//! it needs no graphics processor, and any number of figures fit on a page.
+//! Positions are exact to 0.2 mm (see [`encode`]). The drawing uses a 2D canvas: it needs no GPU,
+//! and any number of viewers fit on a page.
 
 mod encode;
 #[cfg(test)]
@@ -15,21 +15,21 @@ use base64::Engine;
 use base64::prelude::BASE64_STANDARD;
 use serde_json::{Value, json};
 
-use crate::page::escape;
-use crate::scene::{Contact, Figure, Floor, Origins, Scene, Song};
+use crate::escape::escape;
+use crate::scene::{Contact, Floor, Origins, Scene, SceneObject, Song};
 
-/// What pages with viewers may load, for `<meta http-equiv="Content-Security-Policy">`: only what
-/// stands in the page itself.
+/// Content security policy of pages with viewers, for `<meta
+/// http-equiv="Content-Security-Policy">`: nothing external.
 pub const CONTENT_SECURITY_POLICY: &str = "default-src 'none'; script-src 'unsafe-inline'; \
     style-src 'unsafe-inline'; img-src data: blob:; media-src data: blob:";
 
-/// The style sheet of viewers. Everything in it is about elements of class `kg`.
+/// The style sheet of viewers, for elements of class `kg`.
 pub fn style() -> &'static str {
     include_str!("viewer.css")
 }
 
-/// The script of viewers: it fills every [`embed`] of the page once that is loaded, and lists them
-/// in `window.kinegrad.viewers`.
+/// The script of viewers: it fills every [`embed`] of a loaded page and lists them in
+/// `window.kinegrad.viewers`.
 pub fn script() -> &'static str {
     concat!(
         "(() => {\n\"use strict\";\n",
@@ -44,10 +44,10 @@ pub fn script() -> &'static str {
     )
 }
 
-/// Where the data of a viewer begin and end in its element.
+/// Delimiters of the data of a viewer.
 const DATA: [&str; 2] = ["<script type=\"application/json\">", "</script>"];
 
-/// The scene as an element of a page that has [`style`] and [`script`].
+/// The scene as an element of a page with [`style`] and [`script`].
 pub fn embed(scene: &Scene) -> String {
     element(&scene.title, &scene_json(scene, false), "kg")
 }
@@ -78,34 +78,34 @@ pub fn page(scene: &Scene) -> String {
     )
 }
 
-/// JSON that ends no script: `<` only stands in its strings.
+/// JSON without `<`, which stands only in its strings and could end the script.
 fn inert(json: &Value) -> String {
     json.to_string().replace('<', "\\u003c")
 }
 
 fn scene_json(scene: &Scene, small: bool) -> Value {
-    let figures: Vec<Value> = scene
-        .figures
+    let objects: Vec<Value> = scene
+        .objects
         .iter()
-        .map(|figure| figure_json(figure, small))
+        .map(|object| object_json(object, small))
         .collect();
     let song = scene.song.as_ref().filter(|_| !small);
     json!({
         "title": scene.title,
-        "figures": figures,
+        "figures": objects,
         "floor": floor_json(&scene.floor),
         "song": song.map(song_json),
     })
 }
 
-fn figure_json(figure: &Figure, small: bool) -> Value {
-    let frames = figure.frames();
-    let parents = figure.parents.iter().map(|parent| match parent {
+fn object_json(object: &SceneObject, small: bool) -> Value {
+    let frames = object.frames();
+    let parents = object.parents.iter().map(|parent| match parent {
         Some(parent) => json!(parent),
         None => json!(-1),
     });
-    let contacts = figure.contacts.iter();
-    let charts = figure.curves.iter().filter(|_| !small);
+    let contacts = object.contacts.iter();
+    let charts = object.curves.iter().filter(|_| !small);
     let series: Vec<&[f32]> = charts
         .clone()
         .flat_map(|chart| chart.series.iter().map(|(_, values)| values.as_slice()))
@@ -115,17 +115,17 @@ fn figure_json(figure: &Figure, small: bool) -> Value {
         json!({ "title": chart.title, "series": names })
     });
     json!({
-        "name": figure.name,
-        "fps": figure.fps,
+        "name": object.name,
+        "fps": object.fps,
         "frames": frames,
-        "joints": figure.joint_names,
+        "joints": object.joint_names,
         "parents": parents.collect::<Vec<_>>(),
-        "positions": encode::positions(&figure.positions, figure.joints()),
-        "orientations": figure.orientations.as_deref().map(encode::orientations),
+        "positions": encode::positions(&object.positions, object.joints()),
+        "orientations": object.orientations.as_deref().map(encode::orientations),
         "contacts": contacts.map(contact_json).collect::<Vec<_>>(),
         "charts": named.collect::<Vec<_>>(),
         "curves": encode::curves(&series, frames),
-        "origins": figure.origins.as_ref().filter(|_| !small).map(origins_json),
+        "origins": object.origins.as_ref().filter(|_| !small).map(origins_json),
     })
 }
 
@@ -147,7 +147,7 @@ fn origins_json(origins: &Origins) -> Value {
     })
 }
 
-/// A contact as the ranges of frames in which the joint stands, ends excluded.
+/// A contact as half-open frame ranges.
 fn contact_json(contact: &Contact) -> Value {
     let mut ranges: Vec<[usize; 2]> = Vec::new();
     for frame in (0..contact.frames.len()).filter(|frame| contact.frames[*frame]) {

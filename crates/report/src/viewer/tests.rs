@@ -1,9 +1,9 @@
 use super::*;
 use crate::scene::{Curves, Run};
 
-fn figure(name: &str, frames: usize, joints: usize) -> Figure {
+fn object(name: &str, frames: usize, joints: usize) -> SceneObject {
     let place = |i: usize| (i as f32 * 0.37).sin();
-    Figure {
+    SceneObject {
         name: name.to_string(),
         fps: 30.0,
         positions: (0..frames * joints * 3).map(place).collect(),
@@ -17,7 +17,7 @@ fn figure(name: &str, frames: usize, joints: usize) -> Figure {
             title: "height (m)".to_string(),
             series: vec![("root".to_string(), vec![1.0; frames])],
         }],
-        ..Figure::default()
+        ..SceneObject::default()
     }
 }
 
@@ -25,7 +25,7 @@ fn figure(name: &str, frames: usize, joints: usize) -> Figure {
 fn a_page_refers_to_nothing_outside_of_itself() {
     let page = page(&Scene {
         title: "one".to_string(),
-        figures: vec![figure("a", 9, 3)],
+        objects: vec![object("a", 9, 3)],
         ..Scene::default()
     });
     // The name of the language of icons, which nothing loads.
@@ -40,7 +40,7 @@ fn names_are_text_wherever_they_stand() {
     let name = "</script><script>alert(1)</script><!--\"'&\u{2028}";
     let scene = Scene {
         title: name.to_string(),
-        figures: vec![figure(name, 2, 1)],
+        objects: vec![object(name, 2, 1)],
         ..Scene::default()
     };
     let page = page(&scene);
@@ -56,7 +56,7 @@ fn names_are_text_wherever_they_stand() {
 #[test]
 fn contacts_are_ranges_and_thumbnails_leave_curves_and_song_out() {
     let scene = Scene {
-        figures: vec![figure("a", 7, 2)],
+        objects: vec![object("a", 7, 2)],
         song: Some(Song {
             media_type: "audio/wav",
             bytes: vec![1, 2, 3],
@@ -94,9 +94,9 @@ fn origins_are_runs_of_named_examples() {
         parts: vec![("body".to_string(), vec![run])],
     };
     let scene = Scene {
-        figures: vec![Figure {
+        objects: vec![SceneObject {
             origins: Some(origins),
-            ..figure("a", 9, 2)
+            ..object("a", 9, 2)
         }],
         ..Scene::default()
     };
@@ -105,7 +105,7 @@ fn origins_are_runs_of_named_examples() {
     assert_eq!(large["parts"][0]["runs"], json!([[3, 1, 20, 6]]));
     assert!(scene_json(&scene, true)["figures"][0]["origins"].is_null());
     let plain = Scene {
-        figures: vec![figure("a", 9, 2)],
+        objects: vec![object("a", 9, 2)],
         ..Scene::default()
     };
     assert!(scene_json(&plain, false)["figures"][0]["origins"].is_null());
@@ -119,7 +119,7 @@ fn four_clips_of_ten_seconds_with_seventy_joints_fit_into_a_megabyte_and_a_half(
         state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
         (state >> 8) as f32 / (1 << 24) as f32 * 0.0005
     };
-    let mut clip = figure("clip", 0, 70);
+    let mut clip = object("clip", 0, 70);
     clip.fps = 60.0;
     for t in 0..600 {
         for c in 0..210 {
@@ -128,7 +128,7 @@ fn four_clips_of_ten_seconds_with_seventy_joints_fit_into_a_megabyte_and_a_half(
         }
     }
     let scene = Scene {
-        figures: vec![clip; 4],
+        objects: vec![clip; 4],
         ..Scene::default()
     };
     let bytes = page(&scene).len();

@@ -1,12 +1,11 @@
-//! Small viewers, made of a scene or taken from a page that was written before.
+//! Small viewers, from scenes or from existing pages.
 
 use serde_json::{Value, json};
 
 use super::{DATA, element, scene_json};
 use crate::scene::Scene;
 
-/// A figure or several as a small viewer: it loops while it is on the screen, and has neither curves
-/// nor song.
+/// A small viewer of one or several objects: it loops while it is visible, without curves or song.
 #[derive(Clone, Debug)]
 pub struct Thumbnail {
     title: String,
@@ -23,7 +22,7 @@ impl From<Scene> for Thumbnail {
 }
 
 impl Thumbnail {
-    /// A thumbnail of each figure in a [page](super::page); none where the text is no such page.
+    /// A thumbnail of each object in a [page](super::page); none for other text.
     pub fn of_page(page: &str) -> Vec<Self> {
         let data = || {
             let [begin, end] = DATA;
@@ -34,22 +33,22 @@ impl Thumbnail {
         let Some(mut scene) = data() else {
             return Vec::new();
         };
-        let figures = scene
+        let objects = scene
             .get_mut("figures")
             .and_then(Value::as_array_mut)
             .map(std::mem::take);
         let floor = scene.get_mut("floor").map(Value::take);
-        let thumbnails = figures.unwrap_or_default().into_iter();
-        let thumbnails = thumbnails.filter(Value::is_object).map(|mut figure| {
-            let title = figure["name"].as_str().unwrap_or_default().to_owned();
-            // What a small viewer does not show.
-            let frames = figure["frames"].as_u64().unwrap_or_default() as usize;
-            figure["charts"] = json!([]);
-            figure["curves"] = super::encode::curves(&[], frames);
+        let thumbnails = objects.unwrap_or_default().into_iter();
+        let thumbnails = thumbnails.filter(Value::is_object).map(|mut object| {
+            let title = object["name"].as_str().unwrap_or_default().to_owned();
+            // Omitted in small viewers.
+            let frames = object["frames"].as_u64().unwrap_or_default() as usize;
+            object["charts"] = json!([]);
+            object["curves"] = super::encode::curves(&[], frames);
             Self {
                 data: json!({
                     "title": title,
-                    "figures": [figure],
+                    "figures": [object],
                     "floor": floor,
                     "song": null,
                 }),
@@ -59,7 +58,7 @@ impl Thumbnail {
         thumbnails.collect()
     }
 
-    /// As an element of a page that has [`style`](super::style) and [`script`](super::script).
+    /// An element of a page with [`style`](super::style) and [`script`](super::script).
     pub fn html(&self) -> String {
         element(&self.title, &self.data, "kg kg-small")
     }
@@ -68,26 +67,26 @@ impl Thumbnail {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::Figure;
+    use crate::scene::SceneObject;
     use crate::scene::tests::{body, dancer};
     use crate::viewer::page;
 
     #[test]
-    fn a_page_gives_the_thumbnails_of_its_figures() {
-        let figures = [body(12), dancer(20, 0.5)];
-        let scene = |figures: &[Figure]| Scene {
-            title: figures[0].name.clone(),
-            figures: figures.to_vec(),
+    fn a_page_gives_the_thumbnails_of_its_objects() {
+        let objects = [body(12), dancer(20, 0.5)];
+        let scene = |objects: &[SceneObject]| Scene {
+            title: objects[0].name.clone(),
+            objects: objects.to_vec(),
             ..Scene::default()
         };
-        let found = Thumbnail::of_page(&page(&scene(&figures)));
+        let found = Thumbnail::of_page(&page(&scene(&objects)));
         let found: Vec<String> = found.iter().map(Thumbnail::html).collect();
-        let each = figures.map(|figure| Thumbnail::from(scene(&[figure])).html());
+        let each = objects.map(|object| Thumbnail::from(scene(&[object])).html());
         assert_eq!(found, each);
     }
 
     #[test]
-    fn what_is_no_page_gives_none_and_nothing_becomes_markup() {
+    fn other_text_gives_none_and_nothing_becomes_markup() {
         for page in ["", "<p>", "<script type=\"application/json\">{</script>"] {
             assert!(Thumbnail::of_page(page).is_empty());
         }

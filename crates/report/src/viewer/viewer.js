@@ -231,10 +231,10 @@ class Viewer {
     const { ground, width, height } = pane;
     const goals = this.following ? [] : this.goalPlaces();
     const figures = pane.figures.map((index) => {
-      const { way, middle, around } = this.scene.figures[index];
+      const { trajectory, middle, around } = this.scene.figures[index];
       const t = this.frameOf(index);
-      const axis = this.following ? [way[2 * t], way[2 * t + 1]] : middle;
-      return { axis, outline: this.following ? around.way : around.middle };
+      const axis = this.following ? [trajectory[2 * t], trajectory[2 * t + 1]] : middle;
+      return { axis, outline: this.following ? around.trajectory : around.middle };
     });
     const places = [...figures.map(({ axis }) => axis), ...goals];
     const [x, z] = [0, 1].map((axis) => {
@@ -425,22 +425,22 @@ class Viewer {
 
   // Mouse and touch on the canvas.
   hands() {
-    const held = new Map();
+    const pointers = new Map();
     const { canvas, camera } = this;
     const pinch = () => {
-      const [a, b] = [...held.values()];
+      const [a, b] = [...pointers.values()];
       return { x: (a.x + b.x) / 2, y: (a.y + b.y) / 2, apart: Math.hypot(a.x - b.x, a.y - b.y) };
     };
     canvas.addEventListener("pointerdown", (event) => {
       canvas.setPointerCapture(event.pointerId);
-      held.set(event.pointerId, { x: event.clientX, y: event.clientY });
+      pointers.set(event.pointerId, { x: event.clientX, y: event.clientY });
     });
     canvas.addEventListener("pointermove", (event) => {
-      const before = held.get(event.pointerId);
+      const before = pointers.get(event.pointerId);
       if (!before) return;
       const now = { x: event.clientX, y: event.clientY };
-      const old = held.size === 2 ? pinch() : null;
-      held.set(event.pointerId, now);
+      const old = pointers.size === 2 ? pinch() : null;
+      pointers.set(event.pointerId, now);
       const [dx, dy] = [now.x - before.x, now.y - before.y];
       if (old) {
         const two = pinch();
@@ -454,7 +454,7 @@ class Viewer {
       this.stale = true;
     });
     for (const end of ["pointerup", "pointercancel"]) {
-      canvas.addEventListener(end, (event) => held.delete(event.pointerId));
+      canvas.addEventListener(end, (event) => pointers.delete(event.pointerId));
     }
     if (this.small) return;
     canvas.addEventListener("contextmenu", (event) => event.preventDefault());

@@ -30,7 +30,7 @@ fn starts(made: &Made) -> Vec<usize> {
 
 /// Source time of each frame, by part; a line ends at a splice.
 fn origins(made: &Made) -> Panel {
-    let (frame_time, starts) = (made.figure.frame_time(), starts(made));
+    let (frame_time, starts) = (made.layout.frame_time(), starts(made));
     let mut series: Vec<Series> = Vec::new();
     for (part, origins) in made.parts.iter().zip(&made.synthesis.origins) {
         let mut points = Vec::new();
@@ -62,7 +62,7 @@ fn coverage(made: &Made, examples: &[String]) -> Panel {
     let tracks = tracks.map(|(name, used)| (name.as_str(), used.as_slice()));
     Panel::strip(
         "used frames of the examples",
-        1.0 / made.figure.frame_time(),
+        1.0 / made.layout.frame_time(),
         tracks,
     )
 }
@@ -70,8 +70,8 @@ fn coverage(made: &Made, examples: &[String]) -> Panel {
 /// The root path, and that of the first example.
 fn path(made: &Made, metres: f64) -> Panel {
     let of = |frames| {
-        let path = made.figure.path(frames).into_iter();
-        path.map(|place| made.figure.from_above(place.map(|value| value * metres)))
+        let path = made.layout.path(frames).into_iter();
+        path.map(|place| made.layout.top_view(place.map(|value| value * metres)))
             .collect()
     };
     let series = vec![

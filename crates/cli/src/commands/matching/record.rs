@@ -64,7 +64,7 @@ struct PartRecord {
 impl Record {
     /// The record of `made`.
     pub fn new(arguments: &MatchArguments, job: &Job, made: &Made) -> Self {
-        let joints = made.figure.joints();
+        let joints = made.layout.joints();
         let known = made.novelty().into_iter().zip(made.runs());
         let parts = made.parts.iter().zip(known);
         let parts = parts.map(|(part, (novelty, runs))| PartRecord {
@@ -95,7 +95,7 @@ impl Record {
             settings: job.settings.clone(),
             coherence: arguments.coherence,
             frames: made.bvh.frames(),
-            fps: 1.0 / made.figure.frame_time(),
+            fps: 1.0 / made.layout.frame_time(),
             heading: arguments.heading,
             parts: parts.collect(),
             keyframes: arguments.keyframes.clone(),

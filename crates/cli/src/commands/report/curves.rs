@@ -1,6 +1,6 @@
 //! The curves of a training.
 
-use kinegrad_report::page::{Chart, Line};
+use kinegrad_report::{Panel, Series};
 use kinegrad_train::telemetry::Record;
 
 /// Scalars that measure time.
@@ -13,7 +13,7 @@ const SPEED: &str = "steps_per_second";
 const ORDER: [&str; 5] = ["loss", "val_loss", "lr", "grad_norm", SPEED];
 
 /// All scalars over steps, related ones in one chart. Terms of a loss are shown if there are several.
-pub fn charts(records: &[Record]) -> Vec<Chart> {
+pub fn charts(records: &[Record]) -> Vec<Panel> {
     let mut names: Vec<&str> = Vec::new();
     for (name, _) in records.iter().flat_map(|record| record.scalars()) {
         if !names.contains(&name.as_str()) && !CLOCK.contains(&name.as_str()) {
@@ -22,19 +22,14 @@ pub fn charts(records: &[Record]) -> Vec<Chart> {
     }
     // The speed in records of validations is not that of training.
     let counts = |record: &Record, name: &str| name != SPEED || record.get("loss").is_some();
-    let line = |name: &str, prefix: &str| {
+    let line = |name: &str, prefix: &str| -> Series {
         let measured = records.iter().filter(|record| counts(record, name));
-        Line {
-            name: name[prefix.len()..].to_string(),
-            points: measured
-                .filter_map(|record| Some((record.step as f64, record.get(name)?)))
-                .collect(),
-        }
+        let points = measured.filter_map(|record| Some((record.step as f64, record.get(name)?)));
+        (name[prefix.len()..].to_string(), points.collect())
     };
-    let chart = |title: &str, names: &[&str], prefix: &str| Chart {
-        title: title.to_string(),
-        x_label: "step".to_string(),
-        lines: names.iter().map(|name| line(name, prefix)).collect(),
+    let chart = |title: &str, names: &[&str], prefix: &str| {
+        let lines = names.iter().map(|name| line(name, prefix));
+        Panel::lines(title, "step", lines.collect())
     };
     // Colours and places do not depend on the first record.
     names.sort_by_key(|name| {
@@ -106,8 +101,8 @@ mod tests {
         let shown: Vec<_> = charts
             .iter()
             .map(|chart| {
-                let names = chart.lines.iter().map(|line| line.name.as_str());
-                (chart.title.as_str(), names.collect::<Vec<_>>())
+                let names = chart.series().iter().map(|(name, _)| name.as_str());
+                (chart.title(), names.collect::<Vec<_>>())
             })
             .collect();
         let expected = [
@@ -130,10 +125,10 @@ mod tests {
             .with("loss", 2.0)
             .with("steps_per_second", 3.0);
         let charts = charts(&[validation(0), step.with("grad_norm", 1.0), validation(1)]);
-        let titles: Vec<&str> = charts.iter().map(|chart| chart.title.as_str()).collect();
+        let titles: Vec<&str> = charts.iter().map(Panel::title).collect();
         assert_eq!(titles, ["loss", "gradient norm", "steps per second"]);
-        assert_eq!(charts[0].lines[0].name, "loss");
-        assert_eq!(charts[2].lines[0].points, [(1.0, 3.0)]);
+        assert_eq!(charts[0].series()[0].0, "loss");
+        assert_eq!(charts[2].series()[0].1, [(1.0, 3.0)]);
     }
 
     #[test]

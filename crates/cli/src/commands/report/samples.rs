@@ -73,7 +73,7 @@ fn read(systems: Systems<'_>, run: &Run, path: &Path) -> Result<Sample, Error> {
         strict: statistics.and_then(|_| check(Profile::Strict)),
         scene: figure.map(|figure| Scene {
             title: name.to_string(),
-            figures: vec![figure],
+            objects: vec![figure],
             ..Scene::default()
         }),
         name: name.into_owned(),

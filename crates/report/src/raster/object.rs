@@ -1,13 +1,13 @@
-//! A body as limbs, and a lone root as an oriented box.
+//! Objects: bodies as limbs, lone roots as oriented boxes.
 
-use super::Image;
 use super::camera::{Camera, Seen};
+use super::canvas::Image;
 use super::palette::{CONTACT, EDGE, FRONT, LEFT, MIDDLE, NOSE, RIGHT, SHADOW};
-use crate::scene::{Figure, Pose, Side, rotate};
+use crate::scene::{Pose, SceneObject, Side, rotate};
 
-/// Half sizes of an oriented body in metres: to its side, up and to its front.
+/// Half sizes of an oriented body in metres: side, up, front.
 const BODY: [f32; 3] = [0.17, 0.26, 0.1];
-/// How far what shows its front sticks out of it.
+/// Length of the pointer in front, metres.
 const NOSE_LENGTH: f32 = 0.22;
 /// Corners of the six faces of a box, each by the bits of its axes (side, up, front).
 const FACES: [[usize; 4]; 6] = [
@@ -19,7 +19,7 @@ const FACES: [[usize; 4]; 6] = [
     [4, 6, 7, 5],
 ];
 
-/// Something to be drawn, and how far away it is.
+/// A shape with its distance.
 struct Part {
     depth: f32,
     shape: Shape,
@@ -37,23 +37,23 @@ enum Shape {
     },
 }
 
-/// Draws a figure as it stands in `pose`, with its shadow; `standing` are the joints with contact.
+/// Draws an object in `pose` with its shadow; `standing` are the joints in contact.
 pub(super) fn draw(
     image: &mut Image,
     camera: &Camera,
-    figure: &Figure,
+    object: &SceneObject,
     pose: &Pose,
     standing: &[usize],
 ) {
-    shadow(image, camera, figure, pose);
+    shadow(image, camera, object, pose);
     let mut parts = Vec::new();
     match pose.orientation {
         Some(orientation) => body(&mut parts, camera, pose.joints[0], orientation),
-        None => limbs(&mut parts, camera, figure, pose),
+        None => limbs(&mut parts, camera, object, pose),
     }
     for joint in standing {
         if let Some(seen) = camera.see(pose.joints[*joint]) {
-            // Before the foot that it marks.
+            // In front of the foot.
             parts.push(limb([seen, seen], [0.045; 2], CONTACT, -0.2));
         }
     }
@@ -74,7 +74,7 @@ pub(super) fn draw(
     }
 }
 
-/// A limb of a radius in metres; `nearer` metres are added to its distance.
+/// A limb with radii in metres; `nearer` is added to its distance.
 fn limb(ends: [Seen; 2], radii: [f32; 2], colour: [u8; 3], nearer: f32) -> Part {
     let [a, b] = ends;
     Part {
@@ -90,23 +90,23 @@ fn limb(ends: [Seen; 2], radii: [f32; 2], colour: [u8; 3], nearer: f32) -> Part 
     }
 }
 
-fn limbs(parts: &mut Vec<Part>, camera: &Camera, figure: &Figure, pose: &Pose) {
-    let colour = |joint: usize| match figure.side(joint) {
+fn limbs(parts: &mut Vec<Part>, camera: &Camera, object: &SceneObject, pose: &Pose) {
+    let colour = |joint: usize| match object.side(joint) {
         Side::Left => LEFT,
         Side::Right => RIGHT,
         Side::Middle => MIDDLE,
     };
     for (joint, place) in pose.joints.iter().enumerate() {
-        let radius = figure.bone_radius(joint, &pose.joints);
-        let end = match figure.parents[joint] {
+        let radius = object.bone_radius(joint, &pose.joints);
+        let end = match object.parents[joint] {
             Some(parent) => pose.joints[parent],
-            None if figure.joints() == 1 => *place,
+            None if object.joints() == 1 => *place,
             None => continue,
         };
         if let Some(seen) = camera.line(end, *place) {
             parts.push(limb(seen, [radius; 2], colour(joint), 0.0));
         }
-        if let (true, Some(seen)) = (figure.is_head(joint), camera.see(*place)) {
+        if let (true, Some(seen)) = (object.is_head(joint), camera.see(*place)) {
             parts.push(limb([seen, seen], [2.6 * radius; 2], colour(joint), 0.0));
         }
     }
@@ -167,15 +167,15 @@ fn body(parts: &mut Vec<Part>, camera: &Camera, centre: [f32; 3], orientation: [
     }
 }
 
-/// The shadow of the figure, right below it.
-fn shadow(image: &mut Image, camera: &Camera, figure: &Figure, pose: &Pose) {
+/// The shadow vertically below the object.
+fn shadow(image: &mut Image, camera: &Camera, object: &SceneObject, pose: &Pose) {
     let ground = |joint: usize| {
         let [x, _, z] = pose.joints[joint];
         [x, 0.0, z]
     };
     for joint in 0..pose.joints.len() {
-        let end = figure.parents[joint].unwrap_or(joint);
-        let lone = figure.joints() == 1;
+        let end = object.parents[joint].unwrap_or(joint);
+        let lone = object.joints() == 1;
         let radius = if lone { BODY[0] } else { 0.04 };
         if let Some([a, b]) = camera.line(ground(end), ground(joint)) {
             image.stroke([a.at, b.at], [radius * a.scale, radius * b.scale], SHADOW);

@@ -1,13 +1,12 @@
-//! Key frames of a level, all together.
+//! All key frames of a level.
 
-use super::Held;
+use super::Constraint;
 use crate::Frames;
 
-/// Frames of a level that bend towards a key frame at least: about half a patch, so that patches of
-/// its source match there from the coarsest level on. Less where a level is so short that little
-/// would be left to the noise.
+/// Least reach in frames of a level, about half a patch, so that patches of the source match there
+/// from the coarsest level on. Short levels have less, to leave room for the noise.
 const LEAST_REACH: usize = 6;
-/// A level has so many frames for each of these at least.
+/// Least frames of a level for each frame of reach.
 const FRAMES_PER_REACH: usize = 8;
 
 /// A key frame of a level.
@@ -16,42 +15,44 @@ struct Key<'a> {
     channels: &'a [usize],
     source: &'a Frames,
     from: usize,
-    /// Frames of the source between two of the level.
+    /// Source frames between two frames of the level.
     pace: f64,
     reach: usize,
 }
 
-/// Makes a level's motion pass its key frames. What they weigh is summed up before any frame changes,
-/// so their order does not matter. Says of each frame whether it bends; nothing without key frames.
-pub(super) fn hold(held: &[Held], frames: &mut Frames, around: bool) -> Vec<bool> {
+/// Blends a motion into its key frames. Weights are summed before any frame changes, so order does
+/// not matter. Returns whether each frame was blended; empty without key frames.
+pub(super) fn apply(constraints: &[Constraint], frames: &mut Frames, is_loop: bool) -> Vec<bool> {
     let n = frames.frames();
     let least = LEAST_REACH.min(n / FRAMES_PER_REACH);
-    let keys = held.iter().filter_map(|held| match held {
-        Held::Channels { .. } => None,
-        Held::Keyframe {
-            at,
-            channels,
-            source,
-            from,
-            frames: finest,
-            reach,
-        } => {
-            let pace = (*finest as f64 / n as f64).max(1.0);
-            Some(Key {
-                t: Held::frame(*at, n),
+    let keys = constraints
+        .iter()
+        .filter_map(|constraint| match constraint {
+            Constraint::Channels { .. } => None,
+            Constraint::Keyframe {
+                at,
                 channels,
                 source,
-                from: *from,
-                pace,
-                reach: ((*reach as f64 / pace).ceil() as usize).max(least),
-            })
-        }
-    });
+                from,
+                frames: finest,
+                reach,
+            } => {
+                let pace = (*finest as f64 / n as f64).max(1.0);
+                Some(Key {
+                    t: Constraint::frame(*at, n),
+                    channels,
+                    source,
+                    from: *from,
+                    pace,
+                    reach: ((*reach as f64 / pace).ceil() as usize).max(least),
+                })
+            }
+        });
     let keys: Vec<Key<'_>> = keys.collect();
     if keys.is_empty() {
         return Vec::new();
     }
-    // The key frames of each channel, and how many there are in one frame.
+    // Key frames of each channel.
     let mut moments: Vec<Vec<usize>> = vec![Vec::new(); frames.channels()];
     for key in &keys {
         for &channel in key.channels {
@@ -66,13 +67,13 @@ pub(super) fn hold(held: &[Held], frames: &mut Frames, around: bool) -> Vec<bool
         let shares: Vec<f32> = shares.collect();
         for ahead in [false, true] {
             let reaches = key.channels.iter().map(|&channel| {
-                let next = nearest(&moments[channel], key.t, ahead, around.then_some(n));
-                let most = if around { (n - 1) / 2 } else { usize::MAX };
+                let next = nearest(&moments[channel], key.t, ahead, is_loop.then_some(n));
+                let most = if is_loop { (n - 1) / 2 } else { usize::MAX };
                 key.reach.min(most).min(next.unwrap_or(usize::MAX) - 1)
             });
             let reaches: Vec<usize> = reaches.collect();
             let furthest = reaches.iter().copied().max().unwrap_or(0);
-            let room = match (around, ahead) {
+            let room = match (is_loop, ahead) {
                 (true, _) => n,
                 (false, true) => n - 1 - key.t,
                 (false, false) => key.t,
@@ -103,9 +104,9 @@ pub(super) fn hold(held: &[Held], frames: &mut Frames, around: bool) -> Vec<bool
     weights.map(|row| row.iter().any(|&w| w > 0.0)).collect()
 }
 
-/// Frames from `t` to the next other of `moments`, ahead or behind; in a loop of `around` frames on
-/// around it.
-fn nearest(moments: &[usize], t: usize, ahead: bool, around: Option<usize>) -> Option<usize> {
+/// Distance from `t` to the next other of `moments`, ahead or behind, around a loop of
+/// `loop_frames` frames.
+fn nearest(moments: &[usize], t: usize, ahead: bool, loop_frames: Option<usize>) -> Option<usize> {
     let others = moments.iter().copied().filter(|&other| other != t);
     let apart = others.filter_map(|other| {
         let apart = if ahead {
@@ -113,7 +114,7 @@ fn nearest(moments: &[usize], t: usize, ahead: bool, around: Option<usize>) -> O
         } else {
             t as i64 - other as i64
         };
-        match around {
+        match loop_frames {
             Some(n) => Some(apart.rem_euclid(n as i64) as usize),
             None => usize::try_from(apart).ok(),
         }
@@ -121,7 +122,7 @@ fn nearest(moments: &[usize], t: usize, ahead: bool, around: Option<usize>) -> O
     apart.min()
 }
 
-/// 1 at a key frame and 0 beyond its reach, flat at both.
+/// Weight of a blend: 1 at the key frame, 0 beyond its reach, with zero slope at both.
 pub(super) fn falloff(distance: usize, reach: usize) -> f32 {
     let part = distance as f32 / (reach + 1) as f32;
     1.0 - part * part * part * (10.0 - part * (15.0 - 6.0 * part))

@@ -4,10 +4,10 @@ use std::fmt::Write;
 
 use kinegrad_motion::Quaternion;
 
-use super::survey::travelling;
+use super::skeleton::root_joint;
 use super::*;
 
-/// A figure of hips and two legs below a root that stays, `frames` of it.
+/// A layout of hips and two legs below a root that stays, `frames` of it.
 pub(crate) fn text(frames: usize, frame_time: f64) -> String {
     let mut text = "HIERARCHY\nROOT Root\n{\nOFFSET 0 0 0\n\
         CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation\n\
@@ -56,18 +56,18 @@ pub(crate) fn example(file: &str, frames: usize, frame_time: f64) -> Example {
     }
 }
 
-fn figure(examples: &[Example]) -> Figure {
-    Figure::new(examples, FigureOptions::default()).unwrap()
+fn layout(examples: &[Example]) -> MotionMatrix {
+    MotionMatrix::new(examples, MatrixOptions::default()).unwrap()
 }
 
 #[test]
 fn a_motion_comes_back_as_it_was() {
     let walk = example("walk.bvh", 60, 1.0 / 30.0);
-    let figure = figure(std::slice::from_ref(&walk));
-    assert_eq!(figure.joints()[figure.travelling()].name, "Hips");
-    let frames = figure.frames(&walk).unwrap();
+    let layout = layout(std::slice::from_ref(&walk));
+    assert_eq!(layout.joints()[layout.root_joint()].name, "Hips");
+    let frames = layout.to_frames(&walk).unwrap();
     assert_eq!((frames.frames(), frames.channels()), (60, 6 * 6 + 3));
-    let back = figure.bvh(&frames).unwrap();
+    let back = layout.to_bvh(&frames).unwrap();
     assert_eq!(back.joints(), walk.bvh.joints());
     for t in 0..60 {
         for (found, value) in back.frame(t).iter().zip(walk.bvh.frame(t)) {
@@ -75,25 +75,25 @@ fn a_motion_comes_back_as_it_was() {
         }
     }
     // The first displacement is one, and the height stays a height.
-    let way = figure.way();
-    let first = &frames.frame(0)[way.clone()];
-    assert_eq!(first[0], frames.frame(1)[way.start]);
+    let root = layout.root_channels();
+    let first = &frames.frame(0)[root.clone()];
+    assert_eq!(first[0], frames.frame(1)[root.start]);
     assert!((f64::from(first[1]) * 43.0 - 92.0).abs() < 1e-4);
 }
 
 #[test]
 fn a_motion_seen_from_its_heading_comes_back_and_turns_do_not_matter() {
     let walk = example("walk.bvh", 60, 1.0 / 30.0);
-    let by_heading = FigureOptions {
+    let by_heading = MatrixOptions {
         heading: true,
-        ..FigureOptions::default()
+        ..MatrixOptions::default()
     };
     let of = |walk: &Example| {
-        let figure = Figure::new(std::slice::from_ref(walk), by_heading.clone()).unwrap();
-        let frames = figure.frames(walk).unwrap();
-        (figure, frames)
+        let layout = MotionMatrix::new(std::slice::from_ref(walk), by_heading.clone()).unwrap();
+        let frames = layout.to_frames(walk).unwrap();
+        (layout, frames)
     };
-    // The same walk in another direction, with more than half a turn on the way.
+    // The same walk in another direction, with more than half a turn on the root.
     let mut turned = walk.clone();
     let mut locals: Vec<RootPose> = (0..60).flat_map(|t| walk.bvh.locals(t)).collect();
     let turn = Quaternion::from_yaw(2.0);
@@ -102,14 +102,14 @@ fn a_motion_seen_from_its_heading_comes_back_and_turns_do_not_matter() {
         pose.orientation = turn * pose.orientation;
     }
     turned.bvh = walk.bvh.reposed(1.0 / 30.0, &locals).unwrap();
-    let ((figure, frames), (other, others)) = (of(&walk), of(&turned));
+    let ((layout, frames), (other, others)) = (of(&walk), of(&turned));
     assert_eq!(frames.channels(), 6 * 6 + 4);
-    assert_eq!(figure.way().len(), 4);
+    assert_eq!(layout.root_channels().len(), 4);
     for (a, b) in frames.values().iter().zip(others.values()) {
         assert!((a - b).abs() < 1e-4, "{a} {b}");
     }
-    for (figure, frames, walk) in [(figure, frames, walk), (other, others, turned)] {
-        let back = figure.bvh(&frames).unwrap();
+    for (layout, frames, walk) in [(layout, frames, walk), (other, others, turned)] {
+        let back = layout.to_bvh(&frames).unwrap();
         for t in 0..60 {
             for (found, pose) in back.world(t).iter().zip(walk.bvh.world(t)) {
                 let apart = [0, 1, 2].map(|axis| found.position[axis] - pose.position[axis]);
@@ -122,17 +122,17 @@ fn a_motion_seen_from_its_heading_comes_back_and_turns_do_not_matter() {
 #[test]
 fn the_axis_that_points_up_keeps_its_place() {
     let walk = example("walk.bvh", 40, 1.0 / 30.0);
-    let options = FigureOptions {
+    let options = MatrixOptions {
         up: UpAxis::Z,
-        ..FigureOptions::default()
+        ..MatrixOptions::default()
     };
-    let figure = Figure::new(std::slice::from_ref(&walk), options).unwrap();
-    assert_eq!(figure.height(), figure.channels() - 1);
-    let frames = figure.frames(&walk).unwrap();
-    let height = |t: usize| f64::from(frames.frame(t)[figure.height()]) * 43.0;
+    let layout = MotionMatrix::new(std::slice::from_ref(&walk), options).unwrap();
+    assert_eq!(layout.height(), layout.channels() - 1);
+    let frames = layout.to_frames(&walk).unwrap();
+    let height = |t: usize| f64::from(frames.frame(t)[layout.height()]) * 43.0;
     assert!((height(30) - 80.0).abs() < 1e-3 && height(0).abs() < 1e-3);
-    assert_eq!(figure.from_above([1.0, 2.0, 3.0]), (1.0, -2.0));
-    let path = figure.path(&frames);
+    assert_eq!(layout.top_view([1.0, 2.0, 3.0]), (1.0, -2.0));
+    let path = layout.path(&frames);
     assert_eq!(path.len(), 40);
     for (t, found) in path.iter().enumerate() {
         let place = walk.bvh.locals(t)[1].position;
@@ -145,15 +145,15 @@ fn the_axis_that_points_up_keeps_its_place() {
 fn fast_captures_are_thinned_to_30_frames_a_second() {
     for (rate, every) in [(240.0, 8), (120.0, 4), (60.0, 2), (30.0, 1), (25.0, 1)] {
         let walk = example("walk.bvh", 97, 1.0 / rate);
-        let figure = figure(std::slice::from_ref(&walk));
-        let frames = figure.frames(&walk).unwrap().frames();
+        let layout = layout(std::slice::from_ref(&walk));
+        let frames = layout.to_frames(&walk).unwrap().frames();
         assert_eq!(frames, 97usize.div_ceil(every), "{rate}");
-        assert!((figure.frame_time() - every as f64 / rate).abs() < 1e-12);
+        assert!((layout.frame_time() - every as f64 / rate).abs() < 1e-12);
     }
 }
 
 #[test]
-fn hips_that_their_root_takes_along_travel_themselves() {
+fn motion_of_the_node_above_the_hips_is_theirs() {
     let walk = example("walk.bvh", 60, 1.0 / 30.0);
     let mut taken = walk.clone();
     let mut locals: Vec<RootPose> = (0..60).flat_map(|t| walk.bvh.locals(t)).collect();
@@ -166,11 +166,11 @@ fn hips_that_their_root_takes_along_travel_themselves() {
         pose[1].orientation = turn.conjugate() * pose[1].orientation;
     }
     taken.bvh = walk.bvh.reposed(1.0 / 30.0, &locals).unwrap();
-    let figure = figure(&[walk.clone(), taken.clone()]);
-    assert_eq!(figure.channels(), 6 * 6 + 3);
+    let layout = layout(&[walk.clone(), taken.clone()]);
+    assert_eq!(layout.channels(), 6 * 6 + 3);
     let (own, other) = (
-        figure.frames(&walk).unwrap(),
-        figure.frames(&taken).unwrap(),
+        layout.to_frames(&walk).unwrap(),
+        layout.to_frames(&taken).unwrap(),
     );
     for (a, b) in own.values().iter().zip(other.values()) {
         assert!((a - b).abs() < 1e-4, "{a} {b}");
@@ -199,10 +199,10 @@ fn joints_whose_place_changes_keep_it() {
         file: "walk.bvh".to_string(),
         bvh: Bvh::parse(changed.as_bytes(), "walk.bvh").unwrap(),
     };
-    let figure = figure(std::slice::from_ref(&walk));
-    assert_eq!(figure.channels_of(4).len(), 9);
-    assert_eq!(figure.channels_of(1).len(), 6);
-    let back = figure.bvh(&figure.frames(&walk).unwrap()).unwrap();
+    let layout = layout(std::slice::from_ref(&walk));
+    assert_eq!(layout.channels_of(4).len(), 9);
+    assert_eq!(layout.channels_of(1).len(), 6);
+    let back = layout.to_bvh(&layout.to_frames(&walk).unwrap()).unwrap();
     for t in 0..20 {
         let (found, place) = (back.locals(t)[4].position, walk.bvh.locals(t)[4].position);
         assert!((found[1] - place[1]).abs() < 1e-4, "{found:?} {place:?}");
@@ -212,20 +212,20 @@ fn joints_whose_place_changes_keep_it() {
 #[test]
 fn feet_that_rest_are_in_contact() {
     let mut walk = example("walk.bvh", 40, 1.0 / 30.0);
-    let with_contacts = FigureOptions {
+    let with_contacts = MatrixOptions {
         contacts: vec![3, 5],
-        ..FigureOptions::default()
+        ..MatrixOptions::default()
     };
-    let figure = Figure::new(std::slice::from_ref(&walk), with_contacts).unwrap();
-    let frames = figure.frames(&walk).unwrap();
-    let channels = figure.channels_of(3);
+    let layout = MotionMatrix::new(std::slice::from_ref(&walk), with_contacts).unwrap();
+    let frames = layout.to_frames(&walk).unwrap();
+    let channels = layout.channels_of(3);
     assert_eq!(channels.len(), 12);
     let contact = channels[6];
     assert_eq!(frames.frame(0)[contact], 0.0);
-    // A figure that stands still.
+    // A layout that stands still.
     let still = walk.bvh.locals(7).repeat(12);
     walk.bvh = walk.bvh.reposed(1.0 / 30.0, &still).unwrap();
-    let frames = figure.frames(&walk).unwrap();
+    let frames = layout.to_frames(&walk).unwrap();
     let rests: Vec<f32> = (0..12).map(|t| frames.frame(t)[contact]).collect();
     assert_eq!(rests[0], 0.0);
     assert!(rests[1..].iter().all(|&rest| rest == 1.0));
@@ -242,17 +242,17 @@ fn other_skeletons_and_rates_are_named() {
             bvh,
         };
         let examples = [walk.clone(), other];
-        let error = Figure::new(&examples, FigureOptions::default()).unwrap_err();
+        let error = MotionMatrix::new(&examples, MatrixOptions::default()).unwrap_err();
         error.to_string()
     };
-    let said = refused(text(20, 1.0 / 30.0).replace("RightLeg", "RightKnee"));
+    let message = refused(text(20, 1.0 / 30.0).replace("RightLeg", "RightKnee"));
     assert_eq!(
-        said,
+        message,
         "other.bvh: joint 5 is `RightKnee` below `Hips`, in walk.bvh `RightLeg` below `Hips`"
     );
-    let said = refused(text(20, 1.0 / 25.0));
+    let message = refused(text(20, 1.0 / 25.0));
     assert_eq!(
-        said,
+        message,
         "other.bvh: 25.0000 frames a second, in walk.bvh 30.0000"
     );
     let flat: String = text(20, 1.0 / 30.0)
@@ -267,41 +267,41 @@ fn other_skeletons_and_rates_are_named() {
         file: "flat.bvh".to_string(),
         bvh,
     };
-    let error = Figure::new(&[flat], FigureOptions::default()).unwrap_err();
+    let error = MotionMatrix::new(&[flat], MatrixOptions::default()).unwrap_err();
     assert!(error.to_string().contains("every bone has the length 0"));
 }
 
 #[test]
 fn a_sliding_limb_does_not_carry_the_body() {
     let bvh = example("walk.bvh", 20, 0.04).bvh;
-    assert_eq!(travelling(&bvh, &[0.0, 5.0, 9.0, 0.0, 9.0, 0.0]), 1);
-    assert_eq!(travelling(&bvh, &[0.0, 0.0, 9.0, 0.0, 0.0, 0.0]), 0);
+    assert_eq!(root_joint(&bvh, &[0.0, 5.0, 9.0, 0.0, 9.0, 0.0]), 1);
+    assert_eq!(root_joint(&bvh, &[0.0, 0.0, 9.0, 0.0, 0.0, 0.0]), 0);
     // Most of the body hangs on the second joint of five, but not all.
     let text = "HIERARCHY\nROOT Hips\n{\nOFFSET 0 1 0\nCHANNELS 0\nJOINT Spine\n{\nOFFSET 0 1 0\n\
         CHANNELS 3 Xposition Yposition Zposition\nJOINT Neck\n{\nOFFSET 0 1 0\nCHANNELS 0\n\
         JOINT Head\n{\nOFFSET 0 1 0\nCHANNELS 0\nEnd Site\n{\nOFFSET 0 1 0\n}\n}\n}\n}\nJOINT Tail\n{\nOFFSET 0 0 -1\nCHANNELS 0\n\
         End Site\n{\nOFFSET 0 0 -1\n}\n}\n}\nMOTION\nFrames: 1\nFrame Time: 0.03\n0 1 0\n";
     let bvh = Bvh::parse(text.as_bytes(), "sways.bvh").unwrap();
-    assert_eq!(travelling(&bvh, &[0.0, 0.4, 0.0, 0.0, 0.0]), 0);
+    assert_eq!(root_joint(&bvh, &[0.0, 0.4, 0.0, 0.0, 0.0]), 0);
 }
 
 #[test]
-fn the_arc_of_the_headings_goes_over_the_end_of_the_circle() {
+fn the_arc_of_headings_wraps() {
     let walk = example("walk.bvh", 60, 1.0 / 30.0);
     let of = |heading: bool, facing: &dyn Fn(f64) -> f64| {
-        let options = FigureOptions {
+        let options = MatrixOptions {
             heading,
-            ..FigureOptions::default()
+            ..MatrixOptions::default()
         };
-        let figure = Figure::new(std::slice::from_ref(&walk), options).unwrap();
-        let mut frames = figure.frames(&walk).unwrap();
-        let six = figure.rotation_of(figure.travelling());
+        let layout = MotionMatrix::new(std::slice::from_ref(&walk), options).unwrap();
+        let mut frames = layout.to_frames(&walk).unwrap();
+        let six = layout.rotation_of(layout.root_joint());
         for t in 0..60 {
             let turned = Quaternion::from_yaw(facing(t as f64 / 59.0));
             let values = rotation6d::from_quaternion(turned).map(|value| value as f32);
             frames.frame_mut(t)[six.clone()].copy_from_slice(&values);
         }
-        figure.turns_over(&[frames])
+        layout.heading_arc(&[frames])
     };
     let near = |found: Option<f64>, expected: f64| (found.unwrap() - expected).abs() < 1e-3;
     assert!(near(of(false, &|part| 0.5 + part), 1.0));

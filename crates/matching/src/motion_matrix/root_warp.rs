@@ -1,35 +1,39 @@
-//! A way that passes given places.
+//! Root trajectories warped through given places.
 
 use kinegrad_motion::banded::Cholesky;
 
-use super::Figure;
+use super::MotionMatrix;
 use crate::Frames;
 use crate::smoothing::THIRD;
 
-/// Seconds over which a change of the way's speed is spread.
+/// Seconds over which a change of speed is spread.
 const FADE: f64 = 0.25;
 
-/// What leads a bend back to the straight line between places, as a part of the weight of its speed:
-/// within a second or two.
+/// Weight of the first-order term in the banded system, relative to that of the step: the
+/// correction returns to the straight line within a second or two.
 const NEAR: f64 = 1e-3;
 
-impl Figure {
-    /// Bends the way of a motion, so that at frame `t` it is at `place` on the two axes that do not
-    /// point up, in the file's units, for each of `points`. The first frame stays where it is
-    /// ([`start_at`](Self::start_at) says otherwise), and frames behind the last point are moved as
-    /// that is.
+impl MotionMatrix {
+    /// Warps a root trajectory so that at each frame `t` of `points` it is at the given place
+    /// (horizontal, file units). The first frame is fixed ([`start_at`](Self::start_at) moves it);
+    /// frames after the last point move with it.
     ///
-    /// What frames are moved by, `x`, is the least
+    /// The offsets x minimise
     ///
     /// ```text
     /// sum over t of (x[t+1] - x[t])^2 / fade^4 + sum over t of (x[t+3] - 3 x[t+2] + 3 x[t+1] - x[t])^2
     /// ```
     ///
-    /// that moves the points to their places: the first term has it go evenly from one to the next,
-    /// and the second, the jerk, has it change its speed over a quarter of a second, or half the time
-    /// between points that are close. `around`: the last
-    /// frame is followed by the first, where the steps stay as they are.
-    pub(crate) fn lead(&self, frames: &mut Frames, points: &[(usize, [f64; 2])], around: bool) {
+    /// subject to the points. The first term keeps the speed even between points; the second, the
+    /// jerk, spreads changes of speed over a quarter of a second, or half the time between close
+    /// points. `is_loop`: the last frame is followed by the first, and the steps around the seam
+    /// keep their values.
+    pub(crate) fn warp_root(
+        &self,
+        frames: &mut Frames,
+        points: &[(usize, [f64; 2])],
+        is_loop: bool,
+    ) {
         let mut points: Vec<_> = points.iter().filter(|(t, _)| *t > 0).copied().collect();
         points.sort_by_key(|(t, _)| *t);
         points.dedup_by_key(|(t, _)| *t);
@@ -38,23 +42,23 @@ impl Figure {
         }
         let axes = (0..3).filter(|&axis| axis != self.up as usize);
         let axes: Vec<usize> = axes.collect();
-        let way = self.way_of(frames);
+        let trajectory = self.root_trajectory(frames);
         let fade = FADE / self.frame_time;
         let moved = axes.iter().enumerate().map(|(place, &axis)| {
             let missed = points.iter().map(|&(t, wanted)| {
-                let missed = wanted[place] - self.base[axis] - way[t].0[axis];
+                let missed = wanted[place] - self.base[axis] - trajectory[t].0[axis];
                 (t, missed * self.scale)
             });
-            moved(frames.frames(), &missed.collect::<Vec<_>>(), fade, around)
+            offsets(frames.frames(), &missed.collect::<Vec<_>>(), fade, is_loop)
         });
         let moved: Vec<Vec<f64>> = moved.collect();
         let first = self.channels() - 3;
-        for (t, (_, heading)) in way.iter().enumerate().skip(1) {
+        for (t, (_, heading)) in trajectory.iter().enumerate().skip(1) {
             let mut step = [0.0; 3];
             for (&axis, moved) in axes.iter().zip(&moved) {
                 step[axis] = moved[t] - moved[t - 1];
             }
-            let step = self.turned(-heading).rotate(step);
+            let step = self.heading_rotation(-heading).rotate(step);
             for &axis in &axes {
                 frames.frame_mut(t)[first + axis] += step[axis] as f32;
             }
@@ -62,24 +66,24 @@ impl Figure {
     }
 }
 
-/// What each of `n` frames is moved by, where the frames of `points`, in order and behind the first
-/// frame, are moved by given values.
-fn moved(n: usize, points: &[(usize, f64)], fade: f64, around: bool) -> Vec<f64> {
+/// The offset of each of `n` frames, where the frames of `points` (sorted, after the first frame)
+/// have given offsets.
+fn offsets(n: usize, points: &[(usize, f64)], fade: f64, is_loop: bool) -> Vec<f64> {
     let last = points.last().map_or(0, |(t, _)| *t);
     let mut knots = vec![(0, 0.0)];
-    if around {
-        // The steps behind the seam, and before it.
+    if is_loop {
+        // The steps before and after the seam.
         let free = |t: usize| t < n && points.iter().all(|(point, _)| t < *point);
         knots.extend([1, 2].into_iter().filter(|&t| free(t)).map(|t| (t, 0.0)));
     }
     knots.extend_from_slice(points);
-    if around {
+    if is_loop {
         let end = knots[knots.len() - 1].1;
         let ends = n.saturating_sub(3).max(last + 1)..n;
         knots.extend(ends.map(|t| (t, end)));
     }
-    let even = even(n, &knots);
-    let slow = slow(n, points, fade);
+    let even = linear(n, &knots);
+    let slow = step_weights(n, points, fade);
     let mut matrix: Vec<[f64; 4]> = slow
         .iter()
         .map(|slow| [NEAR * slow, 0.0, 0.0, 0.0])
@@ -111,18 +115,17 @@ fn moved(n: usize, points: &[(usize, f64)], fade: f64, around: bool) -> Vec<f64>
         .collect()
 }
 
-/// What the square of the step to each frame weighs. A change of speed that lasted longer than the way to
-/// the next point would lead far beyond it: between close points, and on either side of them, it is
-/// quicker.
-fn slow(n: usize, points: &[(usize, f64)], fade: f64) -> Vec<f64> {
+/// The weight of the squared step to each frame. A change of speed longer than the time to the next
+/// point would overshoot it, so it is quicker between close points and beside them.
+fn step_weights(n: usize, points: &[(usize, f64)], fade: f64) -> Vec<f64> {
     let times = std::iter::once(0).chain(points.iter().map(|(t, _)| *t));
     let times: Vec<usize> = times.collect();
     let gaps: Vec<usize> = times.windows(2).map(|pair| pair[1] - pair[0]).collect();
     let mut weights = Vec::with_capacity(n);
     for (place, &from) in times.iter().enumerate() {
         let to = times.get(place + 1).copied().unwrap_or(n - 1);
-        let around = place.saturating_sub(1)..(place + 2).min(gaps.len());
-        let least = gaps[around]
+        let is_loop = place.saturating_sub(1)..(place + 2).min(gaps.len());
+        let least = gaps[is_loop]
             .iter()
             .min()
             .map_or(fade, |gap| *gap as f64 / 2.0);
@@ -133,8 +136,8 @@ fn slow(n: usize, points: &[(usize, f64)], fade: f64) -> Vec<f64> {
     weights
 }
 
-/// The straight course between knots, which begin at frame 0, level behind the last.
-fn even(n: usize, knots: &[(usize, f64)]) -> Vec<f64> {
+/// Linear interpolation between knots, from frame 0 on, constant after the last.
+fn linear(n: usize, knots: &[(usize, f64)]) -> Vec<f64> {
     let mut values = vec![knots[knots.len() - 1].1; n];
     for pair in knots.windows(2) {
         let [(from, begin), (to, end)] = [pair[0], pair[1]];
@@ -159,7 +162,7 @@ mod tests {
         thirds.fold(0.0, f64::max) * 27_000.0
     }
 
-    /// How far the course leaves the places that it passes, as a part of the furthest of them.
+    /// Overshoot beyond the points, as a part of their range.
     fn beyond(moved: &[f64], points: &[(usize, f64)]) -> f64 {
         let values = points.iter().map(|(_, value)| *value);
         let low = values.clone().fold(0.0, f64::min);
@@ -169,7 +172,7 @@ mod tests {
     }
 
     #[test]
-    fn places_are_met_and_the_way_does_not_fly_off() {
+    fn places_are_met_and_the_trajectory_does_not_overshoot() {
         let cases: [&[(usize, f64)]; 8] = [
             &[(15, 0.3)],
             &[(6, 0.3)],
@@ -181,24 +184,24 @@ mod tests {
             &[(298, 0.2)],
         ];
         for points in cases {
-            for around in [false, true] {
+            for is_loop in [false, true] {
                 let mut points = points.to_vec();
-                if around {
+                if is_loop {
                     points[0].1 = 0.0; // A loop starts so that its first place is passed.
                 }
                 let points = &points[..];
-                let moved = moved(300, points, FRAMES, around);
+                let moved = offsets(300, points, FRAMES, is_loop);
                 assert_eq!(moved[0], 0.0);
                 for &(t, value) in points {
                     assert_eq!(moved[t], value, "{points:?}");
                 }
                 let beyond = beyond(&moved, points);
-                assert!(beyond < 1.0, "{points:?} {around}: {beyond}");
+                assert!(beyond < 1.0, "{points:?} {is_loop}: {beyond}");
                 let end = points[points.len() - 1];
                 if end.0 < 200 {
-                    assert!((moved[299] - end.1).abs() < 1e-3, "{points:?} {around}");
+                    assert!((moved[299] - end.1).abs() < 1e-3, "{points:?} {is_loop}");
                 }
-                if around && (3..290).contains(&points[0].0) {
+                if is_loop && (3..290).contains(&points[0].0) {
                     assert_eq!((moved[1], moved[2]), (0.0, 0.0), "{points:?}");
                     assert_eq!(moved[298], moved[299]);
                 }
@@ -207,34 +210,34 @@ mod tests {
     }
 
     #[test]
-    fn what_is_moved_is_moved_calmly() {
+    fn offsets_have_little_jerk() {
         // From rest to rest within half a second, 0.3 m take 140 m/s^3.
-        let alone = moved(300, &[(15, 0.3)], FRAMES, false);
+        let alone = offsets(300, &[(15, 0.3)], FRAMES, false);
         assert!(jerk(&alone) < 30.0, "{}", jerk(&alone));
-        let far = moved(300, &[(120, 1.0)], FRAMES, false);
+        let far = offsets(300, &[(120, 1.0)], FRAMES, false);
         assert!(jerk(&far) < 15.0, "{}", jerk(&far));
         assert!(beyond(&far, &[(120, 1.0)]) < 0.05);
         // Two close places later on ask for nothing.
         let points = [(150, 2.0), (300, -1.0), (420, -1.0), (422, -1.0)];
-        let beside = moved(500, &points, FRAMES, false);
+        let beside = offsets(500, &points, FRAMES, false);
         assert!(jerk(&beside) < 15.0, "{}", jerk(&beside));
     }
 
     #[test]
     fn short_and_long_motions_and_places_in_all_frames_are_led() {
         for n in [2, 3, 4, 5] {
-            for around in [false, true] {
-                let found = moved(n, &[(n - 1, 2.0)], FRAMES, around);
+            for is_loop in [false, true] {
+                let found = offsets(n, &[(n - 1, 2.0)], FRAMES, is_loop);
                 assert_eq!(found[n - 1], 2.0, "{n}");
                 assert!(found.iter().all(|x| x.is_finite()));
             }
         }
         for fade in [1e-80, 0.1, FRAMES, 15.0] {
             let all: Vec<(usize, f64)> = (1..40).map(|t| (t, (t as f64).sin())).collect();
-            let found = moved(40, &all, fade, false);
+            let found = offsets(40, &all, fade, false);
             assert!(all.iter().all(|&(t, value)| found[t] == value));
         }
-        let found = moved(200_000, &[(50, 1.0), (180_000, -5.0)], 15.0, false);
+        let found = offsets(200_000, &[(50, 1.0), (180_000, -5.0)], 15.0, false);
         assert!(found.iter().all(|x| x.is_finite()));
         assert!(
             (found[199_999] + 5.0).abs() < 1e-3

@@ -1,42 +1,41 @@
-//! Jerk around what a motion must keep to, brought near that of the rest.
+//! Limits jerk at constraints to that of the rest of the motion.
 //!
-//! A pose from a fast second of an example in an else quiet motion, and a body that is put together
-//! over the legs of another, jerk more than what is around them. Both are smoothed as much as is
-//! needed and no more; what is held stays as it is.
+//! A pose from a fast part of an example in a quiet motion, and a body over the legs of another,
+//! jerk more than their surroundings. Both are smoothed as much as needed; constraints stay exact.
 
 use kinegrad_capture::{Bvh, RootPose};
 use kinegrad_motion::Quaternion;
 use kinegrad_motion::vector::length;
 
 use crate::smoothing::smooth;
-use crate::{Error, Figure, Frames, Held, rotation6d};
+use crate::{Constraint, Error, Frames, MotionMatrix, rotation6d};
 
-/// Mean jerk of the second around a key frame, as a part of that elsewhere, at most.
+/// Largest mean jerk of the second around a key frame, relative to the rest.
 const AROUND: f64 = 1.4;
-/// Jerk of a frame over a fixed part, as a part of the 95th percentile of the motions that it is made
-/// of, at most.
+/// Largest jerk of a frame over a fixed part, relative to the 95th percentile of the source
+/// motions.
 const OVER: f64 = 1.25;
-/// Seconds before and after a key frame that count as around it.
+/// Half width of the surroundings of a key frame, in seconds.
 const NEAR: f64 = 0.5;
-/// Seconds beyond those in which smoothing falls off.
+/// Seconds beyond it over which smoothing falls off.
 const FADE: f64 = 0.2;
-/// Strength of the first smoothing, and how much stronger each next one is.
+/// First strength of smoothing and the factor to the next.
 const FIRST: f64 = 0.05;
 const STRONGER: f64 = 3.0;
 /// Frames of the shortest motion that is smoothed.
 const SHORTEST: usize = 8;
-/// Most smoothings around a key frame, one after the other.
+/// Most strengths tried around a key frame.
 const MOST: usize = 14;
-/// Most smoothings over fixed parts: what is calmed at one place moves to its edges, which are smoothed
-/// from the first strength on.
+/// Most iterations over fixed parts: jerk moves to the edges of smoothed stretches, which are
+/// smoothed in turn.
 const MOST_OVER: usize = 40;
-/// The strongest smoothing there.
+/// Largest strength over fixed parts.
 const STRONGEST: f64 = 1e6;
-/// How often all key frames are gone through.
+/// Most passes over all key frames.
 const ROUNDS: usize = 4;
 
-/// Jerk of each frame from the third on: the mean length of the joints' third differences, in the
-/// file's units, `[frames - 3]`.
+/// Jerk of each frame from the third on: the mean length of the joints' third differences, in file
+/// units, `[frames - 3]`.
 pub fn jerks(bvh: &Bvh) -> Vec<f64> {
     let places = |t: usize| -> Vec<[f64; 3]> {
         let world = bvh.world(t).into_iter();
@@ -55,7 +54,7 @@ pub fn jerks(bvh: &Bvh) -> Vec<f64> {
     places.windows(4).map(jerk).collect()
 }
 
-/// The value that 95 of 100 do not exceed; 0 of none.
+/// The 95th percentile; 0 of no values.
 pub fn percentile_95(values: &[f64]) -> f64 {
     let mut sorted = values.to_vec();
     sorted.sort_by(f64::total_cmp);
@@ -63,8 +62,8 @@ pub fn percentile_95(values: &[f64]) -> f64 {
     sorted.get(index).copied().unwrap_or(0.0)
 }
 
-/// Mean jerk of the second around a frame, and elsewhere; 0 where there are no frames. `rate`: frames
-/// a second.
+/// Mean jerk within half a second of a frame, and elsewhere; 0 without frames. `rate`: frames a
+/// second.
 pub fn jerk_around(jerks: &[f64], frame: f64, rate: f64) -> [f64; 2] {
     let near = |t: usize| (t as f64 + 1.5 - frame).abs() < NEAR * rate;
     [true, false].map(|wanted| {
@@ -75,90 +74,74 @@ pub fn jerk_around(jerks: &[f64], frame: f64, rate: f64) -> [f64; 2] {
     })
 }
 
-/// Smooths a motion around its key frames until its jerk there is at most 1.4 times that elsewhere,
-/// or no smoothing helps. `around`: whether the last frame is followed by the first; then both sides of
-/// that seam are smoothed alike. Otherwise the ends are free.
+/// Smooths a motion around its key frames until the jerk there is at most 1.4 times that elsewhere.
+/// `is_loop`: both sides of the seam are smoothed alike; otherwise the ends are free.
 pub(crate) fn around_keyframes(
-    figure: &Figure,
+    layout: &MotionMatrix,
     frames: &mut Frames,
-    held: &[Held],
-    around: bool,
+    constraints: &[Constraint],
+    is_loop: bool,
 ) -> Result<(), Error> {
     let n = frames.frames();
     if n < SHORTEST {
         return Ok(());
     }
-    // What calms one may leave less of the rest for another to be measured by.
+    // Smoothing one key frame lowers the reference of the others.
     for _ in 0..ROUNDS {
-        if !around_each(figure, frames, held, around)? {
+        if !around_each(layout, frames, constraints, is_loop)? {
             break;
         }
     }
     Ok(())
 }
 
-/// Smooths a motion around each of its key frames in turn, and says whether anything was.
+/// One pass over the key frames; returns whether anything changed.
 fn around_each(
-    figure: &Figure,
+    layout: &MotionMatrix,
     frames: &mut Frames,
-    held: &[Held],
-    around: bool,
+    constraints: &[Constraint],
+    is_loop: bool,
 ) -> Result<bool, Error> {
     let n = frames.frames();
     let mut changed = false;
-    for held_frame in held {
-        let Held::Keyframe { at, .. } = held_frame else {
+    for constraint in constraints {
+        let Constraint::Keyframe { at, .. } = constraint else {
             continue;
         };
-        let key = Held::frame(*at, n);
-        if !around {
-            changed |= around_one(figure, frames, held, key, false)?;
+        let key = Constraint::frame(*at, n);
+        if !is_loop {
+            changed |= around_one(layout, frames, constraints, key, false)?;
             continue;
         }
-        // A loop is the same from any frame on: with the key frame in its middle it has no end there.
+        // A loop can be rotated: with the key frame in its middle there is no end nearby.
         let (middle, channels) = (n / 2, frames.channels());
         let shift = (key + n - middle) % n;
-        let moved = held.iter().map(|held| match held.clone() {
-            Held::Keyframe {
-                at,
-                channels,
-                source,
-                from,
-                frames,
-                reach,
-            } => {
-                let t = (Held::frame(at, n) + n - shift) % n;
-                Held::Keyframe {
-                    at: (t as f64 + 0.5) / n as f64,
-                    channels,
-                    source,
-                    from,
-                    frames,
-                    reach,
-                }
+        let mut moved = constraints.to_vec();
+        for constraint in &mut moved {
+            if let Constraint::Keyframe { at, .. } = constraint {
+                let t = (Constraint::frame(*at, n) + n - shift) % n;
+                *at = (t as f64 + 0.5) / n as f64;
             }
-            held @ Held::Channels { .. } => held,
-        });
-        let moved: Vec<Held> = moved.collect();
+        }
         frames.values_mut().rotate_left(shift * channels);
-        let smoothed = around_one(figure, frames, &moved, middle, true);
+        let smoothed = around_one(layout, frames, &moved, middle, true);
         frames.values_mut().rotate_right(shift * channels);
         changed |= smoothed?;
     }
     Ok(changed)
 }
 
-/// Smooths a motion around the key frame at `key`, and says whether it was needed; `keep_ends`: whether
-/// its ends stay as they are.
+/// Smooths around the key frame `key`; returns whether it was needed. `keep_ends`: the ends do not
+/// change.
 fn around_one(
-    figure: &Figure,
+    layout: &MotionMatrix,
     frames: &mut Frames,
-    held: &[Held],
+    constraints: &[Constraint],
     key: usize,
     keep_ends: bool,
 ) -> Result<bool, Error> {
     let (n, key) = (frames.frames(), key as f64);
-    let rate = 1.0 / figure.frame_time();
+    let rate = 1.0 / layout.frame_time();
     let fade = |t: usize| {
         let beyond = (t as f64 + 1.5 - key).abs() - NEAR * rate;
         (1.0 - beyond / (FADE * rate)).clamp(0.0, 1.0).powi(3)
@@ -167,7 +150,7 @@ fn around_one(
     let mut strength = FIRST;
     let mut needed = false;
     for _ in 0..MOST {
-        let [near, rest] = jerk_around(&jerks(&figure.bvh(frames)?), key, rate);
+        let [near, rest] = jerk_around(&jerks(&layout.to_bvh(frames)?), key, rate);
         if near <= AROUND * rest || rest == 0.0 {
             break;
         }
@@ -178,30 +161,30 @@ fn around_one(
         });
         needed = true;
         *frames = voted.clone();
-        smooth(frames, &strengths.collect::<Vec<_>>(), held);
+        smooth(frames, &strengths.collect::<Vec<_>>(), constraints);
         strength *= STRONGER;
     }
     Ok(needed)
 }
 
-/// Smooths what is free of a motion with fixed parts where its jerk is above 1.25 times `usual`,
-/// the 95th percentile of the motions that it is made of. Joints that hang on a fixed one are smoothed
-/// as they are in the world: a back that is steady within its hips trembles with them.
+/// Smooths the free channels of a motion with fixed parts where the jerk is above 1.25 times
+/// `usual`, the 95th percentile of the source motions. Joints below a fixed one are smoothed in
+/// world coordinates: a back that is steady relative to its hips shakes with them.
 pub(crate) fn over_fixed_parts(
-    figure: &Figure,
+    layout: &MotionMatrix,
     frames: &mut Frames,
-    held: &[Held],
+    constraints: &[Constraint],
     usual: f64,
 ) -> Result<(), Error> {
     if frames.frames() < SHORTEST {
         return Ok(());
     }
-    let border = Border::of(figure, frames, held)?;
+    let border = Border::of(layout, frames, constraints)?;
     let mut voted = frames.clone();
     border.to_world(&mut voted);
     let mut strengths = vec![0.0; frames.frames() - 3];
     for _ in 0..MOST_OVER {
-        let jerks = jerks(&figure.bvh(frames)?);
+        let jerks = jerks(&layout.to_bvh(frames)?);
         let above = |t: usize| jerks[t] > OVER * usual;
         let near = |t: usize| t.saturating_sub(3)..(t + 4).min(jerks.len());
         let reached = (0..jerks.len()).map(|t| near(t).any(above));
@@ -213,51 +196,50 @@ pub(crate) fn over_fixed_parts(
             *strength = (STRONGER * *strength).clamp(FIRST, STRONGEST);
         }
         *frames = voted.clone();
-        smooth(frames, &strengths, held);
+        smooth(frames, &strengths, constraints);
         border.to_parents(frames);
     }
     Ok(())
 }
 
-/// The free joints that hang on fixed ones.
+/// The free joints whose parents are fixed.
 struct Border {
-    /// First channel of each one's rotation, and how its parent is turned in the world, `[frames]`.
+    /// First rotation channel and the parent's world rotation, `[frames]`.
     joints: Vec<(usize, Vec<Quaternion>)>,
 }
 
 impl Border {
-    fn of(figure: &Figure, frames: &Frames, held: &[Held]) -> Result<Self, Error> {
+    fn of(
+        layout: &MotionMatrix,
+        frames: &Frames,
+        constraints: &[Constraint],
+    ) -> Result<Self, Error> {
         let is_fixed = |joint: usize| {
-            let first = figure.rotation_of(joint).start;
-            held.iter().any(|held| match held {
-                Held::Channels { channels, .. } => channels.contains(&first),
-                Held::Keyframe { .. } => false,
+            let first = layout.rotation_of(joint).start;
+            constraints.iter().any(|constraint| match constraint {
+                Constraint::Channels { channels, .. } => channels.contains(&first),
+                Constraint::Keyframe { .. } => false,
             })
         };
-        let bvh = figure.bvh(frames)?;
+        let bvh = layout.to_bvh(frames)?;
         let world = (0..bvh.frames()).map(|t| bvh.world(t));
         let world: Vec<Vec<RootPose>> = world.collect();
-        let joints = figure
-            .joints()
-            .iter()
-            .enumerate()
-            .filter_map(|(joint, own)| {
-                let parent = own
-                    .parent
-                    .filter(|&parent| is_fixed(parent) && !is_fixed(joint))?;
-                let turns = world.iter().map(|poses| poses[parent].orientation);
-                Some((figure.rotation_of(joint).start, turns.collect()))
-            });
+        let joints = layout.joints().iter().enumerate();
+        let joints = joints.filter_map(|(joint, own)| {
+            let parent = own.parent.filter(|&p| is_fixed(p) && !is_fixed(joint))?;
+            let turns = world.iter().map(|poses| poses[parent].orientation);
+            Some((layout.rotation_of(joint).start, turns.collect()))
+        });
         let joints = joints.collect();
         Ok(Self { joints })
     }
 
-    /// Their rotations within their parents as those in the world.
+    /// Local to world rotations.
     fn to_world(&self, frames: &mut Frames) {
         self.turn(frames, |parent| parent);
     }
 
-    /// The way back.
+    /// World to local rotations.
     fn to_parents(&self, frames: &mut Frames) {
         self.turn(frames, Quaternion::conjugate);
     }

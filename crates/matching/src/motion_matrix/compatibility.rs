@@ -1,45 +1,39 @@
-//! Whether motions are of one skeleton, and can be written with the channels of the first.
+//! Checks that motions have one skeleton and can be written with the channels of the first.
 
-use kinegrad_capture::{Bvh, Channel};
+use kinegrad_capture::{Bvh, Channel, Joint};
 use kinegrad_motion::vector::length;
 
-use super::survey::{carriers, thinning, travel};
-use super::{Example, Figure};
+use super::skeleton::{ancestors, position_ranges, thinning};
+use super::{Example, MotionMatrix};
 use crate::Error;
 
-/// Largest part by which the frame rates of examples may differ.
+/// Largest relative difference of frame rates.
 const SAME_RATE: f64 = 0.01;
-/// Largest difference of a joint's place within its parent, as a part of the longest bone. Bodies of
-/// two people differ less, by a sixth in captures that are called by the same names; centimetres and
-/// metres differ more, and so do rest poses whose rotations mean something else.
+/// Largest difference of a joint offset, as a part of the longest bone. Bodies of two people differ
+/// by up to a sixth in captures with equal names; a change of units or of the rest pose differs by
+/// more.
 const SAME_BONES: f64 = 0.25;
-/// Turn, in the vector part of a quaternion, and distance, in scaled units, that cannot be seen.
+/// Rotation (vector part of a quaternion) and distance (scaled units) that cannot be seen.
 const UNSEEN: f64 = 1e-3;
 
-impl Figure {
-    /// Rejects a motion of another skeleton or frame rate.
+impl MotionMatrix {
+    /// Checks skeleton and frame rate.
     ///
     /// # Errors
     /// Names the first joint that differs.
-    pub fn must_fit(&self, example: &Example) -> Result<(), Error> {
+    pub fn must_match(&self, example: &Example) -> Result<(), Error> {
         let (own, other) = (self.bvh.joints(), example.bvh.joints());
         let hint = "motions of one skeleton can be matched: the same joints in the same order";
         for (index, joint) in other.iter().enumerate() {
-            let same = own
-                .get(index)
-                .is_some_and(|own| own.name == joint.name && own.parent == joint.parent);
-            if !same {
+            let same = |own: &Joint| own.name == joint.name && own.parent == joint.parent;
+            if !own.get(index).is_some_and(same) {
                 let expected = match own.get(index) {
                     Some(own) => format!("`{}`{}", own.name, below(&self.bvh, own.parent)),
                     None => "no more joints".to_string(),
                 };
                 let place = below(&example.bvh, joint.parent);
-                let problem = format!(
-                    "joint {} is `{}`{place}, in {} {expected}",
-                    index + 1,
-                    joint.name,
-                    self.file
-                );
+                let (number, name, file) = (index + 1, &joint.name, &self.file);
+                let problem = format!("joint {number} is `{name}`{place}, in {file} {expected}");
                 return Err(Error::file(&example.file, problem, hint));
             }
         }
@@ -49,24 +43,19 @@ impl Figure {
         }
         let (_, frame_time) = thinning(&example.bvh);
         if (frame_time / self.frame_time - 1.0).abs() > SAME_RATE {
-            let problem = format!(
-                "{:.4} frames a second, in {} {:.4}",
-                1.0 / frame_time,
-                self.file,
-                1.0 / self.frame_time
-            );
+            let [found, own] = [frame_time, self.frame_time].map(|time| 1.0 / time);
+            let problem = format!("{found:.4} frames a second, in {} {own:.4}", self.file);
             let hint = "examples have one frame rate, 30 or the same: resample the file";
             return Err(Error::file(&example.file, problem, hint));
         }
         Ok(())
     }
 
-    /// Rejects a motion whose bones are of another size or point elsewhere. Joints that travel, and
-    /// those that carry them, have no bone.
-    pub(super) fn must_have_the_bones(&self, example: &Example) -> Result<(), Error> {
+    /// Checks sizes and directions of bones. The root joint and its ancestors have none.
+    pub(super) fn must_match_bones(&self, example: &Example) -> Result<(), Error> {
         let (own, other) = (bones(&self.bvh), bones(&example.bvh));
         let has_bone = |joint: &usize| {
-            *joint > 0 && *joint != self.travelling && !self.carriers.contains(joint)
+            *joint > 0 && *joint != self.root_joint && !self.ancestors.contains(joint)
         };
         let joints: Vec<usize> = (0..own.len()).filter(has_bone).collect();
         let both = joints.iter().flat_map(|&joint| [own[joint], other[joint]]);
@@ -80,11 +69,7 @@ impl Figure {
                 let name = &self.joints()[joint].name;
                 let [found, expected] = [other, own].map(length);
                 let elsewhere = (found - expected).abs() < 0.5 * apart;
-                let points = if elsewhere {
-                    " and points elsewhere"
-                } else {
-                    ""
-                };
+                let points = ["", " and points elsewhere"][usize::from(elsewhere)];
                 let problem = format!(
                     "the bone to `{name}` is {found:.4} long{points}, in {} {expected:.4}",
                     self.file
@@ -97,24 +82,22 @@ impl Figure {
         Ok(())
     }
 
-    /// Rejects a motion that moves a joint for which the first example has no channels to write it.
-    pub(super) fn must_be_written(&self, example: &Example) -> Result<(), Error> {
-        let ranges = travel(&example.bvh);
+    /// Checks that the first example has channels for every joint that moves.
+    pub(super) fn must_have_channels(&self, example: &Example) -> Result<(), Error> {
+        let ranges = position_ranges(&example.bvh);
         for (joint, moving) in example.bvh.joints().iter().enumerate() {
             if ranges[joint] * self.scale < UNSEEN {
                 continue;
             }
-            let writer = match self.carriers.contains(&joint) {
-                true => self.travelling,
+            let writer = match self.ancestors.contains(&joint) {
+                true => self.root_joint,
                 false => joint,
             };
             let writer = &self.joints()[writer];
-            let places = moving
-                .channels
-                .iter()
-                .filter(|channel| matches!(channel, Channel::Position(_)));
-            let mut missing = places.filter(|place| !writer.channels.contains(place));
-            if missing.next().is_some() {
+            let is_missing = |channel: &Channel| {
+                matches!(channel, Channel::Position(_)) && !writer.channels.contains(channel)
+            };
+            if moving.channels.iter().any(is_missing) {
                 let problem = format!(
                     "has no position channels for `{}`, and {} moves `{}`",
                     writer.name, example.file, moving.name
@@ -127,15 +110,15 @@ impl Figure {
         Ok(())
     }
 
-    /// Rejects motions whose travelling joint is within one that turns or moves: its way is then not
-    /// one over the ground. `asked`: what needs that.
-    pub(crate) fn must_travel_upright<'a>(
+    /// Checks that no ancestor of the root joint rotates or moves; otherwise the root trajectory is
+    /// not one over the ground. `asked`: the option that needs it.
+    pub(crate) fn must_have_upright_root<'a>(
         &self,
         motions: impl IntoIterator<Item = &'a Example>,
         asked: &str,
     ) -> Result<(), Error> {
-        let parent = self.joints()[self.travelling].parent;
-        let Some(parent) = parent.filter(|_| self.carriers.is_empty()) else {
+        let parent = self.joints()[self.root_joint].parent;
+        let Some(parent) = parent.filter(|_| self.ancestors.is_empty()) else {
             return Ok(());
         };
         for motion in motions {
@@ -147,7 +130,7 @@ impl Figure {
             };
             if !(0..motion.bvh.frames()).all(stands) {
                 let [own, above] =
-                    [self.travelling, parent].map(|joint| &self.joints()[joint].name);
+                    [self.root_joint, parent].map(|joint| &self.joints()[joint].name);
                 let problem = format!("`{own}` travels within `{above}`, which turns or moves");
                 let hint =
                     format!("{asked} needs a joint that travels over the ground: leave it out");
@@ -158,15 +141,15 @@ impl Figure {
     }
 }
 
-/// The place of each joint within its parent. None where it changes and no offset says what the bone is,
-/// or nothing else hangs on what is above it: hips that sway below a root are where the file began.
+/// The offset of each joint. None where the position changes and the offset is no bone, as for hips
+/// that move below a root.
 fn bones(bvh: &Bvh) -> Vec<Option<[f64; 3]>> {
-    let (still, ranges) = (bvh.locals(0), travel(bvh));
+    let (still, ranges) = (bvh.locals(0), position_ranges(bvh));
     let joints = bvh.joints().iter().zip(still).zip(ranges).enumerate();
     let bone = joints.map(|(index, ((joint, pose), range))| match range > 0.0 {
         false => Some(pose.position),
         true => Some(joint.offset)
-            .filter(|&offset| length(offset) > 0.0 && carriers(bvh, index).is_empty()),
+            .filter(|&offset| length(offset) > 0.0 && ancestors(bvh, index).is_empty()),
     });
     bone.collect()
 }

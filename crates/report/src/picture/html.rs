@@ -1,79 +1,62 @@
-//! Curves as SVG in a page, in the page's colours.
+//! Panels as SVG elements, styled by their page: curves are smoothed, and axes logarithmic, as
+//! needed.
 
 use std::fmt::Write;
 use std::ops::Range;
 
-use super::escape;
+use super::Panel;
+use super::axes::{can_be_drawn, extremes};
+use crate::escape::escape;
 
-/// Size of a chart and of the room around its plot, in units of the picture.
+/// Size of a chart and its margins, in SVG units.
 const SIZE: (f64, f64) = (460.0, 230.0);
 const LEFT: f64 = 56.0;
 const RIGHT: f64 = 12.0;
 const TOP: f64 = 10.0;
 const BOTTOM: f64 = 30.0;
 
-/// Parts of a curve that are drawn one by one: the lowest and the highest value of each.
+/// Parts of a long curve, each drawn by its lowest and highest value.
 const PARTS: usize = 300;
 
-/// A curve that goes up and down by so many times what it spans is noisy, and is smoothed.
+/// A curve is noisy, and is smoothed, if its total variation exceeds its range by this factor.
 const NOISY: f64 = 5.0;
 
-/// Values over which a noisy curve is smoothed, as a share of all.
+/// Time constant of smoothing, as a part of the curve.
 const SMOOTHING: f64 = 0.03;
 
-/// Curves that are positive and span such a ratio have a logarithmic axis.
+/// Ratio of positive values from which the axis is logarithmic.
 const LOGARITHMIC: f64 = 30.0;
 
-/// Colours of the page's style, from `--c0` on.
+/// Number of colours of the page style.
 const COLOURS: usize = 8;
 
-/// Curves over one axis.
-#[derive(Clone, Debug, Default)]
-pub struct Chart {
-    /// Title, with the unit.
-    pub title: String,
-    /// Name of the axis below.
-    pub x_label: String,
-    /// The curves; those without points are left out.
-    pub lines: Vec<Line>,
-}
-
-/// A curve.
-#[derive(Clone, Debug, Default)]
-pub struct Line {
-    /// Its name.
-    pub name: String,
-    /// Its points from left to right.
-    pub points: Vec<(f64, f64)>,
-}
-
-/// Where values stand in the picture.
+/// The ranges of both axes.
 struct Frame {
     x: Range<f64>,
     y: Range<f64>,
     is_log: bool,
 }
 
-impl Chart {
-    /// Whether there is nothing that can be drawn.
+impl Panel {
+    /// Whether no point of its curves can be drawn.
     pub fn is_empty(&self) -> bool {
-        self.drawn().next().is_none()
+        self.curves().next().is_none()
     }
 
-    fn drawn(&self) -> impl Iterator<Item = (&str, Vec<(f64, f64)>)> {
-        let finite = |(x, y): &&(f64, f64)| x.is_finite() && y.abs() <= 1e30;
-        let lines = self.lines.iter().map(move |line| {
-            let points = line.points.iter().filter(finite).copied().collect();
-            (line.name.as_str(), points)
+    fn curves(&self) -> impl Iterator<Item = (&str, Vec<(f64, f64)>)> {
+        let drawable = |(x, y): &&(f64, f64)| can_be_drawn(*x) && can_be_drawn(*y);
+        let curves = self.series().iter().map(move |(name, points)| {
+            let points = points.iter().filter(drawable).copied().collect();
+            (name.as_str(), points)
         });
-        lines.filter(|(_, points): &(_, Vec<_>)| !points.is_empty())
+        curves.filter(|(_, points): &(_, Vec<_>)| !points.is_empty())
     }
 
-    /// The chart as HTML: title, names of the curves, SVG.
-    pub(super) fn html(&self) -> String {
-        let lines: Vec<_> = self.drawn().collect();
+    /// Its curves as HTML: title, legend, SVG.
+    pub(crate) fn html(&self) -> String {
+        let lines: Vec<_> = self.curves().collect();
         let frame = Frame::of(lines.iter().flat_map(|(_, points)| points));
-        let mut body = frame.axes(&self.x_label);
+        let mut body = frame.axes(self.x_label);
         let mut legend = String::new();
         for (index, (name, points)) in lines.iter().enumerate() {
             let colour = index % COLOURS;
@@ -141,7 +124,7 @@ impl Frame {
         path + "\"/>"
     }
 
-    /// Lines and numbers of both axes.
+    /// Grid lines and tick labels.
     fn axes(&self, x_label: &str) -> String {
         let mut axes = String::new();
         let (right, bottom) = (SIZE.0 - RIGHT, SIZE.1 - BOTTOM);
@@ -184,12 +167,11 @@ impl Frame {
 }
 
 fn span(values: impl Iterator<Item = f64>) -> Range<f64> {
-    let none = (f64::INFINITY, f64::NEG_INFINITY);
-    let (low, high) = values.fold(none, |(low, high), v| (low.min(v), high.max(v)));
+    let (low, high) = extremes(values);
     if low > high { 0.0..1.0 } else { low..high }
 }
 
-/// Round numbers within the range, about so many, and the step between them.
+/// About `about` round numbers in the range, and their step.
 fn ticks(range: &Range<f64>, about: f64) -> (f64, Vec<f64>) {
     let rough = (range.end - range.start) / about;
     let power = 10f64.powf(rough.log10().floor());
@@ -202,11 +184,11 @@ fn ticks(range: &Range<f64>, about: f64) -> (f64, Vec<f64>) {
     (step, numbers.collect())
 }
 
-/// Powers of ten within the range of exponents; where there are few, two and five times them too.
+/// Powers of ten in a range of exponents, with 2 and 5 times them where there are few.
 fn powers(range: &Range<f64>) -> Vec<f64> {
     let (first, last) = (range.start.ceil() as i64, range.end.floor() as i64);
     if last - first < 2 {
-        // Too few to read values off.
+        // Too few tick labels.
         let numbers = (first - 1..=last)
             .flat_map(|power| [1.0f64, 2.0, 5.0].map(|n| n.log10() + power as f64));
         return numbers.filter(|number| range.contains(number)).collect();
@@ -216,7 +198,7 @@ fn powers(range: &Range<f64>) -> Vec<f64> {
     powers.map(|power| power as f64).collect()
 }
 
-/// A number of an axis whose numbers are `step` apart; 0 for one that stands alone.
+/// A number; `step` is the distance of tick labels, 0 for a single number.
 fn label(value: f64, step: f64) -> String {
     let size = value.abs().max(step);
     if size == 0.0 || value.abs() < 1e-6 * step {
@@ -237,7 +219,7 @@ fn label(value: f64, step: f64) -> String {
     }
 }
 
-/// The lowest and the highest point of each part of a long curve, in their order.
+/// The lowest and highest point of each part of a long curve, in order.
 fn thinned(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
     if points.len() <= 2 * PARTS {
         return points.to_vec();
@@ -258,12 +240,12 @@ fn thinned(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
 }
 
 fn is_noisy(points: &[(f64, f64)]) -> bool {
-    let way = points.windows(2).map(|pair| (pair[1].1 - pair[0].1).abs());
+    let path = points.windows(2).map(|pair| (pair[1].1 - pair[0].1).abs());
     let range = span(points.iter().map(|point| point.1));
-    way.sum::<f64>() > NOISY * (range.end - range.start)
+    path.sum::<f64>() > NOISY * (range.end - range.start)
 }
 
-/// A running mean, which gives the first values the same weight as later ones.
+/// An exponential moving average with bias correction.
 fn smoothed(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
     let decay = 1.0 - 1.0 / (SMOOTHING * points.len() as f64).max(2.0);
     let (mut mean, mut weight) = (0.0, 0.0);
@@ -279,15 +261,9 @@ fn smoothed(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
 mod tests {
     use super::*;
 
-    fn chart(points: impl IntoIterator<Item = (f64, f64)>) -> Chart {
-        Chart {
-            title: "loss <&>".into(),
-            x_label: "step".into(),
-            lines: vec![Line {
-                name: "a\"b".into(),
-                points: points.into_iter().collect(),
-            }],
-        }
+    fn chart(points: impl IntoIterator<Item = (f64, f64)>) -> Panel {
+        let series = ("a\"b".to_string(), points.into_iter().collect());
+        Panel::lines("loss <&>", "step", vec![series])
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! What a file says of its skeleton: rate, size, and which joint travels.
+//! Frame rate, size and root joint of a file.
 
 use kinegrad_capture::{Bvh, Channel};
 
@@ -7,13 +7,13 @@ use kinegrad_motion::vector::length;
 use super::Example;
 use crate::Error;
 
-/// Longest frame time, in seconds, at which every second frame is left out.
+/// Frame time in seconds below which every second frame is dropped.
 const THINNED_BELOW: f64 = 0.017;
-/// Of how many frames one is kept at most.
+/// Largest downsampling factor.
 const MOST_THINNED: usize = 1 << 20;
 
-/// Every how many frames one is kept, and the time between those.
-pub(super) fn thinning(bvh: &Bvh) -> (usize, f64) {
+/// The downsampling factor and the frame time after it.
+pub(crate) fn thinning(bvh: &Bvh) -> (usize, f64) {
     let mut every = 1;
     while bvh.frame_time() * (every as f64) < THINNED_BELOW && every < MOST_THINNED {
         every *= 2;
@@ -21,13 +21,14 @@ pub(super) fn thinning(bvh: &Bvh) -> (usize, f64) {
     (every, bvh.frame_time() * every as f64)
 }
 
-/// The joint that travels furthest of those that the body hangs on: all of it, or most and it
-/// travels further than any bone is long. Or one below it that travels nearly as far by itself, in another
-/// file, where nothing else hangs between them. `ranges`: how far each travels within its parent.
-pub(super) fn travelling(bvh: &Bvh, ranges: &[f64]) -> usize {
+/// The joint that moves most among those that carry the body: the first joints of the hierarchy, or
+/// a joint with most of the body below it that moves further than any bone is long. Among joints in
+/// a chain without branches, the lowest one that moves at least half as far. `ranges`: the range of
+/// each joint within its parent.
+pub(super) fn root_joint(bvh: &Bvh, ranges: &[f64]) -> usize {
     let joints = bvh.joints();
-    // A collar bone that slides by more than the body sways does not carry it, nor does a back that
-    // sways behind a pelvis that stays.
+    // A collar bone that slides further than the body sways does not carry it, nor does a back that
+    // sways behind a still pelvis.
     let mut below = vec![1; joints.len()];
     for joint in (0..joints.len()).rev() {
         if let Some(parent) = joints[joint].parent {
@@ -36,25 +37,17 @@ pub(super) fn travelling(bvh: &Bvh, ranges: &[f64]) -> usize {
     }
     let longest = |without: usize| {
         let others = (1..joints.len()).filter(move |&joint| joint != without);
-        others
-            .map(|joint| length(joints[joint].offset))
-            .fold(0.0, f64::max)
+        others.map(|j| length(joints[j].offset)).fold(0.0, f64::max)
     };
     let carrying = |joint: &usize| {
-        let alone = *joint == 0 || !carriers(bvh, *joint).is_empty();
+        let alone = *joint == 0 || !ancestors(bvh, *joint).is_empty();
         alone || 2 * below[*joint] > joints.len() && ranges[*joint] > longest(*joint)
     };
     let candidates = (0..joints.len()).filter(carrying);
-    let most = candidates
-        .clone()
-        .map(|joint| ranges[joint])
-        .fold(0.0, f64::max);
-    let mut joint = candidates
-        .clone()
-        .find(|&joint| ranges[joint] == most)
-        .unwrap_or(0);
+    let most = candidates.clone().map(|j| ranges[j]).fold(0.0, f64::max);
+    let mut joint = candidates.clone().find(|&j| ranges[j] == most).unwrap_or(0);
     while let Some(child) = (joint + 1..joints.len()).find(|&j| joints[j].parent == Some(joint))
-        && carriers(bvh, child).contains(&joint)
+        && ancestors(bvh, child).contains(&joint)
         && carrying(&child)
         && ranges[child] > 0.5 * most
     {
@@ -63,21 +56,21 @@ pub(super) fn travelling(bvh: &Bvh, ranges: &[f64]) -> usize {
     joint
 }
 
-/// [`travelling`] of several motions, whose joints travel by `all`, `[motions][joints]`, and at most by
-/// `ranges`. Where one travels in a joint below that of the others, by which those carry it, it is that
-/// one: its place in the world says all of the way.
-pub(super) fn travelling_in_any(bvh: &Bvh, all: &[Vec<f64>], ranges: &[f64]) -> usize {
-    let own = all.iter().map(|ranges| travelling(bvh, ranges));
-    own.fold(travelling(bvh, ranges), |joint, own| {
-        match carriers(bvh, own).contains(&joint) {
+/// [`root_joint`] of several motions with the ranges `all`, `[motions][joints]`, and `ranges` over
+/// all of them. If the root joint of one motion is below that of the others in a chain without
+/// branches, it is the root joint of all: its world position contains the whole trajectory.
+pub(super) fn common_root_joint(bvh: &Bvh, all: &[Vec<f64>], ranges: &[f64]) -> usize {
+    let own = all.iter().map(|ranges| root_joint(bvh, ranges));
+    own.fold(root_joint(bvh, ranges), |joint, own| {
+        match ancestors(bvh, own).contains(&joint) {
             true => own,
             false => joint,
         }
     })
 }
 
-/// The joints above one, its parent first; none if something else hangs on them.
-pub(super) fn carriers(bvh: &Bvh, joint: usize) -> Vec<usize> {
+/// The ancestors of a joint, its parent first; none if one of them has another child.
+pub(super) fn ancestors(bvh: &Bvh, joint: usize) -> Vec<usize> {
     let joints = bvh.joints();
     let above = std::iter::successors(joints[joint].parent, |&parent| joints[parent].parent);
     let above: Vec<usize> = above.collect();
@@ -88,11 +81,11 @@ pub(super) fn carriers(bvh: &Bvh, joint: usize) -> Vec<usize> {
     }
 }
 
-/// What lengths are multiplied by. The offset of a joint that travels within its parent is no bone;
-/// that of the root counts in the published program.
-pub(super) fn scale(example: &Example, travelling: usize) -> Result<f64, Error> {
+/// The factor that lengths are scaled by. The offset of the root joint is not a bone, but that of
+/// joint 0 counts in the published program.
+pub(super) fn scale(example: &Example, root_joint: usize) -> Result<f64, Error> {
     let joints = example.bvh.joints().iter().enumerate();
-    let bones = joints.filter(|&(index, _)| index == 0 || index != travelling);
+    let bones = joints.filter(|&(index, _)| index == 0 || index != root_joint);
     let offsets = bones.flat_map(|(_, joint)| {
         let ends = joint.end_sites.iter().copied();
         ends.chain([joint.offset])
@@ -106,8 +99,8 @@ pub(super) fn scale(example: &Example, travelling: usize) -> Result<f64, Error> 
     Ok(1.0 / largest.ceil())
 }
 
-/// How far each joint travels within its parent, in file units: the most along one axis.
-pub(super) fn travel(bvh: &Bvh) -> Vec<f64> {
+/// The range of each joint's position within its parent, in file units: the largest over the axes.
+pub(super) fn position_ranges(bvh: &Bvh) -> Vec<f64> {
     let mut travel = vec![0.0; bvh.joints().len()];
     let mut first = 0;
     for (joint, travel) in bvh.joints().iter().zip(&mut travel) {

@@ -1,23 +1,23 @@
-//! The way of the joint that travels, seen from outside or from its heading.
+//! Root trajectories in world coordinates or relative to the heading.
 
 use std::f64::consts::TAU;
 
 use kinegrad_capture::{Axis, RootPose, UpAxis};
 use kinegrad_motion::Quaternion;
 
-use super::Figure;
+use super::MotionMatrix;
 use crate::{Frames, places, rotation6d};
 
-impl Figure {
-    /// The way of the joint that travels, `[frames]`, in the file's units.
+impl MotionMatrix {
+    /// Root positions, `[frames]`, in file units.
     pub fn path(&self, frames: &Frames) -> Vec<[f64; 3]> {
-        self.way_of(frames)
+        self.root_trajectory(frames)
             .into_iter()
             .map(|(place, _)| place)
             .collect()
     }
 
-    /// Has motions start at `place`, on the two axes that do not point up, in the file's units.
+    /// Sets the start of motions to `place`, horizontal, in file units.
     pub(crate) fn start_at(&mut self, place: [f64; 2]) {
         let level = (0..3).filter(|&axis| axis != self.up as usize);
         for (axis, place) in level.zip(place) {
@@ -25,41 +25,40 @@ impl Figure {
         }
     }
 
-    /// Has motions start where `frames` pass `place` at frame `t` without a bend.
-    pub(crate) fn start_for(&mut self, frames: &Frames, (t, place): (usize, [f64; 2])) {
-        let passed = self.way_of(frames)[t].0;
+    /// Sets the start of motions so that `frames` pass `place` at frame `t`.
+    pub(crate) fn start_through(&mut self, frames: &Frames, (t, place): (usize, [f64; 2])) {
+        let passed = self.root_trajectory(frames)[t].0;
         let level = (0..3).filter(|&axis| axis != self.up as usize);
         for (axis, place) in level.zip(place) {
             self.start[axis] += place - self.base[axis] - passed[axis];
         }
     }
 
-    /// Closes the heading of a loop: what is missing to whole turns from its first frame around to it
-    /// is shared out evenly, so that the body goes on as it began. Without a heading nothing changes.
-    pub(crate) fn close(&self, frames: &mut Frames) {
+    /// Closes the heading of a loop: the difference between the total turn and the nearest multiple
+    /// of a full turn is distributed evenly over the frames.
+    pub(crate) fn close_heading(&self, frames: &mut Frames) {
         if self.heading.is_none() {
             return;
         }
-        let (turn, n) = (self.way().start, frames.frames());
+        let (turn, n) = (self.root_channels().start, frames.frames());
         let all: f64 = (0..n).map(|t| f64::from(frames.frame(t)[turn])).sum();
         let share = (all - TAU * (all / TAU).round()) / n as f64;
         (0..n).for_each(|t| frames.frame_mut(t)[turn] -= share as f32);
     }
 
-    /// Place of the joint that travels, in the file's units, and the heading that its rotation is
-    /// seen from, in radians, `[frames]`.
-    pub(super) fn way_of(&self, frames: &Frames) -> Vec<([f64; 3], f64)> {
+    /// Root position in file units and heading in radians, `[frames]`.
+    pub(super) fn root_trajectory(&self, frames: &Frames) -> Vec<([f64; 3], f64)> {
         let mut heading = self.heading.unwrap_or(0.0);
         let (mut headings, mut displaced) = (Vec::new(), Vec::new());
         for t in 0..frames.frames() {
-            let values = &frames.frame(t)[self.way()];
+            let values = &frames.frame(t)[self.root_channels()];
             let (turn, values) = values.split_at(values.len() - 3);
             if t > 0 {
                 heading += turn.iter().copied().map(f64::from).sum::<f64>();
             }
             headings.push(heading);
             let moved = [0, 1, 2].map(|axis| f64::from(values[axis]));
-            displaced.push(self.turned(heading).rotate(moved));
+            displaced.push(self.heading_rotation(heading).rotate(moved));
         }
         let start = self.start.map(|value| value * self.scale);
         let path = places(&displaced, start, Some(self.up)).into_iter();
@@ -68,26 +67,26 @@ impl Figure {
             .collect()
     }
 
-    /// The turn about the vertical by `heading` radians.
-    pub(super) fn turned(&self, heading: f64) -> Quaternion {
+    /// The rotation about the vertical by `heading` radians.
+    pub(super) fn heading_rotation(&self, heading: f64) -> Quaternion {
         let mut vector = [0.0; 3];
         vector[self.up as usize] = heading;
         Quaternion::from_rotation_vector(vector)
     }
 
-    /// How far a rotation turns about the vertical, in radians.
+    /// The heading of a rotation, in radians.
     pub(super) fn heading_of(&self, rotation: Quaternion) -> f64 {
         let about = [rotation.x, rotation.y, rotation.z][self.up as usize];
         2.0 * about.atan2(rotation.w)
     }
 
-    /// The arc in radians that holds all headings of the joint that travels in motions that are seen
-    /// from outside; none of others.
-    pub fn turns_over(&self, motions: &[Frames]) -> Option<f64> {
+    /// The smallest arc in radians that contains all root headings; none if motions are relative to
+    /// the heading.
+    pub fn heading_arc(&self, motions: &[Frames]) -> Option<f64> {
         if self.heading.is_some() {
             return None;
         }
-        let six = self.rotation_of(self.travelling);
+        let six = self.rotation_of(self.root_joint);
         let headings = motions.iter().flat_map(|frames| {
             (0..frames.frames()).map(|t| {
                 let values = &frames.frame(t)[six.clone()];
@@ -103,23 +102,22 @@ impl Figure {
         Some(TAU - gaps.fold(first + TAU - last, f64::max))
     }
 
-    /// Turns rotations and displacements of the joint that travels to where it heads, and returns
-    /// the turns of the heading since the frame before, `[frames]`. The first frame moves and turns
-    /// as the second does.
-    pub(super) fn seen_from_heading(
+    /// Makes root rotations and displacements relative to the heading, and returns the changes of
+    /// heading, `[frames]`. The first frame gets the displacement and change of the second.
+    pub(super) fn to_heading_frame(
         &self,
         poses: &mut [Vec<RootPose>],
-        way: &mut [[f64; 3]],
+        trajectory: &mut [[f64; 3]],
     ) -> Vec<f64> {
         let headings: Vec<f64> = poses
             .iter()
-            .map(|pose| self.heading_of(pose[self.travelling].orientation))
+            .map(|pose| self.heading_of(pose[self.root_joint].orientation))
             .collect();
-        for ((pose, moved), heading) in poses.iter_mut().zip(way.iter_mut()).zip(&headings) {
-            let back = self.turned(-heading);
+        for ((pose, moved), heading) in poses.iter_mut().zip(trajectory.iter_mut()).zip(&headings) {
+            let back = self.heading_rotation(-heading);
             *moved = back.rotate(*moved);
-            let travelling = &mut pose[self.travelling];
-            travelling.orientation = back * travelling.orientation;
+            let root_joint = &mut pose[self.root_joint];
+            root_joint.orientation = back * root_joint.orientation;
         }
         let turn = |pair: &[f64]| {
             let turn = pair[1] - pair[0];
@@ -127,7 +125,7 @@ impl Figure {
         };
         let mut turns: Vec<f64> = headings.windows(2).map(turn).collect();
         turns.insert(0, turns.first().copied().unwrap_or(0.0));
-        if let [first, second, ..] = way {
+        if let [first, second, ..] = trajectory {
             let height = first[self.up as usize];
             *first = *second;
             first[self.up as usize] = height;
@@ -135,8 +133,8 @@ impl Figure {
         turns
     }
 
-    /// A place from above: to the right and towards the viewer, in the file's units.
-    pub fn from_above(&self, place: [f64; 3]) -> (f64, f64) {
+    /// A position in top view: right and towards the viewer, in file units.
+    pub fn top_view(&self, place: [f64; 3]) -> (f64, f64) {
         let up = match self.up {
             Axis::Z => UpAxis::Z,
             Axis::X | Axis::Y => UpAxis::Y,

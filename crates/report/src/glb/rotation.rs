@@ -1,16 +1,16 @@
-//! Rotations in double precision, so that a chain of joints ends where it should.
+//! Rotations in double precision, for exact ends of joint chains.
 
 /// A unit quaternion (w, x, y, z).
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Turn(pub [f64; 4]);
+pub(super) struct Rotation(pub [f64; 4]);
 
-/// Steps that the search for the best rotation takes at most.
+/// Most iterations of the search for the best rotation.
 const STEPS: usize = 60;
 
-impl Turn {
+impl Rotation {
     pub const IDENTITY: Self = Self([1.0, 0.0, 0.0, 0.0]);
 
-    /// The quaternion with norm 1; the identity where it has none.
+    /// The normalised quaternion; the identity if it has no norm.
     pub fn unit(parts: [f64; 4]) -> Self {
         let norm = parts.iter().map(|part| part * part).sum::<f64>().sqrt();
         if norm.is_finite() && norm > 1e-12 {
@@ -20,18 +20,18 @@ impl Turn {
         }
     }
 
-    /// As numbers of single precision have it.
+    /// Rounded to single precision.
     pub fn rounded(self) -> Self {
         Self(self.0.map(|part| f64::from(part as f32)))
     }
 
-    /// As glTF writes it, (x, y, z, w).
+    /// In glTF order, (x, y, z, w).
     pub fn to_gltf(self) -> [f32; 4] {
         let [w, x, y, z] = self.0.map(|part| part as f32);
         [x, y, z, w]
     }
 
-    /// The same rotation, with the sign that is nearer to `before`.
+    /// The same rotation with the sign nearer to `before`.
     pub fn after(self, before: Self) -> Self {
         let dot: f64 = self.0.iter().zip(before.0).map(|(a, b)| a * b).sum();
         if dot < 0.0 {
@@ -46,7 +46,7 @@ impl Turn {
         Self([w, -x, -y, -z])
     }
 
-    /// First `first`, then this.
+    /// The product: `first`, then this rotation.
     pub fn times(self, first: Self) -> Self {
         let ([aw, ax, ay, az], [bw, bx, by, bz]) = (self.0, first.0);
         Self::unit([
@@ -65,7 +65,7 @@ impl Turn {
         [0, 1, 2].map(|i| v[i] + 2.0 * (w * once[i] + twice[i]))
     }
 
-    /// The shortest turn from one direction to another; none where one of them has no length.
+    /// The shortest rotation between two directions; the identity if one has no length.
     pub fn between(from: [f64; 3], to: [f64; 3]) -> Self {
         let lengths = dot(from, from).sqrt() * dot(to, to).sqrt();
         if lengths < 1e-12 {
@@ -73,7 +73,7 @@ impl Turn {
         }
         let cosine = dot(from, to) / lengths;
         if cosine < -1.0 + 1e-9 {
-            // Half a turn, about whatever lies across.
+            // Half a turn, about any orthogonal axis.
             let smallest = (0..3).min_by(|a, b| from[*a].abs().total_cmp(&from[*b].abs()));
             let mut other = [0.0; 3];
             other[smallest.expect("three axes")] = 1.0;
@@ -84,12 +84,12 @@ impl Turn {
         Self::unit([1.0 + cosine, x, y, z])
     }
 
-    /// The rotation that brings directions at rest nearest to where they are, in squares; what they
-    /// leave open stays as in `before`.
+    /// The rotation that fits directions at rest to their targets, least squares; degrees of
+    /// freedom left open stay as in `before`.
     ///
     /// Source: P. Davenport's q-method for G. Wahba's problem (SIAM Review 7(3), 1965): the
-    /// quaternion is the eigenvector of the largest eigenvalue of a symmetric matrix, found here by
-    /// repeated multiplication.
+    /// quaternion is the eigenvector of the largest eigenvalue of a symmetric matrix, found by
+    /// power iteration.
     pub fn fitting(pairs: &[([f64; 3], [f64; 3])], before: Self) -> Self {
         let mut b = [[0.0; 3]; 3];
         let mut weight = 0.0;
@@ -115,8 +115,8 @@ impl Turn {
                 k[i + 1][j + 1] = b[i][j] + b[j][i] - if i == j { trace } else { 0.0 };
             }
         }
-        // Eigenvalues lie between plus and minus the weight: moved, the largest one is the longest.
-        // What is kept of `before` decides where several rotations fit equally well.
+        // Eigenvalues lie within plus or minus the weight: shifted, the largest has the largest
+        // magnitude. The share of `before` decides between equally good rotations.
         for (i, row) in k.iter_mut().enumerate() {
             row[i] += weight;
             for (j, entry) in row.iter_mut().enumerate() {
@@ -125,8 +125,7 @@ impl Turn {
         }
         let mut q = before.0;
         for _ in 0..STEPS {
-            // Squaring the matrix each time would be faster, but this is precise enough: what is
-            // missing is turned by the nodes of the bones.
+            // Precise enough: the nodes of the bones correct the rest.
             let next = k.map(|row| row.iter().zip(q).map(|(a, b)| a * b).sum());
             let next = Self::unit(next).0;
             let moved: f64 = next.iter().zip(q).map(|(a, b)| (a - b).abs()).sum();
@@ -170,27 +169,30 @@ mod tests {
         for from in directions {
             for to in directions {
                 let scale = (dot(from, from) / dot(to, to)).sqrt();
-                let turned = Turn::between(from, to).rotate(from);
+                let turned = Rotation::between(from, to).rotate(from);
                 assert!(
                     near(turned, to.map(|value| scale * value), 1e-9),
                     "{from:?} {to:?}"
                 );
             }
         }
-        assert_eq!(Turn::between([0.0; 3], [1.0, 0.0, 0.0]), Turn::IDENTITY);
+        assert_eq!(
+            Rotation::between([0.0; 3], [1.0, 0.0, 0.0]),
+            Rotation::IDENTITY
+        );
     }
 
     #[test]
     fn a_rotation_is_found_from_what_it_turned() {
-        let known = Turn::unit([0.7, 0.2, -0.6, 0.3]);
+        let known = Rotation::unit([0.7, 0.2, -0.6, 0.3]);
         let rest = [[0.1, -0.4, 0.0], [-0.1, -0.4, 0.05], [0.0, 0.5, 0.1]];
         let pairs = rest.map(|v| (v, known.rotate(v)));
-        let found = Turn::fitting(&pairs, Turn::IDENTITY);
+        let found = Rotation::fitting(&pairs, Rotation::IDENTITY);
         for v in rest {
             assert!(near(found.rotate(v), known.rotate(v), 1e-2), "{found:?}");
         }
-        let again = Turn::fitting(&pairs, found);
+        let again = Rotation::fitting(&pairs, found);
         assert!(near(again.rotate(rest[0]), known.rotate(rest[0]), 1e-3));
-        assert_eq!(Turn::fitting(&[], known), known);
+        assert_eq!(Rotation::fitting(&[], known), known);
     }
 }

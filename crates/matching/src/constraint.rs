@@ -1,60 +1,58 @@
-//! What a synthesis must keep to: fixed channels and key frames, at every level.
+//! Constraints of a synthesis, applied at every level: fixed channels and key frames.
 
 use crate::Frames;
 
-mod keys;
+mod keyframes;
 
-/// What a synthesis must keep to.
+/// A constraint of a synthesis.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Held {
+pub enum Constraint {
     /// Channels that follow a given motion.
     Channels {
         /// The channels.
         channels: Vec<usize>,
-        /// The motion they are taken from, `[frames, channels]` with all channels; the new motion
-        /// is as long.
+        /// The motion, `[frames, channels]` with all channels, as long as the new one.
         motion: Frames,
     },
-    /// A frame whose channels have given values.
+    /// A frame with given values.
     Keyframe {
-        /// When, as a part of the motion's length: frame t of n is (t + 0.5) / n.
+        /// Time as a part of the motion: frame t of n is (t + 0.5) / n.
         at: f64,
         /// The channels.
         channels: Vec<usize>,
-        /// The motion that the values are from, `[frames, channels]` of these channels alone.
+        /// The source motion, `[frames, channels]` of these channels alone.
         source: Frames,
-        /// The frame of it that is taken.
+        /// The frame of the source.
         from: usize,
         /// Frames of the new motion.
         frames: usize,
-        /// Of those the ones before and after it that bend towards it.
+        /// Frames before and after it that are blended towards the source.
         reach: usize,
     },
 }
 
-impl Held {
-    /// The frame of `frames` that is at the part `at` of a motion's length.
+impl Constraint {
+    /// The frame at time `at` in a motion of `frames` frames.
     pub(crate) fn frame(at: f64, frames: usize) -> usize {
         let t = (at * frames as f64 - 0.5).round().max(0.0) as usize;
         t.min(frames - 1)
     }
 
-    /// Makes the motion of a level, `[frames, channels]`, keep to all of `held`.
+    /// Applies `constraints` to the motion of a level, `[frames, channels]`.
     ///
-    /// Every key frame is met exactly, and its neighbours go over to those that it has in its source,
-    /// with a weight that falls off to 0 with no corner within its reach, or sooner where another key
-    /// frame of the same channel is nearer: so it is passed as the source passes it, and patches of the
-    /// source match it at every level. Key frames that a coarse level has in one frame are averaged
-    /// there. `around`: whether the last frame is followed by the first. Channels that follow a motion
-    /// are set after that. Says of each frame whether it bends towards a key frame; nothing where there
-    /// is none.
+    /// Key frames are met exactly. Their neighbours blend into the neighbours in the source, with a
+    /// smooth weight that falls to 0 within the reach or before the next key frame of the same
+    /// channel: patches of the source then match there at every level. Key frames that fall into
+    /// one frame of a coarse level are averaged. `is_loop`: the last frame is followed by the
+    /// first. Fixed channels are set last. Returns whether each frame was blended; empty without
+    /// key frames.
     ///
     /// # Panics
-    /// Panics if the channels are not there.
-    pub fn hold(held: &[Self], frames: &mut Frames, around: bool) -> Vec<bool> {
-        let bent = keys::hold(held, frames, around);
-        for held in held {
-            if let Self::Channels { channels, motion } = held {
+    /// If a channel does not exist.
+    pub fn apply_all(constraints: &[Self], frames: &mut Frames, is_loop: bool) -> Vec<bool> {
+        let bent = keyframes::apply(constraints, frames, is_loop);
+        for constraint in constraints {
+            if let Self::Channels { channels, motion } = constraint {
                 let motion = motion.columns(channels).resampled(frames.frames());
                 for t in 0..frames.frames() {
                     let row = frames.frame_mut(t);
@@ -70,13 +68,13 @@ impl Held {
 
 #[cfg(test)]
 mod tests {
-    use super::keys::falloff;
+    use super::keyframes::falloff;
     use super::*;
 
     #[test]
     fn a_key_frame_is_met_and_its_neighbours_bend() {
         let mut frames = Frames::zeros(21, 2);
-        let key = Held::Keyframe {
+        let key = Constraint::Keyframe {
             at: 10.5 / 21.0,
             channels: vec![1],
             source: Frames::new(1, vec![5.0, 3.0, 2.0, 3.0, 5.0, 7.0]),
@@ -84,7 +82,7 @@ mod tests {
             frames: 21,
             reach: 4,
         };
-        Held::hold(std::slice::from_ref(&key), &mut frames, false);
+        Constraint::apply_all(std::slice::from_ref(&key), &mut frames, false);
         let second: Vec<f32> = (0..21).map(|t| frames.frame(t)[1]).collect();
         assert_eq!(second[10], 2.0);
         // The neighbours are those of the source, weighted, and held at its ends.
@@ -96,32 +94,32 @@ mod tests {
         // At a level of a third of the frames the source goes three times as fast, and the bend is as
         // much shorter.
         let mut coarse = Frames::zeros(7, 2);
-        Held::hold(&[key], &mut coarse, false);
+        Constraint::apply_all(&[key], &mut coarse, false);
         let second: Vec<f32> = (0..7).map(|t| coarse.frame(t)[1]).collect();
         assert_eq!((second[3], second[4]), (2.0, 7.0 * falloff(1, 2)));
     }
 
     #[test]
-    fn held_channels_are_those_of_the_motion() {
+    fn constrained_channels_are_those_of_the_motion() {
         let motion = Frames::new(2, (0..20).map(|value| value as f32).collect());
         let mut frames = Frames::zeros(10, 2);
-        let held = Held::Channels {
+        let constraint = Constraint::Channels {
             channels: vec![0],
             motion: motion.clone(),
         };
-        Held::hold(std::slice::from_ref(&held), &mut frames, false);
+        Constraint::apply_all(std::slice::from_ref(&constraint), &mut frames, false);
         for t in 0..10 {
             assert_eq!(frames.frame(t), [motion.frame(t)[0], 0.0]);
         }
         let mut coarse = Frames::zeros(5, 2);
-        Held::hold(&[held], &mut coarse, false);
+        Constraint::apply_all(&[constraint], &mut coarse, false);
         assert_eq!(coarse.frame(1)[0], 5.0);
     }
 
     /// A key of channel 0 (and 1, if `both`) with a value that stays.
-    fn still(frame: usize, of: usize, both: bool, value: f32, reach: usize) -> Held {
+    fn still(frame: usize, of: usize, both: bool, value: f32, reach: usize) -> Constraint {
         let channels = if both { vec![0, 1] } else { vec![0] };
-        Held::Keyframe {
+        Constraint::Keyframe {
             at: (frame as f64 + 0.5) / of as f64,
             source: Frames::new(channels.len(), vec![value; channels.len()]),
             channels,
@@ -141,7 +139,7 @@ mod tests {
                 still(40, 60, true, 3.0, reach),
             ];
             let mut frames = Frames::zeros(60, 2);
-            Held::hold(&keys, &mut frames, false);
+            Constraint::apply_all(&keys, &mut frames, false);
             let met = [20, 21, 26, 40].map(|t| frames.frame(t)[0]);
             assert_eq!(met, [1.0, -2.0, 5.0, 3.0], "{reach}");
             assert_eq!([26, 40].map(|t| frames.frame(t)[1]), [5.0, 3.0]);
@@ -153,7 +151,7 @@ mod tests {
         // One frame of a coarse level holds the mean of two.
         let keys = [still(20, 60, false, 1.0, 5), still(21, 60, false, 3.0, 5)];
         let mut coarse = Frames::zeros(6, 2);
-        Held::hold(&keys, &mut coarse, false);
+        Constraint::apply_all(&keys, &mut coarse, false);
         assert_eq!(coarse.frame(2)[0], 2.0);
     }
 
@@ -161,13 +159,13 @@ mod tests {
     fn a_key_frame_of_a_loop_bends_frames_on_both_sides_of_the_seam() {
         let mut frames = Frames::zeros(40, 2);
         let key = still(1, 40, false, 2.0, 6);
-        Held::hold(std::slice::from_ref(&key), &mut frames, true);
+        Constraint::apply_all(std::slice::from_ref(&key), &mut frames, true);
         for away in 1..6 {
             let [behind, before] = [1 + away, (41 - away) % 40].map(|t| frames.frame(t)[0]);
             assert!(behind > 0.0 && behind == before, "{away}");
         }
         let mut open = Frames::zeros(40, 2);
-        Held::hold(&[key], &mut open, false);
+        Constraint::apply_all(&[key], &mut open, false);
         assert_eq!(open.frame(39)[0], 0.0);
     }
 }

@@ -15,7 +15,7 @@ fn walk() -> Example {
 }
 
 fn refused(examples: &[Example]) -> String {
-    let error = Figure::new(examples, FigureOptions::default()).unwrap_err();
+    let error = MotionMatrix::new(examples, MatrixOptions::default()).unwrap_err();
     error.to_string()
 }
 
@@ -53,18 +53,18 @@ fn bones_of_another_size_are_refused() {
     );
     // Another rest pose, and somebody a sixth smaller.
     let forth = text(40, 1.0 / 30.0).replace("OFFSET 0 -42.5 0", "OFFSET 0 0 42.5");
-    let said = refused(&[walk(), parsed(&forth, "forth.bvh")]);
+    let message = refused(&[walk(), parsed(&forth, "forth.bvh")]);
     assert!(
-        said.contains("is 42.5000 long and points elsewhere"),
-        "{said}"
+        message.contains("is 42.5000 long and points elsewhere"),
+        "{message}"
     );
     let small = text(40, 1.0 / 30.0).replace("OFFSET 0 -42.5 0", "OFFSET 0 -36 0");
     let examples = [walk(), parsed(&small, "small.bvh")];
-    Figure::new(&examples, FigureOptions::default()).unwrap();
+    MotionMatrix::new(&examples, MatrixOptions::default()).unwrap();
 }
 
 #[test]
-fn another_motion_that_travels_in_another_joint_keeps_its_way() {
+fn a_motion_with_another_root_joint_keeps_its_trajectory() {
     // The root travels three times as far as the hips of the example, and turns.
     let taken = changed("taken.bvh", |t, pose| {
         pose[1].position = [0.0, pose[1].position[1], 0.0];
@@ -74,13 +74,13 @@ fn another_motion_that_travels_in_another_joint_keeps_its_way() {
     for (example, other) in [(walk(), &taken), (taken.clone(), &walk())] {
         let examples = [example];
         for heading in [false, true] {
-            let options = FigureOptions {
+            let options = MatrixOptions {
                 heading,
-                ..FigureOptions::default()
+                ..MatrixOptions::default()
             };
-            let figure = Figure::with(&examples, &[other], options).unwrap();
-            assert_eq!(figure.travelling(), 1);
-            let back = figure.bvh(&figure.frames(other).unwrap()).unwrap();
+            let layout = MotionMatrix::with(&examples, &[other], options).unwrap();
+            assert_eq!(layout.root_joint(), 1);
+            let back = layout.to_bvh(&layout.to_frames(other).unwrap()).unwrap();
             let start = [&back, &other.bvh].map(|bvh| bvh.world(0)[3].position);
             for t in 0..40 {
                 let [new, old] = [&back, &other.bvh].map(|bvh| bvh.world(t)[3].position);
@@ -101,7 +101,7 @@ fn another_motion_that_travels_in_another_joint_keeps_its_way() {
 }
 
 #[test]
-fn the_way_of_hips_below_a_turned_root_is_over_the_ground() {
+fn the_trajectory_of_hips_below_a_turned_root_is_over_the_ground() {
     // A root that lies on its back and turns its hips upright again.
     let tip = Quaternion::from_rotation_vector([-std::f64::consts::FRAC_PI_2, 0.0, 0.0]);
     let tipped = changed("tipped.bvh", |_, pose| {
@@ -110,13 +110,13 @@ fn the_way_of_hips_below_a_turned_root_is_over_the_ground() {
         pose[1].orientation = tip.conjugate() * pose[1].orientation;
     });
     for heading in [false, true] {
-        let options = FigureOptions {
+        let options = MatrixOptions {
             heading,
-            ..FigureOptions::default()
+            ..MatrixOptions::default()
         };
         let of = |walk: &Example| {
-            let figure = Figure::new(std::slice::from_ref(walk), options.clone()).unwrap();
-            figure.frames(walk).unwrap()
+            let layout = MotionMatrix::new(std::slice::from_ref(walk), options.clone()).unwrap();
+            layout.to_frames(walk).unwrap()
         };
         let (one, other) = (of(&walk()), of(&tipped));
         for (a, b) in one.values().iter().zip(other.values()) {
@@ -143,8 +143,8 @@ fn what_the_first_example_cannot_write_is_refused() {
         refused(&[still.clone(), walk()]),
         "still.bvh: has no position channels for `Hips`, and walk.bvh moves `Hips`"
     );
-    Figure::new(&[walk(), still.clone()], FigureOptions::default()).unwrap();
-    Figure::new(&[still], FigureOptions::default()).unwrap();
+    MotionMatrix::new(&[walk(), still.clone()], MatrixOptions::default()).unwrap();
+    MotionMatrix::new(&[still], MatrixOptions::default()).unwrap();
     // A joint that slides in a motion of which a part is taken slides in the new one.
     let slides = text(40, 1.0 / 30.0).replace(
         "OFFSET -9 -5 0\nCHANNELS 3 ",
@@ -169,14 +169,14 @@ fn what_the_first_example_cannot_write_is_refused() {
     };
     let one = parsed(&with_places(|_| -5.0), "one.bvh");
     let slides = parsed(&with_places(|t| -5.0 - (t % 2) as f64), "slides.bvh");
-    let figure = Figure::with(
+    let layout = MotionMatrix::with(
         std::slice::from_ref(&one),
         &[&slides],
-        FigureOptions::default(),
+        MatrixOptions::default(),
     );
-    let figure = figure.unwrap();
-    assert_eq!(figure.channels_of(4).len(), 9);
-    let back = figure.bvh(&figure.frames(&slides).unwrap()).unwrap();
+    let layout = layout.unwrap();
+    assert_eq!(layout.channels_of(4).len(), 9);
+    let back = layout.to_bvh(&layout.to_frames(&slides).unwrap()).unwrap();
     for t in 0..40 {
         let [new, old] = [&back, &slides.bvh].map(|bvh| bvh.locals(t)[4].position[1]);
         assert!((new - old).abs() < 1e-3);
@@ -184,7 +184,7 @@ fn what_the_first_example_cannot_write_is_refused() {
 }
 
 #[test]
-fn a_way_within_a_joint_that_turns_is_not_seen_from_a_heading() {
+fn a_trajectory_within_a_turning_joint_has_no_heading() {
     // A tail on the root, so that nothing above the hips carries them alone.
     let text = text(40, 1.0 / 30.0);
     let tail =
@@ -203,17 +203,17 @@ fn a_way_within_a_joint_that_turns_is_not_seen_from_a_heading() {
         .collect();
     let turned = parsed(&quick, "turned.bvh");
     let upright = parsed(&quick.replace("0 0 0 30 0 0", "0 0 0 0 0 0"), "upright.bvh");
-    let by_heading = || FigureOptions {
+    let by_heading = || MatrixOptions {
         heading: true,
-        ..FigureOptions::default()
+        ..MatrixOptions::default()
     };
     assert_eq!(
-        Figure::new(std::slice::from_ref(&turned), by_heading())
+        MotionMatrix::new(std::slice::from_ref(&turned), by_heading())
             .unwrap_err()
             .to_string(),
         "turned.bvh: `Hips` travels within `Root`, which turns or moves"
     );
-    Figure::new(&[upright], by_heading()).unwrap();
-    let figure = Figure::new(&[turned], FigureOptions::default()).unwrap();
-    assert_eq!(figure.travelling(), 1);
+    MotionMatrix::new(&[upright], by_heading()).unwrap();
+    let layout = MotionMatrix::new(&[turned], MatrixOptions::default()).unwrap();
+    assert_eq!(layout.root_joint(), 1);
 }

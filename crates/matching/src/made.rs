@@ -1,0 +1,78 @@
+//! The result of a job and its measures.
+
+use kinegrad_capture::Bvh;
+
+use crate::{
+    Frames, Looping, Measures, MotionMatrix, Novelty, Part, Run, Seam, Sliding, Stillness,
+    Synthesis,
+};
+
+/// A new motion and its sources.
+#[derive(Clone, Debug)]
+pub struct Made {
+    /// The motion, with the hierarchy of the first example.
+    pub bvh: Bvh,
+    /// Its matrix and origins, before feet are locked.
+    pub synthesis: Synthesis,
+    /// The layout of the matrices.
+    pub layout: MotionMatrix,
+    /// The matrices of the examples.
+    pub examples: Vec<Frames>,
+    /// The matched parts, one for each list of origins.
+    pub parts: Vec<Part>,
+    /// Foot sliding, if feet are locked.
+    pub sliding: Option<Sliding>,
+    /// With fixed parts: the 95th percentile of jerk, relative to the largest of the examples and
+    /// fixed motions.
+    pub jerk: Option<f64>,
+}
+
+impl Made {
+    /// Measures over the rotations of these joints, by index; of all if empty.
+    pub fn measures(&self, joints: &[usize]) -> Option<Measures> {
+        let channels = rotations(&self.layout, joints);
+        let examples = self.examples.iter();
+        let examples: Vec<Frames> = examples.map(|each| each.columns(&channels)).collect();
+        Measures::of(&self.synthesis.frames.columns(&channels), &examples)
+    }
+
+    /// Novelty of each part.
+    pub fn novelty(&self) -> Vec<Novelty> {
+        let origins = self.synthesis.origins.iter();
+        origins
+            .map(|origins| Novelty::of(origins, self.layout.frame_time()))
+            .collect()
+    }
+
+    /// Runs of each part that follow an example.
+    pub fn runs(&self) -> Vec<Vec<Run>> {
+        let origins = self.synthesis.origins.iter();
+        origins.map(|origins| Run::all(origins)).collect()
+    }
+
+    /// Still frames of the motion and the examples.
+    pub fn stillness(&self) -> Option<Stillness> {
+        let channels = rotations(&self.layout, &[]);
+        let examples = self.examples.iter();
+        let examples: Vec<Frames> = examples.map(|each| each.columns(&channels)).collect();
+        Stillness::of(&self.synthesis.frames.columns(&channels), &examples)
+    }
+
+    /// The seam of a loop; none of other motions.
+    pub fn seam(&self, looping: Looping) -> Option<Seam> {
+        match looping {
+            Looping::Off => None,
+            _ => Seam::of(&self.layout, &self.bvh),
+        }
+    }
+}
+
+/// Rotation channels of these joints; of all if empty.
+fn rotations(layout: &MotionMatrix, joints: &[usize]) -> Vec<usize> {
+    let all: Vec<usize> = (0..layout.joints().len()).collect();
+    let joints = if joints.is_empty() { &all } else { joints };
+    joints
+        .iter()
+        .flat_map(|&joint| layout.rotation_of(joint))
+        .collect()
+}
