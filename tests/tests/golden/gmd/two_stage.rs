@@ -17,8 +17,9 @@ use kinegrad_motion::humanml::{FeatureLayout, Features, Root};
 use kinegrad_tests::golden::{Golden, GoldenTensors, ReferenceTensors, wide};
 use kinegrad_tests::trials;
 use kinegrad_tests::trials::GoldenTest;
+use kinegrad_train::clips::FeatureSpace;
 use kinegrad_train::config::SteeringConfig;
-use kinegrad_train::systems::gmd::{FeatureSpace, StageModel, StageSteering};
+use kinegrad_train::systems::gmd::{StageModel, StageSteering};
 
 use super::bench::{kept_timesteps, noise_of_steps, process, space, whole_model};
 

@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
 
 use super::{ADAPTER, PathConfig, RECIPE};
-use crate::captions::CaptionsConfig;
+use crate::clips::captions::CaptionsConfig;
 use crate::config::{ClipSample, Config, ModelTable, NetworkKind, SelectBy, SystemTables};
 use crate::error::Error;
 

@@ -18,13 +18,13 @@ use super::networks::{statistics_in, trained};
 use super::path::{PathControl, told};
 use super::{BpeTables, ComposeEvaluationConfig};
 use crate::TrainedModel;
-use crate::captions::TextInput;
 use crate::checkpoint::State;
+use crate::clips::FeatureSpace;
+use crate::clips::TimedPrompt;
+use crate::clips::captions::TextInput;
+use crate::clips::path_target::{Fastest, PathTarget};
 use crate::config::Config;
 use crate::error::Error;
-use crate::path_target::{Fastest, PathTarget};
-use crate::systems::gmd::FeatureSpace;
-use crate::text_plan::TimedPrompt;
 
 /// A trained network, ready to compose motion.
 pub struct Composer {

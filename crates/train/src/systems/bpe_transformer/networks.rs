@@ -10,8 +10,8 @@ use kinegrad_motion::{Representation, Statistics};
 
 use super::config::{tells_paths, with_paths};
 use super::{ADAPTER, BpeTables, INHERITED};
-use crate::captions::TextInput;
 use crate::checkpoint::{SavedCheckpoint, State, Weights};
+use crate::clips::captions::TextInput;
 use crate::config::{Config, OwnTables};
 use crate::error::Error;
 use crate::memory::Footprint;

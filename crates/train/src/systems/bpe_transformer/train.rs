@@ -13,7 +13,7 @@ use super::networks::text_input;
 use super::networks::{begun, statistics_in};
 use super::recipe::recipe;
 use super::told::Ways;
-use crate::captions::with_captions;
+use crate::clips::captions::with_captions;
 use crate::config::Config;
 use crate::error::Error;
 use crate::observer::Observer;

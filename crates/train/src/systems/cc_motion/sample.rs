@@ -21,9 +21,9 @@ use super::path::Asked;
 use super::style::must_know;
 use super::whole::{WINDOWS_IN_FLIGHT, Whole};
 use crate::TrainedModel;
+use crate::clips::path_target::read_path;
 use crate::config::Config;
 use crate::error::Error;
-use crate::path_target::read_path;
 use crate::sampling::{
     Condition, Generated, Job, KnownFrames, Needs, Record, Request, Run, SampleSink, Sampler,
     Summary, WindowsRecord, item_seed,

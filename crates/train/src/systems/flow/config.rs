@@ -10,7 +10,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{RECIPE, RolloutReport};
-use crate::captions::CaptionsConfig;
+use crate::clips::captions::CaptionsConfig;
 use crate::config::{ClipSample, Config, ModelTable, NetworkKind, SelectBy, SystemTables};
 use crate::error::Error;
 

@@ -12,8 +12,8 @@ use super::networks::model;
 use super::networks::text_input;
 use super::{FlowTables, RolloutEvaluationConfig, statistics_in};
 use crate::TrainedModel;
-use crate::captions::{ClipText, TextInput};
 use crate::checkpoint::State;
+use crate::clips::captions::{ClipText, TextInput};
 use crate::config::Config;
 use crate::error::Error;
 

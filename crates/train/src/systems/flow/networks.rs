@@ -5,7 +5,7 @@ use kinegrad_models::flow::FlowModel;
 use kinegrad_models::{Initializer, parameters};
 
 use super::FlowTables;
-use crate::captions::TextInput;
+use crate::clips::captions::TextInput;
 use crate::config::Config;
 use crate::error::Error;
 use crate::memory::Footprint;

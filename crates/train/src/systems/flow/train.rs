@@ -12,7 +12,7 @@ use super::networks::text_input;
 use super::recipe::FlowRecipe;
 use super::windows::{PoseSpace, PoseWindows};
 use super::{FlowTables, statistics_in};
-use crate::captions::with_captions;
+use crate::clips::captions::with_captions;
 use crate::config::Config;
 use crate::error::Error;
 use crate::observer::Observer;

@@ -16,7 +16,7 @@ use serde::{Deserialize, Serialize};
 
 use super::evaluate::KeyframePlacement;
 use super::recipe_name::RecipeName;
-use crate::captions::CaptionsConfig;
+use crate::clips::captions::CaptionsConfig;
 use crate::config::{
     ClipSample, Config, ModelTable, NetworkKind, SamplingConfig, SelectBy, SystemTables,
 };

@@ -6,15 +6,11 @@
 
 mod once;
 
-use std::fmt::Display;
 use std::iter::repeat;
 use std::ops::ControlFlow;
-use std::path::Path;
 
 use burn::module::Module;
 use burn::tensor::{Device, Tensor, TensorData};
-use kinegrad_data::Digest;
-use kinegrad_data::file::read_text;
 use kinegrad_diffusion::{
     GaussianDiffusion, Networks, NoiseKeys, SamplerConfig, sample, steered_sample,
 };
@@ -23,20 +19,19 @@ use kinegrad_models::TextDenoiser;
 use kinegrad_motion::goal::Goal;
 use kinegrad_motion::humanml::{Features, Root};
 use kinegrad_random::{Key, Purpose};
-use kinegrad_settings::{Refused, in_range, in_words, must_be_finite, must_be_tables, require};
+use kinegrad_settings::{Refused, in_range, require};
 use serde::{Deserialize, Serialize};
-use toml::Table;
 
 use super::GmdConfig;
 use super::networks::{TrainedClips, channels_of, text_input};
 use super::padding::Padded;
 use super::recipe_name::RecipeName;
-use super::space::FeatureSpace;
 use super::stage::{StageModel, StageSteering};
 use crate::TrainedModel;
-use crate::captions::{ClipText, TextInput};
 use crate::checkpoint::State;
-use crate::config::{Config, PLAIN, Padding, SamplingConfig, line_of};
+use crate::clips::FeatureSpace;
+use crate::clips::captions::{ClipText, TextInput};
+use crate::config::{Config, Padding, SamplingConfig};
 use crate::error::Error;
 use crate::evaluation::OnStep;
 
@@ -427,39 +422,4 @@ impl ClipGenerator {
         });
         features.collect()
     }
-}
-
-/// Reads a goal.
-///
-/// # Errors
-/// Names the file, the key, what was found and what is allowed.
-pub fn read_goal(path: &Path) -> Result<Goal, Error> {
-    Ok(read_goal_and_digest(path)?.0)
-}
-
-/// Reads a goal, with the checksum of its file.
-///
-/// # Errors
-/// As [`read_goal`].
-pub(super) fn read_goal_and_digest(path: &Path) -> Result<(Goal, Digest), Error> {
-    let refused = |reason: &dyn Display| {
-        let message = format!("{}: {reason}", path.display());
-        Error::usage(message, "docs/goals.md describes goals")
-    };
-    let text = read_text(path).map_err(|error| refused(&error))?;
-    let no_goal = |error: toml::de::Error| {
-        let line = error.span().map_or(1, |span| line_of(&text, span.start));
-        let written = text.lines().nth(line - 1).unwrap_or_default();
-        let written: String = written.trim().chars().take(60).collect();
-        let problem = in_words(error.message());
-        refused(&format!("line {line}, `{written}`: {problem}"))
-    };
-    let given: Table = text.parse().map_err(no_goal)?;
-    let goal: Goal = toml::from_str(&text).map_err(no_goal)?;
-    let read = Table::try_from(&goal).expect(PLAIN);
-    must_be_finite(&given)
-        .and_then(|()| must_be_tables(&given, &read))
-        .map_err(|unfit| refused(&unfit))?;
-    goal.validate().map_err(|error| refused(&error))?;
-    Ok((goal, Digest::of(text.as_bytes())))
 }

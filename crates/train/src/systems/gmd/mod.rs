@@ -14,7 +14,6 @@ mod padding;
 mod recipe_name;
 pub mod recipes;
 mod sample;
-mod space;
 mod stage;
 mod train;
 
@@ -26,10 +25,9 @@ use toml::Table;
 pub use config::{
     EvaluationSplit, EvaluatorFiles, GmdConfig, GmdEvaluationConfig, GmdInitConfig, GmdLossConfig,
 };
-pub use generate::{ClipGenerator, ClipRequest, GeneratedClip, NoiseKey, read_goal};
+pub use generate::{ClipGenerator, ClipRequest, GeneratedClip, NoiseKey};
 pub use networks::{TrainedClips, channels_of, model_in_space, text_denoiser};
-pub use space::{FeatureSpace, GroundObjective};
-pub use stage::{StageModel, StageSteering};
+pub use stage::{GroundObjective, StageModel, StageSteering};
 
 use crate::TrainedModel;
 use crate::config::{Config, ConfigError, OwnTables, Place, SystemTables};

@@ -8,8 +8,8 @@ use kinegrad_motion::{Representation, Statistics};
 
 use super::GmdConfig;
 use super::recipe_name::RecipeName;
-use crate::captions::TextInput;
 use crate::checkpoint::{SavedCheckpoint, State, Weights};
+use crate::clips::captions::TextInput;
 use crate::config::Config;
 use crate::error::Error;
 use crate::memory::Footprint;

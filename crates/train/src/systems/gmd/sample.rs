@@ -7,17 +7,16 @@ use kinegrad_motion::humanml::Skeleton;
 use kinegrad_motion::metrics::{GoalReport, GoalSample};
 
 use super::Gmd;
-use super::generate::{
-    ClipGenerator, ClipRequest, GeneratedClip, drawn_frames, keys, read_goal_and_digest,
-};
+use super::generate::{ClipGenerator, ClipRequest, GeneratedClip, drawn_frames, keys};
 use super::networks::{footprint, text_input};
 use super::recipe_name::RecipeName;
 use crate::TrainedModel;
-use crate::captions::{ClipText, must_know_texts, text_of};
 use crate::checkpoint::SavedCheckpoint;
+use crate::clips::captions::{ClipText, must_know_texts, text_of};
+use crate::clips::goals::read_goal_and_digest;
+use crate::clips::path_target::{Fastest, FollowedPath};
 use crate::clips::requested;
 use crate::error::Error;
-use crate::path_target::{Fastest, FollowedPath};
 use crate::sampling::{
     BatchRecord, Condition, Generated, GoalCondition, GoalRecord, Job, Needs, PathFile, Record,
     Request, Run, SampleSink, Sampler, SamplerRecord, Summary, item_seed,

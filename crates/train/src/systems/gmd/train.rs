@@ -12,7 +12,7 @@ use kinegrad_motion::emphasis::EmphasisProjection;
 use super::networks::{channels_of, model_in_space, started, statistics_in, text_input};
 use super::recipes::{JointMotion, clip_recipe};
 use super::{Gmd, GmdConfig};
-use crate::captions::with_captions;
+use crate::clips::captions::with_captions;
 use crate::config::Config;
 use crate::error::Error;
 use crate::observer::Observer;

@@ -13,7 +13,7 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 
 use super::{GoalTask, Replicated, VarietyReport};
-use crate::captions::ClipText;
+use crate::clips::captions::ClipText;
 use crate::config::SamplingConfig;
 use crate::error::Error;
 use crate::evaluation::OnStep;

@@ -10,7 +10,7 @@ use kinegrad_settings::{ABOVE_ZERO, in_range, in_words, must_be_finite};
 use serde::{Deserialize, Serialize};
 use toml::Table;
 
-use crate::captions::{ClipText, TextInput};
+use super::captions::{ClipText, TextInput};
 use crate::config::line_of;
 use crate::error::Error;
 use crate::sampling::{Request, SaidRecord};
