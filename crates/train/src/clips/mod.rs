@@ -2,6 +2,7 @@
 //! text-motion evaluator and the clips of a dataset.
 
 pub mod captions;
+pub mod evaluator;
 pub(crate) mod goals;
 mod loss;
 pub(crate) mod path_target;

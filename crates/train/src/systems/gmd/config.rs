@@ -17,6 +17,7 @@ use serde::{Deserialize, Serialize};
 use super::evaluate::KeyframePlacement;
 use super::recipe_name::RecipeName;
 use crate::clips::captions::CaptionsConfig;
+use crate::clips::evaluator::EvaluatorFiles;
 use crate::config::{
     ClipSample, Config, ModelTable, NetworkKind, SamplingConfig, SelectBy, SystemTables,
 };
@@ -140,40 +141,6 @@ pub enum EvaluationSplit {
     Test,
 }
 
-/// The table `evaluation.evaluator`: the text-motion evaluator; empty without one.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
-pub struct EvaluatorFiles {
-    /// Run or checkpoint of recipe `text_motion`, in place of the files of the published one.
-    pub run: PathBuf,
-    /// Weights with `movement_encoder`, `motion_encoder` and `text_encoder`.
-    pub weights: PathBuf,
-    /// `.npy` files of the mean and deviation that it normalises by, of the relative root.
-    pub mean: PathBuf,
-    /// See `mean`.
-    pub std: PathBuf,
-    /// Word vectors as safetensors (docs/dataset.md).
-    pub word_vectors: PathBuf,
-}
-
-impl EvaluatorFiles {
-    /// Whether any file of the published evaluator is given.
-    pub fn is_given(&self) -> bool {
-        self.named()
-            .iter()
-            .any(|(_, path)| !path.as_os_str().is_empty())
-    }
-
-    fn named(&self) -> [(&'static str, &PathBuf); 4] {
-        [
-            ("weights", &self.weights),
-            ("mean", &self.mean),
-            ("std", &self.std),
-            ("word_vectors", &self.word_vectors),
-        ]
-    }
-}
-
 impl SystemTables for GmdConfig {
     const NETWORKS: &'static [NetworkKind] = &[
         NetworkKind::of::<GmdUnetConfig>(),
@@ -292,19 +259,10 @@ pub(super) fn validate(config: &Config) -> Result<(), Error> {
     in_range("evaluation.keyframes", evaluation.keyframes, 0..=MAX_FRAMES)?;
     in_range("evaluation.obstacles", evaluation.obstacles, 0..=MAX_FRAMES)?;
     in_range("evaluation.margin", evaluation.margin, 0.0..=10.0)?;
-    let files = evaluation.evaluator.named();
-    let missing = files.iter().find(|(_, path)| path.as_os_str().is_empty());
-    if let (true, Some((name, _))) = (evaluation.evaluator.is_given(), missing) {
-        let key = format!("evaluation.evaluator.{name}");
-        let allowed = "a file: the evaluator needs weights, mean, std and word_vectors";
-        return Err(InvalidSetting::new(key, "empty", allowed).into());
-    }
-    require(
-        !evaluation.evaluator.is_given() || evaluation.evaluator.run.as_os_str().is_empty(),
-        "evaluation.evaluator.run",
-        "given together with files",
-        "one of the two",
-    )?;
+    evaluation
+        .evaluator
+        .validate()
+        .within("evaluation.evaluator")?;
     Ok(sampling.steering.validate().within("sampling.steering")?)
 }
 

@@ -22,14 +22,13 @@ use kinegrad_motion::{GroundPath, JointFeatures, JointPositions, Representation}
 use kinegrad_settings::Key;
 use toml::Table;
 
-pub use config::{
-    EvaluationSplit, EvaluatorFiles, GmdConfig, GmdEvaluationConfig, GmdInitConfig, GmdLossConfig,
-};
+pub use config::{EvaluationSplit, GmdConfig, GmdEvaluationConfig, GmdInitConfig, GmdLossConfig};
 pub use generate::{ClipGenerator, ClipRequest, GeneratedClip, NoiseKey};
 pub use networks::{TrainedClips, channels_of, model_in_space, text_denoiser};
 pub use stage::{GroundObjective, StageModel, StageSteering};
 
 use crate::TrainedModel;
+use crate::clips::evaluator::EvaluatorFiles;
 use crate::config::{Config, ConfigError, OwnTables, Place, SystemTables};
 use crate::error::Error;
 use crate::evaluation::{Evaluate, EvaluationRequest};
@@ -130,6 +129,10 @@ impl System for Gmd {
         sink: &mut dyn SampleSink,
     ) -> Result<Box<dyn Sampler + 'a>, Error> {
         Ok(Box::new(sample::Clips::new(trained, request, sink)?))
+    }
+
+    fn evaluator_files<'a>(&self, config: &'a Config) -> Option<&'a EvaluatorFiles> {
+        Some(&config.own::<GmdConfig>().evaluation.evaluator)
     }
 
     fn evaluate<'a>(

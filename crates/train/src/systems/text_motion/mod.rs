@@ -12,14 +12,19 @@ mod networks;
 pub mod recipe;
 mod train;
 
+use std::rc::Rc;
+
+use burn::tensor::Device;
 use kinegrad_motion::Representation;
 use kinegrad_settings::Key;
 use toml::Table;
 
 pub use config::{TextMotionLossConfig, TextMotionNetwork, TextMotionTables, WordsConfig};
-pub use evaluator::{TextMotion, TextMotionReports};
+pub use evaluator::TextMotion;
 
 use crate::TrainedModel;
+use crate::checkpoint::Weights;
+use crate::clips::evaluator::{EvaluatorSource, TextMotionEvaluator};
 use crate::config::{Config, ConfigError, OwnTables, Place, SystemTables};
 use crate::error::Error;
 use crate::evaluation::{Evaluate, EvaluationRequest};
@@ -91,6 +96,18 @@ impl System for TextMotionSystem {
         _: &mut dyn SampleSink,
     ) -> Result<Box<dyn Sampler + 'a>, Error> {
         unreachable!("a recipe that accepts no conditions is not sampled")
+    }
+
+    fn text_motion_evaluator(
+        &self,
+        source: EvaluatorSource<'_>,
+        device: &Device,
+    ) -> Result<Option<Rc<dyn TextMotionEvaluator>>, Error> {
+        let evaluator = match source {
+            EvaluatorSource::Run(saved) => TextMotion::of_run(saved, Weights::Ema, device)?,
+            EvaluatorSource::Files(files) => TextMotion::read(files, device)?,
+        };
+        Ok(Some(Rc::new(evaluator)))
     }
 
     fn evaluate<'a>(
