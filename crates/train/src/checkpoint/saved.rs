@@ -1,6 +1,7 @@
 use std::path::{Path, PathBuf};
 
-use kinegrad_models::parameters::HostParameter;
+use burn::module::Module;
+use kinegrad_models::parameters::{self, HostParameter};
 
 use super::{State, Weights, read_weights};
 use crate::error::Error;
@@ -45,6 +46,14 @@ impl SavedCheckpoint {
         let tables = config.system.to_table();
         config.system = system.complete(&tables, &|_| "the saved config".into())?;
         Ok(self)
+    }
+
+    /// `network`, built from the checkpoint's config, with its weights.
+    ///
+    /// # Errors
+    /// As [`weights`](Self::weights); lists all parameters that do not fit.
+    pub fn load<M: Module>(&self, network: M, weights: Weights) -> Result<M, Error> {
+        Ok(parameters::load(network, self.weights(weights)?)?)
     }
 
     /// The trained weights, or their moving average.

@@ -111,6 +111,14 @@ impl State {
         }
     }
 
+    /// [`statistics_of`](Self::statistics_of) the clips of the run's config.
+    ///
+    /// # Errors
+    /// [`Error::OtherRepresentation`].
+    pub fn clip_statistics(&self) -> Result<&Statistics, Error> {
+        self.statistics_of(&self.config.data.humanml3d.representation())
+    }
+
     /// Reads and verifies `state.json` of the checkpoint in `path`.
     ///
     /// # Errors

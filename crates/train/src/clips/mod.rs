@@ -8,6 +8,7 @@ mod loss;
 pub(crate) mod path_target;
 pub(crate) mod space;
 mod text_plan;
+pub(crate) mod training;
 
 pub use goals::read_goal;
 pub use loss::weighted_masked_loss;

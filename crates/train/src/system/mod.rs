@@ -105,20 +105,11 @@ pub trait System: Sync {
         Ok(saved)
     }
 
-    /// Number of parameters of the networks of `config`, without adapters.
+    /// The parameters of the networks of `config` as it trains them, adapters included.
     ///
     /// # Errors
     /// If a network cannot be built.
-    fn parameter_count(&self, config: &Config) -> Result<usize, Error>;
-
-    /// The parameters of the networks of `config` as it trains them, adapters included. By default
-    /// one network, all of which is trained.
-    ///
-    /// # Errors
-    /// If a network cannot be built.
-    fn parameters(&self, config: &Config) -> Result<ParameterCount, Error> {
-        Ok(ParameterCount::trained(self.parameter_count(config)?))
-    }
+    fn parameters(&self, config: &Config) -> Result<ParameterCount, Error>;
 
     /// What its networks take in training, for the estimate of memory. Activations count nothing
     /// where a system does not say.
@@ -127,7 +118,7 @@ pub trait System: Sync {
     /// If a network cannot be built.
     fn footprint(&self, config: &Config) -> Result<Footprint, Error> {
         Ok(Footprint {
-            parameters: self.parameter_count(config)? as u64,
+            parameters: self.parameters(config)?.all as u64,
             activations: 0,
             passes: 1,
             item: 0,

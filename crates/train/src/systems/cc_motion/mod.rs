@@ -24,8 +24,6 @@ pub mod whole;
 
 use std::path::{Path, PathBuf};
 
-use burn::tensor::Device;
-use kinegrad_models::parameters;
 use kinegrad_motion::{Phrases, Representation};
 use kinegrad_settings::Key;
 use toml::Table;
@@ -113,15 +111,6 @@ impl System for CcMotion {
 
     fn moved(&self, saved: Config, given: &Config, folder: &Path) -> Result<Config, Error> {
         pretrain::moved(saved, given, folder)
-    }
-
-    fn parameter_count(&self, config: &Config) -> Result<usize, Error> {
-        let unet = networks::denoiser(config, &Device::flex())?;
-        let unet = parameters::count(&unet);
-        match RecipeName::of(config).trains_through_sampler() {
-            false => Ok(unet),
-            true => Ok(unet + networks::decoder_parameters(config)?),
-        }
     }
 
     fn parameters(&self, config: &Config) -> Result<ParameterCount, Error> {

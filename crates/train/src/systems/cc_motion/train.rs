@@ -136,8 +136,7 @@ pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome
         checksums: Default::default(),
     };
     let selection = Selection::new(&dataset.validation, &diffusion, state, &together)?;
-    let (material, held_out) = Material::new(dataset, statistics.clone(), &config, samples)?;
-    let held_out = held_out.among(&together);
+    let (material, held_out) = setup.material(dataset, statistics.clone(), samples)?;
     let material = Material {
         network_statistics,
         ..material

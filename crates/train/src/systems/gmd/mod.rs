@@ -98,10 +98,6 @@ impl System for Gmd {
         }
     }
 
-    fn parameter_count(&self, config: &Config) -> Result<usize, Error> {
-        networks::parameter_count(config)
-    }
-
     fn parameters(&self, config: &Config) -> Result<ParameterCount, Error> {
         networks::parameters_in_space(config)
     }

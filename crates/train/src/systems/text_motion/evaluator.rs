@@ -3,8 +3,8 @@
 
 use burn::tensor::{Device, Int, Tensor, TensorData};
 use kinegrad_data::humanml::read_word_vectors;
+use kinegrad_models::Initializer;
 use kinegrad_models::text_motion::{PARTS, TextMotionConfig, TextMotionEncoders, UNIT_FRAMES};
-use kinegrad_models::{Initializer, parameters};
 use kinegrad_motion::Statistics;
 use kinegrad_motion::humanml::{FeatureError, FeatureLayout, Features, Root};
 use kinegrad_motion::metrics::text_motion::{MAX_WORDS, Token, WordVectors};
@@ -65,9 +65,8 @@ impl TextMotion {
         let state = &saved.state;
         let words = word_vectors(&state.config.own::<TextMotionTables>().words)?;
         let fresh = encoders(&state.config, words.width(), device)?;
-        let encoders = parameters::load(fresh, saved.weights(weights)?)?;
-        let representation = state.config.data.humanml3d.representation();
-        let statistics = state.statistics_of(&representation)?.clone();
+        let encoders = saved.load(fresh, weights)?;
+        let statistics = state.clip_statistics()?.clone();
         let padded_frames = state.config.data.target_frames;
         Self::new(encoders, statistics, words, padded_frames, device)
     }

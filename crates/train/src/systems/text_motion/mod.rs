@@ -30,6 +30,7 @@ use crate::error::Error;
 use crate::evaluation::{Evaluate, EvaluationRequest};
 use crate::memory::Footprint;
 use crate::observer::Observer;
+use crate::parameter_count::ParameterCount;
 use crate::recipe::RecipeInfo;
 use crate::run::{Outcome, Setup};
 use crate::sampling::{Request, SampleSink, Sampler};
@@ -77,8 +78,10 @@ impl System for TextMotionSystem {
         Ok(Vec::new())
     }
 
-    fn parameter_count(&self, config: &Config) -> Result<usize, Error> {
-        networks::parameter_count(config)
+    fn parameters(&self, config: &Config) -> Result<ParameterCount, Error> {
+        let words = networks::word_vectors(&config.own::<TextMotionTables>().words)?;
+        let encoders = networks::encoders(config, words.width(), &Device::flex())?;
+        Ok(ParameterCount::trained(&encoders))
     }
 
     fn footprint(&self, config: &Config) -> Result<Footprint, Error> {
