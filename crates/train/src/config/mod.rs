@@ -12,7 +12,6 @@ mod error;
 mod model;
 mod resume;
 mod resumed;
-mod steering;
 mod system_tables;
 mod tables;
 
@@ -27,13 +26,11 @@ pub use model::{ModelTable, NetworkKind};
 pub use resume::{may_differ, must_continue, must_have_recipe};
 pub use resumed::Kept;
 pub(crate) use resumed::resumed;
-pub use steering::SteeringConfig;
 pub use system_tables::{OwnTables, SystemTables};
 pub(crate) use tables::validate;
 pub use tables::{
-    CheckpointConfig, ClipSample, EmaConfig, LrSchedule, OptimConfig, OptimPlace, Padding,
-    RunConfig, SamplingConfig, SelectBy, TrainConfig, TrainPrecision, ValidationConfig,
-    WeightDecayGroups,
+    CheckpointConfig, ClipSample, EmaConfig, LrSchedule, OptimConfig, OptimPlace, RunConfig,
+    SamplingConfig, SelectBy, TrainConfig, TrainPrecision, ValidationConfig, WeightDecayGroups,
 };
 
 use kinegrad_data::DataConfig;

@@ -18,9 +18,6 @@ use crate::device::open_for;
 use crate::error::Error;
 use crate::trained_model::TrainedModel;
 
-/// Tables whose keys may change once a model is trained.
-const OF_TRAINED: [&str; 2] = ["sampling.", "evaluation."];
-
 impl Systems<'_> {
     /// Reads the config at `path` and applies `overrides` of the form `a.b=value` in order.
     ///
@@ -98,12 +95,21 @@ impl Systems<'_> {
     ) -> Result<Config, ConfigError> {
         let mut table = Table::try_from(config).expect(config::PLAIN);
         let mut changed = config.clone();
+        let named = self.of_recipe(&config.train.recipe);
+        let own = named.map_or(&[][..], |(system, _)| system.tables_of_sampling());
+        let tables: Vec<&str> = ["sampling", "evaluation"]
+            .iter()
+            .chain(own)
+            .copied()
+            .collect();
         for argument in overrides {
             let key = argument.trim_start();
-            if !OF_TRAINED.iter().any(|table| key.starts_with(table)) {
+            let named = key.split_once('.').map(|(table, _)| table);
+            if !named.is_some_and(|table| tables.contains(&table)) {
                 return Err(ConfigError::Trained {
-                    hint: self.of_trained(config, key),
+                    hint: self.of_trained(config, key, &tables),
                     argument: argument.clone(),
+                    tables: listed(&tables),
                 });
             }
             apply(&mut table, argument)?;
@@ -113,10 +119,14 @@ impl Systems<'_> {
     }
 
     /// A hint for an override of a trained model that is of none of its tables that may change.
-    fn of_trained(self, config: &Config, argument: &str) -> String {
+    fn of_trained(self, config: &Config, argument: &str, tables: &[&str]) -> String {
         let key = argument.split('=').next().unwrap_or_default().trim();
         let meant = self.suggestion(key, &config.train.recipe);
-        let meant = meant.filter(|hint| OF_TRAINED.iter().any(|table| hint.contains(table)));
+        let meant = meant.filter(|hint| {
+            tables
+                .iter()
+                .any(|table| hint.contains(&format!("{table}.")))
+        });
         meant.unwrap_or_else(|| {
             "for example option `set sampling.sampler.num_inference_steps=50`; other settings are for \
              `kinegrad train`"
@@ -216,6 +226,13 @@ impl Systems<'_> {
             on_host: crate::device::is_host(&name),
         })
     }
+}
+
+/// The names of tables, as in "`a`, `b` and `c`".
+fn listed(tables: &[&str]) -> String {
+    let quoted: Vec<String> = tables.iter().map(|table| format!("`{table}`")).collect();
+    let (last, others) = quoted.split_last().expect("a table");
+    format!("{} and {last}", others.join(", "))
 }
 
 fn read(path: &Path) -> Result<String, ConfigError> {

@@ -72,6 +72,11 @@ pub trait System: Sync {
     /// For the first invalid value; the error names the key.
     fn validate(&self, config: &Config) -> Result<Vec<String>, Error>;
 
+    /// The system's own tables, beside `evaluation`, whose keys may change once a model is trained.
+    fn tables_of_sampling(&self) -> &'static [&'static str] {
+        &[]
+    }
+
     /// Config values that follow from what a run starts from, used as defaults: from the `saved`
     /// config of a resumed run, otherwise from the checkpoints that `config` names.
     ///

@@ -275,7 +275,6 @@ pub(super) fn validate(config: &Config) -> Result<(), Error> {
         require(false, key, value, allowed)?;
     }
     must_suit(&sampling.sampler, &own.diffusion)?;
-    sampling.must_have_no_gmd_settings(RECIPE)?;
     require(
         sampling.clip == ClipSample::None,
         "sampling.clip",

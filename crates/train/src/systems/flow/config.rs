@@ -181,7 +181,6 @@ pub(super) fn validate(config: &Config) -> Result<(), Error> {
         format!("at least {shortest}: a history of `pose.history_frames` rows and the next frame"),
     )?;
     FlowSamplerConfig::of(&sampling.sampler)?;
-    sampling.must_have_no_gmd_settings(RECIPE)?;
     require(
         sampling.clip == ClipSample::None,
         "sampling.clip",

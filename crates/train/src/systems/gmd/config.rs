@@ -16,6 +16,7 @@ use serde::{Deserialize, Serialize};
 
 use super::evaluate::KeyframePlacement;
 use super::recipe_name::RecipeName;
+use super::steering::SteeringConfig;
 use crate::clips::captions::CaptionsConfig;
 use crate::clips::evaluator::EvaluatorFiles;
 use crate::config::{
@@ -39,6 +40,8 @@ pub struct GmdConfig {
     pub diffusion: DiffusionConfig,
     /// The loss.
     pub loss: GmdLossConfig,
+    /// Guidance and imputation for goals.
+    pub steering: SteeringConfig,
     /// The evaluation.
     pub evaluation: GmdEvaluationConfig,
 }
@@ -176,7 +179,7 @@ pub(super) fn validate(config: &Config) -> Result<(), Error> {
         require(found <= most, "data.target_frames", found, allowed)?;
     }
     must_suit(&sampling.sampler, &own.diffusion)?;
-    must_suit_first_stage(sampling, &own.diffusion)?;
+    must_suit_first_stage(own, sampling)?;
     for (key, value) in [
         (
             "sampling.sampler.style_guidance_scale",
@@ -263,19 +266,17 @@ pub(super) fn validate(config: &Config) -> Result<(), Error> {
         .evaluator
         .validate()
         .within("evaluation.evaluator")?;
-    Ok(sampling.steering.validate().within("sampling.steering")?)
+    Ok(own.steering.validate().within("steering")?)
 }
 
 /// Validates the first stage's sampler; the error names its own keys.
-fn must_suit_first_stage(
-    sampling: &SamplingConfig,
-    process: &DiffusionConfig,
-) -> Result<(), InvalidSetting> {
-    let first = sampling.steering.first_stage(&sampling.sampler);
+fn must_suit_first_stage(own: &GmdConfig, sampling: &SamplingConfig) -> Result<(), InvalidSetting> {
+    let process = &own.diffusion;
+    let first = own.steering.first_stage(&sampling.sampler);
     let (steps, scale) = (first.num_inference_steps, first.guidance_scale);
     let most = process.num_train_timesteps;
-    in_range("sampling.steering.first_stage_steps", steps, 1..=most)?;
-    in_range("sampling.steering.first_stage_guidance_scale", scale, 0.0..)?;
+    in_range("steering.first_stage_steps", steps, 1..=most)?;
+    in_range("steering.first_stage_guidance_scale", scale, 0.0..)?;
     must_suit(&first, process)
 }
 

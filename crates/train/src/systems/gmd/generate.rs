@@ -27,11 +27,12 @@ use super::networks::{TrainedClips, channels_of, text_input};
 use super::padding::Padded;
 use super::recipe_name::RecipeName;
 use super::stage::{StageModel, StageSteering};
+use super::steering::{Padding, SteeringConfig};
 use crate::TrainedModel;
 use crate::checkpoint::State;
 use crate::clips::FeatureSpace;
 use crate::clips::captions::{ClipText, TextInput};
-use crate::config::{Config, Padding, SamplingConfig};
+use crate::config::{Config, SamplingConfig};
 use crate::error::Error;
 use crate::evaluation::OnStep;
 
@@ -167,6 +168,10 @@ impl ClipGenerator {
         &self.state.config
     }
 
+    fn steering(&self) -> &SteeringConfig {
+        &self.config().own::<GmdConfig>().steering
+    }
+
     /// Steps it was trained for.
     pub fn step(&self) -> u64 {
         self.state.step
@@ -196,7 +201,7 @@ impl ClipGenerator {
     ///
     /// As many frames are drawn as the models were trained with, or as the longest clip has, and the
     /// rest is cut off: shorter noise would leave the network more padding than it has ever seen
-    /// (docs/sources.md, section 4.13). What stands behind a clip's end meanwhile is `sampling.padding`.
+    /// (docs/sources.md, section 4.13). What stands behind a clip's end meanwhile is `steering.padding`.
     ///
     /// # Errors
     /// If a goal cannot be followed in so many frames, the sampler's settings cannot work, one of the
@@ -215,11 +220,12 @@ impl ClipGenerator {
         let lengths: Vec<usize> = requests.iter().map(ClipRequest::length).collect();
         let frames = lengths.iter().copied().max().unwrap_or(0);
         let own = drawn_frames(self.config(), frames);
+        let steering = self.steering();
         let mut paths = None;
         if let (Some(model), false) = (trajectory, goals.is_empty()) {
             self.must_match(model)?;
             // Where the motion model draws what is behind a clip's end, it follows a path there too.
-            let follows_behind = sampling.padding == Padding::Drawn;
+            let follows_behind = steering.padding == Padding::Drawn;
             let followed = if follows_behind { own } else { frames };
             let frames = drawn_frames(model.config(), followed);
             let mut told = |done, all| on_step("trajectory", done, all);
@@ -229,15 +235,25 @@ impl ClipGenerator {
             // followed everywhere.
             let first = SamplingConfig {
                 clip: model.config().sampling.clip,
-                padding: match follows_behind {
-                    true => Padding::Drawn,
-                    false => model.config().sampling.padding,
-                },
-                sampler: sampling.steering.first_stage(&sampling.sampler),
+                sampler: steering.first_stage(&sampling.sampler),
                 ..sampling.clone()
             };
+            let of_first = SteeringConfig {
+                padding: match follows_behind {
+                    true => Padding::Drawn,
+                    false => model.steering().padding,
+                },
+                ..steering.clone()
+            };
             let aim = Aim::of(&goals, None);
-            let x = model.draw(&texts, aim, (frames, &lengths), &first, &keys, &mut told)?;
+            let x = model.draw(
+                &texts,
+                aim,
+                (frames, &lengths),
+                (&first, &of_first),
+                &keys,
+                &mut told,
+            )?;
             let mut drawn = model.paths(x);
             for (path, &length) in drawn.iter_mut().zip(&lengths) {
                 path.truncate(if follows_behind { own } else { length });
@@ -246,7 +262,14 @@ impl ClipGenerator {
         }
         let mut told = |done, all| on_step("motion", done, all);
         let aim = Aim::of(&goals, paths.as_deref());
-        let x = self.draw(&texts, aim, (own, &lengths), sampling, keys, &mut told)?;
+        let x = self.draw(
+            &texts,
+            aim,
+            (own, &lengths),
+            (sampling, steering),
+            keys,
+            &mut told,
+        )?;
         let samples: Vec<GeneratedClip> = match RecipeName::of(self.config()) {
             RecipeName::Trajectory => {
                 let of_path = |ground| GeneratedClip {
@@ -298,7 +321,7 @@ impl ClipGenerator {
         texts: &[Option<&ClipText>],
         aim: Option<Aim<'_>>,
         (frames, lengths): (usize, &[usize]),
-        sampling: &SamplingConfig,
+        (sampling, steering): (&SamplingConfig, &SteeringConfig),
         keys: &[NoiseKey],
         on_step: &mut dyn FnMut(usize, usize) -> ControlFlow<()>,
     ) -> Result<Tensor<3>, Error> {
@@ -326,7 +349,6 @@ impl ClipGenerator {
         let text = text.flat_map(|text| text.unwrap_or_else(|| vec![0.0; values]));
         let data = TensorData::new(text.collect::<Vec<f32>>(), [batch, values, 1]);
         let cond = Tensor::from_data(data, &self.device);
-        let steering = &sampling.steering;
         let sampler = SamplerConfig {
             // Without any text both passes of the guidance are the same one.
             guidance_scale: match is_told {
@@ -337,7 +359,7 @@ impl ClipGenerator {
         };
         let clip = sampling.clip.range(&self.state.statistics, channels)?;
         let mut told = |done, all, _: &Tensor<3>| on_step(done, all);
-        let lengths = match sampling.padding {
+        let lengths = match steering.padding {
             Padding::Zeros => lengths.to_vec(),
             Padding::Drawn => vec![frames; batch],
         };

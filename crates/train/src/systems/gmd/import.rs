@@ -294,7 +294,7 @@ fn settings(
 ) -> Result<(Config, Statistics), Error> {
     let recipe = architecture.recipe().name();
     // The published programs draw what stands behind a clip's end.
-    let text = format!("[train]\nrecipe = \"{recipe}\"\n[sampling]\npadding = \"drawn\"\n");
+    let text = format!("[train]\nrecipe = \"{recipe}\"\n[steering]\npadding = \"drawn\"\n");
     let mut config = Systems(&[&Gmd]).parse(&text, "the recipe's defaults", &request.overrides)?;
     let [mean, std] = mean_and_deviation(mean_path, std_path)?;
     let skeleton = SkeletonName::of_channels(mean.len()).ok_or_else(|| Error::Array {

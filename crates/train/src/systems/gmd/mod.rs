@@ -15,6 +15,7 @@ mod recipe_name;
 pub mod recipes;
 mod sample;
 mod stage;
+mod steering;
 mod train;
 
 use kinegrad_motion::humanml::{Root, Skeleton};
@@ -26,6 +27,7 @@ pub use config::{EvaluationSplit, GmdConfig, GmdEvaluationConfig, GmdInitConfig,
 pub use generate::{ClipGenerator, ClipRequest, GeneratedClip, NoiseKey};
 pub use networks::{TrainedClips, channels_of, model_in_space, text_denoiser};
 pub use stage::{GroundObjective, StageModel, StageSteering};
+pub use steering::{Padding, SteeringConfig};
 
 use crate::TrainedModel;
 use crate::clips::evaluator::EvaluatorFiles;
@@ -75,6 +77,10 @@ impl System for Gmd {
 
     fn keys(&self) -> Vec<Key> {
         GmdConfig::keys()
+    }
+
+    fn tables_of_sampling(&self) -> &'static [&'static str] {
+        &["steering"]
     }
 
     fn complete(&self, tables: &Table, place: Place<'_>) -> Result<OwnTables, ConfigError> {

@@ -6,10 +6,10 @@ use kinegrad_motion::goal::{Goal, Trajectory};
 use kinegrad_motion::humanml::Skeleton;
 use kinegrad_motion::metrics::{GoalReport, GoalSample};
 
-use super::Gmd;
 use super::generate::{ClipGenerator, ClipRequest, GeneratedClip, drawn_frames, keys};
 use super::networks::{footprint, text_input};
 use super::recipe_name::RecipeName;
+use super::{Gmd, GmdConfig};
 use crate::TrainedModel;
 use crate::checkpoint::SavedCheckpoint;
 use crate::clips::captions::{ClipText, must_know_texts, text_of};
@@ -238,15 +238,14 @@ impl<'a> Clips<'a> {
 
     /// The record of a clip.
     fn record(&self, run: &Run<'_>, job: usize, index: usize) -> Record {
-        let (own, steered) = (
-            &self.trained.config().sampling,
-            self.clips[job].goal.is_some(),
-        );
+        let own = &self.trained.config().own::<GmdConfig>().steering;
+        let (padding, steering) = own.record();
+        let steered = self.clips[job].goal.is_some();
         let record = run.record(job, index);
         Record {
             sampler: SamplerRecord {
-                padding: Some(own.padding),
-                steering: steered.then(|| own.steering.clone()),
+                padding: Some(padding),
+                steering: steered.then_some(steering),
                 ..record.sampler
             },
             batch: steered.then(|| BatchRecord {

@@ -4,8 +4,8 @@ use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_diffusion::{Guidance, Imputation, Objective, Steering};
 use kinegrad_motion::goal::{Goal, GroundTargets, GuidanceLoss, Phase};
 
+use super::SteeringConfig;
 use crate::clips::FeatureSpace;
-use crate::config::SteeringConfig;
 use crate::error::Error;
 
 /// The guidance loss of the root's ground path.

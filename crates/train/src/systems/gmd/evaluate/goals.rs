@@ -20,7 +20,7 @@ use crate::error::Error;
 use crate::evaluation::OnStep;
 use crate::sampling::item_seed;
 use crate::systems::gmd::generate::keys;
-use crate::systems::gmd::{ClipGenerator, ClipRequest, GeneratedClip};
+use crate::systems::gmd::{ClipGenerator, ClipRequest, GeneratedClip, SteeringConfig};
 use crate::together::Together;
 
 /// Pairs of samples whose distance the diversity is the mean of.
@@ -34,9 +34,11 @@ const DIVISIONS: u64 = 20;
 pub struct GoalSettings {
     /// How goals are derived.
     pub task: GoalTask,
-    /// The sampler, guidance and imputation.
+    /// The sampler.
     #[serde(flatten)]
     pub sampling: SamplingConfig,
+    /// Guidance and imputation.
+    pub steering: SteeringConfig,
     /// Seed of the noise, and of the frames that are keyframes.
     pub seed: u64,
     /// Clips that are drawn together. Guidance divides by the keyframes of a batch.

@@ -80,6 +80,7 @@ pub fn prepare<'a>(
             frames: data.target_frames,
         },
         sampling: trained.config().sampling.clone(),
+        steering: trained.config().own::<GmdConfig>().steering.clone(),
         seed: request.seed,
         batch_size: asked.batch_size,
         replications: asked.replications,
