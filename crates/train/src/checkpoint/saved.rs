@@ -5,7 +5,6 @@ use kinegrad_models::parameters::{self, HostParameter};
 
 use super::{State, Weights, read_weights};
 use crate::error::Error;
-use crate::system::System;
 
 /// A checkpoint whose `state.json` has been read and verified.
 #[derive(Clone, Debug)]
@@ -26,26 +25,6 @@ impl SavedCheckpoint {
             path: path.to_path_buf(),
             state: State::read(path)?,
         })
-    }
-
-    /// The same with the tables of `system` read.
-    ///
-    /// # Errors
-    /// If the run is of another system, or its config is of another version and cannot be read.
-    pub fn of(mut self, system: &dyn System) -> Result<Self, Error> {
-        let config = &mut self.state.config;
-        let name = &config.train.recipe;
-        let recipes = system.recipes().iter();
-        if !recipes.clone().any(|recipe| recipe.name == name) {
-            let known: Vec<&str> = recipes.map(|recipe| recipe.name).collect();
-            return Err(Error::OtherRecipe {
-                recipe: name.clone(),
-                known: known.join(", "),
-            });
-        }
-        let tables = config.system.to_table();
-        config.system = system.complete(&tables, &|_| "the saved config".into())?;
-        Ok(self)
     }
 
     /// `network`, built from the checkpoint's config, with its weights.

@@ -22,6 +22,7 @@ pub(crate) use document::{
     place, start_of,
 };
 pub use error::ConfigError;
+pub(crate) use model::names;
 pub use model::{ModelTable, NetworkKind};
 pub use resume::{may_differ, must_continue, must_have_recipe};
 pub use resumed::Kept;

@@ -5,7 +5,7 @@ use std::path::Path;
 use toml::de::DeTable;
 use toml::{Table, Value};
 
-use super::Systems;
+use super::{System, Systems};
 use kinegrad_data::file::read_text;
 use kinegrad_settings::in_words;
 
@@ -225,6 +225,28 @@ impl Systems<'_> {
             device,
             on_host: crate::device::is_host(&name),
         })
+    }
+}
+
+impl dyn System + '_ {
+    /// The checkpoint with the tables of this system read.
+    ///
+    /// # Errors
+    /// If the run is of another system, or its config is of another version and cannot be read.
+    pub fn read_tables(&self, mut saved: SavedCheckpoint) -> Result<SavedCheckpoint, Error> {
+        let config = &mut saved.state.config;
+        let name = &config.train.recipe;
+        let recipes = self.recipes().iter();
+        if !recipes.clone().any(|recipe| recipe.name == name) {
+            let known: Vec<&str> = recipes.map(|recipe| recipe.name).collect();
+            return Err(Error::OtherRecipe {
+                recipe: name.clone(),
+                known: known.join(", "),
+            });
+        }
+        let tables = config.system.to_table();
+        config.system = self.complete(&tables, &|_| "the saved config".into())?;
+        Ok(saved)
     }
 }
 

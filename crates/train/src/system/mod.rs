@@ -5,7 +5,6 @@ mod keys;
 mod load;
 mod sample;
 
-pub(crate) use keys::names;
 pub use keys::{ConfigKey, toml_text};
 
 use std::path::{Path, PathBuf};
@@ -308,7 +307,7 @@ impl<'a> Systems<'a> {
         if !files.run.as_os_str().is_empty() {
             let saved = resolve_checkpoint(&files.run, |_| {})?;
             let (system, recipe) = self.of(&saved.state.config)?;
-            let saved = saved.of(system)?;
+            let saved = system.read_tables(saved)?;
             let found = system.text_motion_evaluator(EvaluatorSource::Run(&saved), device)?;
             return found.map(Some).ok_or_else(|| {
                 let message = format!(

@@ -6,6 +6,7 @@
 mod config;
 pub mod evaluate;
 pub mod generate;
+mod generator;
 mod leaks;
 mod lengths;
 pub mod losses;
@@ -20,7 +21,7 @@ mod select;
 mod start;
 mod style;
 mod train;
-pub mod whole;
+pub mod windowed;
 
 use std::path::{Path, PathBuf};
 

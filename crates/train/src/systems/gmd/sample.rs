@@ -21,6 +21,7 @@ use crate::sampling::{
     BatchRecord, Condition, Generated, GoalCondition, GoalRecord, Job, Needs, PathFile, Record,
     Request, Run, SampleSink, Sampler, SamplerRecord, Summary, item_seed,
 };
+use crate::system::System;
 
 /// Conditions of clips, and of ground paths.
 pub(super) fn accepts(recipe: &str) -> &'static [&'static str] {
@@ -377,7 +378,7 @@ pub(super) fn trajectory_model(
 ) -> Result<TrainedModel, Error> {
     let recipe = &saved.state.config.train.recipe;
     if recipe == RecipeName::Trajectory.name() {
-        return Ok(trained.beside(saved.of(&Gmd)?));
+        return Ok(trained.beside((&Gmd as &dyn System).read_tables(saved)?));
     }
     let message = format!(
         "option `trajectory` is {}, a run of recipe `{recipe}`",

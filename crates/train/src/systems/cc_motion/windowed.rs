@@ -23,7 +23,7 @@ use kinegrad_motion::turning::Turning;
 use kinegrad_motion::{Motion, Statistics};
 use kinegrad_random::Key;
 
-use super::generate::{Generator, Sample};
+use super::generator::{Generator, Sample};
 use super::path::PhrasePath;
 use crate::config::SamplingConfig;
 use crate::error::Error;
@@ -34,7 +34,7 @@ pub const WINDOWS_IN_FLIGHT: usize = 8;
 
 /// A motion to be drawn in windows.
 #[derive(Clone, Debug)]
-pub struct Whole<'a> {
+pub struct WindowedSampling<'a> {
     /// What it is conditioned on, of all frames.
     pub audio: &'a AudioFeatures,
     /// Its windows; each hears its own part of the audio.
@@ -48,7 +48,7 @@ pub struct Whole<'a> {
     pub in_flight: usize,
 }
 
-impl Whole<'_> {
+impl WindowedSampling<'_> {
     /// Ranges of windows that the network sees at a time.
     fn batches(&self) -> impl Iterator<Item = Range<usize>> + use<> {
         let (windows, in_flight) = (self.windows.len(), self.in_flight.max(1));
@@ -63,9 +63,9 @@ impl Generator {
     ///
     /// # Errors
     /// If the sampler's settings are invalid, and [`Error::Interrupted`] after `Break`.
-    pub fn sample_whole(
+    pub fn sample_windowed(
         &self,
-        whole: &Whole<'_>,
+        whole: &WindowedSampling<'_>,
         sampling: &SamplingConfig,
         key: Key,
         on_windows: &mut dyn FnMut(usize, usize) -> ControlFlow<()>,
@@ -116,7 +116,12 @@ impl Generator {
     }
 
     /// Windows as the network predicts them, as one motion of which each becomes its part.
-    fn stitched(&self, whole: &Whole<'_>, values: &mut [f32], known: Option<&Known>) -> Vec<f32> {
+    fn stitched(
+        &self,
+        whole: &WindowedSampling<'_>,
+        values: &mut [f32],
+        known: Option<&Known>,
+    ) -> Vec<f32> {
         let turning = Turning {
             layout: Layout::Predicted(self.targets),
             statistics: Some(self.state.normalization()),
@@ -130,7 +135,7 @@ impl Generator {
     fn turned_and_stitched(
         &self,
         turning: Turning<'_>,
-        whole: &Whole<'_>,
+        whole: &WindowedSampling<'_>,
         values: &mut [f32],
         known: Option<&Known>,
     ) -> Vec<f32> {
@@ -153,7 +158,7 @@ impl Generator {
     /// The denoised windows, `[windows, channels, frames of a window]`, normalised.
     fn latents(
         &self,
-        whole: &Whole<'_>,
+        whole: &WindowedSampling<'_>,
         known: Option<&Known>,
         sampling: &SamplingConfig,
         key: Key,
@@ -254,7 +259,7 @@ impl Generator {
     /// coherent trajectory is that of the whole.
     fn decoded(
         &self,
-        whole: &Whole<'_>,
+        whole: &WindowedSampling<'_>,
         known: Option<&Known>,
         latents: &[f32],
     ) -> Result<Motion, Error> {
