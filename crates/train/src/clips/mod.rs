@@ -6,6 +6,7 @@ pub mod evaluator;
 pub(crate) mod goals;
 mod loss;
 pub(crate) mod path_target;
+pub(crate) mod settings;
 pub(crate) mod space;
 mod text_plan;
 pub(crate) mod training;

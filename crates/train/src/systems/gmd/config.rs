@@ -19,9 +19,8 @@ use super::recipe_name::RecipeName;
 use super::steering::SteeringConfig;
 use crate::clips::captions::CaptionsConfig;
 use crate::clips::evaluator::EvaluatorFiles;
-use crate::config::{
-    ClipSample, Config, ModelTable, NetworkKind, SamplingConfig, SelectBy, SystemTables,
-};
+use crate::clips::settings::{must_be_of_clips, must_have_no_style, validate_velocity};
+use crate::config::{ClipSample, Config, ModelTable, NetworkKind, SamplingConfig, SystemTables};
 use crate::error::Error;
 
 /// The tables of this system.
@@ -158,20 +157,9 @@ impl SystemTables for GmdConfig {
 pub(super) fn validate(config: &Config) -> Result<(), Error> {
     let own: &GmdConfig = config.own();
     let Config { data, sampling, .. } = config;
-    let (name, recipe) = (RecipeName::of(config), &config.train.recipe);
+    let name = RecipeName::of(config);
     own.diffusion.validate()?;
-    require(
-        matches!(data.kind, DataKind::Humanml3d | DataKind::SyntheticWalks),
-        "data.kind",
-        "a kind of phrases",
-        format!("\"humanml3d\" or \"synthetic_walks\" for recipe `{recipe}`"),
-    )?;
-    require(
-        config.validation.select_by == SelectBy::Loss,
-        "validation.select_by",
-        "a metric of phrases",
-        format!("\"loss\" for recipe `{recipe}`"),
-    )?;
+    must_be_of_clips(config)?;
     own.model.network.validate()?;
     if let Some(most) = own.model.network.longest() {
         let allowed = format!("at most `model.padded_frames` ({most})");
@@ -180,28 +168,12 @@ pub(super) fn validate(config: &Config) -> Result<(), Error> {
     }
     must_suit(&sampling.sampler, &own.diffusion)?;
     must_suit_first_stage(own, sampling)?;
-    for (key, value) in [
-        (
-            "sampling.sampler.style_guidance_scale",
-            sampling.sampler.style_guidance_scale,
-        ),
-        ("diffusion.style_drop_prob", own.diffusion.style_drop_prob),
-    ] {
-        let Some(value) = value else { continue };
-        let allowed = "nothing for models of clips, which have no style";
-        require(false, key, value, allowed).hint("leave the key out")?;
-    }
+    must_have_no_style(config, &own.diffusion)?;
     own.text.validate(data)?;
     own.emphasis.validate()?;
     let scale = own.loss.trajectory_scale;
     in_range("loss.trajectory_scale", scale, ABOVE_ZERO)?;
-    in_range("loss.velocity", own.loss.velocity, 0.0..)?;
-    require(
-        own.loss.velocity == 0.0 || own.diffusion.prediction_type == PredictionType::Sample,
-        "loss.velocity",
-        own.loss.velocity,
-        "0 unless `diffusion.prediction_type = \"sample\"`: noise has no velocity",
-    )?;
+    validate_velocity(own.loss.velocity, &own.diffusion)?;
     for (key, weight) in [
         ("loss.joint_velocity", own.loss.joint_velocity),
         ("loss.foot_contact", own.loss.foot_contact),
