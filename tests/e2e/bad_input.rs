@@ -158,7 +158,7 @@ fn options_that_became_keys_name_the_key() {
         ),
         (
             "eval runs/x --no-imputation",
-            ["`--no-imputation`", "sampling.steering.imputation=false"],
+            ["`--no-imputation`", "steering.imputation=false"],
         ),
         ("eval runs/x --seeds 4", ["`--seeds`", "evaluation.seeds=N"]),
     ] {

@@ -11,7 +11,7 @@ fn a_clip_is_drawn_at_the_length_of_training_and_cut() {
         let out = format!("free{frames}");
         let sample = format!(
             "sample runs/gmd_motion --frames {frames} --out {out} --overwrite \
-             --set sampling.padding={padding}"
+             --set steering.padding={padding}"
         );
         sandbox.run(&sample).succeeded();
         let features = read_array(&sandbox.path(format!("{out}.features.npy")));
@@ -42,7 +42,7 @@ fn a_clip_is_drawn_at_the_length_of_training_and_cut() {
     let two_stages = "sample runs/gmd_motion --trajectory-run runs/gmd_trajectory \
                       --goal goal.toml --goal short.toml";
     for padding in ["zeros", "drawn"] {
-        let set = format!("--set sampling.padding={padding}");
+        let set = format!("--set steering.padding={padding}");
         sandbox
             .run(&format!("{two_stages} --out {padding} {set}"))
             .succeeded();

@@ -387,11 +387,8 @@ fn settings_that_cannot_work_are_refused_by_name() {
             ["sampling.sampler.kind", "euler"],
         ),
         ("sampling.clip=six", ["sampling.clip", "none"]),
-        ("sampling.padding=drawn", ["sampling.padding", "gmd_motion"]),
-        (
-            "sampling.steering.scale=3",
-            ["sampling.steering", "gmd_motion"],
-        ),
+        ("steering.padding=drawn", ["steering.padding", "gmd_motion"]),
+        ("steering.scale=3", ["steering", "gmd_motion"]),
         (
             "sampling.sampler.recompute_epsilon=false",
             ["sampling.sampler.recompute_epsilon", "ddim"],

@@ -97,7 +97,7 @@ fn the_second_stage_is_guided_and_imputed_as_its_config_says() {
         let read = |name: &str| read_array(&sandbox.path(name)).expect("an array").values;
         (read("walk.path.npy"), read("walk.features.npy"))
     };
-    let steering = "--set sampling.steering";
+    let steering = "--set steering";
     let (path, both) = drawn("around", "");
     for settings in [
         format!("{steering}.second_stage_guidance=false"),
@@ -118,11 +118,10 @@ fn the_second_stage_is_guided_and_imputed_as_its_config_says() {
     let record = fs::read_to_string(sandbox.path("walk.json")).expect("a record");
     assert!(record.contains("\"first_stage_steps\": 16"), "{record}");
     let refused = "sample runs/gmd_motion --trajectory-run runs/gmd_trajectory --goal around.toml \
-                   --out no --set sampling.steering.first_stage_steps=1001";
-    sandbox.run(refused).failed(
-        2,
-        &["`sampling.steering.first_stage_steps` is 1001", "1 to 1000"],
-    );
+                   --out no --set steering.first_stage_steps=1001";
+    sandbox
+        .run(refused)
+        .failed(2, &["`steering.first_stage_steps` is 1001", "1 to 1000"]);
 }
 
 #[test]
@@ -183,7 +182,7 @@ fn runs_are_measured_on_goals_of_held_out_clips() {
     sandbox
         .run(
             "eval runs/gmd_trajectory --set evaluation.goals=2 --set evaluation.obstacles=1 \
-             --set sampling.steering.scale=0",
+             --set steering.scale=0",
         )
         .succeeded();
     sandbox
@@ -450,10 +449,7 @@ fn goals_that_cannot_be_followed_are_refused_by_name() {
         ),
         ("--frames 8", ["`--seconds` with `--goal`", "frames = 16"]),
         ("--seconds 1", ["`--seconds` with `--goal`", "frames = 16"]),
-        (
-            "--set sampling.steering.scale=-1",
-            ["sampling.steering.scale", "0 or more"],
-        ),
+        ("--set steering.scale=-1", ["steering.scale", "0 or more"]),
         (
             "--set sampling.clip=training_range",
             ["sampling.clip", "training_range"],
@@ -540,10 +536,7 @@ fn settings_of_another_kind_of_run_are_refused_by_name() {
         &["emphasis.kind"],
     );
     refused("--set sampling.clip=training_range", &["sampling.clip"]);
-    refused(
-        "--set sampling.steering.scale=-1",
-        &["sampling.steering.scale"],
-    );
+    refused("--set steering.scale=-1", &["steering.scale"]);
     sandbox.write("c.toml", SMALLEST);
     refused("--set data.kind=synthetic_walks", &["data.kind", "phrases"]);
 }

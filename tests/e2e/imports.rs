@@ -40,30 +40,27 @@ fn published_weights_become_a_run() {
         .failed(2, &["runs/gmd"]);
     sandbox
         .run(&format!(
-            "{import} --out runs/other --set sampling.steering.guidance.norm=mse \
-             --set sampling.steering.guidance.frame_limit=12 \
-             --set sampling.steering.schedule.points_until=30 --set sampling.padding=zeros"
+            "{import} --out runs/other --set steering.guidance.norm=mse \
+             --set steering.guidance.frame_limit=12 \
+             --set steering.schedule.points_until=30 --set steering.padding=zeros"
         ))
         .succeeded();
-    let sampling_of = |run: &str| {
+    let steering_of = |run: &str| {
         let state = sandbox.path(format!("runs/{run}/checkpoints/step-00000000/state.json"));
         let state = fs::read_to_string(state).expect("a checkpoint");
         let state: Value = serde_json::from_str(&state).expect("JSON");
-        state["config"]["sampling"].clone()
+        state["config"]["steering"].clone()
     };
     // As in the published program, unless set otherwise.
-    assert_eq!(sampling_of("gmd")["padding"], "drawn");
-    let sampling = sampling_of("other");
-    assert_eq!(sampling["padding"], "zeros");
-    let steering = &sampling["steering"];
+    assert_eq!(steering_of("gmd")["padding"], "drawn");
+    let steering = steering_of("other");
+    assert_eq!(steering["padding"], "zeros");
     assert_eq!(steering["guidance"]["norm"], "mse");
     assert_eq!(steering["guidance"]["frame_limit"], 12);
     assert_eq!(steering["schedule"]["points_until"], 30);
     sandbox
-        .run(&format!(
-            "{import} --out runs/third --set sampling.steering.scal=1"
-        ))
-        .failed(2, &["sampling.steering.scale"]);
+        .run(&format!("{import} --out runs/third --set steering.scal=1"))
+        .failed(2, &["steering.scale"]);
     sandbox.write("goal.toml", GOAL);
     sandbox
         .run("sample runs/gmd --goal goal.toml --steps 3 --out path")

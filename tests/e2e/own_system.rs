@@ -15,7 +15,6 @@ use kinegrad_data::{
     write_values,
 };
 use kinegrad_diffusion::Time;
-use kinegrad_models::parameters;
 use kinegrad_motion::humanml::Joints;
 use kinegrad_motion::{Representation, Statistics};
 use kinegrad_random::{Key, Purpose};
@@ -26,7 +25,7 @@ use kinegrad_train::evaluation::{Column, Evaluate, Evaluated, EvaluationRequest,
 use kinegrad_train::run::{Material, Outcome, Setup};
 use kinegrad_train::sampling::{Generated, Job, Request, Run, SampleSink, Sampler, Summary};
 use kinegrad_train::systems::{BUILT_IN, RecipeInfo, System, Systems};
-use kinegrad_train::{Error, Loss, Measured, Observer, Recipe, StepKey};
+use kinegrad_train::{Error, Loss, Measured, Observer, ParameterCount, Recipe, StepKey};
 use serde::{Deserialize, Serialize};
 use toml::Table;
 
@@ -281,8 +280,7 @@ fn height(rows: &[f32]) -> f64 {
 
 /// Rows of sampled circles, one for each radius.
 fn draw(trained: &TrainedModel, radii: &[f32], seed: u64) -> Result<Vec<Vec<f32>>, Error> {
-    let weights = trained.read_weights()?;
-    let network = parameters::load(Network::new(&trained.device), weights)?;
+    let network = trained.load(Network::new(&trained.device))?;
     let frames = trained.config().own::<ToyConfig>().circles.frames;
     let shape = [radii.len(), CHANNELS, frames];
     let key = Key::new(seed, Purpose::Sampling);
@@ -357,8 +355,13 @@ impl System for Toy {
         Ok(Vec::new())
     }
 
-    fn parameter_count(&self, _: &Config) -> Result<usize, Error> {
-        Ok(CHANNELS * CHANNELS + 2 * CHANNELS)
+    fn parameters(&self, _: &Config) -> Result<ParameterCount, Error> {
+        let all = CHANNELS * CHANNELS + 2 * CHANNELS;
+        Ok(ParameterCount {
+            all,
+            trained: all,
+            ..ParameterCount::default()
+        })
     }
 
     fn accepts(&self, _: &str) -> &'static [&'static str] {

@@ -138,7 +138,7 @@ fn clips_of_goals_follow_a_path_from_a_file() {
     let sandbox = goals::trained();
     sandbox.write("quarter.toml", quarter());
     let sample = "sample runs/gmd_motion --path quarter.toml --frames 20 --set \
-                  sampling.steering.schedule.motion_until=0";
+                  steering.schedule.motion_until=0";
     let said = sandbox
         .run(&format!("{sample} --out on --count 2"))
         .succeeded();

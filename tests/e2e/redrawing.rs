@@ -71,10 +71,10 @@ fn described(record: &Value) -> (Vec<String>, String) {
     let clip = sampler.remove("clip").expect("a setting");
     settings("sampling.clip", &clip, &mut arguments);
     if let Some(padding) = sampler.remove("padding") {
-        settings("sampling.padding", &padding, &mut arguments);
+        settings("steering.padding", &padding, &mut arguments);
     }
     if let Some(steering) = sampler.remove("steering") {
-        settings("sampling.steering", &steering, &mut arguments);
+        settings("steering", &steering, &mut arguments);
     }
     settings("sampling.sampler", &Value::from(sampler), &mut arguments);
     if record["weights"] == "model" {
@@ -170,7 +170,7 @@ fn clips_are_drawn_again_from_their_records() {
     let ten = format!("{}*", &clip[..clip.len() - 1]);
     for draw in [
         "--out drawn/free --count 3 --frames 12 --seed 2".to_string(),
-        "--out drawn/whole --frames 12 --seed 5 --set sampling.padding=drawn".to_string(),
+        "--out drawn/whole --frames 12 --seed 5 --set steering.padding=drawn".to_string(),
         format!(
             "--out drawn/told --text-embedding walks/text_embeddings.safetensors#{clip} --count 2"
         ),

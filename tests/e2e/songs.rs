@@ -16,7 +16,7 @@ use kinegrad_train::checkpoint::{SavedCheckpoint, Weights};
 use kinegrad_train::sampling::KnownFramesCondition;
 use kinegrad_train::systems::BUILT_IN;
 use kinegrad_train::systems::cc_motion::generate::Generator;
-use kinegrad_train::systems::cc_motion::whole::Whole;
+use kinegrad_train::systems::cc_motion::windowed::WindowedSampling;
 use serde_json::Value;
 
 /// A sandbox with a run that was trained on 24 frames, and a song of 181 frames.
@@ -149,7 +149,7 @@ fn windows_in_flight_change_nothing_and_ddpm_shares_its_noise() {
         let sampler = serde_json::json!({ "kind": kind, "num_inference_steps": 5 });
         sampling.sampler = serde_json::from_value(sampler).expect("a sampler");
         let draw = |in_flight: usize| {
-            let whole = Whole {
+            let whole = WindowedSampling {
                 audio: &audio,
                 windows: Windows::new(95, 24),
                 given: None,
@@ -157,7 +157,7 @@ fn windows_in_flight_change_nothing_and_ddpm_shares_its_noise() {
                 in_flight,
             };
             let mut last = (0, 0);
-            let sample = generator.sample_whole(
+            let sample = generator.sample_windowed(
                 &whole,
                 &sampling,
                 Key::new(3, Purpose::Sampling),
@@ -177,8 +177,8 @@ fn windows_in_flight_change_nothing_and_ddpm_shares_its_noise() {
             assert_eq!(draw(in_flight), one, "{kind}");
         }
     }
-    let stopped = generator.sample_whole(
-        &Whole {
+    let stopped = generator.sample_windowed(
+        &WindowedSampling {
             audio: &audio,
             windows: Windows::new(95, 24),
             given: None,

@@ -93,8 +93,7 @@ pub fn evaluate(
                 seed,
                 ..EvaluationRequest::default()
             };
-            let (system, _) = BUILT_IN.of(trained.config())?;
-            let evaluate = system.evaluate(&trained, &request)?;
+            let evaluate = BUILT_IN.evaluate(&trained, &request)?;
             let evaluated = evaluate(&mut |stage, done, all| progress.step(stage, done, all))?;
             Ok(json(&evaluated.json))
         })

@@ -3,9 +3,6 @@
 use burn::tensor::{Device, Tensor};
 use kinegrad_kernels::{Mode, VARIABLE};
 use kinegrad_settings::InvalidSetting;
-use sysinfo::System;
-
-use crate::together::{About, Together};
 
 /// A kind of device compiled into this build.
 pub struct Kind {
@@ -179,22 +176,6 @@ fn own(kind: &Kind, local: usize) -> Option<(Device, String)> {
     let found = works(kind, index).map(|device| (device, kind.name_of(index)));
     let alone = || works(kind, 1).is_none().then(|| works(kind, 0)).flatten();
     found.or_else(|| Some((alone()?, kind.name_of(0))))
-}
-
-/// A warning if several processes of a machine compute on one card. Collective.
-pub(crate) fn shared_card(name: &str, together: &Together) -> Option<String> {
-    // A launcher that gives each process a card shows it no other.
-    let shown = std::env::var("CUDA_VISIBLE_DEVICES").unwrap_or_default();
-    let machine = System::host_name().unwrap_or_default();
-    let own = format!("`{name}` of {machine} {shown}");
-    let all = together.gather(About::Plan, own.as_bytes());
-    let sharing = |own: &&Vec<u8>| all.iter().filter(|other| other == own).count();
-    let shared = all.iter().find(|own| sharing(own) > 1)?;
-    Some(format!(
-        "{} processes compute on one device, {}: start one for each card",
-        sharing(&shared),
-        String::from_utf8_lossy(shared).trim()
-    ))
 }
 
 fn too_few(kind: &str, local: usize) -> String {

@@ -7,6 +7,7 @@ use std::rc::Rc;
 use serde_json::Value;
 
 use crate::checkpoint::SavedCheckpoint;
+use crate::clips::evaluator::TextMotionEvaluator;
 use crate::error::Error;
 use crate::memory::must_fit;
 use crate::together::Together;
@@ -19,6 +20,9 @@ pub struct EvaluationRequest {
     pub source: Option<String>,
     /// Checkpoint of the trajectory model for two-stage sampling.
     pub trajectory: Option<SavedCheckpoint>,
+    /// The text-motion evaluator that the run's config names, which
+    /// [`Systems::evaluate`](crate::systems::Systems::evaluate) opens.
+    pub evaluator: Option<Rc<dyn TextMotionEvaluator>>,
     /// Seed of the noise.
     pub seed: u64,
     /// Whether models that hear music are held against music that says something else.

@@ -1,8 +1,17 @@
 //! Importing weights of other programs: requests and results.
 
-use std::path::PathBuf;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
 
+use burn::module::Module;
+use kinegrad_data::humanml::SkeletonName;
+use kinegrad_models::parameters;
+use kinegrad_motion::Statistics;
+use pytorch_reader::Tensor;
+
+use crate::checkpoint::{State, write_weights};
 use crate::config::Config;
+use crate::error::Error;
 
 /// What is imported. A system refuses what its networks have no use for.
 #[derive(Clone, Debug)]
@@ -42,4 +51,53 @@ pub struct Imported {
     pub config: Config,
     /// What is doubtful.
     pub warnings: Vec<String>,
+}
+
+impl Imported {
+    /// Writes `model` to the folder of `request`, as the only checkpoint of a run of that name.
+    ///
+    /// # Errors
+    /// If it cannot be written.
+    pub(crate) fn write<M: Module>(
+        request: &ImportRequest,
+        model: &M,
+        mut config: Config,
+        statistics: Statistics,
+    ) -> Result<Self, Error> {
+        let name = request.out.file_name().unwrap_or_default();
+        config.run.name = name.to_string_lossy().into_owned();
+        let state = State::untrained(config.clone(), statistics);
+        let (infos, values) = (parameters::infos(model), parameters::values(model));
+        Ok(Self {
+            path: write_weights(&request.out, &state, &infos, &values, &values)?,
+            parameters: parameters::count(model),
+            part: None,
+            skipped: 0,
+            config,
+            warnings: Vec::new(),
+        })
+    }
+}
+
+/// The tensors of a file without those that `is_skipped` names, and how many are skipped.
+pub(crate) fn needed(
+    mut tensors: BTreeMap<String, Tensor>,
+    is_skipped: impl Fn(&str) -> bool,
+) -> (BTreeMap<String, Tensor>, usize) {
+    let all = tensors.len();
+    tensors.retain(|name, _| !is_skipped(name));
+    let skipped = all - tensors.len();
+    (tensors, skipped)
+}
+
+/// The skeleton of features with the `mean` in the file at `path`.
+///
+/// # Errors
+/// [`Error::Array`] for a mean of other features.
+pub(crate) fn skeleton_of(mean: &[f64], path: &Path) -> Result<SkeletonName, Error> {
+    SkeletonName::of_channels(mean.len()).ok_or_else(|| Error::Array {
+        path: path.to_path_buf(),
+        found: format!("{} numbers", mean.len()),
+        allowed: "one for each feature: 263 of HumanML3D, 251 of KIT-ML".into(),
+    })
 }

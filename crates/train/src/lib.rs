@@ -30,9 +30,8 @@
 //! }
 //! ```
 
-pub mod captions;
 pub mod checkpoint;
-mod clips;
+pub mod clips;
 pub mod config;
 pub mod denoising;
 pub mod device;
@@ -44,7 +43,6 @@ pub mod memory;
 mod observer;
 pub mod optim;
 mod parameter_count;
-mod path_target;
 pub mod published;
 mod recipe;
 pub mod run;
@@ -55,7 +53,6 @@ pub mod system;
 pub mod systems;
 pub mod telemetry;
 pub mod text_encoder;
-mod text_plan;
 mod together;
 mod trained_model;
 mod trainer;
@@ -64,9 +61,7 @@ pub use config::Config;
 pub use error::Error;
 pub use observer::{Observer, Preview, Reading, RunSummary, StepReport};
 pub use parameter_count::ParameterCount;
-pub use path_target::{Followed, PathTarget};
 pub use recipe::{Loss, Measured, Recipe, StepKey};
-pub use text_plan::{TextPlan, TextStep, TimedPrompt};
 pub use together::Together;
 pub use trained_model::TrainedModel;
 pub use trainer::{Ending, Trainer, TrainerParts};

@@ -1,5 +1,7 @@
 //! Memory that work takes, estimated before anything is built.
 
+use burn::module::Module;
+use kinegrad_models::parameters;
 use rustix::process::{Resource, getrlimit};
 use sysinfo::{MemoryRefreshKind, ProcessRefreshKind, ProcessesToUpdate, RefreshKind, System};
 
@@ -37,6 +39,17 @@ const COPIES_WITHOUT_LOSS: u64 = 4;
 const PARTS_OF_ACTIVATIONS: u64 = 4;
 
 impl Footprint {
+    /// The footprint of one pass through `network`, which shares nothing between items.
+    pub fn of<M: Module>(network: &M, activations: u64, item: usize) -> Self {
+        Self {
+            parameters: parameters::count(network) as u64,
+            activations,
+            passes: 1,
+            item: item as u64,
+            shared: 0,
+        }
+    }
+
     /// Bytes of main memory that training takes, roughly; `on_host` where the CPU trains, so that
     /// gradients and activations are there too.
     pub fn of_training(self, config: &Config, on_host: bool) -> u64 {

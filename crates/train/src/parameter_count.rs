@@ -1,6 +1,7 @@
 //! What the number of parameters of a model counts.
 
-use kinegrad_models::parameters::ParameterInfo;
+use burn::module::Module;
+use kinegrad_models::parameters::{self, ParameterInfo};
 use serde::Serialize;
 
 /// Parameters of the networks of a run, as it trains them.
@@ -18,7 +19,8 @@ pub struct ParameterCount {
 
 impl ParameterCount {
     /// A single network, all of which is trained.
-    pub fn trained(all: usize) -> Self {
+    pub fn trained<M: Module>(network: &M) -> Self {
+        let all = parameters::count(network);
         Self {
             all,
             trained: all,

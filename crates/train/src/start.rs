@@ -47,7 +47,7 @@ impl Start {
         }
         let refused = |error| refused(key, path, &error);
         let saved = resolve_checkpoint(path, |_| {}).map_err(refused)?;
-        let saved = saved.of(system).map_err(refused)?;
+        let saved = system.read_tables(saved).map_err(refused)?;
         Ok(Some(Self { key, saved }))
     }
 

@@ -1,11 +1,11 @@
 //! A trained model, as samplers and evaluations get it.
 
+use burn::module::Module;
 use burn::tensor::Device;
 
 use crate::checkpoint::{SavedCheckpoint, Weights};
 use crate::config::Config;
 use crate::error::Error;
-use kinegrad_models::parameters::HostParameter;
 use std::path::Path;
 
 /// A checkpoint that is sampled or evaluated, and the device to do it on.
@@ -33,12 +33,12 @@ impl TrainedModel {
         &self.saved.path
     }
 
-    /// The weights to use.
+    /// `network`, built from the config, with the weights to use.
     ///
     /// # Errors
-    /// If the file is missing or damaged.
-    pub fn read_weights(&self) -> Result<Vec<HostParameter>, Error> {
-        self.saved.weights(self.weights)
+    /// As [`SavedCheckpoint::load`].
+    pub fn load<M: Module>(&self, network: M) -> Result<M, Error> {
+        self.saved.load(network, self.weights)
     }
 
     /// The model of another checkpoint of the same weights and device.

@@ -127,7 +127,8 @@ fn imported(
             out: folder.path().join("run"),
         })
         .expect("weights that fit");
-    let saved = SavedCheckpoint::read(&run.path).and_then(|saved| saved.of(&Gmd));
+    let gmd: &dyn System = &Gmd;
+    let saved = SavedCheckpoint::read(&run.path).and_then(|saved| gmd.read_tables(saved));
     let saved = saved.expect("a checkpoint");
     let trained = TrainedClips::load(&saved, Weights::Ema, device).expect("weights");
     trained.model.valid()

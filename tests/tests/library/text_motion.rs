@@ -3,7 +3,7 @@
 //! `data_fixtures/gmd/README.md` describes the file.
 
 use burn::tensor::Device;
-use kinegrad_data::humanml::{Caption, Clip};
+use kinegrad_data::humanml::{Caption, Clip, ClipLabels};
 use kinegrad_golden::{Golden, bound, differences, workspace};
 use kinegrad_models::Initializer;
 use kinegrad_models::parameters::{self, HostParameter};
@@ -13,6 +13,7 @@ use kinegrad_motion::humanml::{FeatureLayout, Features, Root};
 use kinegrad_motion::metrics::text_motion::{TextMotionReport, Token, WordVectors};
 use kinegrad_tests::weights;
 use kinegrad_train::Error;
+use kinegrad_train::clips::evaluator::TextMotionEvaluator as _;
 use kinegrad_train::systems::text_motion::TextMotion;
 
 /// Absolute, for embeddings and metrics.
@@ -188,7 +189,7 @@ fn pools_are_drawn_at_random() {
         });
         let (motions, clips) = (motions.concat(), clips.concat());
         let clips: Vec<&Clip> = clips.iter().collect();
-        let reports = evaluator.reports(&motions, &motions, &clips, seed);
+        let reports = evaluator.reports(&motions, &motions, &clips, &ClipLabels::new(), seed);
         let report = reports.expect("clips are encoded").drawn;
         report.r_precision_top1.expect("two pools")
     };

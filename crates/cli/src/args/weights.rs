@@ -32,7 +32,7 @@ pub struct ImportArguments {
     /// Use `model`, the weights of the last step, instead of `model_avg`
     #[arg(long)]
     pub last: bool,
-    /// Set a key of the new run's config, for example sampling.steering.guidance.norm=mse
+    /// Set a key of the new run's config, for example steering.guidance.norm=mse
     #[arg(long = "set", value_name = "KEY=VALUE")]
     pub overrides: Vec<String>,
     /// Folder to write; a new or an empty one

@@ -56,6 +56,7 @@ fn evaluate(
     let request = EvaluationRequest {
         source: arguments.source,
         trajectory: trajectory.transpose()?,
+        evaluator: None,
         seed: arguments.seed,
         listening: arguments.audio_ablation,
         together: together.clone(),
@@ -64,8 +65,7 @@ fn evaluate(
     // Every run is checked before the first evaluation.
     let mut evaluations = Vec::with_capacity(models.len());
     for trained in &models {
-        let (system, _) = systems.of(trained.config())?;
-        evaluations.push(system.evaluate(trained, &request)?);
+        evaluations.push(systems.evaluate(trained, &request)?);
     }
     let own = |trained: &TrainedModel| run_folder(trained.path()).join("reports");
     let folders: Vec<PathBuf> = match arguments.out {

@@ -1,10 +1,10 @@
 use std::path::{Path, PathBuf};
 
-use kinegrad_models::parameters::HostParameter;
+use burn::module::Module;
+use kinegrad_models::parameters::{self, HostParameter};
 
 use super::{State, Weights, read_weights};
 use crate::error::Error;
-use crate::system::System;
 
 /// A checkpoint whose `state.json` has been read and verified.
 #[derive(Clone, Debug)]
@@ -27,24 +27,12 @@ impl SavedCheckpoint {
         })
     }
 
-    /// The same with the tables of `system` read.
+    /// `network`, built from the checkpoint's config, with its weights.
     ///
     /// # Errors
-    /// If the run is of another system, or its config is of another version and cannot be read.
-    pub fn of(mut self, system: &dyn System) -> Result<Self, Error> {
-        let config = &mut self.state.config;
-        let name = &config.train.recipe;
-        let recipes = system.recipes().iter();
-        if !recipes.clone().any(|recipe| recipe.name == name) {
-            let known: Vec<&str> = recipes.map(|recipe| recipe.name).collect();
-            return Err(Error::OtherRecipe {
-                recipe: name.clone(),
-                known: known.join(", "),
-            });
-        }
-        let tables = config.system.to_table();
-        config.system = system.complete(&tables, &|_| "the saved config".into())?;
-        Ok(self)
+    /// As [`weights`](Self::weights); lists all parameters that do not fit.
+    pub fn load<M: Module>(&self, network: M, weights: Weights) -> Result<M, Error> {
+        Ok(parameters::load(network, self.weights(weights)?)?)
     }
 
     /// The trained weights, or their moving average.

@@ -83,6 +83,21 @@ pub struct State {
 const SEAL: &str = ",\n  \"state_sha256\": \"";
 
 impl State {
+    /// The state of weights that were not trained here.
+    pub fn untrained(config: Config, statistics: Statistics) -> Self {
+        Self {
+            format: FORMAT,
+            kinegrad: env!("CARGO_PKG_VERSION").into(),
+            step: 0,
+            config,
+            statistics,
+            network_statistics: None,
+            dataset_sha256: None,
+            progress: Progress::default(),
+            checksums: BTreeMap::new(),
+        }
+    }
+
     /// The text of `state.json`; its last key is the checksum of everything before that key.
     pub(super) fn to_text(&self) -> String {
         let text = serde_json::to_string_pretty(self).expect("the state is plain data");
@@ -109,6 +124,14 @@ impl State {
                 expected: representation.name(),
             }),
         }
+    }
+
+    /// [`statistics_of`](Self::statistics_of) the clips of the run's config.
+    ///
+    /// # Errors
+    /// [`Error::OtherRepresentation`].
+    pub fn clip_statistics(&self) -> Result<&Statistics, Error> {
+        self.statistics_of(&self.config.data.humanml3d.representation())
     }
 
     /// Reads and verifies `state.json` of the checkpoint in `path`.

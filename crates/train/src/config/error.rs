@@ -24,13 +24,13 @@ pub enum ConfigError {
     #[diagnostic(transparent)]
     Document(#[from] DocumentError),
     /// An override of what a trained model has been trained with.
-    #[error(
-        "option `set {argument}`: the model is trained, only keys of `sampling` and `evaluation` can be set"
-    )]
+    #[error("option `set {argument}`: the model is trained, only keys of {tables} can be set")]
     #[diagnostic(help("{hint}"))]
     Trained {
         /// The argument found.
         argument: String,
+        /// The tables whose keys can be set.
+        tables: String,
         /// The key that may have been meant.
         hint: String,
     },

@@ -12,7 +12,6 @@ mod error;
 mod model;
 mod resume;
 mod resumed;
-mod steering;
 mod system_tables;
 mod tables;
 
@@ -20,17 +19,16 @@ pub use difference::{Difference, difference};
 pub use document::to_toml;
 pub(crate) use document::{apply, from_table, lay_over};
 pub use error::ConfigError;
+pub(crate) use model::names;
 pub use model::{ModelTable, NetworkKind};
 pub use resume::{may_differ, must_continue, must_have_recipe};
 pub use resumed::Kept;
 pub(crate) use resumed::resumed;
-pub use steering::SteeringConfig;
 pub use system_tables::{OwnTables, SystemTables};
 pub(crate) use tables::validate;
 pub use tables::{
-    CheckpointConfig, ClipSample, EmaConfig, LrSchedule, OptimConfig, OptimPlace, Padding,
-    RunConfig, SamplingConfig, SelectBy, TrainConfig, TrainPrecision, ValidationConfig,
-    WeightDecayGroups,
+    CheckpointConfig, ClipSample, EmaConfig, LrSchedule, OptimConfig, OptimPlace, RunConfig,
+    SamplingConfig, SelectBy, TrainConfig, TrainPrecision, ValidationConfig, WeightDecayGroups,
 };
 
 pub use kinegrad_settings::Place;

@@ -2,7 +2,7 @@
 //! read by the network's own settings.
 
 use kinegrad_models::NetworkConfig;
-use kinegrad_settings::{DocumentError, Key, Place, not_among};
+use kinegrad_settings::{DocumentError, Key, Name, Place, Values, not_among};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
@@ -74,7 +74,7 @@ pub(super) fn name_sizes(kinds: &[NetworkKind], keys: &mut Vec<Key>) {
     };
     let size = keys.remove(place);
     let of_kind = |kind: &NetworkKind| Key {
-        values: crate::system::names(&(kind.sizes)()),
+        values: names(&(kind.sizes)()),
         only_with: Some(format!("model.kind = \"{}\"", kind.name)),
         ..size.clone()
     };
@@ -133,6 +133,15 @@ fn of_other_kind(kinds: &[NetworkKind], mut error: ConfigError) -> ConfigError {
         }
     }
     error
+}
+
+/// These names as what a key may hold.
+pub(crate) fn names(names: &[&str]) -> Values {
+    let name = |name: &&str| Name {
+        name: (*name).to_owned(),
+        meaning: String::new(),
+    };
+    Values::Names(names.iter().map(name).collect())
 }
 
 #[cfg(test)]

@@ -5,11 +5,11 @@ use std::collections::BTreeMap;
 use kinegrad_diffusion::{ClipRange, SamplerConfig};
 use kinegrad_kernels::Precision;
 use kinegrad_motion::Statistics;
-use kinegrad_settings::{ABOVE_ZERO, InvalidSetting, Refused, in_range, require};
+use kinegrad_settings::{ABOVE_ZERO, InvalidSetting, in_range, require};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{Config, SteeringConfig};
+use super::Config;
 use crate::recipe::RecipeInfo;
 
 /// The table `run`.
@@ -326,19 +326,6 @@ impl ClipSample {
     }
 }
 
-/// What stands behind the end of a clip that is shorter than what is drawn.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum Padding {
-    /// Zeros of normalised motion, noised: what the network was trained to see there, so that it
-    /// knows how long the clip is.
-    #[default]
-    Zeros,
-    /// Motion that is drawn too and cut off, as in the published program of GMD: right for models
-    /// whose training clips were never shorter than `data.target_frames`.
-    Drawn,
-}
-
 /// The table `sampling`: sampler settings of the run, for samples at its end and `kinegrad sample`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
@@ -351,32 +338,8 @@ pub struct SamplingConfig {
     pub preview_every_steps: u64,
     /// What the predicted clean motion is clipped to.
     pub clip: ClipSample,
-    /// What stands behind the end of clips that are shorter than what is drawn, for recipes
-    /// `gmd_motion` and `gmd_trajectory`.
-    pub padding: Padding,
     /// The sampler.
     pub sampler: SamplerConfig,
-    /// Guidance and imputation for goals, for recipes `gmd_motion` and `gmd_trajectory`.
-    pub steering: SteeringConfig,
-}
-
-impl SamplingConfig {
-    /// Rejects what only recipes of Guided Motion Diffusion read.
-    ///
-    /// # Errors
-    /// Names the key.
-    pub(crate) fn must_have_no_gmd_settings(&self, recipe: &str) -> Result<(), InvalidSetting> {
-        let plain = Self::default();
-        let of_clips = [
-            ("sampling.padding", self.padding == plain.padding),
-            ("sampling.steering", self.steering == plain.steering),
-        ];
-        of_clips.into_iter().try_for_each(|(key, is_plain)| {
-            let allowed = format!("nothing for recipe `{recipe}`, which does not read it");
-            require(is_plain, key, "set", allowed)
-                .hint("it is of recipes `gmd_motion` and `gmd_trajectory`")
-        })
-    }
 }
 
 /// Rejects bad values in the tables above.

@@ -86,42 +86,6 @@ pub struct Material {
     pub loader: Box<MakeLoader>,
 }
 
-impl Material {
-    /// What a run takes of `dataset`, as the `samples` of its items: the items to train on, and
-    /// those held out, which are in memory from now on.
-    ///
-    /// # Errors
-    /// If an item held out cannot be read, or the samples at the end cannot be clipped as asked.
-    pub fn new<T: Item, S: Samples>(
-        dataset: Dataset<T>,
-        statistics: Statistics,
-        config: &Config,
-        samples: impl Fn(ItemSet<T>, &Config) -> S + 'static,
-    ) -> Result<(Self, HeldOut), Error> {
-        if config.sampling.count_at_end > 0 || config.sampling.preview_every_steps > 0 {
-            // What the samples need is known now.
-            config
-                .sampling
-                .clip
-                .range(&statistics, statistics.channels())?;
-        }
-        let held_out = samples(dataset.validation.load()?.into(), config);
-        let material = Self {
-            train: dataset.train.len(),
-            validation: dataset.validation.len(),
-            skipped: dataset.skipped,
-            digest: dataset.digest,
-            statistics,
-            network_statistics: None,
-            loader: Box::new(move |config, share| {
-                let samples = samples(dataset.train, config);
-                Loader::of_share(samples, &config.data, config.run.seed, share)
-            }),
-        };
-        Ok((material, HeldOut::new(held_out, &config.validation)))
-    }
-}
-
 /// Names that the parameters of a recipe's networks begin with; none for a single network.
 fn networks_of(recipe: &RecipeInfo) -> &'static [&'static str] {
     match recipe.groups {
@@ -174,6 +138,42 @@ impl Setup {
             observer.warning(warning);
         }
         self.must_be_same_dataset(dataset.digest)
+    }
+
+    /// The training data made of `dataset`, as the `samples` of its items, and the items held out,
+    /// which are in memory from now on.
+    ///
+    /// # Errors
+    /// If an item held out cannot be read, or the samples at the end cannot be clipped as asked.
+    pub fn material<T: Item, S: Samples>(
+        &self,
+        dataset: Dataset<T>,
+        statistics: Statistics,
+        samples: impl Fn(ItemSet<T>, &Config) -> S + 'static,
+    ) -> Result<(Material, HeldOut), Error> {
+        let config = &self.config;
+        if config.sampling.count_at_end > 0 || config.sampling.preview_every_steps > 0 {
+            // What the samples need is known now.
+            config
+                .sampling
+                .clip
+                .range(&statistics, statistics.channels())?;
+        }
+        let held_out = samples(dataset.validation.load()?.into(), config);
+        let material = Material {
+            train: dataset.train.len(),
+            validation: dataset.validation.len(),
+            skipped: dataset.skipped,
+            digest: dataset.digest,
+            statistics,
+            network_statistics: None,
+            loader: Box::new(move |config, share| {
+                let samples = samples(dataset.train, config);
+                Loader::of_share(samples, &config.data, config.run.seed, share)
+            }),
+        };
+        let held_out = HeldOut::new(held_out, &config.validation);
+        Ok((material, held_out.among(&self.together)))
     }
 
     /// Rejects to continue on another dataset than the one trained on so far.

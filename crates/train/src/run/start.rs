@@ -337,7 +337,7 @@ fn train_in(
     together.done(Ok(()))?;
     let step = checkpoint.as_ref().map(|checkpoint| checkpoint.state.step);
     together.must_compute_alike()?;
-    if let Some(warning) = crate::device::shared_card(&device_name, together)
+    if let Some(warning) = together.shared_card(&device_name)
         && !on_host
     {
         observer.warning(&warning);

@@ -117,7 +117,7 @@ impl Run<'_> {
     ) -> Result<(), Error> {
         let path = record.path.as_ref();
         self.paths
-            .extend(path.map(|path| crate::path_target::in_words(&path.report)));
+            .extend(path.map(|path| crate::clips::path_target::in_words(&path.report)));
         self.sink.sample(Sample {
             name: self.name(job, index),
             files: generated.files(),

@@ -11,7 +11,7 @@ use serde_json::Value;
 use super::{Condition, condition};
 use crate::TrainedModel;
 use crate::checkpoint::Weights;
-use crate::config::{ClipSample, Padding, SteeringConfig};
+use crate::config::ClipSample;
 
 /// How a sample was made: enough to draw it again.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -151,10 +151,10 @@ pub struct SamplerRecord {
     pub clip: ClipSample,
     /// What stood behind the end of a clip; none but for clips of Guided Motion Diffusion.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub padding: Option<Padding>,
+    pub padding: Option<Value>,
     /// Guidance and imputation for goals; none without a goal.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub steering: Option<SteeringConfig>,
+    pub steering: Option<Value>,
 }
 
 impl Record {

@@ -1,11 +1,11 @@
 //! Every key of the configs, with its meaning, values and defaults.
 
-use kinegrad_settings::{InvalidSetting, Key, Name, Values, keys_of};
+use kinegrad_settings::{InvalidSetting, Key, Values, keys_of};
 use serde_json::Value as Json;
 use toml::{Table, Value};
 
 use super::Systems;
-use crate::config::{Config, PLAIN, TrainConfig, apply};
+use crate::config::{Config, PLAIN, TrainConfig, apply, names};
 use crate::error::Error;
 
 /// A key of the configs of some recipes.
@@ -214,15 +214,6 @@ impl Systems<'_> {
         }
         variants
     }
-}
-
-/// These names as what a key may hold.
-pub(crate) fn names(names: &[&str]) -> Values {
-    let name = |name: &&str| Name {
-        name: (*name).to_owned(),
-        meaning: String::new(),
-    };
-    Values::Names(names.iter().map(name).collect())
 }
 
 fn defaults(

@@ -5,7 +5,7 @@ use std::path::Path;
 use kinegrad_settings::{Document, must_be_finite, must_be_tables, not_among};
 use toml::{Table, Value};
 
-use super::Systems;
+use super::{System, Systems};
 use kinegrad_data::file::read_text;
 
 use crate::checkpoint::{SavedCheckpoint, Weights};
@@ -13,9 +13,6 @@ use crate::config::{self, Config, ConfigError, Place, TrainConfig, apply, lay_ov
 use crate::device::open_for;
 use crate::error::Error;
 use crate::trained_model::TrainedModel;
-
-/// Tables whose keys may change once a model is trained.
-const OF_TRAINED: [&str; 2] = ["sampling.", "evaluation."];
 
 impl Systems<'_> {
     /// Reads the config at `path` and applies `overrides` of the form `a.b=value` in order.
@@ -93,12 +90,21 @@ impl Systems<'_> {
         config: &Config,
         overrides: &[String],
     ) -> Result<Config, ConfigError> {
+        let named = self.of_recipe(&config.train.recipe);
+        let own = named.map_or(&[][..], |(system, _)| system.tables_of_sampling());
+        let tables: Vec<&str> = ["sampling", "evaluation"]
+            .iter()
+            .chain(own)
+            .copied()
+            .collect();
         for argument in overrides {
             let key = argument.trim_start();
-            if !OF_TRAINED.iter().any(|table| key.starts_with(table)) {
+            let named = key.split_once('.').map(|(table, _)| table);
+            if !named.is_some_and(|table| tables.contains(&table)) {
                 return Err(ConfigError::Trained {
-                    hint: self.of_trained(config, key),
+                    hint: self.of_trained(config, key, &tables),
                     argument: argument.clone(),
+                    tables: listed(&tables),
                 });
             }
         }
@@ -112,10 +118,14 @@ impl Systems<'_> {
     }
 
     /// A hint for an override of a trained model that is of none of its tables that may change.
-    fn of_trained(self, config: &Config, argument: &str) -> String {
+    fn of_trained(self, config: &Config, argument: &str, tables: &[&str]) -> String {
         let key = argument.split('=').next().unwrap_or_default().trim();
         let meant = self.suggestion(key, &config.train.recipe);
-        let meant = meant.filter(|hint| OF_TRAINED.iter().any(|table| hint.contains(table)));
+        let meant = meant.filter(|hint| {
+            tables
+                .iter()
+                .any(|table| hint.contains(&format!("{table}.")))
+        });
         meant.unwrap_or_else(|| {
             "for example option `set sampling.sampler.num_inference_steps=50`; other settings are for \
              `kinegrad train`"
@@ -217,6 +227,35 @@ impl Systems<'_> {
             on_host: crate::device::is_host(&name),
         })
     }
+}
+
+impl dyn System + '_ {
+    /// The checkpoint with the tables of this system read.
+    ///
+    /// # Errors
+    /// If the run is of another system, or its config is of another version and cannot be read.
+    pub fn read_tables(&self, mut saved: SavedCheckpoint) -> Result<SavedCheckpoint, Error> {
+        let config = &mut saved.state.config;
+        let name = &config.train.recipe;
+        let recipes = self.recipes().iter();
+        if !recipes.clone().any(|recipe| recipe.name == name) {
+            let known: Vec<&str> = recipes.map(|recipe| recipe.name).collect();
+            return Err(Error::OtherRecipe {
+                recipe: name.clone(),
+                known: known.join(", "),
+            });
+        }
+        let tables = config.system.to_table();
+        config.system = self.complete(&tables, &|_| "the saved config".into())?;
+        Ok(saved)
+    }
+}
+
+/// The names of tables, as in "`a`, `b` and `c`".
+fn listed(tables: &[&str]) -> String {
+    let quoted: Vec<String> = tables.iter().map(|table| format!("`{table}`")).collect();
+    let (last, others) = quoted.split_last().expect("a table");
+    format!("{} and {last}", others.join(", "))
 }
 
 fn read(path: &Path) -> Result<String, ConfigError> {

@@ -5,16 +5,18 @@ mod keys;
 mod load;
 mod sample;
 
-pub(crate) use keys::names;
 pub use keys::{ConfigKey, toml_text};
 
 use std::path::{Path, PathBuf};
+use std::rc::Rc;
 
+use burn::tensor::Device;
 use kinegrad_motion::Representation;
 use kinegrad_settings::{InvalidSetting, Key};
 use toml::Table;
 
-use crate::checkpoint::SavedCheckpoint;
+use crate::checkpoint::{SavedCheckpoint, resolve_checkpoint};
+use crate::clips::evaluator::{EvaluatorFiles, EvaluatorSource, TextMotionEvaluator};
 use crate::config::{Config, ConfigError, OwnTables, Place};
 use crate::error::Error;
 use crate::evaluation::{Evaluate, EvaluationRequest};
@@ -69,6 +71,11 @@ pub trait System: Sync {
     /// For the first invalid value; the error names the key.
     fn validate(&self, config: &Config) -> Result<Vec<String>, Error>;
 
+    /// The system's own tables, beside `evaluation`, whose keys may change once a model is trained.
+    fn tables_of_sampling(&self) -> &'static [&'static str] {
+        &[]
+    }
+
     /// Config values that follow from what a run starts from, used as defaults: from the `saved`
     /// config of a resumed run, otherwise from the checkpoints that `config` names.
     ///
@@ -102,20 +109,11 @@ pub trait System: Sync {
         Ok(saved)
     }
 
-    /// Number of parameters of the networks of `config`, without adapters.
+    /// The parameters of the networks of `config` as it trains them, adapters included.
     ///
     /// # Errors
     /// If a network cannot be built.
-    fn parameter_count(&self, config: &Config) -> Result<usize, Error>;
-
-    /// The parameters of the networks of `config` as it trains them, adapters included. By default
-    /// one network, all of which is trained.
-    ///
-    /// # Errors
-    /// If a network cannot be built.
-    fn parameters(&self, config: &Config) -> Result<ParameterCount, Error> {
-        Ok(ParameterCount::trained(self.parameter_count(config)?))
-    }
+    fn parameters(&self, config: &Config) -> Result<ParameterCount, Error>;
 
     /// What its networks take in training, for the estimate of memory. Activations count nothing
     /// where a system does not say.
@@ -124,7 +122,7 @@ pub trait System: Sync {
     /// If a network cannot be built.
     fn footprint(&self, config: &Config) -> Result<Footprint, Error> {
         Ok(Footprint {
-            parameters: self.parameter_count(config)? as u64,
+            parameters: self.parameters(config)?.all as u64,
             activations: 0,
             passes: 1,
             item: 0,
@@ -174,6 +172,24 @@ pub trait System: Sync {
         request: &'a Request,
         sink: &mut dyn SampleSink,
     ) -> Result<Box<dyn Sampler + 'a>, Error>;
+
+    /// The text-motion evaluator that an evaluation of a run of `config` is to have.
+    fn evaluator_files<'a>(&self, _config: &'a Config) -> Option<&'a EvaluatorFiles> {
+        None
+    }
+
+    /// The text-motion evaluator in `source`, on `device`, which has no gradients; none of a system
+    /// that trains none.
+    ///
+    /// # Errors
+    /// If a file cannot be read, or its contents do not fit.
+    fn text_motion_evaluator(
+        &self,
+        _source: EvaluatorSource<'_>,
+        _device: &Device,
+    ) -> Result<Option<Rc<dyn TextMotionEvaluator>>, Error> {
+        Ok(None)
+    }
 
     /// Validates the request and returns a function that evaluates a trained model on held-out
     /// motion.
@@ -259,6 +275,59 @@ impl<'a> Systems<'a> {
             InvalidSetting::new("train.recipe", format!("\"{name}\""), known.join(", "))
                 .hint("the run is of another system; a newer kinegrad may know it")
         })
+    }
+
+    /// The evaluation of a trained model by its system, with the text-motion evaluator that its
+    /// config names.
+    ///
+    /// # Errors
+    /// As [`System::evaluate`]; if the evaluator cannot be opened.
+    pub fn evaluate<'m>(
+        self,
+        trained: &'m TrainedModel,
+        request: &EvaluationRequest,
+    ) -> Result<Evaluate<'m>, Error> {
+        let (system, _) = self.of(trained.config())?;
+        let evaluator = match system.evaluator_files(trained.config()) {
+            Some(files) => self.text_motion_evaluator(files, &trained.device)?,
+            None => None,
+        };
+        let request = EvaluationRequest {
+            evaluator,
+            ..request.clone()
+        };
+        system.evaluate(trained, &request)
+    }
+
+    fn text_motion_evaluator(
+        self,
+        files: &EvaluatorFiles,
+        device: &Device,
+    ) -> Result<Option<Rc<dyn TextMotionEvaluator>>, Error> {
+        if !files.run.as_os_str().is_empty() {
+            let saved = resolve_checkpoint(&files.run, |_| {})?;
+            let (system, recipe) = self.of(&saved.state.config)?;
+            let saved = system.read_tables(saved)?;
+            let found = system.text_motion_evaluator(EvaluatorSource::Run(&saved), device)?;
+            return found.map(Some).ok_or_else(|| {
+                let message = format!(
+                    "{} is of a run of recipe `{}`",
+                    files.run.display(),
+                    recipe.name
+                );
+                let hint = "`evaluation.evaluator.run` takes a run of recipe `text_motion`";
+                Error::usage(message, hint)
+            });
+        }
+        if files.has_files() {
+            for system in self.0 {
+                let source = EvaluatorSource::Files(files);
+                if let Some(found) = system.text_motion_evaluator(source, device)? {
+                    return Ok(Some(found));
+                }
+            }
+        }
+        Ok(None)
     }
 
     /// A config that was saved by another version, with the defaults of this version filled in.

@@ -186,6 +186,22 @@ impl Together {
         ])
     }
 
+    /// A warning if several processes of a machine compute on one card. Collective.
+    pub(crate) fn shared_card(&self, name: &str) -> Option<String> {
+        // A launcher that gives each process a card shows it no other.
+        let shown = std::env::var("CUDA_VISIBLE_DEVICES").unwrap_or_default();
+        let machine = sysinfo::System::host_name().unwrap_or_default();
+        let own = format!("`{name}` of {machine} {shown}");
+        let all = self.gather(About::Plan, own.as_bytes());
+        let sharing = |own: &&Vec<u8>| all.iter().filter(|other| other == own).count();
+        let shared = all.iter().find(|own| sharing(own) > 1)?;
+        Some(format!(
+            "{} processes compute on one device, {}: start one for each card",
+            sharing(&shared),
+            String::from_utf8_lossy(shared).trim()
+        ))
+    }
+
     /// Rejects ranks that are not about to do the same. Collective.
     ///
     /// # Errors

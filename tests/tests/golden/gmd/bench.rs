@@ -10,7 +10,7 @@ use kinegrad_models::{Backbone, Initializer, TextDenoiser, parameters};
 use kinegrad_motion::emphasis::EmphasisProjection;
 use kinegrad_tests::golden::{Golden, GoldenTensors, Reference, ReferenceTensors, wide};
 use kinegrad_tests::{gmd, weights};
-use kinegrad_train::systems::gmd::FeatureSpace;
+use kinegrad_train::clips::FeatureSpace;
 
 /// The process of the published models with this prediction type.
 pub fn process(prediction_type: PredictionType) -> GaussianDiffusion {

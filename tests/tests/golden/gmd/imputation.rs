@@ -6,7 +6,8 @@ use kinegrad_motion::goal::{Goal, GuidanceConfig, GuidanceLoss, Keyframe};
 use kinegrad_tests::golden::{Golden, Reference, ReferenceTensors};
 use kinegrad_tests::trials;
 use kinegrad_tests::trials::GoldenTest;
-use kinegrad_train::systems::gmd::{FeatureSpace, GroundObjective};
+use kinegrad_train::clips::FeatureSpace;
+use kinegrad_train::systems::gmd::GroundObjective;
 
 use super::bench::{Bench, space};
 

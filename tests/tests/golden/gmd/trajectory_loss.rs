@@ -5,7 +5,7 @@ use kinegrad_diffusion::{LossType, PredictionType};
 use kinegrad_tests::golden::{Golden, GoldenTensors, ReferenceTensors};
 use kinegrad_tests::trials;
 use kinegrad_tests::trials::GoldenTest;
-use kinegrad_train::systems::gmd::recipes::loss::weighted_masked_loss;
+use kinegrad_train::clips::weighted_masked_loss;
 
 use super::bench::process;
 

@@ -17,8 +17,8 @@ use kinegrad_motion::humanml::{FeatureLayout, Features, Root};
 use kinegrad_tests::golden::{Golden, GoldenTensors, ReferenceTensors, wide};
 use kinegrad_tests::trials;
 use kinegrad_tests::trials::GoldenTest;
-use kinegrad_train::config::SteeringConfig;
-use kinegrad_train::systems::gmd::{FeatureSpace, StageModel, StageSteering};
+use kinegrad_train::clips::FeatureSpace;
+use kinegrad_train::systems::gmd::{Padding, StageModel, StageSteering, SteeringConfig};
 
 use super::bench::{kept_timesteps, noise_of_steps, process, space, whole_model};
 
@@ -256,6 +256,7 @@ fn compare(golden: &Golden, variant: &Variant) {
     ];
     let name = variant.name;
     let config = SteeringConfig {
+        padding: Padding::Zeros,
         scale: if variant.guided[0] {
             golden.get("in.scale").scalar()
         } else {

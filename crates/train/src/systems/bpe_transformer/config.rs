@@ -2,8 +2,7 @@
 
 use std::path::PathBuf;
 
-use kinegrad_data::DataKind;
-use kinegrad_diffusion::{DiffusionConfig, PredictionType, SamplerKind, must_suit};
+use kinegrad_diffusion::{DiffusionConfig, SamplerKind, must_suit};
 use kinegrad_models::blended::BlendedConfig;
 use kinegrad_motion::MAX_FRAMES;
 use kinegrad_motion::humanml::Root;
@@ -13,8 +12,9 @@ use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
 
 use super::{ADAPTER, PathConfig, RECIPE};
-use crate::captions::CaptionsConfig;
-use crate::config::{ClipSample, Config, ModelTable, NetworkKind, SelectBy, SystemTables};
+use crate::clips::captions::CaptionsConfig;
+use crate::clips::settings::{must_be_of_clips, must_have_no_style, validate_velocity};
+use crate::config::{ClipSample, Config, ModelTable, NetworkKind, SystemTables};
 use crate::error::Error;
 
 /// Values of the common tables: those of the published program where it has them.
@@ -230,12 +230,7 @@ pub(super) fn validate(config: &Config) -> Result<(), Error> {
         own.adapter.last_layers,
         format!("0 for recipe `{RECIPE}`, which trains all layers"),
     )?;
-    require(
-        matches!(data.kind, DataKind::Humanml3d | DataKind::SyntheticWalks),
-        "data.kind",
-        "a kind of phrases",
-        format!("\"humanml3d\" or \"synthetic_walks\" for recipe `{RECIPE}`"),
-    )?;
+    must_be_of_clips(config)?;
     in_range("paths.drop_prob", own.paths.drop_prob, 0.0..=1.0)?;
     require(
         own.paths.drop_prob == 0.0 || own.model.network.sizes().path,
@@ -256,37 +251,14 @@ pub(super) fn validate(config: &Config) -> Result<(), Error> {
         -1..=most,
     )
     .hint("-1 for absolute positions in all steps, 0 for relative ones")?;
-    in_range("loss.velocity", own.loss.velocity, 0.0..)?;
-    require(
-        own.loss.velocity == 0.0 || own.diffusion.prediction_type == PredictionType::Sample,
-        "loss.velocity",
-        own.loss.velocity,
-        "0 unless `diffusion.prediction_type = \"sample\"`: noise has no velocity",
-    )?;
-    for (key, value) in [
-        (
-            "sampling.sampler.style_guidance_scale",
-            sampling.sampler.style_guidance_scale,
-        ),
-        ("diffusion.style_drop_prob", own.diffusion.style_drop_prob),
-    ] {
-        let Some(value) = value else { continue };
-        let allowed = "nothing for models of clips, which have no style";
-        require(false, key, value, allowed)?;
-    }
+    validate_velocity(own.loss.velocity, &own.diffusion)?;
+    must_have_no_style(config, &own.diffusion)?;
     must_suit(&sampling.sampler, &own.diffusion)?;
-    sampling.must_have_no_gmd_settings(RECIPE)?;
     require(
         sampling.clip == ClipSample::None,
         "sampling.clip",
         "a range",
         format!("\"none\" for recipe `{RECIPE}`, whose clean motion is not clipped"),
-    )?;
-    require(
-        config.validation.select_by == SelectBy::Loss,
-        "validation.select_by",
-        "a metric of phrases",
-        format!("\"loss\" for recipe `{RECIPE}`"),
     )?;
     let evaluation = &own.evaluation;
     let timesteps = own.diffusion.num_train_timesteps;

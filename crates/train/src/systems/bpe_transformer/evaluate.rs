@@ -15,11 +15,11 @@ use super::report::{ComposedReport, Measured};
 use super::ways::{self, WaysEvaluation, WaysReport};
 use super::{BpeTables, ComposeEvaluationConfig, Composer};
 use crate::TrainedModel;
-use crate::captions::{ClipText, must_know_texts};
+use crate::clips::TimedPrompt;
+use crate::clips::captions::{ClipText, must_know_texts};
 use crate::clips::{dataset_or, with_held_out};
 use crate::error::Error;
 use crate::evaluation::{Column, Evaluate, Evaluated, EvaluationRequest, Group, Number, OnStep};
-use crate::text_plan::TimedPrompt;
 
 /// Results of an evaluation of compositions.
 #[derive(Clone, Debug, Serialize)]

@@ -13,18 +13,17 @@ use kinegrad_motion::humanml::Features;
 use kinegrad_motion::{Representation, Statistics};
 use kinegrad_random::Key;
 
-use super::networks::text_input;
-use super::networks::{statistics_in, trained};
+use super::networks::{text_input, trained};
 use super::path::{PathControl, told};
 use super::{BpeTables, ComposeEvaluationConfig};
 use crate::TrainedModel;
-use crate::captions::TextInput;
 use crate::checkpoint::State;
+use crate::clips::FeatureSpace;
+use crate::clips::TimedPrompt;
+use crate::clips::captions::TextInput;
+use crate::clips::path_target::{Fastest, PathTarget};
 use crate::config::Config;
 use crate::error::Error;
-use crate::path_target::{Fastest, PathTarget};
-use crate::systems::gmd::FeatureSpace;
-use crate::text_plan::TimedPrompt;
 
 /// A trained network, ready to compose motion.
 pub struct Composer {
@@ -46,7 +45,7 @@ impl Composer {
         let (device, state) = (&model.device, model.saved.state.clone());
         let network = trained(&model.saved, model.weights, &device.clone().autodiff())?;
         let own: &BpeTables = state.config.own();
-        let statistics = statistics_in(&state)?;
+        let statistics = state.clip_statistics()?;
         Ok(Self {
             plain: network.valid(),
             tracked: network.no_grad(),
@@ -73,7 +72,7 @@ impl Composer {
     /// # Errors
     /// If the run is of another system.
     pub(super) fn statistics(&self) -> Result<&Statistics, Error> {
-        statistics_in(&self.state)
+        self.state.clip_statistics()
     }
 
     /// The fastest that a root was in training, for what asks for more.
@@ -84,7 +83,7 @@ impl Composer {
         let skeleton = self.config().data.humanml3d.skeleton.skeleton();
         // Displacements of joint 0, in the facing frame, metres per frame.
         let first = skeleton.layout().velocities().start;
-        let statistics = statistics_in(&self.state)?;
+        let statistics = self.state.clip_statistics()?;
         Ok(Fastest::of(statistics, first, skeleton.description().fps))
     }
 

@@ -4,9 +4,8 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use burn::tensor::Device;
-use kinegrad_data::humanml::SkeletonName;
+use kinegrad_models::NetworkConfig;
 use kinegrad_models::blended::{BlendedConfig, HEAD_CHANNELS};
-use kinegrad_models::{NetworkConfig, parameters};
 use kinegrad_motion::humanml::{Root, TEXT_CHANNELS};
 use kinegrad_motion::{Representation, Statistics};
 use kinegrad_settings::require;
@@ -14,10 +13,10 @@ use pytorch_reader::Tensor;
 
 use super::networks::network;
 use super::{BpeNetwork, BpeTables, BpeTransformer, RECIPE};
-use crate::checkpoint::{FORMAT, Progress, State, must_be_free, write_weights};
+use crate::checkpoint::must_be_free;
 use crate::config::{Config, OwnTables};
 use crate::error::Error;
-use crate::import::{ImportRequest, Imported};
+use crate::import::{ImportRequest, Imported, needed, skeleton_of};
 use crate::published::{self, mean_and_deviation, read_tensors};
 use crate::systems::Systems;
 
@@ -68,34 +67,13 @@ pub(super) fn import(request: &ImportRequest) -> Result<Imported, Error> {
     }
     must_be_free(&request.out)?;
     let tensors = read_tensors(&request.weights)?;
-    let all = tensors.len();
-    let tensors: BTreeMap<String, Tensor> = tensors
-        .into_iter()
-        .filter(|(name, _)| !is_known_stranger(name))
-        .collect();
-    let skipped = all - tensors.len();
+    let (tensors, skipped) = needed(tensors, is_known_stranger);
     let (config, statistics) = settings(request, [mean, std], &tensors)?;
     let model = network(&config, &Device::flex())?;
     let model = published::load(&request.weights, model, &tensors)?;
-    let (infos, values) = (parameters::infos(&model), parameters::values(&model));
-    let state = State {
-        format: FORMAT,
-        kinegrad: env!("CARGO_PKG_VERSION").to_string(),
-        step: 0,
-        config: config.clone(),
-        statistics,
-        network_statistics: None,
-        dataset_sha256: None,
-        progress: Progress::default(),
-        checksums: BTreeMap::new(),
-    };
     Ok(Imported {
-        path: write_weights(&request.out, &state, &infos, &values, &values)?,
-        parameters: parameters::count(&model),
-        part: None,
         skipped,
-        config,
-        warnings: Vec::new(),
+        ..Imported::write(request, &model, config, statistics)?
     })
 }
 
@@ -146,12 +124,7 @@ fn settings(
     let systems = Systems(&[&BpeTransformer]);
     let mut config = systems.parse(&text, "the recipe's defaults", &request.overrides)?;
     let [mean, std] = mean_and_deviation(mean_path, std_path)?;
-    config.data.humanml3d.skeleton =
-        SkeletonName::of_channels(mean.len()).ok_or_else(|| Error::Array {
-            path: mean_path.to_path_buf(),
-            found: format!("{} numbers", mean.len()),
-            allowed: "one for each feature: 263 of HumanML3D, 251 of KIT-ML".into(),
-        })?;
+    config.data.humanml3d.skeleton = skeleton_of(&mean, mean_path)?;
     require(
         config.data.humanml3d.root == Root::Relative,
         "data.humanml3d.root",
@@ -181,8 +154,6 @@ fn settings(
             "it is told {told} numbers of a text, and embeddings have {TEXT_CHANNELS}"
         )));
     }
-    let name = request.out.file_name().unwrap_or_default();
-    config.run.name = name.to_string_lossy().into_owned();
     let mut own = config.own::<BpeTables>().clone();
     own.model.size = BlendedConfig::SIZES[0].0.into();
     let sizes = sizes(&request.weights, tensors, own.model.network.sizes())?;

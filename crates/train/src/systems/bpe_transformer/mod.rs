@@ -123,10 +123,6 @@ impl System for BpeTransformer {
         networks::parameters(config)
     }
 
-    fn parameter_count(&self, config: &Config) -> Result<usize, Error> {
-        networks::parameter_count(config)
-    }
-
     fn footprint(&self, config: &Config) -> Result<Footprint, Error> {
         networks::footprint(config, config.data.target_frames)
     }

@@ -5,13 +5,14 @@ use std::collections::HashMap;
 use burn::tensor::Device;
 use kinegrad_models::blended::BlendedTransformer;
 use kinegrad_models::{Initializer, parameters};
+use kinegrad_motion::Representation;
 use kinegrad_motion::humanml::TEXT_CHANNELS;
-use kinegrad_motion::{Representation, Statistics};
 
 use super::config::{tells_paths, with_paths};
 use super::{ADAPTER, BpeTables, INHERITED};
-use crate::captions::TextInput;
-use crate::checkpoint::{SavedCheckpoint, State, Weights};
+use crate::checkpoint::{SavedCheckpoint, Weights};
+use crate::clips::captions::TextInput;
+use crate::clips::training::must_fit_clips;
 use crate::config::{Config, OwnTables};
 use crate::error::Error;
 use crate::memory::Footprint;
@@ -66,14 +67,7 @@ pub(super) fn begun(
 fn started(start: &Start, config: &Config, device: &Device) -> Result<BlendedTransformer, Error> {
     let state = start.state();
     let network = start.load(|saved| trained(saved, Weights::Ema, device))?;
-    let (given, found) = (&config.data.humanml3d, &state.config.data.humanml3d);
-    if (given.root, given.skeleton) != (found.root, found.skeleton) {
-        let reason = "its clips have another `data.humanml3d.root` or `skeleton`";
-        return Err(start.refused(&reason));
-    }
-    if given.text != found.text {
-        return Err(start.refused(&"it was trained with another `data.humanml3d.text`"));
-    }
+    must_fit_clips(start, config)?;
     let mut base = state.config.clone();
     let known = base.own::<BpeTables>().model.network.sizes().path;
     if tells_paths(config) && !known {
@@ -100,20 +94,8 @@ pub(super) fn trained(
     weights: Weights,
     device: &Device,
 ) -> Result<BlendedTransformer, Error> {
-    let values = saved.weights(weights)?;
-    statistics_in(&saved.state)?;
-    Ok(parameters::load(
-        network(&saved.state.config, device)?,
-        values,
-    )?)
-}
-
-/// The statistics of a run.
-///
-/// # Errors
-/// [`Error::OtherRepresentation`] for a run of another system.
-pub(super) fn statistics_in(state: &State) -> Result<&Statistics, Error> {
-    state.statistics_of(&state.config.data.humanml3d.representation())
+    saved.state.clip_statistics()?;
+    saved.load(network(&saved.state.config, device)?, weights)
 }
 
 /// The parameters, and which of them are trained.
@@ -127,27 +109,22 @@ pub(super) fn parameters(config: &Config) -> Result<ParameterCount, Error> {
     Ok(ParameterCount::of(&infos, &[], |index, _| trained[index]))
 }
 
-/// Number of parameters.
-///
-/// # Errors
-/// As [`network`].
-pub(super) fn parameter_count(config: &Config) -> Result<usize, Error> {
-    // Parameters are lazy: no weight is drawn and no memory taken.
-    Ok(parameters::count(&network(config, &Device::flex())?))
-}
-
 /// What the network takes for motions of `frames` frames.
 ///
 /// # Errors
 /// As [`network`].
 pub(super) fn footprint(config: &Config, frames: usize) -> Result<Footprint, Error> {
-    let sizes = config.own::<BpeTables>().model.network.sizes().clone();
+    let activations = config
+        .own::<BpeTables>()
+        .model
+        .network
+        .sizes()
+        .activations(frames);
     let channels = config.data.humanml3d.representation().channels();
-    Ok(Footprint {
-        parameters: parameter_count(config)? as u64,
-        activations: sizes.activations(frames),
-        passes: 1,
-        item: (channels * frames + text_input(config).channels()) as u64,
-        shared: 0,
-    })
+    let item = channels * frames + text_input(config).channels();
+    Ok(Footprint::of(
+        &network(config, &Device::flex())?,
+        activations,
+        item,
+    ))
 }

@@ -13,8 +13,8 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::told::of_path;
+use crate::clips::path_target::{Followed, PathTarget};
 use crate::error::Error;
-use crate::path_target::{Followed, PathTarget};
 
 /// Channels of the root's rotation and place on the ground.
 const ROOT: usize = 3;

@@ -19,8 +19,8 @@ use kinegrad_models::blended::{BlendedTransformer, Pass, Switch, TextSegments};
 
 use super::BpeTables;
 use super::told::Ways;
+use crate::clips::weighted_masked_loss;
 use crate::denoising::{DenoisingRecipe, HeldOut, denoising_loss};
-use crate::systems::gmd::recipes::weighted_masked_loss;
 
 /// Trains a [`BlendedTransformer`] on clips of `channels`, as `own` says, validated on `held_out` in
 /// the mode that a draw has at each timestep.

@@ -8,16 +8,16 @@ use super::networks::{footprint, text_input};
 use super::path::finish;
 use super::{BpeTables, BpeTransformer, Composer, PathMethod};
 use crate::TrainedModel;
-use crate::captions::{ClipText, must_know_texts, text_of};
+use crate::clips::TimedPrompt;
+use crate::clips::captions::{ClipText, must_know_texts, text_of};
+use crate::clips::path_target::{FollowedPath, features_of};
 use crate::clips::requested;
 use crate::error::Error;
-use crate::path_target::{FollowedPath, features_of};
 use crate::sampling::{
     CompositionRecord, Condition, Generated, Job, Needs, Record, Request, Run, SampleSink, Sampler,
     Summary, item_seed,
 };
 use crate::system::System as _;
-use crate::text_plan::TimedPrompt;
 
 /// Conditions of composed motion.
 pub(super) fn accepts(_: &str) -> &'static [&'static str] {

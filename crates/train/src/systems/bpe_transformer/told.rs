@@ -6,7 +6,7 @@ use kinegrad_motion::Statistics;
 use kinegrad_motion::humanml::Root;
 use kinegrad_motion::path::PathFeatures;
 
-use crate::path_target::way;
+use crate::clips::path_target::way;
 
 /// Channels of the root: rotation, x, z, height.
 const ROOT: usize = 4;

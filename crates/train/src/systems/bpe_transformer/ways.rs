@@ -15,12 +15,12 @@ use serde::Serialize;
 use super::path::finish;
 use super::report::distance;
 use super::{ComposeEvaluationConfig, Composer};
-use crate::captions::ClipText;
+use crate::clips::TimedPrompt;
+use crate::clips::captions::ClipText;
+use crate::clips::path_target::{PathTarget, features_of, way};
 use crate::error::Error;
 use crate::evaluation::{EvaluationRequest, OnStep};
-use crate::path_target::{PathTarget, features_of, way};
 use crate::sampling::item_seed;
-use crate::text_plan::TimedPrompt;
 
 /// The shortest way that is followed, metres: who stays where he is follows none.
 const SHORTEST: f64 = 2.0;

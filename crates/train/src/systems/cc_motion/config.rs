@@ -322,7 +322,6 @@ pub(super) fn validate(config: &Config) -> Result<(), Error> {
     let CcMotionNetwork::Unet1d(unet) = &own.model.network;
     unet.validate()?;
     must_suit(&config.sampling.sampler, &own.diffusion)?;
-    config.sampling.must_have_no_gmd_settings(recipe)?;
     let of_style = [
         (
             "sampling.sampler.style_guidance_scale",

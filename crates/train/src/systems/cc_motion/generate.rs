@@ -2,67 +2,26 @@
 
 use std::ops::ControlFlow;
 
-use burn::module::Module;
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::{Tensor, TensorData};
 use kinegrad_data::AudioFeatures;
-use kinegrad_diffusion::{GaussianDiffusion, NoiseKeys, sample};
+use kinegrad_diffusion::{NoiseKeys, sample};
 use kinegrad_kernels::batch_invariant;
-use kinegrad_models::{AudioCondition, MotionDecoder, UNet1d};
+use kinegrad_motion::Phrase;
 use kinegrad_motion::phrase::CHANNELS;
-use kinegrad_motion::postprocess::PostProcessConfig;
-use kinegrad_motion::{ChannelEncoding, Phrase, Phrases, Statistics, process_around};
 use kinegrad_random::{Key, Purpose};
 
+pub use super::generator::{Generator, Sample};
 use super::lengths::windows;
-use super::networks::{footprint, targets};
-use super::style::Asked;
-use super::whole::{WINDOWS_IN_FLIGHT, Whole};
-use super::{CcMotionConfig, Trained};
+use super::networks::footprint;
+use super::windowed::{WINDOWS_IN_FLIGHT, WindowedSampling};
 use crate::TrainedModel;
-use crate::checkpoint::State;
-use crate::config::{Config, SamplingConfig};
+use crate::config::SamplingConfig;
 use crate::error::Error;
 use crate::memory;
-use crate::sampling::{Needs, Style};
+use crate::sampling::Needs;
 
 /// Maximum batch size.
 const BATCH: usize = 32;
-
-/// One sample, in physical units.
-#[derive(Clone, Debug)]
-pub struct Sample {
-    /// The raw model output, decoded or de-normalised.
-    pub raw: Phrase,
-    /// Post-processed.
-    pub motion: Phrase,
-}
-
-/// A motion as a network predicts it.
-pub(super) struct Raw {
-    motion: Phrase,
-    /// How sure it is of the heading of each frame, 0 to 1.
-    confidence: Vec<f64>,
-}
-
-/// Of a decoder, which does not say how sure it is.
-impl From<Phrase> for Raw {
-    fn from(motion: Phrase) -> Self {
-        let confidence = vec![1.0; motion.frames()];
-        Self { motion, confidence }
-    }
-}
-
-/// A trained model, ready to generate samples.
-pub struct Generator {
-    pub(super) unet: UNet1d,
-    pub(super) decoder: Option<MotionDecoder>,
-    pub(super) diffusion: GaussianDiffusion,
-    pub(super) targets: ChannelEncoding,
-    pub(super) post_processing: PostProcessConfig,
-    pub(super) style: Option<Asked>,
-    pub(super) device: Device,
-    pub(super) state: State,
-}
 
 /// The memory of a batch of `count` samples of `frames` frames.
 ///
@@ -110,115 +69,9 @@ pub fn keys(seed: u64, count: usize) -> impl ExactSizeIterator<Item = Key> {
 }
 
 impl Generator {
-    /// Loads the networks of a trained model.
-    ///
-    /// # Errors
-    /// If the checkpoint is damaged or does not fit its own config.
-    pub fn load(trained: &TrainedModel) -> Result<Self, Error> {
-        let Trained {
-            unet,
-            decoder,
-            state,
-        } = Trained::load(&trained.saved, trained.weights, &trained.device)?;
-        state.statistics_of(&Phrases)?;
-        let diffusion = GaussianDiffusion::new(&state.config.own::<CcMotionConfig>().diffusion)?;
-        let decoder = decoder.map(|decoder| decoder.valid());
-        let device = &trained.device;
-        Ok(Self::of(unet.valid(), decoder, diffusion, state, device))
-    }
-
-    /// Networks without gradients on `device`, and what `state` says of their training.
-    pub(super) fn of(
-        unet: UNet1d,
-        decoder: Option<MotionDecoder>,
-        diffusion: GaussianDiffusion,
-        state: State,
-        device: &Device,
-    ) -> Self {
-        Self {
-            unet,
-            decoder,
-            diffusion,
-            targets: targets(&state.config),
-            post_processing: PostProcessConfig::default(),
-            style: None,
-            state,
-            device: device.clone(),
-        }
-    }
-
-    /// The same with another post-processing than the default.
-    #[must_use]
-    pub fn with_post_processing(self, post_processing: PostProcessConfig) -> Self {
-        Self {
-            post_processing,
-            ..self
-        }
-    }
-
-    /// The same for samples of a style; without one they are of the null style.
-    ///
-    /// # Errors
-    /// If the model is not conditioned on such a style, or does not know the label.
-    pub fn with_style(self, style: Option<&Style>) -> Result<Self, Error> {
-        let style = style
-            .map(|style| Asked::new(style, self.config(), self.statistics()))
-            .transpose()?;
-        Ok(Self { style, ..self })
-    }
-
-    /// The condition of samples that hear `features`, `[batch, channels, time]`.
-    pub(super) fn condition(&self, features: Tensor<3>) -> AudioCondition {
-        let (batch, device) = (features.dims()[0], features.device());
-        AudioCondition {
-            style: self
-                .style
-                .as_ref()
-                .map(|style| style.repeated(batch, &device)),
-            ..features.into()
-        }
-    }
-
-    /// The config the model was trained with.
-    pub fn config(&self) -> &Config {
-        &self.state.config
-    }
-
-    /// The statistics of its training phrases, of the 25 channels.
-    pub fn statistics(&self) -> &Statistics {
-        &self.state.statistics
-    }
-
-    /// Number of steps it was trained for.
-    pub fn step(&self) -> u64 {
-        self.state.step
-    }
-
-    /// The motion that the network's normalised `values`, `[channels, frames]`, say.
-    ///
-    /// # Errors
-    /// If they are not whole frames.
-    pub(super) fn predicted(&self, values: &[f32]) -> Result<Raw, Error> {
-        let rows = self.state.normalization().denormalize(values);
-        let confidence = self.targets.confidence(&rows);
-        let motion = Phrase::new(self.targets.decode(rows))?;
-        Ok(Raw { motion, confidence })
-    }
-
-    /// The post-processed sample of a raw motion of which some frames are known.
-    pub(super) fn finished(&self, raw: Raw, is_known: &[bool]) -> Sample {
-        let Raw { motion, confidence } = raw;
-        let (steps, statistics) = (&self.post_processing, Some(self.statistics()));
-        let processed = process_around(&motion, steps, statistics, is_known, &confidence);
-        Sample {
-            raw: motion,
-            motion: processed,
-        }
-    }
-
     /// Generates one sample per condition, as a batch; all conditions have the same number of
     /// frames. Sample i depends on `seed` and i alone, on the CPU to the bit, elsewhere up to rounding.
-    /// Samples longer than those of training are drawn [in windows](Self::sample_whole).
+    /// Samples longer than those of training are drawn [in windows](Self::sample_windowed).
     /// `on_step` is called with the number of sampling steps done and in total.
     ///
     /// # Errors
@@ -268,7 +121,7 @@ impl Generator {
             }
             if let Some(windows) = windows(self.config(), frames) {
                 for (number, (audio, key)) in conditions.iter().zip(keys).enumerate() {
-                    let whole = Whole {
+                    let whole = WindowedSampling {
                         audio,
                         windows: windows.clone(),
                         given: None,
@@ -277,7 +130,7 @@ impl Generator {
                     };
                     let before = done.saturating_mul(BATCH).saturating_add(number);
                     take(
-                        self.sample_whole(&whole, sampling, key, &mut |windows, of| {
+                        self.sample_windowed(&whole, sampling, key, &mut |windows, of| {
                             let before = before.saturating_mul(of);
                             on_step(before.saturating_add(windows), count.saturating_mul(of))
                         })?,

@@ -1,7 +1,6 @@
 //! Held-out phrases and songs that a fine-tuning's start was trained on.
 
 use std::collections::BTreeSet;
-use std::path::PathBuf;
 
 use kinegrad_data::{DataConfig, DataKind, Dataset, PhraseItem, Songs, song_of};
 
@@ -11,23 +10,6 @@ use crate::observer::Observer;
 
 /// Most phrases or songs that a warning names.
 const NAMED: usize = 5;
-
-/// Whether two runs read one dataset, whatever they hold out.
-pub(super) fn is_of_one_source(a: &DataConfig, b: &DataConfig) -> bool {
-    a.kind == b.kind
-        && match a.kind {
-            DataKind::Synthetic => a.synthetic == b.synthetic,
-            _ => {
-                let [a, b] = [a, b].map(|data| data.source.as_deref().map(place));
-                a.is_some() && a == b
-            }
-        }
-}
-
-/// A folder by its one name, however it is spelled; other sources as they are.
-fn place(source: &str) -> PathBuf {
-    std::fs::canonicalize(source).unwrap_or_else(|_| source.into())
-}
 
 /// Warns of the phrases held out of `dataset` that one of the `starts` was trained on, or where there
 /// are none of the songs: measures of them are not of what is new to the model.
@@ -120,6 +102,7 @@ fn named(names: &[&str]) -> String {
 
 #[cfg(test)]
 mod tests {
+    use super::super::start::is_of_one_source;
     use super::*;
 
     #[test]

@@ -9,6 +9,7 @@ use super::{CcMotion, CcMotionConfig};
 use crate::checkpoint::{SavedCheckpoint, Weights, must_be_free, write_weights};
 use crate::config::OwnTables;
 use crate::error::Error;
+use crate::system::System;
 
 /// Adds the adapters of the checkpoint `saved` to the weights they sit on, and writes the result
 /// as the only checkpoint of a run in `out`, a new or an empty folder. Samples are drawn
@@ -18,7 +19,7 @@ use crate::error::Error;
 /// # Errors
 /// If the checkpoint is damaged or has no adapters, or `out` cannot be written.
 pub fn merge(saved: SavedCheckpoint, out: &Path) -> Result<PathBuf, Error> {
-    let saved = saved.of(&CcMotion)?;
+    let saved = (&CcMotion as &dyn System).read_tables(saved)?;
     let mut state = saved.state.clone();
     let mut config = state.config.own::<CcMotionConfig>().clone();
     if config.lora.is_none() {

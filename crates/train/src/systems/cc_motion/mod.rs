@@ -6,6 +6,7 @@
 mod config;
 pub mod evaluate;
 pub mod generate;
+mod generator;
 mod leaks;
 mod lengths;
 pub mod losses;
@@ -20,12 +21,10 @@ mod select;
 mod start;
 mod style;
 mod train;
-pub mod whole;
+pub mod windowed;
 
 use std::path::{Path, PathBuf};
 
-use burn::tensor::Device;
-use kinegrad_models::parameters;
 use kinegrad_motion::{Phrases, Representation};
 use kinegrad_settings::Key;
 use toml::Table;
@@ -113,15 +112,6 @@ impl System for CcMotion {
 
     fn moved(&self, saved: Config, given: &Config, folder: &Path) -> Result<Config, Error> {
         pretrain::moved(saved, given, folder)
-    }
-
-    fn parameter_count(&self, config: &Config) -> Result<usize, Error> {
-        let unet = networks::denoiser(config, &Device::flex())?;
-        let unet = parameters::count(&unet);
-        match RecipeName::of(config).trains_through_sampler() {
-            false => Ok(unet),
-            true => Ok(unet + networks::decoder_parameters(config)?),
-        }
     }
 
     fn parameters(&self, config: &Config) -> Result<ParameterCount, Error> {

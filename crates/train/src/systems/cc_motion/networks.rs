@@ -36,15 +36,14 @@ impl Trained {
     /// # Errors
     /// If the checkpoint is damaged or does not fit its own config.
     pub fn load(saved: &SavedCheckpoint, weights: Weights, device: &Device) -> Result<Self, Error> {
-        let values = saved.weights(weights)?;
         let state = saved.state.clone();
         let config = &state.config;
         let (unet, decoder) = match RecipeName::of(config).trains_through_sampler() {
-            false => (parameters::load(denoiser(config, device)?, values)?, None),
+            false => (saved.load(denoiser(config, device)?, weights)?, None),
             true => {
                 state.statistics_of(&Phrases)?;
                 let fresh = networks(config, state.normalization(), device)?;
-                let MotionModel { unet, decoder } = parameters::load(fresh, values)?;
+                let MotionModel { unet, decoder } = saved.load(fresh, weights)?;
                 (unet.merge_adapters(), Some(decoder))
             }
         };
@@ -96,14 +95,6 @@ pub(crate) fn decoder(
     Ok(decoder.init_for(targets(config), normalization, &init)?)
 }
 
-/// Number of parameters of the decoder of a config.
-///
-/// # Errors
-/// If it cannot be built.
-pub(super) fn decoder_parameters(config: &Config) -> Result<usize, Error> {
-    Ok(parameters::count(&lazy_decoder(config)?))
-}
-
 /// The parameters of a config's networks as its recipe trains them.
 ///
 /// # Errors
@@ -112,7 +103,7 @@ pub(super) fn parameter_count(config: &Config) -> Result<ParameterCount, Error> 
     let unet = denoiser(config, &Device::flex())?;
     let recipe = RecipeName::of(config);
     if !recipe.trains_through_sampler() {
-        return Ok(ParameterCount::trained(parameters::count(&unet)));
+        return Ok(ParameterCount::trained(&unet));
     }
     let lora = &config.own::<CcMotionConfig>().lora;
     let unet = match lora {
@@ -156,27 +147,20 @@ pub(super) fn footprint(config: &Config, frames: usize) -> Result<Footprint, Err
     let unet = denoiser(config, &Device::flex())?;
     let a_pass = network.activations(frames);
     let audio = config.data.audio_layout().channels();
-    let item = ((network.targets().channels() + audio) * frames) as u64;
+    let item = (network.targets().channels() + audio) * frames;
     if !RecipeName::of(config).trains_through_sampler() {
-        return Ok(Footprint {
-            parameters: parameters::count(&unet) as u64,
-            activations: a_pass,
-            passes: 1,
-            item,
-            shared: 0,
-        });
+        return Ok(Footprint::of(&unet, a_pass, item));
     }
     let unet = match &own.lora {
         Some(lora) => unet.with_adapters(lora, &Initializer::new(0, &Device::flex()))?,
         None => unet,
     };
-    let parameters = parameters::count(&unet) + decoder_parameters(config)?;
+    let decoder = lazy_decoder(config)?;
+    let activations = a_pass + own.decoder.activations(frames);
     Ok(Footprint {
-        parameters: parameters as u64,
-        activations: a_pass + own.decoder.activations(frames),
         passes: own.rollout.steps_kept(),
-        item,
         shared: own.decoder.shared(frames),
+        ..Footprint::of(&MotionModel { unet, decoder }, activations, item)
     })
 }
 

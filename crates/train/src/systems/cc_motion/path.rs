@@ -15,8 +15,8 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::to_value;
 
+use crate::clips::path_target::{Fastest, PathTarget};
 use crate::error::Error;
-use crate::path_target::{Fastest, PathTarget};
 use crate::sampling::PathRecord;
 
 /// The table `evaluation.path`: how a phrase follows the path of `kinegrad sample --path`.

@@ -19,11 +19,11 @@ use super::lengths::{untrained, windows};
 use super::networks::{targets, unet1d};
 use super::path::Asked;
 use super::style::must_know;
-use super::whole::{WINDOWS_IN_FLIGHT, Whole};
+use super::windowed::{WINDOWS_IN_FLIGHT, WindowedSampling};
 use crate::TrainedModel;
+use crate::clips::path_target::read_path;
 use crate::config::Config;
 use crate::error::Error;
-use crate::path_target::read_path;
 use crate::sampling::{
     Condition, Generated, Job, KnownFrames, Needs, Record, Request, Run, SampleSink, Sampler,
     Summary, WindowsRecord, item_seed,
@@ -288,7 +288,7 @@ impl Sampler for Phrases<'_> {
             }
             let seed = item_seed(self.request.seed, &task.name);
             if let Some((windows, known)) = &task.whole {
-                let whole = Whole {
+                let whole = WindowedSampling {
                     audio: &task.audio,
                     windows: windows.clone(),
                     given: known.as_ref(),
@@ -297,7 +297,7 @@ impl Sampler for Phrases<'_> {
                 };
                 let key = Key::new(seed, Purpose::Sampling);
                 for index in 0..count {
-                    let sample = generator.sample_whole(
+                    let sample = generator.sample_windowed(
                         &whole,
                         sampling,
                         key.at(index as u64),

@@ -1,12 +1,14 @@
 //! The initial checkpoints of fine-tuning: `init.diffusion` and `init.decoder`.
 
+use std::path::PathBuf;
+
 use burn::tensor::Device;
+use kinegrad_data::{DataConfig, DataKind};
 use kinegrad_models::{Beats, MotionModel, parameters};
 use kinegrad_motion::{OrientationEncoding, Phrases};
 use kinegrad_settings::{Refused, require};
 use toml::Table;
 
-use super::leaks::is_of_one_source;
 use super::networks::{Trained, decoder, denoiser, targets, trainable, unet1d};
 use super::recipe_name::RecipeName;
 use super::{CcMotion, CcMotionConfig, InitConfig};
@@ -129,6 +131,23 @@ fn must_hear(config: &Config, start: &Config) -> Result<(), Error> {
     let allowed = format!("{start}, which the run it starts from has");
     let agree = require(given == start, "data.audio_features", given, allowed);
     Ok(agree.hint("the network takes as many features as it was trained with")?)
+}
+
+/// Whether two runs read one dataset, whatever they hold out.
+pub(super) fn is_of_one_source(a: &DataConfig, b: &DataConfig) -> bool {
+    a.kind == b.kind
+        && match a.kind {
+            DataKind::Synthetic => a.synthetic == b.synthetic,
+            _ => {
+                let [a, b] = [a, b].map(|data| data.source.as_deref().map(place));
+                a.is_some() && a == b
+            }
+        }
+}
+
+/// A folder by its one name, however it is spelled; other sources as they are.
+fn place(source: &str) -> PathBuf {
+    std::fs::canonicalize(source).unwrap_or_else(|_| source.into())
 }
 
 /// Rejects keys of `init` that the recipe of a new run would not use.

@@ -16,7 +16,7 @@ use super::recipes::{DecoderRecipe, E2eRecipe, Rollouts, diffusion_recipe};
 use super::select::{Selecting, Selection};
 use super::start::Starts;
 use super::{CcMotionConfig, leaks, pretrain, style};
-use crate::checkpoint::{FORMAT, Progress, State};
+use crate::checkpoint::State;
 use crate::config::Config;
 use crate::error::Error;
 use crate::observer::Observer;
@@ -125,19 +125,11 @@ pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome
     };
     let diffusion = GaussianDiffusion::new(&own.diffusion)?;
     let state = State {
-        format: FORMAT,
-        kinegrad: env!("CARGO_PKG_VERSION").to_string(),
-        step: 0,
-        config: config.clone(),
-        statistics: statistics.clone(),
         network_statistics: network_statistics.clone(),
-        dataset_sha256: None,
-        progress: Progress::default(),
-        checksums: Default::default(),
+        ..State::untrained(config.clone(), statistics.clone())
     };
     let selection = Selection::new(&dataset.validation, &diffusion, state, &together)?;
-    let (material, held_out) = Material::new(dataset, statistics.clone(), &config, samples)?;
-    let held_out = held_out.among(&together);
+    let (material, held_out) = setup.material(dataset, statistics.clone(), samples)?;
     let material = Material {
         network_statistics,
         ..material

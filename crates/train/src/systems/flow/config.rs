@@ -1,6 +1,6 @@
 //! The system's own config tables and their validation.
 
-use kinegrad_data::{Crop, DataKind};
+use kinegrad_data::Crop;
 use kinegrad_diffusion::{FlowPrediction, must_suit_flow};
 use kinegrad_models::flow::FlowConfig;
 use kinegrad_motion::MAX_FRAMES;
@@ -10,8 +10,9 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{RECIPE, RolloutReport};
-use crate::captions::CaptionsConfig;
-use crate::config::{ClipSample, Config, ModelTable, NetworkKind, SelectBy, SystemTables};
+use crate::clips::captions::CaptionsConfig;
+use crate::clips::settings::must_be_of_clips;
+use crate::config::{ClipSample, Config, ModelTable, NetworkKind, SystemTables};
 use crate::error::Error;
 
 /// Values of the common tables.
@@ -144,12 +145,7 @@ pub(super) fn validate(config: &Config) -> Result<(), Error> {
     let Config { data, sampling, .. } = config;
     own.model.network.sizes().validate()?;
     own.text.validate(data)?;
-    require(
-        matches!(data.kind, DataKind::Humanml3d | DataKind::SyntheticWalks),
-        "data.kind",
-        "a kind of phrases",
-        format!("\"humanml3d\" or \"synthetic_walks\" for recipe `{RECIPE}`"),
-    )?;
+    must_be_of_clips(config)?;
     require(
         data.humanml3d.root == Root::Relative,
         "data.humanml3d.root",
@@ -181,18 +177,11 @@ pub(super) fn validate(config: &Config) -> Result<(), Error> {
         format!("at least {shortest}: a history of `pose.history_frames` rows and the next frame"),
     )?;
     must_suit_flow(&sampling.sampler)?;
-    sampling.must_have_no_gmd_settings(RECIPE)?;
     require(
         sampling.clip == ClipSample::None,
         "sampling.clip",
         "a range",
         format!("\"none\" for recipe `{RECIPE}`, whose poses are not clipped"),
-    )?;
-    require(
-        config.validation.select_by == SelectBy::Loss,
-        "validation.select_by",
-        "a metric of phrases",
-        format!("\"loss\" for recipe `{RECIPE}`"),
     )?;
     let evaluation = &own.evaluation;
     in_range("evaluation.rollouts", evaluation.rollouts, 1..=100_000)?;

@@ -15,7 +15,7 @@ use super::report::{RolloutReport, TextReport};
 use super::sample::untaught_guidance;
 use super::{FlowGenerator, FlowTables, RolloutEvaluationConfig};
 use crate::TrainedModel;
-use crate::captions::{ClipText, must_know_texts};
+use crate::clips::captions::{ClipText, must_know_texts};
 use crate::clips::{dataset_or, with_held_out};
 use crate::error::Error;
 use crate::evaluation::{Column, Evaluate, Evaluated, EvaluationRequest, Group, Number, OnStep};

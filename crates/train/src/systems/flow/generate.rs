@@ -4,16 +4,14 @@ use burn::module::Module;
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_diffusion::{Error as Diffusion, SamplerConfig};
 use kinegrad_models::flow::{FlowModel, FlowRollout, FlowSpace, RolloutError, RolloutSettings};
-use kinegrad_models::parameters;
 use kinegrad_motion::humanml::{Extraction, FeatureError, Joints, TEXT_CHANNELS};
 use kinegrad_random::Key;
 
-use super::networks::model;
-use super::networks::text_input;
+use super::networks::{model, text_input};
 use super::{FlowTables, RolloutEvaluationConfig, statistics_in};
 use crate::TrainedModel;
-use crate::captions::{ClipText, TextInput};
 use crate::checkpoint::State;
+use crate::clips::captions::{ClipText, TextInput};
 use crate::config::Config;
 use crate::error::Error;
 
@@ -35,10 +33,9 @@ impl FlowGenerator {
         let (device, state) = (&trained.device, trained.saved.state.clone());
         let own: &FlowTables = state.config.own();
         let [features, target] = statistics_in(&state)?;
-        let values = trained.read_weights()?;
         let network = model(&state.config, &device.clone().autodiff())?;
         Ok(Self {
-            model: parameters::load(network, values)?.valid(),
+            model: trained.load(network)?.valid(),
             space: FlowSpace {
                 skeleton: state.config.data.humanml3d.skeleton.skeleton(),
                 features,

@@ -14,6 +14,7 @@ mod sample;
 mod train;
 mod windows;
 
+use burn::tensor::Device;
 use kinegrad_motion::humanml::Skeleton;
 use kinegrad_motion::{JointPositions, Representation};
 use kinegrad_settings::Key;
@@ -31,6 +32,7 @@ use crate::error::Error;
 use crate::evaluation::{Evaluate, EvaluationRequest};
 use crate::memory::Footprint;
 use crate::observer::Observer;
+use crate::parameter_count::ParameterCount;
 use crate::recipe::RecipeInfo;
 use crate::run::{Outcome, Setup};
 use crate::sampling::{Request, SampleSink, Sampler};
@@ -78,8 +80,9 @@ impl System for Flow {
         Ok(Vec::new())
     }
 
-    fn parameter_count(&self, config: &Config) -> Result<usize, Error> {
-        networks::parameter_count(config)
+    fn parameters(&self, config: &Config) -> Result<ParameterCount, Error> {
+        let network = networks::model(config, &Device::flex())?;
+        Ok(ParameterCount::trained(&network))
     }
 
     fn footprint(&self, config: &Config) -> Result<Footprint, Error> {
@@ -118,7 +121,7 @@ impl System for Flow {
 /// [`Error::OtherRepresentation`] for a run of another system.
 fn statistics_in(state: &State) -> Result<train::Both, Error> {
     let humanml3d = &state.config.data.humanml3d;
-    let features = state.statistics_of(&humanml3d.representation())?.clone();
+    let features = state.clip_statistics()?.clone();
     let skeleton: Skeleton = humanml3d.skeleton.skeleton();
     match &state.network_statistics {
         Some(target) if target.channels() == 3 * skeleton.joints() => {

@@ -1,11 +1,11 @@
 //! The networks of a config.
 
 use burn::tensor::Device;
+use kinegrad_models::Initializer;
 use kinegrad_models::flow::FlowModel;
-use kinegrad_models::{Initializer, parameters};
 
 use super::FlowTables;
-use crate::captions::TextInput;
+use crate::clips::captions::TextInput;
 use crate::config::Config;
 use crate::error::Error;
 use crate::memory::Footprint;
@@ -30,15 +30,6 @@ pub(super) fn model(config: &Config, device: &Device) -> Result<FlowModel, Error
     })
 }
 
-/// Number of parameters.
-///
-/// # Errors
-/// As [`model`].
-pub(super) fn parameter_count(config: &Config) -> Result<usize, Error> {
-    // Parameters are lazy: no weight is drawn and no memory taken.
-    Ok(parameters::count(&model(config, &Device::flex())?))
-}
-
 /// What training takes.
 ///
 /// # Errors
@@ -51,11 +42,8 @@ pub(super) fn footprint(config: &Config) -> Result<Footprint, Error> {
     let of_frame = joints * (47 + 2 * sizes.joint_dim + 2 * sizes.context_dim);
     let of_token = 49 + sizes.num_layers * (12 * sizes.latent_dim + 2 * sizes.ff_size);
     let recurrent = history * 12 * sizes.gru_dim;
-    Ok(Footprint {
-        parameters: parameter_count(config)? as u64,
-        activations: (history * of_frame + recurrent + joints * of_token) as u64,
-        passes: 1,
-        item: (history * skeleton.layout().channels() + text_input(config).channels()) as u64,
-        shared: 0,
-    })
+    let activations = history * of_frame + recurrent + joints * of_token;
+    let item = history * skeleton.layout().channels() + text_input(config).channels();
+    let model = model(config, &Device::flex())?;
+    Ok(Footprint::of(&model, activations as u64, item))
 }

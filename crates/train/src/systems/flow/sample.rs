@@ -14,7 +14,8 @@ use super::networks::text_input;
 use super::report::bone_lengths;
 use super::{Flow, FlowGenerator, FlowTables, PoseSpace};
 use crate::TrainedModel;
-use crate::captions::{ClipText, must_know_texts, text_of};
+use crate::clips::TimedPrompt;
+use crate::clips::captions::{ClipText, must_know_texts, text_of};
 use crate::clips::requested;
 use crate::error::Error;
 use crate::sampling::{
@@ -22,7 +23,6 @@ use crate::sampling::{
     item_seed,
 };
 use crate::system::System as _;
-use crate::text_plan::TimedPrompt;
 
 /// Conditions of rollouts.
 pub(super) fn accepts(_: &str) -> &'static [&'static str] {

@@ -7,12 +7,12 @@ use kinegrad_data::humanml::Clip;
 use kinegrad_motion::humanml::Root;
 use kinegrad_motion::{ChannelMoments, Statistics};
 
-use super::networks::model;
-use super::networks::text_input;
+use super::networks::{model, text_input};
 use super::recipe::FlowRecipe;
 use super::windows::{PoseSpace, PoseWindows};
 use super::{FlowTables, statistics_in};
-use crate::captions::with_captions;
+use crate::clips::captions::with_captions;
+use crate::clips::training;
 use crate::config::Config;
 use crate::error::Error;
 use crate::observer::Observer;
@@ -26,11 +26,8 @@ pub(super) type Both = [Statistics; 2];
 pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome, Error> {
     let mut own = setup.config.own::<FlowTables>().clone();
     let mut setup = setup.with_gradients(own.model.activation_checkpointing);
-    let data = &setup.config.data;
-    let dataset = Dataset::<Clip>::open_among(data, &*observer.reading(), &*setup.together)?;
-    setup.check_dataset(&dataset, observer)?;
-    let (data, together) = (&setup.config.data, &setup.together);
-    own.text = with_captions(own.text, data, &dataset, together, observer)?;
+    let dataset = training::open(&setup, observer)?;
+    own.text = with_captions(own.text, &setup, &dataset, observer)?;
     let config = setup.config.clone().with_own(own.clone());
     setup.config = config.clone();
     let skeleton = config.data.humanml3d.skeleton.skeleton();
@@ -48,8 +45,7 @@ pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome
         let seed = config.run.seed;
         PoseWindows::new(clips, space.clone(), features, target, labels, seed)
     };
-    let (material, held_out) = Material::new(dataset, features, &config, samples)?;
-    let held_out = held_out.among(&setup.together);
+    let (material, held_out) = setup.material(dataset, features, samples)?;
     let material = Material {
         network_statistics: Some(target),
         ..material

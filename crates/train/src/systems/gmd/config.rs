@@ -16,10 +16,11 @@ use serde::{Deserialize, Serialize};
 
 use super::evaluate::KeyframePlacement;
 use super::recipe_name::RecipeName;
-use crate::captions::CaptionsConfig;
-use crate::config::{
-    ClipSample, Config, ModelTable, NetworkKind, SamplingConfig, SelectBy, SystemTables,
-};
+use super::steering::SteeringConfig;
+use crate::clips::captions::CaptionsConfig;
+use crate::clips::evaluator::EvaluatorFiles;
+use crate::clips::settings::{must_be_of_clips, must_have_no_style, validate_velocity};
+use crate::config::{ClipSample, Config, ModelTable, NetworkKind, SamplingConfig, SystemTables};
 use crate::error::Error;
 
 /// The tables of this system.
@@ -38,6 +39,8 @@ pub struct GmdConfig {
     pub diffusion: DiffusionConfig,
     /// The loss.
     pub loss: GmdLossConfig,
+    /// Guidance and imputation for goals.
+    pub steering: SteeringConfig,
     /// The evaluation.
     pub evaluation: GmdEvaluationConfig,
 }
@@ -140,40 +143,6 @@ pub enum EvaluationSplit {
     Test,
 }
 
-/// The table `evaluation.evaluator`: the text-motion evaluator; empty without one.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
-pub struct EvaluatorFiles {
-    /// Run or checkpoint of recipe `text_motion`, in place of the files of the published one.
-    pub run: PathBuf,
-    /// Weights with `movement_encoder`, `motion_encoder` and `text_encoder`.
-    pub weights: PathBuf,
-    /// `.npy` files of the mean and deviation that it normalises by, of the relative root.
-    pub mean: PathBuf,
-    /// See `mean`.
-    pub std: PathBuf,
-    /// Word vectors as safetensors (docs/dataset.md).
-    pub word_vectors: PathBuf,
-}
-
-impl EvaluatorFiles {
-    /// Whether any file of the published evaluator is given.
-    pub fn is_given(&self) -> bool {
-        self.named()
-            .iter()
-            .any(|(_, path)| !path.as_os_str().is_empty())
-    }
-
-    fn named(&self) -> [(&'static str, &PathBuf); 4] {
-        [
-            ("weights", &self.weights),
-            ("mean", &self.mean),
-            ("std", &self.std),
-            ("word_vectors", &self.word_vectors),
-        ]
-    }
-}
-
 impl SystemTables for GmdConfig {
     const NETWORKS: &'static [NetworkKind] = &[
         NetworkKind::of::<GmdUnetConfig>(),
@@ -188,20 +157,9 @@ impl SystemTables for GmdConfig {
 pub(super) fn validate(config: &Config) -> Result<(), Error> {
     let own: &GmdConfig = config.own();
     let Config { data, sampling, .. } = config;
-    let (name, recipe) = (RecipeName::of(config), &config.train.recipe);
+    let name = RecipeName::of(config);
     own.diffusion.validate()?;
-    require(
-        matches!(data.kind, DataKind::Humanml3d | DataKind::SyntheticWalks),
-        "data.kind",
-        "a kind of phrases",
-        format!("\"humanml3d\" or \"synthetic_walks\" for recipe `{recipe}`"),
-    )?;
-    require(
-        config.validation.select_by == SelectBy::Loss,
-        "validation.select_by",
-        "a metric of phrases",
-        format!("\"loss\" for recipe `{recipe}`"),
-    )?;
+    must_be_of_clips(config)?;
     own.model.network.validate()?;
     if let Some(most) = own.model.network.longest() {
         let allowed = format!("at most `model.padded_frames` ({most})");
@@ -209,29 +167,13 @@ pub(super) fn validate(config: &Config) -> Result<(), Error> {
         require(found <= most, "data.target_frames", found, allowed)?;
     }
     must_suit(&sampling.sampler, &own.diffusion)?;
-    must_suit_first_stage(sampling, &own.diffusion)?;
-    for (key, value) in [
-        (
-            "sampling.sampler.style_guidance_scale",
-            sampling.sampler.style_guidance_scale,
-        ),
-        ("diffusion.style_drop_prob", own.diffusion.style_drop_prob),
-    ] {
-        let Some(value) = value else { continue };
-        let allowed = "nothing for models of clips, which have no style";
-        require(false, key, value, allowed).hint("leave the key out")?;
-    }
+    must_suit_first_stage(own, sampling)?;
+    must_have_no_style(config, &own.diffusion)?;
     own.text.validate(data)?;
     own.emphasis.validate()?;
     let scale = own.loss.trajectory_scale;
     in_range("loss.trajectory_scale", scale, ABOVE_ZERO)?;
-    in_range("loss.velocity", own.loss.velocity, 0.0..)?;
-    require(
-        own.loss.velocity == 0.0 || own.diffusion.prediction_type == PredictionType::Sample,
-        "loss.velocity",
-        own.loss.velocity,
-        "0 unless `diffusion.prediction_type = \"sample\"`: noise has no velocity",
-    )?;
+    validate_velocity(own.loss.velocity, &own.diffusion)?;
     for (key, weight) in [
         ("loss.joint_velocity", own.loss.joint_velocity),
         ("loss.foot_contact", own.loss.foot_contact),
@@ -292,32 +234,21 @@ pub(super) fn validate(config: &Config) -> Result<(), Error> {
     in_range("evaluation.keyframes", evaluation.keyframes, 0..=MAX_FRAMES)?;
     in_range("evaluation.obstacles", evaluation.obstacles, 0..=MAX_FRAMES)?;
     in_range("evaluation.margin", evaluation.margin, 0.0..=10.0)?;
-    let files = evaluation.evaluator.named();
-    let missing = files.iter().find(|(_, path)| path.as_os_str().is_empty());
-    if let (true, Some((name, _))) = (evaluation.evaluator.is_given(), missing) {
-        let key = format!("evaluation.evaluator.{name}");
-        let allowed = "a file: the evaluator needs weights, mean, std and word_vectors";
-        return Err(InvalidSetting::new(key, "empty", allowed).into());
-    }
-    require(
-        !evaluation.evaluator.is_given() || evaluation.evaluator.run.as_os_str().is_empty(),
-        "evaluation.evaluator.run",
-        "given together with files",
-        "one of the two",
-    )?;
-    Ok(sampling.steering.validate().within("sampling.steering")?)
+    evaluation
+        .evaluator
+        .validate()
+        .within("evaluation.evaluator")?;
+    Ok(own.steering.validate().within("steering")?)
 }
 
 /// Validates the first stage's sampler; the error names its own keys.
-fn must_suit_first_stage(
-    sampling: &SamplingConfig,
-    process: &DiffusionConfig,
-) -> Result<(), InvalidSetting> {
-    let first = sampling.steering.first_stage(&sampling.sampler);
+fn must_suit_first_stage(own: &GmdConfig, sampling: &SamplingConfig) -> Result<(), InvalidSetting> {
+    let process = &own.diffusion;
+    let first = own.steering.first_stage(&sampling.sampler);
     let (steps, scale) = (first.num_inference_steps, first.guidance_scale);
     let most = process.num_train_timesteps;
-    in_range("sampling.steering.first_stage_steps", steps, 1..=most)?;
-    in_range("sampling.steering.first_stage_guidance_scale", scale, 0.0..)?;
+    in_range("steering.first_stage_steps", steps, 1..=most)?;
+    in_range("steering.first_stage_guidance_scale", scale, 0.0..)?;
     must_suit(&first, process)
 }
 

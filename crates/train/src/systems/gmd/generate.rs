@@ -8,12 +8,9 @@ mod once;
 
 use std::iter::repeat;
 use std::ops::ControlFlow;
-use std::path::Path;
 
 use burn::module::Module;
 use burn::tensor::{Device, Tensor, TensorData};
-use kinegrad_data::Digest;
-use kinegrad_data::file::read_text;
 use kinegrad_diffusion::{
     GaussianDiffusion, Networks, NoiseKeys, SamplerConfig, sample, steered_sample,
 };
@@ -22,19 +19,20 @@ use kinegrad_models::TextDenoiser;
 use kinegrad_motion::goal::Goal;
 use kinegrad_motion::humanml::{Features, Root};
 use kinegrad_random::{Key, Purpose};
-use kinegrad_settings::{Document, Refused, in_range, require};
+use kinegrad_settings::{Refused, in_range, require};
 use serde::{Deserialize, Serialize};
 
 use super::GmdConfig;
 use super::networks::{TrainedClips, channels_of, text_input};
 use super::padding::Padded;
 use super::recipe_name::RecipeName;
-use super::space::FeatureSpace;
 use super::stage::{StageModel, StageSteering};
+use super::steering::{Padding, SteeringConfig};
 use crate::TrainedModel;
-use crate::captions::{ClipText, TextInput};
 use crate::checkpoint::State;
-use crate::config::{Config, Padding, SamplingConfig};
+use crate::clips::FeatureSpace;
+use crate::clips::captions::{ClipText, TextInput};
+use crate::config::{Config, SamplingConfig};
 use crate::error::Error;
 use crate::evaluation::OnStep;
 
@@ -170,6 +168,10 @@ impl ClipGenerator {
         &self.state.config
     }
 
+    fn steering(&self) -> &SteeringConfig {
+        &self.config().own::<GmdConfig>().steering
+    }
+
     /// Steps it was trained for.
     pub fn step(&self) -> u64 {
         self.state.step
@@ -199,7 +201,7 @@ impl ClipGenerator {
     ///
     /// As many frames are drawn as the models were trained with, or as the longest clip has, and the
     /// rest is cut off: shorter noise would leave the network more padding than it has ever seen
-    /// (docs/sources.md, section 4.13). What stands behind a clip's end meanwhile is `sampling.padding`.
+    /// (docs/sources.md, section 4.13). What stands behind a clip's end meanwhile is `steering.padding`.
     ///
     /// # Errors
     /// If a goal cannot be followed in so many frames, the sampler's settings cannot work, one of the
@@ -218,11 +220,12 @@ impl ClipGenerator {
         let lengths: Vec<usize> = requests.iter().map(ClipRequest::length).collect();
         let frames = lengths.iter().copied().max().unwrap_or(0);
         let own = drawn_frames(self.config(), frames);
+        let steering = self.steering();
         let mut paths = None;
         if let (Some(model), false) = (trajectory, goals.is_empty()) {
             self.must_match(model)?;
             // Where the motion model draws what is behind a clip's end, it follows a path there too.
-            let follows_behind = sampling.padding == Padding::Drawn;
+            let follows_behind = steering.padding == Padding::Drawn;
             let followed = if follows_behind { own } else { frames };
             let frames = drawn_frames(model.config(), followed);
             let mut told = |done, all| on_step("trajectory", done, all);
@@ -232,15 +235,25 @@ impl ClipGenerator {
             // followed everywhere.
             let first = SamplingConfig {
                 clip: model.config().sampling.clip,
-                padding: match follows_behind {
-                    true => Padding::Drawn,
-                    false => model.config().sampling.padding,
-                },
-                sampler: sampling.steering.first_stage(&sampling.sampler),
+                sampler: steering.first_stage(&sampling.sampler),
                 ..sampling.clone()
             };
+            let of_first = SteeringConfig {
+                padding: match follows_behind {
+                    true => Padding::Drawn,
+                    false => model.steering().padding,
+                },
+                ..steering.clone()
+            };
             let aim = Aim::of(&goals, None);
-            let x = model.draw(&texts, aim, (frames, &lengths), &first, &keys, &mut told)?;
+            let x = model.draw(
+                &texts,
+                aim,
+                (frames, &lengths),
+                (&first, &of_first),
+                &keys,
+                &mut told,
+            )?;
             let mut drawn = model.paths(x);
             for (path, &length) in drawn.iter_mut().zip(&lengths) {
                 path.truncate(if follows_behind { own } else { length });
@@ -249,7 +262,14 @@ impl ClipGenerator {
         }
         let mut told = |done, all| on_step("motion", done, all);
         let aim = Aim::of(&goals, paths.as_deref());
-        let x = self.draw(&texts, aim, (own, &lengths), sampling, keys, &mut told)?;
+        let x = self.draw(
+            &texts,
+            aim,
+            (own, &lengths),
+            (sampling, steering),
+            keys,
+            &mut told,
+        )?;
         let samples: Vec<GeneratedClip> = match RecipeName::of(self.config()) {
             RecipeName::Trajectory => {
                 let of_path = |ground| GeneratedClip {
@@ -301,7 +321,7 @@ impl ClipGenerator {
         texts: &[Option<&ClipText>],
         aim: Option<Aim<'_>>,
         (frames, lengths): (usize, &[usize]),
-        sampling: &SamplingConfig,
+        (sampling, steering): (&SamplingConfig, &SteeringConfig),
         keys: &[NoiseKey],
         on_step: &mut dyn FnMut(usize, usize) -> ControlFlow<()>,
     ) -> Result<Tensor<3>, Error> {
@@ -329,7 +349,6 @@ impl ClipGenerator {
         let text = text.flat_map(|text| text.unwrap_or_else(|| vec![0.0; values]));
         let data = TensorData::new(text.collect::<Vec<f32>>(), [batch, values, 1]);
         let cond = Tensor::from_data(data, &self.device);
-        let steering = &sampling.steering;
         let sampler = SamplerConfig {
             // Without any text both passes of the guidance are the same one.
             guidance_scale: match is_told {
@@ -340,7 +359,7 @@ impl ClipGenerator {
         };
         let clip = sampling.clip.range(&self.state.statistics, channels)?;
         let mut told = |done, all, _: &Tensor<3>| on_step(done, all);
-        let lengths = match sampling.padding {
+        let lengths = match steering.padding {
             Padding::Zeros => lengths.to_vec(),
             Padding::Drawn => vec![frames; batch],
         };
@@ -425,27 +444,4 @@ impl ClipGenerator {
         });
         features.collect()
     }
-}
-
-/// Reads a goal.
-///
-/// # Errors
-/// Names the file, the key, what was found and what is allowed.
-pub fn read_goal(path: &Path) -> Result<Goal, Error> {
-    Ok(read_goal_and_digest(path)?.0)
-}
-
-/// Reads a goal, with the checksum of its file.
-///
-/// # Errors
-/// As [`read_goal`].
-pub(super) fn read_goal_and_digest(path: &Path) -> Result<(Goal, Digest), Error> {
-    let hint = "docs/goals.md describes goals";
-    let file = path.display().to_string();
-    let text = read_text(path).map_err(|error| Error::usage(format!("{file}: {error}"), hint))?;
-    let document = Document::parse(&text, &file)?;
-    let goal: Goal = document.read(hint)?;
-    goal.validate()
-        .map_err(|setting| document.refuse(setting))?;
-    Ok((goal, Digest::of(text.as_bytes())))
 }

@@ -4,10 +4,9 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use burn::tensor::Device;
-use kinegrad_data::humanml::SkeletonName;
 use kinegrad_models::gmd::GmdUnetConfig;
 use kinegrad_models::transformer::EncoderConfig;
-use kinegrad_models::{Backbone, NetworkConfig, parameters};
+use kinegrad_models::{Backbone, NetworkConfig};
 use kinegrad_motion::Statistics;
 use kinegrad_motion::emphasis::{EmphasisKind, EmphasisProjection};
 use kinegrad_motion::humanml::{FeatureLayout, Root};
@@ -16,10 +15,10 @@ use pytorch_reader::Tensor;
 use super::networks::{channels_of, text_denoiser};
 use super::recipe_name::RecipeName;
 use super::{Gmd, GmdConfig};
-use crate::checkpoint::{FORMAT, Progress, State, must_be_free, write_weights};
+use crate::checkpoint::must_be_free;
 use crate::config::{Config, OwnTables};
 use crate::error::Error;
-use crate::import::{ImportRequest, Imported};
+use crate::import::{ImportRequest, Imported, needed, skeleton_of};
 use crate::published::{self, array, mean_and_deviation, part_of, read_tensors};
 use crate::system::Systems;
 
@@ -105,12 +104,7 @@ pub fn import(request: &ImportRequest) -> Result<Imported, Error> {
     }
     must_be_free(&request.out)?;
     let (part, tensors) = read_weights(&request.weights, request.last)?;
-    let all = tensors.len();
-    let tensors: BTreeMap<String, Tensor> = tensors
-        .into_iter()
-        .filter(|(name, _)| !is_known_stranger(name))
-        .collect();
-    let skipped = all - tensors.len();
+    let (tensors, skipped) = needed(tensors, is_known_stranger);
     let sizes = match architecture {
         Architecture::Unet(_) => Sizes::of_unet(&request.weights, &tensors, request.padded_frames)?,
         Architecture::Mdm => Sizes::of_mdm(&request.weights, &tensors)?,
@@ -128,25 +122,11 @@ pub fn import(request: &ImportRequest) -> Result<Imported, Error> {
         EmphasisProjection::from_matrix(&matrix, channels, emphasis.scale, &emphasis.channels)?;
         model = model.in_space_of(matrix, &device);
     }
-    let (infos, values) = (parameters::infos(&model), parameters::values(&model));
-    let state = State {
-        format: FORMAT,
-        kinegrad: env!("CARGO_PKG_VERSION").to_string(),
-        step: 0,
-        config: config.clone(),
-        statistics,
-        network_statistics: None,
-        dataset_sha256: None,
-        progress: Progress::default(),
-        checksums: BTreeMap::new(),
-    };
     Ok(Imported {
-        path: write_weights(&request.out, &state, &infos, &values, &values)?,
-        parameters: parameters::count(&model),
         part,
         skipped,
-        config,
         warnings,
+        ..Imported::write(request, &model, config, statistics)?
     })
 }
 
@@ -294,14 +274,10 @@ fn settings(
 ) -> Result<(Config, Statistics), Error> {
     let recipe = architecture.recipe().name();
     // The published programs draw what stands behind a clip's end.
-    let text = format!("[train]\nrecipe = \"{recipe}\"\n[sampling]\npadding = \"drawn\"\n");
+    let text = format!("[train]\nrecipe = \"{recipe}\"\n[steering]\npadding = \"drawn\"\n");
     let mut config = Systems(&[&Gmd]).parse(&text, "the recipe's defaults", &request.overrides)?;
     let [mean, std] = mean_and_deviation(mean_path, std_path)?;
-    let skeleton = SkeletonName::of_channels(mean.len()).ok_or_else(|| Error::Array {
-        path: mean_path.to_path_buf(),
-        found: format!("{} numbers", mean.len()),
-        allowed: "one for each feature: 263 of HumanML3D, 251 of KIT-ML".into(),
-    })?;
+    let skeleton = skeleton_of(&mean, mean_path)?;
     let layout = skeleton.skeleton().layout();
     if architecture.root() == Root::Relative && is_absolute(&std, layout) {
         return Err(Error::Array {
@@ -338,12 +314,6 @@ fn settings(
             ),
         });
     }
-    config.run.name = request
-        .out
-        .file_name()
-        .unwrap_or_default()
-        .to_string_lossy()
-        .into_owned();
     let mut own = config.own::<GmdConfig>().clone();
     own.model.size = sizes.size.into();
     own.model.network = sizes.network.clone();

@@ -14,8 +14,8 @@ mod padding;
 mod recipe_name;
 pub mod recipes;
 mod sample;
-mod space;
 mod stage;
+mod steering;
 mod train;
 
 use kinegrad_motion::humanml::{Root, Skeleton};
@@ -23,15 +23,14 @@ use kinegrad_motion::{GroundPath, JointFeatures, JointPositions, Representation}
 use kinegrad_settings::Key;
 use toml::Table;
 
-pub use config::{
-    EvaluationSplit, EvaluatorFiles, GmdConfig, GmdEvaluationConfig, GmdInitConfig, GmdLossConfig,
-};
-pub use generate::{ClipGenerator, ClipRequest, GeneratedClip, NoiseKey, read_goal};
+pub use config::{EvaluationSplit, GmdConfig, GmdEvaluationConfig, GmdInitConfig, GmdLossConfig};
+pub use generate::{ClipGenerator, ClipRequest, GeneratedClip, NoiseKey};
 pub use networks::{TrainedClips, channels_of, model_in_space, text_denoiser};
-pub use space::{FeatureSpace, GroundObjective};
-pub use stage::{StageModel, StageSteering};
+pub use stage::{GroundObjective, StageModel, StageSteering};
+pub use steering::{Padding, SteeringConfig};
 
 use crate::TrainedModel;
+use crate::clips::evaluator::EvaluatorFiles;
 use crate::config::{Config, ConfigError, OwnTables, Place, SystemTables};
 use crate::error::Error;
 use crate::evaluation::{Evaluate, EvaluationRequest};
@@ -80,6 +79,10 @@ impl System for Gmd {
         GmdConfig::keys()
     }
 
+    fn tables_of_sampling(&self) -> &'static [&'static str] {
+        &["steering"]
+    }
+
     fn complete(&self, tables: &Table, place: Place<'_>) -> Result<OwnTables, ConfigError> {
         Ok(OwnTables::new(GmdConfig::read(tables, place)?))
     }
@@ -99,10 +102,6 @@ impl System for Gmd {
                 Ok(start.map(|start| start.tables(&INHERITED)))
             }
         }
-    }
-
-    fn parameter_count(&self, config: &Config) -> Result<usize, Error> {
-        networks::parameter_count(config)
     }
 
     fn parameters(&self, config: &Config) -> Result<ParameterCount, Error> {
@@ -132,6 +131,10 @@ impl System for Gmd {
         sink: &mut dyn SampleSink,
     ) -> Result<Box<dyn Sampler + 'a>, Error> {
         Ok(Box::new(sample::Clips::new(trained, request, sink)?))
+    }
+
+    fn evaluator_files<'a>(&self, config: &'a Config) -> Option<&'a EvaluatorFiles> {
+        Some(&config.own::<GmdConfig>().evaluation.evaluator)
     }
 
     fn evaluate<'a>(

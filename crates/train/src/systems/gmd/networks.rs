@@ -2,14 +2,15 @@
 
 use burn::tensor::Device;
 use kinegrad_models::{Initializer, TextDenoiser, parameters};
+use kinegrad_motion::Representation;
 use kinegrad_motion::emphasis::EmphasisProjection;
 use kinegrad_motion::goal::TRAJECTORY_CHANNELS;
-use kinegrad_motion::{Representation, Statistics};
 
 use super::GmdConfig;
 use super::recipe_name::RecipeName;
-use crate::captions::TextInput;
 use crate::checkpoint::{SavedCheckpoint, State, Weights};
+use crate::clips::captions::TextInput;
+use crate::clips::training::must_fit_clips;
 use crate::config::Config;
 use crate::error::Error;
 use crate::memory::Footprint;
@@ -50,16 +51,6 @@ pub fn text_denoiser(
     })
 }
 
-/// Number of parameters of the denoiser of a config.
-///
-/// # Errors
-/// If it cannot be built.
-pub(super) fn parameter_count(config: &Config) -> Result<usize, Error> {
-    // Parameters are lazy: no weight is drawn and no memory taken.
-    let denoiser = text_denoiser(config, channels_of(config), &Device::flex())?;
-    Ok(parameters::count(&denoiser))
-}
-
 /// The parameters of a config's denoiser as it is trained: with the matrix of its space, which
 /// stays as it is.
 ///
@@ -75,16 +66,13 @@ pub(super) fn parameters_in_space(config: &Config) -> Result<ParameterCount, Err
 /// What the networks of a config take for clips of `frames` frames.
 ///
 /// # Errors
-/// As [`parameter_count`].
+/// If one cannot be built.
 pub(super) fn footprint(config: &Config, frames: usize) -> Result<Footprint, Error> {
-    let network = &config.own::<GmdConfig>().model.network;
-    Ok(Footprint {
-        parameters: parameter_count(config)? as u64,
-        activations: network.activations(frames),
-        passes: 1,
-        item: (channels_of(config) * frames + text_input(config).channels()) as u64,
-        shared: 0,
-    })
+    let channels = channels_of(config);
+    let item = channels * frames + text_input(config).channels();
+    let activations = config.own::<GmdConfig>().model.network.activations(frames);
+    let network = text_denoiser(config, channels, &Device::flex())?;
+    Ok(Footprint::of(&network, activations, item))
 }
 
 /// [`text_denoiser`] in the space that `emphasis` of the config makes.
@@ -141,21 +129,13 @@ impl TrainedClips {
             None => None,
         };
         let model = parameters::load(model, values)?;
-        statistics_in(&state)?;
+        state.clip_statistics()?;
         Ok(Self {
             model,
             projection,
             state,
         })
     }
-}
-
-/// The statistics of a run on clips.
-///
-/// # Errors
-/// [`Error::OtherRepresentation`].
-pub(super) fn statistics_in(state: &State) -> Result<&Statistics, Error> {
-    state.statistics_of(&state.config.data.humanml3d.representation())
 }
 
 /// The averaged weights of `start`, in its space, on an autodiff device.
@@ -174,15 +154,7 @@ pub(super) fn started(
         return Err(start.refused(&format!("its recipe is `{recipe}`, not `{given}`")));
     }
     must_agree(config, base, &INHERITED)?;
-    let (given, found) = (&config.data.humanml3d, &base.data.humanml3d);
-    if (given.root, given.skeleton) != (found.root, found.skeleton) {
-        let reason = "its clips have another `data.humanml3d.root` or `skeleton`";
-        return Err(start.refused(&reason));
-    }
-    if given.text != found.text {
-        let reason = "it was trained with another `data.humanml3d.text`";
-        return Err(start.refused(&reason));
-    }
+    must_fit_clips(start, config)?;
     let fresh = text_denoiser(config, channels_of(config), device)?;
     let fresh = match &trained.projection {
         Some(projection) => fresh.in_space_of(projection.matrix().to_vec(), device),

@@ -6,22 +6,22 @@ use kinegrad_motion::goal::{Goal, Trajectory};
 use kinegrad_motion::humanml::Skeleton;
 use kinegrad_motion::metrics::{GoalReport, GoalSample};
 
-use super::Gmd;
-use super::generate::{
-    ClipGenerator, ClipRequest, GeneratedClip, drawn_frames, keys, read_goal_and_digest,
-};
+use super::generate::{ClipGenerator, ClipRequest, GeneratedClip, drawn_frames, keys};
 use super::networks::{footprint, text_input};
 use super::recipe_name::RecipeName;
+use super::{Gmd, GmdConfig};
 use crate::TrainedModel;
-use crate::captions::{ClipText, must_know_texts, text_of};
 use crate::checkpoint::SavedCheckpoint;
+use crate::clips::captions::{ClipText, must_know_texts, text_of};
+use crate::clips::goals::read_goal_and_digest;
+use crate::clips::path_target::{Fastest, FollowedPath};
 use crate::clips::requested;
 use crate::error::Error;
-use crate::path_target::{Fastest, FollowedPath};
 use crate::sampling::{
     BatchRecord, Condition, Generated, GoalCondition, GoalRecord, Job, Needs, PathFile, Record,
     Request, Run, SampleSink, Sampler, SamplerRecord, Summary, item_seed,
 };
+use crate::system::System;
 
 /// Conditions of clips, and of ground paths.
 pub(super) fn accepts(recipe: &str) -> &'static [&'static str] {
@@ -239,15 +239,14 @@ impl<'a> Clips<'a> {
 
     /// The record of a clip.
     fn record(&self, run: &Run<'_>, job: usize, index: usize) -> Record {
-        let (own, steered) = (
-            &self.trained.config().sampling,
-            self.clips[job].goal.is_some(),
-        );
+        let own = &self.trained.config().own::<GmdConfig>().steering;
+        let (padding, steering) = own.record();
+        let steered = self.clips[job].goal.is_some();
         let record = run.record(job, index);
         Record {
             sampler: SamplerRecord {
-                padding: Some(own.padding),
-                steering: steered.then(|| own.steering.clone()),
+                padding: Some(padding),
+                steering: steered.then_some(steering),
                 ..record.sampler
             },
             batch: steered.then(|| BatchRecord {
@@ -379,7 +378,7 @@ pub(super) fn trajectory_model(
 ) -> Result<TrainedModel, Error> {
     let recipe = &saved.state.config.train.recipe;
     if recipe == RecipeName::Trajectory.name() {
-        return Ok(trained.beside(saved.of(&Gmd)?));
+        return Ok(trained.beside((&Gmd as &dyn System).read_tables(saved)?));
     }
     let message = format!(
         "option `trajectory` is {}, a run of recipe `{recipe}`",

@@ -1,12 +1,41 @@
 //! What steers one stage of a draw towards goals.
 
 use burn::tensor::{Device, Tensor, TensorData};
-use kinegrad_diffusion::{Guidance, Imputation, Steering};
+use kinegrad_diffusion::{Guidance, Imputation, Objective, Steering};
 use kinegrad_motion::goal::{Goal, GroundTargets, GuidanceLoss, Phase};
 
-use super::space::{FeatureSpace, GroundObjective};
-use crate::config::SteeringConfig;
+use super::SteeringConfig;
+use crate::clips::FeatureSpace;
 use crate::error::Error;
+
+/// The guidance loss of the root's ground path.
+#[derive(Clone, Debug)]
+pub struct GroundObjective<'a> {
+    /// Where the network works.
+    pub space: &'a FeatureSpace,
+    /// What the path is measured by.
+    pub loss: GuidanceLoss,
+}
+
+impl Objective for GroundObjective<'_> {
+    fn gradient(&self, pred_original_sample: &Tensor<3>) -> Tensor<3> {
+        let [batch, _, time] = pred_original_sample.dims();
+        let positions = self
+            .space
+            .ground(pred_original_sample.clone())
+            .swap_dims(1, 2);
+        let positions = positions.try_into_vec_as::<f32>();
+        let positions = positions.expect("samples are float32").into_iter();
+        let positions: Vec<f64> = positions.map(f64::from).collect();
+        // On the host and in double precision: a few thousand numbers, and obstacles branch.
+        let (_, gradient) = self.loss.evaluate(&positions);
+        let gradient: Vec<f32> = gradient.into_iter().map(|value| value as f32).collect();
+        let device = pred_original_sample.device();
+        let data = TensorData::new(gradient, [batch, time, 2]);
+        let gradient = Tensor::<3>::from_data(data, &device).swap_dims(1, 2);
+        self.space.from_ground(gradient)
+    }
+}
 
 /// A network's motion, which goals steer.
 #[derive(Clone, Copy, Debug)]

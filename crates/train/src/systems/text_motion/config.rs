@@ -2,7 +2,6 @@
 
 use std::path::PathBuf;
 
-use kinegrad_data::DataKind;
 use kinegrad_models::text_motion::TextMotionSizes;
 use kinegrad_motion::humanml::Root;
 use kinegrad_settings::{ABOVE_ZERO, in_range, require};
@@ -10,7 +9,8 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::RECIPE;
-use crate::config::{Config, ModelTable, NetworkKind, SelectBy, SystemTables};
+use crate::clips::settings::must_be_of_clips;
+use crate::config::{Config, ModelTable, NetworkKind, SystemTables};
 use crate::error::Error;
 
 /// Values of the common tables.
@@ -115,12 +115,7 @@ pub(super) fn validate(config: &Config) -> Result<(), Error> {
     own.model.network.sizes().validate()?;
     in_range("words.width", own.words.width, 1..=4096)?;
     in_range("loss.margin", own.loss.margin, ABOVE_ZERO)?;
-    require(
-        matches!(data.kind, DataKind::Humanml3d | DataKind::SyntheticWalks),
-        "data.kind",
-        "a kind of phrases",
-        format!("\"humanml3d\" or \"synthetic_walks\" for recipe `{RECIPE}`"),
-    )?;
+    must_be_of_clips(config)?;
     require(
         data.humanml3d.root == Root::Relative,
         "data.humanml3d.root",
@@ -133,12 +128,6 @@ pub(super) fn validate(config: &Config) -> Result<(), Error> {
         "data.target_frames",
         data.target_frames,
         longest,
-    )?;
-    require(
-        config.validation.select_by == SelectBy::Loss,
-        "validation.select_by",
-        "a metric of phrases",
-        format!("\"loss\" for recipe `{RECIPE}`"),
     )?;
     let sampling = &config.sampling;
     for (key, count) in [

@@ -8,6 +8,7 @@ use serde_json::json;
 
 use super::TextMotion;
 use crate::TrainedModel;
+use crate::clips::evaluator::TextMotionEvaluator as _;
 use crate::clips::{dataset_or, with_held_out};
 use crate::error::Error;
 use crate::evaluation::{Column, Evaluate, Evaluated, EvaluationRequest, Group, Number};
@@ -38,14 +39,13 @@ pub(super) fn prepare<'a>(
     let (seed, frames) = (request.seed, data.target_frames);
     Ok(Box::new(move |_| {
         let evaluator = TextMotion::of_run(&trained.saved, trained.weights, &trained.device)?;
-        let evaluator = evaluator.with_labels(labels);
         let clips: Vec<&Clip> = held_out.iter().map(Arc::as_ref).collect();
         let cut = clips.iter().map(|clip| {
             let length = clip.features.frames().min(frames);
             clip.features.slice(0..length)
         });
         let real: Vec<_> = cut.collect();
-        let report = evaluator.reports(&real, &real, &clips, seed)?.real;
+        let report = evaluator.reports(&real, &real, &clips, &labels, seed)?.real;
         let run = trained.config().run.name.clone();
         Ok(Evaluated {
             run: run.clone(),

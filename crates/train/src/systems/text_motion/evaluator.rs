@@ -1,24 +1,20 @@
 //! A text-motion evaluator: of published files or of a run, and the embeddings of clips and
 //! captions.
 
-use std::borrow::Cow;
-
 use burn::tensor::{Device, Int, Tensor, TensorData};
-use kinegrad_data::humanml::{Clip, ClipLabels, read_word_vectors};
+use kinegrad_data::humanml::read_word_vectors;
+use kinegrad_models::Initializer;
 use kinegrad_models::text_motion::{PARTS, TextMotionConfig, TextMotionEncoders, UNIT_FRAMES};
-use kinegrad_models::{Initializer, parameters};
 use kinegrad_motion::Statistics;
 use kinegrad_motion::humanml::{FeatureError, FeatureLayout, Features, Root};
-use kinegrad_motion::metrics::text_motion::{MAX_WORDS, TextMotionReport, Token, WordVectors};
-use kinegrad_random::{Key, Purpose};
-use serde::Serialize;
+use kinegrad_motion::metrics::text_motion::{MAX_WORDS, Token, WordVectors};
 
 use super::TextMotionTables;
 use super::networks::{encoders, word_vectors};
 use crate::checkpoint::{SavedCheckpoint, Weights};
+use crate::clips::evaluator::{EvaluatorFiles, TextMotionEvaluator};
 use crate::error::Error;
 use crate::published::{load, mean_and_deviation, read_tensors};
-use crate::systems::gmd::EvaluatorFiles;
 
 /// Frames that the published evaluator is trained with.
 const PUBLISHED_FRAMES: usize = 196;
@@ -34,18 +30,7 @@ pub struct TextMotion {
     /// A shorter clip is followed by frames of zeros, after normalisation, up to this many: those
     /// of training.
     padded_frames: usize,
-    /// What clips are labelled with.
-    labels: ClipLabels,
     device: Device,
-}
-
-/// How generated and real motion match their captions.
-#[derive(Clone, Debug, Serialize)]
-pub struct TextMotionReports {
-    /// The generated clips.
-    pub drawn: TextMotionReport,
-    /// The held-out clips.
-    pub real: TextMotionReport,
 }
 
 impl TextMotion {
@@ -80,9 +65,8 @@ impl TextMotion {
         let state = &saved.state;
         let words = word_vectors(&state.config.own::<TextMotionTables>().words)?;
         let fresh = encoders(&state.config, words.width(), device)?;
-        let encoders = parameters::load(fresh, saved.weights(weights)?)?;
-        let representation = state.config.data.humanml3d.representation();
-        let statistics = state.statistics_of(&representation)?.clone();
+        let encoders = saved.load(fresh, weights)?;
+        let statistics = state.clip_statistics()?.clone();
         let padded_frames = state.config.data.target_frames;
         Self::new(encoders, statistics, words, padded_frames, device)
     }
@@ -130,22 +114,13 @@ impl TextMotion {
             statistics,
             words,
             padded_frames,
-            labels: ClipLabels::new(),
             device: device.clone(),
         })
     }
+}
 
-    /// The evaluator that also says how often each of the `labels` is right.
-    #[must_use]
-    pub fn with_labels(self, labels: ClipLabels) -> Self {
-        Self { labels, ..self }
-    }
-
-    /// Rejects features that it was not trained on.
-    ///
-    /// # Errors
-    /// [`Error::Features`] for features of another skeleton than the statistics'.
-    pub fn must_take(&self, layout: FeatureLayout) -> Result<(), Error> {
+impl TextMotionEvaluator for TextMotion {
+    fn must_take(&self, layout: FeatureLayout) -> Result<(), Error> {
         let (expected, found) = (self.statistics.channels(), layout.channels());
         Ok(FeatureError::unless_equal(
             "channels of a frame",
@@ -154,12 +129,7 @@ impl TextMotion {
         )?)
     }
 
-    /// The embedding of each clip, `[clips, width]`, with the root in either reading.
-    ///
-    /// # Errors
-    /// [`Error::Usage`] for fewer than [`UNIT_FRAMES`] frames; [`Error::Features`] for features
-    /// of another skeleton than the statistics'.
-    pub fn motion_embeddings(&self, clips: &[&Features]) -> Result<Vec<Vec<f64>>, Error> {
+    fn motion_embeddings(&self, clips: &[&Features]) -> Result<Vec<Vec<f64>>, Error> {
         let mut normalized = Vec::with_capacity(clips.len());
         for (clip, features) in clips.iter().enumerate() {
             let found = features.frames();
@@ -193,8 +163,7 @@ impl TextMotion {
         }))
     }
 
-    /// The embedding of each caption, `[captions, width]`, by its first [`MAX_WORDS`] words.
-    pub fn text_embeddings(&self, captions: &[&[Token]]) -> Vec<Vec<f64>> {
+    fn text_embeddings(&self, captions: &[&[Token]]) -> Vec<Vec<f64>> {
         let sentences = captions.iter().map(|tokens| self.words.sentence(tokens));
         let sentences: Vec<_> = sentences.collect();
         let lengths: Vec<usize> = sentences.iter().map(Vec::len).collect();
@@ -219,45 +188,6 @@ impl TextMotion {
                 self.encoders.texts(vectors, classes, lengths)
             },
         )
-    }
-
-    /// Evaluates generated clips, one for each of the `real` ones of the same lengths, with the
-    /// captions that stand for `clips`. `seed` draws the pools that captions are ranked in, and the pairs
-    /// for diversity.
-    ///
-    /// # Errors
-    /// If features are of another layout than the evaluator's.
-    pub fn reports(
-        &self,
-        drawn: &[Features],
-        real: &[Features],
-        clips: &[&Clip],
-        seed: u64,
-    ) -> Result<TextMotionReports, Error> {
-        // In the order of their ids, neighbours would be of one kind.
-        let order = Key::new(seed, Purpose::Pools).permutation(clips.len());
-        let words = |&clip: &usize| match clips[clip].caption() {
-            Some(caption) => caption.words(),
-            None => Cow::Borrowed(&[][..]),
-        };
-        let captions: Vec<Cow<[Token]>> = order.iter().map(words).collect();
-        let captions: Vec<&[Token]> = captions.iter().map(AsRef::as_ref).collect();
-        let texts = self.text_embeddings(&captions);
-        let in_order = |of: &[Features]| -> Result<_, Error> {
-            let clips: Vec<&Features> = order.iter().map(|&clip| &of[clip]).collect();
-            self.motion_embeddings(&clips)
-        };
-        let (truths, drawn) = (in_order(real)?, in_order(drawn)?);
-        let labels = order.iter().map(|&clip| self.labels.get(&clips[clip].id));
-        let labels: Vec<_> = labels.collect();
-        let report = |motions: &[Vec<f64>]| {
-            let report = TextMotionReport::compute(&texts, motions, &truths, seed);
-            report.with_labels(&texts, motions, &labels)
-        };
-        Ok(TextMotionReports {
-            drawn: report(&drawn),
-            real: report(&truths),
-        })
     }
 }
 

@@ -12,19 +12,25 @@ mod networks;
 pub mod recipe;
 mod train;
 
+use std::rc::Rc;
+
+use burn::tensor::Device;
 use kinegrad_motion::Representation;
 use kinegrad_settings::Key;
 use toml::Table;
 
 pub use config::{TextMotionLossConfig, TextMotionNetwork, TextMotionTables, WordsConfig};
-pub use evaluator::{TextMotion, TextMotionReports};
+pub use evaluator::TextMotion;
 
 use crate::TrainedModel;
+use crate::checkpoint::Weights;
+use crate::clips::evaluator::{EvaluatorSource, TextMotionEvaluator};
 use crate::config::{Config, ConfigError, OwnTables, Place, SystemTables};
 use crate::error::Error;
 use crate::evaluation::{Evaluate, EvaluationRequest};
 use crate::memory::Footprint;
 use crate::observer::Observer;
+use crate::parameter_count::ParameterCount;
 use crate::recipe::RecipeInfo;
 use crate::run::{Outcome, Setup};
 use crate::sampling::{Request, SampleSink, Sampler};
@@ -72,8 +78,10 @@ impl System for TextMotionSystem {
         Ok(Vec::new())
     }
 
-    fn parameter_count(&self, config: &Config) -> Result<usize, Error> {
-        networks::parameter_count(config)
+    fn parameters(&self, config: &Config) -> Result<ParameterCount, Error> {
+        let words = networks::word_vectors(&config.own::<TextMotionTables>().words)?;
+        let encoders = networks::encoders(config, words.width(), &Device::flex())?;
+        Ok(ParameterCount::trained(&encoders))
     }
 
     fn footprint(&self, config: &Config) -> Result<Footprint, Error> {
@@ -91,6 +99,18 @@ impl System for TextMotionSystem {
         _: &mut dyn SampleSink,
     ) -> Result<Box<dyn Sampler + 'a>, Error> {
         unreachable!("a recipe that accepts no conditions is not sampled")
+    }
+
+    fn text_motion_evaluator(
+        &self,
+        source: EvaluatorSource<'_>,
+        device: &Device,
+    ) -> Result<Option<Rc<dyn TextMotionEvaluator>>, Error> {
+        let evaluator = match source {
+            EvaluatorSource::Run(saved) => TextMotion::of_run(saved, Weights::Ema, device)?,
+            EvaluatorSource::Files(files) => TextMotion::read(files, device)?,
+        };
+        Ok(Some(Rc::new(evaluator)))
     }
 
     fn evaluate<'a>(

@@ -2,8 +2,8 @@
 
 use burn::tensor::Device;
 use kinegrad_data::humanml::read_word_vectors;
+use kinegrad_models::Initializer;
 use kinegrad_models::text_motion::{TextMotionConfig, TextMotionEncoders};
-use kinegrad_models::{Initializer, parameters};
 use kinegrad_motion::metrics::text_motion::{MAX_WORDS, WordVectors};
 
 use super::{TextMotionTables, WordsConfig};
@@ -44,34 +44,18 @@ pub(super) fn encoders(
     Ok(sizes(config, width)?.init(&init))
 }
 
-/// Number of parameters.
-///
-/// # Errors
-/// If the word vectors cannot be read, whose width counts.
-pub(super) fn parameter_count(config: &Config) -> Result<usize, Error> {
-    let words = word_vectors(&config.own::<TextMotionTables>().words)?;
-    // Parameters are lazy: no weight is drawn and no memory taken.
-    let encoders = encoders(config, words.width(), &Device::flex())?;
-    Ok(parameters::count(&encoders))
-}
-
 /// What training takes.
 ///
 /// # Errors
-/// As [`parameter_count`].
+/// If the word vectors cannot be read, whose width counts.
 pub(super) fn footprint(config: &Config) -> Result<Footprint, Error> {
-    let own: &TextMotionTables = config.own();
-    let width = word_vectors(&own.words)?.width();
+    let width = word_vectors(&config.own::<TextMotionTables>().words)?.width();
     let sizes = sizes(config, width)?;
     let (frames, words) = (config.data.target_frames, MAX_WORDS + 2);
     let motion =
         frames * (2 * sizes.convolution) + frames / 4 * (sizes.movement + 8 * sizes.motion_state);
     let text = words * (2 * width + 8 * sizes.text_state);
-    Ok(Footprint {
-        parameters: parameter_count(config)? as u64,
-        activations: (motion + text) as u64,
-        passes: 1,
-        item: (sizes.channels * frames + (width + 1) * words) as u64,
-        shared: 0,
-    })
+    let item = sizes.channels * frames + (width + 1) * words;
+    let encoders = encoders(config, width, &Device::flex())?;
+    Ok(Footprint::of(&encoders, (motion + text) as u64, item))
 }

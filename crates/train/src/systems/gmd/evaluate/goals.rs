@@ -3,7 +3,7 @@
 use std::iter::{repeat, repeat_n};
 use std::sync::Arc;
 
-use kinegrad_data::humanml::Clip;
+use kinegrad_data::humanml::{Clip, ClipLabels};
 use kinegrad_motion::goal::Goal;
 use kinegrad_motion::humanml::{Features, Joints};
 use kinegrad_motion::metrics::text_motion::TextMotionReport;
@@ -13,14 +13,14 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 
 use super::{GoalTask, Replicated, VarietyReport};
-use crate::captions::ClipText;
+use crate::clips::captions::ClipText;
+use crate::clips::evaluator::{TextMotionEvaluator, TextMotionReports};
 use crate::config::SamplingConfig;
 use crate::error::Error;
 use crate::evaluation::OnStep;
 use crate::sampling::item_seed;
 use crate::systems::gmd::generate::keys;
-use crate::systems::gmd::{ClipGenerator, ClipRequest, GeneratedClip};
-use crate::systems::text_motion::{TextMotion, TextMotionReports};
+use crate::systems::gmd::{ClipGenerator, ClipRequest, GeneratedClip, SteeringConfig};
 use crate::together::Together;
 
 /// Pairs of samples whose distance the diversity is the mean of.
@@ -34,9 +34,11 @@ const DIVISIONS: u64 = 20;
 pub struct GoalSettings {
     /// How goals are derived.
     pub task: GoalTask,
-    /// The sampler, guidance and imputation.
+    /// The sampler.
     #[serde(flatten)]
     pub sampling: SamplingConfig,
+    /// Guidance and imputation.
+    pub steering: SteeringConfig,
     /// Seed of the noise, and of the frames that are keyframes.
     pub seed: u64,
     /// Clips that are drawn together. Guidance divides by the keyframes of a batch.
@@ -91,7 +93,9 @@ pub struct Models<'a> {
     /// Draws the ground paths of the first of two stages.
     pub trajectory: Option<&'a ClipGenerator>,
     /// Says how clips match their captions.
-    pub evaluator: Option<&'a TextMotion>,
+    pub evaluator: Option<&'a dyn TextMotionEvaluator>,
+    /// What clips are labelled with.
+    pub labels: &'a ClipLabels,
 }
 
 /// One replication.
@@ -170,6 +174,7 @@ fn replicate(
         generator,
         trajectory,
         evaluator,
+        labels,
     } = models;
     let task = &settings.task;
     let goal = |clip: &Arc<Clip>| task.goal(clip, seed);
@@ -230,7 +235,7 @@ fn replicate(
     let text_motion = match (evaluator, drawn.cut.len() == held_out.len()) {
         (Some(evaluator), true) => {
             let captions: Vec<&Clip> = held_out.iter().map(Arc::as_ref).collect();
-            Some(evaluator.reports(&drawn.cut, &real.cut, &captions, seed)?)
+            Some(evaluator.reports(&drawn.cut, &real.cut, &captions, labels, seed)?)
         }
         _ => None,
     };

@@ -8,8 +8,7 @@ use serde_json::to_value;
 use super::super::networks::text_input;
 use super::{GoalSettings, GoalTask, Models, Replicated, VarietyReport, evaluate_goals};
 use crate::TrainedModel;
-use crate::captions::must_know_texts;
-use crate::checkpoint::{Weights, resolve_checkpoint};
+use crate::clips::captions::must_know_texts;
 use crate::clips::{dataset_or, with_held_out};
 use crate::error::Error;
 use crate::evaluation::{Column, Evaluate, Evaluated, EvaluationRequest, Group, Number};
@@ -17,7 +16,6 @@ use crate::systems::gmd::generate::drawn_frames;
 use crate::systems::gmd::networks::footprint;
 use crate::systems::gmd::sample::trajectory_model;
 use crate::systems::gmd::{ClipGenerator, EvaluationSplit, GmdConfig};
-use crate::systems::text_motion::{TextMotion, TextMotionSystem};
 
 /// An evaluation of position control.
 ///
@@ -68,32 +66,11 @@ pub fn prepare<'a>(
         .map(|saved| trajectory_model(trained, saved))
         .transpose()?;
     let together = request.together.clone();
-    let run = &asked.evaluator.run;
-    let evaluator = match run.as_os_str().is_empty() {
-        false => {
-            let saved = resolve_checkpoint(run, |_| {})?;
-            let recipe = saved.state.config.train.recipe.clone();
-            let saved = saved.of(&TextMotionSystem).map_err(|_| {
-                Error::usage(
-                    format!("{} is of a run of recipe `{recipe}`", run.display()),
-                    "`evaluation.evaluator.run` takes a run of recipe `text_motion`",
-                )
-            })?;
-            Some(TextMotion::of_run(&saved, Weights::Ema, &trained.device)?)
-        }
-        true => {
-            let files = asked.evaluator.is_given().then_some(&asked.evaluator);
-            let read = |files| TextMotion::read(files, &trained.device);
-            files.map(read).transpose()?
-        }
-    };
-    let evaluator = match evaluator {
-        Some(evaluator) => {
-            evaluator.must_take(held_out[0].features.layout())?;
-            Some(evaluator.with_labels(labels_of(&data)?.unwrap_or_default()))
-        }
-        None => None,
-    };
+    let evaluator = request.evaluator.clone();
+    if let Some(evaluator) = &evaluator {
+        evaluator.must_take(held_out[0].features.layout())?;
+    }
+    let labels = labels_of(&data)?.unwrap_or_default();
     let settings = GoalSettings {
         task: GoalTask {
             keyframes: asked.keyframes,
@@ -103,6 +80,7 @@ pub fn prepare<'a>(
             frames: data.target_frames,
         },
         sampling: trained.config().sampling.clone(),
+        steering: trained.config().own::<GmdConfig>().steering.clone(),
         seed: request.seed,
         batch_size: asked.batch_size,
         replications: asked.replications,
@@ -120,7 +98,8 @@ pub fn prepare<'a>(
         let models = Models {
             generator: &generator,
             trajectory: trajectory.as_ref(),
-            evaluator: evaluator.as_ref(),
+            evaluator: evaluator.as_deref(),
+            labels: &labels,
         };
         let evaluation = evaluate_goals(models, &held_out, &settings, &together, on_step)?;
         if let Some(reports) = &evaluation.text_motion {

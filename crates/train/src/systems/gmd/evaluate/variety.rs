@@ -5,9 +5,9 @@ use kinegrad_motion::humanml::Features;
 use kinegrad_motion::metrics::{multimodality, trajectory_diversity};
 use serde::{Deserialize, Serialize};
 
+use crate::clips::evaluator::TextMotionEvaluator;
 use crate::error::Error;
 use crate::systems::gmd::GeneratedClip;
-use crate::systems::text_motion::TextMotion;
 
 /// Pairs of clips of a condition whose distance multimodality is the mean of, as published.
 const PAIRS: usize = 10;
@@ -34,7 +34,7 @@ impl VarietyReport {
         samples: &[GeneratedClip],
         goals: &[&Goal],
         repeats: usize,
-        evaluator: Option<&TextMotion>,
+        evaluator: Option<&dyn TextMotionEvaluator>,
         seed: u64,
     ) -> Result<Self, Error> {
         let conditions = || samples.chunks(repeats).zip(goals);

@@ -10,7 +10,7 @@ use kinegrad_random::{Key, Purpose};
 use kinegrad_settings::in_range;
 
 use super::ClipGenerator;
-use crate::captions::ClipText;
+use crate::clips::captions::ClipText;
 use crate::error::Error;
 use crate::sampling::item_seed;
 use crate::systems::gmd::GmdConfig;

@@ -5,8 +5,8 @@ use kinegrad_motion::Statistics;
 use kinegrad_motion::emphasis::EmphasisProjection;
 use kinegrad_motion::humanml::{FeatureLayout, Skeleton};
 
+use crate::clips::space::rows_to_motion;
 use crate::systems::gmd::GmdLossConfig;
-use crate::systems::gmd::space::rows_to_motion;
 
 /// Contact flags of the target above this are feet that stand.
 const STANDING: f32 = 0.5;

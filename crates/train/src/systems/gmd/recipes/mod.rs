@@ -6,4 +6,3 @@ pub mod loss;
 
 pub use clips::clip_recipe;
 pub use joint_motion::JointMotion;
-pub use loss::weighted_masked_loss;

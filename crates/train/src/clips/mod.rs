@@ -1,4 +1,21 @@
-//! The clips of a dataset that a request is about.
+//! Shared by the systems of clips: captions, goals, paths, plans of texts, the feature space, the
+//! text-motion evaluator and the clips of a dataset.
+
+pub mod captions;
+pub mod evaluator;
+pub(crate) mod goals;
+mod loss;
+pub(crate) mod path_target;
+pub(crate) mod settings;
+pub(crate) mod space;
+mod text_plan;
+pub(crate) mod training;
+
+pub use goals::read_goal;
+pub use loss::weighted_masked_loss;
+pub use path_target::{Followed, PathTarget};
+pub use space::FeatureSpace;
+pub use text_plan::{TextPlan, TextStep, TimedPrompt};
 
 use std::ops::ControlFlow;
 use std::path::Path;

@@ -25,7 +25,7 @@ use kinegrad_motion::stitch::{self, Layout, Windows};
 use kinegrad_motion::{Phrase, Statistics};
 use kinegrad_random::Key;
 
-use super::generate::{Generator, Sample};
+use super::generator::{Generator, Sample};
 use super::path::PhrasePath;
 use crate::config::SamplingConfig;
 use crate::error::Error;
@@ -36,7 +36,7 @@ pub const WINDOWS_IN_FLIGHT: usize = 8;
 
 /// A motion to be drawn in windows.
 #[derive(Clone, Debug)]
-pub struct Whole<'a> {
+pub struct WindowedSampling<'a> {
     /// What it is conditioned on, of all frames.
     pub audio: &'a AudioFeatures,
     /// Its windows; each hears its own part of the audio.
@@ -50,7 +50,7 @@ pub struct Whole<'a> {
     pub in_flight: usize,
 }
 
-impl Whole<'_> {
+impl WindowedSampling<'_> {
     /// Ranges of windows that the network sees at a time.
     fn batches(&self) -> impl Iterator<Item = Range<usize>> + use<> {
         let (windows, in_flight) = (self.windows.len(), self.in_flight.max(1));
@@ -65,9 +65,9 @@ impl Generator {
     ///
     /// # Errors
     /// If the sampler's settings are invalid, and [`Error::Interrupted`] after `Break`.
-    pub fn sample_whole(
+    pub fn sample_windowed(
         &self,
-        whole: &Whole<'_>,
+        whole: &WindowedSampling<'_>,
         sampling: &SamplingConfig,
         key: Key,
         on_windows: &mut dyn FnMut(usize, usize) -> ControlFlow<()>,
@@ -120,7 +120,7 @@ impl Generator {
     /// Windows as the network predicts them, as one motion of which each becomes its part.
     fn stitched(
         &self,
-        whole: &Whole<'_>,
+        whole: &WindowedSampling<'_>,
         values: &mut [f32],
         known: Option<&stitch::KnownFrames>,
     ) -> Vec<f32> {
@@ -137,7 +137,7 @@ impl Generator {
     fn turned_and_stitched(
         &self,
         turning: HeadingAlignment<'_>,
-        whole: &Whole<'_>,
+        whole: &WindowedSampling<'_>,
         values: &mut [f32],
         known: Option<&stitch::KnownFrames>,
     ) -> Vec<f32> {
@@ -160,7 +160,7 @@ impl Generator {
     /// The denoised windows, `[windows, channels, frames of a window]`, normalised.
     fn latents(
         &self,
-        whole: &Whole<'_>,
+        whole: &WindowedSampling<'_>,
         known: Option<&stitch::KnownFrames>,
         sampling: &SamplingConfig,
         key: Key,
@@ -247,7 +247,7 @@ impl Generator {
     /// coherent trajectory is that of the whole.
     fn decoded(
         &self,
-        whole: &Whole<'_>,
+        whole: &WindowedSampling<'_>,
         known: Option<&stitch::KnownFrames>,
         latents: &[f32],
     ) -> Result<Phrase, Error> {

@@ -6,9 +6,9 @@ use std::sync::Arc;
 
 use crate::error::Error;
 use crate::observer::Observer;
+use crate::run::Setup;
 use crate::sampling::Condition;
 use crate::text_encoder::TextEncoder;
-use crate::together::Together;
 use burn::tensor::Device;
 use kinegrad_data::humanml::{
     CaptionLabels, CaptionText, Clip, ClipSet, MAX_CAPTIONS, read_embedding,
@@ -250,11 +250,11 @@ pub(crate) fn text_of(
 /// If there are none or too many, or a clip has one that is not known.
 pub(crate) fn with_captions(
     mut text: CaptionsConfig,
-    data: &DataConfig,
+    setup: &Setup,
     dataset: &Dataset<Clip>,
-    together: &Together,
     observer: &mut dyn Observer,
 ) -> Result<CaptionsConfig, Error> {
+    let (data, together) = (&setup.config.data, &*setup.together);
     if data.humanml3d.text != CaptionText::Labels {
         return Ok(text);
     }

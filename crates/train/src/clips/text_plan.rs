@@ -9,7 +9,7 @@ use kinegrad_motion::MAX_FRAMES;
 use kinegrad_settings::{ABOVE_ZERO, Document, in_range};
 use serde::{Deserialize, Serialize};
 
-use crate::captions::{ClipText, TextInput};
+use super::captions::{ClipText, TextInput};
 use crate::error::Error;
 use crate::sampling::{Request, SaidRecord};
 

@@ -1,15 +1,33 @@
-//! The table `sampling.steering`: guidance and imputation for goals.
+//! The table `steering`: guidance and imputation for goals.
 
 use kinegrad_diffusion::SamplerConfig;
 use kinegrad_motion::goal::{GuidanceConfig, GuidanceSchedule};
 use kinegrad_settings::{ABOVE_ZERO, InvalidSetting, Refused, in_range};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use serde_json::{Value, to_value};
 
-/// Guidance and imputation for goals (Guided Motion Diffusion, appendix F).
+use crate::config::PLAIN;
+
+/// What stands behind the end of a clip that is shorter than what is drawn.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Padding {
+    /// Zeros of normalised motion, noised: what the network was trained to see there, so that it
+    /// knows how long the clip is.
+    #[default]
+    Zeros,
+    /// Motion that is drawn too and cut off, as in the published program of GMD: right for models
+    /// whose training clips were never shorter than `data.target_frames`.
+    Drawn,
+}
+
+/// The table `steering`: guidance and imputation for goals (Guided Motion Diffusion, appendix F).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct SteeringConfig {
+    /// What stands behind the end of clips that are shorter than what is drawn, with or without a goal.
+    pub padding: Padding,
     /// Strength s of the classifier guidance, 100 to 200 in the paper; 0 guides nothing.
     pub scale: f64,
     /// Furthest that guidance moves a frame in one step, over all channels of the network's space, in
@@ -35,6 +53,7 @@ pub struct SteeringConfig {
 impl Default for SteeringConfig {
     fn default() -> Self {
         Self {
+            padding: Padding::default(),
             scale: 100.0,
             max_shift: None,
             imputation: true,
@@ -59,6 +78,13 @@ impl SteeringConfig {
                 .unwrap_or(sampler.guidance_scale),
             ..sampler.clone()
         }
+    }
+
+    /// What a record says of the padding, and of the rest.
+    pub(super) fn record(&self) -> (Value, Value) {
+        let mut rest = to_value(self).expect(PLAIN);
+        let padding = rest.as_object_mut().and_then(|keys| keys.remove("padding"));
+        (padding.expect("a key"), rest)
     }
 
     /// Validates the settings.

@@ -1,17 +1,17 @@
 //! Conversion between the network's feature space and metres.
 
 use burn::tensor::{Device, Tensor, TensorData};
-use kinegrad_diffusion::{Objective, Space};
+use kinegrad_diffusion::Space;
 use kinegrad_kernels::float32_product;
 use kinegrad_motion::emphasis::EmphasisProjection;
-use kinegrad_motion::goal::{GROUND_X, GuidanceLoss};
+use kinegrad_motion::goal::GROUND_X;
 
 /// What some channels of motion, less their means, are made of: `[rows, channels]` of the network's
 /// channels, undoing `projection` and normalisation by `std`.
 ///
 /// # Panics
 /// Panics if there is no such channel, or the projection has others.
-pub(super) fn rows_to_motion(
+pub(crate) fn rows_to_motion(
     rows: &[usize],
     std: &[f64],
     projection: Option<&EmphasisProjection>,
@@ -87,6 +87,15 @@ impl FeatureSpace {
         let ground = self.ground.clone().squeeze_dim::<2>(0);
         float32_product(ground, x) + self.ground_mean.clone()
     }
+
+    /// A gradient by ground positions as one by the network's channels.
+    ///
+    /// # Shapes
+    /// - gradient: `[batch, 2, time]`
+    /// - output: `[batch, channels, time]`
+    pub fn from_ground(&self, gradient: Tensor<3>) -> Tensor<3> {
+        self.ground.clone().swap_dims(1, 2).matmul(gradient)
+    }
 }
 
 impl Space for FeatureSpace {
@@ -104,35 +113,6 @@ impl Space for FeatureSpace {
             Some([matrix, _]) => float32_product(matrix.clone(), normalized),
             None => normalized,
         }
-    }
-}
-
-/// The guidance loss of the root's ground path.
-#[derive(Clone, Debug)]
-pub struct GroundObjective<'a> {
-    /// Where the network works.
-    pub space: &'a FeatureSpace,
-    /// What the path is measured by.
-    pub loss: GuidanceLoss,
-}
-
-impl Objective for GroundObjective<'_> {
-    fn gradient(&self, pred_original_sample: &Tensor<3>) -> Tensor<3> {
-        let [batch, _, time] = pred_original_sample.dims();
-        let positions = self
-            .space
-            .ground(pred_original_sample.clone())
-            .swap_dims(1, 2);
-        let positions = positions.try_into_vec_as::<f32>();
-        let positions = positions.expect("samples are float32").into_iter();
-        let positions: Vec<f64> = positions.map(f64::from).collect();
-        // On the host and in double precision: a few thousand numbers, and obstacles branch.
-        let (_, gradient) = self.loss.evaluate(&positions);
-        let gradient: Vec<f32> = gradient.into_iter().map(|value| value as f32).collect();
-        let device = pred_original_sample.device();
-        let data = TensorData::new(gradient, [batch, time, 2]);
-        let gradient = Tensor::<3>::from_data(data, &device).swap_dims(1, 2);
-        self.space.ground.clone().swap_dims(1, 2).matmul(gradient)
     }
 }
 

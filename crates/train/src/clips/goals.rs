@@ -1,0 +1,33 @@
+//! Reading goals.
+
+use std::path::Path;
+
+use kinegrad_data::Digest;
+use kinegrad_data::file::read_text;
+use kinegrad_motion::goal::Goal;
+use kinegrad_settings::Document;
+
+use crate::error::Error;
+
+/// Reads a goal.
+///
+/// # Errors
+/// Names the file, the key, the value found and the allowed values.
+pub fn read_goal(path: &Path) -> Result<Goal, Error> {
+    Ok(read_goal_and_digest(path)?.0)
+}
+
+/// Reads a goal, with the checksum of its file.
+///
+/// # Errors
+/// As [`read_goal`].
+pub(crate) fn read_goal_and_digest(path: &Path) -> Result<(Goal, Digest), Error> {
+    let hint = "docs/goals.md describes goals";
+    let file = path.display().to_string();
+    let text = read_text(path).map_err(|error| Error::usage(format!("{file}: {error}"), hint))?;
+    let document = Document::parse(&text, &file)?;
+    let goal: Goal = document.read(hint)?;
+    goal.validate()
+        .map_err(|setting| document.refuse(setting))?;
+    Ok((goal, Digest::of(text.as_bytes())))
+}

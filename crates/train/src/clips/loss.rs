@@ -1,0 +1,57 @@
+//! The squared error of clips of several lengths.
+
+use burn::tensor::{Tensor, TensorData};
+use kinegrad_diffusion::LossType;
+use kinegrad_diffusion::loss::elementwise;
+
+/// The mean over the batch of the error of a network's output:
+///
+/// ```text
+/// weights  sum over real frames and channels  w_c |target - output| / real frames      the w_c adding up to 1
+/// ```
+///
+/// with the distance of `loss_type`, and to that of a frame `velocity` times the squared error of its
+/// difference from the frame before it.
+///
+/// # Shapes
+/// - model_output, target: `[batch, channels, time]`
+/// - mask: `[batch, time]`; a sample without a real frame counts as 0
+/// - weights: one per sample
+pub fn weighted_masked_loss(
+    model_output: Tensor<3>,
+    target: Tensor<3>,
+    mask: Tensor<2>,
+    channel_weights: &[f64],
+    velocity: f64,
+    weights: Option<&[f64]>,
+    loss_type: LossType,
+) -> Tensor<1> {
+    let [batch, channels, time] = model_output.dims();
+    assert_eq!(channel_weights.len(), channels, "one weight a channel");
+    let sum: f64 = channel_weights.iter().sum();
+    let shares: Vec<f32> = channel_weights.iter().map(|w| (w / sum) as f32).collect();
+    let device = model_output.device();
+    let shares: Tensor<3> = Tensor::from_data(TensorData::new(shares, [1, channels, 1]), &device);
+    let mut distances = elementwise(model_output.clone(), target.clone(), loss_type);
+    if velocity > 0.0 && time > 1 {
+        let error = model_output - target;
+        let [later, earlier] = [1, 0].map(|first| error.clone().narrow(2, first, time - 1));
+        let change = (later - earlier).powi_scalar(2) * velocity;
+        // The first frame follows none. Of two real frames the second is real.
+        let first = Tensor::zeros([batch, channels, 1], &device);
+        distances = distances + Tensor::cat(vec![first, change], 2);
+    }
+    let distances = distances * shares;
+    // In a fixed order, whatever the number of threads: channels, frames, then the batch.
+    let frames = distances.sum_dim(1).reshape([batch, time]) * mask.clone();
+    let real = mask.sum_dim(1).clamp_min(1.0);
+    let samples = frames.sum_dim(1) / real;
+    let samples = match weights {
+        Some(weights) => {
+            let weights: Vec<f32> = weights.iter().map(|&w| w as f32).collect();
+            samples * Tensor::<2>::from_data(TensorData::new(weights, [batch, 1]), &device)
+        }
+        None => samples,
+    };
+    samples.sum() / batch as f64
+}

@@ -1,0 +1,97 @@
+//! The beginning of a training on clips: what it starts from, its statistics and its samples.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use kinegrad_data::Dataset;
+use kinegrad_data::humanml::{Clip, ClipSamples, ClipSet};
+use kinegrad_motion::Statistics;
+
+use super::captions::TextInput;
+use crate::config::Config;
+use crate::error::Error;
+use crate::observer::Observer;
+use crate::run::Setup;
+use crate::start::Start;
+use crate::system::System;
+
+/// Opens the dataset of the run and shows its warnings. Ranks read a part each. Collective.
+///
+/// # Errors
+/// If it cannot be opened, or is another than the one trained on so far.
+pub(crate) fn open(setup: &Setup, observer: &mut dyn Observer) -> Result<Dataset<Clip>, Error> {
+    let data = &setup.config.data;
+    let dataset = Dataset::open_among(data, &*observer.reading(), &*setup.together)?;
+    setup.check_dataset(&dataset, observer)?;
+    Ok(dataset)
+}
+
+/// The checkpoint `init` that a new run starts from. A resumed run does not need it any more.
+///
+/// # Errors
+/// As [`Start::named`].
+pub(crate) fn start_of(
+    setup: &Setup,
+    init: &Path,
+    system: &dyn System,
+) -> Result<Option<Start>, Error> {
+    match &setup.checkpoint {
+        Some(_) => Ok(None),
+        None => Start::named("init.diffusion", init, system),
+    }
+}
+
+/// Rejects a start that was trained on other features or texts than those of `config`.
+///
+/// # Errors
+/// Names the key of the start, and the keys that differ.
+pub(crate) fn must_fit_clips(start: &Start, config: &Config) -> Result<(), Error> {
+    let found = &start.state().config.data.humanml3d;
+    let given = &config.data.humanml3d;
+    if (given.root, given.skeleton) != (found.root, found.skeleton) {
+        let reason = "its clips have another `data.humanml3d.root` or `skeleton`";
+        return Err(start.refused(&reason));
+    }
+    if given.text != found.text {
+        return Err(start.refused(&"it was trained with another `data.humanml3d.text`"));
+    }
+    Ok(())
+}
+
+/// The statistics of the resumed run or of `start`; without either those of the training clips.
+///
+/// # Errors
+/// [`Error::OtherRepresentation`] for statistics of other motion; if a clip cannot be read.
+pub(crate) fn statistics(
+    setup: &Setup,
+    start: Option<&Start>,
+    dataset: &Dataset<Clip>,
+    observer: &mut dyn Observer,
+) -> Result<Statistics, Error> {
+    let resumed = setup.checkpoint.as_ref();
+    let resumed = resumed.map(|checkpoint| &checkpoint.state);
+    match resumed.or(start.map(Start::state)) {
+        Some(state) => Ok(state.clip_statistics()?.clone()),
+        None => Ok(dataset.statistics_among(&*observer.reading(), &*setup.together)?),
+    }
+}
+
+/// Samples of the first `channels` of the features of clips, with their texts as `text` says.
+pub(crate) fn samples(
+    dataset: &Dataset<Clip>,
+    statistics: &Statistics,
+    channels: usize,
+    text: TextInput,
+) -> impl Fn(ClipSet, &Config) -> ClipSamples + 'static {
+    let (representation, statistics) =
+        (dataset.representation.clone(), Arc::new(statistics.clone()));
+    move |clips, config| {
+        let (data, seed) = (&config.data, config.run.seed);
+        let (representation, statistics) = (representation.clone(), statistics.clone());
+        let samples = ClipSamples::new(clips, representation, statistics, channels, data, seed);
+        match text.labels() {
+            Some(labels) => samples.with_labels(labels.clone()),
+            None => samples,
+        }
+    }
+}
