@@ -1,4 +1,4 @@
-//! How accurate a motion model is where sampling ends: held-out clips are noised to a timestep and
+//! Accuracy of a motion model at the end of sampling: held-out clips are noised to a timestep and
 //! predicted once, with the condition alone and under guidance.
 //!
 //! ```sh

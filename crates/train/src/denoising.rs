@@ -22,7 +22,7 @@ use crate::together::{About, Together};
 pub struct Inputs {
     /// `[batch, channels, time]`, normalised.
     pub x_start: Tensor<3>,
-    /// What each sample is conditioned on.
+    /// The condition of each sample.
     pub cond: Conditions,
     /// `[batch, time]`, 1 where a frame is real.
     pub mask: Tensor<2>,
@@ -53,8 +53,8 @@ impl Inputs {
     }
 }
 
-/// What the samples of a batch are conditioned on, by name: `[batch, channels, time]` each, time
-/// being 1 where it holds for all frames; zeros where a sample does not have it.
+/// The conditions of a batch by name: `[batch, channels, time]` each, with time 1 for constant
+/// conditions; zeros for samples without it.
 #[derive(Clone, Debug)]
 pub struct Conditions(Vec<(&'static str, Tensor<3>)>);
 
@@ -111,8 +111,8 @@ pub struct KeptStyle {
 }
 
 impl KeptStyle {
-    /// Which parts of the style that `cond` has are kept: all is dropped with `probability`, and of
-    /// numbers and label together the one alone and the other alone as often. None drops none.
+    /// The dropout mask of the style in `cond`: with `probability` all is dropped, and with the
+    /// same probability each of numbers and label alone. `None` drops nothing.
     fn draw(cond: &Conditions, probability: f64, key: Key, device: &Device) -> Option<Self> {
         let there = [STYLE, LABEL].map(|name| cond.find(name));
         let batch = there.into_iter().flatten().next()?.dims()[0];
@@ -142,23 +142,23 @@ impl KeptStyle {
     }
 }
 
-/// What is random in the loss of one batch.
+/// The random inputs of one batch's loss.
 #[derive(Clone, Debug)]
 pub struct Draws {
-    /// One timestep a sample.
+    /// One timestep per sample.
     pub timesteps: Vec<usize>,
     /// Standard normal: `[batch, channels, time]`.
     pub noise: Tensor<3>,
     /// 0 where the condition is dropped, else 1: `[batch, 1, 1]`. None drops none.
     pub keep_cond: Option<Tensor<3>>,
-    /// Which parts of the style are kept. None drops none.
+    /// The dropout mask of the style. `None` drops nothing.
     pub keep_style: Option<KeptStyle>,
     /// The network's dropout.
     pub dropout: DropoutKey,
 }
 
 impl Draws {
-    /// The draws of `key` for a batch.
+    /// The random inputs of `key` for a batch.
     pub fn new(
         diffusion: &GaussianDiffusion,
         inputs: &Inputs,
@@ -250,7 +250,7 @@ pub fn denoising_loss(
     }
 }
 
-/// Training of a denoiser alone, by a loss of given draws.
+/// Training of a denoiser alone, with given random inputs.
 pub struct DenoisingRecipe<M> {
     diffusion: GaussianDiffusion,
     held_out: HeldOut,
@@ -259,8 +259,8 @@ pub struct DenoisingRecipe<M> {
     measures_first: bool,
 }
 
-/// The loss of a network on a batch and what was drawn for it; whether it is for training, with the
-/// weights of timesteps and whatever else helps a network to learn, or for validation.
+/// The loss of a network on a batch and its random inputs. Training uses the weights of timesteps
+/// and other training aids; validation does not.
 pub type DrawnLoss<M> = dyn Fn(&GaussianDiffusion, &M, Inputs, Draws, bool) -> Loss;
 
 impl<M> DenoisingRecipe<M> {
@@ -298,7 +298,7 @@ impl<M> DenoisingRecipe<M> {
         }
     }
 
-    /// The loss of given draws.
+    /// The loss for given random inputs.
     pub fn loss_of(&self, model: &M, inputs: Inputs, draws: Draws) -> Loss {
         (self.loss)(&self.diffusion, model, inputs, draws, true)
     }
@@ -335,7 +335,7 @@ impl<M: Module> Recipe for DenoisingRecipe<M> {
     }
 }
 
-/// What a recipe is measured on.
+/// The held-out data of a recipe.
 pub struct HeldOut {
     ids: Vec<String>,
     /// The batch of some items, by their numbers.
@@ -361,7 +361,7 @@ impl HeldOut {
         }
     }
 
-    /// The same, of which each rank of a run measures a part.
+    /// The same; each rank measures a part.
     #[must_use]
     pub fn among(self, together: &Rc<Together>) -> Self {
         Self {
@@ -386,7 +386,7 @@ impl HeldOut {
         self.ids.len()
     }
 
-    /// Whether there are none.
+    /// True if there are none.
     pub fn is_empty(&self) -> bool {
         self.ids.is_empty()
     }
@@ -402,7 +402,7 @@ impl HeldOut {
         starts.map(|start| start..(start + self.batch_size).min(self.len()))
     }
 
-    /// Noise keyed by item and draw alone, so that runs with other seeds compare too.
+    /// Noise keyed by item and draw alone, so that runs with other seeds are comparable.
     pub fn noise(&self, range: Range<usize>, draw: u64, like: &Tensor<3>) -> Tensor<3> {
         let [_, channels, time] = like.dims();
         let values: Vec<f32> = self.ids[range]
@@ -539,7 +539,7 @@ mod tests {
             };
             counts[place] += 1.0 / batch as f64;
         }
-        // What is kept is as it was, the rest zero, and the audio not touched.
+        // Kept values are unchanged, the others zero, and the audio is unchanged.
         let kept = cond.kept_style(&keep);
         for (name, values) in kept.0 {
             let sum = values.sum().into_scalar::<f32>() / 2.0;

@@ -8,17 +8,17 @@ use kinegrad_settings::InvalidSetting;
 pub struct Kind {
     /// The value of `run.device` that picks it.
     pub name: &'static str,
-    /// What it is, in words.
+    /// A description.
     pub description: &'static str,
     /// Takes part in `auto`, which takes the first that works.
     automatic: bool,
-    /// Whether a machine may have several, each with an index.
+    /// True if a machine may have several, each with an index.
     indexed: bool,
     open: fn(index: usize) -> Device,
 }
 
 impl Kind {
-    /// What the device of this index goes by.
+    /// The name of the device of this index.
     fn name_of(&self, index: usize) -> String {
         match (self.indexed, index) {
             (true, 1..) => format!("{}:{index}", self.name),
@@ -82,12 +82,12 @@ const KINDS: &[Kind] = &[
     },
 ];
 
-/// Whether the device that goes by `name` computes on the CPU, in main memory.
+/// True if the device `name` computes on the CPU, in main memory.
 pub fn is_host(name: &str) -> bool {
     ["cpu", "ndarray"].iter().any(|host| name.starts_with(host))
 }
 
-/// Which kernels run networks on the CPU, in words.
+/// A description of the CPU kernels.
 pub fn kernels() -> &'static str {
     match Mode::from_environment() {
         Ok(Mode::Composed) => "networks on the CPU run as Burn's operations",
@@ -110,8 +110,8 @@ pub fn open(name: &str) -> Result<(Device, String), InvalidSetting> {
     open_for(name, 0)
 }
 
-/// As [`open`], for process `local` of a machine: where a kind has several devices and no index is given,
-/// each process takes its own.
+/// Like [`open`], for process `local` of a machine: if a kind has several devices and no index is
+/// given, each process takes its own.
 ///
 /// # Errors
 /// As [`open`].
@@ -185,7 +185,7 @@ fn too_few(kind: &str, local: usize) -> String {
     )
 }
 
-/// What a graphics device calls itself.
+/// The name of a graphics device.
 #[cfg(any(
     feature = "wgpu",
     feature = "vulkan",
@@ -207,7 +207,7 @@ pub fn hardware(_: &Device) -> Option<String> {
     None
 }
 
-/// Whether the device is a graphics driver that computes on the CPU, far slower than Flex does.
+/// True if the device is a software graphics driver, which is far slower than Flex.
 fn is_software(device: &Device) -> bool {
     hardware(device).is_some_and(|name| {
         let name = name.to_lowercase();

@@ -2,8 +2,8 @@
 
 use crate::config::EmaConfig;
 
-/// How an exponential moving average over the weights moves; it starts as a copy of them. The
-/// optimiser's pass moves it:
+/// The exponential moving average of the weights. It starts as a copy, and the optimiser's pass
+/// updates it:
 ///
 /// ```text
 /// average += (1 - decay) (parameter - average)

@@ -6,14 +6,14 @@ use thiserror::Error;
 
 use crate::config::ConfigError;
 
-/// What can stop a run, or keep it from starting.
+/// Errors of a run.
 #[derive(Debug, Error, Diagnostic)]
 pub enum Error {
     /// The config is wrong.
     #[error(transparent)]
     #[diagnostic(transparent)]
     Config(#[from] ConfigError),
-    /// Another rank of the run ended it, and says why.
+    /// Another rank ended the run, with its reason.
     #[error("rank {rank} ended the run")]
     OtherRank {
         /// The rank.
@@ -56,7 +56,7 @@ pub enum Error {
     #[error(transparent)]
     #[diagnostic(transparent)]
     Diffusion(kinegrad_diffusion::Error),
-    /// Sampling was asked to stop.
+    /// Sampling was interrupted.
     #[error("interrupted: what was not finished is not written")]
     #[diagnostic(help("what was written before is complete"))]
     Interrupted,
@@ -70,7 +70,7 @@ pub enum Error {
     OtherRecipe {
         /// The run's recipe.
         recipe: String,
-        /// Those of the system.
+        /// Errors of the system.
         known: String,
     },
     /// A run on another representation of motion than is needed.
@@ -82,7 +82,7 @@ pub enum Error {
         /// Name of the representation that is needed.
         expected: String,
     },
-    /// A motion does not go on.
+    /// A motion cannot be continued.
     #[error(transparent)]
     #[diagnostic(transparent)]
     Rollout(#[from] kinegrad_models::flow::RolloutError),
@@ -98,7 +98,7 @@ pub enum Error {
     Foreign {
         /// The file.
         path: PathBuf,
-        /// What is wrong with it.
+        /// The fault.
         reason: String,
     },
     /// A text encoder that cannot be used.
@@ -110,7 +110,7 @@ pub enum Error {
     TextEncoder {
         /// The folder, or the file in it.
         path: PathBuf,
-        /// What is wrong with it.
+        /// The fault.
         reason: String,
     },
     /// Weights of another program that do not fit.
@@ -136,18 +136,18 @@ pub enum Error {
     Array {
         /// The file.
         path: PathBuf,
-        /// What it holds.
+        /// The contents.
         found: String,
-        /// What is needed.
+        /// The requirement.
         allowed: String,
     },
     /// A run or checkpoint that is not there.
     #[error("there is no run or checkpoint at {}", path.display())]
     #[diagnostic(help("{hint}"))]
     RunMissing {
-        /// Where it was looked for.
+        /// The searched path.
         path: PathBuf,
-        /// What to give instead.
+        /// The valid input.
         hint: String,
     },
     /// A checkpoint without adapters to merge.
@@ -163,7 +163,7 @@ pub enum Error {
     CheckpointDamaged {
         /// The checkpoint's folder.
         path: PathBuf,
-        /// What is wrong with it.
+        /// The fault.
         reason: String,
     },
     /// Checkpoints exist and none can be used.
@@ -203,9 +203,9 @@ pub enum Error {
     #[error("{message}")]
     #[diagnostic(help("{hint}"))]
     Usage {
-        /// What is wrong.
+        /// The fault.
         message: String,
-        /// What to do instead.
+        /// The remedy.
         hint: String,
     },
     /// A song that cannot be used.
@@ -216,11 +216,11 @@ pub enum Error {
     #[error("cannot {action} {}: {source}", path.display())]
     #[diagnostic(help("{}", io_hint(source)))]
     Io {
-        /// What was being done, as a verb.
+        /// The attempted action, as a verb.
         action: &'static str,
         /// The file or folder.
         path: PathBuf,
-        /// What the system said.
+        /// The system's message.
         source: std::io::Error,
     },
 }

@@ -13,12 +13,13 @@ use crate::checkpoint::{State, write_weights};
 use crate::config::Config;
 use crate::error::Error;
 
-/// What is imported. A system refuses what its networks have no use for.
+/// The settings of an import. A system refuses settings that its networks do not use.
 #[derive(Clone, Debug)]
 pub struct ImportRequest {
     /// The file that `torch.save` wrote.
     pub weights: PathBuf,
-    /// What it is of: one of a system's [`architectures`](crate::systems::System::architectures).
+    /// The architecture, one of a system's
+    /// [`architectures`](crate::systems::System::architectures).
     pub architecture: String,
     /// `.npy` file of the training data's mean, one number a channel.
     pub mean: Option<PathBuf>,
@@ -36,7 +37,7 @@ pub struct ImportRequest {
     pub out: PathBuf,
 }
 
-/// What was imported.
+/// The imported run.
 #[derive(Clone, Debug)]
 pub struct Imported {
     /// The checkpoint.
@@ -49,7 +50,7 @@ pub struct Imported {
     pub skipped: usize,
     /// The resolved config.
     pub config: Config,
-    /// What is doubtful.
+    /// Warnings.
     pub warnings: Vec<String>,
 }
 

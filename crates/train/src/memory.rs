@@ -11,7 +11,7 @@ use crate::error::Error;
 /// Bytes of a number.
 const NUMBER: u64 = 4;
 
-/// What the networks of a run take in training.
+/// The training memory of a run's networks.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Footprint {
     /// Numbers of all parameters, adapters included.
@@ -27,15 +27,15 @@ pub struct Footprint {
     pub shared: u64,
 }
 
-/// What is made of an item's numbers around the networks: noise, noisy motion, the windows of the
-/// first convolution, predictions, losses, in the end the motion's joints.
+/// Copies of an item's numbers outside the networks: noise, noisy motion, the windows of the first
+/// convolution, predictions, losses, and joints.
 const COPIES_OF_ITEM: u64 = 16;
 
 /// The same without losses and gradients, measured on the UNet of phrases.
 const COPIES_WITHOUT_LOSS: u64 = 4;
 
-/// Of what a backward pass keeps, one part in so many is in use at a time without one, at most:
-/// measured on a UNet of one level. Of deep ones it is half of that.
+/// The fraction of stored activations that is in use at a time without a backward pass, as its
+/// inverse; measured on a UNet of one level. Deep ones need half of that.
 const PARTS_OF_ACTIVATIONS: u64 = 4;
 
 impl Footprint {
@@ -75,8 +75,8 @@ impl Footprint {
         self.parameters.saturating_mul(2 * NUMBER)
     }
 
-    /// Bytes of main memory that it takes to draw `items` at a time, roughly; `guided` towards
-    /// goals, which differentiates the network; `on_host` where the CPU draws.
+    /// Estimated main memory for sampling `items` at a time, bytes; `guided` sampling
+    /// differentiates the network; `on_host` if the CPU samples.
     pub fn of_sampling(self, items: usize, guided: bool, on_host: bool) -> u64 {
         let parameters = self.parameters.saturating_mul(3 * NUMBER);
         let inside = match (on_host, guided) {
@@ -114,14 +114,13 @@ impl Footprint {
 
     /// Bytes that the backward pass keeps of one item.
     fn of_gradients(self) -> u64 {
-        // Half as much again for what comes and goes.
+        // Half as much again for temporary memory.
         self.activations.saturating_mul(3 * self.passes * NUMBER) / 2
     }
 }
 
-/// Bytes of main memory that there are for this process: what is free on the machine, what its
-/// control group may have, what is left of its addresses, whichever is least; nothing where that
-/// cannot be told.
+/// Main memory available to this process, bytes: the minimum of free memory, the control group's
+/// limit and the remaining address space; `None` if unknown.
 pub fn available() -> Option<u64> {
     let memory = RefreshKind::nothing().with_memory(MemoryRefreshKind::nothing().with_ram());
     let mut machine = System::new_with_specifics(memory);
@@ -230,7 +229,7 @@ mod tests {
             (longer.activations, longer.shared),
             (2 * long.activations, 2 * long.shared)
         );
-        // The fit of a batch is one, and small beside an item.
+        // The fit is computed once per batch and is small compared with an item.
         let [one, two] = [1, 2].map(|items| long.of_sampling(items, false, true));
         assert!(
             long.shared > 0 && 4 * long.shared < (two - one) / 10,

@@ -24,7 +24,7 @@ pub trait Observer {
     /// for TensorBoard. By default there are none.
     ///
     /// # Errors
-    /// If they cannot be drawn; training warns and goes on.
+    /// If sampling fails; training warns and continues.
     fn preview(&mut self, _checkpoint: &Path, _step: u64) -> Result<Vec<Preview>, Error> {
         Ok(Vec::new())
     }
@@ -38,11 +38,11 @@ pub trait Observer {
     fn reading(&self) -> Box<Reading> {
         Box::new(|_, _| ControlFlow::Continue(()))
     }
-    /// Whether the run should stop; it then writes a checkpoint.
+    /// True if the run should stop; it then writes a checkpoint.
     fn stop_requested(&self) -> bool;
 }
 
-/// A picture of a sample that was drawn while training.
+/// A picture of a sample during training.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Preview {
     /// Name of the sample.

@@ -1,4 +1,4 @@
-//! What the number of parameters of a model counts.
+//! The counted parameters of a model.
 
 use burn::module::Module;
 use kinegrad_models::parameters::{self, ParameterInfo};
@@ -9,9 +9,9 @@ use serde::Serialize;
 pub struct ParameterCount {
     /// All of them: trained, frozen and adapters.
     pub all: usize,
-    /// Those that training changes.
+    /// The trained parameters.
     pub trained: usize,
-    /// Those of low-rank adapters.
+    /// The parameters of low-rank adapters.
     pub adapters: usize,
     /// All of them by network, where there are several.
     pub networks: Vec<(String, usize)>,
@@ -59,7 +59,7 @@ impl ParameterCount {
     }
 }
 
-/// Whether a parameter is one of a low-rank adapter.
+/// True if a parameter belongs to a low-rank adapter.
 pub(crate) fn is_adapter(info: &ParameterInfo) -> bool {
     info.name.split('.').any(|part| part == "lora")
 }

@@ -40,7 +40,7 @@ pub fn read_tensors(path: &Path) -> Result<BTreeMap<String, Tensor>, Error> {
     }
 }
 
-/// How often the same bytes may count, in tensors that share their storage.
+/// Limit on how often shared storage counts.
 const SHARED: u64 = 4;
 
 /// The tensors below `part`, by the rest of their names.
@@ -132,7 +132,7 @@ pub(crate) fn singles(bytes: &[u8], dtype: DType) -> Result<Vec<f32>, String> {
 /// The numbers of a `.npy` file whose shape `fits`, row by row.
 ///
 /// # Errors
-/// [`Error::Array`], which says what is `allowed`, for another shape.
+/// [`Error::Array`] with the `allowed` shapes, for another shape.
 pub fn array(
     path: &Path,
     allowed: impl Into<String>,

@@ -20,7 +20,7 @@ pub struct RecipeInfo {
     pub groups: &'static [&'static str],
 }
 
-/// Which draws a training step uses.
+/// The random inputs of a training step.
 #[derive(Clone, Copy, Debug)]
 pub struct StepKey {
     /// Seed of the run.
@@ -40,16 +40,17 @@ impl StepKey {
     }
 }
 
-/// The loss of one batch. `P` is what the backward pass goes on with where that of `total` ends.
+/// The loss of one batch. `P` is the state with which the backward pass continues after that of
+/// `total`.
 #[derive(Debug)]
 pub struct Loss<P = ()> {
-    /// What is minimised.
+    /// The minimised loss.
     pub total: Tensor<1>,
     /// The weighted terms it is the sum of, by name.
     pub terms: Vec<(&'static str, Tensor<1>)>,
-    /// Tensors on the way, in the order of computation: where a NaN is looked for.
+    /// Intermediate tensors in the order of computation, to locate a NaN.
     pub probes: Vec<(&'static str, Tensor<3>)>,
-    /// What [`Recipe::backward`] goes on with.
+    /// The state with which [`Recipe::backward`] continues.
     pub pending: P,
 }
 
@@ -73,10 +74,10 @@ impl Measured {
     }
 }
 
-/// How good the samples of the weights are, by metrics of samples.
+/// The sample quality of the weights.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Score {
-    /// What the best step is selected by, the less the better; infinite where it cannot be told.
+    /// The criterion of the best step, lower is better; infinite if undefined.
     pub value: f64,
     /// The metrics, by name.
     pub metrics: Vec<(&'static str, f64)>,
@@ -87,7 +88,7 @@ pub trait Recipe {
     /// The networks that are trained.
     type Model: Module;
 
-    /// What the backward pass goes on with where that of the loss ends; mostly nothing.
+    /// The state with which the backward pass continues after that of the loss; usually none.
     type Pending;
 
     /// The optimiser group of a parameter, an index into [`RecipeInfo::groups`].
@@ -95,15 +96,14 @@ pub trait Recipe {
         0
     }
 
-    /// Whether the held-out phrases are measured before the first step too, because training
-    /// starts from weights that are worth something.
+    /// Validate before the first step too, because the initial weights are trained.
     fn measures_first(&self) -> bool {
         false
     }
 
-    /// How much `batch` counts among those whose gradients are averaged for one step: as much as
-    /// the mean that its loss is has terms, so that one batch or several of its parts are the same.
-    /// By default its valid frames.
+    /// The weight of `batch` in the average of gradients of one step: the number of terms of its
+    /// mean loss, so that one batch and its parts give the same result. By default the number of
+    /// valid frames.
     fn weight(&self, batch: &Batch) -> f64 {
         batch.mask.iter().map(|&valid| f64::from(valid)).sum()
     }
@@ -124,15 +124,15 @@ pub trait Recipe {
         sum
     }
 
-    /// The mean loss over held-out phrases, with fixed noise so that runs compare; `model` is on
-    /// the plain `device`.
+    /// The mean loss over held-out phrases, with fixed noise so that runs are comparable; `model`
+    /// is on the plain `device`.
     fn validation_loss(&self, model: &Self::Model, device: &Device) -> Measured;
 
-    /// What the best step is selected by, where that is not the validation loss; `model` as in
+    /// The criterion of the best step, if other than the validation loss; `model` as in
     /// [`validation_loss`](Self::validation_loss).
     ///
     /// # Errors
-    /// If no samples can be drawn.
+    /// If sampling fails.
     fn score(&self, _model: &Self::Model, _device: &Device) -> Result<Option<Score>, Error> {
         Ok(None)
     }

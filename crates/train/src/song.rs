@@ -17,7 +17,7 @@ const TEMPI: std::ops::RangeInclusive<f64> = 10.0..=600.0;
 /// Beats in a bar where only a downbeat is stated.
 const BEATS_PER_BAR: u32 = 4;
 
-/// What is known of a song's beats before they are tracked.
+/// Given data of a song's beats, before tracking.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct KnownBeats {

@@ -18,7 +18,7 @@ pub struct TrainedModel {
     pub weights: Weights,
     /// The device to run on, without gradients.
     pub device: Device,
-    /// Whether that is the CPU, which computes in main memory.
+    /// True for the CPU, which computes in main memory.
     pub on_host: bool,
 }
 

@@ -36,7 +36,7 @@ use gradients::StepGradients;
 use saving::Saving;
 use states::States;
 
-/// How training ended.
+/// The outcome of training.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Ending {
     /// All steps are done.
@@ -56,17 +56,17 @@ pub struct Trainer<R: Recipe> {
     /// Optimiser group of each parameter.
     groups: Vec<usize>,
     states: States,
-    /// What several ranks exchange; lent while a step is made.
+    /// The exchange between ranks; borrowed during a step.
     exchange: Option<Exchange>,
     step: u64,
     progress: Progress,
-    /// What is measured is written; nothing of a trainer that only times its steps.
+    /// The writer of metrics; `None` for a trainer that only times its steps.
     record: Option<(Metrics, LoaderLog)>,
     checkpoints: Checkpoints,
     last_saved: Option<PathBuf>,
 }
 
-/// What a [`Trainer`] is made from, beside the networks.
+/// The inputs of a [`Trainer`], in addition to the networks.
 pub struct TrainerParts<R: Recipe> {
     /// The kind of training.
     pub recipe: R,
@@ -76,15 +76,15 @@ pub struct TrainerParts<R: Recipe> {
     pub config: Config,
     /// Statistics of what is trained on.
     pub statistics: Statistics,
-    /// What normalises the channels of the networks, where that is something else.
+    /// The statistics of the networks' channels, if different.
     pub network_statistics: Option<Statistics>,
     /// Autodiff device.
     pub device: Device,
-    /// Whether it computes in main memory.
+    /// True if it computes in main memory.
     pub on_host: bool,
     /// Batches from the next step's on.
     pub loader: Loader,
-    /// What the dataset holds.
+    /// The contents of the dataset.
     pub dataset: Digest,
     /// The run's folder.
     pub folder: PathBuf,
@@ -157,7 +157,7 @@ impl<R: Recipe> Trainer<R> {
         }
     }
 
-    /// Does a step and says how long it took; `None` if a stop was requested while waiting for data.
+    /// Runs a step and returns its duration; `None` if a stop was requested while waiting for data.
     ///
     /// # Errors
     /// As [`run`](Self::run).
@@ -170,7 +170,7 @@ impl<R: Recipe> Trainer<R> {
         Ok(done.map(|_| began.elapsed()))
     }
 
-    /// Measures the held-out items, once, and says how long it took.
+    /// Validates once and returns the duration.
     ///
     /// # Errors
     /// If a number stops being one.
@@ -180,7 +180,7 @@ impl<R: Recipe> Trainer<R> {
         Ok(began.elapsed())
     }
 
-    /// Whether the held-out items are measured before the first step too.
+    /// True if validation also runs before the first step.
     pub(crate) fn measures_first(&self) -> bool {
         self.parts.recipe.measures_first()
     }
@@ -190,7 +190,7 @@ impl<R: Recipe> Trainer<R> {
         self.step
     }
 
-    /// Where the search for the best weights stands.
+    /// The state of the search for the best weights.
     pub fn progress(&self) -> &Progress {
         &self.progress
     }
@@ -223,14 +223,14 @@ impl<R: Recipe> Trainer<R> {
             if self.is_out_of_patience() {
                 break Ending::EarlyStopped;
             }
-            // What this rank could not write is said here.
+            // A write error of this rank is reported here.
             let before = std::mem::replace(&mut written, Ok(()));
             let goes = before.map(|()| (!observer.stop_requested()).then_some(()));
             if self.parts.together.agree(goes, &[])?.is_none() {
                 break Ending::Interrupted;
             }
             let record = match self.train_step(observer) {
-                // The data failed, not the training: what has been learned is kept.
+                // The data failed, not the training, so progress is saved.
                 Err(error) if self.parts.together.keeps_what_is_learned() => {
                     self.save_unless_saved(observer)?;
                     return Err(error);
@@ -274,7 +274,7 @@ impl<R: Recipe> Trainer<R> {
         self.save(observer)
     }
 
-    /// Whether something that happens every so many steps, and at the last one, happens now.
+    /// True if an event with this interval, which also happens at the last step, is due.
     fn is_due(&self, every: u64) -> bool {
         let last = self.step == self.parts.config.train.max_steps;
         every > 0 && (self.step.is_multiple_of(every) || last)
@@ -353,8 +353,8 @@ impl<R: Recipe> Trainer<R> {
         Ok(Some(record))
     }
 
-    /// Measures the averaged weights on the held-out phrases and records it: the loss, and the
-    /// score that the best step is selected by, where that is another.
+    /// Validates the EMA weights on the held-out phrases and records the loss, and the score that
+    /// selects the best step, if different.
     fn measure(&mut self) -> Result<(f64, Option<f64>), Error> {
         let device = self.parts.device.clone().inner();
         let model = self.model.as_ref().expect("held between updates").valid();
@@ -395,7 +395,7 @@ impl<R: Recipe> Trainer<R> {
             });
         let agreed = self.parts.together.agree(measured.map(Some), &own)?;
         let ((_, score), said) = agreed.expect("nobody stops here");
-        // What the first rank has measured counts for all: they must decide alike.
+        // The first rank's measurement applies to all ranks, so that they decide alike.
         let (val_loss, score) = (said[0][0], score.map(|_| said[0][1]));
         let best = match score {
             Some(score) => {
@@ -432,7 +432,7 @@ impl<R: Recipe> Trainer<R> {
         let mut saving = Saving::begin(self);
         saving.put(|writing| writing.weights(Weights::Model, &weights));
         drop(weights);
-        // The first rank gathers one part after the other, whether it could write those before or not.
+        // The first rank gathers one part after the other, even if writing has failed.
         let (ranks, to) = (together.ranks(), Receivers::First);
         let averages = self.states.averages(ranks, to);
         saving.put(|writing| writing.weights(Weights::Ema, &averages));

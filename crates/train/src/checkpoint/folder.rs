@@ -33,7 +33,7 @@ impl Checkpoints {
         &self.path
     }
 
-    /// Where the checkpoint of `step` is or would be.
+    /// The path of the checkpoint of `step`, existing or not.
     pub fn step_path(&self, step: u64) -> PathBuf {
         self.path.join(format!("step-{step:08}"))
     }
@@ -50,7 +50,7 @@ impl Checkpoints {
         Ok(steps)
     }
 
-    /// What the folder holds.
+    /// The kind of the folder's contents.
     fn names(&self) -> Result<Vec<String>, Error> {
         let entries = match fs::read_dir(&self.path) {
             Err(error) if error.kind() == ErrorKind::NotFound => return Ok(Vec::new()),
@@ -287,7 +287,7 @@ impl Unfinished {
         let text = state.to_text();
         write_flushed(&self.temporary.join("state.json"), text.as_bytes())?;
         flush_folder(&self.temporary)?;
-        // What cannot be read back must not replace what can.
+        // An unreadable checkpoint must not replace a readable one.
         State::read(&self.temporary)?;
         // One of the same step can only be damaged, or from before a fall back to an older.
         remove(&self.target)?;

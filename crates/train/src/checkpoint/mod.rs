@@ -65,7 +65,7 @@ impl Checkpoint {
     }
 }
 
-/// Whether all are finite numbers.
+/// True if all values are finite.
 pub(crate) fn are_finite(values: &[f32]) -> bool {
     // Without branches, which is quick.
     let values = values.iter();

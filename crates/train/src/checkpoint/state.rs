@@ -10,13 +10,13 @@ use sha2::{Digest, Sha256};
 use crate::Error;
 use crate::config::{self, Config};
 
-/// Bytes of a file that are held while its checksum is computed.
+/// Block size for checksums, bytes.
 const BLOCK: usize = 1 << 20;
 
 /// Version of the checkpoint's layout.
 pub const FORMAT: u32 = 1;
 
-/// Where the search for the best weights stands.
+/// The state of the search for the best weights.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Progress {
@@ -65,15 +65,15 @@ pub struct State {
     pub config: Config,
     /// Normalisation, clipping and checking bounds of the training phrases.
     pub statistics: Statistics,
-    /// What normalises and clips the channels of the networks, where that is not `statistics`: they
-    /// predict other channels than are stored, or were normalised by crops.
+    /// The statistics of the networks' channels, if other than `statistics`: for prediction targets
+    /// other than the stored channels, or statistics of crops.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub network_statistics: Option<Statistics>,
     /// [`Digest`](kinegrad_data::Digest) of the dataset trained on, in hexadecimal; none in
     /// checkpoints of before it was kept.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub dataset_sha256: Option<String>,
-    /// Where the search for the best weights stands.
+    /// The state of the search for the best weights.
     pub progress: Progress,
     /// SHA-256 of each file of the checkpoint, in hexadecimal.
     pub checksums: BTreeMap<String, String>,
@@ -107,7 +107,7 @@ impl State {
         format!("{body}{SEAL}{}\"\n}}\n", sha256(body.as_bytes()))
     }
 
-    /// What normalises and clips the channels of the networks.
+    /// The statistics of the networks' channels.
     pub fn normalization(&self) -> &Statistics {
         self.network_statistics.as_ref().unwrap_or(&self.statistics)
     }
@@ -166,11 +166,10 @@ impl State {
     }
 }
 
-/// What `read` makes of one file of the checkpoint in `path`.
+/// The result of `read` for one file of the checkpoint in `path`.
 ///
 /// # Errors
-/// [`Error::CheckpointDamaged`] if it is not there, or longer than it may be; [`Error::Io`] if it
-/// cannot be read, which says nothing of what it holds.
+/// [`Error::CheckpointDamaged`] if it is missing or too long; [`Error::Io`] if it cannot be read.
 pub(super) fn file_of<T>(
     path: &Path,
     file: &str,
@@ -193,7 +192,7 @@ pub(super) fn sha256(bytes: &[u8]) -> String {
     hexadecimal(Sha256::new_with_prefix(bytes))
 }
 
-/// [`sha256`] of what can be read, of which a block is held at a time.
+/// [`sha256`] of a reader, block by block.
 pub(super) fn sha256_of(source: &mut impl Read) -> io::Result<String> {
     let mut hash = Sha256::new();
     let mut block = vec![0; BLOCK];

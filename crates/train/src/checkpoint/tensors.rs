@@ -16,11 +16,11 @@ use crate::Error;
 use crate::memory;
 use crate::optim::Moments;
 
-/// Which weights of a checkpoint.
+/// The weights of a checkpoint.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Weights {
-    /// Those being trained.
+    /// The trained weights.
     Model,
     /// Their moving average.
     Ema,
@@ -199,7 +199,7 @@ fn read_whole(path: &Path, checksum: Option<&str>) -> io::Result<Result<Vec<u8>,
 /// Longest header that is read, as in the library.
 const MAX_HEADER_BYTES: u64 = 100_000_000;
 
-/// How long a file of tensors is by its header; none if it has no header.
+/// The length of a file of tensors according to its header; `None` without a header.
 fn stated_length(file: &mut File) -> io::Result<Option<u64>> {
     let mut start = Vec::new();
     (&*file).take(8).read_to_end(&mut start)?;

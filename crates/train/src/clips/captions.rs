@@ -1,4 +1,4 @@
-//! What a model of clips is told of a text: an embedding, or which of the captions it has learned.
+//! The text condition of a clip model: an embedding, or the index of a learned caption.
 
 use std::collections::BTreeMap;
 use std::ops::ControlFlow;
@@ -69,7 +69,7 @@ impl CaptionsConfig {
     }
 }
 
-/// What a clip is asked for in words. Each model takes what it understands.
+/// The prompt of a clip. Each model takes the form that it supports.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ClipText {
     /// The sentence.
@@ -79,7 +79,7 @@ pub struct ClipText {
 }
 
 impl ClipText {
-    /// The caption that stands for a clip ([`Clip::caption`]).
+    /// The caption of a clip ([`Clip::caption`]).
     pub fn of(clip: &Clip) -> Option<Self> {
         let caption = clip.caption()?;
         Some(Self {
@@ -89,12 +89,12 @@ impl ClipText {
     }
 }
 
-/// How the model of a run is told a text.
+/// The form of a run's text condition.
 #[derive(Clone, Debug)]
 pub(crate) enum TextInput {
-    /// By an embedding.
+    /// A text embedding.
     Embedding,
-    /// As one of the captions that it has learned.
+    /// One of the learned captions.
     Labels(CaptionLabels),
 }
 
@@ -124,7 +124,7 @@ impl TextInput {
         }
     }
 
-    /// What the model is told of `text`; none where it is told nothing of it.
+    /// The condition for `text`; `None` without one.
     ///
     /// # Errors
     /// [`Error::Usage`] for a caption that the model does not know, with those it knows, and for an

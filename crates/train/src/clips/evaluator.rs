@@ -32,7 +32,7 @@ pub struct EvaluatorFiles {
 }
 
 impl EvaluatorFiles {
-    /// Whether any file of the published evaluator is given.
+    /// True if any file of the published evaluator is given.
     pub(crate) fn has_files(&self) -> bool {
         let mut named = self.named().into_iter();
         named.any(|(_, path)| !path.as_os_str().is_empty())
@@ -71,7 +71,7 @@ pub enum EvaluatorSource<'a> {
     Files(&'a EvaluatorFiles),
 }
 
-/// How generated and real motion match their captions.
+/// The match of generated and real motion with their captions.
 #[derive(Clone, Debug, Serialize)]
 pub struct TextMotionReports {
     /// The generated clips.
@@ -99,8 +99,8 @@ pub trait TextMotionEvaluator {
     fn text_embeddings(&self, captions: &[&[Token]]) -> Vec<Vec<f64>>;
 
     /// Evaluates generated clips, one for each of the `real` ones of the same lengths, with the
-    /// captions that stand for `clips`, and how often each of their `labels` is right. `seed` draws the pools that captions are ranked in, and the pairs
-    /// for diversity.
+    /// captions of `clips`. `seed` selects the pools for ranking captions, and the pairs for
+    /// diversity.
     ///
     /// # Errors
     /// If features are of another layout than the evaluator's.

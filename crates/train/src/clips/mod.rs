@@ -29,8 +29,8 @@ use crate::error::Error;
 use crate::sampling::{Request, SampleSink};
 use crate::together::Together;
 
-/// `own`, the dataset of a run on clips, or the one at `source` in its place, whose own lists say what
-/// is held out.
+/// `own`, the dataset of a run on clips, or the one at `source`, whose lists define its held-out
+/// clips.
 pub(crate) fn dataset_or(own: &DataConfig, source: Option<&str>) -> DataConfig {
     match source {
         None => own.clone(),
@@ -43,11 +43,11 @@ pub(crate) fn dataset_or(own: &DataConfig, source: Option<&str>) -> DataConfig {
     }
 }
 
-/// The dataset of an evaluation of `checkpoint`, some of whose clips are held out; `purpose` says what
-/// they are for. Ranks read a part each. Collective.
+/// The dataset of an evaluation of `checkpoint`; `purpose` describes the use of its held-out clips.
+/// Ranks read a part each. Collective.
 ///
 /// # Errors
-/// [`Error::Usage`] if none is held out; if the dataset cannot be opened.
+/// [`Error::Usage`] if no clip is held out; also if the dataset cannot be opened.
 pub(crate) fn with_held_out(
     data: &DataConfig,
     checkpoint: &Path,
@@ -65,7 +65,7 @@ pub(crate) fn with_held_out(
     Ok(dataset)
 }
 
-/// The clips whose ids match `pattern`, those held out first.
+/// The clips whose ids match `pattern`, held-out clips first.
 ///
 /// # Errors
 /// [`Error::Usage`] if there are none; if one cannot be read.

@@ -1,7 +1,7 @@
 //! Paths that generated motion follows, whatever generates it (docs/sources.md, section 7).
 //!
-//! Clips begin at the origin and face +z: the path is moved there for the draw, and the motion to the
-//! path afterwards.
+//! Clips start at the origin and face +z. The path is moved there for sampling, and the motion is
+//! moved to the path afterwards.
 
 use std::path::{Path, PathBuf};
 
@@ -19,19 +19,20 @@ use serde_json::Value;
 use crate::error::Error;
 use crate::sampling::{PathFile, PathRecord};
 
-/// Where a motion of so many frames is to be.
+/// The target positions of a motion.
 #[derive(Clone, Debug)]
 pub struct PathTarget {
     /// The path.
     pub line: Polyline,
     /// Its place in each frame.
     pub course: Course,
-    /// Where it leads in each frame, smoothed, without jumps, radians.
+    /// The heading in each frame, smoothed and unwrapped, radians.
     pub headings: Vec<f64>,
 }
 
 impl PathTarget {
-    /// How bodies are turned on it: as their own way turns, and one that stands not by its sway.
+    /// The rotation of bodies on it: with the heading of their root trajectory; a standing body is
+    /// not rotated by its sway.
     const WARP: Warp = Warp {
         along: ArcLengthMode::Stretch,
         turning: HeadingMode::Relative,
@@ -81,7 +82,7 @@ impl PathTarget {
         steps.fold(0.0, f64::max) * fps
     }
 
-    /// What to say of a path in `file` that asks for more than training saw.
+    /// The warning about a path in `file` that exceeds the training motion.
     pub(crate) fn too_fast(&self, file: &Path, fps: f64, fastest: Fastest) -> Option<String> {
         let speed = self.speed(fps);
         let (limit, of) = match fastest {
@@ -98,7 +99,7 @@ impl PathTarget {
         })
     }
 
-    /// The same as a draw sees it: from the origin, facing +z.
+    /// The same in the frame of sampling: from the origin, facing +z.
     #[must_use]
     pub(crate) fn at_origin(&self) -> Self {
         let (start, turn) = (self.course.points[0], -self.headings[0]);
@@ -125,7 +126,7 @@ impl PathTarget {
         points.iter().map(moved).collect()
     }
 
-    /// A motion that was drawn along the path as seen from its start, on the path itself.
+    /// Moves a motion that was sampled in the path's own frame onto the path.
     ///
     /// # Errors
     /// If it is not of the skeleton.
@@ -141,8 +142,8 @@ impl PathTarget {
         })
     }
 
-    /// A motion that is near the path already, moved onto it frame by frame, in the pace of the course, and
-    /// turned as its way turns there: its feet held where they stand with `fix_feet`.
+    /// Moves a motion near the path onto it frame by frame, at the pace of the course, with the
+    /// heading of its root trajectory; locks feet with `fix_feet`.
     ///
     /// # Errors
     /// If it is not of the skeleton.
@@ -156,7 +157,7 @@ impl PathTarget {
         let root = joints.track(0);
         let track: Vec<[f64; 2]> = root.iter().map(|[x, _, z]| [*x, *z]).collect();
         let turns = Self::WARP.turns(joints, skeleton, &track, &self.course);
-        // A body sways from foot to foot; what is moved is its way without that.
+        // A body sways with its steps; the trajectory without sway is moved.
         let way = way(&root, fps);
         let moved = track.iter().zip(&way).zip(&self.course.points).zip(&turns);
         let moved = moved.map(|(((place, way), to), turn)| {
@@ -169,8 +170,7 @@ impl PathTarget {
         self.with_feet(moved, joints, skeleton, fix_feet, &self.line)
     }
 
-    /// `moved` with the feet that stood in `before` held, where that is asked for, and how it follows
-    /// `line`.
+    /// `moved` with the feet of `before` locked, if requested, and its deviation from `line`.
     fn with_feet(
         &self,
         moved: Joints,
@@ -194,8 +194,7 @@ impl PathTarget {
         })
     }
 
-    /// A motion that was drawn freely, moved onto the path; its feet held where they stand with
-    /// `fix_feet`.
+    /// Moves an unconditional motion onto the path; locks feet with `fix_feet`.
     ///
     /// # Errors
     /// If it is not of the skeleton.
@@ -218,7 +217,7 @@ impl PathTarget {
     }
 }
 
-/// How fast a root was in training along either axis of the ground, metres per second.
+/// Speed of training roots along either ground axis, m/s.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Fastest {
     /// At most.
@@ -228,7 +227,7 @@ pub(crate) enum Fastest {
 }
 
 impl Fastest {
-    /// Of channels of velocity that begin with `first`, `scale` times their values.
+    /// The speed from velocity channels starting at `first`, times `scale`.
     pub fn of(statistics: &Statistics, first: usize, scale: f64) -> Self {
         let most = |of: &dyn Fn(usize) -> f64| of(first).max(of(first + 2)) * scale;
         match &statistics.range {
@@ -242,17 +241,17 @@ impl Fastest {
     }
 }
 
-/// Seconds over which a way is smoothed: a path does not sway from foot to foot.
+/// Smoothing window of a root trajectory, seconds: a path does not sway with the steps.
 const SMOOTH: f64 = 1.0;
 
-/// The way over the ground of a root that is at `places`, a point for each frame, smoothed.
+/// The smoothed ground trajectory of a root at `places`, a point per frame.
 pub(crate) fn way(places: &[[f64; 3]], fps: f64) -> Vec<[f64; 2]> {
     let window = 2 * (SMOOTH * fps / 2.0) as usize + 1;
     let track: Vec<[f64; 2]> = places.iter().map(|[x, _, z]| [*x, *z]).collect();
     smoothed(&track, window, 3)
 }
 
-/// How a motion follows its path, in words.
+/// A description of a motion's deviation from its path.
 pub(crate) fn in_words(report: &PathReport) -> String {
     let heading = report
         .heading_error
@@ -268,11 +267,11 @@ pub(crate) fn in_words(report: &PathReport) -> String {
 /// A motion on its path.
 #[derive(Clone, Debug)]
 pub struct Followed {
-    /// Where its joints are.
+    /// The joint positions.
     pub joints: Joints,
-    /// How it follows.
+    /// The deviation from the path.
     pub report: PathReport,
-    /// How far a foot is from where it should stand, at most, as its leg does not reach so far, metres.
+    /// Largest distance of a foot from its locked position, because the leg does not reach, metres.
     pub legs_short: f64,
 }
 

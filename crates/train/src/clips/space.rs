@@ -6,8 +6,8 @@ use kinegrad_kernels::float32_product;
 use kinegrad_motion::emphasis::EmphasisProjection;
 use kinegrad_motion::goal::GROUND_X;
 
-/// What some channels of motion, less their means, are made of: `[rows, channels]` of the network's
-/// channels, undoing `projection` and normalisation by `std`.
+/// The linear map from the network's channels to some centred channels of motion: `[rows,
+/// channels]`, which undoes `projection` and normalisation by `std`.
 ///
 /// # Panics
 /// Panics if there is no such channel, or the projection has others.
@@ -42,7 +42,7 @@ pub struct FeatureSpace {
     projection: Option<[Tensor<2>; 2]>,
     /// Ground x and z of a frame in metres from the network's channels: `[1, 2, channels]`.
     ground: Tensor<3>,
-    /// What they begin at: `[1, 2, 1]`.
+    /// Their means: `[1, 2, 1]`.
     ground_mean: Tensor<3>,
 }
 

@@ -21,13 +21,13 @@ pub struct TextPlan {
     pub step: Vec<TextStep>,
 }
 
-/// One text for some time.
+/// One prompt and its duration.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TextStep {
-    /// How long, in seconds.
+    /// Duration, seconds.
     pub seconds: f64,
-    /// The text, one of the captions that the run knows; without any the motion goes on without.
+    /// The text, one of the run's captions; without one the motion continues unconditionally.
     pub text: Option<String>,
     /// Its embedding in place of it, `FILE#KEY`.
     pub text_embedding: Option<String>,
@@ -85,8 +85,8 @@ impl TextPlan {
         Ok(ends)
     }
 
-    /// What each step says, to a model that is told texts as `input` says; nothing where a step has no
-    /// text. `path` is the plan's file.
+    /// The text condition of each step, in the form of `input`; `None` for a step without a text.
+    /// `path` is the file of prompts.
     ///
     /// # Errors
     /// [`Error::Usage`] for a text that the model does not know, with the file and the step; if an
@@ -173,7 +173,7 @@ impl TimedPrompt {
 }
 
 impl TextStep {
-    /// What is said.
+    /// The text.
     ///
     /// # Errors
     /// If the embedding cannot be read.

@@ -24,8 +24,8 @@ pub fn to_toml(config: &Config) -> String {
     toml::to_string(config).expect("a config is a table of plain values")
 }
 
-/// Deserialises `table`; `place` says where a dotted key stands. Every config comes through here
-/// and no other deserialiser: the code of one is a large part of this crate.
+/// Deserialises `table`; `place` locates a dotted key. Every config uses this single deserialiser,
+/// because the code of one is a large part of this crate.
 pub(crate) fn from_table<T: DeserializeOwned>(
     table: &Table,
     place: Place<'_>,

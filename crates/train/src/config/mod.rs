@@ -48,7 +48,7 @@ const MODEL_KEYS: [&str; 3] = ["kind", "size", "activation_checkpointing"];
 pub struct Config {
     /// Name, seed, device.
     pub run: RunConfig,
-    /// Where the motion comes from and how batches are made of it.
+    /// The dataset and its batches.
     pub data: DataConfig,
     /// The tables of the run's system.
     #[serde(flatten)]
@@ -56,13 +56,13 @@ pub struct Config {
     pub system: OwnTables,
     /// AdamW and its learning rate.
     pub optim: OptimConfig,
-    /// Which training, how long.
+    /// The recipe and its length.
     pub train: TrainConfig,
     /// The moving average of the weights.
     pub ema: EmaConfig,
     /// When to save and what to keep.
     pub checkpoint: CheckpointConfig,
-    /// When and how to measure on held-out motion.
+    /// Validation on held-out motion.
     pub validation: ValidationConfig,
     /// Sampling settings of the trained model.
     pub sampling: SamplingConfig,
@@ -77,7 +77,7 @@ impl Config {
         self.system.get().expect("tables that the system has read")
     }
 
-    /// The same with other tables of the system.
+    /// The same, with other tables of the system.
     #[must_use]
     pub fn with_own<T: SystemTables>(self, tables: T) -> Self {
         let system = OwnTables::new(tables);
@@ -100,13 +100,13 @@ const COMMON: [&str; 8] = [
     "sampling",
 ];
 
-/// Reads a config from JSON by way of TOML; the system's tables stay as they stand.
+/// Reads a config from JSON via TOML; the system's tables are unchanged.
 pub(crate) fn from_json<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Config, D::Error> {
     let table = toml_table(serde_json::Map::deserialize(deserializer)?);
     from_table(&table, &|_| "its config".into()).map_err(D::Error::custom)
 }
 
-/// JSON as TOML, which says that there is no value by leaving its key out.
+/// JSON as TOML; null values are omitted.
 fn toml_table(json: serde_json::Map<String, serde_json::Value>) -> Table {
     let entries = json.into_iter();
     let entries = entries.filter_map(|(key, value)| Some((key, toml_value(value)?)));

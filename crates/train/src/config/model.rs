@@ -1,5 +1,5 @@
-//! The table `model`: `kind` says which network, `size` what its keys start from, and the rest is
-//! read by the network's own settings.
+//! The table `model`: `kind` selects the network, `size` the defaults of its keys; the network's
+//! settings read the rest.
 
 use kinegrad_models::NetworkConfig;
 use kinegrad_settings::{DocumentError, Key, Name, Place, Values, not_among};
@@ -46,7 +46,7 @@ impl NetworkKind {
     }
 }
 
-/// The keys of a network with what `given` and, where it is silent, a size says.
+/// The keys of a network from `given`, with defaults from a size.
 fn keys<N: NetworkConfig>(
     size: &str,
     given: Table,

@@ -1,4 +1,4 @@
-//! What may differ between a run's saved config and the one it is resumed with.
+//! Differences allowed between a run's saved config and its resume.
 
 use std::fmt::Display;
 
@@ -6,8 +6,8 @@ use kinegrad_settings::InvalidSetting;
 
 use super::{Config, difference};
 
-/// Keys that may differ, or the tables whose every key may. Where motion lies and how it is fetched
-/// and kept changes no batch: that it is the same is checked by itself.
+/// Keys, or complete tables, that may differ. The location, transport and cache of motion change no
+/// batch; its identity is checked separately.
 const FREE: [&str; 12] = [
     "train.max_steps",
     "run.device",
@@ -23,7 +23,7 @@ const FREE: [&str; 12] = [
     "data.store.*",
 ];
 
-/// Whether a dotted key may differ when a run is resumed.
+/// True if a dotted key may differ when a run is resumed.
 pub fn may_differ(key: &str) -> bool {
     FREE.iter().any(|free| kinegrad_data::matches(free, key))
 }

@@ -1,4 +1,4 @@
-//! The config of a run that goes on: what was saved, and what the command line changes.
+//! The config of a resumed run: the saved one, and the changes of the command line.
 
 use toml::{Table, Value};
 
@@ -15,13 +15,12 @@ pub struct Kept {
     pub given: String,
 }
 
-/// What a resumed run goes on with: the `saved` config, with what the `overrides` of the command
-/// line set, as it stands in `given`, the file with these overrides. `defaults` is the config of
-/// neither.
+/// The config of a resumed run: `saved` with the `overrides` of the command line. `given` is the
+/// file with these overrides, `defaults` the config of neither.
 ///
-/// Keys that [may differ](may_differ) and stand in the file alone are not taken, and returned:
-/// a run that was started with overrides goes on as it was, without them. Other keys that the file
-/// changes are taken, so that they can be [refused](super::must_continue).
+/// Keys that [may differ](may_differ) and are only in the file are ignored and returned, so that a
+/// run started with overrides continues without them. Other keys of the file are included, so that
+/// they can be [refused](super::must_continue).
 pub(crate) fn resumed(
     saved: &Config,
     given: &Config,
@@ -60,7 +59,7 @@ pub(crate) fn resumed(
     (table, kept)
 }
 
-/// Whether a dotted key is `table`, or lies in it.
+/// True if a dotted key is `table` or below it.
 fn is_of(key: &str, table: &str) -> bool {
     let rest = key.strip_prefix(table);
     rest.is_some_and(|rest| rest.is_empty() || rest.starts_with('.'))
@@ -127,7 +126,7 @@ mod tests {
         let (config, kept) = resume(FILE, &["train.max_steps=300"], &[]);
         assert_eq!(config.train.max_steps, 300);
         assert_eq!(kept, ["train.max_steps"]);
-        // A key that does not stand in the file draws no word.
+        // A key that is not in the file gives no warning.
         let (config, kept) = resume(FILE, &["checkpoint.keep_last=7"], &[]);
         assert_eq!(config.checkpoint.keep_last, 7);
         assert!(kept.is_empty(), "{kept:?}");

@@ -103,7 +103,7 @@ pub trait SystemTables: Serialize + DeserializeOwned + Send + Sync + 'static {
     /// without that table.
     const NETWORKS: &'static [NetworkKind] = &[];
 
-    /// Reads them from `tables`; `place` says where a dotted key stands.
+    /// Reads them from `tables`; `place` locates a dotted key.
     ///
     /// # Errors
     /// Names the place of a thing that is wrong.
@@ -113,7 +113,7 @@ pub trait SystemTables: Serialize + DeserializeOwned + Send + Sync + 'static {
             let model = tables
                 .entry("model")
                 .or_insert_with(|| Value::Table(Table::new()));
-            // What is no table is refused below.
+            // Values that are not tables are refused below.
             if let Value::Table(model) = model {
                 *model = model::complete(Self::NETWORKS, std::mem::take(model), place)?;
             }

@@ -59,7 +59,7 @@ pub enum WeightDecayGroups {
     Matrices,
 }
 
-/// Where the optimiser's running means and the moving average of the weights are kept and moved.
+/// The memory of the optimiser's moments and of the weights' moving average.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum OptimPlace {
@@ -93,11 +93,9 @@ pub struct OptimConfig {
     pub lr_schedule: LrSchedule,
     /// Learning rates of parameter groups (`unet`, `decoder`) that override `learning_rate`.
     pub groups: BTreeMap<String, f64>,
-    /// Where the running means and the moving average are kept and moved; which of them changes last
-    /// bits.
+    /// The memory of moments and moving average; the choice changes the last bits.
     pub states: OptimPlace,
-    /// Whether each rank of a run of several keeps the running means and the moving average of a part of
-    /// the parameters alone (ZeRO-1): less memory, the same bytes.
+    /// Shard moments and moving average over the ranks (ZeRO-1): less memory, the same bytes.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub shard_states: bool,
 }
@@ -139,7 +137,7 @@ pub enum TrainPrecision {
 }
 
 impl TrainPrecision {
-    /// As kernels call it.
+    /// The kernels' name.
     pub fn of_products(self) -> Precision {
         match self {
             Self::Float32 => Precision::Float32,
@@ -232,7 +230,7 @@ impl Default for CheckpointConfig {
     }
 }
 
-/// What the best checkpoint is selected by.
+/// The criterion of the best checkpoint.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum SelectBy {
@@ -240,11 +238,10 @@ pub enum SelectBy {
     /// that are all alike.
     #[default]
     Loss,
-    /// The Fréchet distance of samples from the held-out phrases they are drawn for, as in
-    /// `kinegrad eval`.
+    /// The Fréchet distance of samples from their held-out phrases, as in `kinegrad eval`.
     Frechet,
-    /// How far the diversity of samples is from that of the held-out phrases, as a ratio: 0 where
-    /// they are equal, as far below as above. Alone it does not see whether samples look real.
+    /// The deviation of the samples' diversity from that of the held-out phrases, as a ratio: 0 if
+    /// equal, symmetric. It does not detect implausible samples.
     Diversity,
 }
 
@@ -257,10 +254,10 @@ pub struct ValidationConfig {
     /// Number of noise samples per held-out phrase for the diffusion loss; a rollout is sampled
     /// once.
     pub draws: usize,
-    /// What the best checkpoint is selected by, for recipes on phrases; patience counts by it too.
+    /// The criterion of the best checkpoint, for recipes on phrases; patience uses it too.
     pub select_by: SelectBy,
-    /// Number of held-out phrases for each of which a sample is drawn where `select_by` is not
-    /// `loss`; fewer than 20 say little of a distance between 18 features.
+    /// Number of held-out phrases with one sample each, if `select_by` is not `loss`; fewer than 20
+    /// give an unreliable distance between 18 features.
     pub select_samples: usize,
     /// Phrases per forward pass; for phrases of one length it does not change the result beyond
     /// rounding.
@@ -332,11 +329,11 @@ impl ClipSample {
 pub struct SamplingConfig {
     /// Number of samples generated when training ends; phrases are post-processed and checked.
     pub count_at_end: usize,
-    /// Steps between previews: samples of the averaged weights for the first held-out items, as many
-    /// as `count_at_end` says or 4 if it says 0, as a page in the run's folder and as TensorBoard
+    /// Steps between previews: samples of the EMA weights for the first held-out items,
+    /// `count_at_end` of them (4 if it is 0), as a page in the run's folder and as TensorBoard
     /// images; 0 disables them. A checkpoint is written at each of these steps too.
     pub preview_every_steps: u64,
-    /// What the predicted clean motion is clipped to.
+    /// The clipping range of the predicted clean motion.
     pub clip: ClipSample,
     /// The sampler.
     pub sampler: SamplerConfig,

@@ -12,7 +12,7 @@ pub struct Moments {
 }
 
 impl Moments {
-    /// Those of a parameter of so many elements before the first step.
+    /// The initial state of a parameter with a number of elements.
     pub fn zeros(len: usize) -> Self {
         Self {
             exp_avg: vec![0.0; len],
@@ -58,7 +58,7 @@ impl Moments {
 pub struct AdamW {
     config: OptimConfig,
     steps: u64,
-    /// Whether each parameter decays; all of them where this is empty.
+    /// Weight decay per parameter; all decay if this is empty.
     decaying: Vec<bool>,
 }
 
@@ -72,8 +72,7 @@ impl AdamW {
         }
     }
 
-    /// The same optimiser with decay on those parameters alone for which this says so, in their
-    /// order.
+    /// The same optimiser, with weight decay on the selected parameters only, in their order.
     #[must_use]
     pub fn with_decay_on(self, decaying: Vec<bool>) -> Self {
         Self { decaying, ..self }

@@ -6,18 +6,18 @@ pub fn squares(gradients: &[Vec<f32>]) -> Vec<f64> {
     squares.collect()
 }
 
-/// The Euclidean norm over all tensors together, of which these are the [`squares`], in one order.
+/// The global Euclidean norm from these [`squares`], in one order.
 pub fn norm_of_squares(squares: &[f64]) -> f64 {
     squares.iter().sum::<f64>().sqrt()
 }
 
-/// The Euclidean norm over all tensors together, in f64 and in one order.
+/// The global Euclidean norm, in f64 and in one order.
 pub fn global_norm(gradients: &[Vec<f32>]) -> f64 {
     norm_of_squares(&squares(gradients))
 }
 
-/// What gradients of global norm `norm` are multiplied by to keep it at most `max_norm`; 1 when
-/// `max_norm` is 0, which switches clipping off.
+/// The factor that limits gradients of global norm `norm` to `max_norm`; 1 if `max_norm` is 0,
+/// which disables clipping.
 pub fn clip_factor(norm: f64, max_norm: f64) -> f64 {
     if max_norm == 0.0 {
         1.0

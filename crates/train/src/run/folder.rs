@@ -16,13 +16,13 @@ const CONFIG: &str = "config.toml";
 const UNFINISHED_CONFIG: &str = ".writing-config.toml";
 const LOCK: &str = "lock";
 
-/// Folder of the samples that are drawn at a run's end.
+/// Folder of the samples at a run's end.
 pub const SAMPLES: &str = "samples";
 
 /// Folder that they are drawn into. It is there from when a run goes on until they are drawn.
 pub const UNFINISHED_SAMPLES: &str = ".writing-samples";
 
-/// Folder of the previews that are drawn while training.
+/// Folder of the previews during training.
 pub const PREVIEWS: &str = "previews";
 
 /// Page of the previews of `step` of the run in `folder`.
@@ -30,7 +30,7 @@ pub fn preview_page(folder: &Path, step: u64) -> PathBuf {
     folder.join(PREVIEWS).join(format!("step-{step:08}.html"))
 }
 
-/// Whether `folder` holds a run: its config or, where that was lost, a checkpoint.
+/// True if `folder` contains a run: its config or, if that is lost, a checkpoint.
 ///
 /// # Errors
 /// If the checkpoints cannot be listed.
@@ -59,7 +59,7 @@ pub(super) fn must_be_a_folder(folder: &Path) -> Result<(), Error> {
     }
 }
 
-/// What a run writes into its folder beside its config, its lock and the folders of its stages.
+/// Files and folders of a run other than its config, its lock and its stages.
 const WRITTEN: [&str; 9] = [
     "checkpoints",
     "metrics.jsonl",
@@ -129,7 +129,7 @@ pub(super) fn exists_already(name: &str, folder: &Path) -> Error {
     )
 }
 
-/// Whether a process has the run's lock, and so trains it or draws its samples.
+/// True if a process has the run's lock, for training or sampling.
 pub fn is_in_use(folder: &Path) -> bool {
     let Ok(file) = File::open(folder.join(LOCK)) else {
         return false;

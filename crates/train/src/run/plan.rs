@@ -1,4 +1,4 @@
-//! What a run will take, measured without writing anything.
+//! The estimated resources of a run; nothing is written.
 
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
@@ -23,7 +23,7 @@ const STEPS: u32 = 5;
 /// No further step is begun after this time.
 const LONG_ENOUGH: Duration = Duration::from_secs(10);
 
-/// What a run will take.
+/// The estimated resources of a run.
 #[derive(Clone, Debug, Serialize)]
 pub struct Plan {
     /// Name of the run.
@@ -38,7 +38,7 @@ pub struct Plan {
     pub parameters: ParameterCount,
     /// Items to train on.
     pub train_items: usize,
-    /// Items held out.
+    /// Number of held-out items.
     pub validation_items: usize,
     /// Unusable items that are skipped.
     pub skipped_items: usize,
@@ -54,7 +54,7 @@ pub struct Plan {
     /// and the validation measured, code and stacks included, and estimates of checkpoints and of
     /// the samples at the end. Where nothing is measured, an estimate of the training alone.
     pub memory_bytes: u64,
-    /// Main memory that is free, where that can be told.
+    /// Free main memory, if known.
     pub free_memory_bytes: Option<u64>,
     /// Mean time of a step; nothing where none is left.
     pub step_seconds: Option<f64>,
@@ -78,7 +78,7 @@ pub struct Plan {
     pub disk_bytes: u64,
 }
 
-/// What a plan is made from, beside the networks and what feeds them.
+/// The inputs of an estimate, in addition to networks and data.
 pub(super) struct Planned<'a> {
     pub config: &'a Config,
     pub summary: &'a RunSummary,
@@ -169,7 +169,7 @@ impl Plan {
         };
         let validation = validation.map(|time| time.as_secs_f64());
         let frames = config.data.target_frames;
-        // The motion, and the raw output or the features beside it.
+        // The motion, and the raw output or the features.
         let sample = 2 * NUMBER * (frames * channels) as u64;
         let samples_bytes = config.sampling.count_at_end as u64 * sample;
         Ok(Self {
@@ -201,7 +201,7 @@ impl Plan {
     }
 }
 
-/// An observer that hears nothing of steps which do not count.
+/// An observer that ignores the steps of an estimate.
 struct Silent<'a>(&'a mut dyn Observer);
 
 impl Observer for Silent<'_> {

@@ -29,7 +29,7 @@ use crate::trainer::{Ending, Trainer, TrainerParts};
 pub struct Outcome {
     /// The run's folder.
     pub folder: PathBuf,
-    /// How training ended; `None` if the run was already finished.
+    /// The outcome of training; `None` if the run was already finished.
     pub ending: Option<Ending>,
     /// Steps done.
     pub step: u64,
@@ -37,9 +37,9 @@ pub struct Outcome {
     pub progress: Progress,
     /// The resolved config.
     pub config: Config,
-    /// What the run would take, if that was all that was asked.
+    /// The estimate, for a dry run.
     pub plan: Option<Box<Plan>>,
-    /// The run's lock: no other process continues the run or adds to its folder while this is held.
+    /// The run's lock, which excludes other processes from the run's folder.
     pub lock: Option<Arc<File>>,
 }
 
@@ -51,9 +51,9 @@ pub struct Setup {
     pub recipe: &'static RecipeInfo,
     /// The run's folder.
     pub folder: PathBuf,
-    /// Whether the run is only planned: nothing is written.
+    /// A dry run, which writes nothing.
     pub dry_run: bool,
-    /// Where a resumed run goes on.
+    /// The start of a resumed run.
     pub checkpoint: Option<Checkpoint>,
     /// The device, with gradients after [`with_gradients`](Self::with_gradients).
     pub device: Device,
@@ -68,19 +68,19 @@ pub struct Setup {
     pub(crate) together: Rc<Together>,
 }
 
-/// What a run is trained on.
+/// The training data of a run.
 pub struct Material {
     /// Items to train on.
     pub train: usize,
-    /// Items held out.
+    /// Number of held-out items.
     pub validation: usize,
     /// Id and reason of each item that was left out as unusable.
     pub skipped: Vec<(String, String)>,
-    /// What the dataset holds.
+    /// The contents of the dataset.
     pub digest: Digest,
-    /// What the checkpoints keep of it.
+    /// The statistics stored in checkpoints.
     pub statistics: Statistics,
-    /// What normalises the channels of the networks, where that is something else.
+    /// The statistics of the networks' channels, if different.
     pub network_statistics: Option<Statistics>,
     /// The stream of batches, or a share of it.
     pub loader: Box<MakeLoader>,
@@ -144,7 +144,8 @@ impl Setup {
     /// which are in memory from now on.
     ///
     /// # Errors
-    /// If an item held out cannot be read, or the samples at the end cannot be clipped as asked.
+    /// If a held-out item cannot be read, or the samples at the end cannot be clipped as
+    /// configured.
     pub fn material<T: Item, S: Samples>(
         &self,
         dataset: Dataset<T>,
@@ -153,7 +154,7 @@ impl Setup {
     ) -> Result<(Material, HeldOut), Error> {
         let config = &self.config;
         if config.sampling.count_at_end > 0 || config.sampling.preview_every_steps > 0 {
-            // What the samples need is known now.
+            // The requirements of the samples are known here.
             config
                 .sampling
                 .clip
@@ -349,7 +350,7 @@ impl Setup {
     }
 }
 
-/// What is written before a run's first step.
+/// Files written before a run's first step.
 struct Written<'a> {
     folder: &'a Path,
     config: &'a Config,
@@ -372,7 +373,7 @@ impl Written<'_> {
             checkpoints.set_best(progress.best().as_ref())?;
         }
         if self.nothing_left {
-            // What a kill after the last checkpoint left undone.
+            // Work that a kill after the last checkpoint left undone.
             checkpoints.prune(step, config.checkpoint.keep_last, progress.best_step)?;
             return Ok(lock);
         }

@@ -17,25 +17,25 @@ use crate::observer::Observer;
 use crate::system::Systems;
 use crate::together::Together;
 
-/// Which run to train.
+/// The run to train.
 #[derive(Clone, Debug)]
 pub enum Target {
     /// A new run of a config file.
     New(PathBuf),
-    /// The run of a config file goes on.
+    /// Resumes the run of a config file.
     Resumed(PathBuf),
-    /// The run in a folder goes on, with the config that is saved there.
+    /// Resumes the run in a folder, with its saved config.
     Folder(PathBuf),
 }
 
 /// A request to train.
 #[derive(Clone, Debug)]
 pub struct TrainRequest {
-    /// Which run.
+    /// The run.
     pub target: Target,
     /// `KEY=VALUE` overrides.
     pub overrides: Vec<String>,
-    /// Folder that contains the runs; not asked of [`Target::Folder`].
+    /// Folder that contains the runs; unused for [`Target::Folder`].
     pub runs_dir: PathBuf,
     /// Validate everything and measure a step, but write nothing: the [`Outcome`] has a plan.
     pub dry_run: bool,
@@ -43,8 +43,8 @@ pub struct TrainRequest {
 
 /// Trains a run with the system of `systems` that has the config's recipe.
 ///
-/// A run that goes on takes its saved config, and what the overrides change. What the config file
-/// says otherwise of keys that [may differ](config::may_differ) is not taken, with a warning.
+/// A resumed run takes its saved config with the overrides. Other values in the config file for
+/// keys that [may differ](config::may_differ) are ignored with a warning.
 ///
 /// # Errors
 /// If the request is invalid, before anything is written, or if the run fails.
@@ -56,8 +56,8 @@ pub fn train(
     train_together(systems, request, &Together::alone(), observer)
 }
 
-/// [`train`] by several processes, each of which calls this with its `together`. The first of them writes
-/// the run; all return the same outcome, but that it alone has the run's lock.
+/// [`train`] by several processes, each with its `together`. The first writes the run; all return
+/// the same outcome, but only the first has the run's lock.
 ///
 /// # Errors
 /// As [`train`], on all ranks: those that have met nothing themselves return [`Error::OtherRank`].
@@ -125,7 +125,7 @@ fn begun(
     train_in(systems, config, begin(folder, resume), together, observer)
 }
 
-/// What a resumed run goes on with, and warnings for what the file says otherwise.
+/// The config of a resumed run, and warnings for other values in the file.
 fn resumed(
     systems: Systems<'_>,
     saved: &Config,
@@ -150,7 +150,7 @@ fn resumed(
     Ok(systems.parse(&text, SAVED, &[])?)
 }
 
-/// What stands for the saved config in errors.
+/// The name of the saved config in errors.
 const SAVED: &str = "the run's saved config";
 
 /// The config of the run in `folder`, or of its newest good checkpoint.
@@ -247,14 +247,14 @@ fn must_share(config: &Config, together: &Together) -> Result<(), Error> {
     )?)
 }
 
-/// Where a run begins or goes on.
+/// The start of a new or resumed run.
 struct Begin {
     folder: PathBuf,
     resume: bool,
     dry_run: bool,
 }
 
-/// Most samples that are drawn at a time where systems draw them in batches.
+/// Largest batch of samples.
 const SAMPLES_AT_ONCE: usize = 32;
 
 fn train_in(
@@ -288,7 +288,7 @@ fn train_in(
         }
         _ => {}
     }
-    // What writes nothing needs no lock.
+    // Without writes no lock is needed.
     let locks = exists && !dry_run && together.writes();
     let lock = locks.then(|| lock(&folder)).transpose()?;
     let (checkpoint, saved) = match resume {

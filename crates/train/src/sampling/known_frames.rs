@@ -72,8 +72,8 @@ impl KnownFramesCondition {
     /// another phrase.
     ///
     /// # Errors
-    /// If the file is no phrase, has numbers that are not finite, is too short for the frames, or if
-    /// nothing would be left to sample.
+    /// If the file is not a phrase, is not finite, is too short for the frames, or leaves no frame
+    /// to sample.
     pub fn read(&self, frames: usize, most_last: usize) -> Result<KnownFrames, Error> {
         let phrase = read_motion(&self.motion)?;
         let (name, option) = (self.motion.display(), self.option());
@@ -157,9 +157,9 @@ impl KnownFrames {
         }
     }
 
-    /// Puts the numbers of the given frames into `motion`, whose other quaternions get the sign
-    /// that fits the first of them. Where the motion has turned around once more until a later
-    /// range, the quaternions of that range get the sign that goes on from there.
+    /// Writes the known frames into `motion`, and adapts the signs of other quaternions to the
+    /// first of them. If the motion turns around once more before a later range, that range gets
+    /// the continuous sign.
     pub fn put_into(&self, motion: &mut Phrase) {
         let Some(first) = self.frames.first().map(|range| range.start) else {
             return;
@@ -188,7 +188,7 @@ mod tests {
 
     #[test]
     fn the_sign_of_quaternions_goes_on_into_later_ranges() {
-        // Given: facing +z in two ranges. Drawn: a whole turn between them.
+        // Known: facing +z in two ranges. Sampled: a whole turn between them.
         let facing = |angle: f64| {
             let mut frame = vec![0.0; CHANNELS];
             let Quaternion { w, x, y, z } = Quaternion::from_yaw(angle);

@@ -3,7 +3,7 @@
 /// Names of the samples of a request: `count` for each of the stems, numbered if there are several.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Names {
-    /// What stands for a condition; empty if there is one.
+    /// The name of a condition; empty for a single one.
     pub stems: Vec<String>,
     /// Samples of each.
     pub count: usize,
@@ -18,7 +18,7 @@ impl Names {
         }
     }
 
-    /// Whether a sample has that name.
+    /// True if a sample has that name.
     pub fn contains(&self, name: &str) -> bool {
         self.stems.iter().any(|stem| {
             let index = name.strip_prefix(stem.as_str());

@@ -1,4 +1,4 @@
-//! How a sample was made.
+//! The record of a sample.
 
 use std::path::PathBuf;
 
@@ -13,7 +13,7 @@ use crate::TrainedModel;
 use crate::checkpoint::Weights;
 use crate::config::ClipSample;
 
-/// How a sample was made: enough to draw it again.
+/// The record of a sample, which reproduces it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Record {
     /// Version of kinegrad.
@@ -24,7 +24,7 @@ pub struct Record {
     pub checkpoint: PathBuf,
     /// Steps it was trained for.
     pub step: u64,
-    /// Whether its trained weights were used or their moving average.
+    /// The weights: trained or EMA.
     pub weights: Weights,
     /// The system.
     pub system: String,
@@ -44,13 +44,13 @@ pub struct Record {
     /// Repairs of the generated motion; none for models without.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub post_processing: Option<PostProcessConfig>,
-    /// The windows it was drawn in; none if it was drawn as one.
+    /// The windows; `None` for a single one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub windows: Option<WindowsRecord>,
-    /// How a motion went on, for models of recipe `flow`.
+    /// The rollout, for recipe `flow`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rollout: Option<RolloutRecord>,
-    /// How a motion was composed, for models of recipe `bpe_motion`.
+    /// The composition, for recipe `bpe_motion`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub composition: Option<CompositionRecord>,
     /// The path that it follows.
@@ -59,26 +59,26 @@ pub struct Record {
     /// The conditions, a map by their names; empty for an unconditional sample.
     #[serde(with = "condition::as_map")]
     pub condition: Vec<Condition>,
-    /// What it was drawn together with; left out where that does not matter.
+    /// The batch; omitted if irrelevant.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub batch: Option<BatchRecord>,
 }
 
-/// How a motion went on frame by frame.
+/// A rollout, frame by frame.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RolloutRecord {
-    /// Whether every frame has the bones of the history's last one.
+    /// True if every frame has the bone lengths of the history's last frame.
     pub constant_bones: bool,
-    /// Whether all poses were drawn from one noise.
+    /// True if all poses share their noise.
     pub same_noise: bool,
-    /// Velocities asked for, of each frame; 0 in records of before it was kept.
+    /// Network evaluations per frame; 0 in older records.
     #[serde(default)]
     pub evaluations_per_frame: f64,
     /// The texts, in order.
     pub said: Vec<SaidRecord>,
 }
 
-/// How a motion was composed of texts.
+/// The segments of a composition.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct CompositionRecord {
     /// When positions were relative.
@@ -92,16 +92,16 @@ pub struct CompositionRecord {
 pub struct PathRecord {
     /// Its file.
     pub file: PathBuf,
-    /// What that says.
+    /// The text.
     pub content: PathPlan,
-    /// The table `evaluation.path`: how the motion was drawn. None for models that follow it as a goal.
+    /// The table `evaluation.path`. `None` for models that follow the path as a goal.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub settings: Option<Value>,
-    /// How it follows.
+    /// The deviation from the path.
     pub report: PathReport,
 }
 
-/// A text and the frame from which on it is said.
+/// A text and its first frame.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SaidRecord {
     /// The frame, from 0.
@@ -111,8 +111,8 @@ pub struct SaidRecord {
     pub text: Option<String>,
 }
 
-/// A batch of clips that are guided to goals: the guidance of each depends on the keyframes of all,
-/// so that the whole batch is needed to draw one again.
+/// A batch of clips guided to goals. The guidance of each depends on the keyframes of all, so
+/// reproducing one needs the batch.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct BatchRecord {
     /// Clips for each goal.
@@ -130,14 +130,14 @@ pub struct GoalRecord {
     pub sha256: String,
 }
 
-/// The overlapping windows that a motion was drawn in.
+/// The overlapping windows of a motion.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct WindowsRecord {
     /// Frames of each.
     pub frames: usize,
-    /// How many there are, evenly spread.
+    /// Their number, evenly spread.
     pub count: usize,
-    /// How many the network saw at a time.
+    /// Windows per network call.
     pub in_flight: usize,
 }
 
@@ -147,9 +147,9 @@ pub struct SamplerRecord {
     /// Kind, steps, guidance scale, eta.
     #[serde(flatten)]
     pub settings: SamplerConfig,
-    /// What the predicted clean motion was clipped to.
+    /// The clipping range of the predicted clean motion.
     pub clip: ClipSample,
-    /// What stood behind the end of a clip; none but for clips of Guided Motion Diffusion.
+    /// The padding of a clip; only for clips of Guided Motion Diffusion.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub padding: Option<Value>,
     /// Guidance and imputation for goals; none without a goal.

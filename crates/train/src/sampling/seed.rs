@@ -1,10 +1,10 @@
-//! The seed of what is drawn for one item.
+//! The seed of one item's samples.
 
 use kinegrad_random::{Key, Purpose};
 
-/// The seed of the samples for the item `id`, whichever way it is asked for: by its name, among
-/// the held-out items, in a preview or an evaluation. Samples of one call differ in noise by their
-/// number alone, so items drawn for in calls of their own would share it under one seed.
+/// The seed of the samples for the item `id`: by name, among held-out items, in a preview or an
+/// evaluation. Samples of one call differ in noise by their number alone, so items of separate
+/// calls would share noise under one seed.
 pub fn item_seed(seed: u64, id: &str) -> u64 {
     Key::new(seed, Purpose::PhraseSeed).named(id).seed()
 }

@@ -8,7 +8,7 @@ use super::{Names, Record};
 use crate::error::Error;
 use crate::observer::Reading;
 
-/// One sample, as files.
+/// The files of one sample.
 #[derive(Clone, Debug)]
 pub struct Sample {
     /// Suffix that distinguishes it from other samples of the request; empty for a single sample.
@@ -62,8 +62,8 @@ pub trait SampleSink {
     /// Called before sampling with the names of all samples and the extensions of their files.
     ///
     /// # Errors
-    /// If they cannot be stored, for example because files of these names exist; nothing is sampled
-    /// then.
+    /// If they cannot be stored, for example because files of these names exist; sampling does not
+    /// start then.
     fn reserve_outputs(&mut self, _names: &Names, _extensions: &[&str]) -> Result<(), Error> {
         Ok(())
     }
@@ -80,13 +80,13 @@ pub trait SampleSink {
         Box::new(|_, _| ControlFlow::Continue(()))
     }
 
-    /// Whether to stop, asked after each denoising step. Sampling ends with
-    /// [`Error::Interrupted`] then.
+    /// True to stop, called after each denoising step. Sampling then ends with
+    /// [`Error::Interrupted`].
     fn stop_requested(&self) -> bool {
         false
     }
 
-    /// [`stepped`](Self::stepped), and whether to go on.
+    /// [`stepped`](Self::stepped), then a check for interruption.
     fn advance(&mut self, stage: &'static str, done: usize, all: usize) -> ControlFlow<()> {
         self.stepped(stage, done, all);
         match self.stop_requested() {

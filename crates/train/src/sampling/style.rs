@@ -1,4 +1,4 @@
-//! The style that a sample is asked for.
+//! The style condition of a sample.
 
 use kinegrad_data::STYLE_NUMBERS;
 use serde::{Deserialize, Serialize};

@@ -1,4 +1,4 @@
-//! What is known of the key that an error of a config is about.
+//! The description of the key in a config error.
 
 use kinegrad_settings::{DocumentError, Key, Values, not_among};
 use toml::{Table, Value};
@@ -57,7 +57,7 @@ impl Systems<'_> {
         error.into()
     }
 
-    /// What may have been meant by the unknown `key` in a config of `recipe`, of other tables.
+    /// Suggestions for the unknown `key` in a config of `recipe` and of other tables.
     pub(super) fn suggestion(self, key: &str, recipe: &str) -> Option<String> {
         let last = last(key);
         let described = self.described();

@@ -11,35 +11,35 @@ use crate::error::Error;
 /// A key of the configs of some recipes.
 #[derive(Clone, Debug)]
 pub struct ConfigKey {
-    /// What its type says.
+    /// The description of its type.
     pub key: Key,
     /// The recipes that have it.
     pub recipes: Vec<&'static str>,
     /// The default, as TOML writes it, with the recipes in which it is that; `not set` of a key
     /// that may be left out. None of tables.
     pub defaults: Vec<(Vec<&'static str>, String)>,
-    /// What numbers are accepted, in words, if not all; [`Systems::find_ranges`] fills it in.
+    /// The accepted numbers, in words, if restricted; [`Systems::find_ranges`] fills it in.
     pub range: Option<String>,
 }
 
-/// The key that says which recipe a config is of, and the one that says which kind of network.
+/// The keys of the recipe and of the kind of network.
 const RECIPE: &str = "train.recipe";
 const KIND: &str = "model.kind";
 
-/// What a default is called where there is none.
+/// The text for a missing default.
 const NOT_SET: &str = "not set";
 
 /// A recipe with one kind of network and all of its defaults.
 struct Variant {
     recipe: &'static str,
-    /// What a config says to have it.
+    /// The setting that enables it.
     given: Table,
     /// Every key.
     whole: Table,
 }
 
 impl Variant {
-    /// Whether keys that need `only_with`, such as `model.kind = "unet1d"`, are there.
+    /// True if keys that need `only_with`, such as `model.kind = "unet1d"`, are included.
     fn has(&self, only_with: Option<&str>) -> bool {
         let Some((key, value)) = only_with.and_then(|with| with.split_once(" = ")) else {
             return true;
@@ -116,8 +116,8 @@ impl Systems<'_> {
         keys
     }
 
-    /// Fills in the [range](ConfigKey::range) of each of `keys`: validation is asked, with configs
-    /// that it accepts but for a far too small or large number.
+    /// Fills in the [range](ConfigKey::range) of each of `keys`, by validating configs with far too
+    /// small and large numbers.
     pub fn find_ranges(self, keys: &mut [ConfigKey]) {
         let bases = self.bases();
         for key in keys {
@@ -230,7 +230,7 @@ fn defaults(
         return vec![(recipes.to_vec(), written(&recipe))];
     }
     for variant in variants {
-        // A kind that is asked for is no default.
+        // A requested kind is not a default.
         if key.name == KIND && value_at(&variant.given, KIND).is_some() {
             continue;
         }

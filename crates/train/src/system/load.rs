@@ -23,7 +23,8 @@ impl Systems<'_> {
         self.parse(&read(path)?, &path.display().to_string(), overrides)
     }
 
-    /// [`load`](Self::load) where `beneath` says what the file and the overrides leave out.
+    /// [`load`](Self::load) with defaults from `beneath` for keys that the file and the overrides
+    /// omit.
     ///
     /// # Errors
     /// As [`load`](Self::load).
@@ -44,7 +45,7 @@ impl Systems<'_> {
         self.whole(&table, &|_| path.display().to_string())
     }
 
-    /// [`load`](Self::load) from text; `origin` stands for the file in errors.
+    /// [`load`](Self::load) from text; errors name `origin` instead of a file.
     ///
     /// # Errors
     /// As [`load`](Self::load).
@@ -144,7 +145,7 @@ impl Systems<'_> {
         must_be_finite(given, place)?;
         let named = given.get("train").and_then(|train| train.get("recipe"));
         let default = TrainConfig::default().recipe;
-        // What is no text is refused below.
+        // Values that are not text are refused below.
         let name = named.and_then(Value::as_str).unwrap_or(&default);
         let (system, recipe) = self.of_recipe(name).ok_or_else(|| {
             let names: Vec<&str> = self.recipes().map(|recipe| recipe.name).collect();

@@ -1,4 +1,4 @@
-//! What a system is to the entry points, and how they find it.
+//! The interface of a system to the entry points, and the registry.
 
 mod guide;
 mod keys;
@@ -85,8 +85,8 @@ pub trait System: Sync {
         Ok(None)
     }
 
-    /// Rejects settings that the recipe of a new run would not use. Runs that exist are not asked:
-    /// what older versions saved is resumed and sampled.
+    /// Rejects settings that the recipe of a new run would not use. Existing runs are not checked:
+    /// they are resumed and sampled.
     ///
     /// # Errors
     /// Names the first such key.
@@ -115,8 +115,8 @@ pub trait System: Sync {
     /// If a network cannot be built.
     fn parameters(&self, config: &Config) -> Result<ParameterCount, Error>;
 
-    /// What its networks take in training, for the estimate of memory. Activations count nothing
-    /// where a system does not say.
+    /// The training memory of its networks, for the estimate. By default activations are not
+    /// counted.
     ///
     /// # Errors
     /// If a network cannot be built.

@@ -14,8 +14,8 @@ pub(crate) const FILE: &str = "environment.jsonl";
 /// Version of Burn that this build trains with.
 pub const BURN: &str = "0.22.1";
 
-/// What a process trained on: one line of `environment.jsonl`, written when the process starts to
-/// train.
+/// The environment of a process: one line of `environment.jsonl`, written when the process starts
+/// to train.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Environment {
@@ -29,7 +29,7 @@ pub struct Environment {
     pub burn: String,
     /// Device, as `run.device` names it.
     pub device: String,
-    /// What the device calls itself, if it is no CPU.
+    /// The device's name, if it is not a CPU.
     pub accelerator: Option<String>,
     /// Model of the CPU.
     pub cpu: String,
@@ -43,14 +43,14 @@ pub struct Environment {
     pub parameters: usize,
     /// Number of items trained on.
     pub train_items: usize,
-    /// Number of items held out.
+    /// Number of held-out items.
     pub validation_items: usize,
     /// Number of items left out as unusable.
     pub skipped_items: usize,
 }
 
 impl Environment {
-    /// This machine and build, with the device of that name; what the run itself says is left open.
+    /// This machine and build, with the device of that name; fields of the run are left empty.
     pub fn here(device: &Device, device_name: &str) -> Self {
         let refresh = RefreshKind::nothing()
             .with_cpu(CpuRefreshKind::nothing())
@@ -84,8 +84,8 @@ impl Environment {
     }
 }
 
-/// What the processes of the run in `folder` trained on, in their order. Lines that cannot be read
-/// are left out; runs of older versions, imported ones and merged ones have none.
+/// The environments of the processes of the run in `folder`, in order. Unreadable lines are
+/// skipped; imported and merged runs have none.
 pub fn read_environments(folder: &Path) -> Vec<Environment> {
     let text = read_text(&folder.join(FILE)).unwrap_or_default();
     let lines = text.lines().map(serde_json::from_str);

@@ -53,8 +53,8 @@ impl Record {
 
 /// Writer of `metrics.jsonl` and of the event file beside it.
 ///
-/// Of a line, only `time` (seconds since 1970), `elapsed_seconds` (of this process) and
-/// `steps_per_second` depend on the clock; the rest is a function of config, data and build.
+/// Only `time` (seconds since 1970), `elapsed_seconds` (of this process) and `steps_per_second` of
+/// a line depend on the clock; the rest is a function of config, data and build.
 #[derive(Debug)]
 pub struct Metrics {
     file: Appended,
@@ -64,9 +64,8 @@ pub struct Metrics {
 }
 
 impl Metrics {
-    /// Opens the metrics of the run in `folder`, cut back to `step`: later lines were written by
-    /// a process that died before its checkpoint. Damaged lines before them stay as they are;
-    /// `warn` is told of them.
+    /// Opens the metrics of the run in `folder`, cut back to `step`: later lines are from a process
+    /// that ended before its checkpoint. Earlier damaged lines stay and are reported to `warn`.
     ///
     /// # Errors
     /// If a file cannot be read or written.
@@ -233,8 +232,7 @@ fn parse(line: &[u8]) -> Option<Record> {
     })
 }
 
-/// Reads the metrics of the run in `folder`; damaged lines are left out, and `warn` is told of
-/// them.
+/// Reads the metrics of the run in `folder`; damaged lines are skipped and reported to `warn`.
 ///
 /// # Errors
 /// If the file cannot be read.

@@ -20,9 +20,8 @@ pub struct EventFile {
 }
 
 impl EventFile {
-    /// Opens the file at `path` for appending, cut back to events not beyond `step`; a new file
-    /// gets its first record. Nothing behind a damaged event can be read: `warn` is told that it is
-    /// cut off.
+    /// Opens the file at `path` for appending, cut back to events up to `step`; a new file gets its
+    /// first record. The file is cut at a damaged event, which is reported to `warn`.
     ///
     /// # Errors
     /// If the file cannot be read or written.
@@ -152,8 +151,7 @@ const MAX_EVENT_BYTES: u64 = 16 << 20;
 struct Kept {
     /// Its length: whole records not beyond a step.
     bytes: u64,
-    /// Whether it ends at a record that is not as it was written. One that its end is missing from
-    /// is of a process that died.
+    /// True if it ends at a damaged record. A truncated record is from a process that was killed.
     damaged: bool,
 }
 
@@ -175,7 +173,7 @@ impl Kept {
     }
 }
 
-/// What stands at a place of a file.
+/// The record at an offset of a file.
 enum Record {
     Whole(Vec<u8>),
     /// Nothing, or the beginning of a record.

@@ -25,7 +25,7 @@ use tokenizer::Tokenizer;
 /// trainings on HumanML3D and KIT-ML (docs/sources.md, section 4.3).
 pub const MAX_WORD_TOKENS: usize = 20;
 
-/// Texts that are embedded together.
+/// Batch size of texts.
 const GROUP: usize = 64;
 
 /// CLIP's text encoder, ready to use.
@@ -88,11 +88,11 @@ impl TextEncoder {
         self.tokenizer.tokens(text, MAX_WORD_TOKENS)
     }
 
-    /// The embeddings of `texts`, 512 values each, as the network gives them, in their order.
-    /// `progress` is told how many are done.
+    /// The embeddings of `texts`, 512 values each, not normalised, in order. `progress` is called
+    /// with the number done.
     ///
     /// # Errors
-    /// As [`tokens`](Self::tokens), and [`Error::Interrupted`] if `progress` says so.
+    /// As [`tokens`](Self::tokens), and [`Error::Interrupted`] if `progress` requests it.
     pub fn embed(
         &self,
         texts: &[&str],
@@ -100,7 +100,7 @@ impl TextEncoder {
     ) -> Result<Vec<Vec<f32>>, Error> {
         let tokens = texts.iter().map(|text| self.tokens(text));
         let tokens: Vec<Vec<u16>> = tokens.collect::<Result<_, _>>()?;
-        // Texts of one length together: nothing is computed for padding.
+        // Texts of one length form a batch, so padding is not computed.
         let mut order: Vec<usize> = (0..texts.len()).collect();
         order.sort_by_key(|&index| tokens[index].len());
         let mut embeddings = vec![Vec::new(); texts.len()];
@@ -169,8 +169,8 @@ enum Weights {
 /// The projection of a text, whose first axis is the embedding's width.
 const PROJECTION: &str = "text_projection.weight";
 
-/// Whether a tensor is a weight of the text encoder: not of the vision encoder, and no table of
-/// numbers from 0 on.
+/// True for a weight of the text encoder: not of the vision encoder, and not the table of
+/// positions.
 fn is_weight(name: &str) -> bool {
     name == PROJECTION || (name.starts_with("text_model.") && !name.ends_with(".position_ids"))
 }

@@ -123,7 +123,7 @@ fn other_layouts_of_the_same_encoder_are_read() {
         });
         assert_eq!(embedded(whole.path()), expected);
     }
-    // A config with a vision encoder beside it.
+    // A config that also has a vision encoder.
     let beside = changed(|folder| {
         let path = folder.join("config.json");
         let mut text = json_of(&path).expect("JSON");

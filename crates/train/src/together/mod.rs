@@ -1,7 +1,7 @@
-//! What the ranks of a run agree on: all of them go on, or all of them end at the same point.
+//! Agreement of ranks: all continue, or all end at the same point.
 //!
-//! Whatever one rank alone may meet (a signal, a file that is bad, a full disk, a number that is none) is
-//! said to all before the next thing that they do together, so that none waits for one that has gone.
+//! An event of one rank (a signal, a bad file, a full disk, a non-finite number) is reported to all
+//! ranks before the next collective operation, so that none waits for a rank that has ended.
 
 mod sharing;
 
@@ -14,7 +14,7 @@ use kinegrad_ranks::{Alone, Ranks};
 
 use crate::error::Error;
 
-/// What a rank says of itself.
+/// The status of a rank.
 #[derive(Clone, Copy, PartialEq)]
 enum Status {
     Goes = 0,
@@ -24,20 +24,20 @@ enum Status {
     FailedData = 3,
 }
 
-/// What a rank has and what all ranks say, in their order; none where one of them stops.
+/// A rank's own value and the values of all ranks, in order; `None` if one of them stops.
 pub type Agreed<T, S = Vec<f64>> = Option<(T, Vec<S>)>;
 
 /// The ranks of a run.
 #[derive(Debug)]
 pub struct Together {
     ranks: Rc<dyn Ranks>,
-    /// Whether all ranks know that one of them has failed.
+    /// True if all ranks know of a failure.
     knows: Cell<bool>,
     /// See [`keeps_what_is_learned`](Self::keeps_what_is_learned).
     keeps: Cell<bool>,
 }
 
-/// What ranks exchange, the first byte of each message.
+/// The kind of a message between ranks, its first byte.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum About {
     Outcome = 1,
@@ -79,15 +79,15 @@ impl Together {
         &*self.ranks
     }
 
-    /// Whether this process writes what there is to write.
+    /// True if this process writes the files.
     pub fn writes(&self) -> bool {
         self.ranks.is_first()
     }
 
-    /// What every rank says about one thing, in the order of ranks. Collective.
+    /// The values of all ranks for one tag, in rank order. Collective.
     ///
     /// # Panics
-    /// Panics if another rank speaks of something else: they are no longer together.
+    /// Panics if another rank has another tag: the ranks are out of step.
     pub(crate) fn gather(&self, about: About, own: &[u8]) -> Vec<Vec<u8>> {
         let mut message = vec![about as u8];
         message.extend(own);
@@ -102,7 +102,8 @@ impl Together {
         all
     }
 
-    /// This rank's outcome and what all ranks say, if all of them go on; none if one stops. Collective.
+    /// This rank's outcome and the values of all ranks, if all continue; `None` if one stops.
+    /// Collective.
     ///
     /// # Errors
     /// This rank's own error, or [`Error::OtherRank`].
@@ -163,8 +164,8 @@ impl Together {
         Ok(own?.map(|(own, _)| (own, all)))
     }
 
-    /// Whether what was learned before the error that [`agree`](Self::agree) has just returned is worth
-    /// keeping, the same on all ranks: the data failed, on whichever of them, and nothing else.
+    /// True if progress before the error of [`agree`](Self::agree) should be saved, equal on all
+    /// ranks: only the data failed, on any of them.
     pub fn keeps_what_is_learned(&self) -> bool {
         self.keeps.get()
     }
@@ -226,7 +227,7 @@ impl Together {
         Ok(())
     }
 
-    /// What ended the run, if anything has on any rank: the first rank that met something itself, and its
+    /// The end of the run, if any rank failed: the first rank with an error of its own, and its
     /// exit code. Collective.
     pub fn ended_by(&self, own: Option<&Error>) -> Option<(usize, u8)> {
         let own = own.filter(|error| !matches!(error, Error::OtherRank { .. }));
@@ -242,8 +243,8 @@ impl Together {
         self.gather(About::End, &[]);
     }
 
-    /// An outcome of work of which all ranks do their part: says to them what this one has met by itself,
-    /// between two things that ranks do together, unless they know. Collective where it has failed.
+    /// Reports this rank's own failure to all ranks between two collective operations, unless they
+    /// know it. Collective if it has failed.
     ///
     /// # Errors
     /// The error of `outcome`.

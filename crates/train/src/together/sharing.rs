@@ -8,8 +8,8 @@ use super::Together;
 use crate::error::Error;
 
 impl Together {
-    /// What `make` makes of each of `count` things, by their numbers in order: each rank makes every
-    /// size-th, and all have all. Collective.
+    /// The results of `make` for `count` items, in order: each rank computes every size-th, and all
+    /// get all. Collective.
     ///
     /// # Errors
     /// The first error of this rank, or [`Error::OtherRank`].
@@ -26,7 +26,7 @@ impl Together {
         )
     }
 
-    /// How many of `count` things that are shared this rank makes before `number`, and in all.
+    /// This rank's share of `count` items before `number`, and in total.
     pub fn own_of(&self, number: usize, count: usize) -> [usize; 2] {
         let (rank, size) = (self.ranks().rank(), self.ranks().size());
         [number, count].map(|end| end.saturating_sub(rank).div_ceil(size))

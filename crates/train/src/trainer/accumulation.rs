@@ -20,21 +20,21 @@ pub(super) struct Averaged {
     pub terms: Vec<(&'static str, f64)>,
 }
 
-/// What is known of the micro-batches so far.
+/// The accumulated values of the micro-batches.
 #[derive(Default)]
 struct Measured {
-    /// What the first micro-batch of the step weighs. One batch at a time is held, so what all of them
-    /// weigh is known after the last; until then a batch counts relative to the first.
+    /// The weight of the first micro-batch of the step. One batch is in memory at a time, so the
+    /// total weight is known after the last; until then weights are relative to the first.
     first_weight: f64,
     /// Names of the terms of the loss.
     names: Vec<&'static str>,
-    /// Of each micro-batch: weight, loss, terms.
+    /// Weight, loss and terms of each micro-batch.
     numbers: Vec<f64>,
 }
 
 impl<R: Recipe> Trainer<R> {
-    /// The gradient of the next step; none if a rank was asked to stop while waiting for data or between
-    /// its batches.
+    /// The gradient of the next step; `None` if a rank was interrupted while waiting for data or
+    /// between its batches.
     ///
     /// # Errors
     /// If a number stops being one, or the data fails, on any rank.
@@ -101,8 +101,8 @@ impl<R: Recipe> Trainer<R> {
         }))
     }
 
-    /// The weighted gradients of some micro-batches, added as [`split`] says; `batch` is the first of
-    /// them where it is loaded already. None if a stop was requested before the last.
+    /// The weighted gradients of some micro-batches, added according to [`split`]; `batch` is the
+    /// first of them if already loaded. `None` if a stop was requested before the last.
     fn summed(
         &mut self,
         range: Range<u64>,
@@ -178,7 +178,7 @@ impl<R: Recipe> Trainer<R> {
         let on_device = self.states.on_device();
         let (gradients, values) = StepGradients::of(sum, model, values, on_device, &device);
         if !values[0].is_finite() {
-            // Its tensors were not kept; the same draws give them again.
+            // Its tensors were not stored; the same random inputs give them again.
             let again = precision.scope(|| recipe.loss(model, batch, key, &self.parts.device));
             let tensor = find_not_finite(model, batch, again);
             return Err(self.not_finite(self.step + 1, tensor));

@@ -1,5 +1,4 @@
-//! What ranks exchange in a step: gradients, and new weights where each rank keeps the optimiser's state
-//! of a part of the parameters.
+//! The exchange of a step: gradients, and with sharded optimiser state also new weights.
 
 use std::ops::Range;
 
@@ -13,7 +12,7 @@ use crate::together::{About, Together};
 /// to step: pages that are new each time cost more than the copy.
 #[derive(Debug)]
 pub(super) struct Exchange {
-    /// Where each parameter stands among all; an empty place for a frozen one.
+    /// The range of each parameter among all; empty for a frozen one.
     places: Vec<Range<usize>>,
     /// Elements that each rank adds up, one behind the other.
     lengths: Vec<usize>,
@@ -23,7 +22,7 @@ pub(super) struct Exchange {
     /// own, and nobody has the others.
     owners: Option<Owners>,
     all: Vec<f32>,
-    /// What other ranks have sent, or what is sent to them.
+    /// Buffers received from or sent to other ranks.
     received: Vec<f32>,
 }
 
@@ -75,7 +74,7 @@ impl Exchange {
         }
     }
 
-    /// Whether this rank changes parameter `index`.
+    /// True if this rank updates parameter `index`.
     pub fn has(&self, index: usize) -> bool {
         self.owners.as_ref().is_none_or(|owners| owners.has(index))
     }

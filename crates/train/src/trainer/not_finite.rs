@@ -1,4 +1,4 @@
-//! Where a NaN came from.
+//! The origin of a NaN.
 
 use burn::module::Module;
 use kinegrad_data::Batch;

@@ -6,7 +6,7 @@ use std::cmp::Reverse;
 
 use kinegrad_ranks::{Ranks, Receivers};
 
-/// Which rank keeps the optimiser's state and the moving average of each parameter.
+/// The rank with the optimiser state and moving average of each parameter.
 #[derive(Clone, Debug)]
 pub(super) struct Owners {
     rank: usize,
@@ -37,7 +37,7 @@ impl Owners {
         }
     }
 
-    /// Whether this rank keeps the state of parameter `index`.
+    /// True if this rank has the state of parameter `index`.
     pub fn has(&self, index: usize) -> bool {
         self.of[index] == self.rank || self.lengths[index] == 0
     }

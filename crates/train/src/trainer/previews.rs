@@ -1,4 +1,4 @@
-//! Samples that are looked at while training goes on.
+//! Sample previews during training.
 
 use super::Trainer;
 use crate::error::Error;
@@ -7,7 +7,7 @@ use crate::recipe::Recipe;
 use crate::run::preview_page;
 
 impl<R: Recipe> Trainer<R> {
-    /// Whether the step that was just done is one of `sampling.preview_every_steps`.
+    /// True if the last step is one of `sampling.preview_every_steps`.
     pub(super) fn previews_are_due(&self) -> bool {
         let every = self.parts.config.sampling.preview_every_steps;
         every > 0 && self.step > 0 && self.step.is_multiple_of(every)
@@ -24,9 +24,9 @@ impl<R: Recipe> Trainer<R> {
         }
     }
 
-    /// Lets the observer draw samples of this step's checkpoint, which is written, and records their
-    /// pictures, unless they are `drawn`. Where that fails, training goes on; where it is about to stop,
-    /// they are drawn when it is resumed. The rank that writes draws, and all know how that has ended.
+    /// Lets the observer sample from this step's written checkpoint and records the pictures,
+    /// unless they are `drawn`. On failure training continues; before a stop, sampling is left to
+    /// the resume. The writing rank samples, and all ranks learn the outcome.
     pub(super) fn preview(
         &mut self,
         drawn: bool,

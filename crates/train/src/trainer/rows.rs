@@ -7,7 +7,7 @@ use std::rc::Rc;
 
 use burn::tensor::{Device, Tensor, TensorData, Transaction};
 
-/// Which parameters lie in which row.
+/// The rows of the parameters.
 #[derive(Debug)]
 pub(super) struct Layout {
     /// The parameters of each row, in order.

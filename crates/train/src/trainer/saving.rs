@@ -9,7 +9,7 @@ use crate::recipe::Recipe;
 /// A checkpoint of a trainer that is being written, by the first rank alone.
 pub(super) struct Saving<'a, R: Recipe> {
     trainer: &'a Trainer<R>,
-    /// What is written so far; none on other ranks.
+    /// The partial checkpoint; `None` on other ranks.
     written: Result<Option<Unfinished>, Error>,
 }
 
@@ -20,7 +20,7 @@ pub(super) struct Writing<'a, R: Recipe> {
 }
 
 impl<'a, R: Recipe> Saving<'a, R> {
-    /// Begins a checkpoint of where training stands.
+    /// Starts a checkpoint of the current state.
     pub fn begin(trainer: &'a Trainer<R>) -> Self {
         let writes = trainer.parts.together.writes();
         let begun = writes.then(|| trainer.checkpoints.begin(trainer.step));

@@ -1,5 +1,5 @@
-//! What a step changes: the weights, the optimiser's running means and the moving average, in main
-//! memory or on the device of the networks.
+//! The mutable state of training: weights, optimiser moments and moving average, in main memory or
+//! on the device of the networks.
 
 use std::borrow::Cow;
 use std::rc::Rc;
@@ -38,9 +38,9 @@ enum Kept {
 
 /// States in main memory.
 struct OnHost {
-    /// Of the parameters that are trained and kept here.
+    /// State of the trained parameters of this rank.
     moments: Vec<Moments>,
-    /// Of all parameters that are kept here.
+    /// State of all parameters of this rank.
     averages: Vec<Vec<f32>>,
     /// Who keeps the states of which parameters, where ranks share them.
     owners: Option<Owners>,
@@ -58,13 +58,13 @@ struct OnDevice {
     frozen: Vec<Vec<f32>>,
 }
 
-/// What the states of a training are begun with.
+/// The initial states of a training.
 pub(super) struct Begin<'a> {
     pub config: &'a Config,
     pub infos: &'a [ParameterInfo],
     /// The autodiff device of the networks.
     pub device: &'a Device,
-    /// Whether it computes in main memory.
+    /// True if it computes in main memory.
     pub on_host: bool,
     pub ranks: &'a dyn Ranks,
     /// Optimiser group of each parameter.
@@ -162,7 +162,7 @@ impl States {
         }
     }
 
-    /// How gradients are laid out on the device of the networks, where they are needed there.
+    /// The layout of gradients on the device of the networks, if they are needed there.
     pub fn on_device(&self) -> Option<&Rc<Layout>> {
         match &self.kept {
             Kept::Host(_) => None,
@@ -170,7 +170,7 @@ impl States {
         }
     }
 
-    /// What ranks exchange in the steps of `model`, where there are several.
+    /// The exchange between ranks in the steps of `model`, if there are several.
     pub fn exchange<M: Module>(&self, model: &M, ranks: &dyn Ranks) -> Option<Exchange> {
         let owners = match &self.kept {
             Kept::Host(kept) if ranks.size() > 1 => kept.owners.clone(),
@@ -334,7 +334,7 @@ fn on_host<M: Module>(
     })
 }
 
-/// Whether weight decay falls on a parameter.
+/// True if weight decay applies to a parameter.
 pub(super) fn decays(optim: &OptimConfig, info: &ParameterInfo) -> bool {
     match optim.weight_decay_groups {
         WeightDecayGroups::All => true,

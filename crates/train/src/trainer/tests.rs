@@ -18,7 +18,7 @@ use crate::optim::{AdamW, Moments};
 use crate::recipe::{Loss, StepKey};
 use crate::systems::BUILT_IN;
 
-/// The mean over valid frames of a linear map's square: a loss without draws.
+/// The mean over valid frames of a linear map's square: a loss without random inputs.
 struct Squares;
 
 impl Recipe for Squares {
@@ -74,7 +74,8 @@ fn trainer(batches: usize) -> Trainer<Squares> {
     trainer_with(batches, "host", true)
 }
 
-/// The same, with the optimiser's states in some place and on a device that says it is the host's.
+/// The same, with the optimiser's states in a given memory and on a device that reports main
+/// memory.
 fn trainer_with(batches: usize, states: &str, on_host: bool) -> Trainer<Squares> {
     let overrides = [
         format!("data.batch_size={}", 3 / batches),

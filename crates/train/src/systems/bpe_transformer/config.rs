@@ -48,13 +48,13 @@ num_inference_steps = 1000
 guidance_scale = 2.5
 "#;
 
-/// Those of recipe `path_adapter` besides.
+/// Additional tables of recipe `path_adapter`.
 pub(super) const ADAPTER_DEFAULTS: &str = "
 [model]
 path = true
 ";
 
-/// Tables of a run to start from, with a network that is told paths.
+/// Tables of an initial run, with path conditioning.
 pub(super) fn with_paths(mut tables: Table) -> Table {
     if let Some(model) = tables.get_mut("model").and_then(Value::as_table_mut) {
         model.insert("path".to_string(), Value::Boolean(true));
@@ -62,7 +62,7 @@ pub(super) fn with_paths(mut tables: Table) -> Table {
     tables
 }
 
-/// Whether a run trains a network that is told paths, which one to start from need not be.
+/// True if a run trains a path-conditioned network; its initial network need not be one.
 pub(super) fn tells_paths(config: &Config) -> bool {
     let told = config.own::<BpeTables>().model.network.sizes().path;
     told || config.train.recipe == ADAPTER
@@ -76,15 +76,15 @@ pub struct BpeTables {
     pub init: BpeInitConfig,
     /// The denoiser.
     pub model: ModelTable<BpeNetwork>,
-    /// What the model knows of captions.
+    /// The captions of the model.
     pub text: CaptionsConfig,
     /// The diffusion process.
     pub diffusion: DiffusionConfig,
     /// Absolute and relative positions.
     pub positions: PositionsConfig,
-    /// How a network that is told paths is trained.
+    /// Training of a path-conditioned network.
     pub paths: PathTrainingConfig,
-    /// What recipe `path_adapter` trains.
+    /// The trained part of recipe `path_adapter`.
     pub adapter: PathAdapterConfig,
     /// The loss.
     pub loss: BpeLossConfig,
@@ -130,7 +130,7 @@ impl Default for PositionsConfig {
     }
 }
 
-/// The table `paths`: how a network that is told paths (`model.path`) is trained.
+/// The table `paths`: training of a path-conditioned network (`model.path`).
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct PathTrainingConfig {
@@ -152,7 +152,7 @@ pub struct BpeInitConfig {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct PathAdapterConfig {
-    /// How many of the last layers are trained besides what reads the path.
+    /// Number of last layers that are trained in addition to the path layers.
     pub last_layers: usize,
 }
 
@@ -166,8 +166,8 @@ pub struct BpeLossConfig {
     pub velocity: f64,
 }
 
-/// The table `evaluation`: the settings of `kinegrad eval`, which composes motions of held-out clips'
-/// texts, in their lengths, and of how `kinegrad sample` does.
+/// The table `evaluation`: the settings of `kinegrad eval`, which composes motions from the texts
+/// and lengths of held-out clips, and of sampling.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct ComposeEvaluationConfig {
@@ -177,14 +177,14 @@ pub struct ComposeEvaluationConfig {
     pub texts: usize,
     /// Frames of the window around a transition, whose jerk is measured.
     pub transition_frames: usize,
-    /// In a draw, timestep t is relative if it is at most the number of timesteps less this; -1 for
-    /// absolute positions always, 0 for relative ones. 60 in the published model of HumanML3D, 125 in
+    /// In sampling, timestep t is relative if it is at most the number of timesteps less this; -1
+    /// for always absolute, 0 for always relative. 60 in the published model of HumanML3D, 125 in
     /// that of BABEL.
     pub bpe_denoising_step: i64,
-    /// Number of held-out clips whose own ways are followed as paths, as `path` says, to measure how
-    /// near motion comes to them; 0 measures none.
+    /// Number of held-out clips whose root trajectories are followed as paths, according to `path`,
+    /// to measure the deviation; 0 measures none.
     pub num_paths: usize,
-    /// How motion follows a path.
+    /// The path-following method.
     pub path: PathConfig,
 }
 

@@ -67,7 +67,7 @@ impl Composer {
         self.state.step
     }
 
-    /// What its features are normalised by.
+    /// The statistics of its features.
     ///
     /// # Errors
     /// If the run is of another system.
@@ -87,9 +87,9 @@ impl Composer {
         Ok(Fastest::of(statistics, first, skeleton.description().fps))
     }
 
-    /// One motion of all `lines`, without overlaps or transitions of its own: a following line begins
-    /// where the one before ends. With a `target` it is drawn along that, as `settings.path` says, and has
-    /// still to be moved onto it. `on_step` is called with the steps done and in total.
+    /// One motion of all `lines`, without overlaps or transitions; each line starts where the
+    /// previous one ends. With a `target` it is sampled along that according to `settings.path`,
+    /// and still has to be moved onto it. `on_step` is called with the steps done and in total.
     ///
     /// # Errors
     /// If the model does not know a text, the sampler's settings cannot work, or the result is not
@@ -188,7 +188,7 @@ impl Composer {
                         steering,
                     )?;
                     prediction.x_start = control.clean(prediction.x_start, t);
-                    // What noise there is follows from the clean motion, not from the network's answer.
+                    // The noise follows from the clean motion, not from the network's output.
                     prediction.clipped = true;
                     Ok(prediction)
                 };
@@ -223,7 +223,7 @@ impl Composer {
         }
     }
 
-    /// What the lines are told, `[lines, text channels, 1]`; zeros where nothing is.
+    /// The text conditions of the lines, `[lines, text channels, 1]`; zeros without a text.
     fn told(&self, lines: &[TimedPrompt]) -> Result<Tensor<3>, Error> {
         let channels = self.text.channels();
         let mut values = Vec::with_capacity(lines.len() * channels);

@@ -36,8 +36,8 @@ fn is_known_stranger(name: &str) -> bool {
     name.starts_with("clip_model.") || tables.contains(&name)
 }
 
-/// Reads published weights and writes them as the only checkpoint of a run, from which motion is
-/// drawn; it has no optimiser to resume with.
+/// Reads published weights and writes them as the only checkpoint of a run, for sampling; it has no
+/// optimiser to resume with.
 ///
 /// # Errors
 /// If a file cannot be read, a parameter is missing, superfluous, of another shape or not finite
@@ -92,8 +92,7 @@ fn size(
     })
 }
 
-/// What the shapes of the weights say of the network; no shape tells horizon and dropout, which are those
-/// of `base`.
+/// The network according to the shapes of the weights; horizon and dropout are those of `base`.
 fn sizes(
     path: &Path,
     tensors: &BTreeMap<String, Tensor>,

@@ -1,9 +1,10 @@
 //! Motion composed of several texts: a transformer with blended positional encodings (docs/sources.md,
 //! section 6).
 //!
-//! Recipe `bpe_motion` trains it on clips with one text each, in absolute mode as often as in relative
-//! mode, and with `model.path` on where each clip goes; recipe `path_adapter` teaches that to a trained
-//! network, which stays as it is. [`Composer`] draws motion of any length from texts one after another.
+//! Recipe `bpe_motion` trains it on clips with one text each, half in absolute and half in relative
+//! mode, and with `model.path` on their root trajectories; recipe `path_adapter` adds path
+//! conditioning to a frozen network. [`Composer`] samples motion of any length from a sequence of
+//! texts.
 
 mod config;
 mod evaluate;

@@ -109,7 +109,7 @@ pub(super) fn parameters(config: &Config) -> Result<ParameterCount, Error> {
     Ok(ParameterCount::of(&infos, &[], |index, _| trained[index]))
 }
 
-/// What the network takes for motions of `frames` frames.
+/// The memory of the network for motions of `frames` frames.
 ///
 /// # Errors
 /// As [`network`].

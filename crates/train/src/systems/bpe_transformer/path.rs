@@ -1,4 +1,4 @@
-//! A draw that follows a path over the ground (docs/sources.md, section 7).
+//! Sampling along a path on the ground (docs/sources.md, section 7).
 
 use std::cell::RefCell;
 
@@ -23,14 +23,14 @@ const ROOT: usize = 3;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct PathConfig {
-    /// How the root is kept on the path while motion is drawn.
+    /// The method that keeps the root on the path during sampling.
     pub method: PathMethod,
-    /// For `warp`: whether feet are held where they stand in the draw, by two-bone inverse kinematics.
+    /// For `warp`: lock feet where they stand in the sample, by two-bone inverse kinematics.
     pub fix_feet: bool,
     /// For `override`: what replaces the root.
     pub reading: OverrideReading,
-    /// For `override`: whether the heading is replaced as well. Without it the path is seen from the
-    /// headings of the draw itself.
+    /// For `override`: replace the heading too. Without it, the path is seen from the sample's own
+    /// headings.
     pub yaw: bool,
     /// For `guidance`: whether the gradient is that of the predicted clean motion through the network,
     /// multiplied by the variance of the step, and not of the noisy motion itself.
@@ -65,7 +65,7 @@ impl Default for PathConfig {
     }
 }
 
-/// How motion follows a path.
+/// The path-following method.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum PathMethod {
@@ -80,21 +80,21 @@ pub enum PathMethod {
     Guidance,
     /// Both: guided, and replaced.
     OverrideGuidance,
-    /// The network is told the path (options C and E).
+    /// The network is conditioned on the path (options C and E).
     Tokens,
-    /// Both: told and guided.
+    /// Path conditioning and guidance.
     TokensGuidance,
     /// Told, and what is left moved onto the path afterwards.
     TokensWarp,
 }
 
 impl PathMethod {
-    /// Whether the root is replaced.
+    /// True if the root is replaced.
     pub fn replaces(self) -> bool {
         matches!(self, Self::Override | Self::OverrideGuidance)
     }
 
-    /// Whether a gradient guides.
+    /// True if a gradient guides.
     pub fn guides(self) -> bool {
         matches!(
             self,
@@ -102,23 +102,23 @@ impl PathMethod {
         )
     }
 
-    /// Whether it acts while motion is drawn.
+    /// True if it acts during sampling.
     pub fn acts(self) -> bool {
         !matches!(self, Self::None | Self::Warp)
     }
 
-    /// Whether the drawn motion is moved afterwards, so that its features are others.
+    /// True if the sample is moved afterwards, which changes its features.
     pub fn moves_afterwards(self) -> bool {
         matches!(self, Self::Warp | Self::TokensWarp)
     }
 
-    /// Whether the network is told the path.
+    /// True if the network is conditioned on the path.
     pub fn tells(self) -> bool {
         matches!(self, Self::Tokens | Self::TokensGuidance | Self::TokensWarp)
     }
 }
 
-/// What replaces the root at each step.
+/// The target of the override at each step.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum OverrideReading {
@@ -154,12 +154,12 @@ impl PathConfig {
     }
 }
 
-/// What the network is told of a path, `[1, PATH_CHANNELS, frames]`.
+/// The path condition, `[1, PATH_CHANNELS, frames]`.
 pub(super) fn told(target: &PathTarget, fps: f64, device: &Device) -> Tensor<3> {
     of_path(&target.at_origin().course.points, fps, device)
 }
 
-/// A motion that was drawn as `config` says, on the path.
+/// Moves a motion that was sampled according to `config` onto the path.
 ///
 /// # Errors
 /// If it is not of the skeleton.
@@ -180,10 +180,10 @@ pub(super) fn finish(
     }
 }
 
-/// What keeps one draw on its path.
+/// The path control of one sample.
 pub(super) struct PathControl<'a> {
     config: &'a PathConfig,
-    /// As the draw sees it.
+    /// In the frame of sampling.
     target: PathTarget,
     root: Root,
     mean: Vec<f64>,
@@ -194,7 +194,7 @@ pub(super) struct PathControl<'a> {
 }
 
 impl<'a> PathControl<'a> {
-    /// The control of a draw whose features are normalised by `statistics`.
+    /// The control of a sample whose features are normalised by `statistics`.
     pub fn new(
         config: &'a PathConfig,
         target: &PathTarget,
@@ -213,7 +213,7 @@ impl<'a> PathControl<'a> {
         }
     }
 
-    /// Whether the path acts at timestep `t`.
+    /// True if the path acts at timestep `t`.
     pub fn acts(&self, t: usize) -> bool {
         t >= self.config.until
     }
@@ -265,7 +265,7 @@ impl<'a> PathControl<'a> {
         }
     }
 
-    /// The drawn motion: with the path itself where the root was replaced to the end.
+    /// The sampled motion, with the exact path if the root was replaced to the end.
     pub fn last(&self, x: Tensor<3>) -> Tensor<3> {
         if !self.config.method.replaces() || !self.acts(0) {
             return x;
@@ -275,7 +275,7 @@ impl<'a> PathControl<'a> {
         self.put(x, self.channels())
     }
 
-    /// Normalised root channels on the path, seen from its own headings or those of the draw.
+    /// Normalised root channels on the path, seen from its own headings or those of the sample.
     fn channels(&self) -> Vec<Vec<f64>> {
         let points = &self.target.course.points;
         let turning = self.turning.borrow();

@@ -5,8 +5,8 @@
 //!                              / (channels * real frames)
 //! ```
 //!
-//! Each sample is in absolute or in relative mode, as drawn for it; padding is attended to in neither.
-//! A network that is told paths is told where each clip goes.
+//! Each sample is in a random mode, absolute or relative; padding is attended to in neither. A
+//! path-conditioned network is given each clip's trajectory.
 //!
 //! To the sum of a frame comes `loss.velocity` times the squared error of its difference from the frame
 //! before it.
@@ -22,8 +22,8 @@ use super::told::Ways;
 use crate::clips::weighted_masked_loss;
 use crate::denoising::{DenoisingRecipe, HeldOut, denoising_loss};
 
-/// Trains a [`BlendedTransformer`] on clips of `channels`, as `own` says, validated on `held_out` in
-/// the mode that a draw has at each timestep.
+/// Trains a [`BlendedTransformer`] on clips of `channels` according to `own`, validated on
+/// `held_out` in the mode of sampling at each timestep.
 pub(super) fn recipe(
     diffusion: GaussianDiffusion,
     channels: usize,
@@ -92,14 +92,14 @@ pub(super) fn recipe(
     .averaging_samples()
 }
 
-/// Whether each sample of a training step is in relative mode; none without a key.
+/// The mask of relative samples in a training step; `None` without a key.
 fn modes(key: DropoutKey, batch: usize, ratio: f64) -> Option<Vec<bool>> {
     let drawn = key?.named("mode").uniforms(batch);
     Some(drawn.into_iter().map(|u| f64::from(u) < ratio).collect())
 }
 
-/// 0 for the samples of a training step that are not told their path, else 1, `[batch, 1, 1]`; none
-/// where all are.
+/// The path dropout mask of a training step: 0 for dropped, else 1, `[batch, 1, 1]`; `None` without
+/// dropout.
 fn keep(key: DropoutKey, batch: usize, drop_prob: f64, device: &Device) -> Option<Tensor<3>> {
     let drawn = key
         .filter(|_| drop_prob > 0.0)?

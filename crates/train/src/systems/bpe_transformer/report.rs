@@ -1,4 +1,4 @@
-//! How composed motion looks, and how smoothly it passes from one text to the next.
+//! The quality of composed motion and the smoothness of its transitions.
 
 use kinegrad_motion::Statistics;
 use kinegrad_motion::humanml::{Features, Joints, Skeleton};
@@ -31,13 +31,13 @@ pub struct ComposedReport {
     pub frechet_distance: Option<f64>,
 }
 
-/// What is measured of a set of motions.
+/// The measures of a set of motions.
 pub(super) struct Measured<'a> {
     /// Whole motions.
     pub motions: &'a [Joints],
     /// Windows around transitions, each decoded from its own first frame.
     pub windows: &'a [Joints],
-    /// Clips, or what was drawn for one text.
+    /// Recorded clips, or samples of one text.
     pub segments: &'a [Features],
 }
 

@@ -1,4 +1,4 @@
-//! What the network is told of a path (docs/sources.md, section 7, option C).
+//! The path condition of the network (docs/sources.md, section 7, option C).
 
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_models::blended::PATH_CHANNELS;
@@ -10,7 +10,7 @@ use crate::clips::path_target::way;
 
 /// Channels of the root: rotation, x, z, height.
 const ROOT: usize = 4;
-/// Sharpest turn that is told, radians a metre: a body that stands sways on the spot.
+/// Largest curvature given to the network, radians per metre, because a standing body sways.
 const SHARPEST: f32 = 3.0;
 /// The ways of training clips, as the paths that they follow.
 #[derive(Clone, Debug)]
@@ -22,7 +22,7 @@ pub(super) struct Ways {
 }
 
 impl Ways {
-    /// Of clips that `statistics` normalise, with `fps` frames a second.
+    /// For clips normalised by `statistics`, with `fps` frames a second.
     pub fn new(root: Root, statistics: &Statistics, fps: f64) -> Self {
         Self {
             root,
@@ -32,7 +32,7 @@ impl Ways {
         }
     }
 
-    /// What is told of each clip of a batch, of which so many frames are real; zeros behind them.
+    /// The path conditions of a batch of clips with the given lengths; zeros in the padding.
     ///
     /// # Shapes
     /// - x_start: `[batch, channels, time]`
@@ -55,7 +55,7 @@ impl Ways {
     }
 }
 
-/// What is told of one path, a point for each frame: `[1, PATH_CHANNELS, frames]`.
+/// The condition of one path, a point per frame: `[1, PATH_CHANNELS, frames]`.
 pub(super) fn of_path(points: &[[f64; 2]], fps: f64, device: &Device) -> Tensor<3> {
     let values = numbers(points, fps, points.len());
     Tensor::from_data(

@@ -98,7 +98,7 @@ impl Default for PretrainConfig {
     }
 }
 
-/// What a rollout stores for its backward pass.
+/// The memory mode of a rollout.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum RolloutMode {
@@ -130,19 +130,18 @@ pub enum RolloutStart {
 pub struct RolloutConfig {
     /// DDIM steps K.
     pub steps: usize,
-    /// What is stored for the backward pass.
+    /// The memory mode of the backward pass.
     pub mode: RolloutMode,
     /// Steps with a graph in mode `last_k`.
     pub last_k: usize,
     /// The start of a rollout.
     pub start: RolloutStart,
-    /// Lowest and highest start timestep of `start = "motion"`; each sample's is drawn between
-    /// them. Values beyond the
+    /// Range of the start timesteps of `start = "motion"`, sampled uniformly. Values beyond the
     /// last timestep mean the last.
     pub start_timesteps: [usize; 2],
     /// Clipping of the predicted clean motion.
     pub clip: ClipSample,
-    /// Whether clipping has a straight-through gradient.
+    /// Use a straight-through gradient for clipping.
     pub straight_through: bool,
     /// Factor of the gradient passed from each step to the previous one.
     pub gradient_decay: f64,
@@ -201,7 +200,7 @@ impl RolloutConfig {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum ReconstructionWeighting {
-    /// By `abar` of its start timestep, the signal in the start state.
+    /// By `abar` of its start timestep, the share of signal in the start state.
     #[default]
     Signal,
     /// Uniform (CC-MotionGen).
@@ -224,8 +223,8 @@ pub struct LossConfig {
     pub w_components: f64,
     /// Weighting of the reconstruction loss of each sample.
     pub reconstruction_weighting: ReconstructionWeighting,
-    /// How the two quaternions of one rotation compare in the quaternion's reconstruction; that of
-    /// all components always takes the nearer one.
+    /// The treatment of q and -q in the quaternion reconstruction; that of all components always
+    /// takes the nearer one.
     pub quaternion_sign: SignMatching,
     /// The temporal terms.
     pub temporal: TemporalLossConfig,
@@ -284,11 +283,11 @@ pub struct EvaluationConfig {
     /// Guidance scales that `kinegrad eval --audio-ablation` also draws samples at.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub guidance_scales: Vec<f64>,
-    /// Beats in a bar of the held-out phrases, for `kinegrad eval --audio-ablation`; by default what the
-    /// dataset's manifest or its beat features say, else 4.
+    /// Beats in a bar of the held-out phrases, for `kinegrad eval --audio-ablation`; by default
+    /// from the dataset's manifest or its beat features, else 4.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub beats_per_bar: Option<usize>,
-    /// How a phrase follows a path.
+    /// The path-following method of phrases.
     pub path: PhrasePathConfig,
 }
 

@@ -70,8 +70,8 @@ pub fn keys(seed: u64, count: usize) -> impl ExactSizeIterator<Item = Key> {
 
 impl Generator {
     /// Generates one sample per condition, as a batch; all conditions have the same number of
-    /// frames. Sample i depends on `seed` and i alone, on the CPU to the bit, elsewhere up to rounding.
-    /// Samples longer than those of training are drawn [in windows](Self::sample_windowed).
+    /// frames. Sample i depends on `seed` and i alone, exactly on the CPU, elsewhere up to
+    /// rounding. Samples longer than in training are sampled [in windows](Self::sample_whole).
     /// `on_step` is called with the number of sampling steps done and in total.
     ///
     /// # Errors
@@ -96,7 +96,7 @@ impl Generator {
     /// one batch is in memory at a time; `take` gets the samples in order.
     ///
     /// # Errors
-    /// As [`sample`](Self::sample), and of `take`, after which nothing more is drawn.
+    /// As [`sample`](Self::sample), and those of `take`, which ends sampling.
     pub fn sample_each(
         &self,
         mut conditions: impl ExactSizeIterator<Item = (AudioFeatures, Key)>,
@@ -145,7 +145,7 @@ impl Generator {
             let start = keys.iter().map(|key| key.at(0).normals(drawn * frames));
             let heard = conditions.iter().map(|cond| cond.as_slice().to_vec());
             let of_steps: Vec<Key> = keys.iter().map(|key| key.at(1)).collect();
-            // Each sample as if it were drawn alone, to the bit.
+            // Each sample equals the one sampled alone, to the bit.
             let x = batch_invariant(conditions.len(), || {
                 let x = sample(
                     &self.diffusion,

@@ -28,11 +28,11 @@ pub struct Sample {
 /// A motion as a network predicts it.
 pub(super) struct Raw {
     motion: Phrase,
-    /// How sure it is of the heading of each frame, 0 to 1.
+    /// Confidence of each frame's heading, 0 to 1.
     confidence: Vec<f64>,
 }
 
-/// Of a decoder, which does not say how sure it is.
+/// For a decoder, which has no confidence.
 impl From<Phrase> for Raw {
     fn from(motion: Phrase) -> Self {
         let confidence = vec![1.0; motion.frames()];
@@ -70,7 +70,7 @@ impl Generator {
         Ok(Self::of(unet.valid(), decoder, diffusion, state, device))
     }
 
-    /// Networks without gradients on `device`, and what `state` says of their training.
+    /// Networks without gradients on `device`, with the training settings of `state`.
     pub(super) fn of(
         unet: UNet1d,
         decoder: Option<MotionDecoder>,
@@ -99,7 +99,7 @@ impl Generator {
         }
     }
 
-    /// The same for samples of a style; without one they are of the null style.
+    /// The same with a style; without one the null style is used.
     ///
     /// # Errors
     /// If the model is not conditioned on such a style, or does not know the label.
@@ -110,7 +110,7 @@ impl Generator {
         Ok(Self { style, ..self })
     }
 
-    /// The condition of samples that hear `features`, `[batch, channels, time]`.
+    /// The condition of samples for `features`, `[batch, channels, time]`.
     pub(super) fn condition(&self, features: Tensor<3>) -> AudioCondition {
         let (batch, device) = (features.dims()[0], features.device());
         AudioCondition {

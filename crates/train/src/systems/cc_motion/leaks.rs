@@ -11,8 +11,8 @@ use crate::observer::Observer;
 /// Most phrases or songs that a warning names.
 const NAMED: usize = 5;
 
-/// Warns of the phrases held out of `dataset` that one of the `starts` was trained on, or where there
-/// are none of the songs: measures of them are not of what is new to the model.
+/// Warns about held-out phrases of `dataset` that an initial run was trained on, else about such
+/// songs: their measures are not of new data.
 pub(super) fn warn(
     starts: &Starts,
     dataset: &Dataset<PhraseItem>,

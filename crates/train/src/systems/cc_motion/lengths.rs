@@ -22,9 +22,9 @@ pub(super) fn leading(phrase: &Arc<PhraseItem>, longest: usize) -> Arc<PhraseIte
     }
 }
 
-/// The windows of the training length that a motion of `frames` frames is drawn in; none if it is
-/// not longer. Nor if each sample of the model is in the frame of its own first heading: such
-/// windows do not fit together.
+/// The windows of the training length for a motion of `frames` frames; `None` if it is not longer,
+/// or if samples of the model have their own first heading as frame, because such windows do not
+/// fit together.
 pub(super) fn windows(config: &Config, frames: usize) -> Option<Windows> {
     let longest = config.data.target_frames;
     let fit = targets(config).orientation != OrientationEncoding::CanonicalQuaternion;

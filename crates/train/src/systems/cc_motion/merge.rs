@@ -11,10 +11,9 @@ use crate::config::OwnTables;
 use crate::error::Error;
 use crate::system::System;
 
-/// Adds the adapters of the checkpoint `saved` to the weights they sit on, and writes the result
-/// as the only checkpoint of a run in `out`, a new or an empty folder. Samples are drawn
-/// from it and trainings start from it; it has no optimiser to resume with. Returns where the
-/// checkpoint is.
+/// Merges the adapters of the checkpoint `saved` into their weights, and writes the result as the
+/// only checkpoint of a run in `out`, a new or empty folder, for sampling and initialisation; it
+/// has no optimiser to resume with. Returns the path of the checkpoint.
 ///
 /// # Errors
 /// If the checkpoint is damaged or has no adapters, or `out` cannot be written.

@@ -112,7 +112,7 @@ pub(super) fn parameter_count(config: &Config) -> Result<ParameterCount, Error> 
     };
     let decoder = lazy_decoder(config)?;
     let infos = parameters::infos(&MotionModel { unet, decoder });
-    // As in `trainable`, without the weights that would be drawn to ask them.
+    // As in `trainable`, without initialising weights.
     let trains = |info: &ParameterInfo| match (lora, recipe) {
         (Some(_), _) => is_adapter(info),
         (None, RecipeName::Decoder) => false,
@@ -123,7 +123,7 @@ pub(super) fn parameter_count(config: &Config) -> Result<ParameterCount, Error> 
     }))
 }
 
-/// The decoder of a config whose parameters are all lazy: none is drawn, and no memory taken.
+/// The decoder of a config with lazy parameters, without memory.
 fn lazy_decoder(config: &Config) -> Result<MotionDecoder, Error> {
     let random = DecoderConfig {
         init: DecoderInit::Random,
@@ -137,7 +137,7 @@ fn lazy_decoder(config: &Config) -> Result<MotionDecoder, Error> {
     Ok(random.init_for(targets, unit, &Initializer::new(0, &Device::flex()))?)
 }
 
-/// What the networks of a config take in training.
+/// The training memory of a config's networks.
 ///
 /// # Errors
 /// If one cannot be built.

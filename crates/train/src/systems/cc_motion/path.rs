@@ -23,7 +23,7 @@ use crate::sampling::PathRecord;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct PhrasePathConfig {
-    /// How the root is kept on the path while motion is drawn.
+    /// The method that keeps the root on the path during sampling.
     pub method: PhrasePathMethod,
     /// For `guidance`: length of a step against the gradient of the squared distance.
     pub eta: f64,
@@ -45,7 +45,7 @@ impl Default for PhrasePathConfig {
     }
 }
 
-/// How a phrase follows a path.
+/// The path-following method of phrases.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum PhrasePathMethod {
@@ -80,7 +80,7 @@ pub(super) struct Asked {
     file: PathBuf,
     plan: PathPlan,
     target: PathTarget,
-    /// As the drawing follows it.
+    /// In the frame of sampling.
     pub followed: PhrasePath,
     config: PhrasePathConfig,
 }
@@ -105,13 +105,13 @@ impl Asked {
         })
     }
 
-    /// What to say of it if it asks for more than training phrases with these statistics had.
+    /// The warning about a path that exceeds training phrases with these statistics.
     pub fn too_fast(&self, statistics: &Statistics) -> Option<String> {
         let fastest = Fastest::of(statistics, VELOCITY.start, 1.0);
         self.target.too_fast(&self.file, FPS, fastest)
     }
 
-    /// What the record of a phrase says.
+    /// The record of a phrase.
     pub fn record(&self, motion: &Phrase) -> PathRecord {
         let frames = (0..motion.frames()).map(|t| motion.frame(t));
         let track = frames.map(|frame| GROUND.map(|axis| f64::from(frame[POSITION.start + axis])));
@@ -129,7 +129,7 @@ impl Asked {
 const GROUND: [usize; 2] = [0, 2];
 
 impl PhrasePath {
-    /// The path of a target, followed as `config` says.
+    /// The path of a target, followed according to `config`.
     pub fn new(target: &PathTarget, config: PhrasePathConfig) -> Self {
         Self {
             config,
@@ -141,8 +141,8 @@ impl PhrasePath {
         self.config.method == method && timestep >= self.config.until
     }
 
-    /// What is subtracted from noisy windows, `[windows, channels, frames of a window]`, normalised:
-    /// nothing where it does not guide at this timestep.
+    /// The guidance step of noisy windows, `[windows, channels, frames of a window]`, normalised:
+    /// `None` if there is no guidance at this timestep.
     pub fn step(
         &self,
         noisy: &[f32],
@@ -211,7 +211,8 @@ impl PhrasePath {
         }
     }
 
-    /// Moves a drawn phrase to where the path begins, and with `override` onto it in every frame.
+    /// Moves a generated phrase to the start of the path, and with `override` onto it in every
+    /// frame.
     pub fn finish(&self, motion: &mut Phrase) {
         let start = self.points[0];
         for t in 0..motion.frames() {

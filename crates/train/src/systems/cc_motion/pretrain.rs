@@ -58,8 +58,8 @@ fn must_have_base(folder: &Path) -> Result<(), Error> {
     }
 }
 
-/// Trains, continues or finds both runs, and says how to start from them. The inner error is the
-/// outcome of a run that the user interrupted; resuming the outer one continues it.
+/// Trains, continues or finds both initial runs, and returns their settings. The inner error is the
+/// outcome of an interrupted run; resuming the outer one continues it.
 pub(super) fn run(
     config: &Config,
     folder: &Path,

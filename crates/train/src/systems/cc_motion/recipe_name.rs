@@ -46,7 +46,7 @@ impl RecipeName {
         RECIPES[self as usize].name
     }
 
-    /// Whether it runs the sampler in training, so that `rollout`, `decoder` and `loss` matter.
+    /// True if it runs the sampler in training, so that `rollout`, `decoder` and `loss` apply.
     pub fn trains_through_sampler(self) -> bool {
         match self {
             Self::Diffusion => false,

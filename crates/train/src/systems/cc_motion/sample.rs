@@ -343,7 +343,7 @@ fn generated(sample: Sample) -> Generated {
 /// A line of both profiles' verdicts.
 fn checked(name: &str, motion: &Phrase, statistics: &Statistics) -> Result<Vec<String>, Error> {
     let document = Some(check(motion, Profile::Document, None)?);
-    // Statistics of before the movement was measured say too little.
+    // Statistics without movement measures are insufficient.
     let strict = check(motion, Profile::Strict, Some(statistics)).ok();
     let reports = document.iter().chain(&strict);
     let checks = reports.flat_map(|report| &report.checks);

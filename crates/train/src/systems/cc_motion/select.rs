@@ -22,7 +22,7 @@ use crate::together::Together;
 /// Seed of the samples, the same at each validation and in all runs, so that only weights differ.
 const SEED: u64 = 0;
 
-/// The networks that samples are drawn with.
+/// The networks of sampling.
 pub(super) trait Networks {
     /// Denoiser and decoder, if there is one.
     fn networks(&self) -> (UNet1d, Option<MotionDecoder>);
@@ -40,14 +40,14 @@ impl Networks for MotionModel {
     }
 }
 
-/// What samples are drawn for and compared with.
+/// The held-out phrases of the samples.
 pub(super) struct Selection {
     by: SelectBy,
     phrases: Vec<Arc<PhraseItem>>,
     diffusion: GaussianDiffusion,
-    /// What a checkpoint would say.
+    /// The state of a checkpoint.
     state: State,
-    /// The processes that draw a part of the samples each.
+    /// The processes that share the sampling.
     together: Rc<Together>,
 }
 
@@ -56,7 +56,7 @@ impl Selection {
     /// phrases `held_out`; none where that is the loss, or nothing is validated.
     ///
     /// # Errors
-    /// If fewer than two phrases are held out, or one cannot be read.
+    /// If fewer than two phrases are held out, or if one cannot be read.
     pub fn new(
         held_out: &PhraseSet,
         diffusion: &GaussianDiffusion,
@@ -136,9 +136,9 @@ fn score(by: SelectBy, evaluation: &Evaluation) -> Score {
 
 /// A recipe whose best step is selected by samples, if so.
 pub(super) struct Selecting<R> {
-    /// What is trained.
+    /// The trained part.
     pub recipe: R,
-    /// What the best step is selected by, where it is not the loss.
+    /// The criterion of the best step, if other than the loss.
     pub selection: Option<Selection>,
 }
 

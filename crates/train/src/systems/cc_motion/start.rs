@@ -52,8 +52,8 @@ impl Starts {
         tables
     }
 
-    /// [`tables`](Self::tables), and the split and the labels of the base where it was trained on the dataset of
-    /// `config`: what it has seen is not held out.
+    /// [`tables`](Self::tables), and the split and labels of a base that was trained on the dataset
+    /// of `config`, so that its training items are not held out.
     pub fn tables_for(&self, config: &Config) -> Table {
         let mut tables = self.tables();
         let base = &self.diffusion.state().config.data;
@@ -121,7 +121,7 @@ impl Starts {
     }
 }
 
-/// Rejects a config whose model hears other audio features than its start.
+/// Rejects a config whose model has other audio features than its initial model.
 ///
 /// # Errors
 /// Names `data.audio_features`, and what the start has.
@@ -133,7 +133,7 @@ fn must_hear(config: &Config, start: &Config) -> Result<(), Error> {
     Ok(agree.hint("the network takes as many features as it was trained with")?)
 }
 
-/// Whether two runs read one dataset, whatever they hold out.
+/// True if two runs read the same dataset, with any split.
 pub(super) fn is_of_one_source(a: &DataConfig, b: &DataConfig) -> bool {
     a.kind == b.kind
         && match a.kind {

@@ -1,5 +1,4 @@
-//! The style of phrases: which labels a run knows, what batches say of it, and what a sample is
-//! asked for.
+//! The style of phrases: labels of a run, style conditions of batches and of samples.
 
 use std::collections::BTreeSet;
 
@@ -18,8 +17,8 @@ use crate::error::Error;
 use crate::observer::Observer;
 use crate::sampling::Style;
 
-/// `config` with the labels of the training phrases, if its network is told labels and states none.
-/// Says which phrases have none that the network knows.
+/// `config` with the labels of the training phrases, if its network has labels and the config
+/// states none. Reports phrases without a known label.
 ///
 /// # Errors
 /// If there are no labels, one is none, or a training phrase has one that a network which states its
@@ -110,7 +109,7 @@ pub(super) fn conditions(
     Ok(conditions)
 }
 
-/// What the denoiser is told of a batch.
+/// The denoiser's condition for a batch.
 pub(super) fn condition(cond: &Conditions, lengths: Option<Lengths>) -> AudioCondition {
     let of = |name| {
         let values = cond.find(name)?.clone();
@@ -137,7 +136,8 @@ pub(super) struct Asked {
 }
 
 impl Asked {
-    /// What `style` is to the network of a config; `statistics` are of the 25 stored channels.
+    /// The style condition for the network of a config; `statistics` are those of the 25 stored
+    /// channels.
     ///
     /// # Errors
     /// If the network has no such style; for a label that it does not know, with those it knows.
@@ -174,7 +174,7 @@ impl Asked {
     }
 }
 
-/// Rejects a style that a config's network is not told, or does not know.
+/// Rejects a style that a config's network does not support or know.
 ///
 /// # Errors
 /// [`Error::Usage`], for an unknown label with those that it knows.

@@ -22,7 +22,7 @@ use crate::error::Error;
 use crate::observer::Observer;
 use crate::run::{Material, Outcome, Setup};
 
-/// Trains as the setup's config says.
+/// Trains according to the setup's config.
 pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome, Error> {
     let own: CcMotionConfig = setup.config.own::<CcMotionConfig>().clone();
     let mut setup = setup.with_gradients(own.model.activation_checkpointing);

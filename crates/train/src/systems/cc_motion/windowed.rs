@@ -1,10 +1,9 @@
 //! Drawing motion in overlapping windows: whole songs, and motion of which frames are given.
 //!
-//! The windows have the length that the model was trained on and are drawn together. After each
-//! prediction of the clean motion they are stitched to one motion
-//! ([`kinegrad_motion::stitch`]) and go on from their parts of that, with the noise that leads from
-//! there to where they are; frames that several windows share have the same noise. Memory is
-//! bounded by the windows that the network sees at a time.
+//! The windows have the training length and are sampled jointly. After each prediction of the clean
+//! motion they are stitched to one motion ([`kinegrad_motion::stitch`]) and continue from their
+//! parts of it, with the noise that leads from there to their states; frames that several windows
+//! share have the same noise. Memory is bounded by the number of windows in one network call.
 
 use std::ops::{ControlFlow, Range};
 
@@ -34,12 +33,12 @@ use crate::sampling::KnownFrames;
 /// Windows that the network sees at a time.
 pub const WINDOWS_IN_FLIGHT: usize = 8;
 
-/// A motion to be drawn in windows.
+/// A motion to be sampled in windows.
 #[derive(Clone, Debug)]
 pub struct WindowedSampling<'a> {
-    /// What it is conditioned on, of all frames.
+    /// Its conditions, for all frames.
     pub audio: &'a AudioFeatures,
-    /// Its windows; each hears its own part of the audio.
+    /// Its windows; each is conditioned on its part of the audio.
     pub windows: Windows,
     /// Frames that are given.
     pub given: Option<&'a KnownFrames>,
@@ -131,9 +130,9 @@ impl Generator {
         self.turned_and_stitched(turning, whole, values, known)
     }
 
-    /// Windows as one motion, of which each becomes its part, where it stood and as it was turned. A
-    /// model that was trained on one heading draws windows that agree, and so do those along a path, which
-    /// is where it is: they stay as they are.
+    /// Stitches windows to one motion; each window becomes its part, in its own place and heading.
+    /// Windows of a model trained on one heading, and windows along a path, agree and stay as they
+    /// are.
     fn turned_and_stitched(
         &self,
         turning: HeadingAlignment<'_>,
@@ -190,7 +189,7 @@ impl Generator {
                 let cond = [batch.len(), whole.audio.channels(), windows.length()];
                 let cond = self.condition(self.on_device(heard.flatten().collect(), cond));
                 let x = x.clone().narrow(0, batch.start, batch.len());
-                // Each window as if it were drawn alone, to the bit.
+                // Each window equals the one sampled alone, to the bit.
                 let prediction = batch_invariant(batch.len(), || {
                     let time = &time[batch.clone()];
                     let scales = config.guidance(time[0].timestep());
@@ -209,7 +208,7 @@ impl Generator {
             }
             self.stitched(whole, &mut predicted, known);
             let x_start = self.on_device(predicted, shape);
-            // What the network would have said, had it predicted that.
+            // The equivalent output for this prediction type.
             let model_output = self.diffusion.convert(
                 x_start.clone(),
                 x.clone(),
@@ -243,8 +242,8 @@ impl Generator {
         Ok(host_values(x))
     }
 
-    /// The motion of latent windows: each is decoded where it stands, as in training, and the
-    /// coherent trajectory is that of the whole.
+    /// The motion of latent windows: each is decoded in its own frame, as in training; the coherent
+    /// trajectory is that of the whole motion.
     fn decoded(
         &self,
         whole: &WindowedSampling<'_>,

@@ -43,9 +43,9 @@ guidance_scale = 1.0
 pub struct FlowTables {
     /// The history encoder and the predictor.
     pub model: ModelTable<FlowNetwork>,
-    /// What the model knows of captions.
+    /// The captions of the model.
     pub text: CaptionsConfig,
-    /// What is predicted of what.
+    /// Inputs and target of the prediction.
     pub pose: PoseConfig,
     /// The evaluation.
     pub evaluation: RolloutEvaluationConfig,
@@ -77,18 +77,17 @@ impl Default for FlowNetwork {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct PoseConfig {
-    /// Rows of features in a history; a motion goes on from one frame more.
+    /// Rows of features in a history; a motion continues from one frame more.
     pub history_frames: usize,
-    /// How the next pose is said: `position` or `displacement`, in the present frame's facing frame.
+    /// The form of the target: `position` or `displacement`, in the present frame's facing frame.
     pub target: NextPose,
-    /// What the predictor predicts.
+    /// The prediction type.
     pub prediction_type: FlowPrediction,
-    /// Probability that a training sample is not told its text, for classifier-free guidance.
+    /// Probability of dropping a training sample's text, for classifier-free guidance.
     pub cond_drop_prob: f64,
-    /// How far the histories of training drift from where they were recorded, metres: the deviation
-    /// of each coordinate of the body and of each joint beside it. The next pose takes a tenth of it
-    /// back. A network that has seen nothing but recorded histories does not find back from its own
-    /// mistakes.
+    /// Standard deviation of the noise on training histories, metres, of the whole body and of each
+    /// joint. The next pose corrects a tenth of it. A network trained on recorded histories only
+    /// cannot correct its own errors.
     pub history_drift: f64,
 }
 
@@ -104,8 +103,8 @@ impl Default for PoseConfig {
     }
 }
 
-/// The table `evaluation`: the settings of `kinegrad eval`, which goes on from the beginnings of
-/// held-out clips, and of how `kinegrad sample` does.
+/// The table `evaluation`: the settings of `kinegrad eval`, which continues held-out clips, and of
+/// sampling.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct RolloutEvaluationConfig {

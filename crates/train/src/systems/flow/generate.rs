@@ -1,4 +1,4 @@
-//! Motion that goes on, from a checkpoint.
+//! Autoregressive motion from a checkpoint.
 
 use burn::module::Module;
 use burn::tensor::{Device, Tensor, TensorData};
@@ -15,7 +15,7 @@ use crate::clips::captions::{ClipText, TextInput};
 use crate::config::Config;
 use crate::error::Error;
 
-/// A trained pair of networks, ready to go on from histories.
+/// A trained pair of networks that continues histories.
 pub struct FlowGenerator {
     model: FlowModel,
     space: FlowSpace,
@@ -61,7 +61,7 @@ impl FlowGenerator {
         self.state.step
     }
 
-    /// What the numbers mean.
+    /// The representation.
     pub fn space(&self) -> &FlowSpace {
         &self.space
     }
@@ -71,13 +71,13 @@ impl FlowGenerator {
         self.space.history + 1
     }
 
-    /// The 512 numbers that stand for a text, for [`FlowRollout::push_text`]; zeros for none.
+    /// The 512 numbers of a text, for [`FlowRollout::push_text`]; zeros for none.
     ///
     /// # Errors
     /// [`Error::Usage`] for a text that the model does not know.
     pub fn text(&self, text: Option<&ClipText>) -> Result<Vec<f32>, Error> {
         let none = || vec![0.0; TEXT_CHANNELS];
-        // A step of a plan may say nothing.
+        // A prompt may be empty.
         let text = text.filter(|text| **text != ClipText::default());
         let told = text
             .map(|text| self.text.values(text))
@@ -109,9 +109,9 @@ impl FlowGenerator {
         })
     }
 
-    /// A motion before its first frame, without a text: `frames` are to come after the `history`,
-    /// joints in metres above the floor at the skeleton's rate, drawn as `how` says with the noise of
-    /// `key`; its number of frames is not read.
+    /// A rollout before its first frame, without a text: `frames` frames will follow the `history`
+    /// (joints in metres above the floor at the skeleton's rate), sampled according to `how` with
+    /// the noise of `key`; its number of frames is ignored.
     ///
     /// # Errors
     /// If the history is too short or of another skeleton, or a setting cannot work.

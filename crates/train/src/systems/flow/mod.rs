@@ -1,8 +1,8 @@
-//! Motion that goes on frame by frame: a history encoder and flow matching of the next pose
-//! (docs/sources.md, section 5).
+//! Autoregressive motion: a history encoder and flow matching of the next pose (docs/sources.md,
+//! section 5).
 //!
-//! Recipe `flow` trains them on windows of clips. [`FlowGenerator`] goes on from a history, by texts
-//! that may change on the way.
+//! Recipe `flow` trains them on windows of clips. [`FlowGenerator`] continues a history, with texts
+//! that may change.
 
 mod config;
 mod evaluate;

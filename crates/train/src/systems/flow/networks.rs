@@ -30,7 +30,7 @@ pub(super) fn model(config: &Config, device: &Device) -> Result<FlowModel, Error
     })
 }
 
-/// What training takes.
+/// The training memory.
 ///
 /// # Errors
 /// As [`model`].

@@ -25,7 +25,7 @@ pub struct FlowRecipe {
     held_out: HeldOut,
 }
 
-/// What is random in the loss of one batch.
+/// The random inputs of one batch's loss.
 #[derive(Clone, Debug)]
 pub struct FlowDraws {
     /// Flow time of each sample.
@@ -37,7 +37,7 @@ pub struct FlowDraws {
 }
 
 impl FlowRecipe {
-    /// A recipe that predicts as `pose` says, validated on `held_out`.
+    /// A recipe that predicts according to `pose`, validated on `held_out`.
     pub fn new(pose: PoseConfig, held_out: HeldOut) -> Self {
         Self { pose, held_out }
     }
@@ -126,7 +126,7 @@ impl Recipe for FlowRecipe {
         self.loss_of(model, inputs, draws)
     }
 
-    /// At flow times that cover all evenly over items and draws.
+    /// At flow times that are evenly spread over items and draws.
     fn validation_loss(&self, model: &FlowModel, device: &Device) -> Measured {
         let (all, draws) = (self.held_out.len(), self.held_out.draws());
         let total = self.held_out.mean(device, |draw, range, inputs| {

@@ -1,4 +1,4 @@
-//! How motion that goes on holds together.
+//! The stability of autoregressive motion.
 
 use kinegrad_motion::humanml::{Extraction, FeatureLayout, FeatureStream, Joints, Skeleton};
 use kinegrad_motion::metrics::{FeatureMoments, frechet_distance, mean_jerk, skating_ratio};
@@ -115,7 +115,7 @@ impl RolloutReport {
     }
 }
 
-/// How far motions are from those that they should be like.
+/// The distance of motions from their references.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct TextReport {
     /// Mean difference of the root's mean speeds, metres per second.
@@ -249,7 +249,7 @@ mod tests {
             |a: &Joints, b: &Joints| TextReport::compute(&skeleton, &[(a.clone(), b.clone())]);
         let same = report(&walks[0], &walks[0]);
         assert_eq!((same.speed_error, same.turn_error), (Some(0.0), Some(0.0)));
-        // Twice as wide is twice as fast; mirrored is turned the other way.
+        // Twice as wide is twice as fast; mirrored has the opposite curvature.
         let wide = changed(&walks[0], |[x, y, z]| [2.0 * x, y, 2.0 * z]);
         assert!(report(&walks[0], &wide).speed_error > Some(0.3));
         let other = report(&walks[0], &walks[1]);

@@ -257,7 +257,7 @@ impl Sampler for Rollouts<'_> {
     }
 }
 
-/// The first clip of at least `needed` frames one of whose captions is `said`, else the first clip.
+/// The first clip of at least `needed` frames with the caption `said`, else the first clip.
 fn clip_that_does(
     sets: &[&ItemSet<Clip>],
     said: Option<&str>,
@@ -282,7 +282,7 @@ fn clip_that_does(
     Ok(first.or(too_short))
 }
 
-/// What to say of guidance with a network that was always told its text.
+/// The warning about guidance with a network trained without text dropout.
 pub(super) fn untaught_guidance(trained: &TrainedModel, own: &FlowTables) -> Option<String> {
     let scale = trained.config().sampling.sampler.guidance_scale;
     let guided = scale != 1.0 && own.pose.cond_drop_prob == 0.0;
@@ -360,7 +360,7 @@ fn read_history(path: &Path, space: &PoseSpace) -> Result<Joints, Error> {
             )));
         }
     }
-    // What no features can be made of is refused with the file's name.
+    // Motion without features is refused with the file's name.
     let rows = space.rows(&found);
     rows.map_err(|error| refused(error.to_string()))?;
     Ok(found)

@@ -22,7 +22,7 @@ use crate::together::Together;
 /// Statistics of features and poses.
 pub(super) type Both = [Statistics; 2];
 
-/// Trains as the setup's config says.
+/// Trains according to the setup's config.
 pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome, Error> {
     let mut own = setup.config.own::<FlowTables>().clone();
     let mut setup = setup.with_gradients(own.model.activation_checkpointing);

@@ -21,18 +21,18 @@ pub const HISTORY: &str = "history";
 /// motion.
 pub const PLACE: &str = "place";
 
-/// What the numbers of a sample mean.
+/// The representation of a sample.
 #[derive(Clone, Debug)]
 pub struct PoseSpace {
     /// The skeleton.
     pub skeleton: Skeleton,
     /// Rows in a history.
     pub history: usize,
-    /// What is predicted.
+    /// The target.
     pub target: NextPose,
-    /// Poses that a duration of 1 stands for.
+    /// Number of poses at a duration of 1.
     pub longest: usize,
-    /// How far histories of training drift, metres.
+    /// Noise on training histories, metres.
     pub drift: f64,
 }
 
@@ -114,8 +114,8 @@ impl PoseSpace {
     }
 }
 
-/// Windows of clips: in every sample one, drawn anew in each epoch and turned by any angle, for the
-/// rotations of features depend on where a body faces and a motion that goes on may face anywhere.
+/// Windows of clips: one per sample, at a new random position and heading in each epoch, because
+/// rotation features depend on the heading.
 #[derive(Clone, Debug)]
 pub struct PoseWindows {
     clips: ClipSet,
@@ -268,10 +268,9 @@ const RETURN: f64 = 0.1;
 /// shorter ones it is as quick, and ends nearer.
 const DRIFT_STEPS: f64 = 16.0;
 
-/// The frames with a random walk added to all but the last, of the whole body and of each joint
-/// beside it, either of which is `deviation` metres from where it began after [`DRIFT_STEPS`]; the last has what
-/// [`RETURN`] leaves of it: a target taken from the last two leads that part of the way back to where
-/// the body was recorded.
+/// The frames plus a random walk on all but the last, of the whole body and of each joint, each
+/// with a deviation of `deviation` metres after [`DRIFT_STEPS`]. The last frame has what [`RETURN`]
+/// leaves of it, so a target from the last two frames leads back by that share.
 fn drifting(window: &Joints, deviation: f64, key: Key) -> Joints {
     let (frames, joints) = (window.frames(), window.joints());
     let steps = frames - 1;

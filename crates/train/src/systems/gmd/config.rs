@@ -31,7 +31,7 @@ pub struct GmdConfig {
     pub init: GmdInitConfig,
     /// The denoiser.
     pub model: ModelTable<Backbone>,
-    /// What the model knows of captions.
+    /// The captions of the model.
     pub text: CaptionsConfig,
     /// The emphasis projection of a motion model.
     pub emphasis: EmphasisConfig,
@@ -68,8 +68,8 @@ pub struct GmdLossConfig {
     /// Weight of the squared error of the joints' velocities in the world, metres per second, mean
     /// over the joints. For motion models with `prediction_type = "sample"`; 0 in the paper.
     pub joint_velocity: f64,
-    /// Weight of the squared speed of feet that stand in the training clip (Human Motion Diffusion
-    /// Model, equation 5), mean over the four. As `joint_velocity`.
+    /// Weight of the squared speed of standing feet in the training clip (Human Motion Diffusion
+    /// Model, equation 5), mean over the four, like `joint_velocity`.
     pub foot_contact: f64,
 }
 
@@ -92,19 +92,19 @@ pub struct GmdEvaluationConfig {
     pub goals: usize,
     /// The list that goals are taken from.
     pub split: EvaluationSplit,
-    /// Clips that are drawn together. Guidance divides by the keyframes of a batch.
+    /// Batch size of sampling. Guidance divides by the keyframes of a batch.
     pub batch_size: usize,
     /// Evaluations, each with a seed of its own; the report has means and 95 % intervals of several.
     /// The published evaluation has 20.
     pub replications: usize,
-    /// Number of held-out clips of which several are drawn, for trajectory diversity and
-    /// multimodality; 0 for neither. The published evaluation has 100.
+    /// Number of held-out clips with several samples, for trajectory diversity and multimodality; 0
+    /// for neither. The published evaluation has 100.
     pub variety_clips: usize,
-    /// How many are drawn of each.
+    /// Number of samples of each.
     pub variety_repeats: usize,
     /// Keyframes per goal.
     pub keyframes: usize,
-    /// Which frames are keyframes.
+    /// The keyframes.
     pub keyframe_placement: KeyframePlacement,
     /// Obstacles per goal; if not 0, only the last frame is a keyframe.
     pub obstacles: usize,
@@ -137,9 +137,9 @@ impl Default for GmdEvaluationConfig {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum EvaluationSplit {
-    /// Those of `data.humanml3d.validation_list`, or what `data.validation` holds out.
+    /// The clips of `data.humanml3d.validation_list`, or those held out by `data.validation`.
     Validation,
-    /// Those of `data.humanml3d.test_list`.
+    /// The clips of `data.humanml3d.test_list`.
     Test,
 }
 

@@ -48,7 +48,7 @@ pub(super) fn keys(seed: u64, count: usize) -> impl Iterator<Item = NoiseKey> {
 /// A request for one clip.
 #[derive(Clone, Debug)]
 pub struct ClipRequest {
-    /// Its frames, at least 1; not read with a goal, which says how many.
+    /// Its frames, at least 1; with a goal, the goal's number is used.
     pub frames: usize,
     /// Position control of the root.
     pub goal: Option<Goal>,
@@ -67,7 +67,7 @@ impl ClipRequest {
 pub struct GeneratedClip {
     /// Its features, absolute or relative as the run's are; none of a trajectory model.
     pub features: Option<Features>,
-    /// Where its root stands in each frame, x and z in metres.
+    /// The root's ground position in each frame, x and z in metres.
     pub ground: Vec<[f64; 2]>,
     /// The ground path that the first stage drew.
     pub path: Option<Vec<[f64; 2]>>,
@@ -95,12 +95,12 @@ impl GeneratedClip {
     }
 }
 
-/// What a draw is steered to.
+/// The steering targets of a sample.
 #[derive(Clone, Copy)]
 struct Aim<'a> {
-    /// One for each clip.
+    /// One per clip.
     goals: &'a [Goal],
-    /// The paths of a first stage, one for each clip: of the length that is drawn, or of the clip's.
+    /// The paths of a first stage, one per clip: of the sampled length, or of the clip's.
     paths: Option<&'a [Vec<[f64; 2]>]>,
 }
 
@@ -110,8 +110,7 @@ impl<'a> Aim<'a> {
     }
 }
 
-/// Frames that are drawn for clips of `frames` frames: those of training, or more where more are
-/// asked for.
+/// Sampled frames for clips of `frames` frames: those of training, or more if requested.
 pub(super) fn drawn_frames(config: &Config, frames: usize) -> usize {
     frames.max(config.data.target_frames)
 }
@@ -193,15 +192,15 @@ impl ClipGenerator {
         self.sample_keyed(trajectory, requests, sampling, &keys, on_step)
     }
 
-    /// Generates the clips of `requests` as one batch; `trajectory`, if given, generates their ground
-    /// paths first. A clip depends on its key, its request and the number of frames that are drawn, on
-    /// the CPU to the bit; one with a goal also on the rest of the batch: on how many keyframes it has,
-    /// by the published guidance's divisor. `on_step` is called with the stage, `trajectory` or
-    /// `motion`, and its steps done and in total.
+    /// Generates the clips of `requests` as one batch; `trajectory`, if given, generates their
+    /// ground paths first. A clip depends on its key, its request and the sampled number of frames,
+    /// exactly on the CPU; one with a goal also on the number of keyframes of its batch, by the
+    /// published guidance's divisor. `on_step` is called with the stage, `trajectory` or `motion`,
+    /// and its steps done and in total.
     ///
-    /// As many frames are drawn as the models were trained with, or as the longest clip has, and the
-    /// rest is cut off: shorter noise would leave the network more padding than it has ever seen
-    /// (docs/sources.md, section 4.13). What stands behind a clip's end meanwhile is `steering.padding`.
+    /// The models' training length is sampled, or the longest clip's length, and the rest is cut
+    /// off: shorter noise would give the network more padding than in training (docs/sources.md,
+    /// section 4.13). The padding is `sampling.padding`.
     ///
     /// # Errors
     /// If a goal cannot be followed in so many frames, the sampler's settings cannot work, one of the
@@ -224,7 +223,7 @@ impl ClipGenerator {
         let mut paths = None;
         if let (Some(model), false) = (trajectory, goals.is_empty()) {
             self.must_match(model)?;
-            // Where the motion model draws what is behind a clip's end, it follows a path there too.
+            // If the motion model samples the padding, it follows a path there too.
             let follows_behind = steering.padding == Padding::Drawn;
             let followed = if follows_behind { own } else { frames };
             let frames = drawn_frames(model.config(), followed);
@@ -365,7 +364,7 @@ impl ClipGenerator {
         };
         let plain = Padded::new(&self.plain, &self.diffusion, &lengths, &start);
         let Some(aim) = aim else {
-            // Each clip as if it were drawn alone, to the bit.
+            // Each clip equals the one sampled alone, to the bit.
             let x = batch_invariant(batch, || {
                 sample(
                     &self.diffusion,

@@ -30,7 +30,7 @@ fn is_known_stranger(name: &str) -> bool {
         || name == "embed_timestep.sequence_pos_encoder.pe"
 }
 
-/// What the weights are of.
+/// The architecture of the weights.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Architecture {
     /// A UNet of Guided Motion Diffusion.
@@ -73,8 +73,8 @@ impl Architecture {
     }
 }
 
-/// Reads published weights and writes them as the only checkpoint of a run, from which samples are
-/// drawn and trainings start; it has no optimiser to resume with.
+/// Reads published weights and writes them as the only checkpoint of a run, for sampling and
+/// initialisation; it has no optimiser to resume with.
 ///
 /// # Errors
 /// If a file cannot be read, a parameter is missing, superfluous, of another shape or not finite
@@ -118,7 +118,7 @@ pub fn import(request: &ImportRequest) -> Result<Imported, Error> {
         let allowed = format!("[{channels}, {channels}], the network's channels");
         let matrix = array(path, allowed, |shape| shape == [channels, channels])?;
         let emphasis = config.own::<GmdConfig>().emphasis.clone();
-        // Rejects what cannot be undone.
+        // Rejects singular maps.
         EmphasisProjection::from_matrix(&matrix, channels, emphasis.scale, &emphasis.channels)?;
         model = model.in_space_of(matrix, &device);
     }
@@ -150,7 +150,7 @@ fn read_weights(
     }
 }
 
-/// What the shapes of the weights say of the network.
+/// The network according to the shapes of the weights.
 struct Sizes {
     channels: usize,
     /// The network, and the name of the size that its keys start from.
@@ -245,10 +245,9 @@ const PLACES_TO_STEPS: f64 = 3.0;
 /// deviation of 9 cm a frame, nearly 2 m/s.
 const LARGEST_STEP: f64 = 0.1;
 
-/// Whether mean and deviation are those of features with relative root, whose channels 1 and 2 are
-/// displacements to the next frame, as those of joint 0 are: statistics of both readings of a dataset
-/// are the same but for the first three channels. Of statistics that are of no body, such as all ones,
-/// it is not told.
+/// True if mean and deviation are those of features with relative root, whose channels 1 and 2 are
+/// displacements like those of joint 0. Statistics of both readings differ in the first three
+/// channels only. Undecided for statistics of no body, such as all ones.
 fn is_relative(mean: &[f64], std: &[f64], layout: FeatureLayout) -> bool {
     let displacement = layout.velocities().start;
     let ground = std[1].max(std[2]);
@@ -256,8 +255,8 @@ fn is_relative(mean: &[f64], std: &[f64], layout: FeatureLayout) -> bool {
     ground < PLACES_TO_STEPS * step && ground < LARGEST_STEP * mean[3].abs()
 }
 
-/// Whether the deviation is that of features with absolute root: its place varies far more than its
-/// displacement to the next frame does, which of a relative root is the same thing.
+/// True if the deviation is that of features with absolute root, whose position varies far more
+/// than its displacement.
 fn is_absolute(std: &[f64], layout: FeatureLayout) -> bool {
     let displacement = layout.velocities().start;
     let step = std[displacement].max(std[displacement + 2]);
@@ -273,7 +272,7 @@ fn settings(
     sizes: &Sizes,
 ) -> Result<(Config, Statistics), Error> {
     let recipe = architecture.recipe().name();
-    // The published programs draw what stands behind a clip's end.
+    // The published programs sample the padding.
     let text = format!("[train]\nrecipe = \"{recipe}\"\n[steering]\npadding = \"drawn\"\n");
     let mut config = Systems(&[&Gmd]).parse(&text, "the recipe's defaults", &request.overrides)?;
     let [mean, std] = mean_and_deviation(mean_path, std_path)?;

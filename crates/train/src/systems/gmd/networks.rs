@@ -63,7 +63,7 @@ pub(super) fn parameters_in_space(config: &Config) -> Result<ParameterCount, Err
     }))
 }
 
-/// What the networks of a config take for clips of `frames` frames.
+/// The memory of a config's networks for clips of `frames` frames.
 ///
 /// # Errors
 /// If one cannot be built.

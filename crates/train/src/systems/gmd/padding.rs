@@ -1,23 +1,23 @@
-//! Clips that are shorter than what is drawn.
+//! Clips that are shorter than the sampled length.
 
 use burn::tensor::{Tensor, TensorData};
 use kinegrad_diffusion::{Denoiser, GaussianDiffusion, PredictionType, Time};
 
-/// A network that is told how long each clip is, as in training: behind a clip's last frame it sees
-/// zeros of normalised motion, noised, and is taken to answer with those zeros.
+/// A network with each clip's length, as in training: after a clip's last frame its input is noised
+/// zeros of normalised motion, and its output is replaced by zeros.
 ///
 /// Training shows it nothing else there, and its loss does not ask what it makes of it. Drawn freely,
 /// those frames would become something that it has never seen beside such a text.
 pub struct Padded<'a, D> {
     network: &'a D,
     diffusion: &'a GaussianDiffusion,
-    /// 1 in frames of the clip, 0 behind it: `[batch, 1, frames]`, on the network's device; none
-    /// where every clip is as long as what is drawn.
+    /// 1 in frames of the clip, 0 after it: `[batch, 1, frames]`, on the network's device; `None`
+    /// if every clip has the sampled length.
     real: Option<Tensor<3>>,
 }
 
 impl<'a, D> Padded<'a, D> {
-    /// `network` for clips of these `lengths`, drawn as `frames` frames. `like` is on its device.
+    /// `network` for clips of these `lengths`, sampled as `frames` frames. `like` is on its device.
     pub fn new(
         network: &'a D,
         diffusion: &'a GaussianDiffusion,
@@ -48,7 +48,7 @@ impl<D: Denoiser<Cond = Tensor<3>>> Denoiser for Padded<'_, D> {
             return self.network.predict(x_t, time, cond);
         };
         let padding = real.clone() * -1.0 + 1.0;
-        // No goal may reach the clip through what is not part of it.
+        // Padding must not let a goal influence the clip.
         let behind = x_t.clone().detach() * padding.clone();
         let seen = x_t * real.clone() + behind.clone();
         let output = self.network.predict(seen, time, cond);

@@ -1,4 +1,4 @@
-//! What steers one stage of a draw towards goals.
+//! The steering of one sampling stage towards goals.
 
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_diffusion::{Guidance, Imputation, Objective, Steering};
@@ -11,9 +11,9 @@ use crate::error::Error;
 /// The guidance loss of the root's ground path.
 #[derive(Clone, Debug)]
 pub struct GroundObjective<'a> {
-    /// Where the network works.
+    /// The device of the network.
     pub space: &'a FeatureSpace,
-    /// What the path is measured by.
+    /// The path loss.
     pub loss: GuidanceLoss,
 }
 
@@ -44,9 +44,9 @@ pub struct StageModel<'a> {
     pub space: &'a FeatureSpace,
     /// Its channels.
     pub channels: usize,
-    /// Whether it is a motion model, whose imputation may end at another timestep.
+    /// True for a motion model, whose imputation may end at another timestep.
     pub of_motion: bool,
-    /// Frames that are drawn, as many as the longest goal's or more.
+    /// Sampled frames, at least those of the longest goal.
     pub frames: usize,
     /// The plain device.
     pub device: &'a Device,
@@ -60,7 +60,7 @@ pub struct StageSteering<'a> {
     objective: GroundObjective<'a>,
     scale: f64,
     of_motion: bool,
-    /// Whether single frames are asked for: what is not drawn towards them to the end would jump there.
+    /// True if single frames are targets; without steering to the end, motion would jump there.
     of_points: bool,
     dense: Known,
     points: Known,
@@ -102,8 +102,8 @@ impl<'a> StageSteering<'a> {
         })
     }
 
-    /// Steers the second stage along the `paths` that the first has drawn, one for each goal, in
-    /// every frame, and around the goals' obstacles.
+    /// Steers the second stage along the `paths` of the first, one per goal, in every frame, and
+    /// around the goals' obstacles.
     ///
     /// # Errors
     /// As [`of_goals`](Self::of_goals).
@@ -138,7 +138,7 @@ impl<'a> StageSteering<'a> {
         })
     }
 
-    /// What acts at timestep `t`.
+    /// The steering at timestep `t`.
     pub fn at(&self, t: usize) -> Steering<'_> {
         let schedule = &self.config.schedule;
         let guided = self.scale > 0.0 && schedule.phase(t) != Phase::Off;

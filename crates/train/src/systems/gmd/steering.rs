@@ -9,7 +9,7 @@ use serde_json::{Value, to_value};
 
 use crate::config::PLAIN;
 
-/// What stands behind the end of a clip that is shorter than what is drawn.
+/// The padding of a clip that is shorter than the sampled length.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Padding {
@@ -17,7 +17,7 @@ pub enum Padding {
     /// knows how long the clip is.
     #[default]
     Zeros,
-    /// Motion that is drawn too and cut off, as in the published program of GMD: right for models
+    /// Padding is sampled as motion and cut off, as in the published program of GMD: for models
     /// whose training clips were never shorter than `data.target_frames`.
     Drawn,
 }
@@ -26,18 +26,19 @@ pub enum Padding {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct SteeringConfig {
-    /// What stands behind the end of clips that are shorter than what is drawn, with or without a goal.
+    /// The padding of clips that are shorter than the sampled length, for recipes `gmd_motion` and
+    /// `gmd_trajectory`.
     pub padding: Padding,
     /// Strength s of the classifier guidance, 100 to 200 in the paper; 0 guides nothing.
     pub scale: f64,
-    /// Furthest that guidance moves a frame in one step, over all channels of the network's space, in
-    /// standard deviations of the step's noise; without it as far as the gradient says, which in few
-    /// steps and at a large scale makes some motions run away. Not in the paper.
+    /// Largest shift of a frame by guidance in one step, over all channels of the network's space,
+    /// in standard deviations of the step's noise. Unset, the shift is not limited, which with few
+    /// steps and a large scale makes some motions diverge. Not in the paper.
     pub max_shift: Option<f64>,
-    /// Whether known positions are imputed.
+    /// Impute known positions.
     pub imputation: bool,
-    /// Whether the second stage is guided along the path of the first, beside its imputation: the
-    /// published demonstration does, the published evaluation does not.
+    /// Guide the second stage along the path of the first, in addition to imputation, as in the
+    /// published demonstration; the published evaluation does not.
     pub second_stage_guidance: bool,
     /// Denoising steps of the first stage, whose small model is cheap to ask often: its paths shake
     /// in few steps. Omitted: those of the second.
@@ -46,7 +47,7 @@ pub struct SteeringConfig {
     pub first_stage_guidance_scale: Option<f64>,
     /// The loss whose gradient guides.
     pub guidance: GuidanceConfig,
-    /// Which positions act at which timesteps.
+    /// The timesteps at which positions act.
     pub schedule: GuidanceSchedule,
 }
 

@@ -40,7 +40,7 @@ fn joint_motion(
     ))
 }
 
-/// Trains as the setup's config says.
+/// Trains according to the setup's config.
 pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome, Error> {
     let mut own = setup.config.own::<GmdConfig>().clone();
     let mut setup = setup.with_gradients(own.model.activation_checkpointing);

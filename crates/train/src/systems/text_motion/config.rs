@@ -38,7 +38,7 @@ clip = "none"
 pub struct TextMotionTables {
     /// The encoders.
     pub model: ModelTable<TextMotionNetwork>,
-    /// What stands for the words of captions.
+    /// The word vectors of captions.
     pub words: WordsConfig,
     /// The loss.
     pub loss: TextMotionLossConfig,

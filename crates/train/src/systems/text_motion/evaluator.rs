@@ -19,7 +19,7 @@ use crate::published::{load, mean_and_deviation, read_tensors};
 /// Frames that the published evaluator is trained with.
 const PUBLISHED_FRAMES: usize = 196;
 
-/// Clips or captions that are encoded together.
+/// Batch size of encoding.
 const GROUP: usize = 32;
 
 /// The evaluator, ready to use.
@@ -191,8 +191,8 @@ impl TextMotionEvaluator for TextMotion {
     }
 }
 
-/// Embeddings of items of `lengths`, at their places: those of about one length and of the same
-/// `padded` length are encoded together, from their places, lengths and that padded length.
+/// Embeddings of items of `lengths`, in order. Items of similar length and equal `padded` length
+/// are encoded in one batch, from their indices, lengths and that padded length.
 fn in_groups(
     lengths: &[usize],
     padded: impl Fn(usize) -> usize,

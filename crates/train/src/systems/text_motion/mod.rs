@@ -1,5 +1,5 @@
-//! Text-motion evaluators: encoders of clips and captions to embeddings that are close together
-//! where the caption describes the clip (docs/sources.md, section 4.12).
+//! Text-motion evaluators: encoders of clips and captions whose embeddings are close if the caption
+//! describes the clip (docs/sources.md, section 4.12).
 //!
 //! Recipe `text_motion` trains them on a dataset of clips, so that models of the same clips can be
 //! measured where no published evaluator fits. [`TextMotion`] is one ready to use, of such a run or

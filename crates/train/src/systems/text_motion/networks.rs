@@ -44,7 +44,7 @@ pub(super) fn encoders(
     Ok(sizes(config, width)?.init(&init))
 }
 
-/// What training takes.
+/// The training memory.
 ///
 /// # Errors
 /// If the word vectors cannot be read, whose width counts.

@@ -6,10 +6,9 @@
 //! ```
 //!
 //! d is the Euclidean distance of the embeddings of a caption and a motion. The published program
-//! (Guo et al. 2022, section 5) takes one other motion for each caption; here all pairs of the
-//! batch are taken, and a caption belongs to all clips that have the captions of its own clip, or
-//! that are told the same sentence. The
-//! movement encoder is trained with the others, not before them.
+//! (Guo et al. 2022, section 5) takes one other motion per caption; here all pairs of the batch are
+//! used, and a caption is a positive for all clips with the captions of its own clip or the same
+//! sentence. The movement encoder is trained jointly, not first.
 
 use burn::tensor::{Device, Int, Tensor, TensorData};
 use kinegrad_data::{Batch, CAPTIONS, Condition, WORDS};
@@ -51,8 +50,8 @@ impl ContrastiveRecipe {
     }
 }
 
-/// The two terms, for embeddings `[batch, width]` of captions and motions of which those of caption
-/// i and motion j belong together where `together[i * batch + j]`.
+/// The two terms, for embeddings `[batch, width]` of captions and motions. Caption i and motion j
+/// are a positive pair where `together[i * batch + j]`.
 fn contrast(
     texts: Tensor<2>,
     motions: Tensor<2>,
@@ -122,7 +121,7 @@ impl Captions {
     }
 }
 
-/// Of each pair whether its clips have the same captions, or the same sentence of those they have.
+/// For each pair, true if its clips have the same captions, or the same sentence of them.
 fn together(batch: &Batch) -> Vec<bool> {
     let captions = &condition(batch, CAPTIONS).values;
     let words = condition(batch, WORDS);

@@ -11,7 +11,7 @@ use crate::error::Error;
 use crate::observer::Observer;
 use crate::run::{Outcome, Setup};
 
-/// Trains as the setup's config says.
+/// Trains according to the setup's config.
 pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome, Error> {
     let config = setup.config.clone();
     let own: &TextMotionTables = config.own();

@@ -1,5 +1,5 @@
-//! How far decoded motion is from the ground truth (CC-MotionGen, sections 7.1 and 7.5;
-//! docs/sources.md, section 1.8: "decoder position" and "decoder quaternion").
+//! Reconstruction losses (CC-MotionGen, sections 7.1 and 7.5; docs/sources.md, section 1.8:
+//! "decoder position" and "decoder quaternion").
 
 use burn::tensor::{Tensor, s};
 use kinegrad_models::rotation::hemisphere;
@@ -9,14 +9,14 @@ use serde::{Deserialize, Serialize};
 
 use super::mean_frames;
 
-/// How the two quaternions of one rotation compare.
+/// The treatment of q and -q.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum SignMatching {
     /// The nearer one of q and -q counts.
     #[default]
     Nearer,
-    /// As stored (CC-MotionGen), so that q and -q differ.
+    /// As stored (CC-MotionGen): q and -q differ.
     Document,
 }
 

@@ -36,7 +36,7 @@ mod tests;
 /// A drop of the phase by more than this is the wrap from the end of a bar to its beginning.
 const WRAP: f64 = 0.5;
 
-/// Which drops of the phase count.
+/// The phase drops that count.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum PhaseLoss {
@@ -77,7 +77,7 @@ pub struct TemporalLossConfig {
     pub target_quat_delta: f64,
     /// Radians per second.
     pub target_angular_velocity: f64,
-    /// Which drops of the phase count.
+    /// The phase drops that count.
     pub phase: PhaseLoss,
 }
 

@@ -33,7 +33,7 @@ pub struct DecoderRecipe {
 }
 
 impl DecoderRecipe {
-    /// A recipe whose latents `rollouts` draws, validated on `held_out`.
+    /// A recipe whose latents are sampled by `rollouts`, validated on `held_out`.
     pub fn new(rollouts: Rollouts, loss: &LossConfig, held_out: HeldOut) -> Self {
         Self {
             rollouts,

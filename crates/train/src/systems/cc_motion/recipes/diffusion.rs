@@ -9,9 +9,9 @@
 //! `diffusion.cond_drop_prob`, which trains the null condition of classifier-free guidance, and the
 //! style, of a network with one, with probability `diffusion.style_drop_prob`.
 //!
-//! Where the network tracks the beats of the music itself (`model.beats`), the squared error of what
-//! it finds is added, over the frames of which the beats are told; its tracker has no other loss.
-//! The rest of the network then learns from the beats themselves, and in sampling hears the tracker's.
+//! If the network tracks beats (`model.beats`), the squared error of the tracker is added, over
+//! frames with beat labels; the tracker has no other loss. The rest of the network is trained with
+//! the labels (teacher forcing) and sampled with the tracker's beats.
 
 use burn::tensor::{Device, Tensor};
 use kinegrad_diffusion::{GaussianDiffusion, diffusion_loss};
@@ -29,8 +29,8 @@ pub fn diffusion_recipe(
     DenoisingRecipe::new(diffusion, held_out, denoising_loss)
 }
 
-/// The loss above. For `training` with the weights w(t) and the loss of the
-/// tracker, and the denoiser hears the beats that are told in the place of what is tracked.
+/// The loss above. For `training`, with the weights w(t), the tracker's loss and teacher forcing of
+/// beats.
 pub(in super::super) fn denoising_loss(
     diffusion: &GaussianDiffusion,
     unet: &UNet1d,
@@ -70,8 +70,8 @@ pub(in super::super) fn denoising_loss(
     loss
 }
 
-/// The mean squared error of the beats that the network tracks, over the frames of which they are
-/// told; none for a network that does not.
+/// The mean squared error of the network's beat tracker, over frames with beat labels; `None`
+/// without a tracker.
 fn tracking_loss(unet: &UNet1d, inputs: &Inputs) -> Option<Tensor<1>> {
     let cond = condition(&inputs.cond, inputs.lengths.clone());
     let found = unet.track_beats(&cond)?;
@@ -83,7 +83,7 @@ fn tracking_loss(unet: &UNet1d, inputs: &Inputs) -> Option<Tensor<1>> {
     Some(sum(error) / (sum(mask) * tracked as f64).clamp_min(1.0))
 }
 
-/// The same loss as in sampling: not weighted, and with the beats that are tracked, on held-out phrases.
+/// The same loss as in sampling: unweighted and with tracked beats, on held-out phrases.
 pub(super) fn denoising_validation_loss(
     diffusion: &GaussianDiffusion,
     unet: &UNet1d,
@@ -107,7 +107,7 @@ mod tests {
     use super::*;
     use crate::denoising::Conditions;
 
-    /// A tracker's loss is over the frames whose beats are told, and nothing else.
+    /// A tracker's loss is over frames with beat labels only.
     #[test]
     fn masked_unknown_and_padded_beats_are_not_learned_from() {
         let device = Device::flex();
@@ -172,7 +172,7 @@ mod tests {
         assert!((loss - sum / count).abs() < 1e-5, "{loss} {}", sum / count);
     }
 
-    /// Batches of one sample that differ in the beats that they are told.
+    /// Batches of one sample with different beat labels.
     fn told(start: f32, device: &Device) -> Inputs {
         let (features, time) = (9 + BEAT_CHANNELS, 13);
         let mut values = vec![0.0f32; features * time];

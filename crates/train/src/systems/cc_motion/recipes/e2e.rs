@@ -1,5 +1,5 @@
-//! Denoiser and decoder together, through the sampler (CC-MotionGen, section 7; docs/sources.md,
-//! section 1.8):
+//! End-to-end training of denoiser and decoder through the sampler (CC-MotionGen, section 7;
+//! docs/sources.md, section 1.8):
 //!
 //! ```text
 //! L = w_diff L_diff + w_dec (L_pos + L_quat) + w_temp sum L_temp + w_components L_all
@@ -30,7 +30,7 @@ use crate::recipe::{Loss, Measured, Recipe, StepKey};
 use crate::systems::cc_motion::LossConfig;
 use crate::systems::cc_motion::losses::{ReconstructionLoss, temporal_losses};
 
-/// Draw of the held-out phrases' noise that their rollouts start from, whatever `validation.draws`.
+/// Index of the start noise of held-out rollouts, independent of `validation.draws`.
 const ROLLOUT_DRAW: u64 = 1;
 
 /// Fine-tunes a [`MotionModel`].
@@ -40,17 +40,17 @@ pub struct E2eRecipe {
     held_out: HeldOut,
 }
 
-/// What the backward pass of a checkpointed rollout goes on with.
+/// The state with which the backward pass of a checkpointed rollout continues.
 #[derive(Debug)]
 pub struct PendingRollout {
     trace: Trace,
     cond: AudioCondition,
 }
 
-/// What is random in the loss of one batch.
+/// The random inputs of one batch's loss.
 #[derive(Clone, Debug)]
 pub struct E2eDraws {
-    /// Of the diffusion loss.
+    /// Inputs of the diffusion loss.
     pub denoising: Draws,
     /// Start timestep of each sample's rollout.
     pub starts: Vec<usize>,
@@ -70,7 +70,7 @@ impl E2eRecipe {
         }
     }
 
-    /// The loss of a batch and what was drawn for it.
+    /// The loss of a batch and its random inputs.
     pub fn loss_of(
         &self,
         model: &MotionModel,

@@ -16,7 +16,7 @@ pub use diffusion::diffusion_recipe;
 pub use e2e::{E2eDraws, E2eRecipe, PendingRollout};
 pub use rollouts::Rollouts;
 
-/// What the denoiser is told of a batch.
+/// The denoiser's condition for a batch.
 fn heard(inputs: &Inputs) -> AudioCondition {
     condition(&inputs.cond, inputs.lengths.clone())
 }

@@ -14,7 +14,7 @@ use crate::error::Error;
 use crate::systems::cc_motion::losses::reconstruction::{normalized_error, with_nearer_phase};
 use crate::systems::cc_motion::{ReconstructionWeighting, RolloutConfig, RolloutStart};
 
-/// Rollouts as the table `rollout` says.
+/// Rollouts according to the table `rollout`.
 pub struct Rollouts {
     pub(super) rollout: Rollout,
     pub(super) config: RolloutConfig,
@@ -53,8 +53,8 @@ impl Rollouts {
         })
     }
 
-    /// The same over motion in the channels of `targets`, which the statistics then are of;
-    /// `stored` are those of the 25 channels.
+    /// The same over motion in the channels of `targets` and their statistics; `stored` are those
+    /// of the 25 channels.
     #[must_use]
     pub fn with_targets(self, targets: ChannelEncoding, stored: &Statistics) -> Self {
         Self {
@@ -81,7 +81,7 @@ impl Rollouts {
             .collect()
     }
 
-    /// As [`starts`](Self::starts), at places drawn from `key`.
+    /// As [`starts`](Self::starts), at timesteps sampled from `key`.
     pub(super) fn draw_starts(&self, batch: usize, key: Key) -> Vec<usize> {
         let places = key.uniforms(batch);
         self.starts(batch, |i| f64::from(places[i]))
@@ -103,7 +103,8 @@ impl Rollouts {
         }
     }
 
-    /// Latents drawn from the batch by plain weights, without gradients: `[batch, channels, time]`.
+    /// Latents sampled for the batch with plain weights, without gradients: `[batch, channels,
+    /// time]`.
     pub(super) fn sample(
         &self,
         unet: &UNet1d,
@@ -122,7 +123,7 @@ impl Rollouts {
         output.expect("bounds of all channels").x.without_autodiff()
     }
 
-    /// How much the reconstruction of each sample counts: `[batch, 1, 1]`.
+    /// The weight of each sample's reconstruction: `[batch, 1, 1]`.
     pub(super) fn weights(
         &self,
         starts: &[usize],
@@ -167,7 +168,7 @@ impl Rollouts {
     }
 }
 
-/// One value a channel: `[1, channels, 1]`.
+/// One value per channel: `[1, channels, 1]`.
 pub(super) fn channels(values: &[f64], device: &Device) -> Tensor<3> {
     let values: Vec<f32> = values.iter().map(|&v| v as f32).collect();
     let shape = [1, values.len(), 1];

@@ -1,4 +1,4 @@
-//! What the network makes of clips that are noised and not drawn.
+//! The network's prediction for noised clips.
 
 use std::sync::Arc;
 

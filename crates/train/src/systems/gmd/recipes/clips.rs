@@ -27,8 +27,8 @@ use super::loss::clip_loss;
 use crate::denoising::{DenoisingRecipe, HeldOut, Inputs};
 use crate::systems::gmd::GmdLossConfig;
 
-/// Trains a [`TextDenoiser`] on clips of `channels`, whole motion or the root's way, over
-/// `diffusion`, validated on `held_out`. The noise of given draws is that of the network's space.
+/// Trains a [`TextDenoiser`] on clips of `channels`, complete motion or the root trajectory, over
+/// `diffusion`, validated on `held_out`. Random inputs are noise of the network's space.
 pub fn clip_recipe(
     diffusion: GaussianDiffusion,
     channels: usize,

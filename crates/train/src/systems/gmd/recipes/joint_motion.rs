@@ -8,7 +8,7 @@ use kinegrad_motion::humanml::{FeatureLayout, Skeleton};
 use crate::clips::space::rows_to_motion;
 use crate::systems::gmd::GmdLossConfig;
 
-/// Contact flags of the target above this are feet that stand.
+/// Contact flags of the target above this mark standing feet.
 const STANDING: f32 = 0.5;
 
 /// The velocity and foot contact losses of the Human Motion Diffusion Model (Tevet et al. 2022,

@@ -188,7 +188,7 @@ fn position_smoothness_is_the_squared_third_difference() {
         let t = frame as f64;
         match channel {
             0..3 => cubic[sample][channel] * t.powi(3) + 4.0 * t.powi(2) - 3.0 * t,
-            // What else a motion has does not count.
+            // Other channels of a motion are ignored.
             _ => 7.0 * (t + channel as f64).sin(),
         }
     };
