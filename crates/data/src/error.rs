@@ -74,7 +74,7 @@ pub enum Error {
     #[error("{what}: this build of kinegrad lacks the feature `{feature}`")]
     #[diagnostic(help(
         "install the wheel, which has it: `pip install kinegrad`; or build it with \
-         `cargo build --release --features full` (or option `features {feature}`)"
+         the Cargo feature `full` (or `{feature}`)"
     ))]
     Feature {
         /// The requested object.
