@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use kinegrad_cli::{checkpoint, while_it_is_trained};
 use kinegrad_train::checkpoint::{SavedCheckpoint, Weights};
-use kinegrad_train::evaluation::EvaluationRequest;
+use kinegrad_train::evaluation::{self, EvaluationRequest};
 use kinegrad_train::systems::BUILT_IN;
 use kinegrad_train::{Error, TrainedModel, telemetry};
 use pyo3::prelude::*;
@@ -94,7 +94,7 @@ pub fn evaluate(
                 ..EvaluationRequest::default()
             };
             let (system, _) = BUILT_IN.of(trained.config())?;
-            let evaluate = system.evaluate(&trained, &request)?;
+            let evaluate = evaluation::prepare(system, &trained, &request)?;
             let evaluated = evaluate(&mut |stage, done, all| progress.step(stage, done, all))?;
             Ok(json(&evaluated.json))
         })

@@ -17,7 +17,7 @@ use toml::Table;
 use crate::checkpoint::SavedCheckpoint;
 use crate::config::{Config, ConfigError, OwnTables, Place};
 use crate::error::Error;
-use crate::evaluation::{Evaluate, EvaluationRequest};
+use crate::evaluation::{Evaluation, EvaluationRequest};
 use crate::import::{ImportRequest, Imported};
 use crate::memory::Footprint;
 use crate::observer::Observer;
@@ -175,16 +175,22 @@ pub trait System: Sync {
         sink: &mut dyn SampleSink,
     ) -> Result<Box<dyn Sampler + 'a>, Error>;
 
-    /// Validates the request and returns a function that evaluates a trained model on held-out
-    /// motion.
+    /// Names of the options of an evaluation that its models accept: `audio_ablation`,
+    /// `trajectory_run`.
+    fn accepts_in_evaluation(&self) -> &'static [&'static str] {
+        &[]
+    }
+
+    /// Validates the request and prepares the evaluation of a trained model on held-out motion;
+    /// [`evaluation::prepare`](crate::evaluation::prepare) is what entry points call.
     ///
     /// # Errors
-    /// If the request does not apply to its models, or nothing is held out.
+    /// If the request does not suit the model, or nothing is held out.
     fn evaluate<'a>(
         &self,
         trained: &'a TrainedModel,
         request: &EvaluationRequest,
-    ) -> Result<Evaluate<'a>, Error>;
+    ) -> Result<Evaluation<'a>, Error>;
 
     /// Trains until the end or until interrupted, with [`Setup::train`].
     ///

@@ -34,7 +34,7 @@ pub use stage::{StageModel, StageSteering};
 use crate::TrainedModel;
 use crate::config::{Config, ConfigError, OwnTables, Place, SystemTables};
 use crate::error::Error;
-use crate::evaluation::{Evaluate, EvaluationRequest};
+use crate::evaluation::{Evaluation, EvaluationRequest};
 use crate::import::{ImportRequest, Imported};
 use crate::memory::Footprint;
 use crate::observer::Observer;
@@ -134,11 +134,15 @@ impl System for Gmd {
         Ok(Box::new(sample::Clips::new(trained, request, sink)?))
     }
 
+    fn accepts_in_evaluation(&self) -> &'static [&'static str] {
+        &["trajectory_run"]
+    }
+
     fn evaluate<'a>(
         &self,
         trained: &'a TrainedModel,
         request: &EvaluationRequest,
-    ) -> Result<Evaluate<'a>, Error> {
+    ) -> Result<Evaluation<'a>, Error> {
         evaluate::prepare(trained, request)
     }
 

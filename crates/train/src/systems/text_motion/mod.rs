@@ -22,7 +22,7 @@ pub use evaluator::{TextMotion, TextMotionReports};
 use crate::TrainedModel;
 use crate::config::{Config, ConfigError, OwnTables, Place, SystemTables};
 use crate::error::Error;
-use crate::evaluation::{Evaluate, EvaluationRequest};
+use crate::evaluation::{Evaluation, EvaluationRequest};
 use crate::memory::Footprint;
 use crate::observer::Observer;
 use crate::recipe::RecipeInfo;
@@ -97,7 +97,7 @@ impl System for TextMotionSystem {
         &self,
         trained: &'a TrainedModel,
         request: &EvaluationRequest,
-    ) -> Result<Evaluate<'a>, Error> {
+    ) -> Result<Evaluation<'a>, Error> {
         evaluate::prepare(trained, request)
     }
 
