@@ -215,7 +215,11 @@ fn what_belongs_to_another_system_is_refused_by_name() {
         ),
         (
             "eval runs/phrases --trajectory-run runs/gmd_trajectory",
-            ["`--trajectory-run`", "runs/phrases", "a run on phrases"],
+            [
+                "`--trajectory-run`",
+                "runs/phrases",
+                "a run of recipe `diffusion`",
+            ],
         ),
         (
             "train c.toml --name phrases --set train.recipe=gmd_motion --resume",

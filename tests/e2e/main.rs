@@ -2,6 +2,7 @@
 //! environment or the current directory of this process.
 
 mod aligned;
+mod audio_ablation;
 mod bad_input;
 mod beats;
 mod bodies;
@@ -18,7 +19,6 @@ mod fine_tuning;
 mod flow;
 mod goals;
 mod imports;
-mod listening;
 mod matching;
 mod movement;
 mod newcomer;

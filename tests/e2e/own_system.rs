@@ -21,7 +21,7 @@ use kinegrad_random::{Key, Purpose};
 use kinegrad_train::TrainedModel;
 use kinegrad_train::config::{Config, ConfigError, OwnTables, SystemTables};
 use kinegrad_train::denoising::{HeldOut, Inputs};
-use kinegrad_train::evaluation::{Column, Evaluate, Evaluated, EvaluationRequest, Group, Number};
+use kinegrad_train::evaluation::{Evaluation, EvaluationRequest, Group, Metrics, Number, Results};
 use kinegrad_train::run::{Material, Outcome, Setup};
 use kinegrad_train::sampling::{Generated, Job, Request, Run, SampleSink, Sampler, Summary};
 use kinegrad_train::systems::{BUILT_IN, RecipeInfo, System, Systems};
@@ -323,6 +323,26 @@ impl Sampler for ToySampler<'_> {
     }
 }
 
+/// The metrics of circles.
+struct Heights {
+    /// Mean height, metres.
+    mean: f64,
+}
+
+impl Heights {
+    fn of<'a>(circles: impl ExactSizeIterator<Item = &'a Vec<f32>>) -> Self {
+        let count = circles.len() as f64;
+        let sum: f64 = circles.map(|rows| height(rows)).sum();
+        Self { mean: sum / count }
+    }
+}
+
+impl Metrics for Heights {
+    fn rows(&self) -> Vec<Number> {
+        vec![Number::new("height", Some(self.mean), " (m)")]
+    }
+}
+
 impl System for Toy {
     fn name(&self) -> &'static str {
         "toy"
@@ -399,37 +419,28 @@ impl System for Toy {
         &self,
         trained: &'a TrainedModel,
         request: &EvaluationRequest,
-    ) -> Result<Evaluate<'a>, Error> {
+    ) -> Result<Evaluation<'a>, Error> {
         let held_out = dataset(trained.config())?.validation.load()?;
         let seed = request.seed;
-        Ok(Box::new(move |_| {
-            let radii: Vec<f32> = held_out.iter().map(|circle| circle.radius).collect();
-            let drawn = draw(trained, &radii, seed)?;
-            let column = |circles: &mut dyn Iterator<Item = &Vec<f32>>| {
-                let heights: Vec<f64> = circles.map(|rows| height(rows)).collect();
-                let value = heights.iter().sum::<f64>() / heights.len() as f64;
-                Column {
-                    facts: vec![("circles", Some(heights.len() as u64))],
-                    groups: vec![Group {
-                        key: "circles",
-                        title: "",
-                        numbers: vec![Number {
-                            name: "height".to_owned(),
-                            value: Some(value),
-                            line: Some(("height (m)".to_owned(), Some(format!("{value:.2}")))),
-                        }],
-                    }],
-                }
-            };
-            Ok(Evaluated {
-                run: trained.config().run.name.clone(),
-                report: "eval-circles",
-                json: serde_json::json!({ "height": height(&drawn.concat()) }),
-                real: column(&mut held_out.iter().map(|circle| &circle.rows)),
-                drawn: column(&mut drawn.iter()),
-                remarks: Vec::new(),
-            })
-        }))
+        Ok(Evaluation {
+            report: "eval-circles",
+            memory: 0,
+            memory_hint: "",
+            remarks: Vec::new(),
+            measure: Box::new(move |_| {
+                let radii: Vec<f32> = held_out.iter().map(|circle| circle.radius).collect();
+                let samples = Heights::of(draw(trained, &radii, seed)?.iter());
+                let real = Heights::of(held_out.iter().map(|circle| &circle.rows));
+                let count = Some(held_out.len() as u64);
+                Ok(Results {
+                    json: serde_json::json!({ "height": samples.mean }),
+                    facts: vec![("circles", [count; 2])],
+                    samples: Some(vec![Group::new("circles", "", &samples)]),
+                    real: vec![Group::new("circles", "", &real)],
+                    remarks: Vec::new(),
+                })
+            }),
+        })
     }
 
     fn train(&self, setup: Setup, observer: &mut dyn Observer) -> Result<Outcome, Error> {

@@ -17,10 +17,10 @@ EVALUATIONS = {
         f"--set evaluation.phrases=5 --set evaluation.seeds=2 {STEPS}",
         "eval.json",
     ),
-    "listening": (
+    "audio_ablation": (
         "quickstart",
         f"--audio-ablation --guidance-scale 1,2 --set evaluation.phrases=5 --set evaluation.seeds=1 {STEPS}",
-        "eval-listening.json",
+        "eval-audio-ablation.json",
     ),
     "clips": (
         "gmd_motion_tiny",

@@ -8,7 +8,7 @@ use std::rc::Rc;
 use kinegrad_report::{Column, Section, columns_csv, columns_table};
 use kinegrad_train::checkpoint::SavedCheckpoint;
 use kinegrad_train::config;
-use kinegrad_train::evaluation::{self, Evaluated, EvaluationRequest, Group};
+use kinegrad_train::evaluation::{self, Evaluated, EvaluationRequest, Group, Number};
 use kinegrad_train::systems::Systems;
 use kinegrad_train::{Error, Together, TrainedModel};
 use serde_json::json;
@@ -58,7 +58,7 @@ fn evaluate(
         trajectory: trajectory.transpose()?,
         evaluator: None,
         seed: arguments.seed,
-        listening: arguments.audio_ablation,
+        audio_ablation: arguments.audio_ablation,
         together: together.clone(),
     };
     must_evaluate_the_same(together, &models, &request)?;
@@ -130,12 +130,12 @@ fn must_evaluate_the_same(
     let runs: String = models.iter().map(run).collect();
     let trajectory = request.trajectory.as_ref().map(weights);
     together.done(Ok(()))?;
-    let asked = (&request.source, request.seed, request.listening);
+    let options = (&request.source, request.seed, request.audio_ablation);
     together.must_compute_alike()?;
     together.must_be_about_the_same(&[
         ("run", &runs),
         ("trajectory run", &trajectory.unwrap_or_default()),
-        ("command", &format!("{asked:?}")),
+        ("command", &format!("{options:?}")),
     ])
 }
 
@@ -153,7 +153,7 @@ fn must_compare(systems: Systems<'_>, models: &[TrainedModel]) -> Result<(), Err
     Err(Error::usage(message, hint))
 }
 
-/// The run that a checkpoint belongs to; a checkpoint that was moved away stands for itself.
+/// The folder of a checkpoint's run; that of the checkpoint itself if it was moved elsewhere.
 fn run_folder(checkpoint: &Path) -> &Path {
     let inside = checkpoint
         .parent()
@@ -210,7 +210,7 @@ fn columns<'a>(
         };
         // Real motion differs between the runs.
         let real = (!same).then(|| column(format!("real ({label})"), &each.real));
-        columns.push(column(label, &each.drawn));
+        columns.push(column(label, &each.samples));
         columns.extend(real);
     }
     if same {
@@ -221,32 +221,45 @@ fn columns<'a>(
 
 /// All numbers in full.
 fn csv_sections(column: &evaluation::Column) -> Vec<Section<'_>> {
-    sections(column, |group| {
-        let cells = group.numbers.iter().map(|number| {
+    sections(
+        column,
+        |group| group.key,
+        |number| {
             let value = number.value.map(|value| value.to_string());
-            (number.name.as_str(), value)
-        });
-        (group.key, cells.collect())
-    })
+            Some((&number.name, value))
+        },
+    )
 }
 
 /// The main numbers.
 fn table_sections(column: &evaluation::Column) -> Vec<Section<'_>> {
-    sections(column, |group| {
-        let lines = group.numbers.iter().filter_map(|n| n.line.as_ref());
-        let cells = lines.map(|(title, shown)| (title.as_str(), shown.clone()));
-        (group.title, cells.collect())
-    })
+    sections(
+        column,
+        |group| group.title,
+        |number| {
+            let (title, shown) = number.line.as_ref()?;
+            Some((title, shown.clone()))
+        },
+    )
 }
+
+/// A name and the number as text.
+type Cell<'a> = (&'a str, Option<String>);
 
 /// Facts, then the groups.
 fn sections<'a>(
     column: &'a evaluation::Column,
-    group: impl Fn(&'a Group) -> Section<'a>,
+    heading: fn(&Group) -> &str,
+    cell: fn(&Number) -> Option<Cell<'_>>,
 ) -> Vec<Section<'a>> {
     let facts = column.facts.iter();
     let facts = facts.map(|(name, count)| (*name, count.map(|count| count.to_string())));
-    let facts = ("", facts.collect());
-    let groups = column.groups.iter().map(group);
-    [facts].into_iter().chain(groups).collect()
+    let groups = column.groups.iter();
+    let groups = groups.map(|group| {
+        (
+            heading(group),
+            group.numbers.iter().filter_map(cell).collect(),
+        )
+    });
+    [("", facts.collect())].into_iter().chain(groups).collect()
 }

@@ -17,8 +17,6 @@ pub use path_target::{Followed, PathTarget};
 pub use space::FeatureSpace;
 pub use text_plan::{TextPlan, TextStep, TimedPrompt};
 
-use std::ops::ControlFlow;
-use std::path::Path;
 use std::sync::Arc;
 
 use kinegrad_data::humanml::Clip;
@@ -27,7 +25,6 @@ use kinegrad_data::{DataConfig, DataKind, Dataset, ValidationSplit};
 use crate::TrainedModel;
 use crate::error::Error;
 use crate::sampling::{Request, SampleSink};
-use crate::together::Together;
 
 /// `own`, the dataset of a run on clips, or the one at `source`, whose lists define its held-out
 /// clips.
@@ -41,28 +38,6 @@ pub(crate) fn dataset_or(own: &DataConfig, source: Option<&str>) -> DataConfig {
             ..own.clone()
         },
     }
-}
-
-/// The dataset of an evaluation of `checkpoint`; `purpose` describes the use of its held-out clips.
-/// Ranks read a part each. Collective.
-///
-/// # Errors
-/// [`Error::Usage`] if no clip is held out; also if the dataset cannot be opened.
-pub(crate) fn with_held_out(
-    data: &DataConfig,
-    checkpoint: &Path,
-    purpose: &str,
-    together: &Together,
-) -> Result<Dataset<Clip>, Error> {
-    let unheard = |_, _| ControlFlow::Continue(());
-    let dataset = Dataset::<Clip>::open_among(data, &unheard, together)?;
-    if dataset.validation.is_empty() {
-        let message = format!("no clip is held out for {}", checkpoint.display());
-        let hint =
-            format!("{purpose}: give a dataset that holds out some with option `source URI`");
-        return Err(Error::usage(message, hint));
-    }
-    Ok(dataset)
 }
 
 /// The clips whose ids match `pattern`, held-out clips first.

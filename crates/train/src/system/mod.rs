@@ -1,5 +1,6 @@
 //! The interface of a system to the entry points, and the registry.
 
+mod evaluate;
 mod guide;
 mod keys;
 mod load;
@@ -19,7 +20,7 @@ use crate::checkpoint::{SavedCheckpoint, resolve_checkpoint};
 use crate::clips::evaluator::{EvaluatorFiles, EvaluatorSource, TextMotionEvaluator};
 use crate::config::{Config, ConfigError, OwnTables, Place};
 use crate::error::Error;
-use crate::evaluation::{Evaluate, EvaluationRequest};
+use crate::evaluation::{Evaluate, Evaluation, EvaluationRequest};
 use crate::import::{ImportRequest, Imported};
 use crate::memory::Footprint;
 use crate::observer::Observer;
@@ -191,16 +192,22 @@ pub trait System: Sync {
         Ok(None)
     }
 
-    /// Validates the request and returns a function that evaluates a trained model on held-out
-    /// motion.
+    /// Names of the options of an evaluation that its models accept: `audio_ablation`,
+    /// `trajectory_run`.
+    fn accepts_in_evaluation(&self) -> &'static [&'static str] {
+        &[]
+    }
+
+    /// Validates the request and prepares the evaluation of a trained model on held-out motion;
+    /// [`Systems::evaluate`] is what entry points call.
     ///
     /// # Errors
-    /// If the request does not apply to its models, or nothing is held out.
+    /// If the request does not suit the model, or nothing is held out.
     fn evaluate<'a>(
         &self,
         trained: &'a TrainedModel,
         request: &EvaluationRequest,
-    ) -> Result<Evaluate<'a>, Error>;
+    ) -> Result<Evaluation<'a>, Error>;
 
     /// Trains until the end or until interrupted, with [`Setup::train`].
     ///
@@ -296,7 +303,7 @@ impl<'a> Systems<'a> {
             evaluator,
             ..request.clone()
         };
-        system.evaluate(trained, &request)
+        evaluate::prepare(system, trained, &request)
     }
 
     fn text_motion_evaluator(

@@ -1,218 +1,160 @@
-//! The evaluation of composed motion: of the texts and lengths of held-out clips, several in a row.
+//! The evaluation of composed motion, generated from the texts and lengths of several held-out clips
+//! in a row.
 
 use std::sync::Arc;
 
 use kinegrad_data::humanml::Clip;
-use kinegrad_diffusion::SamplerConfig;
-use kinegrad_motion::humanml::Features;
+use kinegrad_motion::humanml::{Features, Joints};
 use kinegrad_random::{Key, Purpose};
-use serde::Serialize;
-use serde_json::to_value;
+use serde_json::json;
 
-use super::networks::footprint;
-use super::networks::text_input;
-use super::report::{ComposedReport, Measured};
-use super::ways::{self, WaysEvaluation, WaysReport};
-use super::{BpeTables, ComposeEvaluationConfig, Composer};
+use super::networks::{footprint, text_input};
+use super::path_evaluation;
+use super::report::Measured;
+use super::{BpeTables, Composer};
 use crate::TrainedModel;
 use crate::clips::TimedPrompt;
 use crate::clips::captions::{ClipText, must_know_texts};
-use crate::clips::{dataset_or, with_held_out};
 use crate::error::Error;
-use crate::evaluation::{Column, Evaluate, Evaluated, EvaluationRequest, Group, Number, OnStep};
-
-/// Results of an evaluation of compositions.
-#[derive(Clone, Debug, Serialize)]
-struct ComposeEvaluation {
-    /// Name of the run.
-    run: String,
-    /// Step of its checkpoint.
-    step: u64,
-    /// Seed of the noise.
-    seed: u64,
-    /// The settings.
-    settings: ComposeEvaluationConfig,
-    /// The sampler.
-    sampler: SamplerConfig,
-    /// The generated motion.
-    drawn: ComposedReport,
-    /// Held-out clips.
-    real: ComposedReport,
-    /// Motion along the ways of held-out clips, where that is asked for.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    paths: Option<WaysEvaluation>,
-}
+use crate::evaluation::{
+    Evaluation, EvaluationRequest, Group, OnStep, Results, clips_with_held_out, for_each_item,
+};
 
 /// An evaluation of compositions.
 ///
 /// # Errors
-/// If the request does not apply, or too few clips are held out.
+/// If nothing is held out, or the model does not know a text.
 pub(super) fn prepare<'a>(
     trained: &'a TrainedModel,
     request: &EvaluationRequest,
-) -> Result<Evaluate<'a>, Error> {
-    request.refuse(
-        &["--audio-ablation", "--trajectory-run"],
-        trained.path(),
-        "a run of recipe `bpe_motion`",
-        "leave it out",
-    )?;
-    let own: &BpeTables = trained.config().own();
-    let asked = own.evaluation.clone();
-    let data = dataset_or(&trained.config().data, request.source.as_deref());
-    let dataset = with_held_out(
-        &data,
-        trained.path(),
-        "texts and lengths are those of held-out clips",
-        &request.together,
-    )?;
+) -> Result<Evaluation<'a>, Error> {
+    let purpose = "texts and lengths are those of held-out clips";
+    let own_data = &trained.config().data;
+    let (data, dataset) = clips_with_held_out(own_data, trained, request, purpose)?;
     let held_out = dataset.validation.evenly(dataset.validation.len())?;
     must_know_texts(&text_input(trained.config()), &held_out)?;
+    let max_frames = data.target_frames;
     let longest = held_out.iter().map(|clip| clip.features.frames()).max();
-    let frames = longest.unwrap_or(0).min(data.target_frames) * asked.texts;
+    let texts = trained.config().own::<BpeTables>().evaluation.texts;
+    let frames = longest.unwrap_or(0).min(max_frames) * texts;
     let networks = footprint(trained.config(), frames)?;
-    request.must_fit(
-        networks.of_sampling(1, false, trained.on_host),
-        "compose fewer texts: `evaluation.texts`",
-    )?;
     let request = request.clone();
-    let most = data.target_frames;
-    Ok(Box::new(move |on_step| {
-        let composer = Composer::load(trained)?;
-        let evaluation = evaluate(
-            trained, &composer, &held_out, &asked, most, &request, on_step,
-        )?;
-        Ok(Evaluated {
-            run: evaluation.run.clone(),
-            report: "eval-compositions",
-            drawn: column(
-                Some(evaluation.step),
-                &evaluation.drawn,
-                evaluation.paths.as_ref().map(|paths| &paths.drawn),
-            ),
-            real: column(
-                None,
-                &evaluation.real,
-                evaluation.paths.as_ref().map(|paths| &paths.real),
-            ),
-            json: to_value(&evaluation).expect("plain data"),
-            remarks: Vec::new(),
-        })
-    }))
+    Ok(Evaluation {
+        report: "eval-compositions",
+        memory: networks.of_sampling(1, false, trained.on_host),
+        memory_hint: "compose fewer texts: `evaluation.texts`",
+        remarks: Vec::new(),
+        measure: Box::new(move |on_step| {
+            let composer = Composer::load(trained)?;
+            evaluate(&composer, &held_out, max_frames, &request, on_step)
+        }),
+    })
 }
 
 fn evaluate(
-    trained: &TrainedModel,
     composer: &Composer,
     held_out: &[Arc<Clip>],
-    asked: &ComposeEvaluationConfig,
-    most: usize,
+    max_frames: usize,
     request: &EvaluationRequest,
     on_step: &mut OnStep<'_>,
-) -> Result<ComposeEvaluation, Error> {
-    let (seed, together) = (request.seed, &request.together);
-    let sampler = &trained.config().sampling.sampler;
-    let skeleton = trained.config().data.humanml3d.skeleton.skeleton();
-    let key = Key::new(seed, Purpose::Sampling);
-    let chosen = key
+) -> Result<Results, Error> {
+    let config = composer.config();
+    let settings = &config.own::<BpeTables>().evaluation;
+    let sampler = &config.sampling.sampler;
+    let skeleton = config.data.humanml3d.skeleton.skeleton();
+    let key = Key::new(request.seed, Purpose::Sampling);
+    let texts = key
         .named("texts")
-        .integers(asked.compositions * asked.texts, held_out.len());
-    let window = asked.transition_frames;
-    let (mut motions, mut windows, mut segments) = (Vec::new(), Vec::new(), Vec::new());
-    let compositions = chosen.chunks(asked.texts).map(|chosen| {
-        let lines = chosen.iter().map(|&clip| TimedPrompt {
+        .integers(settings.compositions * settings.texts, held_out.len());
+    let compositions = texts.chunks(settings.texts).map(|clips| {
+        let lines = clips.iter().map(|&clip| TimedPrompt {
             text: ClipText::of(&held_out[clip]),
-            frames: held_out[clip].features.frames().min(most),
+            frames: held_out[clip].features.frames().min(max_frames),
         });
         lines.collect()
     });
     let compositions: Vec<Vec<TimedPrompt>> = compositions.collect();
-    let composed: Vec<Features> = together.each(compositions.len(), |number| {
-        let [before, count] = together.own_of(number, compositions.len());
-        composer.compose(
-            &compositions[number],
-            sampler,
-            asked,
-            None,
-            key.at(number as u64),
-            &mut |done, all| on_step("", before * all + done, count * all),
-        )
-    })?;
-    for (lines, features) in compositions.iter().zip(composed) {
+    let composed: Vec<Features> = for_each_item(
+        &request.together,
+        compositions.len(),
+        on_step,
+        |number, on_step| {
+            composer.compose(
+                &compositions[number],
+                sampler,
+                settings,
+                None,
+                key.at(number as u64),
+                &mut |done, all| on_step("", done, all),
+            )
+        },
+    )?;
+    let window = settings.transition_frames;
+    let joints_of = |features: &Features, first: usize| {
+        let window = features.to_relative().slice(first..first + window);
+        window.joints()
+    };
+    let (mut windows, mut segments) = (Vec::new(), Vec::new());
+    for (lines, features) in compositions.iter().zip(&composed) {
         let mut begin = 0;
         for (index, line) in lines.iter().enumerate() {
-            let range = begin..begin + line.frames;
-            segments.push(features.crop(&skeleton, range)?);
+            segments.push(features.crop(&skeleton, begin..begin + line.frames)?);
             if index > 0
                 && let Some(first) = begin.checked_sub(window / 2)
                 && first + window <= features.frames()
             {
-                windows.push(features.to_relative().slice(first..first + window).joints());
+                windows.push(joints_of(features, first));
             }
             begin += line.frames;
         }
-        motions.push(features.joints());
     }
-    let real: Vec<Features> = held_out
-        .iter()
-        .map(|clip| clip.features.slice(0..clip.features.frames().min(most)))
-        .collect();
+    let real = held_out.iter().map(|clip| {
+        clip.features
+            .slice(0..clip.features.frames().min(max_frames))
+    });
+    let real: Vec<Features> = real.collect();
     let middle = |clip: &Features| {
         let first = clip.frames().checked_sub(window)? / 2;
-        Some(clip.to_relative().slice(first..first + window).joints())
+        Some(joints_of(clip, first))
     };
+    let joints = |all: &[Features]| all.iter().map(Features::joints).collect::<Vec<Joints>>();
     let of_real = Measured {
-        motions: &real.iter().map(Features::joints).collect::<Vec<_>>(),
+        motions: &joints(&real),
         windows: &real.iter().filter_map(middle).collect::<Vec<_>>(),
         segments: &real,
     };
-    let of_drawn = Measured {
-        motions: &motions,
+    let of_samples = Measured {
+        motions: &joints(&composed),
         windows: &windows,
         segments: &segments,
     };
     let statistics = composer.statistics()?;
     let real_jerk = of_real.window_jerk();
-    let paths = (asked.num_paths > 0)
-        .then(|| ways::evaluate(composer, held_out, asked, sampler, most, request, on_step))
+    let paths = (settings.num_paths > 0)
+        .then(|| {
+            path_evaluation::evaluate(composer, held_out, settings, max_frames, request, on_step)
+        })
         .transpose()?;
-    Ok(ComposeEvaluation {
-        run: composer.config().run.name.clone(),
-        step: composer.step(),
-        seed,
-        settings: asked.clone(),
-        sampler: sampler.clone(),
-        drawn: of_drawn.report(&skeleton, statistics, real_jerk, Some(&real)),
-        real: of_real.report(&skeleton, statistics, real_jerk, None),
-        paths,
-    })
-}
-
-fn column(step: Option<u64>, report: &ComposedReport, paths: Option<&WaysReport>) -> Column {
-    let composed = group("compositions", "", &report.rows());
-    let paths = paths.map(|paths| group("paths", "along paths", &paths.rows()));
-    Column {
-        facts: vec![("step", step)],
-        groups: [composed].into_iter().chain(paths).collect(),
-    }
-}
-
-fn group(
-    key: &'static str,
-    title: &'static str,
-    rows: &[(&'static str, Option<f64>, &'static str)],
-) -> Group {
-    let numbers = rows.iter().map(|(name, value, unit)| Number {
-        name: (*name).to_string(),
-        value: *value,
-        line: Some((
-            format!("{name}{unit}"),
-            value.map(|value| format!("{value:.4}")),
-        )),
+    let of_samples = of_samples.report(&skeleton, statistics, real_jerk, Some(&real));
+    let of_real = of_real.report(&skeleton, statistics, real_jerk, None);
+    let mut json = json!({
+        "settings": settings,
+        "sampler": sampler,
+        "drawn": of_samples,
+        "real": of_real,
     });
-    Group {
-        key,
-        title,
-        numbers: numbers.collect(),
+    let mut samples = vec![Group::new("compositions", "", &of_samples)];
+    let mut real = vec![Group::new("compositions", "", &of_real)];
+    if let Some(paths) = paths {
+        json["paths"] = json!({ "drawn": paths.samples, "real": paths.real });
+        samples.push(Group::new("paths", "along paths", &paths.samples));
+        real.push(Group::new("paths", "along paths", &paths.real));
     }
+    Ok(Results {
+        json,
+        facts: Vec::new(),
+        samples: Some(samples),
+        real,
+        remarks: Vec::new(),
+    })
 }

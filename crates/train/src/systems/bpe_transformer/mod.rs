@@ -12,12 +12,12 @@ mod generate;
 mod import;
 mod networks;
 mod path;
+mod path_evaluation;
 mod recipe;
 mod report;
 mod sample;
 mod told;
 mod train;
-mod ways;
 
 use kinegrad_motion::Representation;
 use kinegrad_settings::Key;
@@ -29,13 +29,13 @@ pub use config::{
 };
 pub use generate::Composer;
 pub use path::{OverrideReading, PathConfig, PathMethod};
+pub use path_evaluation::PathFollowingReport;
 pub use report::ComposedReport;
-pub use ways::WaysReport;
 
 use crate::TrainedModel;
 use crate::config::{Config, ConfigError, OwnTables, Place, SystemTables};
 use crate::error::Error;
-use crate::evaluation::{Evaluate, EvaluationRequest};
+use crate::evaluation::{Evaluation, EvaluationRequest};
 use crate::import::{ImportRequest, Imported};
 use crate::memory::Footprint;
 use crate::observer::Observer;
@@ -153,7 +153,7 @@ impl System for BpeTransformer {
         &self,
         trained: &'a TrainedModel,
         request: &EvaluationRequest,
-    ) -> Result<Evaluate<'a>, Error> {
+    ) -> Result<Evaluation<'a>, Error> {
         evaluate::prepare(trained, request)
     }
 

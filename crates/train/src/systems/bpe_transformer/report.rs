@@ -1,4 +1,4 @@
-//! The quality of composed motion and the smoothness of its transitions.
+//! Metrics of composed motion and of its transitions from one text to the next.
 
 use kinegrad_motion::Statistics;
 use kinegrad_motion::humanml::{Features, Joints, Skeleton};
@@ -6,6 +6,8 @@ use kinegrad_motion::metrics::{
     FeatureMoments, TransitionJerk, frechet_distance, jerk_of_frames, mean_jerk, skating_ratio,
 };
 use serde::Serialize;
+
+use crate::evaluation::{Metrics, Number};
 
 /// Means over motions.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -31,24 +33,24 @@ pub struct ComposedReport {
     pub frechet_distance: Option<f64>,
 }
 
-/// The measures of a set of motions.
+/// A set of motions to be measured.
 pub(super) struct Measured<'a> {
     /// Whole motions.
     pub motions: &'a [Joints],
     /// Windows around transitions, each decoded from its own first frame.
     pub windows: &'a [Joints],
-    /// Recorded clips, or samples of one text.
+    /// Clips, or the part of a composition that belongs to one text.
     pub segments: &'a [Features],
 }
 
 impl Measured<'_> {
-    /// The mean jerk of all windows, metres per frame cubed; none of none.
+    /// The mean jerk of all windows, metres per frame cubed; none without windows.
     pub fn window_jerk(&self) -> Option<f64> {
         let curves: Vec<f64> = self.windows.iter().flat_map(jerk_of_frames).collect();
         (!curves.is_empty()).then(|| curves.iter().sum::<f64>() / curves.len() as f64)
     }
 
-    /// The report beside `real` segments, where these are not they.
+    /// The report; `real` are the segments that samples are compared with.
     pub fn report(
         &self,
         skeleton: &Skeleton,
@@ -119,10 +121,9 @@ fn means(features: &Features, statistics: &Statistics) -> Vec<f64> {
         .collect()
 }
 
-impl ComposedReport {
-    /// The metrics: name, value and unit.
-    pub fn rows(&self) -> [(&'static str, Option<f64>, &'static str); 7] {
-        [
+impl Metrics for ComposedReport {
+    fn rows(&self) -> Vec<Number> {
+        Number::list([
             ("jerk", self.jerk, ", m/s³"),
             ("foot skating", self.foot_skating, ""),
             ("lowest joint", self.lowest_joint, ", m"),
@@ -130,6 +131,6 @@ impl ComposedReport {
             ("peak jerk", self.peak_jerk, ", m/frame³"),
             ("area under the jerk", self.area_under_jerk, ", m/frame³"),
             ("Fréchet distance", self.frechet_distance, ""),
-        ]
+        ])
     }
 }

@@ -40,7 +40,7 @@ use crate::TrainedModel;
 use crate::checkpoint::SavedCheckpoint;
 use crate::config::{Config, ConfigError, OwnTables, Place, SystemTables};
 use crate::error::Error;
-use crate::evaluation::{Evaluate, EvaluationRequest};
+use crate::evaluation::{Evaluation, EvaluationRequest};
 use crate::memory::Footprint;
 use crate::observer::Observer;
 use crate::parameter_count::ParameterCount;
@@ -139,11 +139,15 @@ impl System for CcMotion {
         Ok(Box::new(sample::Phrases::new(trained, request, sink)?))
     }
 
+    fn accepts_in_evaluation(&self) -> &'static [&'static str] {
+        &["audio_ablation"]
+    }
+
     fn evaluate<'a>(
         &self,
         trained: &'a TrainedModel,
         request: &EvaluationRequest,
-    ) -> Result<Evaluate<'a>, Error> {
+    ) -> Result<Evaluation<'a>, Error> {
         evaluate::prepare(trained, request)
     }
 

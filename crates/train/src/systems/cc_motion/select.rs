@@ -10,7 +10,7 @@ use kinegrad_diffusion::GaussianDiffusion;
 use kinegrad_models::{GradientSum, MotionDecoder, MotionModel, UNet1d};
 
 use super::CondSource;
-use super::evaluate::{Evaluation, EvaluationSettings, evaluate};
+use super::evaluate::{EvaluationReport, SampleSettings, evaluate};
 use super::generate::Generator;
 use super::lengths::leading;
 use crate::checkpoint::State;
@@ -90,28 +90,21 @@ impl Selection {
         let (unet, decoder) = networks.networks();
         let (diffusion, state) = (self.diffusion.clone(), self.state.clone());
         let generator = Generator::of(unet, decoder, diffusion, state, device);
-        let settings = EvaluationSettings {
+        let settings = SampleSettings {
             seeds: 1,
             seed: SEED,
             cond: CondSource::Phrases,
-            sampling: self.state.config.sampling.clone(),
         };
-        let go_on = &mut |_, _| ControlFlow::Continue(());
-        let evaluation = evaluate(
-            &generator,
-            &self.phrases,
-            &[],
-            &settings,
-            &self.together,
-            go_on,
-        )?;
-        Ok(score(self.by, &evaluation))
+        let no_progress = &mut |_, _, _| ControlFlow::Continue(());
+        let (phrases, together) = (&self.phrases, &self.together);
+        let report = evaluate(&generator, phrases, &[], settings, together, no_progress)?;
+        Ok(score(self.by, &report))
     }
 }
 
-/// The score of an evaluation; infinite where samples are not finite.
-fn score(by: SelectBy, evaluation: &Evaluation) -> Score {
-    let (drawn, real) = (&evaluation.processed, &evaluation.real);
+/// The score of an evaluation; infinite if samples are not finite.
+fn score(by: SelectBy, report: &EvaluationReport) -> Score {
+    let (drawn, real) = (&report.processed, &report.real);
     let metrics = [
         ("frechet", drawn.frechet_held_out),
         ("diversity", drawn.diversity),

@@ -29,7 +29,7 @@ use crate::TrainedModel;
 use crate::checkpoint::State;
 use crate::config::{Config, ConfigError, OwnTables, Place, SystemTables};
 use crate::error::Error;
-use crate::evaluation::{Evaluate, EvaluationRequest};
+use crate::evaluation::{Evaluation, EvaluationRequest};
 use crate::memory::Footprint;
 use crate::observer::Observer;
 use crate::parameter_count::ParameterCount;
@@ -106,7 +106,7 @@ impl System for Flow {
         &self,
         trained: &'a TrainedModel,
         request: &EvaluationRequest,
-    ) -> Result<Evaluate<'a>, Error> {
+    ) -> Result<Evaluation<'a>, Error> {
         evaluate::prepare(trained, request)
     }
 

@@ -1,9 +1,11 @@
-//! The stability of autoregressive motion.
+//! Metrics of rollouts.
 
 use kinegrad_motion::humanml::{Extraction, FeatureLayout, FeatureStream, Joints, Skeleton};
 use kinegrad_motion::metrics::{FeatureMoments, frechet_distance, mean_jerk, skating_ratio};
 use kinegrad_motion::vector::length;
 use serde::Serialize;
+
+use crate::evaluation::{Metrics, Number};
 
 /// Means over motions.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -70,11 +72,8 @@ impl RolloutReport {
                 changes.reduce(f64::max)
             }),
             lowest_joint: each(&|_, joints| {
-                joints
-                    .as_slice()
-                    .iter()
-                    .map(|place| place[1])
-                    .reduce(f64::min)
+                let heights = joints.as_slice().iter().map(|position| position[1]);
+                heights.reduce(f64::min)
             }),
             height_drift: each(&|_, joints| {
                 let height = |part: usize| {
@@ -88,20 +87,17 @@ impl RolloutReport {
                 let turns = turns(skeleton, joints)?.into_iter();
                 mean(turns.map(f64::abs).collect())
             }),
-            frechet_distance: match std::ptr::eq(motions, real) {
-                // From itself it is none.
-                true => None,
-                false => {
-                    let pair = moments(motions).zip(moments(real));
-                    pair.map(|(a, b)| frechet_distance(&a, &b))
-                }
-            },
+            // Real motion has none from itself.
+            frechet_distance: (!std::ptr::eq(motions, real))
+                .then(|| Some(frechet_distance(&moments(motions)?, &moments(real)?)))
+                .flatten(),
         }
     }
+}
 
-    /// The metrics: name, value and unit.
-    pub fn rows(&self) -> [(&'static str, Option<f64>, &'static str); 9] {
-        [
+impl Metrics for RolloutReport {
+    fn rows(&self) -> Vec<Number> {
+        Number::list([
             ("jerk", self.jerk, ", m/s³"),
             ("jerk at end", self.jerk_at_end, ", m/s³"),
             ("foot skating", self.foot_skating, ""),
@@ -111,11 +107,11 @@ impl RolloutReport {
             ("speed", self.speed, ", m/s"),
             ("turn rate", self.turn_rate, ", degrees/s"),
             ("Fréchet distance", self.frechet_distance, ""),
-        ]
+        ])
     }
 }
 
-/// The distance of motions from their references.
+/// Differences between motions and those that they should be like.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct TextReport {
     /// Mean difference of the root's mean speeds, metres per second.
@@ -135,6 +131,16 @@ impl TextReport {
             speed_error: apart(&|joints| speed(skeleton, joints)),
             turn_error: apart(&|joints| mean(turns(skeleton, joints)?)),
         }
+    }
+
+    /// The errors of rollouts with the clips' own texts and with other clips' texts.
+    pub fn rows(own: &Self, other: &Self) -> Vec<Number> {
+        Number::list([
+            ("speed error", own.speed_error, ", m/s"),
+            ("speed error, other texts", other.speed_error, ", m/s"),
+            ("turn error", own.turn_error, ", degrees/s"),
+            ("turn error, other texts", other.turn_error, ", degrees/s"),
+        ])
     }
 }
 
@@ -231,7 +237,8 @@ mod tests {
             RolloutReport::compute(&skeleton, &[(bones, joints.clone())], &[])
         };
         let (here, there) = (report(&joints), report(&moved));
-        for ((name, a, _), (_, b, _)) in here.rows().into_iter().zip(there.rows()) {
+        for (a, b) in here.rows().into_iter().zip(there.rows()) {
+            let (name, a, b) = (a.name, a.value, b.value);
             let apart = a.zip(b).map_or(0.0, |(a, b)| (a - b).abs());
             assert!(
                 apart < 1e-3 * a.unwrap_or(0.0).abs() + 1e-6,

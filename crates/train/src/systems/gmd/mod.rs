@@ -33,7 +33,7 @@ use crate::TrainedModel;
 use crate::clips::evaluator::EvaluatorFiles;
 use crate::config::{Config, ConfigError, OwnTables, Place, SystemTables};
 use crate::error::Error;
-use crate::evaluation::{Evaluate, EvaluationRequest};
+use crate::evaluation::{Evaluation, EvaluationRequest};
 use crate::import::{ImportRequest, Imported};
 use crate::memory::Footprint;
 use crate::observer::Observer;
@@ -137,11 +137,15 @@ impl System for Gmd {
         Some(&config.own::<GmdConfig>().evaluation.evaluator)
     }
 
+    fn accepts_in_evaluation(&self) -> &'static [&'static str] {
+        &["trajectory_run"]
+    }
+
     fn evaluate<'a>(
         &self,
         trained: &'a TrainedModel,
         request: &EvaluationRequest,
-    ) -> Result<Evaluate<'a>, Error> {
+    ) -> Result<Evaluation<'a>, Error> {
         evaluate::prepare(trained, request)
     }
 

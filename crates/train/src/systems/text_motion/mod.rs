@@ -27,7 +27,7 @@ use crate::checkpoint::Weights;
 use crate::clips::evaluator::{EvaluatorSource, TextMotionEvaluator};
 use crate::config::{Config, ConfigError, OwnTables, Place, SystemTables};
 use crate::error::Error;
-use crate::evaluation::{Evaluate, EvaluationRequest};
+use crate::evaluation::{Evaluation, EvaluationRequest};
 use crate::memory::Footprint;
 use crate::observer::Observer;
 use crate::parameter_count::ParameterCount;
@@ -117,7 +117,7 @@ impl System for TextMotionSystem {
         &self,
         trained: &'a TrainedModel,
         request: &EvaluationRequest,
-    ) -> Result<Evaluate<'a>, Error> {
+    ) -> Result<Evaluation<'a>, Error> {
         evaluate::prepare(trained, request)
     }
 

@@ -12,10 +12,10 @@ use kinegrad_motion::metrics::{
 use kinegrad_motion::{Phrase, Profile, Report, Statistics, Value, check, phrase_statistics};
 use serde::Serialize;
 
-use super::moving::{MovementSpread, movement_spreads};
+use super::movement::{MovementSpread, movement_spreads};
 use super::terms::{LossTerm, loss_terms};
 
-/// The numbers of one set of phrases; `None` (in JSON `null`) for what cannot be computed.
+/// The metrics of one set of phrases; none (in JSON `null`) for one that cannot be computed.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Measures {
     /// Mean distance of the motions of two different phrases, in training standard deviations:
@@ -32,7 +32,7 @@ pub struct Measures {
     pub beat_alignment: Option<f64>,
     /// Mean jerk norm of the acceleration channels, metres per second cubed.
     pub mean_jerk: Option<f64>,
-    /// How the motions move, measured on positions, quaternions and phase alone.
+    /// The movement, measured on positions, quaternions and phase alone.
     pub movement: Vec<MovementSpread>,
     /// The losses of end-to-end fine-tuning.
     pub losses: Vec<LossTerm>,
@@ -42,7 +42,7 @@ pub struct Measures {
     pub strict: ProfileRates,
 }
 
-/// How a set of phrases does in the checks of a profile.
+/// The results of a set of phrases in the checks of a profile.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ProfileRates {
     /// Share that passes all checks, 0 to 1.
@@ -51,19 +51,19 @@ pub struct ProfileRates {
     pub checks: Vec<CheckRate>,
 }
 
-/// How a set of phrases does in one check.
+/// The results of a set of phrases in one check.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct CheckRate {
     /// Name of the check.
     pub name: &'static str,
     /// Share that passes, 0 to 1.
     pub pass_rate: f64,
-    /// Mean of what was measured, in the units of the check; of a range, means of both ends.
+    /// Mean of the measured value, in the units of the check; of a range, means of both ends.
     pub value: Value,
 }
 
 impl ProfileRates {
-    /// The rates of these reports, of which there is at least one.
+    /// The rates of reports, at least one.
     fn of(reports: &[Report]) -> Self {
         let all = reports.len() as f64;
         let share = |passed: usize| passed as f64 / all;
@@ -72,8 +72,8 @@ impl ProfileRates {
             if checks.iter().any(|rate| rate.name == named.name) {
                 continue;
             }
-            // The line `finite` of the profile `ccmotion` stands only where it fails: a report
-            // without a line passed it, with a value of 0.
+            // Reports of the profile `ccmotion` have the line `finite` only if it fails: a report
+            // without the line passes it with a value of 0.
             let lines = || reports.iter().filter_map(|report| report.check(named.name));
             let failed = lines().filter(|check| !check.passed).count();
             checks.push(CheckRate {
@@ -108,7 +108,7 @@ fn mean_value(values: impl Iterator<Item = Value>, count: f64) -> Value {
     }
 }
 
-/// What motions are measured against.
+/// The real motion and music that samples are compared with.
 pub(super) struct Reference<'a> {
     statistics: Statistics,
     phrases: &'a [Arc<PhraseItem>],
@@ -119,8 +119,8 @@ pub(super) struct Reference<'a> {
 }
 
 impl<'a> Reference<'a> {
-    /// The reference of these phrases, in units of the run's `statistics`. Where those do not say
-    /// how training motion moves, the `training` phrases do (the held-out ones, if there are none).
+    /// The reference of these phrases, in units of the run's `statistics`. If those lack the movement
+    /// of training motion, it is that of the `training` phrases, or without them of the held-out ones.
     pub fn new(
         held_out: &'a [Arc<PhraseItem>],
         training: &[Arc<PhraseItem>],
@@ -134,19 +134,18 @@ impl<'a> Reference<'a> {
             .iter()
             .map(|phrase| track(phrase.audio.onset_strength()).times())
             .collect();
-        let mut known = statistics.clone();
-        if known.movement.is_empty() {
-            let known_by = if training.is_empty() {
-                held_out
-            } else {
-                training
+        let mut statistics_with_movement = statistics.clone();
+        if statistics.movement.is_empty() {
+            let phrases = match training.is_empty() {
+                true => held_out,
+                false => training,
             };
-            let motions = known_by.iter().map(|phrase| &phrase.motion);
-            let measured = phrase_statistics(motions);
-            known.movement = measured.map(|own| own.movement).unwrap_or_default();
+            let measured = phrase_statistics(phrases.iter().map(|phrase| &phrase.motion));
+            let movement = measured.map(|measured| measured.movement);
+            statistics_with_movement.movement = movement.unwrap_or_default();
         }
         Self {
-            statistics: known,
+            statistics: statistics_with_movement,
             phrases: held_out,
             held_out: moments(held_out),
             training: moments(training),
@@ -154,19 +153,19 @@ impl<'a> Reference<'a> {
         }
     }
 
-    /// The numbers of motions, a list for each held-out phrase (at least one), in their order, all
-    /// lists of the same length (at least one).
+    /// The metrics of motions: a list for each held-out phrase, in their order, all of one length;
+    /// at least one phrase and one motion each.
     pub fn measure(&self, motions: &[Vec<Phrase>]) -> Measures {
         let all = || motions.iter().flatten();
         let rates = |profile| {
             let report = |motion| check(motion, profile, Some(&self.statistics));
             let reports: Result<Vec<_>, _> = all().map(report).collect();
-            ProfileRates::of(&reports.expect("the statistics are at hand"))
+            ProfileRates::of(&reports.expect("the statistics are known"))
         };
         let seeds = motions.first().map_or(0, Vec::len);
         let by_seed = (0..seeds).map(|seed| {
-            let drawn: Vec<&Phrase> = motions.iter().map(|samples| &samples[seed]).collect();
-            diversity(&drawn, &self.statistics)
+            let samples: Vec<&Phrase> = motions.iter().map(|samples| &samples[seed]).collect();
+            diversity(&samples, &self.statistics)
         });
         let by_phrase = motions.iter().map(|samples| {
             let samples: Vec<&Phrase> = samples.iter().collect();
@@ -261,7 +260,7 @@ mod tests {
     }
 
     #[test]
-    fn statistics_of_before_the_movement_was_measured_are_completed_from_the_training_phrases() {
+    fn movement_missing_in_statistics_is_that_of_the_training_phrases() {
         let (held_out, training) = (phrases(0..3), phrases(3..12));
         let whole = statistics(&training);
         let old = Statistics {
@@ -282,8 +281,8 @@ mod tests {
         let reference = Reference::new(&held_out, &training, &statistics);
         let [a, b] = [0, 1].map(|index| held_out[index].clone());
         // Seed 1 is seed 0 moved by three metres, so the phrases are as far apart under both.
-        let drawn = [&a, &b].map(|phrase| vec![phrase.motion.clone(), moved(phrase, 3.0)]);
-        let measures = reference.measure(&drawn);
+        let samples = [&a, &b].map(|phrase| vec![phrase.motion.clone(), moved(phrase, 3.0)]);
+        let measures = reference.measure(&samples);
         let apart = diversity(&[&a.motion, &b.motion], &statistics).unwrap();
         assert!((measures.diversity.unwrap() - apart).abs() < 1e-6);
         // One of nine channels differs, by the same amount in every frame.
@@ -292,7 +291,7 @@ mod tests {
     }
 
     #[test]
-    fn what_too_few_phrases_cannot_tell_is_missing() {
+    fn metrics_that_need_more_phrases_are_missing() {
         let (held_out, training) = (phrases(0..1), phrases(1..9));
         let statistics = statistics(&training);
         let reference = Reference::new(&held_out, &training, &statistics);
@@ -319,17 +318,17 @@ mod tests {
         let (held_out, training) = (phrases(0..2), phrases(2..10));
         let statistics = statistics(&training);
         let reference = Reference::new(&held_out, &training, &statistics);
-        let mut drawn = motions(&held_out, 2);
-        drawn[1][0].frame_mut(3)[PHASE] = 3.0;
-        drawn[0][1].frame_mut(7)[CHANNELS - 1] = f32::NAN;
-        let measures = reference.measure(&drawn);
+        let mut samples = motions(&held_out, 2);
+        samples[1][0].frame_mut(3)[PHASE] = 3.0;
+        samples[0][1].frame_mut(7)[CHANNELS - 1] = f32::NAN;
+        let measures = reference.measure(&samples);
         let phase = measures.strict.check("phase").unwrap();
         assert_eq!(phase.pass_rate, 0.75);
         let highest = |motion: &Phrase| {
             let phases = (0..motion.frames()).map(|t| f64::from(motion.frame(t)[PHASE]));
             phases.fold(f64::NEG_INFINITY, f64::max)
         };
-        let expected = drawn.iter().flatten().map(highest).sum::<f64>() / 4.0;
+        let expected = samples.iter().flatten().map(highest).sum::<f64>() / 4.0;
         let Value::Range([_, high]) = phase.value else {
             panic!("{:?}", phase.value)
         };

@@ -1,135 +1,126 @@
-//! The numbers of an evaluation as columns.
+//! The columns of an evaluation of phrases.
 
 use kinegrad_motion::Value;
-use serde_json::to_value;
+use serde_json::json;
 
-use super::{CondSource, Evaluation, Measures, ProfileRates};
-use crate::evaluation::{Column, Evaluated, Group, Number};
+use super::{EvaluationReport, Measures, SampleSettings};
+use crate::config::SamplingConfig;
+use crate::evaluation::{Group, Metrics, Number, Results, with_sampling};
 
-/// Name in files and in tables, decimals in tables.
-type Metric = (
-    &'static str,
-    &'static str,
-    usize,
-    fn(&Measures) -> Option<f64>,
-);
-
-const METRICS: [Metric; 6] = [
-    ("diversity", "diversity", 3, |m| m.diversity),
-    ("same_phrase_diversity", "same-phrase diversity", 3, |m| {
-        m.same_phrase_diversity
-    }),
-    ("frechet_held_out", "Fréchet to held-out", 4, |m| {
-        m.frechet_held_out
-    }),
-    ("frechet_training", "Fréchet to training", 4, |m| {
-        m.frechet_training
-    }),
-    ("beat_alignment", "beat alignment", 3, |m| m.beat_alignment),
-    ("mean_jerk", "mean jerk by the channels, m/s^3", 1, |m| {
-        m.mean_jerk
-    }),
-];
-
-type Rates = fn(&Measures) -> &ProfileRates;
-
-const PROFILES: [(&str, Rates); 2] = [
-    ("document", |measures| &measures.document),
-    ("strict", |measures| &measures.strict),
-];
-
-/// The evaluation as columns, with all of it as JSON.
-pub fn evaluated(evaluation: &Evaluation) -> Evaluated {
-    let column = |counts: [Option<u64>; 3], processed: &Measures, raw: &Measures| {
-        let [step, phrases, seeds] = counts;
-        Column {
-            facts: vec![("step", step), ("phrases", phrases), ("seeds", seeds)],
-            groups: vec![
-                Group {
-                    key: "processed",
-                    title: "POST-PROCESSED",
-                    numbers: numbers(processed),
-                },
-                Group {
-                    key: "raw",
-                    title: "RAW",
-                    numbers: numbers(raw),
-                },
+impl EvaluationReport {
+    /// The results, without remarks.
+    pub(super) fn results(&self, sampling: &SamplingConfig) -> Results {
+        let SampleSettings { seeds, cond, .. } = self.settings;
+        let groups = |processed: &Measures, raw: &Measures| {
+            vec![
+                Group::new("processed", "POST-PROCESSED", processed),
+                Group::new("raw", "RAW", raw),
+            ]
+        };
+        Results {
+            json: with_sampling(
+                json!({
+                    "phrases": self.phrases,
+                    "seeds": seeds,
+                    "cond": cond,
+                    "processed": self.processed,
+                    "raw": self.raw,
+                    "real": self.real,
+                }),
+                sampling,
+            ),
+            facts: vec![
+                ("phrases", [Some(self.phrases as u64); 2]),
+                ("seeds", [Some(seeds as u64), None]),
             ],
+            samples: Some(groups(&self.processed, &self.raw)),
+            real: groups(&self.real, &self.real),
+            remarks: Vec::new(),
         }
-    };
-    let phrases = Some(evaluation.phrases as u64);
-    let seeds = Some(evaluation.settings.seeds as u64);
-    Evaluated {
-        run: evaluation.run.clone(),
-        report: match evaluation.settings.cond {
-            CondSource::Phrases => "eval",
-            CondSource::Noise => "eval-noise",
-        },
-        json: to_value(evaluation).expect("plain data"),
-        drawn: column(
-            [Some(evaluation.step), phrases, seeds],
-            &evaluation.processed,
-            &evaluation.raw,
-        ),
-        real: column([None, phrases, None], &evaluation.real, &evaluation.real),
-        remarks: Vec::new(),
     }
 }
 
-/// Every number by its path in the JSON; one that is not finite counts as missing. People see of
-/// checks the share that passes and the mean value.
-pub(super) fn numbers(measures: &Measures) -> Vec<Number> {
-    let mut numbers = Vec::new();
-    let mut add = |name: String, value: Option<f64>, line| {
-        let value = value.filter(|value| value.is_finite());
-        numbers.push(Number { name, value, line });
-    };
-    let line = |title: String, shown: String| Some((title, Some(shown)));
-    for (key, title, decimals, of) in METRICS {
-        let value = of(measures);
-        let shown = value.map(|value| format!("{value:.decimals$}"));
-        add(key.to_string(), value, Some((title.to_string(), shown)));
-    }
-    for spread in &measures.movement {
-        let name = |what| format!("movement.{}.{what}", spread.name);
-        let shown = match (spread.median, spread.p1, spread.p99) {
-            (Some(median), Some(p1), Some(p99)) => {
-                Some(format!("{median:.3} ({p1:.3} to {p99:.3})"))
-            }
-            _ => None,
-        };
-        let title = format!("movement: {}, {}", spread.title, spread.unit);
-        add(name("median"), spread.median, Some((title, shown)));
-        add(name("p1"), spread.p1, None);
-        add(name("p99"), spread.p99, None);
-    }
-    for loss in &measures.losses {
-        let shown = line(
-            format!("loss: {}", loss.name),
-            format!("{:.3e}", loss.value),
-        );
-        add(format!("loss.{}", loss.name), Some(loss.value), shown);
-    }
-    for (profile, rates) in PROFILES {
-        let rates = rates(measures);
-        let shown = line(format!("{profile}: all"), percent(rates.pass_rate));
-        add(format!("{profile}.pass_rate"), Some(rates.pass_rate), shown);
-        for check in &rates.checks {
-            let name = format!("{profile}.{}", check.name);
-            let shown = format!("{} ({})", percent(check.pass_rate), check.value);
-            let shown = line(format!("{profile}: {}", check.name), shown);
-            add(format!("{name}.pass_rate"), Some(check.pass_rate), shown);
-            match check.value {
-                Value::Number(value) => add(format!("{name}.value"), Some(value), None),
-                Value::Range([low, high]) => {
-                    add(format!("{name}.min"), Some(low), None);
-                    add(format!("{name}.max"), Some(high), None);
-                }
+impl Metrics for Measures {
+    /// Every number by its path in the JSON; one that is not finite counts as missing. Tables show
+    /// the share of phrases that pass a check, and its mean value.
+    fn rows(&self) -> Vec<Number> {
+        let mut rows = Vec::new();
+        for (name, title, decimals, value) in [
+            ("diversity", "diversity", 3, self.diversity),
+            (
+                "same_phrase_diversity",
+                "same-phrase diversity",
+                3,
+                self.same_phrase_diversity,
+            ),
+            (
+                "frechet_held_out",
+                "Fréchet to held-out",
+                4,
+                self.frechet_held_out,
+            ),
+            (
+                "frechet_training",
+                "Fréchet to training",
+                4,
+                self.frechet_training,
+            ),
+            ("beat_alignment", "beat alignment", 3, self.beat_alignment),
+            (
+                "mean_jerk",
+                "mean jerk by the channels, m/s^3",
+                1,
+                self.mean_jerk,
+            ),
+        ] {
+            let shown = value.map(|value| format!("{value:.decimals$}"));
+            rows.push(Number::shown(name, value, title, shown));
+        }
+        for spread in &self.movement {
+            let name = |statistic| format!("movement.{}.{statistic}", spread.name);
+            let both = spread.median.zip(spread.p1.zip(spread.p99));
+            let shown =
+                both.map(|(median, (p1, p99))| format!("{median:.3} ({p1:.3} to {p99:.3})"));
+            let title = format!("movement: {}, {}", spread.title, spread.unit);
+            rows.push(Number::shown(name("median"), spread.median, title, shown));
+            rows.push(Number::in_files(name("p1"), spread.p1));
+            rows.push(Number::in_files(name("p99"), spread.p99));
+        }
+        for loss in &self.losses {
+            let (name, value) = (loss.name, loss.value);
+            let title = format!("loss: {name}");
+            let shown = format!("{value:.3e}");
+            let name = format!("loss.{name}");
+            rows.push(Number::shown(name, Some(value), title, Some(shown)));
+        }
+        for (profile, rates) in [("document", &self.document), ("strict", &self.strict)] {
+            rows.push(Number::shown(
+                format!("{profile}.pass_rate"),
+                Some(rates.pass_rate),
+                format!("{profile}: all"),
+                Some(percent(rates.pass_rate)),
+            ));
+            for check in &rates.checks {
+                let name = |end| format!("{profile}.{}.{end}", check.name);
+                rows.push(Number::shown(
+                    name("pass_rate"),
+                    Some(check.pass_rate),
+                    format!("{profile}: {}", check.name),
+                    Some(format!("{} ({})", percent(check.pass_rate), check.value)),
+                ));
+                let ends = match check.value {
+                    Value::Number(value) => vec![("value", value)],
+                    Value::Range([low, high]) => vec![("min", low), ("max", high)],
+                };
+                let ends = ends.into_iter();
+                rows.extend(ends.map(|(end, value)| Number::in_files(name(end), Some(value))));
             }
         }
+        for row in &mut rows {
+            row.value = row.value.filter(|value| value.is_finite());
+        }
+        rows
     }
-    numbers
 }
 
 fn percent(share: f64) -> String {

@@ -24,8 +24,8 @@ pub struct LossTerm {
 /// position (m^2) and quaternion (up to sign) against the held-out phrase; means over `motions`, a
 /// list for each of `held_out`.
 ///
-/// The audio condition is all that a sample from noise has of its phrase: its squared error is
-/// about twice the variance of real motion, and half of that for the mean motion.
+/// A sample from noise shares the audio condition alone with its phrase: its squared error is about
+/// twice the variance of real motion, and that of the mean motion half as much.
 pub(super) fn loss_terms(motions: &[Vec<Phrase>], held_out: &[Arc<PhraseItem>]) -> Vec<LossTerm> {
     let config = TemporalLossConfig::document();
     let count = motions.iter().map(Vec::len).sum::<usize>() as f64;

@@ -1,4 +1,4 @@
-//! How well models of clips reach goals taken from held-out clips.
+//! Metrics of samples for goals that are derived from held-out clips.
 
 use std::iter::{repeat, repeat_n};
 use std::sync::Arc;
@@ -9,246 +9,203 @@ use kinegrad_motion::humanml::{Features, Joints};
 use kinegrad_motion::metrics::text_motion::TextMotionReport;
 use kinegrad_motion::metrics::{FeatureMoments, GoalReport, GoalSample, frechet_distance};
 use kinegrad_random::{Key, Purpose};
-use serde::Serialize;
-use serde::de::DeserializeOwned;
+use serde_json::json;
 
-use super::{GoalTask, Replicated, VarietyReport};
+use super::{GoalTask, VarietyReport};
 use crate::clips::captions::ClipText;
 use crate::clips::evaluator::{TextMotionEvaluator, TextMotionReports};
 use crate::config::SamplingConfig;
 use crate::error::Error;
-use crate::evaluation::OnStep;
+use crate::evaluation::{
+    Group, Metrics, OnStep, Replicated, Results, for_each_item, replicate, with_sampling,
+};
 use crate::sampling::item_seed;
 use crate::systems::gmd::generate::keys;
-use crate::systems::gmd::{ClipGenerator, ClipRequest, GeneratedClip, SteeringConfig};
+use crate::systems::gmd::{
+    ClipGenerator, ClipRequest, GeneratedClip, GmdConfig, GmdEvaluationConfig,
+};
 use crate::together::Together;
 
 /// Pairs of samples whose distance the diversity is the mean of.
 const DIVERSITY_PAIRS: usize = 200;
 
-/// Divisions of the held-out clips into halves, of which the mean distance is taken.
+/// Divisions of the held-out clips into halves, over which the distance is averaged.
 const DIVISIONS: u64 = 20;
 
-/// Settings of an evaluation of goals.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct GoalSettings {
-    /// How goals are derived.
+/// A goal evaluation: its settings and the held-out clips that goals are derived from.
+pub(super) struct GoalEvaluation<'a> {
+    /// The sampler, guidance and imputation.
+    pub sampling: &'a SamplingConfig,
+    /// The other settings.
+    pub settings: &'a GmdEvaluationConfig,
+    /// The derivation of goals.
     pub task: GoalTask,
-    /// The sampler.
-    #[serde(flatten)]
-    pub sampling: SamplingConfig,
-    /// Guidance and imputation.
-    pub steering: SteeringConfig,
-    /// Seed of the noise, and of the frames that are keyframes.
-    pub seed: u64,
-    /// Clips that are drawn together. Guidance divides by the keyframes of a batch.
-    pub batch_size: usize,
-    /// Evaluations, each with a seed of its own: this one and those after it.
-    pub replications: usize,
-    /// Number of clips of which several are drawn, to see how much they differ; 0 for none.
-    pub variety_clips: usize,
-    /// How many are drawn of each.
-    pub variety_repeats: usize,
-}
-
-/// Results of an evaluation of goals.
-#[derive(Clone, Debug, Serialize)]
-pub struct GoalEvaluation {
-    /// Name of the run.
-    pub run: String,
-    /// Step of its checkpoint.
-    pub step: u64,
-    /// Name of the run of the trajectory model.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub trajectory_run: Option<String>,
-    /// The settings.
-    #[serde(flatten)]
-    pub settings: GoalSettings,
-    /// The generated clips.
-    pub drawn: Replicated<GoalReport>,
-    /// The held-out clips, by the same metrics.
-    pub real: Replicated<GoalReport>,
-    /// How they match their captions, if the evaluator is given.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub text_motion: Option<ReplicatedTextMotion>,
-    /// How much several clips of one condition differ, where that is asked for.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub variety: Option<Replicated<VarietyReport>>,
-}
-
-/// How generated and real motion match their captions.
-#[derive(Clone, Debug, Serialize)]
-pub struct ReplicatedTextMotion {
-    /// The generated clips.
-    pub drawn: Replicated<TextMotionReport>,
     /// The held-out clips.
-    pub real: Replicated<TextMotionReport>,
-}
-
-/// What is evaluated, and by what.
-#[derive(Clone, Copy)]
-pub struct Models<'a> {
-    /// Draws the clips.
+    pub held_out: &'a [Arc<Clip>],
+    /// Generates the clips.
     pub generator: &'a ClipGenerator,
-    /// Draws the ground paths of the first of two stages.
+    /// Generates the ground paths of the first of two stages.
     pub trajectory: Option<&'a ClipGenerator>,
-    /// Says how clips match their captions.
+    /// Embeds clips and captions.
     pub evaluator: Option<&'a dyn TextMotionEvaluator>,
-    /// What clips are labelled with.
+    /// The labels of clips.
     pub labels: &'a ClipLabels,
+    /// The processes that generate some batches each.
+    pub together: &'a Together,
 }
 
 /// One replication.
 struct Replication {
-    drawn: GoalReport,
+    samples: GoalReport,
     real: GoalReport,
     text_motion: Option<TextMotionReports>,
     variety: Option<VarietyReport>,
 }
 
-/// Generates one clip for each of the `held_out` and computes their metrics, in every replication.
-/// The sample of a clip depends on the seed, its id and, with goals, on the batch that it is drawn
-/// in. Ranks draw some batches each, and all of them find the same.
-///
-/// # Errors
-/// As [`ClipGenerator::sample`].
-pub fn evaluate_goals(
-    models: Models<'_>,
-    held_out: &[Arc<Clip>],
-    settings: &GoalSettings,
-    together: &Together,
-    on_step: &mut OnStep<'_>,
-) -> Result<GoalEvaluation, Error> {
-    let count = settings.replications;
-    let mut replications = Vec::with_capacity(count);
-    for number in 0..count {
-        let seed = settings.seed.wrapping_add(number as u64);
-        replications.push(replicate(
-            models,
-            held_out,
-            settings,
-            seed,
-            together,
-            &mut |stage, done, all| on_step(stage, number * all + done, count * all),
-        )?);
+impl GoalEvaluation<'_> {
+    /// Generates a clip for each held-out clip and computes their metrics, in every replication.
+    /// The sample of a clip depends on the seed, its id and, with goals, on the batch that it is
+    /// generated in.
+    ///
+    /// # Errors
+    /// As [`ClipGenerator::sample`].
+    pub fn run(&self, seed: u64, on_step: &mut OnStep<'_>) -> Result<Results, Error> {
+        let count = self.settings.replications;
+        let replications = replicate(count, seed, on_step, |seed, on_step| {
+            self.replicate(seed, on_step)
+        })?;
+        let all = || replications.iter();
+        let samples = Replicated::of_all(all().map(|each| Some(each.samples.clone())));
+        let real = Replicated::of_all(all().map(|each| Some(each.real.clone())));
+        let (samples, real) = samples.zip(real).expect("one or more");
+        let text_motion = |of: fn(&TextMotionReports) -> &TextMotionReport| {
+            Replicated::of_all(all().map(|each| each.text_motion.as_ref().map(of).cloned()))
+        };
+        let text_motion = text_motion(|both| &both.drawn).zip(text_motion(|both| &both.real));
+        let variety = Replicated::of_all(all().map(|each| each.variety.clone()));
+        let mut remarks = Vec::new();
+        if let Some((samples, real)) = &text_motion {
+            let run = &self.generator.config().run.name;
+            remarks.push(format!("{run}: {}", samples.mean));
+            remarks.push(format!("held out: {}", real.mean));
+        }
+        let groups = |goals: &Replicated<GoalReport>, variety: Option<&dyn Metrics>| {
+            let variety = variety.map(|variety| Group::new("variety", "", variety));
+            let goals = Group::new("goals", "", goals);
+            [goals].into_iter().chain(variety).collect()
+        };
+        // Real motion has one clip of each condition.
+        let no_variety = variety.as_ref().map(|variety| VarietyReport {
+            trajectory_diversity: None,
+            multimodality: None,
+            ..variety.mean
+        });
+        let of_samples = groups(&samples, variety.as_ref().map(|each| each as &dyn Metrics));
+        let of_real = groups(&real, no_variety.as_ref().map(|each| each as &dyn Metrics));
+        let mut json = json!({
+            "task": self.task,
+            "batch_size": self.settings.batch_size,
+            "replications": count,
+            "variety_clips": self.settings.variety_clips,
+            "variety_repeats": self.settings.variety_repeats,
+            "drawn": samples,
+            "real": real,
+        });
+        json["steering"] = json!(self.generator.config().own::<GmdConfig>().steering);
+        if let Some(trajectory) = self.trajectory {
+            json["trajectory_run"] = json!(trajectory.config().run.name);
+        }
+        if let Some((samples, real)) = &text_motion {
+            json["text_motion"] = json!({ "drawn": samples, "real": real });
+        }
+        if let Some(variety) = &variety {
+            json["variety"] = json!(variety);
+        }
+        Ok(Results {
+            json: with_sampling(json, self.sampling),
+            facts: Vec::new(),
+            samples: Some(of_samples),
+            real: of_real,
+            remarks,
+        })
     }
-    fn of<'a, T>(each: impl Iterator<Item = &'a T>) -> Replicated<T>
-    where
-        T: Clone + Serialize + DeserializeOwned + 'a,
-    {
-        Replicated::of(&each.cloned().collect::<Vec<T>>())
-    }
-    let text_motion: Option<Vec<&TextMotionReports>> = replications
-        .iter()
-        .map(|each| each.text_motion.as_ref())
-        .collect();
-    let variety: Option<Vec<&VarietyReport>> = replications
-        .iter()
-        .map(|each| each.variety.as_ref())
-        .collect();
-    Ok(GoalEvaluation {
-        variety: variety.map(|each| of(each.into_iter())),
-        run: models.generator.config().run.name.clone(),
-        step: models.generator.step(),
-        trajectory_run: models.trajectory.map(|t| t.config().run.name.clone()),
-        drawn: of(replications.iter().map(|each| &each.drawn)),
-        real: of(replications.iter().map(|each| &each.real)),
-        text_motion: text_motion.map(|each| ReplicatedTextMotion {
-            drawn: of(each.iter().map(|reports| &reports.drawn)),
-            real: of(each.iter().map(|reports| &reports.real)),
-        }),
-        settings: settings.clone(),
-    })
-}
 
-/// One replication, by `seed`.
-fn replicate(
-    models: Models<'_>,
-    held_out: &[Arc<Clip>],
-    settings: &GoalSettings,
-    seed: u64,
-    together: &Together,
-    on_step: &mut OnStep<'_>,
-) -> Result<Replication, Error> {
-    let Models {
-        generator,
-        trajectory,
-        evaluator,
-        labels,
-    } = models;
-    let task = &settings.task;
-    let goal = |clip: &Arc<Clip>| task.goal(clip, seed);
-    let goals: Vec<Goal> = held_out.iter().map(goal).collect();
-    let asks = task.keyframes + task.obstacles > 0;
-    let clips: Vec<(&Arc<Clip>, &Goal)> = held_out.iter().zip(&goals).collect();
-    let draw = |clips: &[(&Arc<Clip>, &Goal)], repeats: usize, on_step: &mut OnStep<'_>| {
+    /// `repeats` samples for each of the clips and their goals, in batches.
+    fn sample(
+        &self,
+        clips: &[(&Arc<Clip>, &Goal)],
+        repeats: usize,
+        seed: u64,
+        on_step: &mut OnStep<'_>,
+    ) -> Result<Vec<GeneratedClip>, Error> {
+        let with_goals = self.task.keyframes + self.task.obstacles > 0;
         let all = clips.iter().flat_map(|(clip, goal)| {
             let request = ClipRequest {
                 frames: goal.frames,
-                goal: asks.then(|| Goal::clone(goal)),
+                goal: with_goals.then(|| Goal::clone(goal)),
                 text: ClipText::of(clip),
             };
             repeat_n(request, repeats).zip(keys(item_seed(seed, &clip.id), repeats))
         });
         let (requests, noise): (Vec<_>, Vec<_>) = all.unzip();
-        let batches: Vec<_> = requests
-            .chunks(settings.batch_size)
-            .zip(noise.chunks(settings.batch_size))
-            .collect();
-        let samples = together.each(batches.len(), |batch| {
-            let [before, count] = together.own_of(batch, batches.len());
+        let size = self.settings.batch_size;
+        let batches: Vec<_> = requests.chunks(size).zip(noise.chunks(size)).collect();
+        let samples = for_each_item(self.together, batches.len(), on_step, |batch, on_step| {
             let (requests, noise) = batches[batch];
-            generator.sample_keyed(
-                trajectory,
-                requests,
-                &settings.sampling,
-                noise,
-                &mut |stage, done, all| on_step(stage, before * all + done, count * all),
-            )
+            let trajectory = self.trajectory;
+            self.generator
+                .sample_keyed(trajectory, requests, self.sampling, noise, on_step)
         })?;
-        Ok::<_, Error>(samples.concat())
-    };
-    let samples = draw(&clips, 1, on_step)?;
-    // Evenly from all: clips beside each other are of one kind.
-    let taken = settings.variety_clips.min(clips.len());
-    let varied = (0..taken).map(|index| clips[index * clips.len() / taken]);
-    let varied: Vec<_> = varied.collect();
-    let varied = &varied[..];
-    let variety = match varied.is_empty() {
-        true => None,
-        false => {
-            let repeats = settings.variety_repeats;
-            let goals: Vec<&Goal> = varied.iter().map(|(_, goal)| *goal).collect();
-            let samples = draw(varied, repeats, on_step)?;
-            Some(VarietyReport::compute(
-                &samples, &goals, repeats, evaluator, seed,
-            )?)
-        }
-    };
-    let real = clips.iter().map(|(clip, goal)| {
-        let features = clip.features.slice(0..goal.frames).to_absolute();
-        GeneratedClip::of(features)
-    });
-    let real: Vec<GeneratedClip> = real.collect();
-    let drawn = Measured::new(&samples, &goals);
-    let real = Measured::new(&real, &goals);
-    let text_motion = match (evaluator, drawn.cut.len() == held_out.len()) {
-        (Some(evaluator), true) => {
-            let captions: Vec<&Clip> = held_out.iter().map(Arc::as_ref).collect();
-            Some(evaluator.reports(&drawn.cut, &real.cut, &captions, labels, seed)?)
-        }
-        _ => None,
-    };
-    Ok(Replication {
-        drawn: drawn.report(generator, &goals, &real),
-        real: GoalReport {
-            // From itself it is none: the distance that as many clips of the same kind have.
-            frechet_distance: between_halves(&real.features, seed),
-            ..real.report(generator, &goals, &real)
-        },
-        text_motion,
-        variety,
-    })
+        Ok(samples.concat())
+    }
+
+    /// One replication.
+    fn replicate(&self, seed: u64, on_step: &mut OnStep<'_>) -> Result<Replication, Error> {
+        let (held_out, generator, evaluator) = (self.held_out, self.generator, self.evaluator);
+        let goals = held_out.iter().map(|clip| self.task.goal(clip, seed));
+        let goals: Vec<Goal> = goals.collect();
+        let clips: Vec<(&Arc<Clip>, &Goal)> = held_out.iter().zip(&goals).collect();
+        let samples = self.sample(&clips, 1, seed, on_step)?;
+        // Evenly from all clips, because neighbours are of one kind.
+        let count = self.settings.variety_clips.min(clips.len());
+        let varied = (0..count).map(|index| clips[index * clips.len() / count]);
+        let varied: Vec<_> = varied.collect();
+        let variety = match varied.is_empty() {
+            true => None,
+            false => {
+                let repeats = self.settings.variety_repeats;
+                let goals: Vec<&Goal> = varied.iter().map(|(_, goal)| *goal).collect();
+                let samples = self.sample(&varied, repeats, seed, on_step)?;
+                Some(VarietyReport::compute(
+                    &samples, &goals, repeats, evaluator, seed,
+                )?)
+            }
+        };
+        let real = clips.iter().map(|(clip, goal)| {
+            let features = clip.features.slice(0..goal.frames).to_absolute();
+            GeneratedClip::of(features)
+        });
+        let real: Vec<GeneratedClip> = real.collect();
+        let samples = Measured::new(&samples, &goals);
+        let real = Measured::new(&real, &goals);
+        let text_motion = match (evaluator, samples.cut.len() == held_out.len()) {
+            (Some(evaluator), true) => {
+                let captions: Vec<&Clip> = held_out.iter().map(Arc::as_ref).collect();
+                Some(evaluator.reports(&samples.cut, &real.cut, &captions, self.labels, seed)?)
+            }
+            _ => None,
+        };
+        Ok(Replication {
+            samples: samples.report(generator, &goals, &real),
+            real: GoalReport {
+                // The distance from itself would be 0: it is that between halves of the clips.
+                frechet_distance: between_halves(&real.features, seed),
+                ..real.report(generator, &goals, &real)
+            },
+            text_motion,
+            variety,
+        })
+    }
 }
 
 /// The mean distance between two halves of the feature vectors, over [`DIVISIONS`] divisions at
@@ -315,8 +272,7 @@ impl<'a> Measured<'a> {
     }
 }
 
-/// The mean over time of each joint's position about the root. Where the root goes is what the goal
-/// says.
+/// The mean over time of each joint's position about the root; the goal determines the root itself.
 fn mean_positions(features: &Features) -> Vec<f64> {
     let frames = features.frames();
     let body = features.layout().positions();

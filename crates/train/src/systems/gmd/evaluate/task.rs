@@ -9,23 +9,22 @@ use serde::{Deserialize, Serialize};
 /// Radius of the obstacles, metres: a person with some room.
 const OBSTACLE_RADIUS: f64 = 0.35;
 
-/// Least distance of an obstacle's edge from where the way begins and ends, metres; the margin if that is
-/// more, or neither could be reached.
+/// Least distance of an obstacle's edge from both ends of the path, metres. A larger margin counts
+/// instead: otherwise the ends could not be reached.
 const CLEARANCE: f64 = 0.1;
 
 /// Which frames are keyframes.
 #[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum KeyframePlacement {
-    /// Frames drawn at random, as in the published evaluation; of a frame that is drawn twice,
-    /// one.
+    /// Frames drawn at random, as in the published evaluation; a frame drawn twice counts once.
     #[default]
     Random,
     /// Evenly spaced frames, the last one of the clip among them.
     Even,
 }
 
-/// How a goal is derived from a held-out clip.
+/// The derivation of a goal from a held-out clip.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct GoalTask {
     /// Number of keyframes.
@@ -97,7 +96,7 @@ mod tests {
 
     const FRAMES: usize = 80;
 
-    /// A straight way of 4 cm per frame.
+    /// A straight path of 4 cm per frame.
     fn clip(id: &str) -> Clip {
         let layout = FeatureLayout::of_joints(22).unwrap();
         let mut values = vec![0.0; FRAMES * layout.channels()];
@@ -128,7 +127,7 @@ mod tests {
         assert_eq!(of("a", 1), of("a", 1));
         assert_ne!(of("a", 1), of("b", 1));
         assert_ne!(of("a", 1), of("a", 2));
-        // Each frame of the goal is among them now and then, and no other.
+        // Over many seeds each frame of the goal is a keyframe, and no other.
         let mut counts = [0; 60];
         for seed in 0..400 {
             let found = of("a", seed);
@@ -146,7 +145,7 @@ mod tests {
     }
 
     #[test]
-    fn obstacles_stand_in_the_way_and_guidance_keeps_the_margin() {
+    fn obstacles_stand_on_the_path_with_the_margin_of_guidance() {
         let task = GoalTask {
             obstacles: 2,
             ..TASK
@@ -159,7 +158,7 @@ mod tests {
             let depth = obstacle.signed_distance([0.0, 0.04 * frame]);
             assert!((depth + OBSTACLE_RADIUS).abs() < 1e-5, "{depth}");
         }
-        // 76 and 80 cm from the ends of the way.
+        // 76 and 80 cm from the ends of the path.
         let wide = GoalTask {
             margin: 0.42,
             ..task

@@ -1,4 +1,4 @@
-//! How much several clips of one condition differ.
+//! Differences between several clips of one condition.
 
 use kinegrad_motion::goal::Goal;
 use kinegrad_motion::humanml::Features;
@@ -7,12 +7,13 @@ use serde::{Deserialize, Serialize};
 
 use crate::clips::evaluator::TextMotionEvaluator;
 use crate::error::Error;
+use crate::evaluation::{Metrics, Number};
 use crate::systems::gmd::GeneratedClip;
 
 /// Pairs of clips of a condition whose distance multimodality is the mean of, as published.
 const PAIRS: usize = 10;
 
-/// How much several clips of one condition differ.
+/// Differences between several clips of one condition.
 #[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
 pub struct VarietyReport {
     /// Number of conditions.
@@ -65,12 +66,13 @@ impl VarietyReport {
                 .and_then(|embeddings| multimodality(&embeddings, PAIRS.min(repeats), seed)),
         })
     }
+}
 
-    /// The metrics in the order in which they print, each with its name and unit.
-    pub(super) fn rows(&self) -> [(&'static str, Option<f64>, &'static str); 2] {
-        [
+impl Metrics for VarietyReport {
+    fn rows(&self) -> Vec<Number> {
+        Number::list([
             ("trajectory diversity", self.trajectory_diversity, " m"),
             ("multimodality", self.multimodality, ""),
-        ]
+        ])
     }
 }

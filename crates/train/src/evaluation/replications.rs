@@ -1,9 +1,30 @@
-//! Several evaluations that differ in their seed, as one.
+//! Evaluations that differ in their seed alone, combined to one.
 
 use kinegrad_motion::metrics::replication_interval;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::{Map, Value, from_value, to_value};
+
+use super::{Metrics, Number, OnStep};
+use crate::error::Error;
+
+/// The results of `count` evaluations by `one`, which gets the seed of each: `seed` and those after it.
+///
+/// # Errors
+/// As `one`.
+pub(crate) fn replicate<T>(
+    count: usize,
+    seed: u64,
+    on_step: &mut OnStep<'_>,
+    mut one: impl FnMut(u64, &mut OnStep<'_>) -> Result<T, Error>,
+) -> Result<Vec<T>, Error> {
+    let replications = (0..count).map(|number| {
+        one(seed.wrapping_add(number as u64), &mut |stage, done, all| {
+            on_step(stage, number * all + done, count * all)
+        })
+    });
+    replications.collect()
+}
 
 /// Reports of replications: their means, and half the width of the 95 % interval of each mean.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -17,7 +38,7 @@ pub struct Replicated<T> {
 }
 
 impl<T: Serialize + DeserializeOwned> Replicated<T> {
-    /// The reports as one. A metric that one of them lacks is missing.
+    /// The reports combined. A metric that one of them lacks is missing.
     ///
     /// # Panics
     /// Panics if there is no report, or a report is no plain struct of numbers.
@@ -35,6 +56,25 @@ impl<T: Serialize + DeserializeOwned> Replicated<T> {
             mean: combined(&mean),
             interval: (reports.len() > 1).then(|| combined(&replication_interval)),
         }
+    }
+
+    /// [`of`](Self::of) reports that every replication has; none if one lacks it.
+    pub fn of_all(reports: impl Iterator<Item = Option<T>>) -> Option<Self> {
+        let reports: Option<Vec<T>> = reports.collect();
+        Some(Self::of(&reports?))
+    }
+}
+
+impl<T: Metrics> Metrics for Replicated<T> {
+    fn rows(&self) -> Vec<Number> {
+        let mut rows = self.mean.rows();
+        let intervals = self.interval.as_ref().map(T::rows).unwrap_or_default();
+        for (row, interval) in rows.iter_mut().zip(intervals) {
+            if let (Some((_, Some(shown))), Some(half)) = (&mut row.line, interval.value) {
+                *shown = format!("{shown} ±{half:.4}");
+            }
+        }
+        rows
     }
 }
 
@@ -66,6 +106,27 @@ mod tests {
     use kinegrad_motion::metrics::text_motion::TextMotionReport;
 
     use super::*;
+
+    #[test]
+    fn tables_show_the_intervals_of_metrics_that_have_one() {
+        let report = |error, jerk| GoalReport {
+            average_error: Some(error),
+            jerk,
+            ..GoalReport::default()
+        };
+        let shown = |reports: &[GoalReport], name: &str| {
+            let rows = Replicated::of(reports).rows();
+            let row = rows.into_iter().find(|row| row.name == name);
+            row.and_then(|row| row.line).expect("a row")
+        };
+        let both = [report(1.0, Some(2.0)), report(2.0, None)];
+        let (title, error) = shown(&both, "average error");
+        assert_eq!(title, "average error m");
+        assert_eq!(error.expect("a mean"), "1.5000 ±0.6930");
+        assert_eq!(shown(&both, "mean jerk").1, None);
+        let one = shown(&both[..1], "average error").1;
+        assert_eq!(one.expect("a mean"), "1.0000");
+    }
 
     #[test]
     fn metrics_are_averaged_and_counts_are_not() {

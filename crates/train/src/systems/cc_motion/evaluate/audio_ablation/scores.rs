@@ -1,4 +1,4 @@
-//! What is measured of each phrase with something heard.
+//! Scores of the samples of a phrase against the beats of its music.
 
 use kinegrad_motion::metrics::{
     beat_alignment, chance_alignment, kinematic_beats, phase_error, speed_peaks,
@@ -7,18 +7,18 @@ use kinegrad_motion::{FPS, Phrase};
 use kinegrad_random::{Key, Purpose};
 use serde::{Deserialize, Serialize};
 
-use super::Heard;
-use super::phrases::{Listened, bars};
+use super::audio_variant::AudioVariant;
+use super::beat_phrase::{BeatPhrase, bars};
 
-/// How the samples of a phrase with one condition fall in with the music: means over the samples.
-/// Phases are compared in cycles, 0 to 0.5; NaN where a sample's is not finite.
+/// Agreement of the samples of a phrase and one audio variant with the music: means over the samples.
+/// Phases are compared in cycles, 0 to 0.5; NaN if a sample's is not finite.
 #[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
 pub struct Score {
     /// Distance of the beat phase from that of the phrase's own music, beats.
     pub beat_phase_error: f64,
     /// The same of the bar phase, bars.
     pub bar_phase_error: f64,
-    /// Distance of the beat phase from that of the music that was heard, beats.
+    /// Distance of the beat phase from that of the music of the condition, beats.
     pub heard_beat_phase_error: Option<f64>,
     /// The same of the bar phase, bars.
     pub heard_bar_phase_error: Option<f64>,
@@ -33,39 +33,26 @@ pub struct Score {
     pub chance_peak_alignment: Option<f64>,
 }
 
-/// A phrase to dance to.
-pub(super) struct Dancing<'a> {
-    to: &'a Listened,
-    /// Beats of its music, seconds.
-    music: Vec<f64>,
-}
-
-impl<'a> Dancing<'a> {
-    pub fn to(listened: &'a Listened) -> Self {
-        Self {
-            to: listened,
-            music: listened.beat_times(),
-        }
-    }
-
-    /// The score of samples, at least one, that heard music of these bar phases and beats in a bar,
-    /// if it had beats.
+impl BeatPhrase {
+    /// The score of samples, at least one; `heard` are the bar phases and the beats in a bar of the
+    /// music that they were conditioned on, if it has beats.
     pub fn score(&self, samples: &[Phrase], heard: Option<&(Vec<f64>, f64)>, seed: u64) -> Score {
+        let music = self.beat_times();
         let mean = |of: &dyn Fn(&Phrase) -> f64| {
             samples.iter().map(of).sum::<f64>() / samples.len() as f64
         };
         let error = |expected: &[f64], cycles: f64| {
             mean(&|motion| phase_error(&bars(motion), expected, cycles))
         };
-        let seconds = self.to.phrase.frames() as f64 / FPS;
-        let key = Key::new(seed, Purpose::BeatOffset).named(&self.to.phrase.id);
+        let seconds = self.phrase.frames() as f64 / FPS;
+        let key = Key::new(seed, Purpose::BeatOffset).named(&self.phrase.id);
         let aligned = |moments: fn(&Phrase) -> Vec<f64>| {
             let (scores, chances): (Vec<f64>, Vec<f64>) = samples
                 .iter()
                 .filter_map(|motion| {
                     let moments = moments(motion);
-                    let score = beat_alignment(&moments, &self.music)?;
-                    let chance = chance_alignment(&moments, &self.music, seconds, key)?;
+                    let score = beat_alignment(&moments, &music)?;
+                    let chance = chance_alignment(&moments, &music, seconds, key)?;
                     Some((score, chance))
                 })
                 .unzip();
@@ -77,8 +64,8 @@ impl<'a> Dancing<'a> {
         let [beat_alignment, chance_alignment] = aligned(kinematic_beats);
         let [peak_alignment, chance_peak_alignment] = aligned(speed_peaks);
         Score {
-            beat_phase_error: error(&self.to.bars, self.to.beats_per_bar),
-            bar_phase_error: error(&self.to.bars, 1.0),
+            beat_phase_error: error(&self.bars, self.beats_per_bar),
+            bar_phase_error: error(&self.bars, 1.0),
             heard_beat_phase_error: heard.map(|(bars, beats)| error(bars, *beats)),
             heard_bar_phase_error: heard.map(|(bars, _)| error(bars, 1.0)),
             beat_alignment,
@@ -89,8 +76,8 @@ impl<'a> Dancing<'a> {
     }
 }
 
-/// What was measured of a phrase.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+/// The values of a phrase.
+#[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
 pub struct MeasuredPhrase {
     /// Its id.
     pub id: String,
@@ -98,18 +85,18 @@ pub struct MeasuredPhrase {
     pub song: String,
     /// Beats in a bar of it.
     pub beats_per_bar: f64,
-    /// Distance of the beat phase that the network's own tracker finds in its music from that of the
-    /// music, beats; `None` without a tracker.
+    /// Distance between the beat phase of the network's own tracker and that of the music, beats; none
+    /// without a tracker.
     pub tracked_beat_error: Option<f64>,
-    /// The values by what was heard.
+    /// The values for each audio variant.
     pub conditions: Vec<MeasuredCondition>,
 }
 
-/// What was measured of a phrase with something heard.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+/// The values of a phrase and an audio variant.
+#[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
 pub struct MeasuredCondition {
-    /// What was heard.
-    pub heard: Heard,
+    /// The audio.
+    pub heard: AudioVariant,
     /// The loss at high noise.
     pub loss: f64,
     /// The samples' score.
@@ -118,20 +105,9 @@ pub struct MeasuredCondition {
 }
 
 impl MeasuredPhrase {
-    /// A phrase with nothing measured yet.
-    pub(super) fn new(listened: &Listened) -> Self {
-        Self {
-            id: listened.phrase.id.clone(),
-            song: listened.song.clone(),
-            beats_per_bar: listened.beats_per_bar,
-            tracked_beat_error: None,
-            conditions: Vec::new(),
-        }
-    }
-
-    /// What was measured with that.
-    pub(super) fn with(&self, heard: Heard) -> Option<&MeasuredCondition> {
-        self.conditions.iter().find(|each| each.heard == heard)
+    /// The values for a variant.
+    pub(super) fn with(&self, variant: AudioVariant) -> Option<&MeasuredCondition> {
+        self.conditions.iter().find(|each| each.heard == variant)
     }
 }
 
@@ -145,13 +121,13 @@ mod tests {
     use super::*;
 
     /// A phrase of so many frames that begins late in a bar of `rate` bars a second.
-    fn listened(id: &str, frames: usize, rate: f64, beats_per_bar: u32) -> Listened {
+    fn phrase_of(id: &str, frames: usize, rate: f64, beats_per_bar: u32) -> BeatPhrase {
         let mut phrase = PhraseItem {
             id: id.to_owned(),
             ..synthetic::phrase(frames, frames, 1)
         };
         phrase.motion = moved(&phrase.motion, |t| 0.9 + rate * t as f64 / FPS);
-        Listened::new(
+        BeatPhrase::new(
             Arc::new(phrase),
             &Songs::default(),
             Some(f64::from(beats_per_bar)),
@@ -169,18 +145,17 @@ mod tests {
     }
 
     #[test]
-    fn dancers_are_scored_by_their_phase_against_the_music() {
+    fn samples_are_scored_by_their_phase_against_the_music() {
         for (beats_per_bar, frames) in [(3, 97), (4, 120), (4, 61)] {
-            let listened = listened("a_0", frames, 0.53, beats_per_bar);
-            let dancing = Dancing::to(&listened);
+            let phrase = phrase_of("a_0", frames, 0.53, beats_per_bar);
             let beats = f64::from(beats_per_bar);
             let shifted = |beats_late: f64| {
-                let music = listened.bars.clone();
-                moved(&listened.phrase.motion, move |t| {
+                let music = phrase.bars.clone();
+                moved(&phrase.phrase.motion, move |t| {
                     music[t] + beats_late / beats
                 })
             };
-            let score = |motion: Phrase| dancing.score(&[motion], None, 0);
+            let score = |motion: Phrase| phrase.score(&[motion], None, 0);
             assert!(score(shifted(0.0)).beat_phase_error < 1e-6);
             let half = score(shifted(0.5));
             assert!((half.beat_phase_error - 0.5).abs() < 1e-5, "{half:?}");
@@ -195,14 +170,14 @@ mod tests {
                 "{whole:?}"
             );
             // Another tempo, out of step again and again.
-            let other = score(moved(&listened.phrase.motion, |t| 3.1 * t as f64 / FPS));
+            let other = score(moved(&phrase.phrase.motion, |t| 3.1 * t as f64 / FPS));
             assert!((other.beat_phase_error - 0.25).abs() < 0.04, "{other:?}");
             // Two samples: the mean.
-            let both = dancing.score(&[shifted(0.0), shifted(0.5)], None, 0);
+            let both = phrase.score(&[shifted(0.0), shifted(0.5)], None, 0);
             assert!((both.beat_phase_error - 0.25).abs() < 1e-5, "{both:?}");
-            // Who follows music half a beat ahead is right by what was heard.
-            let ahead: Vec<f64> = listened.bars.iter().map(|bar| bar + 0.5 / beats).collect();
-            let heard = dancing.score(&[shifted(0.5)], Some(&(ahead, beats)), 0);
+            // A sample half a beat ahead follows music that is half a beat ahead.
+            let ahead: Vec<f64> = phrase.bars.iter().map(|bar| bar + 0.5 / beats).collect();
+            let heard = phrase.score(&[shifted(0.5)], Some(&(ahead, beats)), 0);
             assert!(heard.heard_beat_phase_error.unwrap() < 1e-5, "{heard:?}");
             assert!((heard.beat_phase_error - 0.5).abs() < 1e-5);
             let mut broken = shifted(0.0);

@@ -12,7 +12,7 @@ use crate::systems::cc_motion::recipes::denoising_loss;
 const LEVELS: usize = 8;
 
 /// The timesteps of high noise, evenly placed in the upper half of `num_train_timesteps`: there the
-/// network has little but its condition to tell the motion by.
+/// network depends on its condition most.
 pub(super) fn high_noise(num_train_timesteps: usize) -> Vec<usize> {
     let lowest = num_train_timesteps / 2;
     let width = num_train_timesteps - lowest;
@@ -21,9 +21,10 @@ pub(super) fn high_noise(num_train_timesteps: usize) -> Vec<usize> {
         .collect()
 }
 
-/// The loss of the motion on one phrase that hears `audio`, as many frames, as validation has it (not
-/// weighted, and of a network that tracks the beats with those that it finds): mean over the levels of [`high_noise`]. Noise depends on the phrase's id and the level
-/// alone, so that losses of one phrase differ by what is heard.
+/// The validation loss of a phrase's motion conditioned on `audio` of as many frames: not weighted,
+/// with the beats of the network's own tracker if it has one, mean over the levels of
+/// [`high_noise`]. Noise depends on the phrase's id and the level alone, so that losses of one phrase
+/// differ by the audio.
 pub(super) fn loss(generator: &Generator, phrase: &PhraseItem, audio: &AudioFeatures) -> f64 {
     let device = &generator.device;
     let timesteps = high_noise(generator.diffusion.config.num_train_timesteps);

@@ -1,15 +1,15 @@
-//! What a model hears in the place of a phrase's music.
+//! Audio in the place of a phrase's own music.
 
 use kinegrad_data::AudioFeatures;
 use kinegrad_random::{Key, Purpose};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
-use super::phrases::Listened;
+use super::beat_phrase::BeatPhrase;
 
-/// What a model hears.
-#[derive(Clone, Copy, Debug, Eq, PartialEq, Serialize)]
+/// A kind of audio that samples of a phrase are conditioned on.
+#[derive(Clone, Copy, Debug, Deserialize, Eq, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Heard {
+pub enum AudioVariant {
     /// The phrase's own music.
     Own,
     /// Zeros in every feature: the null condition of guidance.
@@ -24,7 +24,7 @@ pub enum Heard {
     OtherSong,
 }
 
-impl Heard {
+impl AudioVariant {
     /// All of them, the own music first.
     pub const ALL: [Self; 6] = [
         Self::Own,
@@ -35,32 +35,20 @@ impl Heard {
         Self::OtherSong,
     ];
 
-    /// Its name in files.
-    pub fn name(self) -> &'static str {
+    /// Its name in files and its heading in tables.
+    pub fn names(self) -> (&'static str, &'static str) {
         match self {
-            Self::Own => "own",
-            Self::Silence => "silence",
-            Self::Shuffled => "shuffled",
-            Self::Reversed => "reversed",
-            Self::HalfBeat => "half_beat",
-            Self::OtherSong => "other_song",
-        }
-    }
-
-    /// Its heading in tables.
-    pub fn title(self) -> &'static str {
-        match self {
-            Self::Own => "OWN MUSIC",
-            Self::Silence => "SILENCE",
-            Self::Shuffled => "FRAMES SHUFFLED",
-            Self::Reversed => "FRAMES REVERSED",
-            Self::HalfBeat => "SHIFTED BY HALF A BEAT",
-            Self::OtherSong => "ANOTHER SONG'S",
+            Self::Own => ("own", "OWN MUSIC"),
+            Self::Silence => ("silence", "SILENCE"),
+            Self::Shuffled => ("shuffled", "FRAMES SHUFFLED"),
+            Self::Reversed => ("reversed", "FRAMES REVERSED"),
+            Self::HalfBeat => ("half_beat", "SHIFTED BY HALF A BEAT"),
+            Self::OtherSong => ("other_song", "ANOTHER SONG'S"),
         }
     }
 }
 
-/// Music as a model hears it.
+/// Music that a sample is conditioned on.
 #[derive(Clone, Debug)]
 pub(super) struct Music {
     /// The features, as many frames as the phrase has.
@@ -69,32 +57,37 @@ pub(super) struct Music {
     pub bars: Option<(Vec<f64>, f64)>,
 }
 
-impl Listened {
-    /// What is `heard` in the place of this phrase's music, one of the `others` for another song's;
-    /// `None` where they are none.
-    pub(super) fn music(&self, heard: Heard, seed: u64, others: &[Listened]) -> Option<Music> {
+impl BeatPhrase {
+    /// The music of this phrase's `variant`; another song's is that of one of the `donors`, and none
+    /// if they are all of this song.
+    pub(super) fn music(
+        &self,
+        variant: AudioVariant,
+        seed: u64,
+        donors: &[BeatPhrase],
+    ) -> Option<Music> {
         let audio = &self.phrase.audio;
         let frames = audio.frames();
         let key = Key::new(seed, Purpose::Listening).named(&self.phrase.id);
         let own = (self.bars.clone(), self.beats_per_bar);
-        Some(match heard {
-            Heard::Own => Music {
+        Some(match variant {
+            AudioVariant::Own => Music {
                 audio: audio.clone(),
                 bars: Some(own),
             },
-            Heard::Silence => Music {
+            AudioVariant::Silence => Music {
                 audio: AudioFeatures::silence(audio.layout(), frames),
                 bars: None,
             },
-            Heard::Shuffled => Music {
+            AudioVariant::Shuffled => Music {
                 audio: audio.at_frames(&key.at(0).permutation(frames)),
                 bars: None,
             },
-            Heard::Reversed => Music {
+            AudioVariant::Reversed => Music {
                 audio: audio.at_frames(&(0..frames).rev().collect::<Vec<_>>()),
                 bars: None,
             },
-            Heard::HalfBeat => {
+            AudioVariant::HalfBeat => {
                 let later = half_a_beat_later(&self.beats(), self.beats_per_bar);
                 let bars = later.iter().map(|&frame| self.bars[frame]).collect();
                 Music {
@@ -102,8 +95,8 @@ impl Listened {
                     bars: Some((bars, self.beats_per_bar)),
                 }
             }
-            Heard::OtherSong => {
-                let other = self.other(others, key.at(1))?;
+            AudioVariant::OtherSong => {
+                let other = self.donor(donors, key.at(1))?;
                 let again: Vec<usize> = (0..frames).map(|t| t % other.phrase.frames()).collect();
                 let bars = again.iter().map(|&frame| other.bars[frame]).collect();
                 Music {
@@ -114,20 +107,20 @@ impl Listened {
         })
     }
 
-    /// One of the `others` that is of another song, and as long if there is one.
-    fn other<'a>(&self, others: &'a [Listened], key: Key) -> Option<&'a Listened> {
-        let of_others = others.iter().filter(|other| other.song != self.song);
+    /// One of the `donors` that is of another song, and as long if there is one.
+    fn donor<'a>(&self, donors: &'a [BeatPhrase], key: Key) -> Option<&'a BeatPhrase> {
+        let of_others = donors.iter().filter(|other| other.song != self.song);
         let of_others: Vec<_> = of_others.collect();
-        let long = |other: &&Listened| other.phrase.frames() >= self.phrase.frames();
+        let long = |other: &&BeatPhrase| other.phrase.frames() >= self.phrase.frames();
         let long: Vec<_> = of_others.iter().copied().filter(long).collect();
         let among = if long.is_empty() { of_others } else { long };
         (!among.is_empty()).then(|| among[key.integers(1, among.len())[0]])
     }
 }
 
-/// The frame that is heard in each frame, for music half a beat ahead: the one nearest to half a
-/// beat later. Where the phrase has ended by then, its music goes on with that of a bar before, or,
-/// where the phrase is shorter, of as few beats before as it takes.
+/// The source frame of each frame, for music half a beat ahead: the one nearest to half a beat later.
+/// Past the end of the phrase, the music continues with that of a bar before, or, in a shorter
+/// phrase, of as few beats before as possible.
 fn half_a_beat_later(beats: &[f64], beats_per_bar: f64) -> Vec<usize> {
     let (first, last) = (beats[0], beats[beats.len() - 1]);
     let nearest = |beat: f64| {
@@ -150,9 +143,12 @@ fn half_a_beat_later(beats: &[f64], beats_per_bar: f64) -> Vec<usize> {
     later.collect()
 }
 
-/// The phrases that give another song's music: the `held_out` ones, or, where these are of one song,
-/// those to train on.
-pub(super) fn exchanged<'a>(held_out: &'a [Listened], training: &'a [Listened]) -> &'a [Listened] {
+/// The phrases that another song's music is taken from: the `held_out` ones, or, if these are of one
+/// song, the training phrases.
+pub(super) fn donors<'a>(
+    held_out: &'a [BeatPhrase],
+    training: &'a [BeatPhrase],
+) -> &'a [BeatPhrase] {
     match held_out.windows(2).any(|pair| pair[0].song != pair[1].song) {
         true => held_out,
         false => training,
@@ -171,14 +167,14 @@ mod tests {
     use super::*;
 
     /// A phrase of a song of that many bars a second.
-    fn listened(song: &str, index: usize, frames: usize, rate: f64, beats: u32) -> Listened {
+    fn phrase_of(song: &str, index: usize, frames: usize, rate: f64, beats: u32) -> BeatPhrase {
         let mut phrase = synthetic::phrase(index, frames, 1);
         phrase.id = format!("{song}_{index:05}");
         for t in 0..frames {
             let phase = (0.87 + rate * t as f64 / FPS).rem_euclid(1.0);
             phrase.motion.frame_mut(t)[PHASE] = phase as f32;
         }
-        Listened::new(Arc::new(phrase), &Songs::default(), Some(f64::from(beats))).expect("beats")
+        BeatPhrase::new(Arc::new(phrase), &Songs::default(), Some(f64::from(beats))).expect("beats")
     }
 
     /// The frames of `audio` in its own order.
@@ -190,20 +186,20 @@ mod tests {
     }
 
     #[test]
-    fn music_half_a_beat_ahead_is_out_of_time_in_every_frame() {
+    fn music_half_a_beat_ahead_is_off_the_beat_in_every_frame() {
         for (frames, beats_per_bar, rate) in
             [(120, 4, 0.5), (97, 3, 0.61), (45, 4, 0.43), (24, 4, 0.45)]
         {
-            let own = listened("a", 0, frames, rate, beats_per_bar);
+            let own = phrase_of("a", 0, frames, rate, beats_per_bar);
             let later = half_a_beat_later(&own.beats(), own.beats_per_bar);
             let beats = f64::from(beats_per_bar);
             let beats_a_frame = rate * beats / FPS;
-            for (t, &heard) in later.iter().enumerate() {
-                let found = phase_error(&[own.bars[heard]], &[own.bars[t]], beats);
+            for (t, &source) in later.iter().enumerate() {
+                let found = phase_error(&[own.bars[source]], &[own.bars[t]], beats);
                 let least = 0.5 - 1.01 * beats_a_frame;
                 assert!(found > least, "frame {t} of {frames}: {found} {least}");
             }
-            let music = own.music(Heard::HalfBeat, 0, &[]).unwrap();
+            let music = own.music(AudioVariant::HalfBeat, 0, &[]).unwrap();
             let (bars, of_a_bar) = music.bars.unwrap();
             assert_eq!(of_a_bar, beats);
             let found = phase_error(&bars, &own.bars, beats);
@@ -213,7 +209,7 @@ mod tests {
             let ahead = later
                 .iter()
                 .enumerate()
-                .filter(|(t, heard)| heard.abs_diff(t + half) <= 1);
+                .filter(|(t, source)| source.abs_diff(t + half) <= 1);
             assert!(ahead.count() + half + 1 >= frames, "{later:?}");
             let onset = own.phrase.audio.onset_strength();
             assert_eq!(music.audio.onset_strength()[3], onset[later[3]]);
@@ -222,48 +218,50 @@ mod tests {
 
     #[test]
     fn frames_in_another_order_are_the_same_frames() {
-        let own = listened("a", 0, 50, 0.5, 4);
+        let own = phrase_of("a", 0, 50, 0.5, 4);
         let audio = &own.phrase.audio;
-        for heard in [Heard::Shuffled, Heard::Reversed] {
-            let music = own.music(heard, 5, &[]).unwrap();
+        for variant in [AudioVariant::Shuffled, AudioVariant::Reversed] {
+            let music = own.music(variant, 5, &[]).unwrap();
             assert!(music.bars.is_none());
             assert_ne!(&music.audio, audio);
             assert_eq!(sorted(&music.audio), sorted(audio));
         }
-        let shuffled = |seed| own.music(Heard::Shuffled, seed, &[]).unwrap().audio;
+        let shuffled = |seed| own.music(AudioVariant::Shuffled, seed, &[]).unwrap().audio;
         assert_eq!(shuffled(5), shuffled(5));
         assert_ne!(shuffled(5), shuffled(6));
-        let reversed = own.music(Heard::Reversed, 5, &[]).unwrap().audio;
+        let reversed = own.music(AudioVariant::Reversed, 5, &[]).unwrap().audio;
         assert_eq!(reversed.channel(7)[0], audio.channel(7)[49]);
-        let silence = own.music(Heard::Silence, 5, &[]).unwrap().audio;
+        let silence = own.music(AudioVariant::Silence, 5, &[]).unwrap().audio;
         assert_eq!(silence, AudioFeatures::zeros(50));
-        assert_eq!(&own.music(Heard::Own, 5, &[]).unwrap().audio, audio);
+        assert_eq!(&own.music(AudioVariant::Own, 5, &[]).unwrap().audio, audio);
     }
 
     #[test]
     fn another_song_is_never_a_phrase_of_the_same() {
-        let own = [listened("a", 0, 50, 0.5, 4), listened("a", 1, 50, 0.5, 4)];
-        assert!(own[0].music(Heard::OtherSong, 0, &own).is_none());
-        let short = listened("b", 2, 40, 0.6, 3);
+        let own = [phrase_of("a", 0, 50, 0.5, 4), phrase_of("a", 1, 50, 0.5, 4)];
+        assert!(own[0].music(AudioVariant::OtherSong, 0, &own).is_none());
+        let short = phrase_of("b", 2, 40, 0.6, 3);
         let with_short = [own.to_vec(), vec![short.clone()]].concat();
-        let music = own[0].music(Heard::OtherSong, 0, &with_short).unwrap();
-        // The short one goes on from its beginning.
+        let music = own[0]
+            .music(AudioVariant::OtherSong, 0, &with_short)
+            .unwrap();
+        // The short one starts again.
         assert_eq!(music.audio.frames(), 50);
         assert_eq!(music.audio.slice(0..40), short.phrase.audio);
         assert_eq!(music.audio.slice(40..50), short.phrase.audio.slice(0..10));
         let (bars, beats_per_bar) = music.bars.unwrap();
         assert_eq!((bars.len(), beats_per_bar), (50, 3.0));
         // One that is long enough comes first, whatever the seed.
-        let long = listened("c", 3, 60, 0.4, 4);
+        let long = phrase_of("c", 3, 60, 0.4, 4);
         let all = [with_short.clone(), vec![long.clone()]].concat();
         for seed in 0..8 {
-            let music = own[0].music(Heard::OtherSong, seed, &all).unwrap();
+            let music = own[0].music(AudioVariant::OtherSong, seed, &all).unwrap();
             assert_eq!(music.audio, long.phrase.audio.slice(0..50));
         }
         let training = [long];
-        let ids = |chosen: &[Listened]| chosen[0].phrase.id.clone();
-        assert_eq!(ids(exchanged(&own, &training)), "c_00003");
-        assert_eq!(ids(exchanged(&with_short, &training)), "a_00000");
-        assert_eq!(ids(exchanged(&own[..1], &training)), "c_00003");
+        let ids = |chosen: &[BeatPhrase]| chosen[0].phrase.id.clone();
+        assert_eq!(ids(donors(&own, &training)), "c_00003");
+        assert_eq!(ids(donors(&with_short, &training)), "a_00000");
+        assert_eq!(ids(donors(&own[..1], &training)), "c_00003");
     }
 }

@@ -1,4 +1,4 @@
-//! How well a network that tracks the beats itself does so in music that it was not trained on.
+//! The error of the beat tracker in a network, in music that it was not trained on.
 
 use std::f64::consts::TAU;
 
@@ -6,24 +6,24 @@ use burn::tensor::{Tensor, TensorData};
 use kinegrad_models::AudioCondition;
 use kinegrad_motion::circular;
 
-use super::Listened;
+use super::BeatPhrase;
 use crate::systems::cc_motion::generate::Generator;
 
-/// Mean over the frames of a phrase of the distance of the beat phase that the network's tracker
-/// finds in its music, as the rest of the network hears it, from that of the music, in beats; `None` without a tracker.
-pub(super) fn beat_error(generator: &Generator, listened: &Listened) -> Option<f64> {
-    let audio = &listened.phrase.audio;
+/// Mean distance in beats over the frames of a phrase between the beat phase that the network's
+/// tracker finds and that of the music; none without a tracker.
+pub(super) fn error(generator: &Generator, phrase: &BeatPhrase) -> Option<f64> {
+    let audio = &phrase.phrase.audio;
     let (values, frames) = (audio.as_slice(), audio.frames());
     let shape = [1, values.len() / frames, frames];
     let features = TensorData::new(values.to_vec(), shape);
     let features: Tensor<3> = Tensor::from_data(features, &generator.device);
     let found = generator.unet.find_beats(&AudioCondition::from(features))?;
     let found: Vec<f32> = found.into_data().try_into_vec().expect("float values");
-    Some(error_of(&found, &listened.bars, listened.beats_per_bar))
+    Some(error_of(&found, &phrase.bars, phrase.beats_per_bar))
 }
 
-/// Mean distance of the angles of `found`, all sines and then all cosines, from the beat phase that
-/// bar phases say, in beats.
+/// Mean distance in beats between the angles of `found`, all sines and then all cosines, and the beat
+/// phase of bar phases.
 fn error_of(found: &[f32], bars: &[f64], beats_per_bar: f64) -> f64 {
     let (sines, cosines) = found.split_at(bars.len());
     let found = sines.iter().zip(cosines);
@@ -40,10 +40,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn it_errs_by_how_far_what_it_finds_is_from_the_beat() {
+    fn the_error_is_the_distance_of_the_found_phase_from_the_beat() {
         for (beats_per_bar, late) in [(3.0, 0.0), (4.0, 0.1), (3.0, -0.4), (4.0, 0.5)] {
             let bars: Vec<f64> = (0..37).map(|t| (0.83 + 0.017 * t as f64) % 1.0).collect();
-            // Of any size, as a tracker that is not sure has it.
+            // Angles of any length: a tracker that is not sure finds short ones.
             let angles = bars.iter().map(|bar| TAU * (bar * beats_per_bar + late));
             let (sines, cosines): (Vec<f32>, Vec<f32>) = angles
                 .map(|angle| ((0.3 * angle.sin()) as f32, (0.3 * angle.cos()) as f32))

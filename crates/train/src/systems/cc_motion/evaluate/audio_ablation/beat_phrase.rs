@@ -1,4 +1,4 @@
-//! The phrases that listening is measured on, and where in beat and bar each frame of them is.
+//! Phrases with beats: the beat and bar phase of each frame.
 
 use std::sync::Arc;
 
@@ -9,19 +9,19 @@ use kinegrad_motion::phrase::PHASE;
 use kinegrad_motion::quantiles::percentile;
 use kinegrad_motion::{FPS, Phrase, circular};
 
-/// Beats in a bar where nothing is known of them.
+/// Beats in a bar if nothing states or shows their number.
 const COMMON_TIME: f64 = 4.0;
 
-/// How far the measured number of beats in a bar may be from a whole number, as a share of it. Tempi
-/// are means of a take, and that of a phrase differs a little.
+/// Largest distance of the measured number of beats in a bar from a whole number, as a share of it.
+/// Tempi are means of a take, and that of a phrase differs a little.
 const TOLERANCE: f64 = 0.1;
 
 /// A held-out phrase with beats.
 #[derive(Clone, Debug)]
-pub(in super::super) struct Listened {
-    /// The part of it that is heard and danced.
+pub(super) struct BeatPhrase {
+    /// The phrase, cut to the training length.
     pub phrase: Arc<PhraseItem>,
-    /// What it is danced to.
+    /// Its song.
     pub song: String,
     /// Beats in a bar.
     pub beats_per_bar: f64,
@@ -31,10 +31,10 @@ pub(in super::super) struct Listened {
     pub bars: Vec<f64>,
 }
 
-impl Listened {
-    /// The phrase with what `songs` say of it; `stated` counts before everything else as the beats
-    /// in a bar. `None` where its phase advances by less than a beat: nothing can be out of time
-    /// with it.
+impl BeatPhrase {
+    /// The phrase with its song's name and tempo. The beats in a bar are those `stated`, else as
+    /// measured, else four. None if its phase advances by less than a beat: nothing can be off the
+    /// beat then.
     pub fn new(phrase: Arc<PhraseItem>, songs: &Songs, stated: Option<f64>) -> Option<Self> {
         let measured = || {
             let tempo = songs.tempo(&phrase.id);
@@ -66,7 +66,7 @@ impl Listened {
     /// Times in seconds of its beats, between two frames in proportion to the beat phase.
     pub fn beat_times(&self) -> Vec<f64> {
         let first = self.bars[0] * self.beats_per_bar;
-        // A phase that wavers passes a beat once.
+        // A phase that goes back passes a beat once.
         let mut furthest = f64::NEG_INFINITY;
         let beats = self.beats().into_iter().map(|beat| {
             furthest = furthest.max(first + beat);
@@ -91,8 +91,8 @@ pub(super) fn bars(motion: &Phrase) -> Vec<f64> {
     (0..motion.frames()).map(phase).collect()
 }
 
-/// The whole number of steps of the beat phase, in beats a frame, that are one of the bar phase of
-/// `motion`; `None` where there is none near.
+/// The whole number of beats in a bar: the step of the bar phase of `motion` over `beat_step`, in
+/// beats a frame; none if the ratio is not near a whole number.
 fn beats_in_a_bar(motion: &Phrase, beat_step: Option<f64>) -> Option<f64> {
     let steps = phase_steps(motion);
     if steps.is_empty() {
@@ -141,8 +141,8 @@ mod tests {
         phrase
     }
 
-    fn listened(phrase: PhraseItem, stated: Option<f64>) -> Option<Listened> {
-        Listened::new(Arc::new(phrase), &Songs::default(), stated)
+    fn beat_phrase(phrase: PhraseItem, stated: Option<f64>) -> Option<BeatPhrase> {
+        BeatPhrase::new(Arc::new(phrase), &Songs::default(), stated)
     }
 
     #[test]
@@ -151,14 +151,17 @@ mod tests {
         let pulse = Pulse::even(-0.4, 60.0 / 96.0).unwrap();
         for (beats_per_bar, start) in [(3.0, 0.9), (4.0, 0.2)] {
             let mut phrase = with_phase(0, 90, start, 1.6 / beats_per_bar);
-            let plain = listened(phrase.clone(), None).unwrap();
+            let plain = beat_phrase(phrase.clone(), None).unwrap();
             assert_eq!((plain.beats_per_bar, plain.guessed), (4.0, true));
-            let stated = listened(phrase.clone(), Some(2.0)).unwrap();
+            let stated = beat_phrase(phrase.clone(), Some(2.0)).unwrap();
             assert_eq!((stated.beats_per_bar, stated.guessed), (2.0, false));
             phrase.audio = phrase.audio.with_beats(Some(&pulse));
-            let heard = listened(phrase, None).unwrap();
-            assert_eq!((heard.beats_per_bar, heard.guessed), (beats_per_bar, false));
-            let beats = heard.beats();
+            let measured = beat_phrase(phrase, None).unwrap();
+            assert_eq!(
+                (measured.beats_per_bar, measured.guessed),
+                (beats_per_bar, false)
+            );
+            let beats = measured.beats();
             assert_eq!((beats.len(), beats[0]), (90, 0.0));
             assert!((beats[60] - 3.2).abs() < 1e-4, "{}", beats[60]);
         }
@@ -169,7 +172,9 @@ mod tests {
         for (beats_per_bar, start) in [(3.0, 0.9), (4.0, 0.0), (4.0, 0.2)] {
             // 96 beats a minute.
             let phrase = with_phase(0, 90, start, 1.6 / beats_per_bar);
-            let found = listened(phrase, Some(beats_per_bar)).unwrap().beat_times();
+            let found = beat_phrase(phrase, Some(beats_per_bar))
+                .unwrap()
+                .beat_times();
             let first = (f64::ceil(start * beats_per_bar) - start * beats_per_bar) / 1.6;
             assert_eq!(
                 found.len(),
@@ -198,12 +203,12 @@ mod tests {
 
     #[test]
     fn phrases_of_less_than_a_beat_are_none() {
-        assert!(listened(with_phase(0, 60, 0.0, 0.0), None).is_none());
+        assert!(beat_phrase(with_phase(0, 60, 0.0, 0.0), None).is_none());
         // 23 steps of 1 / 100 bars are 0.92 beats.
-        assert!(listened(with_phase(0, 24, 0.9, 0.3), None).is_none());
-        let enough = listened(with_phase(0, 30, 0.9, 0.3), None).unwrap();
+        assert!(beat_phrase(with_phase(0, 24, 0.9, 0.3), None).is_none());
+        let enough = beat_phrase(with_phase(0, 30, 0.9, 0.3), None).unwrap();
         assert_eq!(enough.song, "synthetic_00000");
         let one = synthetic::phrase_in(AudioLayout::WITH_BEATS, 0, 1, 1);
-        assert!(listened(one, None).is_none());
+        assert!(beat_phrase(one, None).is_none());
     }
 }

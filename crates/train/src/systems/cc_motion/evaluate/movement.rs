@@ -1,4 +1,4 @@
-//! How motions move, as a table.
+//! The spread of movement measures over motions.
 
 use kinegrad_motion::quantiles::percentile;
 use kinegrad_motion::{MotionMeasure, Phrase};
@@ -9,12 +9,12 @@ use serde::Serialize;
 pub struct MovementSpread {
     /// Its name.
     pub name: &'static str,
-    /// What it measures, in words.
+    /// Its title in tables.
     #[serde(skip)]
     pub title: &'static str,
     /// Its unit.
     pub unit: &'static str,
-    /// Median over the motions; like the others `None` where no motion has a finite value.
+    /// Median over the motions; like the percentiles none if no motion has a finite value.
     pub median: Option<f64>,
     /// 1st percentile.
     pub p1: Option<f64>,
@@ -50,7 +50,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_table_looks_at_the_path_and_not_at_the_channels() {
+    fn jerk_is_measured_on_the_path_and_not_on_the_channels() {
         let mut motions: Vec<Phrase> = (0..5)
             .map(|index| synthetic::phrase(index, 60, 1).motion)
             .collect();

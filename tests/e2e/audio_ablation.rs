@@ -71,7 +71,7 @@ fn a_network_that_tracks_beats_is_measured_by_its_tracker_too() {
     let finished = sandbox.run(line).succeeded();
     let title = "beat-phase error of the network's tracker, beats";
     assert!(finished.stdout.contains(title), "{}", finished.stdout);
-    let found = evaluations(&read(&sandbox, "both/eval-listening.json"));
+    let found = evaluations(&read(&sandbox, "both/eval-audio-ablation.json"));
     assert!(found[0]["tracked_beat_error"].is_null());
     let error = mean(&found[1]["tracked_beat_error"]);
     let measured = found[1]["measured"].as_array().expect("phrases");
@@ -109,7 +109,7 @@ fn document_models_hear_a_set_of_frames_and_aligned_ones_their_order() {
         "2.5: diversity",
         "intervals of 95 %",
         "3 phrases are taken to have four beats in a bar",
-        "eval-listening.json",
+        "eval-audio-ablation.json",
     ] {
         assert!(
             finished.stdout.contains(text),
@@ -119,9 +119,9 @@ fn document_models_hear_a_set_of_frames_and_aligned_ones_their_order() {
     }
     assert_eq!(
         sandbox.list("both"),
-        ["eval-listening.csv", "eval-listening.json"]
+        ["eval-audio-ablation.csv", "eval-audio-ablation.json"]
     );
-    let json = read(&sandbox, "both/eval-listening.json");
+    let json = read(&sandbox, "both/eval-audio-ablation.json");
     let found = evaluations(&json);
     for (evaluation, name) in found.iter().zip(["set", "ordered"]) {
         assert_eq!(evaluation["run"], name);
@@ -191,7 +191,7 @@ fn document_models_hear_a_set_of_frames_and_aligned_ones_their_order() {
         "what is heard counts: {silence}"
     );
 
-    let csv = read(&sandbox, "both/eval-listening.csv");
+    let csv = read(&sandbox, "both/eval-audio-ablation.csv");
     let row = |start: &str| {
         let row = csv.lines().find(|row| row.starts_with(start)).expect(start);
         let fields = row
@@ -219,10 +219,10 @@ fn the_same_seed_measures_the_same() {
     let reports = "runs/smallest/reports";
     assert_eq!(
         sandbox.list(reports),
-        ["eval-listening.csv", "eval-listening.json"]
+        ["eval-audio-ablation.csv", "eval-audio-ablation.json"]
     );
     assert_eq!(
-        read(&sandbox, &format!("{reports}/eval-listening.json")),
+        read(&sandbox, &format!("{reports}/eval-audio-ablation.json")),
         first
     );
     let other = sandbox.run(&format!("{line} --seed 1")).succeeded().stdout;
@@ -296,7 +296,7 @@ fn phrases_are_grouped_by_song_and_those_without_beats_left_out() {
         "stated: {}",
         finished.stdout
     );
-    let json = read(&sandbox, "runs/two/reports/eval-listening.json");
+    let json = read(&sandbox, "runs/two/reports/eval-audio-ablation.json");
     let found = evaluations(&json).remove(0);
     assert_eq!((&found["phrases"], &found["songs"]), (&4.into(), &2.into()));
     let measured = found["measured"].as_array().expect("phrases");
@@ -329,7 +329,7 @@ fn phrases_are_grouped_by_song_and_those_without_beats_left_out() {
         .succeeded();
     let told = "the intervals say nothing of other songs";
     assert!(finished.stdout.contains(told), "{}", finished.stdout);
-    let found = evaluations(&read(&sandbox, "runs/one/reports/eval-listening.json")).remove(0);
+    let found = evaluations(&read(&sandbox, "runs/one/reports/eval-audio-ablation.json")).remove(0);
     mean(&condition(&found, "other_song")["loss"]);
 
     // No beats to compare with.
@@ -381,7 +381,12 @@ fn bad_input_is_refused_before_anything_is_written() {
     );
     refused(
         "eval runs/walks --audio-ablation",
-        &["--audio-ablation", "runs/walks", "a run on clips", "hint:"],
+        &[
+            "--audio-ablation",
+            "runs/walks",
+            "a run of recipe `gmd_",
+            "hint:",
+        ],
     );
     refused(
         "eval runs/smallest --audio-ablation --set evaluation.cond=noise",

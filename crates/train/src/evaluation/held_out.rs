@@ -1,0 +1,84 @@
+//! The held-out items of an evaluation.
+
+use std::ops::ControlFlow;
+
+use kinegrad_data::humanml::Clip;
+use kinegrad_data::{DataConfig, DataKind, Dataset, Item, PhraseItem};
+
+use super::EvaluationRequest;
+use crate::TrainedModel;
+use crate::clips::dataset_or;
+use crate::error::Error;
+
+/// The clips of an evaluation, some of which are held out, and their config: `own`, or the request's
+/// dataset in its place. `purpose` is a clause for the error's hint. Each process reads a part.
+/// Collective.
+///
+/// # Errors
+/// [`Error::Usage`] if none is held out; if the dataset cannot be opened.
+pub(crate) fn clips_with_held_out(
+    own: &DataConfig,
+    trained: &TrainedModel,
+    request: &EvaluationRequest,
+    purpose: &str,
+) -> Result<(DataConfig, Dataset<Clip>), Error> {
+    let data = dataset_or(own, request.source.as_deref());
+    let dataset = Dataset::open_among(&data, &no_progress, &*request.together)?;
+    Ok((data, must_hold_out(dataset, trained, purpose)?))
+}
+
+/// The phrases of an evaluation, as [`clips_with_held_out`]; the run's `data.validation` divides the
+/// request's dataset too.
+///
+/// # Errors
+/// As [`clips_with_held_out`].
+pub(crate) fn phrases_with_held_out(
+    trained: &TrainedModel,
+    request: &EvaluationRequest,
+    purpose: &str,
+) -> Result<(DataConfig, Dataset<PhraseItem>), Error> {
+    let mut data = trained.config().data.clone();
+    if let Some(source) = &request.source {
+        data.kind = DataKind::Phrases;
+        data.source = Some(source.clone());
+    }
+    let dataset = Dataset::open_among(&data, &no_progress, &*request.together)?;
+    Ok((data, must_hold_out(dataset, trained, purpose)?))
+}
+
+fn no_progress(_: usize, _: usize) -> ControlFlow<()> {
+    ControlFlow::Continue(())
+}
+
+fn must_hold_out<T: Item>(
+    dataset: Dataset<T>,
+    trained: &TrainedModel,
+    purpose: &str,
+) -> Result<Dataset<T>, Error> {
+    if !dataset.validation.is_empty() {
+        return Ok(dataset);
+    }
+    let message = format!(
+        "no {} is held out for {}: all {} are trained on",
+        T::KIND,
+        trained.path().display(),
+        dataset.train.len()
+    );
+    let hint = format!(
+        "{purpose}: give a dataset that holds out some with option `source URI`, or train with another \
+         `data.validation`"
+    );
+    Err(Error::usage(message, hint))
+}
+
+/// A note if `found` held-out clips are fewer than the `wanted` goals or rollouts, called `name`.
+pub(crate) fn note_if_fewer(
+    found: usize,
+    wanted: usize,
+    name: &str,
+    trained: &TrainedModel,
+) -> Option<String> {
+    let path = trained.path().display();
+    (found < wanted)
+        .then(|| format!("note: {found} clips are held out for {path}, fewer than {wanted} {name}"))
+}

@@ -1,0 +1,106 @@
+//! Evaluating trained models on held-out motion: one shell around the settings, the samples and the
+//! metrics of each system.
+
+mod held_out;
+mod replications;
+mod request;
+mod table;
+
+use std::ops::ControlFlow;
+
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use serde_json::{Value, to_value};
+
+pub(crate) use held_out::{clips_with_held_out, note_if_fewer, phrases_with_held_out};
+pub use replications::Replicated;
+pub(crate) use replications::replicate;
+pub use request::EvaluationRequest;
+pub use table::{Column, Group, Metrics, Number};
+
+use crate::config::SamplingConfig;
+use crate::error::Error;
+use crate::together::Together;
+
+/// Progress callback: stage, denoising steps done and in total. `Break` ends with
+/// [`Error::Interrupted`].
+pub type OnStep<'a> = dyn FnMut(&'static str, usize, usize) -> ControlFlow<()> + 'a;
+
+/// A validated evaluation, to be called with a progress callback.
+pub type Evaluate<'a> = Box<dyn FnOnce(&mut OnStep<'_>) -> Result<Evaluated, Error> + 'a>;
+
+/// Generates and measures the samples of an evaluation.
+pub type Measure<'a> = Box<dyn FnOnce(&mut OnStep<'_>) -> Result<Results, Error> + 'a>;
+
+/// A system's part of an evaluation.
+pub struct Evaluation<'a> {
+    /// Stem of the report's files.
+    pub report: &'static str,
+    /// Bytes of main memory that each process needs, roughly; 0 for little.
+    pub memory: u64,
+    /// Hint of the error when they are not free.
+    pub memory_hint: &'static str,
+    /// Remarks on the request.
+    pub remarks: Vec<String>,
+    /// Generates and measures the samples.
+    pub measure: Measure<'a>,
+}
+
+/// The numbers of an evaluation.
+pub struct Results {
+    /// The content of the report beside run, seed and step: a JSON object.
+    pub json: Value,
+    /// Counts by name, of the samples and of real motion; none where one does not apply.
+    pub facts: Vec<(&'static str, [Option<u64>; 2])>,
+    /// The metrics of the samples; none if the model generates nothing and is measured on real
+    /// motion.
+    pub samples: Option<Vec<Group>>,
+    /// The metrics of real motion.
+    pub real: Vec<Group>,
+    /// Findings that do not fit into columns.
+    pub remarks: Vec<String>,
+}
+
+/// Results of the evaluation of one run.
+#[derive(Clone, Debug)]
+pub struct Evaluated {
+    /// Name of the run.
+    pub run: String,
+    /// Stem of the report's files.
+    pub report: &'static str,
+    /// Everything, as JSON.
+    pub json: Value,
+    /// The metrics of the samples.
+    pub samples: Column,
+    /// The same metrics of real motion.
+    pub real: Column,
+    /// Findings that do not fit into columns.
+    pub remarks: Vec<String>,
+}
+
+/// The results for `count` items, of which each process computes a part; `item` gets an item's
+/// number and its progress callback. Collective.
+///
+/// # Errors
+/// The first error of `item`.
+pub(crate) fn for_each_item<T: Serialize + DeserializeOwned>(
+    together: &Together,
+    count: usize,
+    on_step: &mut OnStep<'_>,
+    mut item: impl FnMut(usize, &mut OnStep<'_>) -> Result<T, Error>,
+) -> Result<Vec<T>, Error> {
+    together.each(count, |number| {
+        let [before, own] = together.own_of(number, count);
+        item(number, &mut |stage, done, all| {
+            on_step(stage, before * all + done, own * all)
+        })
+    })
+}
+
+/// `json`, an object, with the keys of the sampling settings beside its own.
+pub(crate) fn with_sampling(mut json: Value, sampling: &SamplingConfig) -> Value {
+    let settings = to_value(sampling).expect("plain data");
+    let settings = settings.as_object().expect("a table").clone();
+    json.as_object_mut().expect("an object").extend(settings);
+    json
+}

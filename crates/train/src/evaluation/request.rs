@@ -1,0 +1,70 @@
+//! Requests for an evaluation.
+
+use std::rc::Rc;
+
+use crate::TrainedModel;
+use crate::checkpoint::SavedCheckpoint;
+use crate::clips::evaluator::TextMotionEvaluator;
+use crate::error::Error;
+use crate::memory::must_fit;
+use crate::together::Together;
+
+/// The parts of an evaluation that a system's own tables do not state.
+#[derive(Clone, Debug, Default)]
+pub struct EvaluationRequest {
+    /// Dataset whose held-out items are used, instead of the run's own.
+    pub source: Option<String>,
+    /// Checkpoint of the trajectory model for two-stage sampling.
+    pub trajectory: Option<SavedCheckpoint>,
+    /// The text-motion evaluator that the run's config names, which
+    /// [`Systems::evaluate`](crate::systems::Systems::evaluate) opens.
+    pub evaluator: Option<Rc<dyn TextMotionEvaluator>>,
+    /// Seed of the noise.
+    pub seed: u64,
+    /// Whether to compare the phrases' own music with silence and with altered music.
+    pub audio_ablation: bool,
+    /// The processes that generate a part of the samples each; all of them get the same results.
+    pub together: Rc<Together>,
+}
+
+impl EvaluationRequest {
+    /// Rejects options that are not among the `accepted` ones.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] names the first option and the model's recipe.
+    pub(crate) fn must_be_accepted(
+        &self,
+        accepted: &[&str],
+        trained: &TrainedModel,
+    ) -> Result<(), Error> {
+        for (name, given, hint) in [
+            (
+                "audio_ablation",
+                self.audio_ablation,
+                "only models of phrases are conditioned on audio",
+            ),
+            (
+                "trajectory_run",
+                self.trajectory.is_some(),
+                "only models of clips that reach goals take a path from a first stage",
+            ),
+        ] {
+            if given && !accepted.contains(&name) {
+                let recipe = &trained.config().train.recipe;
+                let path = trained.path().display();
+                let message = format!("option `{name}` with {path}, a run of recipe `{recipe}`");
+                return Err(Error::usage(message, format!("{hint}: leave it out")));
+            }
+        }
+        Ok(())
+    }
+
+    /// Rejects an evaluation that needs so many bytes of main memory in each process of a machine.
+    ///
+    /// # Errors
+    /// As [`must_fit`].
+    pub(crate) fn must_fit(&self, needed: u64, hint: &str) -> Result<(), Error> {
+        let processes = self.together.ranks().local().size as u64;
+        must_fit("the evaluation", needed.saturating_mul(processes), hint)
+    }
+}
