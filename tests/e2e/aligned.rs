@@ -18,7 +18,7 @@ const FRAMES: usize = 23;
 fn trained() -> Sandbox {
     let sandbox = Sandbox::new(env!("CARGO_BIN_EXE_kinegrad"));
     sandbox.write("c.toml", SMALLEST);
-    for name in ["document", "aligned"] {
+    for name in ["ccmotion", "aligned"] {
         sandbox
             .run(&format!(
                 "train c.toml --name {name} --set model.audio_conditioning={name} {SETTINGS}"
@@ -61,7 +61,7 @@ fn the_order_of_the_music_matters_to_samples_of_aligned_runs_alone() {
         "rolled.npz",
         (0..FRAMES).map(|t| (t + 5) % FRAMES),
     );
-    for (run, hears) in [("document", false), ("aligned", true)] {
+    for (run, hears) in [("ccmotion", false), ("aligned", true)] {
         for cond in ["own", "reversed", "rolled"] {
             sandbox
                 .run(&format!(
@@ -87,7 +87,7 @@ fn a_fine_tuning_hears_as_its_base_does() {
                   --set init.pretrain.decoder_steps=4 --set decoder.hidden_dim=32 \
                   --set rollout.steps=2 --set train.max_steps=4";
     sandbox
-        .run(&format!("{tuning} --set model.audio_conditioning=document"))
+        .run(&format!("{tuning} --set model.audio_conditioning=ccmotion"))
         .failed(2, &["model.audio_conditioning"]);
     sandbox
         .run(&format!("{tuning} --set model.audio_conditioning=aligned"))
@@ -98,14 +98,14 @@ fn a_fine_tuning_hears_as_its_base_does() {
     let motion = read_motion(&sandbox.path("tuned.npy")).expect("a motion");
     assert_eq!(motion.frames(), 31);
     // An older config lacks the key and keeps its meaning.
-    let saved = fs::read_to_string(sandbox.path("runs/document/config.toml")).expect("a config");
+    let saved = fs::read_to_string(sandbox.path("runs/ccmotion/config.toml")).expect("a config");
     let older: Vec<&str> = saved
         .lines()
         .filter(|line| !line.starts_with("audio_conditioning"))
         .collect();
     assert!(older.len() < saved.lines().count());
-    sandbox.write("runs/document/config.toml", older.join("\n"));
+    sandbox.write("runs/ccmotion/config.toml", older.join("\n"));
     sandbox
-        .run("train --resume runs/document --set train.max_steps=14")
+        .run("train --resume runs/ccmotion --set train.max_steps=14")
         .succeeded();
 }

@@ -65,7 +65,7 @@ fn a_network_that_tracks_beats_is_measured_by_its_tracker_too() {
         &sandbox,
         "tracking",
         "--set model.audio_conditioning=aligned --set model.beats=tracked \
-         --set data.audio_features=[\"document\",\"beats\"]",
+         --set data.audio_features=[\"ccmotion\",\"beats\"]",
     );
     let line = "eval runs/told runs/tracking --audio-ablation --steps 2 --out both";
     let finished = sandbox.run(line).succeeded();
@@ -91,7 +91,7 @@ fn document_models_hear_a_set_of_frames_and_aligned_ones_their_order() {
     train(
         &sandbox,
         "ordered",
-        "--set model.audio_conditioning=aligned --set data.audio_features=[\"document\",\"beats\"]",
+        "--set model.audio_conditioning=aligned --set data.audio_features=[\"ccmotion\",\"beats\"]",
     );
     let line = "eval runs/set runs/ordered --audio-ablation --steps 3 --out both \
                 --guidance-scale 1,2.5";

@@ -49,7 +49,7 @@ fn sandbox(count: usize, extra: &str) -> Sandbox {
         "plan.toml",
         format!(
             "output = \"set\"\n[phrases]\nframes = 60\nhop = 60\n\
-             audio_features = [\"document\", \"beats\"]\n[[take]]\nname = \"walk\"\n\
+             audio_features = [\"ccmotion\", \"beats\"]\n[[take]]\nname = \"walk\"\n\
              audio = \"song.wav\"\nbeats = {{ start_seconds = {start}, seconds_per_beat = {spb}, \
              beats_per_bar = 4 }}\n{extra}\n{segments}"
         ),
@@ -139,7 +139,7 @@ fn segments_dance_on_the_beats_of_a_song_that_slows_down() {
     let rows = Selection::read(&store).expect("a manifest").expect("rows");
     let groups = rows.texts("audio_features").expect("a column");
     assert!(
-        groups.iter().all(|groups| groups == "document,beats"),
+        groups.iter().all(|groups| groups == "ccmotion,beats"),
         "{groups:?}"
     );
     let sides = rows.texts("split").expect("a column");
@@ -185,13 +185,13 @@ fn models_hear_beats_and_refuse_what_has_none() {
     sandbox.run("data prepare plan.toml").succeeded();
     let plan = fs::read_to_string(sandbox.path("plan.toml")).expect("a plan");
     let plain = plan
-        .replace("audio_features = [\"document\", \"beats\"]", "")
+        .replace("audio_features = [\"ccmotion\", \"beats\"]", "")
         .replace("\"set\"", "\"plain\"");
     sandbox.write("plain.toml", plain);
     sandbox.run("data prepare plain.toml").succeeded();
     let train = "train c.toml --set data.kind=phrases --set train.max_steps=4 \
                  --set data.validation.patterns=[\"*_00240\"] --set sampling.count_at_end=1";
-    let beats = "--set data.audio_features=[\"document\",\"beats\"]";
+    let beats = "--set data.audio_features=[\"ccmotion\",\"beats\"]";
     sandbox
         .run(&format!(
             "{train} --name none --set data.source=plain {beats}"
@@ -208,7 +208,7 @@ fn models_hear_beats_and_refuse_what_has_none() {
         .run(&format!(
             "{train} --name odd --set data.source=set --set data.audio_features=[\"beats\"]"
         ))
-        .failed(2, &["data.audio_features", "[\"document\", \"beats\"]"]);
+        .failed(2, &["data.audio_features", "[\"ccmotion\", \"beats\"]"]);
     // The 163 features are the same with or without the beats.
     sandbox
         .run(&format!("{train} --name deaf --set data.source=set"))

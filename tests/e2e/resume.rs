@@ -177,7 +177,7 @@ fn killed_fine_tuning_with_other_targets_ends_the_same() {
 
 /// A network with aligned audio, on clips of 10 to 24 frames.
 const ALIGNED: &str = "--set model.audio_conditioning=aligned --set data.augment.min_frames=10 \
-    --set data.audio_features=[\"document\",\"beats\"]";
+    --set data.audio_features=[\"ccmotion\",\"beats\"]";
 
 #[test]
 fn killed_run_with_aligned_conditioning_ends_the_same() {
@@ -192,7 +192,7 @@ fn killed_fine_tuning_with_aligned_conditioning_ends_the_same() {
 /// A network that tracks beats, predicts harmonics of the bar, and is trained on masked music at
 /// other speeds.
 const TRACKED: &str = "--set model.audio_conditioning=aligned --set model.beats=tracked \
-    --set data.audio_features=[\"document\",\"beats\"] --set model.phase_target=harmonics \
+    --set data.audio_features=[\"ccmotion\",\"beats\"] --set model.phase_target=harmonics \
     --set model.orientation_target=rotation_6d --set data.augment.speed=0.25 \
     --set data.augment.audio_masks=2 --set data.augment.bar_drop_prob=0.5 \
     --set data.augment.rotate_yaw=true --set data.augment.mirror=true";

@@ -13,7 +13,7 @@ pub const AUDIO_CHANNELS: usize = 163;
 #[serde(rename_all = "snake_case")]
 pub enum AudioGroup {
     /// The 163 features of CC-MotionGen, sections 4.1 and 4.3.
-    Document,
+    Ccmotion,
     /// Sine and cosine of the position in the beat and, if the downbeat is known, in the bar; beat
     /// marks; local tempo.
     Beats,
@@ -43,8 +43,8 @@ impl AudioLayout {
     /// The groups, as in configs and manifests.
     pub fn groups(self) -> Vec<AudioGroup> {
         match self.beats {
-            false => vec![AudioGroup::Document],
-            true => vec![AudioGroup::Document, AudioGroup::Beats],
+            false => vec![AudioGroup::Ccmotion],
+            true => vec![AudioGroup::Ccmotion, AudioGroup::Beats],
         }
     }
 
@@ -63,14 +63,14 @@ impl AudioLayout {
 /// Names `key`, what was found and what is allowed.
 pub fn check_groups(key: &str, groups: &[AudioGroup]) -> Result<(), InvalidSetting> {
     let named = serde_json::to_string(groups).unwrap_or_default();
-    let allowed = "[\"document\"] or [\"document\", \"beats\"]";
+    let allowed = "[\"ccmotion\"] or [\"ccmotion\", \"beats\"]";
     require(
         AudioLayout::of(groups).groups() == groups,
         key,
         named,
         allowed,
     )
-    .hint("\"beats\" comes beside the 163 features of \"document\", not instead of them")
+    .hint("\"beats\" comes beside the 163 features of \"ccmotion\", not instead of them")
 }
 
 #[cfg(test)]
@@ -79,12 +79,12 @@ mod tests {
 
     #[test]
     fn two_lists_are_known() {
-        use AudioGroup::{Beats, Document};
-        for (groups, channels) in [(&[Document][..], 163), (&[Document, Beats], 170)] {
+        use AudioGroup::{Beats, Ccmotion};
+        for (groups, channels) in [(&[Ccmotion][..], 163), (&[Ccmotion, Beats], 170)] {
             check_groups("k", groups).expect("a known list");
             assert_eq!(AudioLayout::of(groups).channels(), channels);
         }
-        for groups in [&[][..], &[Beats], &[Beats, Document], &[Document, Document]] {
+        for groups in [&[][..], &[Beats], &[Beats, Ccmotion], &[Ccmotion, Ccmotion]] {
             let error = check_groups("data.audio_features", groups).unwrap_err();
             assert!(error.to_string().contains("data.audio_features"), "{error}");
         }

@@ -34,8 +34,8 @@ pub struct DataConfig {
     /// URI. Needed for `kind = "phrases"` and `kind = "humanml3d"`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub source: Option<String>,
-    /// Groups of audio features: `["document"]` (the 163 of CC-MotionGen) or
-    /// `["document", "beats"]` (with beat features, which the dataset must contain).
+    /// Groups of audio features: `["ccmotion"]` (the 163 of CC-MotionGen) or
+    /// `["ccmotion", "beats"]` (with beat features, which the dataset must contain).
     pub audio_features: Vec<AudioGroup>,
     /// Frames of a sample, at 30 per second (HumanML3D: 20; 196 frames are usual). Longer phrases
     /// are cropped, shorter ones padded.

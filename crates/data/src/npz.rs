@@ -293,7 +293,7 @@ impl<'a> Archive<'a> {
         let problem = format!("array `{member}` is missing; found: {found}");
         let hint = match member == BEATS.0 {
             true => {
-                "beat features are asked for (data.audio_features = [\"document\", \"beats\"]): \
+                "beat features are asked for (data.audio_features = [\"ccmotion\", \"beats\"]): \
                  prepare the songs with them, or leave the key out to use the 163 features alone"
             }
             false => {

@@ -110,15 +110,15 @@ fn phrase_files(config: &DataConfig) -> Result<Scan<PhraseItem>, Error> {
     } = Listing::read(&store)?;
     let layout = config.audio_layout();
     if let Some(id) = without_beats.filter(|_| layout.beats) {
-        let found = "[\"document\", \"beats\"]";
+        let found = "[\"ccmotion\", \"beats\"]";
         let allowed = format!(
-            "[\"document\"]: {} was prepared without beat features (phrase `{id}`)",
+            "[\"ccmotion\"]: {} was prepared without beat features (phrase `{id}`)",
             store.uri()
         );
         let refused = InvalidSetting::new("data.audio_features", found, allowed);
         return Err(refused
             .hint(
-                "prepare it again with `phrases.audio_features = [\"document\", \"beats\"]` in the plan, or \
+                "prepare it again with `phrases.audio_features = [\"ccmotion\", \"beats\"]` in the plan, or \
                  leave the key out",
             )
             .into());

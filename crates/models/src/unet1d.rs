@@ -51,7 +51,7 @@ impl UNet1dConfig {
             format!("\"tracked\" in {cond_channels} audio features"),
             "audio features that tell the beats, to learn from",
         )
-        .hint("set `data.audio_features = [\"document\", \"beats\"]`")?;
+        .hint("set `data.audio_features = [\"ccmotion\", \"beats\"]`")?;
         let builder = Builder {
             config: self,
             init,

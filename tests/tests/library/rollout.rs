@@ -19,7 +19,7 @@ fn network(audio_conditioning: AudioConditioning, device: &Device) -> UNet1d {
         model_channels: 32,
         time_embed_dim: 64,
         context_dim: match audio_conditioning {
-            AudioConditioning::Document => 48,
+            AudioConditioning::Ccmotion => 48,
             AudioConditioning::Aligned => 64,
         },
         audio_conditioning,
@@ -84,11 +84,11 @@ fn gradients(
 
 #[test]
 fn checkpointed_gradients_are_those_of_one_graph() {
-    use AudioConditioning::{Aligned, Document};
+    use AudioConditioning::{Aligned, Ccmotion};
     for (audio, steps, guidance_scale) in [
-        (Document, 5, 1.0),
-        (Document, 20, 1.0),
-        (Document, 5, 2.0),
+        (Ccmotion, 5, 1.0),
+        (Ccmotion, 20, 1.0),
+        (Ccmotion, 5, 2.0),
         (Aligned, 5, 2.0),
     ] {
         let of_mode = |mode| gradients(audio, steps, guidance_scale, mode);
@@ -110,8 +110,8 @@ fn checkpointed_gradients_are_those_of_one_graph() {
 
 #[test]
 fn the_network_computes_the_same_bits_with_and_without_gradients() {
-    use AudioConditioning::{Aligned, Document};
-    for audio in [Document, Aligned] {
+    use AudioConditioning::{Aligned, Ccmotion};
+    for audio in [Ccmotion, Aligned] {
         let model = network(audio, &Device::flex().autodiff());
         let (x, cond) = (normal(0, [2, 25, 16]), normal(1, [2, 163, 16]));
         let bits = |x: Tensor<3>| {

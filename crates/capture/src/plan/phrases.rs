@@ -21,7 +21,7 @@ pub struct PhrasesPlan {
     pub frames: usize,
     /// Frames from the start of one phrase to the start of the next.
     pub hop: usize,
-    /// Groups of audio features that are stored: `["document"]`, or `["document", "beats"]` to add the
+    /// Groups of audio features that are stored: `["ccmotion"]`, or `["ccmotion", "beats"]` to add the
     /// position in beat and bar, beat marks and local tempo.
     pub audio_features: Vec<AudioGroup>,
 }

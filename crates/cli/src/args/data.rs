@@ -132,7 +132,7 @@ pub struct SynthArguments {
     /// Random seed
     #[arg(long, default_value_t = 0)]
     pub seed: u64,
-    /// Also write beat features (`data.audio_features = ["document", "beats"]`)
+    /// Also write beat features (`data.audio_features = ["ccmotion", "beats"]`)
     #[arg(long, conflicts_with = "walks")]
     pub beats: bool,
 }

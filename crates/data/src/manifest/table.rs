@@ -225,7 +225,7 @@ pub(super) fn filter(frame: &DataFrame, condition: &str) -> Result<DataFrame, St
 /// Groups of audio features as a cell.
 fn listed(groups: &[AudioGroup]) -> String {
     let names = groups.iter().map(|group| match group {
-        AudioGroup::Document => "document",
+        AudioGroup::Ccmotion => "ccmotion",
         AudioGroup::Beats => "beats",
     });
     names.collect::<Vec<_>>().join(",")

@@ -19,7 +19,7 @@ pub(in crate::manifest) fn row(id: &str) -> ManifestRow {
         motion_sha256: Digest::of(b"motion"),
         audio_bytes: 40_000,
         audio_sha256: Digest::of(b"audio"),
-        audio_features: Some(vec![AudioGroup::Document, AudioGroup::Beats]),
+        audio_features: Some(vec![AudioGroup::Ccmotion, AudioGroup::Beats]),
         label: Some("cha-cha".to_owned()),
         flags: vec![Flag::JoinedUnits, Flag::FilledGaps],
     }

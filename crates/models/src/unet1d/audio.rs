@@ -33,7 +33,7 @@ pub enum AudioConditioning {
     /// Attention is over a set, so the network cannot tell when something sounds. Padding is taken
     /// for motion.
     #[default]
-    Document,
+    Ccmotion,
     /// A temporal convolution encoder whose output joins each level frame by frame, and
     /// cross-attention with rotary positions. Padding takes no part.
     Aligned,
@@ -44,7 +44,7 @@ pub enum AudioConditioning {
 pub struct AudioCondition {
     /// Audio features, `[batch, cond_channels, time]`; zeros are the null condition.
     pub features: Tensor<3>,
-    /// Frames of each sample that are not padding; all if `None`. [`AudioConditioning::Document`]
+    /// Frames of each sample that are not padding; all if `None`. [`AudioConditioning::Ccmotion`]
     /// ignores them.
     pub lengths: Option<Lengths>,
     /// The style of each sample; the null style if `None`. Networks without style ignore it.

@@ -208,7 +208,7 @@ fn beats_are_tracked_where_there_are_some_to_learn_from() {
     };
     let init = Initializer::new(3, &Device::flex());
     for (conditioning, features) in [
-        (AudioConditioning::Document, 170),
+        (AudioConditioning::Ccmotion, 170),
         (AudioConditioning::Aligned, BEAT_CHANNELS),
     ] {
         let error = config(conditioning).init(25, features, &init).unwrap_err();

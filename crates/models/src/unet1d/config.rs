@@ -99,7 +99,7 @@ impl UNet1dConfig {
             use_scale_shift_norm: true,
             time_embed_dim: 256,
             context_dim: 256,
-            audio_conditioning: AudioConditioning::Document,
+            audio_conditioning: AudioConditioning::Ccmotion,
             beats: Beats::Given,
             dropout: 0.1,
             phase_target: PhaseEncoding::Scalar,
@@ -229,7 +229,7 @@ impl UNet1dConfig {
         require(
             aligned || self.beats == Beats::Given,
             "model.beats",
-            "\"tracked\" with `model.audio_conditioning = \"document\"`",
+            "\"tracked\" with `model.audio_conditioning = \"ccmotion\"`",
             "\"given\", or `model.audio_conditioning = \"aligned\"`",
         )
         .hint("a network that hears a set of frames has no use for when they are")?;
@@ -272,7 +272,7 @@ impl UNet1dConfig {
             // Queries, keys, values and results, and the keys and values of the whole context, or of
             // the level's own frames and turned.
             let heard = match self.audio_conditioning {
-                AudioConditioning::Document => 2 * frames as u64,
+                AudioConditioning::Ccmotion => 2 * frames as u64,
                 AudioConditioning::Aligned => 8 * here,
             };
             width as u64 * (blocks * here + attention * (9 * here + heard))
@@ -286,7 +286,7 @@ impl UNet1dConfig {
         };
         network
             + match self.audio_conditioning {
-                AudioConditioning::Document => 0,
+                AudioConditioning::Ccmotion => 0,
                 AudioConditioning::Aligned => {
                     let widths = widths(&channels, self.context_dim);
                     let tracker = match self.beats {

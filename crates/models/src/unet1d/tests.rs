@@ -62,7 +62,7 @@ fn the_order_of_the_audio_matters_to_an_aligned_network_alone() {
         ("shuffled", (0..time).map(|t| (t * 10 + 3) % time).collect()),
     ];
     for (conditioning, hears) in [
-        (AudioConditioning::Document, false),
+        (AudioConditioning::Ccmotion, false),
         (AudioConditioning::Aligned, true),
     ] {
         let network = network(conditioning, &device);
@@ -341,7 +341,7 @@ fn sizes_that_cannot_be_aligned_are_refused_by_key() {
         ..config(audio_conditioning)
     };
     assert_eq!(refused(odd(aligned)), "model.num_heads");
-    odd(AudioConditioning::Document)
+    odd(AudioConditioning::Ccmotion)
         .validate()
         .expect("no pairs needed");
     let narrow = |audio_conditioning| UNet1dConfig {
@@ -349,7 +349,7 @@ fn sizes_that_cannot_be_aligned_are_refused_by_key() {
         ..config(audio_conditioning)
     };
     assert_eq!(refused(narrow(aligned)), "model.context_dim");
-    narrow(AudioConditioning::Document)
+    narrow(AudioConditioning::Ccmotion)
         .validate()
         .expect("any width");
     // On the way up level 1 attends at level 0's width.
@@ -376,12 +376,12 @@ fn old_configs_are_read_as_the_documents() {
     };
     assert_eq!(
         UNet1dConfig::default().audio_conditioning,
-        AudioConditioning::Document
+        AudioConditioning::Ccmotion
     );
     let aligned = read(("audio_conditioning", "aligned")).expect("a value of the key");
     assert_eq!(aligned.audio_conditioning, AudioConditioning::Aligned);
     for (_, size) in UNet1dConfig::SIZES {
-        assert_eq!(size().audio_conditioning, AudioConditioning::Document);
+        assert_eq!(size().audio_conditioning, AudioConditioning::Ccmotion);
     }
     let error = read(("audio_conditioning", "set"))
         .expect_err("no value")

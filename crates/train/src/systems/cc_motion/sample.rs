@@ -439,7 +439,7 @@ fn of_song(
     if let (false, Some(option)) = (layout.beats, known.given().first()) {
         return Err(Error::usage(
             format!("option `{option}` with a run without beat features"),
-            "leave it out; data.audio_features = [\"document\", \"beats\"] trains with them",
+            "leave it out; data.audio_features = [\"ccmotion\", \"beats\"] trains with them",
         ));
     }
     if let (Beats::Tracked, Some(option)) = (unet1d(config).beats, known.given().first()) {

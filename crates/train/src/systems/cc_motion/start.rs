@@ -170,7 +170,7 @@ pub(super) fn must_use(config: &Config) -> Result<(), Error> {
     }
     let unet = unet1d(config);
     let learns = unet.beats == Beats::Given || config.data.audio_layout().beats;
-    let allowed = "\"given\", or `data.audio_features = [\"document\", \"beats\"]`";
+    let allowed = "\"given\", or `data.audio_features = [\"ccmotion\", \"beats\"]`";
     require(
         learns,
         "model.beats",
