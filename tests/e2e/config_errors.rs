@@ -23,7 +23,7 @@ fn errors_of_configs_name_place_key_and_remedy() {
         "optim.lr_schedule=3",
         "optim.lr_schedule=cosin",
         "optim=3",
-        "optim.states=gpu",
+        "optim.offload=gpu",
         "train.precision=fp16",
         "data.source=3",
         "init.diffusion=1",

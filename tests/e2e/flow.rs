@@ -29,7 +29,7 @@ latent_dim = 16
 ff_size = 16
 [pose]
 history_frames = 6
-history_drift = 0.02
+history_noise_std = 0.02
 target = "displacement"
 [optim]
 learning_rate = 3e-3
@@ -380,7 +380,7 @@ fn settings_that_cannot_work_are_refused_by_name() {
         ),
         ("pose.history_frames=0", ["pose.history_frames", "1"]),
         ("pose.cond_drop_prob=2", ["pose.cond_drop_prob", "0 to 1"]),
-        ("pose.history_drift=-1", ["pose.history_drift", "0"]),
+        ("pose.history_noise_std=-1", ["pose.history_noise_std", "0"]),
         ("pose.target=nowhere", ["pose.target", "displacement"]),
         (
             "sampling.sampler.kind=ddim",

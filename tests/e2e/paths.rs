@@ -228,7 +228,7 @@ fn phrases_follow_a_path_from_a_file() {
     );
     let error = |eta: f64| {
         let line = format!(
-            "{sample} --method guidance --set evaluation.path.eta={eta} --out guided-{eta}"
+            "{sample} --method guidance --set evaluation.path.guidance_step_size={eta} --out guided-{eta}"
         );
         sandbox.run(&line).succeeded();
         let record = record(&sandbox, &format!("guided-{eta}.json"));

@@ -136,7 +136,7 @@ fn killed_run_ends_the_same_with_a_worker_and_accumulation() {
 
 #[test]
 fn killed_run_ends_the_same_with_states_beside_the_networks_and_narrow_products() {
-    check_kills("--set optim.states=device --set train.precision=bf16");
+    check_kills("--set optim.offload=device --set train.precision=bf16");
 }
 
 #[test]

@@ -143,7 +143,7 @@ impl PathTarget {
     }
 
     /// Moves a motion near the path onto it frame by frame, at the pace of the course, with the
-    /// heading of its root trajectory; locks feet with `fix_feet`.
+    /// heading of its root trajectory; locks feet with `lock_feet`.
     ///
     /// # Errors
     /// If it is not of the skeleton.
@@ -151,7 +151,7 @@ impl PathTarget {
         &self,
         joints: &Joints,
         skeleton: &Skeleton,
-        fix_feet: bool,
+        lock_feet: bool,
     ) -> Result<Followed, Error> {
         let fps = skeleton.description().fps;
         let root = joints.track(0);
@@ -167,7 +167,7 @@ impl PathTarget {
         });
         let moved: Vec<[f64; 2]> = moved.collect();
         let moved = placed(joints, &moved, &turns)?;
-        self.with_feet(moved, joints, skeleton, fix_feet, &self.line)
+        self.with_feet(moved, joints, skeleton, lock_feet, &self.line)
     }
 
     /// `moved` with the feet of `before` locked, if requested, and its deviation from `line`.
@@ -176,10 +176,10 @@ impl PathTarget {
         moved: Joints,
         before: &Joints,
         skeleton: &Skeleton,
-        fix_feet: bool,
+        lock_feet: bool,
         line: &Polyline,
     ) -> Result<Followed, Error> {
-        let (joints, legs_short) = match fix_feet {
+        let (joints, legs_short) = match lock_feet {
             true => {
                 let held = lock_joints(&moved, before, skeleton, &ContactRule::default())?;
                 (held.joints, held.missed)
@@ -194,7 +194,7 @@ impl PathTarget {
         })
     }
 
-    /// Moves an unconditional motion onto the path; locks feet with `fix_feet`.
+    /// Moves an unconditional motion onto the path; locks feet with `lock_feet`.
     ///
     /// # Errors
     /// If it is not of the skeleton.
@@ -202,7 +202,7 @@ impl PathTarget {
         &self,
         joints: &Joints,
         skeleton: &Skeleton,
-        fix_feet: bool,
+        lock_feet: bool,
     ) -> Result<Followed, Error> {
         // As far as its speed leads in so many frames.
         let line = self
@@ -213,7 +213,7 @@ impl PathTarget {
             let message = format!("the motion cannot be moved onto the path: {error}");
             Error::usage(message, "docs/paths.md")
         })?;
-        self.with_feet(warped.joints, joints, skeleton, fix_feet, &line)
+        self.with_feet(warped.joints, joints, skeleton, lock_feet, &line)
     }
 }
 

@@ -11,7 +11,7 @@ use super::{Config, difference};
 const FREE: [&str; 12] = [
     "train.max_steps",
     "run.device",
-    "optim.states",
+    "optim.offload",
     "optim.shard_states",
     "checkpoint.*",
     "validation.*",

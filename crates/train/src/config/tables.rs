@@ -94,7 +94,7 @@ pub struct OptimConfig {
     /// Learning rates of parameter groups (`unet`, `decoder`) that override `learning_rate`.
     pub groups: BTreeMap<String, f64>,
     /// The memory of moments and moving average; the choice changes the last bits.
-    pub states: OptimPlace,
+    pub offload: OptimPlace,
     /// Shard moments and moving average over the ranks (ZeRO-1): less memory, the same bytes.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub shard_states: bool,
@@ -118,7 +118,7 @@ impl Default for OptimConfig {
             warmup_steps: 1000,
             lr_schedule: LrSchedule::Cosine,
             groups: BTreeMap::new(),
-            states: OptimPlace::default(),
+            offload: OptimPlace::default(),
             shard_states: false,
         }
     }
@@ -380,12 +380,12 @@ pub(crate) fn validate(config: &Config, recipe: &RecipeInfo) -> Result<(), Inval
         require(recipe.groups.contains(&name.as_str()), &key, rate, allowed)?;
         in_range(key, rate, 0.0..)?;
     }
-    let shares = optim.states == OptimPlace::Device && optim.shard_states;
+    let shares = optim.offload == OptimPlace::Device && optim.shard_states;
     require(
         !shares,
         "optim.shard_states",
         "true",
-        "false, as `optim.states` is \"device\": ranks share states in main memory",
+        "false, as `optim.offload` is \"device\": ranks share states in main memory",
     )?;
     let name = &config.run.name;
     let plain = !name.contains(['/', '\\']) && !name.starts_with('.');

@@ -240,8 +240,8 @@ fn must_share(config: &Config, together: &Together) -> Result<(), Error> {
          `data.batch_size` to keep what a step sees, or start fewer ranks",
     )?;
     Ok(require(
-        size == 1 || config.optim.states != OptimPlace::Device,
-        "optim.states",
+        size == 1 || config.optim.offload != OptimPlace::Device,
+        "optim.offload",
         "\"device\"",
         format!("\"auto\" or \"host\", as {size} ranks add their gradients in main memory"),
     )?)

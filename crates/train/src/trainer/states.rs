@@ -117,7 +117,7 @@ impl States {
         };
         let decaying = infos.iter().map(|info| decays(optim, info)).collect();
         let optimizer = AdamW::new(optim, steps).with_decay_on(decaying);
-        let on_device = match optim.states {
+        let on_device = match optim.offload {
             OptimPlace::Auto => !begin.on_host && ranks.size() == 1,
             OptimPlace::Host => false,
             OptimPlace::Device => true,

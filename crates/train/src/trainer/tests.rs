@@ -80,7 +80,7 @@ fn trainer_with(batches: usize, states: &str, on_host: bool) -> Trainer<Squares>
     let overrides = [
         format!("data.batch_size={}", 3 / batches),
         format!("train.gradient_accumulation_steps={batches}"),
-        format!("optim.states={states}"),
+        format!("optim.offload={states}"),
     ];
     let overrides = overrides.into_iter().chain(
         [

@@ -172,7 +172,7 @@ impl Composer {
                     let steering = Steering {
                         guidance: guided.then_some(Guidance {
                             objective: &control,
-                            scale: path.eta(humanml3d.root),
+                            scale: path.guidance_step_size(humanml3d.root),
                             max_shift: Some(path.max_shift),
                         }),
                         imputation: None,

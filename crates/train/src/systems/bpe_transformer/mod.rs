@@ -28,7 +28,7 @@ pub use config::{
     PathTrainingConfig, PositionsConfig,
 };
 pub use generate::Composer;
-pub use path::{OverrideReading, PathConfig, PathMethod};
+pub use path::{OverrideTarget, PathConfig, PathMethod};
 pub use path_evaluation::PathFollowingReport;
 pub use report::ComposedReport;
 

@@ -26,9 +26,9 @@ pub struct PathConfig {
     /// The method that keeps the root on the path during sampling.
     pub method: PathMethod,
     /// For `warp`: lock feet where they stand in the sample, by two-bone inverse kinematics.
-    pub fix_feet: bool,
+    pub lock_feet: bool,
     /// For `override`: what replaces the root.
-    pub reading: OverrideReading,
+    pub override_target: OverrideTarget,
     /// For `override`: replace the heading too. Without it, the path is seen from the sample's own
     /// headings.
     pub yaw: bool,
@@ -37,14 +37,14 @@ pub struct PathConfig {
     pub through_network: bool,
     /// For `guidance`: length of a step against the gradient. Omitted: 100 through the network; for the noisy
     /// motion itself 1 of a relative root, 0.05 of an absolute one.
-    pub eta: Option<f64>,
+    pub guidance_step_size: Option<f64>,
     /// For `guidance` through the network: furthest that a frame is moved in one step, over all its
     /// channels, in standard deviations of the step's noise. A relative root's early frames move all that
     /// follow: without a limit their gradient breaks the motion.
     pub max_shift: f64,
     /// Last timestep at which the path acts; below it the model finishes the motion by itself. At 0 an
     /// override holds to the end.
-    pub until: usize,
+    pub stop_timestep: usize,
     /// For `guidance`: the loss.
     pub loss: PathLossConfig,
 }
@@ -53,13 +53,13 @@ impl Default for PathConfig {
     fn default() -> Self {
         Self {
             method: PathMethod::Warp,
-            fix_feet: true,
-            reading: OverrideReading::Sample,
+            lock_feet: true,
+            override_target: OverrideTarget::Sample,
             yaw: true,
             through_network: true,
-            eta: None,
+            guidance_step_size: None,
             max_shift: 10.0,
-            until: 0,
+            stop_timestep: 0,
             loss: PathLossConfig::default(),
         }
     }
@@ -121,7 +121,7 @@ impl PathMethod {
 /// The target of the override at each step.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
-pub enum OverrideReading {
+pub enum OverrideTarget {
     /// The path in the noisy motion as it is, as the source prints it: less noise there than the
     /// network was trained for.
     Clean,
@@ -134,8 +134,8 @@ pub enum OverrideReading {
 
 impl PathConfig {
     /// Length of a step against the gradient, of motion with such a root.
-    pub fn eta(&self, root: Root) -> f64 {
-        self.eta.unwrap_or(match (self.through_network, root) {
+    pub fn guidance_step_size(&self, root: Root) -> f64 {
+        self.guidance_step_size.unwrap_or(match (self.through_network, root) {
             (true, _) => 100.0,
             (false, Root::Relative) => 1.0,
             (false, Root::Absolute) => 0.05,
@@ -145,10 +145,10 @@ impl PathConfig {
     /// # Errors
     /// Names the key that cannot work with so many timesteps.
     pub fn validate(&self, num_train_timesteps: usize) -> Result<(), InvalidSetting> {
-        if let Some(eta) = self.eta {
-            in_range("eta", eta, 0.0..)?;
+        if let Some(guidance_step_size) = self.guidance_step_size {
+            in_range("guidance_step_size", guidance_step_size, 0.0..)?;
         }
-        in_range("until", self.until, 0..num_train_timesteps)?;
+        in_range("stop_timestep", self.stop_timestep, 0..num_train_timesteps)?;
         in_range("max_shift", self.max_shift, ABOVE_ZERO)?;
         self.loss.validate().within("loss")
     }
@@ -171,10 +171,10 @@ pub(super) fn finish(
 ) -> Result<Followed, Error> {
     let joints = features.joints();
     match config.method {
-        PathMethod::Warp => target.warped(&joints, skeleton, config.fix_feet),
+        PathMethod::Warp => target.warped(&joints, skeleton, config.lock_feet),
         PathMethod::TokensWarp => {
             let near = target.placed(&joints, skeleton)?;
-            target.corrected(&near.joints, skeleton, config.fix_feet)
+            target.corrected(&near.joints, skeleton, config.lock_feet)
         }
         _ => target.placed(&joints, skeleton),
     }
@@ -215,7 +215,7 @@ impl<'a> PathControl<'a> {
 
     /// True if the path acts at timestep `t`.
     pub fn acts(&self, t: usize) -> bool {
-        t >= self.config.until
+        t >= self.config.stop_timestep
     }
 
     /// The noisy motion that the network is given, `[1, channels, time]`: with the path in it, or a step
@@ -228,13 +228,13 @@ impl<'a> PathControl<'a> {
         let config = self.config;
         if config.method.guides() && !config.through_network {
             let gradient = self.gradient(&x_t);
-            x_t = x_t - gradient * config.eta(self.root);
+            x_t = x_t - gradient * config.guidance_step_size(self.root);
         }
-        if !config.method.replaces() || config.reading == OverrideReading::Sample {
+        if !config.method.replaces() || config.override_target == OverrideTarget::Sample {
             return x_t;
         }
-        let (keep, noise) = match config.reading {
-            OverrideReading::Noised => (
+        let (keep, noise) = match config.override_target {
+            OverrideTarget::Noised => (
                 diffusion.schedule.sqrt_alphas_cumprod[t],
                 diffusion.schedule.sqrt_one_minus_alphas_cumprod[t],
             ),
@@ -251,13 +251,13 @@ impl<'a> PathControl<'a> {
         self.put(x_t, noised.collect())
     }
 
-    /// The predicted clean motion with the path in it, where that is the reading; and its rotations,
+    /// The predicted clean motion with the path in it, where that is the override_target; and its rotations,
     /// noted for the next step.
     pub fn clean(&self, x_start: Tensor<3>, t: usize) -> Tensor<3> {
         let rotation = self.physical(&x_start).into_iter().map(|[a, ..]| a);
         *self.turning.borrow_mut() = Some(rotation.collect());
         let puts = self.config.method.replaces()
-            && self.config.reading == OverrideReading::Sample
+            && self.config.override_target == OverrideTarget::Sample
             && self.acts(t);
         match puts {
             true => self.put(x_start, self.channels()),

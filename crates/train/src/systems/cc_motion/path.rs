@@ -26,21 +26,21 @@ pub struct PhrasePathConfig {
     /// The method that keeps the root on the path during sampling.
     pub method: PhrasePathMethod,
     /// For `guidance`: length of a step against the gradient of the squared distance.
-    pub eta: f64,
+    pub guidance_step_size: f64,
     /// For `guidance`: distance from the path that costs nothing, metres.
     pub tolerance: f64,
     /// Last timestep at which the path acts. With `override`, positions are those of the path in the
     /// end whatever it is.
-    pub until: usize,
+    pub stop_timestep: usize,
 }
 
 impl Default for PhrasePathConfig {
     fn default() -> Self {
         Self {
             method: PhrasePathMethod::default(),
-            eta: 0.2,
+            guidance_step_size: 0.2,
             tolerance: 0.0,
-            until: 0,
+            stop_timestep: 0,
         }
     }
 }
@@ -61,9 +61,9 @@ impl PhrasePathConfig {
     /// # Errors
     /// Names the key that cannot work with so many timesteps.
     pub fn validate(&self, num_train_timesteps: usize) -> Result<(), InvalidSetting> {
-        in_range("eta", self.eta, 0.0..)?;
+        in_range("guidance_step_size", self.guidance_step_size, 0.0..)?;
         in_range("tolerance", self.tolerance, 0.0..)?;
-        in_range("until", self.until, 0..num_train_timesteps)
+        in_range("stop_timestep", self.stop_timestep, 0..num_train_timesteps)
     }
 }
 
@@ -138,7 +138,7 @@ impl PhrasePath {
     }
 
     fn acts(&self, method: PhrasePathMethod, timestep: usize) -> bool {
-        self.config.method == method && timestep >= self.config.until
+        self.config.method == method && timestep >= self.config.stop_timestep
     }
 
     /// The guidance step of noisy windows, `[windows, channels, frames of a window]`, normalised:
@@ -170,7 +170,7 @@ impl PhrasePath {
                 let share = if distance > 0.0 { over / distance } else { 0.0 };
                 for i in [0, 1] {
                     // d/dx of the square, by the normalised channel.
-                    step[at[i]] = (self.config.eta * 2.0 * share * away[i] * std[i]) as f32;
+                    step[at[i]] = (self.config.guidance_step_size * 2.0 * share * away[i] * std[i]) as f32;
                 }
             }
         }
@@ -277,7 +277,7 @@ mod tests {
         let target = PathTarget::through(points.collect()).unwrap();
         let config = PhrasePathConfig {
             method,
-            until: 10,
+            stop_timestep: 10,
             ..PhrasePathConfig::default()
         };
         PhrasePath::new(&target, config)
@@ -294,7 +294,7 @@ mod tests {
         let path = path(PhrasePathMethod::Override, 90);
         let mut values = vec![7.0f32; windows.len() * CHANNELS * 60];
         path.put(&mut values, &windows, &statistics, 9);
-        assert!(values.iter().all(|value| *value == 7.0), "below `until`");
+        assert!(values.iter().all(|value| *value == 7.0), "below `stop_timestep`");
         path.put(&mut values, &windows, &statistics, 10);
         for window in values.chunks(CHANNELS * 60) {
             let channel = |c: usize, t: usize| {
@@ -328,7 +328,7 @@ mod tests {
                 .sum()
         };
         let moved: Vec<f32> = noisy.iter().zip(&step).map(|(x, step)| x - step).collect();
-        // Of a square: by 2 eta std^2 of the distance.
+        // Of a square: by 2 guidance_step_size std^2 of the distance.
         let share = away(&moved) / away(&noisy);
         assert!((share - (1.0 - 2.0 * 0.2 * 0.25)).abs() < 1e-6, "{share}");
         let ground = |index: usize| [0, 2].contains(&(index / 40));

@@ -88,7 +88,7 @@ pub struct PoseConfig {
     /// Standard deviation of the noise on training histories, metres, of the whole body and of each
     /// joint. The next pose corrects a tenth of it. A network trained on recorded histories only
     /// cannot correct its own errors.
-    pub history_drift: f64,
+    pub history_noise_std: f64,
 }
 
 impl Default for PoseConfig {
@@ -98,7 +98,7 @@ impl Default for PoseConfig {
             target: NextPose::default(),
             prediction_type: FlowPrediction::default(),
             cond_drop_prob: 0.1,
-            history_drift: 0.0,
+            history_noise_std: 0.0,
         }
     }
 }
@@ -167,7 +167,7 @@ pub(super) fn validate(config: &Config) -> Result<(), Error> {
     let pose = &own.pose;
     in_range("pose.history_frames", pose.history_frames, 1..=1000)?;
     in_range("pose.cond_drop_prob", pose.cond_drop_prob, 0.0..=1.0)?;
-    in_range("pose.history_drift", pose.history_drift, 0.0..=1.0)?;
+    in_range("pose.history_noise_std", pose.history_noise_std, 0.0..=1.0)?;
     let shortest = pose.history_frames + 2;
     require(
         data.humanml3d.min_frames >= shortest,

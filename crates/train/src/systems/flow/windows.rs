@@ -44,7 +44,7 @@ impl PoseSpace {
             history: pose.history_frames,
             target: pose.target,
             longest,
-            drift: pose.history_drift,
+            drift: pose.history_noise_std,
         }
     }
 
