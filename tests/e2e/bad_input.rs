@@ -149,24 +149,6 @@ fn lists_in_the_place_of_tables_are_named() {
 }
 
 #[test]
-fn options_that_became_keys_name_the_key() {
-    let sandbox = sandbox();
-    for (command, texts) in [
-        (
-            "sample runs/x --sampler heun --out d",
-            ["`--sampler`", "sampling.sampler.kind=NAME"],
-        ),
-        (
-            "eval runs/x --no-imputation",
-            ["`--no-imputation`", "steering.imputation=false"],
-        ),
-        ("eval runs/x --seeds 4", ["`--seeds`", "evaluation.seeds=N"]),
-    ] {
-        sandbox.run(command).failed(2, &texts);
-    }
-}
-
-#[test]
 fn a_warm_up_longer_than_the_run_only_warns() {
     let sandbox = sandbox();
     let settings = "--set train.max_steps=2 --set optim.warmup_steps=50";

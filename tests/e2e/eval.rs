@@ -298,10 +298,6 @@ fn bad_input_is_refused_before_anything_is_written() {
         "runs/smallest --set evaluation.cond=silence",
         &["evaluation.cond", "silence", "noise"],
     );
-    refused(
-        "runs/smallest --seeds 4",
-        &["`--seeds`", "hint: use `--set evaluation.seeds=N`"],
-    );
     refused("runs/smallest --sheds 4", &["'--sheds'"]);
     refused("runs/smallest --source nowhere", &["nowhere", "hint:"]);
     refused("runs/smallest --device abacus", &["abacus", "hint:"]);
