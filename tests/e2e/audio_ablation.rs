@@ -1,4 +1,4 @@
-//! `kinegrad eval --audio-ablation`: what is printed and written, what models can hear, what is refused.
+//! `kinegrad eval --audio-ablation`: its table and reports, the effect of audio on models, and refusals.
 
 use std::fs;
 
@@ -85,7 +85,7 @@ fn a_network_that_tracks_beats_is_measured_by_its_tracker_too() {
 }
 
 #[test]
-fn document_models_hear_a_set_of_frames_and_aligned_ones_their_order() {
+fn ccmotion_models_depend_on_the_set_of_frames_and_aligned_ones_on_their_order() {
     let sandbox = sandbox();
     train(&sandbox, "set", "");
     train(

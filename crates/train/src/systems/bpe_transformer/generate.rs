@@ -62,11 +62,6 @@ impl Composer {
         &self.state.config
     }
 
-    /// Steps it was trained for.
-    pub fn step(&self) -> u64 {
-        self.state.step
-    }
-
     /// The statistics of its features.
     ///
     /// # Errors

@@ -132,11 +132,6 @@ impl Generator {
         &self.state.statistics
     }
 
-    /// Number of steps it was trained for.
-    pub fn step(&self) -> u64 {
-        self.state.step
-    }
-
     /// The motion that the network's normalised `values`, `[channels, frames]`, say.
     ///
     /// # Errors

@@ -56,11 +56,6 @@ impl FlowGenerator {
         &self.state.config
     }
 
-    /// Steps it was trained for.
-    pub fn step(&self) -> u64 {
-        self.state.step
-    }
-
     /// The representation.
     pub fn space(&self) -> &FlowSpace {
         &self.space

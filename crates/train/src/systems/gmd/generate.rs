@@ -171,11 +171,6 @@ impl ClipGenerator {
         &self.config().own::<GmdConfig>().steering
     }
 
-    /// Steps it was trained for.
-    pub fn step(&self) -> u64 {
-        self.state.step
-    }
-
     /// [`sample_keyed`](Self::sample_keyed), where clip i depends on `seed`, i and its request.
     ///
     /// # Errors
