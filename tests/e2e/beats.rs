@@ -248,7 +248,7 @@ fn models_hear_beats_and_refuse_what_has_none() {
         .run(&format!(
             "sample runs/deaf --audio song.wav --downbeat 1 --out x {draw}"
         ))
-        .failed(2, &["`--downbeat` with a run that hears no beat features"]);
+        .failed(2, &["`--downbeat` with a run without beat features"]);
     sandbox
         .run(&format!("sample runs/hears --downbeat 1 --out x {draw}"))
         .failed(2, &["`--downbeat` without `--audio`"]);

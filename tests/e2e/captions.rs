@@ -127,7 +127,7 @@ fn what_the_model_does_not_know_is_refused() {
         safetensors::serialize([("a", view.expect("so many bytes"))], None).expect("a file")
     });
     sample(&["--text-embedding", "e.safetensors#a"])
-        .failed(2, &["data.humanml3d.text = \"labels\"", "--text CAPTION"]);
+        .failed(2, &["data.humanml3d.text = \"labels\"", "name a caption with `--text`"]);
     sample(&[
         "--text",
         "someone jumps",

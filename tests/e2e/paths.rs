@@ -175,7 +175,7 @@ fn clips_of_goals_follow_a_path_from_a_file() {
         ),
         (
             "sample runs/gmd_motion --path quarter.toml --goal goal.toml --out x",
-            "`--goal` with `--path`",
+            "`--path` with `--goal`",
         ),
         (
             "sample runs/gmd_motion --path quarter.toml --method tokens --out x",

@@ -204,5 +204,5 @@ fn clips_are_drawn_again_from_their_records() {
         .run(&format!(
             "sample runs/gmd_motion --item {clip} --goal a.toml --out x"
         ))
-        .failed(2, &["`--goal` with `--item`"]);
+        .failed(2, &["`--item` with `--goal`"]);
 }

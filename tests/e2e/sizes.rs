@@ -238,7 +238,7 @@ fn an_evaluation_is_measured_by_the_samples_of_a_phrase() {
     };
     eval("whole").failed(
         2,
-        &["drawing 32 phrases of 3000 frames", "`evaluation.seeds`"],
+        &["sampling 32 phrases of 3000 frames", "`evaluation.seeds`"],
     );
     // In windows it fits.
     eval("windows").succeeded();

@@ -291,7 +291,7 @@ fn frames_that_cannot_be_kept_are_refused() {
         let option = arguments.split(' ').next().expect("an option");
         walks
             .run(&format!("sample runs/smallest {arguments} --out wrong"))
-            .failed(2, &[option, "clips of joint features"]);
+            .failed(2, &[option, "a run of recipe `gmd_motion`"]);
     }
     let given = KnownFramesCondition::kept(Path::new("m.npy"), "1..2").expect("a range");
     assert_eq!(given.frames, [[1, 2]]);

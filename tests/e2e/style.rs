@@ -243,7 +243,7 @@ fn wrong_styles_are_refused_and_leave_nothing() {
         .succeeded();
     walks
         .run("sample runs/smallest --style waltz --out wrong")
-        .failed(2, &["--style", "clips of joint features"]);
+        .failed(2, &["--style", "a run of recipe `gmd_motion`"]);
     walks
         .run("train c.toml --name wrong --set sampling.sampler.style_guidance_scale=2")
         .failed(2, &["style_guidance_scale", "no style"]);

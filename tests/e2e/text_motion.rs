@@ -98,7 +98,7 @@ fn an_evaluator_learns_captions_and_measures_a_model_of_clips() {
     );
     sandbox
         .run("sample runs/evaluator --out x")
-        .failed(2, &["generates nothing", "evaluation.evaluator.run"]);
+        .failed(2, &["recipe `text_motion` generates nothing"]);
     for (settings, texts) in [
         (
             "data.humanml3d.root=absolute",

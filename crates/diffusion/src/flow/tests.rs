@@ -250,7 +250,7 @@ fn an_answer_of_another_size_is_refused() {
         normal(1, [2, 3, 4]),
         &(),
         FlowPrediction::Velocity,
-        &SamplerConfig::default(),
+        &SamplerConfig::new(SamplerKind::Euler, 1),
         &mut go,
     );
     assert!(matches!(refused, Err(Error::ModelOutput { .. })));

@@ -387,7 +387,7 @@ fn old_configs_are_read_as_the_documents() {
         .expect_err("no value")
         .to_string();
     assert!(
-        error.contains("`document`") && error.contains("`aligned`"),
+        error.contains("`ccmotion`") && error.contains("`aligned`"),
         "{error}"
     );
 }

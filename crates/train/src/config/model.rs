@@ -167,8 +167,6 @@ mod tests {
                         num_layers = 8\nnum_heads = 4\nff_size = 96\ndropout = 0.1\n\
                         activation_checkpointing = false\n";
         assert_eq!(toml::to_string(&model).expect("plain data"), expected);
-        // What configs of kinegrad 0.1 may say of every kind.
-        assert_eq!(read("size = \"small\""), read("size = \"gmd_motion\""));
     }
 
     #[test]

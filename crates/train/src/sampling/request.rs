@@ -48,7 +48,7 @@ impl Request {
             ));
         }
         if let Some(frames) = self.frames {
-            in_range("option `frames`", frames, 1..=MAX_FRAMES)
+            in_range("option frames", frames, 1..=MAX_FRAMES)
                 .hint("leave it out for the length of the condition, or of the training")?;
         }
         if let Some(seconds) = self.seconds {
@@ -56,7 +56,7 @@ impl Request {
                 let hint = "both set the length of the motion: leave out one of the two";
                 return Err(Error::usage("option `seconds` with option `frames`", hint));
             }
-            in_range("option `seconds`", seconds, ABOVE_ZERO)
+            in_range("option seconds", seconds, ABOVE_ZERO)
                 .hint("leave it out for the length of the condition, or of the training")?;
         }
         self.validate_conditions()
@@ -308,7 +308,7 @@ mod tests {
                     frames: Some(0),
                     ..request(vec![plain()])
                 },
-                "`option `frames`` is 0",
+                "`option frames` is 0",
             ),
             (
                 request(vec![plain(), item()]),

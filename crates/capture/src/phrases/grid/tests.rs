@@ -110,7 +110,7 @@ fn the_stated_count_settles_the_octave() {
     assert_eq!((report.grid, report.tracked_beats), (Grid::Tracked, 64));
     assert!((report.tracked_tempo - 69.2).abs() < 0.5, "{report:?}");
     assert!(
-        timeline.notes[0].contains("the song tracks at 138.5"),
+        timeline.notes[0].contains("beats were tracked at 138.5"),
         "{:?}",
         timeline.notes
     );
