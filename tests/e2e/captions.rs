@@ -126,8 +126,13 @@ fn what_the_model_does_not_know_is_refused() {
             safetensors::tensor::TensorView::new(safetensors::Dtype::F32, vec![1, 512], &row);
         safetensors::serialize([("a", view.expect("so many bytes"))], None).expect("a file")
     });
-    sample(&["--text-embedding", "e.safetensors#a"])
-        .failed(2, &["data.humanml3d.text = \"labels\"", "name a caption with `--text`"]);
+    sample(&["--text-embedding", "e.safetensors#a"]).failed(
+        2,
+        &[
+            "data.humanml3d.text = \"labels\"",
+            "name a caption with `--text`",
+        ],
+    );
     sample(&[
         "--text",
         "someone jumps",

@@ -153,6 +153,8 @@ fn clips_of_goals_follow_a_path_from_a_file() {
         let record = record(&sandbox, &format!("{name}.json"));
         assert_eq!(record["path"]["file"], "quarter.toml");
         assert_eq!(record["condition"]["path"]["file"], "quarter.toml");
+        let points = record["path"]["content"]["points"].as_array();
+        assert!(points.is_some_and(|points| points.len() > 2), "{record}");
     }
     // The first stage's trajectory, which is near the path, is written next to the clip.
     let line = format!("{sample} --trajectory-run runs/gmd_trajectory --out staged");

@@ -251,7 +251,10 @@ fn phrases_of_takes_that_are_gone_are_told_and_pruned() {
     let one = PLAN.replace("captures/*.bvh", "captures/one.bvh");
     sandbox.write("plan.toml", one);
     let said = sandbox.run("data prepare plan.toml").succeeded().stdout;
-    assert!(said.contains("phrases of other takes are in the output folder"), "{said}");
+    assert!(
+        said.contains("phrases of other takes are in the output folder"),
+        "{said}"
+    );
     let ids = || sandbox.list("set/motion");
     assert!(ids().iter().any(|id| id.starts_with("two_")));
     let said = sandbox.run("data prepare plan.toml --prune").succeeded();

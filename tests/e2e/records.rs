@@ -211,7 +211,10 @@ fn the_saved_config_wins_on_resume() {
         .run("train c.toml --resume --set optim.warmup_steps=2")
         .failed(
             2,
-            &["`optim.warmup_steps` is 2", "`kinegrad train` with `--resume RUN`"],
+            &[
+                "`optim.warmup_steps` is 2",
+                "`kinegrad train` with `--resume RUN`",
+            ],
         );
     // Without a config, from any folder.
     std::fs::remove_file(sandbox.path("c.toml")).expect("the config");

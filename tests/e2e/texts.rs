@@ -135,10 +135,7 @@ fn a_dataset_is_embedded_trained_on_and_asked_in_words() {
     assert!(told == drawn(&["--text-embedding", "one.safetensors#text"]));
 
     let no_clip = [&draw[..], &["--text", WALK]].concat();
-    run(&sandbox, &no_clip).failed(
-        2,
-        &["`--text` without `--text-encoder`", "CLIP ViT-B/32"],
-    );
+    run(&sandbox, &no_clip).failed(2, &["`--text` without `--text-encoder`", "CLIP ViT-B/32"]);
     let no_text = [&draw[..], &["--text-encoder", "clip"]].concat();
     run(&sandbox, &no_text).failed(2, &["--text"]);
 }

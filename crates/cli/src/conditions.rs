@@ -151,8 +151,57 @@ fn other(text: &str) -> Result<OtherCondition, Error> {
         let hint = "for example option `condition radius=1.5`";
         Error::usage(format!("option `condition {text}` is not NAME=VALUE"), hint)
     })?;
-    Ok(OtherCondition {
-        name: name.trim().to_string(),
-        value: serde_json::from_str(value).unwrap_or_else(|_| value.into()),
-    })
+    let value = serde_json::from_str(value).unwrap_or_else(|_| value.into());
+    OtherCondition::new(name.trim(), value)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn arguments_without_their_owner_are_refused() {
+        let cases: [(fn(&mut ConditionArguments), &str); 9] = [
+            (
+                |a| a.source = Some("set".into()),
+                "`source` without option `item`",
+            ),
+            (|a| a.start = 2.0, "`start` without option `song`"),
+            (
+                |a| a.beats.downbeat = Some(1.0),
+                "`downbeat` without option `song`",
+            ),
+            (
+                |a| a.text_encoder = Some("clip".into()),
+                "`text_encoder` without option `text`",
+            ),
+            (
+                |a| a.metres_per_unit = Some(0.1),
+                "`metres_per_unit` without option `path`",
+            ),
+            (
+                |a| a.keep = Some("0..3".into()),
+                "`keep` without option `keep_from`",
+            ),
+            (
+                |a| a.keep_from = Some("a.npy".into()),
+                "`keep_from` without option `keep`",
+            ),
+            (
+                |a| {
+                    a.continue_from = Some("a.npy".into());
+                    a.keep = Some("0..3".into());
+                    a.keep_from = Some("a.npy".into());
+                },
+                "`continue_from` with option `keep`",
+            ),
+            (|a| a.other = vec!["text=walk".into()], "`condition text`"),
+        ];
+        for (change, expected) in cases {
+            let mut arguments = ConditionArguments::default();
+            change(&mut arguments);
+            let error = arguments.conditions().expect_err(expected).to_string();
+            assert!(error.starts_with(&format!("option {expected}")), "{error}");
+        }
+    }
 }

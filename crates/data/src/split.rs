@@ -42,7 +42,7 @@ impl fmt::Display for Side {
 /// The rule beside the patterns.
 #[derive(Debug, PartialEq)]
 enum Rule {
-    /// None: only phrases that match a pattern are held_out out.
+    /// None: only phrases that match a pattern are held out.
     Listed,
     /// A hash of the id.
     Fraction(f64),
@@ -76,8 +76,8 @@ impl Split {
         Ok(Self { patterns, rule })
     }
 
-    /// Whether each phrase is held_out out, by its id and its side in the manifest. Without a side,
-    /// whole songs are held_out out ([`held_out_songs`]), or single phrases if each is a song or all
+    /// Whether each phrase is held out, by its id and its side in the manifest. Without a side,
+    /// whole songs are held out ([`held_out_songs`]), or single phrases if each is a song or all
     /// are one.
     pub fn holds_out(&self, phrases: &[(&str, Option<Side>)]) -> Vec<bool> {
         // Independent of the run's seed, so that runs compare.
@@ -152,7 +152,7 @@ mod tests {
     fn lists_replace_the_fraction_and_idle_entries_are_named() {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("ids.txt").display().to_string();
-        fs::write(&file, "\u{feff}# held_out out\r\nW_1\r\n\r\n  X_*\n").unwrap();
+        fs::write(&file, "\u{feff}# held out\r\nW_1\r\n\r\n  X_*\n").unwrap();
         let rule = split(0.99, &["C_5_*"], Some(file.clone()));
         let ids = ["C_5_1", "C_2_1", "W_1", "W_10"];
         assert_eq!(

@@ -3,6 +3,7 @@
 use std::ops::ControlFlow;
 use std::thread;
 
+use kinegrad_cli::as_arguments;
 use kinegrad_train::{Error, Reading};
 use pyo3::prelude::*;
 
@@ -55,7 +56,8 @@ impl Progress {
     /// Warns of something doubtful; whether to go on.
     pub fn warn(&mut self, text: &str) -> ControlFlow<()> {
         self.tell(|py, _| {
-            py.import("warnings")?.call_method1("warn", (text,))?;
+            py.import("warnings")?
+                .call_method1("warn", (as_arguments(text),))?;
             Ok(())
         })
     }

@@ -76,11 +76,13 @@ impl Observer for Events {
     }
 
     fn note(&mut self, text: &str) {
-        self.tell("note", |fields| fields.set_item("text", text));
+        self.tell("note", |fields| fields.set_item("text", as_arguments(text)));
     }
 
     fn warning(&mut self, text: &str) {
-        self.tell("warning", |fields| fields.set_item("text", text));
+        self.tell("warning", |fields| {
+            fields.set_item("text", as_arguments(text))
+        });
     }
 
     fn reading(&self) -> Box<Reading> {

@@ -70,7 +70,7 @@ pub enum Error {
     OtherRecipe {
         /// The run's recipe.
         recipe: String,
-        /// Errors of the system.
+        /// The recipes that fit.
         known: String,
     },
     /// A run on another representation of motion than is needed.

@@ -24,7 +24,9 @@ fn rust_files(folder: &Path) -> Vec<PathBuf> {
 
 /// The lines of a file that are neither comments nor tests, with their numbers.
 fn code(text: &str) -> impl Iterator<Item = (usize, &str)> {
-    let end = text.find("\n#[cfg(test)]").unwrap_or(text.len());
+    let end = text
+        .find("\n#[cfg(test)]\nmod tests {")
+        .unwrap_or(text.len());
     let lines = text[..end].lines().enumerate();
     lines
         .filter(|(_, line)| !line.trim_start().starts_with("//"))

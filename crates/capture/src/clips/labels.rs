@@ -55,7 +55,7 @@ impl CaptionTable {
         let is_caption = |column: &str| column.starts_with("caption");
         for (place, column) in header.iter().enumerate() {
             if place != file_column && !is_caption(column) {
-                check_label("column", column).map_err(|e| in_file(e.to_string()))?;
+                check_label(column, column).map_err(|e| in_file(e.to_string()))?;
             }
         }
         let mut rows: HashMap<String, (Labels, Vec<String>)> = HashMap::new();
@@ -172,7 +172,7 @@ impl LabelsPlan {
                 (Value::Number(number), None) => number.to_string(),
                 _ => continue,
             };
-            check_label("key", &name).map_err(|e| e.to_string())?;
+            check_label(&name, &name).map_err(|e| e.to_string())?;
             labels.insert(name, value);
         }
         Ok(())

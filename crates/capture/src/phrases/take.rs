@@ -19,7 +19,7 @@ use crate::prepare::files::bytes;
 use crate::{Beats, Stretch, stretches};
 
 /// Version of the algorithm. A change makes all takes again.
-const MAKER: &str = "kinegrad phrases 4";
+const MAKER: &str = "kinegrad phrases 5";
 
 /// A phrase with the contents of its files.
 pub(super) struct NewPhrase {

@@ -8,6 +8,7 @@ use kinegrad_data::{DataConfig, DataKind};
 use kinegrad_motion::{Profile, Report, Representation, Statistics};
 use kinegrad_report::table;
 use kinegrad_train::Error;
+use kinegrad_train::checkpoint::State;
 use kinegrad_train::systems::Systems;
 use miette::Diagnostic;
 use serde_json::json;
@@ -24,6 +25,9 @@ pub fn run(systems: Systems<'_>, arguments: CheckArguments) -> Result<ExitCode, 
     if arguments.raw {
         files = with_raw(files);
     }
+    let strict = arguments.profile != Profile::Document;
+    let run = arguments.run.as_deref().filter(|_| strict);
+    let state = run.map(checkpoint).transpose()?.map(|saved| saved.state);
     for path in files {
         if is_bvh(&path) {
             let message = format!("{} is a BVH file, which cannot be checked", path.display());
@@ -35,7 +39,7 @@ pub fn run(systems: Systems<'_>, arguments: CheckArguments) -> Result<ExitCode, 
             Motion::Points(joints, error) => return Err(unknown(&path, joints.joints(), &error)),
             Motion::Bvh(_) => unreachable!("refused above"),
         };
-        let statistics = statistics(&arguments, &*array.representation)?;
+        let statistics = statistics(&arguments, state.as_ref(), &*array.representation)?;
         let report = array
             .representation
             .check(&array.values, arguments.profile, statistics.as_ref())
@@ -93,13 +97,13 @@ fn unusable(arguments: &CheckArguments, error: kinegrad_motion::Error) -> Error 
 /// The statistics of `--run` or `--source`, in this `representation`.
 fn statistics(
     arguments: &CheckArguments,
+    state: Option<&State>,
     representation: &dyn Representation,
 ) -> Result<Option<Statistics>, Error> {
     if arguments.profile == Profile::Document {
         return Ok(None);
     }
-    if let Some(run) = &arguments.run {
-        let state = checkpoint(run)?.state;
+    if let Some(state) = state {
         return Ok(Some(state.statistics_of(representation)?.clone()));
     }
     let Some(source) = &arguments.source else {

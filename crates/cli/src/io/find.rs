@@ -1,5 +1,6 @@
 //! Finds motion files.
 
+use std::collections::HashSet;
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -65,11 +66,13 @@ fn has_sample(path: &Path) -> bool {
     stem.is_some_and(|stem| path.with_file_name(format!("{stem}.npy")).exists())
 }
 
-/// The files, each with the raw model output beside it, if there is any, behind it.
+/// The files, each followed by the raw model output beside it, if there is one that is not listed.
 pub fn with_raw(files: Vec<PathBuf>) -> Vec<PathBuf> {
+    let listed: HashSet<PathBuf> = files.iter().cloned().collect();
     let each = files.into_iter().flat_map(|file| {
         let raw = Some(file.with_extension("raw.npy"));
-        [Some(file), raw.filter(|raw| raw.is_file())]
+        let raw = raw.filter(|raw| raw.is_file() && !listed.contains(raw));
+        [Some(file), raw]
     });
     each.flatten().collect()
 }
@@ -91,6 +94,17 @@ pub fn files_in(folder: &Path, endings: &[&str]) -> Vec<PathBuf> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn raw_output_is_added_once() {
+        let folder = tempfile::tempdir().unwrap();
+        let [motion, raw] = ["a.npy", "a.raw.npy"].map(|name| folder.path().join(name));
+        fs::write(&motion, "").unwrap();
+        fs::write(&raw, "").unwrap();
+        let both = vec![motion.clone(), raw];
+        assert_eq!(with_raw(vec![motion]), both);
+        assert_eq!(with_raw(both.clone()), both);
+    }
 
     #[test]
     fn a_folder_gives_each_motion_once() {

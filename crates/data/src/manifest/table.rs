@@ -186,7 +186,7 @@ pub(super) fn rows(bytes: Vec<u8>) -> Result<Vec<ManifestRow>, String> {
             });
             let groups = audio_features[row].as_deref().map(|listed| {
                 let named = |group: &str| {
-                    let wrong = "found; document and beats allowed, comma-separated";
+                    let wrong = "found; ccmotion and beats allowed, comma-separated";
                     let problem = || format!("phrase `{id}`: audio_features `{listed}` {wrong}");
                     named::<AudioGroup>(group).ok_or_else(problem)
                 };

@@ -232,7 +232,7 @@ impl UNet1dConfig {
             "\"tracked\" with `model.audio_conditioning = \"ccmotion\"`",
             "\"given\", or `model.audio_conditioning = \"aligned\"`",
         )
-        .hint("a network that hears a set of frames has no use for when they are")?;
+        .hint("a network that attends to a set of frames has no use for their times")?;
         in_range("model.dropout", self.dropout, 0.0..1.0).hint("CC-MotionGen has 0.1")?;
         self.validate_style()
     }

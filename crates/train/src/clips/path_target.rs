@@ -251,19 +251,6 @@ pub(crate) fn way(places: &[[f64; 3]], fps: f64) -> Vec<[f64; 2]> {
     smoothed(&track, window, 3)
 }
 
-/// A description of a motion's deviation from its path.
-pub(crate) fn in_words(report: &PathReport) -> String {
-    let heading = report
-        .heading_error
-        .map(|degrees| format!("; heading {degrees:.0} degrees from it"));
-    format!(
-        "{:.3} m from the path, at most {:.3} m{}",
-        report.mean_distance,
-        report.largest_distance,
-        heading.unwrap_or_default()
-    )
-}
-
 /// A motion on its path.
 #[derive(Clone, Debug)]
 pub struct Followed {

@@ -100,7 +100,7 @@ impl TextPlan {
             if step.text.is_some() && input.labels().is_none() {
                 let hint = "`text_embedding = \"FILE#KEY\"`: `kinegrad text embed` makes the file";
                 return Err(refused(
-                    "`text`, and the run is told embeddings of texts",
+                    "`text`, and the run takes embeddings of texts",
                     hint,
                 ));
             }

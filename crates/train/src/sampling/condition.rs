@@ -11,6 +11,7 @@ use serde_json::Value;
 
 use super::Style;
 use crate::checkpoint::SavedCheckpoint;
+use crate::error::Error;
 use crate::song::KnownBeats;
 
 /// A condition of a sample: as it is asked for, as it was resolved, and as the record of the sample
@@ -89,9 +90,13 @@ impl Serialize for OtherCondition {
 impl<'de> Deserialize<'de> for OtherCondition {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         let map = serde_json::Map::deserialize(deserializer)?;
-        let entry = map.into_iter().next();
-        let (name, value) = entry.ok_or_else(|| serde::de::Error::custom("an empty condition"))?;
-        Ok(Self { name, value })
+        let mut entries = map.into_iter();
+        match (entries.next(), entries.next()) {
+            (Some((name, value)), None) => {
+                Self::new(&name, value).map_err(serde::de::Error::custom)
+            }
+            _ => Err(serde::de::Error::custom("one condition an entry")),
+        }
     }
 }
 
@@ -157,8 +162,47 @@ pub struct KnownFramesCondition {
     pub continued: bool,
 }
 
+/// Names that conditions of other systems cannot have.
+const RESERVED: [&str; 16] = [
+    "item",
+    "held_out",
+    "audio_features",
+    "song",
+    "style",
+    "text",
+    "text_embedding",
+    "prompts",
+    "goal",
+    "trajectory",
+    "history",
+    "path",
+    "known_frames",
+    "continue_from",
+    "keep",
+    "postprocess",
+];
+
+impl OtherCondition {
+    /// A condition with a name of its own.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] for a name that has another meaning.
+    pub fn new(name: &str, value: Value) -> Result<Self, Error> {
+        match RESERVED.contains(&name) {
+            false => Ok(Self {
+                name: name.to_string(),
+                value,
+            }),
+            true => Err(Error::usage(
+                format!("option `condition {name}` is not a condition of another system"),
+                format!("use option `{name}`"),
+            )),
+        }
+    }
+}
+
 impl Condition {
-    /// Its name: the key in a record, and what a recipe says that it accepts.
+    /// Its name, which a recipe lists if it accepts the condition.
     pub fn name(&self) -> &str {
         match self {
             Self::Item { .. } => "item",
@@ -231,5 +275,78 @@ pub(super) mod as_map {
             }
         }
         deserializer.deserialize_map(Entries)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[derive(Debug, PartialEq, Serialize, Deserialize)]
+    struct Recorded {
+        #[serde(with = "as_map")]
+        condition: Vec<Condition>,
+    }
+
+    #[test]
+    fn records_of_all_conditions_read_back_equal() {
+        let file = || PathBuf::from("f");
+        let conditions = [
+            Condition::Item {
+                id: "a".into(),
+                source: Some("set".into()),
+            },
+            Condition::HeldOut(3),
+            Condition::AudioFeatures(file()),
+            Condition::Song {
+                file: file(),
+                start: 1.5,
+                beats: KnownBeats {
+                    tempo: Some(90.0),
+                    ..KnownBeats::default()
+                },
+            },
+            Condition::Style(Style::Label("waltz".into())),
+            Condition::Text {
+                text: "a".into(),
+                text_encoder: None,
+            },
+            Condition::TextEmbedding("f#a".into()),
+            Condition::Prompts(file()),
+            Condition::Goal(GoalCondition {
+                file: file(),
+                goal: Some(Goal::new(16)),
+                sha256: Some("0".into()),
+            }),
+            Condition::Trajectory(TrajectoryCondition {
+                checkpoint: file(),
+                saved: None,
+            }),
+            Condition::History(file()),
+            Condition::Path(PathFile {
+                file: file(),
+                metres_per_unit: Some(0.1),
+            }),
+            Condition::KnownFrames(KnownFramesCondition {
+                motion: file(),
+                frames: vec![[0, 4]],
+                continued: true,
+            }),
+            Condition::Other(OtherCondition::new("radius", 1.5.into()).expect("a name")),
+        ];
+        for condition in conditions {
+            let name = condition.name().to_string();
+            let recorded = Recorded {
+                condition: vec![condition],
+            };
+            let text = serde_json::to_string(&recorded).expect("plain data");
+            let read: Recorded = serde_json::from_str(&text).expect(&name);
+            assert_eq!(read, recorded, "{text}");
+        }
+        for bad in [r#"{"goal": {"file": 3}}"#, r#"{"item": 3}"#] {
+            let text = format!("{{\"condition\": {bad}}}");
+            assert!(serde_json::from_str::<Recorded>(&text).is_err(), "{text}");
+        }
+        assert!(OtherCondition::new("text", Value::Null).is_err());
     }
 }

@@ -2,6 +2,8 @@
 
 use std::ops::ControlFlow;
 
+use kinegrad_motion::path::PathReport;
+
 use super::{Condition, Generated, Names, Record, Request, Sample, SampleSink, Summary};
 use crate::TrainedModel;
 use crate::error::Error;
@@ -116,12 +118,24 @@ impl Run<'_> {
         record: Record,
     ) -> Result<(), Error> {
         let path = record.path.as_ref();
-        self.paths
-            .extend(path.map(|path| crate::clips::path_target::in_words(&path.report)));
+        self.paths.extend(path.map(|path| deviation(&path.report)));
         self.sink.sample(Sample {
             name: self.name(job, index),
             files: generated.files(),
             record,
         })
     }
+}
+
+/// A description of a motion's deviation from its path.
+fn deviation(report: &PathReport) -> String {
+    let heading = report
+        .heading_error
+        .map(|degrees| format!("; heading {degrees:.0} degrees from it"));
+    format!(
+        "{:.3} m from the path, at most {:.3} m{}",
+        report.mean_distance,
+        report.largest_distance,
+        heading.unwrap_or_default()
+    )
 }

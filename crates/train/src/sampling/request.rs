@@ -17,7 +17,7 @@ pub struct Request {
     pub count: usize,
     /// Frames to generate.
     pub frames: Option<usize>,
-    /// Seconds to generate, instead of `frames`: [`sample`](super::sample) converts them.
+    /// Seconds to generate, instead of `frames`: [`Systems::sample`](crate::system::Systems::sample) converts them.
     pub seconds: Option<f64>,
     /// Seed of the noise.
     pub seed: u64,
@@ -58,6 +58,12 @@ impl Request {
             }
             in_range("option seconds", seconds, ABOVE_ZERO)
                 .hint("leave it out for the length of the condition, or of the training")?;
+        }
+        if self.held_out_items().is_some() && self.count != 1 {
+            return Err(Error::usage(
+                format!("option `count` is {} with held-out items", self.count),
+                "held-out items get one sample each: leave it out",
+            ));
         }
         self.validate_conditions()
     }

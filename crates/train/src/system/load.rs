@@ -73,12 +73,17 @@ impl Systems<'_> {
         }
         let last = overrides.last().map_or("", String::as_str);
         self.whole(table, &|_| place(last)).map_err(|error| {
-            let mut table = before;
-            let mut blamed = overrides.iter().map(|argument| {
-                apply(&mut table, argument)?;
-                self.whole(&table, &|_| place(argument))
-            });
-            blamed.find_map(Result::err).unwrap_or(error)
+            // The override without which the others can be read.
+            let is_blamed = |left_out: &usize| {
+                let mut table = before.clone();
+                let others = overrides.iter().enumerate();
+                let mut others = others.filter(|(index, _)| index != left_out);
+                others.all(|(_, argument)| apply(&mut table, argument).is_ok())
+                    && self.whole(&table, &|_| String::new()).is_ok()
+            };
+            let blamed = (0..overrides.len()).find(is_blamed);
+            let read = |index: usize| self.whole(table, &|_| place(&overrides[index]));
+            blamed.and_then(|index| read(index).err()).unwrap_or(error)
         })
     }
 
@@ -113,6 +118,9 @@ impl Systems<'_> {
             true => Ok(config.clone()),
             false => {
                 let mut table = Table::try_from(config).expect(config::PLAIN);
+                if overrides.iter().any(|argument| sets_sampler(argument)) {
+                    forget_sampler(&mut table);
+                }
                 self.overridden(&mut table, overrides)
             }
         }
@@ -207,10 +215,8 @@ impl Systems<'_> {
         device: Option<&str>,
         local: usize,
     ) -> Result<TrainedModel, Error> {
-        let config = match overrides.is_empty() {
-            true => self.completed(&saved.state.config)?,
-            false => self.override_trained(&saved.state.config, overrides)?,
-        };
+        let config = self.completed(&saved.state.config)?;
+        let config = self.override_trained(&config, overrides)?;
         let (system, _) = self.of(&config)?;
         system.validate(&config)?;
         let (device, name) = open_for(device.unwrap_or(&config.run.device), local)?;
@@ -257,6 +263,30 @@ fn listed(tables: &[&str]) -> String {
     let quoted: Vec<String> = tables.iter().map(|table| format!("`{table}`")).collect();
     let (last, others) = quoted.split_last().expect("a table");
     format!("{} and {last}", others.join(", "))
+}
+
+/// Keys of `sampling.sampler` that belong to some kinds only.
+const OF_SAMPLER_KINDS: [&str; 6] = [
+    "eta",
+    "final_alpha",
+    "recompute_epsilon",
+    "tolerance",
+    "timestep_spacing",
+    "guidance_until",
+];
+
+fn sets_sampler(argument: &str) -> bool {
+    let key = argument.split('=').next().unwrap_or_default();
+    key.trim() == "sampling.sampler.kind"
+}
+
+/// Leaves the keys of a run's own kind of sampler to the defaults of another kind.
+fn forget_sampler(table: &mut Table) {
+    let sampling = table.get_mut("sampling").and_then(Value::as_table_mut);
+    let sampler = sampling.and_then(|sampling| sampling.get_mut("sampler")?.as_table_mut());
+    if let Some(sampler) = sampler {
+        sampler.retain(|key, _| !OF_SAMPLER_KINDS.contains(&key));
+    }
 }
 
 fn read(path: &Path) -> Result<String, ConfigError> {

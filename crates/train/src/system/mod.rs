@@ -300,7 +300,7 @@ impl<'a> Systems<'a> {
             None => None,
         };
         let request = EvaluationRequest {
-            evaluator,
+            evaluator: evaluator.or_else(|| request.evaluator.clone()),
             ..request.clone()
         };
         evaluate::prepare(system, trained, &request)
@@ -333,6 +333,10 @@ impl<'a> Systems<'a> {
                     return Ok(Some(found));
                 }
             }
+            return Err(Error::usage(
+                "`evaluation.evaluator` names files of a text-motion evaluator",
+                "none of the systems of this program reads them: leave them out",
+            ));
         }
         Ok(None)
     }

@@ -4,7 +4,7 @@ use super::{System, Systems};
 use crate::TrainedModel;
 use crate::error::Error;
 use crate::memory::must_fit;
-use crate::sampling::{Names, Request, Run, SampleSink, Sampler, Summary};
+use crate::sampling::{Job, Names, Request, Run, SampleSink, Sampler, Summary};
 
 impl Systems<'_> {
     /// Generates motion with the model `trained` and passes each sample, with its
@@ -62,11 +62,12 @@ fn must_accept(system: &dyn System, recipe: &str, request: &Request) -> Result<(
     let given = request.conditions.iter().map(|condition| condition.name());
     let post_processing = request.post_processing.map(|_| "postprocess");
     let mut given = given.chain(post_processing);
-    match given.find(|name| *name != "held_out" && !accepted.contains(name)) {
+    match given.find(|name| !accepted.contains(name)) {
         None => Ok(()),
         Some(name) => {
             let accepted: Vec<String> = accepted
                 .iter()
+                .filter(|name| **name != "held_out")
                 .map(|name| format!("option `{name}`"))
                 .collect();
             Err(Error::usage(
@@ -86,13 +87,14 @@ fn names(sampler: &dyn Sampler, request: &Request) -> Names {
             count: jobs.len() * request.count,
         };
     }
-    let stem = |name: &Option<String>| match name {
+    let stem = |(number, job): (usize, &Job)| match &job.name {
         Some(name) if held_out => name.clone(),
+        None if held_out => format!("{number:03}"),
         Some(name) if jobs.len() > 1 => format!("-{name}"),
         _ => String::new(),
     };
     Names {
-        stems: jobs.iter().map(|job| stem(&job.name)).collect(),
+        stems: jobs.iter().enumerate().map(stem).collect(),
         count: request.count,
     }
 }

@@ -212,7 +212,7 @@ impl Composer {
         match self.plain.has_path() {
             true => Ok(()),
             false => Err(Error::usage(
-                "option `method tokens`, and a run whose network is told no paths",
+                "option `method tokens`, and a run whose network has no path condition",
                 "teach it with recipe `path_adapter`, or use another method (docs/compose.md)",
             )),
         }

@@ -150,7 +150,7 @@ fn settings(
     let told = size(&request.weights, tensors, "embed_text.weight", 1)?;
     if told != TEXT_CHANNELS {
         return Err(foreign(format!(
-            "it is told {told} numbers of a text, and embeddings have {TEXT_CHANNELS}"
+            "it takes {told} numbers of a text, and embeddings have {TEXT_CHANNELS}"
         )));
     }
     let mut own = config.own::<BpeTables>().clone();

@@ -135,11 +135,12 @@ pub enum OverrideTarget {
 impl PathConfig {
     /// Length of a step against the gradient, of motion with such a root.
     pub fn guidance_step_size(&self, root: Root) -> f64 {
-        self.guidance_step_size.unwrap_or(match (self.through_network, root) {
-            (true, _) => 100.0,
-            (false, Root::Relative) => 1.0,
-            (false, Root::Absolute) => 0.05,
-        })
+        self.guidance_step_size
+            .unwrap_or(match (self.through_network, root) {
+                (true, _) => 100.0,
+                (false, Root::Relative) => 1.0,
+                (false, Root::Absolute) => 0.05,
+            })
     }
 
     /// # Errors

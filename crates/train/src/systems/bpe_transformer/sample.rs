@@ -21,7 +21,14 @@ use crate::system::System as _;
 
 /// Conditions of composed motion.
 pub(super) fn accepts(_: &str) -> &'static [&'static str] {
-    &["item", "text", "text_embedding", "prompts", "path"]
+    &[
+        "item",
+        "held_out",
+        "text",
+        "text_embedding",
+        "prompts",
+        "path",
+    ]
 }
 
 /// Length that a leg may lack without a warning, metres.

@@ -71,7 +71,7 @@ pub fn keys(seed: u64, count: usize) -> impl ExactSizeIterator<Item = Key> {
 impl Generator {
     /// Generates one sample per condition, as a batch; all conditions have the same number of
     /// frames. Sample i depends on `seed` and i alone, exactly on the CPU, elsewhere up to
-    /// rounding. Samples longer than in training are sampled [in windows](Self::sample_whole).
+    /// rounding. Samples longer than in training are sampled [in windows](Self::sample_windowed).
     /// `on_step` is called with the number of sampling steps done and in total.
     ///
     /// # Errors
@@ -115,7 +115,7 @@ impl Generator {
             if let Some(other) = conditions.iter().find(|c| c.channels() != channels) {
                 let found = other.channels();
                 return Err(Error::usage(
-                    format!("a condition of {found} audio features, the model hears {channels}"),
+                    format!("a condition of {found} audio features, the model takes {channels}"),
                     "read it in the layout of the run's `data.audio_features`",
                 ));
             }

@@ -56,7 +56,7 @@ pub(super) fn untrained(
     };
     Some(format!(
         "{} of {} samples are of {drawn}, and training saw {trained} (`data.target_frames`, \
-         `data.augment.min_frames`): what is drawn at other lengths is less than what the model \
+         `data.augment.min_frames`): what is sampled at other lengths is less than what the model \
          can do",
         other.len(),
         frames.len()

@@ -170,7 +170,8 @@ impl PhrasePath {
                 let share = if distance > 0.0 { over / distance } else { 0.0 };
                 for i in [0, 1] {
                     // d/dx of the square, by the normalised channel.
-                    step[at[i]] = (self.config.guidance_step_size * 2.0 * share * away[i] * std[i]) as f32;
+                    step[at[i]] =
+                        (self.config.guidance_step_size * 2.0 * share * away[i] * std[i]) as f32;
                 }
             }
         }
@@ -294,7 +295,10 @@ mod tests {
         let path = path(PhrasePathMethod::Override, 90);
         let mut values = vec![7.0f32; windows.len() * CHANNELS * 60];
         path.put(&mut values, &windows, &statistics, 9);
-        assert!(values.iter().all(|value| *value == 7.0), "below `stop_timestep`");
+        assert!(
+            values.iter().all(|value| *value == 7.0),
+            "below `stop_timestep`"
+        );
         path.put(&mut values, &windows, &statistics, 10);
         for window in values.chunks(CHANNELS * 60) {
             let channel = |c: usize, t: usize| {

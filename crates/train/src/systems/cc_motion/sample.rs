@@ -33,6 +33,7 @@ use crate::song::{KnownBeats, song_features};
 /// Conditions of phrases.
 pub(super) const ACCEPTS: &[&str] = &[
     "item",
+    "held_out",
     "audio_features",
     "song",
     "style",
@@ -176,6 +177,7 @@ impl<'a> Phrases<'a> {
             let hint = "sample parts of a song (option `frames`), or train with `rotation_6d`";
             return Err(Error::usage(message, hint));
         }
+        others.extend(request.path().cloned().map(Condition::Path));
         let windows = match must_join {
             true => Some(Windows::new(frames, length)),
             false => windows(config, frames),

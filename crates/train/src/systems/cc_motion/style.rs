@@ -64,7 +64,7 @@ pub(super) fn with_labels(
             ),
             format!(
                 "it knows {}; `data.labels` gives phrases other labels, or none",
-                listed(&unet.style_labels.clone())
+                listed(&unet.style_labels)
             ),
         ));
     }
@@ -190,10 +190,7 @@ pub(super) fn must_know(style: &Style, config: &Config) -> Result<(), Error> {
                 "train with `model.style` = \"numbers\", \"label\" or \"both\"".to_string()
             }
             StyleConditioning::Numbers => "this run takes eight numbers".to_string(),
-            _ => format!(
-                "this run takes a label: {}",
-                listed(&unet.style_labels.clone())
-            ),
+            _ => format!("this run takes a label: {}", listed(&unet.style_labels)),
         };
         let named = serde_json::to_string(&unet.style).unwrap_or_default();
         let message = format!("option `style` is {asked}, and `model.style` of the run is {named}");
@@ -202,7 +199,7 @@ pub(super) fn must_know(style: &Style, config: &Config) -> Result<(), Error> {
     match style {
         Style::Label(label) if !unet.style_labels.contains(label) => Err(Error::usage(
             format!("option `style` is `{label}`, a label that the run does not know"),
-            format!("it knows {}", listed(&unet.style_labels.clone())),
+            format!("it knows {}", listed(&unet.style_labels)),
         )),
         _ => Ok(()),
     }

@@ -26,7 +26,14 @@ use crate::system::System as _;
 
 /// Conditions of rollouts.
 pub(super) fn accepts(_: &str) -> &'static [&'static str] {
-    &["history", "item", "text", "text_embedding", "prompts"]
+    &[
+        "history",
+        "item",
+        "held_out",
+        "text",
+        "text_embedding",
+        "prompts",
+    ]
 }
 
 /// A request for rollouts.

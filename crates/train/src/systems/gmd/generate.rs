@@ -195,7 +195,7 @@ impl ClipGenerator {
     ///
     /// The models' training length is sampled, or the longest clip's length, and the rest is cut
     /// off: shorter noise would give the network more padding than in training (docs/sources.md,
-    /// section 4.13). The padding is `sampling.padding`.
+    /// section 4.13). The padding is `steering.padding`.
     ///
     /// # Errors
     /// If a goal cannot be followed in so many frames, the sampler's settings cannot work, one of the
@@ -322,7 +322,7 @@ impl ClipGenerator {
         if let Some(most) = self.longest {
             in_range("frames", frames, 1..=most).hint(
                 "`model.padded_frames` is the maximum length of the network: shorten the goal, or use \
-                 fewer option `frames` without one",
+                 fewer frames (option `frames`) without one",
             )?;
         }
         let (batch, channels) = (texts.len(), self.channels);

@@ -26,9 +26,10 @@ use crate::system::System;
 /// Conditions of clips, and of ground paths.
 pub(super) fn accepts(recipe: &str) -> &'static [&'static str] {
     match recipe == RecipeName::Trajectory.name() {
-        true => &["item", "text", "text_embedding", "goal"],
+        true => &["item", "held_out", "text", "text_embedding", "goal"],
         false => &[
             "item",
+            "held_out",
             "text",
             "text_embedding",
             "goal",
@@ -177,9 +178,13 @@ impl<'a> Clips<'a> {
         if request.is_unconditional() {
             sink.note("no condition given: sampling without a text and without a goal");
         }
-        let trajectory = request.trajectory().and_then(|given| given.saved.clone());
-        let trajectory = trajectory.map(|saved| trajectory_model(trained, *saved));
-        self.trajectory = trajectory.transpose()?;
+        if let Some(given) = request.trajectory() {
+            let saved = match &given.saved {
+                Some(saved) => SavedCheckpoint::clone(saved),
+                None => SavedCheckpoint::read(&given.checkpoint)?,
+            };
+            self.trajectory = Some(trajectory_model(trained, saved)?);
+        }
         let mut inputs = vec![text_input(config)];
         let of_stage = self.trajectory.iter();
         inputs.extend(of_stage.map(|model| text_input(model.config())));

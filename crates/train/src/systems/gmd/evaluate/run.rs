@@ -48,7 +48,10 @@ pub fn prepare<'a>(
     if let Some(evaluator) = &evaluator {
         evaluator.must_take(held_out[0].features.layout())?;
     }
-    let labels = labels_of(&data)?.unwrap_or_default();
+    let labels = match evaluator {
+        Some(_) => labels_of(&data)?.unwrap_or_default(),
+        None => Default::default(),
+    };
     let task = GoalTask {
         keyframes: settings.keyframes,
         keyframe_placement: settings.keyframe_placement,
