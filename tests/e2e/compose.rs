@@ -230,7 +230,7 @@ fn a_trained_network_is_taught_to_follow_paths() {
     for (line, expected) in [
         (
             "sample runs/bpe --path left.toml --method tokens --out x".to_owned(),
-            "a run whose network is told no paths",
+            "a run whose network has no path condition",
         ),
         (
             format!("{adapt} --set run.name=x --set adapter.last_layers=3"),
