@@ -161,7 +161,8 @@ mod tests {
 
     #[test]
     fn arguments_without_their_owner_are_refused() {
-        let cases: [(fn(&mut ConditionArguments), &str); 9] = [
+        type Change = fn(&mut ConditionArguments);
+        let cases: [(Change, &str); 9] = [
             (
                 |a| a.source = Some("set".into()),
                 "`source` without option `item`",

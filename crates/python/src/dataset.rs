@@ -11,8 +11,9 @@ use kinegrad_data::{PhraseItem, PhraseSamples};
 use kinegrad_motion::{CHANNELS, Representation, Statistics};
 use kinegrad_train::Error;
 use kinegrad_train::checkpoint::State;
-use kinegrad_train::config::{Config, SystemTables as _};
-use kinegrad_train::systems::{BUILT_IN, gmd};
+use kinegrad_train::config::Config;
+use kinegrad_train::systems::BUILT_IN;
+use kinegrad_train::systems::gmd::{GmdConfig, channels_of};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
@@ -242,8 +243,10 @@ impl Dataset {
                 } = &**clips;
                 let representation = dataset.representation.clone();
                 // Without a recipe of clips, all of the channels.
-                let channels = gmd::channels_of(&self.config);
-                let channels = channels.unwrap_or_else(|_| representation.channels());
+                let channels = match self.config.system.get::<GmdConfig>() {
+                    Some(_) => channels_of(&self.config),
+                    None => representation.channels(),
+                };
                 let mut samples = ClipSamples::new(
                     items.clone(),
                     representation,
@@ -270,8 +273,8 @@ fn labels_of(
     if config.data.humanml3d.text != CaptionText::Labels {
         return Ok(None);
     }
-    let stated = gmd::GmdConfig::of(config).map(|own| own.text.captions);
-    let captions = match stated.unwrap_or_default() {
+    let own = config.system.get::<GmdConfig>();
+    let captions = match own.map(|own| own.text.captions.clone()).unwrap_or_default() {
         none if none.is_empty() => {
             let found = dataset
                 .train

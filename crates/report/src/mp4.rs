@@ -198,10 +198,8 @@ fn last_lines(messages: &str) -> String {
     last.join("; ")
 }
 
-#[cfg(test)]
+#[cfg(all(test, unix))]
 mod tests {
-    #![cfg(unix)]
-
     use std::os::unix::fs::PermissionsExt;
     use std::path::PathBuf;
 

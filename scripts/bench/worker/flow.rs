@@ -101,10 +101,12 @@ impl Work for Drawing {
                 previous: previous_state(last.reshape([1, channels])),
                 progress: place.narrow(1, 0, 1).reshape([1]),
             };
-            let flowed =
-                self.model
-                    .predictor
-                    .draw(noise, &cond, FlowPrediction::Velocity, &self.sampler)?;
+            let flowed = self.model.predictor.sample(
+                noise,
+                &cond,
+                FlowPrediction::Velocity,
+                &self.sampler,
+            )?;
             drawn.push(flowed.x.swap_dims(1, 2));
         }
         Ok(Done {

@@ -58,6 +58,9 @@ pub(crate) fn clips_named(dataset: &Dataset<Clip>, pattern: &str) -> Result<Vec<
     Ok(chosen)
 }
 
+/// Clips with the dataset that they are of.
+pub(crate) type RequestedClips = (DataConfig, Vec<Arc<Clip>>);
+
 /// The clips that a request names by id, or held-out ones, with the dataset they are of; none if it
 /// names neither.
 ///
@@ -67,7 +70,7 @@ pub(crate) fn requested(
     trained: &TrainedModel,
     request: &Request,
     sink: &mut dyn SampleSink,
-) -> Result<Option<(DataConfig, Vec<Arc<Clip>>)>, Error> {
+) -> Result<Option<RequestedClips>, Error> {
     let (item, held_out) = (request.item(), request.held_out_items());
     if item.is_none() && held_out.is_none() {
         return Ok(None);

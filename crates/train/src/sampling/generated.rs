@@ -36,7 +36,7 @@ pub enum Generated {
         /// Joint positions, which may be elsewhere on the ground than the features.
         joints: Joints,
         /// Its skeleton.
-        skeleton: Skeleton,
+        skeleton: Box<Skeleton>,
         /// Joint features, of models that generate them.
         features: Option<Features>,
         /// The ground path of a first stage, x and z in metres.
@@ -89,10 +89,7 @@ impl Generated {
                     shape: vec![features.frames(), features.layout().channels()],
                     values: features.into_vec(),
                 });
-                let figure = Contents::Figure {
-                    joints,
-                    skeleton: Box::new(skeleton),
-                };
+                let figure = Contents::Figure { joints, skeleton };
                 let mut files = vec![(MOTION, positions)];
                 files.extend(rows.map(|rows| (FEATURES, rows)));
                 files.push((BVH, figure));

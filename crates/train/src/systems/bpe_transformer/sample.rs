@@ -226,7 +226,7 @@ impl Sampler for Compositions<'_> {
                 };
                 let clip = Generated::Clip {
                     joints,
-                    skeleton: skeleton.clone(),
+                    skeleton: Box::new(skeleton.clone()),
                     features: Some(features),
                     path: None,
                 };

@@ -2,6 +2,7 @@
 
 use std::ops::RangeInclusive;
 use std::path::Path;
+use std::slice::from_ref;
 use std::sync::Arc;
 
 use kinegrad_data::humanml::Clip;
@@ -81,7 +82,7 @@ impl<'a> Rollouts<'a> {
             Some(prompts) => frames = prompts.iter().map(|prompt| prompt.frames).sum(),
             None => {
                 let text = texts.first();
-                let text = text.map(|text| text_of(text, &[input.clone()], &trained.device));
+                let text = text.map(|text| text_of(text, from_ref(&input), &trained.device));
                 let text = text.transpose()?.flatten();
                 prompts = text.map(|text| {
                     let text = Some(text);
@@ -250,7 +251,7 @@ impl Sampler for Rollouts<'_> {
                 };
                 let clip = Generated::Clip {
                     joints: Joints::new(frames, skeleton.joints()).expect("whole frames"),
-                    skeleton: skeleton.clone(),
+                    skeleton: Box::new(skeleton.clone()),
                     features: None,
                     path: None,
                 };

@@ -287,7 +287,7 @@ impl<'a> Clips<'a> {
         };
         let clip = Generated::Clip {
             joints,
-            skeleton: skeleton.clone(),
+            skeleton: Box::new(skeleton.clone()),
             features: Some(features),
             path: first,
         };
