@@ -15,8 +15,8 @@ pub fn forward_differences(values: &[[f64; 3]], fps: f64) -> Vec<[f64; 3]> {
     repeat_last(differences(values, fps), values.len())
 }
 
-/// Angular velocity, radians per second, world frame, `[frames, 3]`: the rotation vector of `q[t+1]
-/// * conj(q[t])` times `fps`, the last one repeated. Signs of quaternions do not matter.
+/// Angular velocity, radians per second, world frame, `[frames, 3]`: the rotation vector of
+/// `q[t+1] * conj(q[t])` times `fps`, the last one repeated. Signs of quaternions do not matter.
 pub fn angular_velocity(quaternions: &[Quaternion], fps: f64) -> Vec<[f64; 3]> {
     let turns = quaternions.windows(2).map(|pair| {
         let turn = pair[1] * pair[0].conjugate();
