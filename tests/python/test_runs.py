@@ -247,7 +247,6 @@ def test_ctrl_c_interrupts_soon(phrases):
 
 def test_a_bar_is_shown_on_a_terminal(phrases):
     import pty
-import re
 
     code = f"import kinegrad; kinegrad.Run({str(phrases.path)!r}).sample(steps=3, frames=24)"
     ours, theirs = pty.openpty()
