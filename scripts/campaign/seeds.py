@@ -142,7 +142,7 @@ joints = ["Hips"]
 [[part]]
 name = "lower"
 joints = ["Hips"]
-way = true
+root_trajectory = true
 """
 POSES = """[[keyframe]]
 time = 1.0
