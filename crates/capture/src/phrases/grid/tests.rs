@@ -140,7 +140,7 @@ fn a_count_off_by_one_is_laid_and_one_off_by_five_percent_is_not() {
     assert!(note.ends_with("aligned with even beats"), "{note}");
     let segment_beats = even.segment_beats.as_ref().expect("beats");
     assert!((segment_beats.moment(61.0) - danced[64]).abs() < 1e-9);
-    // What is song_beats is still a feature, in bars that nobody knows.
+    // The stated beats are still a feature, with unknown bars.
     assert_eq!(even.pulse.as_ref().expect("beats").bars(), None);
 
     let wanted = Timeline::of_segments(grid, 61.0, Some(&song), Some(Grid::Tracked));
