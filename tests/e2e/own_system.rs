@@ -18,14 +18,15 @@ use kinegrad_diffusion::Time;
 use kinegrad_motion::humanml::Joints;
 use kinegrad_motion::{Representation, Statistics};
 use kinegrad_random::{Key, Purpose};
+use kinegrad_systems::BUILT_IN;
 use kinegrad_train::TrainedModel;
 use kinegrad_train::config::{Config, ConfigError, OwnTables, SystemTables};
 use kinegrad_train::denoising::{HeldOut, Inputs};
 use kinegrad_train::evaluation::{Evaluation, EvaluationRequest, Group, Metrics, Number, Results};
 use kinegrad_train::run::{Material, Outcome, Setup};
 use kinegrad_train::sampling::{Generated, Job, Request, Run, SampleSink, Sampler, Summary};
-use kinegrad_train::systems::{BUILT_IN, RecipeInfo, System, Systems};
 use kinegrad_train::{Error, Loss, Measured, Observer, ParameterCount, Recipe, StepKey};
+use kinegrad_train::{RecipeInfo, System, Systems};
 use serde::{Deserialize, Serialize};
 use toml::Table;
 

@@ -5,18 +5,18 @@ use std::fs;
 use std::ops::ControlFlow;
 use std::path::Path;
 
+use kinegrad_cc_motion::generate::Generator;
+use kinegrad_cc_motion::windowed::WindowedSampling;
 use kinegrad_data::{AudioLayout, load_audio, read_motion};
 use kinegrad_motion::phrase::POSITION;
 use kinegrad_motion::stitch::Windows;
 use kinegrad_motion::{MotionMeasure, Phrase};
 use kinegrad_random::{Key, Purpose};
+use kinegrad_systems::BUILT_IN;
 use kinegrad_tests::captures::wav;
 use kinegrad_tests::sandbox::{SMALLEST, SMALLEST_WALKS, Sandbox};
 use kinegrad_train::checkpoint::{SavedCheckpoint, Weights};
 use kinegrad_train::sampling::KnownFramesCondition;
-use kinegrad_train::systems::BUILT_IN;
-use kinegrad_train::systems::cc_motion::generate::Generator;
-use kinegrad_train::systems::cc_motion::windowed::WindowedSampling;
 use serde_json::Value;
 
 /// A sandbox with a run that was trained on 24 frames, and a song of 181 frames.

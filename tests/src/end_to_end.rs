@@ -3,14 +3,14 @@
 use std::sync::Arc;
 
 use burn::tensor::{Device, Tensor};
+use kinegrad_cc_motion::recipes::{E2eDraws, E2eRecipe, Rollouts};
+use kinegrad_cc_motion::{LossConfig, RolloutConfig, RolloutMode, RolloutStart};
 use kinegrad_data::AUDIO;
 use kinegrad_diffusion::{BetaSchedule, DiffusionConfig, GaussianDiffusion, PredictionType};
 use kinegrad_models::{Initializer, MotionModel, parameters};
 use kinegrad_motion::Statistics;
 use kinegrad_train::config::ClipSample;
 use kinegrad_train::denoising::{Conditions, Draws, HeldOut, Inputs};
-use kinegrad_train::systems::cc_motion::recipes::{E2eDraws, E2eRecipe, Rollouts};
-use kinegrad_train::systems::cc_motion::{LossConfig, RolloutConfig, RolloutMode, RolloutStart};
 
 use crate::golden::{Golden, GoldenTensors, Reference};
 use crate::{decoder, unet, weights};

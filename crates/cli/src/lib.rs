@@ -3,7 +3,8 @@
 //! A program with its own systems gets all commands for them:
 //!
 //! ```no_run
-//! use kinegrad_train::systems::{BUILT_IN, System, Systems};
+//! use kinegrad_systems::BUILT_IN;
+//! use kinegrad_train::{System, Systems};
 //!
 //! fn with(mine: &dyn System) -> std::process::ExitCode {
 //!     let all: Vec<&dyn System> = BUILT_IN.0.iter().copied().chain([mine]).collect();
@@ -44,7 +45,7 @@ use std::ffi::OsString;
 use std::process::ExitCode;
 
 use kinegrad_train::Error;
-use kinegrad_train::systems::Systems;
+use kinegrad_train::Systems;
 
 use args::{Arguments, AudioCommand, Command, ConfigCommand, DataCommand, TextCommand};
 
@@ -109,8 +110,3 @@ fn execute(systems: Systems<'_>, command: Command) -> Result<ExitCode, Error> {
         Command::Man(arguments) => commands::shell::man(arguments),
     }
 }
-
-// The README's Rust is compiled as a doctest.
-#[cfg(doctest)]
-#[doc = include_str!("../../../README.md")]
-struct Readme;

@@ -5,10 +5,10 @@ use std::path::Path;
 use kinegrad_data::write_whole;
 use kinegrad_report::scene::{Floor, Scene};
 use kinegrad_report::{body_panels, draw_png, viewer};
+use kinegrad_train::Systems;
 use kinegrad_train::checkpoint::{SavedCheckpoint, Weights};
 use kinegrad_train::run::preview_page;
 use kinegrad_train::sampling::{Contents, Request, Sample, SampleSink};
-use kinegrad_train::systems::Systems;
 use kinegrad_train::{Error, Preview};
 
 use crate::scene;

@@ -6,9 +6,9 @@ use std::io::{Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
+use kinegrad_train::Systems;
 use kinegrad_train::checkpoint::{Best, Checkpoints, State};
 use kinegrad_train::run::{PREVIEWS, SAMPLES, is_in_use};
-use kinegrad_train::systems::Systems;
 use kinegrad_train::{Config, Error};
 
 /// Folders of a run that contain no runs.
@@ -308,7 +308,7 @@ fn search(folder: &Path, depth: usize, found: &mut Vec<PathBuf>) {
 
 #[cfg(test)]
 mod tests {
-    use kinegrad_train::systems::BUILT_IN;
+    use kinegrad_systems::BUILT_IN;
 
     use super::*;
 

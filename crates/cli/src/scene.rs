@@ -15,8 +15,8 @@ use kinegrad_motion::{CHANNELS, Phrase, Phrases, Representation};
 use kinegrad_report::Panel;
 use kinegrad_report::scene::{Curves, Floor, Scene, SceneObject};
 use kinegrad_train::Error;
+use kinegrad_train::Systems;
 use kinegrad_train::clips::read_goal;
-use kinegrad_train::systems::Systems;
 
 use crate::args::ReadingArguments;
 use crate::io::{BvhReading, CENTIMETRES, Motion, bvh_file, motion_files, not_finite, with_raw};

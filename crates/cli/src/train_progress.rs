@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
 use indicatif::ProgressBar;
-use kinegrad_train::systems::Systems;
+use kinegrad_train::Systems;
 use kinegrad_train::{Error, Observer, Preview, Reading, RunSummary, StepReport};
 
 use crate::progress::{bar, duration, reading, stop_on_ctrl_c};

@@ -4,8 +4,8 @@ use std::path::{Path, PathBuf};
 
 use kinegrad_cli::checkpoint;
 use kinegrad_motion::Profile;
+use kinegrad_systems::BUILT_IN;
 use kinegrad_train::Error;
-use kinegrad_train::systems::BUILT_IN;
 use numpy::PyReadonlyArrayDyn;
 use pyo3::prelude::*;
 

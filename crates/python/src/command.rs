@@ -2,7 +2,7 @@
 
 use std::process::ExitCode;
 
-use kinegrad_train::systems::BUILT_IN;
+use kinegrad_systems::BUILT_IN;
 use pyo3::prelude::*;
 
 /// Runs the command line `arguments`, the program's name being the first, and returns its exit code.

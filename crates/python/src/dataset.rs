@@ -8,12 +8,12 @@ use kinegrad_cli::checkpoint;
 use kinegrad_data::humanml::{CaptionLabels, CaptionText, Clip, ClipSamples};
 use kinegrad_data::{Batch, DataConfig, DataKind, Item, ItemSet, Loader};
 use kinegrad_data::{PhraseItem, PhraseSamples};
+use kinegrad_gmd::{GmdConfig, channels_of};
 use kinegrad_motion::{CHANNELS, Representation, Statistics};
+use kinegrad_systems::BUILT_IN;
 use kinegrad_train::Error;
 use kinegrad_train::checkpoint::State;
 use kinegrad_train::config::Config;
-use kinegrad_train::systems::BUILT_IN;
-use kinegrad_train::systems::gmd::{GmdConfig, channels_of};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 

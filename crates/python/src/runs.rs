@@ -3,9 +3,9 @@
 use std::path::{Path, PathBuf};
 
 use kinegrad_cli::{checkpoint, while_it_is_trained};
+use kinegrad_systems::BUILT_IN;
 use kinegrad_train::checkpoint::{SavedCheckpoint, Weights};
 use kinegrad_train::evaluation::EvaluationRequest;
-use kinegrad_train::systems::BUILT_IN;
 use kinegrad_train::{Error, TrainedModel, telemetry};
 use pyo3::prelude::*;
 

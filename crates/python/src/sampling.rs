@@ -7,9 +7,9 @@ use kinegrad_cli::{
     ConditionArguments, Existing, Files, bvh_text, must_be_finite, while_it_is_trained,
 };
 use kinegrad_motion::PostProcessProfile;
+use kinegrad_systems::BUILT_IN;
 use kinegrad_train::sampling::{self, Contents, Request, SampleSink};
 use kinegrad_train::song::KnownBeats;
-use kinegrad_train::systems::BUILT_IN;
 use kinegrad_train::{Error, Reading};
 use numpy::PyArrayDyn;
 use pyo3::prelude::*;

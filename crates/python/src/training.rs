@@ -4,8 +4,8 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use kinegrad_cli::as_arguments;
+use kinegrad_systems::BUILT_IN;
 use kinegrad_train::run::{self, Target, TrainRequest};
-use kinegrad_train::systems::BUILT_IN;
 use kinegrad_train::{Ending, Observer, Reading, RunSummary, StepReport};
 use pyo3::exceptions::PyKeyboardInterrupt;
 use pyo3::prelude::*;

@@ -19,7 +19,7 @@ pub struct ImportRequest {
     /// The file that `torch.save` wrote.
     pub weights: PathBuf,
     /// The architecture, one of a system's
-    /// [`architectures`](crate::systems::System::architectures).
+    /// [`architectures`](crate::System::architectures).
     pub architecture: String,
     /// `.npy` file of the training data's mean, one number a channel.
     pub mean: Option<PathBuf>,
@@ -59,7 +59,7 @@ impl Imported {
     ///
     /// # Errors
     /// If it cannot be written.
-    pub(crate) fn write<M: Module>(
+    pub fn write<M: Module>(
         request: &ImportRequest,
         model: &M,
         mut config: Config,
@@ -81,7 +81,7 @@ impl Imported {
 }
 
 /// The tensors of a file without those that `is_skipped` names, and how many are skipped.
-pub(crate) fn needed(
+pub fn needed(
     mut tensors: BTreeMap<String, Tensor>,
     is_skipped: impl Fn(&str) -> bool,
 ) -> (BTreeMap<String, Tensor>, usize) {
@@ -95,7 +95,7 @@ pub(crate) fn needed(
 ///
 /// # Errors
 /// [`Error::Array`] for a mean of other features.
-pub(crate) fn skeleton_of(mean: &[f64], path: &Path) -> Result<SkeletonName, Error> {
+pub fn skeleton_of(mean: &[f64], path: &Path) -> Result<SkeletonName, Error> {
     SkeletonName::of_channels(mean.len()).ok_or_else(|| Error::Array {
         path: path.to_path_buf(),
         found: format!("{} numbers", mean.len()),

@@ -194,7 +194,7 @@ pub fn size(bytes: u64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::systems::BUILT_IN;
+    use crate::config::plain;
 
     #[test]
     fn sizes_are_for_people() {
@@ -214,32 +214,8 @@ mod tests {
     }
 
     #[test]
-    fn the_coherent_fit_of_long_phrases_counts() {
-        let footprint = |frames: usize| {
-            let text = format!(
-                "[train]\nrecipe = \"e2e\"\n[decoder]\ncoherence = \"projection\"\n[data]\n\
-                 target_frames = {frames}"
-            );
-            let config = BUILT_IN.parse(&text, "c.toml", &[]).expect("a config");
-            let (system, _) = BUILT_IN.of(&config).expect("built in");
-            system.footprint(&config).expect("networks")
-        };
-        let [long, longer] = [30_000, 60_000].map(footprint);
-        assert_eq!(
-            (longer.activations, longer.shared),
-            (2 * long.activations, 2 * long.shared)
-        );
-        // The fit is computed once per batch and is small compared with an item.
-        let [one, two] = [1, 2].map(|items| long.of_sampling(items, false, true));
-        assert!(
-            long.shared > 0 && 4 * long.shared < (two - one) / 10,
-            "{one}, {two}"
-        );
-    }
-
-    #[test]
     fn validation_keeps_no_gradients_and_each_batch_counts() {
-        let parse = |text: &str| BUILT_IN.parse(text, "c.toml", &[]).expect("a config");
+        let parse = |text: &str| plain(text, &[]);
         let [little, batch, validation] = [
             "",
             "[data]\nbatch_size = 64",

@@ -60,6 +60,6 @@ impl ParameterCount {
 }
 
 /// True if a parameter belongs to a low-rank adapter.
-pub(crate) fn is_adapter(info: &ParameterInfo) -> bool {
+pub fn is_adapter(info: &ParameterInfo) -> bool {
     info.name.split('.').any(|part| part == "lora")
 }

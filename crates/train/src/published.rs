@@ -76,7 +76,7 @@ pub fn load<M: Module>(
 ///
 /// # Errors
 /// As [`load`].
-pub(crate) fn load_values<M: Module>(
+pub fn load_values<M: Module>(
     path: &Path,
     module: M,
     found: &[ParameterInfo],
@@ -109,13 +109,13 @@ pub(crate) fn load_values<M: Module>(
 }
 
 /// A tensor in single precision.
-pub(crate) fn values_of(tensor: &Tensor) -> Result<Vec<f32>, String> {
+pub fn values_of(tensor: &Tensor) -> Result<Vec<f32>, String> {
     let bytes = tensor.read().map_err(|error| error.to_string())?;
     singles(&bytes, tensor.dtype())
 }
 
 /// Numbers of a type in single precision.
-pub(crate) fn singles(bytes: &[u8], dtype: DType) -> Result<Vec<f32>, String> {
+pub fn singles(bytes: &[u8], dtype: DType) -> Result<Vec<f32>, String> {
     fn numbers<T: bytemuck::Pod>(bytes: &[u8], single: impl Fn(T) -> f32) -> Vec<f32> {
         let numbers: Vec<T> = bytemuck::pod_collect_to_vec(bytes);
         numbers.into_iter().map(single).collect()

@@ -28,10 +28,14 @@ use std::time::Instant;
 
 use burn::module::Module;
 use burn::tensor::{Device, Tensor};
+use kinegrad_cc_motion::recipes::{E2eDraws, E2eRecipe, Rollouts, diffusion_recipe};
+use kinegrad_cc_motion::{LossConfig, RolloutConfig};
 use kinegrad_data::AUDIO_CHANNELS;
 use kinegrad_diffusion::{
     ClipRange, DiffusionConfig, GaussianDiffusion, PredictionType, SamplerConfig, sample,
 };
+use kinegrad_gmd::GmdLossConfig;
+use kinegrad_gmd::recipes::clip_recipe;
 use kinegrad_models::decoder::{DecoderInit, Normalization};
 use kinegrad_models::gmd::GmdUnetConfig;
 use kinegrad_models::parameters::{self, ParameterInfo};
@@ -46,12 +50,6 @@ use kinegrad_train::config::{EmaConfig, OptimConfig};
 use kinegrad_train::denoising::{DenoisingRecipe, HeldOut};
 use kinegrad_train::ema::Ema;
 use kinegrad_train::optim::{AdamW, Moments, clip_factor, global_norm};
-use kinegrad_train::systems::cc_motion::recipes::{
-    E2eDraws, E2eRecipe, Rollouts, diffusion_recipe,
-};
-use kinegrad_train::systems::cc_motion::{LossConfig, RolloutConfig};
-use kinegrad_train::systems::gmd::GmdLossConfig;
-use kinegrad_train::systems::gmd::recipes::clip_recipe;
 use kinegrad_train::{Loss, Recipe};
 use serde::Deserialize;
 use serde_json::json;

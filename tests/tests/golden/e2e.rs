@@ -6,6 +6,8 @@ use std::collections::HashMap;
 
 use burn::module::Module;
 use burn::tensor::Tensor;
+use kinegrad_cc_motion::losses::{ReconstructionLoss, temporal_losses};
+use kinegrad_cc_motion::{LossConfig, RolloutMode};
 use kinegrad_diffusion::{
     ClipRange, Denoiser, Rollout, RolloutMode as Graph, Time, rollout_timesteps,
 };
@@ -17,8 +19,6 @@ use kinegrad_tests::{trials, weights};
 use kinegrad_train::Recipe;
 use kinegrad_train::config::OptimConfig;
 use kinegrad_train::optim::{AdamW, Moments, global_norm};
-use kinegrad_train::systems::cc_motion::losses::{ReconstructionLoss, temporal_losses};
-use kinegrad_train::systems::cc_motion::{LossConfig, RolloutMode};
 
 /// The tests of this file.
 pub fn tests() -> Vec<GoldenTest> {

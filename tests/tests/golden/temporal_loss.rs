@@ -2,10 +2,10 @@
 //! gradients where naive formulas have none.
 
 use burn::tensor::{Device, Tensor};
+use kinegrad_cc_motion::losses::{PhaseLoss, TemporalLossConfig, temporal_losses};
 use kinegrad_tests::golden::{Golden, GoldenTensors, ReferenceTensors};
 use kinegrad_tests::trials;
 use kinegrad_tests::trials::GoldenTest;
-use kinegrad_train::systems::cc_motion::losses::{PhaseLoss, TemporalLossConfig, temporal_losses};
 
 fn terms(motion: &Tensor<3>, config: &TemporalLossConfig) -> Vec<(&'static str, Tensor<1>)> {
     let [batch, time, _] = motion.dims();

@@ -5,14 +5,14 @@ use burn::module::Module;
 use burn::tensor::{Device, Tensor};
 use kinegrad_data::write_values;
 use kinegrad_diffusion::Time;
+use kinegrad_gmd::{Gmd, TrainedClips};
 use kinegrad_models::transformer::EncoderConfig;
 use kinegrad_models::{Backbone, Initializer, TextDenoiser, parameters};
 use kinegrad_tests::golden::{Golden, GoldenTensors, ReferenceTensors, workspace};
 use kinegrad_tests::weights;
+use kinegrad_train::System;
 use kinegrad_train::checkpoint::{SavedCheckpoint, Weights};
 use kinegrad_train::import::ImportRequest;
-use kinegrad_train::systems::System;
-use kinegrad_train::systems::gmd::{Gmd, TrainedClips};
 
 const OUTPUT: f64 = 2e-5;
 const GRADIENT: f64 = 1e-4;

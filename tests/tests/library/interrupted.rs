@@ -5,9 +5,9 @@ use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
+use kinegrad_systems::BUILT_IN;
 use kinegrad_tests::sandbox::{SMALLEST, SMALLEST_WALKS};
 use kinegrad_train::run::{Target, TrainRequest, train};
-use kinegrad_train::systems::BUILT_IN;
 use kinegrad_train::{Error, Observer, Reading, RunSummary, StepReport};
 
 /// Stops after a number of items read, including those read for statistics.

@@ -12,9 +12,9 @@ use kinegrad_motion::Statistics;
 use kinegrad_motion::humanml::{FeatureLayout, Features, Root};
 use kinegrad_motion::metrics::text_motion::{TextMotionReport, Token, WordVectors};
 use kinegrad_tests::weights;
+use kinegrad_text_motion::TextMotion;
 use kinegrad_train::Error;
 use kinegrad_train::clips::evaluator::TextMotionEvaluator as _;
-use kinegrad_train::systems::text_motion::TextMotion;
 
 /// Absolute, for embeddings and metrics.
 const TOLERANCE: f64 = 1e-5;

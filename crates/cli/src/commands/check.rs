@@ -8,8 +8,8 @@ use kinegrad_data::{DataConfig, DataKind};
 use kinegrad_motion::{Profile, Report, Representation, Statistics};
 use kinegrad_report::table;
 use kinegrad_train::Error;
+use kinegrad_train::Systems;
 use kinegrad_train::checkpoint::State;
-use kinegrad_train::systems::Systems;
 use miette::Diagnostic;
 use serde_json::json;
 

@@ -2,8 +2,8 @@
 
 use std::process::ExitCode;
 
+use kinegrad_train::Systems;
 use kinegrad_train::memory;
-use kinegrad_train::systems::Systems;
 use kinegrad_train::{Error, config, run};
 
 use crate::args::ShowArguments;

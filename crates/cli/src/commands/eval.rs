@@ -6,10 +6,10 @@ use std::process::ExitCode;
 use std::rc::Rc;
 
 use kinegrad_report::{Column, Section, columns_csv, columns_table};
+use kinegrad_train::Systems;
 use kinegrad_train::checkpoint::SavedCheckpoint;
 use kinegrad_train::config;
 use kinegrad_train::evaluation::{self, Evaluated, EvaluationRequest, Group, Number};
-use kinegrad_train::systems::Systems;
 use kinegrad_train::{Error, Together, TrainedModel};
 use serde_json::json;
 

@@ -6,8 +6,8 @@ use std::process::ExitCode;
 use kinegrad_capture::Plan;
 use kinegrad_motion::goal::Goal;
 use kinegrad_train::Error;
+use kinegrad_train::Systems;
 use kinegrad_train::system::{ConfigKey, toml_text};
-use kinegrad_train::systems::Systems;
 
 use super::nearest;
 use crate::args::ExplainArguments;

@@ -4,8 +4,8 @@ use std::process::ExitCode;
 
 use kinegrad_report::grouped;
 use kinegrad_train::Error;
+use kinegrad_train::Systems;
 use kinegrad_train::import::ImportRequest;
-use kinegrad_train::systems::Systems;
 
 use crate::args::ImportArguments;
 

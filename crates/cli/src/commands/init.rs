@@ -160,7 +160,7 @@ fn write_new(file: &Path, text: &str) -> Result<(), Error> {
 
 #[cfg(test)]
 mod tests {
-    use kinegrad_train::systems::BUILT_IN;
+    use kinegrad_systems::BUILT_IN;
 
     use super::*;
 

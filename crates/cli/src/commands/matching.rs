@@ -8,7 +8,7 @@ use kinegrad_matching::{
 };
 use kinegrad_report::check_ending;
 use kinegrad_train::Error;
-use kinegrad_train::systems::Systems;
+use kinegrad_train::Systems;
 
 use crate::args::MatchArguments;
 use crate::io::{Content, guess_units, guess_up, is_bvh, must_be_new, write_all};

@@ -3,7 +3,7 @@
 use std::process::ExitCode;
 
 use kinegrad_train::Error;
-use kinegrad_train::systems::Systems;
+use kinegrad_train::Systems;
 
 use super::sample::checkpoint;
 use crate::args::MergeArguments;

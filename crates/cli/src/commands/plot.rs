@@ -7,8 +7,8 @@ use kinegrad_motion::Representation;
 use kinegrad_report::scene::Floor;
 use kinegrad_report::{Panel, Series, body_panels, check_ending};
 use kinegrad_train::Error;
+use kinegrad_train::Systems;
 use kinegrad_train::clips::read_goal;
-use kinegrad_train::systems::Systems;
 use kinegrad_train::telemetry::{Record, read_metrics};
 
 use crate::args::PlotArguments;

@@ -11,7 +11,7 @@ use std::process::ExitCode;
 
 use kinegrad_data::file::read_text;
 use kinegrad_report::page::{Block, Cell, Page, Section, Table, Tone, csv_table, html};
-use kinegrad_train::systems::Systems;
+use kinegrad_train::Systems;
 use kinegrad_train::telemetry::{Record, read_environments, read_metrics};
 use kinegrad_train::{Error, config};
 

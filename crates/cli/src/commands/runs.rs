@@ -6,8 +6,8 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use kinegrad_report::table;
 use kinegrad_train::Error;
+use kinegrad_train::Systems;
 use kinegrad_train::memory::size;
-use kinegrad_train::systems::Systems;
 use serde_json::{Value, json};
 
 use crate::args::RunsArguments;

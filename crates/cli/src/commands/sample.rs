@@ -4,10 +4,10 @@ use std::path::Path;
 use std::process::ExitCode;
 
 use kinegrad_report::rows;
+use kinegrad_train::Systems;
 use kinegrad_train::TrainedModel;
 use kinegrad_train::checkpoint::{SavedCheckpoint, Weights, resolve_checkpoint};
 use kinegrad_train::sampling::{Request, Summary};
-use kinegrad_train::systems::Systems;
 use kinegrad_train::{Error, Together};
 use serde::Serialize;
 

@@ -6,10 +6,10 @@ use std::process::ExitCode;
 use std::time::Instant;
 
 use kinegrad_report::facts;
+use kinegrad_train::Systems;
 use kinegrad_train::checkpoint::Weights;
 use kinegrad_train::run::{self, Outcome, SAMPLES, TrainRequest, UNFINISHED_SAMPLES, remove};
 use kinegrad_train::sampling::{self, Request};
-use kinegrad_train::systems::Systems;
 use kinegrad_train::{Ending, Error};
 
 use serde::Serialize;

@@ -6,7 +6,7 @@ use std::process::ExitCode;
 use kinegrad_data::write_whole;
 use kinegrad_report::{ExportError, gif, glb, mp4, must_be_exportable, viewer};
 use kinegrad_train::Error;
-use kinegrad_train::systems::Systems;
+use kinegrad_train::Systems;
 
 use crate::args::ViewArguments;
 use crate::io::must_be_new;

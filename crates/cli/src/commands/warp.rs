@@ -11,7 +11,7 @@ use kinegrad_motion::metrics::{mean_jerk, skating_ratio};
 use kinegrad_motion::path::{ArcLengthMode, PathPlan, PathReport, Warp};
 use kinegrad_report::table;
 use kinegrad_train::Error;
-use kinegrad_train::systems::Systems;
+use kinegrad_train::Systems;
 use serde::Serialize;
 
 use crate::args::WarpArguments;

@@ -6,7 +6,7 @@ use kinegrad_data::{Array, read_array};
 use kinegrad_motion::Representation;
 use kinegrad_motion::humanml::{Joints, Skeleton};
 use kinegrad_train::Error;
-use kinegrad_train::systems::Systems;
+use kinegrad_train::Systems;
 
 use super::bvh::{BvhReading, Capture, is_bvh};
 

@@ -178,7 +178,7 @@ impl Checkpoints {
 }
 
 /// Rejects a folder that holds something.
-pub(crate) fn must_be_free(out: &Path) -> Result<(), Error> {
+pub fn must_be_free(out: &Path) -> Result<(), Error> {
     let taken = out
         .read_dir()
         .is_ok_and(|mut entries| entries.next().is_some());
@@ -195,7 +195,7 @@ pub(crate) fn must_be_free(out: &Path) -> Result<(), Error> {
 }
 
 /// Writes weights without an optimiser as the only checkpoint of the run in `out`.
-pub(crate) fn write_weights(
+pub fn write_weights(
     out: &Path,
     state: &State,
     infos: &[ParameterInfo],

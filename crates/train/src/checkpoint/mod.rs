@@ -17,7 +17,8 @@ pub use saved::SavedCheckpoint;
 pub use state::{Best, FORMAT, Progress, State};
 pub use tensors::{Weights, read_optimizer, read_weights};
 
-pub(crate) use folder::{Unfinished, must_be_free, write_weights};
+pub(crate) use folder::Unfinished;
+pub use folder::{must_be_free, write_weights};
 
 use std::path::Path;
 

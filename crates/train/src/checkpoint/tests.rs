@@ -3,10 +3,10 @@
 use std::fs;
 
 use super::*;
-use crate::systems::BUILT_IN;
+use crate::config::plain;
 
 fn state() -> State {
-    let config = BUILT_IN.parse("", "c.toml", &[]).expect("the defaults");
+    let config = plain("", &[]);
     State {
         format: FORMAT,
         kinegrad: "0.1.0".into(),

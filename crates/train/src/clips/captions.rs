@@ -34,7 +34,7 @@ pub struct CaptionsConfig {
 impl CaptionsConfig {
     /// # Errors
     /// Names the key that cannot be followed.
-    pub(crate) fn validate(&self, data: &DataConfig) -> Result<(), InvalidSetting> {
+    pub fn validate(&self, data: &DataConfig) -> Result<(), InvalidSetting> {
         let key = "text.captions";
         let count = self.captions.len();
         require(
@@ -91,7 +91,7 @@ impl ClipText {
 
 /// The form of a run's text condition.
 #[derive(Clone, Debug)]
-pub(crate) enum TextInput {
+pub enum TextInput {
     /// A text embedding.
     Embedding,
     /// One of the learned captions.
@@ -154,7 +154,7 @@ impl TextInput {
 ///
 /// # Errors
 /// [`Error::Usage`] with the first such clip and what the model knows.
-pub(crate) fn must_know_texts(input: &TextInput, clips: &[Arc<Clip>]) -> Result<(), Error> {
+pub fn must_know_texts(input: &TextInput, clips: &[Arc<Clip>]) -> Result<(), Error> {
     for clip in clips {
         if let Some(text) = ClipText::of(clip) {
             input.values(&text).map_err(|error| match error {
@@ -197,7 +197,7 @@ fn listed(captions: &[String]) -> String {
 /// # Errors
 /// [`Error::Usage`] for a text that one of them does not know, and where the encoder that it needs is
 /// missing or superfluous; if a file cannot be read.
-pub(crate) fn text_of(
+pub fn text_of(
     condition: &Condition,
     inputs: &[TextInput],
     device: &Device,
@@ -248,7 +248,7 @@ pub(crate) fn text_of(
 ///
 /// # Errors
 /// If there are none or too many, or a clip has one that is not known.
-pub(crate) fn with_captions(
+pub fn with_captions(
     mut text: CaptionsConfig,
     setup: &Setup,
     dataset: &Dataset<Clip>,

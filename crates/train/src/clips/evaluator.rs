@@ -33,7 +33,7 @@ pub struct EvaluatorFiles {
 
 impl EvaluatorFiles {
     /// True if any file of the published evaluator is given.
-    pub(crate) fn has_files(&self) -> bool {
+    pub fn has_files(&self) -> bool {
         let mut named = self.named().into_iter();
         named.any(|(_, path)| !path.as_os_str().is_empty())
     }
@@ -49,7 +49,7 @@ impl EvaluatorFiles {
 
     /// # Errors
     /// Names the file that is missing, or `run` if files are given as well.
-    pub(crate) fn validate(&self) -> Result<(), InvalidSetting> {
+    pub fn validate(&self) -> Result<(), InvalidSetting> {
         if !self.has_files() {
             return Ok(());
         }

@@ -21,7 +21,7 @@ pub fn read_goal(path: &Path) -> Result<Goal, Error> {
 ///
 /// # Errors
 /// As [`read_goal`].
-pub(crate) fn read_goal_and_digest(path: &Path) -> Result<(Goal, Digest), Error> {
+pub fn read_goal_and_digest(path: &Path) -> Result<(Goal, Digest), Error> {
     let hint = "docs/goals.md describes goals";
     let file = path.display().to_string();
     let text = read_text(path).map_err(|error| Error::usage(format!("{file}: {error}"), hint))?;

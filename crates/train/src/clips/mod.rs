@@ -3,13 +3,13 @@
 
 pub mod captions;
 pub mod evaluator;
-pub(crate) mod goals;
+pub mod goals;
 mod loss;
-pub(crate) mod path_target;
-pub(crate) mod settings;
-pub(crate) mod space;
+pub mod path_target;
+pub mod settings;
+pub mod space;
 mod text_plan;
-pub(crate) mod training;
+pub mod training;
 
 pub use goals::read_goal;
 pub use loss::weighted_masked_loss;
@@ -28,7 +28,7 @@ use crate::sampling::{Request, SampleSink};
 
 /// `own`, the dataset of a run on clips, or the one at `source`, whose lists define its held-out
 /// clips.
-pub(crate) fn dataset_or(own: &DataConfig, source: Option<&str>) -> DataConfig {
+pub fn dataset_or(own: &DataConfig, source: Option<&str>) -> DataConfig {
     match source {
         None => own.clone(),
         Some(source) => DataConfig {
@@ -44,7 +44,7 @@ pub(crate) fn dataset_or(own: &DataConfig, source: Option<&str>) -> DataConfig {
 ///
 /// # Errors
 /// [`Error::Usage`] if there are none; if one cannot be read.
-pub(crate) fn clips_named(dataset: &Dataset<Clip>, pattern: &str) -> Result<Vec<Arc<Clip>>, Error> {
+pub fn clips_named(dataset: &Dataset<Clip>, pattern: &str) -> Result<Vec<Arc<Clip>>, Error> {
     let mut chosen = Vec::new();
     for side in [&dataset.validation, &dataset.train] {
         let side = side.filter(|id| kinegrad_data::matches(pattern, id));
@@ -59,14 +59,14 @@ pub(crate) fn clips_named(dataset: &Dataset<Clip>, pattern: &str) -> Result<Vec<
 }
 
 /// Clips with the dataset that they are of.
-pub(crate) type RequestedClips = (DataConfig, Vec<Arc<Clip>>);
+pub type RequestedClips = (DataConfig, Vec<Arc<Clip>>);
 
 /// The clips that a request names by id, or held-out ones, with the dataset they are of; none if it
 /// names neither.
 ///
 /// # Errors
 /// If there are none, or one cannot be read.
-pub(crate) fn requested(
+pub fn requested(
     trained: &TrainedModel,
     request: &Request,
     sink: &mut dyn SampleSink,

@@ -83,7 +83,7 @@ impl PathTarget {
     }
 
     /// The warning about a path in `file` that exceeds the training motion.
-    pub(crate) fn too_fast(&self, file: &Path, fps: f64, fastest: Fastest) -> Option<String> {
+    pub fn too_fast(&self, file: &Path, fps: f64, fastest: Fastest) -> Option<String> {
         let speed = self.speed(fps);
         let (limit, of) = match fastest {
             Fastest::Measured(limit) => (limit, "any motion of training"),
@@ -101,7 +101,7 @@ impl PathTarget {
 
     /// The same in the frame of sampling: from the origin, facing +z.
     #[must_use]
-    pub(crate) fn at_origin(&self) -> Self {
+    pub fn at_origin(&self) -> Self {
         let (start, turn) = (self.course.points[0], -self.headings[0]);
         let (sin, cos) = turn.sin_cos();
         let moved = |[x, z]: &[f64; 2]| {
@@ -120,7 +120,7 @@ impl PathTarget {
     }
 
     /// Ground positions as they are seen from the path's start, on the path itself.
-    pub(crate) fn on_path(&self, points: &[[f64; 2]]) -> Vec<[f64; 2]> {
+    pub fn on_path(&self, points: &[[f64; 2]]) -> Vec<[f64; 2]> {
         let ([x0, z0], (sin, cos)) = (self.course.points[0], self.headings[0].sin_cos());
         let moved = |[x, z]: &[f64; 2]| [x0 + x * cos + z * sin, z0 - x * sin + z * cos];
         points.iter().map(moved).collect()
@@ -219,7 +219,7 @@ impl PathTarget {
 
 /// Speed of training roots along either ground axis, m/s.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) enum Fastest {
+pub enum Fastest {
     /// At most.
     Measured(f64),
     /// Five deviations from the mean: published statistics do not say what was the most.
@@ -245,7 +245,7 @@ impl Fastest {
 const SMOOTH: f64 = 1.0;
 
 /// The smoothed ground trajectory of a root at `places`, a point per frame.
-pub(crate) fn way(places: &[[f64; 3]], fps: f64) -> Vec<[f64; 2]> {
+pub fn way(places: &[[f64; 3]], fps: f64) -> Vec<[f64; 2]> {
     let window = 2 * (SMOOTH * fps / 2.0) as usize + 1;
     let track: Vec<[f64; 2]> = places.iter().map(|[x, _, z]| [*x, *z]).collect();
     smoothed(&track, window, 3)
@@ -266,11 +266,7 @@ pub struct Followed {
 ///
 /// # Errors
 /// If they are not joints of `skeleton`, or of a single frame.
-pub(crate) fn features_of(
-    joints: &Joints,
-    skeleton: &Skeleton,
-    root: Root,
-) -> Result<Features, Error> {
+pub fn features_of(joints: &Joints, skeleton: &Skeleton, root: Root) -> Result<Features, Error> {
     let unscaled = Extraction {
         rescale: false,
         ..Extraction::default()
@@ -281,7 +277,7 @@ pub(crate) fn features_of(
 }
 
 /// The path of a request, for a motion of some frames.
-pub(crate) struct FollowedPath {
+pub struct FollowedPath {
     file: PathBuf,
     plan: PathPlan,
     /// The positions that the motion is to have.
@@ -321,7 +317,7 @@ impl FollowedPath {
 }
 
 /// The path of a request, with its file.
-pub(crate) fn read_path(path: &PathFile) -> Result<(PathBuf, PathPlan), Error> {
+pub fn read_path(path: &PathFile) -> Result<(PathBuf, PathPlan), Error> {
     let file = path.file.display().to_string();
     let refused = |message: String| Error::usage(message, "docs/paths.md describes paths");
     let text = read_text(&path.file).map_err(|error| refused(format!("{file}: {error}")))?;

@@ -10,7 +10,7 @@ use crate::config::{Config, SelectBy};
 ///
 /// # Errors
 /// Names the key.
-pub(crate) fn must_be_of_clips(config: &Config) -> Result<(), InvalidSetting> {
+pub fn must_be_of_clips(config: &Config) -> Result<(), InvalidSetting> {
     let recipe = &config.train.recipe;
     require(
         matches!(
@@ -33,7 +33,7 @@ pub(crate) fn must_be_of_clips(config: &Config) -> Result<(), InvalidSetting> {
 ///
 /// # Errors
 /// Names the key.
-pub(crate) fn must_have_no_style(
+pub fn must_have_no_style(
     config: &Config,
     process: &DiffusionConfig,
 ) -> Result<(), InvalidSetting> {
@@ -55,10 +55,7 @@ pub(crate) fn must_have_no_style(
 ///
 /// # Errors
 /// Names the key.
-pub(crate) fn validate_velocity(
-    velocity: f64,
-    process: &DiffusionConfig,
-) -> Result<(), InvalidSetting> {
+pub fn validate_velocity(velocity: f64, process: &DiffusionConfig) -> Result<(), InvalidSetting> {
     let key = "loss.velocity";
     in_range(key, velocity, 0.0..)?;
     require(

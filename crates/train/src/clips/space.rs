@@ -11,7 +11,7 @@ use kinegrad_motion::goal::GROUND_X;
 ///
 /// # Panics
 /// Panics if there is no such channel, or the projection has others.
-pub(crate) fn rows_to_motion(
+pub fn rows_to_motion(
     rows: &[usize],
     std: &[f64],
     projection: Option<&EmphasisProjection>,

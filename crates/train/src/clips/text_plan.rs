@@ -91,7 +91,7 @@ impl TextPlan {
     /// # Errors
     /// [`Error::Usage`] for a text that the model does not know, with the file and the step; if an
     /// embedding cannot be read.
-    pub(crate) fn said(&self, path: &Path, input: &TextInput) -> Result<Vec<ClipText>, Error> {
+    pub fn said(&self, path: &Path, input: &TextInput) -> Result<Vec<ClipText>, Error> {
         let of_step = |(number, step): (usize, &TextStep)| {
             let refused = |message: &str, hint: &str| {
                 let place = format!("{}: step[{number}]", path.display());
@@ -128,7 +128,7 @@ pub struct TimedPrompt {
 
 impl TimedPrompt {
     /// The texts of a motion and the frames in which they begin, for its record.
-    pub(crate) fn records(prompts: &[Self]) -> Vec<SaidRecord> {
+    pub fn records(prompts: &[Self]) -> Vec<SaidRecord> {
         let mut from = 0;
         let record = |prompt: &Self| {
             let begins = from;
@@ -146,7 +146,7 @@ impl TimedPrompt {
     ///
     /// # Errors
     /// If the request sets a length too, the file cannot be read, or a text is not known.
-    pub(crate) fn requested(
+    pub fn requested(
         request: &Request,
         input: &TextInput,
         fps: f64,

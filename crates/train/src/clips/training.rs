@@ -19,7 +19,7 @@ use crate::system::System;
 ///
 /// # Errors
 /// If it cannot be opened, or is another than the one trained on so far.
-pub(crate) fn open(setup: &Setup, observer: &mut dyn Observer) -> Result<Dataset<Clip>, Error> {
+pub fn open(setup: &Setup, observer: &mut dyn Observer) -> Result<Dataset<Clip>, Error> {
     let data = &setup.config.data;
     let dataset = Dataset::open_among(data, &*observer.reading(), &*setup.together)?;
     setup.check_dataset(&dataset, observer)?;
@@ -30,11 +30,7 @@ pub(crate) fn open(setup: &Setup, observer: &mut dyn Observer) -> Result<Dataset
 ///
 /// # Errors
 /// As [`Start::named`].
-pub(crate) fn start_of(
-    setup: &Setup,
-    init: &Path,
-    system: &dyn System,
-) -> Result<Option<Start>, Error> {
+pub fn start_of(setup: &Setup, init: &Path, system: &dyn System) -> Result<Option<Start>, Error> {
     match &setup.checkpoint {
         Some(_) => Ok(None),
         None => Start::named("init.diffusion", init, system),
@@ -45,7 +41,7 @@ pub(crate) fn start_of(
 ///
 /// # Errors
 /// Names the key of the start, and the keys that differ.
-pub(crate) fn must_fit_clips(start: &Start, config: &Config) -> Result<(), Error> {
+pub fn must_fit_clips(start: &Start, config: &Config) -> Result<(), Error> {
     let found = &start.state().config.data.humanml3d;
     let given = &config.data.humanml3d;
     if (given.root, given.skeleton) != (found.root, found.skeleton) {
@@ -62,7 +58,7 @@ pub(crate) fn must_fit_clips(start: &Start, config: &Config) -> Result<(), Error
 ///
 /// # Errors
 /// [`Error::OtherRepresentation`] for statistics of other motion; if a clip cannot be read.
-pub(crate) fn statistics(
+pub fn statistics(
     setup: &Setup,
     start: Option<&Start>,
     dataset: &Dataset<Clip>,
@@ -77,7 +73,7 @@ pub(crate) fn statistics(
 }
 
 /// Samples of the first `channels` of the features of clips, with their texts as `text` says.
-pub(crate) fn samples(
+pub fn samples(
     dataset: &Dataset<Clip>,
     statistics: &Statistics,
     channels: usize,

@@ -8,7 +8,7 @@ use toml::{Table, Value};
 use super::{COMMON, Config, ConfigError, MODEL_KEYS};
 
 /// Puts the values of `above` into `table`, table by table.
-pub(crate) fn lay_over(table: &mut Table, above: Table) {
+pub fn lay_over(table: &mut Table, above: Table) {
     for (key, value) in above {
         match (table.get_mut(&key), value) {
             (Some(Value::Table(below)), Value::Table(above)) => lay_over(below, above),

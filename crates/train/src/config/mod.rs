@@ -16,8 +16,9 @@ mod system_tables;
 mod tables;
 
 pub use difference::{Difference, difference};
+pub use document::lay_over;
 pub use document::to_toml;
-pub(crate) use document::{apply, from_table, lay_over};
+pub(crate) use document::{apply, from_table};
 pub use error::ConfigError;
 pub(crate) use model::names;
 pub use model::{ModelTable, NetworkKind};
@@ -86,7 +87,7 @@ impl Config {
 }
 
 /// Why a config can be written.
-pub(crate) const PLAIN: &str = "configs are plain data";
+pub const PLAIN: &str = "configs are plain data";
 
 /// Names of the tables that every run has.
 const COMMON: [&str; 8] = [
@@ -101,7 +102,7 @@ const COMMON: [&str; 8] = [
 ];
 
 /// Reads a config from JSON via TOML; the system's tables are unchanged.
-pub(crate) fn from_json<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Config, D::Error> {
+pub fn from_json<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Config, D::Error> {
     let table = toml_table(serde_json::Map::deserialize(deserializer)?);
     from_table(&table, &|_| "its config".into()).map_err(D::Error::custom)
 }
@@ -127,4 +128,14 @@ fn toml_value(json: serde_json::Value) -> Option<Value> {
         }
         serde_json::Value::Object(map) => Value::Table(toml_table(map)),
     })
+}
+
+/// The config of `text` with `overrides`, for tests: of no system, whose own tables stay unread.
+#[cfg(test)]
+pub(crate) fn plain(text: &str, overrides: &[String]) -> Config {
+    let mut table: toml::Table = text.parse().expect("TOML");
+    for argument in overrides {
+        apply(&mut table, argument).expect("an override");
+    }
+    from_table(&table, &|_| "c.toml".into()).expect("a config")
 }

@@ -99,13 +99,11 @@ fn take(table: &mut Table, from: &Table, key: &str) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::systems::BUILT_IN;
+    use crate::config::plain;
 
     fn config(text: &str, overrides: &[&str]) -> Config {
         let overrides: Vec<String> = overrides.iter().map(|s| s.to_string()).collect();
-        BUILT_IN
-            .parse(text, "c.toml", &overrides)
-            .expect("a config")
+        plain(text, &overrides)
     }
 
     fn resume(file: &str, started_with: &[&str], overrides: &[&str]) -> (Config, Vec<String>) {

@@ -52,7 +52,7 @@ impl OwnTables {
     }
 
     /// Tables as they were written.
-    pub(crate) fn unread(tables: Table) -> Self {
+    pub fn unread(tables: Table) -> Self {
         Self(Arc::new(Unread(tables)))
     }
 

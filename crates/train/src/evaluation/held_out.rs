@@ -16,7 +16,7 @@ use crate::error::Error;
 ///
 /// # Errors
 /// [`Error::Usage`] if none is held out; if the dataset cannot be opened.
-pub(crate) fn clips_with_held_out(
+pub fn clips_with_held_out(
     own: &DataConfig,
     trained: &TrainedModel,
     request: &EvaluationRequest,
@@ -32,7 +32,7 @@ pub(crate) fn clips_with_held_out(
 ///
 /// # Errors
 /// As [`clips_with_held_out`].
-pub(crate) fn phrases_with_held_out(
+pub fn phrases_with_held_out(
     trained: &TrainedModel,
     request: &EvaluationRequest,
     purpose: &str,
@@ -72,7 +72,7 @@ fn must_hold_out<T: Item>(
 }
 
 /// A note if `found` held-out clips are fewer than the `wanted` goals or rollouts, called `name`.
-pub(crate) fn note_if_fewer(
+pub fn note_if_fewer(
     found: usize,
     wanted: usize,
     name: &str,

@@ -12,9 +12,9 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::{Value, to_value};
 
-pub(crate) use held_out::{clips_with_held_out, note_if_fewer, phrases_with_held_out};
+pub use held_out::{clips_with_held_out, note_if_fewer, phrases_with_held_out};
 pub use replications::Replicated;
-pub(crate) use replications::replicate;
+pub use replications::replicate;
 pub use request::EvaluationRequest;
 pub use table::{Column, Group, Metrics, Number};
 
@@ -83,7 +83,7 @@ pub struct Evaluated {
 ///
 /// # Errors
 /// The first error of `item`.
-pub(crate) fn for_each_item<T: Serialize + DeserializeOwned>(
+pub fn for_each_item<T: Serialize + DeserializeOwned>(
     together: &Together,
     count: usize,
     on_step: &mut OnStep<'_>,
@@ -98,7 +98,7 @@ pub(crate) fn for_each_item<T: Serialize + DeserializeOwned>(
 }
 
 /// `json`, an object, with the keys of the sampling settings beside its own.
-pub(crate) fn with_sampling(mut json: Value, sampling: &SamplingConfig) -> Value {
+pub fn with_sampling(mut json: Value, sampling: &SamplingConfig) -> Value {
     let settings = to_value(sampling).expect("plain data");
     let settings = settings.as_object().expect("a table").clone();
     json.as_object_mut().expect("an object").extend(settings);

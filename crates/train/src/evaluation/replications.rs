@@ -12,7 +12,7 @@ use crate::error::Error;
 ///
 /// # Errors
 /// As `one`.
-pub(crate) fn replicate<T>(
+pub fn replicate<T>(
     count: usize,
     seed: u64,
     on_step: &mut OnStep<'_>,

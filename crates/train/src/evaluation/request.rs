@@ -17,7 +17,7 @@ pub struct EvaluationRequest {
     /// Checkpoint of the trajectory model for two-stage sampling.
     pub trajectory: Option<SavedCheckpoint>,
     /// The text-motion evaluator that the run's config names, which
-    /// [`Systems::evaluate`](crate::systems::Systems::evaluate) opens.
+    /// [`Systems::evaluate`](crate::Systems::evaluate) opens.
     pub evaluator: Option<Rc<dyn TextMotionEvaluator>>,
     /// Seed of the noise.
     pub seed: u64,
@@ -32,11 +32,7 @@ impl EvaluationRequest {
     ///
     /// # Errors
     /// [`Error::Usage`] names the first option and the model's recipe.
-    pub(crate) fn must_be_accepted(
-        &self,
-        accepted: &[&str],
-        trained: &TrainedModel,
-    ) -> Result<(), Error> {
+    pub fn must_be_accepted(&self, accepted: &[&str], trained: &TrainedModel) -> Result<(), Error> {
         for (name, given, hint) in [
             (
                 "audio_ablation",
@@ -63,7 +59,7 @@ impl EvaluationRequest {
     ///
     /// # Errors
     /// As [`must_fit`].
-    pub(crate) fn must_fit(&self, needed: u64, hint: &str) -> Result<(), Error> {
+    pub fn must_fit(&self, needed: u64, hint: &str) -> Result<(), Error> {
         let processes = self.together.ranks().local().size as u64;
         must_fit("the evaluation", needed.saturating_mul(processes), hint)
     }

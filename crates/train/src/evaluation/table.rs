@@ -89,6 +89,12 @@ pub trait Metrics {
     fn rows(&self) -> Vec<Number>;
 }
 
+impl<T: Metrics> Metrics for Vec<T> {
+    fn rows(&self) -> Vec<Number> {
+        self.iter().flat_map(Metrics::rows).collect()
+    }
+}
+
 impl Metrics for GoalReport {
     fn rows(&self) -> Vec<Number> {
         Number::list(GoalReport::rows(self))

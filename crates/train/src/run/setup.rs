@@ -65,7 +65,7 @@ pub struct Setup {
     /// Taken already where the run existed before.
     pub(super) lock: Option<Arc<File>>,
     /// The processes that train it.
-    pub(crate) together: Rc<Together>,
+    pub together: Rc<Together>,
 }
 
 /// The training data of a run.

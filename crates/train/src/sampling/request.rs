@@ -107,7 +107,7 @@ impl Request {
     ///
     /// # Errors
     /// If that is no frame or too many.
-    pub(crate) fn at(&self, fps: f64) -> Result<Self, Error> {
+    pub fn at(&self, fps: f64) -> Result<Self, Error> {
         let Some(seconds) = self.seconds else {
             return Ok(self.clone());
         };

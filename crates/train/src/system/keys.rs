@@ -30,8 +30,9 @@ const KIND: &str = "model.kind";
 const NOT_SET: &str = "not set";
 
 /// A recipe with one kind of network and all of its defaults.
-struct Variant {
-    recipe: &'static str,
+pub struct Variant {
+    /// Its name.
+    pub recipe: &'static str,
     /// The setting that enables it.
     given: Table,
     /// Every key.
@@ -39,8 +40,15 @@ struct Variant {
 }
 
 impl Variant {
+    /// The dotted names of all keys.
+    pub fn names(&self) -> Vec<String> {
+        let mut names = Vec::new();
+        flatten(&self.whole, "", &mut names);
+        names
+    }
+
     /// True if keys that need `only_with`, such as `model.kind = "unet1d"`, are included.
-    fn has(&self, only_with: Option<&str>) -> bool {
+    pub fn has(&self, only_with: Option<&str>) -> bool {
         let Some((key, value)) = only_with.and_then(|with| with.split_once(" = ")) else {
             return true;
         };
@@ -51,7 +59,7 @@ impl Variant {
 
 impl Systems<'_> {
     /// Every key of the configs as its type describes it, with the recipes that have it.
-    pub(crate) fn described(self) -> Vec<(Key, Vec<&'static str>)> {
+    pub fn described(self) -> Vec<(Key, Vec<&'static str>)> {
         let every: Vec<&'static str> = self.recipes().map(|recipe| recipe.name).collect();
         let mut described: Vec<(Key, Vec<&'static str>)> = Vec::new();
         for mut key in keys_of::<Config>() {
@@ -79,7 +87,7 @@ impl Systems<'_> {
         let mut order = Vec::new();
         variants
             .iter()
-            .for_each(|variant| flatten(&variant.whole, "", &mut order));
+            .for_each(|variant| order.extend(variant.names()));
         let place = |name: &str| {
             order
                 .iter()
@@ -184,7 +192,8 @@ impl Systems<'_> {
         }
     }
 
-    fn variants(self) -> Vec<Variant> {
+    /// The variants of all recipes.
+    pub fn variants(self) -> Vec<Variant> {
         let described = self.described();
         let mut variants = Vec::new();
         for recipe in self.recipes().map(|recipe| recipe.name) {
@@ -307,79 +316,4 @@ fn probes(values: &Values) -> Vec<String> {
         _ => &[],
     };
     numbers.iter().map(ToString::to_string).collect()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::systems::BUILT_IN;
-
-    #[test]
-    fn every_key_of_every_resolved_config_is_described() {
-        let described = BUILT_IN.described();
-        for variant in BUILT_IN.variants() {
-            let mut names = Vec::new();
-            flatten(&variant.whole, "", &mut names);
-            assert!(names.len() > 80);
-            for name in names {
-                let known = described.iter().find(|(key, recipes)| {
-                    key.name == name
-                        && recipes.contains(&variant.recipe)
-                        && variant.has(key.only_with.as_deref())
-                });
-                let (key, _) = known.unwrap_or_else(|| panic!("{name} of {}", variant.recipe));
-                assert!(key.meaning.len() > 4, "{name}: {:?}", key.meaning);
-            }
-        }
-    }
-
-    #[test]
-    fn defaults_are_told_by_recipe() {
-        let keys = BUILT_IN.keys();
-        let of = |name: &str| {
-            &keys
-                .iter()
-                .find(|key| key.key.name == name)
-                .expect(name)
-                .defaults
-        };
-        assert_eq!(of("run.seed").len(), 1);
-        assert_eq!(of("run.seed")[0].1, "42");
-        assert_eq!(of("data.source")[0].1, "not set");
-        assert_eq!(of("lora.rank")[0].1, "8");
-        assert_eq!(of("train.recipe").len(), 1);
-        assert_eq!(of("train.recipe")[0].1, "\"diffusion\"");
-        let kinds = keys.iter().filter(|key| key.key.name == "model.kind");
-        let kinds: Vec<_> = kinds.map(|key| key.defaults.as_slice()).collect();
-        let gmd = [(vec!["gmd_motion", "gmd_trajectory"], "\"gmd_unet\"".into())];
-        assert!(kinds.contains(&&gmd[..]), "{kinds:?}");
-        assert!(
-            kinds.iter().all(|defaults| defaults.len() == 1),
-            "{kinds:?}"
-        );
-        let steps = of("train.max_steps");
-        assert!(
-            steps.contains(&(vec!["gmd_trajectory"], "62500".into())),
-            "{steps:?}"
-        );
-    }
-
-    #[test]
-    fn ranges_are_those_of_the_validation() {
-        let keys = BUILT_IN.keys();
-        let range = |name: &str| {
-            let mut key = [keys
-                .iter()
-                .find(|key| key.key.name == name)
-                .expect(name)
-                .clone()];
-            BUILT_IN.find_ranges(&mut key);
-            key[0].range.clone()
-        };
-        assert_eq!(range("data.batch_size").as_deref(), Some("1 to 65536"));
-        assert_eq!(range("optim.betas").as_deref(), Some("0 to below 1"));
-        assert_eq!(range("lora.rank").as_deref(), Some("1 to 65536"));
-        assert_eq!(range("run.seed"), None);
-        assert_eq!(range("run.device"), None);
-    }
 }

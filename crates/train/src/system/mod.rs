@@ -353,24 +353,3 @@ impl<'a> Systems<'a> {
         })
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::systems::BUILT_IN;
-    use crate::systems::cc_motion::CcMotion;
-
-    #[test]
-    fn every_recipe_is_of_one_system() {
-        for recipe in BUILT_IN.recipes() {
-            assert!(BUILT_IN.of_recipe(recipe.name).is_some());
-        }
-        assert!(BUILT_IN.of_recipe("nobody's").is_none());
-    }
-
-    #[test]
-    #[should_panic(expected = "two recipes are called `decoder`: of the systems `cc_motion` and")]
-    fn a_list_in_which_one_recipe_hides_another_is_refused() {
-        Systems(&[&CcMotion, &CcMotion]).of_recipe("decoder");
-    }
-}

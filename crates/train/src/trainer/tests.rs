@@ -11,12 +11,11 @@ use kinegrad_models::parameters;
 
 use super::states::decays;
 use super::*;
-use crate::config::{OptimConfig, WeightDecayGroups};
+use crate::config::{OptimConfig, WeightDecayGroups, plain};
 use crate::denoising::Inputs;
 use crate::observer::RunSummary;
 use crate::optim::{AdamW, Moments};
 use crate::recipe::{Loss, StepKey};
-use crate::systems::BUILT_IN;
 
 /// The mean over valid frames of a linear map's square: a loss without random inputs.
 struct Squares;
@@ -92,7 +91,7 @@ fn trainer_with(batches: usize, states: &str, on_host: bool) -> Trainer<Squares>
         .map(String::from),
     );
     let overrides: Vec<String> = overrides.collect();
-    let config = BUILT_IN.parse("", "c.toml", &overrides).unwrap();
+    let config = plain("", &overrides);
     let phrase = |(index, frames)| Arc::new(synthetic::phrase(index, frames, 2));
     let phrases: Vec<Arc<PhraseItem>> = [9, 4, 12].into_iter().enumerate().map(phrase).collect();
     let statistics = phrase_statistics(phrases.iter().map(|phrase| &phrase.motion)).unwrap();

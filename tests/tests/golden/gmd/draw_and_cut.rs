@@ -8,6 +8,7 @@ use kinegrad_diffusion::{
     ClipRange, GivenNoise, Guidance, Networks, NoiseKeys, PredictionType, Space as _, Steering,
     Time, TimestepPath, ddpm, steered_prediction,
 };
+use kinegrad_gmd::GroundObjective;
 use kinegrad_motion::goal::{
     Goal, GroundTargets, GuidanceConfig, GuidanceLoss, GuidanceNorm, Trajectory,
 };
@@ -15,7 +16,6 @@ use kinegrad_motion::humanml::{FeatureLayout, Features, Root};
 use kinegrad_tests::golden::{Golden, GoldenTensors, ReferenceTensors, wide};
 use kinegrad_tests::trials;
 use kinegrad_tests::trials::GoldenTest;
-use kinegrad_train::systems::gmd::GroundObjective;
 
 use super::bench::{kept_timesteps, noise_of_steps, process, space, whole_model};
 

@@ -2,11 +2,11 @@
 
 use burn::tensor::Tensor;
 use kinegrad_diffusion::{Guidance, Objective, PredictionType, Steering};
+use kinegrad_gmd::GroundObjective;
 use kinegrad_motion::goal::{Goal, GuidanceConfig, GuidanceLoss, GuidanceNorm, Keyframe, Obstacle};
 use kinegrad_tests::golden::{Golden, ReferenceTensors};
 use kinegrad_tests::trials;
 use kinegrad_tests::trials::GoldenTest;
-use kinegrad_train::systems::gmd::GroundObjective;
 
 use super::bench::{Bench, space};
 

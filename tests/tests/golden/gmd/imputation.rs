@@ -2,12 +2,12 @@
 
 use burn::tensor::Tensor;
 use kinegrad_diffusion::{Guidance, Imputation, PredictionType, Space, Steering};
+use kinegrad_gmd::GroundObjective;
 use kinegrad_motion::goal::{Goal, GuidanceConfig, GuidanceLoss, Keyframe};
 use kinegrad_tests::golden::{Golden, Reference, ReferenceTensors};
 use kinegrad_tests::trials;
 use kinegrad_tests::trials::GoldenTest;
 use kinegrad_train::clips::FeatureSpace;
-use kinegrad_train::systems::gmd::GroundObjective;
 
 use super::bench::{Bench, space};
 

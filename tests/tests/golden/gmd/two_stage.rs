@@ -9,6 +9,7 @@ use kinegrad_diffusion::{
     ClipRange, GivenNoise, Networks, NoiseKeys, PredictionType, Space as _, Time, TimestepPath,
     ddpm, steered_prediction,
 };
+use kinegrad_gmd::{Padding, StageModel, StageSteering, SteeringConfig};
 use kinegrad_models::TextDenoiser;
 use kinegrad_motion::goal::{
     Goal, GroundTargets, GuidanceConfig, GuidanceNorm, GuidanceSchedule, Keyframe, Obstacle, Phase,
@@ -18,7 +19,6 @@ use kinegrad_tests::golden::{Golden, GoldenTensors, ReferenceTensors, wide};
 use kinegrad_tests::trials;
 use kinegrad_tests::trials::GoldenTest;
 use kinegrad_train::clips::FeatureSpace;
-use kinegrad_train::systems::gmd::{Padding, StageModel, StageSteering, SteeringConfig};
 
 use super::bench::{kept_timesteps, noise_of_steps, process, space, whole_model};
 

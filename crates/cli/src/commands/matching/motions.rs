@@ -7,7 +7,7 @@ use kinegrad_matching::Example;
 use kinegrad_motion::humanml::{Extraction, Features, Joints, Root, Skeleton};
 use kinegrad_motion::{JointFeatures, Representation};
 use kinegrad_train::Error;
-use kinegrad_train::systems::Systems;
+use kinegrad_train::Systems;
 
 use crate::io::{CENTIMETRES, MotionArray, as_bvh, is_bvh, read_bvh};
 

@@ -7,8 +7,8 @@ use kinegrad_report::page::{Block, Cell, Section, Table, Tone};
 use kinegrad_report::scene::Scene;
 use kinegrad_report::viewer::Thumbnail;
 use kinegrad_train::Error;
+use kinegrad_train::Systems;
 use kinegrad_train::run::SAMPLES;
-use kinegrad_train::systems::Systems;
 
 use crate::io::{MotionArray, files_in, is_companion};
 use crate::runs::Run;

@@ -1,0 +1,5 @@
+mod keys;
+mod list;
+mod load;
+mod memory;
+mod network_table;

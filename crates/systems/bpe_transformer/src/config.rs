@@ -1,0 +1,306 @@
+//! The system's own config tables and their validation.
+
+use std::path::PathBuf;
+
+use kinegrad_diffusion::{DiffusionConfig, SamplerKind, must_suit};
+use kinegrad_models::blended::BlendedConfig;
+use kinegrad_motion::MAX_FRAMES;
+use kinegrad_motion::humanml::Root;
+use kinegrad_settings::{Refused, in_range, require};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use toml::{Table, Value};
+
+use super::{ADAPTER, PathConfig, RECIPE};
+use kinegrad_train::Error;
+use kinegrad_train::clips::captions::CaptionsConfig;
+use kinegrad_train::clips::settings::{must_be_of_clips, must_have_no_style, validate_velocity};
+use kinegrad_train::config::{ClipSample, Config, ModelTable, NetworkKind, SystemTables};
+
+/// Values of the common tables: those of the published program where it has them.
+pub(super) const DEFAULTS: &str = r#"
+[data]
+kind = "humanml3d"
+target_frames = 196
+batch_size = 64
+[data.humanml3d]
+root = "relative"
+[diffusion]
+beta_schedule = "cosine"
+beta_min = 0.0
+beta_max = 0.999
+prediction_type = "sample"
+loss_type = "mse"
+cond_drop_prob = 0.1
+[optim]
+learning_rate = 1e-4
+weight_decay = 0.0
+warmup_steps = 0
+lr_schedule = "constant"
+[train]
+max_steps = 500000
+max_grad_norm = 0.0
+[sampling]
+clip = "none"
+[sampling.sampler]
+kind = "ddpm"
+num_inference_steps = 1000
+guidance_scale = 2.5
+"#;
+
+/// Additional tables of recipe `path_adapter`.
+pub(super) const ADAPTER_DEFAULTS: &str = "
+[model]
+path = true
+";
+
+/// Tables of an initial run, with path conditioning.
+pub(super) fn with_paths(mut tables: Table) -> Table {
+    if let Some(model) = tables.get_mut("model").and_then(Value::as_table_mut) {
+        model.insert("path".to_string(), Value::Boolean(true));
+    }
+    tables
+}
+
+/// True if a run trains a path-conditioned network; its initial network need not be one.
+pub(super) fn tells_paths(config: &Config) -> bool {
+    let told = config.own::<BpeTables>().model.network.sizes().path;
+    told || config.train.recipe == ADAPTER
+}
+
+/// The tables of this system.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct BpeTables {
+    /// The initial checkpoint.
+    pub init: BpeInitConfig,
+    /// The denoiser.
+    pub model: ModelTable<BpeNetwork>,
+    /// The captions of the model.
+    pub text: CaptionsConfig,
+    /// The diffusion process.
+    pub diffusion: DiffusionConfig,
+    /// Absolute and relative positions.
+    pub positions: PositionsConfig,
+    /// Training of a path-conditioned network.
+    pub paths: PathTrainingConfig,
+    /// The trained part of recipe `path_adapter`.
+    pub adapter: PathAdapterConfig,
+    /// The loss.
+    pub loss: BpeLossConfig,
+    /// The evaluation.
+    pub evaluation: ComposeEvaluationConfig,
+}
+
+/// The kind of network and its sizes.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(tag = "kind", rename_all = "snake_case")]
+pub enum BpeNetwork {
+    /// A transformer with blended positional encodings.
+    BpeTransformer(BlendedConfig),
+}
+
+impl BpeNetwork {
+    /// Its sizes.
+    pub fn sizes(&self) -> &BlendedConfig {
+        let Self::BpeTransformer(sizes) = self;
+        sizes
+    }
+}
+
+impl Default for BpeNetwork {
+    fn default() -> Self {
+        Self::BpeTransformer(BlendedConfig::default())
+    }
+}
+
+/// The table `positions`: which positions the network is trained with.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct PositionsConfig {
+    /// Share of the training samples that are in relative mode.
+    pub bpe_training_ratio: f64,
+}
+
+impl Default for PositionsConfig {
+    fn default() -> Self {
+        Self {
+            bpe_training_ratio: 0.5,
+        }
+    }
+}
+
+/// The table `paths`: training of a path-conditioned network (`model.path`).
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct PathTrainingConfig {
+    /// Probability of not telling a training sample its path. 0.1 lets the network go where it likes as
+    /// well; recipe `path_adapter` needs none, as its base does.
+    pub drop_prob: f64,
+}
+
+/// The table `init`.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct BpeInitConfig {
+    /// Run or checkpoint to start from, whose EMA weights, network, process and statistics are used. For
+    /// `path_adapter` it may be one that knows no paths.
+    pub diffusion: PathBuf,
+}
+
+/// The table `adapter`: what recipe `path_adapter` trains of a network that it has from elsewhere.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct PathAdapterConfig {
+    /// Number of last layers that are trained in addition to the path layers.
+    pub last_layers: usize,
+}
+
+/// The table `loss`.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct BpeLossConfig {
+    /// Weight of the squared error of the differences between consecutive frames, beside that of the
+    /// frames: what shakes between them weighs more. 0 in the published program. Small models shake
+    /// without it.
+    pub velocity: f64,
+}
+
+/// The table `evaluation`: the settings of `kinegrad eval`, which composes motions from the texts
+/// and lengths of held-out clips, and of sampling.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct ComposeEvaluationConfig {
+    /// Number of compositions.
+    pub compositions: usize,
+    /// Texts of each.
+    pub texts: usize,
+    /// Frames of the window around a transition, whose jerk is measured.
+    pub transition_frames: usize,
+    /// In sampling, timestep t is relative if it is at most the number of timesteps less this; -1
+    /// for always absolute, 0 for always relative. 60 in the published model of HumanML3D, 125 in
+    /// that of BABEL.
+    pub bpe_denoising_step: i64,
+    /// Number of held-out clips whose root trajectories are followed as paths, according to `path`,
+    /// to measure the deviation; 0 measures none.
+    pub num_paths: usize,
+    /// The path-following method.
+    pub path: PathConfig,
+}
+
+impl Default for ComposeEvaluationConfig {
+    fn default() -> Self {
+        Self {
+            compositions: 16,
+            texts: 4,
+            transition_frames: 60,
+            bpe_denoising_step: 60,
+            num_paths: 0,
+            path: PathConfig::default(),
+        }
+    }
+}
+
+impl SystemTables for BpeTables {
+    const NETWORKS: &'static [NetworkKind] = &[NetworkKind::of::<BlendedConfig>()];
+}
+
+/// Validates the tables of this system.
+///
+/// # Errors
+/// For the first invalid value; the error names the key.
+pub(super) fn validate(config: &Config) -> Result<(), Error> {
+    let own: &BpeTables = config.own();
+    let Config { data, sampling, .. } = config;
+    own.model.network.sizes().validate()?;
+    own.diffusion.validate()?;
+    own.text.validate(data)?;
+    let adapts = config.train.recipe == ADAPTER;
+    require(
+        !adapts || own.model.network.sizes().path,
+        "model.path",
+        false,
+        format!("true for recipe `{ADAPTER}`, which trains what reads the path"),
+    )?;
+    let layers = own.model.network.sizes().num_layers;
+    in_range("adapter.last_layers", own.adapter.last_layers, 0..=layers)?;
+    require(
+        adapts || own.adapter.last_layers == 0,
+        "adapter.last_layers",
+        own.adapter.last_layers,
+        format!("0 for recipe `{RECIPE}`, which trains all layers"),
+    )?;
+    must_be_of_clips(config)?;
+    in_range("paths.drop_prob", own.paths.drop_prob, 0.0..=1.0)?;
+    require(
+        own.paths.drop_prob == 0.0 || own.model.network.sizes().path,
+        "paths.drop_prob",
+        own.paths.drop_prob,
+        "0 without `model.path`",
+    )?;
+    let positions = &own.positions;
+    in_range(
+        "positions.bpe_training_ratio",
+        positions.bpe_training_ratio,
+        0.0..=1.0,
+    )?;
+    let most = own.diffusion.num_train_timesteps as i64;
+    in_range(
+        "evaluation.bpe_denoising_step",
+        own.evaluation.bpe_denoising_step,
+        -1..=most,
+    )
+    .hint("-1 for absolute positions in all steps, 0 for relative ones")?;
+    validate_velocity(own.loss.velocity, &own.diffusion)?;
+    must_have_no_style(config, &own.diffusion)?;
+    must_suit(&sampling.sampler, &own.diffusion)?;
+    require(
+        sampling.clip == ClipSample::None,
+        "sampling.clip",
+        "a range",
+        format!("\"none\" for recipe `{RECIPE}`, whose clean motion is not clipped"),
+    )?;
+    let evaluation = &own.evaluation;
+    let timesteps = own.diffusion.num_train_timesteps;
+    evaluation
+        .path
+        .validate(timesteps)
+        .within("evaluation.path")?;
+    require(
+        matches!(sampling.sampler.kind, SamplerKind::Ddpm(_))
+            || !evaluation.path.method.guides()
+            || !evaluation.path.through_network,
+        "sampling.sampler.kind",
+        format!("\"{}\"", sampling.sampler.kind),
+        "\"ddpm\" for guidance through the network",
+    )
+    .hint("its gradient is scaled by the variance of the step, which only DDPM has")?;
+    in_range(
+        "evaluation.compositions",
+        evaluation.compositions,
+        1..=10_000,
+    )?;
+    in_range("evaluation.num_paths", evaluation.num_paths, 0..=10_000)?;
+    in_range("evaluation.texts", evaluation.texts, 1..=10_000)?;
+    let absolute = data.humanml3d.root == Root::Absolute;
+    require(
+        evaluation.texts == 1 || !absolute,
+        "evaluation.texts",
+        evaluation.texts,
+        "1 with `data.humanml3d.root = \"absolute\"`",
+    )
+    .hint("every clip of training begins at the origin: an absolute root cannot go on to the next text")?;
+    require(
+        evaluation.transition_frames <= data.target_frames,
+        "evaluation.transition_frames",
+        evaluation.transition_frames,
+        format!("at most {}, `data.target_frames`", data.target_frames),
+    )
+    .hint("real clips are measured in windows of that length as well")?;
+    in_range(
+        "evaluation.transition_frames",
+        evaluation.transition_frames,
+        4..=MAX_FRAMES,
+    )?;
+    Ok(())
+}

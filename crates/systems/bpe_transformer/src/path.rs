@@ -1,0 +1,354 @@
+//! Sampling along a path on the ground (docs/sources.md, section 7).
+
+use std::cell::RefCell;
+
+use burn::tensor::{Device, Tensor, TensorData};
+use kinegrad_diffusion::{GaussianDiffusion, Objective};
+use kinegrad_motion::Statistics;
+use kinegrad_motion::humanml::{Features, Root, Skeleton};
+use kinegrad_motion::path::{PathLoss, PathLossConfig, root_channels};
+use kinegrad_random::Key;
+use kinegrad_settings::{ABOVE_ZERO, InvalidSetting, Refused, in_range};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::told::of_path;
+use kinegrad_train::Error;
+use kinegrad_train::clips::path_target::{Followed, PathTarget};
+
+/// Channels of the root's rotation and place on the ground.
+const ROOT: usize = 3;
+
+/// The table `evaluation.path`: how motion follows a path.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct PathConfig {
+    /// The method that keeps the root on the path during sampling.
+    pub method: PathMethod,
+    /// For `warp`: lock feet where they stand in the sample, by two-bone inverse kinematics.
+    pub lock_feet: bool,
+    /// For `override`: what replaces the root.
+    pub override_target: OverrideTarget,
+    /// For `override`: replace the heading too. Without it, the path is seen from the sample's own
+    /// headings.
+    pub yaw: bool,
+    /// For `guidance`: whether the gradient is that of the predicted clean motion through the network,
+    /// multiplied by the variance of the step, and not of the noisy motion itself.
+    pub through_network: bool,
+    /// For `guidance`: length of a step against the gradient. Omitted: 100 through the network; for the noisy
+    /// motion itself 1 of a relative root, 0.05 of an absolute one.
+    pub guidance_step_size: Option<f64>,
+    /// For `guidance` through the network: furthest that a frame is moved in one step, over all its
+    /// channels, in standard deviations of the step's noise. A relative root's early frames move all that
+    /// follow: without a limit their gradient breaks the motion.
+    pub max_shift: f64,
+    /// Last timestep at which the path acts; below it the model finishes the motion by itself. At 0 an
+    /// override holds to the end.
+    pub stop_timestep: usize,
+    /// For `guidance`: the loss.
+    pub loss: PathLossConfig,
+}
+
+impl Default for PathConfig {
+    fn default() -> Self {
+        Self {
+            method: PathMethod::Warp,
+            lock_feet: true,
+            override_target: OverrideTarget::Sample,
+            yaw: true,
+            through_network: true,
+            guidance_step_size: None,
+            max_shift: 10.0,
+            stop_timestep: 0,
+            loss: PathLossConfig::default(),
+        }
+    }
+}
+
+/// The path-following method.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum PathMethod {
+    /// Drawn freely from the beginning of the path: what the others are compared with.
+    None,
+    /// Drawn freely, and moved onto the path afterwards (option A).
+    #[default]
+    Warp,
+    /// The root is replaced at each step (option B).
+    Override,
+    /// Each step goes against the gradient of a loss (option D).
+    Guidance,
+    /// Both: guided, and replaced.
+    OverrideGuidance,
+    /// The network is conditioned on the path (options C and E).
+    Tokens,
+    /// Path conditioning and guidance.
+    TokensGuidance,
+    /// Told, and what is left moved onto the path afterwards.
+    TokensWarp,
+}
+
+impl PathMethod {
+    /// True if the root is replaced.
+    pub fn replaces(self) -> bool {
+        matches!(self, Self::Override | Self::OverrideGuidance)
+    }
+
+    /// True if a gradient guides.
+    pub fn guides(self) -> bool {
+        matches!(
+            self,
+            Self::Guidance | Self::OverrideGuidance | Self::TokensGuidance
+        )
+    }
+
+    /// True if it acts during sampling.
+    pub fn acts(self) -> bool {
+        !matches!(self, Self::None | Self::Warp)
+    }
+
+    /// True if the sample is moved afterwards, which changes its features.
+    pub fn moves_afterwards(self) -> bool {
+        matches!(self, Self::Warp | Self::TokensWarp)
+    }
+
+    /// True if the network is conditioned on the path.
+    pub fn tells(self) -> bool {
+        matches!(self, Self::Tokens | Self::TokensGuidance | Self::TokensWarp)
+    }
+}
+
+/// The target of the override at each step.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum OverrideTarget {
+    /// The path in the noisy motion as it is, as the source prints it: less noise there than the
+    /// network was trained for.
+    Clean,
+    /// The path in the noisy motion, noised to the step's level.
+    Noised,
+    /// The path in the predicted clean motion.
+    #[default]
+    Sample,
+}
+
+impl PathConfig {
+    /// Length of a step against the gradient, of motion with such a root.
+    pub fn guidance_step_size(&self, root: Root) -> f64 {
+        self.guidance_step_size
+            .unwrap_or(match (self.through_network, root) {
+                (true, _) => 100.0,
+                (false, Root::Relative) => 1.0,
+                (false, Root::Absolute) => 0.05,
+            })
+    }
+
+    /// # Errors
+    /// Names the key that cannot work with so many timesteps.
+    pub fn validate(&self, num_train_timesteps: usize) -> Result<(), InvalidSetting> {
+        if let Some(guidance_step_size) = self.guidance_step_size {
+            in_range("guidance_step_size", guidance_step_size, 0.0..)?;
+        }
+        in_range("stop_timestep", self.stop_timestep, 0..num_train_timesteps)?;
+        in_range("max_shift", self.max_shift, ABOVE_ZERO)?;
+        self.loss.validate().within("loss")
+    }
+}
+
+/// The path condition, `[1, PATH_CHANNELS, frames]`.
+pub(super) fn told(target: &PathTarget, fps: f64, device: &Device) -> Tensor<3> {
+    of_path(&target.at_origin().course.points, fps, device)
+}
+
+/// Moves a motion that was sampled according to `config` onto the path.
+///
+/// # Errors
+/// If it is not of the skeleton.
+pub(super) fn finish(
+    target: &PathTarget,
+    features: &Features,
+    skeleton: &Skeleton,
+    config: &PathConfig,
+) -> Result<Followed, Error> {
+    let joints = features.joints();
+    match config.method {
+        PathMethod::Warp => target.warped(&joints, skeleton, config.lock_feet),
+        PathMethod::TokensWarp => {
+            let near = target.placed(&joints, skeleton)?;
+            target.corrected(&near.joints, skeleton, config.lock_feet)
+        }
+        _ => target.placed(&joints, skeleton),
+    }
+}
+
+/// The path control of one sample.
+pub(super) struct PathControl<'a> {
+    config: &'a PathConfig,
+    /// In the frame of sampling.
+    target: PathTarget,
+    root: Root,
+    mean: Vec<f64>,
+    std: Vec<f64>,
+    /// The rotation channel of the last predicted clean motion.
+    turning: RefCell<Option<Vec<f64>>>,
+    key: Key,
+}
+
+impl<'a> PathControl<'a> {
+    /// The control of a sample whose features are normalised by `statistics`.
+    pub fn new(
+        config: &'a PathConfig,
+        target: &PathTarget,
+        root: Root,
+        statistics: &Statistics,
+        key: Key,
+    ) -> Self {
+        Self {
+            config,
+            target: target.at_origin(),
+            root,
+            mean: statistics.mean[..ROOT].to_vec(),
+            std: statistics.std[..ROOT].to_vec(),
+            turning: RefCell::new(None),
+            key: key.named("path"),
+        }
+    }
+
+    /// True if the path acts at timestep `t`.
+    pub fn acts(&self, t: usize) -> bool {
+        t >= self.config.stop_timestep
+    }
+
+    /// The noisy motion that the network is given, `[1, channels, time]`: with the path in it, or a step
+    /// nearer to it.
+    pub fn noisy(&self, x_t: Tensor<3>, t: usize, diffusion: &GaussianDiffusion) -> Tensor<3> {
+        if !self.acts(t) {
+            return x_t;
+        }
+        let mut x_t = x_t;
+        let config = self.config;
+        if config.method.guides() && !config.through_network {
+            let gradient = self.gradient(&x_t);
+            x_t = x_t - gradient * config.guidance_step_size(self.root);
+        }
+        if !config.method.replaces() || config.override_target == OverrideTarget::Sample {
+            return x_t;
+        }
+        let (keep, noise) = match config.override_target {
+            OverrideTarget::Noised => (
+                diffusion.schedule.sqrt_alphas_cumprod[t],
+                diffusion.schedule.sqrt_one_minus_alphas_cumprod[t],
+            ),
+            _ => (1.0, 0.0),
+        };
+        let frames = x_t.dims()[2];
+        let drawn = self.key.at(t as u64).normals(ROOT * frames);
+        let noised = self.channels().into_iter().enumerate().map(|(c, values)| {
+            let values = values.into_iter().enumerate();
+            let noised =
+                values.map(|(n, value)| keep * value + noise * f64::from(drawn[c * frames + n]));
+            noised.collect()
+        });
+        self.put(x_t, noised.collect())
+    }
+
+    /// The predicted clean motion with the path in it, where that is the override_target; and its rotations,
+    /// noted for the next step.
+    pub fn clean(&self, x_start: Tensor<3>, t: usize) -> Tensor<3> {
+        let rotation = self.physical(&x_start).into_iter().map(|[a, ..]| a);
+        *self.turning.borrow_mut() = Some(rotation.collect());
+        let puts = self.config.method.replaces()
+            && self.config.override_target == OverrideTarget::Sample
+            && self.acts(t);
+        match puts {
+            true => self.put(x_start, self.channels()),
+            false => x_start,
+        }
+    }
+
+    /// The sampled motion, with the exact path if the root was replaced to the end.
+    pub fn last(&self, x: Tensor<3>) -> Tensor<3> {
+        if !self.config.method.replaces() || !self.acts(0) {
+            return x;
+        }
+        let rotation = self.physical(&x).into_iter().map(|[a, ..]| a);
+        *self.turning.borrow_mut() = Some(rotation.collect());
+        self.put(x, self.channels())
+    }
+
+    /// Normalised root channels on the path, seen from its own headings or those of the sample.
+    fn channels(&self) -> Vec<Vec<f64>> {
+        let points = &self.target.course.points;
+        let turning = self.turning.borrow();
+        let headings = match (&*turning, self.config.yaw) {
+            (Some(rotations), false) => {
+                let rows: Vec<[f64; 4]> = rotations.iter().map(|a| [*a, 0.0, 0.0, 0.0]).collect();
+                self.root
+                    .half_angles(&rows)
+                    .iter()
+                    .map(|a| -2.0 * a)
+                    .collect()
+            }
+            _ => self.target.headings.clone(),
+        };
+        let rows = root_channels(points, &headings, self.root);
+        (0..ROOT)
+            .map(|c| {
+                rows.iter()
+                    .map(|row| (row[c] - self.mean[c]) / self.std[c])
+                    .collect()
+            })
+            .collect()
+    }
+
+    /// Puts normalised channels in the place of the motion's own; the rotation only with `yaw`.
+    fn put(&self, x: Tensor<3>, channels: Vec<Vec<f64>>) -> Tensor<3> {
+        let [batch, all, frames] = x.dims();
+        assert_eq!(batch, 1, "a path is of one motion");
+        let first = usize::from(!self.config.yaw);
+        let values: Vec<f32> = channels[first..ROOT]
+            .concat()
+            .into_iter()
+            .map(|value| value as f32)
+            .collect();
+        let data = TensorData::new(values, [1, ROOT - first, frames]);
+        let given = Tensor::from_data(data, &x.device());
+        let mut parts = vec![given, x.clone().narrow(1, ROOT, all - ROOT)];
+        if first > 0 {
+            parts.insert(0, x.narrow(1, 0, first));
+        }
+        Tensor::cat(parts, 1)
+    }
+
+    /// The root's first channels in radians and metres, `[frames]`.
+    fn physical(&self, x: &Tensor<3>) -> Vec<[f64; 3]> {
+        let [_, _, frames] = x.dims();
+        let values = x.clone().narrow(1, 0, ROOT).try_into_vec_as::<f32>();
+        let values = values.expect("samples are float32");
+        let value =
+            |c: usize, n: usize| f64::from(values[c * frames + n]) * self.std[c] + self.mean[c];
+        (0..frames)
+            .map(|n| [0, 1, 2].map(|c| value(c, n)))
+            .collect()
+    }
+}
+
+impl Objective for PathControl<'_> {
+    fn gradient(&self, x: &Tensor<3>) -> Tensor<3> {
+        let [_, all, frames] = x.dims();
+        let loss = PathLoss {
+            config: self.config.loss,
+            points: self.target.course.points.clone(),
+            headings: self.target.headings.clone(),
+        };
+        let (_, gradient) = loss.evaluate(self.root, &self.physical(x));
+        let values: Vec<f32> = (0..ROOT)
+            .flat_map(|c| gradient.iter().map(move |row| (c, row)))
+            .map(|(c, row)| (row[c] * self.std[c]) as f32)
+            .collect();
+        let data = TensorData::new(values, [1, ROOT, frames]);
+        let root = Tensor::from_data(data, &x.device());
+        let rest = Tensor::zeros([1, all - ROOT, frames], &x.device());
+        Tensor::cat(vec![root, rest], 1)
+    }
+}

@@ -1,0 +1,186 @@
+//! The evaluation of motion along paths: samples follow the root paths of held-out clips, with their
+//! captions and lengths.
+
+use std::sync::Arc;
+use std::time::Instant;
+
+use kinegrad_data::humanml::Clip;
+use kinegrad_motion::humanml::Joints;
+use kinegrad_motion::metrics::mean;
+use kinegrad_motion::path::PathReport;
+use kinegrad_random::{Key, Purpose};
+use serde::Serialize;
+
+use super::path::finish;
+use super::report::distance;
+use super::{ComposeEvaluationConfig, Composer};
+use kinegrad_train::Error;
+use kinegrad_train::clips::TimedPrompt;
+use kinegrad_train::clips::captions::ClipText;
+use kinegrad_train::clips::path_target::{PathTarget, features_of, way};
+use kinegrad_train::evaluation::{EvaluationRequest, Metrics, Number, OnStep, for_each_item};
+use kinegrad_train::sampling::item_seed;
+
+/// Length of the shortest path that a sample follows, metres: a clip in place has none.
+const SHORTEST: f64 = 2.0;
+
+/// Errors of motions along their paths, and their quality: means over motions.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct PathFollowingReport {
+    /// Motions.
+    pub motions: usize,
+    /// Mean distance of the root from the path, metres.
+    pub mean_distance: Option<f64>,
+    /// The largest distance of each motion, metres.
+    pub largest_distance: Option<f64>,
+    /// Mean distance of the root from where it should be in that frame, metres.
+    pub mean_error: Option<f64>,
+    /// Mean angle between where the body faces and where the path leads, degrees.
+    pub heading_error: Option<f64>,
+    /// Distance per frame that low, slow feet slide, metres.
+    pub slide: Option<f64>,
+    /// Share of the steps in which a toe slides, as published.
+    pub foot_skating: Option<f64>,
+    /// Mean jerk of the joints, metres per second cubed.
+    pub jerk: Option<f64>,
+    /// Fréchet distance of the mean normalised features from those of the clips.
+    pub frechet_distance: Option<f64>,
+    /// Seconds of sampling for a motion.
+    pub seconds: Option<f64>,
+}
+
+impl PathFollowingReport {
+    fn of(reports: &[PathReport], frechet_distance: Option<f64>, seconds: Option<f64>) -> Self {
+        let each = |of: &dyn Fn(&PathReport) -> Option<f64>| mean(reports.iter().map(of));
+        Self {
+            motions: reports.len(),
+            mean_distance: each(&|report| Some(report.mean_distance)),
+            largest_distance: each(&|report| Some(report.largest_distance)),
+            mean_error: each(&|report| Some(report.mean_error)),
+            heading_error: each(&|report| report.heading_error),
+            slide: each(&|report| report.slide),
+            foot_skating: each(&|report| report.foot_skating),
+            jerk: each(&|report| report.jerk),
+            frechet_distance,
+            seconds,
+        }
+    }
+}
+
+impl Metrics for PathFollowingReport {
+    fn rows(&self) -> Vec<Number> {
+        Number::list([
+            ("distance from the path", self.mean_distance, ", m"),
+            ("largest distance", self.largest_distance, ", m"),
+            ("error in time", self.mean_error, ", m"),
+            ("heading error", self.heading_error, ", degrees"),
+            ("slide", self.slide, ", m/frame"),
+            ("foot skating", self.foot_skating, ""),
+            ("jerk", self.jerk, ", m/s³"),
+            ("Fréchet distance", self.frechet_distance, ""),
+            ("seconds", self.seconds, ""),
+        ])
+    }
+}
+
+/// The metrics of samples and of the clips whose paths they follow.
+pub(super) struct PathEvaluation {
+    /// The samples.
+    pub samples: PathFollowingReport,
+    /// The clips.
+    pub real: PathFollowingReport,
+}
+
+/// A clip and its path.
+struct Walk {
+    id: String,
+    text: Option<ClipText>,
+    joints: Joints,
+    target: PathTarget,
+}
+
+impl Walk {
+    /// The first `max_frames` frames of a clip and its path; none if that is shorter than
+    /// [`SHORTEST`].
+    fn of(clip: &Clip, max_frames: usize, fps: f64) -> Option<Self> {
+        let frames = clip.features.frames().min(max_frames);
+        let joints = clip.features.slice(0..frames).joints();
+        let target = PathTarget::through(way(&joints.track(0), fps)).ok()?;
+        (target.line.length() >= SHORTEST).then(|| Self {
+            id: clip.id.clone(),
+            text: ClipText::of(clip),
+            joints,
+            target,
+        })
+    }
+}
+
+/// Generates motion along the paths of `settings.num_paths` clips, evenly chosen among those that
+/// walk, each as long as its clip and `max_frames` at most.
+///
+/// # Errors
+/// [`Error::Usage`] if no clip walks; as [`Composer::compose`].
+pub(super) fn evaluate(
+    composer: &Composer,
+    held_out: &[Arc<Clip>],
+    settings: &ComposeEvaluationConfig,
+    max_frames: usize,
+    request: &EvaluationRequest,
+    on_step: &mut OnStep<'_>,
+) -> Result<PathEvaluation, Error> {
+    let config = composer.config();
+    let (skeleton, root) = (
+        config.data.humanml3d.skeleton.skeleton(),
+        config.data.humanml3d.root,
+    );
+    let fps = skeleton.description().fps;
+    let walks = held_out.iter();
+    let walks: Vec<Walk> = walks
+        .filter_map(|clip| Walk::of(clip, max_frames, fps))
+        .collect();
+    if walks.is_empty() {
+        return Err(Error::usage(
+            format!("no held-out clip walks {SHORTEST} m: there is no path to follow"),
+            "set `evaluation.num_paths = 0`",
+        ));
+    }
+    let count = settings.num_paths.min(walks.len());
+    let chosen: Vec<&Walk> = (0..count)
+        .map(|n| &walks[n * walks.len() / count])
+        .collect();
+    let samples = for_each_item(&request.together, count, on_step, |number, on_step| {
+        let (walk, start) = (chosen[number], Instant::now());
+        let line = TimedPrompt {
+            text: walk.text.clone(),
+            frames: walk.joints.frames(),
+        };
+        let features = composer.compose(
+            &[line],
+            &config.sampling.sampler,
+            settings,
+            Some(&walk.target),
+            Key::new(item_seed(request.seed, &walk.id), Purpose::Sampling),
+            &mut |done, all| on_step("paths", done, all),
+        )?;
+        let followed = finish(&walk.target, &features, &skeleton, &settings.path)?;
+        let seconds = start.elapsed().as_secs_f64();
+        Ok((followed.report, followed.joints, seconds))
+    })?;
+    let (mut reports, mut features) = ([vec![], vec![]], [vec![], vec![]]);
+    let mut seconds = 0.0;
+    for (walk, (report, joints, taken)) in chosen.into_iter().zip(samples) {
+        seconds += taken;
+        let PathTarget { line, course, .. } = &walk.target;
+        let real = PathReport::of(&walk.joints, &skeleton, line, course)?;
+        let both = [(report, &joints), (real, &walk.joints)];
+        for (side, (report, joints)) in both.into_iter().enumerate() {
+            reports[side].push(report);
+            features[side].push(features_of(joints, &skeleton, root)?);
+        }
+    }
+    let apart = distance(&features[0], &features[1], composer.statistics()?);
+    Ok(PathEvaluation {
+        samples: PathFollowingReport::of(&reports[0], apart, Some(seconds / count as f64)),
+        real: PathFollowingReport::of(&reports[1], None, None),
+    })
+}

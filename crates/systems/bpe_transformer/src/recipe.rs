@@ -1,0 +1,148 @@
+//! Denoising of clips with one text each (docs/sources.md, section 6.7):
+//!
+//! ```text
+//! L = mean over the batch of  sum over real frames and channels (x_start - f(x_t, t, text))^2
+//!                              / (channels * real frames)
+//! ```
+//!
+//! Each sample is in a random mode, absolute or relative; padding is attended to in neither. A
+//! path-conditioned network is given each clip's trajectory.
+//!
+//! To the sum of a frame comes `loss.velocity` times the squared error of its difference from the frame
+//! before it.
+
+use burn::tensor::{Device, Tensor, TensorData};
+use kinegrad_data::TEXT;
+use kinegrad_diffusion::GaussianDiffusion;
+use kinegrad_models::DropoutKey;
+use kinegrad_models::blended::{BlendedTransformer, Pass, Switch, TextSegments};
+
+use super::BpeTables;
+use super::told::Ways;
+use kinegrad_train::clips::weighted_masked_loss;
+use kinegrad_train::denoising::{DenoisingRecipe, HeldOut, denoising_loss};
+
+/// Trains a [`BlendedTransformer`] on clips of `channels` according to `own`, validated on
+/// `held_out` in the mode of sampling at each timestep.
+pub(super) fn recipe(
+    diffusion: GaussianDiffusion,
+    channels: usize,
+    own: &BpeTables,
+    ways: Ways,
+    held_out: HeldOut,
+) -> DenoisingRecipe<BlendedTransformer> {
+    let (velocity, ratio) = (own.loss.velocity, own.positions.bpe_training_ratio);
+    let drop_path = own.paths.drop_prob;
+    let switch = Switch {
+        bpe_denoising_step: own.evaluation.bpe_denoising_step,
+        num_train_timesteps: own.diffusion.num_train_timesteps,
+    };
+    let channel_weights = vec![1.0; channels];
+    DenoisingRecipe::new(
+        diffusion,
+        held_out,
+        move |diffusion, network: &BlendedTransformer, inputs, draws, weighted| {
+            let [batch, _, time] = inputs.x_start.dims();
+            let lengths = match &inputs.lengths {
+                Some(lengths) => lengths.frames().to_vec(),
+                None => vec![time; batch],
+            };
+            let path = network
+                .has_path()
+                .then(|| ways.told(&inputs.x_start, &lengths));
+            let keep_path = keep(draws.dropout, batch, drop_path, &inputs.x_start.device());
+            let script = TextSegments::single(lengths);
+            let is_relative = match modes(draws.dropout, batch, ratio) {
+                Some(drawn) => drawn,
+                None => {
+                    let timesteps = draws.timesteps.iter();
+                    timesteps.map(|&t| switch.is_relative(t)).collect()
+                }
+            };
+            let weights = (weighted && diffusion.config.snr_gamma.is_some())
+                .then(|| diffusion.loss_weights(&draws.timesteps));
+            denoising_loss(
+                diffusion,
+                inputs,
+                draws,
+                |x_t, time, cond, dropout| {
+                    let pass = Pass {
+                        segments: &script,
+                        is_relative: &is_relative,
+                        dropout,
+                        path: path.as_ref(),
+                        path_mask: keep_path.as_ref(),
+                    };
+                    network.forward(x_t, time, cond.get(TEXT).clone().squeeze_dim(2), pass)
+                },
+                |model_output, target, mask| {
+                    weighted_masked_loss(
+                        model_output,
+                        target,
+                        mask,
+                        &channel_weights,
+                        velocity,
+                        weights.as_deref(),
+                        diffusion.config.loss_type,
+                    )
+                },
+            )
+        },
+    )
+    .averaging_samples()
+}
+
+/// The mask of relative samples in a training step; `None` without a key.
+fn modes(key: DropoutKey, batch: usize, ratio: f64) -> Option<Vec<bool>> {
+    let drawn = key?.named("mode").uniforms(batch);
+    Some(drawn.into_iter().map(|u| f64::from(u) < ratio).collect())
+}
+
+/// The path dropout mask of a training step: 0 for dropped, else 1, `[batch, 1, 1]`; `None` without
+/// dropout.
+fn keep(key: DropoutKey, batch: usize, drop_prob: f64, device: &Device) -> Option<Tensor<3>> {
+    let drawn = key
+        .filter(|_| drop_prob > 0.0)?
+        .named("path")
+        .uniforms(batch);
+    let keep = drawn
+        .into_iter()
+        .map(|u| f32::from(f64::from(u) >= drop_prob));
+    let data = TensorData::new(keep.collect(), [batch, 1, 1]);
+    Some(Tensor::from_data(data, device))
+}
+
+#[cfg(test)]
+mod tests {
+    use kinegrad_random::{Key, Purpose};
+
+    use super::*;
+
+    #[test]
+    fn paths_are_dropped_as_often_as_asked() {
+        let kept = |key, drop_prob| {
+            let keep = keep(key, 64, drop_prob, &Device::flex())?;
+            Some(keep.mean().into_scalar::<f32>())
+        };
+        let key = Key::new(1, Purpose::Dropout);
+        let mean = (0..50).map(|step| kept(Some(key.at(step)), 0.1).expect("a key"));
+        assert!((mean.sum::<f32>() / 50.0 - 0.9).abs() < 0.02);
+        assert_eq!((kept(Some(key), 0.0), kept(None, 0.1)), (None, None));
+    }
+
+    #[test]
+    fn samples_are_in_either_mode_as_often_as_asked() {
+        let share = |ratio| {
+            let drawn = (0..50).flat_map(|step| {
+                let key = Key::new(1, Purpose::Dropout).at(step);
+                modes(Some(key), 64, ratio).expect("a key")
+            });
+            let drawn: Vec<bool> = drawn.collect();
+            drawn.iter().filter(|relative| **relative).count() as f64 / drawn.len() as f64
+        };
+        assert!((share(0.5) - 0.5).abs() < 0.03);
+        assert!((share(0.2) - 0.2).abs() < 0.03);
+        assert_eq!((share(0.0), share(1.0)), (0.0, 1.0));
+        assert_eq!(modes(None, 3, 0.5), None);
+    }
+}

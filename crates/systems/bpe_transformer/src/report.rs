@@ -1,0 +1,136 @@
+//! Metrics of composed motion and of its transitions from one text to the next.
+
+use kinegrad_motion::Statistics;
+use kinegrad_motion::humanml::{Features, Joints, Skeleton};
+use kinegrad_motion::metrics::{
+    FeatureMoments, TransitionJerk, frechet_distance, jerk_of_frames, mean_jerk, skating_ratio,
+};
+use serde::Serialize;
+
+use kinegrad_train::evaluation::{Metrics, Number};
+
+/// Means over motions.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct ComposedReport {
+    /// Motions.
+    pub motions: usize,
+    /// Mean jerk of the joints, metres per second cubed.
+    pub jerk: Option<f64>,
+    /// Share of the steps in which a toe slides, as published.
+    pub foot_skating: Option<f64>,
+    /// Height of the lowest joint of all frames above the floor, metres.
+    pub lowest_joint: Option<f64>,
+    /// Mean speed of the root over the ground, metres per second.
+    pub speed: Option<f64>,
+    /// Transitions.
+    pub transitions: usize,
+    /// Peak jerk around transitions ([`TransitionJerk::peak`]), metres per frame cubed; around the
+    /// middles of real clips for those.
+    pub peak_jerk: Option<f64>,
+    /// Area under the jerk ([`TransitionJerk::area`]) against the mean jerk of real windows.
+    pub area_under_jerk: Option<f64>,
+    /// Fréchet distance of the mean normalised features of segments from those of real clips.
+    pub frechet_distance: Option<f64>,
+}
+
+/// A set of motions to be measured.
+pub(super) struct Measured<'a> {
+    /// Whole motions.
+    pub motions: &'a [Joints],
+    /// Windows around transitions, each decoded from its own first frame.
+    pub windows: &'a [Joints],
+    /// Clips, or the part of a composition that belongs to one text.
+    pub segments: &'a [Features],
+}
+
+impl Measured<'_> {
+    /// The mean jerk of all windows, metres per frame cubed; none without windows.
+    pub fn window_jerk(&self) -> Option<f64> {
+        let curves: Vec<f64> = self.windows.iter().flat_map(jerk_of_frames).collect();
+        (!curves.is_empty()).then(|| curves.iter().sum::<f64>() / curves.len() as f64)
+    }
+
+    /// The report; `real` are the segments that samples are compared with.
+    pub fn report(
+        &self,
+        skeleton: &Skeleton,
+        statistics: &Statistics,
+        real_jerk: Option<f64>,
+        real: Option<&[Features]>,
+    ) -> ComposedReport {
+        let fps = skeleton.description().fps;
+        let feet = skeleton.contact_joints();
+        let each = |of: &dyn Fn(&Joints) -> Option<f64>| {
+            let values: Vec<f64> = self.motions.iter().filter_map(of).collect();
+            (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
+        };
+        let curves: Vec<Vec<f64>> = self.windows.iter().map(jerk_of_frames).collect();
+        let transition = TransitionJerk::of(&curves, real_jerk.unwrap_or(0.0));
+        ComposedReport {
+            motions: self.motions.len(),
+            jerk: each(&|joints| mean_jerk(joints, fps)),
+            // The toes are the second of each pair of contacts.
+            foot_skating: each(&|joints| skating_ratio(joints, fps, &[feet[1], feet[3]])),
+            lowest_joint: each(&|joints| {
+                let heights = joints.as_slice().iter().map(|place| place[1]);
+                heights.reduce(f64::min)
+            }),
+            speed: each(&|joints| {
+                let root = joints.track(0);
+                let steps = root.windows(2);
+                let metres: f64 = steps
+                    .map(|pair| (pair[1][0] - pair[0][0]).hypot(pair[1][2] - pair[0][2]))
+                    .sum();
+                (root.len() > 1).then(|| metres * fps / (root.len() - 1) as f64)
+            }),
+            transitions: self.windows.len(),
+            peak_jerk: transition.map(|found| found.peak),
+            area_under_jerk: transition
+                .filter(|_| real_jerk.is_some())
+                .map(|found| found.area),
+            frechet_distance: real.and_then(|real| distance(self.segments, real, statistics)),
+        }
+    }
+}
+
+/// Fréchet distance of the mean normalised features of clips from those of real ones.
+pub(super) fn distance(
+    clips: &[Features],
+    real: &[Features],
+    statistics: &Statistics,
+) -> Option<f64> {
+    let moments = |clips: &[Features]| {
+        let rows = clips.iter().map(|clip| means(clip, statistics));
+        FeatureMoments::compute(&rows.collect::<Vec<_>>())
+    };
+    Some(frechet_distance(&moments(clips)?, &moments(real)?))
+}
+
+/// The mean over frames of each normalised channel.
+fn means(features: &Features, statistics: &Statistics) -> Vec<f64> {
+    let channels = features.layout().channels();
+    let rows = statistics.normalize(features.as_slice());
+    let mut sums = vec![0.0; channels];
+    for row in rows.chunks(channels) {
+        for (sum, value) in sums.iter_mut().zip(row) {
+            *sum += f64::from(*value);
+        }
+    }
+    sums.iter()
+        .map(|sum| sum / features.frames() as f64)
+        .collect()
+}
+
+impl Metrics for ComposedReport {
+    fn rows(&self) -> Vec<Number> {
+        Number::list([
+            ("jerk", self.jerk, ", m/s³"),
+            ("foot skating", self.foot_skating, ""),
+            ("lowest joint", self.lowest_joint, ", m"),
+            ("speed", self.speed, ", m/s"),
+            ("peak jerk", self.peak_jerk, ", m/frame³"),
+            ("area under the jerk", self.area_under_jerk, ", m/frame³"),
+            ("Fréchet distance", self.frechet_distance, ""),
+        ])
+    }
+}

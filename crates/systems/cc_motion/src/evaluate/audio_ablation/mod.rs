@@ -1,0 +1,279 @@
+//! The ablation of audio: loss and samples of a model with the phrases' own music, with silence and
+//! with altered music. The differences show whether it follows the beats.
+
+mod audio_variant;
+mod beat_phrase;
+mod beat_tracker;
+mod loss;
+mod means;
+mod report;
+mod scores;
+
+use std::collections::BTreeSet;
+use std::sync::Arc;
+
+use kinegrad_data::{AudioFeatures, DataConfig, PhraseItem, PhraseSet, Songs};
+use kinegrad_motion::Phrase;
+
+use super::measures::Reference;
+use super::{BATCH_HINT, CondSource, Measures};
+use crate::generate::{self, Generator, keys};
+use crate::lengths::leading;
+use crate::{CcMotionConfig, EvaluationConfig};
+use audio_variant::{AudioVariant, Music, donors};
+use beat_phrase::BeatPhrase;
+use kinegrad_train::Error;
+use kinegrad_train::TrainedModel;
+use kinegrad_train::config::SamplingConfig;
+use kinegrad_train::evaluation::{EvaluationRequest, Measure, OnStep, for_each_item};
+use kinegrad_train::sampling::item_seed;
+use means::{ALIGNMENTS, Mean, PHASE_ERRORS, means_by_variant};
+use report::AblationReport;
+use scores::{MeasuredCondition, MeasuredPhrase, Score};
+
+/// An ablation of audio on the held-out phrases with beats, each cut to the training length.
+///
+/// # Errors
+/// If the config asks for noise as the audio condition, or no phrase has beats.
+pub(super) fn prepare<'a>(
+    trained: &'a TrainedModel,
+    request: &EvaluationRequest,
+    data: &DataConfig,
+    held_out: Vec<Arc<PhraseItem>>,
+    train: &PhraseSet,
+) -> Result<Measure<'a>, Error> {
+    let config = trained.config();
+    let settings = &config.own::<CcMotionConfig>().evaluation;
+    if settings.cond != CondSource::Phrases {
+        let message = "option `audio_ablation` with `evaluation.cond = \"noise\"`";
+        let hint = "it compares each phrase's own music with silence, with its frames in other \
+                    orders and with another song's";
+        return Err(Error::usage(message, hint));
+    }
+    let songs = Songs::read(data)?;
+    let frames = config.data.target_frames;
+    let beats_per_bar = settings.beats_per_bar.map(|beats| beats as f64);
+    let with_beats = |phrases: &[Arc<PhraseItem>]| -> Vec<BeatPhrase> {
+        let cut = phrases.iter().map(|phrase| leading(phrase, frames));
+        cut.filter_map(|phrase| BeatPhrase::new(phrase, &songs, beats_per_bar))
+            .collect()
+    };
+    let all = held_out.len();
+    let held_out = with_beats(&held_out);
+    if held_out.is_empty() {
+        let message = format!(
+            "none of the {all} held-out phrases of {} has beats: their phase advances by less than \
+             a beat in the {frames} frames of the training length",
+            trained.path().display()
+        );
+        let hint = "prepare them with the beats of their songs, or give another dataset with option \
+                    `source URI`";
+        return Err(Error::usage(message, hint));
+    }
+    let longest = held_out.iter().map(|one| one.phrase.frames()).max();
+    let batch = settings.seeds.saturating_mul(AudioVariant::ALL.len());
+    let processes = request.together.ranks().local().size;
+    let longest = longest.unwrap_or_default();
+    generate::must_fit(trained, batch, longest, processes, BATCH_HINT)?;
+    let training_phrases = train.load()?;
+    let training = with_beats(&training_phrases);
+    let request = request.clone();
+    Ok(Box::new(move |on_step| {
+        let generator = Generator::load(trained)?;
+        let ablation = Ablation {
+            generator: &generator,
+            settings,
+            held_out: &held_out,
+            donors: donors(&held_out, &training),
+            training_phrases: &training_phrases,
+            request: &request,
+        };
+        let report = ablation.run(on_step)?;
+        let mut results = report.results(&ablation);
+        results.remarks = remarks(&config.run.name, &report, &held_out, all);
+        Ok(results)
+    }))
+}
+
+/// Remarks on an ablation with those of `all` held-out phrases that have beats.
+fn remarks(run: &str, report: &AblationReport, held_out: &[BeatPhrase], all: usize) -> Vec<String> {
+    let mut remarks = vec![
+        "in brackets intervals of 95 %, phrases drawn again within songs drawn again; a phase \
+         without relation to the music errs by 0.25"
+            .to_owned(),
+    ];
+    if held_out.len() < all {
+        let missing = all - held_out.len();
+        remarks.push(format!(
+            "{missing} of {all} held-out phrases have no beats and are left out"
+        ));
+    }
+    if report.songs == 1 {
+        let remark = "all phrases are of one song: the intervals say nothing of other songs";
+        remarks.push(remark.to_owned());
+    }
+    let guessed = held_out.iter().filter(|one| one.guessed).count();
+    if guessed > 0 {
+        remarks.push(format!(
+            "{guessed} phrases are taken to have four beats in a bar, as nothing says how many \
+             (`evaluation.beats_per_bar`)"
+        ));
+    }
+    let mut conditions = report.conditions.iter();
+    if conditions.all(|(variant, _)| *variant != AudioVariant::OtherSong) {
+        let remark = "the dataset has one song alone: no other one can be heard";
+        remarks.push(remark.to_owned());
+    }
+    let named = remarks.into_iter();
+    named.map(|remark| format!("{run}: {remark}")).collect()
+}
+
+/// An ablation of audio.
+struct Ablation<'a> {
+    generator: &'a Generator,
+    settings: &'a EvaluationConfig,
+    /// Held-out phrases with beats, at least one.
+    held_out: &'a [BeatPhrase],
+    /// The phrases that another song's music is taken from.
+    donors: &'a [BeatPhrase],
+    /// All training phrases, for the measures of samples at other guidance scales.
+    training_phrases: &'a [Arc<PhraseItem>],
+    request: &'a EvaluationRequest,
+}
+
+impl<'a> Ablation<'a> {
+    /// Computes losses and samples. All audio variants of a phrase share their noise, so that they
+    /// differ by the audio alone; sample k of a phrase with its own music is that of `kinegrad
+    /// sample`, unless the phrase was cut.
+    ///
+    /// # Errors
+    /// If the sampler's settings cannot work, and [`Error::Interrupted`] after `Break`.
+    fn run(&self, on_step: &mut OnStep<'_>) -> Result<AblationReport, Error> {
+        let (held_out, seed) = (self.held_out, self.request.seed);
+        let together = &self.request.together;
+        let measured = for_each_item(together, held_out.len(), on_step, |index, on_step| {
+            self.measure(&held_out[index], on_step)
+        })?;
+        let guidance = self.guidance(on_step)?;
+        let real = held_out.iter().map(|phrase| {
+            let motion = std::slice::from_ref(&phrase.phrase.motion);
+            phrase.score(motion, None, seed)
+        });
+        let real: Vec<Score> = real.collect();
+        let songs: BTreeSet<&str> = held_out.iter().map(|one| one.song.as_str()).collect();
+        let tracked = measured.iter();
+        let tracked =
+            tracked.filter_map(|each| Some((each.song.as_str(), each.tracked_beat_error?)));
+        Ok(AblationReport {
+            songs: songs.len(),
+            tracked_beat_error: Mean::of(
+                "tracked_beat_error",
+                "beat-phase error of the network's tracker, beats",
+                tracked,
+                seed,
+            ),
+            conditions: means_by_variant(&measured, seed),
+            real: Mean::of_scores(&ALIGNMENTS, &self.with_songs(&real), seed),
+            guidance,
+            measured,
+        })
+    }
+
+    /// Scores of the held-out phrases, with their songs.
+    fn with_songs<'s>(&'s self, scores: &'s [Score]) -> Vec<(&'s str, &'s Score)> {
+        let songs = self.held_out.iter().map(|one| one.song.as_str());
+        songs.zip(scores).collect()
+    }
+
+    fn sampling(&self) -> &'a SamplingConfig {
+        &self.generator.config().sampling
+    }
+
+    /// The loss and the scores of one phrase for each audio variant.
+    fn measure(
+        &self,
+        phrase: &BeatPhrase,
+        on_step: &mut OnStep<'_>,
+    ) -> Result<MeasuredPhrase, Error> {
+        let (generator, seed) = (self.generator, self.request.seed);
+        let variants = AudioVariant::ALL.into_iter();
+        let variants: Vec<(AudioVariant, Music)> = variants
+            .filter_map(|variant| Some((variant, phrase.music(variant, seed, self.donors)?)))
+            .collect();
+        let audio: Vec<_> = variants.iter().map(|(_, music)| &music.audio).collect();
+        let samples = self.sample("samples", phrase, &audio, self.sampling(), on_step)?;
+        let conditions = variants.iter().zip(samples.chunks(self.settings.seeds));
+        let conditions = conditions.map(|(&(heard, ref music), samples)| MeasuredCondition {
+            heard,
+            loss: loss::loss(generator, &phrase.phrase, &music.audio),
+            score: phrase.score(samples, music.bars.as_ref(), seed),
+        });
+        Ok(MeasuredPhrase {
+            id: phrase.phrase.id.clone(),
+            song: phrase.song.clone(),
+            beats_per_bar: phrase.beats_per_bar,
+            tracked_beat_error: beat_tracker::error(generator, phrase),
+            conditions: conditions.collect(),
+        })
+    }
+
+    /// Samples with the own music at each of the guidance scales.
+    fn guidance(&self, on_step: &mut OnStep<'_>) -> Result<Vec<(f64, Vec<Mean>, Measures)>, Error> {
+        let (held_out, seed) = (self.held_out, self.request.seed);
+        let scales = &self.settings.guidance_scales;
+        let phrases: Vec<Arc<PhraseItem>> = held_out.iter().map(|one| one.phrase.clone()).collect();
+        let statistics = self.generator.statistics();
+        let reference = Reference::new(&phrases, self.training_phrases, statistics);
+        let mut guidance = Vec::with_capacity(scales.len());
+        for (number, &guidance_scale) in scales.iter().enumerate() {
+            let mut sampling = self.sampling().clone();
+            sampling.sampler.guidance_scale = guidance_scale;
+            let mut on_step =
+                |stage, done, all| on_step(stage, number * all + done, scales.len() * all);
+            let samples = for_each_item(
+                &self.request.together,
+                held_out.len(),
+                &mut on_step,
+                |index, on_step| {
+                    let phrase = &held_out[index];
+                    let audio = [&phrase.phrase.audio];
+                    let samples = self.sample("guidance", phrase, &audio, &sampling, on_step)?;
+                    let score = phrase.score(&samples, None, seed);
+                    Ok((samples, score))
+                },
+            )?;
+            let (motions, scores): (Vec<Vec<Phrase>>, Vec<Score>) = samples.into_iter().unzip();
+            let means = Mean::of_scores(&PHASE_ERRORS, &self.with_songs(&scores), seed);
+            guidance.push((guidance_scale, means, reference.measure(&motions)));
+        }
+        Ok(guidance)
+    }
+
+    /// The post-processed samples of a phrase, `seeds` of them for each of the audio conditions;
+    /// `stage` is for `on_step`.
+    fn sample(
+        &self,
+        stage: &'static str,
+        phrase: &BeatPhrase,
+        audio: &[&AudioFeatures],
+        sampling: &SamplingConfig,
+        on_step: &mut OnStep<'_>,
+    ) -> Result<Vec<Phrase>, Error> {
+        let seed = item_seed(self.request.seed, &phrase.phrase.id);
+        let conditions = audio.iter().flat_map(|&audio| {
+            keys(seed, self.settings.seeds).map(move |key| (audio.clone(), key))
+        });
+        let conditions: Vec<_> = conditions.collect();
+        let mut motions = Vec::with_capacity(conditions.len());
+        self.generator.sample_each(
+            conditions.into_iter(),
+            sampling,
+            &mut |done, all| on_step(stage, done, all),
+            &mut |sample| {
+                motions.push(sample.motion);
+                Ok(())
+            },
+        )?;
+        Ok(motions)
+    }
+}

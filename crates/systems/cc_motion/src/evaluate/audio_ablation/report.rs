@@ -1,0 +1,134 @@
+//! The report of an ablation of audio.
+
+use serde_json::{Value, json};
+
+use super::Ablation;
+use super::audio_variant::AudioVariant;
+use super::loss;
+use super::means::{Mean, to_json};
+use super::scores::MeasuredPhrase;
+use crate::evaluate::Measures;
+use kinegrad_train::evaluation::{Group, Metrics, Number, Results, with_sampling};
+
+/// The numbers of an ablation.
+pub(super) struct AblationReport {
+    /// Number of songs of the held-out phrases.
+    pub songs: usize,
+    /// Error of the network's own beat tracker; its estimate is none without a tracker.
+    pub tracked_beat_error: Mean,
+    /// The means for each audio variant.
+    pub conditions: Vec<(AudioVariant, Vec<Mean>)>,
+    /// Beat alignment of the real phrases.
+    pub real: Vec<Mean>,
+    /// Phase errors and measures of samples with the own music at each of the guidance scales.
+    pub guidance: Vec<(f64, Vec<Mean>, Measures)>,
+    /// The values of each phrase.
+    pub measured: Vec<MeasuredPhrase>,
+}
+
+impl AblationReport {
+    /// The results, without remarks.
+    pub fn results(&self, ablation: &Ablation<'_>) -> Results {
+        let count = |count: usize| Some(count as u64);
+        let (phrases, seeds) = (ablation.held_out.len(), ablation.settings.seeds);
+        Results {
+            json: self.json(ablation),
+            facts: vec![
+                ("phrases", [count(phrases); 2]),
+                ("songs", [count(self.songs); 2]),
+                ("seeds", [count(seeds), None]),
+            ],
+            samples: Some(groups(
+                |variant| self.rows(variant),
+                self.guidance.iter().flat_map(guidance_rows).collect(),
+            )),
+            real: groups(
+                |variant| match variant {
+                    AudioVariant::Own => self.real.rows(),
+                    _ => Vec::new(),
+                },
+                Vec::new(),
+            ),
+            remarks: Vec::new(),
+        }
+    }
+
+    fn json(&self, ablation: &Ablation<'_>) -> Value {
+        let conditions = self.conditions.iter().map(|(variant, means)| {
+            let mut json = to_json(means);
+            json["heard"] = json!(variant);
+            if *variant == AudioVariant::Own {
+                json["own_minus"] = Value::Null;
+            }
+            json
+        });
+        let guidance = self.guidance.iter().map(|(scale, means, measures)| {
+            let mut json = to_json(means);
+            json["guidance_scale"] = json!(scale);
+            json["measures"] = json!(measures);
+            json
+        });
+        let (generator, settings) = (ablation.generator, ablation.settings);
+        let json = json!({
+            "phrases": ablation.held_out.len(),
+            "songs": self.songs,
+            "seeds": settings.seeds,
+            "guidance_scales": settings.guidance_scales,
+            "timesteps": loss::high_noise(generator.diffusion.config.num_train_timesteps),
+            "tracked_beat_error": self.tracked_beat_error.estimate,
+            "conditions": conditions.collect::<Vec<_>>(),
+            "real": to_json(&self.real),
+            "guidance": guidance.collect::<Vec<_>>(),
+            "measured": self.measured,
+        });
+        with_sampling(json, ablation.sampling())
+    }
+
+    /// The numbers of an audio variant. The errors to the music of the condition are left out if it
+    /// has no beats or is the own music, whose errors they are.
+    fn rows(&self, variant: AudioVariant) -> Vec<Number> {
+        let own = variant == AudioVariant::Own;
+        let of_variant = self.conditions.iter().find(|(found, _)| *found == variant);
+        let means = of_variant
+            .map(|(_, means)| means.clone())
+            .unwrap_or_default();
+        let tracked = Some(self.tracked_beat_error.clone());
+        let tracked = tracked.filter(|mean| own && mean.estimate.is_some());
+        let shown =
+            |mean: &Mean| !mean.name.starts_with("heard_") || (!own && mean.estimate.is_some());
+        let means: Vec<Mean> = means.into_iter().filter(shown).chain(tracked).collect();
+        means.rows()
+    }
+}
+
+/// A group for each audio variant and one for the guidance scales.
+fn groups(numbers: impl Fn(AudioVariant) -> Vec<Number>, guidance: Vec<Number>) -> Vec<Group> {
+    let variants = AudioVariant::ALL.into_iter().map(|variant| {
+        let (key, title) = variant.names();
+        let numbers = numbers(variant);
+        Group {
+            key,
+            title,
+            numbers,
+        }
+    });
+    let guidance = Group {
+        key: "guidance",
+        title: "GUIDANCE SCALES, OWN MUSIC",
+        numbers: guidance,
+    };
+    variants.chain([guidance]).collect()
+}
+
+/// Names and titles begin with the scale.
+fn guidance_rows((scale, means, measures): &(f64, Vec<Mean>, Measures)) -> Vec<Number> {
+    let rows = means.rows().into_iter().chain(measures.rows());
+    let prefixed = rows.map(|row| Number {
+        name: format!("{scale}.{}", row.name),
+        line: row
+            .line
+            .map(|(title, shown)| (format!("{scale}: {title}"), shown)),
+        ..row
+    });
+    prefixed.collect()
+}

@@ -1,0 +1,209 @@
+//! Metrics of a trained model's samples, next to those of real phrases.
+
+mod audio_ablation;
+mod measures;
+mod movement;
+mod report;
+mod terms;
+
+use std::collections::BTreeSet;
+use std::iter::repeat_n;
+use std::sync::Arc;
+
+use kinegrad_data::{AudioFeatures, PhraseItem};
+use kinegrad_motion::Phrase;
+use kinegrad_random::{Key, Purpose};
+
+pub use measures::{CheckRate, Measures, ProfileRates};
+pub use movement::MovementSpread;
+pub use terms::LossTerm;
+
+use super::generate::{self, Generator, keys};
+use super::lengths::{untrained, windows};
+use super::{CcMotionConfig, CondSource};
+use kinegrad_train::Error;
+use kinegrad_train::Together;
+use kinegrad_train::TrainedModel;
+use kinegrad_train::evaluation::{
+    Evaluation, EvaluationRequest, OnStep, for_each_item, phrases_with_held_out,
+};
+use kinegrad_train::sampling::item_seed;
+use measures::Reference;
+
+/// Bytes of memory for a frame of a sample: the raw motion, the post-processed one, and the
+/// derivatives that are measured of each.
+const BYTES_PER_FRAME: u64 = 800;
+
+/// Hint of the error if the samples of a phrase do not fit into memory.
+const BATCH_HINT: &str =
+    "choose fewer `evaluation.seeds`: the samples of a phrase are generated at a time";
+
+/// Settings of the samples.
+#[derive(Clone, Copy)]
+pub(super) struct SampleSettings {
+    /// Samples for each phrase.
+    pub seeds: usize,
+    /// Seed of all noise.
+    pub seed: u64,
+    /// The audio condition.
+    pub cond: CondSource,
+}
+
+/// The measures of an evaluation.
+pub(super) struct EvaluationReport {
+    /// Number of held-out phrases.
+    phrases: usize,
+    settings: SampleSettings,
+    /// The samples after post-processing.
+    pub processed: Measures,
+    /// The samples without post-processing.
+    raw: Measures,
+    /// The held-out phrases.
+    pub real: Measures,
+}
+
+/// An evaluation on the held-out phrases.
+///
+/// # Errors
+/// If nothing is held out, or the request does not suit the model.
+pub(super) fn prepare<'a>(
+    trained: &'a TrainedModel,
+    request: &EvaluationRequest,
+) -> Result<Evaluation<'a>, Error> {
+    let config = trained.config();
+    let settings = &config.own::<CcMotionConfig>().evaluation;
+    let purpose = "samples are generated for held-out phrases";
+    let (data, dataset) = phrases_with_held_out(trained, request, purpose)?;
+    let mut held_out = dataset.validation.load()?;
+    held_out.truncate(settings.phrases.unwrap_or(usize::MAX));
+    let frames = held_out.iter().map(|phrase| phrase.frames() as u64);
+    let bytes = frames.sum::<u64>() * BYTES_PER_FRAME;
+    let evaluation = |report, measure| Evaluation {
+        report,
+        memory: bytes.saturating_mul(settings.seeds as u64),
+        memory_hint: "all samples are compared with each other: choose fewer `evaluation.seeds` or \
+                      `evaluation.phrases`",
+        remarks: Vec::new(),
+        measure,
+    };
+    if request.audio_ablation {
+        let measure = audio_ablation::prepare(trained, request, &data, held_out, &dataset.train)?;
+        return Ok(evaluation("eval-audio-ablation", measure));
+    }
+    let processes = request.together.ranks().local().size;
+    let lengths: BTreeSet<usize> = held_out.iter().map(|phrase| phrase.frames()).collect();
+    for frames in lengths {
+        generate::must_fit(trained, settings.seeds, frames, processes, BATCH_HINT)?;
+    }
+    let training = dataset.train.load()?;
+    let generated = held_out.iter().map(|phrase| {
+        let windows = windows(config, phrase.frames());
+        Ok(windows.map_or(phrase.frames(), |windows| windows.length()))
+    });
+    let odd_lengths = untrained(config, generated.collect::<Result<Vec<_>, Error>>()?);
+    let report = match settings.cond {
+        CondSource::Phrases => "eval",
+        CondSource::Noise => "eval-noise",
+    };
+    let settings = SampleSettings {
+        seeds: settings.seeds,
+        seed: request.seed,
+        cond: settings.cond,
+    };
+    let together = request.together.clone();
+    let measure = move |on_step: &mut OnStep<'_>| {
+        let generator = Generator::load(trained)?;
+        let report = evaluate(
+            &generator, &held_out, &training, settings, &together, on_step,
+        )?;
+        let mut results = report.results(&config.sampling);
+        if generator.statistics().movement.is_empty() {
+            results.remarks.push(format!(
+                "{} was trained before kinegrad measured how training motion moves: the bounds of \
+                 `strict` are those of its dataset's {} training phrases",
+                config.run.name,
+                training.len()
+            ));
+        }
+        results.remarks.extend(odd_lengths);
+        Ok(results)
+    };
+    Ok(evaluation(report, Box::new(measure)))
+}
+
+/// Generates samples for each held-out phrase and compares them with the held-out and the training
+/// phrases. Sample k of a phrase depends on the seed, the phrase's id and k alone: it is that of
+/// `kinegrad sample`. Each process generates those of some phrases.
+///
+/// # Errors
+/// If the sampler's settings cannot work.
+pub(super) fn evaluate(
+    generator: &Generator,
+    held_out: &[Arc<PhraseItem>],
+    training: &[Arc<PhraseItem>],
+    settings: SampleSettings,
+    together: &Together,
+    on_step: &mut OnStep<'_>,
+) -> Result<EvaluationReport, Error> {
+    let SampleSettings { seeds, seed, cond } = settings;
+    let sampling = &generator.config().sampling;
+    let samples = for_each_item(together, held_out.len(), on_step, |index, on_step| {
+        let phrase = &held_out[index];
+        let (mut raw, mut processed) = (Vec::new(), Vec::new());
+        let audio = condition(phrase, cond, seed);
+        generator.sample_each(
+            repeat_n(audio, seeds).zip(keys(item_seed(seed, &phrase.id), seeds)),
+            sampling,
+            &mut |done, all| on_step("", done, all),
+            &mut |sample| {
+                raw.push(sample.raw);
+                processed.push(sample.motion);
+                Ok(())
+            },
+        )?;
+        Ok((raw, processed))
+    })?;
+    let (raw, processed): (Vec<Vec<Phrase>>, Vec<Vec<Phrase>>) = samples.into_iter().unzip();
+    let real = held_out.iter().map(|phrase| vec![phrase.motion.clone()]);
+    let real: Vec<Vec<Phrase>> = real.collect();
+    let reference = Reference::new(held_out, training, generator.statistics());
+    Ok(EvaluationReport {
+        phrases: held_out.len(),
+        settings,
+        processed: reference.measure(&processed),
+        raw: reference.measure(&raw),
+        real: reference.measure(&real),
+    })
+}
+
+/// The audio condition of all samples of `phrase`.
+fn condition(phrase: &PhraseItem, cond: CondSource, seed: u64) -> AudioFeatures {
+    match cond {
+        CondSource::Phrases => phrase.audio.clone(),
+        CondSource::Noise => {
+            let key = Key::new(seed, Purpose::NoiseCondition).named(&phrase.id);
+            let noise = key.normals(phrase.audio.as_slice().len());
+            AudioFeatures::new(phrase.frames(), noise).expect("as many as of the phrase")
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use kinegrad_data::synthetic;
+
+    use super::*;
+
+    #[test]
+    fn noise_conditions_differ_by_phrase_and_seed_and_have_the_phrase_s_length() {
+        let phrases = [synthetic::phrase(0, 20, 1), synthetic::phrase(1, 30, 1)];
+        let noise = |phrase: &PhraseItem, seed| condition(phrase, CondSource::Noise, seed);
+        let [first, second] = phrases.each_ref().map(|phrase| noise(phrase, 0));
+        assert_eq!((first.frames(), second.frames()), (20, 30));
+        assert_eq!(first, noise(&phrases[0], 0));
+        assert_ne!(first, noise(&phrases[0], 1));
+        assert_ne!(first, second.slice(0..20));
+        let own = condition(&phrases[0], CondSource::Phrases, 0);
+        assert_eq!(own, phrases[0].audio);
+    }
+}

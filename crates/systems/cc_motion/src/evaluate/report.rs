@@ -1,0 +1,128 @@
+//! The columns of an evaluation of phrases.
+
+use kinegrad_motion::Value;
+use serde_json::json;
+
+use super::{EvaluationReport, Measures, SampleSettings};
+use kinegrad_train::config::SamplingConfig;
+use kinegrad_train::evaluation::{Group, Metrics, Number, Results, with_sampling};
+
+impl EvaluationReport {
+    /// The results, without remarks.
+    pub(super) fn results(&self, sampling: &SamplingConfig) -> Results {
+        let SampleSettings { seeds, cond, .. } = self.settings;
+        let groups = |processed: &Measures, raw: &Measures| {
+            vec![
+                Group::new("processed", "POST-PROCESSED", processed),
+                Group::new("raw", "RAW", raw),
+            ]
+        };
+        Results {
+            json: with_sampling(
+                json!({
+                    "phrases": self.phrases,
+                    "seeds": seeds,
+                    "cond": cond,
+                    "processed": self.processed,
+                    "raw": self.raw,
+                    "real": self.real,
+                }),
+                sampling,
+            ),
+            facts: vec![
+                ("phrases", [Some(self.phrases as u64); 2]),
+                ("seeds", [Some(seeds as u64), None]),
+            ],
+            samples: Some(groups(&self.processed, &self.raw)),
+            real: groups(&self.real, &self.real),
+            remarks: Vec::new(),
+        }
+    }
+}
+
+impl Metrics for Measures {
+    /// Every number by its path in the JSON; one that is not finite counts as missing. Tables show
+    /// the share of phrases that pass a check, and its mean value.
+    fn rows(&self) -> Vec<Number> {
+        let mut rows = Vec::new();
+        for (name, title, decimals, value) in [
+            ("diversity", "diversity", 3, self.diversity),
+            (
+                "same_phrase_diversity",
+                "same-phrase diversity",
+                3,
+                self.same_phrase_diversity,
+            ),
+            (
+                "frechet_held_out",
+                "Fréchet to held-out",
+                4,
+                self.frechet_held_out,
+            ),
+            (
+                "frechet_training",
+                "Fréchet to training",
+                4,
+                self.frechet_training,
+            ),
+            ("beat_alignment", "beat alignment", 3, self.beat_alignment),
+            (
+                "mean_jerk",
+                "mean jerk by the channels, m/s^3",
+                1,
+                self.mean_jerk,
+            ),
+        ] {
+            let shown = value.map(|value| format!("{value:.decimals$}"));
+            rows.push(Number::shown(name, value, title, shown));
+        }
+        for spread in &self.movement {
+            let name = |statistic| format!("movement.{}.{statistic}", spread.name);
+            let both = spread.median.zip(spread.p1.zip(spread.p99));
+            let shown =
+                both.map(|(median, (p1, p99))| format!("{median:.3} ({p1:.3} to {p99:.3})"));
+            let title = format!("movement: {}, {}", spread.title, spread.unit);
+            rows.push(Number::shown(name("median"), spread.median, title, shown));
+            rows.push(Number::in_files(name("p1"), spread.p1));
+            rows.push(Number::in_files(name("p99"), spread.p99));
+        }
+        for loss in &self.losses {
+            let (name, value) = (loss.name, loss.value);
+            let title = format!("loss: {name}");
+            let shown = format!("{value:.3e}");
+            let name = format!("loss.{name}");
+            rows.push(Number::shown(name, Some(value), title, Some(shown)));
+        }
+        for (profile, rates) in [("document", &self.document), ("strict", &self.strict)] {
+            rows.push(Number::shown(
+                format!("{profile}.pass_rate"),
+                Some(rates.pass_rate),
+                format!("{profile}: all"),
+                Some(percent(rates.pass_rate)),
+            ));
+            for check in &rates.checks {
+                let name = |end| format!("{profile}.{}.{end}", check.name);
+                rows.push(Number::shown(
+                    name("pass_rate"),
+                    Some(check.pass_rate),
+                    format!("{profile}: {}", check.name),
+                    Some(format!("{} ({})", percent(check.pass_rate), check.value)),
+                ));
+                let ends = match check.value {
+                    Value::Number(value) => vec![("value", value)],
+                    Value::Range([low, high]) => vec![("min", low), ("max", high)],
+                };
+                let ends = ends.into_iter();
+                rows.extend(ends.map(|(end, value)| Number::in_files(name(end), Some(value))));
+            }
+        }
+        for row in &mut rows {
+            row.value = row.value.filter(|value| value.is_finite());
+        }
+        rows
+    }
+}
+
+fn percent(share: f64) -> String {
+    format!("{:.0} %", 100.0 * share)
+}

@@ -1,0 +1,180 @@
+//! Generating phrases from a checkpoint.
+
+use std::ops::ControlFlow;
+
+use burn::tensor::{Tensor, TensorData};
+use kinegrad_data::AudioFeatures;
+use kinegrad_diffusion::{NoiseKeys, sample};
+use kinegrad_kernels::batch_invariant;
+use kinegrad_motion::Phrase;
+use kinegrad_motion::phrase::CHANNELS;
+use kinegrad_random::{Key, Purpose};
+
+pub use super::generator::{Generator, Sample};
+use super::lengths::windows;
+use super::networks::footprint;
+use super::windowed::{WINDOWS_IN_FLIGHT, WindowedSampling};
+use kinegrad_train::Error;
+use kinegrad_train::TrainedModel;
+use kinegrad_train::config::SamplingConfig;
+use kinegrad_train::memory;
+use kinegrad_train::sampling::Needs;
+
+/// Maximum batch size.
+const BATCH: usize = 32;
+
+/// The memory of a batch of `count` samples of `frames` frames.
+///
+/// # Errors
+/// If a network cannot be built.
+pub(super) fn needs(
+    trained: &TrainedModel,
+    count: usize,
+    frames: usize,
+    hint: &'static str,
+) -> Result<Needs, Error> {
+    let (batch, frames) = match windows(trained.config(), frames) {
+        Some(windows) => (windows.len().min(WINDOWS_IN_FLIGHT), windows.length()),
+        None => (count.min(BATCH), frames),
+    };
+    let networks = footprint(trained.config(), frames)?;
+    Ok(Needs {
+        work: format!("sampling {batch} phrases of {frames} frames"),
+        bytes: networks.of_sampling(batch, false, trained.on_host),
+        hint,
+    })
+}
+
+/// Rejects `count` samples of `frames` frames by each of `processes` if a batch of them takes more
+/// memory than is free.
+///
+/// # Errors
+/// [`Error::Usage`] with both figures.
+pub(super) fn must_fit(
+    trained: &TrainedModel,
+    count: usize,
+    frames: usize,
+    processes: usize,
+    hint: &'static str,
+) -> Result<(), Error> {
+    let needs = needs(trained, count, frames, hint)?;
+    let bytes = needs.bytes.saturating_mul(processes as u64);
+    memory::must_fit(&needs.work, bytes, hint)
+}
+
+/// Keys of the noise of the first `count` samples of one condition.
+pub fn keys(seed: u64, count: usize) -> impl ExactSizeIterator<Item = Key> {
+    let key = Key::new(seed, Purpose::Sampling);
+    (0..count).map(move |number| key.at(number as u64))
+}
+
+impl Generator {
+    /// Generates one sample per condition, as a batch; all conditions have the same number of
+    /// frames. Sample i depends on `seed` and i alone, exactly on the CPU, elsewhere up to
+    /// rounding. Samples longer than in training are sampled [in windows](Self::sample_windowed).
+    /// `on_step` is called with the number of sampling steps done and in total.
+    ///
+    /// # Errors
+    /// If the sampler's settings are invalid, and [`Error::Interrupted`] after `Break`.
+    pub fn sample(
+        &self,
+        conditions: &[AudioFeatures],
+        sampling: &SamplingConfig,
+        seed: u64,
+        on_step: &mut dyn FnMut(usize, usize) -> ControlFlow<()>,
+    ) -> Result<Vec<Sample>, Error> {
+        let mut samples = Vec::with_capacity(conditions.len());
+        let conditions = conditions.iter().cloned().zip(keys(seed, conditions.len()));
+        self.sample_each(conditions, sampling, on_step, &mut |sample| {
+            samples.push(sample);
+            Ok(())
+        })?;
+        Ok(samples)
+    }
+
+    /// [`sample`](Self::sample) of any number of conditions, each with its [key](keys), of which
+    /// one batch is in memory at a time; `take` gets the samples in order.
+    ///
+    /// # Errors
+    /// As [`sample`](Self::sample), and those of `take`, which ends sampling.
+    pub fn sample_each(
+        &self,
+        mut conditions: impl ExactSizeIterator<Item = (AudioFeatures, Key)>,
+        sampling: &SamplingConfig,
+        on_step: &mut dyn FnMut(usize, usize) -> ControlFlow<()>,
+        take: &mut dyn FnMut(Sample) -> Result<(), Error>,
+    ) -> Result<(), Error> {
+        let (drawn, normalization) = (self.targets.channels(), self.state.normalization());
+        let count = conditions.len();
+        let all = count.div_ceil(BATCH);
+        for done in 0..all {
+            let (conditions, keys): (Vec<AudioFeatures>, Vec<Key>) =
+                conditions.by_ref().take(BATCH).unzip();
+            let frames = conditions.first().map_or(0, AudioFeatures::frames);
+            let channels = self.config().data.audio_layout().channels();
+            if let Some(other) = conditions.iter().find(|c| c.channels() != channels) {
+                let found = other.channels();
+                return Err(Error::usage(
+                    format!("a condition of {found} audio features, the model takes {channels}"),
+                    "read it in the layout of the run's `data.audio_features`",
+                ));
+            }
+            if let Some(windows) = windows(self.config(), frames) {
+                for (number, (audio, key)) in conditions.iter().zip(keys).enumerate() {
+                    let whole = WindowedSampling {
+                        audio,
+                        windows: windows.clone(),
+                        given: None,
+                        path: None,
+                        in_flight: WINDOWS_IN_FLIGHT,
+                    };
+                    let before = done.saturating_mul(BATCH).saturating_add(number);
+                    take(
+                        self.sample_windowed(&whole, sampling, key, &mut |windows, of| {
+                            let before = before.saturating_mul(of);
+                            on_step(before.saturating_add(windows), count.saturating_mul(of))
+                        })?,
+                    )?;
+                }
+                continue;
+            }
+            let on_device = |values: Vec<f32>, channels: usize| -> Tensor<3> {
+                let data = TensorData::new(values, [conditions.len(), channels, frames]);
+                Tensor::from_data(data, &self.device)
+            };
+            let start = keys.iter().map(|key| key.at(0).normals(drawn * frames));
+            let heard = conditions.iter().map(|cond| cond.as_slice().to_vec());
+            let of_steps: Vec<Key> = keys.iter().map(|key| key.at(1)).collect();
+            // Each sample equals the one sampled alone, to the bit.
+            let x = batch_invariant(conditions.len(), || {
+                let x = sample(
+                    &self.diffusion,
+                    &self.unet,
+                    on_device(start.flatten().collect(), drawn),
+                    &self.condition(on_device(heard.flatten().collect(), channels)),
+                    &sampling.sampler,
+                    &sampling.clip.range(normalization, drawn)?,
+                    NoiseKeys::Samples(&of_steps),
+                    &mut |step, total, _| {
+                        let before = done.saturating_mul(total);
+                        on_step(before.saturating_add(step), all.saturating_mul(total))
+                    },
+                )?;
+                Ok::<_, Error>(match &self.decoder {
+                    Some(decoder) => decoder.forward(x, None),
+                    None => x,
+                })
+            })?;
+            let values = x.try_into_vec_as::<f32>().expect("samples are float32");
+            let width = self.decoder.as_ref().map_or(drawn, |_| CHANNELS);
+            for values in values.chunks(width * frames) {
+                let raw = match &self.decoder {
+                    Some(_) => Phrase::from_channel_major(values, frames)?.into(),
+                    None => self.predicted(values)?,
+                };
+                take(self.finished(raw, &vec![false; frames]))?;
+            }
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,112 @@
+//! Lengths that a model was trained on, and those that it was not.
+
+use std::sync::Arc;
+
+use kinegrad_data::PhraseItem;
+use kinegrad_motion::OrientationEncoding;
+use kinegrad_motion::stitch::Windows;
+
+use super::networks::targets;
+use kinegrad_train::config::Config;
+
+/// The first frames of a phrase, at most `longest`: as validation has it.
+pub(super) fn leading(phrase: &Arc<PhraseItem>, longest: usize) -> Arc<PhraseItem> {
+    match phrase.frames() > longest {
+        false => phrase.clone(),
+        true => Arc::new(PhraseItem {
+            id: phrase.id.clone(),
+            motion: phrase.motion.slice(0..longest),
+            audio: phrase.audio.slice(0..longest),
+            label: phrase.label.clone(),
+        }),
+    }
+}
+
+/// The windows of the training length for a motion of `frames` frames; `None` if it is not longer,
+/// or if samples of the model have their own first heading as frame, because such windows do not
+/// fit together.
+pub(super) fn windows(config: &Config, frames: usize) -> Option<Windows> {
+    let longest = config.data.target_frames;
+    let fit = targets(config).orientation != OrientationEncoding::CanonicalQuaternion;
+    (fit && frames > longest).then(|| Windows::new(frames, longest))
+}
+
+/// A sentence on those of the `frames` of windows or samples that training did not show, if there are
+/// any: longer than its crops, or shorter than the shortest of them.
+pub(super) fn untrained(
+    config: &Config,
+    frames: impl IntoIterator<Item = usize>,
+) -> Option<String> {
+    let data = &config.data;
+    let longest = data.target_frames;
+    let shortest = data.augment.min_frames.unwrap_or(0);
+    let frames: Vec<usize> = frames.into_iter().collect();
+    let other = frames
+        .iter()
+        .filter(|frames| !(shortest..=longest).contains(*frames));
+    let other: Vec<usize> = other.copied().collect();
+    let (least, most) = (other.iter().min()?, other.iter().max()?);
+    let trained = match shortest {
+        0 => format!("at most {longest} frames"),
+        _ => format!("{shortest} to {longest} frames"),
+    };
+    let drawn = match least == most {
+        true => format!("{most} frames"),
+        false => format!("{least} to {most} frames"),
+    };
+    Some(format!(
+        "{} of {} samples are of {drawn}, and training saw {trained} (`data.target_frames`, \
+         `data.augment.min_frames`): what is sampled at other lengths is less than what the model \
+         can do",
+        other.len(),
+        frames.len()
+    ))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::CcMotion;
+    use kinegrad_train::Systems;
+
+    const SYSTEMS: Systems<'static> = Systems(&[&CcMotion]);
+
+    #[test]
+    fn only_lengths_that_training_did_not_show_are_told() {
+        let mut config = SYSTEMS
+            .parse("", "c.toml", &["data.target_frames=60".to_string()])
+            .expect("a config");
+        assert_eq!(untrained(&config, [60, 59, 4]), None);
+        let told = untrained(&config, [60, 90, 61]).unwrap();
+        assert!(
+            told.starts_with("2 of 3 samples are of 61 to 90 frames"),
+            "{told}"
+        );
+        assert!(told.contains("saw at most 60 frames"), "{told}");
+        config.data.augment.min_frames = Some(30);
+        let told = untrained(&config, [30, 29]).unwrap();
+        assert!(
+            told.starts_with("1 of 2 samples are of 29 frames"),
+            "{told}"
+        );
+        assert!(told.contains("saw 30 to 60 frames"), "{told}");
+    }
+
+    #[test]
+    fn what_is_longer_than_training_is_drawn_in_windows_of_its_length() {
+        let windows_of = |frames, target: &str| {
+            let overrides = ["data.target_frames=60", target].map(String::from);
+            let config = SYSTEMS.parse("", "c.toml", &overrides).expect("a config");
+            windows(&config, frames)
+        };
+        let plain = "model.orientation_target=rotation_6d";
+        assert_eq!(
+            [1, 60].map(|frames| windows_of(frames, plain)),
+            [None, None]
+        );
+        let two = windows_of(61, plain).expect("windows");
+        assert_eq!((two.len(), two.length(), two.frames()), (2, 60, 61));
+        let headings = "model.orientation_target=canonical_quaternion";
+        assert_eq!(windows_of(61, headings), None);
+    }
+}

@@ -1,0 +1,44 @@
+//! Merging LoRA adapters into the weights.
+
+use std::path::{Path, PathBuf};
+
+use kinegrad_models::{MotionModel, parameters};
+
+use super::networks::networks;
+use super::{CcMotion, CcMotionConfig};
+use kinegrad_train::Error;
+use kinegrad_train::System;
+use kinegrad_train::checkpoint::{SavedCheckpoint, Weights, must_be_free, write_weights};
+use kinegrad_train::config::OwnTables;
+
+/// Merges the adapters of the checkpoint `saved` into their weights, and writes the result as the
+/// only checkpoint of a run in `out`, a new or empty folder, for sampling and initialisation; it
+/// has no optimiser to resume with. Returns the path of the checkpoint.
+///
+/// # Errors
+/// If the checkpoint is damaged or has no adapters, or `out` cannot be written.
+pub fn merge(saved: SavedCheckpoint, out: &Path) -> Result<PathBuf, Error> {
+    let saved = (&CcMotion as &dyn System).read_tables(saved)?;
+    let mut state = saved.state.clone();
+    let mut config = state.config.own::<CcMotionConfig>().clone();
+    if config.lora.is_none() {
+        return Err(Error::NoAdapters { path: saved.path });
+    }
+    must_be_free(out)?;
+    let device = burn::tensor::Device::flex();
+    let merged = |weights: Weights| -> Result<_, Error> {
+        state.statistics_of(&kinegrad_motion::Phrases)?;
+        let fresh = networks(&state.config, state.normalization(), &device)?;
+        let model = parameters::load(fresh, saved.weights(weights)?)?;
+        let model = MotionModel {
+            unet: model.unet.merge_adapters(),
+            decoder: model.decoder,
+        };
+        Ok((parameters::infos(&model), parameters::values(&model)))
+    };
+    let (infos, model) = merged(Weights::Model)?;
+    let (_, ema) = merged(Weights::Ema)?;
+    config.lora = None;
+    state.config.system = OwnTables::new(config);
+    write_weights(out, &state, &infos, &model, &ema)
+}

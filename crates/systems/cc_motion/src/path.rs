@@ -1,0 +1,356 @@
+//! A path over the ground that a phrase follows (docs/sources.md, section 7, options B and D): the root of
+//! a phrase is where its position channels say.
+//!
+//! Training moves phrases to the origin and does not turn them: so is the path, window by window.
+
+use std::ops::Range;
+use std::path::PathBuf;
+
+use kinegrad_motion::path::{PathPlan, PathReport};
+use kinegrad_motion::phrase::{ACCELERATION, FPS, POSITION, VELOCITY};
+use kinegrad_motion::stitch::Windows;
+use kinegrad_motion::{Phrase, Statistics};
+use kinegrad_settings::{InvalidSetting, in_range};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use serde_json::to_value;
+
+use kinegrad_train::Error;
+use kinegrad_train::clips::path_target::{Fastest, PathTarget};
+use kinegrad_train::sampling::PathRecord;
+
+/// The table `evaluation.path`: how a phrase follows the path of `kinegrad sample --path`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct PhrasePathConfig {
+    /// The method that keeps the root on the path during sampling.
+    pub method: PhrasePathMethod,
+    /// For `guidance`: length of a step against the gradient of the squared distance.
+    pub guidance_step_size: f64,
+    /// For `guidance`: distance from the path that costs nothing, metres.
+    pub tolerance: f64,
+    /// Last timestep at which the path acts. With `override`, positions are those of the path in the
+    /// end whatever it is.
+    pub stop_timestep: usize,
+}
+
+impl Default for PhrasePathConfig {
+    fn default() -> Self {
+        Self {
+            method: PhrasePathMethod::default(),
+            guidance_step_size: 0.2,
+            tolerance: 0.0,
+            stop_timestep: 0,
+        }
+    }
+}
+
+/// The path-following method of phrases.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum PhrasePathMethod {
+    /// Position, velocity and acceleration along the ground are replaced in the predicted clean motion
+    /// at each step (option B).
+    #[default]
+    Override,
+    /// The noisy motion goes against the gradient of the distance at each step (option D).
+    Guidance,
+}
+
+impl PhrasePathConfig {
+    /// # Errors
+    /// Names the key that cannot work with so many timesteps.
+    pub fn validate(&self, num_train_timesteps: usize) -> Result<(), InvalidSetting> {
+        in_range("guidance_step_size", self.guidance_step_size, 0.0..)?;
+        in_range("tolerance", self.tolerance, 0.0..)?;
+        in_range("stop_timestep", self.stop_timestep, 0..num_train_timesteps)
+    }
+}
+
+/// A path for each frame of a phrase.
+#[derive(Clone, Debug)]
+pub struct PhrasePath {
+    config: PhrasePathConfig,
+    /// `[frames]`, x and z, metres.
+    points: Vec<[f64; 2]>,
+}
+
+/// The path of a request, for one phrase.
+pub(super) struct Asked {
+    file: PathBuf,
+    plan: PathPlan,
+    target: PathTarget,
+    /// In the frame of sampling.
+    pub followed: PhrasePath,
+    config: PhrasePathConfig,
+}
+
+impl Asked {
+    /// The path of a file for `frames` frames.
+    ///
+    /// # Errors
+    /// If it is no path.
+    pub fn new(
+        (file, plan): &(PathBuf, PathPlan),
+        frames: usize,
+        config: &PhrasePathConfig,
+    ) -> Result<Self, Error> {
+        let target = PathTarget::new(plan, frames, FPS)?;
+        Ok(Self {
+            file: file.clone(),
+            plan: plan.clone(),
+            followed: PhrasePath::new(&target, config.clone()),
+            target,
+            config: config.clone(),
+        })
+    }
+
+    /// The warning about a path that exceeds training phrases with these statistics.
+    pub fn too_fast(&self, statistics: &Statistics) -> Option<String> {
+        let fastest = Fastest::of(statistics, VELOCITY.start, 1.0);
+        self.target.too_fast(&self.file, FPS, fastest)
+    }
+
+    /// The record of a phrase.
+    pub fn record(&self, motion: &Phrase) -> PathRecord {
+        let frames = (0..motion.frames()).map(|t| motion.frame(t));
+        let track = frames.map(|frame| GROUND.map(|axis| f64::from(frame[POSITION.start + axis])));
+        let track: Vec<[f64; 2]> = track.collect();
+        PathRecord {
+            file: self.file.clone(),
+            content: self.plan.clone(),
+            settings: Some(to_value(&self.config).expect("plain data")),
+            report: PathReport::of_root(&track, &self.target.line, &self.target.course),
+        }
+    }
+}
+
+/// The axes of the ground.
+const GROUND: [usize; 2] = [0, 2];
+
+impl PhrasePath {
+    /// The path of a target, followed according to `config`.
+    pub fn new(target: &PathTarget, config: PhrasePathConfig) -> Self {
+        Self {
+            config,
+            points: target.course.points.clone(),
+        }
+    }
+
+    fn acts(&self, method: PhrasePathMethod, timestep: usize) -> bool {
+        self.config.method == method && timestep >= self.config.stop_timestep
+    }
+
+    /// The guidance step of noisy windows, `[windows, channels, frames of a window]`, normalised:
+    /// `None` if there is no guidance at this timestep.
+    pub fn step(
+        &self,
+        noisy: &[f32],
+        windows: &Windows,
+        statistics: &Statistics,
+        timestep: usize,
+    ) -> Option<Vec<f32>> {
+        if !self.acts(PhrasePathMethod::Guidance, timestep) {
+            return None;
+        }
+        let length = windows.length();
+        let channels = noisy.len() / (windows.len() * length);
+        let mut step = vec![0.0; noisy.len()];
+        for window in 0..windows.len() {
+            let wanted = self.seen(windows.of(window));
+            for (t, wanted) in wanted.iter().enumerate() {
+                let at = GROUND.map(|axis| (window * channels + axis) * length + t);
+                let std = GROUND.map(|axis| statistics.std[axis]);
+                let away = [0, 1].map(|i| {
+                    let place = f64::from(noisy[at[i]]) * std[i] + statistics.mean[GROUND[i]];
+                    place - wanted[i]
+                });
+                let distance = away[0].hypot(away[1]);
+                let over = (distance - self.config.tolerance).max(0.0);
+                let share = if distance > 0.0 { over / distance } else { 0.0 };
+                for i in [0, 1] {
+                    // d/dx of the square, by the normalised channel.
+                    step[at[i]] =
+                        (self.config.guidance_step_size * 2.0 * share * away[i] * std[i]) as f32;
+                }
+            }
+        }
+        Some(step)
+    }
+
+    /// Puts the path into predicted clean windows, `[windows, channels, frames of a window]`,
+    /// normalised, where that is the method.
+    pub fn put(
+        &self,
+        predicted: &mut [f32],
+        windows: &Windows,
+        statistics: &Statistics,
+        timestep: usize,
+    ) {
+        if !self.acts(PhrasePathMethod::Override, timestep) {
+            return;
+        }
+        let length = windows.length();
+        let channels = predicted.len() / (windows.len() * length);
+        let all = channels_of(&self.points);
+        for window in 0..windows.len() {
+            let frames = windows.of(window);
+            for (channel, values) in &all {
+                let (channel, values) = (*channel, &values[frames.clone()]);
+                // Places are seen from the window's beginning.
+                let origin = if POSITION.contains(&channel) {
+                    values[0]
+                } else {
+                    0.0
+                };
+                let (mean, std) = (statistics.mean[channel], statistics.std[channel]);
+                let first = (window * channels + channel) * length;
+                for (t, value) in values.iter().enumerate() {
+                    predicted[first + t] = ((value - origin - mean) / std) as f32;
+                }
+            }
+        }
+    }
+
+    /// Moves a generated phrase to the start of the path, and with `override` onto it in every
+    /// frame.
+    pub fn finish(&self, motion: &mut Phrase) {
+        let start = self.points[0];
+        for t in 0..motion.frames() {
+            let frame = motion.frame_mut(t);
+            for (axis, start) in GROUND.into_iter().zip(start) {
+                frame[POSITION.start + axis] += start as f32;
+            }
+        }
+        if self.config.method != PhrasePathMethod::Override {
+            return;
+        }
+        for (channel, values) in channels_of(&self.points) {
+            for (t, value) in values.into_iter().enumerate() {
+                motion.frame_mut(t)[channel] = value as f32;
+            }
+        }
+    }
+
+    /// The points of some frames from the first of them on.
+    fn seen(&self, frames: Range<usize>) -> Vec<[f64; 2]> {
+        let points = &self.points[frames];
+        let [x, z] = points[0];
+        points
+            .iter()
+            .map(|point| [point[0] - x, point[1] - z])
+            .collect()
+    }
+}
+
+/// Position, velocity and acceleration along the ground of a root at `points`, with their channels.
+fn channels_of(points: &[[f64; 2]]) -> Vec<(usize, Vec<f64>)> {
+    let change = |values: &[f64]| -> Vec<f64> {
+        let mut changes: Vec<f64> = values
+            .windows(2)
+            .map(|pair| FPS * (pair[1] - pair[0]))
+            .collect();
+        // The last frame repeats the derivatives of the one before.
+        changes.push(changes.last().copied().unwrap_or(0.0));
+        changes
+    };
+    let of_axis = |(i, axis): (usize, usize)| {
+        let position: Vec<f64> = points.iter().map(|point| point[i]).collect();
+        let velocity = change(&position);
+        let acceleration = change(&velocity);
+        [
+            (POSITION.start + axis, position),
+            (VELOCITY.start + axis, velocity),
+            (ACCELERATION.start + axis, acceleration),
+        ]
+    };
+    GROUND.into_iter().enumerate().flat_map(of_axis).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use kinegrad_motion::phrase::CHANNELS;
+
+    use super::*;
+
+    fn path(method: PhrasePathMethod, frames: usize) -> PhrasePath {
+        let points = (0..frames).map(|t| [2.0 + 0.01 * t as f64, -0.02 * t as f64]);
+        let target = PathTarget::through(points.collect()).unwrap();
+        let config = PhrasePathConfig {
+            method,
+            stop_timestep: 10,
+            ..PhrasePathConfig::default()
+        };
+        PhrasePath::new(&target, config)
+    }
+
+    fn statistics() -> Statistics {
+        let mean = (0..CHANNELS).map(|c| 0.1 * c as f64).collect();
+        Statistics::new(mean, vec![0.5; CHANNELS], None).unwrap()
+    }
+
+    #[test]
+    fn predicted_windows_have_the_path_from_their_own_beginning() {
+        let (windows, statistics) = (Windows::new(90, 60), statistics());
+        let path = path(PhrasePathMethod::Override, 90);
+        let mut values = vec![7.0f32; windows.len() * CHANNELS * 60];
+        path.put(&mut values, &windows, &statistics, 9);
+        assert!(
+            values.iter().all(|value| *value == 7.0),
+            "below `stop_timestep`"
+        );
+        path.put(&mut values, &windows, &statistics, 10);
+        for window in values.chunks(CHANNELS * 60) {
+            let channel = |c: usize, t: usize| {
+                f64::from(window[c * 60 + t]) * statistics.std[c] + statistics.mean[c]
+            };
+            for t in [0, 30, 59] {
+                assert!((channel(0, t) - 0.01 * t as f64).abs() < 1e-6);
+                assert!((channel(2, t) + 0.02 * t as f64).abs() < 1e-6);
+                assert!((channel(3, t) - 0.3).abs() < 1e-5 && (channel(5, t) + 0.6).abs() < 1e-5);
+                assert!(channel(6, t).abs() < 1e-4 && channel(8, t).abs() < 1e-4);
+                assert_eq!(window[60 + t], 7.0, "the height is the model's");
+            }
+        }
+    }
+
+    #[test]
+    fn steps_lead_nearer_to_the_path_and_nothing_else_moves() {
+        let (windows, statistics) = (Windows::new(40, 40), statistics());
+        let path = path(PhrasePathMethod::Guidance, 40);
+        let noisy = vec![1.5f32; CHANNELS * 40];
+        assert!(path.step(&noisy, &windows, &statistics, 9).is_none());
+        let step = path.step(&noisy, &windows, &statistics, 500).unwrap();
+        let away = |values: &[f32]| -> f64 {
+            let place =
+                |c: usize, t: usize| f64::from(values[c * 40 + t]) * 0.5 + statistics.mean[c];
+            (0..40)
+                .map(|t| {
+                    let (x, z) = (0.01 * t as f64, -0.02 * t as f64);
+                    (place(0, t) - x).hypot(place(2, t) - z)
+                })
+                .sum()
+        };
+        let moved: Vec<f32> = noisy.iter().zip(&step).map(|(x, step)| x - step).collect();
+        // Of a square: by 2 guidance_step_size std^2 of the distance.
+        let share = away(&moved) / away(&noisy);
+        assert!((share - (1.0 - 2.0 * 0.2 * 0.25)).abs() < 1e-6, "{share}");
+        let ground = |index: usize| [0, 2].contains(&(index / 40));
+        assert!(
+            step.iter()
+                .enumerate()
+                .all(|(i, step)| ground(i) || *step == 0.0)
+        );
+    }
+
+    #[test]
+    fn a_drawn_phrase_begins_where_the_path_does() {
+        let mut motion = Phrase::new(vec![0.25; CHANNELS * 20]).unwrap();
+        path(PhrasePathMethod::Guidance, 20).finish(&mut motion);
+        assert_eq!(motion.frame(5)[..3], [2.25, 0.25, 0.25]);
+        path(PhrasePathMethod::Override, 20).finish(&mut motion);
+        assert_eq!(motion.frame(5)[..3], [2.05, 0.25, -0.1]);
+        assert!((motion.frame(5)[3] - 0.3).abs() < 1e-5);
+        assert_eq!(motion.frame(5)[9], 0.25);
+    }
+}

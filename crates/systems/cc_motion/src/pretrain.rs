@@ -1,0 +1,155 @@
+//! The base model and the decoder that recipe `e2e` trains first where `init.diffusion` is empty.
+
+use std::path::Path;
+use std::rc::Rc;
+
+use super::recipe_name::RecipeName;
+use super::{CcMotion, CcMotionConfig, InitConfig, PretrainConfig};
+use kinegrad_train::Ending;
+use kinegrad_train::Error;
+use kinegrad_train::Observer;
+use kinegrad_train::Systems;
+use kinegrad_train::Together;
+use kinegrad_train::config::{Config, OptimConfig, OwnTables, RunConfig, TrainConfig};
+use kinegrad_train::run::{Outcome, has_begun, train_config};
+
+/// Names of the two runs, inside the folder of the run that needs them.
+const BASE: &str = "base";
+const DECODER: &str = "decoder";
+
+/// Both, in their order.
+pub(super) const STAGES: [&str; 2] = [BASE, DECODER];
+
+/// Validations of each of the two.
+const VALIDATIONS: u64 = 4;
+
+/// The `saved` config of the run in `folder`: where that is a decoder on the base model beside it
+/// and was begun on one of the same place in its run, it names the base model as `given` does.
+pub(super) fn moved(saved: Config, given: &Config, folder: &Path) -> Result<Config, Error> {
+    let mut own = saved.own::<CcMotionConfig>().clone();
+    let base = &given.own::<CcMotionConfig>().init.diffusion;
+    let whole = folder.parent().unwrap_or(folder);
+    let place = Path::new(whole.file_name().unwrap_or_default()).join(BASE);
+    if *base != whole.join(BASE) || !own.init.diffusion.ends_with(place) {
+        return Ok(saved);
+    }
+    own.init.diffusion = base.clone();
+    Ok(saved.with_own(own))
+}
+
+/// Rejects to train a base model again beneath a decoder that was begun on another.
+fn must_have_base(folder: &Path) -> Result<(), Error> {
+    let [base, decoder] = STAGES.map(|stage| folder.join(stage));
+    match has_begun(&decoder)? && !has_begun(&base)? {
+        false => Ok(()),
+        true => Err(Error::usage(
+            format!(
+                "{} is missing, and so are the checkpoints beside it: the decoder in {} was begun \
+                 on that base model",
+                base.join("config.toml").display(),
+                decoder.display()
+            ),
+            format!(
+                "put the folder {} back, or remove {} to train both again",
+                base.display(),
+                decoder.display()
+            ),
+        )),
+    }
+}
+
+/// Trains, continues or finds both initial runs, and returns their settings. The inner error is the
+/// outcome of an interrupted run; resuming the outer one continues it.
+pub(super) fn run(
+    config: &Config,
+    folder: &Path,
+    together: &Rc<Together>,
+    observer: &mut dyn Observer,
+) -> Result<Result<InitConfig, Box<Outcome>>, Error> {
+    let pretrain = tell(config, folder, observer)?;
+    if pretrain.diffusion_steps > 0 {
+        must_have_base(folder)?;
+    }
+    let base = (pretrain.diffusion_steps, pretrain.diffusion_learning_rate);
+    let decoder = (pretrain.decoder_steps, pretrain.decoder_learning_rate);
+    let mut init = InitConfig::default();
+    for (name, recipe, (steps, rate)) in [
+        (BASE, RecipeName::Diffusion, base),
+        (DECODER, RecipeName::Decoder, decoder),
+    ] {
+        if steps == 0 {
+            continue;
+        }
+        let stage = stage(config, name, recipe, &init, steps, rate)?;
+        let run = folder.join(name);
+        let begun = has_begun(&run)?;
+        let systems = Systems(&[&CcMotion]);
+        let outcome = train_config(systems, stage, folder, begun, together, observer)?;
+        if outcome.ending == Some(Ending::Interrupted) {
+            return Ok(Err(Box::new(outcome)));
+        }
+        match recipe {
+            RecipeName::Decoder => init.decoder = run,
+            RecipeName::Diffusion | RecipeName::E2e => init.diffusion = run,
+        }
+    }
+    Ok(Ok(init))
+}
+
+/// Says that both are trained first, and how long.
+pub(super) fn tell(
+    config: &Config,
+    folder: &Path,
+    observer: &mut dyn Observer,
+) -> Result<PretrainConfig, Error> {
+    let pretrain = config.own::<CcMotionConfig>().init.pretrain.clone();
+    observer.note(&format!(
+        "`init.diffusion` is empty: a base model is trained first ({} steps), then a decoder ({} \
+         steps), in {}",
+        pretrain.diffusion_steps,
+        pretrain.decoder_steps,
+        folder.display()
+    ));
+    Ok(pretrain)
+}
+
+/// The config of one of the two: `config` with another recipe, starting from `init`.
+fn stage(
+    config: &Config,
+    name: &str,
+    recipe: RecipeName,
+    init: &InitConfig,
+    steps: u64,
+    rate: f64,
+) -> Result<Config, Error> {
+    let own = CcMotionConfig {
+        init: init.clone(),
+        lora: None,
+        ..config.own::<CcMotionConfig>().clone()
+    };
+    let mut stage = Config {
+        run: RunConfig {
+            name: name.into(),
+            ..config.run.clone()
+        },
+        system: OwnTables::new(own),
+        optim: OptimConfig {
+            learning_rate: rate,
+            warmup_steps: steps / 10,
+            groups: Default::default(),
+            ..config.optim.clone()
+        },
+        train: TrainConfig {
+            recipe: recipe.name().into(),
+            max_steps: steps,
+            patience: 0,
+            ..config.train.clone()
+        },
+        ..config.clone()
+    };
+    stage.sampling.count_at_end = 0;
+    if stage.validation.every_steps > 0 {
+        stage.validation.every_steps = (steps / VALIDATIONS).max(1);
+    }
+    Ok(stage)
+}

@@ -1,0 +1,56 @@
+//! The recipes of this system by name.
+
+use kinegrad_train::RecipeInfo;
+use kinegrad_train::config::Config;
+
+/// The recipes.
+pub(super) const RECIPES: [RecipeInfo; 3] = [
+    RecipeInfo {
+        name: "diffusion",
+        groups: &["unet"],
+    },
+    RecipeInfo {
+        name: "decoder",
+        groups: &["decoder"],
+    },
+    RecipeInfo {
+        name: "e2e",
+        groups: &["unet", "decoder"],
+    },
+];
+
+/// A recipe of this system.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum RecipeName {
+    /// The denoiser.
+    Diffusion,
+    /// The decoder, on a denoiser that does not change.
+    Decoder,
+    /// Denoiser and decoder, through the sampler.
+    E2e,
+}
+
+impl RecipeName {
+    /// The recipe of a config of this system.
+    ///
+    /// # Panics
+    /// Panics for a config of another system.
+    pub fn of(config: &Config) -> Self {
+        let all = [Self::Diffusion, Self::Decoder, Self::E2e].into_iter();
+        let mut found = all.filter(|recipe| recipe.name() == config.train.recipe);
+        found.next().expect("a recipe of this system")
+    }
+
+    /// Its name in configs.
+    pub fn name(self) -> &'static str {
+        RECIPES[self as usize].name
+    }
+
+    /// True if it runs the sampler in training, so that `rollout`, `decoder` and `loss` apply.
+    pub fn trains_through_sampler(self) -> bool {
+        match self {
+            Self::Diffusion => false,
+            Self::Decoder | Self::E2e => true,
+        }
+    }
+}

@@ -1,0 +1,141 @@
+//! A motion decoder on the latents of a frozen denoiser (CC-MotionGen, section 3.3;
+//! docs/sources.md, section 1.6).
+//!
+//! ```text
+//! L = w_dec |decoder(latent) - motion|^2 / std^2
+//! ```
+//!
+//! There is no temporal term: the decoder sees one frame at a time, so it could only reduce jitter
+//! by reducing motion. It is trained on two latents of each phrase that have a ground truth: the
+//! phrase with the low noise that a sampler may leave, and a DDIM sample started from the phrase
+//! with high noise (`rollout`), whose error is weighted by the signal remaining in its start. The
+//! denoiser is part of the checkpoint and is not trained.
+
+use burn::module::Module;
+use burn::tensor::{Device, Tensor};
+use kinegrad_data::Batch;
+use kinegrad_models::MotionModel;
+use kinegrad_random::{Key, Purpose};
+
+use super::Rollouts;
+use crate::{LossConfig, ReconstructionWeighting};
+use kinegrad_train::denoising::{HeldOut, Inputs, noise};
+use kinegrad_train::{Loss, Measured, Recipe, StepKey};
+
+/// The noised latents are at timesteps below this share of all.
+const NOISED_SHARE: f64 = 0.05;
+
+/// Trains the decoder of a [`MotionModel`].
+pub struct DecoderRecipe {
+    rollouts: Rollouts,
+    loss: LossConfig,
+    held_out: HeldOut,
+}
+
+impl DecoderRecipe {
+    /// A recipe whose latents are sampled by `rollouts`, validated on `held_out`.
+    pub fn new(rollouts: Rollouts, loss: &LossConfig, held_out: HeldOut) -> Self {
+        Self {
+            rollouts,
+            loss: loss.clone(),
+            held_out,
+        }
+    }
+
+    /// The phrases under little noise, at timesteps spread by `place`.
+    fn noised(
+        &self,
+        x_start: &Tensor<3>,
+        noise: Tensor<3>,
+        place: impl Fn(usize) -> f64,
+    ) -> Tensor<3> {
+        let diffusion = &self.rollouts.rollout.diffusion;
+        let below = diffusion.config.num_train_timesteps as f64 * NOISED_SHARE;
+        let timesteps: Vec<usize> = (0..x_start.dims()[0])
+            .map(|i| (place(i) * below) as usize)
+            .collect();
+        diffusion.add_noise(x_start.clone(), noise, &timesteps)
+    }
+
+    /// The weighted terms of both latents, by name.
+    fn terms(
+        &self,
+        model: &MotionModel,
+        inputs: &Inputs,
+        latents: [Tensor<3>; 2],
+        starts: &[usize],
+        dropout: Option<Key>,
+    ) -> [(&'static str, Tensor<1>); 2] {
+        let device = inputs.x_start.device();
+        let target = self.rollouts.physical(&inputs.x_start);
+        let error = |call: u64, latent: Tensor<3>, weighting| {
+            let decoded = model
+                .decoder
+                .forward(latent, dropout.map(|key| key.at(call)));
+            let weights = self.rollouts.weights(starts, weighting, &device);
+            let rollouts = &self.rollouts;
+            rollouts.normalized_error(&decoded, &target, &inputs.mask, weights) * self.loss.w_dec
+        };
+        let [noised, sampled] = latents;
+        [
+            (
+                "reconstruction_noised",
+                error(0, noised, ReconstructionWeighting::Uniform),
+            ),
+            (
+                "reconstruction_sampled",
+                error(1, sampled, self.loss.reconstruction_weighting),
+            ),
+        ]
+    }
+}
+
+impl Recipe for DecoderRecipe {
+    type Model = MotionModel;
+    type Pending = ();
+
+    fn measures_first(&self) -> bool {
+        true
+    }
+
+    fn loss(&self, model: &MotionModel, batch: &Batch, key: StepKey, device: &Device) -> Loss {
+        let inputs = Inputs::new(batch, device);
+        let shape = inputs.x_start.dims();
+        let places = key.of(Purpose::Timesteps).uniforms(shape[0]);
+        let little = noise(key.of(Purpose::Noise), shape, device);
+        let noised = self.noised(&inputs.x_start, little, |i| f64::from(places[i]));
+        let starts = self
+            .rollouts
+            .draw_starts(shape[0], key.of(Purpose::RolloutTimesteps));
+        let much = noise(key.of(Purpose::RolloutNoise), shape, device);
+        let sampled = self
+            .rollouts
+            .sample(&model.unet.valid(), &inputs, much, &starts);
+
+        let dropout = Some(key.of(Purpose::DecoderDropout));
+        let latents = [noised.clone(), sampled.clone()];
+        let terms = self.terms(model, &inputs, latents, &starts, dropout);
+        Loss {
+            total: terms[0].1.clone() + terms[1].1.clone(),
+            terms: terms.to_vec(),
+            probes: vec![("noised latent", noised), ("sampled latent", sampled)],
+            pending: (),
+        }
+    }
+
+    fn validation_loss(&self, model: &MotionModel, device: &Device) -> Measured {
+        let phrases = self.held_out.len();
+        let starts = self.rollouts.starts(phrases, |_| 0.5);
+        self.held_out.mean_terms(|range, batch| {
+            let inputs = Inputs::new(&batch, device);
+            let starts = &starts[range.clone()];
+            let noise = |draw| self.held_out.noise(range.clone(), draw, &inputs.x_start);
+            let places = |i: usize| ((range.start + i) as f64 + 0.5) / phrases as f64;
+            let latents = [
+                self.noised(&inputs.x_start, noise(0), places),
+                self.rollouts.sample(&model.unet, &inputs, noise(1), starts),
+            ];
+            self.terms(model, &inputs, latents, starts, None).into()
+        })
+    }
+}

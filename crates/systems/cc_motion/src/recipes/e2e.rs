@@ -1,0 +1,231 @@
+//! End-to-end training of denoiser and decoder through the sampler (CC-MotionGen, section 7;
+//! docs/sources.md, section 1.8):
+//!
+//! ```text
+//! L = w_diff L_diff + w_dec (L_pos + L_quat) + w_temp sum L_temp + w_components L_all
+//!
+//! L_diff   the diffusion loss, on normalised motion
+//! decoded  decoder(DDIM of K steps), with gradients to every call of the network
+//! L_pos, L_quat   squared error of the decoded position and quaternion
+//! L_temp   temporal coherence of the decoded motion
+//! L_all    squared error of all components in units of their deviations (not CC-MotionGen's)
+//! ```
+//!
+//! Dropout is off inside the rollout. A rollout starts from the batch's motion under noise
+//! (`rollout.start`), and its reconstruction counts by how much of the motion the start still
+//! holds: pulled towards a ground truth they know nothing of, samples would all become the mean
+//! motion.
+
+use burn::module::Module;
+use burn::tensor::{Device, Tensor};
+use kinegrad_data::Batch;
+use kinegrad_diffusion::{Trace, rollout_timesteps};
+use kinegrad_models::{AudioCondition, DropoutKey, GradientSum, MotionModel};
+use kinegrad_random::Purpose;
+
+use super::diffusion::{denoising_loss, denoising_validation_loss};
+use super::{Rollouts, heard};
+use crate::LossConfig;
+use crate::losses::{ReconstructionLoss, temporal_losses};
+use kinegrad_train::denoising::{Draws, HeldOut, Inputs, noise};
+use kinegrad_train::{Loss, Measured, Recipe, StepKey};
+
+/// Index of the start noise of held-out rollouts, independent of `validation.draws`.
+const ROLLOUT_DRAW: u64 = 1;
+
+/// Fine-tunes a [`MotionModel`].
+pub struct E2eRecipe {
+    rollouts: Rollouts,
+    loss: LossConfig,
+    held_out: HeldOut,
+}
+
+/// The state with which the backward pass of a checkpointed rollout continues.
+#[derive(Debug)]
+pub struct PendingRollout {
+    trace: Trace,
+    cond: AudioCondition,
+}
+
+/// The random inputs of one batch's loss.
+#[derive(Clone, Debug)]
+pub struct E2eDraws {
+    /// Inputs of the diffusion loss.
+    pub denoising: Draws,
+    /// Start timestep of each sample's rollout.
+    pub starts: Vec<usize>,
+    /// Start noise of the rollout, standard normal: `[batch, channels, time]`.
+    pub start_noise: Tensor<3>,
+    /// The decoder's dropout.
+    pub decoder_dropout: DropoutKey,
+}
+
+impl E2eRecipe {
+    /// A recipe whose rollouts `rollouts` makes, validated on `held_out`.
+    pub fn new(rollouts: Rollouts, loss: &LossConfig, held_out: HeldOut) -> Self {
+        Self {
+            rollouts,
+            loss: loss.clone(),
+            held_out,
+        }
+    }
+
+    /// The loss of a batch and its random inputs.
+    pub fn loss_of(
+        &self,
+        model: &MotionModel,
+        inputs: Inputs,
+        draws: E2eDraws,
+    ) -> Loss<Option<PendingRollout>> {
+        let E2eDraws {
+            denoising,
+            starts,
+            start_noise,
+            decoder_dropout,
+        } = draws;
+        // 1. The diffusion loss.
+        let diffusion = &self.rollouts.rollout.diffusion;
+        let denoising = denoising_loss(diffusion, &model.unet, inputs.clone(), denoising, true);
+        let mut total = denoising.total * self.loss.w_diff;
+        let weighted = denoising.terms.into_iter();
+        let mut terms: Vec<_> = weighted
+            .map(|(name, term)| (name, term * self.loss.w_diff))
+            .collect();
+
+        // 2. A rollout, with gradients as `rollout.mode` keeps them.
+        let cond = heard(&inputs);
+        let output = self
+            .rollouts
+            .rollout
+            .run(
+                &model.unet,
+                &model.unet.valid(),
+                self.rollouts.start(&inputs.x_start, start_noise, &starts),
+                &cond,
+                &rollout_timesteps(&starts, self.rollouts.config.steps),
+                self.rollouts.config.graph(),
+            )
+            .expect("bounds of all channels");
+        let pending = output.trace.map(|trace| PendingRollout { trace, cond });
+
+        // 3. Its latent decoded, compared with the ground truth, and with itself.
+        let decoded = model.decoder.forward(output.x.clone(), decoder_dropout);
+        for (name, term) in self.decoded_terms(&decoded, &inputs, &starts) {
+            total = total + term.clone();
+            terms.push((name, term));
+        }
+        let mut probes = denoising.probes;
+        probes.extend([("latent", output.x), ("decoded", decoded)]);
+        Loss {
+            total,
+            terms,
+            probes,
+            pending,
+        }
+    }
+
+    /// The weighted terms of decoded motion, by name.
+    fn decoded_terms(
+        &self,
+        decoded: &Tensor<3>,
+        inputs: &Inputs,
+        starts: &[usize],
+    ) -> Vec<(&'static str, Tensor<1>)> {
+        let target = self.rollouts.physical(&inputs.x_start);
+        let weighting = self.loss.reconstruction_weighting;
+        let weights = self.rollouts.weights(starts, weighting, &decoded.device());
+        let sign = self.loss.quaternion_sign;
+        let ReconstructionLoss {
+            position,
+            quaternion,
+        } = ReconstructionLoss::new(decoded, &target, &inputs.mask, weights.clone(), sign);
+        let mut terms = vec![
+            ("position", position * self.loss.w_dec),
+            ("quaternion", quaternion * self.loss.w_dec),
+        ];
+        if self.loss.w_components > 0.0 {
+            let rollouts = &self.rollouts;
+            let error = rollouts.normalized_error(decoded, &target, &inputs.mask, weights);
+            terms.push(("components", error * self.loss.w_components));
+        }
+        let temporal = temporal_losses(decoded, &inputs.mask, &self.loss.temporal);
+        terms.extend(
+            temporal
+                .into_iter()
+                .map(|(name, term)| (name, term * self.loss.w_temp)),
+        );
+        terms
+    }
+}
+
+impl Recipe for E2eRecipe {
+    type Model = MotionModel;
+    type Pending = Option<PendingRollout>;
+
+    fn group_of(&self, parameter: &str) -> usize {
+        usize::from(parameter.starts_with("decoder."))
+    }
+
+    fn measures_first(&self) -> bool {
+        true
+    }
+
+    fn loss(
+        &self,
+        model: &MotionModel,
+        batch: &Batch,
+        key: StepKey,
+        device: &Device,
+    ) -> Loss<Self::Pending> {
+        let inputs = Inputs::new(batch, device);
+        let shape = inputs.x_start.dims();
+        let diffusion = &self.rollouts.rollout.diffusion;
+        let draws = E2eDraws {
+            denoising: Draws::new(diffusion, &inputs, key, device),
+            starts: self
+                .rollouts
+                .draw_starts(shape[0], key.of(Purpose::RolloutTimesteps)),
+            start_noise: noise(key.of(Purpose::RolloutNoise), shape, device),
+            decoder_dropout: Some(key.of(Purpose::DecoderDropout)),
+        };
+        self.loss_of(model, inputs, draws)
+    }
+
+    fn backward(&self, model: &MotionModel, loss: Loss<Self::Pending>) -> GradientSum {
+        let mut sum = GradientSum::default();
+        let mut gradients = loss.total.backward();
+        if let Some(PendingRollout { trace, cond }) = loss.pending {
+            let (rollout, unet) = (&self.rollouts.rollout, &model.unet);
+            trace
+                .backward(rollout, unet, &cond, &mut gradients, &mut |_, mut local| {
+                    sum.add(model, &mut local);
+                })
+                .expect("it ran forwards");
+        }
+        sum.add(model, &mut gradients);
+        sum
+    }
+
+    /// The same loss without dropout, the start timesteps of the phrases covering their range
+    /// evenly.
+    fn validation_loss(&self, model: &MotionModel, device: &Device) -> Measured {
+        let diffusion = &self.rollouts.rollout.diffusion;
+        let phrases = self.held_out.len();
+        let denoising = denoising_validation_loss(diffusion, &model.unet, &self.held_out, device);
+        let mut measured = Measured::default();
+        measured.add("diffusion", denoising * self.loss.w_diff);
+        let starts = self.rollouts.starts(phrases, |_| 0.5);
+        let decoded = self.held_out.mean_terms(|range, batch| {
+            let inputs = Inputs::new(&batch, device);
+            let starts = &starts[range.clone()];
+            let noise = self.held_out.noise(range, ROLLOUT_DRAW, &inputs.x_start);
+            let latent = self.rollouts.sample(&model.unet, &inputs, noise, starts);
+            let decoded = model.decoder.forward(latent, None);
+            self.decoded_terms(&decoded, &inputs, starts)
+        });
+        for (name, term) in decoded.terms {
+            measured.add(name, term);
+        }
+        measured
+    }
+}

@@ -1,0 +1,176 @@
+//! The sampler in training: from a batch to decoded motion.
+
+use std::sync::Arc;
+
+use burn::tensor::{Device, Tensor, TensorData};
+use kinegrad_diffusion::{GaussianDiffusion, Rollout, RolloutMode, rollout_timesteps};
+use kinegrad_models::UNet1d;
+use kinegrad_models::channel_encoding::decode;
+use kinegrad_motion::{ChannelEncoding, PhaseEncoding, Statistics};
+use kinegrad_random::Key;
+
+use crate::losses::reconstruction::{normalized_error, with_nearer_phase};
+use crate::{ReconstructionWeighting, RolloutConfig, RolloutStart};
+use kinegrad_train::Error;
+use kinegrad_train::denoising::Inputs;
+
+/// Rollouts according to the table `rollout`.
+pub struct Rollouts {
+    pub(super) rollout: Rollout,
+    pub(super) config: RolloutConfig,
+    pub(super) statistics: Arc<Statistics>,
+    pub(super) targets: ChannelEncoding,
+    /// Deviations of the 25 channels, which errors of decoded motion are in units of.
+    pub(super) std: Vec<f64>,
+}
+
+impl Rollouts {
+    /// Rollouts of `diffusion` over motion that was normalised by `statistics`.
+    ///
+    /// # Errors
+    /// If the range of the training motion is not known.
+    pub fn new(
+        diffusion: GaussianDiffusion,
+        config: &RolloutConfig,
+        statistics: Arc<Statistics>,
+    ) -> Result<Self, Error> {
+        let clip = config.clip.range(&statistics, statistics.channels())?;
+        let clip = match config.straight_through {
+            true => kinegrad_diffusion::ClipRange::StraightThrough(Box::new(clip)),
+            false => clip,
+        };
+        Ok(Self {
+            rollout: Rollout {
+                diffusion,
+                clip,
+                guidance: config.guidance(),
+                gradient_decay: config.gradient_decay,
+            },
+            config: config.clone(),
+            std: statistics.std.clone(),
+            targets: ChannelEncoding::default(),
+            statistics,
+        })
+    }
+
+    /// The same over motion in the channels of `targets` and their statistics; `stored` are those
+    /// of the 25 channels.
+    #[must_use]
+    pub fn with_targets(self, targets: ChannelEncoding, stored: &Statistics) -> Self {
+        Self {
+            targets,
+            std: stored.std.clone(),
+            ..self
+        }
+    }
+
+    /// Start timesteps of a batch: the last one for rollouts from pure noise, else one from each of
+    /// `batch` equal parts of the configured range, `place(i)` in [0, 1) saying where in part i.
+    pub(super) fn starts(&self, batch: usize, place: impl Fn(usize) -> f64) -> Vec<usize> {
+        let last = self.rollout.diffusion.config.num_train_timesteps - 1;
+        if self.config.start == RolloutStart::Noise {
+            return vec![last; batch];
+        }
+        let [lowest, highest] = self.config.start_timesteps.map(|t| t.min(last));
+        let width = (highest - lowest + 1) as f64;
+        (0..batch)
+            .map(|i| {
+                let part = (i as f64 + place(i)) / batch as f64;
+                lowest + ((part * width) as usize).min(highest - lowest)
+            })
+            .collect()
+    }
+
+    /// As [`starts`](Self::starts), at timesteps sampled from `key`.
+    pub(super) fn draw_starts(&self, batch: usize, key: Key) -> Vec<usize> {
+        let places = key.uniforms(batch);
+        self.starts(batch, |i| f64::from(places[i]))
+    }
+
+    /// The state a rollout starts from.
+    pub(super) fn start(
+        &self,
+        x_start: &Tensor<3>,
+        noise: Tensor<3>,
+        starts: &[usize],
+    ) -> Tensor<3> {
+        match self.config.start {
+            RolloutStart::Noise => noise,
+            RolloutStart::Motion => {
+                let diffusion = &self.rollout.diffusion;
+                diffusion.add_noise(x_start.clone(), noise, starts)
+            }
+        }
+    }
+
+    /// Latents sampled for the batch with plain weights, without gradients: `[batch, channels,
+    /// time]`.
+    pub(super) fn sample(
+        &self,
+        unet: &UNet1d,
+        inputs: &Inputs,
+        noise: Tensor<3>,
+        starts: &[usize],
+    ) -> Tensor<3> {
+        let output = self.rollout.run(
+            unet,
+            unet,
+            self.start(&inputs.x_start, noise, starts),
+            &super::heard(inputs),
+            &rollout_timesteps(starts, self.config.steps),
+            RolloutMode::LastK(0),
+        );
+        output.expect("bounds of all channels").x.without_autodiff()
+    }
+
+    /// The weight of each sample's reconstruction: `[batch, 1, 1]`.
+    pub(super) fn weights(
+        &self,
+        starts: &[usize],
+        weighting: ReconstructionWeighting,
+        device: &Device,
+    ) -> Tensor<3> {
+        let abar = &self.rollout.diffusion.schedule.alphas_cumprod;
+        let weights: Vec<f32> = starts
+            .iter()
+            .map(|&t| match weighting {
+                ReconstructionWeighting::Uniform => 1.0,
+                ReconstructionWeighting::Signal => abar[t] as f32,
+            })
+            .collect();
+        Tensor::from_data(TensorData::new(weights, [starts.len(), 1, 1]), device)
+    }
+
+    /// Normalised motion in physical units: `[batch, 25, time]`.
+    pub(super) fn physical(&self, x: &Tensor<3>) -> Tensor<3> {
+        let device = x.device();
+        let x = x.clone() * channels(&self.statistics.std, &device)
+            + channels(&self.statistics.mean, &device);
+        decode(self.targets, x)
+    }
+
+    /// The mean squared error of all components in units of their deviations.
+    pub(super) fn normalized_error(
+        &self,
+        decoded: &Tensor<3>,
+        target: &Tensor<3>,
+        mask: &Tensor<2>,
+        weights: Tensor<3>,
+    ) -> Tensor<1> {
+        let std = channels(&self.std, &decoded.device());
+        match self.targets.phase {
+            PhaseEncoding::Scalar => normalized_error(decoded, target, mask, weights, &std),
+            PhaseEncoding::SinCos | PhaseEncoding::Harmonics => {
+                let target = with_nearer_phase(target, decoded);
+                normalized_error(decoded, &target, mask, weights, &std)
+            }
+        }
+    }
+}
+
+/// One value per channel: `[1, channels, 1]`.
+pub(super) fn channels(values: &[f64], device: &Device) -> Tensor<3> {
+    let values: Vec<f32> = values.iter().map(|&v| v as f32).collect();
+    let shape = [1, values.len(), 1];
+    Tensor::from_data(TensorData::new(values, shape), device)
+}

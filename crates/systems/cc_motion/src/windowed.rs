@@ -1,0 +1,297 @@
+//! Drawing motion in overlapping windows: whole songs, and motion of which frames are given.
+//!
+//! The windows have the training length and are sampled jointly. After each prediction of the clean
+//! motion they are stitched to one motion ([`kinegrad_motion::stitch`]) and continue from their
+//! parts of it, with the noise that leads from there to their states; frames that several windows
+//! share have the same noise. Memory is bounded by the number of windows in one network call.
+
+use std::ops::{ControlFlow, Range};
+
+use burn::tensor::{Tensor, TensorData};
+use kinegrad_data::AudioFeatures;
+use kinegrad_diffusion::{
+    NoiseKeys, Prediction, PredictionType, Time, guided, noise_of_parts, sample_with,
+};
+use kinegrad_kernels::{batch_invariant, host_values};
+use kinegrad_models::decoder::Coherence;
+use kinegrad_motion::coherence::{
+    fit_heading, fit_orientation, fit_trajectory, heading_confidence,
+};
+use kinegrad_motion::derivatives::make_sign_continuous;
+use kinegrad_motion::heading_alignment::HeadingAlignment;
+use kinegrad_motion::postprocess::derive_angular_velocity;
+use kinegrad_motion::stitch::{self, Layout, Windows};
+use kinegrad_motion::{Phrase, Statistics};
+use kinegrad_random::Key;
+
+use super::generator::{Generator, Sample};
+use super::path::PhrasePath;
+use kinegrad_train::Error;
+use kinegrad_train::config::SamplingConfig;
+use kinegrad_train::sampling::KnownFrames;
+
+/// Windows that the network sees at a time.
+pub const WINDOWS_IN_FLIGHT: usize = 8;
+
+/// A motion to be sampled in windows.
+#[derive(Clone, Debug)]
+pub struct WindowedSampling<'a> {
+    /// Its conditions, for all frames.
+    pub audio: &'a AudioFeatures,
+    /// Its windows; each is conditioned on its part of the audio.
+    pub windows: Windows,
+    /// Frames that are given.
+    pub given: Option<&'a KnownFrames>,
+    /// The path that it follows.
+    pub path: Option<&'a PhrasePath>,
+    /// Windows that the network sees at a time. More are faster and take more memory; on the CPU
+    /// the motion is the same to the bit.
+    pub in_flight: usize,
+}
+
+impl WindowedSampling<'_> {
+    /// Ranges of windows that the network sees at a time.
+    fn batches(&self) -> impl Iterator<Item = Range<usize>> + use<> {
+        let (windows, in_flight) = (self.windows.len(), self.in_flight.max(1));
+        let firsts = (0..windows).step_by(in_flight);
+        firsts.map(move |first| first..(first + in_flight).min(windows))
+    }
+}
+
+impl Generator {
+    /// Generates a motion in windows, by the noise of `key`. `on_windows` is called whenever the
+    /// network has seen some windows, with how many it has seen in all steps and how many there are.
+    ///
+    /// # Errors
+    /// If the sampler's settings are invalid, and [`Error::Interrupted`] after `Break`.
+    pub fn sample_windowed(
+        &self,
+        whole: &WindowedSampling<'_>,
+        sampling: &SamplingConfig,
+        key: Key,
+        on_windows: &mut dyn FnMut(usize, usize) -> ControlFlow<()>,
+    ) -> Result<Sample, Error> {
+        let physical = whole.given.map(KnownFrames::known);
+        let normalized = whole.given.map(|given| self.normalized(&given.known()));
+        let latents = self.latents(whole, normalized.as_ref(), sampling, key, on_windows)?;
+        let raw = match &self.decoder {
+            None => {
+                let mut values = latents;
+                let all = self.stitched(whole, &mut values, normalized.as_ref());
+                self.predicted(&all)?
+            }
+            Some(_) => self.decoded(whole, physical.as_ref(), &latents)?.into(),
+        };
+        let none = || vec![false; whole.windows.frames()];
+        let is_known = physical.map_or_else(none, |known| known.is_known);
+        let mut sample = self.finished(raw, &is_known);
+        if let Some(given) = whole.given {
+            given.put_into(&mut sample.raw);
+            given.put_into(&mut sample.motion);
+        }
+        if let Some(path) = whole.path {
+            path.finish(&mut sample.raw);
+            path.finish(&mut sample.motion);
+        }
+        Ok(sample)
+    }
+
+    /// Known frames of a phrase in the channels and units of the network.
+    fn normalized(&self, known: &stitch::KnownFrames) -> stitch::KnownFrames {
+        let frames = known.is_known.len();
+        let phrase = Phrase::from_channel_major(&known.values, frames).expect("25 channels");
+        let (rows, channels) = (
+            self.targets.encode(phrase.as_slice()),
+            self.targets.channels(),
+        );
+        let Statistics { mean, std, .. } = self.state.normalization();
+        let place = |index: usize| (index / frames, index % frames);
+        let values = (0..channels * frames).map(place).map(|(channel, t)| {
+            let value = f64::from(rows[t * channels + channel]);
+            ((value - mean[channel]) / std[channel]) as f32
+        });
+        stitch::KnownFrames {
+            values: values.collect(),
+            is_known: known.is_known.clone(),
+        }
+    }
+
+    /// Windows as the network predicts them, as one motion of which each becomes its part.
+    fn stitched(
+        &self,
+        whole: &WindowedSampling<'_>,
+        values: &mut [f32],
+        known: Option<&stitch::KnownFrames>,
+    ) -> Vec<f32> {
+        let turning = HeadingAlignment {
+            layout: Layout::Predicted(self.targets),
+            statistics: Some(self.state.normalization()),
+        };
+        self.turned_and_stitched(turning, whole, values, known)
+    }
+
+    /// Stitches windows to one motion; each window becomes its part, in its own place and heading.
+    /// Windows of a model trained on one heading, and windows along a path, agree and stay as they
+    /// are.
+    fn turned_and_stitched(
+        &self,
+        turning: HeadingAlignment<'_>,
+        whole: &WindowedSampling<'_>,
+        values: &mut [f32],
+        known: Option<&stitch::KnownFrames>,
+    ) -> Vec<f32> {
+        let windows = &whole.windows;
+        if !self.state.config.data.augment.rotate_yaw || whole.path.is_some() {
+            return windows.stitch(values, known, turning.layout);
+        }
+        let angles = turning.angles(windows, values, known);
+        turning.turn(windows, values, &angles);
+        let motion = windows.stitch(values, known, turning.layout);
+        let back: Vec<f64> = angles.iter().map(|angle| -angle).collect();
+        turning.turn(windows, values, &back);
+        motion
+    }
+
+    fn on_device(&self, values: Vec<f32>, shape: [usize; 3]) -> Tensor<3> {
+        Tensor::from_data(TensorData::new(values, shape), &self.device)
+    }
+
+    /// The denoised windows, `[windows, channels, frames of a window]`, normalised.
+    fn latents(
+        &self,
+        whole: &WindowedSampling<'_>,
+        known: Option<&stitch::KnownFrames>,
+        sampling: &SamplingConfig,
+        key: Key,
+        on_windows: &mut dyn FnMut(usize, usize) -> ControlFlow<()>,
+    ) -> Result<Vec<f32>, Error> {
+        let (windows, config) = (&whole.windows, &sampling.sampler);
+        let shape = [windows.len(), self.targets.channels(), windows.length()];
+        let clip = sampling.clip.range(self.state.normalization(), shape[1])?;
+        let all = sampling.sampler.network_evaluations() * windows.len();
+        let mut done = 0;
+        let mut predict = |x: Tensor<3>, time: &[Time]| {
+            let timesteps: Vec<usize> = time.iter().map(|time| time.timestep()).collect();
+            let statistics = self.state.normalization();
+            let step = whole.path.and_then(|path| {
+                path.step(&host_values(x.clone()), windows, statistics, timesteps[0])
+            });
+            let x = match step {
+                Some(step) => x - self.on_device(step, shape),
+                None => x,
+            };
+            let mut predicted = Vec::with_capacity(shape.iter().product());
+            for batch in whole.batches() {
+                let heard = batch.clone().map(|window| {
+                    let part = whole.audio.slice(windows.of(window));
+                    part.as_slice().to_vec()
+                });
+                let cond = [batch.len(), whole.audio.channels(), windows.length()];
+                let cond = self.condition(self.on_device(heard.flatten().collect(), cond));
+                let x = x.clone().narrow(0, batch.start, batch.len());
+                // Each window equals the one sampled alone, to the bit.
+                let prediction = batch_invariant(batch.len(), || {
+                    let time = &time[batch.clone()];
+                    let scales = config.guidance(time[0].timestep());
+                    let output = guided(&self.unet, x.clone(), time, &cond, scales);
+                    let timesteps = &timesteps[batch.clone()];
+                    Prediction::new(&self.diffusion, output, x, timesteps, &clip)
+                })?;
+                predicted.extend(host_values(prediction.x_start));
+                done += batch.len();
+                if on_windows(done, all).is_break() {
+                    return Err(kinegrad_diffusion::Error::Stopped);
+                }
+            }
+            if let Some(path) = whole.path {
+                path.put(&mut predicted, windows, statistics, timesteps[0]);
+            }
+            self.stitched(whole, &mut predicted, known);
+            let x_start = self.on_device(predicted, shape);
+            // The equivalent output for this prediction type.
+            let model_output = self.diffusion.convert(
+                x_start.clone(),
+                x.clone(),
+                &timesteps,
+                PredictionType::Sample,
+                self.diffusion.config.prediction_type,
+            );
+            Ok(Prediction {
+                x_t: x,
+                x_start,
+                model_output,
+                clipped: true,
+                steered: None,
+            })
+        };
+        let [_, channels, time] = shape;
+        let starts = windows.starts();
+        let noise = noise_of_parts(key.at(0), starts, [channels, time]);
+        let keys = NoiseKeys::Parts {
+            key: key.at(1),
+            starts,
+        };
+        let x = sample_with(
+            &self.diffusion,
+            &mut predict,
+            self.on_device(noise, shape),
+            config,
+            keys,
+            &mut |_, _, _| ControlFlow::Continue(()),
+        )?;
+        Ok(host_values(x))
+    }
+
+    /// The motion of latent windows: each is decoded in its own frame, as in training; the coherent
+    /// trajectory is that of the whole motion.
+    fn decoded(
+        &self,
+        whole: &WindowedSampling<'_>,
+        known: Option<&stitch::KnownFrames>,
+        latents: &[f32],
+    ) -> Result<Phrase, Error> {
+        let decoder = self.decoder.as_ref().expect("asked before");
+        let windows = &whole.windows;
+        let channels = self.targets.channels();
+        let a_window = channels * windows.length();
+        let mut decoded = Vec::with_capacity(latents.len());
+        for batch in whole.batches() {
+            let latent = latents[batch.start * a_window..batch.end * a_window].to_vec();
+            let latent = self.on_device(latent, [batch.len(), channels, windows.length()]);
+            let motion = batch_invariant(batch.len(), || decoder.frames(latent, None));
+            decoded.extend(host_values(motion));
+        }
+        let turning = HeadingAlignment {
+            layout: Layout::Phrase,
+            statistics: None,
+        };
+        let all = self.turned_and_stitched(turning, whole, &mut decoded, known);
+        let mut motion = Phrase::from_channel_major(&all, windows.frames())?;
+        let coherence = decoder.coherence();
+        if coherence != Coherence::None {
+            let none = || vec![false; windows.frames()];
+            let is_known = known.map_or_else(none, |known| known.is_known.clone());
+            let std = &self.statistics().std;
+            fit_trajectory(&mut motion, std, &is_known);
+            if coherence == Coherence::Full {
+                let confidence = heading_confidence(&motion);
+                fit_heading(&mut motion, std, &is_known, &confidence);
+                fit_orientation(&mut motion, std, &is_known);
+            }
+        }
+        let frames = 0..motion.frames();
+        let units = frames.map(|t| motion.quaternion(t).normalised());
+        let mut quaternions: Vec<_> = units.collect();
+        if coherence != Coherence::None {
+            make_sign_continuous(&mut quaternions);
+        }
+        for (t, quaternion) in quaternions.into_iter().enumerate() {
+            motion.set_quaternion(t, quaternion);
+        }
+        if coherence != Coherence::None {
+            // As the decoder does for a phrase: that of the quaternions.
+            derive_angular_velocity(&mut motion);
+        }
+        Ok(motion)
+    }
+}

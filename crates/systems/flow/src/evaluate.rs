@@ -1,0 +1,195 @@
+//! The evaluation of autoregressive motion: rollouts that continue the beginnings of held-out clips.
+
+use std::ops::ControlFlow;
+use std::sync::Arc;
+
+use kinegrad_data::humanml::Clip;
+use kinegrad_diffusion::SamplerConfig;
+use kinegrad_motion::humanml::Joints;
+use kinegrad_random::{Key, Purpose};
+use serde_json::json;
+
+use super::networks::text_input;
+use super::report::{RolloutReport, TextReport, bone_lengths};
+use super::sample::untaught_guidance;
+use super::{FlowGenerator, FlowTables, RolloutEvaluationConfig};
+use kinegrad_train::Error;
+use kinegrad_train::TrainedModel;
+use kinegrad_train::clips::captions::{ClipText, must_know_texts};
+use kinegrad_train::evaluation::{
+    Evaluation, EvaluationRequest, Group, OnStep, Results, clips_with_held_out, for_each_item,
+    note_if_fewer,
+};
+use kinegrad_train::sampling::item_seed;
+
+/// An evaluation of rollouts.
+///
+/// # Errors
+/// If no held-out clip is long enough, or the model does not know its text.
+pub(super) fn prepare<'a>(
+    trained: &'a TrainedModel,
+    request: &EvaluationRequest,
+) -> Result<Evaluation<'a>, Error> {
+    let own: &FlowTables = trained.config().own();
+    let sampler = trained.config().sampling.sampler.clone();
+    let purpose = "rollouts continue held-out clips";
+    let own_data = &trained.config().data;
+    let (data, dataset) = clips_with_held_out(own_data, trained, request, purpose)?;
+    let settings = own.evaluation.clone();
+    let begin = beginning(own.pose.history_frames + 1);
+    let chosen = dataset.validation.evenly(settings.rollouts)?;
+    let long_enough = chosen.iter().filter(|clip| clip.features.frames() > begin);
+    let held_out: Vec<Arc<Clip>> = long_enough.cloned().collect();
+    if held_out.is_empty() {
+        let message = format!(
+            "no held-out clip of {} has more than {begin} frames",
+            trained.path().display()
+        );
+        let hint = "a rollout continues so many frames: hold out longer clips, or give another \
+                    dataset with option `source`";
+        return Err(Error::usage(message, hint));
+    }
+    let mut remarks = Vec::new();
+    if held_out.len() < chosen.len() {
+        remarks.push(format!(
+            "note: {} of {} clips have no more than {begin} frames and are left out",
+            chosen.len() - held_out.len(),
+            chosen.len()
+        ));
+    }
+    let warning = untaught_guidance(trained, own);
+    remarks.extend(warning.map(|warning| format!("warning: {warning}")));
+    let wanted = settings.rollouts;
+    remarks.extend(note_if_fewer(chosen.len(), wanted, "rollouts", trained));
+    must_know_texts(&text_input(trained.config()), &held_out)?;
+    let joints = data.humanml3d.skeleton.skeleton().joints();
+    let coordinates = held_out.len() * settings.frames * 3 * joints;
+    let request = request.clone();
+    Ok(Evaluation {
+        report: "eval-rollouts",
+        memory: (coordinates * size_of::<f64>()) as u64,
+        memory_hint: "fewer or shorter motions: `evaluation.rollouts`, `evaluation.frames`",
+        remarks,
+        measure: Box::new(move |on_step| {
+            let generator = FlowGenerator::load(trained)?;
+            evaluate(
+                &generator, &held_out, &settings, &sampler, &request, on_step,
+            )
+        }),
+    })
+}
+
+/// One rollout for the text of each clip and, where another clip has another text, one for that.
+fn evaluate(
+    generator: &FlowGenerator,
+    held_out: &[Arc<Clip>],
+    settings: &RolloutEvaluationConfig,
+    sampler: &SamplerConfig,
+    request: &EvaluationRequest,
+    on_step: &mut OnStep<'_>,
+) -> Result<Results, Error> {
+    let skeleton = generator.space().skeleton.clone();
+    let history_frames = generator.shortest_history();
+    let begin = beginning(history_frames);
+    let texts: Vec<Option<ClipText>> = held_out.iter().map(|clip| ClipText::of(clip)).collect();
+    let other_text = |number: usize| {
+        let others = texts[number + 1..].iter().chain(&texts[..number]);
+        others.into_iter().find(|text| **text != texts[number])
+    };
+    let each = 1 + usize::from(other_text(0).is_some());
+    let split = |clip: &Clip| {
+        let joints = clip.features.joints();
+        let history = part(&joints, begin - history_frames, begin);
+        (history, part(&joints, begin, joints.frames()))
+    };
+    let frames = settings.frames;
+    // The rollouts of each clip by text, and the velocity evaluations of the first.
+    let rollouts = for_each_item(
+        &request.together,
+        held_out.len(),
+        on_step,
+        |number, on_step| {
+            let clip = &held_out[number];
+            let (history, _) = split(clip);
+            let key = Key::new(item_seed(request.seed, &clip.id), Purpose::Sampling);
+            let (mut motions, mut evaluations, mut done) = (Vec::new(), 0, 0);
+            for text in [Some(&texts[number]), other_text(number)] {
+                let Some(text) = text else { continue };
+                let mut rollout = generator.rollout(&history, frames, sampler, settings, key)?;
+                rollout.push_text(&generator.text(text.as_ref())?)?;
+                let mut positions = Vec::with_capacity(frames * skeleton.joints());
+                let sample = || format!("after clip `{}`", clip.id);
+                while let Some(frame) = FlowGenerator::next_frame(&mut rollout, &sample)? {
+                    positions.extend(frame);
+                    done += 1;
+                    if let ControlFlow::Break(()) = on_step("", done, each * frames) {
+                        return Err(Error::Interrupted);
+                    }
+                }
+                if motions.is_empty() {
+                    evaluations = rollout.evaluations();
+                }
+                motions.push(positions);
+            }
+            Ok((motions, evaluations))
+        },
+    )?;
+    let (mut samples, mut real) = (Vec::new(), Vec::new());
+    let mut pairs = [Vec::new(), Vec::new()];
+    let mut evaluations = 0;
+    for (clip, (motions, of_first)) in held_out.iter().zip(rollouts) {
+        let (history, rest) = split(clip);
+        let bones = bone_lengths(&skeleton, history.frame(history.frames() - 1));
+        evaluations += of_first;
+        for (which, positions) in motions.into_iter().enumerate() {
+            let motion = Joints::new(positions, skeleton.joints()).expect("whole frames");
+            let common = rest.frames().min(motion.frames());
+            if common >= RolloutReport::SHORTEST {
+                pairs[which].push((part(&motion, 0, common), part(&rest, 0, common)));
+            }
+            if which == 0 {
+                samples.push((bones.clone(), motion));
+            }
+        }
+        if rest.frames() >= RolloutReport::SHORTEST {
+            real.push((bones, rest));
+        }
+    }
+    let [own, other] = pairs.map(|pairs| TextReport::compute(&skeleton, &pairs));
+    let per_frame = evaluations as f64 / (held_out.len() * frames) as f64;
+    let of_samples = RolloutReport::compute(&skeleton, &samples, &real);
+    let of_real = RolloutReport::compute(&skeleton, &real, &real);
+    let groups = |report: &RolloutReport, own: &TextReport, other: &TextReport| {
+        let mut group = Group::new("rollouts", "", report);
+        group.numbers.extend(TextReport::rows(own, other));
+        vec![group]
+    };
+    let none = TextReport::default();
+    Ok(Results {
+        json: json!({
+            "settings": settings,
+            "sampler": sampler,
+            "evaluations_per_frame": per_frame,
+            "drawn": of_samples,
+            "own_texts": own,
+            "other_texts": other,
+            "real": of_real,
+        }),
+        facts: Vec::new(),
+        samples: Some(groups(&of_samples, &own, &other)),
+        real: groups(&of_real, &none, &none),
+        remarks: vec![format!(
+            "{per_frame:.1} velocity evaluations for each frame"
+        )],
+    })
+}
+
+/// Frames of a clip before a rollout: the same number for all runs with short histories.
+fn beginning(history_frames: usize) -> usize {
+    history_frames.max(RolloutReport::SHORTEST)
+}
+
+fn part(joints: &Joints, first: usize, end: usize) -> Joints {
+    let positions = (first..end).flat_map(|t| joints.frame(t).to_vec());
+    Joints::new(positions.collect(), joints.joints()).expect("whole frames")
+}

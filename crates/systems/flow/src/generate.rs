@@ -1,0 +1,131 @@
+//! Autoregressive motion from a checkpoint.
+
+use burn::module::Module;
+use burn::tensor::{Device, Tensor, TensorData};
+use kinegrad_diffusion::{Error as Diffusion, SamplerConfig};
+use kinegrad_models::flow::{FlowModel, FlowRollout, FlowSpace, RolloutError, RolloutSettings};
+use kinegrad_motion::humanml::{Extraction, FeatureError, Joints, TEXT_CHANNELS};
+use kinegrad_random::Key;
+
+use super::networks::{model, text_input};
+use super::{FlowTables, RolloutEvaluationConfig, statistics_in};
+use kinegrad_train::Error;
+use kinegrad_train::TrainedModel;
+use kinegrad_train::checkpoint::State;
+use kinegrad_train::clips::captions::{ClipText, TextInput};
+use kinegrad_train::config::Config;
+
+/// A trained pair of networks that continues histories.
+pub struct FlowGenerator {
+    model: FlowModel,
+    space: FlowSpace,
+    text: TextInput,
+    state: State,
+    device: Device,
+}
+
+impl FlowGenerator {
+    /// Loads the networks of a trained model.
+    ///
+    /// # Errors
+    /// If the checkpoint is damaged or does not fit its own config.
+    pub fn load(trained: &TrainedModel) -> Result<Self, Error> {
+        let (device, state) = (&trained.device, trained.saved.state.clone());
+        let own: &FlowTables = state.config.own();
+        let [features, target] = statistics_in(&state)?;
+        let network = model(&state.config, &device.clone().autodiff())?;
+        Ok(Self {
+            model: trained.load(network)?.valid(),
+            space: FlowSpace {
+                skeleton: state.config.data.humanml3d.skeleton.skeleton(),
+                features,
+                target,
+                next: own.pose.target,
+                prediction: own.pose.prediction_type,
+                history: own.pose.history_frames,
+                longest: state.config.data.target_frames,
+            },
+            text: text_input(&state.config),
+            state,
+            device: device.clone(),
+        })
+    }
+
+    /// The config the model was trained with.
+    pub fn config(&self) -> &Config {
+        &self.state.config
+    }
+
+    /// The representation.
+    pub fn space(&self) -> &FlowSpace {
+        &self.space
+    }
+
+    /// Frames that a history has at least.
+    pub fn shortest_history(&self) -> usize {
+        self.space.history + 1
+    }
+
+    /// The 512 numbers of a text, for [`FlowRollout::push_text`]; zeros for none.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] for a text that the model does not know.
+    pub fn text(&self, text: Option<&ClipText>) -> Result<Vec<f32>, Error> {
+        let none = || vec![0.0; TEXT_CHANNELS];
+        // A prompt may be empty.
+        let text = text.filter(|text| **text != ClipText::default());
+        let told = text
+            .map(|text| self.text.values(text))
+            .transpose()?
+            .flatten();
+        let Some(told) = told else {
+            return Ok(none());
+        };
+        let shape = [1, told.len()];
+        let told = Tensor::from_data(TensorData::new(told, shape), &self.device);
+        let numbers = self.model.text(told).try_into_vec_as::<f32>();
+        Ok(numbers.expect("weights are float32"))
+    }
+
+    /// The next frame of the motion called `sample`; none after the last.
+    ///
+    /// # Errors
+    /// [`Error::SampleNotFinite`], and those of [`FlowRollout::next_frame`].
+    pub(super) fn next_frame(
+        rollout: &mut FlowRollout,
+        sample: &dyn Fn() -> String,
+    ) -> Result<Option<Vec<[f64; 3]>>, Error> {
+        rollout.next_frame().map_err(|error| match error {
+            RolloutError::Feature(FeatureError::NonFinite { .. })
+            | RolloutError::Sampler(Diffusion::NotFinite) => Error::SampleNotFinite {
+                sample: format!("{}, frame {}", sample(), rollout.generated()),
+            },
+            other => other.into(),
+        })
+    }
+
+    /// A rollout before its first frame, without a text: `frames` frames will follow the `history`
+    /// (joints in metres above the floor at the skeleton's rate), sampled according to `how` with
+    /// the noise of `key`; its number of frames is ignored.
+    ///
+    /// # Errors
+    /// If the history is too short or of another skeleton, or a setting cannot work.
+    pub fn rollout(
+        &self,
+        history: &Joints,
+        frames: usize,
+        sampler: &SamplerConfig,
+        how: &RolloutEvaluationConfig,
+        key: Key,
+    ) -> Result<FlowRollout, RolloutError> {
+        let settings = RolloutSettings {
+            sampler: sampler.clone(),
+            frames,
+            constant_bones: how.constant_bones,
+            same_noise: how.same_noise,
+            contact_threshold: Extraction::default().contact_threshold,
+        };
+        let (model, space) = (self.model.clone(), self.space.clone());
+        FlowRollout::new(model, space, settings, history, key, &self.device)
+    }
+}

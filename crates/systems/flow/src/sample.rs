@@ -1,0 +1,375 @@
+//! Sampling motion that continues a history.
+
+use std::ops::RangeInclusive;
+use std::path::Path;
+use std::slice::from_ref;
+use std::sync::Arc;
+
+use kinegrad_data::humanml::Clip;
+use kinegrad_data::{Dataset, ItemSet, read_array};
+use kinegrad_diffusion::SamplerConfig;
+use kinegrad_motion::humanml::Joints;
+use kinegrad_random::{Key, Purpose};
+
+use super::networks::text_input;
+use super::report::bone_lengths;
+use super::{Flow, FlowGenerator, FlowTables, PoseSpace};
+use kinegrad_train::Error;
+use kinegrad_train::System as _;
+use kinegrad_train::TrainedModel;
+use kinegrad_train::clips::TimedPrompt;
+use kinegrad_train::clips::captions::{ClipText, must_know_texts, text_of};
+use kinegrad_train::clips::requested;
+use kinegrad_train::sampling::{
+    Condition, Generated, Job, Record, Request, RolloutRecord, Run, SampleSink, Sampler, Summary,
+    item_seed,
+};
+
+/// Conditions of rollouts.
+pub(super) fn accepts(_: &str) -> &'static [&'static str] {
+    &[
+        "history",
+        "item",
+        "held_out",
+        "text",
+        "text_embedding",
+        "prompts",
+    ]
+}
+
+/// A request for rollouts.
+pub(super) struct Rollouts<'a> {
+    trained: &'a TrainedModel,
+    request: &'a Request,
+    sampler: SamplerConfig,
+    jobs: Vec<Job>,
+    /// One for each job.
+    starts: Vec<Start>,
+}
+
+/// The beginning of a rollout.
+struct Start {
+    history: Joints,
+    prompts: Vec<TimedPrompt>,
+    /// Seed of the noise.
+    seed: u64,
+}
+
+impl<'a> Rollouts<'a> {
+    /// Reads the conditions of a request.
+    ///
+    /// # Errors
+    /// If one cannot be used.
+    pub fn new(
+        trained: &'a TrainedModel,
+        request: &'a Request,
+        sink: &mut dyn SampleSink,
+    ) -> Result<Self, Error> {
+        let config = trained.config();
+        let own: &FlowTables = config.own();
+        let mut rollouts = Self {
+            trained,
+            request,
+            sampler: config.sampling.sampler.clone(),
+            jobs: Vec::new(),
+            starts: Vec::new(),
+        };
+        let input = text_input(config);
+        let texts: Vec<Condition> = request.text_conditions().collect();
+        let mut prompts = TimedPrompt::requested(request, &input, Flow.fps(config))?;
+        let mut frames = request.frames.unwrap_or(own.evaluation.frames);
+        match &prompts {
+            Some(prompts) => frames = prompts.iter().map(|prompt| prompt.frames).sum(),
+            None => {
+                let text = texts.first();
+                let text = text.map(|text| text_of(text, from_ref(&input), &trained.device));
+                let text = text.transpose()?.flatten();
+                prompts = text.map(|text| {
+                    let text = Some(text);
+                    vec![TimedPrompt { text, frames }]
+                });
+            }
+        }
+        let skeleton = config.data.humanml3d.skeleton.skeleton();
+        let longest = config.data.target_frames;
+        let space = PoseSpace::new(skeleton, &own.pose, longest);
+        if let Some(file) = request.history() {
+            if request.item().is_some() {
+                let hint = "both are beginnings of the motion: leave out one of the two";
+                let message = "option `history` with option `item`";
+                return Err(Error::usage(message, hint));
+            }
+            let history = read_history(file, &space)?;
+            let history_condition = Condition::History(file.to_path_buf());
+            let prompts = prompts.unwrap_or_else(|| vec![TimedPrompt { text: None, frames }]);
+            let conditions = [history_condition].into_iter().chain(texts).collect();
+            rollouts.push(None, conditions, frames, history, prompts);
+        } else {
+            let needed = space.history + 1;
+            let (source, clips) = match requested(trained, request, sink)? {
+                Some((data, clips)) => (data.source, clips),
+                None => rollouts.chosen(prompts.as_deref(), needed, sink)?,
+            };
+            if prompts.is_none() {
+                must_know_texts(&input, &clips)?;
+            }
+            for clip in &clips {
+                let found = clip.features.frames();
+                if found < needed {
+                    let message = format!("clip `{}` has {found} frames", clip.id);
+                    let hint =
+                        format!("a rollout needs {needed} frames of history: name a longer clip");
+                    return Err(Error::usage(message, hint));
+                }
+                let item = Condition::Item {
+                    id: clip.id.clone(),
+                    source: source.clone(),
+                };
+                let own = || {
+                    vec![TimedPrompt {
+                        text: ClipText::of(clip),
+                        frames,
+                    }]
+                };
+                rollouts.push(
+                    Some(clip.id.clone()),
+                    [item].into_iter().chain(texts.clone()).collect(),
+                    frames,
+                    clip.features.slice(0..needed).joints(),
+                    prompts.clone().unwrap_or_else(own),
+                );
+            }
+        }
+        if frames > longest {
+            sink.note(&format!(
+                "{frames} frames are more than `data.target_frames`, {longest}, the largest length \
+                 that the model is trained with: it is given that length"
+            ));
+        }
+        if let Some(doubt) = untaught_guidance(trained, own) {
+            sink.warning(&doubt);
+        }
+        Ok(rollouts)
+    }
+
+    /// The clip that a rollout without a history begins with: one whose caption is the first text, a
+    /// held-out one if there is one.
+    fn chosen(
+        &self,
+        prompts: Option<&[TimedPrompt]>,
+        needed: usize,
+        sink: &mut dyn SampleSink,
+    ) -> Result<(Option<String>, Vec<Arc<Clip>>), Error> {
+        let data = &self.trained.config().data;
+        let dataset = Dataset::<Clip>::open_with_progress(data, &*sink.reading())?;
+        let first = prompts.and_then(|prompts| prompts.first()?.text.as_ref());
+        let caption = first.and_then(|text| text.caption.as_deref());
+        let sets = [dataset.held_out(), &dataset.train];
+        let clip = clip_that_does(&sets, caption, needed)?;
+        if let Some(clip) = &clip {
+            let caption = clip
+                .caption()
+                .map_or("without a caption", |caption| &caption.text);
+            sink.note(&format!(
+                "no history given: continuing the beginning of clip `{}`: {caption}",
+                clip.id
+            ));
+        }
+        Ok((data.source.clone(), clip.into_iter().collect()))
+    }
+
+    fn push(
+        &mut self,
+        name: Option<String>,
+        conditions: Vec<Condition>,
+        frames: usize,
+        history: Joints,
+        prompts: Vec<TimedPrompt>,
+    ) {
+        let seed = match &name {
+            Some(id) => item_seed(self.request.seed, id),
+            None => self.request.seed,
+        };
+        self.jobs.push(Job {
+            name,
+            conditions,
+            frames,
+        });
+        self.starts.push(Start {
+            history,
+            prompts,
+            seed,
+        });
+    }
+}
+
+impl Sampler for Rollouts<'_> {
+    fn jobs(&self) -> &[Job] {
+        &self.jobs
+    }
+
+    fn extensions(&self) -> &'static [&'static str] {
+        Generated::JOINTS
+    }
+
+    fn sample(&self, run: &mut Run<'_>) -> Result<Option<Summary>, Error> {
+        let config = self.trained.config();
+        let how = &config.own::<FlowTables>().evaluation;
+        let skeleton = config.data.humanml3d.skeleton.skeleton();
+        let generator = FlowGenerator::load(self.trained)?;
+        let count = self.request.count;
+        let all = count * self.jobs.iter().map(|job| job.frames).sum::<usize>();
+        let (mut done, mut evaluations) = (0, 0);
+        for (job, start) in self.starts.iter().enumerate() {
+            let length = self.jobs[job].frames;
+            for index in 0..count {
+                let key = Key::new(start.seed, Purpose::Sampling).at(index as u64);
+                let mut rollout =
+                    generator.rollout(&start.history, length, &self.sampler, how, key)?;
+                let mut frames = Vec::with_capacity(length * skeleton.joints());
+                for prompt in &start.prompts {
+                    rollout.push_text(&generator.text(prompt.text.as_ref())?)?;
+                    for _ in 0..prompt.frames {
+                        let sample = || format!("`{}`", run.name(job, index));
+                        let frame = FlowGenerator::next_frame(&mut rollout, &sample)?;
+                        frames.extend(frame.expect("frames remain"));
+                        done += 1;
+                        if run.step("", done, all).is_break() {
+                            return Err(Error::Interrupted);
+                        }
+                    }
+                }
+                evaluations += rollout.evaluations();
+                let record = Record {
+                    rollout: Some(RolloutRecord {
+                        constant_bones: how.constant_bones,
+                        same_noise: how.same_noise,
+                        evaluations_per_frame: rollout.evaluations() as f64 / length as f64,
+                        said: TimedPrompt::records(&start.prompts),
+                    }),
+                    ..run.record(job, index)
+                };
+                let clip = Generated::Clip {
+                    joints: Joints::new(frames, skeleton.joints()).expect("whole frames"),
+                    skeleton: Box::new(skeleton.clone()),
+                    features: None,
+                    path: None,
+                };
+                run.pass(job, index, clip, record)?;
+            }
+        }
+        let each = evaluations as f64 / all as f64;
+        Ok(Some(Summary::Text(format!(
+            "{all} frames, {each:.1} velocity evaluations each"
+        ))))
+    }
+}
+
+/// The first clip of at least `needed` frames with the caption `said`, else the first clip.
+fn clip_that_does(
+    sets: &[&ItemSet<Clip>],
+    said: Option<&str>,
+    needed: usize,
+) -> Result<Option<Arc<Clip>>, Error> {
+    let (mut first, mut too_short) = (None, None);
+    for clips in sets {
+        for position in 0..clips.len() {
+            let clip = clips.get(position)?;
+            if clip.features.frames() < needed {
+                too_short.get_or_insert(clip);
+                continue;
+            }
+            let mut captions = clip.captions.iter();
+            if said.is_none_or(|said| captions.any(|caption| caption.text == said)) {
+                return Ok(Some(clip));
+            }
+            first.get_or_insert(clip);
+        }
+    }
+    // One that is too short is refused by its name.
+    Ok(first.or(too_short))
+}
+
+/// The warning about guidance with a network trained without text dropout.
+pub(super) fn untaught_guidance(trained: &TrainedModel, own: &FlowTables) -> Option<String> {
+    let scale = trained.config().sampling.sampler.guidance_scale;
+    let guided = scale != 1.0 && own.pose.cond_drop_prob == 0.0;
+    guided.then(|| {
+        format!(
+            "`sampling.sampler.guidance_scale` is {scale}, and the run was trained with \
+             `pose.cond_drop_prob = 0`: it does not know what motion without a text is"
+        )
+    })
+}
+
+/// Furthest place of a history from the origin, metres.
+const FURTHEST: f32 = 1e4;
+
+/// Lengths of bones, metres: of bodies, not of numbers in other units.
+const BONES: RangeInclusive<f64> = 0.005..=3.0;
+
+/// Heights of the lowest joint, metres: of a body on the floor, or in a leap.
+const LOWEST: RangeInclusive<f64> = -0.5..=1.5;
+
+/// Joints `[T, J, 3]`.
+fn read_history(path: &Path, space: &PoseSpace) -> Result<Joints, Error> {
+    let array = read_array(path)?;
+    let (joints, needed) = (space.skeleton.joints(), space.history + 1);
+    let refused = |found: String| {
+        let message = format!("{}: {found}", path.display());
+        let hint = format!(
+            "a history is joints in metres, `[T, {joints}, 3]` with {needed} frames or more, as \
+             `kinegrad sample` writes them of a run on clips"
+        );
+        Error::usage(message, hint)
+    };
+    if !matches!(array.shape[..], [_, found, 3] if found == joints) {
+        return Err(refused(format!("an array of shape {:?}", array.shape)));
+    }
+    let near = -FURTHEST..=FURTHEST;
+    let bad = array.values.iter().position(|value| !near.contains(value));
+    if let Some(place) = bad {
+        let (frame, value) = (place / (3 * joints), array.values[place]);
+        return Err(refused(format!(
+            "frame {frame} has the number {value}: a place is at most {FURTHEST} m from the origin"
+        )));
+    }
+    if array.shape[0] < needed {
+        return Err(refused(format!("{} frames", array.shape[0])));
+    }
+    let found = Joints::from_f32(&array.values, joints)?;
+    let names = &space.skeleton.description().joint_names;
+    for frame in found.frames() - needed..found.frames() {
+        let places = found.frame(frame);
+        let bones = bone_lengths(&space.skeleton, places)
+            .into_iter()
+            .enumerate();
+        for (bone, length) in bones {
+            if !BONES.contains(&length) {
+                return Err(refused(format!(
+                    "the bone to joint {} ({}) is {length:.4} m long in frame {frame}, allowed: {} to {} m",
+                    bone + 1,
+                    names[bone + 1],
+                    BONES.start(),
+                    BONES.end()
+                )));
+            }
+        }
+        let lowest = places
+            .iter()
+            .map(|place| place[1])
+            .fold(f64::INFINITY, f64::min);
+        if !LOWEST.contains(&lowest) {
+            return Err(refused(format!(
+                "the lowest joint is at a height of {lowest:.2} m in frame {frame}, allowed: {} to {} m \
+                 above the floor, which is where y is 0",
+                LOWEST.start(),
+                LOWEST.end()
+            )));
+        }
+    }
+    // Motion without features is refused with the file's name.
+    let rows = space.rows(&found);
+    rows.map_err(|error| refused(error.to_string()))?;
+    Ok(found)
+}

@@ -1,0 +1,266 @@
+//! The system's own config tables and their validation.
+
+use std::path::PathBuf;
+
+use kinegrad_data::DataKind;
+use kinegrad_diffusion::{DiffusionConfig, PredictionType, must_suit};
+use kinegrad_models::Backbone;
+use kinegrad_models::gmd::GmdUnetConfig;
+use kinegrad_models::transformer::EncoderConfig;
+use kinegrad_motion::MAX_FRAMES;
+use kinegrad_motion::emphasis::{EmphasisConfig, EmphasisKind};
+use kinegrad_motion::humanml::Root;
+use kinegrad_settings::{ABOVE_ZERO, InvalidSetting, Refused, in_range, require};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::evaluate::KeyframePlacement;
+use super::recipe_name::RecipeName;
+use super::steering::SteeringConfig;
+use kinegrad_train::Error;
+use kinegrad_train::clips::captions::CaptionsConfig;
+use kinegrad_train::clips::evaluator::EvaluatorFiles;
+use kinegrad_train::clips::settings::{must_be_of_clips, must_have_no_style, validate_velocity};
+use kinegrad_train::config::{
+    ClipSample, Config, ModelTable, NetworkKind, SamplingConfig, SystemTables,
+};
+
+/// The tables of this system.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct GmdConfig {
+    /// The initial checkpoint of fine-tuning.
+    pub init: GmdInitConfig,
+    /// The denoiser.
+    pub model: ModelTable<Backbone>,
+    /// The captions of the model.
+    pub text: CaptionsConfig,
+    /// The emphasis projection of a motion model.
+    pub emphasis: EmphasisConfig,
+    /// The diffusion process.
+    pub diffusion: DiffusionConfig,
+    /// The loss.
+    pub loss: GmdLossConfig,
+    /// Guidance and imputation for goals.
+    pub steering: SteeringConfig,
+    /// The evaluation.
+    pub evaluation: GmdEvaluationConfig,
+}
+
+/// The table `init`: the initial checkpoint of fine-tuning.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct GmdInitConfig {
+    /// Run or checkpoint of the same recipe, whose EMA weights, network, process, feature space and
+    /// statistics are used.
+    pub diffusion: PathBuf,
+}
+
+/// The table `loss`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct GmdLossConfig {
+    /// For motion models without a projection: the first four channels (root rotation, x, z and
+    /// height) are weighted by the square of this factor (Guided Motion Diffusion, appendix C.1).
+    pub trajectory_scale: f64,
+    /// Weight of the squared error of the differences between consecutive frames, beside that of
+    /// the frames: what shakes between them weighs more. For `prediction_type = "sample"`; 0 in the
+    /// paper. Small models shake without it.
+    pub velocity: f64,
+    /// Weight of the squared error of the joints' velocities in the world, metres per second, mean
+    /// over the joints. For motion models with `prediction_type = "sample"`; 0 in the paper.
+    pub joint_velocity: f64,
+    /// Weight of the squared speed of standing feet in the training clip (Human Motion Diffusion
+    /// Model, equation 5), mean over the four, like `joint_velocity`.
+    pub foot_contact: f64,
+}
+
+impl Default for GmdLossConfig {
+    fn default() -> Self {
+        Self {
+            trajectory_scale: 1.0,
+            velocity: 0.0,
+            joint_velocity: 0.0,
+            foot_contact: 0.0,
+        }
+    }
+}
+
+/// The table `evaluation`: the settings of `kinegrad eval`, which takes goals from held-out clips.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct GmdEvaluationConfig {
+    /// Number of held-out clips, with one goal each.
+    pub goals: usize,
+    /// The list that goals are taken from.
+    pub split: EvaluationSplit,
+    /// Batch size of sampling. Guidance divides by the keyframes of a batch.
+    pub batch_size: usize,
+    /// Evaluations, each with a seed of its own; the report has means and 95 % intervals of several.
+    /// The published evaluation has 20.
+    pub replications: usize,
+    /// Number of held-out clips with several samples, for trajectory diversity and multimodality; 0
+    /// for neither. The published evaluation has 100.
+    pub variety_clips: usize,
+    /// Number of samples of each.
+    pub variety_repeats: usize,
+    /// Keyframes per goal.
+    pub keyframes: usize,
+    /// The keyframes.
+    pub keyframe_placement: KeyframePlacement,
+    /// Obstacles per goal; if not 0, only the last frame is a keyframe.
+    pub obstacles: usize,
+    /// Clearance around obstacles that guidance keeps, metres: the margin of the goals. Frames count as
+    /// inside without it.
+    pub margin: f64,
+    /// A text-motion evaluator, for R-precision and FID: a run, or all files of the published one.
+    pub evaluator: EvaluatorFiles,
+}
+
+impl Default for GmdEvaluationConfig {
+    fn default() -> Self {
+        Self {
+            goals: 20,
+            split: EvaluationSplit::Validation,
+            batch_size: 32,
+            replications: 1,
+            variety_clips: 0,
+            variety_repeats: 30,
+            keyframes: 5,
+            keyframe_placement: KeyframePlacement::Random,
+            obstacles: 0,
+            margin: 0.0,
+            evaluator: EvaluatorFiles::default(),
+        }
+    }
+}
+
+/// The clips of a dataset that goals are taken from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum EvaluationSplit {
+    /// The clips of `data.humanml3d.validation_list`, or those held out by `data.validation`.
+    Validation,
+    /// The clips of `data.humanml3d.test_list`.
+    Test,
+}
+
+impl SystemTables for GmdConfig {
+    const NETWORKS: &'static [NetworkKind] = &[
+        NetworkKind::of::<GmdUnetConfig>(),
+        NetworkKind::of::<EncoderConfig>(),
+    ];
+}
+
+/// Validates the tables of this system.
+///
+/// # Errors
+/// For the first invalid value; the error names the key.
+pub(super) fn validate(config: &Config) -> Result<(), Error> {
+    let own: &GmdConfig = config.own();
+    let Config { data, sampling, .. } = config;
+    let name = RecipeName::of(config);
+    own.diffusion.validate()?;
+    must_be_of_clips(config)?;
+    own.model.network.validate()?;
+    if let Some(most) = own.model.network.longest() {
+        let allowed = format!("at most `model.padded_frames` ({most})");
+        let found = data.target_frames;
+        require(found <= most, "data.target_frames", found, allowed)?;
+    }
+    must_suit(&sampling.sampler, &own.diffusion)?;
+    must_suit_first_stage(own, sampling)?;
+    must_have_no_style(config, &own.diffusion)?;
+    own.text.validate(data)?;
+    own.emphasis.validate()?;
+    let scale = own.loss.trajectory_scale;
+    in_range("loss.trajectory_scale", scale, ABOVE_ZERO)?;
+    validate_velocity(own.loss.velocity, &own.diffusion)?;
+    for (key, weight) in [
+        ("loss.joint_velocity", own.loss.joint_velocity),
+        ("loss.foot_contact", own.loss.foot_contact),
+    ] {
+        in_range(key, weight, 0.0..)?;
+        let sample = own.diffusion.prediction_type == PredictionType::Sample;
+        require(
+            weight == 0.0 || (name == RecipeName::Motion && sample),
+            key,
+            weight,
+            "0 unless the recipe is `gmd_motion` and `diffusion.prediction_type = \"sample\"`",
+        )
+        .hint("noise has no joints, and neither have the root's four channels")?;
+        require(
+            weight == 0.0 || data.humanml3d.root == Root::Absolute,
+            key,
+            weight,
+            "0 unless `data.humanml3d.root = \"absolute\"`",
+        )
+        .hint("a relative root says where joints are only by the sum of all frames before")?;
+    }
+    let projects = own.emphasis.kind != EmphasisKind::None;
+    require(
+        !(name == RecipeName::Trajectory && projects),
+        "emphasis.kind",
+        "a projection",
+        "\"none\": the trajectory model's four channels are not projected",
+    )?;
+    require(
+        !(projects && sampling.clip == ClipSample::TrainingRange),
+        "sampling.clip",
+        "\"training_range\"",
+        "\"none\", \"six\" or \"unit\" in a projected space, whose channels are mixtures of those \
+         whose range is known",
+    )?;
+    require(
+        scale == 1.0 || !(projects || name == RecipeName::Trajectory),
+        "loss.trajectory_scale",
+        scale,
+        "1 in a projected space, where no channel is the trajectory's, and in recipe \
+         `gmd_trajectory`, where all are",
+    )?;
+    let evaluation = &own.evaluation;
+    in_range("evaluation.goals", evaluation.goals, 1..)?;
+    in_range("evaluation.batch_size", evaluation.batch_size, 1..)?;
+    in_range("evaluation.replications", evaluation.replications, 1..=1000)?;
+    in_range(
+        "evaluation.variety_repeats",
+        evaluation.variety_repeats,
+        2..=1000,
+    )?;
+    require(
+        evaluation.split == EvaluationSplit::Validation || data.kind == DataKind::Humanml3d,
+        "evaluation.split",
+        "\"test\"",
+        "\"validation\" for `data.kind = \"synthetic_walks\"`, which has no list",
+    )?;
+    in_range("evaluation.keyframes", evaluation.keyframes, 0..=MAX_FRAMES)?;
+    in_range("evaluation.obstacles", evaluation.obstacles, 0..=MAX_FRAMES)?;
+    in_range("evaluation.margin", evaluation.margin, 0.0..=10.0)?;
+    evaluation
+        .evaluator
+        .validate()
+        .within("evaluation.evaluator")?;
+    Ok(own.steering.validate().within("steering")?)
+}
+
+/// Validates the first stage's sampler; the error names its own keys.
+fn must_suit_first_stage(own: &GmdConfig, sampling: &SamplingConfig) -> Result<(), InvalidSetting> {
+    let process = &own.diffusion;
+    let first = own.steering.first_stage(&sampling.sampler);
+    let (steps, scale) = (first.num_inference_steps, first.guidance_scale);
+    let most = process.num_train_timesteps;
+    in_range("steering.first_stage_steps", steps, 1..=most)?;
+    in_range("steering.first_stage_guidance_scale", scale, 0.0..)?;
+    must_suit(&first, process)
+}
+
+/// Warnings.
+pub(super) fn warnings(config: &Config) -> Option<String> {
+    let overtrains = config.train.recipe == RecipeName::Trajectory.name()
+        && (config.train.patience == 0 || config.validation.every_steps == 0);
+    overtrains.then(|| {
+        "an overfitted trajectory model responds poorly to guidance, and this run \
+         never stops early: set `train.patience` and `validation.every_steps`"
+            .to_string()
+    })
+}

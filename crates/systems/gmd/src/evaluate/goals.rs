@@ -1,0 +1,303 @@
+//! Metrics of samples for goals that are derived from held-out clips.
+
+use std::iter::{repeat, repeat_n};
+use std::sync::Arc;
+
+use kinegrad_data::humanml::{Clip, ClipLabels};
+use kinegrad_motion::goal::Goal;
+use kinegrad_motion::humanml::{Features, Joints};
+use kinegrad_motion::metrics::text_motion::TextMotionReport;
+use kinegrad_motion::metrics::{FeatureMoments, GoalReport, GoalSample, frechet_distance};
+use kinegrad_random::{Key, Purpose};
+use serde_json::json;
+
+use super::{GoalTask, VarietyReport};
+use crate::generate::keys;
+use crate::{ClipGenerator, ClipRequest, GeneratedClip, GmdConfig, GmdEvaluationConfig};
+use kinegrad_train::Error;
+use kinegrad_train::Together;
+use kinegrad_train::clips::captions::ClipText;
+use kinegrad_train::clips::evaluator::{TextMotionEvaluator, TextMotionReports};
+use kinegrad_train::config::SamplingConfig;
+use kinegrad_train::evaluation::{
+    Group, Metrics, OnStep, Replicated, Results, for_each_item, replicate, with_sampling,
+};
+use kinegrad_train::sampling::item_seed;
+
+/// Pairs of samples whose distance the diversity is the mean of.
+const DIVERSITY_PAIRS: usize = 200;
+
+/// Divisions of the held-out clips into halves, over which the distance is averaged.
+const DIVISIONS: u64 = 20;
+
+/// A goal evaluation: its settings and the held-out clips that goals are derived from.
+pub(super) struct GoalEvaluation<'a> {
+    /// The sampler, guidance and imputation.
+    pub sampling: &'a SamplingConfig,
+    /// The other settings.
+    pub settings: &'a GmdEvaluationConfig,
+    /// The derivation of goals.
+    pub task: GoalTask,
+    /// The held-out clips.
+    pub held_out: &'a [Arc<Clip>],
+    /// Generates the clips.
+    pub generator: &'a ClipGenerator,
+    /// Generates the ground paths of the first of two stages.
+    pub trajectory: Option<&'a ClipGenerator>,
+    /// Embeds clips and captions.
+    pub evaluator: Option<&'a dyn TextMotionEvaluator>,
+    /// The labels of clips.
+    pub labels: &'a ClipLabels,
+    /// The processes that generate some batches each.
+    pub together: &'a Together,
+}
+
+/// One replication.
+struct Replication {
+    samples: GoalReport,
+    real: GoalReport,
+    text_motion: Option<TextMotionReports>,
+    variety: Option<VarietyReport>,
+}
+
+impl GoalEvaluation<'_> {
+    /// Generates a clip for each held-out clip and computes their metrics, in every replication.
+    /// The sample of a clip depends on the seed, its id and, with goals, on the batch that it is
+    /// generated in.
+    ///
+    /// # Errors
+    /// As [`ClipGenerator::sample`].
+    pub fn run(&self, seed: u64, on_step: &mut OnStep<'_>) -> Result<Results, Error> {
+        let count = self.settings.replications;
+        let replications = replicate(count, seed, on_step, |seed, on_step| {
+            self.replicate(seed, on_step)
+        })?;
+        let all = || replications.iter();
+        let samples = Replicated::of_all(all().map(|each| Some(each.samples.clone())));
+        let real = Replicated::of_all(all().map(|each| Some(each.real.clone())));
+        let (samples, real) = samples.zip(real).expect("one or more");
+        let text_motion = |of: fn(&TextMotionReports) -> &TextMotionReport| {
+            Replicated::of_all(all().map(|each| each.text_motion.as_ref().map(of).cloned()))
+        };
+        let text_motion = text_motion(|both| &both.drawn).zip(text_motion(|both| &both.real));
+        let variety = Replicated::of_all(all().map(|each| each.variety.clone()));
+        let mut remarks = Vec::new();
+        if let Some((samples, real)) = &text_motion {
+            let run = &self.generator.config().run.name;
+            remarks.push(format!("{run}: {}", samples.mean));
+            remarks.push(format!("held out: {}", real.mean));
+        }
+        let groups = |goals: &Replicated<GoalReport>, variety: Option<&dyn Metrics>| {
+            let variety = variety.map(|variety| Group::new("variety", "", variety));
+            let goals = Group::new("goals", "", goals);
+            [goals].into_iter().chain(variety).collect()
+        };
+        // Real motion has one clip of each condition.
+        let no_variety = variety.as_ref().map(|variety| VarietyReport {
+            trajectory_diversity: None,
+            multimodality: None,
+            ..variety.mean
+        });
+        let of_samples = groups(&samples, variety.as_ref().map(|each| each as &dyn Metrics));
+        let of_real = groups(&real, no_variety.as_ref().map(|each| each as &dyn Metrics));
+        let mut json = json!({
+            "task": self.task,
+            "batch_size": self.settings.batch_size,
+            "replications": count,
+            "variety_clips": self.settings.variety_clips,
+            "variety_repeats": self.settings.variety_repeats,
+            "drawn": samples,
+            "real": real,
+        });
+        json["steering"] = json!(self.generator.config().own::<GmdConfig>().steering);
+        if let Some(trajectory) = self.trajectory {
+            json["trajectory_run"] = json!(trajectory.config().run.name);
+        }
+        if let Some((samples, real)) = &text_motion {
+            json["text_motion"] = json!({ "drawn": samples, "real": real });
+        }
+        if let Some(variety) = &variety {
+            json["variety"] = json!(variety);
+        }
+        Ok(Results {
+            json: with_sampling(json, self.sampling),
+            facts: Vec::new(),
+            samples: Some(of_samples),
+            real: of_real,
+            remarks,
+        })
+    }
+
+    /// `repeats` samples for each of the clips and their goals, in batches.
+    fn sample(
+        &self,
+        clips: &[(&Arc<Clip>, &Goal)],
+        repeats: usize,
+        seed: u64,
+        on_step: &mut OnStep<'_>,
+    ) -> Result<Vec<GeneratedClip>, Error> {
+        let with_goals = self.task.keyframes + self.task.obstacles > 0;
+        let all = clips.iter().flat_map(|(clip, goal)| {
+            let request = ClipRequest {
+                frames: goal.frames,
+                goal: with_goals.then(|| Goal::clone(goal)),
+                text: ClipText::of(clip),
+            };
+            repeat_n(request, repeats).zip(keys(item_seed(seed, &clip.id), repeats))
+        });
+        let (requests, noise): (Vec<_>, Vec<_>) = all.unzip();
+        let size = self.settings.batch_size;
+        let batches: Vec<_> = requests.chunks(size).zip(noise.chunks(size)).collect();
+        let samples = for_each_item(self.together, batches.len(), on_step, |batch, on_step| {
+            let (requests, noise) = batches[batch];
+            let trajectory = self.trajectory;
+            self.generator
+                .sample_keyed(trajectory, requests, self.sampling, noise, on_step)
+        })?;
+        Ok(samples.concat())
+    }
+
+    /// One replication.
+    fn replicate(&self, seed: u64, on_step: &mut OnStep<'_>) -> Result<Replication, Error> {
+        let (held_out, generator, evaluator) = (self.held_out, self.generator, self.evaluator);
+        let goals = held_out.iter().map(|clip| self.task.goal(clip, seed));
+        let goals: Vec<Goal> = goals.collect();
+        let clips: Vec<(&Arc<Clip>, &Goal)> = held_out.iter().zip(&goals).collect();
+        let samples = self.sample(&clips, 1, seed, on_step)?;
+        // Evenly from all clips, because neighbours are of one kind.
+        let count = self.settings.variety_clips.min(clips.len());
+        let varied = (0..count).map(|index| clips[index * clips.len() / count]);
+        let varied: Vec<_> = varied.collect();
+        let variety = match varied.is_empty() {
+            true => None,
+            false => {
+                let repeats = self.settings.variety_repeats;
+                let goals: Vec<&Goal> = varied.iter().map(|(_, goal)| *goal).collect();
+                let samples = self.sample(&varied, repeats, seed, on_step)?;
+                Some(VarietyReport::compute(
+                    &samples, &goals, repeats, evaluator, seed,
+                )?)
+            }
+        };
+        let real = clips.iter().map(|(clip, goal)| {
+            let features = clip.features.slice(0..goal.frames).to_absolute();
+            GeneratedClip::of(features)
+        });
+        let real: Vec<GeneratedClip> = real.collect();
+        let samples = Measured::new(&samples, &goals);
+        let real = Measured::new(&real, &goals);
+        let text_motion = match (evaluator, samples.cut.len() == held_out.len()) {
+            (Some(evaluator), true) => {
+                let captions: Vec<&Clip> = held_out.iter().map(Arc::as_ref).collect();
+                Some(evaluator.reports(&samples.cut, &real.cut, &captions, self.labels, seed)?)
+            }
+            _ => None,
+        };
+        Ok(Replication {
+            samples: samples.report(generator, &goals, &real),
+            real: GoalReport {
+                // The distance from itself would be 0: it is that between halves of the clips.
+                frechet_distance: between_halves(&real.features, seed),
+                ..real.report(generator, &goals, &real)
+            },
+            text_motion,
+            variety,
+        })
+    }
+}
+
+/// The mean distance between two halves of the feature vectors, over [`DIVISIONS`] divisions at
+/// random. Every second one would not do: clips beside each other in a list are often of one take,
+/// so that both halves would be the same.
+fn between_halves(features: &[Vec<f64>], seed: u64) -> Option<f64> {
+    let key = Key::new(seed, Purpose::Halves);
+    let distance = |division| {
+        let order = key.at(division).permutation(features.len());
+        let (one, other) = order.split_at(features.len() / 2);
+        let moments = |half: &[usize]| {
+            let half: Vec<Vec<f64>> = half.iter().map(|&i| features[i].clone()).collect();
+            FeatureMoments::compute(&half)
+        };
+        let (one, other) = moments(one).zip(moments(other))?;
+        Some(frechet_distance(&one, &other))
+    };
+    let distances: Option<Vec<f64>> = (0..DIVISIONS).map(distance).collect();
+    Some(distances?.iter().sum::<f64>() / DIVISIONS as f64)
+}
+
+/// Clips in the form that metrics take, generated and real ones alike: cut to their goals' lengths.
+struct Measured<'a> {
+    samples: &'a [GeneratedClip],
+    /// None of a trajectory model.
+    cut: Vec<Features>,
+    joints: Vec<Joints>,
+    /// Mean position of each joint about the root: what diversity and Fréchet distance compare.
+    features: Vec<Vec<f64>>,
+}
+
+impl<'a> Measured<'a> {
+    fn new(samples: &'a [GeneratedClip], goals: &[Goal]) -> Self {
+        let cut = samples.iter().zip(goals).filter_map(|(sample, goal)| {
+            let features = sample.features.as_ref()?;
+            Some(features.slice(0..goal.frames))
+        });
+        let cut: Vec<Features> = cut.collect();
+        Self {
+            samples,
+            joints: cut.iter().map(Features::joints).collect(),
+            features: cut.iter().map(mean_positions).collect(),
+            cut,
+        }
+    }
+
+    fn report(&self, generator: &ClipGenerator, goals: &[Goal], real: &Self) -> GoalReport {
+        let skeleton = generator.config().data.humanml3d.skeleton.skeleton();
+        let bodies = self.joints.iter().map(Some).chain(repeat(None));
+        let samples = self.samples.iter().zip(goals).zip(bodies);
+        let samples: Vec<GoalSample> = samples
+            .map(|((sample, goal), joints)| GoalSample {
+                goal,
+                ground: &sample.ground,
+                joints,
+            })
+            .collect();
+        let feet = skeleton.contact_joints();
+        // Left and right toe: the second of each pair of contacts.
+        let fps = skeleton.description().fps;
+        let report = GoalReport::compute(&samples, fps, &[feet[1], feet[3]]);
+        let seed = generator.config().run.seed;
+        report.with_features(&self.features, &real.features, DIVERSITY_PAIRS, seed)
+    }
+}
+
+/// The mean over time of each joint's position about the root; the goal determines the root itself.
+fn mean_positions(features: &Features) -> Vec<f64> {
+    let frames = features.frames();
+    let body = features.layout().positions();
+    let mean = |channel| {
+        let values = (0..frames).map(|t| f64::from(features.frame(t)[channel]));
+        values.sum::<f64>() / frames as f64
+    };
+    body.map(mean).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn halves_are_drawn_at_random() {
+        // Every number twice, side by side, as mirrored or neighbouring clips of a take are.
+        let normals = Key::new(4, Purpose::Synthetic).normals(60);
+        let pairs = normals.iter().flat_map(|&value| [f64::from(value); 2]);
+        let features: Vec<Vec<f64>> = pairs.map(|value| vec![value]).collect();
+        let distance = between_halves(&features, 1).expect("enough");
+        assert!(distance > 1e-3, "every second one would be 0: {distance}");
+        assert_eq!(between_halves(&features, 1), Some(distance));
+        assert_ne!(between_halves(&features, 2), Some(distance));
+        for few in 0..4 {
+            assert_eq!(between_halves(&features[..few], 1), None);
+        }
+        assert!(between_halves(&features[..4], 1).is_some());
+    }
+}

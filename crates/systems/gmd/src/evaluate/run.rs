@@ -1,0 +1,91 @@
+//! The evaluation of a trained model on goals derived from held-out clips.
+
+use kinegrad_data::ValidationSplit;
+use kinegrad_data::humanml::labels_of;
+
+use super::super::networks::text_input;
+use super::GoalTask;
+use super::goals::GoalEvaluation;
+use crate::generate::drawn_frames;
+use crate::networks::footprint;
+use crate::sample::trajectory_model;
+use crate::{ClipGenerator, EvaluationSplit, GmdConfig};
+use kinegrad_train::Error;
+use kinegrad_train::TrainedModel;
+use kinegrad_train::clips::captions::must_know_texts;
+use kinegrad_train::evaluation::{
+    Evaluation, EvaluationRequest, clips_with_held_out, note_if_fewer,
+};
+
+/// An evaluation of position control.
+///
+/// # Errors
+/// If nothing is held out, the model does not know a text, or another model of the evaluation cannot
+/// be used.
+pub fn prepare<'a>(
+    trained: &'a TrainedModel,
+    request: &EvaluationRequest,
+) -> Result<Evaluation<'a>, Error> {
+    let settings = &trained.config().own::<GmdConfig>().evaluation;
+    let mut data = trained.config().data.clone();
+    if settings.split == EvaluationSplit::Test {
+        data.humanml3d.validation_list = data.humanml3d.test_list.clone();
+        data.validation = ValidationSplit::default();
+    }
+    let purpose = "goals are derived from held-out clips";
+    let (data, dataset) = clips_with_held_out(&data, trained, request, purpose)?;
+    let held_out = dataset.validation.evenly(settings.goals)?;
+    let note = note_if_fewer(held_out.len(), settings.goals, "goals", trained);
+    must_know_texts(&text_input(trained.config()), &held_out)?;
+    let frames = drawn_frames(trained.config(), data.target_frames);
+    let repeated = settings.variety_clips.min(held_out.len()) * settings.variety_repeats;
+    let at_once = settings.batch_size.min(held_out.len().max(repeated));
+    let networks = footprint(trained.config(), frames)?;
+    let trajectory = request.trajectory.clone();
+    let trajectory = trajectory
+        .map(|saved| trajectory_model(trained, saved))
+        .transpose()?;
+    let together = request.together.clone();
+    let evaluator = request.evaluator.clone();
+    if let Some(evaluator) = &evaluator {
+        evaluator.must_take(held_out[0].features.layout())?;
+    }
+    let labels = match evaluator {
+        Some(_) => labels_of(&data)?.unwrap_or_default(),
+        None => Default::default(),
+    };
+    let task = GoalTask {
+        keyframes: settings.keyframes,
+        keyframe_placement: settings.keyframe_placement,
+        obstacles: settings.obstacles,
+        margin: settings.margin,
+        frames: data.target_frames,
+    };
+    let seed = request.seed;
+    Ok(Evaluation {
+        // The two are compared: neither replaces the other's report.
+        report: match trajectory {
+            Some(_) => "eval-goals-two-stage",
+            None => "eval-goals",
+        },
+        memory: networks.of_sampling(at_once, true, trained.on_host),
+        memory_hint: "generate for fewer goals at a time: `evaluation.batch_size`",
+        remarks: note.into_iter().collect(),
+        measure: Box::new(move |on_step| {
+            let generator = ClipGenerator::load(trained)?;
+            let trajectory = trajectory.as_ref().map(ClipGenerator::load).transpose()?;
+            let evaluation = GoalEvaluation {
+                sampling: &trained.config().sampling,
+                settings,
+                task,
+                held_out: &held_out,
+                generator: &generator,
+                trajectory: trajectory.as_ref(),
+                evaluator: evaluator.as_deref(),
+                labels: &labels,
+                together: &together,
+            };
+            evaluation.run(seed, on_step)
+        }),
+    })
+}

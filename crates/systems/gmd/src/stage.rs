@@ -1,0 +1,237 @@
+//! The steering of one sampling stage towards goals.
+
+use burn::tensor::{Device, Tensor, TensorData};
+use kinegrad_diffusion::{Guidance, Imputation, Objective, Steering};
+use kinegrad_motion::goal::{Goal, GroundTargets, GuidanceLoss, Phase};
+
+use super::SteeringConfig;
+use kinegrad_train::Error;
+use kinegrad_train::clips::FeatureSpace;
+
+/// The guidance loss of the root's ground path.
+#[derive(Clone, Debug)]
+pub struct GroundObjective<'a> {
+    /// The device of the network.
+    pub space: &'a FeatureSpace,
+    /// The path loss.
+    pub loss: GuidanceLoss,
+}
+
+impl Objective for GroundObjective<'_> {
+    fn gradient(&self, pred_original_sample: &Tensor<3>) -> Tensor<3> {
+        let [batch, _, time] = pred_original_sample.dims();
+        let positions = self
+            .space
+            .ground(pred_original_sample.clone())
+            .swap_dims(1, 2);
+        let positions = positions.try_into_vec_as::<f32>();
+        let positions = positions.expect("samples are float32").into_iter();
+        let positions: Vec<f64> = positions.map(f64::from).collect();
+        // On the host and in double precision: a few thousand numbers, and obstacles branch.
+        let (_, gradient) = self.loss.evaluate(&positions);
+        let gradient: Vec<f32> = gradient.into_iter().map(|value| value as f32).collect();
+        let device = pred_original_sample.device();
+        let data = TensorData::new(gradient, [batch, time, 2]);
+        let gradient = Tensor::<3>::from_data(data, &device).swap_dims(1, 2);
+        self.space.from_ground(gradient)
+    }
+}
+
+/// A network's motion, which goals steer.
+#[derive(Clone, Copy, Debug)]
+pub struct StageModel<'a> {
+    /// Its space.
+    pub space: &'a FeatureSpace,
+    /// Its channels.
+    pub channels: usize,
+    /// True for a motion model, whose imputation may end at another timestep.
+    pub of_motion: bool,
+    /// Sampled frames, at least those of the longest goal.
+    pub frames: usize,
+    /// The plain device.
+    pub device: &'a Device,
+}
+
+/// Guidance and imputation of one stage (Guided Motion Diffusion, appendix F; docs/sources.md,
+/// sections 4.6 and 4.7).
+#[derive(Debug)]
+pub struct StageSteering<'a> {
+    config: &'a SteeringConfig,
+    objective: GroundObjective<'a>,
+    scale: f64,
+    of_motion: bool,
+    /// True if single frames are targets; without steering to the end, motion would jump there.
+    of_points: bool,
+    dense: Known,
+    points: Known,
+}
+
+/// Positions to impute, `[batch, channels, frames]`, in metres, and where they are known.
+#[derive(Clone, Debug)]
+struct Known {
+    target: Tensor<3>,
+    mask: Tensor<3>,
+}
+
+impl<'a> StageSteering<'a> {
+    /// Steers to the positions that `goals` ask for: a trajectory model's stage, or the only one.
+    ///
+    /// # Errors
+    /// If a goal is not valid or longer than the motion.
+    pub fn of_goals(
+        config: &'a SteeringConfig,
+        goals: &[Goal],
+        model: StageModel<'a>,
+    ) -> Result<Self, Error> {
+        let loss = GuidanceLoss::new(&config.guidance, goals, model.frames)?;
+        let known = |phase| {
+            let targets = goals.iter().filter_map(|goal| goal.targets(phase));
+            Known::new(targets, model)
+        };
+        Ok(Self {
+            config,
+            scale: config.scale,
+            of_motion: model.of_motion,
+            of_points: goals.iter().any(|goal| goal.trajectory.is_none()),
+            dense: known(Phase::Dense),
+            points: known(Phase::Points),
+            objective: GroundObjective {
+                space: model.space,
+                loss,
+            },
+        })
+    }
+
+    /// Steers the second stage along the `paths` of the first, one per goal, in every frame, and
+    /// around the goals' obstacles.
+    ///
+    /// # Errors
+    /// As [`of_goals`](Self::of_goals).
+    ///
+    /// # Panics
+    /// Panics if there is not one path of at most the model's frames for each goal.
+    pub fn along(
+        config: &'a SteeringConfig,
+        goals: &[Goal],
+        paths: &[Vec<[f64; 2]>],
+        model: StageModel<'a>,
+    ) -> Result<Self, Error> {
+        let loss = GuidanceLoss::along(&config.guidance, goals, paths, model.frames)?;
+        let targets = paths
+            .iter()
+            .map(|path| GroundTargets::trajectory(path, 0, path.len()));
+        let known = Known::new(targets, model);
+        Ok(Self {
+            config,
+            scale: match config.second_stage_guidance {
+                true => config.scale,
+                false => 0.0,
+            },
+            of_motion: model.of_motion,
+            of_points: false,
+            dense: known.clone(),
+            points: known,
+            objective: GroundObjective {
+                space: model.space,
+                loss,
+            },
+        })
+    }
+
+    /// The steering at timestep `t`.
+    pub fn at(&self, t: usize) -> Steering<'_> {
+        let schedule = &self.config.schedule;
+        let guided = self.scale > 0.0 && schedule.phase(t) != Phase::Off;
+        let imputed = match self.of_motion {
+            true if self.of_points && schedule.phase(t) == Phase::Off => Phase::Off,
+            true => schedule.phase_of_motion(t),
+            false => schedule.phase(t),
+        };
+        let known = match imputed {
+            _ if !self.config.imputation => None,
+            Phase::Dense => Some(&self.dense),
+            Phase::Points => Some(&self.points),
+            Phase::Off => None,
+        };
+        Steering {
+            guidance: guided.then_some(Guidance {
+                objective: &self.objective,
+                scale: self.scale,
+                max_shift: self.config.max_shift,
+            }),
+            imputation: known.map(|known| Imputation {
+                space: self.objective.space,
+                target: known.target.clone(),
+                mask: known.mask.clone(),
+            }),
+        }
+    }
+}
+
+impl Known {
+    fn new(targets: impl Iterator<Item = GroundTargets>, model: StageModel<'_>) -> Self {
+        let StageModel {
+            channels, frames, ..
+        } = model;
+        let (targets, masks): (Vec<_>, Vec<_>) = targets
+            .map(|targets| targets.in_channels(channels, frames).into())
+            .unzip();
+        let tensor = |values: Vec<Vec<f32>>| {
+            let data = TensorData::new(values.concat(), [values.len(), channels, frames]);
+            Tensor::from_data(data, model.device)
+        };
+        Self {
+            target: tensor(targets),
+            mask: tensor(masks),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use kinegrad_motion::goal::{Keyframe, Trajectory};
+
+    use super::*;
+
+    #[test]
+    fn single_frames_are_not_put_in_their_places_to_the_end() {
+        let device = Device::flex();
+        let space = FeatureSpace::new(&[0.0; 4], &[1.0; 4], None, &device);
+        let model = StageModel {
+            space: &space,
+            channels: 4,
+            of_motion: true,
+            frames: 8,
+            device: &device,
+        };
+        let mut config = SteeringConfig::default();
+        config.schedule.motion_until = Some(0);
+        let points = Goal {
+            keyframes: vec![Keyframe {
+                frame: 5,
+                x: 1.0,
+                z: 2.0,
+            }],
+            ..Goal::new(8)
+        };
+        let path = Goal {
+            trajectory: Some(Trajectory {
+                first_frame: 0,
+                points: vec![[0.0, 0.1]; 8],
+            }),
+            ..Goal::new(8)
+        };
+        let imputes = |steering: StageSteering<'_>| {
+            [50, 20, 19, 0].map(|t| steering.at(t).imputation.is_some())
+        };
+        let of_goals = |goal: &Goal| {
+            let goals = std::slice::from_ref(goal);
+            imputes(StageSteering::of_goals(&config, goals, model).unwrap())
+        };
+        assert_eq!(of_goals(&points), [true, true, false, false]);
+        assert_eq!(of_goals(&path), [true; 4]);
+        let (goals, drawn) = ([points], [vec![[0.0, 0.1]; 8]]);
+        let along = StageSteering::along(&config, &goals, &drawn, model).unwrap();
+        assert_eq!(imputes(along), [true; 4]);
+    }
+}

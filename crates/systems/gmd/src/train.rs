@@ -1,0 +1,65 @@
+//! Runs on clips of joint features: recipes `gmd_motion` and `gmd_trajectory`.
+
+use kinegrad_diffusion::GaussianDiffusion;
+use kinegrad_models::TextDenoiser;
+use kinegrad_motion::Statistics;
+use kinegrad_motion::emphasis::EmphasisProjection;
+
+use super::networks::{channels_of, model_in_space, started, text_input};
+use super::recipes::{JointMotion, clip_recipe};
+use super::{Gmd, GmdConfig};
+use kinegrad_train::Error;
+use kinegrad_train::Observer;
+use kinegrad_train::clips::captions::with_captions;
+use kinegrad_train::clips::training;
+use kinegrad_train::config::Config;
+use kinegrad_train::run::{Outcome, Setup};
+
+/// The loss of the joints that `own` asks for, in the space of `model`.
+fn joint_motion(
+    own: &GmdConfig,
+    config: &Config,
+    model: &TextDenoiser,
+    statistics: &Statistics,
+) -> Result<Option<JointMotion>, Error> {
+    let channels = statistics.channels();
+    let projection = model.projection().map(|projection| {
+        let matrix = projection.to_host();
+        EmphasisProjection::from_matrix(
+            &matrix,
+            channels,
+            own.emphasis.scale,
+            &own.emphasis.channels,
+        )
+    });
+    let projection = projection.transpose()?;
+    let skeleton = config.data.humanml3d.skeleton.skeleton();
+    let projection = projection.as_ref();
+    Ok(JointMotion::new(
+        &own.loss, &skeleton, statistics, projection,
+    ))
+}
+
+/// Trains according to the setup's config.
+pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome, Error> {
+    let mut own = setup.config.own::<GmdConfig>().clone();
+    let mut setup = setup.with_gradients(own.model.activation_checkpointing);
+    let dataset = training::open(&setup, observer)?;
+    own.text = with_captions(own.text, &setup, &dataset, observer)?;
+    let config = setup.config.clone().with_own(own.clone());
+    setup.config = config.clone();
+    let start = training::start_of(&setup, &own.init.diffusion, &Gmd)?;
+    let statistics = training::statistics(&setup, start.as_ref(), &dataset, observer)?;
+    let channels = channels_of(&config);
+    let model = match start {
+        Some(start) => started(&start, &config, &setup.device)?,
+        None => model_in_space(&config, &setup.device)?,
+    };
+    let joint_motion = joint_motion(&own, &config, &model, &statistics)?;
+    let diffusion = GaussianDiffusion::new(&own.diffusion)?;
+    let samples = training::samples(&dataset, &statistics, channels, text_input(&config));
+    let (material, held_out) = setup.material(dataset, statistics, samples)?;
+    let recipe = clip_recipe(diffusion, channels, &own.loss, joint_motion, held_out)
+        .measuring_first(!own.init.diffusion.as_os_str().is_empty());
+    setup.train(material, recipe, model, observer)
+}

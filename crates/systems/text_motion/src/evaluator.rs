@@ -1,0 +1,216 @@
+//! A text-motion evaluator: of published files or of a run, and the embeddings of clips and
+//! captions.
+
+use burn::tensor::{Device, Int, Tensor, TensorData};
+use kinegrad_data::humanml::read_word_vectors;
+use kinegrad_models::Initializer;
+use kinegrad_models::text_motion::{PARTS, TextMotionConfig, TextMotionEncoders, UNIT_FRAMES};
+use kinegrad_motion::Statistics;
+use kinegrad_motion::humanml::{FeatureError, FeatureLayout, Features, Root};
+use kinegrad_motion::metrics::text_motion::{MAX_WORDS, Token, WordVectors};
+
+use super::TextMotionTables;
+use super::networks::{encoders, word_vectors};
+use kinegrad_train::Error;
+use kinegrad_train::checkpoint::{SavedCheckpoint, Weights};
+use kinegrad_train::clips::evaluator::{EvaluatorFiles, TextMotionEvaluator};
+use kinegrad_train::published::{load, mean_and_deviation, read_tensors};
+
+/// Frames that the published evaluator is trained with.
+const PUBLISHED_FRAMES: usize = 196;
+
+/// Batch size of encoding.
+const GROUP: usize = 32;
+
+/// The evaluator, ready to use.
+pub struct TextMotion {
+    encoders: TextMotionEncoders,
+    statistics: Statistics,
+    words: WordVectors,
+    /// A shorter clip is followed by frames of zeros, after normalisation, up to this many: those
+    /// of training.
+    padded_frames: usize,
+    device: Device,
+}
+
+impl TextMotion {
+    /// Reads the evaluator onto `device`, which is to have no gradients. Its files are the weights
+    /// as published, `.npy` files of the mean and deviation that it normalises by, of the relative
+    /// root, and the word vectors as safetensors (docs/dataset.md).
+    ///
+    /// # Errors
+    /// If a file cannot be read, or its contents do not fit; all differences of the weights are
+    /// listed.
+    pub fn read(files: &EvaluatorFiles, device: &Device) -> Result<Self, Error> {
+        let mut tensors = read_tensors(&files.weights)?;
+        tensors.retain(|name, _| PARTS.iter().any(|part| name.starts_with(part)));
+        let config = TextMotionConfig::of_weights(|name| Some(tensors.get(name)?.shape()));
+        let encoders = config.init(&Initializer::new(0, device));
+        let encoders = load(&files.weights, encoders, &tensors)?;
+        let [mean, std] = mean_and_deviation(&files.mean, &files.std)?;
+        let statistics = Statistics::new(mean, std, Some(Root::Relative))?;
+        let words = read_word_vectors(&files.word_vectors)?;
+        Self::new(encoders, statistics, words, PUBLISHED_FRAMES, device)
+    }
+
+    /// The evaluator of a checkpoint of recipe `text_motion`, its config read.
+    ///
+    /// # Errors
+    /// If the checkpoint is damaged, or its word vectors cannot be read.
+    pub fn of_run(
+        saved: &SavedCheckpoint,
+        weights: Weights,
+        device: &Device,
+    ) -> Result<Self, Error> {
+        let state = &saved.state;
+        let words = word_vectors(&state.config.own::<TextMotionTables>().words)?;
+        let fresh = encoders(&state.config, words.width(), device)?;
+        let encoders = saved.load(fresh, weights)?;
+        let statistics = state.clip_statistics()?.clone();
+        let padded_frames = state.config.data.target_frames;
+        Self::new(encoders, statistics, words, padded_frames, device)
+    }
+
+    /// The evaluator of these parts, the encoders on `device`. `statistics` are the mean and
+    /// deviation that they were trained with, for features with relative root, and
+    /// `padded_frames` the frames.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] where the parts do not fit each other; [`Error::Features`] for
+    /// statistics of the absolute root.
+    pub fn new(
+        encoders: TextMotionEncoders,
+        statistics: Statistics,
+        words: WordVectors,
+        padded_frames: usize,
+        device: &Device,
+    ) -> Result<Self, Error> {
+        if let Some(found @ Root::Absolute) = statistics.root {
+            let expected = Root::Relative;
+            return Err(FeatureError::WrongRoot { expected, found }.into());
+        }
+        let layout = FeatureLayout::of_channels(statistics.channels())?;
+        let frame = layout.contacts().start;
+        let (of_frame, of_word) = (encoders.config().channels, encoders.config().word_vector);
+        for (what, found, reader, expected) in [
+            (
+                "a frame without contact flags",
+                frame,
+                "movement_encoder",
+                of_frame,
+            ),
+            ("a word vector", words.width(), "text_encoder", of_word),
+        ] {
+            if found != expected {
+                return Err(Error::usage(
+                    format!("{what} has width {found}, but `{reader}` needs {expected}"),
+                    "weights, mean and deviation, and word vectors must be those that were \
+                     published together, for features of the same kind as the clips",
+                ));
+            }
+        }
+        Ok(Self {
+            encoders,
+            statistics,
+            words,
+            padded_frames,
+            device: device.clone(),
+        })
+    }
+}
+
+impl TextMotionEvaluator for TextMotion {
+    fn must_take(&self, layout: FeatureLayout) -> Result<(), Error> {
+        let (expected, found) = (self.statistics.channels(), layout.channels());
+        Ok(FeatureError::unless_equal(
+            "channels of a frame",
+            expected,
+            found,
+        )?)
+    }
+
+    fn motion_embeddings(&self, clips: &[&Features]) -> Result<Vec<Vec<f64>>, Error> {
+        let mut normalized = Vec::with_capacity(clips.len());
+        for (clip, features) in clips.iter().enumerate() {
+            let found = features.frames();
+            if found < UNIT_FRAMES {
+                return Err(Error::usage(
+                    format!(
+                        "clip {clip} (counted from 0) has {found} frames, at least {UNIT_FRAMES} \
+                         needed"
+                    ),
+                    "leave out such clips; the published evaluation uses 40 frames or more",
+                ));
+            }
+            self.must_take(features.layout())?;
+            normalized.push(self.statistics.normalize(features.to_relative().as_slice()));
+        }
+        let lengths: Vec<usize> = clips.iter().map(|clip| clip.frames()).collect();
+        let padded = |frames: usize| frames.max(self.padded_frames);
+        let channels = self.encoders.config().channels;
+        Ok(in_groups(&lengths, padded, |group, lengths, padded| {
+            let mut frames = vec![0.0; group.len() * channels * padded];
+            let rows = frames.chunks_exact_mut(channels * padded);
+            for ((row, &clip), &length) in rows.zip(group).zip(lengths) {
+                let clip = normalized[clip].chunks_exact(length);
+                for (row, channel) in row.chunks_exact_mut(padded).zip(clip) {
+                    row[..length].copy_from_slice(channel);
+                }
+            }
+            let frames = TensorData::new(frames, [group.len(), channels, padded]);
+            let frames = Tensor::from_data(frames, &self.device);
+            self.encoders.motions(frames, lengths)
+        }))
+    }
+
+    fn text_embeddings(&self, captions: &[&[Token]]) -> Vec<Vec<f64>> {
+        let sentences = captions.iter().map(|tokens| self.words.sentence(tokens));
+        let sentences: Vec<_> = sentences.collect();
+        let lengths: Vec<usize> = sentences.iter().map(Vec::len).collect();
+        let width = self.words.width();
+        in_groups(
+            &lengths,
+            |_| MAX_WORDS + 2,
+            |group, lengths, padded| {
+                let (mut vectors, mut classes) = (Vec::new(), Vec::new());
+                for (row, &caption) in group.iter().enumerate() {
+                    for (vector, class) in &sentences[caption] {
+                        vectors.extend_from_slice(vector);
+                        classes.push(*class as i32);
+                    }
+                    vectors.resize((row + 1) * padded * width, 0.0);
+                    classes.resize((row + 1) * padded, 0);
+                }
+                let vectors = TensorData::new(vectors, [group.len(), padded, width]);
+                let classes = TensorData::new(classes, [group.len(), padded]);
+                let classes = Tensor::<2, Int>::from_data(classes, &self.device);
+                let vectors = Tensor::from_data(vectors, &self.device);
+                self.encoders.texts(vectors, classes, lengths)
+            },
+        )
+    }
+}
+
+/// Embeddings of items of `lengths`, in order. Items of similar length and equal `padded` length
+/// are encoded in one batch, from their indices, lengths and that padded length.
+fn in_groups(
+    lengths: &[usize],
+    padded: impl Fn(usize) -> usize,
+    encode: impl Fn(&[usize], &[usize], usize) -> Tensor<2>,
+) -> Vec<Vec<f64>> {
+    let padded = |item: usize| padded(lengths[item]);
+    let mut order: Vec<usize> = (0..lengths.len()).collect();
+    order.sort_by_key(|&item| lengths[item]);
+    let alike = order.chunk_by(|&a, &b| padded(a) == padded(b));
+    let mut embeddings = vec![Vec::new(); lengths.len()];
+    for group in alike.flat_map(|alike| alike.chunks(GROUP)) {
+        let lengths: Vec<usize> = group.iter().map(|&item| lengths[item]).collect();
+        let found = encode(group, &lengths, padded(group[0]));
+        let width = found.dims()[1];
+        let values = found.try_into_vec_as::<f32>().expect("float32");
+        for (&item, row) in group.iter().zip(values.chunks_exact(width)) {
+            embeddings[item] = row.iter().map(|&value| f64::from(value)).collect();
+        }
+    }
+    embeddings
+}

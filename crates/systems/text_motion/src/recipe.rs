@@ -1,0 +1,217 @@
+//! The contrastive loss of captions and motions.
+//!
+//! ```text
+//! L = mean over the pairs that belong together of  d^2
+//!   + mean over all other pairs of                 max(0, margin - d)^2
+//! ```
+//!
+//! d is the Euclidean distance of the embeddings of a caption and a motion. The published program
+//! (Guo et al. 2022, section 5) takes one other motion per caption; here all pairs of the batch are
+//! used, and a caption is a positive for all clips with the captions of its own clip or the same
+//! sentence. The movement encoder is trained jointly, not first.
+
+use burn::tensor::{Device, Int, Tensor, TensorData};
+use kinegrad_data::{Batch, CAPTIONS, Condition, WORDS};
+use kinegrad_models::text_motion::TextMotionEncoders;
+
+use kinegrad_train::denoising::HeldOut;
+use kinegrad_train::{Loss, Measured, Recipe, StepKey};
+
+/// So that the distance of equal embeddings has a gradient.
+const EPSILON: f64 = 1e-6;
+
+/// Trains [`TextMotionEncoders`].
+pub struct ContrastiveRecipe {
+    margin: f64,
+    held_out: HeldOut,
+}
+
+impl ContrastiveRecipe {
+    /// A recipe whose captions keep a distance of `margin` from the motions of others, validated on
+    /// `held_out`.
+    pub fn new(margin: f64, held_out: HeldOut) -> Self {
+        Self { margin, held_out }
+    }
+
+    fn terms(
+        &self,
+        model: &TextMotionEncoders,
+        batch: &Batch,
+        device: &Device,
+    ) -> [(&'static str, Tensor<1>); 2] {
+        let captions = Captions::of(batch);
+        let texts = captions.encode(model, device);
+        let frames = [batch.batch_size, batch.channels, batch.frames];
+        let frames = Tensor::from_data(TensorData::new(batch.x_start.clone(), frames), device);
+        let lengths = batch.mask.chunks(batch.frames);
+        let lengths = lengths.map(|mask| mask.iter().filter(|&&valid| valid > 0.0).count());
+        let motions = model.motions(frames, &lengths.collect::<Vec<_>>());
+        contrast(texts, motions, &together(batch), self.margin)
+    }
+}
+
+/// The two terms, for embeddings `[batch, width]` of captions and motions. Caption i and motion j
+/// are a positive pair where `together[i * batch + j]`.
+fn contrast(
+    texts: Tensor<2>,
+    motions: Tensor<2>,
+    together: &[bool],
+    margin: f64,
+) -> [(&'static str, Tensor<1>); 2] {
+    let [batch, width] = texts.dims();
+    let device = texts.device();
+    let difference = texts.reshape([batch, 1, width]) - motions.reshape([1, batch, width]);
+    let squares = difference.powi_scalar(2).sum_dim(2).reshape([batch, batch]);
+    let distances = (squares.clone() + EPSILON).sqrt();
+    let missing = (distances * -1.0 + margin).clamp_min(0.0).powi_scalar(2);
+    let mean = |of: Tensor<2>, belongs: bool| {
+        let weight = together.iter().map(|&is| f32::from(is == belongs));
+        let weight: Vec<f32> = weight.collect();
+        let count = weight.iter().sum::<f32>().max(1.0);
+        let weight = Tensor::<2>::from_data(TensorData::new(weight, [batch, batch]), &device);
+        (of * weight).sum() / count
+    };
+    [
+        ("together", mean(squares, true)),
+        ("apart", mean(missing, false)),
+    ]
+}
+
+/// The captions of a batch.
+struct Captions {
+    /// `[batch, words, width]`.
+    vectors: Vec<f32>,
+    /// `[batch, words]`.
+    classes: Vec<i32>,
+    /// Words of each.
+    lengths: Vec<usize>,
+    words: usize,
+    width: usize,
+}
+
+impl Captions {
+    fn of(batch: &Batch) -> Self {
+        let condition = condition(batch, WORDS);
+        let (words, width) = (condition.frames, condition.channels - 1);
+        let (mut vectors, mut classes) = (Vec::new(), Vec::new());
+        let mut lengths = Vec::with_capacity(batch.batch_size);
+        for rows in condition.values.chunks(condition.channels * words) {
+            let (of_channels, of_classes) = rows.split_at(width * words);
+            for word in 0..words {
+                vectors.extend((0..width).map(|channel| of_channels[channel * words + word]));
+                classes.push((of_classes[word] as i32 - 1).max(0));
+            }
+            lengths.push(of_classes.iter().filter(|&&class| class > 0.0).count());
+        }
+        Self {
+            vectors,
+            classes,
+            lengths,
+            words,
+            width,
+        }
+    }
+
+    fn encode(&self, model: &TextMotionEncoders, device: &Device) -> Tensor<2> {
+        let batch = self.lengths.len();
+        let vectors = TensorData::new(self.vectors.clone(), [batch, self.words, self.width]);
+        let classes = TensorData::new(self.classes.clone(), [batch, self.words]);
+        let classes = Tensor::<2, Int>::from_data(classes, device);
+        model.texts(Tensor::from_data(vectors, device), classes, &self.lengths)
+    }
+}
+
+/// For each pair, true if its clips have the same captions, or the same sentence of them.
+fn together(batch: &Batch) -> Vec<bool> {
+    let captions = &condition(batch, CAPTIONS).values;
+    let words = condition(batch, WORDS);
+    let sentences: Vec<&[f32]> = words.values.chunks(words.channels * words.frames).collect();
+    let count = captions.len();
+    let pairs = (0..count).flat_map(|first| (0..count).map(move |second| (first, second)));
+    let belong =
+        |(a, b): (usize, usize)| captions[a] == captions[b] || sentences[a] == sentences[b];
+    pairs.map(belong).collect()
+}
+
+fn condition<'a>(batch: &'a Batch, name: &str) -> &'a Condition {
+    let found = batch.conditions.iter().find(|each| each.name == name);
+    found.expect("samples with words")
+}
+
+impl Recipe for ContrastiveRecipe {
+    type Model = TextMotionEncoders;
+    type Pending = ();
+
+    fn weight(&self, batch: &Batch) -> f64 {
+        batch.batch_size as f64
+    }
+
+    fn loss(&self, model: &TextMotionEncoders, batch: &Batch, _: StepKey, device: &Device) -> Loss {
+        let terms = self.terms(model, batch, device);
+        Loss {
+            total: terms[0].1.clone() + terms[1].1.clone(),
+            terms: terms.to_vec(),
+            probes: Vec::new(),
+            pending: (),
+        }
+    }
+
+    fn validation_loss(&self, model: &TextMotionEncoders, device: &Device) -> Measured {
+        self.held_out
+            .mean_terms(|_, batch| self.terms(model, &batch, device).into())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn pairs_are_drawn_together_and_pushed_apart() {
+        let device = Device::flex();
+        let embeddings = |values: [f32; 6]| {
+            Tensor::<2>::from_data(TensorData::new(values.to_vec(), [3, 2]), &device)
+        };
+        // The captions 0 and 2 are equal.
+        let texts = embeddings([0.0, 0.0, 3.0, 4.0, 0.0, 0.0]);
+        let motions = embeddings([1.0, 0.0, 3.0, 4.0, 0.0, 2.0]);
+        let together = [true, false, true, false, true, false, true, false, true];
+        let [(_, near), (_, apart)] = contrast(texts, motions, &together, 6.0);
+        // 1, 4 of caption 0 and again of caption 2, and 0.
+        let near = near.into_scalar::<f32>();
+        assert!((near - 10.0 / 5.0).abs() < 1e-5, "{near}");
+        // Caption 0 and 2 to motion 1: 6 - 5. Caption 1 to motions 0 and 2: 6 - sqrt(20), sqrt(13).
+        let from_1: f32 = [20.0f32, 13.0]
+            .iter()
+            .map(|d| (6.0 - d.sqrt()).powi(2))
+            .sum();
+        let apart = apart.into_scalar::<f32>();
+        assert!((apart - (2.0 + from_1) / 4.0).abs() < 1e-4, "{apart}");
+    }
+
+    #[test]
+    fn equal_sentences_belong_to_both_clips() {
+        let condition = |name, channels, values: &[f32]| Condition {
+            name,
+            values: values.to_vec(),
+            channels,
+            frames: 1,
+        };
+        // Clips 0 and 1 have other captions and are told one sentence, clip 2 has those of clip 0
+        // and is told another of them.
+        let batch = Batch {
+            x_start: vec![0.0; 3],
+            conditions: vec![
+                condition(CAPTIONS, 1, &[7.0, 8.0, 7.0]),
+                condition(WORDS, 2, &[0.5, 1.0, 0.5, 1.0, 0.25, 1.0]),
+            ],
+            mask: vec![1.0; 3],
+            ids: ["a", "b", "c"].map(str::to_owned).to_vec(),
+            batch_size: 3,
+            channels: 1,
+            frames: 1,
+        };
+        let expected = [true, true, true, true, true, false, true, false, true];
+        assert_eq!(together(&batch), expected);
+    }
+}
