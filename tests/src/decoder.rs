@@ -1,8 +1,10 @@
 //! Decoders of the golden files. Their latents are not normalised.
 
 use burn::tensor::Device;
-use kinegrad_models::decoder::{DecoderInit, Normalization};
-use kinegrad_models::{DecoderConfig, Initializer, MotionDecoder};
+use kinegrad_cc_motion::network::DecoderConfig;
+use kinegrad_cc_motion::network::MotionDecoder;
+use kinegrad_cc_motion::network::decoder::{DecoderInit, Normalization};
+use kinegrad_models::Initializer;
 
 /// CC-MotionGen's decoder with random weights.
 ///

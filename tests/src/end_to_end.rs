@@ -3,11 +3,13 @@
 use std::sync::Arc;
 
 use burn::tensor::{Device, Tensor};
+use kinegrad_cc_motion::network::MotionModel;
 use kinegrad_cc_motion::recipes::{E2eDraws, E2eRecipe, Rollouts};
 use kinegrad_cc_motion::{LossConfig, RolloutConfig, RolloutMode, RolloutStart};
 use kinegrad_data::AUDIO;
 use kinegrad_diffusion::{BetaSchedule, DiffusionConfig, GaussianDiffusion, PredictionType};
-use kinegrad_models::{Initializer, MotionModel, parameters};
+use kinegrad_models::Initializer;
+use kinegrad_models::parameters;
 use kinegrad_motion::Statistics;
 use kinegrad_train::config::ClipSample;
 use kinegrad_train::denoising::{Conditions, Draws, HeldOut, Inputs};

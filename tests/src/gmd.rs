@@ -1,7 +1,7 @@
 //! Networks of golden files of Guided Motion Diffusion, whose sizes follow from the shapes of the
 //! weights.
 
-use kinegrad_models::gmd::GmdUnetConfig;
+use kinegrad_gmd::network::GmdUnetConfig;
 
 use crate::golden::Golden;
 use crate::weights::shape;

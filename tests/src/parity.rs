@@ -1,10 +1,11 @@
 //! The same network on two devices.
 
 use burn::tensor::{Device, Tensor, TensorData};
+use kinegrad_cc_motion::network::UNet1dConfig;
 use kinegrad_diffusion::Time;
 use kinegrad_kernels::optimizer::{AdamW, AdamWState, AdamWTensors};
+use kinegrad_models::Initializer;
 use kinegrad_models::parameters;
-use kinegrad_models::{Initializer, UNet1dConfig};
 use kinegrad_random::{Key, Purpose};
 use kinegrad_train::device;
 

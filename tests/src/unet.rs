@@ -1,6 +1,8 @@
 //! UNets described by golden files.
 
-use kinegrad_models::{Initializer, UNet1d, UNet1dConfig};
+use kinegrad_cc_motion::network::UNet1d;
+use kinegrad_cc_motion::network::UNet1dConfig;
+use kinegrad_models::Initializer;
 use serde_json::Value;
 
 /// The network of a golden file's JSON, for 25 motion channels, without dropout, with new weights.

@@ -59,7 +59,7 @@ impl LoraConfig {
 }
 
 /// A layer whose weight can carry an adapter.
-pub(crate) trait Adaptable: Sized {
+pub trait Adaptable: Sized {
     /// The layer with a fresh adapter in place of any that it has.
     fn with_adapter(self, config: &LoraConfig, init: &Initializer) -> Self;
 
@@ -68,7 +68,7 @@ pub(crate) trait Adaptable: Sized {
 }
 
 /// What is done to the adapters of a network, at one place of its tree; [`at`](Self::at) descends.
-pub(crate) enum Adapting<'a> {
+pub enum Adapting<'a> {
     /// Puts fresh adapters on the layers that the config names.
     Attach(&'a LoraConfig, Initializer),
     /// Takes all adapters off and adds them to the weights.
@@ -77,7 +77,7 @@ pub(crate) enum Adapting<'a> {
 
 impl Adapting<'_> {
     /// The same for the place `name` below this one.
-    pub(crate) fn at(&self, name: &str) -> Self {
+    pub fn at(&self, name: &str) -> Self {
         match self {
             Self::Attach(config, init) => Self::Attach(config, init.at(name)),
             Self::Merge => Self::Merge,
@@ -85,7 +85,7 @@ impl Adapting<'_> {
     }
 
     /// Does it to the layer `name` below this place.
-    pub(crate) fn layer<L: Adaptable>(&self, target: LoraTarget, name: &str, layer: L) -> L {
+    pub fn layer<L: Adaptable>(&self, target: LoraTarget, name: &str, layer: L) -> L {
         match self {
             Self::Attach(config, init) if config.targets.contains(&target) => {
                 layer.with_adapter(config, &init.at(name).at("lora"))

@@ -108,7 +108,8 @@ impl ResBlock {
             .forward(h)
     }
 
-    pub(crate) fn adapting(self, adapting: &Adapting<'_>) -> Self {
+    /// The block after `adapting` its layers.
+    pub fn adapting(self, adapting: &Adapting<'_>) -> Self {
         let conv = |name, layer| adapting.layer(LoraTarget::Convolution, name, layer);
         let time = adapting.at("time_mlp");
         Self {

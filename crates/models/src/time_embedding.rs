@@ -8,6 +8,32 @@ use kinegrad_diffusion::Time;
 use crate::Initializer;
 use crate::layers::Linear;
 
+/// Rows of the sinusoid table of width `dim` (even): column `2i` is `sin(t f_i)` and column
+/// `2i + 1` is `cos(t f_i)` with `f_i = 10000^(-2i / dim)`.
+///
+/// Computed on the host in double precision, as t up to 999 is the argument.
+///
+/// # Shapes
+/// - output: `[batch, dim]`
+pub fn interleaved_sinusoidal(positions: &[f64], dim: usize, device: &Device) -> Tensor<2> {
+    let values: Vec<f32> = positions
+        .iter()
+        .flat_map(|&position| position_row(position, dim))
+        .collect();
+    Tensor::from_data(TensorData::new(values, [positions.len(), dim]), device)
+}
+
+fn position_row(position: f64, dim: usize) -> impl Iterator<Item = f32> {
+    (0..dim).map(move |column| {
+        let pair = (column / 2 * 2) as f64;
+        let angle = position * (-pair * 10_000f64.ln() / dim as f64).exp();
+        match column % 2 {
+            0 => angle.sin() as f32,
+            _ => angle.cos() as f32,
+        }
+    })
+}
+
 /// The sinusoidal embedding of times: `[cos(t f_0) .. cos(t f_{h-1}) | sin(t f_0) ..
 /// sin(t f_{h-1})]` with `f_i = 10000^(-i / h)` and `h = dim / 2`.
 ///

@@ -82,10 +82,6 @@ pub enum Error {
         /// Name of the representation that is needed.
         expected: String,
     },
-    /// A motion cannot be continued.
-    #[error(transparent)]
-    #[diagnostic(transparent)]
-    Rollout(#[from] kinegrad_models::flow::RolloutError),
     /// Invalid joint features.
     #[error(transparent)]
     #[diagnostic(transparent)]

@@ -8,10 +8,10 @@
 use burn::tensor::{Device, Tensor};
 use kinegrad_data::TEXT;
 use kinegrad_diffusion::{FlowPrediction, SamplerConfig, SamplerKind};
+use kinegrad_flow::network::{FlowCondition, FlowModel, History, previous_state};
 use kinegrad_flow::recipe::{FlowDraws, FlowRecipe};
 use kinegrad_flow::{HISTORY, PLACE, PoseConfig};
 use kinegrad_models::Initializer;
-use kinegrad_models::flow::{FlowCondition, FlowModel, History, previous_state};
 use kinegrad_motion::humanml::Skeleton;
 use kinegrad_train::Loss;
 use kinegrad_train::denoising::{Conditions, HeldOut, Inputs};

@@ -28,21 +28,25 @@ use std::time::Instant;
 
 use burn::module::Module;
 use burn::tensor::{Device, Tensor};
+use kinegrad_cc_motion::network::DecoderConfig;
+use kinegrad_cc_motion::network::MotionModel;
+use kinegrad_cc_motion::network::UNet1d;
+use kinegrad_cc_motion::network::UNet1dConfig;
+use kinegrad_cc_motion::network::decoder::{DecoderInit, Normalization};
 use kinegrad_cc_motion::recipes::{E2eDraws, E2eRecipe, Rollouts, diffusion_recipe};
 use kinegrad_cc_motion::{LossConfig, RolloutConfig};
 use kinegrad_data::AUDIO_CHANNELS;
 use kinegrad_diffusion::{
     ClipRange, DiffusionConfig, GaussianDiffusion, PredictionType, SamplerConfig, sample,
 };
+use kinegrad_flow::network::FlowConfig;
 use kinegrad_gmd::GmdLossConfig;
+use kinegrad_gmd::network::Backbone;
+use kinegrad_gmd::network::GmdUnetConfig;
+use kinegrad_gmd::network::TextDenoiser;
 use kinegrad_gmd::recipes::clip_recipe;
-use kinegrad_models::decoder::{DecoderInit, Normalization};
-use kinegrad_models::gmd::GmdUnetConfig;
+use kinegrad_models::Initializer;
 use kinegrad_models::parameters::{self, ParameterInfo};
-use kinegrad_models::{
-    Backbone, DecoderConfig, FlowConfig, Initializer, MotionModel, TextDenoiser, UNet1d,
-    UNet1dConfig,
-};
 use kinegrad_motion::Statistics;
 use kinegrad_motion::phrase::CHANNELS;
 use kinegrad_random::{Key, Purpose};

@@ -1,11 +1,12 @@
 //! Time embedding, residual block and attention block against golden file 03_blocks.
 
 use burn::tensor::{Device, Tensor};
+use kinegrad_cc_motion::network::attention::AttentionBlock;
 use kinegrad_diffusion::Time;
-use kinegrad_models::attention::AttentionBlock;
+use kinegrad_models::Initializer;
+use kinegrad_models::parameters;
 use kinegrad_models::res_block::{ResBlock, ResBlockConfig};
 use kinegrad_models::time_embedding::sinusoidal;
-use kinegrad_models::{Initializer, parameters};
 use kinegrad_tests::golden::{Golden, GoldenTensors, Reference, ReferenceTensors};
 use kinegrad_tests::trials::GoldenTest;
 use kinegrad_tests::{trials, weights};

@@ -6,7 +6,8 @@ use kinegrad_diffusion::{
     BetaSchedule, ClipRange, Ddim, DiffusionConfig, FinalAlpha, GaussianDiffusion, PredictionType,
     SamplerConfig, SamplerKind, TimestepSpacing, Timesteps, sample,
 };
-use kinegrad_models::{Initializer, parameters};
+use kinegrad_models::Initializer;
+use kinegrad_models::parameters;
 use kinegrad_random::{Key, Purpose};
 use kinegrad_tests::golden::{Folder, Golden, GoldenTensors, ReferenceTensors};
 use kinegrad_tests::trials::GoldenTest;

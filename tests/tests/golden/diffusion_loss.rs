@@ -5,7 +5,8 @@ use burn::tensor::{Device, Tensor};
 use kinegrad_diffusion::{
     DiffusionConfig, GaussianDiffusion, LossType, PredictionType, Time, diffusion_loss,
 };
-use kinegrad_models::{Initializer, parameters};
+use kinegrad_models::Initializer;
+use kinegrad_models::parameters;
 use kinegrad_tests::golden::{Golden, GoldenTensors, ReferenceTensors};
 use kinegrad_tests::trials::GoldenTest;
 use kinegrad_tests::{trials, unet, weights};

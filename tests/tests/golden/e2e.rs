@@ -7,11 +7,13 @@ use std::collections::HashMap;
 use burn::module::Module;
 use burn::tensor::Tensor;
 use kinegrad_cc_motion::losses::{ReconstructionLoss, temporal_losses};
+use kinegrad_cc_motion::network::AudioCondition;
+use kinegrad_cc_motion::network::UNet1d;
 use kinegrad_cc_motion::{LossConfig, RolloutMode};
 use kinegrad_diffusion::{
     ClipRange, Denoiser, Rollout, RolloutMode as Graph, Time, rollout_timesteps,
 };
-use kinegrad_models::{AudioCondition, UNet1d, parameters};
+use kinegrad_models::parameters;
 use kinegrad_tests::end_to_end::Case;
 use kinegrad_tests::golden::{Golden, ReferenceTensors, compared, wide};
 use kinegrad_tests::trials::GoldenTest;

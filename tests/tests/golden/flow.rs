@@ -7,9 +7,11 @@ use kinegrad_diffusion::flow::integrate;
 use kinegrad_diffusion::{
     Dopri5, FlowPrediction, LossType, SamplerConfig, SamplerKind, diffusion_loss, sample_flow,
 };
-use kinegrad_models::flow::{FlowCondition, FlowModel, Hierarchy, History, previous_state};
+use kinegrad_flow::network::FlowConfig;
+use kinegrad_flow::network::{FlowCondition, FlowModel, Hierarchy, History, previous_state};
+use kinegrad_models::Initializer;
 use kinegrad_models::layers::NormOrder;
-use kinegrad_models::{FlowConfig, Initializer, parameters};
+use kinegrad_models::parameters;
 use kinegrad_motion::humanml::Skeleton;
 use kinegrad_tests::golden::{Golden, GoldenTensors, ReferenceTensors};
 use kinegrad_tests::stages::Noted;

@@ -4,9 +4,10 @@
 use std::collections::BTreeSet;
 
 use burn::tensor::Device;
+use kinegrad_cc_motion::network::UNet1d;
 use kinegrad_diffusion::Time;
+use kinegrad_models::Initializer;
 use kinegrad_models::parameters::{self, HostParameter, ParameterInfo};
-use kinegrad_models::{Initializer, UNet1d};
 use kinegrad_tests::golden::{Golden, GoldenTensors, ReferenceTensors, wide};
 use kinegrad_tests::stages::Noted;
 use kinegrad_tests::trials::GoldenTest;

@@ -4,10 +4,12 @@ use burn::module::Module;
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_data::humanml::walk;
 use kinegrad_diffusion::{FlowPrediction, LossType, SamplerConfig, SamplerKind, diffusion_loss};
-use kinegrad_models::flow::{
+use kinegrad_flow::network::FlowConfig;
+use kinegrad_flow::network::{
     FlowCondition, FlowModel, FlowRollout, FlowSpace, History, RolloutSettings, previous_state,
 };
-use kinegrad_models::{FlowConfig, Initializer, parameters};
+use kinegrad_models::Initializer;
+use kinegrad_models::parameters;
 use kinegrad_motion::humanml::{FeatureStream, Joints, NextPose, Skeleton};
 use kinegrad_motion::{ChannelMoments, Statistics};
 use kinegrad_random::{Key, Purpose};

@@ -2,14 +2,17 @@
 
 use burn::module::Module;
 use burn::tensor::{Device, Tensor, TensorData};
+use kinegrad_cc_motion::network::AudioCondition;
+use kinegrad_cc_motion::network::AudioConditioning;
+use kinegrad_cc_motion::network::UNet1d;
+use kinegrad_cc_motion::network::UNet1dConfig;
 use kinegrad_diffusion::{
     ClipRange, DiffusionConfig, GaussianDiffusion, PredictionType, Rollout, RolloutMode, Time,
     rollout_timesteps,
 };
 use kinegrad_kernels::Lengths;
-use kinegrad_models::{
-    AudioCondition, AudioConditioning, GradientSum, Initializer, UNet1d, UNet1dConfig,
-};
+use kinegrad_models::GradientSum;
+use kinegrad_models::Initializer;
 use kinegrad_random::{Key, Purpose};
 
 /// Network H of the golden files, 3,704,569 parameters; or one of its size with aligned audio

@@ -7,12 +7,12 @@ use kinegrad_data::humanml::{Caption, Clip, ClipLabels};
 use kinegrad_golden::{Golden, bound, differences, workspace};
 use kinegrad_models::Initializer;
 use kinegrad_models::parameters::{self, HostParameter};
-use kinegrad_models::text_motion::{PARTS, TextMotionConfig, TextMotionEncoders};
 use kinegrad_motion::Statistics;
 use kinegrad_motion::humanml::{FeatureLayout, Features, Root};
 use kinegrad_motion::metrics::text_motion::{TextMotionReport, Token, WordVectors};
 use kinegrad_tests::weights;
 use kinegrad_text_motion::TextMotion;
+use kinegrad_text_motion::network::{PARTS, TextMotionConfig, TextMotionEncoders};
 use kinegrad_train::Error;
 use kinegrad_train::clips::evaluator::TextMotionEvaluator as _;
 

@@ -2,8 +2,8 @@
 
 use std::path::PathBuf;
 
+use crate::network::BlendedConfig;
 use kinegrad_diffusion::{DiffusionConfig, SamplerKind, must_suit};
-use kinegrad_models::blended::BlendedConfig;
 use kinegrad_motion::MAX_FRAMES;
 use kinegrad_motion::humanml::Root;
 use kinegrad_settings::{Refused, in_range, require};

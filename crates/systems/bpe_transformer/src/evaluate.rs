@@ -8,7 +8,7 @@ use kinegrad_motion::humanml::{Features, Joints};
 use kinegrad_random::{Key, Purpose};
 use serde_json::json;
 
-use super::networks::{footprint, text_input};
+use super::load::{footprint, text_input};
 use super::path_evaluation;
 use super::report::Measured;
 use super::{BpeTables, Composer};

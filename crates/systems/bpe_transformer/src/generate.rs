@@ -2,18 +2,18 @@
 
 use std::ops::ControlFlow;
 
+use crate::network::{BlendedTransformer, Composed, Segment, Switch, TextSegments};
 use burn::module::Module;
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_diffusion::{
     ClipRange, GaussianDiffusion, Guidance, Networks, NoiseKeys, SamplerConfig, Space as _,
     Steering, Time, sample, sample_with, steered_prediction,
 };
-use kinegrad_models::blended::{BlendedTransformer, Composed, Segment, Switch, TextSegments};
 use kinegrad_motion::humanml::Features;
 use kinegrad_motion::{Representation, Statistics};
 use kinegrad_random::Key;
 
-use super::networks::{text_input, trained};
+use super::load::{text_input, trained};
 use super::path::{PathControl, told};
 use super::{BpeTables, ComposeEvaluationConfig};
 use kinegrad_train::Error;

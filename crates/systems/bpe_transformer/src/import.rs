@@ -3,15 +3,15 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
+use crate::network::{BlendedConfig, HEAD_CHANNELS};
 use burn::tensor::Device;
 use kinegrad_models::NetworkConfig;
-use kinegrad_models::blended::{BlendedConfig, HEAD_CHANNELS};
 use kinegrad_motion::humanml::{Root, TEXT_CHANNELS};
 use kinegrad_motion::{Representation, Statistics};
 use kinegrad_settings::require;
 use pytorch_reader::Tensor;
 
-use super::networks::network;
+use super::load::network;
 use super::{BpeNetwork, BpeTables, BpeTransformer, RECIPE};
 use kinegrad_train::Error;
 use kinegrad_train::Systems;

@@ -10,7 +10,8 @@ mod config;
 mod evaluate;
 mod generate;
 mod import;
-mod networks;
+mod load;
+pub mod network;
 mod path;
 mod path_evaluation;
 mod recipe;
@@ -121,11 +122,11 @@ impl System for BpeTransformer {
     }
 
     fn parameters(&self, config: &Config) -> Result<ParameterCount, Error> {
-        networks::parameters(config)
+        load::parameters(config)
     }
 
     fn footprint(&self, config: &Config) -> Result<Footprint, Error> {
-        networks::footprint(config, config.data.target_frames)
+        load::footprint(config, config.data.target_frames)
     }
 
     fn architectures(&self) -> &'static [&'static str] {

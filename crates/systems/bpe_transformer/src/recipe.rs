@@ -11,11 +11,11 @@
 //! To the sum of a frame comes `loss.velocity` times the squared error of its difference from the frame
 //! before it.
 
+use crate::network::{BlendedTransformer, Pass, Switch, TextSegments};
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_data::TEXT;
 use kinegrad_diffusion::GaussianDiffusion;
 use kinegrad_models::DropoutKey;
-use kinegrad_models::blended::{BlendedTransformer, Pass, Switch, TextSegments};
 
 use super::BpeTables;
 use super::told::Ways;

@@ -4,7 +4,7 @@ use kinegrad_motion::humanml::Root;
 use kinegrad_random::{Key, Purpose};
 use serde_json::to_value;
 
-use super::networks::{footprint, text_input};
+use super::load::{footprint, text_input};
 use super::path::finish;
 use super::{BpeTables, BpeTransformer, Composer, PathMethod};
 use kinegrad_train::Error;

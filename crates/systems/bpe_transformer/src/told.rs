@@ -1,7 +1,7 @@
 //! The path condition of the network (docs/sources.md, section 7, option C).
 
+use crate::network::PATH_CHANNELS;
 use burn::tensor::{Device, Tensor, TensorData};
-use kinegrad_models::blended::PATH_CHANNELS;
 use kinegrad_motion::Statistics;
 use kinegrad_motion::humanml::Root;
 use kinegrad_motion::path::PathFeatures;

@@ -3,7 +3,7 @@
 use kinegrad_diffusion::GaussianDiffusion;
 use kinegrad_motion::Representation;
 
-use super::networks::{begun, text_input};
+use super::load::{begun, text_input};
 use super::recipe::recipe;
 use super::told::Ways;
 use super::{BpeTables, BpeTransformer};

@@ -3,9 +3,12 @@
 use std::ops::Bound;
 use std::path::PathBuf;
 
+use crate::network::DecoderConfig;
+use crate::network::StyleConditioning;
+use crate::network::UNet1dConfig;
 use kinegrad_data::DataKind;
 use kinegrad_diffusion::{DiffusionConfig, GuidanceScales, RolloutMode as Graph, must_suit};
-use kinegrad_models::{DecoderConfig, LoraConfig, StyleConditioning, UNet1dConfig};
+use kinegrad_models::LoraConfig;
 use kinegrad_settings::{ABOVE_ZERO, InvalidSetting, Refused, in_range, require};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};

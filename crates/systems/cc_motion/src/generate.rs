@@ -12,7 +12,7 @@ use kinegrad_random::{Key, Purpose};
 
 pub use super::generator::{Generator, Sample};
 use super::lengths::windows;
-use super::networks::footprint;
+use super::load::footprint;
 use super::windowed::{WINDOWS_IN_FLIGHT, WindowedSampling};
 use kinegrad_train::Error;
 use kinegrad_train::TrainedModel;

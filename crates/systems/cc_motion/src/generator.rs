@@ -1,13 +1,15 @@
 //! A trained model of phrases.
 
+use crate::network::AudioCondition;
+use crate::network::MotionDecoder;
+use crate::network::UNet1d;
 use burn::module::Module;
 use burn::tensor::{Device, Tensor};
 use kinegrad_diffusion::GaussianDiffusion;
-use kinegrad_models::{AudioCondition, MotionDecoder, UNet1d};
 use kinegrad_motion::postprocess::PostProcessConfig;
 use kinegrad_motion::{ChannelEncoding, Phrase, Phrases, Statistics, process_around};
 
-use super::networks::targets;
+use super::load::targets;
 use super::style::Asked;
 use super::{CcMotionConfig, Trained};
 use kinegrad_train::Error;

@@ -6,7 +6,7 @@ use kinegrad_data::PhraseItem;
 use kinegrad_motion::OrientationEncoding;
 use kinegrad_motion::stitch::Windows;
 
-use super::networks::targets;
+use super::load::targets;
 use kinegrad_train::config::Config;
 
 /// The first frames of a phrase, at most `longest`: as validation has it.

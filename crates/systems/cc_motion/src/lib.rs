@@ -9,9 +9,10 @@ pub mod generate;
 mod generator;
 mod leaks;
 mod lengths;
+mod load;
 pub mod losses;
 mod merge;
-mod networks;
+pub mod network;
 mod path;
 mod pretrain;
 mod recipe_name;
@@ -33,7 +34,7 @@ pub use config::{
     CcMotionConfig, CcMotionNetwork, CondSource, EvaluationConfig, InitConfig, LossConfig,
     PretrainConfig, ReconstructionWeighting, RolloutConfig, RolloutMode, RolloutStart,
 };
-pub use networks::Trained;
+pub use load::Trained;
 pub use path::{PhrasePath, PhrasePathConfig, PhrasePathMethod};
 
 use kinegrad_train::Error;
@@ -115,11 +116,11 @@ impl System for CcMotion {
     }
 
     fn parameters(&self, config: &Config) -> Result<ParameterCount, Error> {
-        networks::parameter_count(config)
+        load::parameter_count(config)
     }
 
     fn footprint(&self, config: &Config) -> Result<Footprint, Error> {
-        networks::footprint(config, config.data.target_frames)
+        load::footprint(config, config.data.target_frames)
     }
 
     fn merge(&self, saved: SavedCheckpoint, out: &Path) -> Result<PathBuf, Error> {

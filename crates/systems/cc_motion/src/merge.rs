@@ -2,9 +2,10 @@
 
 use std::path::{Path, PathBuf};
 
-use kinegrad_models::{MotionModel, parameters};
+use crate::network::MotionModel;
+use kinegrad_models::parameters;
 
-use super::networks::networks;
+use super::load::networks;
 use super::{CcMotion, CcMotionConfig};
 use kinegrad_train::Error;
 use kinegrad_train::System;

@@ -5,8 +5,8 @@ use std::collections::BTreeSet;
 use std::iter::repeat_n;
 use std::path::{Path, PathBuf};
 
+use crate::network::Beats;
 use kinegrad_data::{AudioFeatures, DataConfig, DataKind, Dataset, PhraseItem, load_audio};
-use kinegrad_models::Beats;
 use kinegrad_motion::path::PathPlan;
 use kinegrad_motion::postprocess::PostProcessConfig;
 use kinegrad_motion::stitch::Windows;
@@ -16,7 +16,7 @@ use kinegrad_random::{Key, Purpose};
 use super::CcMotionConfig;
 use super::generate::{Generator, Sample, keys, needs};
 use super::lengths::{untrained, windows};
-use super::networks::{targets, unet1d};
+use super::load::{targets, unet1d};
 use super::path::Asked;
 use super::style::must_know;
 use super::windowed::{WINDOWS_IN_FLIGHT, WindowedSampling};

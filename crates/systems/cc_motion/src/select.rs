@@ -4,10 +4,13 @@ use std::ops::ControlFlow;
 use std::rc::Rc;
 use std::sync::Arc;
 
+use crate::network::MotionDecoder;
+use crate::network::MotionModel;
+use crate::network::UNet1d;
 use burn::tensor::Device;
 use kinegrad_data::{Batch, PhraseItem, PhraseSet};
 use kinegrad_diffusion::GaussianDiffusion;
-use kinegrad_models::{GradientSum, MotionDecoder, MotionModel, UNet1d};
+use kinegrad_models::GradientSum;
 
 use super::CondSource;
 use super::evaluate::{EvaluationReport, SampleSettings, evaluate};

@@ -2,14 +2,16 @@
 
 use std::path::PathBuf;
 
+use crate::network::Beats;
+use crate::network::MotionModel;
 use burn::tensor::Device;
 use kinegrad_data::{DataConfig, DataKind};
-use kinegrad_models::{Beats, MotionModel, parameters};
+use kinegrad_models::parameters;
 use kinegrad_motion::{OrientationEncoding, Phrases};
 use kinegrad_settings::{Refused, require};
 use toml::Table;
 
-use super::networks::{Trained, decoder, denoiser, targets, trainable, unet1d};
+use super::load::{Trained, decoder, denoiser, targets, trainable, unet1d};
 use super::recipe_name::RecipeName;
 use super::{CcMotion, CcMotionConfig, InitConfig};
 use kinegrad_train::Error;

@@ -2,14 +2,16 @@
 
 use std::collections::BTreeSet;
 
+use crate::network::AudioCondition;
+use crate::network::StyleCondition;
+use crate::network::StyleConditioning;
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_data::{Dataset, LABEL, PhraseItem, STYLE, StyleConditions, is_label};
 use kinegrad_kernels::Lengths;
-use kinegrad_models::{AudioCondition, StyleCondition, StyleConditioning};
 use kinegrad_motion::Statistics;
 use kinegrad_settings::{Refused, require};
 
-use super::networks::unet1d;
+use super::load::unet1d;
 use super::{CcMotionConfig, CcMotionNetwork};
 use kinegrad_train::Error;
 use kinegrad_train::Observer;

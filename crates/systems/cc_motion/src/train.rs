@@ -10,7 +10,7 @@ use kinegrad_motion::phrase::{ACCELERATION, POSITION, VELOCITY};
 use kinegrad_motion::{ChannelEncoding, OrientationEncoding, Phrases, Statistics};
 use kinegrad_settings::InvalidSetting;
 
-use super::networks::{denoiser, networks, targets};
+use super::load::{denoiser, networks, targets};
 use super::recipe_name::RecipeName;
 use super::recipes::{DecoderRecipe, E2eRecipe, Rollouts, diffusion_recipe};
 use super::select::{Selecting, Selection};

@@ -7,13 +7,13 @@
 
 use std::ops::{ControlFlow, Range};
 
+use crate::network::decoder::Coherence;
 use burn::tensor::{Tensor, TensorData};
 use kinegrad_data::AudioFeatures;
 use kinegrad_diffusion::{
     NoiseKeys, Prediction, PredictionType, Time, guided, noise_of_parts, sample_with,
 };
 use kinegrad_kernels::{batch_invariant, host_values};
-use kinegrad_models::decoder::Coherence;
 use kinegrad_motion::coherence::{
     fit_heading, fit_orientation, fit_trajectory, heading_confidence,
 };

@@ -1,8 +1,8 @@
 //! The system's own config tables and their validation.
 
+use crate::network::FlowConfig;
 use kinegrad_data::Crop;
 use kinegrad_diffusion::{FlowPrediction, must_suit_flow};
-use kinegrad_models::flow::FlowConfig;
 use kinegrad_motion::MAX_FRAMES;
 use kinegrad_motion::humanml::{NextPose, Root};
 use kinegrad_settings::{in_range, require};

@@ -9,7 +9,7 @@ use kinegrad_motion::humanml::Joints;
 use kinegrad_random::{Key, Purpose};
 use serde_json::json;
 
-use super::networks::text_input;
+use super::load::text_input;
 use super::report::{RolloutReport, TextReport, bone_lengths};
 use super::sample::untaught_guidance;
 use super::{FlowGenerator, FlowTables, RolloutEvaluationConfig};

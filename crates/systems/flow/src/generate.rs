@@ -1,13 +1,14 @@
 //! Autoregressive motion from a checkpoint.
 
+use crate::network::{FlowModel, FlowRollout, FlowSpace, RolloutError, RolloutSettings};
 use burn::module::Module;
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_diffusion::{Error as Diffusion, SamplerConfig};
-use kinegrad_models::flow::{FlowModel, FlowRollout, FlowSpace, RolloutError, RolloutSettings};
 use kinegrad_motion::humanml::{Extraction, FeatureError, Joints, TEXT_CHANNELS};
 use kinegrad_random::Key;
+use miette::Diagnostic;
 
-use super::networks::{model, text_input};
+use super::load::{model, text_input};
 use super::{FlowTables, RolloutEvaluationConfig, statistics_in};
 use kinegrad_train::Error;
 use kinegrad_train::TrainedModel;
@@ -127,5 +128,18 @@ impl FlowGenerator {
         };
         let (model, space) = (self.model.clone(), self.space.clone());
         FlowRollout::new(model, space, settings, history, key, &self.device)
+    }
+}
+
+impl From<RolloutError> for Error {
+    fn from(error: RolloutError) -> Self {
+        match error {
+            RolloutError::Setting(error) => error.into(),
+            RolloutError::Feature(error) => error.into(),
+            other => {
+                let help = other.help().map(|help| help.to_string());
+                Error::usage(other.to_string(), help.unwrap_or_default())
+            }
+        }
     }
 }

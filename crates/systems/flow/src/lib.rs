@@ -7,7 +7,8 @@
 mod config;
 mod evaluate;
 mod generate;
-mod networks;
+mod load;
+pub mod network;
 pub mod recipe;
 mod report;
 mod sample;
@@ -81,12 +82,12 @@ impl System for Flow {
     }
 
     fn parameters(&self, config: &Config) -> Result<ParameterCount, Error> {
-        let network = networks::model(config, &Device::flex())?;
+        let network = load::model(config, &Device::flex())?;
         Ok(ParameterCount::trained(&network))
     }
 
     fn footprint(&self, config: &Config) -> Result<Footprint, Error> {
-        networks::footprint(config)
+        load::footprint(config)
     }
 
     fn accepts(&self, recipe: &str) -> &'static [&'static str] {

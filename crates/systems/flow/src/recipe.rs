@@ -8,10 +8,10 @@
 //! with the target of `pose.prediction_type` in the place of `v = x_start - noise` (docs/sources.md,
 //! section 5).
 
+use crate::network::{FlowCondition, FlowModel, History, previous_state};
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_data::{Batch, TEXT};
 use kinegrad_diffusion::FlowPrediction;
-use kinegrad_models::flow::{FlowCondition, FlowModel, History, previous_state};
 use kinegrad_random::Purpose;
 
 use super::PoseConfig;

@@ -11,7 +11,7 @@ use kinegrad_diffusion::SamplerConfig;
 use kinegrad_motion::humanml::Joints;
 use kinegrad_random::{Key, Purpose};
 
-use super::networks::text_input;
+use super::load::text_input;
 use super::report::bone_lengths;
 use super::{Flow, FlowGenerator, FlowTables, PoseSpace};
 use kinegrad_train::Error;

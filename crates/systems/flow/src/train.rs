@@ -7,7 +7,7 @@ use kinegrad_data::humanml::Clip;
 use kinegrad_motion::humanml::Root;
 use kinegrad_motion::{ChannelMoments, Statistics};
 
-use super::networks::{model, text_input};
+use super::load::{model, text_input};
 use super::recipe::FlowRecipe;
 use super::windows::{PoseSpace, PoseWindows};
 use super::{FlowTables, statistics_in};

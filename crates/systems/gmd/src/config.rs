@@ -2,11 +2,11 @@
 
 use std::path::PathBuf;
 
+use crate::network::Backbone;
+use crate::network::GmdUnetConfig;
+use crate::network::transformer::EncoderConfig;
 use kinegrad_data::DataKind;
 use kinegrad_diffusion::{DiffusionConfig, PredictionType, must_suit};
-use kinegrad_models::Backbone;
-use kinegrad_models::gmd::GmdUnetConfig;
-use kinegrad_models::transformer::EncoderConfig;
 use kinegrad_motion::MAX_FRAMES;
 use kinegrad_motion::emphasis::{EmphasisConfig, EmphasisKind};
 use kinegrad_motion::humanml::Root;

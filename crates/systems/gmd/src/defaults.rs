@@ -1,7 +1,7 @@
 //! Default values of the recipes, from the paper.
 
+use crate::network::GmdUnetConfig;
 use kinegrad_models::NetworkConfig;
-use kinegrad_models::gmd::GmdUnetConfig;
 use toml::Table;
 
 use super::recipe_name::RecipeName;

@@ -9,13 +9,13 @@ mod once;
 use std::iter::repeat;
 use std::ops::ControlFlow;
 
+use crate::network::TextDenoiser;
 use burn::module::Module;
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_diffusion::{
     GaussianDiffusion, Networks, NoiseKeys, SamplerConfig, sample, steered_sample,
 };
 use kinegrad_kernels::batch_invariant;
-use kinegrad_models::TextDenoiser;
 use kinegrad_motion::goal::Goal;
 use kinegrad_motion::humanml::{Features, Root};
 use kinegrad_random::{Key, Purpose};
@@ -23,7 +23,7 @@ use kinegrad_settings::{Refused, in_range, require};
 use serde::{Deserialize, Serialize};
 
 use super::GmdConfig;
-use super::networks::{TrainedClips, channels_of, text_input};
+use super::load::{TrainedClips, channels_of, text_input};
 use super::padding::Padded;
 use super::recipe_name::RecipeName;
 use super::stage::{StageModel, StageSteering};

@@ -3,16 +3,17 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
+use crate::network::Backbone;
+use crate::network::GmdUnetConfig;
+use crate::network::transformer::EncoderConfig;
 use burn::tensor::Device;
-use kinegrad_models::gmd::GmdUnetConfig;
-use kinegrad_models::transformer::EncoderConfig;
-use kinegrad_models::{Backbone, NetworkConfig};
+use kinegrad_models::NetworkConfig;
 use kinegrad_motion::Statistics;
 use kinegrad_motion::emphasis::{EmphasisKind, EmphasisProjection};
 use kinegrad_motion::humanml::{FeatureLayout, Root};
 use pytorch_reader::Tensor;
 
-use super::networks::{channels_of, text_denoiser};
+use super::load::{channels_of, text_denoiser};
 use super::recipe_name::RecipeName;
 use super::{Gmd, GmdConfig};
 use kinegrad_train::Error;

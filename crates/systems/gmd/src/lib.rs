@@ -9,7 +9,8 @@ mod defaults;
 pub mod evaluate;
 mod generate;
 mod import;
-mod networks;
+mod load;
+pub mod network;
 mod padding;
 mod recipe_name;
 pub mod recipes;
@@ -25,7 +26,7 @@ use toml::Table;
 
 pub use config::{EvaluationSplit, GmdConfig, GmdEvaluationConfig, GmdInitConfig, GmdLossConfig};
 pub use generate::{ClipGenerator, ClipRequest, GeneratedClip, NoiseKey};
-pub use networks::{TrainedClips, channels_of, model_in_space, text_denoiser};
+pub use load::{TrainedClips, channels_of, model_in_space, text_denoiser};
 pub use stage::{GroundObjective, StageModel, StageSteering};
 pub use steering::{Padding, SteeringConfig};
 
@@ -43,7 +44,7 @@ use kinegrad_train::memory::Footprint;
 use kinegrad_train::run::{Outcome, Setup};
 use kinegrad_train::sampling::{Request, SampleSink, Sampler};
 use kinegrad_train::start::{Start, tables_of};
-use networks::INHERITED;
+use load::INHERITED;
 use recipe_name::RECIPES;
 
 /// The system.
@@ -105,11 +106,11 @@ impl System for Gmd {
     }
 
     fn parameters(&self, config: &Config) -> Result<ParameterCount, Error> {
-        networks::parameters_in_space(config)
+        load::parameters_in_space(config)
     }
 
     fn footprint(&self, config: &Config) -> Result<Footprint, Error> {
-        networks::footprint(config, config.data.target_frames)
+        load::footprint(config, config.data.target_frames)
     }
 
     fn architectures(&self) -> &'static [&'static str] {

@@ -7,7 +7,7 @@ use kinegrad_motion::humanml::Skeleton;
 use kinegrad_motion::metrics::{GoalReport, GoalSample};
 
 use super::generate::{ClipGenerator, ClipRequest, GeneratedClip, drawn_frames, keys};
-use super::networks::{footprint, text_input};
+use super::load::{footprint, text_input};
 use super::recipe_name::RecipeName;
 use super::{Gmd, GmdConfig};
 use kinegrad_train::Error;

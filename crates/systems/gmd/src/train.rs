@@ -1,11 +1,11 @@
 //! Runs on clips of joint features: recipes `gmd_motion` and `gmd_trajectory`.
 
+use crate::network::TextDenoiser;
 use kinegrad_diffusion::GaussianDiffusion;
-use kinegrad_models::TextDenoiser;
 use kinegrad_motion::Statistics;
 use kinegrad_motion::emphasis::EmphasisProjection;
 
-use super::networks::{channels_of, model_in_space, started, text_input};
+use super::load::{channels_of, model_in_space, started, text_input};
 use super::recipes::{JointMotion, clip_recipe};
 use super::{Gmd, GmdConfig};
 use kinegrad_train::Error;

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use kinegrad_models::text_motion::TextMotionSizes;
+use crate::network::TextMotionSizes;
 use kinegrad_motion::humanml::Root;
 use kinegrad_settings::{ABOVE_ZERO, in_range, require};
 use schemars::JsonSchema;

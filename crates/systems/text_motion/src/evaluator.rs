@@ -1,16 +1,16 @@
 //! A text-motion evaluator: of published files or of a run, and the embeddings of clips and
 //! captions.
 
+use crate::network::{PARTS, TextMotionConfig, TextMotionEncoders, UNIT_FRAMES};
 use burn::tensor::{Device, Int, Tensor, TensorData};
 use kinegrad_data::humanml::read_word_vectors;
 use kinegrad_models::Initializer;
-use kinegrad_models::text_motion::{PARTS, TextMotionConfig, TextMotionEncoders, UNIT_FRAMES};
 use kinegrad_motion::Statistics;
 use kinegrad_motion::humanml::{FeatureError, FeatureLayout, Features, Root};
 use kinegrad_motion::metrics::text_motion::{MAX_WORDS, Token, WordVectors};
 
 use super::TextMotionTables;
-use super::networks::{encoders, word_vectors};
+use super::load::{encoders, word_vectors};
 use kinegrad_train::Error;
 use kinegrad_train::checkpoint::{SavedCheckpoint, Weights};
 use kinegrad_train::clips::evaluator::{EvaluatorFiles, TextMotionEvaluator};

@@ -8,7 +8,8 @@
 mod config;
 mod evaluate;
 mod evaluator;
-mod networks;
+mod load;
+pub mod network;
 pub mod recipe;
 mod train;
 
@@ -79,13 +80,13 @@ impl System for TextMotionSystem {
     }
 
     fn parameters(&self, config: &Config) -> Result<ParameterCount, Error> {
-        let words = networks::word_vectors(&config.own::<TextMotionTables>().words)?;
-        let encoders = networks::encoders(config, words.width(), &Device::flex())?;
+        let words = load::word_vectors(&config.own::<TextMotionTables>().words)?;
+        let encoders = load::encoders(config, words.width(), &Device::flex())?;
         Ok(ParameterCount::trained(&encoders))
     }
 
     fn footprint(&self, config: &Config) -> Result<Footprint, Error> {
-        networks::footprint(config)
+        load::footprint(config)
     }
 
     fn accepts(&self, _: &str) -> &'static [&'static str] {

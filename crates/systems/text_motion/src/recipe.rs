@@ -10,9 +10,9 @@
 //! used, and a caption is a positive for all clips with the captions of its own clip or the same
 //! sentence. The movement encoder is trained jointly, not first.
 
+use crate::network::TextMotionEncoders;
 use burn::tensor::{Device, Int, Tensor, TensorData};
 use kinegrad_data::{Batch, CAPTIONS, Condition, WORDS};
-use kinegrad_models::text_motion::TextMotionEncoders;
 
 use kinegrad_train::denoising::HeldOut;
 use kinegrad_train::{Loss, Measured, Recipe, StepKey};

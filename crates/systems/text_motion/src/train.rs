@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use super::TextMotionTables;
-use super::networks::{channels, encoders, word_vectors};
+use super::load::{channels, encoders, word_vectors};
 use super::recipe::ContrastiveRecipe;
 use kinegrad_train::Error;
 use kinegrad_train::Observer;

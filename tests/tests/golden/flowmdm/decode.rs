@@ -1,7 +1,7 @@
 //! From the network's samples to motion, and the jerk of transitions.
 
 use burn::tensor::{Device, Tensor, TensorData};
-use kinegrad_models::blended::Composed;
+use kinegrad_bpe_transformer::network::Composed;
 use kinegrad_motion::humanml::{FeatureLayout, Features, Joints, Root};
 use kinegrad_motion::metrics::{BABEL_JERK, HUMANML3D_JERK, TransitionJerk, jerk_of_frames};
 use kinegrad_tests::golden::{Golden, ReferenceTensors as _, values, wide};

@@ -3,11 +3,11 @@
 use std::ops::ControlFlow;
 
 use burn::tensor::{Device, Tensor, TensorData};
+use kinegrad_bpe_transformer::network::{BlendedTransformer, Composed, TextSegments};
 use kinegrad_diffusion::{
     ClipRange, GivenNoise, NoiseKeys, Prediction, PredictionType, Time, TimestepPath, ddpm,
     ddpm_step, guided,
 };
-use kinegrad_models::blended::{BlendedTransformer, Composed, TextSegments};
 use kinegrad_tests::golden::{Golden, GoldenTensors as _};
 
 use super::super::gmd::bench::process;

@@ -9,8 +9,9 @@ mod sampling;
 mod training;
 
 use burn::tensor::{Device, Tensor, TensorData};
-use kinegrad_models::blended::{BlendedConfig, BlendedTransformer, Segment, Switch};
-use kinegrad_models::{Initializer, parameters};
+use kinegrad_bpe_transformer::network::{BlendedConfig, BlendedTransformer, Segment, Switch};
+use kinegrad_models::Initializer;
+use kinegrad_models::parameters;
 use kinegrad_tests::golden::{Golden, ReferenceTensors as _};
 use kinegrad_tests::stages::Noted;
 use kinegrad_tests::trials::GoldenTest;

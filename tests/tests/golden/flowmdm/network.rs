@@ -2,8 +2,8 @@
 
 use burn::module::Module as _;
 use burn::tensor::{Device, Tensor, TensorData};
+use kinegrad_bpe_transformer::network::{BlendedTransformer, Composed, Pass, TextSegments};
 use kinegrad_diffusion::{Denoiser as _, Time, guided};
-use kinegrad_models::blended::{BlendedTransformer, Composed, Pass, TextSegments};
 use kinegrad_tests::golden::{Golden, GoldenTensors as _, ReferenceTensors as _, values};
 use kinegrad_tests::stages::Noted;
 use kinegrad_tests::trials::GoldenTest;

@@ -1,14 +1,15 @@
 //! Positions, masks and attention.
 
 use burn::tensor::{Device, Tensor};
-use kinegrad_diffusion::Time;
-use kinegrad_kernels::KeyRanges;
-use kinegrad_models::blended::{
+use kinegrad_bpe_transformer::network::{
     BlendedConfig, HEAD_CHANNELS, PoseCentricAttention, Shared, TextSegments, absolute_positions,
 };
-use kinegrad_models::gmd::interleaved_sinusoidal;
+use kinegrad_diffusion::Time;
+use kinegrad_kernels::KeyRanges;
+use kinegrad_models::Initializer;
+use kinegrad_models::parameters;
 use kinegrad_models::rotary::Rotation;
-use kinegrad_models::{Initializer, parameters};
+use kinegrad_models::time_embedding::interleaved_sinusoidal;
 use kinegrad_tests::golden::{Golden, GoldenTensors as _, ReferenceTensors as _, wide};
 use kinegrad_tests::trials::GoldenTest;
 use kinegrad_tests::{gradients, trials, weights};

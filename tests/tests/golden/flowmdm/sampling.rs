@@ -1,10 +1,10 @@
 //! The timesteps with relative positions, and complete sampling.
 
 use burn::tensor::{Device, Tensor, TensorData};
+use kinegrad_bpe_transformer::network::{Composed, Switch};
 use kinegrad_diffusion::{
     ClipRange, Denoiser as _, Prediction, PredictionType, Time, ddpm_step, guided,
 };
-use kinegrad_models::blended::{Composed, Switch};
 use kinegrad_tests::golden::{Golden, ReferenceTensors as _, values};
 use kinegrad_tests::trials;
 use kinegrad_tests::trials::GoldenTest;

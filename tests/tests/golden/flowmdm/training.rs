@@ -3,9 +3,10 @@
 use std::path::PathBuf;
 
 use burn::tensor::{Device, Tensor, TensorData};
+use kinegrad_bpe_transformer::network::{BlendedConfig, BlendedTransformer, Pass, TextSegments};
 use kinegrad_diffusion::{PredictionType, Time};
-use kinegrad_models::blended::{BlendedConfig, BlendedTransformer, Pass, TextSegments};
-use kinegrad_models::{Initializer, parameters};
+use kinegrad_models::Initializer;
+use kinegrad_models::parameters;
 use kinegrad_tests::golden::{Golden, ReferenceTensors as _, compared};
 use kinegrad_tests::trials::GoldenTest;
 use kinegrad_tests::{gradients, trials};

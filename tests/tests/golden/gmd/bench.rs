@@ -5,8 +5,11 @@ use kinegrad_diffusion::{
     BetaSchedule, ClipRange, Denoiser, DiffusionConfig, GaussianDiffusion, Networks,
     PredictionType, Steering, Time, ddpm_step, steered_prediction,
 };
-use kinegrad_models::gmd::GmdUnetConfig;
-use kinegrad_models::{Backbone, Initializer, TextDenoiser, parameters};
+use kinegrad_gmd::network::Backbone;
+use kinegrad_gmd::network::GmdUnetConfig;
+use kinegrad_gmd::network::TextDenoiser;
+use kinegrad_models::Initializer;
+use kinegrad_models::parameters;
 use kinegrad_motion::emphasis::EmphasisProjection;
 use kinegrad_tests::golden::{Golden, GoldenTensors, Reference, ReferenceTensors, wide};
 use kinegrad_tests::{gmd, weights};

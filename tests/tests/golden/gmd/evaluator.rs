@@ -2,11 +2,12 @@
 //! reference data's own.
 
 use burn::tensor::{Device, Int, Tensor, TensorData};
-use kinegrad_models::text_motion::{PARTS, TextMotionConfig, TextMotionEncoders};
-use kinegrad_models::{Initializer, parameters};
+use kinegrad_models::Initializer;
+use kinegrad_models::parameters;
 use kinegrad_tests::golden::{Golden, GoldenTensors, ReferenceTensors};
 use kinegrad_tests::trials::GoldenTest;
 use kinegrad_tests::{trials, weights};
+use kinegrad_text_motion::network::{PARTS, TextMotionConfig, TextMotionEncoders};
 
 const TOLERANCE: f64 = 8e-5;
 

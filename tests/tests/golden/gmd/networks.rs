@@ -2,8 +2,9 @@
 
 use burn::tensor::{Device, Tensor};
 use kinegrad_diffusion::{Time, guided};
-use kinegrad_models::gmd::interleaved_sinusoidal;
-use kinegrad_models::{Initializer, parameters};
+use kinegrad_models::Initializer;
+use kinegrad_models::parameters;
+use kinegrad_models::time_embedding::interleaved_sinusoidal;
 use kinegrad_tests::golden::{Golden, GoldenTensors, ReferenceTensors};
 use kinegrad_tests::stages::Noted;
 use kinegrad_tests::trials::GoldenTest;

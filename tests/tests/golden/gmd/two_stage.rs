@@ -9,8 +9,8 @@ use kinegrad_diffusion::{
     ClipRange, GivenNoise, Networks, NoiseKeys, PredictionType, Space as _, Time, TimestepPath,
     ddpm, steered_prediction,
 };
+use kinegrad_gmd::network::TextDenoiser;
 use kinegrad_gmd::{Padding, StageModel, StageSteering, SteeringConfig};
-use kinegrad_models::TextDenoiser;
 use kinegrad_motion::goal::{
     Goal, GroundTargets, GuidanceConfig, GuidanceNorm, GuidanceSchedule, Keyframe, Obstacle, Phase,
 };

@@ -19,9 +19,9 @@
 //! squares it again, whose gradient is NaN where two accelerations are equal; here the squares are
 //! summed directly, which is the same value.
 
+use crate::network::rotation::angular_velocity;
 use burn::tensor::activation::relu;
 use burn::tensor::{Bool, Tensor};
-use kinegrad_models::rotation::angular_velocity;
 use kinegrad_motion::phrase::{
     ACCELERATION, ANGULAR_VELOCITY, FPS, PHASE, POSITION, QUATERNION, VELOCITY,
 };

@@ -11,10 +11,10 @@
 //! with high noise (`rollout`), whose error is weighted by the signal remaining in its start. The
 //! denoiser is part of the checkpoint and is not trained.
 
+use crate::network::MotionModel;
 use burn::module::Module;
 use burn::tensor::{Device, Tensor};
 use kinegrad_data::Batch;
-use kinegrad_models::MotionModel;
 use kinegrad_random::{Key, Purpose};
 
 use super::Rollouts;

@@ -13,9 +13,11 @@
 //! frames with beat labels; the tracker has no other loss. The rest of the network is trained with
 //! the labels (teacher forcing) and sampled with the tracker's beats.
 
+use crate::network::AudioCondition;
+use crate::network::UNet1d;
+use crate::network::beat_labels;
 use burn::tensor::{Device, Tensor};
 use kinegrad_diffusion::{GaussianDiffusion, diffusion_loss};
-use kinegrad_models::{AudioCondition, UNet1d, beat_labels};
 
 use crate::style::condition;
 use kinegrad_train::Loss;
@@ -99,10 +101,14 @@ pub(super) fn denoising_validation_loss(
 mod tests {
     use std::f32::consts::TAU;
 
+    use crate::network::AudioConditioning;
+    use crate::network::BEAT_CHANNELS;
+    use crate::network::Beats;
+    use crate::network::UNet1dConfig;
     use burn::tensor::TensorData;
     use kinegrad_data::AUDIO;
     use kinegrad_diffusion::DiffusionConfig;
-    use kinegrad_models::{AudioConditioning, BEAT_CHANNELS, Beats, Initializer, UNet1dConfig};
+    use kinegrad_models::Initializer;
 
     use super::*;
     use kinegrad_train::denoising::Conditions;

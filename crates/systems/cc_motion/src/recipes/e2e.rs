@@ -16,11 +16,14 @@
 //! holds: pulled towards a ground truth they know nothing of, samples would all become the mean
 //! motion.
 
+use crate::network::AudioCondition;
+use crate::network::MotionModel;
 use burn::module::Module;
 use burn::tensor::{Device, Tensor};
 use kinegrad_data::Batch;
 use kinegrad_diffusion::{Trace, rollout_timesteps};
-use kinegrad_models::{AudioCondition, DropoutKey, GradientSum, MotionModel};
+use kinegrad_models::DropoutKey;
+use kinegrad_models::GradientSum;
 use kinegrad_random::Purpose;
 
 use super::diffusion::{denoising_loss, denoising_validation_loss};

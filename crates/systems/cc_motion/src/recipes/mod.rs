@@ -5,7 +5,7 @@ pub mod diffusion;
 pub mod e2e;
 mod rollouts;
 
-use kinegrad_models::AudioCondition;
+use crate::network::AudioCondition;
 
 use super::style::condition;
 use kinegrad_train::denoising::Inputs;

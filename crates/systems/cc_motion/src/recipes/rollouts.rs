@@ -2,10 +2,10 @@
 
 use std::sync::Arc;
 
+use crate::network::UNet1d;
+use crate::network::channel_encoding::decode;
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_diffusion::{GaussianDiffusion, Rollout, RolloutMode, rollout_timesteps};
-use kinegrad_models::UNet1d;
-use kinegrad_models::channel_encoding::decode;
 use kinegrad_motion::{ChannelEncoding, PhaseEncoding, Statistics};
 use kinegrad_random::Key;
 

@@ -3,11 +3,11 @@
 use kinegrad_data::ValidationSplit;
 use kinegrad_data::humanml::labels_of;
 
-use super::super::networks::text_input;
+use super::super::load::text_input;
 use super::GoalTask;
 use super::goals::GoalEvaluation;
 use crate::generate::drawn_frames;
-use crate::networks::footprint;
+use crate::load::footprint;
 use crate::sample::trajectory_model;
 use crate::{ClipGenerator, EvaluationSplit, GmdConfig};
 use kinegrad_train::Error;

@@ -18,8 +18,8 @@
 //! and then responds poorly to guidance, so its recipe uses early stopping on held-out paths
 //! (`train.patience`).
 
+use crate::network::TextDenoiser;
 use kinegrad_diffusion::GaussianDiffusion;
-use kinegrad_models::TextDenoiser;
 use kinegrad_motion::goal::TRAJECTORY_CHANNELS;
 
 use super::JointMotion;

@@ -1,8 +1,8 @@
 //! The loss of both models.
 
+use crate::network::TextDenoiser;
 use kinegrad_data::TEXT;
 use kinegrad_diffusion::GaussianDiffusion;
-use kinegrad_models::TextDenoiser;
 
 use kinegrad_train::Loss;
 use kinegrad_train::clips::weighted_masked_loss;

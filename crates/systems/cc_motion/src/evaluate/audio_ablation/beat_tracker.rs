@@ -2,8 +2,8 @@
 
 use std::f64::consts::TAU;
 
+use crate::network::AudioCondition;
 use burn::tensor::{Tensor, TensorData};
-use kinegrad_models::AudioCondition;
 use kinegrad_motion::circular;
 
 use super::BeatPhrase;

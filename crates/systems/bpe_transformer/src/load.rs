@@ -1,0 +1,131 @@
+//! The network of a config.
+
+use std::collections::HashMap;
+
+use crate::network::BlendedTransformer;
+use burn::tensor::Device;
+use kinegrad_models::Initializer;
+use kinegrad_models::parameters;
+use kinegrad_motion::Representation;
+use kinegrad_motion::humanml::TEXT_CHANNELS;
+
+use super::config::{tells_paths, with_paths};
+use super::{ADAPTER, BpeTables, INHERITED};
+use kinegrad_train::Error;
+use kinegrad_train::ParameterCount;
+use kinegrad_train::checkpoint::{SavedCheckpoint, Weights};
+use kinegrad_train::clips::captions::TextInput;
+use kinegrad_train::clips::training::must_fit_clips;
+use kinegrad_train::config::{Config, OwnTables};
+use kinegrad_train::memory::Footprint;
+use kinegrad_train::start::{Start, must_agree};
+
+/// The text input of the network of a config.
+pub(super) fn text_input(config: &Config) -> TextInput {
+    TextInput::new(&config.own::<BpeTables>().text, &config.data)
+}
+
+/// The network with fresh weights.
+///
+/// # Errors
+/// If it cannot be built.
+pub(super) fn network(config: &Config, device: &Device) -> Result<BlendedTransformer, Error> {
+    let own: &BpeTables = config.own();
+    let init = Initializer::new(config.run.seed, device);
+    let channels = config.data.humanml3d.representation().channels();
+    let network = own
+        .model
+        .network
+        .sizes()
+        .init(channels, TEXT_CHANNELS, &init)?;
+    Ok(match text_input(config).labels() {
+        Some(labels) => network.with_captions(labels.captions().len(), &init),
+        None => network,
+    })
+}
+
+/// The network that training begins with: with the weights of `start`, where there is one, and frozen
+/// where recipe `path_adapter` trains nothing.
+///
+/// # Errors
+/// Names the key in which the start differs from `config`.
+pub(super) fn begun(
+    config: &Config,
+    start: Option<&Start>,
+    device: &Device,
+) -> Result<BlendedTransformer, Error> {
+    let fresh = match start {
+        Some(start) => started(start, config, device)?,
+        None => network(config, device)?,
+    };
+    Ok(match config.train.recipe == ADAPTER {
+        true => fresh.adapting(config.own::<BpeTables>().adapter.last_layers),
+        false => fresh,
+    })
+}
+
+/// The network of a config with the weights of `start`; what the start does not have is fresh.
+fn started(start: &Start, config: &Config, device: &Device) -> Result<BlendedTransformer, Error> {
+    let state = start.state();
+    let network = start.load(|saved| trained(saved, Weights::Ema, device))?;
+    must_fit_clips(start, config)?;
+    let mut base = state.config.clone();
+    let known = base.own::<BpeTables>().model.network.sizes().path;
+    if tells_paths(config) && !known {
+        base.system = OwnTables::unread(with_paths(base.system.to_table()));
+    }
+    must_agree(config, &base, &INHERITED)?;
+    let fresh = self::network(config, device)?;
+    let weights = parameters::export(&network).into_iter();
+    let mut weights: HashMap<String, Vec<f32>> = weights
+        .map(|parameter| (parameter.info.name, parameter.values))
+        .collect();
+    let values = parameters::export(&fresh).into_iter();
+    let values = values.map(|own| weights.remove(&own.info.name).unwrap_or(own.values));
+    let values = values.collect();
+    Ok(parameters::replace(fresh, values))
+}
+
+/// The network of a checkpoint.
+///
+/// # Errors
+/// If the checkpoint is damaged or does not fit its own config.
+pub(super) fn trained(
+    saved: &SavedCheckpoint,
+    weights: Weights,
+    device: &Device,
+) -> Result<BlendedTransformer, Error> {
+    saved.state.clip_statistics()?;
+    saved.load(network(&saved.state.config, device)?, weights)
+}
+
+/// The parameters, and which of them are trained.
+///
+/// # Errors
+/// As [`network`].
+pub(super) fn parameters(config: &Config) -> Result<ParameterCount, Error> {
+    let network = begun(config, None, &Device::flex())?;
+    let trained = parameters::trainable(&network);
+    let infos = parameters::infos(&network);
+    Ok(ParameterCount::of(&infos, &[], |index, _| trained[index]))
+}
+
+/// The memory of the network for motions of `frames` frames.
+///
+/// # Errors
+/// As [`network`].
+pub(super) fn footprint(config: &Config, frames: usize) -> Result<Footprint, Error> {
+    let activations = config
+        .own::<BpeTables>()
+        .model
+        .network
+        .sizes()
+        .activations(frames);
+    let channels = config.data.humanml3d.representation().channels();
+    let item = channels * frames + text_input(config).channels();
+    Ok(Footprint::of(
+        &network(config, &Device::flex())?,
+        activations,
+        item,
+    ))
+}

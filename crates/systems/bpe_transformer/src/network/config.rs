@@ -1,0 +1,136 @@
+use kinegrad_settings::{InvalidSetting, Refused, in_range, require};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use kinegrad_models::NamedSizes;
+use kinegrad_models::NetworkConfig;
+use kinegrad_models::config::{MAX_LAYERS, MAX_WIDTH};
+
+/// Channels of an attention head.
+pub const HEAD_CHANNELS: usize = 64;
+
+/// Channels of a head, from the first on, that rotate in relative mode.
+pub const ROTATED_CHANNELS: usize = 32;
+
+/// Furthest frame that is attended to.
+const MAX_HORIZON: usize = 100_000;
+
+/// The sizes of a [`BlendedTransformer`](super::BlendedTransformer).
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct BlendedConfig {
+    /// Width of a token.
+    pub latent_dim: usize,
+    /// Layers, each of attention and feed-forward.
+    pub num_layers: usize,
+    /// Attention heads, of 64 channels each whatever the width.
+    pub num_heads: usize,
+    /// Width inside a feed-forward, rounded to a multiple of `latent_dim` as the published program
+    /// does.
+    pub ff_size: usize,
+    /// Frames before and after a frame that it attends to, in both modes.
+    pub horizon: usize,
+    /// Dropout of the tokens in training, and how often a layer's attention or feed-forward is left
+    /// out (stochastic depth, Huang et al. 2016).
+    pub dropout: f64,
+    /// Conditions each frame on a root path (docs/sources.md, section 7, option C), which the
+    /// published network does not.
+    pub path: bool,
+}
+
+impl Default for BlendedConfig {
+    fn default() -> Self {
+        Self::flowmdm()
+    }
+}
+
+impl NetworkConfig for BlendedConfig {
+    const KIND: &'static str = "bpe_transformer";
+
+    const SIZES: NamedSizes<Self> = &[
+        ("flowmdm", Self::flowmdm),
+        ("flowmdm_babel", Self::flowmdm_babel),
+        ("flowmdm_tiny", Self::flowmdm_tiny),
+    ];
+}
+
+impl BlendedConfig {
+    /// The published size for HumanML3D.
+    pub fn flowmdm() -> Self {
+        Self {
+            latent_dim: 512,
+            num_layers: 8,
+            num_heads: 4,
+            ff_size: 1024,
+            horizon: 150,
+            dropout: 0.1,
+            path: false,
+        }
+    }
+
+    /// The published size for BABEL.
+    pub fn flowmdm_babel() -> Self {
+        Self {
+            horizon: 100,
+            ..Self::flowmdm()
+        }
+    }
+
+    /// For tests and first steps.
+    pub fn flowmdm_tiny() -> Self {
+        Self {
+            latent_dim: 64,
+            num_layers: 2,
+            num_heads: 1,
+            ff_size: 128,
+            horizon: 40,
+            dropout: 0.1,
+            path: false,
+        }
+    }
+
+    /// # Errors
+    /// Names the key that no network can be built from.
+    pub fn validate(&self) -> Result<(), InvalidSetting> {
+        let width = self.latent_dim;
+        require(
+            (2..=MAX_WIDTH).contains(&width) && width.is_multiple_of(2),
+            "model.latent_dim",
+            width,
+            format!("an even number, 2 to {MAX_WIDTH}"),
+        )
+        .hint("the published model has 512")?;
+        in_range("model.num_layers", self.num_layers, 1..=MAX_LAYERS)
+            .hint("the published model has 8")?;
+        in_range(
+            "model.num_heads",
+            self.num_heads,
+            1..=MAX_WIDTH / HEAD_CHANNELS,
+        )
+        .hint("the published model has 4, of 64 channels each")?;
+        in_range("model.ff_size", self.ff_size, 1..=MAX_WIDTH)
+            .hint("the published model has 1024")?;
+        in_range("model.horizon", self.horizon, 1..=MAX_HORIZON)
+            .hint("150 frames in the published model of HumanML3D, 100 in that of BABEL")?;
+        in_range("model.dropout", self.dropout, 0.0..1.0)
+            .hint("0.1 in the published training; 0 for none")
+    }
+
+    /// Width inside a feed-forward: `ff_size` as a multiple of the width, halves to even.
+    pub(super) fn inner_width(&self) -> usize {
+        let times = (self.ff_size as f64 / self.latent_dim as f64).round_ties_even();
+        self.latent_dim * (times as usize).max(1)
+    }
+
+    /// Numbers that the backward pass keeps of one item of `frames` frames, roughly.
+    pub fn activations(&self, frames: usize) -> u64 {
+        let [width, inner, heads] = [
+            self.latent_dim,
+            self.inner_width(),
+            self.num_heads * HEAD_CHANNELS,
+        ]
+        .map(|size| size as u64);
+        let a_token = self.num_layers as u64 * (8 * width + 8 * heads + 2 * inner);
+        frames as u64 * a_token
+    }
+}

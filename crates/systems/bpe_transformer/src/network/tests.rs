@@ -1,0 +1,283 @@
+use burn::tensor::{Device, Tensor, TensorData};
+use kinegrad_diffusion::Time;
+use kinegrad_random::{Key, Purpose};
+
+use super::*;
+use kinegrad_models::parameters;
+
+const CHANNELS: usize = 5;
+const FRAMES: usize = 14;
+
+fn random(shape: [usize; 3], stream: u64) -> Tensor<3> {
+    let values = Key::new(stream, Purpose::Noise).normals(shape.iter().product());
+    Tensor::from_data(TensorData::new(values, shape), &Device::flex())
+}
+
+fn config(path: bool) -> BlendedConfig {
+    BlendedConfig {
+        latent_dim: 24,
+        num_layers: 2,
+        num_heads: 2,
+        ff_size: 30,
+        horizon: 4,
+        dropout: 0.1,
+        path,
+    }
+}
+
+fn network() -> BlendedTransformer {
+    let init = Initializer::new(3, &Device::flex());
+    config(false).init(CHANNELS, 7, &init).expect("a network")
+}
+
+/// The same with what reads a path, whose weights are as drawn or as nothing has trained them.
+fn told(drawn: bool) -> BlendedTransformer {
+    let init = Initializer::new(3, &Device::flex());
+    let network = config(true).init(CHANNELS, 7, &init).expect("a network");
+    let mut values = parameters::export(&network);
+    for parameter in values.iter_mut().filter(|_| drawn) {
+        if parameter.info.name == "embed_path.2.weight" {
+            let key = Key::new(9, Purpose::Noise);
+            parameter.values = key.normals(parameter.values.len());
+        }
+    }
+    parameters::load(network, values).expect("its own weights")
+}
+
+fn two() -> TextSegments {
+    let segment = |text, frames| Segment { text, frames };
+    TextSegments::new([
+        vec![segment(0, 5), segment(1, 6)],
+        vec![segment(2, 3), segment(1, 4), segment(0, 7)],
+    ])
+}
+
+fn answer(
+    x: Tensor<3>,
+    texts: Tensor<2>,
+    segments: &TextSegments,
+    relative: [bool; 2],
+) -> Tensor<3> {
+    let pass = Pass {
+        segments,
+        is_relative: &relative,
+        dropout: None,
+        path: None,
+        path_mask: None,
+    };
+    network().forward(x, &[Time(30.0), Time(700.0)], texts, pass)
+}
+
+/// Largest difference in each frame of each motion.
+fn apart(a: &Tensor<3>, b: &Tensor<3>) -> Vec<Vec<f32>> {
+    let difference = (a.clone() - b.clone()).abs().max_dim(1);
+    let values = difference.try_into_vec_as::<f32>().expect("float32");
+    values.chunks(FRAMES).map(<[f32]>::to_vec).collect()
+}
+
+fn texts(stream: u64) -> Tensor<2> {
+    random([3, 7, 1], stream).squeeze_dim(2)
+}
+
+#[test]
+fn the_published_sizes_have_the_published_number_of_parameters() {
+    let init = Initializer::new(0, &Device::flex());
+    let count = |config: BlendedConfig, channels| {
+        parameters::count(&config.init(channels, 512, &init).expect("a network"))
+    };
+    assert_eq!(count(BlendedConfig::flowmdm(), 263), 18_394_376);
+    assert_eq!(count(BlendedConfig::flowmdm_babel(), 135), 18_263_176);
+}
+
+#[test]
+fn a_text_reaches_its_own_frames_and_across_the_border_in_relative_mode_alone() {
+    let (x, segments) = (random([2, CHANNELS, FRAMES], 1), two());
+    let told = texts(2);
+    let other = {
+        // Text 0 is the first of the first motion and the last of the second.
+        let zeros = Tensor::zeros([1, 7], &Device::flex());
+        Tensor::cat(vec![zeros, told.clone().narrow(0, 1, 2)], 0)
+    };
+    for (relative, reach) in [([false; 2], 0), ([true; 2], 8)] {
+        let a = answer(x.clone(), told.clone(), &segments, relative);
+        let b = answer(x.clone(), other.clone(), &segments, relative);
+        let apart = apart(&a, &b);
+        for (t, found) in apart[0].iter().enumerate().take(11) {
+            // Keys do not know the text: two layers reach as far as the first's sums, one horizon.
+            let told = t < 5;
+            let near = t < 5 + reach;
+            assert!(!told || *found > 1e-4, "{relative:?} {t}");
+            assert!(near || *found == 0.0, "{relative:?} {t}");
+        }
+        assert!(reach == 0 || apart[0][5] > 1e-6);
+        assert!(apart[1][13] > 1e-4 && (reach > 0 || apart[1][6] == 0.0));
+    }
+}
+
+#[test]
+fn modes_and_order_of_texts_matter_and_padding_does_not() {
+    let (x, segments, told) = (random([2, CHANNELS, FRAMES], 1), two(), texts(2));
+    let whole = answer(x.clone(), told.clone(), &segments, [false, true]);
+    let swapped = answer(x.clone(), told.clone(), &segments, [true, false]);
+    let differs = apart(&whole, &swapped);
+    assert!(differs.iter().all(|motion| motion[0] > 1e-4));
+    // What stands in the first motion's padding, frames 11 to 13.
+    let noise = random([2, CHANNELS, FRAMES], 9);
+    let behind = Tensor::cat(vec![x.clone().narrow(2, 0, 11), noise.narrow(2, 11, 3)], 2);
+    let padded = Tensor::cat(vec![behind.narrow(0, 0, 1), x.clone().narrow(0, 1, 1)], 0);
+    let other = apart(
+        &whole,
+        &answer(padded, told.clone(), &segments, [false, true]),
+    );
+    assert!(other[0][..11].iter().all(|difference| *difference == 0.0));
+    // The same texts in another order.
+    let segment = |text, frames| Segment { text, frames };
+    let segments = TextSegments::new([
+        vec![segment(1, 5), segment(0, 6)],
+        vec![segment(2, 3), segment(1, 4), segment(0, 7)],
+    ]);
+    let turned = apart(&whole, &answer(x, told, &segments, [false, true]));
+    assert!(turned[0][..11].iter().all(|difference| *difference > 1e-5));
+    assert!(turned[1].iter().all(|difference| *difference == 0.0));
+}
+
+#[test]
+fn a_long_motion_is_what_its_parts_in_reach_make_of_it() {
+    // In relative mode no frame knows its number: a motion cut off far ahead answers the same.
+    let single = |frames| TextSegments::single([frames]);
+    let x = random([1, CHANNELS, 60], 4);
+    let told = texts(2).narrow(0, 0, 1);
+    let run = |x: Tensor<3>, frames| {
+        let segments = single(frames);
+        let pass = Pass {
+            segments: &segments,
+            is_relative: &[true],
+            dropout: None,
+            path: None,
+            path_mask: None,
+        };
+        network().forward(x, &[Time(5.0)], told.clone(), pass)
+    };
+    let whole = run(x.clone(), 60);
+    let part = run(x.narrow(2, 20, 40), 40);
+    let difference = (whole.narrow(2, 30, 25) - part.narrow(2, 10, 25))
+        .abs()
+        .max();
+    assert!(difference.into_scalar::<f32>() < 1e-5);
+}
+
+#[test]
+fn an_untrained_path_changes_no_bit_and_a_trained_one_the_frames_in_reach() {
+    let (x, segments, texts) = (random([2, CHANNELS, FRAMES], 1), two(), texts(2));
+    let run = |network: &BlendedTransformer, path: Option<&Tensor<3>>| {
+        let pass = Pass {
+            segments: &segments,
+            is_relative: &[true, true],
+            dropout: None,
+            path,
+            path_mask: None,
+        };
+        network.forward(x.clone(), &[Time(30.0), Time(700.0)], texts.clone(), pass)
+    };
+    let path = random([2, PATH_CHANNELS, FRAMES], 5);
+    let base = run(&network(), None).into_data();
+    assert_eq!(run(&told(false), Some(&path)).into_data(), base);
+    let drawn = told(true);
+    let whole = run(&drawn, Some(&path));
+    assert_ne!(whole.clone().into_data(), base);
+    assert_eq!(run(&drawn, None).into_data(), base);
+    // Of two motions, the one that is not told is drawn as without a path.
+    let keep = Tensor::from_data(TensorData::new(vec![1.0f32, 0.0], [2, 1, 1]), &x.device());
+    let pass = Pass {
+        segments: &segments,
+        is_relative: &[true, true],
+        dropout: None,
+        path: Some(&path),
+        path_mask: Some(&keep),
+    };
+    let kept = drawn.forward(x.clone(), &[Time(30.0), Time(700.0)], texts.clone(), pass);
+    let part = |of: &Tensor<3>, motion: usize| of.clone().narrow(0, motion, 1).into_data();
+    assert_eq!(part(&kept, 0), part(&whole, 0));
+    assert_eq!(part(&kept, 1), part(&run(&drawn, None), 1));
+    // Another way in the last frame alone: seen by frames within twice the horizon, of that motion.
+    let last = path.clone().narrow(2, FRAMES - 1, 1);
+    let other = Tensor::cat(vec![path.narrow(2, 0, FRAMES - 1), last + 1.0], 2);
+    let other = Tensor::cat(
+        vec![other.clone().narrow(0, 0, 1), other.narrow(0, 1, 1)],
+        0,
+    );
+    let changed = apart(&whole, &run(&drawn, Some(&other)));
+    assert!(changed[1][FRAMES - 1] > 1e-5);
+    let far = FRAMES - 1 - 2 * 4;
+    assert!(
+        changed[1][..far]
+            .iter()
+            .all(|difference| *difference == 0.0)
+    );
+}
+
+#[test]
+fn adapting_trains_what_reads_the_path_and_the_last_layers() {
+    let trained = |last_layers: usize| -> Vec<String> {
+        // On a device that tracks gradients, with parameters that nobody has asked for yet.
+        let init = Initializer::new(3, &Device::flex().autodiff());
+        let network = config(true).init(CHANNELS, 7, &init).expect("a network");
+        let network = network.adapting(last_layers);
+        let infos = parameters::infos(&network).into_iter();
+        let trained = infos.zip(parameters::trainable(&network));
+        let trained = trained.filter(|(_, is)| *is).map(|(info, _)| info.name);
+        trained.collect()
+    };
+    assert!(
+        trained(0)
+            .iter()
+            .all(|name| name.starts_with("embed_path."))
+    );
+    assert_eq!(trained(0).len(), 4);
+    let last = trained(1);
+    assert!(last.len() > 4);
+    let of_last = |name: &&String| {
+        ["2.", "3."]
+            .iter()
+            .any(|index| name.starts_with(&format!("seqTransEncoder.attn_layers.layers.{index}")))
+    };
+    assert_eq!(last.iter().filter(of_last).count(), last.len() - 4);
+}
+
+#[test]
+fn training_leaves_sub_layers_out_by_its_key() {
+    let (x, segments, told) = (random([2, CHANNELS, FRAMES], 1), two(), texts(2));
+    let run = |seed: u64| {
+        let pass = Pass {
+            segments: &segments,
+            is_relative: &[true, false],
+            dropout: Some(Key::new(seed, Purpose::Dropout)),
+            path: None,
+            path_mask: None,
+        };
+        network()
+            .forward(x.clone(), &[Time(3.0); 2], told.clone(), pass)
+            .into_data()
+    };
+    assert_eq!(run(1), run(1));
+    assert_ne!(run(1), run(2));
+    let network = network();
+    let left = (0..400).map(|seed| network.left_out(Some(Key::new(seed, Purpose::Dropout)), 4));
+    let left: Vec<bool> = left.flatten().collect();
+    let share = left.iter().filter(|left| **left).count() as f64 / left.len() as f64;
+    assert!((share - 0.1).abs() < 0.03, "{share}");
+}
+
+#[test]
+fn the_switch_counts_as_published() {
+    let relative = |k, t| {
+        let switch = Switch {
+            bpe_denoising_step: k,
+            num_train_timesteps: 1000,
+        };
+        switch.is_relative(t)
+    };
+    assert!(!relative(-1, 0) && relative(0, 999) && relative(1, 999));
+    assert!(!relative(60, 941) && relative(60, 940));
+    assert!(!relative(1000, 1) && relative(1000, 0));
+}

@@ -1,0 +1,209 @@
+//! The networks of a checkpoint of any recipe.
+
+use crate::network::DecoderConfig;
+use crate::network::MotionDecoder;
+use crate::network::MotionModel;
+use crate::network::UNet1d;
+use crate::network::UNet1dConfig;
+use crate::network::decoder::{DecoderInit, Normalization};
+use burn::module::Module;
+use burn::tensor::Device;
+use kinegrad_models::Initializer;
+use kinegrad_models::parameters;
+use kinegrad_models::parameters::ParameterInfo;
+use kinegrad_motion::{ChannelEncoding, Phrases, Statistics};
+
+use super::recipe_name::RecipeName;
+use super::{CcMotionConfig, CcMotionNetwork};
+use kinegrad_train::Error;
+use kinegrad_train::checkpoint::{SavedCheckpoint, State, Weights};
+use kinegrad_train::config::Config;
+use kinegrad_train::memory::Footprint;
+use kinegrad_train::{ParameterCount, is_adapter};
+
+/// Names of the networks of a model that has both.
+const NETWORKS: &[&str] = &["unet", "decoder"];
+
+/// Trained networks, adapters merged, and what is known of their training.
+pub struct Trained {
+    /// The denoiser.
+    pub unet: UNet1d,
+    /// The decoder, of a recipe that has one.
+    pub decoder: Option<MotionDecoder>,
+    /// Config, step, statistics.
+    pub state: State,
+}
+
+impl Trained {
+    /// Loads a checkpoint onto `device`.
+    ///
+    /// # Errors
+    /// If the checkpoint is damaged or does not fit its own config.
+    pub fn load(saved: &SavedCheckpoint, weights: Weights, device: &Device) -> Result<Self, Error> {
+        let state = saved.state.clone();
+        let config = &state.config;
+        let (unet, decoder) = match RecipeName::of(config).trains_through_sampler() {
+            false => (saved.load(denoiser(config, device)?, weights)?, None),
+            true => {
+                state.statistics_of(&Phrases)?;
+                let fresh = networks(config, state.normalization(), device)?;
+                let MotionModel { unet, decoder } = saved.load(fresh, weights)?;
+                (unet.merge_adapters(), Some(decoder))
+            }
+        };
+        Ok(Self {
+            unet,
+            decoder,
+            state,
+        })
+    }
+}
+
+/// The denoiser of a config, with fresh weights.
+///
+/// # Errors
+/// If it cannot be built.
+pub(crate) fn denoiser(config: &Config, device: &Device) -> Result<UNet1d, Error> {
+    let unet = unet1d(config);
+    let init = Initializer::new(config.run.seed, device);
+    let audio = config.data.audio_layout().channels();
+    Ok(unet.init(unet.targets().channels(), audio, &init)?)
+}
+
+/// The settings of the denoiser of a config.
+pub(super) fn unet1d(config: &Config) -> &UNet1dConfig {
+    let CcMotionNetwork::Unet1d(unet) = &config.own::<CcMotionConfig>().model.network;
+    unet
+}
+
+/// The channels that the denoiser of a config predicts.
+pub(crate) fn targets(config: &Config) -> ChannelEncoding {
+    unet1d(config).targets()
+}
+
+/// The decoder of a config, with fresh weights; `statistics` normalised the networks' channels.
+///
+/// # Errors
+/// If it cannot be built.
+pub(crate) fn decoder(
+    config: &Config,
+    statistics: &Statistics,
+    device: &Device,
+) -> Result<MotionDecoder, Error> {
+    let normalization = Normalization {
+        mean: statistics.mean.clone(),
+        std: statistics.std.clone(),
+    };
+    let init = Initializer::new(config.run.seed, device).at("decoder");
+    let decoder = &config.own::<CcMotionConfig>().decoder;
+    Ok(decoder.init_for(targets(config), normalization, &init)?)
+}
+
+/// The parameters of a config's networks as its recipe trains them.
+///
+/// # Errors
+/// If one cannot be built.
+pub(super) fn parameter_count(config: &Config) -> Result<ParameterCount, Error> {
+    let unet = denoiser(config, &Device::flex())?;
+    let recipe = RecipeName::of(config);
+    if !recipe.trains_through_sampler() {
+        return Ok(ParameterCount::trained(&unet));
+    }
+    let lora = &config.own::<CcMotionConfig>().lora;
+    let unet = match lora {
+        Some(lora) => unet.with_adapters(lora, &Initializer::new(0, &Device::flex()))?,
+        None => unet,
+    };
+    let decoder = lazy_decoder(config)?;
+    let infos = parameters::infos(&MotionModel { unet, decoder });
+    // As in `trainable`, without initialising weights.
+    let trains = |info: &ParameterInfo| match (lora, recipe) {
+        (Some(_), _) => is_adapter(info),
+        (None, RecipeName::Decoder) => false,
+        (None, RecipeName::Diffusion | RecipeName::E2e) => true,
+    };
+    Ok(ParameterCount::of(&infos, NETWORKS, |_, info| {
+        !info.name.starts_with("unet.") || trains(info)
+    }))
+}
+
+/// The decoder of a config with lazy parameters, without memory.
+fn lazy_decoder(config: &Config) -> Result<MotionDecoder, Error> {
+    let random = DecoderConfig {
+        init: DecoderInit::Random,
+        ..config.own::<CcMotionConfig>().decoder.clone()
+    };
+    let targets = targets(config);
+    let unit = Normalization {
+        mean: vec![0.0; targets.channels()],
+        std: vec![1.0; targets.channels()],
+    };
+    Ok(random.init_for(targets, unit, &Initializer::new(0, &Device::flex()))?)
+}
+
+/// The training memory of a config's networks.
+///
+/// # Errors
+/// If one cannot be built.
+pub(super) fn footprint(config: &Config, frames: usize) -> Result<Footprint, Error> {
+    let own: &CcMotionConfig = config.own();
+    let network = unet1d(config);
+    let unet = denoiser(config, &Device::flex())?;
+    let a_pass = network.activations(frames);
+    let audio = config.data.audio_layout().channels();
+    let item = (network.targets().channels() + audio) * frames;
+    if !RecipeName::of(config).trains_through_sampler() {
+        return Ok(Footprint::of(&unet, a_pass, item));
+    }
+    let unet = match &own.lora {
+        Some(lora) => unet.with_adapters(lora, &Initializer::new(0, &Device::flex()))?,
+        None => unet,
+    };
+    let decoder = lazy_decoder(config)?;
+    let activations = a_pass + own.decoder.activations(frames);
+    Ok(Footprint {
+        passes: own.rollout.steps_kept(),
+        shared: own.decoder.shared(frames),
+        ..Footprint::of(&MotionModel { unet, decoder }, activations, item)
+    })
+}
+
+/// Denoiser and decoder as the config's recipe trains them, with fresh weights.
+///
+/// # Errors
+/// If one cannot be built.
+pub(crate) fn networks(
+    config: &Config,
+    statistics: &Statistics,
+    device: &Device,
+) -> Result<MotionModel, Error> {
+    let model = MotionModel {
+        unet: denoiser(config, device)?,
+        decoder: decoder(config, statistics, device)?,
+    };
+    trainable(model, config, device)
+}
+
+/// `model`, which has its weights, as the config's recipe trains it: with a denoiser that does not
+/// change under recipe `decoder`, or is changed by the config's adapters.
+///
+/// # Errors
+/// If the adapters cannot be built.
+pub(crate) fn trainable(
+    model: MotionModel,
+    config: &Config,
+    device: &Device,
+) -> Result<MotionModel, Error> {
+    let MotionModel { unet, decoder } = model;
+    let unet = match &config.own::<CcMotionConfig>().lora {
+        Some(lora) => {
+            let init = Initializer::new(config.run.seed, device).at("unet");
+            unet.with_adapters(lora, &init)?
+        }
+        None => match RecipeName::of(config) {
+            RecipeName::Decoder => unet.no_grad(),
+            RecipeName::Diffusion | RecipeName::E2e => unet,
+        },
+    };
+    Ok(MotionModel { unet, decoder })
+}

@@ -1,0 +1,210 @@
+//! The table `decoder` of a training config.
+
+use kinegrad_motion::{CHANNELS, ChannelEncoding, OrientationEncoding, PhaseEncoding};
+use kinegrad_settings::{ABOVE_ZERO, InvalidSetting, Refused, in_range};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use kinegrad_models::config::{MAX_LAYERS, MAX_WIDTH};
+
+/// The bound of one component of the decoded motion.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum OutputActivation {
+    /// Nothing.
+    #[default]
+    None,
+    /// `range tanh(y)`: the component's entry of `output_ranges` is the range.
+    TanhScaled,
+    /// `1 / (1 + exp(-y))`.
+    Sigmoid,
+    /// Divided by its Euclidean norm over the component's channels.
+    Normalize,
+}
+
+/// One activation a component. CC-MotionGen's configuration and its code disagree (its sections
+/// 3.3.1 and 3.3.2; docs/sources.md, section 1.6); these are the code's.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct OutputActivations {
+    /// Metres.
+    pub position: OutputActivation,
+    /// Metres per second.
+    pub velocity: OutputActivation,
+    /// Metres per second squared.
+    pub acceleration: OutputActivation,
+    /// Unit norm.
+    pub quaternion: OutputActivation,
+    /// Radians per second.
+    pub angular_velocity: OutputActivation,
+    /// 0 to 1.
+    pub phase: OutputActivation,
+    /// Unbounded.
+    pub style: OutputActivation,
+}
+
+impl OutputActivations {
+    /// Those of heads that say `targets`: sine and cosine, and what becomes a unit quaternion by
+    /// the conversion, are not bounded.
+    pub(super) fn of(self, targets: ChannelEncoding) -> Self {
+        let mut own = self;
+        if targets.phase != PhaseEncoding::Scalar {
+            own.phase = OutputActivation::None;
+        }
+        if targets.orientation != OrientationEncoding::Quaternion {
+            own.quaternion = OutputActivation::None;
+        }
+        own
+    }
+}
+
+impl Default for OutputActivations {
+    fn default() -> Self {
+        use OutputActivation::{None, Normalize, Sigmoid, TanhScaled};
+        Self {
+            position: None,
+            velocity: TanhScaled,
+            acceleration: None,
+            quaternion: Normalize,
+            angular_velocity: None,
+            phase: Sigmoid,
+            style: None,
+        }
+    }
+}
+
+/// The ranges of `tanh_scaled`, in each component's unit.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct OutputRanges {
+    /// Metres.
+    pub position: f64,
+    /// Metres per second.
+    pub velocity: f64,
+    /// Metres per second squared.
+    pub acceleration: f64,
+    /// Radians per second.
+    pub angular_velocity: f64,
+    /// The dataset's units.
+    pub style: f64,
+}
+
+impl Default for OutputRanges {
+    fn default() -> Self {
+        Self {
+            position: 100.0,
+            velocity: 20.0,
+            acceleration: 100.0,
+            angular_velocity: 10.0,
+            style: 10.0,
+        }
+    }
+}
+
+/// Consistency of position, velocity and acceleration of the decoded motion.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Coherence {
+    /// As the heads say: only the losses pull them together (CC-MotionGen's decoder).
+    #[default]
+    None,
+    /// The heads' position, velocity and acceleration are replaced by those of the nearest
+    /// trajectory that has all three (least squares), the quaternion keeps its sign from frame to
+    /// frame, and the angular velocity is the derivative of the quaternions.
+    Projection,
+    /// As `projection`, and headings, then orientations, are replaced by those nearest to them and to
+    /// the head's angular velocities (least squares) before the derivative is taken.
+    Full,
+}
+
+/// Initial weights of a decoder.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum DecoderInit {
+    /// The inverse of the normalisation, as near as the output activations allow.
+    #[default]
+    Identity,
+    /// Uniform, as PyTorch's layers.
+    Random,
+}
+
+/// Which decoder to build.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct DecoderConfig {
+    /// Width of the residual stream.
+    pub hidden_dim: usize,
+    /// Residual blocks.
+    pub num_layers: usize,
+    /// Dropout inside the residual blocks.
+    pub dropout: f64,
+    /// The bound of each component.
+    pub output_activations: OutputActivations,
+    /// The bounds of `tanh_scaled`.
+    pub output_ranges: OutputRanges,
+    /// Consistency of position, velocity and acceleration.
+    pub coherence: Coherence,
+    /// Initial weights.
+    pub init: DecoderInit,
+}
+
+impl Default for DecoderConfig {
+    fn default() -> Self {
+        Self {
+            hidden_dim: 256,
+            num_layers: 3,
+            dropout: 0.1,
+            output_activations: OutputActivations::default(),
+            output_ranges: OutputRanges::default(),
+            coherence: Coherence::default(),
+            init: DecoderInit::default(),
+        }
+    }
+}
+
+impl DecoderConfig {
+    /// # Errors
+    /// Names the key that no decoder can be built from.
+    pub fn validate(&self) -> Result<(), InvalidSetting> {
+        let least = match self.init {
+            DecoderInit::Identity => CHANNELS,
+            DecoderInit::Random => 1,
+        };
+        in_range("decoder.hidden_dim", self.hidden_dim, least..=MAX_WIDTH)
+            .hint("CC-MotionGen has 256; `decoder.init = \"random\"` allows fewer than 25")?;
+        in_range("decoder.num_layers", self.num_layers, 0..=MAX_LAYERS)
+            .hint("CC-MotionGen has 3")?;
+        in_range("decoder.dropout", self.dropout, 0.0..1.0).hint("CC-MotionGen has 0.1")?;
+        let ranges = &self.output_ranges;
+        for (component, range) in [
+            ("position", ranges.position),
+            ("velocity", ranges.velocity),
+            ("acceleration", ranges.acceleration),
+            ("angular_velocity", ranges.angular_velocity),
+            ("style", ranges.style),
+        ] {
+            in_range(component, range, ABOVE_ZERO)
+                .within("decoder.output_ranges")
+                .hint("a velocity of 20 m/s is CC-MotionGen's")?;
+        }
+        Ok(())
+    }
+
+    /// Numbers that the backward pass keeps of one item of `frames` frames, roughly.
+    pub fn activations(&self, frames: usize) -> u64 {
+        // Inside, a block is four times as wide.
+        let a_frame = (16 * self.num_layers as u64 + 2) * self.hidden_dim as u64;
+        frames as u64 * (a_frame + 8 * CHANNELS as u64)
+    }
+
+    /// Numbers that are computed once for motion of `frames` frames, however many items there are:
+    /// the banded systems of the coherent fit of three axes, and their solutions.
+    pub fn shared(&self, frames: usize) -> u64 {
+        match self.coherence {
+            Coherence::None => 0,
+            // In double precision.
+            Coherence::Projection => 3 * 2 * 16 * frames as u64,
+            Coherence::Full => 4 * 2 * 16 * frames as u64,
+        }
+    }
+}

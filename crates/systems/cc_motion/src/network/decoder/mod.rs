@@ -1,0 +1,289 @@
+//! From a sampler's latent to motion in physical units (CC-MotionGen, section 3.3; docs/sources.md,
+//! section 1.6).
+
+mod coherent;
+mod config;
+mod heading;
+mod identity;
+mod orientation;
+
+use std::sync::Arc;
+
+use burn::module::Module;
+use burn::tensor::Tensor;
+use burn::tensor::activation::sigmoid;
+use kinegrad_kernels::{gelu, linear_map};
+use kinegrad_motion::ChannelEncoding;
+use kinegrad_motion::phrase::{ANGULAR_VELOCITY, CHANNELS, FPS, QUATERNION};
+use kinegrad_settings::{InvalidSetting, Refused, in_range};
+
+pub use config::{
+    Coherence, DecoderConfig, DecoderInit, OutputActivation, OutputActivations, OutputRanges,
+};
+
+use coherent::{ESTIMATES, Fits};
+
+use crate::network::channel_encoding::{decode, sign_continuous};
+use crate::network::rotation::angular_velocity;
+use kinegrad_models::Dropout;
+use kinegrad_models::DropoutKey;
+use kinegrad_models::Initializer;
+use kinegrad_models::layers::{LayerNorm, Linear};
+
+/// A quaternion of a smaller norm is not divided by it.
+const LEAST_NORM: f64 = 1e-12;
+
+/// Mean and deviation of each channel, by which the latent is normalised: `[channels]` each, of the
+/// denoiser's [`ChannelEncoding`].
+#[derive(Clone, Debug, PartialEq)]
+pub struct Normalization {
+    /// Subtracted mean.
+    pub mean: Vec<f64>,
+    /// Standard deviation divided by.
+    pub std: Vec<f64>,
+}
+
+/// `h + Linear(GELU(Linear(LayerNorm(h))))`, four times as wide inside: a torch `Sequential` of
+/// LayerNorm, Linear, GELU, Dropout, Linear, Dropout.
+#[derive(Module, Debug)]
+struct DecoderBlock {
+    layers_at_0: LayerNorm,
+    layers_at_1: Linear,
+    layers_at_4: Linear,
+    dropout: Dropout,
+    dropout_out: Dropout,
+}
+
+impl DecoderBlock {
+    fn forward(&self, h: Tensor<2>, dropout: DropoutKey) -> Tensor<2> {
+        let normalized = self.layers_at_0.forward(h.clone());
+        let inner = gelu(self.layers_at_1.forward(normalized));
+        let inner = self.dropout.forward(inner, dropout);
+        let inner = self.layers_at_4.forward(inner);
+        h + self.dropout_out.forward(inner, dropout)
+    }
+}
+
+/// Decodes each frame by itself: an input projection, residual blocks, one linear head a
+/// component, the component's activation; then, if configured, the projection onto coherent
+/// motion, which couples the frames. Should be created with [`DecoderConfig::init`].
+///
+/// The latent is the normalised motion that a sampler generates; the output is in metres, seconds
+/// and radians. Where the denoiser predicts other [`ChannelEncoding`] than the 25 channels, so do the heads,
+/// and what they say of phase and orientation is converted at the end.
+#[derive(Module, Debug)]
+pub struct MotionDecoder {
+    input_proj: Linear,
+    blocks: Vec<DecoderBlock>,
+    position_head: Linear,
+    velocity_head: Linear,
+    acceleration_head: Linear,
+    quaternion_head: Linear,
+    angular_velocity_head: Linear,
+    phase_head: Linear,
+    style_head: Linear,
+    #[module(skip)]
+    activations: OutputActivations,
+    #[module(skip)]
+    ranges: OutputRanges,
+    #[module(skip)]
+    coherence: Coherence,
+    #[module(skip)]
+    normalization: Normalization,
+    #[module(skip)]
+    targets: ChannelEncoding,
+}
+
+impl DecoderConfig {
+    /// Builds the decoder of latents of the 25 channels that were normalised as `normalization`
+    /// says.
+    ///
+    /// # Errors
+    /// As [`validate`](Self::validate).
+    ///
+    /// # Panics
+    /// Panics if the normalisation has not 25 channels.
+    pub fn init(
+        &self,
+        normalization: Normalization,
+        init: &Initializer,
+    ) -> Result<MotionDecoder, InvalidSetting> {
+        self.init_for(ChannelEncoding::default(), normalization, init)
+    }
+
+    /// [`init`](Self::init) for latents of these `targets`. Where they are not the stored ones, the
+    /// activations of phase and quaternion do not apply: the conversion bounds both.
+    ///
+    /// # Errors
+    /// As [`validate`](Self::validate), and if the identity does not fit into `hidden_dim`.
+    ///
+    /// # Panics
+    /// Panics if the normalisation has other channels.
+    pub fn init_for(
+        &self,
+        targets: ChannelEncoding,
+        normalization: Normalization,
+        init: &Initializer,
+    ) -> Result<MotionDecoder, InvalidSetting> {
+        self.validate()?;
+        let channels = targets.channels();
+        assert_eq!(normalization.mean.len(), channels, "means");
+        assert_eq!(normalization.std.len(), channels, "deviations");
+        let hidden = self.hidden_dim;
+        if self.init == DecoderInit::Identity {
+            in_range("decoder.hidden_dim", hidden, channels..)
+                .hint("the identity needs one for each channel of the latent")?;
+        }
+        let activations = self.output_activations.of(targets);
+        let head =
+            |name: &str, outputs| Linear::new(hidden, outputs, &init.at(&format!("{name}_head")));
+        let decoder = MotionDecoder {
+            input_proj: Linear::new(channels, hidden, &init.at("input_proj")),
+            blocks: (0..self.num_layers)
+                .map(|i| {
+                    let init = init.at("blocks").at(&i.to_string()).at("layers");
+                    DecoderBlock {
+                        layers_at_0: LayerNorm::new(hidden, &init.at("0")),
+                        layers_at_1: Linear::new(hidden, 4 * hidden, &init.at("1")),
+                        layers_at_4: Linear::new(4 * hidden, hidden, &init.at("4")),
+                        dropout: Dropout::new(self.dropout, 2 * i),
+                        dropout_out: Dropout::new(self.dropout, 2 * i + 1),
+                    }
+                })
+                .collect(),
+            position_head: head("position", 3),
+            velocity_head: head("velocity", 3),
+            acceleration_head: head("acceleration", 3),
+            quaternion_head: head("quaternion", targets.orientation_channels().len()),
+            angular_velocity_head: head("angular_velocity", 3),
+            phase_head: head("phase", targets.phase_channels().len()),
+            style_head: head("style", 8),
+            activations,
+            ranges: self.output_ranges,
+            coherence: self.coherence,
+            normalization,
+            targets,
+        };
+        Ok(match self.init {
+            DecoderInit::Random => decoder,
+            DecoderInit::Identity => identity::identity(decoder),
+        })
+    }
+}
+
+impl MotionDecoder {
+    /// # Shapes
+    /// - latent: `[batch, channels, time]`, normalised; 25 channels, or those of the targets
+    /// - output: `[batch, 25, time]`, physical units
+    pub fn forward(&self, latent: Tensor<3>, dropout: DropoutKey) -> Tensor<3> {
+        let motion = self.frames(latent, dropout);
+        match self.coherence {
+            Coherence::None => motion,
+            Coherence::Projection | Coherence::Full => self.project(motion),
+        }
+    }
+
+    /// Consistency of position, velocity and acceleration.
+    pub fn coherence(&self) -> Coherence {
+        self.coherence
+    }
+
+    /// [`forward`](Self::forward) without coherence: each frame by itself.
+    pub fn frames(&self, latent: Tensor<3>, dropout: DropoutKey) -> Tensor<3> {
+        let [batch, channels, time] = latent.dims();
+        let rows = latent.swap_dims(1, 2).reshape([batch * time, channels]);
+        let mut h = self.input_proj.forward(rows);
+        for block in &self.blocks {
+            h = block.forward(h, dropout);
+        }
+        let (bounds, ranges) = (&self.activations, &self.ranges);
+        let heads = [
+            (&self.position_head, bounds.position, ranges.position),
+            (&self.velocity_head, bounds.velocity, ranges.velocity),
+            (
+                &self.acceleration_head,
+                bounds.acceleration,
+                ranges.acceleration,
+            ),
+            (&self.quaternion_head, bounds.quaternion, 1.0),
+            (
+                &self.angular_velocity_head,
+                bounds.angular_velocity,
+                ranges.angular_velocity,
+            ),
+            (&self.phase_head, bounds.phase, 1.0),
+            (&self.style_head, bounds.style, ranges.style),
+        ];
+        let components = heads
+            .into_iter()
+            .map(|(head, activation, range)| bounded(head.forward(h.clone()), activation, range))
+            .collect();
+        let motion = Tensor::cat(components, 1)
+            .reshape([batch, time, channels])
+            .swap_dims(1, 2);
+        decode(self.targets, motion)
+    }
+
+    /// Replaces position, velocity and acceleration by the nearest coherent ones, under
+    /// [`Coherence::Full`] the headings and then the quaternions by those nearest to them and the
+    /// angular velocities, makes their sign continuous, and derives the angular velocities from them.
+    fn project(&self, motion: Tensor<3>) -> Tensor<3> {
+        let [batch, _, time] = motion.dims();
+        let fits = Fits::new(time, &self.normalization.std);
+        let estimates = motion.clone().slice([0..batch, ESTIMATES]);
+        let position = linear_map(estimates, Arc::new(fits));
+        let velocity = differences(position.clone());
+        let acceleration = differences(velocity.clone());
+        let part = |channels| motion.clone().slice([0..batch, channels]);
+        let quaternion = match self.coherence {
+            Coherence::Full => {
+                let rates = &self.normalization.std[self.targets.angular_velocity_channels()];
+                let (quaternion, turning) =
+                    heading::fitted(part(QUATERNION), part(ANGULAR_VELOCITY), rates);
+                orientation::fitted(quaternion, turning, rates)
+            }
+            Coherence::Projection | Coherence::None => sign_continuous(part(QUATERNION)),
+        };
+        let turning = match time {
+            1 => part(ANGULAR_VELOCITY),
+            _ => {
+                let turning = angular_velocity(quaternion.clone());
+                let last = turning.clone().narrow(2, time - 2, 1);
+                Tensor::cat(vec![turning, last], 2)
+            }
+        };
+        Tensor::cat(
+            vec![
+                position.narrow(2, 0, time),
+                velocity.narrow(2, 0, time),
+                acceleration,
+                quaternion,
+                turning,
+                motion.slice([0..batch, ANGULAR_VELOCITY.end..CHANNELS]),
+            ],
+            1,
+        )
+    }
+}
+
+fn bounded(y: Tensor<2>, activation: OutputActivation, range: f64) -> Tensor<2> {
+    match activation {
+        OutputActivation::None => y,
+        OutputActivation::TanhScaled => y.tanh() * range,
+        OutputActivation::Sigmoid => sigmoid(y),
+        OutputActivation::Normalize => {
+            // The root's gradient at zero is infinite: the square is bounded below instead.
+            let square = y.clone().square().sum_dim(1);
+            y / square.clamp_min(LEAST_NORM * LEAST_NORM).sqrt()
+        }
+    }
+}
+
+/// Forward differences over time, per second: `[batch, channels, time - 1]`.
+fn differences(x: Tensor<3>) -> Tensor<3> {
+    let time = x.dims()[2];
+    (x.clone().narrow(2, 1, time - 1) - x.narrow(2, 0, time - 1)) * FPS
+}
+
+#[cfg(test)]
+mod tests;

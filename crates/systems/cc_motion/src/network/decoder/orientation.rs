@@ -1,0 +1,196 @@
+//! The projection of decoded orientations onto those that their angular velocities lead along, as an
+//! operation of a network.
+
+use std::sync::Arc;
+
+use burn::tensor::{Tensor, TensorData};
+use kinegrad_kernels::{LinearMap, linear_map};
+use kinegrad_motion::coherence::OrientationFit;
+
+use crate::network::channel_encoding::sign_continuous;
+use crate::network::rotation::{conjugate, product, turned};
+
+use super::LEAST_NORM;
+
+/// The orientations nearest to unit quaternions and angular velocities that contradict each other,
+/// as [`fit_orientation`](kinegrad_motion::coherence::fit_orientation) has them: unit quaternions of
+/// continuous sign. `std` are the training deviations of the angular velocity.
+///
+/// # Shapes
+/// - quaternion: `[batch, 4, time]`
+/// - rates: `[batch, 3, time]`, radians per second
+/// - output: `[batch, 4, time]`
+pub(super) fn fitted(quaternion: Tensor<3>, rates: Tensor<3>, std: &[f64]) -> Tensor<3> {
+    let time = quaternion.dims()[2];
+    let along = turned(rates);
+    let rest = sign_continuous(product(conjugate(along.clone()), quaternion));
+    let fit = Smooth(OrientationFit::new(time, std));
+    let rest = linear_map(rest, Arc::new(fit));
+    let square = rest.clone().square().sum_dim(1);
+    let rest = rest / (square + LEAST_NORM * LEAST_NORM).sqrt();
+    sign_continuous(product(along, rest))
+}
+
+/// The fit of each channel by itself, `[channels, frames]`.
+#[derive(Debug)]
+pub(super) struct Smooth(pub OrientationFit);
+
+impl LinearMap for Smooth {
+    fn shape(&self, channels: usize, frames: usize) -> [usize; 2] {
+        [channels, frames]
+    }
+
+    fn apply(&self, values: &[f32], mapped: &mut [f32]) {
+        let frames = self.0.frames();
+        for (row, into) in values.chunks(frames).zip(mapped.chunks_mut(frames)) {
+            let mut row: Vec<f64> = row.iter().map(|value| f64::from(*value)).collect();
+            self.0.fit(&mut row);
+            for (into, value) in into.iter_mut().zip(row) {
+                *into = value as f32;
+            }
+        }
+    }
+
+    /// The matrix of the fit is symmetric.
+    fn adjoint(&self, gradient: &[f32], mapped: &mut [f32]) {
+        self.apply(gradient, mapped);
+    }
+
+    /// One product with a dense matrix.
+    fn composed(&self, x: Tensor<3>) -> Tensor<3> {
+        let frames = self.0.frames();
+        let column = |t: usize| {
+            let mut unit = vec![0.0; frames];
+            unit[t] = 1.0;
+            self.0.fit(&mut unit);
+            unit.into_iter().map(|value| value as f32)
+        };
+        let matrix: Vec<f32> = (0..frames).flat_map(column).collect();
+        let matrix = TensorData::new(matrix, [1, frames, frames]);
+        let matrix = Tensor::<3>::from_data(matrix, &x.device());
+        x.matmul(matrix)
+    }
+}
+
+#[cfg(test)]
+pub(super) mod tests {
+    use burn::tensor::Device;
+    use kinegrad_kernels::Mode;
+    use kinegrad_motion::coherence::fit_orientation;
+    use kinegrad_motion::phrase::{ANGULAR_VELOCITY, CHANNELS, QUATERNION};
+    use kinegrad_motion::{Phrase, Quaternion};
+    use kinegrad_random::{Key, Purpose};
+
+    use super::*;
+
+    /// A dancer who turns, and says of both orientation and turning something else than is.
+    pub(in super::super) fn shaken(seed: u64, frames: usize) -> Phrase {
+        let noise = Key::new(seed, Purpose::Noise).normals(6 * frames);
+        let mut motion = Phrase::new(vec![0.0; CHANNELS * frames]).unwrap();
+        for (t, noise) in noise.chunks(6).enumerate() {
+            let noise: Vec<f64> = noise.iter().map(|&value| f64::from(value)).collect();
+            let turn = [0.1 * noise[0], 0.1 * noise[1], 0.1 * noise[2]];
+            let at = Quaternion::from_yaw(2.0 * t as f64 / 30.0);
+            let sign = if t % 7 == 3 { -1.0 } else { 1.0 };
+            motion.set_quaternion(t, (Quaternion::from_rotation_vector(turn) * at).scale(sign));
+            motion.set_vector(
+                t,
+                ANGULAR_VELOCITY,
+                [0.1 * noise[3], 2.0 + 0.1 * noise[4], 0.1 * noise[5]],
+            );
+        }
+        motion
+    }
+
+    pub(in super::super) fn tensors(motions: &[Phrase], device: &Device) -> [Tensor<3>; 2] {
+        let frames = motions[0].frames();
+        let rows: Vec<f32> = motions.iter().flat_map(|m| m.as_slice().to_vec()).collect();
+        let rows = TensorData::new(rows, [motions.len(), frames, CHANNELS]);
+        let all = Tensor::<3>::from_data(rows, device).swap_dims(1, 2);
+        [QUATERNION, ANGULAR_VELOCITY]
+            .map(|channels| all.clone().slice([0..motions.len(), channels]))
+    }
+
+    #[test]
+    fn it_is_the_fit_of_post_processing() {
+        let device = Device::flex();
+        for frames in [1, 2, 3, 61] {
+            let motions = [shaken(1, frames), shaken(2, frames)];
+            let [quaternion, rates] = tensors(&motions, &device);
+            let found = fitted(quaternion, rates, &[0.7, 1.1, 0.9]);
+            let found: Vec<f32> = found
+                .swap_dims(1, 2)
+                .into_data()
+                .try_into_vec::<f32>()
+                .unwrap();
+            for (motion, rows) in motions.iter().zip(found.chunks(4 * frames)) {
+                let mut expected = motion.clone();
+                let mut std = [1.0; CHANNELS];
+                std[ANGULAR_VELOCITY].copy_from_slice(&[0.7, 1.1, 0.9]);
+                fit_orientation(&mut expected, &std, &vec![false; frames]);
+                for (t, row) in rows.chunks(4).enumerate() {
+                    let [w, x, y, z] = [0, 1, 2, 3].map(|i| f64::from(row[i]));
+                    let dot = Quaternion::new(w, x, y, z)
+                        .dot(expected.quaternion(t))
+                        .abs();
+                    assert!((dot - 1.0).abs() < 1e-5, "{frames} {t}: {dot}");
+                }
+            }
+        }
+    }
+
+    /// Asserts that a loss of quaternions and angular velocities has the gradients that changes by
+    /// `step` up and down say, each within what is `allowed` of it.
+    pub(in super::super) fn assert_gradients(
+        motions: &[Phrase],
+        loss: impl Fn(Tensor<3>, Tensor<3>) -> Tensor<1>,
+        step: f32,
+        allowed: fn(f64) -> f64,
+    ) {
+        let device = Device::flex().autodiff();
+        for mode in [Mode::Fused, Mode::Composed] {
+            mode.scope(|| {
+                let [quaternion, rates] = tensors(motions, &device).map(Tensor::require_grad);
+                let gradients = loss(quaternion.clone(), rates.clone()).backward();
+                for (which, of) in [&quaternion, &rates].into_iter().enumerate() {
+                    let gradient = of.grad(&gradients).expect("a gradient");
+                    let gradient: Vec<f32> = gradient.into_data().try_into_vec::<f32>().unwrap();
+                    let values: Vec<f32> = of.to_data().try_into_vec::<f32>().unwrap();
+                    for index in (0..values.len()).step_by(5) {
+                        let at = |step: f32| -> f64 {
+                            let mut values = values.clone();
+                            values[index] += step;
+                            let data = TensorData::new(values, of.dims());
+                            let changed = Tensor::<3>::from_data(data, &device);
+                            let both = match which {
+                                0 => (changed, rates.clone()),
+                                _ => (quaternion.clone(), changed),
+                            };
+                            f64::from(loss(both.0, both.1).into_scalar::<f32>())
+                        };
+                        let expected = (at(step) - at(-step)) / (2.0 * f64::from(step));
+                        let found = f64::from(gradient[index]);
+                        assert!(
+                            (found - expected).abs() < allowed(expected),
+                            "{which} {index}: {found} {expected}"
+                        );
+                    }
+                    assert!(gradient.iter().any(|value| value.abs() > 1e-3));
+                }
+            });
+        }
+    }
+
+    #[test]
+    fn gradients_reach_both_and_are_those_of_small_changes() {
+        let frames = 9;
+        let motions = [shaken(3, frames), shaken(4, frames)];
+        let weights = Key::new(5, Purpose::Noise).normals(2 * 4 * frames);
+        let loss = |quaternion: Tensor<3>, rates: Tensor<3>| {
+            let weights = TensorData::new(weights.clone(), [2, 4, frames]);
+            let weights = Tensor::<3>::from_data(weights, &quaternion.device());
+            (fitted(quaternion, rates, &[0.9; 3]) * weights).sum()
+        };
+        assert_gradients(&motions, loss, 1e-2, |_| 2e-2);
+    }
+}

@@ -1,0 +1,138 @@
+//! The style condition of the UNet: eight numbers, a label of the dance, or both.
+
+use burn::module::Module;
+use burn::tensor::Tensor;
+use burn::tensor::activation::silu;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use kinegrad_models::Initializer;
+use kinegrad_models::layers::Linear;
+use kinegrad_models::lora::{Adapting, LoraTarget};
+
+/// Values of a style's numbers: the eight, normalised, and 1.
+pub const STYLE_VALUES: usize = 9;
+
+/// The style condition (CC-MotionGen, section 15.2, names style control for its
+/// version 0.4).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum StyleConditioning {
+    /// Nothing.
+    #[default]
+    None,
+    /// The phrase's eight style numbers, the mean of its style channels over the sample's frames.
+    Numbers,
+    /// The phrase's label, such as `waltz`.
+    Label,
+    /// Numbers and label, of which either can be left out.
+    Both,
+}
+
+impl StyleConditioning {
+    /// True if the numbers are a condition.
+    pub fn has_numbers(self) -> bool {
+        matches!(self, Self::Numbers | Self::Both)
+    }
+
+    /// True if the label is a condition.
+    pub fn has_label(self) -> bool {
+        matches!(self, Self::Label | Self::Both)
+    }
+}
+
+/// The style of each sample of a batch. Zeros are the null style; what is left out is null for all.
+#[derive(Clone, Debug)]
+pub struct StyleCondition {
+    /// The eight numbers, normalised, and 1: `[batch, 9]`.
+    pub numbers: Option<Tensor<2>>,
+    /// 1 in the place of the sample's label: `[batch, labels]`.
+    pub label: Option<Tensor<2>>,
+}
+
+impl StyleCondition {
+    /// The null style.
+    #[must_use]
+    pub fn null(&self) -> Self {
+        let zeros = |values: &Option<Tensor<2>>| values.as_ref().map(Tensor::zeros_like);
+        Self {
+            numbers: zeros(&self.numbers),
+            label: zeros(&self.label),
+        }
+    }
+}
+
+/// The embedding of the style, added to that of the timestep as class labels are in ADM (Dhariwal
+/// and Nichol 2021, <https://arxiv.org/abs/2105.05233>):
+///
+/// ```text
+/// Linear(silu(Linear(numbers))) + Linear(label)
+/// ```
+///
+/// The null style is what the biases make of zeros, which is learned.
+#[derive(Module, Debug)]
+pub(super) struct StyleEmbedding {
+    numbers_at_0: Option<Linear>,
+    numbers_at_2: Option<Linear>,
+    label: Option<Linear>,
+}
+
+impl StyleEmbedding {
+    /// An embedding of `width` of a style of these parts, with so many labels.
+    pub fn new(
+        style: StyleConditioning,
+        labels: usize,
+        width: usize,
+        init: &Initializer,
+    ) -> Option<Self> {
+        if style == StyleConditioning::None {
+            return None;
+        }
+        let numbers = init.at("numbers");
+        let part = |there: bool, layer: &dyn Fn() -> Linear| there.then(layer);
+        let has_numbers = style.has_numbers();
+        Some(Self {
+            numbers_at_0: part(has_numbers, &|| {
+                Linear::new(STYLE_VALUES, width, &numbers.at("0"))
+            }),
+            numbers_at_2: part(has_numbers, &|| Linear::new(width, width, &numbers.at("2"))),
+            label: part(style.has_label(), &|| {
+                Linear::new(labels, width, &init.at("label"))
+            }),
+        })
+    }
+
+    /// The embedding of `style`, of the null style where there is none.
+    ///
+    /// # Shapes
+    /// - time_emb, output: `[batch, width]`; the time embedding it is added to
+    pub fn add_to(&self, time_emb: Tensor<2>, style: Option<&StyleCondition>) -> Tensor<2> {
+        let (batch, device) = (time_emb.dims()[0], time_emb.device());
+        let or_null = |values: Option<&Tensor<2>>, width: usize| match values {
+            Some(values) => values.clone(),
+            None => Tensor::zeros([batch, width], &device),
+        };
+        let mut sum = time_emb;
+        if let (Some(first), Some(second)) = (&self.numbers_at_0, &self.numbers_at_2) {
+            let numbers = style.and_then(|style| style.numbers.as_ref());
+            let h = silu(first.forward(or_null(numbers, STYLE_VALUES)));
+            sum = sum + second.forward(h);
+        }
+        if let Some(layer) = &self.label {
+            let label = style.and_then(|style| style.label.as_ref());
+            sum = sum + layer.forward(or_null(label, layer.inputs()));
+        }
+        sum
+    }
+
+    pub fn adapting(self, adapting: &Adapting<'_>) -> Self {
+        let layer = |name: &str, layer: Option<Linear>| {
+            layer.map(|layer| adapting.layer(LoraTarget::Conditioning, name, layer))
+        };
+        Self {
+            numbers_at_0: layer("numbers.0", self.numbers_at_0),
+            numbers_at_2: layer("numbers.2", self.numbers_at_2),
+            label: layer("label", self.label),
+        }
+    }
+}

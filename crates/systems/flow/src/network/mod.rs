@@ -1,0 +1,90 @@
+//! Networks that predict the next pose from past frames and a text.
+//!
+//! ```text
+//! history, text, duration --> HistoryEncoder --> a context of each joint --+
+//! last frame of the history ------------------------------------------------+--> FlowPredictor
+//! progress, noisy pose x_t, flow time t ------------------------------------+       |
+//!                                                                           velocity of x_t
+//! ```
+//!
+//! [`FlowRollout`] draws frame after frame, each the history of the next.
+//!
+//! Source: the document "Human Motion Generation Architecture", sections 1 and 2, as
+//! docs/sources.md reads it, section 5. Within this module joints stand where other networks have
+//! frames: `[batch, channels, joints]`.
+
+mod config;
+mod features;
+mod hierarchy;
+mod history;
+mod predictor;
+mod rollout;
+
+#[cfg(test)]
+mod tests;
+
+use burn::module::Module;
+use burn::tensor::Tensor;
+use kinegrad_motion::humanml::{Skeleton, TEXT_CHANNELS};
+use kinegrad_settings::InvalidSetting;
+
+pub use config::FlowConfig;
+pub use features::{PREVIOUS_STATE, previous_state};
+pub use hierarchy::Hierarchy;
+pub use history::{History, HistoryEncoder};
+pub use predictor::{FlowCondition, FlowPredictor, PreparedCondition};
+pub use rollout::{FlowRollout, FlowSpace, RolloutError, RolloutSettings};
+
+use kinegrad_models::Initializer;
+use kinegrad_models::layers::Embedding;
+
+/// The two networks: parameters `encoder.*` and `predictor.*`, and `embed_captions.weight` if an
+/// embedding of each caption is learned. Should be created with [`FlowConfig::init`].
+#[derive(Module, Debug)]
+pub struct FlowModel {
+    embed_captions: Option<Embedding>,
+    /// Past frames and text to a context of each joint.
+    pub encoder: HistoryEncoder,
+    /// The velocity of the next pose.
+    pub predictor: FlowPredictor,
+}
+
+impl FlowConfig {
+    /// Both networks for a skeleton; their parameters are initialised when they are first used.
+    ///
+    /// # Errors
+    /// Names the key that no network can be built from.
+    pub fn init(
+        &self,
+        skeleton: &Skeleton,
+        init: &Initializer,
+    ) -> Result<FlowModel, InvalidSetting> {
+        self.validate()?;
+        Ok(FlowModel {
+            embed_captions: None,
+            encoder: HistoryEncoder::new(self, skeleton.joints(), &init.at("encoder")),
+            predictor: FlowPredictor::new(self, skeleton, &init.at("predictor")),
+        })
+    }
+}
+
+impl FlowModel {
+    /// The same networks with a learned embedding for each of so many captions:
+    /// `[captions, 512]`, of variance 1 at first.
+    #[must_use]
+    pub fn with_captions(self, captions: usize, init: &Initializer) -> Self {
+        Self {
+            embed_captions: Some(Embedding::of_captions(captions, TEXT_CHANNELS, init)),
+            ..self
+        }
+    }
+
+    /// What the encoder reads of texts, `[batch, 512]`: as they are, or the embeddings of the
+    /// captions that `[batch, captions]` names with 1 and all others with 0; zeros stand for no text.
+    pub fn text(&self, told: Tensor<2>) -> Tensor<2> {
+        match &self.embed_captions {
+            Some(table) => table.mixed(told),
+            None => told,
+        }
+    }
+}

@@ -1,0 +1,21 @@
+//! The networks of Guided Motion Diffusion: a UNet over time with adaptive group normalisation
+//! (appendix D, table D.1, figures D.1 and D.2), conditioned on the timestep and a text.
+//!
+//! Names, sizes and initialisation are those of the published models where they differ from the
+//! appendix: residual shortcuts and the last convolution have kernel 1, the
+//! convolutions between levels 3 and 4.
+
+mod conditioner;
+mod input_skip;
+mod projection;
+mod res_block;
+mod text_denoiser;
+pub mod transformer;
+mod unet;
+
+pub use conditioner::Conditioner;
+pub use input_skip::InputSkip;
+pub use projection::Projection;
+pub use res_block::GmdResBlock;
+pub use text_denoiser::{Backbone, TextDenoiser};
+pub use unet::{GmdUnet, GmdUnetConfig};

@@ -1,0 +1,45 @@
+//! The emphasis projection as a part of a network's weights.
+
+use burn::module::{Module, Param};
+use burn::tensor::Tensor;
+
+use kinegrad_models::Initializer;
+
+/// The matrix of the space a network works in, `[channels, channels]`, frozen: a frame is a row
+/// vector and `y = x P` (Guided Motion Diffusion, appendix C). It stands among the weights, so that
+/// a checkpoint cannot be taken for one of another space.
+#[derive(Module, Debug)]
+pub struct Projection {
+    matrix: Param<Tensor<2>>,
+}
+
+impl Projection {
+    /// The given matrix, row by row.
+    ///
+    /// # Panics
+    /// Panics if there are not `channels * channels` values.
+    pub fn new(matrix: Vec<f32>, channels: usize, init: &Initializer) -> Self {
+        assert_eq!(matrix.len(), channels * channels, "a square matrix");
+        let matrix = init.values([channels, channels], matrix);
+        Self {
+            matrix: matrix.set_require_grad(false),
+        }
+    }
+
+    /// `x P` of every frame.
+    ///
+    /// # Shapes
+    /// - x, output: `[batch, channels, time]`
+    pub fn forward(&self, x: Tensor<3>) -> Tensor<3> {
+        self.matrix.val().transpose().unsqueeze::<3>().matmul(x)
+    }
+
+    /// The matrix on the host, row by row.
+    ///
+    /// # Panics
+    /// Panics if the parameter is not of single precision.
+    pub fn to_host(&self) -> Vec<f32> {
+        let values = self.matrix.val().inner().try_into_vec_as::<f32>();
+        values.expect("parameters are float32")
+    }
+}

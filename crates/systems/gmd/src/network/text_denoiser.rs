@@ -1,0 +1,263 @@
+//! A text-conditioned denoiser of motion clips, with any backbone.
+
+use burn::module::Module;
+use burn::tensor::{Device, Tensor};
+use kinegrad_diffusion::{Denoiser, Time};
+use kinegrad_motion::humanml::TEXT_CHANNELS;
+use kinegrad_settings::InvalidSetting;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::network::transformer::{Encoder, EncoderConfig};
+use crate::network::{Conditioner, GmdUnet, GmdUnetConfig, InputSkip, Projection};
+use kinegrad_models::DropoutKey;
+use kinegrad_models::Initializer;
+use kinegrad_models::Stages;
+use kinegrad_models::layers::Embedding;
+
+/// The backbone and its sizes.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(tag = "kind", rename_all = "snake_case")]
+pub enum Backbone {
+    /// The UNet, over clips padded to one length.
+    GmdUnet(GmdUnetConfig),
+    /// The transformer encoder.
+    MdmTransformer(EncoderConfig),
+}
+
+impl Default for Backbone {
+    fn default() -> Self {
+        Self::GmdUnet(GmdUnetConfig::default())
+    }
+}
+
+impl Backbone {
+    /// # Errors
+    /// Names the key that no network can be built from.
+    pub fn validate(&self) -> Result<(), InvalidSetting> {
+        match self {
+            Self::GmdUnet(config) => config.validate(),
+            Self::MdmTransformer(config) => config.validate(),
+        }
+    }
+
+    /// Numbers that the backward pass keeps of one item of `frames` frames, roughly.
+    pub fn activations(&self, frames: usize) -> u64 {
+        match self {
+            Self::GmdUnet(config) => config.activations(),
+            Self::MdmTransformer(config) => config.activations(frames),
+        }
+    }
+
+    /// Maximum number of frames of a clip, if there is one.
+    pub fn longest(&self) -> Option<usize> {
+        match self {
+            Self::GmdUnet(config) => Some(config.padded_frames),
+            Self::MdmTransformer(_) => None,
+        }
+    }
+}
+
+#[derive(Module, Debug)]
+struct UnetDenoiser {
+    unet: GmdUnet,
+    input_skip: Option<InputSkip>,
+    padded_frames: usize,
+}
+
+#[derive(Module, Debug)]
+#[expect(
+    clippy::large_enum_variant,
+    reason = "a handful exist, and their weights are elsewhere"
+)]
+enum Network {
+    Unet(UnetDenoiser),
+    Transformer(Encoder),
+}
+
+/// A denoiser conditioned on timestep and text: parameters `embed_timestep.*`, `embed_text.*`,
+/// those of the backbone, `embed_captions.weight` if it learns an embedding of each caption, and
+/// `projection.matrix` if it works in a projected space.
+///
+/// The condition is the text's pooled feature `[batch, 512, 1]`, or with
+/// [captions](Self::with_captions) `[batch, captions, 1]`, 1 in the place of the caption and 0
+/// elsewhere. Zeros stand for no text.
+#[derive(Module, Debug)]
+pub struct TextDenoiser {
+    embed_captions: Option<Embedding>,
+    flat_conditioner: Conditioner,
+    flat_network: Network,
+    projection: Option<Projection>,
+}
+
+impl TextDenoiser {
+    /// A network for motion of `in_channels` with newly initialised weights and no projection.
+    ///
+    /// # Errors
+    /// Names the key that no network can be built from.
+    pub fn new(
+        backbone: &Backbone,
+        in_channels: usize,
+        init: &Initializer,
+    ) -> Result<Self, InvalidSetting> {
+        let (network, width) = match backbone {
+            Backbone::GmdUnet(config) => {
+                let width = config.latent_dim;
+                let unet = UnetDenoiser {
+                    unet: config.init(in_channels, width, &init.at("unet"))?,
+                    input_skip: config
+                        .input_skip
+                        .then(|| InputSkip::new(in_channels, width, &init.at("input_skip"))),
+                    padded_frames: config.padded_frames,
+                };
+                (Network::Unet(unet), width)
+            }
+            Backbone::MdmTransformer(config) => {
+                let encoder = config.init(in_channels, init)?;
+                (Network::Transformer(encoder), config.latent_dim)
+            }
+        };
+        Ok(Self {
+            embed_captions: None,
+            flat_conditioner: Conditioner::new(width, init),
+            flat_network: network,
+            projection: None,
+        })
+    }
+
+    /// The same network, conditioned on one of so many captions, of which it learns an embedding
+    /// each: `[captions, 512]`, of variance 1 at first.
+    #[must_use]
+    pub fn with_captions(self, captions: usize, init: &Initializer) -> Self {
+        Self {
+            embed_captions: Some(Embedding::of_captions(captions, TEXT_CHANNELS, init)),
+            ..self
+        }
+    }
+
+    /// The same network, working in the space of `matrix`, `[channels, channels]` row by row, on
+    /// its `device`.
+    #[must_use]
+    pub fn in_space_of(self, matrix: Vec<f32>, device: &Device) -> Self {
+        let (channels, init) = (matrix.len().isqrt(), Initializer::new(0, device));
+        Self {
+            projection: Some(Projection::new(matrix, channels, &init)),
+            ..self
+        }
+    }
+
+    /// The space it works in, where that is a projected one.
+    pub fn projection(&self) -> Option<&Projection> {
+        self.projection.as_ref()
+    }
+
+    /// The embedding of timestep and text.
+    pub fn conditioner(&self) -> &Conditioner {
+        &self.flat_conditioner
+    }
+
+    /// # Shapes
+    /// - x_t, output: `[batch, channels, time]`, in the network's own space; a UNet takes at most
+    ///   its padded length
+    /// - text: `[batch, 512, 1]`, or `[batch, captions, 1]`
+    ///
+    /// # Panics
+    /// Panics if a clip is longer than the UNet's padded length.
+    pub fn forward(&self, x_t: Tensor<3>, time: &[Time], text: Tensor<3>) -> Tensor<3> {
+        self.run(x_t, time, text, None, &mut ())
+    }
+
+    /// [`forward`](Self::forward) in training: with the dropout of a transformer. A UNet has none.
+    ///
+    /// # Panics
+    /// As [`forward`](Self::forward).
+    pub fn forward_training(
+        &self,
+        x_t: Tensor<3>,
+        time: &[Time],
+        text: Tensor<3>,
+        dropout: DropoutKey,
+    ) -> Tensor<3> {
+        self.run(x_t, time, text, dropout, &mut ())
+    }
+
+    /// [`forward`](Self::forward), and what each stage of a UNet gives: `unet_in_padded` and
+    /// `unet_out_padded`, of the padded length, and those of [`GmdUnet::forward_stages`].
+    ///
+    /// # Panics
+    /// As [`forward`](Self::forward).
+    pub fn forward_stages(
+        &self,
+        x_t: Tensor<3>,
+        time: &[Time],
+        text: Tensor<3>,
+        stages: &mut impl Stages,
+    ) -> Tensor<3> {
+        self.run(x_t, time, text, None, stages)
+    }
+
+    fn run(
+        &self,
+        x_t: Tensor<3>,
+        time: &[Time],
+        text: Tensor<3>,
+        dropout: DropoutKey,
+        stages: &mut impl Stages,
+    ) -> Tensor<3> {
+        let text = match &self.embed_captions {
+            Some(table) => table.mixed(text.squeeze_dim(2)).unsqueeze_dim(2),
+            None => text,
+        };
+        let cond = self.flat_conditioner.forward(time, text);
+        match &self.flat_network {
+            Network::Unet(network) => {
+                let output = network.forward(x_t.clone(), cond, stages);
+                match &network.input_skip {
+                    Some(skip) => output + skip.forward(x_t, time),
+                    None => output,
+                }
+            }
+            Network::Transformer(encoder) => encoder.forward(x_t, cond, dropout),
+        }
+    }
+}
+
+impl UnetDenoiser {
+    /// Pads with zeros of the noisy space on the right, as the published models do: the network
+    /// sees no mask.
+    fn forward(&self, x: Tensor<3>, cond: Tensor<2>, stages: &mut impl Stages) -> Tensor<3> {
+        let [batch, channels, time] = x.dims();
+        assert!(
+            time <= self.padded_frames,
+            "a clip of {time} frames in a network for {}",
+            self.padded_frames
+        );
+        let padding = self.padded_frames - time;
+        let x = match padding {
+            0 => x,
+            _ => {
+                let zeros = Tensor::zeros([batch, channels, padding], &x.device());
+                Tensor::cat(vec![x, zeros], 2)
+            }
+        };
+        stages.stage(format_args!("unet_in_padded"), || x.clone());
+        let y = self.unet.forward_stages(x, cond, stages);
+        stages.stage(format_args!("unet_out_padded"), || y.clone());
+        match padding {
+            0 => y,
+            _ => y.narrow(2, 0, time),
+        }
+    }
+}
+
+impl Denoiser for TextDenoiser {
+    type Cond = Tensor<3>;
+
+    fn predict(&self, x_t: Tensor<3>, time: &[Time], cond: &Tensor<3>) -> Tensor<3> {
+        self.forward(x_t, time, cond.clone())
+    }
+
+    fn null_cond(&self, cond: &Tensor<3>) -> Tensor<3> {
+        cond.zeros_like()
+    }
+}

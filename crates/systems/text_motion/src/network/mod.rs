@@ -1,0 +1,133 @@
+//! Text-motion evaluators: encoders that measure how well motions match captions.
+//!
+//! One encodes clips of HumanML3D features, the other captions, to embeddings that are close
+//! together if the caption describes the clip. Those of published weights have their widths, others
+//! are trained with [`TextMotionSizes`]. Source: C. Guo et al., "Generating Diverse and Natural 3D
+//! Human Motions from Text" (2022), section 5, as its published program computes it.
+//!
+//! ```text
+//! clip     normalised frames without contact flags -> two convolutions (4 wide, 2 apart), linear
+//!          -> a vector for every 4 frames -> linear, GRU in both directions -> linear, norm, linear
+//! caption  word vector + linear of its part of speech -> linear, GRU, and so on
+//! ```
+
+mod encoders;
+mod sizes;
+
+use burn::module::Module;
+use burn::tensor::{Int, Tensor};
+
+pub use sizes::TextMotionSizes;
+
+use encoders::{MovementEncoder, SequenceEncoder, TextEncoder};
+use kinegrad_models::Initializer;
+
+/// Frames of a movement: what is left over at a clip's end is no movement of its own.
+pub const UNIT_FRAMES: usize = 4;
+
+/// The parts of the published file that are the weights, beside its optimisers and counters.
+pub const PARTS: [&str; 3] = ["movement_encoder", "motion_encoder", "text_encoder"];
+
+/// Widths of the networks.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct TextMotionConfig {
+    /// Numbers of a frame, without contact flags.
+    pub channels: usize,
+    /// Channels between the two convolutions.
+    pub convolution: usize,
+    /// Numbers of a movement.
+    pub movement: usize,
+    /// State of the motion encoder.
+    pub motion_state: usize,
+    /// Numbers of a word vector.
+    pub word_vector: usize,
+    /// State of the text encoder.
+    pub text_state: usize,
+    /// Numbers of an embedding.
+    pub embedding: usize,
+}
+
+impl TextMotionConfig {
+    /// The widths of weights, whose shapes `shape` tells by name. A width that no weight tells is
+    /// that of the published networks for HumanML3D.
+    pub fn of_weights<'a>(shape: impl Fn(&str) -> Option<&'a [usize]>) -> Self {
+        let width = |name: &str, axis: usize, published: usize| {
+            let found = shape(name).and_then(|shape| shape.get(axis));
+            found
+                .copied()
+                .filter(|&found| found > 0)
+                .unwrap_or(published)
+        };
+        Self {
+            channels: width("movement_encoder.main.0.weight", 1, 259),
+            convolution: width("movement_encoder.main.0.weight", 0, 512),
+            movement: width("movement_encoder.main.3.weight", 0, 512),
+            motion_state: width("motion_encoder.hidden", 2, 1024),
+            word_vector: width("text_encoder.pos_emb.weight", 0, 300),
+            text_state: width("text_encoder.hidden", 2, 512),
+            embedding: width("motion_encoder.output_net.3.weight", 0, 512),
+        }
+    }
+
+    /// Encoders with fresh weights.
+    pub fn init(&self, init: &Initializer) -> TextMotionEncoders {
+        let [movement, motion, text] = PARTS.map(|part| init.at(part));
+        TextMotionEncoders {
+            movement_encoder: MovementEncoder::new(self, &movement),
+            motion_encoder: SequenceEncoder::new(
+                self.movement,
+                self.motion_state,
+                self.embedding,
+                &motion,
+            ),
+            text_encoder: TextEncoder::new(self, &text),
+            config: *self,
+        }
+    }
+}
+
+/// The pair of encoders, with the parameters of the published file's [`PARTS`].
+///
+/// An embedding does not depend on what else is in its batch, but for rounding.
+#[derive(Module, Debug)]
+pub struct TextMotionEncoders {
+    movement_encoder: MovementEncoder,
+    motion_encoder: SequenceEncoder,
+    text_encoder: TextEncoder,
+    #[module(skip)]
+    config: TextMotionConfig,
+}
+
+impl TextMotionEncoders {
+    /// Their widths.
+    pub fn config(&self) -> &TextMotionConfig {
+        &self.config
+    }
+
+    /// The embeddings of clips of `lengths` frames, each at least [`UNIT_FRAMES`].
+    ///
+    /// # Shapes
+    /// - frames: normalised, zeros behind each clip, `[batch, channels, time]`; the last movement
+    ///   of a clip sees what follows it
+    /// - output: `[batch, embedding]`
+    pub fn motions(&self, frames: Tensor<3>, lengths: &[usize]) -> Tensor<2> {
+        let movements = self.movement_encoder.forward(frames);
+        let lengths: Vec<usize> = lengths.iter().map(|length| length / UNIT_FRAMES).collect();
+        self.motion_encoder.forward(movements, &lengths)
+    }
+
+    /// The embeddings of captions of `lengths` words, each at least one.
+    ///
+    /// # Shapes
+    /// - vectors: of the words, `[batch, words, word_vector]`
+    /// - classes: of the words, `[batch, words]`
+    /// - output: `[batch, embedding]`
+    pub fn texts(
+        &self,
+        vectors: Tensor<3>,
+        classes: Tensor<2, Int>,
+        lengths: &[usize],
+    ) -> Tensor<2> {
+        self.text_encoder.forward(vectors, classes, lengths)
+    }
+}
