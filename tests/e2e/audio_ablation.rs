@@ -40,10 +40,10 @@ fn evaluations(text: &str) -> Vec<Value> {
 }
 
 /// Measures of a run with one kind of audio.
-fn condition<'a>(evaluation: &'a Value, heard: &str) -> &'a Value {
+fn condition<'a>(evaluation: &'a Value, audio: &str) -> &'a Value {
     let conditions = evaluation["conditions"].as_array().expect("conditions");
-    let found = conditions.iter().find(|each| each["heard"] == heard);
-    found.expect(heard)
+    let found = conditions.iter().find(|each| each["audio"] == audio);
+    found.expect(audio)
 }
 
 /// A mean within its interval.
@@ -129,27 +129,31 @@ fn ccmotion_models_depend_on_the_set_of_frames_and_aligned_ones_on_their_order()
             (&evaluation["phrases"], &evaluation["songs"]),
             (&3.into(), &3.into())
         );
-        let heard: Vec<&Value> = evaluation["conditions"]
+        let audio: Vec<&Value> = evaluation["conditions"]
             .as_array()
             .expect("conditions")
             .iter()
-            .map(|each| &each["heard"])
+            .map(|each| &each["audio"])
             .collect();
-        assert_eq!(heard, CONDITIONS);
-        for heard in CONDITIONS {
-            let condition = condition(evaluation, heard);
+        assert_eq!(audio, CONDITIONS);
+        for audio in CONDITIONS {
+            let condition = condition(evaluation, audio);
             assert!(mean(&condition["loss"]) > 0.0);
             for key in ["beat_phase_error", "bar_phase_error"] {
                 let error = mean(&condition[key]);
-                assert!((0.0..=0.5).contains(&error), "{heard} {key}: {error}");
+                assert!((0.0..=0.5).contains(&error), "{audio} {key}: {error}");
             }
-            let to_heard = &condition["heard_beat_phase_error"];
-            let has_beats = ["own", "half_beat", "other_song"].contains(&heard);
-            assert_eq!(to_heard.is_object(), has_beats, "{heard}: {to_heard}");
-            assert_eq!(condition["own_minus"].is_null(), heard == "own");
+            let to_condition = &condition["condition_beat_phase_error"];
+            let has_beats = ["own", "half_beat", "other_song"].contains(&audio);
+            assert_eq!(
+                to_condition.is_object(),
+                has_beats,
+                "{audio}: {to_condition}"
+            );
+            assert_eq!(condition["own_minus"].is_null(), audio == "own");
         }
         let own = condition(evaluation, "own");
-        assert_eq!(own["heard_beat_phase_error"], own["beat_phase_error"]);
+        assert_eq!(own["condition_beat_phase_error"], own["beat_phase_error"]);
         for of in ["beat_alignment", "peak_alignment"] {
             assert!(evaluation["real"][of].get("above_chance").is_some());
             assert!(own[of].get("above_chance").is_some());
@@ -174,22 +178,19 @@ fn ccmotion_models_depend_on_the_set_of_frames_and_aligned_ones_on_their_order()
         }
     }
     for key in ["loss", "beat_phase_error", "bar_phase_error"] {
-        for heard in ["shuffled", "reversed"] {
+        for audio in ["shuffled", "reversed"] {
             let difference =
-                |evaluation: &Value| mean(&condition(evaluation, heard)["own_minus"][key]).abs();
+                |evaluation: &Value| mean(&condition(evaluation, audio)["own_minus"][key]).abs();
             let [set, ordered] = [0, 1].map(|run| difference(&found[run]));
-            assert!(set < 1e-4, "{heard} {key}: {set}");
+            assert!(set < 1e-4, "{audio} {key}: {set}");
             assert!(
                 ordered > 1e-5_f64.max(10.0 * set),
-                "{heard} {key}: {ordered}"
+                "{audio} {key}: {ordered}"
             );
         }
     }
     let silence = &condition(&found[0], "silence")["own_minus"]["loss"];
-    assert!(
-        mean(silence).abs() > 1e-5,
-        "what is heard counts: {silence}"
-    );
+    assert!(mean(silence).abs() > 1e-5, "the audio matters: {silence}");
 
     let csv = read(&sandbox, "both/eval-audio-ablation.csv");
     let row = |start: &str| {
@@ -229,7 +230,7 @@ fn the_same_seed_measures_the_same() {
     assert_ne!(other, first);
     // The loss does not depend on the seed, the shuffled order does.
     let [first, other] = [first, other].map(|text| evaluations(&text).remove(0));
-    let of = |evaluation: &Value, heard| condition(evaluation, heard)["loss"]["mean"].clone();
+    let of = |evaluation: &Value, audio| condition(evaluation, audio)["loss"]["mean"].clone();
     assert_eq!(of(&first, "own"), of(&other, "own"));
     // One guidance scale applies to all samples; there is no comparison.
     let guided = sandbox
@@ -327,7 +328,7 @@ fn phrases_are_grouped_by_song_and_those_without_beats_left_out() {
     let finished = sandbox
         .run("eval runs/one --audio-ablation --steps 2 --set evaluation.seeds=1")
         .succeeded();
-    let told = "the intervals say nothing of other songs";
+    let told = "the intervals do not cover other songs";
     assert!(finished.stdout.contains(told), "{}", finished.stdout);
     let found = evaluations(&read(&sandbox, "runs/one/reports/eval-audio-ablation.json")).remove(0);
     mean(&condition(&found, "other_song")["loss"]);

@@ -152,7 +152,7 @@ fn windows_in_flight_change_nothing_and_ddpm_shares_its_noise() {
             let whole = WindowedSampling {
                 audio: &audio,
                 windows: Windows::new(95, 24),
-                given: None,
+                known: None,
                 path: None,
                 in_flight,
             };
@@ -181,7 +181,7 @@ fn windows_in_flight_change_nothing_and_ddpm_shares_its_noise() {
         &WindowedSampling {
             audio: &audio,
             windows: Windows::new(95, 24),
-            given: None,
+            known: None,
             path: None,
             in_flight: 2,
         },

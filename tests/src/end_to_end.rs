@@ -102,7 +102,7 @@ impl Case {
         };
         let sampler = Rollouts::new(self.diffusion.clone(), &config, statistics);
         let sampler = sampler.expect("nothing is clipped");
-        E2eRecipe::new(sampler, &LossConfig::document(), HeldOut::nothing())
+        E2eRecipe::new(sampler, &LossConfig::ccmotion(), HeldOut::nothing())
     }
 
     /// DDIM steps.

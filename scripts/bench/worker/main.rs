@@ -342,7 +342,7 @@ fn load(row: Row, folder: &Path, device: &Device) -> Result<Box<dyn Work>> {
             let model = parameters::load(model, weights)?;
             let last = diffusion.config.num_train_timesteps - 1;
             let sampler = Rollouts::new(diffusion, &rollout, statistics)?;
-            let recipe = E2eRecipe::new(sampler, &LossConfig::document(), held_out);
+            let recipe = E2eRecipe::new(sampler, &LossConfig::ccmotion(), held_out);
             let batch = inputs.batch()?;
             let draws = E2eDraws {
                 denoising: inputs.draws()?,

@@ -59,7 +59,7 @@ fn assert_close(what: &str, actual: &[f32], reference: &[f32], tolerance: f64) {
 
 /// The recipe's loss, term by term, and its gradients that the golden file contains.
 fn losses_and_gradients(case: &Case, mode: RolloutMode) -> HashMap<String, Vec<f32>> {
-    let (model, recipe, weights) = (case.model(), case.recipe(mode), LossConfig::document());
+    let (model, recipe, weights) = (case.model(), case.recipe(mode), LossConfig::ccmotion());
     let loss = recipe.loss_of(&model, case.inputs(), case.draws());
     let value = |term: &Tensor<1>| f64::from(term.clone().into_scalar::<f32>());
     case.out("total")
@@ -183,7 +183,7 @@ fn rollout(case: &Case) -> Rollout {
 
 /// The part of the loss that comes through the rollout.
 fn decoded_loss(case: &Case, decoded: &Tensor<3>) -> Tensor<1> {
-    let (inputs, config) = (case.inputs(), LossConfig::document());
+    let (inputs, config) = (case.inputs(), LossConfig::ccmotion());
     let batch = decoded.dims()[0];
     let weights = Tensor::ones([batch, 1, 1], &case.device);
     let ReconstructionLoss {

@@ -27,14 +27,14 @@ pub fn tests() -> Vec<GoldenTest> {
 
 fn golden_temporal_losses(golden: Golden) {
     let device = Device::flex().autodiff();
-    let document = TemporalLossConfig::document();
+    let ccmotion = TemporalLossConfig::ccmotion();
     let unweighted = TemporalLossConfig {
         velocity_weight: 1.0,
         acceleration_weight: 1.0,
         jerk_weight: 1.0,
         quat_delta_weight: 1.0,
         phase_monotonic_weight: 1.0,
-        ..document.clone()
+        ..ccmotion.clone()
     };
     for case in ["random", "smooth", "raw"] {
         let tolerance = if case == "smooth" { 1e-4 } else { 2e-6 };
@@ -43,14 +43,14 @@ fn golden_temporal_losses(golden: Golden) {
                 .tensor::<3>(&format!("in.{case}.motion"), &device)
                 .require_grad()
         };
-        let names: Vec<&str> = terms(&motion(), &document)
+        let names: Vec<&str> = terms(&motion(), &ccmotion)
             .iter()
             .map(|(n, _)| *n)
             .collect();
         assert_eq!(names.len(), 5, "CC-MotionGen's terms");
         for name in names {
             let motion = motion();
-            let (_, term) = terms(&motion, &document)
+            let (_, term) = terms(&motion, &ccmotion)
                 .into_iter()
                 .find(|(n, _)| *n == name)
                 .expect("the same terms");
@@ -68,7 +68,7 @@ fn golden_temporal_losses(golden: Golden) {
                 .assert_close(&format!("{case} unweighted {name}"), &[value(&term)], 2e-6);
         }
         let motion = motion();
-        let total = terms(&motion, &document).into_iter().map(|(_, term)| term);
+        let total = terms(&motion, &ccmotion).into_iter().map(|(_, term)| term);
         let total = total.reduce(|a, b| a + b).expect("five terms");
         golden
             .reference(&format!("out.{case}.total"))
@@ -80,7 +80,7 @@ fn golden_temporal_losses(golden: Golden) {
 
         let sound = TemporalLossConfig {
             phase: PhaseLoss::BackwardSteps,
-            ..document.clone()
+            ..ccmotion.clone()
         };
         let phase = terms(&motion, &sound)
             .into_iter()
@@ -97,7 +97,7 @@ fn golden_temporal_losses(golden: Golden) {
 }
 
 fn jerk(motion: &Tensor<3>) -> Tensor<1> {
-    let terms = terms(motion, &TemporalLossConfig::document());
+    let terms = terms(motion, &TemporalLossConfig::ccmotion());
     let jerk = terms.into_iter().find(|(name, _)| *name == "jerk");
     jerk.expect("a jerk term").1
 }

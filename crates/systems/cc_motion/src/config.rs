@@ -235,12 +235,12 @@ pub struct LossConfig {
 
 impl LossConfig {
     /// CC-MotionGen's loss, literally.
-    pub fn document() -> Self {
+    pub fn ccmotion() -> Self {
         Self {
             w_components: 0.0,
             reconstruction_weighting: ReconstructionWeighting::Uniform,
-            quaternion_sign: SignMatching::Document,
-            temporal: TemporalLossConfig::document(),
+            quaternion_sign: SignMatching::Ccmotion,
+            temporal: TemporalLossConfig::ccmotion(),
             ..Self::default()
         }
     }
@@ -267,8 +267,8 @@ pub enum CondSource {
     /// The audio features of the held-out phrases.
     #[default]
     Phrases,
-    /// Standard normal noise in their place, another one for each phrase: what the model does
-    /// when the condition tells it nothing.
+    /// Standard normal noise in their place, different for each phrase: a condition without
+    /// information.
     Noise,
 }
 
@@ -283,7 +283,7 @@ pub struct EvaluationConfig {
     pub phrases: Option<usize>,
     /// The audio condition.
     pub cond: CondSource,
-    /// Guidance scales that `kinegrad eval --audio-ablation` also draws samples at.
+    /// Further guidance scales for `kinegrad eval --audio-ablation`.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub guidance_scales: Vec<f64>,
     /// Beats in a bar of the held-out phrases, for `kinegrad eval --audio-ablation`; by default
@@ -359,7 +359,7 @@ pub(super) fn validate(config: &Config) -> Result<(), Error> {
     }
     if let Some(beats) = own.evaluation.beats_per_bar {
         in_range("evaluation.beats_per_bar", beats, 1..=64)
-            .hint("leave it out for what the dataset says of each phrase")?;
+            .hint("leave it out to use the number that the dataset states for each phrase")?;
     }
     if name.trains_through_sampler() {
         own.decoder.validate()?;
@@ -388,7 +388,7 @@ impl CcMotionConfig {
                 init.decoder.as_os_str().is_empty(),
                 "init.decoder",
                 format!("{} without `init.diffusion`", init.decoder.display()),
-                "a decoder together with the base it was made on",
+                "a decoder together with the base that it was trained on",
             )?;
             require(
                 recipe != RecipeName::E2e || pretrain.diffusion_steps > 0,

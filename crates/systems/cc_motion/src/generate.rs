@@ -104,33 +104,35 @@ impl Generator {
         on_step: &mut dyn FnMut(usize, usize) -> ControlFlow<()>,
         take: &mut dyn FnMut(Sample) -> Result<(), Error>,
     ) -> Result<(), Error> {
-        let (drawn, normalization) = (self.targets.channels(), self.state.normalization());
+        let (channels, normalization) = (self.targets.channels(), self.state.normalization());
         let count = conditions.len();
         let all = count.div_ceil(BATCH);
         for done in 0..all {
             let (conditions, keys): (Vec<AudioFeatures>, Vec<Key>) =
                 conditions.by_ref().take(BATCH).unzip();
             let frames = conditions.first().map_or(0, AudioFeatures::frames);
-            let channels = self.config().data.audio_layout().channels();
-            if let Some(other) = conditions.iter().find(|c| c.channels() != channels) {
+            let cond_channels = self.config().data.audio_layout().channels();
+            if let Some(other) = conditions.iter().find(|c| c.channels() != cond_channels) {
                 let found = other.channels();
                 return Err(Error::usage(
-                    format!("a condition of {found} audio features, the model takes {channels}"),
+                    format!(
+                        "a condition of {found} audio features, the model takes {cond_channels}"
+                    ),
                     "read it in the layout of the run's `data.audio_features`",
                 ));
             }
             if let Some(windows) = windows(self.config(), frames) {
                 for (number, (audio, key)) in conditions.iter().zip(keys).enumerate() {
-                    let whole = WindowedSampling {
+                    let windowed = WindowedSampling {
                         audio,
                         windows: windows.clone(),
-                        given: None,
+                        known: None,
                         path: None,
                         in_flight: WINDOWS_IN_FLIGHT,
                     };
                     let before = done.saturating_mul(BATCH).saturating_add(number);
                     take(
-                        self.sample_windowed(&whole, sampling, key, &mut |windows, of| {
+                        self.sample_windowed(&windowed, sampling, key, &mut |windows, of| {
                             let before = before.saturating_mul(of);
                             on_step(before.saturating_add(windows), count.saturating_mul(of))
                         })?,
@@ -142,18 +144,18 @@ impl Generator {
                 let data = TensorData::new(values, [conditions.len(), channels, frames]);
                 Tensor::from_data(data, &self.device)
             };
-            let start = keys.iter().map(|key| key.at(0).normals(drawn * frames));
-            let heard = conditions.iter().map(|cond| cond.as_slice().to_vec());
+            let start = keys.iter().map(|key| key.at(0).normals(channels * frames));
+            let features = conditions.iter().map(|cond| cond.as_slice().to_vec());
             let of_steps: Vec<Key> = keys.iter().map(|key| key.at(1)).collect();
             // Each sample equals the one sampled alone, to the bit.
             let x = batch_invariant(conditions.len(), || {
                 let x = sample(
                     &self.diffusion,
                     &self.unet,
-                    on_device(start.flatten().collect(), drawn),
-                    &self.condition(on_device(heard.flatten().collect(), channels)),
+                    on_device(start.flatten().collect(), channels),
+                    &self.condition(on_device(features.flatten().collect(), cond_channels)),
                     &sampling.sampler,
-                    &sampling.clip.range(normalization, drawn)?,
+                    &sampling.clip.range(normalization, channels)?,
                     NoiseKeys::Samples(&of_steps),
                     &mut |step, total, _| {
                         let before = done.saturating_mul(total);
@@ -166,7 +168,7 @@ impl Generator {
                 })
             })?;
             let values = x.try_into_vec_as::<f32>().expect("samples are float32");
-            let width = self.decoder.as_ref().map_or(drawn, |_| CHANNELS);
+            let width = self.decoder.as_ref().map_or(channels, |_| CHANNELS);
             for values in values.chunks(width * frames) {
                 let raw = match &self.decoder {
                     Some(_) => Phrase::from_channel_major(values, frames)?.into(),

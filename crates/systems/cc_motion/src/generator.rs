@@ -10,7 +10,7 @@ use kinegrad_motion::postprocess::PostProcessConfig;
 use kinegrad_motion::{ChannelEncoding, Phrase, Phrases, Statistics, process_around};
 
 use super::load::targets;
-use super::style::Asked;
+use super::style::EncodedStyle;
 use super::{CcMotionConfig, Trained};
 use kinegrad_train::Error;
 use kinegrad_train::TrainedModel;
@@ -49,7 +49,7 @@ pub struct Generator {
     pub(super) diffusion: GaussianDiffusion,
     pub(super) targets: ChannelEncoding,
     pub(super) post_processing: PostProcessConfig,
-    pub(super) style: Option<Asked>,
+    pub(super) style: Option<EncodedStyle>,
     pub(super) device: Device,
     pub(super) state: State,
 }
@@ -107,7 +107,7 @@ impl Generator {
     /// If the model is not conditioned on such a style, or does not know the label.
     pub fn with_style(self, style: Option<&Style>) -> Result<Self, Error> {
         let style = style
-            .map(|style| Asked::new(style, self.config(), self.statistics()))
+            .map(|style| EncodedStyle::new(style, self.config(), self.statistics()))
             .transpose()?;
         Ok(Self { style, ..self })
     }
@@ -134,7 +134,7 @@ impl Generator {
         &self.state.statistics
     }
 
-    /// The motion that the network's normalised `values`, `[channels, frames]`, say.
+    /// The motion of the network's normalised output, `[channels, frames]`.
     ///
     /// # Errors
     /// If they are not whole frames.

@@ -47,11 +47,11 @@ fn warnings(
     let opened = Dataset::<PhraseItem>::open(&before);
     let opened = opened.map(|trained| (trained.train, [&before, data].map(Songs::read)));
     let (trained, songs) = match opened {
-        Ok((trained, [Ok(heard), Ok(own)])) => (trained, [heard, own]),
+        Ok((trained, [Ok(before), Ok(own)])) => (trained, [before, own]),
         Err(error) | Ok((_, [Err(error), _] | [_, Err(error)])) => {
             return vec![format!(
-                "whether `{key}` was trained on phrases that are held out here cannot be told, as \
-                 its dataset cannot be opened: {error}"
+                "cannot check `{key}` for training on phrases that are held out here: its dataset \
+                 cannot be opened: {error}"
             )];
         }
     };
@@ -73,9 +73,9 @@ fn warnings(
     // Other phrases of a song have its music and its dancer. Of two datasets one may state songs and
     // the other not: the takes that ids name are compared too.
     let names = |songs: &Songs, id: &str| [songs.song(id), song_of(id, None)];
-    let [heard, own] = songs;
-    let heard: BTreeSet<String> = trained.ids().flat_map(|id| names(&heard, id)).collect();
-    let known = |id: &&&str| names(&own, id).iter().any(|name| heard.contains(name));
+    let [before, own] = songs;
+    let trained: BTreeSet<String> = trained.ids().flat_map(|id| names(&before, id)).collect();
+    let known = |id: &&&str| names(&own, id).iter().any(|name| trained.contains(name));
     let songs: BTreeSet<String> = rest.iter().map(|id| own.song(id)).collect();
     let leaked: BTreeSet<String> = rest.iter().filter(known).map(|id| own.song(id)).collect();
     if !leaked.is_empty() {

@@ -31,8 +31,8 @@ pub(super) fn windows(config: &Config, frames: usize) -> Option<Windows> {
     (fit && frames > longest).then(|| Windows::new(frames, longest))
 }
 
-/// A sentence on those of the `frames` of windows or samples that training did not show, if there are
-/// any: longer than its crops, or shorter than the shortest of them.
+/// A warning about the lengths in `frames`, of windows or samples, outside the range of training; none
+/// if all are within.
 pub(super) fn untrained(
     config: &Config,
     frames: impl IntoIterator<Item = usize>,
@@ -50,14 +50,13 @@ pub(super) fn untrained(
         0 => format!("at most {longest} frames"),
         _ => format!("{shortest} to {longest} frames"),
     };
-    let drawn = match least == most {
+    let sampled = match least == most {
         true => format!("{most} frames"),
         false => format!("{least} to {most} frames"),
     };
     Some(format!(
-        "{} of {} samples are of {drawn}, and training saw {trained} (`data.target_frames`, \
-         `data.augment.min_frames`): what is sampled at other lengths is less than what the model \
-         can do",
+        "{} of {} samples are of {sampled}, and training saw {trained} (`data.target_frames`, \
+         `data.augment.min_frames`): samples of other lengths are worse",
         other.len(),
         frames.len()
     ))
@@ -72,28 +71,28 @@ mod tests {
     const SYSTEMS: Systems<'static> = Systems(&[&CcMotion]);
 
     #[test]
-    fn only_lengths_that_training_did_not_show_are_told() {
+    fn lengths_outside_training_cause_a_warning() {
         let mut config = SYSTEMS
             .parse("", "c.toml", &["data.target_frames=60".to_string()])
             .expect("a config");
         assert_eq!(untrained(&config, [60, 59, 4]), None);
-        let told = untrained(&config, [60, 90, 61]).unwrap();
+        let warning = untrained(&config, [60, 90, 61]).unwrap();
         assert!(
-            told.starts_with("2 of 3 samples are of 61 to 90 frames"),
-            "{told}"
+            warning.starts_with("2 of 3 samples are of 61 to 90 frames"),
+            "{warning}"
         );
-        assert!(told.contains("saw at most 60 frames"), "{told}");
+        assert!(warning.contains("saw at most 60 frames"), "{warning}");
         config.data.augment.min_frames = Some(30);
-        let told = untrained(&config, [30, 29]).unwrap();
+        let warning = untrained(&config, [30, 29]).unwrap();
         assert!(
-            told.starts_with("1 of 2 samples are of 29 frames"),
-            "{told}"
+            warning.starts_with("1 of 2 samples are of 29 frames"),
+            "{warning}"
         );
-        assert!(told.contains("saw 30 to 60 frames"), "{told}");
+        assert!(warning.contains("saw 30 to 60 frames"), "{warning}");
     }
 
     #[test]
-    fn what_is_longer_than_training_is_drawn_in_windows_of_its_length() {
+    fn longer_samples_use_windows_of_the_training_length() {
         let windows_of = |frames, target: &str| {
             let overrides = ["data.target_frames=60", target].map(String::from);
             let config = SYSTEMS.parse("", "c.toml", &overrides).expect("a config");

@@ -1,7 +1,7 @@
-//! A path over the ground that a phrase follows (docs/sources.md, section 7, options B and D): the root of
-//! a phrase is where its position channels say.
+//! A path over the ground that the root of a phrase follows (docs/sources.md, section 7, options B
+//! and D).
 //!
-//! Training moves phrases to the origin and does not turn them: so is the path, window by window.
+//! As training phrases, the path is moved to the origin in each window, and not turned.
 
 use std::ops::Range;
 use std::path::PathBuf;
@@ -76,7 +76,7 @@ pub struct PhrasePath {
 }
 
 /// The path of a request, for one phrase.
-pub(super) struct Asked {
+pub(super) struct PathCondition {
     file: PathBuf,
     plan: PathPlan,
     target: PathTarget,
@@ -85,7 +85,7 @@ pub(super) struct Asked {
     config: PhrasePathConfig,
 }
 
-impl Asked {
+impl PathCondition {
     /// The path of a file for `frames` frames.
     ///
     /// # Errors
@@ -344,7 +344,7 @@ mod tests {
     }
 
     #[test]
-    fn a_drawn_phrase_begins_where_the_path_does() {
+    fn a_sample_begins_where_the_path_does() {
         let mut motion = Phrase::new(vec![0.25; CHANNELS * 20]).unwrap();
         path(PhrasePathMethod::Guidance, 20).finish(&mut motion);
         assert_eq!(motion.frame(5)[..3], [2.25, 0.25, 0.25]);

@@ -23,29 +23,29 @@ pub(super) const STAGES: [&str; 2] = [BASE, DECODER];
 /// Validations of each of the two.
 const VALIDATIONS: u64 = 4;
 
-/// The `saved` config of the run in `folder`: where that is a decoder on the base model beside it
-/// and was begun on one of the same place in its run, it names the base model as `given` does.
+/// The `saved` config of the run in `folder`: a decoder whose base model is the one next to it,
+/// named by its former path, gets the path of `given`.
 pub(super) fn moved(saved: Config, given: &Config, folder: &Path) -> Result<Config, Error> {
     let mut own = saved.own::<CcMotionConfig>().clone();
     let base = &given.own::<CcMotionConfig>().init.diffusion;
-    let whole = folder.parent().unwrap_or(folder);
-    let place = Path::new(whole.file_name().unwrap_or_default()).join(BASE);
-    if *base != whole.join(BASE) || !own.init.diffusion.ends_with(place) {
+    let run = folder.parent().unwrap_or(folder);
+    let place = Path::new(run.file_name().unwrap_or_default()).join(BASE);
+    if *base != run.join(BASE) || !own.init.diffusion.ends_with(place) {
         return Ok(saved);
     }
     own.init.diffusion = base.clone();
     Ok(saved.with_own(own))
 }
 
-/// Rejects to train a base model again beneath a decoder that was begun on another.
+/// Refuses to train a new base model for a decoder that was trained on another one.
 fn must_have_base(folder: &Path) -> Result<(), Error> {
     let [base, decoder] = STAGES.map(|stage| folder.join(stage));
     match has_begun(&decoder)? && !has_begun(&base)? {
         false => Ok(()),
         true => Err(Error::usage(
             format!(
-                "{} is missing, and so are the checkpoints beside it: the decoder in {} was begun \
-                 on that base model",
+                "{} and the checkpoints next to it are missing: the decoder in {} was trained on \
+                 that base model",
                 base.join("config.toml").display(),
                 decoder.display()
             ),
@@ -66,7 +66,7 @@ pub(super) fn run(
     together: &Rc<Together>,
     observer: &mut dyn Observer,
 ) -> Result<Result<InitConfig, Box<Outcome>>, Error> {
-    let pretrain = tell(config, folder, observer)?;
+    let pretrain = announce(config, folder, observer)?;
     if pretrain.diffusion_steps > 0 {
         must_have_base(folder)?;
     }
@@ -82,9 +82,9 @@ pub(super) fn run(
         }
         let stage = stage(config, name, recipe, &init, steps, rate)?;
         let run = folder.join(name);
-        let begun = has_begun(&run)?;
+        let resume = has_begun(&run)?;
         let systems = Systems(&[&CcMotion]);
-        let outcome = train_config(systems, stage, folder, begun, together, observer)?;
+        let outcome = train_config(systems, stage, folder, resume, together, observer)?;
         if outcome.ending == Some(Ending::Interrupted) {
             return Ok(Err(Box::new(outcome)));
         }
@@ -96,8 +96,8 @@ pub(super) fn run(
     Ok(Ok(init))
 }
 
-/// Says that both are trained first, and how long.
-pub(super) fn tell(
+/// Notes that both are trained first, and their steps.
+pub(super) fn announce(
     config: &Config,
     folder: &Path,
     observer: &mut dyn Observer,

@@ -17,7 +17,7 @@ use super::CcMotionConfig;
 use super::generate::{Generator, Sample, keys, needs};
 use super::lengths::{untrained, windows};
 use super::load::{targets, unet1d};
-use super::path::Asked;
+use super::path::PathCondition;
 use super::style::must_know;
 use super::windowed::{WINDOWS_IN_FLIGHT, WindowedSampling};
 use kinegrad_train::Error;
@@ -47,7 +47,7 @@ pub(super) const ACCEPTS: &[&str] = &[
 const HELD_OUT_HINT: &str = "sample none at the end of training (`sampling.count_at_end = 0`), or \
                              prepare shorter phrases";
 
-/// Of the frames of a window, one part in so many continues another motion at most.
+/// At most 1 / `CONTINUED_SHARE` of the frames of a window continue another motion.
 const CONTINUED_SHARE: usize = 4;
 
 /// Hint for samples that do not fit into memory.
@@ -67,9 +67,9 @@ struct Task {
     /// The condition in file names and in the seed of the noise.
     name: String,
     audio: AudioFeatures,
-    /// The windows and the known frames, of motion that is not sampled as one.
-    whole: Option<(Windows, Option<KnownFrames>)>,
-    path: Option<Asked>,
+    /// The windows and the known frames; none for motion that is sampled as a whole.
+    windows: Option<(Windows, Option<KnownFrames>)>,
+    path: Option<PathCondition>,
 }
 
 /// An audio condition.
@@ -117,7 +117,7 @@ impl<'a> Phrases<'a> {
         for audio in audio(request, config, sink)? {
             resolved.resolve(audio, path.as_ref())?;
         }
-        let lengths = resolved.tasks.iter().map(|task| match &task.whole {
+        let lengths = resolved.tasks.iter().map(|task| match &task.windows {
             Some((windows, _)) => windows.length(),
             None => task.audio.frames(),
         });
@@ -131,8 +131,8 @@ impl<'a> Phrases<'a> {
         &mut self,
         audio: Audio,
         others: Vec<Condition>,
-        whole: Option<(Windows, Option<KnownFrames>)>,
-        path: Option<Asked>,
+        windows: Option<(Windows, Option<KnownFrames>)>,
+        path: Option<PathCondition>,
     ) {
         self.jobs.push(Job {
             name: Some(audio.name.clone()),
@@ -142,7 +142,7 @@ impl<'a> Phrases<'a> {
         self.tasks.push(Task {
             name: audio.name,
             audio: audio.features,
-            whole,
+            windows,
             path,
         });
     }
@@ -165,7 +165,7 @@ impl<'a> Phrases<'a> {
             known = Some(read);
         }
         let evaluation = &config.own::<CcMotionConfig>().evaluation;
-        let path = path.map(|path| Asked::new(path, frames, &evaluation.path));
+        let path = path.map(|path| PathCondition::new(path, frames, &evaluation.path));
         let path = path.transpose()?;
         let must_join = known.is_some() || path.is_some();
         if (must_join || (is_song && frames > length))
@@ -182,14 +182,14 @@ impl<'a> Phrases<'a> {
             true => Some(Windows::new(frames, length)),
             false => windows(config, frames),
         };
-        let whole = windows.map(|windows| (windows, known));
-        self.push(audio, others, whole, path);
+        let windows = windows.map(|windows| (windows, known));
+        self.push(audio, others, windows, path);
         Ok(())
     }
 
     /// The record of a phrase.
     fn record(&self, run: &Run<'_>, job: usize, index: usize) -> Record {
-        let windows = self.tasks[job].whole.as_ref();
+        let windows = self.tasks[job].windows.as_ref();
         Record {
             post_processing: Some(self.post_processing()),
             windows: windows.map(|(windows, _)| WindowsRecord {
@@ -266,7 +266,7 @@ impl Sampler for Phrases<'_> {
                 .collect();
         }
         let of_task = |task: &Task| {
-            let (count, frames) = match &task.whole {
+            let (count, frames) = match &task.windows {
                 Some((windows, _)) => (windows.len().min(WINDOWS_IN_FLIGHT), windows.length()),
                 None => (self.request.count, task.audio.frames()),
             };
@@ -284,23 +284,23 @@ impl Sampler for Phrases<'_> {
         }
         let (sampling, count) = (&self.trained.config().sampling, self.request.count);
         for (job, task) in self.tasks.iter().enumerate() {
-            let too_fast = |path: &Asked| path.too_fast(generator.statistics());
+            let too_fast = |path: &PathCondition| path.too_fast(generator.statistics());
             if let Some(doubt) = task.path.as_ref().and_then(too_fast) {
                 run.sink.warning(&doubt);
             }
             let seed = item_seed(self.request.seed, &task.name);
-            if let Some((windows, known)) = &task.whole {
-                let whole = WindowedSampling {
+            if let Some((windows, known)) = &task.windows {
+                let windowed = WindowedSampling {
                     audio: &task.audio,
                     windows: windows.clone(),
-                    given: known.as_ref(),
+                    known: known.as_ref(),
                     path: task.path.as_ref().map(|path| &path.followed),
                     in_flight: WINDOWS_IN_FLIGHT,
                 };
                 let key = Key::new(seed, Purpose::Sampling);
                 for index in 0..count {
                     let sample = generator.sample_windowed(
-                        &whole,
+                        &windowed,
                         sampling,
                         key.at(index as u64),
                         &mut |done, all| {
@@ -344,10 +344,10 @@ fn generated(sample: Sample) -> Generated {
 
 /// A line of both profiles' verdicts.
 fn checked(name: &str, motion: &Phrase, statistics: &Statistics) -> Result<Vec<String>, Error> {
-    let document = Some(check(motion, Profile::Document, None)?);
+    let ccmotion = Some(check(motion, Profile::Document, None)?);
     // Statistics without movement measures are insufficient.
     let strict = check(motion, Profile::Strict, Some(statistics)).ok();
-    let reports = document.iter().chain(&strict);
+    let reports = ccmotion.iter().chain(&strict);
     let checks = reports.flat_map(|report| &report.checks);
     let failed = checks.filter(|check| !check.passed);
     let mut failed: Vec<&str> = failed.map(|check| check.name).collect();
@@ -362,7 +362,7 @@ fn checked(name: &str, motion: &Phrase, statistics: &Statistics) -> Result<Vec<S
     };
     Ok(vec![
         name.to_string(),
-        verdict(&document),
+        verdict(&ccmotion),
         verdict(&strict),
         failed.join(", "),
     ])
@@ -386,7 +386,7 @@ fn audio(
     config: &Config,
     sink: &mut dyn SampleSink,
 ) -> Result<Vec<Audio>, Error> {
-    let given = request
+    let condition = request
         .conditions
         .iter()
         .find_map(|condition| match condition {
@@ -396,7 +396,7 @@ fn audio(
             }
             _ => None,
         });
-    let found = match given {
+    let found = match condition {
         Some(audio) => vec![audio?],
         None => of_phrases(request, config, sink)?,
     };
@@ -428,8 +428,8 @@ fn of_features(file: &Path, config: &Config) -> Result<Audio, Error> {
     })
 }
 
-/// The features of a whole song, from the requested start: of a part alone they would be
-/// normalised otherwise than what the model was trained on.
+/// The features of a song from the requested start. They are computed on the whole song, because
+/// features of a part are normalised differently from those of training.
 fn of_song(
     song: &Path,
     begins: f64,
@@ -447,7 +447,7 @@ fn of_song(
     if let (Beats::Tracked, Some(option)) = (unet1d(config).beats, known.given().first()) {
         return Err(Error::usage(
             format!("option `{option}` with a run that tracks the beats itself"),
-            "leave it out; `model.beats = \"given\"` trains models that are given them",
+            "leave it out; `model.beats = \"given\"` trains models on known beats",
         ));
     }
     let features = song_features(song, known)?.1;

@@ -107,16 +107,16 @@ impl Selection {
 
 /// The score of an evaluation; infinite if samples are not finite.
 fn score(by: SelectBy, report: &EvaluationReport) -> Score {
-    let (drawn, real) = (&report.processed, &report.real);
+    let (sampled, real) = (&report.processed, &report.real);
     let metrics = [
-        ("frechet", drawn.frechet_held_out),
-        ("diversity", drawn.diversity),
+        ("frechet", sampled.frechet_held_out),
+        ("diversity", sampled.diversity),
     ];
-    let ratio = drawn.diversity.zip(real.diversity);
+    let ratio = sampled.diversity.zip(real.diversity);
     let value = match by {
         SelectBy::Loss => None,
-        SelectBy::Frechet => drawn.frechet_held_out,
-        SelectBy::Diversity => ratio.map(|(drawn, real)| (drawn / real).ln().abs()),
+        SelectBy::Frechet => sampled.frechet_held_out,
+        SelectBy::Diversity => ratio.map(|(sampled, real)| (sampled / real).ln().abs()),
     };
     let finite = |metric: (&'static str, Option<f64>)| {
         let value = metric.1.filter(|value| value.is_finite())?;

@@ -97,7 +97,7 @@ impl Starts {
         let load = |saved: &_| Trained::load(saved, Weights::Ema, device);
         let base = self.diffusion.load(load)?;
         must_agree(config, &base.state.config, &OF_BASE)?;
-        must_hear(config, &base.state.config)?;
+        must_have_features(config, &base.state.config)?;
         base.state.statistics_of(&Phrases)?;
         let statistics = base.state.normalization();
         // Networks of this config, whose dropout and coherence may be others, with the values of
@@ -107,7 +107,7 @@ impl Starts {
         if let Some(given) = &self.decoder {
             let start = given.load(load)?;
             let Some(trained) = start.decoder else {
-                return Err(given.refused(&"its recipe is `diffusion`, it holds no decoder"));
+                return Err(given.refused(&"its recipe is `diffusion`, it contains no decoder"));
             };
             must_agree(config, &start.state.config, &OF_DECODER)?;
             let found = start.state.normalization();
@@ -127,7 +127,7 @@ impl Starts {
 ///
 /// # Errors
 /// Names `data.audio_features`, and what the start has.
-fn must_hear(config: &Config, start: &Config) -> Result<(), Error> {
+fn must_have_features(config: &Config, start: &Config) -> Result<(), Error> {
     let [given, start] = [config, start]
         .map(|config| serde_json::to_string(&config.data.audio_features).unwrap_or_default());
     let allowed = format!("{start}, which the run it starts from has");
@@ -193,6 +193,6 @@ pub(super) fn must_use(config: &Config) -> Result<(), Error> {
     let turns = augment.rotate_yaw && orientation == OrientationEncoding::CanonicalQuaternion;
     let turned_back = "false with `model.orientation_target = \"canonical_quaternion\"`";
     require(!turns, "data.augment.rotate_yaw", true, turned_back)
-        .hint("each sample is turned to face +z, whichever way it was turned before")?;
+        .hint("each sample is turned to face +z, which undoes the rotation")?;
     Ok(())
 }

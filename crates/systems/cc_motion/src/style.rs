@@ -121,23 +121,23 @@ pub(super) fn condition(cond: &Conditions, lengths: Option<Lengths>) -> AudioCon
         numbers: of(STYLE),
         label: of(LABEL),
     };
-    let is_told = style.numbers.is_some() || style.label.is_some();
+    let is_conditioned = style.numbers.is_some() || style.label.is_some();
     AudioCondition {
         features: cond.get(kinegrad_data::AUDIO).clone(),
         lengths,
-        style: is_told.then_some(style),
+        style: is_conditioned.then_some(style),
         teacher_forcing: false,
     }
 }
 
 /// The condition of samples of one style.
 #[derive(Clone, Debug)]
-pub(super) struct Asked {
+pub(super) struct EncodedStyle {
     numbers: Option<Vec<f32>>,
     label: Option<Vec<f32>>,
 }
 
-impl Asked {
+impl EncodedStyle {
     /// The style condition for the network of a config; `statistics` are those of the 25 stored
     /// channels.
     ///
@@ -182,11 +182,11 @@ impl Asked {
 /// [`Error::Usage`], for an unknown label with those that it knows.
 pub(super) fn must_know(style: &Style, config: &Config) -> Result<(), Error> {
     let unet = unet1d(config);
-    let (there, asked) = match style {
+    let (supported, requested) = match style {
         Style::Numbers(_) => (unet.style.has_numbers(), "eight numbers"),
         Style::Label(_) => (unet.style.has_label(), "a label"),
     };
-    if !there {
+    if !supported {
         let hint = match unet.style {
             StyleConditioning::None => {
                 "train with `model.style` = \"numbers\", \"label\" or \"both\"".to_string()
@@ -195,7 +195,8 @@ pub(super) fn must_know(style: &Style, config: &Config) -> Result<(), Error> {
             _ => format!("this run takes a label: {}", listed(&unet.style_labels)),
         };
         let named = serde_json::to_string(&unet.style).unwrap_or_default();
-        let message = format!("option `style` is {asked}, and `model.style` of the run is {named}");
+        let message =
+            format!("option `style` is {requested}, and `model.style` of the run is {named}");
         return Err(Error::usage(message, hint));
     }
     match style {

@@ -35,8 +35,8 @@ pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome
     let recipe = RecipeName::of(&config);
     let pretrains = recipe == RecipeName::E2e && own.init.diffusion.as_os_str().is_empty();
     if setup.dry_run && pretrains {
-        pretrain::tell(&config, &setup.folder, observer)?;
-        observer.note("these two are not planned: the plan is of the last training alone");
+        pretrain::announce(&config, &setup.folder, observer)?;
+        observer.note("the estimate does not include these two, but only the last training");
     }
     let planned = setup.dry_run && pretrains;
     let starts_anew = setup.checkpoint.is_none() && !planned;
@@ -104,9 +104,9 @@ pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome
             let differ =
                 !targets.are_stored_channels() || config.data.statistics != StatisticsOf::Phrases;
             let own = differ.then(|| {
-                let drawn =
+                let measured =
                     target_statistics(dataset.train.clone(), targets, &config.data, &*together);
-                Ok::<_, Error>(wide(targets, drawn?, &of_crops))
+                Ok::<_, Error>(wide(targets, measured?, &of_crops))
             });
             (
                 wide(ChannelEncoding::default(), measured(&dataset)?, &none),

@@ -1,4 +1,4 @@
-//! Drawing motion in overlapping windows: whole songs, and motion of which frames are given.
+//! Sampling motion in overlapping windows: whole songs, and motion with known frames.
 //!
 //! The windows have the training length and are sampled jointly. After each prediction of the clean
 //! motion they are stitched to one motion ([`kinegrad_motion::stitch`]) and continue from their
@@ -40,8 +40,8 @@ pub struct WindowedSampling<'a> {
     pub audio: &'a AudioFeatures,
     /// Its windows; each is conditioned on its part of the audio.
     pub windows: Windows,
-    /// Frames that are given.
-    pub given: Option<&'a KnownFrames>,
+    /// Known frames.
+    pub known: Option<&'a KnownFrames>,
     /// The path that it follows.
     pub path: Option<&'a PhrasePath>,
     /// Windows that the network sees at a time. More are faster and take more memory; on the CPU
@@ -66,30 +66,30 @@ impl Generator {
     /// If the sampler's settings are invalid, and [`Error::Interrupted`] after `Break`.
     pub fn sample_windowed(
         &self,
-        whole: &WindowedSampling<'_>,
+        windowed: &WindowedSampling<'_>,
         sampling: &SamplingConfig,
         key: Key,
         on_windows: &mut dyn FnMut(usize, usize) -> ControlFlow<()>,
     ) -> Result<Sample, Error> {
-        let physical = whole.given.map(KnownFrames::known);
-        let normalized = whole.given.map(|given| self.normalized(&given.known()));
-        let latents = self.latents(whole, normalized.as_ref(), sampling, key, on_windows)?;
+        let physical = windowed.known.map(KnownFrames::known);
+        let normalized = windowed.known.map(|known| self.normalized(&known.known()));
+        let latents = self.latents(windowed, normalized.as_ref(), sampling, key, on_windows)?;
         let raw = match &self.decoder {
             None => {
                 let mut values = latents;
-                let all = self.stitched(whole, &mut values, normalized.as_ref());
+                let all = self.stitched(windowed, &mut values, normalized.as_ref());
                 self.predicted(&all)?
             }
-            Some(_) => self.decoded(whole, physical.as_ref(), &latents)?.into(),
+            Some(_) => self.decoded(windowed, physical.as_ref(), &latents)?.into(),
         };
-        let none = || vec![false; whole.windows.frames()];
+        let none = || vec![false; windowed.windows.frames()];
         let is_known = physical.map_or_else(none, |known| known.is_known);
         let mut sample = self.finished(raw, &is_known);
-        if let Some(given) = whole.given {
-            given.put_into(&mut sample.raw);
-            given.put_into(&mut sample.motion);
+        if let Some(known) = windowed.known {
+            known.put_into(&mut sample.raw);
+            known.put_into(&mut sample.motion);
         }
-        if let Some(path) = whole.path {
+        if let Some(path) = windowed.path {
             path.finish(&mut sample.raw);
             path.finish(&mut sample.motion);
         }
@@ -119,7 +119,7 @@ impl Generator {
     /// Windows as the network predicts them, as one motion of which each becomes its part.
     fn stitched(
         &self,
-        whole: &WindowedSampling<'_>,
+        windowed: &WindowedSampling<'_>,
         values: &mut [f32],
         known: Option<&stitch::KnownFrames>,
     ) -> Vec<f32> {
@@ -127,7 +127,7 @@ impl Generator {
             layout: Layout::Predicted(self.targets),
             statistics: Some(self.state.normalization()),
         };
-        self.turned_and_stitched(turning, whole, values, known)
+        self.turned_and_stitched(turning, windowed, values, known)
     }
 
     /// Stitches windows to one motion; each window becomes its part, in its own place and heading.
@@ -136,12 +136,12 @@ impl Generator {
     fn turned_and_stitched(
         &self,
         turning: HeadingAlignment<'_>,
-        whole: &WindowedSampling<'_>,
+        windowed: &WindowedSampling<'_>,
         values: &mut [f32],
         known: Option<&stitch::KnownFrames>,
     ) -> Vec<f32> {
-        let windows = &whole.windows;
-        if !self.state.config.data.augment.rotate_yaw || whole.path.is_some() {
+        let windows = &windowed.windows;
+        if !self.state.config.data.augment.rotate_yaw || windowed.path.is_some() {
             return windows.stitch(values, known, turning.layout);
         }
         let angles = turning.angles(windows, values, known);
@@ -159,13 +159,13 @@ impl Generator {
     /// The denoised windows, `[windows, channels, frames of a window]`, normalised.
     fn latents(
         &self,
-        whole: &WindowedSampling<'_>,
+        windowed: &WindowedSampling<'_>,
         known: Option<&stitch::KnownFrames>,
         sampling: &SamplingConfig,
         key: Key,
         on_windows: &mut dyn FnMut(usize, usize) -> ControlFlow<()>,
     ) -> Result<Vec<f32>, Error> {
-        let (windows, config) = (&whole.windows, &sampling.sampler);
+        let (windows, config) = (&windowed.windows, &sampling.sampler);
         let shape = [windows.len(), self.targets.channels(), windows.length()];
         let clip = sampling.clip.range(self.state.normalization(), shape[1])?;
         let all = sampling.sampler.network_evaluations() * windows.len();
@@ -173,7 +173,7 @@ impl Generator {
         let mut predict = |x: Tensor<3>, time: &[Time]| {
             let timesteps: Vec<usize> = time.iter().map(|time| time.timestep()).collect();
             let statistics = self.state.normalization();
-            let step = whole.path.and_then(|path| {
+            let step = windowed.path.and_then(|path| {
                 path.step(&host_values(x.clone()), windows, statistics, timesteps[0])
             });
             let x = match step {
@@ -181,13 +181,13 @@ impl Generator {
                 None => x,
             };
             let mut predicted = Vec::with_capacity(shape.iter().product());
-            for batch in whole.batches() {
-                let heard = batch.clone().map(|window| {
-                    let part = whole.audio.slice(windows.of(window));
+            for batch in windowed.batches() {
+                let features = batch.clone().map(|window| {
+                    let part = windowed.audio.slice(windows.of(window));
                     part.as_slice().to_vec()
                 });
-                let cond = [batch.len(), whole.audio.channels(), windows.length()];
-                let cond = self.condition(self.on_device(heard.flatten().collect(), cond));
+                let cond = [batch.len(), windowed.audio.channels(), windows.length()];
+                let cond = self.condition(self.on_device(features.flatten().collect(), cond));
                 let x = x.clone().narrow(0, batch.start, batch.len());
                 // Each window equals the one sampled alone, to the bit.
                 let prediction = batch_invariant(batch.len(), || {
@@ -203,10 +203,10 @@ impl Generator {
                     return Err(kinegrad_diffusion::Error::Stopped);
                 }
             }
-            if let Some(path) = whole.path {
+            if let Some(path) = windowed.path {
                 path.put(&mut predicted, windows, statistics, timesteps[0]);
             }
-            self.stitched(whole, &mut predicted, known);
+            self.stitched(windowed, &mut predicted, known);
             let x_start = self.on_device(predicted, shape);
             // The equivalent output for this prediction type.
             let model_output = self.diffusion.convert(
@@ -246,16 +246,16 @@ impl Generator {
     /// trajectory is that of the whole motion.
     fn decoded(
         &self,
-        whole: &WindowedSampling<'_>,
+        windowed: &WindowedSampling<'_>,
         known: Option<&stitch::KnownFrames>,
         latents: &[f32],
     ) -> Result<Phrase, Error> {
-        let decoder = self.decoder.as_ref().expect("asked before");
-        let windows = &whole.windows;
+        let decoder = self.decoder.as_ref().expect("a decoder");
+        let windows = &windowed.windows;
         let channels = self.targets.channels();
         let a_window = channels * windows.length();
         let mut decoded = Vec::with_capacity(latents.len());
-        for batch in whole.batches() {
+        for batch in windowed.batches() {
             let latent = latents[batch.start * a_window..batch.end * a_window].to_vec();
             let latent = self.on_device(latent, [batch.len(), channels, windows.length()]);
             let motion = batch_invariant(batch.len(), || decoder.frames(latent, None));
@@ -265,7 +265,7 @@ impl Generator {
             layout: Layout::Phrase,
             statistics: None,
         };
-        let all = self.turned_and_stitched(turning, whole, &mut decoded, known);
+        let all = self.turned_and_stitched(turning, windowed, &mut decoded, known);
         let mut motion = Phrase::from_channel_major(&all, windows.frames())?;
         let coherence = decoder.coherence();
         if coherence != Coherence::None {

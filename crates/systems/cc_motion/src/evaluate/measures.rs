@@ -37,7 +37,7 @@ pub struct Measures {
     /// The losses of end-to-end fine-tuning.
     pub losses: Vec<LossTerm>,
     /// CC-MotionGen's checks.
-    pub document: ProfileRates,
+    pub ccmotion: ProfileRates,
     /// The strict checks.
     pub strict: ProfileRates,
 }
@@ -193,7 +193,7 @@ impl<'a> Reference<'a> {
             mean_jerk: mean(all().map(|motion| Some(mean_jerk_norm(motion)))),
             movement: movement_spreads(all()),
             losses: loss_terms(motions, self.phrases),
-            document: rates(Profile::Document),
+            ccmotion: rates(Profile::Document),
             strict: rates(Profile::Strict),
         }
     }
@@ -254,7 +254,7 @@ mod tests {
         assert!(real.diversity.unwrap() > 0.1);
         assert_eq!(real.same_phrase_diversity, None);
         assert!(real.beat_alignment.unwrap() > 0.0);
-        assert_eq!((real.document.pass_rate, real.strict.pass_rate), (1.0, 1.0));
+        assert_eq!((real.ccmotion.pass_rate, real.strict.pass_rate), (1.0, 1.0));
         let jerk = real.strict.check("jerk").unwrap().value;
         assert_eq!(jerk, Value::Number(real.mean_jerk.unwrap()));
     }
@@ -334,7 +334,7 @@ mod tests {
         };
         assert!((high - expected).abs() < 1e-12);
         // In the profile `ccmotion` the line stands in one report of four.
-        for profile in [&measures.document, &measures.strict] {
+        for profile in [&measures.ccmotion, &measures.strict] {
             let finite = profile.check("finite").unwrap();
             assert_eq!(finite.pass_rate, 0.75);
             assert_eq!(finite.value, Value::Number(0.25));

@@ -93,7 +93,7 @@ impl Metrics for Measures {
             let name = format!("loss.{name}");
             rows.push(Number::shown(name, Some(value), title, Some(shown)));
         }
-        for (profile, rates) in [("document", &self.document), ("strict", &self.strict)] {
+        for (profile, rates) in [("ccmotion", &self.ccmotion), ("strict", &self.strict)] {
             rows.push(Number::shown(
                 format!("{profile}.pass_rate"),
                 Some(rates.pass_rate),

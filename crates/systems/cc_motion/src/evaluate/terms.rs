@@ -27,7 +27,7 @@ pub struct LossTerm {
 /// A sample from noise shares the audio condition alone with its phrase: its squared error is about
 /// twice the variance of real motion, and that of the mean motion half as much.
 pub(super) fn loss_terms(motions: &[Vec<Phrase>], held_out: &[Arc<PhraseItem>]) -> Vec<LossTerm> {
-    let config = TemporalLossConfig::document();
+    let config = TemporalLossConfig::ccmotion();
     let count = motions.iter().map(Vec::len).sum::<usize>() as f64;
     let mut means: Vec<LossTerm> = Vec::new();
     for (samples, phrase) in motions.iter().zip(held_out) {

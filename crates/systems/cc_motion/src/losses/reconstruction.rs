@@ -17,7 +17,7 @@ pub enum SignMatching {
     #[default]
     Nearer,
     /// As stored (CC-MotionGen): q and -q differ.
-    Document,
+    Ccmotion,
 }
 
 /// The mean squared errors of position (m^2) and quaternion.
@@ -48,7 +48,7 @@ impl ReconstructionLoss {
     ) -> Self {
         let target = match sign {
             SignMatching::Nearer => with_nearer_sign(target, decoded),
-            SignMatching::Document => target.clone(),
+            SignMatching::Ccmotion => target.clone(),
         };
         let mask = mask.clone().unsqueeze_dim::<3>(1);
         let squared = (decoded.clone() - target).square() * weights;

@@ -44,7 +44,7 @@ pub enum PhaseLoss {
     #[default]
     BackwardSteps,
     /// CC-MotionGen's `max(0, -d - 0.5)`, which punishes the wraps and forgives steps backwards.
-    Document,
+    Ccmotion,
 }
 
 /// The table `loss.temporal`.
@@ -105,12 +105,12 @@ impl Default for TemporalLossConfig {
 }
 
 impl TemporalLossConfig {
-    /// CC-MotionGen's five terms as it has them.
-    pub fn document() -> Self {
+    /// CC-MotionGen's five terms, literally.
+    pub fn ccmotion() -> Self {
         Self {
             phase_monotonic_weight: 1.0,
             angular_velocity_weight: 0.0,
-            phase: PhaseLoss::Document,
+            phase: PhaseLoss::Ccmotion,
             ..Self::default()
         }
     }
@@ -165,7 +165,7 @@ pub fn temporal_losses(
         let (now, next) = ends(phase.clone());
         let drop = now - next;
         let punished = match config.phase {
-            PhaseLoss::Document => relu(drop - WRAP),
+            PhaseLoss::Ccmotion => relu(drop - WRAP),
             PhaseLoss::BackwardSteps => {
                 let legal: Tensor<3, Bool> = drop.clone().greater_elem(WRAP);
                 relu(drop).mask_fill(legal, 0.0)

@@ -1,5 +1,5 @@
-//! From what a denoiser predicts of a phrase ([`ChannelEncoding`]) to its 25 channels, with gradients:
-//! [`ChannelEncoding::decode`] on tensors.
+//! [`ChannelEncoding::decode`] on tensors, with gradients: from the channels that a denoiser predicts
+//! to the 25 channels of a phrase.
 
 use std::f64::consts::TAU;
 
@@ -194,7 +194,7 @@ mod tests {
         phases.into_iter().flat_map(of_phase).collect()
     }
 
-    fn draw(seed: u64, count: usize) -> Vec<f32> {
+    fn normals(seed: u64, count: usize) -> Vec<f32> {
         Key::new(seed, Purpose::Noise).normals(count)
     }
 
@@ -207,7 +207,7 @@ mod tests {
         let (batch, time) = (3, 11);
         for targets in all() {
             let channels = targets.channels();
-            let x = draw(4, batch * channels * time);
+            let x = normals(4, batch * channels * time);
             let found = host_values(decode(
                 targets,
                 tensor(x.clone(), [batch, channels, time], &Device::flex()),
@@ -238,8 +238,8 @@ mod tests {
         for targets in all() {
             let shape = [2, targets.channels(), 3];
             let count: usize = shape.iter().product();
-            let x = draw(9, count);
-            let direction = draw(10, 2 * 25 * 3);
+            let x = normals(9, count);
+            let direction = normals(10, 2 * 25 * 3);
             let weighed = |x: Tensor<3>, device: &Device| {
                 (decode(targets, x) * tensor(direction.clone(), [2, 25, 3], device)).sum()
             };

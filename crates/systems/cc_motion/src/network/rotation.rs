@@ -40,8 +40,8 @@ pub fn step(rates: Tensor<3>) -> Tensor<3> {
     Tensor::cat(vec![angle.cos(), sine], 1)
 }
 
-/// The rotations that angular velocities lead to from no rotation at the first frame: at frame `t`
-/// the product of `exp(w[s] / fps)` over the frames `s` before it. Unit quaternions.
+/// The integrals of angular velocities from no rotation at the first frame: at frame `t` the product
+/// of `exp(w[s] / fps)` over the frames `s` before it. Unit quaternions.
 ///
 /// # Shapes
 /// - rates: `[batch, 3, time]`, radians per second in the world frame

@@ -36,10 +36,10 @@ pub use style::{STYLE_VALUES, StyleCondition, StyleConditioning};
 impl UNet1dConfig {
     /// Builds the network for motion of `in_channels` under conditions of `cond_channels` per
     /// frame; its parameters are initialised when they are first used. Where beats are tracked, the last
-    /// [`BEAT_CHANNELS`] conditions tell them.
+    /// [`BEAT_CHANNELS`] conditions are their labels.
     ///
     /// # Errors
-    /// As [`validate`](Self::validate), and where beats are tracked and no condition tells them.
+    /// As [`validate`](Self::validate), and where beats are tracked without labels.
     pub fn init(
         &self,
         in_channels: usize,
@@ -51,7 +51,7 @@ impl UNet1dConfig {
             self.beats == Beats::Given || cond_channels > BEAT_CHANNELS,
             "model.beats",
             format!("\"tracked\" in {cond_channels} audio features"),
-            "audio features that tell the beats, to learn from",
+            "audio features with beats, to learn from",
         )
         .hint("set `data.audio_features = [\"ccmotion\", \"beats\"]`")?;
         let builder = Builder {
@@ -93,8 +93,8 @@ struct DecoderLevel {
 
 /// The denoiser. Should be created with [`UNet1dConfig::init`].
 ///
-/// Decoder level `i` of the module tree is level `i` of CC-MotionGen's drawing, so the forward pass
-/// runs them backwards. As drawn, an inner decoder level has one residual block and attention; the
+/// Decoder level `i` of the module tree is level `i` of CC-MotionGen's figure, so the forward pass
+/// runs them backwards. As in the figure, an inner decoder level has one residual block and attention; the
 /// coarsest and the finest have two residual blocks and none.
 #[derive(Module, Debug)]
 pub struct UNet1d {
@@ -328,7 +328,7 @@ impl UNet1d {
     }
 
     /// Sine and cosine of the place of each frame in its beat as the network's own tracker finds it
-    /// in features `[batch, channels, time]`, of which it does not look at the last
+    /// in features `[batch, channels, time]`, without the last
     /// [`BEAT_CHANNELS`]: `[batch, 2, time]`, none without a tracker.
     pub fn track_beats(&self, cond: &AudioCondition) -> Option<Tensor<3>> {
         let encoder = self.audio.as_ref()?;

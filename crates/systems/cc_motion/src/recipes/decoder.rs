@@ -106,7 +106,7 @@ impl Recipe for DecoderRecipe {
         let noised = self.noised(&inputs.x_start, little, |i| f64::from(places[i]));
         let starts = self
             .rollouts
-            .draw_starts(shape[0], key.of(Purpose::RolloutTimesteps));
+            .sample_starts(shape[0], key.of(Purpose::RolloutTimesteps));
         let much = noise(key.of(Purpose::RolloutNoise), shape, device);
         let sampled = self
             .rollouts

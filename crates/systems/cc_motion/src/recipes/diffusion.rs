@@ -78,9 +78,9 @@ fn tracking_loss(unet: &UNet1d, inputs: &Inputs) -> Option<Tensor<1>> {
     let cond = condition(&inputs.cond, inputs.lengths.clone());
     let found = unet.track_beats(&cond)?;
     let [batch, tracked, time] = found.dims();
-    let (told, is_told) = beat_labels(&cond.features);
-    let mask = is_told * inputs.mask.clone().reshape([batch, 1, time]);
-    let error = (found - told).square() * mask.clone();
+    let (labels, is_known) = beat_labels(&cond.features);
+    let mask = is_known * inputs.mask.clone().reshape([batch, 1, time]);
+    let error = (found - labels).square() * mask.clone();
     let sum = |x: Tensor<3>| x.sum_dim(2).sum_dim(1).sum_dim(0).reshape([1]);
     Some(sum(error) / (sum(mask) * tracked as f64).clamp_min(1.0))
 }
@@ -115,7 +115,7 @@ mod tests {
 
     /// A tracker's loss is over frames with beat labels only.
     #[test]
-    fn masked_unknown_and_padded_beats_are_not_learned_from() {
+    fn masked_unknown_and_padded_beats_have_no_loss() {
         let device = Device::flex();
         let (features, time) = (9 + BEAT_CHANNELS, 13);
         let config = UNet1dConfig {
@@ -146,7 +146,7 @@ mod tests {
         values[at(0, 10, 6)] = 0.0;
         values[at(0, 9, 7)] = 0.9;
         values[at(0, 10, 7)] = -0.8;
-        let untold = [2, 3, 5, 6, 7];
+        let unknown = [2, 3, 5, 6, 7];
         let audio = Tensor::<3>::from_data(
             TensorData::new(values.clone(), [2, features, time]),
             &device,
@@ -164,7 +164,7 @@ mod tests {
         let found = found.into_data().try_into_vec::<f32>().expect("values");
         let (mut sum, mut count) = (0.0, 0.0);
         for (sample, t) in (0..2).flat_map(|sample| (0..time).map(move |t| (sample, t))) {
-            if (sample == 0 && untold.contains(&t)) || (sample == 1 && t >= time - 4) {
+            if (sample == 0 && unknown.contains(&t)) || (sample == 1 && t >= time - 4) {
                 continue;
             }
             for row in 0..2 {
@@ -179,7 +179,7 @@ mod tests {
     }
 
     /// Batches of one sample with different beat labels.
-    fn told(start: f32, device: &Device) -> Inputs {
+    fn labelled(start: f32, device: &Device) -> Inputs {
         let (features, time) = (9 + BEAT_CHANNELS, 13);
         let mut values = vec![0.0f32; features * time];
         for (index, value) in values[..9 * time].iter_mut().enumerate() {
@@ -199,7 +199,7 @@ mod tests {
     }
 
     #[test]
-    fn told_beats_are_heard_in_training_and_not_in_validation() {
+    fn teacher_forcing_is_on_in_training_and_off_in_validation() {
         let device = Device::flex();
         let config = UNet1dConfig {
             audio_conditioning: AudioConditioning::Aligned,
@@ -219,7 +219,7 @@ mod tests {
                 keep_style: None,
                 dropout: None,
             };
-            let inputs = told(start, &device);
+            let inputs = labelled(start, &device);
             let loss = denoising_loss(&diffusion, &unet, inputs, draws, training);
             let of_motion = loss
                 .terms

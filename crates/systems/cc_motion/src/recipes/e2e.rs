@@ -12,9 +12,8 @@
 //! ```
 //!
 //! Dropout is off inside the rollout. A rollout starts from the batch's motion under noise
-//! (`rollout.start`), and its reconstruction counts by how much of the motion the start still
-//! holds: pulled towards a ground truth they know nothing of, samples would all become the mean
-//! motion.
+//! (`rollout.start`), and its reconstruction is weighted by the signal remaining in the start:
+//! a reconstruction loss without that signal would pull all samples towards the mean motion.
 
 use crate::network::AudioCondition;
 use crate::network::MotionModel;
@@ -26,10 +25,11 @@ use kinegrad_models::DropoutKey;
 use kinegrad_models::GradientSum;
 use kinegrad_random::Purpose;
 
+use super::Rollouts;
 use super::diffusion::{denoising_loss, denoising_validation_loss};
-use super::{Rollouts, heard};
 use crate::LossConfig;
 use crate::losses::{ReconstructionLoss, temporal_losses};
+use crate::style::condition;
 use kinegrad_train::denoising::{Draws, HeldOut, Inputs, noise};
 use kinegrad_train::{Loss, Measured, Recipe, StepKey};
 
@@ -96,7 +96,7 @@ impl E2eRecipe {
             .collect();
 
         // 2. A rollout, with gradients as `rollout.mode` keeps them.
-        let cond = heard(&inputs);
+        let cond = condition(&inputs.cond, inputs.lengths.clone());
         let output = self
             .rollouts
             .rollout
@@ -187,7 +187,7 @@ impl Recipe for E2eRecipe {
             denoising: Draws::new(diffusion, &inputs, key, device),
             starts: self
                 .rollouts
-                .draw_starts(shape[0], key.of(Purpose::RolloutTimesteps)),
+                .sample_starts(shape[0], key.of(Purpose::RolloutTimesteps)),
             start_noise: noise(key.of(Purpose::RolloutNoise), shape, device),
             decoder_dropout: Some(key.of(Purpose::DecoderDropout)),
         };

@@ -5,18 +5,8 @@ pub mod diffusion;
 pub mod e2e;
 mod rollouts;
 
-use crate::network::AudioCondition;
-
-use super::style::condition;
-use kinegrad_train::denoising::Inputs;
-
 pub use decoder::DecoderRecipe;
 pub(super) use diffusion::denoising_loss;
 pub use diffusion::diffusion_recipe;
 pub use e2e::{E2eDraws, E2eRecipe, PendingRollout};
 pub use rollouts::Rollouts;
-
-/// The denoiser's condition for a batch.
-fn heard(inputs: &Inputs) -> AudioCondition {
-    condition(&inputs.cond, inputs.lengths.clone())
-}

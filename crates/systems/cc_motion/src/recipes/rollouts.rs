@@ -10,6 +10,7 @@ use kinegrad_motion::{ChannelEncoding, PhaseEncoding, Statistics};
 use kinegrad_random::Key;
 
 use crate::losses::reconstruction::{normalized_error, with_nearer_phase};
+use crate::style::condition;
 use crate::{ReconstructionWeighting, RolloutConfig, RolloutStart};
 use kinegrad_train::Error;
 use kinegrad_train::denoising::Inputs;
@@ -65,7 +66,7 @@ impl Rollouts {
     }
 
     /// Start timesteps of a batch: the last one for rollouts from pure noise, else one from each of
-    /// `batch` equal parts of the configured range, `place(i)` in [0, 1) saying where in part i.
+    /// `batch` equal parts of the configured range, at `place(i)` in [0, 1) of part i.
     pub(super) fn starts(&self, batch: usize, place: impl Fn(usize) -> f64) -> Vec<usize> {
         let last = self.rollout.diffusion.config.num_train_timesteps - 1;
         if self.config.start == RolloutStart::Noise {
@@ -82,7 +83,7 @@ impl Rollouts {
     }
 
     /// As [`starts`](Self::starts), at timesteps sampled from `key`.
-    pub(super) fn draw_starts(&self, batch: usize, key: Key) -> Vec<usize> {
+    pub(super) fn sample_starts(&self, batch: usize, key: Key) -> Vec<usize> {
         let places = key.uniforms(batch);
         self.starts(batch, |i| f64::from(places[i]))
     }
@@ -116,7 +117,7 @@ impl Rollouts {
             unet,
             unet,
             self.start(&inputs.x_start, noise, starts),
-            &super::heard(inputs),
+            &condition(&inputs.cond, inputs.lengths.clone()),
             &rollout_timesteps(starts, self.config.steps),
             RolloutMode::LastK(0),
         );

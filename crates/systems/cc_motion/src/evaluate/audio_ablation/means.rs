@@ -22,17 +22,17 @@ pub(super) const PHASE_ERRORS: [Metric<Score>; 2] = [
     }),
 ];
 
-/// Distances from the phases of the music of the condition, if it has beats.
+/// Distances from the phases of the conditioning music, if it has beats.
 const CONDITION_PHASE_ERRORS: [Metric<Score>; 2] = [
     (
-        "heard_beat_phase_error",
-        "beat-phase error to what was heard, beats",
-        |score| score.heard_beat_phase_error,
+        "condition_beat_phase_error",
+        "beat-phase error to the conditioning music, beats",
+        |score| score.condition_beat_phase_error,
     ),
     (
-        "heard_bar_phase_error",
-        "bar-phase error to what was heard, bars",
-        |score| score.heard_bar_phase_error,
+        "condition_bar_phase_error",
+        "bar-phase error to the conditioning music, bars",
+        |score| score.condition_bar_phase_error,
     ),
 ];
 
@@ -194,19 +194,19 @@ mod tests {
         found.expect(name).estimate
     }
 
-    fn value(heard: AudioVariant, loss: f64, error: f64) -> MeasuredCondition {
+    fn value(audio: AudioVariant, loss: f64, error: f64) -> MeasuredCondition {
         MeasuredCondition {
-            heard,
+            audio,
             loss,
             score: Score {
                 beat_phase_error: error,
                 bar_phase_error: error / 4.0,
-                heard_beat_phase_error: (heard == AudioVariant::HalfBeat).then_some(0.01),
-                heard_bar_phase_error: None,
-                beat_alignment: (heard == AudioVariant::Own).then_some(0.5),
-                chance_alignment: (heard == AudioVariant::Own).then_some(0.2),
-                peak_alignment: (heard == AudioVariant::Own).then_some(0.7),
-                chance_peak_alignment: (heard == AudioVariant::Own).then_some(0.3),
+                condition_beat_phase_error: (audio == AudioVariant::HalfBeat).then_some(0.01),
+                condition_bar_phase_error: None,
+                beat_alignment: (audio == AudioVariant::Own).then_some(0.5),
+                chance_alignment: (audio == AudioVariant::Own).then_some(0.2),
+                peak_alignment: (audio == AudioVariant::Own).then_some(0.7),
+                chance_peak_alignment: (audio == AudioVariant::Own).then_some(0.3),
             },
         }
     }
@@ -258,8 +258,8 @@ mod tests {
         let mean = |means: &[Mean], name| estimate(means, name).unwrap().mean;
         assert!((mean(silence, "own_minus.beat_phase_error") + 0.2).abs() < 1e-12);
         assert!((mean(half, "beat_phase_error") - 0.45).abs() < 1e-12);
-        assert!((mean(half, "heard_beat_phase_error") - 0.01).abs() < 1e-12);
-        assert_eq!(estimate(silence, "heard_beat_phase_error"), None);
+        assert!((mean(half, "condition_beat_phase_error") - 0.01).abs() < 1e-12);
+        assert_eq!(estimate(silence, "condition_beat_phase_error"), None);
         assert_eq!(means_by_variant(&measured, 0), found, "the same twice");
         let json = to_json(half);
         assert_eq!(json["own_minus"]["loss"]["mean"], -0.25);

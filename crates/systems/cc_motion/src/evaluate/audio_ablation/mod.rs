@@ -98,8 +98,8 @@ pub(super) fn prepare<'a>(
 /// Remarks on an ablation with those of `all` held-out phrases that have beats.
 fn remarks(run: &str, report: &AblationReport, held_out: &[BeatPhrase], all: usize) -> Vec<String> {
     let mut remarks = vec![
-        "in brackets intervals of 95 %, phrases drawn again within songs drawn again; a phase \
-         without relation to the music errs by 0.25"
+        "in brackets: 95 % bootstrap intervals (songs, then phrases); chance level of a phase error: \
+         0.25"
             .to_owned(),
     ];
     if held_out.len() < all {
@@ -109,19 +109,20 @@ fn remarks(run: &str, report: &AblationReport, held_out: &[BeatPhrase], all: usi
         ));
     }
     if report.songs == 1 {
-        let remark = "all phrases are of one song: the intervals say nothing of other songs";
+        let remark = "all phrases are of one song: the intervals do not cover other songs";
         remarks.push(remark.to_owned());
     }
     let guessed = held_out.iter().filter(|one| one.guessed).count();
     if guessed > 0 {
         remarks.push(format!(
-            "{guessed} phrases are taken to have four beats in a bar, as nothing says how many \
+            "{guessed} phrases have no known number of beats in a bar: four are assumed \
              (`evaluation.beats_per_bar`)"
         ));
     }
     let mut conditions = report.conditions.iter();
     if conditions.all(|(variant, _)| *variant != AudioVariant::OtherSong) {
-        let remark = "the dataset has one song alone: no other one can be heard";
+        let remark =
+            "the dataset has one song: samples with the music of another song are left out";
         remarks.push(remark.to_owned());
     }
     let named = remarks.into_iter();
@@ -203,8 +204,8 @@ impl<'a> Ablation<'a> {
         let audio: Vec<_> = variants.iter().map(|(_, music)| &music.audio).collect();
         let samples = self.sample("samples", phrase, &audio, self.sampling(), on_step)?;
         let conditions = variants.iter().zip(samples.chunks(self.settings.seeds));
-        let conditions = conditions.map(|(&(heard, ref music), samples)| MeasuredCondition {
-            heard,
+        let conditions = conditions.map(|(&(audio, ref music), samples)| MeasuredCondition {
+            audio,
             loss: loss::loss(generator, &phrase.phrase, &music.audio),
             score: phrase.score(samples, music.bars.as_ref(), seed),
         });

@@ -56,7 +56,7 @@ impl AblationReport {
     fn json(&self, ablation: &Ablation<'_>) -> Value {
         let conditions = self.conditions.iter().map(|(variant, means)| {
             let mut json = to_json(means);
-            json["heard"] = json!(variant);
+            json["audio"] = json!(variant);
             if *variant == AudioVariant::Own {
                 json["own_minus"] = Value::Null;
             }
@@ -84,8 +84,8 @@ impl AblationReport {
         with_sampling(json, ablation.sampling())
     }
 
-    /// The numbers of an audio variant. The errors to the music of the condition are left out if it
-    /// has no beats or is the own music, whose errors they are.
+    /// The numbers of an audio variant. The errors to the conditioning music are left out if it has
+    /// no beats or is the own music.
     fn rows(&self, variant: AudioVariant) -> Vec<Number> {
         let own = variant == AudioVariant::Own;
         let of_variant = self.conditions.iter().find(|(found, _)| *found == variant);
@@ -95,7 +95,7 @@ impl AblationReport {
         let tracked = Some(self.tracked_beat_error.clone());
         let tracked = tracked.filter(|mean| own && mean.estimate.is_some());
         let shown =
-            |mean: &Mean| !mean.name.starts_with("heard_") || (!own && mean.estimate.is_some());
+            |mean: &Mean| !mean.name.starts_with("condition_") || (!own && mean.estimate.is_some());
         let means: Vec<Mean> = means.into_iter().filter(shown).chain(tracked).collect();
         means.rows()
     }

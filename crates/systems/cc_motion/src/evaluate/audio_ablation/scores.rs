@@ -18,10 +18,10 @@ pub struct Score {
     pub beat_phase_error: f64,
     /// The same of the bar phase, bars.
     pub bar_phase_error: f64,
-    /// Distance of the beat phase from that of the music of the condition, beats.
-    pub heard_beat_phase_error: Option<f64>,
+    /// Distance of the beat phase from that of the conditioning music, beats.
+    pub condition_beat_phase_error: Option<f64>,
     /// The same of the bar phase, bars.
-    pub heard_bar_phase_error: Option<f64>,
+    pub condition_bar_phase_error: Option<f64>,
     /// Alignment of the moments at which the root is slowest with the beats of the phrase's own music;
     /// mean over the samples that have such moments.
     pub beat_alignment: Option<f64>,
@@ -34,9 +34,14 @@ pub struct Score {
 }
 
 impl BeatPhrase {
-    /// The score of samples, at least one; `heard` are the bar phases and the beats in a bar of the
-    /// music that they were conditioned on, if it has beats.
-    pub fn score(&self, samples: &[Phrase], heard: Option<&(Vec<f64>, f64)>, seed: u64) -> Score {
+    /// The score of samples, at least one; `condition` are the bar phases and the beats
+    /// in a bar of the conditioning music, if it has beats.
+    pub fn score(
+        &self,
+        samples: &[Phrase],
+        condition: Option<&(Vec<f64>, f64)>,
+        seed: u64,
+    ) -> Score {
         let music = self.beat_times();
         let mean = |of: &dyn Fn(&Phrase) -> f64| {
             samples.iter().map(of).sum::<f64>() / samples.len() as f64
@@ -66,8 +71,8 @@ impl BeatPhrase {
         Score {
             beat_phase_error: error(&self.bars, self.beats_per_bar),
             bar_phase_error: error(&self.bars, 1.0),
-            heard_beat_phase_error: heard.map(|(bars, beats)| error(bars, *beats)),
-            heard_bar_phase_error: heard.map(|(bars, _)| error(bars, 1.0)),
+            condition_beat_phase_error: condition.map(|(bars, beats)| error(bars, *beats)),
+            condition_bar_phase_error: condition.map(|(bars, _)| error(bars, 1.0)),
             beat_alignment,
             chance_alignment,
             peak_alignment,
@@ -96,7 +101,7 @@ pub struct MeasuredPhrase {
 #[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
 pub struct MeasuredCondition {
     /// The audio.
-    pub heard: AudioVariant,
+    pub audio: AudioVariant,
     /// The loss at high noise.
     pub loss: f64,
     /// The samples' score.
@@ -107,7 +112,7 @@ pub struct MeasuredCondition {
 impl MeasuredPhrase {
     /// The values for a variant.
     pub(super) fn with(&self, variant: AudioVariant) -> Option<&MeasuredCondition> {
-        self.conditions.iter().find(|each| each.heard == variant)
+        self.conditions.iter().find(|each| each.audio == variant)
     }
 }
 
@@ -177,9 +182,12 @@ mod tests {
             assert!((both.beat_phase_error - 0.25).abs() < 1e-5, "{both:?}");
             // A sample half a beat ahead follows music that is half a beat ahead.
             let ahead: Vec<f64> = phrase.bars.iter().map(|bar| bar + 0.5 / beats).collect();
-            let heard = phrase.score(&[shifted(0.5)], Some(&(ahead, beats)), 0);
-            assert!(heard.heard_beat_phase_error.unwrap() < 1e-5, "{heard:?}");
-            assert!((heard.beat_phase_error - 0.5).abs() < 1e-5);
+            let conditioned = phrase.score(&[shifted(0.5)], Some(&(ahead, beats)), 0);
+            assert!(
+                conditioned.condition_beat_phase_error.unwrap() < 1e-5,
+                "{conditioned:?}"
+            );
+            assert!((conditioned.beat_phase_error - 0.5).abs() < 1e-5);
             let mut broken = shifted(0.0);
             broken.frame_mut(3)[PHASE] = f32::NAN;
             assert!(score(broken).beat_phase_error.is_nan());

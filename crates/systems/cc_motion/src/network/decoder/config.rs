@@ -44,8 +44,8 @@ pub struct OutputActivations {
 }
 
 impl OutputActivations {
-    /// Those of heads that say `targets`: sine and cosine, and what becomes a unit quaternion by
-    /// the conversion, are not bounded.
+    /// Those of heads that predict `targets`: sine and cosine, and the inputs of the conversion to a
+    /// unit quaternion, are not bounded.
     pub(super) fn of(self, targets: ChannelEncoding) -> Self {
         let mut own = self;
         if targets.phase != PhaseEncoding::Scalar {
@@ -105,7 +105,7 @@ impl Default for OutputRanges {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Coherence {
-    /// As the heads say: only the losses pull them together (CC-MotionGen's decoder).
+    /// The outputs of the heads: only the losses make them consistent (CC-MotionGen's decoder).
     #[default]
     None,
     /// The heads' position, velocity and acceleration are replaced by those of the nearest

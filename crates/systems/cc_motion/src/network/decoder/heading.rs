@@ -1,5 +1,5 @@
-//! The projection of decoded headings onto those that their angular velocities lead along, as an
-//! operation of a network.
+//! The projection of decoded headings onto the integrals of their angular velocities, with
+//! gradients.
 
 use std::f64::consts::TAU;
 use std::sync::Arc;
@@ -59,9 +59,9 @@ pub(super) fn fitted(
 
     let turned = along + smoothed;
     // Upside down the heading and the axis of the tilt may each be anything.
-    let told = (upright(quaternion.clone()) / UPRIGHT).clamp_max(1.0);
+    let certainty = (upright(quaternion.clone()) / UPRIGHT).clamp_max(1.0);
     let places = turns(heading);
-    let turn = nearest(turned / TAU - places.clone()) * told.clone();
+    let turn = nearest(turned / TAU - places.clone()) * certainty.clone();
     let headings = (places + turn.clone()) * TAU;
     let turn = turn * TAU;
     let half = turn.clone() / 2.0;
@@ -79,7 +79,7 @@ pub(super) fn fitted(
             let next = headings.clone().narrow(2, 1, time - 1);
             let more = nearest((next - before(headings) - before(steps)) / TAU) * TAU;
             let last = rate_y.clone().narrow(2, time - 1, 1);
-            let changed = before(rate_y) + more * before(told) * FPS;
+            let changed = before(rate_y) + more * before(certainty) * FPS;
             Tensor::cat(vec![changed, last], 2)
         }
     };
@@ -92,14 +92,14 @@ fn upright(quaternion: Tensor<3>) -> Tensor<3> {
     (w.square() + y.square()) / (quaternion.square().sum_dim(1) + LEAST_SQUARE)
 }
 
-/// Turns less whole ones, up to half a turn either way.
+/// Turns less whole ones, up to half a turn in either direction.
 fn nearest(turns: Tensor<3>) -> Tensor<3> {
     let whole = turns.clone().without_autodiff().round();
     turns - whole
 }
 
 /// Sine and cosine of the heading, `[batch, 2, time]`: the turn about the vertical that is part of
-/// quaternions of any norm. Short upside down, where none is told from another.
+/// quaternions of any norm. Its norm is small upside down, where the heading is undefined.
 fn heading(quaternion: Tensor<3>) -> Tensor<3> {
     let [w, y] = [0, 2].map(|part| quaternion.clone().narrow(1, part, 1));
     let square = (w.clone().square() + y.clone().square()).clamp_min(LEAST_SQUARE);

@@ -15,7 +15,7 @@ use kinegrad_models::parameters;
 /// 0.06 anywhere between 0 and 1.
 const SIGMOID_SLOPE: f64 = 6.0;
 
-/// Sets the weights of `decoder`; what it was drawn with gives the directions of the projection.
+/// Sets the weights of `decoder`; its random input projection gives the directions.
 pub(super) fn identity(decoder: MotionDecoder) -> MotionDecoder {
     let mut weights = parameters::export(&decoder);
     let channels = decoder.targets.channels();

@@ -69,8 +69,8 @@ impl DecoderBlock {
 /// motion, which couples the frames. Should be created with [`DecoderConfig::init`].
 ///
 /// The latent is the normalised motion that a sampler generates; the output is in metres, seconds
-/// and radians. Where the denoiser predicts other [`ChannelEncoding`] than the 25 channels, so do the heads,
-/// and what they say of phase and orientation is converted at the end.
+/// and radians. The heads predict the [`ChannelEncoding`] of the denoiser; phase and orientation are
+/// converted at the end.
 #[derive(Module, Debug)]
 pub struct MotionDecoder {
     input_proj: Linear,
@@ -95,8 +95,7 @@ pub struct MotionDecoder {
 }
 
 impl DecoderConfig {
-    /// Builds the decoder of latents of the 25 channels that were normalised as `normalization`
-    /// says.
+    /// Builds the decoder of latents of the 25 channels, normalised by `normalization`.
     ///
     /// # Errors
     /// As [`validate`](Self::validate).

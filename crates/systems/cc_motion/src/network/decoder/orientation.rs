@@ -1,5 +1,5 @@
-//! The projection of decoded orientations onto those that their angular velocities lead along, as an
-//! operation of a network.
+//! The projection of decoded orientations onto the integrals of their angular velocities, with
+//! gradients.
 
 use std::sync::Arc;
 
@@ -83,7 +83,7 @@ pub(super) mod tests {
 
     use super::*;
 
-    /// A dancer who turns, and says of both orientation and turning something else than is.
+    /// A dancer who turns, with noise in orientations and angular velocities.
     pub(in super::super) fn shaken(seed: u64, frames: usize) -> Phrase {
         let noise = Key::new(seed, Purpose::Noise).normals(6 * frames);
         let mut motion = Phrase::new(vec![0.0; CHANNELS * frames]).unwrap();
@@ -139,8 +139,8 @@ pub(super) mod tests {
         }
     }
 
-    /// Asserts that a loss of quaternions and angular velocities has the gradients that changes by
-    /// `step` up and down say, each within what is `allowed` of it.
+    /// Asserts that the gradients of a loss of quaternions and angular velocities are its central
+    /// differences over `step`, up to what is `allowed`.
     pub(in super::super) fn assert_gradients(
         motions: &[Phrase],
         loss: impl Fn(Tensor<3>, Tensor<3>) -> Tensor<1>,

@@ -181,7 +181,7 @@ fn a_fresh_decoder_of_other_targets_undoes_normalisation_and_conversion() {
         let expected = host_values(crate::network::channel_encoding::decode(targets, x.clone()));
         let found = host_values(decoder.forward(x, None));
         assert_eq!(found.len(), batch * CHANNELS * time);
-        // A full projection turns orientations towards what the angular velocities say.
+        // A full projection turns orientations towards the integrals of the angular velocities.
         let kept = match coherence {
             Coherence::Full => vec![PHASE],
             _ => [QUATERNION.collect::<Vec<_>>(), vec![PHASE]].concat(),

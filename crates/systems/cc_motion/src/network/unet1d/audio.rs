@@ -167,7 +167,7 @@ fn direction(beats: Tensor<3>) -> Tensor<3> {
 /// UNet's level `i` are the same time whatever the length.
 #[derive(Module, Debug)]
 pub(super) struct AudioEncoder {
-    /// In place of the features that tell the beats.
+    /// In place of the beat features.
     beats: Option<BeatTracker>,
     stem: Conv1d,
     levels: Vec<AudioLevel>,
@@ -307,23 +307,23 @@ mod tests {
 
     use super::*;
 
-    /// A feature that is `level` in the first `heard` of 90 frames, with 1 added to one of them.
-    fn click(at: usize, level: f32, heard: usize, padding: f32) -> Vec<f32> {
+    /// A feature that is `level` in the first `frames` of 90 frames, with 1 added to one of them.
+    fn click(at: usize, level: f32, frames: usize, padding: f32) -> Vec<f32> {
         let device = Device::flex();
         let mut row = vec![level; 90];
-        row[heard..].fill(padding);
+        row[frames..].fill(padding);
         row[at] += 1.0;
         let row = Tensor::from_data(TensorData::new(row, [1, 1, 90]), &device);
-        host_values(mean_around(row, Some(&Lengths::new([heard]))))
+        host_values(mean_around(row, Some(&Lengths::new([frames]))))
     }
 
     #[test]
-    fn means_say_what_sounds_and_hardly_when() {
+    fn means_depend_little_on_the_time_of_an_onset() {
         let (before, after) = (click(40, 0.5, 77, 0.0), click(41, 0.5, 77, 9.0));
         for (t, (a, b)) in before.iter().zip(&after).take(77).enumerate() {
             let frames = (t.min(AROUND / 2) + 1 + (76 - t).min(AROUND / 2)) as f32;
-            let hears = t.abs_diff(40) <= AROUND / 2;
-            let expected = 0.5 + if hears { 1.0 / frames } else { 0.0 };
+            let in_window = t.abs_diff(40) <= AROUND / 2;
+            let expected = 0.5 + if in_window { 1.0 / frames } else { 0.0 };
             assert!((a - expected).abs() < 1e-5, "{t}: {a} {expected}");
             assert!((a - b).abs() < 0.03, "{t}: {a} {b}");
         }

@@ -13,12 +13,12 @@ use kinegrad_models::layers::{Conv1d, GroupNorm};
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Beats {
-    /// From the features that `data.audio_features` lists, if they tell them.
+    /// The beat features, if `data.audio_features` lists them.
     #[default]
     Given,
-    /// From the other features: a small network within the audio encoder is trained on the beats
-    /// that `data.audio_features` must list for it. In the diffusion loss of training the rest of the
-    /// network hears those, and else what is found.
+    /// Tracked in the other features by a small network in the audio encoder. It is trained on the
+    /// beat features, which `data.audio_features` must list; the rest of the network is trained on
+    /// them too and sampled with the tracked beats.
     Tracked,
 }
 
@@ -28,8 +28,8 @@ impl Beats {
     }
 }
 
-/// Features of a frame that tell beats and bars, the last ones: sine and cosine of the place in the
-/// beat come first.
+/// Features of beats and bars, the last ones of a frame: sine and cosine of the place in the beat
+/// come first.
 pub const BEAT_CHANNELS: usize = 7;
 
 /// Channels of a frame's place in its beat: sine and cosine.
@@ -48,7 +48,7 @@ const KERNEL: usize = 5;
 /// Blocks of convolutions; the receptive field is 64 frames, about two seconds, on either side.
 const BLOCKS: usize = 5;
 
-/// From features of the music to the place of each frame in its beat.
+/// Finds the place of each frame in its beat from features of the music.
 ///
 /// Onsets mark beats, while the levels of the features identify the song, which does not
 /// generalise: so the features enter as the increase, from frame to frame, of the mean of
@@ -244,18 +244,18 @@ mod tests {
     }
 
     #[test]
-    fn padding_is_not_heard() {
+    fn padding_has_no_effect() {
         let device = Device::flex();
         let tracker = BeatTracker::new(11, &Initializer::new(1, &device));
         let head = normal(3, [2, 11, 31], &device);
         let lengths = Lengths::new([31, 31]);
-        let heard = |padding: u64| {
+        let tracked = |padding: u64| {
             let padding = normal(padding, [2, 11, 9], &device);
             let x = Tensor::cat(vec![head.clone(), padding], 2);
             host_values(tracker.forward(x, Some(&lengths)).narrow(2, 0, 31))
         };
-        assert_eq!(heard(4), heard(5));
-        for (a, b) in heard(4)
+        assert_eq!(tracked(4), tracked(5));
+        for (a, b) in tracked(4)
             .iter()
             .zip(host_values(tracker.forward(head.clone(), None)))
         {

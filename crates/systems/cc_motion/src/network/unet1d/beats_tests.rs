@@ -1,4 +1,4 @@
-//! A network that tracks the beats itself: what it hears, and what its tracker learns from.
+//! A network that tracks the beats itself: its inputs, and the loss of its tracker.
 
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_diffusion::Time;
@@ -32,27 +32,27 @@ fn largest(x: Tensor<3>) -> f32 {
 }
 
 #[test]
-fn it_hears_the_music_and_not_the_beats_that_it_is_told() {
+fn beats_are_tracked_in_the_music_and_not_in_the_labels() {
     let (device, time) = (Device::flex(), 37);
     let network = network(&device);
     let x = normal(0, [2, 25, time], &device);
-    let [music, other, told, lie] = [(1, 11), (2, 11), (3, BEAT_CHANNELS), (4, BEAT_CHANNELS)]
+    let [music, other, labels, wrong] = [(1, 11), (2, 11), (3, BEAT_CHANNELS), (4, BEAT_CHANNELS)]
         .map(|(stream, rows)| normal(stream, [2, rows, time], &device));
-    let heard = |music: &Tensor<3>, told: &Tensor<3>| -> [Tensor<3>; 2] {
-        let cond = AudioCondition::from(Tensor::cat(vec![music.clone(), told.clone()], 1));
+    let outputs = |music: &Tensor<3>, labels: &Tensor<3>| -> [Tensor<3>; 2] {
+        let cond = AudioCondition::from(Tensor::cat(vec![music.clone(), labels.clone()], 1));
         let tracked = network.track_beats(&cond).expect("a tracker");
         [
             tracked,
             network.forward(x.clone(), &Time::of(&[400, 30]), cond, None),
         ]
     };
-    let (before, lied, changed) = (
-        heard(&music, &told),
-        heard(&music, &lie),
-        heard(&other, &told),
+    let (before, relabelled, changed) = (
+        outputs(&music, &labels),
+        outputs(&music, &wrong),
+        outputs(&other, &labels),
     );
     assert_eq!(before[0].dims(), [2, 2, time]);
-    for ((a, b), c) in before.iter().zip(lied).zip(changed) {
+    for ((a, b), c) in before.iter().zip(relabelled).zip(changed) {
         assert_eq!(largest(a.clone() - b), 0.0);
         assert!(largest(a.clone() - c) > 1e-3);
     }
@@ -64,17 +64,17 @@ fn it_hears_the_music_and_not_the_beats_that_it_is_told() {
         ],
         2,
     );
-    assert!(largest(heard(&later, &told)[0].clone() - before[0].clone()) > 1e-3);
+    assert!(largest(outputs(&later, &labels)[0].clone() - before[0].clone()) > 1e-3);
 }
 
 #[test]
-fn in_training_the_rest_of_it_hears_the_told_beats_where_some_are_told() {
+fn teacher_forcing_replaces_tracked_beats_where_there_are_labels() {
     let (device, time) = (Device::flex(), 29);
     let network = network(&device);
     let x = normal(0, [2, 25, time], &device);
     let music = normal(1, [2, 11, time], &device);
-    // The first sample is told a beat of ten frames, the second none.
-    let told = |start: f32| {
+    // The first sample has labels of a beat of ten frames, the second none.
+    let labels = |start: f32| {
         let mut rows = vec![0.0f32; 2 * BEAT_CHANNELS * time];
         for t in 0..time {
             let angle = std::f32::consts::TAU * (start + t as f32 / 10.3);
@@ -85,7 +85,7 @@ fn in_training_the_rest_of_it_hears_the_told_beats_where_some_are_told() {
     let predicted = |start: f32, teacher_forcing: bool| {
         let cond = AudioCondition {
             teacher_forcing,
-            ..Tensor::cat(vec![music.clone(), told(start)], 1).into()
+            ..Tensor::cat(vec![music.clone(), labels(start)], 1).into()
         };
         let output = network.forward(x.clone(), &Time::of(&[400, 30]), cond, None);
         [0, 1].map(|sample| output.clone().narrow(0, sample, 1))
@@ -99,31 +99,31 @@ fn in_training_the_rest_of_it_hears_the_told_beats_where_some_are_told() {
 }
 
 #[test]
-fn told_and_tracked_beats_are_joined_frame_by_frame() {
+fn labels_and_tracked_beats_are_joined_frame_by_frame() {
     let (device, time) = (Device::flex(), 29);
     let network = network(&device);
     let lengths = Some(Lengths::new([29, 21]));
     let x = normal(0, [2, 25, time], &device);
     let music = normal(1, [2, 11, time], &device);
     let none = Tensor::zeros([2, BEAT_CHANNELS, time], &device);
-    let cond = |told: Tensor<3>, teacher_forcing: bool| AudioCondition {
+    let cond = |labels: Tensor<3>, teacher_forcing: bool| AudioCondition {
         lengths: lengths.clone(),
         teacher_forcing,
-        ..Tensor::cat(vec![music.clone(), told], 1).into()
+        ..Tensor::cat(vec![music.clone(), labels], 1).into()
     };
-    let predicted = |told: Tensor<3>, teacher_forcing: bool| {
-        let cond = cond(told, teacher_forcing);
+    let predicted = |labels: Tensor<3>, teacher_forcing: bool| {
+        let cond = cond(labels, teacher_forcing);
         network.forward(x.clone(), &Time::of(&[400, 30]), cond, None)
     };
-    // The first half is told what is tracked, turned by so much, and the second nothing.
+    // The labels of the first half are the tracked beats, turned; the second half has none.
     let half = |turned: f32| {
         let found = network.find_beats(&cond(none.clone(), false));
         let unit = found.expect("a tracker").narrow(2, 0, 14);
         let (sin, cos) = (unit.clone().narrow(1, 0, 1), unit.narrow(1, 1, 1));
         let (s, c) = turned.sin_cos();
         let sin_turned = sin.clone() * c + cos.clone() * s;
-        let told = Tensor::cat(vec![sin_turned, cos * c - sin * s], 1);
-        none.clone().slice_assign([0..2, 0..2, 0..14], told)
+        let labels = Tensor::cat(vec![sin_turned, cos * c - sin * s], 1);
+        none.clone().slice_assign([0..2, 0..2, 0..14], labels)
     };
     let tracked = predicted(none.clone(), true);
     assert_eq!(largest(tracked.clone() - predicted(half(2.0), false)), 0.0);
@@ -132,7 +132,7 @@ fn told_and_tracked_beats_are_joined_frame_by_frame() {
 }
 
 #[test]
-fn it_hears_a_steady_beat_and_none_in_silence() {
+fn found_beats_have_a_constant_tempo_and_none_in_silence() {
     let (device, time) = (Device::flex(), 60);
     let network = network(&device);
     let music = normal(1, [1, FEATURES, time], &device);
@@ -141,7 +141,7 @@ fn it_hears_a_steady_beat_and_none_in_silence() {
     let norms = found.clone().square().sum_dim(1);
     assert!(largest(norms.clone().narrow(0, 0, 1) - 1.0) < 0.01);
     assert_eq!(largest(norms.narrow(0, 1, 1)), 0.0);
-    // What is heard turns by about as much in each frame.
+    // The found angle turns by about as much in each frame.
     let found: Vec<f32> = found
         .narrow(0, 0, 1)
         .into_data()

@@ -187,7 +187,7 @@ impl UNet1dConfig {
             format!("levels 0 to {coarsest}"),
         )
         .hint("one entry a level that attends")?;
-        // On the way up a level attends at the width of the next finer one.
+        // In the decoder a level attends at the width of the next finer one.
         let above = |&level: &usize| (level != coarsest).then(|| level.saturating_sub(1));
         let ups: Vec<usize> = attending.iter().filter_map(above).collect();
         let aligned = self.audio_conditioning == AudioConditioning::Aligned;
@@ -266,17 +266,17 @@ impl UNet1dConfig {
         let attending = self.attention_levels();
         let of_level = |(level, width): (usize, usize)| {
             let here = frames.div_ceil(1 << level) as u64;
-            // A block keeps its input and what its convolutions and its dropout give. On the way up
-            // there are two, the first of which takes the skip connection too.
+            // A block keeps its input and what its convolutions and its dropout give. The decoder
+            // has two, the first of which takes the skip connection too.
             let blocks = 4 * self.num_res_blocks as u64 + 12;
             let attention = if attending.contains(&level) { 2 } else { 0 };
             // Queries, keys, values and results, and the keys and values of the whole context, or of
             // the level's own frames and turned.
-            let heard = match self.audio_conditioning {
+            let context = match self.audio_conditioning {
                 AudioConditioning::Ccmotion => 2 * frames as u64,
                 AudioConditioning::Aligned => 8 * here,
             };
-            width as u64 * (blocks * here + attention * (9 * here + heard))
+            width as u64 * (blocks * here + attention * (9 * here + context))
         };
         let channels = self.channels();
         let network: u64 = channels.iter().copied().enumerate().map(of_level).sum();

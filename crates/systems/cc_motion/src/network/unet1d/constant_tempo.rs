@@ -84,16 +84,16 @@ mod tests {
         row(f64::sin).chain(row(f64::cos)).collect()
     }
 
-    /// The largest distance of what is heard from `places`, in beats.
-    fn distance(heard: &[f32], places: &[f64]) -> f64 {
-        let (sines, cosines) = heard.split_at(heard.len() / 2);
-        let heard = sines.iter().zip(cosines);
-        let heard = heard.map(|(s, c)| f64::from(*s).atan2(f64::from(*c)) / TAU);
-        let distances = heard.zip(places).map(|(a, b)| circular::distance(a, *b));
+    /// The largest distance of the found beats from `places`, in beats.
+    fn distance(found: &[f32], places: &[f64]) -> f64 {
+        let (sines, cosines) = found.split_at(found.len() / 2);
+        let found = sines.iter().zip(cosines);
+        let found = found.map(|(s, c)| f64::from(*s).atan2(f64::from(*c)) / TAU);
+        let distances = found.zip(places).map(|(a, b)| circular::distance(a, *b));
         distances.fold(0.0, f64::max)
     }
 
-    fn heard(found: Vec<f32>, time: usize, lengths: Option<&Lengths>) -> Vec<f32> {
+    fn fitted(found: Vec<f32>, time: usize, lengths: Option<&Lengths>) -> Vec<f32> {
         let batch = found.len() / 2 / time;
         let found = Tensor::from_data(TensorData::new(found, [batch, 2, time]), &Device::flex());
         fit_constant_tempo(found, lengths)
@@ -103,13 +103,13 @@ mod tests {
     }
 
     #[test]
-    fn a_steady_beat_stays_and_errors_of_single_frames_go() {
+    fn a_constant_tempo_stays_and_errors_of_single_frames_go() {
         for (time, a_minute) in [(120, 66.7), (120, 131.0), (97, 204.0), (61, 88.0)] {
             let places: Vec<f64> = (0..time)
                 .map(|t| 0.3 + f64::from(t) * a_minute / 1800.0)
                 .collect();
             let norms = vec![0.4; places.len()];
-            let kept = heard(rows(&places, &norms), places.len(), None);
+            let kept = fitted(rows(&places, &norms), places.len(), None);
             assert!(distance(&kept, &places) < 0.01);
             // A third of the frames half a beat off, the others by up to a tenth.
             let noise = Key::new(3, Purpose::Noise).normals(places.len());
@@ -121,7 +121,7 @@ mod tests {
                 .collect();
             let found = rows(&found, &norms);
             assert!(distance(&found, &places) > 0.45);
-            let mended = distance(&heard(found, places.len(), None), &places);
+            let mended = distance(&fitted(found, places.len(), None), &places);
             assert!(mended < 0.1, "{time} {a_minute}: {mended}");
         }
     }
@@ -132,7 +132,7 @@ mod tests {
         let places: Vec<f64> = (0..120)
             .map(|t| f64::from(t) / 15.65 + f64::from(t * t) / 21600.0 / 2.0)
             .collect();
-        let found = heard(rows(&places, &[1.0; 120]), 120, None);
+        let found = fitted(rows(&places, &[1.0; 120]), 120, None);
         assert!(
             distance(&found, &places) < 0.06,
             "{}",
@@ -158,7 +158,7 @@ mod tests {
                 rows(&found, &vec![1.0; time])
             };
             let found = [of(0), of(1)].concat();
-            heard(found, time, Some(&Lengths::new(kept)))
+            fitted(found, time, Some(&Lengths::new(kept)))
         };
         let (one, other) = (found(0.31), found(0.07));
         for sample in 0..2 {

@@ -238,14 +238,14 @@ fn adapters_reach_the_style_and_merge() {
     ] {
         assert!(carries(layer), "{layer}");
     }
-    // Adapters that say something.
+    // Adapters with an effect.
     let values = parameters::export(&adapted)
         .into_iter()
         .map(|mut parameter| {
             if parameter.info.name.contains("lora") {
                 let key = Key::new(1, Purpose::Init).named(&parameter.info.name);
-                let drawn = key.normals(parameter.values.len());
-                parameter.values = drawn.into_iter().map(|v| 0.2 * v).collect();
+                let values = key.normals(parameter.values.len());
+                parameter.values = values.into_iter().map(|v| 0.2 * v).collect();
             }
             parameter.values
         });

@@ -1,4 +1,4 @@
-//! Aligned conditioning: what it hears, what it leaves out, and its gradients.
+//! Aligned conditioning: its inputs, its padding and its gradients.
 
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_diffusion::{Denoiser, Time};
@@ -61,7 +61,7 @@ fn the_order_of_the_audio_matters_to_an_aligned_network_alone() {
         ),
         ("shuffled", (0..time).map(|t| (t * 10 + 3) % time).collect()),
     ];
-    for (conditioning, hears) in [
+    for (conditioning, ordered_in_time) in [
         (AudioConditioning::Ccmotion, false),
         (AudioConditioning::Aligned, true),
     ] {
@@ -74,7 +74,7 @@ fn the_order_of_the_audio_matters_to_an_aligned_network_alone() {
         assert!(by_other > 0.01, "{conditioning:?}: {by_other}");
         for (name, order) in &orders {
             let changed = largest(own.clone() - of(ordered(&audio, order.iter().copied())));
-            match hears {
+            match ordered_in_time {
                 true => assert!(changed > 0.2 * by_other, "{name}: {changed}, {by_other}"),
                 false => assert!(changed <= 1e-5, "{name}: {changed}"),
             }
@@ -105,30 +105,29 @@ fn audio_is_joined_where_it_sounds() {
 }
 
 fn on(device: &Device, mode: Mode, length: usize) -> [Tensor<3>; 2] {
-    // What a batch holds where one clip is shorter: noise in its motion, zeros in its audio, and
-    // here more than zeros.
+    // A batch with a shorter clip has noise in its motion and zeros in its audio; here also noise.
     mode.scope(|| {
         let network = aligned(device);
         let time = 29;
         let lengths = [length, time];
         let x = normal(0, [2, 25, time], device);
         let features = normal(1, [2, FEATURES, time], device);
-        let together = AudioCondition {
+        let padded = AudioCondition {
             features: features.clone(),
             lengths: Some(Lengths::new(lengths)),
             style: None,
             teacher_forcing: false,
         };
         let times = Time::of(&[700, 3]);
-        let together = network.forward(x.clone(), &times, together, None);
+        let padded = network.forward(x.clone(), &times, padded, None);
         let part = |x: &Tensor<3>, frames| x.clone().narrow(0, 0, 1).narrow(2, 0, frames);
         let alone = network.forward(part(&x, length), &times[..1], part(&features, length), None);
         // The longer one is as in a batch without lengths.
         let whole = network.forward(x, &times, features, None);
         let second = |x: Tensor<3>| x.narrow(0, 1, 1);
-        let apart = largest(second(together.clone()) - second(whole));
+        let apart = largest(second(padded.clone()) - second(whole));
         assert!(apart < 1e-5, "{mode:?}: {apart}");
-        [part(&together, length), alone]
+        [part(&padded, length), alone]
     })
 }
 
@@ -254,7 +253,7 @@ fn gradients_of_the_encoder_are_slopes_of_the_loss() {
         );
         checked += 1;
     }
-    // Stem, four levels, joins on both ways, and six projections of what is heard: weight and bias.
+    // Stem, four levels, joins of encoder and decoder, and six projections of the context: weight and bias.
     assert_eq!(checked, 2 * (1 + 3 + 2 * 4 + 4 + 3 + 6));
 }
 
@@ -352,7 +351,7 @@ fn sizes_that_cannot_be_aligned_are_refused_by_key() {
     narrow(AudioConditioning::Ccmotion)
         .validate()
         .expect("any width");
-    // On the way up level 1 attends at level 0's width.
+    // In the decoder level 1 attends at level 0's width.
     let up = UNet1dConfig {
         model_channels: 32,
         channel_mult: vec![1, 2],
@@ -369,7 +368,7 @@ fn sizes_that_cannot_be_aligned_are_refused_by_key() {
 }
 
 #[test]
-fn old_configs_are_read_as_the_documents() {
+fn old_configs_are_read_as_ccmotion() {
     let read = |entry: (&'static str, &'static str)| {
         let entries = MapDeserializer::<_, ValueError>::new([entry].into_iter());
         UNet1dConfig::deserialize(entries)
