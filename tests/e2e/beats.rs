@@ -281,12 +281,12 @@ fn models_hear_beats_and_refuse_what_has_none() {
         ))
         .failed(
             2,
-            &["array `beats` is missing", "beat features are asked for"],
+            &["array `beats` is missing", "beat features are requested"],
         );
     // Without beats, the features are the usual ones.
     load_audio(
         &sandbox.path("plain_features/song/features.npz"),
-        AudioLayout::DOCUMENT,
+        AudioLayout::CCMOTION,
     )
     .expect("the 163");
 }

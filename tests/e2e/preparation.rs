@@ -259,7 +259,7 @@ fn songs_become_features_pictures_and_motion() {
     assert!(heard.stdout.contains("120.0"), "{}", heard.stdout);
     let features = kinegrad_data::load_audio(
         &sandbox.path("features/a/features.npz"),
-        AudioLayout::DOCUMENT,
+        AudioLayout::CCMOTION,
     );
     assert_eq!(features.expect("features").frames(), 181);
     let cut = "--start 1.5 --duration 2 --out cut --plot";
@@ -267,7 +267,7 @@ fn songs_become_features_pictures_and_motion() {
         .run(&format!("audio features songs/a.wav {cut}"))
         .succeeded();
     let read = |file: &str| {
-        kinegrad_data::load_audio(&sandbox.path(file), AudioLayout::DOCUMENT).expect("features")
+        kinegrad_data::load_audio(&sandbox.path(file), AudioLayout::CCMOTION).expect("features")
     };
     let whole = read("features/a/features.npz");
     assert_eq!(read("cut/a/features.npz"), whole.slice(45..105));

@@ -136,7 +136,7 @@ fn windows_in_flight_change_nothing_and_ddpm_shares_its_noise() {
         .succeeded();
     let audio = load_audio(
         &sandbox.path("features/song/features.npz"),
-        AudioLayout::DOCUMENT,
+        AudioLayout::CCMOTION,
     )
     .expect("features");
     let audio = audio.slice(0..95);

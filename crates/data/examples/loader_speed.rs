@@ -1,4 +1,4 @@
-//! How many training samples per second the loader hands out: kinegrad's side of
+//! Training samples per second of the loader: kinegrad's side of
 //! `scripts/loader/run`.
 //!
 //! ```text
@@ -79,7 +79,7 @@ fn measure(config: &DataConfig, warm_up_epochs: usize) -> Result<(), Box<dyn Err
     }
     for line in std::io::stdin().lock().lines() {
         let seconds: f64 = line?.trim().parse()?;
-        // What was made ahead while nobody waited does not count.
+        // Batches prefetched during the warm-up do not count.
         for _ in 0..2 * config.num_workers + 1 {
             loader.next()?;
         }

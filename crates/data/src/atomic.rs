@@ -7,14 +7,14 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use crate::Error;
 
-/// Number of writes begun by this process.
+/// Number of writes started by this process.
 static WRITERS: AtomicU64 = AtomicU64::new(0);
 
 /// Writes `bytes` to `path` atomically: to a temporary file beside it, flushed, then renamed.
 /// Missing parent folders are created.
 ///
 /// # Errors
-/// [`Error::Io`]; the temporary file is removed and an older `path` is kept.
+/// [`Error::Io`]; the temporary file is removed and an older `path` is unchanged.
 pub fn write(path: &Path, bytes: &[u8]) -> Result<(), Error> {
     let failed = |reason| Error::io("write", path, reason);
     if path.file_name().is_none() {
@@ -37,7 +37,7 @@ pub fn write(path: &Path, bytes: &[u8]) -> Result<(), Error> {
     })
 }
 
-/// Whether a file is the temporary file of an interrupted [`write()`].
+/// True if a file is the temporary file of an interrupted [`write()`].
 pub fn is_unfinished(path: &Path) -> bool {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let Some((_, writer)) = name
@@ -56,7 +56,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn only_what_a_write_leaves_is_unfinished() {
+    fn only_temporary_files_of_a_write_are_unfinished() {
         for (name, is) in [
             ("a/b.txt.1996-149.tmp", true),
             ("b.txt.tmp", false),

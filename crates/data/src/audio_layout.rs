@@ -22,13 +22,13 @@ pub enum AudioGroup {
 /// The groups of audio features that a model is conditioned on, in their order.
 #[derive(Clone, Copy, Debug, Default, Eq, PartialEq)]
 pub struct AudioLayout {
-    /// Whether the seven beat features follow the 163.
+    /// True if the seven beat features follow the 163.
     pub beats: bool,
 }
 
 impl AudioLayout {
     /// The 163 features alone.
-    pub const DOCUMENT: Self = Self { beats: false };
+    pub const CCMOTION: Self = Self { beats: false };
 
     /// The 163 features, then those of the beats.
     pub const WITH_BEATS: Self = Self { beats: true };

@@ -80,7 +80,7 @@ impl Default for DataConfig {
         Self {
             kind: DataKind::Phrases,
             source: None,
-            audio_features: AudioLayout::DOCUMENT.groups(),
+            audio_features: AudioLayout::CCMOTION.groups(),
             target_frames: 120,
             crop: Crop::Random,
             statistics: StatisticsOf::Phrases,

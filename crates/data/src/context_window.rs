@@ -131,7 +131,7 @@ impl ContextWindows {
         &self.phrases
     }
 
-    /// Whether context `position` is a single phrase in memory.
+    /// True if context `position` is a single phrase in memory.
     pub fn is_cached(&self, position: usize) -> bool {
         self.recordings[position].len() == 1 && self.phrases.is_cached(position)
     }
@@ -171,7 +171,7 @@ impl ContextWindows {
     }
 }
 
-/// Whether the phrase after `position` continues this one: ids `NAME_FIRSTFRAME` of the same
+/// True if the phrase after `position` continues this one: ids `NAME_FIRSTFRAME` of the same
 /// recording.
 fn follows(phrases: &PhraseSet, position: usize) -> bool {
     let parse = |id: &str| {

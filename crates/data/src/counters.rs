@@ -20,7 +20,7 @@ pub struct Counters {
 /// Counts since the dataset was opened.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct LoaderReport {
-    /// Samples given to the trainer.
+    /// Samples that the trainer received.
     pub samples: u64,
     /// Seconds that the trainer waited.
     pub wait_seconds: f64,

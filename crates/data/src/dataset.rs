@@ -34,7 +34,7 @@ pub struct Dataset<T: Item> {
     /// Checksum of ids, files and split of all items, and of other files that decide the training
     /// data; independent of the location.
     pub digest: Digest,
-    given: Option<Statistics>,
+    stored_statistics: Option<Statistics>,
 }
 
 #[expect(private_bounds, reason = "configs list the items of this crate alone")]
@@ -86,8 +86,8 @@ impl<T: Listable> Dataset<T> {
                 ),
                 (clips, _) => (
                     format!("all {clips} clips are left out"),
-                    "data.humanml3d.min_frames and data.humanml3d.max_frames say which lengths are \
-                     trained on"
+                    "data.humanml3d.min_frames and data.humanml3d.max_frames set the lengths that \
+                     are trained on"
                         .to_owned(),
                 ),
             };
@@ -100,7 +100,8 @@ impl<T: Listable> Dataset<T> {
             let more = gathered.notes.len() - NOTES;
             warnings.push(format!("{more} more {kind}s of that sort"));
         }
-        let (representation, given) = (scan.representation.clone(), scan.given.take());
+        let representation = scan.representation.clone();
+        let stored_statistics = scan.stored_statistics.take();
         let (train, validation, digest) = scan.divide(gathered.entries, gathered.memory);
         if train.is_empty() {
             let items = validation.len();
@@ -122,7 +123,7 @@ impl<T: Listable> Dataset<T> {
             left_out: gathered.left_out,
             warnings,
             digest,
-            given,
+            stored_statistics,
         })
     }
 }
@@ -155,7 +156,7 @@ impl<T: Item> Dataset<T> {
             skipped: Vec::new(),
             left_out: Vec::new(),
             warnings: Vec::new(),
-            given: None,
+            stored_statistics: None,
         }
     }
 
@@ -185,8 +186,8 @@ impl<T: Item> Dataset<T> {
         progress: OpenProgress,
         sharing: &dyn Sharing<Error>,
     ) -> Result<Statistics, Error> {
-        match &self.given {
-            Some(given) => Ok(given.clone()),
+        match &self.stored_statistics {
+            Some(statistics) => Ok(statistics.clone()),
             None => {
                 let (train, rows) = (&self.train, &self.representation);
                 let statistics = train.statistics_among(rows, progress, sharing)?;

@@ -213,7 +213,7 @@ impl FileError {
 }
 
 impl Error {
-    /// Whether the environment failed (network, disk), not the input.
+    /// True if the environment failed (network, disk), not the input.
     pub fn is_failure(&self) -> bool {
         let failed = |error: &StoreError| matches!(error, StoreError::Failed { .. });
         match self {

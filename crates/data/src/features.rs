@@ -58,7 +58,7 @@ impl From<&Features> for AudioFeatures {
     fn from(features: &Features) -> Self {
         Self {
             frames: features.frames(),
-            layout: AudioLayout::DOCUMENT,
+            layout: AudioLayout::CCMOTION,
             values: features.stacked().to_vec(),
         }
     }
@@ -68,7 +68,7 @@ impl AudioFeatures {
     /// Features from `[163, frames]` or `[170, frames]` values, channel-major; `None` for other
     /// sizes.
     pub fn new(frames: usize, values: Vec<f32>) -> Option<Self> {
-        let layouts = [AudioLayout::DOCUMENT, AudioLayout::WITH_BEATS];
+        let layouts = [AudioLayout::CCMOTION, AudioLayout::WITH_BEATS];
         let fits = |layout: &AudioLayout| values.len() == layout.channels() * frames;
         let layout = layouts.into_iter().find(fits)?;
         Some(Self {
@@ -80,7 +80,7 @@ impl AudioFeatures {
 
     /// Silence, also the null condition of classifier-free guidance: `[163, frames]` zeros.
     pub fn zeros(frames: usize) -> Self {
-        Self::silence(AudioLayout::DOCUMENT, frames)
+        Self::silence(AudioLayout::CCMOTION, frames)
     }
 
     /// Zeros in every channel of `layout`, `[channels, frames]`.
@@ -94,10 +94,10 @@ impl AudioFeatures {
 
     /// A song's features in `layout`, with the beats of `pulse`, or zero.
     pub fn of_song(features: &Features, layout: AudioLayout, pulse: Option<&Pulse>) -> Self {
-        let document = Self::from(features);
+        let ccmotion = Self::from(features);
         match layout.beats {
-            true => document.with_beats(pulse),
-            false => document,
+            true => ccmotion.with_beats(pulse),
+            false => ccmotion,
         }
     }
 
@@ -254,11 +254,11 @@ mod tests {
     #[test]
     fn beats_come_behind_the_163_and_take_nothing_from_them() {
         let values: Vec<f32> = (0..AUDIO_CHANNELS * 9).map(|i| i as f32).collect();
-        let document = AudioFeatures::new(9, values).unwrap();
+        let ccmotion = AudioFeatures::new(9, values).unwrap();
         let pulse = Pulse::new(vec![0.0, 0.1, 0.2, 0.3]).unwrap();
-        let both = document.with_beats(Some(&pulse));
+        let both = ccmotion.with_beats(Some(&pulse));
         assert_eq!((both.channels(), both.frames()), (170, 9));
-        assert_eq!(both.onset_strength(), document.onset_strength());
+        assert_eq!(both.onset_strength(), ccmotion.onset_strength());
         let cosine = both.channel(164);
         assert!((cosine[3] - 1.0).abs() < 1e-6 && (cosine[1] + 0.5).abs() < 1e-6);
         let cut = both.slice(3..5);

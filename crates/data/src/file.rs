@@ -38,7 +38,7 @@ pub fn read_file(path: &Path, limit: u64) -> io::Result<Vec<u8>> {
     }
 }
 
-/// Whether the path is an open descriptor of this process.
+/// True if the path is an open descriptor of this process.
 fn is_descriptor(path: &Path) -> bool {
     ["/dev/fd", "/dev/stdin", "/proc/self/fd"]
         .iter()

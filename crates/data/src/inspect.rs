@@ -100,7 +100,7 @@ pub struct Problem {
     pub id: String,
     /// The problem.
     pub problem: String,
-    /// Whether the item is unusable.
+    /// True if the item is unusable.
     pub unusable: bool,
 }
 

@@ -14,7 +14,7 @@ use serde::de::DeserializeOwned;
 use crate::Error;
 use crate::item::Item;
 use crate::item_store::ItemStore;
-use crate::progress::{OpenProgress, go_on, no_progress};
+use crate::progress::{OpenProgress, no_progress, report};
 
 /// Items that are measured at a time.
 const CHUNK: usize = 256;
@@ -49,7 +49,7 @@ impl<T: Item> ItemSet<T> {
         self.indices.len()
     }
 
-    /// Whether there are none.
+    /// True if there are none.
     pub fn is_empty(&self) -> bool {
         self.indices.is_empty()
     }
@@ -109,7 +109,7 @@ impl<T: Item> ItemSet<T> {
         self.store.concurrency
     }
 
-    /// Whether item `position` is in memory now.
+    /// True if item `position` is in memory now.
     pub(crate) fn is_cached(&self, position: usize) -> bool {
         self.store.is_cached(self.indices[position])
     }
@@ -260,11 +260,11 @@ impl<'a, M: Send, F: Fn(usize) -> Result<M, Error> + Sync> Measuring<'a, F> {
 
     /// Measures items on all cores.
     fn each(&self, positions: Vec<usize>) -> Result<Vec<M>, Error> {
-        go_on(self.progress, self.done.load(Ordering::Relaxed), self.total)?;
+        report(self.progress, self.done.load(Ordering::Relaxed), self.total)?;
         let measure = |position| {
             let measured = (self.measure)(position)?;
             let done = self.done.fetch_add(1, Ordering::Relaxed) + 1;
-            go_on(self.progress, done, self.total)?;
+            report(self.progress, done, self.total)?;
             Ok(measured)
         };
         positions.into_par_iter().map(measure).collect()

@@ -73,7 +73,7 @@ pub(crate) trait ItemSource<T>: Debug + Send + Sync {
         self.files().map_or(0, |files| files.concurrency)
     }
 
-    /// Whether every item is in memory.
+    /// True if every item is in memory.
     fn is_memory(&self) -> bool {
         false
     }
@@ -209,7 +209,7 @@ impl<T: Item> ItemStore<T> {
         self.entries[index].number
     }
 
-    /// Whether the item of entry `index` is in memory.
+    /// True if the item of entry `index` is in memory.
     pub fn is_cached(&self, index: usize) -> bool {
         self.source.is_memory() || self.memory.contains(self.entries[index].number)
     }

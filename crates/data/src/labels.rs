@@ -29,8 +29,8 @@ impl Labels {
     pub fn of(&self, id: &str) -> Option<&str> {
         let matching = self.patterns.iter();
         let matching = matching.filter(|(pattern, _)| matches(pattern, id));
-        let given = matching.max_by_key(|(pattern, _)| pattern.len());
-        let label = match given {
+        let longest = matching.max_by_key(|(pattern, _)| pattern.len());
+        let label = match longest {
             Some((_, label)) => label,
             None => self.stated.get(id)?,
         };
@@ -62,14 +62,14 @@ pub(crate) fn check_patterns(patterns: &BTreeMap<String, String>) -> Result<(), 
             is_label(label) || label.trim().is_empty(),
             key,
             format!("\"{label}\""),
-            "a word that is no number and has no comma, or nothing for no label",
+            "a word without a comma that is not a number, or nothing for no label",
         )
         .hint("labels are such as \"waltz\" or \"cha-cha\"")?;
     }
     Ok(())
 }
 
-/// Whether a text can be a label: a word that is not a number and has no comma.
+/// True if a text can be a label: a word that is not a number and has no comma.
 pub fn is_label(text: &str) -> bool {
     let text = text.trim();
     !text.is_empty() && !text.contains(',') && text.parse::<f64>().is_err()

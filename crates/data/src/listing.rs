@@ -79,8 +79,8 @@ impl Listing {
             Err(Error::Feature { .. }) if store.is_writable() && !prepared(store)? => {
                 let mut listing = list(store)?;
                 listing.warnings.push(format!(
-                    "{} is not read by this build (feature `manifest`): files are not held \
-                     against its checksums, and its split does not count",
+                    "{} is not read by this build (feature `manifest`): its checksums \
+                     and its split are ignored",
                     object()
                 ));
                 Ok(listing)
@@ -119,7 +119,7 @@ impl Listing {
     }
 }
 
-/// Whether `kinegrad data prepare` has begun to write here.
+/// True if `kinegrad data prepare` has started to write here.
 fn prepared(store: &Store) -> Result<bool, Error> {
     Ok(store.is_writable() && store.find(PREPARATION, u64::MAX - 1)?.is_some())
 }

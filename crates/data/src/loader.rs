@@ -27,7 +27,7 @@ pub trait Samples: Clone + Send + Sync + 'static {
     /// The shape of every sample.
     fn shape(&self) -> SampleShape;
 
-    /// Whether item `position` is in memory.
+    /// True if item `position` is in memory.
     fn is_cached(&self, position: usize) -> bool {
         self.items().is_cached(position)
     }
@@ -152,7 +152,7 @@ impl Loader {
     )]
     pub fn next(&mut self) -> Result<Batch, Error> {
         let batch = self.next_unless(&|| false)?;
-        Ok(batch.expect("nobody asks to stop"))
+        Ok(batch.expect("it never stops"))
     }
 
     /// [`next`](Self::next), or `None` if `stop` becomes true while it waits.
@@ -191,7 +191,7 @@ struct Maker<S> {
     samples: S,
     order: Order,
     batch_size: usize,
-    /// Whether the items of a batch are read in parallel.
+    /// True if the items of a batch are read in parallel.
     all_cores: bool,
     /// Threads that wait for a network and read the items, shared by all workers.
     readers: Option<Arc<ThreadPool>>,
@@ -288,7 +288,7 @@ mod tests {
     }
 
     #[test]
-    fn shares_of_a_row_are_its_batches_and_go_on_where_they_were() {
+    fn shares_are_parts_of_the_stream_and_continue_where_they_stopped() {
         let config = DataConfig {
             num_workers: 2,
             ..config()
@@ -349,7 +349,7 @@ mod tests {
     }
 
     #[test]
-    fn batches_of_files_are_those_of_memory_whoever_reads_them() {
+    fn batches_of_files_equal_those_of_memory_with_any_number_of_readers() {
         let folder = tempfile::tempdir().unwrap();
         synthetic::write_dataset(folder.path(), 9, 20, 3).unwrap();
         let batches = |num_workers, memory_mib| {

@@ -6,7 +6,7 @@
 /// motion and features reach 1e8 overflows in its first steps of recipe `e2e`; at 3e7 it trains.
 pub const LARGEST: f32 = 1e6;
 
-/// Whether a value is finite and not too large.
+/// True if a value is finite and not too large.
 pub(crate) fn is_usable(value: f32) -> bool {
     // False for NaN.
     value.abs() <= LARGEST

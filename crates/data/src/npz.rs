@@ -41,7 +41,7 @@ pub fn read_features(path: &Path) -> Result<AudioFeatures, FileError> {
 /// # Errors
 /// As [`read_features`].
 pub fn parse_features(bytes: &[u8], file: &str) -> Result<AudioFeatures, FileError> {
-    parse_features_as(bytes, file, AudioLayout::DOCUMENT)
+    parse_features_as(bytes, file, AudioLayout::CCMOTION)
 }
 
 /// [`parse_features`] in `layout`.
@@ -293,7 +293,7 @@ impl<'a> Archive<'a> {
         let problem = format!("array `{member}` is missing; found: {found}");
         let hint = match member == BEATS.0 {
             true => {
-                "beat features are asked for (data.audio_features = [\"ccmotion\", \"beats\"]): \
+                "beat features are requested (data.audio_features = [\"ccmotion\", \"beats\"]): \
                  prepare the songs with them, or leave the key out to use the 163 features alone"
             }
             false => {

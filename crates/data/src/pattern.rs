@@ -1,6 +1,6 @@
 //! Patterns of ids: `*` stands for any run of characters.
 
-/// Whether `text` matches `pattern`, in which `*` stands for any characters, in at most
+/// True if `text` matches `pattern`, in which `*` stands for any characters, in at most
 /// `pattern.len() * text.len()` steps.
 pub fn matches(pattern: &str, text: &str) -> bool {
     let (pattern, text) = (pattern.as_bytes(), text.as_bytes());

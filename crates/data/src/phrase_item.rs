@@ -112,7 +112,7 @@ mod tests {
     }
 
     fn parse(motion: &[u8], audio: &[u8]) -> Result<(PhraseItem, Option<String>), FileError> {
-        let layout = AudioLayout::DOCUMENT;
+        let layout = AudioLayout::CCMOTION;
         PhraseItem::parse(
             "a",
             (motion, "trajectory.npy"),
@@ -167,7 +167,7 @@ mod tests {
         let stored = npz::features_bytes(&audio_with_beats);
         let with = parse(&stored, AudioLayout::WITH_BEATS).unwrap().0;
         assert_eq!(with.audio, audio_with_beats);
-        let without = parse(&stored, AudioLayout::DOCUMENT).unwrap().0;
+        let without = parse(&stored, AudioLayout::CCMOTION).unwrap().0;
         assert_eq!(without.audio, made.audio);
         let lacking = npz::features_bytes(&made.audio);
         let error = parse(&lacking, AudioLayout::WITH_BEATS).unwrap_err();
@@ -195,7 +195,7 @@ mod tests {
         npz::write_features(&path, &bad.audio).unwrap();
         for message in [
             parse(&motion, &audio).unwrap_err().to_string(),
-            load_audio(&path, AudioLayout::DOCUMENT)
+            load_audio(&path, AudioLayout::CCMOTION)
                 .unwrap_err()
                 .to_string(),
         ] {

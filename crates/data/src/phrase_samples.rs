@@ -65,7 +65,7 @@ impl PhraseSamples {
 }
 
 /// Statistics of `phrases`, at least one, in the channels of `targets`: of whole phrases or
-/// training crops, as `config` says. Ranks measure a part each. Collective.
+/// training crops, by `config`. Ranks measure a part each. Collective.
 ///
 /// # Errors
 /// As [`ItemSet::measure_among`](crate::ItemSet::measure_among).
@@ -190,8 +190,8 @@ mod tests {
         let phrases = phrases([9, 5]);
         let statistics = target_statistics(phrases.clone(), targets, &config, &Alone).unwrap();
         assert_eq!((statistics.channels(), statistics.items), (28, 2));
-        let given = Arc::new(statistics.clone());
-        let samples = PhraseSamples::new(phrases.clone(), given, &config, 3).with_targets(targets);
+        let shared = Arc::new(statistics.clone());
+        let samples = PhraseSamples::new(phrases.clone(), shared, &config, 3).with_targets(targets);
         let batch = samples.collate(0..2).unwrap();
         assert_eq!((batch.batch_size, batch.channels, batch.frames), (2, 28, 7));
         assert_eq!(batch.x_start.len(), 2 * 28 * 7);
@@ -242,8 +242,8 @@ mod tests {
             set.labels().into_iter().collect::<Vec<_>>(),
             ["rumba", "tango", "waltz"]
         );
-        let given = Arc::new(statistics.clone());
-        let samples = PhraseSamples::new(set, given, &config, 3);
+        let shared = Arc::new(statistics.clone());
+        let samples = PhraseSamples::new(set, shared, &config, 3);
         let plain = samples.collate(0..4).unwrap();
         let batch = samples.with_style(style).collate(0..4).unwrap();
         assert_eq!(
@@ -289,8 +289,8 @@ mod tests {
         );
         // Training samples lie around zero with unit deviation by these, and not by those.
         let deviation = |statistics: &Statistics| {
-            let given = Arc::new(statistics.clone());
-            let samples = PhraseSamples::new(set.clone(), given, &config, 11);
+            let shared = Arc::new(statistics.clone());
+            let samples = PhraseSamples::new(set.clone(), shared, &config, 11);
             let mut batch = Batch::with_capacity(400, &samples.shape());
             for number in 0..400 {
                 let read = samples.read(number as usize % 2).unwrap();
@@ -362,8 +362,8 @@ mod tests {
             ..DataConfig::default()
         };
         config.augment.mirror = true;
-        let given = Arc::new(statistics.clone());
-        let samples = PhraseSamples::new(phrases.clone().into(), given, &config, 3);
+        let shared = Arc::new(statistics.clone());
+        let samples = PhraseSamples::new(phrases.clone().into(), shared, &config, 3);
         let batch = samples.collate(0..2).unwrap();
         assert_eq!((batch.batch_size, batch.frames, batch.channels), (2, 7, 25));
         assert_eq!(batch.ids, ["synthetic_00009", "synthetic_00005"]);

@@ -70,7 +70,7 @@ impl Listable for PhraseItem {
             DataKind::Phrases => phrase_files(config)?,
             DataKind::Synthetic => Scan {
                 representation: Phrases,
-                given: None,
+                stored_statistics: None,
                 split: None,
                 source: Box::new(SyntheticPhrases(
                     config.synthetic.clone(),
@@ -84,7 +84,7 @@ impl Listable for PhraseItem {
                 return Err(Error::wrong_kind(
                     kind,
                     "\"phrases\" or \"synthetic\"",
-                    "clips are no phrases of motion and music: another recipe or command takes them",
+                    "clips are not phrases: use a recipe or command for clips",
                 ));
             }
         };
@@ -151,7 +151,7 @@ fn phrase_files(config: &DataConfig) -> Result<Scan<PhraseItem>, Error> {
     let files = Files::open(store, config, &mut warnings)?;
     Ok(Scan {
         representation: Phrases,
-        given: None,
+        stored_statistics: None,
         split: None,
         warnings,
         listed: phrases,

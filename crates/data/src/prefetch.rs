@@ -99,7 +99,7 @@ fn work<T>(
     while let Ok((number, place)) = next()
         && !stopped.load(Ordering::Relaxed)
     {
-        // Fails if nobody waits for it any more.
+        // Fails if the consumer no longer waits.
         let _ = place.send(catch_unwind(AssertUnwindSafe(|| make(number))));
     }
 }
@@ -129,9 +129,7 @@ mod tests {
     use std::sync::atomic::AtomicU64;
 
     fn next<T: Send + 'static>(prefetch: &mut Prefetch<T>) -> T {
-        prefetch
-            .next_unless(&|| false)
-            .expect("nobody asks to stop")
+        prefetch.next_unless(&|| false).expect("it never stops")
     }
 
     #[test]

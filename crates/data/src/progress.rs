@@ -14,7 +14,7 @@ pub(crate) fn no_progress(_done: usize, _total: usize) -> ControlFlow<()> {
 }
 
 /// Reports progress, and stops if asked to.
-pub(crate) fn go_on(progress: OpenProgress, done: usize, total: usize) -> Result<(), Error> {
+pub(crate) fn report(progress: OpenProgress, done: usize, total: usize) -> Result<(), Error> {
     match progress(done, total) {
         ControlFlow::Continue(()) => Ok(()),
         ControlFlow::Break(()) => Err(Error::Interrupted),

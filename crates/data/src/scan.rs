@@ -13,7 +13,7 @@ use crate::item::Item;
 use crate::item_set::ItemSet;
 use crate::item_store::{Entry, ItemSource, ItemStore, index_item};
 use crate::listing::Listed;
-use crate::progress::{OpenProgress, go_on};
+use crate::progress::{OpenProgress, report};
 use crate::split::{Side, Split};
 use crate::{DataConfig, Digest, Error, FileError, OnBadPhrase, StoreError};
 
@@ -25,7 +25,7 @@ pub(crate) struct Scan<T: Item> {
     /// Representation of the motion.
     pub representation: T::Representation,
     /// Statistics that come with the dataset.
-    pub given: Option<Statistics>,
+    pub stored_statistics: Option<Statistics>,
     /// The rule of the split; without one, the dataset's own.
     pub split: Option<Split>,
     pub source: Box<dyn ItemSource<T>>,
@@ -70,7 +70,7 @@ enum Outcome {
 }
 
 impl<T: Item> Scan<T> {
-    /// Reads all items, caches as many as `config` allows, and handles bad ones as `on_bad` says;
+    /// Reads all items, caches as many as `config` allows, and handles bad ones by `on_bad`;
     /// if `None`, all bad items are collected, including changed ones. Ranks read and cache a part
     /// each.
     ///
@@ -96,7 +96,7 @@ impl<T: Item> Scan<T> {
                 return Err(Error::Store(error.clone()));
             }
             let read = (done.fetch_add(1, Ordering::Relaxed) + 1) * ranks;
-            go_on(progress, read.min(total), total)?;
+            report(progress, read.min(total), total)?;
             Ok(outcome.map(|(entry, read)| match read.left_out {
                 Some(reason) => Outcome::LeftOut(reason),
                 None => {
@@ -122,7 +122,7 @@ impl<T: Item> Scan<T> {
                 numbers,
                 |number| number,
                 |own| {
-                    go_on(progress, start, total)?;
+                    report(progress, start, total)?;
                     let read = match &pool {
                         Some(pool) => pool.install(|| some(&own)),
                         None => some(&own),
@@ -210,11 +210,11 @@ impl<T: Item> Scan<T> {
     }
 }
 
-/// Whether a store error concerns one item only; `here` for a local store, `tolerated` if changes
+/// True if a store error concerns one item only; `here` for a local store, `tolerated` if changes
 /// are.
 fn concerns_one_item(error: &StoreError, here: bool, tolerated: bool) -> bool {
     match error {
-        // A local file that is not accessible says nothing about the next one.
+        // Other local files may be accessible.
         StoreError::Denied { .. } | StoreError::Failed { .. } => here,
         StoreError::Changed { .. } => tolerated,
         _ => error.concerns_one_object(),

@@ -12,7 +12,7 @@ use crate::pattern::matches;
 use crate::songs::{held_out_songs, song_of};
 use crate::{Error, ValidationSplit};
 
-/// Default share of held_out-out phrases.
+/// Default share of held-out phrases.
 const DEFAULT_FRACTION: f64 = 0.1;
 
 /// The rule of a [`ValidationSplit`], with its file read.
@@ -76,7 +76,7 @@ impl Split {
         Ok(Self { patterns, rule })
     }
 
-    /// Whether each phrase is held out, by its id and its side in the manifest. Without a side,
+    /// True if each phrase is held out, by its id and its side in the manifest. Without a side,
     /// whole songs are held out ([`held_out_songs`]), or single phrases if each is a song or all
     /// are one.
     pub fn holds_out(&self, phrases: &[(&str, Option<Side>)]) -> Vec<bool> {
@@ -126,7 +126,7 @@ mod tests {
         .unwrap()
     }
 
-    /// Whether the rule holds out one phrase by itself.
+    /// True if the rule holds out one phrase by itself.
     fn alone(split: &Split, id: &str, stated: Option<Side>) -> bool {
         split.holds_out(&[(id, stated)])[0]
     }

@@ -108,13 +108,13 @@ mod tests {
     fn beats_are_those_of_the_faster_song() {
         let beats: Vec<f64> = (0..20).map(|beat| 0.13 + 0.5 * f64::from(beat)).collect();
         for speed in [0.8, 1.0, 1.25] {
-            let told = |speed: f64| {
+            let pulse = |speed: f64| {
                 let beats = beats.iter().map(|beat| beat / speed).collect();
                 Pulse::new(beats).unwrap().with_downbeat(4, 0.63 / speed)
             };
-            let song = AudioFeatures::zeros(200).with_beats(Some(&told(1.0)));
+            let song = AudioFeatures::zeros(200).with_beats(Some(&pulse(1.0)));
             let played = at_speed(&song, speed);
-            let expected = AudioFeatures::zeros(played.frames()).with_beats(Some(&told(speed)));
+            let expected = AudioFeatures::zeros(played.frames()).with_beats(Some(&pulse(speed)));
             assert_eq!(played.frames(), frames_at_speed(200, speed));
             for (row, name) in BEAT_FEATURES.iter().enumerate() {
                 let pairs = [&played, &expected].map(|f| f.channel(AUDIO_CHANNELS + row));
@@ -132,10 +132,10 @@ mod tests {
             .map(|beat| 0.13 + 0.5 * f64::from(beat) + 0.04 * f64::from(beat * 7 % 3))
             .collect();
         for speed in [0.5, 0.8, 1.25, 2.0] {
-            let told = |speed: f64| Pulse::new(beats.iter().map(|beat| beat / speed).collect());
-            let song = AudioFeatures::zeros(300).with_beats(told(1.0).as_ref());
+            let pulse = |speed: f64| Pulse::new(beats.iter().map(|beat| beat / speed).collect());
+            let song = AudioFeatures::zeros(300).with_beats(pulse(1.0).as_ref());
             let played = at_speed(&song, speed);
-            let expected = AudioFeatures::zeros(played.frames()).with_beats(told(speed).as_ref());
+            let expected = AudioFeatures::zeros(played.frames()).with_beats(pulse(speed).as_ref());
             let [found, expected] = [played, expected].map(|features| {
                 let marks = features.channel(AUDIO_CHANNELS + MARK).to_vec();
                 (0..marks.len())

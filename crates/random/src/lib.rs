@@ -1,4 +1,4 @@
-//! Stateless randomness: every draw is a function of a [`Key`], and a key is a function of the
+//! Stateless randomness: every sample is a function of a [`Key`], and a key is a function of the
 //! run's seed and the purpose.
 //!
 //! A generator with a state must be saved for a resume, and its numbers change with the number of
@@ -17,7 +17,7 @@ use rand::{Rng, RngExt, SeedableRng, seq::SliceRandom};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
-/// Purpose of a random number. Purposes never share a stream, so a new draw for one does not change
+/// Purpose of a random number. Purposes never share a stream, so a new sample for one does not change
 /// another.
 ///
 /// The discriminants are part of the reproducibility of existing runs: append, never renumber.
@@ -40,7 +40,7 @@ pub enum Purpose {
     CondDropout = 7,
     /// Dropout masks, keyed by step, micro-batch, call and layer.
     Dropout = 8,
-    /// Noise of the validation loss, keyed by phrase and draw.
+    /// Noise of the validation loss, keyed by phrase and repetition.
     Validation = 9,
     /// Start noise and step noise of a sampler.
     Sampling = 10,
@@ -54,7 +54,7 @@ pub enum Purpose {
     RolloutNoise = 14,
     /// Dropout masks of the decoder, keyed by step, micro-batch, call and layer.
     DecoderDropout = 15,
-    /// Seed of the samples drawn for one phrase, keyed by its id.
+    /// Seed of the samples of one phrase, keyed by its id.
     PhraseSeed = 16,
     /// Noise in the place of a phrase's audio features, keyed by its id.
     NoiseCondition = 17,
@@ -147,18 +147,18 @@ impl Key {
         self.rng().next_u64()
     }
 
-    /// `n` draws from the standard normal distribution.
+    /// `n` samples of the standard normal distribution.
     pub fn normals(self, n: usize) -> Vec<f32> {
         let mut rng = self.rng();
         (0..n).map(|_| StandardNormal.sample(&mut rng)).collect()
     }
 
-    /// One draw from [0, 1).
+    /// One uniform sample of [0, 1).
     pub fn uniform(self) -> f64 {
         self.rng().random()
     }
 
-    /// `n` draws from [0, 1).
+    /// `n` uniform samples of [0, 1).
     pub fn uniforms(self, n: usize) -> Vec<f32> {
         let mut rng = self.rng();
         (0..n).map(|_| rng.random()).collect()
@@ -180,17 +180,17 @@ impl Key {
         order
     }
 
-    /// An inverted-dropout mask: `1 / (1 - prob)` where an element is kept, else 0.
+    /// An inverted-dropout mask: `1 / (1 - prob)` where an element survives, else 0.
     pub fn dropout_mask(self, n: usize, prob: f64) -> Vec<f32> {
         let mut rng = self.rng();
         let threshold = (prob * 2f64.powi(32)) as u64;
-        let kept = (1.0 / (1.0 - prob)) as f32;
+        let scale = (1.0 / (1.0 - prob)) as f32;
         (0..n)
             .map(|_| {
                 if u64::from(rng.next_u32()) < threshold {
                     0.0
                 } else {
-                    kept
+                    scale
                 }
             })
             .collect()

@@ -6,7 +6,7 @@ pub const WORDS: usize = 16;
 /// A set of cores, a bit each.
 pub type Cores = [u64; WORDS];
 
-/// The cores that this process may run on; all where that cannot be known.
+/// The cores that this process may run on; all if they are unknown.
 pub fn own() -> Cores {
     #[cfg(target_os = "linux")]
     {
@@ -24,8 +24,8 @@ pub fn own() -> Cores {
 
 /// Number of sets that share a core with `own`.
 pub fn sharing(own: &Cores, all: &[Cores]) -> usize {
-    let meets = |other: &&Cores| own.iter().zip(*other).any(|(a, b)| a & b != 0);
-    all.iter().filter(meets).count()
+    let overlaps = |other: &&Cores| own.iter().zip(*other).any(|(a, b)| a & b != 0);
+    all.iter().filter(overlaps).count()
 }
 
 #[cfg(test)]

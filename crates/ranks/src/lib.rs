@@ -75,7 +75,7 @@ pub trait Ranks: Debug {
     /// Ends all ranks after a panic, as the others would wait forever.
     fn abort(&self, code: i32) -> !;
 
-    /// Whether this process writes files and messages.
+    /// True if this process writes files and messages.
     fn is_first(&self) -> bool {
         self.rank() == 0
     }

@@ -22,11 +22,11 @@ pub struct Mpi {
 impl Mpi {
     /// This process among those of its job; none if MPI has been started before.
     pub fn start() -> Option<Self> {
-        // Threads compute, and the one that trains talks.
+        // Threads compute; only the training thread communicates.
         let (universe, provided) = mpi::initialize_with_threading(Threading::Funneled)?;
         assert!(
             provided >= Threading::Funneled,
-            "the MPI library allows no threads beside the one that talks"
+            "the MPI library allows no threads beside the one that communicates"
         );
         let world = universe.world();
         let machine = world.split_shared(world.rank());
@@ -46,10 +46,12 @@ impl Mpi {
         })
     }
 
-    /// Whether a launcher started this process.
+    /// True if a launcher started this process.
     pub fn is_launched() -> bool {
-        const TOLD: [&str; 4] = ["PMI_RANK", "PMIX_RANK", "OMPI_COMM_WORLD_RANK", "PMI_FD"];
-        TOLD.iter().any(|name| std::env::var_os(name).is_some())
+        const VARIABLES: [&str; 4] = ["PMI_RANK", "PMIX_RANK", "OMPI_COMM_WORLD_RANK", "PMI_FD"];
+        VARIABLES
+            .iter()
+            .any(|name| std::env::var_os(name).is_some())
     }
 }
 
@@ -102,8 +104,8 @@ impl Ranks for Mpi {
             let mut parts = PartitionMut::new(&mut round[..], &counts[..], &starts[..]);
             let own = &own[within(own.len())];
             self.world.all_gather_varcount_into(own, &mut parts);
-            for ((said, &count), &start) in all.iter_mut().zip(&counts).zip(&starts) {
-                said.extend_from_slice(&round[start as usize..(start + count) as usize]);
+            for ((gathered, &count), &start) in all.iter_mut().zip(&counts).zip(&starts) {
+                gathered.extend_from_slice(&round[start as usize..(start + count) as usize]);
             }
         }
         all
@@ -126,7 +128,7 @@ impl Ranks for Mpi {
     fn scatter_sums(&self, values: &mut [f32], lengths: &[usize], received: &mut Vec<f32>) {
         let (rank, size) = (self.rank(), self.size());
         let each = lengths[rank];
-        // Nothing is sent to oneself: it is added where it is.
+        // The own part is not sent: it is added in place.
         let (mut counts, starts) = places(lengths.iter().copied());
         counts[rank] = 0;
         let from = places((0..size).map(|of| if of == rank { 0 } else { each }));

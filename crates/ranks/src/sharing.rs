@@ -7,7 +7,7 @@ use serde::de::DeserializeOwned;
 
 use crate::Alone;
 
-/// Ranks that tell each other what they have done of something that they share, or that they failed.
+/// Ranks that share work and exchange their results or failures.
 pub trait Sharing<E> {
     /// Number of this rank, from 0.
     fn rank(&self) -> usize;
@@ -71,26 +71,26 @@ where
         .collect())
 }
 
-/// A value as bytes; numbers that are not finite are kept.
+/// A value as bytes, which may contain numbers that are not finite.
 pub fn to_bytes(value: &impl Serialize) -> Vec<u8> {
     let mut bytes = Vec::new();
     ciborium::into_writer(value, &mut bytes).expect("plain data");
     bytes
 }
 
-/// The value that [`to_bytes`] has made bytes of.
+/// The value that [`to_bytes`] wrote.
 ///
 /// # Panics
-/// Panics if it has not: ranks are of one program.
+/// Panics for other bytes.
 pub fn from_bytes<T: DeserializeOwned>(bytes: &[u8]) -> T {
-    ciborium::from_reader(bytes).expect("what another rank of this program has said")
+    ciborium::from_reader(bytes).expect("bytes of another rank of this program")
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    /// The last of three ranks; what the others have done is known.
+    /// The last of three ranks, with the results of the others.
     struct Last(Vec<Vec<u8>>);
 
     impl Sharing<String> for Last {
@@ -110,23 +110,23 @@ mod tests {
     }
 
     #[test]
-    fn results_come_in_order_and_as_they_are() {
+    fn results_are_in_order_and_unchanged() {
         let broken = [f64::NAN, f64::INFINITY, -0.0, 0.1, f64::MIN_POSITIVE / 2.0];
         let square = |n: usize| (n * n, broken.to_vec());
         let of = |own: &[usize]| to_bytes(&own.iter().map(|&n| square(n)).collect::<Vec<_>>());
         // Of four things from 10 on, rank 0 has two.
         let last = Last(vec![of(&[10, 13]), of(&[11])]);
-        let mut given = Vec::new();
+        let mut assigned = Vec::new();
         let all = shared(
             &last,
             10..14,
             |n| n + 2,
             |own| {
-                given.clone_from(&own);
+                assigned.clone_from(&own);
                 Ok(own.into_iter().map(square).collect())
             },
         );
-        assert_eq!(given, [12]);
+        assert_eq!(assigned, [12]);
         let all: Vec<(usize, Vec<f64>)> = all.expect("nothing failed");
         let squares: Vec<usize> = all.iter().map(|(square, _)| *square).collect();
         assert_eq!(squares, [100, 121, 144, 169]);

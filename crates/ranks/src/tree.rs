@@ -1,7 +1,7 @@
-//! Sums in one order, whoever forms their parts.
+//! Sums in one order for any number of ranks.
 
-/// Sizes of the two parts that a sum of `count` terms is formed of, the larger one first. Halves of an
-/// even number are equal: of 2^k ranks that take equally many consecutive terms each forms a branch.
+/// Sizes of the two parts of a sum of `count` terms, the larger one first. The halves of an even
+/// number are equal, so each of 2^k ranks with equally many consecutive terms sums a branch.
 pub fn split(count: u64) -> [u64; 2] {
     let first = count.div_ceil(2);
     [first, count - first]
@@ -35,11 +35,11 @@ pub fn pairwise(rows: &mut [f32], each: usize) {
     }
 }
 
-/// Adds rows as long as `own`, which stands in `place` among them, in the order of [`pairwise`]; the others lie
-/// one behind the other in `others`, of which nothing is left. The sum is in `own`.
+/// Adds row `own`, number `place` of all, and the concatenated `others`, which are consumed, in the
+/// order of [`pairwise`]. The sum replaces `own`.
 ///
 /// # Panics
-/// Panics if `others` is not whole rows, or there is no such place among them.
+/// Panics if `others` is not whole rows, or `place` is out of range.
 pub fn pairwise_with(own: &mut [f32], place: usize, others: &mut [f32]) {
     let each = own.len();
     if each == 0 {
@@ -99,7 +99,7 @@ mod tests {
     }
 
     #[test]
-    fn a_row_of_its_own_is_added_in_its_place() {
+    fn a_separate_row_is_added_at_its_place() {
         for count in 1..=9 {
             let all = terms(count);
             for place in 0..count as usize {

@@ -1,4 +1,4 @@
-//! TOML documents that users write: the one reader, and the error that names file, line and key.
+//! Reading of TOML documents, with errors that name file, line and key.
 
 use miette::Diagnostic;
 use serde::Serialize;
@@ -13,7 +13,7 @@ use crate::words::in_words;
 /// The place of a dotted key, such as `FILE:LINE`.
 pub type Place<'a> = &'a dyn Fn(&str) -> String;
 
-/// A document, or a key of it, that is refused.
+/// An invalid document.
 #[derive(Clone, Debug, Diagnostic, Error, PartialEq)]
 pub enum DocumentError {
     /// Text that is not TOML.
@@ -126,7 +126,7 @@ impl<'a> Document<'a> {
     }
 }
 
-/// Reads a TOML document that a user wrote: [`Document::parse`], then [`Document::read`].
+/// [`Document::parse`], then [`Document::read`].
 ///
 /// # Errors
 /// As these.
@@ -155,7 +155,7 @@ pub fn from_table<T: DeserializeOwned>(
     })
 }
 
-/// The error of a message of serde about the value at `path`.
+/// The error for serde's `message` about the value at `path`.
 fn explain(
     place: Place<'_>,
     path: &str,
@@ -222,19 +222,19 @@ pub fn not_among(place: String, key: &str, found: &str, names: &[&str]) -> Docum
     }
 }
 
-/// The one of `allowed` that is most like `found`, if one is like it.
+/// The one of `allowed` that is most similar to `found`, if any is.
 pub fn nearest<'a>(found: &str, allowed: &[&'a str]) -> Option<&'a str> {
     let similar = |name: &&'a str| (strsim::jaro_winkler(found, name), *name);
     let near = allowed.iter().map(similar).filter(|near| near.0 > 0.75);
     near.max_by(|a, b| a.0.total_cmp(&b.0)).map(|near| near.1)
 }
 
-/// Rejects numbers that are not finite: no setting means one, and JSON cannot hold one.
+/// Rejects numbers that are not finite, which JSON cannot represent.
 ///
 /// # Errors
 /// Names the first such key.
-pub fn must_be_finite(given: &Table, place: Place<'_>) -> Result<(), DocumentError> {
-    let mut entries = given.iter();
+pub fn must_be_finite(table: &Table, place: Place<'_>) -> Result<(), DocumentError> {
+    let mut entries = table.iter();
     match entries.find_map(|(key, value)| not_finite(key.clone(), value)) {
         None => Ok(()),
         Some((key, number)) => Err(DocumentError::Value {
@@ -246,7 +246,7 @@ pub fn must_be_finite(given: &Table, place: Place<'_>) -> Result<(), DocumentErr
     }
 }
 
-/// The first number in `value`, which stands at `key`, that is not finite, and its key.
+/// Key and value of the first number in `value`, at `key`, that is not finite.
 fn not_finite(key: String, value: &Value) -> Option<(String, f64)> {
     match value {
         Value::Float(number) => (!number.is_finite()).then_some((key, *number)),
@@ -262,18 +262,18 @@ fn not_finite(key: String, value: &Value) -> Option<(String, f64)> {
     }
 }
 
-/// Rejects lists in the place of tables, which serde reads by the order of a table's fields. `given`
-/// was read as `read`.
+/// Rejects lists in the place of tables, which serde reads by the order of a table's fields. `read`
+/// is what serde made of `table`.
 ///
 /// # Errors
 /// Names the first such key.
 pub fn must_be_tables(
-    given: &Table,
+    table: &Table,
     read: &impl Serialize,
     place: Place<'_>,
 ) -> Result<(), DocumentError> {
     let read = Table::try_from(read).expect("documents are plain data");
-    match list_for_table("", given, &read) {
+    match list_for_table("", table, &read) {
         None => Ok(()),
         Some((key, elements)) => Err(DocumentError::Value {
             place: place(&key),
@@ -286,25 +286,25 @@ pub fn must_be_tables(
     }
 }
 
-/// Key and length of the first list in `given`, whose keys begin with `prefix`, where `read` has a
+/// Key and length of the first list in `table`, whose keys begin with `prefix`, where `read` has a
 /// table.
-fn list_for_table(prefix: &str, given: &Table, read: &Table) -> Option<(String, usize)> {
-    given.iter().find_map(|(name, value)| {
+fn list_for_table(prefix: &str, table: &Table, read: &Table) -> Option<(String, usize)> {
+    table.iter().find_map(|(name, value)| {
         let key = format!("{prefix}{name}");
         list_at(key, value, read.get(name)?)
     })
 }
 
 /// [`list_for_table`] of one value.
-fn list_at(key: String, given: &Value, read: &Value) -> Option<(String, usize)> {
-    match (given, read) {
-        (Value::Array(given), Value::Table(_)) => Some((key, given.len())),
-        (Value::Array(given), Value::Array(read)) => {
-            let mut both = given.iter().zip(read).enumerate();
-            both.find_map(|(index, (given, read))| list_at(format!("{key}[{index}]"), given, read))
+fn list_at(key: String, written: &Value, read: &Value) -> Option<(String, usize)> {
+    match (written, read) {
+        (Value::Array(written), Value::Table(_)) => Some((key, written.len())),
+        (Value::Array(written), Value::Array(read)) => {
+            let mut both = written.iter().zip(read).enumerate();
+            both.find_map(|(index, (value, read))| list_at(format!("{key}[{index}]"), value, read))
         }
-        (Value::Table(given), Value::Table(read)) => {
-            list_for_table(&format!("{key}."), given, read)
+        (Value::Table(written), Value::Table(read)) => {
+            list_for_table(&format!("{key}."), written, read)
         }
         _ => None,
     }
@@ -327,7 +327,7 @@ fn start_of(table: &DeTable<'_>, path: &str) -> Option<usize> {
         let ends = rest.is_empty() || rest.starts_with(['.', '[']);
         ends.then_some((name, value, rest))
     });
-    // A key in quotes may hold a dot: the longest is meant.
+    // A key in quotes may contain a dot: the longest match counts.
     let (name, value, rest) = beginnings.min_by_key(|(_, _, rest)| rest.len())?;
     Some(start_in(value.get_ref(), rest).unwrap_or(name.span().start))
 }
@@ -369,7 +369,7 @@ mod tests {
     const AT: Place<'_> = &|key| format!("at {key}");
 
     #[test]
-    fn numbers_that_are_not_finite_are_named_wherever_they_stand() {
+    fn numbers_that_are_not_finite_are_named_at_any_depth() {
         for (text, key) in [
             ("a = inf", "a"),
             ("a.b = [1.0, nan]", "a.b[1]"),
@@ -383,7 +383,7 @@ mod tests {
     }
 
     #[test]
-    fn lists_in_the_place_of_tables_are_named_wherever_they_stand() {
+    fn lists_in_the_place_of_tables_are_named_at_any_depth() {
         let read = table("a.b.c = 1\nd = [[1, 2], [3, 4]]\ne = [{ f = 1 }, { f = 2 }]");
         for (text, key) in [
             ("a = [[1]]", "a"),

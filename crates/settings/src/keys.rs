@@ -1,4 +1,4 @@
-//! The keys of a document, as the types it is read into describe them.
+//! The keys of a document, described by the types that read it.
 
 use std::fmt;
 
@@ -9,27 +9,26 @@ use serde_json::{Map, Value};
 /// A key of a document.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Key {
-    /// The dotted key. Tables that may stand several times have `[]` behind their name:
+    /// The dotted key. Repeated tables have `[]` after their name:
     /// `take[].motion`.
     pub name: String,
-    /// What it means: the doc comment of its field.
+    /// Its meaning: the doc comment of its field.
     pub meaning: String,
-    /// What it may hold.
+    /// The allowed values.
     pub values: Values,
-    /// The value where the key is left out and no table above it says otherwise; JSON has `null`
-    /// for a key that is not set.
+    /// The value of a missing key; a table above it may have another. JSON `null` is not set.
     pub default: Option<Value>,
-    /// Whether it must be there where its table is.
+    /// True if its table requires it.
     pub required: bool,
-    /// What another key of its table must be for this one to be there: `kind = "disc"`, or one of
+    /// The value of another key of its table that this key needs: `kind = "disc"`, or one of
     /// several, `kind = "disc", "square"`.
     pub only_with: Option<String>,
 }
 
-/// What a key may hold.
+/// The allowed values of a key.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Values {
-    /// A table of keys of its own.
+    /// A table of keys.
     Table,
     /// Any number of tables, `[[name]]`.
     Tables,
@@ -38,32 +37,32 @@ pub enum Values {
     /// A whole number, 0 or more.
     Count,
     /// A whole number.
-    Whole,
+    Integer,
     /// A number.
     Number,
     /// Text.
     Text,
     /// One of some names.
     Names(Vec<Name>),
-    /// A list, of so many values where the number is fixed.
+    /// A list, of this length if it is fixed.
     List(Box<Values>, Option<u64>),
-    /// A table whose keys are free.
+    /// A table with any keys.
     Map(Box<Values>),
-    /// Either of several.
+    /// One of several kinds.
     Either(Vec<Values>),
 }
 
-/// One of the names that a key may hold.
+/// A name that is an allowed value.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Name {
     /// The name.
     pub name: String,
-    /// What it means.
+    /// Its meaning.
     pub meaning: String,
 }
 
 impl Values {
-    /// The names that are allowed, each with its meaning; none where others are allowed too.
+    /// The allowed names; none if other values are allowed too.
     pub fn names(&self) -> &[Name] {
         match self {
             Self::Names(names) => names,
@@ -72,7 +71,7 @@ impl Values {
         }
     }
 
-    /// Whether keys stand below it.
+    /// True if it has keys.
     pub fn is_table(&self) -> bool {
         matches!(self, Self::Table | Self::Tables)
     }
@@ -86,7 +85,7 @@ impl fmt::Display for Values {
             Self::Tables => write!(f, "tables, one for each"),
             Self::Boolean => write!(f, "true or false"),
             Self::Count => write!(f, "a whole number, 0 or more"),
-            Self::Whole => write!(f, "a whole number"),
+            Self::Integer => write!(f, "a whole number"),
             Self::Number => write!(f, "a number"),
             Self::Text => write!(f, "text in quotes"),
             Self::Names(names) => {
@@ -108,7 +107,7 @@ impl fmt::Display for Values {
     }
 }
 
-/// Every key of the documents that are read into a `T`, tables before the keys in them.
+/// Every key of the documents that a `T` reads, tables before their keys.
 pub fn keys_of<T: JsonSchema>() -> Vec<Key> {
     let settings = SchemaSettings::draft2020_12().with(|settings| {
         settings.inline_subschemas = true;
@@ -158,7 +157,7 @@ fn collect(table: &Map<String, Value>, prefix: &str, only_with: Option<&str>, ke
     }
 }
 
-/// Whether `added`, a key of the kind `with`, is that of another kind too.
+/// True if `added`, a key of the kind `with`, is that of another kind too.
 fn is_shared(known: &Key, added: &Key, with: &str) -> bool {
     let tag = with.split(" = ").next();
     let same_tag = |only_with: &String| only_with.split(" = ").next() == tag;
@@ -215,7 +214,7 @@ fn merge_tag(prefix: &str, key: &str, value: &str, meaning: &str, keys: &mut Vec
     }
 }
 
-/// Key and value of the property that says which variant a table is.
+/// Key and value of the property that names the variant of a table.
 fn tag_of(variant: &Map<String, Value>) -> Option<(&str, &str)> {
     let mut properties = entries(variant, "properties");
     properties.find_map(|(name, property)| Some((name.as_str(), property.get("const")?.as_str()?)))
@@ -235,7 +234,7 @@ fn values_of(schema: &Map<String, Value>) -> Values {
     match kind {
         Some("boolean") => Values::Boolean,
         Some("integer") if schema.get("minimum").is_some() => Values::Count,
-        Some("integer") => Values::Whole,
+        Some("integer") => Values::Integer,
         Some("number") => Values::Number,
         Some("string") => Values::Text,
         Some("array") => {

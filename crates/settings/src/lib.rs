@@ -24,7 +24,7 @@ use std::ops::{Bound, RangeBounds};
 use miette::Diagnostic;
 use thiserror::Error;
 
-/// A setting that nothing can be made of.
+/// An invalid setting.
 #[derive(Clone, Debug, Diagnostic, Error, PartialEq)]
 #[error("`{key}` is {found}, allowed: {allowed}")]
 #[diagnostic(help("{hint}"))]
@@ -33,14 +33,14 @@ pub struct InvalidSetting {
     pub key: String,
     /// The value found.
     pub found: String,
-    /// What is allowed, in words.
+    /// The allowed values, in words.
     pub allowed: String,
-    /// How to mend it.
+    /// The remedy.
     pub hint: String,
 }
 
 impl InvalidSetting {
-    /// An error with a hint that fits every key.
+    /// An error with a general hint.
     pub fn new(key: impl Display, found: impl Display, allowed: impl Display) -> Self {
         Self {
             key: key.to_string(),
@@ -50,7 +50,7 @@ impl InvalidSetting {
         }
     }
 
-    /// The same with a hint of its own.
+    /// The same with another hint.
     #[must_use]
     pub fn hint(self, hint: impl Into<String>) -> Self {
         Self {
@@ -59,7 +59,7 @@ impl InvalidSetting {
         }
     }
 
-    /// The same of a key of `table`.
+    /// The same for a key of `table`.
     #[must_use]
     pub fn within(self, table: &str) -> Self {
         Self {
@@ -69,13 +69,13 @@ impl InvalidSetting {
     }
 }
 
-/// What is said of a setting that is refused.
+/// Details of the error of a setting.
 pub trait Refused: Sized {
-    /// Says how to mend it.
+    /// Replaces the hint.
     #[must_use]
     fn hint(self, hint: impl Into<String>) -> Self;
 
-    /// Says which table the key is of.
+    /// Prefixes the key with its table.
     #[must_use]
     fn within(self, table: &str) -> Self;
 }

@@ -1,7 +1,7 @@
-//! Plain words for what a deserialiser says.
+//! Plain words for the messages of a deserialiser.
 
-/// `message` of serde, such as "invalid type: string "many", expected u64", in the words of
-/// somebody who writes a document; other messages as they are.
+/// `message` of serde, such as "invalid type: string "many", expected u64", in the words of a
+/// document's author; other messages unchanged.
 pub(crate) fn in_words(message: &str) -> String {
     let message = message.trim().lines().next().unwrap_or_default();
     if message.ends_with("value was too large") {
@@ -47,8 +47,8 @@ pub(crate) fn in_words(message: &str) -> String {
     }
 }
 
-/// The whole number that `found`, such as `string "99999999999999999999"`, holds if no whole number
-/// of a document is as large: it was taken for text.
+/// The number in `found`, such as `string "99999999999999999999"`, if it is too large for a whole
+/// number of a document and therefore text.
 fn long_number(found: &str) -> Option<&str> {
     let text = found.strip_prefix("string \"")?.strip_suffix('"')?;
     let digits = text.strip_prefix(['+', '-']).unwrap_or(text);

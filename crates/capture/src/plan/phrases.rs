@@ -31,7 +31,7 @@ impl Default for PhrasesPlan {
         Self {
             frames: 120,
             hop: 120,
-            audio_features: AudioLayout::DOCUMENT.groups(),
+            audio_features: AudioLayout::CCMOTION.groups(),
         }
     }
 }
@@ -145,7 +145,7 @@ impl TakePlan {
     pub(crate) fn check(&self) -> Result<(), InvalidSetting> {
         let label = self.label.as_deref().unwrap_or("x");
         let found = format!("\"{label}\"");
-        let allowed = "a word that is no number and has no comma";
+        let allowed = "a word without a comma that is not a number";
         require(is_label(label), "label", found, allowed)?;
         let pieces = !self.segments.is_empty();
         let allowed = "either `motion` or [[take.segment]]";

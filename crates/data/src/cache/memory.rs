@@ -42,7 +42,7 @@ impl<T: Item> MemoryCache<T> {
         self.lock().items.get(&number).cloned()
     }
 
-    /// Whether item `number` is cached, without using it.
+    /// True if item `number` is cached, without using it.
     pub fn contains(&self, number: usize) -> bool {
         self.lock().items.contains(&number)
     }

@@ -156,7 +156,7 @@ mod tests {
     }
 
     #[test]
-    fn samples_say_which_caption_it_is() {
+    fn samples_contain_the_index_of_their_caption() {
         let mut config = DataConfig {
             kind: DataKind::SyntheticWalks,
             target_frames: 40,

@@ -121,7 +121,7 @@ impl Humanml3dConfig {
         }
     }
 
-    /// Whether captions come with embeddings.
+    /// True if captions come with embeddings.
     pub(super) fn reads_embeddings(&self) -> bool {
         self.text == CaptionText::Embeddings && !self.text_embeddings.is_empty()
     }

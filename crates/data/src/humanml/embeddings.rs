@@ -167,8 +167,8 @@ fn checksum(captions: &[&str]) -> String {
 /// # Errors
 /// [`Error::Io`].
 ///
+/// # Panics
 /// Panics if a name occurs twice, or a row has another width.
-/// Panics if a name comes up twice, or a row has another number of values.
 pub fn write_embeddings(
     path: &Path,
     texts: Vec<(&str, Vec<&[f32]>)>,

@@ -12,7 +12,7 @@ use crate::{DataConfig, Error};
 /// Clips of a list that are read to detect the skeleton.
 const LOOKED_AT: usize = 8;
 
-/// Whether the dataset of `config` is in the HumanML3D layout, and its skeleton: `None` if it is
+/// True if the dataset of `config` is in the HumanML3D layout, and its skeleton: `None` if it is
 /// not, `Some(None)` if the skeleton is unknown.
 ///
 /// # Errors

@@ -100,7 +100,7 @@ pub(super) fn read_lists(
 pub(super) fn parse_list(bytes: &[u8], file: &str) -> Result<Vec<(usize, String)>, FileError> {
     let hint = "a list names clips as their files are called, without the ending";
     let text = str::from_utf8(bytes)
-        .map_err(|_| FileError::unexpected(file, "bytes that are no UTF-8", "UTF-8 text", hint))?;
+        .map_err(|_| FileError::unexpected(file, "bytes that are not UTF-8", "UTF-8 text", hint))?;
     let lines = text.trim_start_matches('\u{feff}').lines().map(str::trim);
     let lines = (1..).zip(lines);
     let ids = lines.filter(|(_, line)| !line.is_empty() && !line.starts_with('#'));

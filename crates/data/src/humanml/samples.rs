@@ -125,7 +125,7 @@ impl Samples for ClipSamples {
     }
 
     /// Validation takes the first caption and the leading crop. Samples begin at the origin facing
-    /// +z, as if extraction had begun there.
+    /// +z, as if they were extracted alone.
     fn push(&self, batch: &mut Batch, clip: &Arc<Clip>, number: Option<u64>) {
         let below = |bound, purpose| {
             number.map_or(0, |n| {

@@ -36,7 +36,7 @@ fn synthetic_walks(config: &DataConfig) -> Result<Scan<Clip>, Error> {
     listed.truncate(config.num_phrases.unwrap_or(usize::MAX));
     Ok(Scan {
         representation: config.humanml3d.representation(),
-        given: None,
+        stored_statistics: None,
         warnings: split.idle_entries(ids(&listed)),
         split: Some(split),
         source: Box::new(Walks::new(config, conditional)),
@@ -54,12 +54,12 @@ fn files(config: &DataConfig) -> Result<Scan<Clip>, Error> {
     let mut listed = read_lists(&files, humanml3d, &mut warnings)?;
     listed.truncate(config.num_phrases.unwrap_or(usize::MAX));
     let representation = humanml3d.representation();
-    let given = statistics::given(&files, &representation)?;
+    let statistics = statistics::read_stored(&files, &representation)?;
     let embeddings = match humanml3d.reads_embeddings() {
         true => read_embeddings(&files, &humanml3d.text_embeddings, &mut warnings)?,
         false => None,
     };
-    let (given, fingerprint) = match given {
+    let (stored_statistics, fingerprint) = match statistics {
         Some((statistics, [mean, std])) => (Some(statistics), format!("{mean}{std}")),
         None => (None, String::new()),
     };
@@ -79,7 +79,7 @@ fn files(config: &DataConfig) -> Result<Scan<Clip>, Error> {
             max_frames: humanml3d.max_frames,
             fingerprint,
         }),
-        given,
+        stored_statistics,
         representation,
     })
 }
@@ -95,7 +95,7 @@ fn read_embeddings(
         None => {
             warnings.push(format!(
                 "{name}: not found; clips have no condition (docs/dataset.md shows how to make \
-                 the file; data.humanml3d.text_embeddings = \"\" says that none is wanted)"
+                 the file; data.humanml3d.text_embeddings = \"\" does without)"
             ));
             Ok(None)
         }

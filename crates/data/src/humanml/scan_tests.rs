@@ -134,10 +134,10 @@ fn statistics_come_from_the_dataset_where_they_are_of_the_root() {
     assert_eq!(again.statistics().unwrap(), absolute.statistics().unwrap());
     assert_eq!(again.digest, absolute.digest);
     config.humanml3d.root = Root::Relative;
-    let given = Dataset::<Clip>::open(&config).unwrap();
-    assert_eq!(given.statistics().unwrap().mean, [0.5; 263]);
-    assert_eq!(given.statistics().unwrap().root, Some(Root::Relative));
-    assert_ne!(given.digest, absolute.digest);
+    let stored = Dataset::<Clip>::open(&config).unwrap();
+    assert_eq!(stored.statistics().unwrap().mean, [0.5; 263]);
+    assert_eq!(stored.statistics().unwrap().root, Some(Root::Relative));
+    assert_ne!(stored.digest, absolute.digest);
 
     write_array(&folder.path().join("Std.npy"), &[251]);
     let found = message(&config);
@@ -153,8 +153,8 @@ fn statistics_come_from_the_dataset_where_they_are_of_the_root() {
     for name in ["Mean_abs_3d.npy", "Std_abs_3d.npy"] {
         write_array(&folder.path().join(name), &[263]);
     }
-    let given = Dataset::<Clip>::open(&config).unwrap();
-    let given = given.statistics().unwrap();
+    let stored = Dataset::<Clip>::open(&config).unwrap();
+    let given = stored.statistics().unwrap();
     assert_eq!((given.std[0], given.root), (0.5, Some(Root::Absolute)));
 }
 

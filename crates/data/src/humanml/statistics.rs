@@ -36,7 +36,7 @@ pub fn statistics_files(root: Root, statistics: &Statistics) -> [(&'static str, 
 /// # Errors
 /// [`Error::File`] for one file without the other, another layout, and unusable numbers;
 /// [`Error::Store`].
-pub(super) fn given(
+pub(super) fn read_stored(
     files: &Files,
     representation: &JointFeatures,
 ) -> Result<Option<(Statistics, [Digest; 2])>, Error> {

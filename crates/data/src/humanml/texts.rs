@@ -86,7 +86,7 @@ pub fn parse_captions(bytes: &[u8], file: &str) -> Result<Vec<Caption>, FileErro
             .count();
         FileError::unexpected(
             format!("{file}, line {line}"),
-            "bytes that are no UTF-8",
+            "bytes that are not UTF-8",
             "UTF-8 text",
             "save the file again as UTF-8",
         )

@@ -8,7 +8,7 @@
 //! VALUE    = NUMBER | WORD | 'TEXT' | "TEXT"
 //! ```
 //!
-//! `like` takes a pattern with `*` for any characters. Missing values meet no condition.
+//! `like` takes a pattern with `*` for any characters. Conditions on missing values are false.
 
 use std::cmp::Ordering;
 
@@ -20,7 +20,7 @@ use crate::pattern::matches;
 /// Most parts of a filter.
 const MAX_PARTS: usize = 200;
 
-/// The rows of `frame` that meet the condition, or the condition's error.
+/// The rows of `frame` that match the condition, or the condition's error.
 pub(super) fn rows(condition: &str, frame: &DataFrame) -> Result<Vec<bool>, String> {
     let words = words(condition)?;
     if words.len() > MAX_PARTS {
@@ -125,18 +125,18 @@ fn compare(
         let wanted: f64 = value
             .parse()
             .map_err(|_| format!("column `{name}` holds numbers, `{value}` is none"))?;
-        let meets = |found: Option<f64>| {
+        let matched = |found: Option<f64>| {
             found.is_some_and(|found| found.partial_cmp(&wanted).is_some_and(holds))
         };
-        return Ok(numbers(column)?.into_iter().map(meets).collect());
+        return Ok(numbers(column)?.into_iter().map(matched).collect());
     }
     let column = cast(column, &DataType::String)?;
-    let meets = |found: &str| match like {
+    let matched = |found: &str| match like {
         true => matches(value, found),
         false => holds(found.cmp(value)),
     };
     let texts = column.str().map_err(|error| error.to_string())?;
-    let met = texts.iter().map(|found| found.is_some_and(meets));
+    let met = texts.iter().map(|found| found.is_some_and(matched));
     Ok(met.collect())
 }
 

@@ -27,7 +27,7 @@ use table::DataFrame;
 /// Largest manifest.
 pub const MAX_BYTES: u64 = 1 << 30;
 
-/// Whether this build reads and writes manifests.
+/// True if this build reads and writes manifests.
 pub const SUPPORTED: bool = cfg!(feature = "manifest");
 
 /// Reads the manifest of `store`; `None` if it has none.
@@ -112,7 +112,7 @@ impl Selection {
         Ok(Some(Self { frame }))
     }
 
-    /// The rows that meet `condition`, as `tempo > 100 and split = train`.
+    /// The rows that match `condition`, as `tempo > 100 and split = train`.
     ///
     /// # Errors
     /// The problem of the condition.
@@ -126,7 +126,7 @@ impl Selection {
         self.frame.height()
     }
 
-    /// Whether there are none.
+    /// True if there are none.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }

@@ -164,7 +164,7 @@ pub(super) fn rows(bytes: Vec<u8>) -> Result<Vec<ManifestRow>, String> {
     let tempo = numbers("tempo")?;
     let motion_bytes = numbers("motion_bytes")?;
     let audio_bytes = numbers("audio_bytes")?;
-    let whole = |number: Option<f64>| number.unwrap_or_default() as i64;
+    let integer = |number: Option<f64>| number.unwrap_or_default() as i64;
     let mut seen = HashSet::new();
     (0..frame.height())
         .map(|row| {
@@ -196,15 +196,15 @@ pub(super) fn rows(bytes: Vec<u8>) -> Result<Vec<ManifestRow>, String> {
             Ok(ManifestRow {
                 motion_source: motion_source[row].clone().unwrap_or_default(),
                 audio_source: audio_source[row].clone(),
-                first_frame: whole(first_frame[row]),
-                frames: whole(frames[row]),
+                first_frame: integer(first_frame[row]),
+                frames: integer(frames[row]),
                 fps: fps[row].unwrap_or(kinegrad_motion::FPS),
                 beats: beats[row],
                 tempo: tempo[row],
                 split: split.transpose()?,
-                motion_bytes: whole(motion_bytes[row]),
+                motion_bytes: integer(motion_bytes[row]),
                 motion_sha256: digest("motion_sha256", &motion_sha256[row])?,
-                audio_bytes: whole(audio_bytes[row]),
+                audio_bytes: integer(audio_bytes[row]),
                 audio_sha256: digest("audio_sha256", &audio_sha256[row])?,
                 audio_features: groups.transpose()?,
                 label: label[row].clone().filter(|label| !label.is_empty()),
@@ -215,7 +215,7 @@ pub(super) fn rows(bytes: Vec<u8>) -> Result<Vec<ManifestRow>, String> {
         .collect()
 }
 
-/// The rows of a table that meet a condition, or the condition's error.
+/// The rows of a table that match a condition, or the condition's error.
 pub(super) fn filter(frame: &DataFrame, condition: &str) -> Result<DataFrame, String> {
     let rows = filter::rows(condition, frame)?;
     let mask = BooleanChunked::from_slice("chosen".into(), &rows);

@@ -98,7 +98,7 @@ const TOO_LARGE: &str = "its header declares an array too large to exist";
 /// The header's text and the offset of the data.
 fn text(bytes: &[u8]) -> Result<(&str, usize), String> {
     if bytes.len() < 10 || &bytes[..6] != b"\x93NUMPY" {
-        return Err("it does not begin as one".to_owned());
+        return Err("it lacks the magic string".to_owned());
     }
     let (start, length) = match bytes[6] {
         1 => (10, usize::from(u16::from_le_bytes([bytes[8], bytes[9]]))),
@@ -117,7 +117,7 @@ fn text(bytes: &[u8]) -> Result<(&str, usize), String> {
     let text = bytes
         .get(start..start + length)
         .ok_or_else(|| "its header is cut off".to_owned())?;
-    let text = str::from_utf8(text).map_err(|_| "its header is no text".to_owned())?;
+    let text = str::from_utf8(text).map_err(|_| "its header is not text".to_owned())?;
     Ok((text, start + length))
 }
 
@@ -126,7 +126,7 @@ const KEYS: [&str; 3] = ["descr", "fortran_order", "shape"];
 
 /// The dictionary's values of [`KEYS`], as text.
 fn entries(text: &str) -> Result<[&str; 3], String> {
-    let no_dictionary = || "its header is no dictionary".to_owned();
+    let no_dictionary = || "its header is not a dictionary".to_owned();
     let mut rest = text
         .trim_ascii()
         .strip_prefix('{')
@@ -209,7 +209,7 @@ fn axis(text: &str) -> Result<usize, String> {
     let plain = digits.bytes().all(|digit| digit.is_ascii_digit());
     if digits.is_empty() || leading_zero || !plain {
         return Err(format!(
-            "its header has the axis {text:?}, which is no whole number"
+            "its header has the axis {text:?}, which is not a whole number"
         ));
     }
     digits.parse().map_err(|_| TOO_LARGE.to_owned())

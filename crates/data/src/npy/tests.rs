@@ -112,7 +112,7 @@ fn broken_files_are_named_with_what_was_found() {
             "16 bytes of data found",
         ),
         (raw("'<f4'", false, "(-4,)", &four), "negative"),
-        (raw("'<f4'", false, &deep, &four), "no whole number"),
+        (raw("'<f4'", false, &deep, &four), "not a whole number"),
     ] {
         let message = parse(&bytes, "file.npy").unwrap_err().to_string();
         assert!(message.starts_with("file.npy: "), "{message}");
@@ -196,15 +196,15 @@ fn every_spelling_of_a_header_that_python_reads_is_read() {
         ),
         (
             "{'descr': '<f4', 'fortran_order': False, 'shape': (3,,)}",
-            "no whole number",
+            "not a whole number",
         ),
         (
             "{'descr': '<f4', 'fortran_order': False, 'shape': (,)}",
-            "no whole number",
+            "not a whole number",
         ),
         (
             "{'descr': '<f4', 'fortran_order': False, 'shape': (03,)}",
-            "no whole number",
+            "not a whole number",
         ),
         (
             "{'descr': <f4, 'fortran_order': False, 'shape': (3,)}",
@@ -212,7 +212,7 @@ fn every_spelling_of_a_header_that_python_reads_is_read() {
         ),
         (
             "{'descr': '<f4', 'fortran_order': False, 'shape': (+3,)}",
-            "no whole number",
+            "not a whole number",
         ),
         (
             "{'descr': '<f4', 'fortran_order': False, 'shape': (3,), 'a': 1}",

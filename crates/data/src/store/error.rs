@@ -110,7 +110,7 @@ pub enum StoreError {
 }
 
 impl StoreError {
-    /// Whether the error concerns this object only, not the store or the identity of the dataset.
+    /// True if the error concerns this object only, not the store or the identity of the dataset.
     pub fn concerns_one_object(&self) -> bool {
         match self {
             Self::Missing { .. }

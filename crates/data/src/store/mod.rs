@@ -90,7 +90,7 @@ impl Store {
         }
     }
 
-    /// Whether it is writable.
+    /// True if it is writable.
     pub fn is_writable(&self) -> bool {
         match &self.kind {
             Kind::Local(_) => true,
@@ -104,7 +104,7 @@ impl Store {
         format!("{}/{path}", self.uri().trim_end_matches('/'))
     }
 
-    /// Whether reads use a network, so that caching helps.
+    /// True if reads use a network, so that caching helps.
     pub fn is_remote(&self) -> bool {
         match &self.kind {
             Kind::Local(_) => false,
@@ -248,7 +248,7 @@ impl Store {
     }
 }
 
-/// Whether `path` is `FOLDER/NAME`.
+/// True if `path` is `FOLDER/NAME`.
 #[cfg(feature = "cloud")]
 fn directly_below(path: &str, folder: &str) -> bool {
     let rest = path.strip_prefix(folder);

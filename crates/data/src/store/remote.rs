@@ -267,7 +267,7 @@ fn failed(object: &str, action: &'static str, attempts: usize, reason: String) -
     }
 }
 
-/// Whether a server has rejected the request: 4xx, except those that ask to wait.
+/// True if a server has rejected the request: 4xx, except those that ask to wait.
 fn is_refused(reason: &str) -> bool {
     let Some((_, status)) = reason.split_once("status code: ") else {
         // Responses without a length cannot be checked for completeness.

@@ -41,12 +41,12 @@ fn gcs(bucket: &str, config: &StoreConfig) -> object_store::Result<Box<dyn Objec
     }
     if config.anonymous || (emulator.is_some() && config.endpoint.is_none()) {
         // Writing needs credentials, so these are empty.
-        let nobody = GcpCredential {
+        let credential = GcpCredential {
             bearer: String::new(),
         };
         builder = builder
             .with_skip_signature(true)
-            .with_credentials(Arc::new(StaticCredentialProvider::new(nobody)));
+            .with_credentials(Arc::new(StaticCredentialProvider::new(credential)));
     }
     Ok(Box::new(builder.build()?))
 }

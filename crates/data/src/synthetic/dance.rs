@@ -62,13 +62,13 @@ fn pose(kind: usize, beat: f64) -> Pose {
 /// The dance to `music`, `frames` frames, at x = z = 0 in the first one.
 pub fn perform(music: &Music, phrase: Key, frames: usize) -> Phrase {
     assert!(frames > 0, "a phrase has at least one frame");
-    let draws = phrase.at(DANCER).normals(4);
-    let [heading, height, drift_x, drift_z] = [0, 1, 2, 3].map(|i| f64::from(draws[i]));
+    let samples = phrase.at(DANCER).normals(4);
+    let [heading, height, drift_x, drift_z] = [0, 1, 2, 3].map(|i| f64::from(samples[i]));
     let heading = 0.3 * heading.clamp(-3.0, 3.0);
     let height = 0.95 + 0.03 * height.clamp(-3.0, 3.0);
     let facing = Quaternion::from_yaw(heading);
 
-    // Two more frames, because the last ones have no differences of their own.
+    // Two more frames, because the last frames have no forward differences.
     let posed = frames + 2;
     let mut positions = Vec::with_capacity(posed);
     let mut quaternions = Vec::with_capacity(posed);

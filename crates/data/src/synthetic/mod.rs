@@ -82,7 +82,7 @@ pub fn write_dataset(folder: &Path, phrases: usize, frames: usize, seed: u64) ->
         frames,
         seed,
     };
-    write_dataset_in(AudioLayout::DOCUMENT, folder, &config)
+    write_dataset_in(AudioLayout::CCMOTION, folder, &config)
 }
 
 /// [`write_dataset`] with audio features in `layout`.
@@ -222,12 +222,12 @@ mod tests {
     #[test]
     fn beat_features_agree_with_the_phase_and_leave_the_rest_alone() {
         for index in 0..8 {
-            let heard = phrase_in(AudioLayout::WITH_BEATS, index, 90, 4);
+            let with_beats = phrase_in(AudioLayout::WITH_BEATS, index, 90, 4);
             let plain = phrase(index, 90, 4);
-            assert_eq!(heard.motion, plain.motion);
-            assert_eq!(heard.audio.channels(), 170);
+            assert_eq!(with_beats.motion, plain.motion);
+            assert_eq!(with_beats.audio.channels(), 170);
             assert_eq!(
-                heard.audio.slice(5..6).as_slice()[..163],
+                with_beats.audio.slice(5..6).as_slice()[..163],
                 *plain.audio.slice(5..6).as_slice()
             );
             for t in 0..90 {
@@ -239,7 +239,7 @@ mod tests {
                     (166, phase.cos()),
                     (167, 1.0),
                 ] {
-                    let found = f64::from(heard.audio.channel(channel)[t]);
+                    let found = f64::from(with_beats.audio.channel(channel)[t]);
                     assert!(
                         (found - expected).abs() < 1e-3,
                         "{channel} {t}: {found} {expected}"

@@ -45,8 +45,8 @@ pub struct Music {
 impl Music {
     /// The music of the phrase with this key: 84 to 132 beats per minute.
     pub fn new(phrase: Key) -> Self {
-        let draws = phrase.at(SCORE).uniforms(4);
-        let [tempo, beat, energy, swell] = [0, 1, 2, 3].map(|i| f64::from(draws[i]));
+        let samples = phrase.at(SCORE).uniforms(4);
+        let [tempo, beat, energy, swell] = [0, 1, 2, 3].map(|i| f64::from(samples[i]));
         Self {
             beats_per_second: (84.0 + 48.0 * tempo) / 60.0,
             first_beat: BEATS_PER_BAR * (1.0 + beat),
@@ -222,13 +222,13 @@ mod tests {
                     continue;
                 };
                 seen[kind] += 1;
-                let heard = |kind: usize| {
+                let loudness = |kind: usize| {
                     CHORDS[kind]
                         .iter()
                         .map(|pitch| features.channel(CHROMA + pitch)[t])
                         .sum::<f32>()
                 };
-                assert!((0..MOVES).all(|other| other == kind || heard(other) < heard(kind)));
+                assert!((0..MOVES).all(|other| other == kind || loudness(other) < loudness(kind)));
             }
         }
         assert!(seen.iter().all(|&frames| frames > 50), "{seen:?}");

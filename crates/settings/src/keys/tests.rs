@@ -52,7 +52,7 @@ struct Nested<T> {
 #[derive(Default, Deserialize, JsonSchema, Serialize)]
 #[serde(default)]
 struct Document {
-    /// Whether [`Colour`] counts, see [there](Self::colour).
+    /// True if [`Colour`] counts, see [there](Self::colour).
     bright: bool,
     /// The colour, in [0, 1].
     colour: Colour,

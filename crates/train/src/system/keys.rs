@@ -306,7 +306,7 @@ fn flatten(table: &Table, prefix: &str, names: &mut Vec<String>) {
 fn probes(values: &Values) -> Vec<String> {
     let numbers: &[&str] = match values {
         Values::Count => &["0", "9223372036854775807"],
-        Values::Whole => &["-9223372036854775808", "0", "9223372036854775807"],
+        Values::Integer => &["-9223372036854775808", "0", "9223372036854775807"],
         Values::Number => &["-1e300", "0.0", "1e300"],
         Values::List(values, length) => {
             let length = length.unwrap_or(1) as usize;
