@@ -281,11 +281,11 @@ fn what_cannot_be_matched_is_refused_and_leaves_nothing() {
         ("dance.bvh --num-steps 0", &["`num_steps` is 0"]),
         (
             "dance.bvh --keyframes empty.toml",
-            &["empty.toml: holds no `[[keyframe]]`"],
+            &["empty.toml: has no `[[keyframe]]`"],
         ),
         (
             "dance.bvh --parts nothing.toml",
-            &["nothing.toml: holds no `[[part]]`"],
+            &["nothing.toml: has no `[[part]]`"],
         ),
         (
             "dance.bvh --parts twice.toml",

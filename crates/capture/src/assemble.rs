@@ -91,8 +91,8 @@ pub fn assemble(
 
 /// The segment that plays at a moment.
 fn playing(segments: &[Segment], seconds: f64) -> Option<usize> {
-    let begun = segments.partition_point(|s| s.start_seconds <= seconds + SAME_TIME);
-    let index = begun.checked_sub(1)?;
+    let started = segments.partition_point(|s| s.start_seconds <= seconds + SAME_TIME);
+    let index = started.checked_sub(1)?;
     (seconds < segments[index].end_seconds() - SAME_TIME).then_some(index)
 }
 
@@ -173,7 +173,7 @@ mod tests {
     }
 
     #[test]
-    fn what_the_capture_lacks_is_not_valid() {
+    fn frames_that_the_capture_lacks_are_not_valid() {
         let assembly =
             assemble(&[&counting(10, 30.0)], &[segment(5.0..20.0, 0.0, 0.5)], 15).unwrap();
         let valid: Vec<bool> = (0..15).map(|t| t < 5).collect();

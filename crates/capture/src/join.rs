@@ -185,8 +185,8 @@ mod tests {
 
     proptest! {
         #[test]
-        fn the_root_goes_on_over_a_border(seed: u64, second in 0usize..60) {
-            // The capture goes from frame 29 to `second`: to stay or go one on is no border.
+        fn the_root_continues_over_a_border(seed: u64, second in 0usize..60) {
+            // The capture goes from frame 29 to `second`: the same or the next frame makes no border.
             prop_assume!(!(29..=30).contains(&second));
             let takes = [take(seed, 100)];
             let assembly = pieces(&takes, &[(0, 0), (0, second)]);
@@ -194,9 +194,9 @@ mod tests {
             prop_assert_eq!(borders, vec![30]);
             let velocity = forward_differences(track.positions(), FPS);
             let jump = [0, 1, 2].map(|i| velocity[29][i] - velocity[28][i]);
-            prop_assert!(length(jump) < 1e-9, "the velocity holds: {jump:?}");
+            prop_assert!(length(jump) < 1e-9, "the velocity is continuous: {jump:?}");
             let turning = angular_velocity(track.orientations(), FPS);
-            prop_assert!(length(turning[29]) < 1e-9, "the orientation holds: {turning:?}");
+            prop_assert!(length(turning[29]) < 1e-9, "the orientation is continuous: {turning:?}");
             // After the fade, nothing but a turn about the vertical and a move on the floor is
             // left.
             for t in 45..60 {

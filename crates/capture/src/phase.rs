@@ -158,7 +158,7 @@ mod tests {
     }
 
     #[test]
-    fn tracked_beats_are_joined_by_lines_and_go_on_at_the_ends() {
+    fn tracked_beats_are_joined_by_lines_and_continue_at_the_ends() {
         let beats = TrackedBeats {
             seconds: vec![1.0, 1.5, 2.5],
             beats_per_bar: 3,

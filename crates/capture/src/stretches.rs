@@ -7,10 +7,10 @@ use kinegrad_motion::{FPS, Phrase, Quaternion, derive, style};
 use crate::error::require;
 use crate::{Error, RootSource, RootTrack};
 
-/// Frames beyond its own that a phrase's derivatives look at: velocity one, acceleration two.
+/// Frames after a phrase that its derivatives use: velocity one, acceleration two.
 const DERIVATIVE_FRAMES: usize = 2;
 
-/// A run of valid frames at 30 per second with everything that a phrase holds besides its
+/// A run of valid frames at 30 per second with all channels of phrases but the
 /// derivatives. Made by [`stretches`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct Stretch {
@@ -63,8 +63,8 @@ impl Stretch {
     }
 
     /// The phrase of some frames of this stretch, counted from its first, moved on the floor so
-    /// that it begins at x = z = 0. Its derivatives know what follows; at the end of the stretch
-    /// the last ones repeat.
+    /// that it begins at x = z = 0. Derivatives use the frames after the range; at the end
+    /// of the stretch the last ones repeat.
     ///
     /// # Errors
     /// [`Error::Setting`] if the range is empty or reaches beyond the stretch.
@@ -95,8 +95,8 @@ impl Stretch {
             require(value > 0, key, value, "at least one frame")?;
         }
         let starts = (first..self.frames()).step_by(hop);
-        let whole = starts.take_while(|start| length <= self.frames() - start);
-        Ok(whole.collect())
+        let complete = starts.take_while(|start| length <= self.frames() - start);
+        Ok(complete.collect())
     }
 
     /// The phrases that begin at [`starts`](Self::starts), each with its first frame on the track's
@@ -162,7 +162,7 @@ mod tests {
     }
 
     #[test]
-    fn a_phrase_starts_at_the_origin_and_knows_what_follows() {
+    fn a_phrase_starts_at_the_origin_and_its_derivatives_use_later_frames() {
         let all = stretches(&track(), &phase()).unwrap();
         let dancer = synthetic::phrase(0, 100, 3).motion;
         for (start, phrase) in all[1].phrases(0, 20, 15).unwrap() {

@@ -97,8 +97,8 @@ impl RootTrack {
         Self::from_poses(poses.collect(), rate)
     }
 
-    /// A track from poses `[frames]`, not valid where there is none; there it holds the origin and
-    /// the identity.
+    /// A track from poses `[frames]`, not valid where there is none; the pose there is the origin
+    /// with the identity.
     ///
     /// # Errors
     /// As [`new`](Self::new).
@@ -224,7 +224,7 @@ fn check_rate(rate: f64) -> Result<(), InvalidSetting> {
     require(RATES.contains(&rate), "rate", rate, allowed)
 }
 
-/// Whole and fractional part of a frame number within `frames` frames.
+/// Integer and fractional part of a frame number within `frames` frames.
 pub(super) fn split(frame: f64, frames: usize) -> Option<(usize, f64)> {
     let last = frames.checked_sub(1)? as f64;
     (0.0..=last)
@@ -237,7 +237,7 @@ pub(super) fn lerp(a: [f64; 3], b: [f64; 3], fraction: f64) -> [f64; 3] {
     [0, 1, 2].map(|i| a[i] + fraction * (b[i] - a[i]))
 }
 
-/// The longest runs of frames that `valid` holds for, in order.
+/// The longest runs of frames that are `valid`, in order.
 pub(super) fn runs(valid: &[bool]) -> Vec<std::ops::Range<usize>> {
     let mut start = 0;
     let mut runs = Vec::new();
@@ -258,7 +258,7 @@ mod tests {
     use super::*;
     use kinegrad_motion::vector::length;
 
-    /// A spin of `speed` radians per second about a fixed axis on a straight way.
+    /// A spin of `speed` radians per second about a fixed axis on a straight path.
     fn spin(speed: f64, seconds: f64) -> RootPose {
         let axis = [0.48, 0.64, 0.6].map(|v| v * speed * seconds);
         RootPose {
@@ -273,9 +273,9 @@ mod tests {
     }
 
     fn differ(a: RootPose, b: RootPose) -> f64 {
-        let way = [0, 1, 2].map(|i| a.position[i] - b.position[i]);
+        let apart = [0, 1, 2].map(|i| a.position[i] - b.position[i]);
         let turn = a.orientation * b.orientation.conjugate();
-        length(way).max(length(turn.to_rotation_vector()))
+        length(apart).max(length(turn.to_rotation_vector()))
     }
 
     proptest! {
@@ -285,7 +285,7 @@ mod tests {
             turn in -3.0f64..3.0,
             frames in 1usize..60,
         ) {
-            // Less than half a turn a frame, so that the shorter way is the way.
+            // Less than half a turn a frame, so that the shorter arc is the right one.
             let resampled = resample(&track(turn * rate, rate, frames), 30.0).unwrap();
             let seconds = (frames - 1) as f64 / rate;
             let last = (resampled.frames() - 1) as f64 / 30.0;

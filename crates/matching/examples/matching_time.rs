@@ -4,7 +4,7 @@
 //! cargo run --release -p kinegrad-matching --example matching_time -- --rounds 9 dance.bvh
 //! ```
 //!
-//! prints the least and the median of the synthesis alone, from matrix to matrix, and of a whole job,
+//! prints the least and the median of the synthesis alone, from matrix to matrix, and of a job,
 //! with the file's conversion to a matrix and back.
 
 use std::time::Instant;
@@ -28,7 +28,7 @@ fn main() {
         }
     }
     for example in files {
-        let (mut alone, mut whole) = (Vec::new(), Vec::new());
+        let (mut alone, mut jobs) = (Vec::new(), Vec::new());
         for seed in 0..rounds {
             let job = Job {
                 seed,
@@ -36,7 +36,7 @@ fn main() {
             };
             let start = Instant::now();
             let made = job.make(std::slice::from_ref(&example)).expect("a motion");
-            whole.push(start.elapsed().as_secs_f64());
+            jobs.push(start.elapsed().as_secs_f64());
             let request = Request {
                 examples: &made.examples,
                 frames: 2 * made.examples[0].frames(),
@@ -50,9 +50,9 @@ fn main() {
             assert_eq!(new.frames, made.synthesis.frames);
         }
         let [least, median] = spread(alone);
-        let [whole_least, whole_median] = spread(whole);
+        let [job_least, job_median] = spread(jobs);
         println!(
-            "{}: synthesis {least:.4} {median:.4}, whole {whole_least:.4} {whole_median:.4}",
+            "{}: synthesis {least:.4} {median:.4}, job {job_least:.4} {job_median:.4}",
             example.file
         );
     }

@@ -7,14 +7,14 @@ mod keyframes;
 /// A constraint of a synthesis.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Constraint {
-    /// Channels that follow a given motion.
+    /// Channels that follow another motion.
     Channels {
         /// The channels.
         channels: Vec<usize>,
         /// The motion, `[frames, channels]` with all channels, as long as the new one.
         motion: Frames,
     },
-    /// A frame with given values.
+    /// A frame with fixed values.
     Keyframe {
         /// Time as a part of the motion: frame t of n is (t + 0.5) / n.
         at: f64,
@@ -40,7 +40,7 @@ impl Constraint {
 
     /// Applies `constraints` to the motion of a level, `[frames, channels]`.
     ///
-    /// Key frames are met exactly. Their neighbours blend into the neighbours in the source, with a
+    /// Key frames are exact. Their neighbours blend into the neighbours in the source, with a
     /// smooth weight that falls to 0 within the reach or before the next key frame of the same
     /// channel: patches of the source then match there at every level. Key frames that fall into
     /// one frame of a coarse level are averaged. `is_loop`: the last frame is followed by the
@@ -72,7 +72,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_key_frame_is_met_and_its_neighbours_bend() {
+    fn a_key_frame_is_exact_and_its_neighbours_bend() {
         let mut frames = Frames::zeros(21, 2);
         let key = Constraint::Keyframe {
             at: 10.5 / 21.0,
@@ -85,7 +85,7 @@ mod tests {
         Constraint::apply_all(std::slice::from_ref(&key), &mut frames, false);
         let second: Vec<f32> = (0..21).map(|t| frames.frame(t)[1]).collect();
         assert_eq!(second[10], 2.0);
-        // The neighbours are those of the source, weighted, and held at its ends.
+        // The neighbours are those of the source, weighted, and constant beyond its ends.
         assert_eq!(second[9], 3.0 * falloff(1, 4));
         assert_eq!(second[7], 5.0 * falloff(3, 4));
         assert_eq!(second[12], 5.0 * falloff(2, 4));
@@ -130,7 +130,7 @@ mod tests {
     }
 
     #[test]
-    fn close_key_frames_are_all_met() {
+    fn close_key_frames_are_all_exact() {
         for reach in [0, 3, 12, 60] {
             let keys = [
                 still(20, 60, false, 1.0, reach),
@@ -140,15 +140,15 @@ mod tests {
             ];
             let mut frames = Frames::zeros(60, 2);
             Constraint::apply_all(&keys, &mut frames, false);
-            let met = [20, 21, 26, 40].map(|t| frames.frame(t)[0]);
-            assert_eq!(met, [1.0, -2.0, 5.0, 3.0], "{reach}");
+            let found = [20, 21, 26, 40].map(|t| frames.frame(t)[0]);
+            assert_eq!(found, [1.0, -2.0, 5.0, 3.0], "{reach}");
             assert_eq!([26, 40].map(|t| frames.frame(t)[1]), [5.0, 3.0]);
             // Between two that reach each other the frames are of both alone.
             if reach > 20 {
                 assert!((30..36).all(|t| (3.0..=5.0).contains(&frames.frame(t)[1])));
             }
         }
-        // One frame of a coarse level holds the mean of two.
+        // One frame of a coarse level has the mean of two.
         let keys = [still(20, 60, false, 1.0, 5), still(21, 60, false, 3.0, 5)];
         let mut coarse = Frames::zeros(6, 2);
         Constraint::apply_all(&keys, &mut coarse, false);

@@ -106,7 +106,7 @@ pub(crate) struct Padded {
 
 impl Padded {
     /// Frames with all channels compared.
-    pub(crate) fn whole(frames: &Frames) -> Self {
+    pub(crate) fn all_channels(frames: &Frames) -> Self {
         let all = Moving {
             moving: (0..frames.channels()).collect(),
             still: Vec::new(),

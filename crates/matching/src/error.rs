@@ -1,10 +1,10 @@
-//! What keeps a motion from being made.
+//! Errors of motion matching.
 
 use kinegrad_settings::{DocumentError, InvalidSetting};
 use miette::Diagnostic;
 use thiserror::Error;
 
-/// What keeps a motion from being made.
+/// An error of motion matching.
 #[derive(Debug, Diagnostic, Error)]
 pub enum Error {
     /// A setting is out of range.
@@ -28,9 +28,9 @@ pub enum Error {
     File {
         /// The file.
         file: String,
-        /// What is wrong with it: what was found, and what is allowed.
+        /// The problem, with the value found and the values allowed.
         problem: String,
-        /// What to do.
+        /// The remedy.
         hint: String,
     },
 }

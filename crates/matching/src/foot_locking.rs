@@ -91,7 +91,7 @@ fn legs(layout: &MotionMatrix, parents: &[Option<usize>]) -> Vec<Leg> {
     legs.iter().filter(own).copied().collect()
 }
 
-/// Whether each sole rests near the floor, `[legs][frames]` after downsampling.
+/// True where each sole rests near the floor, `[legs][frames]` after downsampling.
 fn resting(layout: &MotionMatrix, bvh: &Bvh, legs: &[Leg]) -> Vec<Vec<bool>> {
     let (every, _) = thinning(bvh);
     let frames = (0..bvh.frames()).step_by(every);

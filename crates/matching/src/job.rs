@@ -60,9 +60,9 @@ pub struct Job {
     pub content: Option<Example>,
     /// The axis that points up in the files.
     pub up: UpAxis,
-    /// Whether foot contacts are matched as well.
+    /// Matches foot contacts as well.
     pub contacts: bool,
-    /// Whether the root is relative to its heading.
+    /// Makes the root relative to its heading.
     pub heading: bool,
     /// Division of the body.
     pub parts: PartChoice,
@@ -70,8 +70,8 @@ pub struct Job {
     pub keyframes: Vec<(Keyframe, Option<Example>)>,
     /// Fixed parts.
     pub fixed: Vec<Fixed>,
-    /// Whether feet are locked where those of the examples rest. This also moves legs of key frames
-    /// and of fixed parts, and the seam of a loop.
+    /// Locks feet where those of the examples rest. This also moves legs of key frames and of fixed
+    /// parts, and the seam of a loop.
     pub lock_feet: bool,
 }
 
@@ -97,9 +97,9 @@ impl Job {
             .iter()
             .filter_map(|(_, source)| source.as_ref());
         // The fixed motions and the content set the length.
-        let given: Vec<&Example> = self.fixed.iter().map(|fixed| &fixed.motion).collect();
-        let given = [given, self.content.iter().collect()].concat();
-        let others: Vec<&Example> = given.iter().copied().chain(sources).collect();
+        let conditions: Vec<&Example> = self.fixed.iter().map(|fixed| &fixed.motion).collect();
+        let conditions = [conditions, self.content.iter().collect()].concat();
+        let others: Vec<&Example> = conditions.iter().copied().chain(sources).collect();
         let layout = MotionMatrix::with(examples, &others, options)?;
         if self.keyframes.iter().any(|(key, _)| key.place.is_some()) {
             let motions = examples.iter().chain(others);
@@ -107,16 +107,16 @@ impl Job {
         }
         let to_frames = |example: &Example| layout.to_frames(example);
         let matrices: Vec<Frames> = examples.iter().map(to_frames).collect::<Result<_, _>>()?;
-        let given_matrices = given.iter().map(|example| layout.to_frames(example));
-        let given_matrices: Vec<Frames> = given_matrices.collect::<Result<_, _>>()?;
-        let motions = examples.iter().chain(given.iter().copied());
-        for (example, frames) in motions.zip(matrices.iter().chain(&given_matrices)) {
+        let condition_matrices = conditions.iter().map(|example| layout.to_frames(example));
+        let condition_matrices: Vec<Frames> = condition_matrices.collect::<Result<_, _>>()?;
+        let motions = examples.iter().chain(conditions.iter().copied());
+        for (example, frames) in motions.zip(matrices.iter().chain(&condition_matrices)) {
             self.must_have_a_patch(example, frames, &layout)?;
         }
-        let (fixed, content) = given_matrices.split_at(self.fixed.len());
+        let (fixed, content) = condition_matrices.split_at(self.fixed.len());
         let content = content.first();
         let parts = match &self.parts {
-            PartChoice::Whole => vec![Part::whole(&layout)],
+            PartChoice::Whole => vec![Part::body(&layout)],
             PartChoice::Automatic => Part::automatic(&layout),
             PartChoice::File { file, text } => Part::read(text, file, &layout)?,
         };
@@ -124,9 +124,9 @@ impl Job {
             PartChoice::Whole => &Part::automatic(&layout),
             _ => &parts,
         };
-        let lengths: Vec<(&Example, usize)> = given
+        let lengths: Vec<(&Example, usize)> = conditions
             .into_iter()
-            .zip(given_matrices.iter().map(Frames::frames))
+            .zip(condition_matrices.iter().map(Frames::frames))
             .collect();
         let frames = self.frames(&layout, &matrices, &lengths)?;
         let mut constraints = Vec::new();
@@ -257,32 +257,32 @@ impl Job {
         let problem = format!(
             "frames: {found} at {rate:.0} a second, allowed: at least `patch_size`, which is {p}"
         );
-        let hint = "give a longer motion, or a smaller option `patch_size`";
+        let hint = "use a longer motion, or a smaller option `patch_size`";
         Err(Error::file(&example.file, problem, hint))
     }
 
-    /// Length of the new motion; `given` are the motions that set it, with their frames.
+    /// Length of the new motion; `conditions` are the motions that set it, with their frames.
     fn frames(
         &self,
         layout: &MotionMatrix,
         examples: &[Frames],
-        given: &[(&Example, usize)],
+        conditions: &[(&Example, usize)],
     ) -> Result<usize, Error> {
         let all = examples.iter().map(Frames::frames).sum();
-        let asked = self
+        let requested = self
             .length
             .map(|length| length.frames(all, layout.frame_time()));
-        let frames = given.first().map(|(_, frames)| *frames);
-        let frames = frames.or(asked).unwrap_or(2 * all);
-        let others = given
+        let frames = conditions.first().map(|(_, frames)| *frames);
+        let frames = frames.or(requested).unwrap_or(2 * all);
+        let others = conditions
             .iter()
             .map(|(other, frames)| (other.file.as_str(), *frames));
-        let mut others = others.chain(asked.map(|frames| ("option `length`", frames)));
+        let mut others = others.chain(requested.map(|frames| ("option `length`", frames)));
         if let Some((other, found)) = others.find(|(_, found)| *found != frames) {
             let problem = format!("has {frames} frames, and {other} {found}");
             let hint = "fixed parts and the content set the length: leave option `length` out, and \
-                        give motions of one length";
-            return Err(Error::file(&given[0].0.file, problem, hint));
+                        name motions of one length";
+            return Err(Error::file(&conditions[0].0.file, problem, hint));
         }
         in_range("length", frames, self.settings.patch_size..=MAX_FRAMES)
             .hint("a motion has at least one patch, `patch_size`, and at most two hours")?;

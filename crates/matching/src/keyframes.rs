@@ -24,7 +24,7 @@ pub struct Keyframe {
     pub source_time: f64,
     /// File of the pose; none is the first example.
     pub file: Option<String>,
-    /// The body part with the pose, named as in [`Part::named`]; none is the whole body.
+    /// The body part with the pose, named as in [`Part::named`]; none is the body.
     pub part: Option<String>,
     /// Horizontal place of the root joint, in file units. The root trajectory is warped through it;
     /// none leaves it free.
@@ -50,11 +50,11 @@ impl Keyframe {
     /// For a malformed file.
     pub fn read(text: &str, file: &str) -> Result<Vec<Self>, Error> {
         let hint = "docs/matching.md describes files of key frames";
-        let mut document: Document = read_toml(text, file, hint)?;
-        if document.keyframe.is_empty() {
-            return Err(Error::file(file, "holds no `[[keyframe]]`", hint));
+        let mut parsed: Document = read_toml(text, file, hint)?;
+        if parsed.keyframe.is_empty() {
+            return Err(Error::file(file, "has no `[[keyframe]]`", hint));
         }
-        for (index, keyframe) in document.keyframe.iter_mut().enumerate() {
+        for (index, keyframe) in parsed.keyframe.iter_mut().enumerate() {
             keyframe.name = format!("{file}, key frame {}", index + 1);
             let name = &keyframe.name;
             let is_near = |place: &[f64; 2]| place.iter().all(|v| v.abs() <= FURTHEST);
@@ -75,7 +75,7 @@ impl Keyframe {
                 }
             }
         }
-        Ok(document.keyframe)
+        Ok(parsed.keyframe)
     }
 
     /// Its name in messages.
@@ -119,10 +119,10 @@ impl Keyframe {
         }
         let part = match &self.part {
             Some(name) => Part::named(name, parts, layout, self.called())?,
-            None => Part::whole(layout),
+            None => Part::body(layout),
         };
         let mut channels = part.channels(layout).channels;
-        // The horizontal trajectory holds displacements, not places.
+        // The horizontal trajectory is of displacements, not places.
         channels.retain(|channel| {
             *channel == layout.height() || !layout.root_channels().contains(channel)
         });
@@ -175,11 +175,11 @@ mod tests {
             .unwrap_err()
             .to_string();
         assert_eq!(late, "k.toml, key frame 1: `time` is 2, allowed: 0 to 1.63");
-        let whole = Keyframe {
+        let body = Keyframe {
             part: None,
             ..key.clone()
         };
-        let constraint = whole.constraint(&layout, &[], &walk, &poses, 90).unwrap();
+        let constraint = body.constraint(&layout, &[], &walk, &poses, 90).unwrap();
         let Constraint::Keyframe { channels, .. } = constraint else {
             panic!("a key frame")
         };
@@ -197,7 +197,7 @@ mod tests {
                 "[[keyframe]]\ntime = 1.0\nsource_time = 1.0\nplace = [1e300, 1.0]",
                 "`place` is [1e300, 1.0]",
             ),
-            ("keyframe = []", "holds no `[[keyframe]]`"),
+            ("keyframe = []", "has no `[[keyframe]]`"),
             (
                 "[[keyframe]]\ntime = 1.0",
                 "k.toml:1: `keyframe[0].source_time`: the key is missing",

@@ -169,7 +169,7 @@ fn around_one(
 
 /// Smooths the free channels of a motion with fixed parts where the jerk is above 1.25 times
 /// `usual`, the 95th percentile of the source motions. Joints below a fixed one are smoothed in
-/// world coordinates: a back that is steady relative to its hips shakes with them.
+/// world coordinates: a back that is still relative to its hips shakes with them.
 pub(crate) fn over_fixed_parts(
     layout: &MotionMatrix,
     frames: &mut Frames,

@@ -1,6 +1,6 @@
 //! Motions of any skeleton as matrices, and back to BVH.
 //!
-//! A frame holds, in this order: the local rotation of each joint as six numbers
+//! A frame contains, in this order: the local rotation of each joint as six numbers
 //! ([`rotation6d`](crate::rotation6d)); the local position of every other joint whose position
 //! changes; the contact of each foot, in the first of six channels; and the root trajectory, its
 //! height absolute and its horizontal position as the displacement from the frame before.
@@ -45,7 +45,7 @@ pub struct MatrixOptions {
     pub up: UpAxis,
     /// Indices of the joints whose ground contact is matched as well.
     pub contacts: Vec<usize>,
-    /// Whether the root is relative to its heading, so that a walk north equals a walk east. The
+    /// Makes the root relative to its heading, so that a walk north equals a walk east. The
     /// published program uses world coordinates.
     pub heading: bool,
 }
@@ -92,7 +92,7 @@ impl MotionMatrix {
         options: MatrixOptions,
     ) -> Result<Self, Error> {
         let Some(first) = examples.first() else {
-            let problem = "none is given";
+            let problem = "none found";
             return Err(Error::file("no example", problem, "name a BVH file"));
         };
         let (_, frame_time) = thinning(&first.bvh);
@@ -290,7 +290,7 @@ impl MotionMatrix {
         }
         if !values.iter().all(|value| value.is_finite()) {
             let hint = "lengths are scaled by the longest bone: check the positions";
-            let problem = "holds positions too large for single precision";
+            let problem = "has positions too large for single precision";
             return Err(Error::file(&example.file, problem, hint));
         }
         Ok(Frames::new(self.channels(), values))

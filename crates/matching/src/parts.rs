@@ -17,7 +17,7 @@ pub struct Part {
     pub name: String,
     /// Indices of its joints; neighbouring parts share the joint that connects them.
     pub joints: Vec<usize>,
-    /// Whether the root trajectory belongs to it.
+    /// True if the root trajectory belongs to it.
     pub root_trajectory: bool,
 }
 
@@ -115,7 +115,7 @@ impl Part {
     }
 
     /// The whole body as one part.
-    pub fn whole(layout: &MotionMatrix) -> Self {
+    pub fn body(layout: &MotionMatrix) -> Self {
         Self {
             name: "body".to_string(),
             joints: (0..layout.joints().len()).collect(),
@@ -131,12 +131,12 @@ impl Part {
     /// For a malformed file, unknown joints, and parts without joints.
     pub fn read(text: &str, file: &str, layout: &MotionMatrix) -> Result<Vec<Self>, Error> {
         let hint = "docs/matching.md describes files of parts";
-        let document: Document = read_toml(text, file, hint)?;
-        if document.part.is_empty() {
-            return Err(Error::file(file, "holds no `[[part]]`", hint));
+        let parsed: Document = read_toml(text, file, hint)?;
+        if parsed.part.is_empty() {
+            return Err(Error::file(file, "has no `[[part]]`", hint));
         }
-        let mut parts: Vec<Self> = Vec::with_capacity(document.part.len());
-        for entry in document.part {
+        let mut parts: Vec<Self> = Vec::with_capacity(parsed.part.len());
+        for entry in parsed.part {
             if parts.iter().any(|part| part.name == entry.name) {
                 let problem = format!("two parts are called `{}`", entry.name);
                 return Err(Error::file(file, problem, hint));
@@ -160,7 +160,7 @@ impl Part {
                 root_trajectory: entry.root_trajectory,
             });
         }
-        let mut rest = Self::whole(layout);
+        let mut rest = Self::body(layout);
         rest.name = "rest".to_string();
         let taken = |joint: &usize| parts.iter().any(|part: &Self| part.joints.contains(joint));
         rest.joints.retain(|joint| !taken(joint));

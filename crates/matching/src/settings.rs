@@ -116,9 +116,8 @@ pub struct Settings {
     pub pyr_factor: f64,
     /// Length of the coarsest level, K. More patches give more variety and less coherence.
     pub coarse_ratio: CoarseRatio,
-    /// Completeness: patches that nothing is near gain weight. The smaller, the more of the example
-    /// appears; none turns it off. The document says both this and the contrary; this is what is
-    /// measured.
+    /// Completeness: example patches far from the motion gain weight. With a smaller value more of
+    /// the example appears, as measured; the paper states this and the contrary. None turns it off.
     pub alpha: Option<f64>,
     /// Standard deviation of the noise of the coarsest level; 0 is no noise.
     pub sigma: f64,
@@ -128,7 +127,7 @@ pub struct Settings {
     pub distance: Distance,
     /// Start of the coarsest level.
     pub start: Start,
-    /// Whether and how the motion loops.
+    /// Looping of the motion.
     pub looping: Looping,
 }
 

@@ -18,14 +18,14 @@ pub struct Channels {
 }
 
 impl Channels {
-    /// Whether these are all channels in order.
-    fn whole(&self, channels: usize) -> bool {
+    /// True for all channels in order.
+    fn are_all(&self, channels: usize) -> bool {
         self.channels.iter().copied().eq(0..channels)
     }
 
     /// These channels of a motion.
     fn of<'a>(&self, frames: &'a Frames) -> Cow<'a, Frames> {
-        match self.whole(frames.channels()) {
+        match self.are_all(frames.channels()) {
             true => Cow::Borrowed(frames),
             false => Cow::Owned(frames.columns(&self.channels)),
         }
@@ -243,12 +243,12 @@ fn refined_over(levels: &Levels, request: &Request<'_>, from: CoarseStart<'_>) -
     let settings = request.settings;
     let (looping, is_loop) = (settings.looping, settings.looping != Looping::Off);
     let channels = request.examples[0].channels();
-    let whole = [Channels {
+    let body = [Channels {
         name: "body".to_string(),
         channels: (0..channels).collect(),
     }];
     let groups = match request.groups {
-        [] => &whole[..],
+        [] => &body[..],
         groups => groups,
     };
     let mut current: Option<Frames> = None;
@@ -307,7 +307,7 @@ fn refined_over(levels: &Levels, request: &Request<'_>, from: CoarseStart<'_>) -
 /// Merges the motions of groups; shared channels are averaged.
 fn merged(groups: &[Channels], mut voted: Vec<Frames>, channels: usize) -> Frames {
     if let [group] = groups
-        && group.whole(channels)
+        && group.are_all(channels)
     {
         return voted.remove(0);
     }
@@ -315,21 +315,21 @@ fn merged(groups: &[Channels], mut voted: Vec<Frames>, channels: usize) -> Frame
     for channel in groups.iter().flat_map(|group| &group.channels) {
         counts[*channel] += 1.0;
     }
-    let mut whole = Frames::zeros(voted[0].frames(), channels);
+    let mut merged = Frames::zeros(voted[0].frames(), channels);
     for (group, frames) in groups.iter().zip(voted) {
         for t in 0..frames.frames() {
-            let row = whole.frame_mut(t);
+            let row = merged.frame_mut(t);
             for (&channel, value) in group.channels.iter().zip(frames.frame(t)) {
                 row[channel] += value;
             }
         }
     }
-    for row in whole.values_mut().chunks_exact_mut(channels) {
+    for row in merged.values_mut().chunks_exact_mut(channels) {
         for (value, count) in row.iter_mut().zip(&counts) {
             *value /= count.max(1.0);
         }
     }
-    whole
+    merged
 }
 
 /// The example and frame that each frame continues: its place in the patch around it.

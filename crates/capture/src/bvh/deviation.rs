@@ -77,7 +77,7 @@ mod tests {
             bvh.deviation(&clip, &skeleton, 100.0).unwrap()
         };
         assert!(deviation(&places).metres < 1e-6);
-        // The left wrist, the end of a chain, goes on by 40 cm along its bone in one of four frames;
+        // The left wrist, the end of a chain, is 40 cm further along its bone in one of four frames;
         // the bone is 10 cm too long in the others, and 30 cm too short in this one.
         let (wrist, elbow) = (20, 18);
         let bone = minus(frame[wrist], frame[elbow]);

@@ -44,7 +44,7 @@ pub(super) fn degrees(rotation: Quaternion, axes: [Axis; 3], before: [f64; 3]) -
     }
 }
 
-/// Angles in degrees, each by whole turns as near as it can be to that before.
+/// Shifts each angle by full turns to be nearest to the one before; degrees.
 fn nearest(angles: [f64; 3], before: [f64; 3]) -> [f64; 3] {
     [0, 1, 2].map(|i| angles[i] - 360.0 * ((angles[i] - before[i]) / 360.0).round())
 }

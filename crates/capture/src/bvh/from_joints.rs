@@ -20,8 +20,9 @@ impl Bvh {
     /// Rest pose and directions are those of the skeleton's reference pose. Each bone has its mean
     /// length in the clip, so joints of bones of constant length are exact. The root has the body's
     /// heading; every other bone takes the smallest rotation from its parent's. A BVH joint rotates
-    /// all of its bones alike, so each bone at a branch begins with a joint of its own in the same
+    /// all of its bones alike, so each bone at a branch begins with an additional joint in the same
     /// place, named as `pelvis_to_left_hip`.
+    ///
     /// # Errors
     /// [`Error::Features`] if they are not joints of `skeleton`; [`Error::Setting`] if
     /// `units_per_metre` is not positive, for a name that BVH cannot hold or values that overflow.
@@ -108,13 +109,13 @@ impl BvhWriter {
         let mut rotations = vec![Quaternion::IDENTITY; self.joints.len()];
         rotations[0] = heading;
         // The world rotation of the bone that ends at each joint of the skeleton.
-        let mut lies = vec![heading; frame.len()];
+        let mut world = vec![heading; frame.len()];
         for bone in &self.bones {
             let rest = skeleton.description().rest_offsets[bone.end];
             let direction = minus(frame[bone.end], frame[bone.start]);
-            let above = lies[bone.start];
+            let above = world[bone.start];
             let turn = between(rest, above.conjugate().rotate(direction));
-            lies[bone.end] = above * turn;
+            world[bone.end] = above * turn;
             rotations[bone.turned_by] = rotations[bone.turned_by] * turn;
         }
         rotations

@@ -83,7 +83,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_written_is_named() {
+    fn values_that_cannot_be_written_are_named() {
         let phrase = synthetic::phrase(3, 4, 1).motion;
         let error = Bvh::from_phrase(&phrase, -1.0).unwrap_err().to_string();
         assert!(error.contains("`units_per_metre` is -1"), "{error}");

@@ -97,7 +97,7 @@ impl Bvh {
     }
 }
 
-/// A pose given within `parent`, in the frame that `parent` is given in.
+/// A pose relative to `parent`, in the coordinates of `parent`.
 fn within(parent: RootPose, local: RootPose) -> RootPose {
     let arm = parent.orientation.rotate(local.position);
     RootPose {

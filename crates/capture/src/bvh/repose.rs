@@ -29,9 +29,14 @@ impl Bvh {
         let allowed = "a positive number of seconds: 0.05 for 20 frames per second";
         require_positive("frame_time", frame_time, allowed)?;
         let joints = self.joints.len();
-        let whole = !locals.is_empty() && locals.len().is_multiple_of(joints);
+        let complete = !locals.is_empty() && locals.len().is_multiple_of(joints);
         let found = format!("a list of {} for {joints} joints", locals.len());
-        require(whole, "locals", found, "one pose for each joint and frame")?;
+        require(
+            complete,
+            "locals",
+            found,
+            "one pose for each joint and frame",
+        )?;
         let finite = locals.iter().all(|pose| {
             pose.orientation.norm().is_finite() && pose.position.iter().all(|v| v.is_finite())
         });

@@ -212,7 +212,7 @@ mod tests {
         Joint::new(name.to_string(), parent, [1.0, 2.0, -0.5], end_site)
     }
 
-    /// Joints that are not given depth first: the second child of the root comes before its
+    /// Joints that are not in depth-first order: the second child of the root comes before its
     /// grandchild.
     fn figure() -> [Joint; 4] {
         [
@@ -259,7 +259,7 @@ mod tests {
     }
 
     #[test]
-    fn angles_go_on_beyond_half_a_turn_and_over_the_poles() {
+    fn angles_continue_beyond_half_a_turn_and_over_the_poles() {
         let about = |axis: usize, angle: f64| {
             let mut turn = [0.0; 3];
             turn[axis] = angle.to_radians();

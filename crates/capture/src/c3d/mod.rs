@@ -15,7 +15,7 @@ pub use bytes::Processor;
 /// A C3D file: labels and points of all frames. Made by [`C3d::parse`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct C3d {
-    /// Name of the file, as given to the parser.
+    /// Name of the file, for messages.
     pub file: String,
     /// The processor whose number formats the file uses.
     pub processor: Processor,

@@ -32,7 +32,7 @@ impl C3d {
     }
 }
 
-/// The error about what stands in a section at a byte of the file.
+/// An error about the bytes of a section at an offset of the file.
 fn wrong(
     file: &str,
     section: &str,
@@ -116,7 +116,7 @@ impl<'a> Reader<'a> {
         self.processor.word(self.bytes, offset).unwrap_or_default()
     }
 
-    /// `POINT:name`, otherwise what the header has.
+    /// `POINT:name`, otherwise the header's value.
     fn point_number(&self, name: &str, header: impl FnOnce() -> f64) -> f64 {
         self.parameters
             .number("POINT", name, 0)

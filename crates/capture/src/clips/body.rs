@@ -41,7 +41,7 @@ impl Body {
     /// the length of the legs, that of `up` from the place of the head.
     ///
     /// # Errors
-    /// Names what the capture lacks, or the reason why it is no body.
+    /// Names the missing joints or markers, or the reason why they are not a body.
     pub fn of_bvh(
         bvh: &Bvh,
         map: &JointMap,
@@ -59,7 +59,7 @@ impl Body {
     /// must be seen in the frames that are `used`.
     ///
     /// # Errors
-    /// Names what the capture lacks, or the reason why it is no body.
+    /// Names the missing joints or markers, or the reason why they are not a body.
     pub fn of_markers(
         take: &C3d,
         used: Range<usize>,

@@ -128,8 +128,8 @@ mod tests {
         plan
     }
 
-    fn labels(given: &[(&str, &str)]) -> Labels {
-        let named = given
+    fn labels(pairs: &[(&str, &str)]) -> Labels {
+        let named = pairs
             .iter()
             .map(|(a, b)| ((*a).to_owned(), (*b).to_owned()));
         named.collect()

@@ -5,8 +5,8 @@
 //! children, and patients with cerebral palsy based on magnetic resonance imaging" (J. Biomech. 40,
 //! 2007), whose error is 1 to 2 cm. Knees and ankles lie half a usual width inwards of the markers at
 //! their outer sides, elbows in the plane across the bent arm, shoulders below the markers on them;
-//! without the body's own measures they may be off by 1 to 3 cm. [`Centres::spread`] is what can be
-//! measured of it: how much bones change their lengths.
+//! without the body's own measures they may be off by 1 to 3 cm. [`Centres::spread`] measures a
+//! part of the error: the variation of bone lengths.
 
 use std::ops::Range;
 
@@ -129,8 +129,8 @@ impl Centres {
     }
 
     /// The standard deviations of the lengths of the arms' and legs' bones over the take, metres, each
-    /// with the joint that the bone ends at: what joint centres are wrong by, seen from bones that
-    /// do not change.
+    /// with the joint that the bone ends at. Bones have constant lengths, so this is the error of
+    /// joint centres.
     pub fn spread(&self, skeleton: &Skeleton) -> Vec<(String, f64)> {
         let description = skeleton.description();
         let limbs = ["knee", "ankle", "elbow", "wrist"];

@@ -258,9 +258,9 @@ mod tests {
         named_parts(pattern, text).unwrap()
     }
 
-    fn pairs(given: &[(&str, &str)]) -> Vec<(String, String)> {
-        let given = given.iter();
-        given
+    fn pairs(texts: &[(&str, &str)]) -> Vec<(String, String)> {
+        let texts = texts.iter();
+        texts
             .map(|(a, b)| ((*a).to_owned(), (*b).to_owned()))
             .collect()
     }
@@ -278,7 +278,7 @@ mod tests {
         );
         assert_eq!(named(pattern, "a_b_c"), None);
         assert_eq!(named(pattern, "a__c_d"), None);
-        // What does not fit at first is tried longer.
+        // A longer text is tried if the shortest does not fit.
         assert_eq!(named("{a}_x", "b_x_x"), Some(pairs(&[("a", "b_x")])));
         assert_eq!(named("walk", "walk"), Some(vec![]));
         assert_eq!(named("*", ""), Some(vec![]));

@@ -125,12 +125,12 @@ fn toes_that_are_end_sites_lie_on_the_last_bone() {
         .map(|(line, values)| match line > 2 {
             true => {
                 let values = values.split_whitespace().enumerate();
-                let kept = values.filter(|(column, _)| {
+                let values = values.filter(|(column, _)| {
                     columns
                         .iter()
                         .all(|first| !(*first..first + 3).contains(column))
                 });
-                kept.map(|(_, value)| value).collect::<Vec<_>>().join(" ")
+                values.map(|(_, value)| value).collect::<Vec<_>>().join(" ")
             }
             false => values.to_owned(),
         })
@@ -152,9 +152,9 @@ fn toes_that_are_end_sites_lie_on_the_last_bone() {
             let expected = joints.frame(t)[10 + joint];
             let ankle = joints.frame(t)[7 + joint];
             for axis in 0..3 {
-                let way = expected[axis] - ankle[axis];
+                let apart = expected[axis] - ankle[axis];
                 assert!((found[axis] - expected[axis]).abs() < 1e-3, "{t} {axis}");
-                let missed = further[axis] - ankle[axis] - way / 0.6;
+                let missed = further[axis] - ankle[axis] - apart / 0.6;
                 assert!(missed.abs() < 1e-3, "{t} {axis}: {missed}");
             }
         }

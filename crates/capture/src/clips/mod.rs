@@ -2,7 +2,7 @@
 //!
 //! A [joint map](JointMap) names the joints of a BVH capture that are the 22 of the dataset's
 //! skeleton; those of a C3D capture are estimated from its markers. The [body](Body) is resampled to
-//! 20 frames per second, given the bones of one skeleton, put on the floor and [cut](cut()) into
+//! 20 frames per second, retargeted to one skeleton, put on the floor and [cut](cut()) into
 //! clips. Labels come from file names, JSON, a table or the plan, and captions are made of them. A
 //! mirrored copy of each clip has left and right exchanged in both. Whole takes are held out by their
 //! numbers.
@@ -46,14 +46,13 @@ use split::SplitTake;
 use take::{Take, TakeInput};
 use takes::{Tables, tables, takes};
 
-/// Makes the dataset of clips of `plan`. `None` if it was stopped: the takes done are kept, and the
-/// next preparation continues.
+/// Makes the dataset of clips of `plan`. `None` if it was stopped: finished takes are recorded, and
+/// the next preparation continues with the others.
 ///
 /// # Errors
-/// [`Error::Plan`] for files that are not there or wrong, or if there is no clip to train on;
-/// [`Error::Busy`] if another preparation is writing to the output, [`Error::Data`] if that holds a
-/// dataset that no preparation wrote or cannot be written. A take that cannot be used is no error:
-/// its report says why.
+/// [`Error::Plan`] for missing or malformed files, or without a training clip;
+/// [`Error::Busy`] if another preparation is writing to the output, [`Error::Data`] if that contains
+/// a dataset of another origin or cannot be written. The report lists takes that cannot be used.
 pub fn prepare(
     plan: &Plan,
     plan_file: &Path,
@@ -147,7 +146,7 @@ fn finish(
     let entries = plan.split.validation.iter().chain(&plan.split.test);
     let idle = entries.filter(|entry| !takes.iter().any(|take| matches(entry, take.name)));
     let idle_entries = idle.cloned().collect();
-    let kept = journals.iter().filter(|journal| journal.kept).count();
+    let kept = journals.iter().filter(|journal| journal.reused).count();
     let (mut rows, mut reports) = (Vec::new(), Vec::new());
     for journal in journals {
         rows.extend(journal.rows.into_iter().map(|row| {

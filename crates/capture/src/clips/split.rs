@@ -84,7 +84,7 @@ impl SplitPlan {
             }
         }
         let of_file = files(takes);
-        let (mut count, mut whole) = (0, 0);
+        let (mut count, mut too_small) = (0, 0);
         for group in groups.into_values() {
             // The takes of a file count as one, in the group of the last of them.
             let mut group: Vec<usize> = group
@@ -100,7 +100,7 @@ impl SplitPlan {
             let test = share(test).min(spare);
             let val = share(val).min(spare - test);
             count += 1;
-            whole += usize::from(test + val == 0);
+            too_small += usize::from(test + val == 0);
             for (back, &place) in group.iter().rev().enumerate() {
                 let part = match back {
                     _ if back < test => Part::Test,
@@ -115,9 +115,9 @@ impl SplitPlan {
             }
         }
         let mut notes = Vec::new();
-        if test + val > 0.0 && whole > 0 {
+        if test + val > 0.0 && too_small > 0 {
             notes.push(format!(
-                "{whole} of {count} groups of takes with the same labels are too small for a share \
+                "{too_small} of {count} groups of takes with the same labels are too small for a share \
                  to be held out; split.validation and split.test name takes"
             ));
         }
@@ -285,7 +285,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_held_out_is_said() {
+    fn a_note_states_that_no_take_is_held_out() {
         let takes = [
             ("a".to_owned(), labels("happy"), None),
             ("b".to_owned(), labels("sad"), None),

@@ -32,7 +32,7 @@ pub(super) fn takes(plan: &Plan) -> Result<Vec<Take>, String> {
                 ("map", capture.map.is_some()),
                 ("units", capture.units.is_some()),
             ];
-            if let Some((key, _)) = bvh_keys.iter().find(|(_, given)| *given && is("c3d")) {
+            if let Some((key, _)) = bvh_keys.iter().find(|(_, is_set)| *is_set && is("c3d")) {
                 return Err(format!(
                     "capture `{}`: `{key}` is for .bvh files, and {} is none",
                     capture.motion,

@@ -201,7 +201,7 @@ fn another_rate_keeps_the_motion() {
     let apart = |a: [f64; 3], b: [f64; 3]| length([0, 1, 2].map(|axis| a[axis] - b[axis]));
     let mut furthest = 0.0f64;
     for t in 0..41usize {
-        // Every second frame is one of the capture; the others lie half way between two.
+        // Every second frame is one of the capture; the others lie midway between two.
         let (before, after) = (3 * t / 2, (3 * t).div_ceil(2));
         for joint in 0..22 {
             let [a, b] = [before, after].map(|frame| body.joints.frame(frame)[joint]);
@@ -214,9 +214,9 @@ fn another_rate_keeps_the_motion() {
             furthest = furthest.max(found);
         }
     }
-    // They are not simply in the middle: the way is curved.
+    // They are not simply in the middle: the path is curved.
     assert!(furthest > 1e-4, "{furthest}");
-    // Files say their frame time with six digits or so.
+    // Files state their frame time with about six digits.
     for rate in [1.0 / 0.0333333, 1.0 / 0.033333] {
         let rounded = Body {
             rate,
@@ -357,9 +357,9 @@ fn a_clip_walks_where_it_faces_on_the_floor_and_its_image_is_mirrored() {
     };
     let one = clip("a_walk-left_happy_003_00000");
     assert_eq!(one.frames(), 60);
-    let way = one.to_absolute().root_positions();
+    let path = one.to_absolute().root_positions();
     // 1.3 m/s for 59 steps of a twentieth of a second, scaled with the legs, which are as long.
-    let [x, _, z] = way[59];
+    let [x, _, z] = path[59];
     assert!(
         (z - 1.3 * 59.0 / 20.0).abs() < 0.1 && x.abs() < 0.1,
         "{x} {z}"

@@ -47,7 +47,7 @@ impl AlignedTrack {
         match (self.track.valid()[t], alone) {
             (true, true) => format!("too short for a phrase of {length} frames"),
             (true, false) => format!("left over: phrases have {length} frames"),
-            (false, _) => "the capture does not tell the root".to_owned(),
+            (false, _) => "the root is missing in the capture".to_owned(),
         }
     }
 
@@ -83,7 +83,7 @@ impl AlignedTrack {
     }
 
     /// The part of a capture file that the plan asks for, at its time in the song.
-    pub fn whole(take: &Take, path: &Path, song: Option<&Song>) -> Result<Self, String> {
+    pub fn recording(take: &Take, path: &Path, song: Option<&Song>) -> Result<Self, String> {
         let source = root_source::read(path, &take.plan)?;
         let rate = source.rate();
         let last_frame = (source.frames() - 1) as f64;

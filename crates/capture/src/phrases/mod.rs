@@ -39,14 +39,13 @@ const PHRASES: Parts = Parts {
     index: &[MANIFEST],
 };
 
-/// Makes the dataset of phrases of `plan`. `None` if it was stopped: the takes done are kept, and the
-/// next preparation continues.
+/// Makes the dataset of phrases of `plan`. `None` if it was stopped: finished takes are recorded,
+/// and the next preparation continues with the others.
 ///
 /// # Errors
-/// [`Error::Plan`] for files that are not there or if no take gave a phrase, [`Error::Busy`] if
-/// another preparation is writing to the output, [`Error::Data`] if that holds a dataset that no
-/// preparation wrote or cannot be written. A take that cannot be used is no error: its report says
-/// why.
+/// [`Error::Plan`] for missing files or if no take gave a phrase, [`Error::Busy`] if
+/// another preparation is writing to the output, [`Error::Data`] if that contains a dataset of another
+/// origin or cannot be written. The report lists takes that cannot be used.
 pub fn prepare(
     plan: &Plan,
     plan_file: &Path,
@@ -72,7 +71,7 @@ pub fn prepare(
     let Some(journals) = journals else {
         return Ok(None);
     };
-    let kept = journals.iter().filter(|journal| journal.kept).count();
+    let kept = journals.iter().filter(|journal| journal.reused).count();
     let (rows, takes): (Vec<Vec<ManifestRow>>, Vec<TakeReport>) = journals
         .into_iter()
         .map(|journal| (journal.rows, journal.report))

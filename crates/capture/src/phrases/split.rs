@@ -87,10 +87,10 @@ mod tests {
     }
 
     fn held_out(rows: &[ManifestRow]) -> Vec<&str> {
-        let held = rows
+        let rows = rows
             .iter()
             .filter(|row| row.split == Some(Side::Validation));
-        held.map(|row| row.id.as_str()).collect()
+        rows.map(|row| row.id.as_str()).collect()
     }
 
     #[test]
@@ -125,7 +125,7 @@ mod tests {
     }
 
     #[test]
-    fn one_song_is_not_cut_in_two_unless_the_plan_says_so() {
+    fn one_song_is_divided_only_if_the_plan_names_phrases() {
         let mut rows = rows(&[("a", Some("s"), 5), ("b", Some("s"), 5)]);
         let divided = SplitPlan::default().divide(&mut rows);
         assert!(held_out(&rows).is_empty() && divided.held_out.is_empty());

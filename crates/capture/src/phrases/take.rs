@@ -59,10 +59,10 @@ impl Take {
         let segments = self.plan.segments.iter();
         let names: BTreeSet<&str> = segments.map(|segment| segment.motion.as_str()).collect();
         let segments = names.into_iter().map(|name| (name, plan.resolve(name)));
-        let whole = self.motion.iter().chain(&self.audio);
-        let whole = whole.map(|path| ("", path.clone()));
+        let others = self.motion.iter().chain(&self.audio);
+        let others = others.map(|path| ("", path.clone()));
         // A segment whose file is missing is a gap.
-        for (name, file) in segments.filter(|(_, path)| path.exists()).chain(whole) {
+        for (name, file) in segments.filter(|(_, path)| path.exists()).chain(others) {
             parts.push(name.as_bytes().to_vec());
             parts.push(Digest::of(&bytes(&file)?).as_bytes().to_vec());
         }
@@ -86,7 +86,7 @@ impl Take {
         let song = song.transpose()?;
         let timeline = self.timeline(song)?;
         let aligned = match &self.motion {
-            Some(path) => AlignedTrack::whole(self, path, song)?,
+            Some(path) => AlignedTrack::recording(self, path, song)?,
             None => AlignedTrack::segments(self, plan, song, &timeline)?,
         };
         let (length, hop) = (plan.phrases.frames, plan.phrases.hop);

@@ -107,12 +107,12 @@ impl Plan {
     pub fn read(path: &Path) -> Result<Self, Error> {
         let text = read_text(path).map_err(|problem| Error::plan(path, problem))?;
         let file = path.display().to_string();
-        let document = Document::parse(&text, &file)?;
-        let mut plan: Self = document.read(PLANS)?;
+        let parsed = Document::parse(&text, &file)?;
+        let mut plan: Self = parsed.read(PLANS)?;
         plan.folder = path.parent().unwrap_or(Path::new("")).to_owned();
-        one_kind(&document.table).map_err(|problem| Error::plan(path, problem))?;
+        one_kind(&parsed.table).map_err(|problem| Error::plan(path, problem))?;
         let checked = plan.check().hint(PLANS);
-        checked.map_err(|setting| document.refuse(setting))?;
+        checked.map_err(|setting| parsed.refuse(setting))?;
         if !plan.is_of_clips() && plan.takes.is_empty() && plan.choreonet.is_empty() {
             let problem = "no [[take]], [[choreonet]] or [[capture]]: nothing to prepare";
             return Err(Error::plan(path, problem));
@@ -154,12 +154,12 @@ impl Plan {
                 capture.check().within(&format!("capture[{index}]"))
             });
         }
-        for (key, given) in [
+        for (key, is_set) in [
             ("split.test", !self.split.test.is_empty()),
             ("split.test_fraction", test.is_some()),
         ] {
             require(
-                !given,
+                !is_set,
                 key,
                 "given",
                 "in plans of clips, which have [[capture]]",
@@ -177,8 +177,8 @@ impl Plan {
 }
 
 /// Rejects a plan with keys of phrases and keys of clips.
-fn one_kind(given: &Table) -> Result<(), String> {
-    let first = |keys: &[&'static str]| keys.iter().copied().find(|key| given.contains_key(*key));
+fn one_kind(table: &Table) -> Result<(), String> {
+    let first = |keys: &[&'static str]| keys.iter().copied().find(|key| table.contains_key(*key));
     match (first(&OF_PHRASES), first(&OF_CLIPS)) {
         (Some(phrases), Some(clips)) => Err(format!(
             "`{phrases}` is for phrases and `{clips}` for clips: a plan makes one of them, so write \

@@ -173,9 +173,9 @@ impl TakePlan {
             in_range("beats.start_seconds", grid.start_seconds, -MOST..=MOST)?;
             Beats::Grid(*grid).check().within("beats")?;
         }
-        let whole = "in whole takes; segments have `frames` and follow `beats`";
-        let tracked = "where beats are tracked; `beats` states bars of its own";
-        for (key, given, holds, allowed) in [
+        let recordings = "in whole takes; segments have `frames` and follow `beats`";
+        let tracked = "where beats are tracked; `beats` states its own bars";
+        for (key, is_set, holds, allowed) in [
             (
                 "beats_per_bar",
                 self.beats_per_bar.is_some(),
@@ -192,19 +192,19 @@ impl TakePlan {
                 "motion_start_seconds",
                 self.motion_start_seconds != 0.0,
                 !pieces,
-                whole,
+                recordings,
             ),
             (
                 "motion_end_seconds",
                 self.motion_end_seconds.is_some(),
                 !pieces,
-                whole,
+                recordings,
             ),
             (
                 "audio_start_seconds",
                 self.audio_start_seconds != 0.0,
                 !pieces,
-                whole,
+                recordings,
             ),
             (
                 "grid",
@@ -213,7 +213,7 @@ impl TakePlan {
                 "for segments; a whole take is not moved",
             ),
         ] {
-            require(!given || holds, key, "given", allowed)?;
+            require(!is_set || holds, key, "given", allowed)?;
         }
         in_range(
             "beats_per_bar",
@@ -243,7 +243,10 @@ impl TakePlan {
         let endings = files.iter().filter_map(|file| file.extension());
         let endings: Vec<OsString> = endings.map(|e| e.to_ascii_lowercase()).collect();
         let has = |kinds: &[&str]| endings.iter().any(|e| kinds.iter().any(|kind| e == kind));
-        match keys.iter().find(|(_, given, kinds)| *given && !has(kinds)) {
+        match keys
+            .iter()
+            .find(|(_, is_set, kinds)| *is_set && !has(kinds))
+        {
             Some((key, _, kinds)) => Err(format!(
                 "`{key}` is for .{} files, and this take has none",
                 kinds.join(" and .")

@@ -69,7 +69,7 @@ pub(crate) trait Maker: Sync {
     /// The reason why the take cannot be used.
     fn read(&self, take: &Self::Take) -> Result<(Digest, Self::Input), String>;
 
-    /// Writes the items of a take. A take that cannot be used has a report that says so.
+    /// Writes the items of a take. The report of a take that cannot be used has the reason.
     ///
     /// # Errors
     /// If a file cannot be written.
@@ -85,8 +85,8 @@ pub(crate) trait Maker: Sync {
 /// The journals of a maker's takes.
 pub(crate) type Journals<M> = Vec<Journal<<M as Maker>::Row, <M as Maker>::Report>>;
 
-/// Makes what is missing of the takes, sorted by name. The takes of a group are made one after the
-/// other, by one thread. `None` if the observer stopped it: the next preparation continues.
+/// Makes the takes that have changed and returns all journals, sorted by name. One thread makes
+/// the takes of a group, one after the other. `None` if the observer stopped it.
 ///
 /// # Errors
 /// [`Error::Plan`] if no take gave an item, and errors of writing.
@@ -124,16 +124,16 @@ pub(crate) fn make_takes<M: Maker>(
         let problem = format!("no take gave a {}{}", M::ITEM, reasons(&reports));
         return Err(Error::plan(plan_file, problem));
     }
-    // Takes that were rejected whole are recorded once there is a dataset.
+    // Takes without items are recorded once there is a dataset.
     for journal in &journals {
-        if !journal.kept && journal.rows.is_empty() && journal.report.failure().is_none() {
+        if !journal.reused && journal.rows.is_empty() && journal.report.failure().is_none() {
             journal.write(journal.report.name(), output)?;
         }
     }
     Ok(Some(journals))
 }
 
-/// The journal of a take, from before if it is still true.
+/// The journal of a take: the stored one if nothing has changed.
 fn one<M: Maker>(
     maker: &M,
     take: &M::Take,
@@ -149,7 +149,7 @@ fn one<M: Maker>(
                 key: Digest::of(b""),
                 rows: Vec::new(),
                 report: M::Report::failed(name, problem),
-                kept: false,
+                reused: false,
             });
         }
     };
@@ -166,7 +166,7 @@ fn one<M: Maker>(
         key,
         rows,
         report,
-        kept: false,
+        reused: false,
     };
     // A take that cannot be used is tried again by the next preparation.
     if !journal.rows.is_empty() {

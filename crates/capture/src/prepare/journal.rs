@@ -19,7 +19,7 @@ pub(crate) struct Journal<Row, Report> {
     pub report: Report,
     /// True if an earlier preparation made it.
     #[serde(skip)]
-    pub kept: bool,
+    pub reused: bool,
 }
 
 fn path(name: &str) -> String {
@@ -36,7 +36,7 @@ impl<Row: DeserializeOwned, Report: DeserializeOwned> Journal<Row, Report> {
         let journal = bytes.and_then(|bytes| serde_json::from_slice::<Self>(&bytes).ok());
         let journal = journal.filter(|journal| journal.key == key);
         Ok(journal.map(|journal| Self {
-            kept: true,
+            reused: true,
             ..journal
         }))
     }

@@ -14,7 +14,7 @@ use serde::Serialize;
 use crate::Error;
 use crate::plan::Plan;
 
-/// The file that one preparation at a time holds locked, in a folder of this machine.
+/// The lock file of a dataset in a local folder: one preparation at a time locks it.
 const LOCK: &str = "prepare/lock";
 
 /// The files of a dataset of one kind.
@@ -43,7 +43,7 @@ pub(crate) struct Output {
 struct WriteState {
     /// True once a file has been written.
     written: bool,
-    /// Held until the end.
+    /// Locked until the end.
     lock: Option<File>,
 }
 
@@ -75,8 +75,8 @@ impl Output {
     /// The place that the plan names, with nothing written yet.
     ///
     /// # Errors
-    /// [`Error::Data`] if it holds a dataset that no preparation wrote or cannot be used,
-    /// [`Error::Busy`] if another one is writing.
+    /// [`Error::Data`] if it contains a dataset of another origin or cannot be used,
+    /// [`Error::Busy`] if another preparation is writing.
     pub fn open(plan: &Plan, parts: Parts) -> Result<Self, Error> {
         let place = match plan.output.contains("://") {
             true => plan.output.clone(),
@@ -120,7 +120,10 @@ impl Output {
     /// [`Error::Busy`], [`Error::Data`].
     pub fn write(&self, path: &str, bytes: Vec<u8>) -> Result<(), Error> {
         {
-            let mut state = self.state.lock().expect("no thread panics holding it");
+            let mut state = self
+                .state
+                .lock()
+                .expect("no thread panics while it locks this");
             if !state.written {
                 if state.lock.is_none() {
                     state.lock = lock(&self.store)?;
@@ -140,7 +143,7 @@ impl Output {
     /// given the number of items that are left.
     ///
     /// # Errors
-    /// [`Error::Busy`] if another preparation has state meanwhile, [`Error::Data`].
+    /// [`Error::Busy`] if another preparation has started meanwhile, [`Error::Data`].
     pub fn finish<R: Serialize>(
         &self,
         made: &BTreeSet<String>,
@@ -153,7 +156,10 @@ impl Output {
         let ids = stale.iter().filter_map(|path| (self.parts.id)(path));
         let left = ids.collect::<BTreeSet<&str>>().len();
         let report = report(if prune { 0 } else { left });
-        let mut state = self.state.lock().expect("no thread panics holding it");
+        let mut state = self
+            .state
+            .lock()
+            .expect("no thread panics while it locks this");
         if state.lock.is_none() {
             state.lock = lock(&self.store)?;
         }
@@ -167,7 +173,7 @@ impl Output {
         write_index(&self.store)?;
         let text = serde_json::to_vec_pretty(&report).expect("plain data");
         self.store.write(PREPARATION, text)?;
-        // Not before the index has let go of them.
+        // Last, because the old index lists them.
         if prune {
             for path in stale {
                 self.store.remove(path)?;
@@ -215,7 +221,7 @@ fn present(store: &Store, parts: Parts) -> Result<HashMap<String, u64>, Error> {
     Ok(files.map(|file| (file.path, file.bytes)).collect())
 }
 
-/// Rejects a place that holds items of another origin.
+/// Rejects a place that contains items of another origin.
 fn refuse_foreign(
     store: &Store,
     parts: Parts,

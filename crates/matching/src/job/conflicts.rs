@@ -179,10 +179,10 @@ mod tests {
         job.keyframes[0].0.part = Some("RightFoot".to_string());
         job.make(&[walk("walk.bvh", 70)]).unwrap();
         job.keyframes[0].0.place = Some([1.0, 2.0]);
-        let led = message(&job);
+        let placed = message(&job);
         assert!(
-            led.contains("the body has a place, and its root trajectory follows legs.bvh as part of `LeftLeg`"),
-            "{led}"
+            placed.contains("the body has a place, and its root trajectory follows legs.bvh as part of `LeftLeg`"),
+            "{placed}"
         );
         // Parts that share the hips of one motion agree, of two they do not.
         job.fixed.push(fixed("RightLeg", legs.clone()));

@@ -1,4 +1,4 @@
-//! Key frames of whole jobs: close together, near the ends, and in loops; places and headings.
+//! Key frames of jobs: close together, near the ends, and in loops; places and headings.
 
 use super::*;
 use crate::jerk_around;
@@ -47,7 +47,7 @@ fn key_frames_close_together_are_all_met() {
             reach,
             ..key(time, source_time)
         };
-        // A later whole body does not change the leg before it, nor the other way round.
+        // A later body does not change the leg before it, nor the reverse.
         let keys = [
             at(1.0, 0.3, None),
             at(1.2, 1.7, None),

@@ -1,4 +1,4 @@
-//! Whole jobs.
+//! Jobs.
 
 use super::*;
 use crate::motion_matrix::tests::example;

@@ -71,7 +71,7 @@ mod tests {
         let both = Stillness::of(&example, &[example.clone(), resting]).unwrap();
         assert_eq!((both.motion, both.examples), (0.0, 30.0 / 198.0));
         assert_eq!(Stillness::of(&Frames::new(1, vec![0.0]), &[example]), None);
-        // Three of four frames are held, as in a capture that is stored at four times its rate.
+        // Three of four frames repeat, as in a capture that is stored at four times its rate.
         let stored = walk(|t| (t / 4) as f32);
         let frozen = Stillness::of(&walk(|_| 0.0), std::slice::from_ref(&stored)).unwrap();
         assert_eq!(frozen.motion, 1.0);

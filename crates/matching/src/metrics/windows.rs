@@ -25,7 +25,7 @@ impl Targets {
         });
         Self {
             ranges: ranges.collect(),
-            frames: Padded::whole(&Frames::joined(targets)),
+            frames: Padded::all_channels(&Frames::joined(targets)),
         }
     }
 
@@ -44,7 +44,7 @@ impl Targets {
 /// the mean distance of their frames. No window spans two targets.
 pub(super) fn cheapest(motion: &Frames, targets: &[Frames], window: usize) -> Vec<f64> {
     let targets = Targets::new(targets);
-    let motion = Padded::whole(motion);
+    let motion = Padded::all_channels(motion);
     let windows = motion.frames() + 1 - window;
     let width = targets.frames.frames();
     let firsts: Vec<usize> = (0..windows).step_by(ROWS).collect();
@@ -73,7 +73,7 @@ pub(super) fn cheapest(motion: &Frames, targets: &[Frames], window: usize) -> Ve
 /// shortest of G(s) + the smallest sum for the frames from s to e.
 pub(super) fn segmented(motion: &Frames, targets: &[Frames], shortest: usize) -> f64 {
     let targets = Targets::new(targets);
-    let motion = Padded::whole(motion);
+    let motion = Padded::all_channels(motion);
     let frames = motion.frames();
     // A segment of twice the shortest length costs no less than its halves.
     let longest = 2 * shortest - 1;

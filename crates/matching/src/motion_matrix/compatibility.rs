@@ -111,11 +111,11 @@ impl MotionMatrix {
     }
 
     /// Checks that no ancestor of the root joint rotates or moves; otherwise the root trajectory is
-    /// not one over the ground. `asked`: the option that needs it.
+    /// not one over the ground. `option`: the one that needs it.
     pub(crate) fn must_have_upright_root<'a>(
         &self,
         motions: impl IntoIterator<Item = &'a Example>,
-        asked: &str,
+        option: &str,
     ) -> Result<(), Error> {
         let parent = self.joints()[self.root_joint].parent;
         let Some(parent) = parent.filter(|_| self.ancestors.is_empty()) else {
@@ -133,7 +133,7 @@ impl MotionMatrix {
                     [self.root_joint, parent].map(|joint| &self.joints()[joint].name);
                 let problem = format!("`{own}` travels within `{above}`, which turns or moves");
                 let hint =
-                    format!("{asked} needs a joint that travels over the ground: leave it out");
+                    format!("{option} needs a joint that travels over the ground: leave it out");
                 return Err(Error::file(&motion.file, problem, hint));
             }
         }

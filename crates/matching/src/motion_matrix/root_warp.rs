@@ -1,4 +1,4 @@
-//! Root trajectories warped through given places.
+//! Root trajectories warped through places.
 
 use kinegrad_motion::banded::Cholesky;
 
@@ -14,7 +14,7 @@ const FADE: f64 = 0.25;
 const NEAR: f64 = 1e-3;
 
 impl MotionMatrix {
-    /// Warps a root trajectory so that at each frame `t` of `points` it is at the given place
+    /// Warps a root trajectory so that at each frame `t` of `points` it is at the place of the point
     /// (horizontal, file units). The first frame is fixed ([`start_at`](Self::start_at) moves it);
     /// frames after the last point move with it.
     ///
@@ -67,7 +67,7 @@ impl MotionMatrix {
 }
 
 /// The offset of each of `n` frames, where the frames of `points` (sorted, after the first frame)
-/// have given offsets.
+/// have fixed offsets.
 fn offsets(n: usize, points: &[(usize, f64)], fade: f64, is_loop: bool) -> Vec<f64> {
     let last = points.last().map_or(0, |(t, _)| *t);
     let mut knots = vec![(0, 0.0)];
@@ -124,8 +124,8 @@ fn step_weights(n: usize, points: &[(usize, f64)], fade: f64) -> Vec<f64> {
     let mut weights = Vec::with_capacity(n);
     for (place, &from) in times.iter().enumerate() {
         let to = times.get(place + 1).copied().unwrap_or(n - 1);
-        let is_loop = place.saturating_sub(1)..(place + 2).min(gaps.len());
-        let least = gaps[is_loop]
+        let around = place.saturating_sub(1)..(place + 2).min(gaps.len());
+        let least = gaps[around]
             .iter()
             .min()
             .map_or(fade, |gap| *gap as f64 / 2.0);
@@ -172,7 +172,7 @@ mod tests {
     }
 
     #[test]
-    fn places_are_met_and_the_trajectory_does_not_overshoot() {
+    fn places_are_exact_and_the_trajectory_does_not_overshoot() {
         let cases: [&[(usize, f64)]; 8] = [
             &[(15, 0.3)],
             &[(6, 0.3)],
@@ -217,14 +217,14 @@ mod tests {
         let far = offsets(300, &[(120, 1.0)], FRAMES, false);
         assert!(jerk(&far) < 15.0, "{}", jerk(&far));
         assert!(beyond(&far, &[(120, 1.0)]) < 0.05);
-        // Two close places later on ask for nothing.
+        // Two close places later on change nothing.
         let points = [(150, 2.0), (300, -1.0), (420, -1.0), (422, -1.0)];
         let beside = offsets(500, &points, FRAMES, false);
         assert!(jerk(&beside) < 15.0, "{}", jerk(&beside));
     }
 
     #[test]
-    fn short_and_long_motions_and_places_in_all_frames_are_led() {
+    fn short_and_long_motions_and_places_in_all_frames_are_warped() {
         for n in [2, 3, 4, 5] {
             for is_loop in [false, true] {
                 let found = offsets(n, &[(n - 1, 2.0)], FRAMES, is_loop);

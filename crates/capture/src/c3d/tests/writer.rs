@@ -2,7 +2,7 @@
 
 use crate::c3d::Processor;
 
-/// What a test file holds; change what the test is about.
+/// The contents of a test file.
 #[derive(Clone, Debug)]
 pub struct Example {
     pub processor: Processor,
