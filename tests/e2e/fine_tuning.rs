@@ -286,7 +286,7 @@ fn starts_that_do_not_fit_are_refused_by_key() {
     let cases: [(String, &[&str]); 9] = [
         (
             e2e("x", "").replace("init.decoder=runs/decoder", "init.decoder=runs/base"),
-            &["`init.decoder` is", "holds no decoder"],
+            &["`init.decoder` is", "contains no decoder"],
         ),
         (
             e2e("x", "--set decoder.hidden_dim=48"),

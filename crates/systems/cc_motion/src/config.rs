@@ -3,13 +3,12 @@
 use std::ops::Bound;
 use std::path::PathBuf;
 
-use crate::network::DecoderConfig;
-use crate::network::StyleConditioning;
-use crate::network::UNet1dConfig;
 use kinegrad_data::DataKind;
 use kinegrad_diffusion::{DiffusionConfig, GuidanceScales, RolloutMode as Graph, must_suit};
 use kinegrad_models::LoraConfig;
 use kinegrad_settings::{ABOVE_ZERO, InvalidSetting, Refused, in_range, require};
+use kinegrad_train::Error;
+use kinegrad_train::config::{ClipSample, Config, ModelTable, NetworkKind, PLAIN, SystemTables};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use toml::Table;
@@ -17,8 +16,7 @@ use toml::Table;
 use super::PhrasePathConfig;
 use super::losses::{SignMatching, TemporalLossConfig};
 use super::recipe_name::RecipeName;
-use kinegrad_train::Error;
-use kinegrad_train::config::{ClipSample, Config, ModelTable, NetworkKind, PLAIN, SystemTables};
+use crate::network::{DecoderConfig, StyleConditioning, UNet1dConfig};
 
 /// The tables of this system.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]

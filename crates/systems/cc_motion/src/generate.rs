@@ -9,16 +9,15 @@ use kinegrad_kernels::batch_invariant;
 use kinegrad_motion::Phrase;
 use kinegrad_motion::phrase::CHANNELS;
 use kinegrad_random::{Key, Purpose};
+use kinegrad_train::config::SamplingConfig;
+use kinegrad_train::sampling::Needs;
+use kinegrad_train::{Error, TrainedModel, memory};
 
-pub use super::generator::{Generator, Sample};
 use super::lengths::windows;
 use super::load::footprint;
 use super::windowed::{WINDOWS_IN_FLIGHT, WindowedSampling};
-use kinegrad_train::Error;
-use kinegrad_train::TrainedModel;
-use kinegrad_train::config::SamplingConfig;
-use kinegrad_train::memory;
-use kinegrad_train::sampling::Needs;
+
+pub use super::generator::{Generator, Sample};
 
 /// Maximum batch size.
 const BATCH: usize = 32;

@@ -1,22 +1,19 @@
 //! A trained model of phrases.
 
-use crate::network::AudioCondition;
-use crate::network::MotionDecoder;
-use crate::network::UNet1d;
 use burn::module::Module;
 use burn::tensor::{Device, Tensor};
 use kinegrad_diffusion::GaussianDiffusion;
 use kinegrad_motion::postprocess::PostProcessConfig;
 use kinegrad_motion::{ChannelEncoding, Phrase, Phrases, Statistics, process_around};
+use kinegrad_train::checkpoint::State;
+use kinegrad_train::config::Config;
+use kinegrad_train::sampling::Style;
+use kinegrad_train::{Error, TrainedModel};
 
 use super::load::targets;
 use super::style::EncodedStyle;
 use super::{CcMotionConfig, Trained};
-use kinegrad_train::Error;
-use kinegrad_train::TrainedModel;
-use kinegrad_train::checkpoint::State;
-use kinegrad_train::config::Config;
-use kinegrad_train::sampling::Style;
+use crate::network::{AudioCondition, MotionDecoder, UNet1d};
 
 /// One sample, in physical units.
 #[derive(Clone, Debug)]

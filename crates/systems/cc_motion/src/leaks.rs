@@ -3,10 +3,10 @@
 use std::collections::BTreeSet;
 
 use kinegrad_data::{DataConfig, DataKind, Dataset, PhraseItem, Songs, song_of};
-
-use super::start::Starts;
 use kinegrad_train::Observer;
 use kinegrad_train::checkpoint::State;
+
+use super::start::Starts;
 
 /// Most phrases or songs that a warning names.
 const NAMED: usize = 5;

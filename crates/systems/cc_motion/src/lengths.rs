@@ -5,9 +5,9 @@ use std::sync::Arc;
 use kinegrad_data::PhraseItem;
 use kinegrad_motion::OrientationEncoding;
 use kinegrad_motion::stitch::Windows;
+use kinegrad_train::config::Config;
 
 use super::load::targets;
-use kinegrad_train::config::Config;
 
 /// The first frames of a phrase, at most `longest`: as validation has it.
 pub(super) fn leading(phrase: &Arc<PhraseItem>, longest: usize) -> Arc<PhraseItem> {

@@ -28,21 +28,6 @@ use std::path::{Path, PathBuf};
 
 use kinegrad_motion::{Phrases, Representation};
 use kinegrad_settings::Key;
-use toml::Table;
-
-pub use config::{
-    CcMotionConfig, CcMotionNetwork, CondSource, EvaluationConfig, InitConfig, LossConfig,
-    PretrainConfig, ReconstructionWeighting, RolloutConfig, RolloutMode, RolloutStart,
-};
-pub use load::Trained;
-pub use path::{PhrasePath, PhrasePathConfig, PhrasePathMethod};
-
-use kinegrad_train::Error;
-use kinegrad_train::Observer;
-use kinegrad_train::ParameterCount;
-use kinegrad_train::RecipeInfo;
-use kinegrad_train::System;
-use kinegrad_train::TrainedModel;
 use kinegrad_train::checkpoint::SavedCheckpoint;
 use kinegrad_train::config::{Config, ConfigError, OwnTables, Place, SystemTables};
 use kinegrad_train::evaluation::{Evaluation, EvaluationRequest};
@@ -50,8 +35,18 @@ use kinegrad_train::memory::Footprint;
 use kinegrad_train::run::{Outcome, Setup};
 use kinegrad_train::sampling::{Request, SampleSink, Sampler};
 use kinegrad_train::start::tables_of;
+use kinegrad_train::{Error, Observer, ParameterCount, RecipeInfo, System, TrainedModel};
+use toml::Table;
+
 use recipe_name::{RECIPES, RecipeName};
 use start::Starts;
+
+pub use config::{
+    CcMotionConfig, CcMotionNetwork, CondSource, EvaluationConfig, InitConfig, LossConfig,
+    PretrainConfig, ReconstructionWeighting, RolloutConfig, RolloutMode, RolloutStart,
+};
+pub use load::Trained;
+pub use path::{PhrasePath, PhrasePathConfig, PhrasePathMethod};
 
 /// The system.
 pub struct CcMotion;

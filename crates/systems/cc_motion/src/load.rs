@@ -1,25 +1,19 @@
 //! The networks of a checkpoint of any recipe.
 
-use crate::network::DecoderConfig;
-use crate::network::MotionDecoder;
-use crate::network::MotionModel;
-use crate::network::UNet1d;
-use crate::network::UNet1dConfig;
-use crate::network::decoder::{DecoderInit, Normalization};
 use burn::module::Module;
 use burn::tensor::Device;
-use kinegrad_models::Initializer;
-use kinegrad_models::parameters;
 use kinegrad_models::parameters::ParameterInfo;
+use kinegrad_models::{Initializer, parameters};
 use kinegrad_motion::{ChannelEncoding, Phrases, Statistics};
-
-use super::recipe_name::RecipeName;
-use super::{CcMotionConfig, CcMotionNetwork};
-use kinegrad_train::Error;
 use kinegrad_train::checkpoint::{SavedCheckpoint, State, Weights};
 use kinegrad_train::config::Config;
 use kinegrad_train::memory::Footprint;
-use kinegrad_train::{ParameterCount, is_adapter};
+use kinegrad_train::{Error, ParameterCount, is_adapter};
+
+use super::recipe_name::RecipeName;
+use super::{CcMotionConfig, CcMotionNetwork};
+use crate::network::decoder::{DecoderInit, Normalization};
+use crate::network::{DecoderConfig, MotionDecoder, MotionModel, UNet1d, UNet1dConfig};
 
 /// Names of the networks of a model that has both.
 const NETWORKS: &[&str] = &["unet", "decoder"];

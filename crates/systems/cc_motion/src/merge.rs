@@ -2,15 +2,14 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::network::MotionModel;
 use kinegrad_models::parameters;
+use kinegrad_train::checkpoint::{SavedCheckpoint, Weights, must_be_free, write_weights};
+use kinegrad_train::config::OwnTables;
+use kinegrad_train::{Error, System};
 
 use super::load::networks;
 use super::{CcMotion, CcMotionConfig};
-use kinegrad_train::Error;
-use kinegrad_train::System;
-use kinegrad_train::checkpoint::{SavedCheckpoint, Weights, must_be_free, write_weights};
-use kinegrad_train::config::OwnTables;
+use crate::network::MotionModel;
 
 /// Merges the adapters of the checkpoint `saved` into their weights, and writes the result as the
 /// only checkpoint of a run in `out`, a new or empty folder, for sampling and initialisation; it

@@ -11,13 +11,12 @@ use kinegrad_motion::phrase::{ACCELERATION, FPS, POSITION, VELOCITY};
 use kinegrad_motion::stitch::Windows;
 use kinegrad_motion::{Phrase, Statistics};
 use kinegrad_settings::{InvalidSetting, in_range};
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
-use serde_json::to_value;
-
 use kinegrad_train::Error;
 use kinegrad_train::clips::path_target::{Fastest, PathTarget};
 use kinegrad_train::sampling::PathRecord;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use serde_json::to_value;
 
 /// The table `evaluation.path`: how a phrase follows the path of `kinegrad sample --path`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]

@@ -3,15 +3,12 @@
 use std::path::Path;
 use std::rc::Rc;
 
-use super::recipe_name::RecipeName;
-use super::{CcMotion, CcMotionConfig, InitConfig, PretrainConfig};
-use kinegrad_train::Ending;
-use kinegrad_train::Error;
-use kinegrad_train::Observer;
-use kinegrad_train::Systems;
-use kinegrad_train::Together;
 use kinegrad_train::config::{Config, OptimConfig, OwnTables, RunConfig, TrainConfig};
 use kinegrad_train::run::{Outcome, has_begun, train_config};
+use kinegrad_train::{Ending, Error, Observer, Systems, Together};
+
+use super::recipe_name::RecipeName;
+use super::{CcMotion, CcMotionConfig, InitConfig, PretrainConfig};
 
 /// Names of the two runs, inside the folder of the run that needs them.
 const BASE: &str = "base";

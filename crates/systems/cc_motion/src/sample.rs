@@ -5,13 +5,20 @@ use std::collections::BTreeSet;
 use std::iter::repeat_n;
 use std::path::{Path, PathBuf};
 
-use crate::network::Beats;
 use kinegrad_data::{AudioFeatures, DataConfig, DataKind, Dataset, PhraseItem, load_audio};
 use kinegrad_motion::path::PathPlan;
 use kinegrad_motion::postprocess::PostProcessConfig;
 use kinegrad_motion::stitch::Windows;
 use kinegrad_motion::{OrientationEncoding, Phrase, Profile, Report, Statistics, check};
 use kinegrad_random::{Key, Purpose};
+use kinegrad_train::clips::path_target::read_path;
+use kinegrad_train::config::Config;
+use kinegrad_train::sampling::{
+    Condition, Generated, Job, KnownFrames, Needs, Record, Request, Run, SampleSink, Sampler,
+    Summary, WindowsRecord, item_seed,
+};
+use kinegrad_train::song::{KnownBeats, song_features};
+use kinegrad_train::{Error, TrainedModel};
 
 use super::CcMotionConfig;
 use super::generate::{Generator, Sample, keys, needs};
@@ -20,15 +27,7 @@ use super::load::{targets, unet1d};
 use super::path::PathCondition;
 use super::style::must_know;
 use super::windowed::{WINDOWS_IN_FLIGHT, WindowedSampling};
-use kinegrad_train::Error;
-use kinegrad_train::TrainedModel;
-use kinegrad_train::clips::path_target::read_path;
-use kinegrad_train::config::Config;
-use kinegrad_train::sampling::{
-    Condition, Generated, Job, KnownFrames, Needs, Record, Request, Run, SampleSink, Sampler,
-    Summary, WindowsRecord, item_seed,
-};
-use kinegrad_train::song::{KnownBeats, song_features};
+use crate::network::Beats;
 
 /// Conditions of phrases.
 pub(super) const ACCEPTS: &[&str] = &[

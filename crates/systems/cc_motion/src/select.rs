@@ -4,23 +4,19 @@ use std::ops::ControlFlow;
 use std::rc::Rc;
 use std::sync::Arc;
 
-use crate::network::MotionDecoder;
-use crate::network::MotionModel;
-use crate::network::UNet1d;
 use burn::tensor::Device;
 use kinegrad_data::{Batch, PhraseItem, PhraseSet};
 use kinegrad_diffusion::GaussianDiffusion;
 use kinegrad_models::GradientSum;
+use kinegrad_train::checkpoint::State;
+use kinegrad_train::config::SelectBy;
+use kinegrad_train::{Error, Loss, Measured, Recipe, Score, StepKey, Together};
 
 use super::CondSource;
 use super::evaluate::{EvaluationReport, SampleSettings, evaluate};
 use super::generate::Generator;
 use super::lengths::leading;
-use kinegrad_train::Error;
-use kinegrad_train::Together;
-use kinegrad_train::checkpoint::State;
-use kinegrad_train::config::SelectBy;
-use kinegrad_train::{Loss, Measured, Recipe, Score, StepKey};
+use crate::network::{MotionDecoder, MotionModel, UNet1d};
 
 /// Seed of the samples, the same at each validation and in all runs, so that only weights differ.
 const SEED: u64 = 0;

@@ -2,22 +2,21 @@
 
 use std::path::PathBuf;
 
-use crate::network::Beats;
-use crate::network::MotionModel;
 use burn::tensor::Device;
 use kinegrad_data::{DataConfig, DataKind};
 use kinegrad_models::parameters;
 use kinegrad_motion::{OrientationEncoding, Phrases};
 use kinegrad_settings::{Refused, require};
+use kinegrad_train::Error;
+use kinegrad_train::checkpoint::{State, Weights};
+use kinegrad_train::config::{Config, PLAIN};
+use kinegrad_train::start::{Start, must_agree};
 use toml::Table;
 
 use super::load::{Trained, decoder, denoiser, targets, trainable, unet1d};
 use super::recipe_name::RecipeName;
 use super::{CcMotion, CcMotionConfig, InitConfig};
-use kinegrad_train::Error;
-use kinegrad_train::checkpoint::{State, Weights};
-use kinegrad_train::config::{Config, PLAIN};
-use kinegrad_train::start::{Start, must_agree};
+use crate::network::{Beats, MotionModel};
 
 /// Tables that follow from the run that `init.diffusion` names.
 pub(super) const OF_BASE: [&str; 2] = ["model", "diffusion"];

@@ -2,22 +2,19 @@
 
 use std::collections::BTreeSet;
 
-use crate::network::AudioCondition;
-use crate::network::StyleCondition;
-use crate::network::StyleConditioning;
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_data::{Dataset, LABEL, PhraseItem, STYLE, StyleConditions, is_label};
 use kinegrad_kernels::Lengths;
 use kinegrad_motion::Statistics;
 use kinegrad_settings::{Refused, require};
-
-use super::load::unet1d;
-use super::{CcMotionConfig, CcMotionNetwork};
-use kinegrad_train::Error;
-use kinegrad_train::Observer;
 use kinegrad_train::config::Config;
 use kinegrad_train::denoising::Conditions;
 use kinegrad_train::sampling::Style;
+use kinegrad_train::{Error, Observer};
+
+use super::load::unet1d;
+use super::{CcMotionConfig, CcMotionNetwork};
+use crate::network::{AudioCondition, StyleCondition, StyleConditioning};
 
 /// `config` with the labels of the training phrases, if its network has labels and the config
 /// states none. Reports phrases without a known label.

@@ -9,6 +9,10 @@ use kinegrad_diffusion::GaussianDiffusion;
 use kinegrad_motion::phrase::{ACCELERATION, POSITION, VELOCITY};
 use kinegrad_motion::{ChannelEncoding, OrientationEncoding, Phrases, Statistics};
 use kinegrad_settings::InvalidSetting;
+use kinegrad_train::checkpoint::State;
+use kinegrad_train::config::Config;
+use kinegrad_train::run::{Material, Outcome, Setup};
+use kinegrad_train::{Error, Observer};
 
 use super::load::{denoiser, networks, targets};
 use super::recipe_name::RecipeName;
@@ -16,11 +20,6 @@ use super::recipes::{DecoderRecipe, E2eRecipe, Rollouts, diffusion_recipe};
 use super::select::{Selecting, Selection};
 use super::start::Starts;
 use super::{CcMotionConfig, leaks, pretrain, style};
-use kinegrad_train::Error;
-use kinegrad_train::Observer;
-use kinegrad_train::checkpoint::State;
-use kinegrad_train::config::Config;
-use kinegrad_train::run::{Material, Outcome, Setup};
 
 /// Trains according to the setup's config.
 pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome, Error> {

@@ -7,7 +7,6 @@
 
 use std::ops::{ControlFlow, Range};
 
-use crate::network::decoder::Coherence;
 use burn::tensor::{Tensor, TensorData};
 use kinegrad_data::AudioFeatures;
 use kinegrad_diffusion::{
@@ -23,12 +22,13 @@ use kinegrad_motion::postprocess::derive_angular_velocity;
 use kinegrad_motion::stitch::{self, Layout, Windows};
 use kinegrad_motion::{Phrase, Statistics};
 use kinegrad_random::Key;
-
-use super::generator::{Generator, Sample};
-use super::path::PhrasePath;
 use kinegrad_train::Error;
 use kinegrad_train::config::SamplingConfig;
 use kinegrad_train::sampling::KnownFrames;
+
+use super::generator::{Generator, Sample};
+use super::path::PhrasePath;
+use crate::network::decoder::Coherence;
 
 /// Windows that the network sees at a time.
 pub const WINDOWS_IN_FLIGHT: usize = 8;

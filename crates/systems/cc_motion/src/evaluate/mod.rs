@@ -13,22 +13,20 @@ use std::sync::Arc;
 use kinegrad_data::{AudioFeatures, PhraseItem};
 use kinegrad_motion::Phrase;
 use kinegrad_random::{Key, Purpose};
-
-pub use measures::{CheckRate, Measures, ProfileRates};
-pub use movement::MovementSpread;
-pub use terms::LossTerm;
-
-use super::generate::{self, Generator, keys};
-use super::lengths::{untrained, windows};
-use super::{CcMotionConfig, CondSource};
-use kinegrad_train::Error;
-use kinegrad_train::Together;
-use kinegrad_train::TrainedModel;
 use kinegrad_train::evaluation::{
     Evaluation, EvaluationRequest, OnStep, for_each_item, phrases_with_held_out,
 };
 use kinegrad_train::sampling::item_seed;
+use kinegrad_train::{Error, Together, TrainedModel};
+
+use super::generate::{self, Generator, keys};
+use super::lengths::{untrained, windows};
+use super::{CcMotionConfig, CondSource};
 use measures::Reference;
+
+pub use measures::{CheckRate, Measures, ProfileRates};
+pub use movement::MovementSpread;
+pub use terms::LossTerm;
 
 /// Bytes of memory for a frame of a sample: the raw motion, the post-processed one, and the
 /// derivatives that are measured of each.

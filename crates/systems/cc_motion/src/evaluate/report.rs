@@ -1,11 +1,11 @@
 //! The columns of an evaluation of phrases.
 
 use kinegrad_motion::Value;
+use kinegrad_train::config::SamplingConfig;
+use kinegrad_train::evaluation::{Group, Metrics, Number, Results, with_sampling};
 use serde_json::json;
 
 use super::{EvaluationReport, Measures, SampleSettings};
-use kinegrad_train::config::SamplingConfig;
-use kinegrad_train::evaluation::{Group, Metrics, Number, Results, with_sampling};
 
 impl EvaluationReport {
     /// The results, without remarks.

@@ -1,13 +1,13 @@
 //! Reconstruction losses (CC-MotionGen, sections 7.1 and 7.5; docs/sources.md, section 1.8:
 //! "decoder position" and "decoder quaternion").
 
-use crate::network::rotation::hemisphere;
 use burn::tensor::{Tensor, s};
 use kinegrad_motion::phrase::{PHASE, POSITION, QUATERNION};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::mean_frames;
+use crate::network::rotation::hemisphere;
 
 /// The treatment of q and -q.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]

@@ -19,7 +19,6 @@
 //! squares it again, whose gradient is NaN where two accelerations are equal; here the squares are
 //! summed directly, which is the same value.
 
-use crate::network::rotation::angular_velocity;
 use burn::tensor::activation::relu;
 use burn::tensor::{Bool, Tensor};
 use kinegrad_motion::phrase::{
@@ -29,6 +28,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{mean_frames, sum_frames};
+use crate::network::rotation::angular_velocity;
 
 #[cfg(test)]
 mod tests;

@@ -3,7 +3,6 @@
 use burn::module::Module;
 use burn::tensor::Tensor;
 use kinegrad_kernels::{Lengths, concat_channels, cross_attention, self_attention};
-
 use kinegrad_models::Initializer;
 use kinegrad_models::layers::{Conv1d, GROUPS, GroupNorm};
 use kinegrad_models::lora::{Adapting, LoraTarget};

@@ -2,8 +2,7 @@
 
 use burn::module::Module;
 
-use crate::network::MotionDecoder;
-use crate::network::UNet1d;
+use crate::network::{MotionDecoder, UNet1d};
 
 /// The denoiser, whose samples are latents, and the decoder that makes motion of them: parameters
 /// `unet.*` and `decoder.*` (CC-MotionGen, section 7.1; docs/sources.md, section 1.8).

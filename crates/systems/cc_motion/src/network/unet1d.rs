@@ -17,20 +17,19 @@ use burn::module::Module;
 use burn::tensor::Tensor;
 use kinegrad_diffusion::{Denoiser, Time};
 use kinegrad_kernels::concat_channels;
-use kinegrad_settings::{InvalidSetting, Refused, require};
-
-use crate::network::attention::AttentionBlock;
-pub use audio::{AudioCondition, AudioConditioning};
-use audio::{AudioContext, AudioEncoder, widths};
-pub use beats::{BEAT_CHANNELS, Beats, beat_labels};
-pub use config::UNet1dConfig;
-use kinegrad_models::DropoutKey;
-use kinegrad_models::Initializer;
-use kinegrad_models::Stages;
 use kinegrad_models::layers::{Conv1d, Linear};
 use kinegrad_models::res_block::{ResBlock, ResBlockConfig};
 use kinegrad_models::time_embedding::TimeEmbedding;
+use kinegrad_models::{DropoutKey, Initializer, Stages};
+use kinegrad_settings::{InvalidSetting, Refused, require};
+
+use crate::network::attention::AttentionBlock;
+use audio::{AudioContext, AudioEncoder, widths};
 use style::StyleEmbedding;
+
+pub use audio::{AudioCondition, AudioConditioning};
+pub use beats::{BEAT_CHANNELS, Beats, beat_labels};
+pub use config::UNet1dConfig;
 pub use style::{STYLE_VALUES, StyleCondition, StyleConditioning};
 
 impl UNet1dConfig {

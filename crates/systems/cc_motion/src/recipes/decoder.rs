@@ -11,16 +11,16 @@
 //! with high noise (`rollout`), whose error is weighted by the signal remaining in its start. The
 //! denoiser is part of the checkpoint and is not trained.
 
-use crate::network::MotionModel;
 use burn::module::Module;
 use burn::tensor::{Device, Tensor};
 use kinegrad_data::Batch;
 use kinegrad_random::{Key, Purpose};
-
-use super::Rollouts;
-use crate::{LossConfig, ReconstructionWeighting};
 use kinegrad_train::denoising::{HeldOut, Inputs, noise};
 use kinegrad_train::{Loss, Measured, Recipe, StepKey};
+
+use super::Rollouts;
+use crate::network::MotionModel;
+use crate::{LossConfig, ReconstructionWeighting};
 
 /// The noised latents are at timesteps below this share of all.
 const NOISED_SHARE: f64 = 0.05;

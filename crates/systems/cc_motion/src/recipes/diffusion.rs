@@ -13,15 +13,13 @@
 //! frames with beat labels; the tracker has no other loss. The rest of the network is trained with
 //! the labels (teacher forcing) and sampled with the tracker's beats.
 
-use crate::network::AudioCondition;
-use crate::network::UNet1d;
-use crate::network::beat_labels;
 use burn::tensor::{Device, Tensor};
 use kinegrad_diffusion::{GaussianDiffusion, diffusion_loss};
-
-use crate::style::condition;
 use kinegrad_train::Loss;
 use kinegrad_train::denoising::{DenoisingRecipe, Draws, HeldOut, Inputs};
+
+use crate::network::{AudioCondition, UNet1d, beat_labels};
+use crate::style::condition;
 
 /// Trains a [`UNet1d`] to denoise, over `diffusion`, validated on `held_out`.
 pub fn diffusion_recipe(

@@ -15,23 +15,21 @@
 //! (`rollout.start`), and its reconstruction is weighted by the signal remaining in the start:
 //! a reconstruction loss without that signal would pull all samples towards the mean motion.
 
-use crate::network::AudioCondition;
-use crate::network::MotionModel;
 use burn::module::Module;
 use burn::tensor::{Device, Tensor};
 use kinegrad_data::Batch;
 use kinegrad_diffusion::{Trace, rollout_timesteps};
-use kinegrad_models::DropoutKey;
-use kinegrad_models::GradientSum;
+use kinegrad_models::{DropoutKey, GradientSum};
 use kinegrad_random::Purpose;
+use kinegrad_train::denoising::{Draws, HeldOut, Inputs, noise};
+use kinegrad_train::{Loss, Measured, Recipe, StepKey};
 
 use super::Rollouts;
 use super::diffusion::{denoising_loss, denoising_validation_loss};
 use crate::LossConfig;
 use crate::losses::{ReconstructionLoss, temporal_losses};
+use crate::network::{AudioCondition, MotionModel};
 use crate::style::condition;
-use kinegrad_train::denoising::{Draws, HeldOut, Inputs, noise};
-use kinegrad_train::{Loss, Measured, Recipe, StepKey};
 
 /// Index of the start noise of held-out rollouts, independent of `validation.draws`.
 const ROLLOUT_DRAW: u64 = 1;

@@ -2,18 +2,18 @@
 
 use std::sync::Arc;
 
-use crate::network::UNet1d;
-use crate::network::channel_encoding::decode;
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_diffusion::{GaussianDiffusion, Rollout, RolloutMode, rollout_timesteps};
 use kinegrad_motion::{ChannelEncoding, PhaseEncoding, Statistics};
 use kinegrad_random::Key;
-
-use crate::losses::reconstruction::{normalized_error, with_nearer_phase};
-use crate::style::condition;
-use crate::{ReconstructionWeighting, RolloutConfig, RolloutStart};
 use kinegrad_train::Error;
 use kinegrad_train::denoising::Inputs;
+
+use crate::losses::reconstruction::{normalized_error, with_nearer_phase};
+use crate::network::UNet1d;
+use crate::network::channel_encoding::decode;
+use crate::style::condition;
+use crate::{ReconstructionWeighting, RolloutConfig, RolloutStart};
 
 /// Rollouts according to the table `rollout`.
 pub struct Rollouts {

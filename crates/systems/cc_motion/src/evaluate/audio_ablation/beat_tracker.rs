@@ -2,12 +2,12 @@
 
 use std::f64::consts::TAU;
 
-use crate::network::AudioCondition;
 use burn::tensor::{Tensor, TensorData};
 use kinegrad_motion::circular;
 
 use super::BeatPhrase;
 use crate::generate::Generator;
+use crate::network::AudioCondition;
 
 /// Mean distance in beats over the frames of a phrase between the beat phase that the network's
 /// tracker finds and that of the music; none without a tracker.

@@ -3,10 +3,10 @@
 use burn::tensor::{Tensor, TensorData};
 use kinegrad_data::{AUDIO, AudioFeatures, PhraseItem};
 use kinegrad_random::{Key, Purpose};
+use kinegrad_train::denoising::{Conditions, Draws, Inputs};
 
 use crate::generate::Generator;
 use crate::recipes::denoising_loss;
-use kinegrad_train::denoising::{Conditions, Draws, Inputs};
 
 /// Noise levels that each phrase is denoised at.
 const LEVELS: usize = 8;

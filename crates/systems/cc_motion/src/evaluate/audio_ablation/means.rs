@@ -3,11 +3,11 @@
 use std::collections::BTreeMap;
 
 use kinegrad_motion::metrics::Estimate;
+use kinegrad_train::evaluation::{Metrics, Number};
 use serde_json::{Value, json};
 
 use super::audio_variant::AudioVariant;
 use super::scores::{MeasuredCondition, MeasuredPhrase, Score};
-use kinegrad_train::evaluation::{Metrics, Number};
 
 /// A metric: its name in files, where a dot separates two levels, its title in tables, and its value.
 type Metric<T> = (&'static str, &'static str, fn(&T) -> Option<f64>);

@@ -14,6 +14,10 @@ use std::sync::Arc;
 
 use kinegrad_data::{AudioFeatures, DataConfig, PhraseItem, PhraseSet, Songs};
 use kinegrad_motion::Phrase;
+use kinegrad_train::config::SamplingConfig;
+use kinegrad_train::evaluation::{EvaluationRequest, Measure, OnStep, for_each_item};
+use kinegrad_train::sampling::item_seed;
+use kinegrad_train::{Error, TrainedModel};
 
 use super::measures::Reference;
 use super::{BATCH_HINT, CondSource, Measures};
@@ -22,11 +26,6 @@ use crate::lengths::leading;
 use crate::{CcMotionConfig, EvaluationConfig};
 use audio_variant::{AudioVariant, Music, donors};
 use beat_phrase::BeatPhrase;
-use kinegrad_train::Error;
-use kinegrad_train::TrainedModel;
-use kinegrad_train::config::SamplingConfig;
-use kinegrad_train::evaluation::{EvaluationRequest, Measure, OnStep, for_each_item};
-use kinegrad_train::sampling::item_seed;
 use means::{ALIGNMENTS, Mean, PHASE_ERRORS, means_by_variant};
 use report::AblationReport;
 use scores::{MeasuredCondition, MeasuredPhrase, Score};

@@ -1,14 +1,13 @@
 //! The report of an ablation of audio.
 
+use kinegrad_train::evaluation::{Group, Metrics, Number, Results, with_sampling};
 use serde_json::{Value, json};
 
-use super::Ablation;
 use super::audio_variant::AudioVariant;
-use super::loss;
 use super::means::{Mean, to_json};
 use super::scores::MeasuredPhrase;
+use super::{Ablation, loss};
 use crate::evaluate::Measures;
-use kinegrad_train::evaluation::{Group, Metrics, Number, Results, with_sampling};
 
 /// The numbers of an ablation.
 pub(super) struct AblationReport {

@@ -1,11 +1,10 @@
 //! The table `decoder` of a training config.
 
+use kinegrad_models::config::{MAX_LAYERS, MAX_WIDTH};
 use kinegrad_motion::{CHANNELS, ChannelEncoding, OrientationEncoding, PhaseEncoding};
 use kinegrad_settings::{ABOVE_ZERO, InvalidSetting, Refused, in_range};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-
-use kinegrad_models::config::{MAX_LAYERS, MAX_WIDTH};
 
 /// The bound of one component of the decoded motion.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]

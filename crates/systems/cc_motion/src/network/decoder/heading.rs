@@ -9,10 +9,9 @@ use kinegrad_kernels::linear_map;
 use kinegrad_motion::coherence::{OrientationFit, UPRIGHT};
 use kinegrad_motion::phrase::FPS;
 
+use super::orientation::Smooth;
 use crate::network::channel_encoding::turns;
 use crate::network::rotation::{product, step};
-
-use super::orientation::Smooth;
 
 /// Below this square a direction is not divided by its length.
 const LEAST_SQUARE: f64 = 1e-4;

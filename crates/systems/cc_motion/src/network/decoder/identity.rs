@@ -6,10 +6,10 @@
 
 use std::ops::Range;
 
+use kinegrad_models::parameters;
 use kinegrad_motion::phrase::{ACCELERATION, POSITION, VELOCITY};
 
 use super::{MotionDecoder, Normalization, OutputActivation};
-use kinegrad_models::parameters;
 
 /// A sigmoid of slope 4 at the middle is right there and misses both ends; this misses by at most
 /// 0.06 anywhere between 0 and 1.

@@ -13,22 +13,19 @@ use burn::module::Module;
 use burn::tensor::Tensor;
 use burn::tensor::activation::sigmoid;
 use kinegrad_kernels::{gelu, linear_map};
+use kinegrad_models::layers::{LayerNorm, Linear};
+use kinegrad_models::{Dropout, DropoutKey, Initializer};
 use kinegrad_motion::ChannelEncoding;
 use kinegrad_motion::phrase::{ANGULAR_VELOCITY, CHANNELS, FPS, QUATERNION};
 use kinegrad_settings::{InvalidSetting, Refused, in_range};
 
+use crate::network::channel_encoding::{decode, sign_continuous};
+use crate::network::rotation::angular_velocity;
+use coherent::{ESTIMATES, Fits};
+
 pub use config::{
     Coherence, DecoderConfig, DecoderInit, OutputActivation, OutputActivations, OutputRanges,
 };
-
-use coherent::{ESTIMATES, Fits};
-
-use crate::network::channel_encoding::{decode, sign_continuous};
-use crate::network::rotation::angular_velocity;
-use kinegrad_models::Dropout;
-use kinegrad_models::DropoutKey;
-use kinegrad_models::Initializer;
-use kinegrad_models::layers::{LayerNorm, Linear};
 
 /// A quaternion of a smaller norm is not divided by it.
 const LEAST_NORM: f64 = 1e-12;

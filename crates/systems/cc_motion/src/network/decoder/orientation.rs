@@ -7,10 +7,9 @@ use burn::tensor::{Tensor, TensorData};
 use kinegrad_kernels::{LinearMap, linear_map};
 use kinegrad_motion::coherence::OrientationFit;
 
+use super::LEAST_NORM;
 use crate::network::channel_encoding::sign_continuous;
 use crate::network::rotation::{conjugate, product, turned};
-
-use super::LEAST_NORM;
 
 /// The orientations nearest to unit quaternions and angular velocities that contradict each other,
 /// as [`fit_orientation`](kinegrad_motion::coherence::fit_orientation) has them: unit quaternions of

@@ -1,6 +1,5 @@
 use burn::tensor::{Device, TensorData};
-use kinegrad_kernels::Mode;
-use kinegrad_kernels::host_values;
+use kinegrad_kernels::{Mode, host_values};
 use kinegrad_motion::phrase::{ACCELERATION, PHASE, POSITION, VELOCITY};
 use kinegrad_motion::{OrientationEncoding, PhaseEncoding, Phrase, derivatives};
 use kinegrad_random::{Key, Purpose};

@@ -1,14 +1,14 @@
 //! Low-rank adapters on the UNet's layers.
 
 use burn::module::Module;
-use kinegrad_settings::InvalidSetting;
-
-use super::{Bottleneck, DecoderLevel, EncoderLevel, UNet1d};
-use crate::network::attention::AttentionBlock;
 use kinegrad_models::Initializer;
 use kinegrad_models::layers::Conv1d;
 use kinegrad_models::lora::{Adapting, LoraConfig, LoraTarget};
 use kinegrad_models::res_block::ResBlock;
+use kinegrad_settings::InvalidSetting;
+
+use super::{Bottleneck, DecoderLevel, EncoderLevel, UNet1d};
+use crate::network::attention::AttentionBlock;
 
 impl UNet1d {
     /// Puts a fresh adapter on every layer that `config` names, which changes nothing yet, and

@@ -5,12 +5,11 @@ use burn::tensor::Tensor;
 use burn::tensor::module::avg_pool1d;
 use burn::tensor::ops::AvgPoolOptions;
 use kinegrad_kernels::{Activation, Convolution, Lengths};
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
-
 use kinegrad_models::Initializer;
 use kinegrad_models::layers::{Conv1d, GROUPS, GroupNorm};
 use kinegrad_models::lora::{Adapting, LoraTarget};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
 
 use super::StyleCondition;
 use super::beats::{BEAT_CHANNELS, BeatTracker, TRACKED, beat_labels};

@@ -1,13 +1,13 @@
 //! A beat tracker inside the audio encoder, trained on songs with known beats.
 
 use burn::module::Module;
-use burn::tensor::{Tensor, activation::relu};
+use burn::tensor::Tensor;
+use burn::tensor::activation::relu;
 use kinegrad_kernels::{Activation, Lengths};
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
-
 use kinegrad_models::Initializer;
 use kinegrad_models::layers::{Conv1d, GroupNorm};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
 
 /// The source of the beats.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]

@@ -3,10 +3,10 @@
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_diffusion::Time;
 use kinegrad_kernels::Lengths;
+use kinegrad_models::parameters;
 use kinegrad_random::{Key, Purpose};
 
 use super::*;
-use kinegrad_models::parameters;
 
 const FEATURES: usize = 11 + BEAT_CHANNELS;
 

@@ -1,5 +1,8 @@
 //! The sizes and conditions of the UNet.
 
+use kinegrad_models::config::{MAX_LAYERS, MAX_WIDTH};
+use kinegrad_models::layers::GROUPS;
+use kinegrad_models::{NamedSizes, NetworkConfig};
 use kinegrad_motion::{ChannelEncoding, OrientationEncoding, PhaseEncoding};
 use kinegrad_settings::{InvalidSetting, Refused, in_range, require};
 use schemars::JsonSchema;
@@ -8,10 +11,6 @@ use serde::{Deserialize, Serialize};
 use super::audio::{AudioConditioning, widths};
 use super::beats::{BeatTracker, Beats};
 use super::style::StyleConditioning;
-use kinegrad_models::NamedSizes;
-use kinegrad_models::NetworkConfig;
-use kinegrad_models::config::{MAX_LAYERS, MAX_WIDTH};
-use kinegrad_models::layers::GROUPS;
 
 /// The sizes of a [`UNet1d`](super::UNet1d). Level `i` has `model_channels * channel_mult[i]` channels and runs at
 /// the input's length divided by `2^i`, rounded up.

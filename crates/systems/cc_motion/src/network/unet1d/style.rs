@@ -3,12 +3,11 @@
 use burn::module::Module;
 use burn::tensor::Tensor;
 use burn::tensor::activation::silu;
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
-
 use kinegrad_models::Initializer;
 use kinegrad_models::layers::Linear;
 use kinegrad_models::lora::{Adapting, LoraTarget};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
 
 /// Values of a style's numbers: the eight, normalised, and 1.
 pub const STYLE_VALUES: usize = 9;

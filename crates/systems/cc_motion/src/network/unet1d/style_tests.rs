@@ -2,12 +2,12 @@
 
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_diffusion::{Denoiser, GuidanceScales, Time, guided};
+use kinegrad_models::parameters;
 use kinegrad_random::{Key, Purpose};
 use serde::Deserialize;
 use serde::de::value::{Error as ValueError, MapDeserializer};
 
 use super::*;
-use kinegrad_models::parameters;
 
 const FEATURES: usize = 7;
 const TIME: usize = 13;

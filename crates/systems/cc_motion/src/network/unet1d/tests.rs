@@ -3,13 +3,12 @@
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_diffusion::{Denoiser, Time};
 use kinegrad_kernels::{Lengths, Mode};
+use kinegrad_models::{NetworkConfig, parameters};
 use kinegrad_random::{Key, Purpose};
 use serde::Deserialize;
 use serde::de::value::{Error as ValueError, MapDeserializer};
 
 use super::*;
-use kinegrad_models::NetworkConfig;
-use kinegrad_models::parameters;
 
 const FEATURES: usize = 19;
 

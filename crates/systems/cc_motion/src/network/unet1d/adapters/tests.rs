@@ -1,10 +1,10 @@
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_diffusion::Time;
+use kinegrad_models::parameters::{self, HostParameter};
 use kinegrad_random::{Key, Purpose};
 
 use super::*;
 use crate::network::UNet1dConfig;
-use kinegrad_models::parameters::{self, HostParameter};
 
 fn device() -> Device {
     Device::flex().autodiff()
