@@ -70,7 +70,7 @@ fn model(golden: &Golden, encoder: &str, predictor: &str, device: &Device) -> Fl
             Some(_) => NormOrder::Pre,
             None => NormOrder::Post,
         },
-        ..FlowConfig::document()
+        ..FlowConfig::published()
     };
     let init = Initializer::new(0, device);
     config

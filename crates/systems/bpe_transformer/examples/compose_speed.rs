@@ -1,5 +1,5 @@
 //! Time and memory of one guided prediction of a long composed motion at the published size, with
-//! weights as drawn: `scripts/peer/flowmdm/compare.py` runs it beside PyTorch.
+//! random weights: `scripts/peer/flowmdm/compare.py` runs it beside PyTorch.
 //!
 //! ```sh
 //! cargo run --release -p kinegrad-models --example compose_speed -- FRAMES STEPS
@@ -7,7 +7,7 @@
 //!
 //! prints the median seconds of a step, and the MiB that steps took beyond what was resident before. With
 //! `RETURN_FREED` set it gives back what is freed, as memory is to be measured: otherwise what weights were
-//! drawn in is used again (and so must the allocator, `MALLOC_MMAP_THRESHOLD_=65536`).
+//! sampled in is used again (and so must the allocator, `MALLOC_MMAP_THRESHOLD_=65536`).
 
 use std::time::Instant;
 
@@ -52,13 +52,16 @@ fn main() {
             num_train_timesteps: 1000,
         },
     };
-    let draw = |name: &str, shape: [usize; 3]| {
+    let random = |name: &str, shape: [usize; 3]| {
         let values = Key::new(1, Purpose::Noise)
             .named(name)
             .normals(shape.iter().product());
         Tensor::<3>::from_data(TensorData::new(values, shape), &device)
     };
-    let (x, cond) = (draw("x", [1, 263, frames]), draw("text", [texts, 512, 1]));
+    let (x, cond) = (
+        random("x", [1, 263, frames]),
+        random("text", [texts, 512, 1]),
+    );
     // Draws the weights.
     let short = Composed {
         network: &network,
@@ -67,9 +70,9 @@ fn main() {
         switch: composed.switch,
     };
     let _ = short.predict(
-        draw("short", [1, 263, 4]),
+        random("short", [1, 263, 4]),
         &[Time(0.0)],
-        &draw("one", [1, 512, 1]),
+        &random("one", [1, 512, 1]),
     );
     // The most from here on.
     let _ = std::fs::write("/proc/self/clear_refs", "5");

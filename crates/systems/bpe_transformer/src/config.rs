@@ -63,9 +63,8 @@ pub(super) fn with_paths(mut tables: Table) -> Table {
 }
 
 /// True if a run trains a path-conditioned network; its initial network need not be one.
-pub(super) fn tells_paths(config: &Config) -> bool {
-    let told = config.own::<BpeTables>().model.network.sizes().path;
-    told || config.train.recipe == ADAPTER
+pub(super) fn is_path_conditioned(config: &Config) -> bool {
+    config.own::<BpeTables>().model.network.sizes().path || config.train.recipe == ADAPTER
 }
 
 /// The tables of this system.
@@ -134,8 +133,8 @@ impl Default for PositionsConfig {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct PathTrainingConfig {
-    /// Probability of not telling a training sample its path. 0.1 lets the network go where it likes as
-    /// well; recipe `path_adapter` needs none, as its base does.
+    /// Probability of dropping a training sample's path. 0.1 trains the network without paths too;
+    /// recipe `path_adapter` needs none, because its base was trained without paths.
     pub drop_prob: f64,
 }
 
@@ -143,12 +142,12 @@ pub struct PathTrainingConfig {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct BpeInitConfig {
-    /// Run or checkpoint to start from, whose EMA weights, network, process and statistics are used. For
-    /// `path_adapter` it may be one that knows no paths.
+    /// Run or checkpoint to start from, whose EMA weights, network, process and statistics are
+    /// used. For `path_adapter` it may be without path conditioning.
     pub diffusion: PathBuf,
 }
 
-/// The table `adapter`: what recipe `path_adapter` trains of a network that it has from elsewhere.
+/// The table `adapter`: the trained part of recipe `path_adapter`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct PathAdapterConfig {
@@ -160,9 +159,8 @@ pub struct PathAdapterConfig {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct BpeLossConfig {
-    /// Weight of the squared error of the differences between consecutive frames, beside that of the
-    /// frames: what shakes between them weighs more. 0 in the published program. Small models shake
-    /// without it.
+    /// Weight of the squared error of the differences between consecutive frames, beside that of
+    /// the frames: it penalises shaking. 0 in the published program. Small models shake without it.
     pub velocity: f64,
 }
 
@@ -289,7 +287,7 @@ pub(super) fn validate(config: &Config) -> Result<(), Error> {
         evaluation.texts,
         "1 with `data.humanml3d.root = \"absolute\"`",
     )
-    .hint("every clip of training begins at the origin: an absolute root cannot go on to the next text")?;
+    .hint("every clip of training begins at the origin: an absolute root cannot continue with the next text")?;
     require(
         evaluation.transition_frames <= data.target_frames,
         "evaluation.transition_frames",

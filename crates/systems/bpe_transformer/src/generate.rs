@@ -14,7 +14,7 @@ use kinegrad_motion::{Representation, Statistics};
 use kinegrad_random::Key;
 
 use super::load::{text_input, trained};
-use super::path::{PathControl, told};
+use super::path::{PathControl, path_condition};
 use super::{BpeTables, ComposeEvaluationConfig};
 use kinegrad_train::Error;
 use kinegrad_train::TrainedModel;
@@ -84,7 +84,7 @@ impl Composer {
 
     /// One motion of all `lines`, without overlaps or transitions; each line starts where the
     /// previous one ends. With a `target` it is sampled along that according to `settings.path`,
-    /// and still has to be moved onto it. `on_step` is called with the steps done and in total.
+    /// and the caller moves it onto the target. `on_step` is called with the steps done and in total.
     ///
     /// # Errors
     /// If the model does not know a text, the sampler's settings cannot work, or the result is not
@@ -105,41 +105,45 @@ impl Composer {
             text,
             frames: line.frames,
         });
-        let script = TextSegments::new([segments.collect()]);
+        let segments = TextSegments::new([segments.collect()]);
         let humanml3d = &self.config().data.humanml3d;
-        let told = match target.filter(|_| settings.path.method.tells()) {
+        let path = match target.filter(|_| settings.path.method.conditions()) {
             Some(target) => {
                 self.must_know_paths()?;
                 let fps = humanml3d.skeleton.skeleton().description().fps;
-                Some(told(target, fps, &self.device))
+                Some(path_condition(target, fps, &self.device))
             }
             None => None,
         };
         let composed = |network| Composed {
             network,
-            segments: script.clone(),
-            path: told.clone(),
+            segments: segments.clone(),
+            path: path.clone(),
             switch: Switch {
                 bpe_denoising_step: settings.bpe_denoising_step,
                 num_train_timesteps: self.diffusion.config.num_train_timesteps,
             },
         };
         let (plain, tracked) = (composed(&self.plain), composed(&self.tracked));
-        let cond = self.told(lines)?;
+        let cond = self.text_conditions(lines)?;
         let frames: usize = lines.iter().map(|line| line.frames).sum();
         let channels = humanml3d.representation().channels();
         let start = key.named("start").normals(channels * frames);
         let start = TensorData::new(start, [1, channels, frames]);
-        let is_told = lines.iter().any(|line| line.text.is_some());
+        let has_text = lines.iter().any(|line| line.text.is_some());
         let sampler = SamplerConfig {
             // Without any text both passes of the guidance are the same one.
-            guidance_scale: if is_told { sampler.guidance_scale } else { 0.0 },
+            guidance_scale: if has_text {
+                sampler.guidance_scale
+            } else {
+                0.0
+            },
             ..sampler.clone()
         };
         let start = Tensor::from_data(start, &self.device);
         let numbered = [(key, 0)];
         let keys = NoiseKeys::Numbered(&numbered);
-        let mut told = |done, all, _: &Tensor<3>| on_step(done, all);
+        let mut on_sampled = |done, all, _: &Tensor<3>| on_step(done, all);
         let x = match target.filter(|_| settings.path.method.acts()) {
             None => sample(
                 &self.diffusion,
@@ -149,7 +153,7 @@ impl Composer {
                 &sampler,
                 &ClipRange::None,
                 keys,
-                &mut told,
+                &mut on_sampled,
             )?,
             Some(target) => {
                 let statistics = self.statistics()?;
@@ -194,7 +198,7 @@ impl Composer {
                     start,
                     &sampler,
                     keys,
-                    &mut told,
+                    &mut on_sampled,
                 )?)
             }
         };
@@ -219,13 +223,13 @@ impl Composer {
     }
 
     /// The text conditions of the lines, `[lines, text channels, 1]`; zeros without a text.
-    fn told(&self, lines: &[TimedPrompt]) -> Result<Tensor<3>, Error> {
+    fn text_conditions(&self, lines: &[TimedPrompt]) -> Result<Tensor<3>, Error> {
         let channels = self.text.channels();
         let mut values = Vec::with_capacity(lines.len() * channels);
         for line in lines {
-            let said = line.text.as_ref().map(|text| self.text.values(text));
-            let said = said.transpose()?.flatten();
-            values.extend(said.unwrap_or_else(|| vec![0.0; channels]));
+            let value = line.text.as_ref().map(|text| self.text.values(text));
+            let value = value.transpose()?.flatten();
+            values.extend(value.unwrap_or_else(|| vec![0.0; channels]));
         }
         let data = TensorData::new(values, [lines.len(), channels, 1]);
         Ok(Tensor::from_data(data, &self.device))

@@ -147,10 +147,10 @@ fn settings(
              BABEL (135) need a licensed body to be of use and are not read"
         )));
     }
-    let told = size(&request.weights, tensors, "embed_text.weight", 1)?;
-    if told != TEXT_CHANNELS {
+    let found = size(&request.weights, tensors, "embed_text.weight", 1)?;
+    if found != TEXT_CHANNELS {
         return Err(foreign(format!(
-            "it takes {told} numbers of a text, and embeddings have {TEXT_CHANNELS}"
+            "it takes {found} numbers of a text, and embeddings have {TEXT_CHANNELS}"
         )));
     }
     let mut own = config.own::<BpeTables>().clone();

@@ -13,11 +13,11 @@ mod import;
 mod load;
 pub mod network;
 mod path;
+mod path_condition;
 mod path_evaluation;
 mod recipe;
 mod report;
 mod sample;
-mod told;
 mod train;
 
 use kinegrad_motion::Representation;
@@ -115,10 +115,12 @@ impl System for BpeTransformer {
                 start.map(|start| start.tables(&INHERITED))
             }
         };
-        Ok(tables.map(|tables| match config::tells_paths(config) {
-            true => config::with_paths(tables),
-            false => tables,
-        }))
+        Ok(
+            tables.map(|tables| match config::is_path_conditioned(config) {
+                true => config::with_paths(tables),
+                false => tables,
+            }),
+        )
     }
 
     fn parameters(&self, config: &Config) -> Result<ParameterCount, Error> {

@@ -9,7 +9,7 @@ use kinegrad_models::parameters;
 use kinegrad_motion::Representation;
 use kinegrad_motion::humanml::TEXT_CHANNELS;
 
-use super::config::{tells_paths, with_paths};
+use super::config::{is_path_conditioned, with_paths};
 use super::{ADAPTER, BpeTables, INHERITED};
 use kinegrad_train::Error;
 use kinegrad_train::ParameterCount;
@@ -49,7 +49,7 @@ pub(super) fn network(config: &Config, device: &Device) -> Result<BlendedTransfo
 ///
 /// # Errors
 /// Names the key in which the start differs from `config`.
-pub(super) fn begun(
+pub(super) fn initial_network(
     config: &Config,
     start: Option<&Start>,
     device: &Device,
@@ -70,8 +70,8 @@ fn started(start: &Start, config: &Config, device: &Device) -> Result<BlendedTra
     let network = start.load(|saved| trained(saved, Weights::Ema, device))?;
     must_fit_clips(start, config)?;
     let mut base = state.config.clone();
-    let known = base.own::<BpeTables>().model.network.sizes().path;
-    if tells_paths(config) && !known {
+    let has_path = base.own::<BpeTables>().model.network.sizes().path;
+    if is_path_conditioned(config) && !has_path {
         base.system = OwnTables::unread(with_paths(base.system.to_table()));
     }
     must_agree(config, &base, &INHERITED)?;
@@ -104,7 +104,7 @@ pub(super) fn trained(
 /// # Errors
 /// As [`network`].
 pub(super) fn parameters(config: &Config) -> Result<ParameterCount, Error> {
-    let network = begun(config, None, &Device::flex())?;
+    let network = initial_network(config, None, &Device::flex())?;
     let trained = parameters::trainable(&network);
     let infos = parameters::infos(&network);
     Ok(ParameterCount::of(&infos, &[], |index, _| trained[index]))

@@ -12,7 +12,7 @@ use kinegrad_settings::{ABOVE_ZERO, InvalidSetting, Refused, in_range};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::told::of_path;
+use super::path_condition::of_path;
 use kinegrad_train::Error;
 use kinegrad_train::clips::path_target::{Followed, PathTarget};
 
@@ -29,21 +29,21 @@ pub struct PathConfig {
     pub lock_feet: bool,
     /// For `override`: what replaces the root.
     pub override_target: OverrideTarget,
-    /// For `override`: replace the heading too. Without it, the path is seen from the sample's own
-    /// headings.
+    /// For `override`: replace the heading too. Without it, the path is relative to the headings of
+    /// the sample.
     pub yaw: bool,
-    /// For `guidance`: whether the gradient is that of the predicted clean motion through the network,
-    /// multiplied by the variance of the step, and not of the noisy motion itself.
+    /// For `guidance`: use the gradient of the predicted clean motion through the network,
+    /// multiplied by the variance of the step, instead of that of the noisy motion.
     pub through_network: bool,
-    /// For `guidance`: length of a step against the gradient. Omitted: 100 through the network; for the noisy
-    /// motion itself 1 of a relative root, 0.05 of an absolute one.
+    /// For `guidance`: length of a step against the gradient. Omitted: 100 through the network; for
+    /// the noisy motion 1 with a relative root, 0.05 with an absolute one.
     pub guidance_step_size: Option<f64>,
-    /// For `guidance` through the network: furthest that a frame is moved in one step, over all its
-    /// channels, in standard deviations of the step's noise. A relative root's early frames move all that
-    /// follow: without a limit their gradient breaks the motion.
+    /// For `guidance` through the network: largest shift of a frame in one step, over all its
+    /// channels, in standard deviations of the step's noise. Early frames of a relative root move
+    /// all later ones: without a limit their gradient breaks the motion.
     pub max_shift: f64,
-    /// Last timestep at which the path acts; below it the model finishes the motion by itself. At 0 an
-    /// override holds to the end.
+    /// Last timestep at which the path acts; below it the model samples freely. At 0 an override
+    /// lasts to the end.
     pub stop_timestep: usize,
     /// For `guidance`: the loss.
     pub loss: PathLossConfig,
@@ -69,9 +69,9 @@ impl Default for PathConfig {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum PathMethod {
-    /// Drawn freely from the beginning of the path: what the others are compared with.
+    /// Samples from the beginning of the path without following it: the baseline.
     None,
-    /// Drawn freely, and moved onto the path afterwards (option A).
+    /// Samples freely and moves the motion onto the path afterwards (option A).
     #[default]
     Warp,
     /// The root is replaced at each step (option B).
@@ -84,7 +84,7 @@ pub enum PathMethod {
     Tokens,
     /// Path conditioning and guidance.
     TokensGuidance,
-    /// Told, and what is left moved onto the path afterwards.
+    /// Path conditioning; the remaining error is removed by moving the motion onto the path.
     TokensWarp,
 }
 
@@ -113,7 +113,7 @@ impl PathMethod {
     }
 
     /// True if the network is conditioned on the path.
-    pub fn tells(self) -> bool {
+    pub fn conditions(self) -> bool {
         matches!(self, Self::Tokens | Self::TokensGuidance | Self::TokensWarp)
     }
 }
@@ -122,8 +122,8 @@ impl PathMethod {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum OverrideTarget {
-    /// The path in the noisy motion as it is, as the source prints it: less noise there than the
-    /// network was trained for.
+    /// The path in the noisy motion without noise, as in the source: less noise there than in
+    /// training.
     Clean,
     /// The path in the noisy motion, noised to the step's level.
     Noised,
@@ -156,7 +156,7 @@ impl PathConfig {
 }
 
 /// The path condition, `[1, PATH_CHANNELS, frames]`.
-pub(super) fn told(target: &PathTarget, fps: f64, device: &Device) -> Tensor<3> {
+pub(super) fn path_condition(target: &PathTarget, fps: f64, device: &Device) -> Tensor<3> {
     of_path(&target.at_origin().course.points, fps, device)
 }
 
@@ -234,7 +234,7 @@ impl<'a> PathControl<'a> {
         if !config.method.replaces() || config.override_target == OverrideTarget::Sample {
             return x_t;
         }
-        let (keep, noise) = match config.override_target {
+        let (signal, noise) = match config.override_target {
             OverrideTarget::Noised => (
                 diffusion.schedule.sqrt_alphas_cumprod[t],
                 diffusion.schedule.sqrt_one_minus_alphas_cumprod[t],
@@ -242,11 +242,11 @@ impl<'a> PathControl<'a> {
             _ => (1.0, 0.0),
         };
         let frames = x_t.dims()[2];
-        let drawn = self.key.at(t as u64).normals(ROOT * frames);
+        let normals = self.key.at(t as u64).normals(ROOT * frames);
         let noised = self.channels().into_iter().enumerate().map(|(c, values)| {
             let values = values.into_iter().enumerate();
-            let noised =
-                values.map(|(n, value)| keep * value + noise * f64::from(drawn[c * frames + n]));
+            let noised = values
+                .map(|(n, value)| signal * value + noise * f64::from(normals[c * frames + n]));
             noised.collect()
         });
         self.put(x_t, noised.collect())
@@ -312,8 +312,8 @@ impl<'a> PathControl<'a> {
             .map(|value| value as f32)
             .collect();
         let data = TensorData::new(values, [1, ROOT - first, frames]);
-        let given = Tensor::from_data(data, &x.device());
-        let mut parts = vec![given, x.clone().narrow(1, ROOT, all - ROOT)];
+        let replaced = Tensor::from_data(data, &x.device());
+        let mut parts = vec![replaced, x.clone().narrow(1, ROOT, all - ROOT)];
         if first > 0 {
             parts.insert(0, x.narrow(1, 0, first));
         }

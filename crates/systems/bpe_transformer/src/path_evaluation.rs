@@ -17,7 +17,7 @@ use super::{ComposeEvaluationConfig, Composer};
 use kinegrad_train::Error;
 use kinegrad_train::clips::TimedPrompt;
 use kinegrad_train::clips::captions::ClipText;
-use kinegrad_train::clips::path_target::{PathTarget, features_of, way};
+use kinegrad_train::clips::path_target::{PathTarget, features_of, root_trajectory};
 use kinegrad_train::evaluation::{EvaluationRequest, Metrics, Number, OnStep, for_each_item};
 use kinegrad_train::sampling::item_seed;
 
@@ -35,7 +35,7 @@ pub struct PathFollowingReport {
     pub largest_distance: Option<f64>,
     /// Mean distance of the root from where it should be in that frame, metres.
     pub mean_error: Option<f64>,
-    /// Mean angle between where the body faces and where the path leads, degrees.
+    /// Mean angle between the heading of the body and that of the path, degrees.
     pub heading_error: Option<f64>,
     /// Distance per frame that low, slow feet slide, metres.
     pub slide: Option<f64>,
@@ -105,7 +105,7 @@ impl Walk {
     fn of(clip: &Clip, max_frames: usize, fps: f64) -> Option<Self> {
         let frames = clip.features.frames().min(max_frames);
         let joints = clip.features.slice(0..frames).joints();
-        let target = PathTarget::through(way(&joints.track(0), fps)).ok()?;
+        let target = PathTarget::through(root_trajectory(&joints.track(0), fps)).ok()?;
         (target.line.length() >= SHORTEST).then(|| Self {
             id: clip.id.clone(),
             text: ClipText::of(clip),

@@ -5,7 +5,7 @@
 //!                              / (channels * real frames)
 //! ```
 //!
-//! Each sample is in a random mode, absolute or relative; padding is attended to in neither. A
+//! Each sample is in a random mode, absolute or relative; frames do not attend to padding. A
 //! path-conditioned network is given each clip's trajectory.
 //!
 //! To the sum of a frame comes `loss.velocity` times the squared error of its difference from the frame
@@ -18,7 +18,7 @@ use kinegrad_diffusion::GaussianDiffusion;
 use kinegrad_models::DropoutKey;
 
 use super::BpeTables;
-use super::told::Ways;
+use super::path_condition::RootTrajectories;
 use kinegrad_train::clips::weighted_masked_loss;
 use kinegrad_train::denoising::{DenoisingRecipe, HeldOut, denoising_loss};
 
@@ -28,7 +28,7 @@ pub(super) fn recipe(
     diffusion: GaussianDiffusion,
     channels: usize,
     own: &BpeTables,
-    ways: Ways,
+    trajectories: RootTrajectories,
     held_out: HeldOut,
 ) -> DenoisingRecipe<BlendedTransformer> {
     let (velocity, ratio) = (own.loss.velocity, own.positions.bpe_training_ratio);
@@ -49,11 +49,11 @@ pub(super) fn recipe(
             };
             let path = network
                 .has_path()
-                .then(|| ways.told(&inputs.x_start, &lengths));
-            let keep_path = keep(draws.dropout, batch, drop_path, &inputs.x_start.device());
-            let script = TextSegments::single(lengths);
+                .then(|| trajectories.conditions(&inputs.x_start, &lengths));
+            let path_mask = path_mask(draws.dropout, batch, drop_path, &inputs.x_start.device());
+            let segments = TextSegments::single(lengths);
             let is_relative = match modes(draws.dropout, batch, ratio) {
-                Some(drawn) => drawn,
+                Some(is_relative) => is_relative,
                 None => {
                     let timesteps = draws.timesteps.iter();
                     timesteps.map(|&t| switch.is_relative(t)).collect()
@@ -67,11 +67,11 @@ pub(super) fn recipe(
                 draws,
                 |x_t, time, cond, dropout| {
                     let pass = Pass {
-                        segments: &script,
+                        segments: &segments,
                         is_relative: &is_relative,
                         dropout,
                         path: path.as_ref(),
-                        path_mask: keep_path.as_ref(),
+                        path_mask: path_mask.as_ref(),
                     };
                     network.forward(x_t, time, cond.get(TEXT).clone().squeeze_dim(2), pass)
                 },
@@ -94,21 +94,21 @@ pub(super) fn recipe(
 
 /// The mask of relative samples in a training step; `None` without a key.
 fn modes(key: DropoutKey, batch: usize, ratio: f64) -> Option<Vec<bool>> {
-    let drawn = key?.named("mode").uniforms(batch);
-    Some(drawn.into_iter().map(|u| f64::from(u) < ratio).collect())
+    let uniforms = key?.named("mode").uniforms(batch);
+    Some(uniforms.into_iter().map(|u| f64::from(u) < ratio).collect())
 }
 
 /// The path dropout mask of a training step: 0 for dropped, else 1, `[batch, 1, 1]`; `None` without
 /// dropout.
-fn keep(key: DropoutKey, batch: usize, drop_prob: f64, device: &Device) -> Option<Tensor<3>> {
-    let drawn = key
+fn path_mask(key: DropoutKey, batch: usize, drop_prob: f64, device: &Device) -> Option<Tensor<3>> {
+    let uniforms = key
         .filter(|_| drop_prob > 0.0)?
         .named("path")
         .uniforms(batch);
-    let keep = drawn
+    let mask = uniforms
         .into_iter()
         .map(|u| f32::from(f64::from(u) >= drop_prob));
-    let data = TensorData::new(keep.collect(), [batch, 1, 1]);
+    let data = TensorData::new(mask.collect(), [batch, 1, 1]);
     Some(Tensor::from_data(data, device))
 }
 
@@ -120,25 +120,25 @@ mod tests {
 
     #[test]
     fn paths_are_dropped_as_often_as_asked() {
-        let kept = |key, drop_prob| {
-            let keep = keep(key, 64, drop_prob, &Device::flex())?;
-            Some(keep.mean().into_scalar::<f32>())
+        let mean_of = |key, drop_prob| {
+            let mask = path_mask(key, 64, drop_prob, &Device::flex())?;
+            Some(mask.mean().into_scalar::<f32>())
         };
         let key = Key::new(1, Purpose::Dropout);
-        let mean = (0..50).map(|step| kept(Some(key.at(step)), 0.1).expect("a key"));
+        let mean = (0..50).map(|step| mean_of(Some(key.at(step)), 0.1).expect("a key"));
         assert!((mean.sum::<f32>() / 50.0 - 0.9).abs() < 0.02);
-        assert_eq!((kept(Some(key), 0.0), kept(None, 0.1)), (None, None));
+        assert_eq!((mean_of(Some(key), 0.0), mean_of(None, 0.1)), (None, None));
     }
 
     #[test]
     fn samples_are_in_either_mode_as_often_as_asked() {
         let share = |ratio| {
-            let drawn = (0..50).flat_map(|step| {
+            let is_relative = (0..50).flat_map(|step| {
                 let key = Key::new(1, Purpose::Dropout).at(step);
                 modes(Some(key), 64, ratio).expect("a key")
             });
-            let drawn: Vec<bool> = drawn.collect();
-            drawn.iter().filter(|relative| **relative).count() as f64 / drawn.len() as f64
+            let is_relative: Vec<bool> = is_relative.collect();
+            is_relative.iter().filter(|each| **each).count() as f64 / is_relative.len() as f64
         };
         assert!((share(0.5) - 0.5).abs() < 0.03);
         assert!((share(0.2) - 0.2).abs() < 0.03);

@@ -35,7 +35,7 @@ pub struct ComposedReport {
 
 /// A set of motions to be measured.
 pub(super) struct Measured<'a> {
-    /// Whole motions.
+    /// Complete motions.
     pub motions: &'a [Joints],
     /// Windows around transitions, each decoded from its own first frame.
     pub windows: &'a [Joints],

@@ -3,9 +3,9 @@
 use kinegrad_diffusion::GaussianDiffusion;
 use kinegrad_motion::Representation;
 
-use super::load::{begun, text_input};
+use super::load::{initial_network, text_input};
+use super::path_condition::RootTrajectories;
 use super::recipe::recipe;
-use super::told::Ways;
 use super::{BpeTables, BpeTransformer};
 use kinegrad_train::Error;
 use kinegrad_train::Observer;
@@ -25,15 +25,15 @@ pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome
     let statistics = training::statistics(&setup, start.as_ref(), &dataset, observer)?;
     let humanml3d = &config.data.humanml3d;
     let fps = humanml3d.skeleton.skeleton().description().fps;
-    let ways = Ways::new(humanml3d.root, &statistics, fps);
+    let trajectories = RootTrajectories::new(humanml3d.root, &statistics, fps);
     let channels = config.data.humanml3d.representation().channels();
-    let network = begun(&config, start.as_ref(), &setup.device)?;
+    let network = initial_network(&config, start.as_ref(), &setup.device)?;
     let diffusion = GaussianDiffusion::new(&own.diffusion)?;
     let samples = training::samples(&dataset, &statistics, channels, text_input(&config));
     let (material, held_out) = setup.material(dataset, statistics, samples)?;
     setup.train(
         material,
-        recipe(diffusion, channels, &own, ways, held_out)
+        recipe(diffusion, channels, &own, trajectories, held_out)
             .measuring_first(!own.init.diffusion.as_os_str().is_empty()),
         network,
         observer,

@@ -1,10 +1,10 @@
-//! Speed of the flow networks at the document's size, with weights as drawn.
+//! Speed of the flow networks at the published size, with random weights.
 //!
 //! ```sh
 //! RAYON_NUM_THREADS=1 cargo run --release -p kinegrad-models --example flow_speed
 //! ```
 //!
-//! prints how many frames a second a rollout draws by solver and steps, and the milliseconds of one
+//! prints how many frames a second a rollout samples by solver and steps, and the milliseconds of one
 //! forward and backward pass of both networks over 64 windows of fifteen rows, with the kernels and
 //! with composed operations. With a number of Euler steps as argument, the rollout with so many alone.
 
@@ -64,7 +64,7 @@ fn rollout(kind: SamplerKind, num_inference_steps: usize, guidance_scale: f64) -
     let history = walk::joints(&course, &skeleton, HISTORY + 1);
     let history = Joints::new(history, skeleton.joints()).expect("finite joints");
     let init = Initializer::new(0, &device);
-    let model = FlowConfig::document()
+    let model = FlowConfig::published()
         .init(&skeleton, &init)
         .expect("valid");
     // Poses that stay about where they are: the weights have learned nothing.
@@ -92,14 +92,14 @@ fn rollout(kind: SamplerKind, num_inference_steps: usize, guidance_scale: f64) -
     let key = Key::new(0, Purpose::Sampling);
     let rollout = FlowRollout::new(model, space, settings, &history, key, &device);
     let mut rollout = rollout.expect("a history");
-    let mut draw = || {
+    let mut sample = || {
         for _ in 0..frames {
             rollout.next_frame().expect("a finite frame");
         }
     };
-    draw();
+    sample();
     let begin = Instant::now();
-    draw();
+    sample();
     frames as f64 / begin.elapsed().as_secs_f64()
 }
 
@@ -108,16 +108,19 @@ fn step() -> f64 {
     const BATCH: usize = 64;
     let (device, skeleton) = (Device::flex().autodiff(), Skeleton::humanml3d());
     let init = Initializer::new(0, &device);
-    let model = FlowConfig::document()
+    let model = FlowConfig::published()
         .init(&skeleton, &init)
         .expect("valid");
     let key = Key::new(1, Purpose::Noise);
-    let draw = |name: &str, shape: [usize; 3]| {
+    let random = |name: &str, shape: [usize; 3]| {
         let values = key.named(name).normals(shape.iter().product());
         Tensor::<3>::from_data(TensorData::new(values, shape), &device)
     };
-    let frames = draw("frames", [BATCH, 263, HISTORY]);
-    let (noise, x_start) = (draw("noise", [BATCH, 3, 22]), draw("data", [BATCH, 3, 22]));
+    let frames = random("frames", [BATCH, 263, HISTORY]);
+    let (noise, x_start) = (
+        random("noise", [BATCH, 3, 22]),
+        random("data", [BATCH, 3, 22]),
+    );
     let t: Vec<f64> = (0..BATCH)
         .map(|i| (i as f64 + 0.5) / BATCH as f64)
         .collect();
@@ -128,7 +131,7 @@ fn step() -> f64 {
         let context = model.encoder.forward(History {
             frames: frames.clone(),
             lengths: vec![HISTORY; BATCH],
-            text: draw("text", [BATCH, 512, 1]).squeeze_dim(2),
+            text: random("text", [BATCH, 512, 1]).squeeze_dim(2),
             duration: None,
         });
         let last = frames.clone().narrow(2, HISTORY - 1, 1).squeeze_dim(2);

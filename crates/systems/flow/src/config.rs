@@ -73,7 +73,7 @@ impl Default for FlowNetwork {
     }
 }
 
-/// The table `pose`: what is predicted of what (docs/sources.md, section 5).
+/// The table `pose`: inputs and target of the prediction (docs/sources.md, section 5).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct PoseConfig {
@@ -112,11 +112,10 @@ pub struct RolloutEvaluationConfig {
     pub rollouts: usize,
     /// Frames of each rollout.
     pub frames: usize,
-    /// Gives every frame the bones of the history's last one: its rotations by inverse kinematics,
-    /// put into forward kinematics.
+    /// Gives every frame the bones of the history's last one: forward kinematics of its rotations
+    /// from inverse kinematics.
     pub constant_bones: bool,
-    /// Draws every pose of a motion from the same noise, not each from noise of its own: less
-    /// shaking.
+    /// Samples every pose of a motion from the same noise, not each from new noise: less shaking.
     pub same_noise: bool,
 }
 
@@ -155,7 +154,7 @@ pub(super) fn validate(config: &Config) -> Result<(), Error> {
         data.crop == Crop::Random,
         "data.crop",
         "\"leading\"",
-        format!("\"random\" for recipe `{RECIPE}`, which draws windows anywhere in a clip"),
+        format!("\"random\" for recipe `{RECIPE}`, which samples windows anywhere in a clip"),
     )?;
     let prob = data.augment.path_warp_prob;
     require(

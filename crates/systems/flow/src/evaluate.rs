@@ -11,7 +11,7 @@ use serde_json::json;
 
 use super::load::text_input;
 use super::report::{RolloutReport, TextReport, bone_lengths};
-use super::sample::untaught_guidance;
+use super::sample::guidance_without_dropout;
 use super::{FlowGenerator, FlowTables, RolloutEvaluationConfig};
 use kinegrad_train::Error;
 use kinegrad_train::TrainedModel;
@@ -57,7 +57,7 @@ pub(super) fn prepare<'a>(
             chosen.len()
         ));
     }
-    let warning = untaught_guidance(trained, own);
+    let warning = guidance_without_dropout(trained, own);
     remarks.extend(warning.map(|warning| format!("warning: {warning}")));
     let wanted = settings.rollouts;
     remarks.extend(note_if_fewer(chosen.len(), wanted, "rollouts", trained));

@@ -75,16 +75,16 @@ impl FlowGenerator {
         let none = || vec![0.0; TEXT_CHANNELS];
         // A prompt may be empty.
         let text = text.filter(|text| **text != ClipText::default());
-        let told = text
+        let values = text
             .map(|text| self.text.values(text))
             .transpose()?
             .flatten();
-        let Some(told) = told else {
+        let Some(values) = values else {
             return Ok(none());
         };
-        let shape = [1, told.len()];
-        let told = Tensor::from_data(TensorData::new(told, shape), &self.device);
-        let numbers = self.model.text(told).try_into_vec_as::<f32>();
+        let shape = [1, values.len()];
+        let values = Tensor::from_data(TensorData::new(values, shape), &self.device);
+        let numbers = self.model.text(values).try_into_vec_as::<f32>();
         Ok(numbers.expect("weights are float32"))
     }
 

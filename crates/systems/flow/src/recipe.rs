@@ -126,18 +126,18 @@ impl Recipe for FlowRecipe {
         self.loss_of(model, inputs, draws)
     }
 
-    /// At flow times that are evenly spread over items and draws.
+    /// At flow times that are evenly spread over items and repeats.
     fn validation_loss(&self, model: &FlowModel, device: &Device) -> Measured {
-        let (all, draws) = (self.held_out.len(), self.held_out.draws());
-        let total = self.held_out.mean(device, |draw, range, inputs| {
-            let time = |p| ((draw * all + p) as f64 + 0.5) / (draws * all) as f64;
+        let (all, repeats) = (self.held_out.len(), self.held_out.draws());
+        let total = self.held_out.mean(device, |repeat, range, inputs| {
+            let time = |p| ((repeat * all + p) as f64 + 0.5) / (repeats * all) as f64;
             let like = of_joints(inputs.x_start.clone());
-            let given = FlowDraws {
+            let draws = FlowDraws {
                 times: range.clone().map(time).collect(),
-                noise: self.held_out.noise(range, draw as u64, &like),
+                noise: self.held_out.noise(range, repeat as u64, &like),
                 keep_text: None,
             };
-            self.loss_of(model, inputs, given).total
+            self.loss_of(model, inputs, draws).total
         });
         Measured {
             total,

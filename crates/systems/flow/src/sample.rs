@@ -146,7 +146,7 @@ impl<'a> Rollouts<'a> {
                  that the model is trained with: it is given that length"
             ));
         }
-        if let Some(doubt) = untaught_guidance(trained, own) {
+        if let Some(doubt) = guidance_without_dropout(trained, own) {
             sink.warning(&doubt);
         }
         Ok(rollouts)
@@ -165,7 +165,7 @@ impl<'a> Rollouts<'a> {
         let first = prompts.and_then(|prompts| prompts.first()?.text.as_ref());
         let caption = first.and_then(|text| text.caption.as_deref());
         let sets = [dataset.held_out(), &dataset.train];
-        let clip = clip_that_does(&sets, caption, needed)?;
+        let clip = clip_with_caption(&sets, caption, needed)?;
         if let Some(clip) = &clip {
             let caption = clip
                 .caption()
@@ -265,10 +265,10 @@ impl Sampler for Rollouts<'_> {
     }
 }
 
-/// The first clip of at least `needed` frames with the caption `said`, else the first clip.
-fn clip_that_does(
+/// The first clip of at least `needed` frames with the caption `text`, else the first clip.
+fn clip_with_caption(
     sets: &[&ItemSet<Clip>],
-    said: Option<&str>,
+    text: Option<&str>,
     needed: usize,
 ) -> Result<Option<Arc<Clip>>, Error> {
     let (mut first, mut too_short) = (None, None);
@@ -280,7 +280,7 @@ fn clip_that_does(
                 continue;
             }
             let mut captions = clip.captions.iter();
-            if said.is_none_or(|said| captions.any(|caption| caption.text == said)) {
+            if text.is_none_or(|text| captions.any(|caption| caption.text == text)) {
                 return Ok(Some(clip));
             }
             first.get_or_insert(clip);
@@ -291,7 +291,7 @@ fn clip_that_does(
 }
 
 /// The warning about guidance with a network trained without text dropout.
-pub(super) fn untaught_guidance(trained: &TrainedModel, own: &FlowTables) -> Option<String> {
+pub(super) fn guidance_without_dropout(trained: &TrainedModel, own: &FlowTables) -> Option<String> {
     let scale = trained.config().sampling.sampler.guidance_scale;
     let guided = scale != 1.0 && own.pose.cond_drop_prob == 0.0;
     guided.then(|| {

@@ -1,4 +1,4 @@
-//! From clips to samples: a history, the next pose, and what is known beside them.
+//! The samples of clips: a history, the next pose and their conditions.
 
 use std::f64::consts::TAU;
 use std::sync::Arc;
@@ -69,8 +69,8 @@ impl PoseSpace {
         Ok(rows)
     }
 
-    /// Moments of the features and of the target of a clip, which faces four ways: training turns
-    /// windows by any angle, and rotations depend on it. Where histories drift, of windows that do.
+    /// Moments of the features and of the target of a clip, turned by four angles: training turns
+    /// windows by any angle, and rotations depend on it. With noise on histories, of noised windows.
     ///
     /// # Panics
     /// Panics for a clip of another skeleton, and one that is shorter than a window.
@@ -199,16 +199,16 @@ impl Samples for PoseWindows {
             (count, Some(_)) => Some(&clip.captions[below(count, Purpose::Caption)]),
         };
         let all = clip.features.frames();
-        let passage = caption.map_or(0..all, |caption| {
+        let range = caption.map_or(0..all, |caption| {
             caption.frames(all, self.space.skeleton.description().fps)
         });
-        let passage = match passage.len() < self.space.window() {
+        let range = match range.len() < self.space.window() {
             true => 0..all,
-            false => passage,
+            false => range,
         };
-        let poses = passage.len() + 1 - self.space.window();
+        let poses = range.len() + 1 - self.space.window();
         let pose = below(poses, Purpose::Crop);
-        let first = passage.start + pose;
+        let first = range.start + pose;
         let joints = clip.features.joints();
         let angle = number.map_or(0.0, |_| TAU * key(Purpose::Augment).uniform());
         let mut window = turned(&joints, first..first + self.space.window(), angle);
@@ -227,7 +227,7 @@ impl Samples for PoseWindows {
         let by_channel: Vec<f32> = by_channel.copied().collect();
         let place = place(pose, poses, self.space.longest);
         let text = self.text_of(caption);
-        fn whole(values: &[f32], frames: usize) -> ConditionRows<'_> {
+        fn all_frames(values: &[f32], frames: usize) -> ConditionRows<'_> {
             ConditionRows {
                 values,
                 frames,
@@ -239,9 +239,9 @@ impl Samples for PoseWindows {
             &self.space.target_of(&last),
             &self.target,
             &[
-                whole(&by_channel, history),
-                whole(&place, 1),
-                whole(&text, 1),
+                all_frames(&by_channel, history),
+                all_frames(&place, 1),
+                all_frames(&text, 1),
             ],
         );
     }
@@ -260,17 +260,17 @@ fn turned(joints: &Joints, frames: std::ops::Range<usize>, angle: f64) -> Joints
     Joints::new(places.collect(), joints.joints()).expect("whole frames")
 }
 
-/// Share of a drift that the next pose takes back. All of it at once would be a jump, and of what no
-/// network can tell from a history every pose would take back another guess.
+/// Share of a drift that the next pose corrects. Correcting the whole error in one frame makes the
+/// motion shake, because the network cannot infer the error from the history.
 const RETURN: f64 = 0.1;
 
-/// Steps of a history over which a drift grows to its deviation: those of the document's histories. Of
-/// shorter ones it is as quick, and ends nearer.
+/// Steps of a history over which a drift grows to its deviation: the length of the source's
+/// histories. In shorter ones it grows as fast and ends smaller.
 const DRIFT_STEPS: f64 = 16.0;
 
 /// The frames plus a random walk on all but the last, of the whole body and of each joint, each
 /// with a deviation of `deviation` metres after [`DRIFT_STEPS`]. The last frame has what [`RETURN`]
-/// leaves of it, so a target from the last two frames leads back by that share.
+/// leaves of it, so that a target from the last two frames corrects that share.
 fn drifting(window: &Joints, deviation: f64, key: Key) -> Joints {
     let (frames, joints) = (window.frames(), window.joints());
     let steps = frames - 1;
@@ -370,7 +370,7 @@ mod tests {
                 let last = first + HISTORY_FRAMES;
                 let expected = target.of_row(&rows[last]).expect("a pose");
                 assert_eq!(batch.x_start[sample * 66..][..66], expected);
-                // Nothing of the pose is in the history: its last row leads to the frame before.
+                // Nothing of the pose is in the history: its last row ends at the frame before.
                 assert_ne!(
                     target.of_row(found.last().expect("rows")).expect("a pose"),
                     expected
@@ -387,7 +387,7 @@ mod tests {
     }
 
     #[test]
-    fn training_draws_windows_anew_and_turns_them() {
+    fn training_samples_new_windows_and_turns_them() {
         let config = config();
         let mut loader = Loader::new(windows(NextPose::Displacement), &config, 1, 0);
         let skeleton = Skeleton::humanml3d();
@@ -438,7 +438,7 @@ mod tests {
     }
 
     #[test]
-    fn the_next_pose_leads_back_from_where_a_history_has_drifted() {
+    fn the_next_pose_corrects_a_share_of_the_drift() {
         let clip = Dataset::<Clip>::open(&config()).expect("walks").train;
         let clip = clip.get(0).expect("a walk");
         let joints = clip.features.joints();
@@ -480,7 +480,7 @@ mod tests {
             let squares: f64 = values.iter().map(|value| value * value).sum();
             (squares / values.len() as f64).sqrt()
         };
-        // As quick as over the sixteen steps of the document's histories.
+        // As fast as over the sixteen steps of the source's histories.
         let expected = 0.03 * ((HISTORY_FRAMES + 1) as f64 / 16.0).sqrt();
         for found in [deviation(&heights), deviation(&beside)] {
             let share = found / expected;

@@ -64,8 +64,8 @@ pub struct GmdLossConfig {
     /// height) are weighted by the square of this factor (Guided Motion Diffusion, appendix C.1).
     pub trajectory_scale: f64,
     /// Weight of the squared error of the differences between consecutive frames, beside that of
-    /// the frames: what shakes between them weighs more. For `prediction_type = "sample"`; 0 in the
-    /// paper. Small models shake without it.
+    /// the frames: it penalises shaking. For `prediction_type = "sample"`; 0 in the paper. Small
+    /// models shake without it.
     pub velocity: f64,
     /// Weight of the squared error of the joints' velocities in the world, metres per second, mean
     /// over the joints. For motion models with `prediction_type = "sample"`; 0 in the paper.
@@ -96,7 +96,7 @@ pub struct GmdEvaluationConfig {
     pub split: EvaluationSplit,
     /// Batch size of sampling. Guidance divides by the keyframes of a batch.
     pub batch_size: usize,
-    /// Evaluations, each with a seed of its own; the report has means and 95 % intervals of several.
+    /// Evaluations, each with its own seed; the report has means and 95 % intervals of several.
     /// The published evaluation has 20.
     pub replications: usize,
     /// Number of held-out clips with several samples, for trajectory diversity and multimodality; 0
@@ -110,8 +110,8 @@ pub struct GmdEvaluationConfig {
     pub keyframe_placement: KeyframePlacement,
     /// Obstacles per goal; if not 0, only the last frame is a keyframe.
     pub obstacles: usize,
-    /// Clearance around obstacles that guidance keeps, metres: the margin of the goals. Frames count as
-    /// inside without it.
+    /// Clearance around obstacles that guidance keeps, metres: the margin of the goals. The count
+    /// of frames inside ignores it.
     pub margin: f64,
     /// A text-motion evaluator, for R-precision and FID: a run, or all files of the published one.
     pub evaluator: EvaluatorFiles,
@@ -195,7 +195,7 @@ pub(super) fn validate(config: &Config) -> Result<(), Error> {
             weight,
             "0 unless `data.humanml3d.root = \"absolute\"`",
         )
-        .hint("a relative root says where joints are only by the sum of all frames before")?;
+        .hint("with a relative root, positions of joints are sums over all frames before")?;
     }
     let projects = own.emphasis.kind != EmphasisKind::None;
     require(

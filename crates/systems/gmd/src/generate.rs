@@ -69,7 +69,7 @@ pub struct GeneratedClip {
     pub features: Option<Features>,
     /// The root's ground position in each frame, x and z in metres.
     pub ground: Vec<[f64; 2]>,
-    /// The ground path that the first stage drew.
+    /// The ground path of the first stage.
     pub path: Option<Vec<[f64; 2]>>,
 }
 
@@ -111,7 +111,7 @@ impl<'a> Aim<'a> {
 }
 
 /// Sampled frames for clips of `frames` frames: those of training, or more if requested.
-pub(super) fn drawn_frames(config: &Config, frames: usize) -> usize {
+pub(super) fn sampled_frames(config: &Config, frames: usize) -> usize {
     frames.max(config.data.target_frames)
 }
 
@@ -213,7 +213,7 @@ impl ClipGenerator {
         let goals = goals.unwrap_or_default();
         let lengths: Vec<usize> = requests.iter().map(ClipRequest::length).collect();
         let frames = lengths.iter().copied().max().unwrap_or(0);
-        let own = drawn_frames(self.config(), frames);
+        let own = sampled_frames(self.config(), frames);
         let steering = self.steering();
         let mut paths = None;
         if let (Some(model), false) = (trajectory, goals.is_empty()) {
@@ -221,12 +221,12 @@ impl ClipGenerator {
             // If the motion model samples the padding, it follows a path there too.
             let follows_behind = steering.padding == Padding::Drawn;
             let followed = if follows_behind { own } else { frames };
-            let frames = drawn_frames(model.config(), followed);
-            let mut told = |done, all| on_step("trajectory", done, all);
+            let frames = sampled_frames(model.config(), followed);
+            let mut on_path_step = |done, all| on_step("trajectory", done, all);
             let named = |(key, number): &NoiseKey| (key.named("trajectory"), *number);
             let keys: Vec<NoiseKey> = keys.iter().map(named).collect();
-            // The first stage is clipped and padded as its own run says, but for a path that is
-            // followed everywhere.
+            // The first stage is clipped and padded according to its own run, except for a path
+            // that is followed everywhere.
             let first = SamplingConfig {
                 clip: model.config().sampling.clip,
                 sampler: steering.first_stage(&sampling.sampler),
@@ -240,29 +240,29 @@ impl ClipGenerator {
                 ..steering.clone()
             };
             let aim = Aim::of(&goals, None);
-            let x = model.draw(
+            let x = model.sampled(
                 &texts,
                 aim,
                 (frames, &lengths),
                 (&first, &of_first),
                 &keys,
-                &mut told,
+                &mut on_path_step,
             )?;
-            let mut drawn = model.paths(x);
-            for (path, &length) in drawn.iter_mut().zip(&lengths) {
+            let mut sampled = model.paths(x);
+            for (path, &length) in sampled.iter_mut().zip(&lengths) {
                 path.truncate(if follows_behind { own } else { length });
             }
-            paths = Some(drawn);
+            paths = Some(sampled);
         }
-        let mut told = |done, all| on_step("motion", done, all);
+        let mut on_motion_step = |done, all| on_step("motion", done, all);
         let aim = Aim::of(&goals, paths.as_deref());
-        let x = self.draw(
+        let x = self.sampled(
             &texts,
             aim,
             (own, &lengths),
             (sampling, steering),
             keys,
-            &mut told,
+            &mut on_motion_step,
         )?;
         let samples: Vec<GeneratedClip> = match RecipeName::of(self.config()) {
             RecipeName::Trajectory => {
@@ -310,7 +310,7 @@ impl ClipGenerator {
 
     /// Motion in the network's space, steered to an aim if there is one: of so many frames, for clips
     /// of these lengths.
-    fn draw(
+    fn sampled(
         &self,
         texts: &[Option<&ClipText>],
         aim: Option<Aim<'_>>,
@@ -332,12 +332,12 @@ impl ClipGenerator {
             .collect();
         let data = TensorData::new(values, [batch, channels, frames]);
         let start = Tensor::from_data(data, &self.device);
-        let told = |text: &Option<&ClipText>| match text {
+        let values = |text: &Option<&ClipText>| match text {
             Some(text) => self.text.values(text),
             None => Ok(None),
         };
-        let texts: Vec<Option<Vec<f32>>> = texts.iter().map(told).collect::<Result<_, _>>()?;
-        let is_told = texts.iter().any(Option::is_some);
+        let texts: Vec<Option<Vec<f32>>> = texts.iter().map(values).collect::<Result<_, _>>()?;
+        let has_text = texts.iter().any(Option::is_some);
         let values = self.text.channels();
         let text = texts.into_iter();
         let text = text.flat_map(|text| text.unwrap_or_else(|| vec![0.0; values]));
@@ -345,14 +345,14 @@ impl ClipGenerator {
         let cond = Tensor::from_data(data, &self.device);
         let sampler = SamplerConfig {
             // Without any text both passes of the guidance are the same one.
-            guidance_scale: match is_told {
+            guidance_scale: match has_text {
                 true => sampling.sampler.guidance_scale,
                 false => 0.0,
             },
             ..sampling.sampler.clone()
         };
         let clip = sampling.clip.range(&self.state.statistics, channels)?;
-        let mut told = |done, all, _: &Tensor<3>| on_step(done, all);
+        let mut on_sampled = |done, all, _: &Tensor<3>| on_step(done, all);
         let lengths = match steering.padding {
             Padding::Zeros => lengths.to_vec(),
             Padding::Drawn => vec![frames; batch],
@@ -369,7 +369,7 @@ impl ClipGenerator {
                     &sampler,
                     &clip,
                     NoiseKeys::Numbered(keys),
-                    &mut told,
+                    &mut on_sampled,
                 )
             })?;
             return Ok(x);
@@ -407,7 +407,7 @@ impl ClipGenerator {
             &clip,
             &at,
             NoiseKeys::Numbered(keys),
-            &mut told,
+            &mut on_sampled,
         )?;
         Ok(x)
     }

@@ -165,7 +165,7 @@ fn size(tensors: &BTreeMap<String, Tensor>, name: &str, axis: usize) -> Option<u
     shape.and_then(|shape| shape.get(axis).copied())
 }
 
-/// The error of weights without a tensor that tells the sizes of their network.
+/// The error of weights without a tensor from which the sizes follow.
 fn lacking(path: &Path, name: &str, what: &str) -> Error {
     Error::Foreign {
         path: path.to_path_buf(),
@@ -214,7 +214,7 @@ impl Sizes {
         })
     }
 
-    /// The number of heads is that of the published model: no shape tells it.
+    /// The number of heads is that of the published model: no shape depends on it.
     fn of_mdm(path: &Path, tensors: &BTreeMap<String, Tensor>) -> Result<Self, Error> {
         let lacking = |name| lacking(path, name, "the Human Motion Diffusion Model's encoder");
         let size = |name, axis| size(tensors, name, axis).ok_or_else(|| lacking(name));
@@ -351,19 +351,19 @@ mod tests {
     }
 
     #[test]
-    fn statistics_of_relative_roots_are_told_from_those_of_absolute_ones() {
+    fn statistics_of_relative_and_absolute_roots_are_distinguished() {
         let layout = FeatureLayout::of_channels(263).unwrap();
         let [relative, absolute] = [Root::Relative, Root::Absolute].map(walks);
         assert_eq!(relative.mean[3..], absolute.mean[3..]);
         // Both may be divided by the published weight of the root.
         for factor in [1.0, 5.0] {
-            let told = |statistics: &Statistics| {
+            let found = |statistics: &Statistics| {
                 let mut std = statistics.std.clone();
                 std[..4].iter_mut().for_each(|value| *value /= factor);
                 is_relative(&statistics.mean, &std, layout)
             };
-            assert!(told(&relative), "{factor}: {:?}", &relative.std[..4]);
-            assert!(!told(&absolute), "{factor}: {:?}", &absolute.std[..4]);
+            assert!(found(&relative), "{factor}: {:?}", &relative.std[..4]);
+            assert!(!found(&absolute), "{factor}: {:?}", &absolute.std[..4]);
         }
         assert!(is_absolute(&absolute.std, layout));
         assert!(!is_absolute(&relative.std, layout));

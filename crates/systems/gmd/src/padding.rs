@@ -6,8 +6,8 @@ use kinegrad_diffusion::{Denoiser, GaussianDiffusion, PredictionType, Time};
 /// A network with each clip's length, as in training: after a clip's last frame its input is noised
 /// zeros of normalised motion, and its output is replaced by zeros.
 ///
-/// Training shows it nothing else there, and its loss does not ask what it makes of it. Drawn freely,
-/// those frames would become something that it has never seen beside such a text.
+/// Training has only such padding, and the loss ignores its output there. Sampled padding would be
+/// an input that the network has never seen.
 pub struct Padded<'a, D> {
     network: &'a D,
     diffusion: &'a GaussianDiffusion,
@@ -25,8 +25,8 @@ impl<'a, D> Padded<'a, D> {
         like: &Tensor<3>,
     ) -> Self {
         let [batch, _, frames] = like.dims();
-        let whole = lengths.iter().all(|&length| length >= frames);
-        let real = (!whole).then(|| {
+        let is_full = lengths.iter().all(|&length| length >= frames);
+        let real = (!is_full).then(|| {
             let of_clip =
                 |&length: &usize| (0..frames).map(move |t| f32::from(u8::from(t < length)));
             let values: Vec<f32> = lengths.iter().flat_map(of_clip).collect();
@@ -180,7 +180,7 @@ mod tests {
     }
 
     #[test]
-    fn every_sampler_ends_at_zeros_behind_a_clip_and_draws_it_as_if_it_stood_alone() {
+    fn every_sampler_ends_at_zeros_after_a_clip_and_samples_it_as_if_alone() {
         let diffusion = process(PredictionType::Sample);
         let start = normal("start", [3, 2, 8]);
         let cond = normal("cond", [3, 2, 1]);
@@ -196,7 +196,7 @@ mod tests {
                 guidance_scale: 2.5,
                 ..SamplerConfig::default()
             };
-            let draw = |clips: std::ops::Range<usize>| {
+            let sampled = |clips: std::ops::Range<usize>| {
                 let count = clips.len();
                 let part = |x: &Tensor<3>| x.clone().narrow(0, clips.start, count);
                 let lengths = &LENGTHS[clips.clone()];
@@ -215,7 +215,7 @@ mod tests {
                 );
                 found.expect("valid settings")
             };
-            let all = draw(0..3);
+            let all = sampled(0..3);
             for (index, length) in LENGTHS.into_iter().enumerate() {
                 let clip = all.clone().narrow(0, index, 1);
                 if length < 8 {
@@ -223,7 +223,7 @@ mod tests {
                     assert!(behind < 1e-4, "{kind}: {behind}");
                 }
                 assert!(
-                    largest(clip.clone() - draw(index..index + 1)) < 1e-5,
+                    largest(clip.clone() - sampled(index..index + 1)) < 1e-5,
                     "{kind}"
                 );
             }

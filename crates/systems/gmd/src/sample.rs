@@ -6,7 +6,7 @@ use kinegrad_motion::goal::{Goal, Trajectory};
 use kinegrad_motion::humanml::Skeleton;
 use kinegrad_motion::metrics::{GoalReport, GoalSample};
 
-use super::generate::{ClipGenerator, ClipRequest, GeneratedClip, drawn_frames, keys};
+use super::generate::{ClipGenerator, ClipRequest, GeneratedClip, keys, sampled_frames};
 use super::load::{footprint, text_input};
 use super::recipe_name::RecipeName;
 use super::{Gmd, GmdConfig};
@@ -132,7 +132,7 @@ impl<'a> Clips<'a> {
         let config = trained.config();
         let skeleton = config.data.humanml3d.skeleton.skeleton();
         let fps = skeleton.description().fps;
-        // Each with the file that doubts about it name.
+        // Each with its file, for warnings.
         let mut goals = Vec::new();
         for GoalCondition { file, .. } in request.goals() {
             let (goal, digest) = read_goal_and_digest(file)?;
@@ -178,10 +178,10 @@ impl<'a> Clips<'a> {
         if request.is_unconditional() {
             sink.note("no condition given: sampling without a text and without a goal");
         }
-        if let Some(given) = request.trajectory() {
-            let saved = match &given.saved {
+        if let Some(condition) = request.trajectory() {
+            let saved = match &condition.saved {
                 Some(saved) => SavedCheckpoint::clone(saved),
-                None => SavedCheckpoint::read(&given.checkpoint)?,
+                None => SavedCheckpoint::read(&condition.checkpoint)?,
             };
             self.trajectory = Some(trajectory_model(trained, saved)?);
         }
@@ -316,7 +316,7 @@ impl Sampler for Clips<'_> {
     fn needs(&self) -> Result<Vec<Needs>, Error> {
         let (trained, frames) = (self.trained, self.longest);
         let clips = self.jobs.len().saturating_mul(self.request.count);
-        let networks = footprint(trained.config(), drawn_frames(trained.config(), frames))?;
+        let networks = footprint(trained.config(), sampled_frames(trained.config(), frames))?;
         Ok(vec![Needs {
             work: format!("sampling {clips} clips of {frames} frames"),
             bytes: networks.of_sampling(clips, self.steered(), trained.on_host),

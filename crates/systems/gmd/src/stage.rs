@@ -62,13 +62,13 @@ pub struct StageSteering<'a> {
     of_motion: bool,
     /// True if single frames are targets; without steering to the end, motion would jump there.
     of_points: bool,
-    dense: Known,
-    points: Known,
+    dense: KnownPositions,
+    points: KnownPositions,
 }
 
 /// Positions to impute, `[batch, channels, frames]`, in metres, and where they are known.
 #[derive(Clone, Debug)]
-struct Known {
+struct KnownPositions {
     target: Tensor<3>,
     mask: Tensor<3>,
 }
@@ -86,7 +86,7 @@ impl<'a> StageSteering<'a> {
         let loss = GuidanceLoss::new(&config.guidance, goals, model.frames)?;
         let known = |phase| {
             let targets = goals.iter().filter_map(|goal| goal.targets(phase));
-            Known::new(targets, model)
+            KnownPositions::new(targets, model)
         };
         Ok(Self {
             config,
@@ -120,7 +120,7 @@ impl<'a> StageSteering<'a> {
         let targets = paths
             .iter()
             .map(|path| GroundTargets::trajectory(path, 0, path.len()));
-        let known = Known::new(targets, model);
+        let known = KnownPositions::new(targets, model);
         Ok(Self {
             config,
             scale: match config.second_stage_guidance {
@@ -168,7 +168,7 @@ impl<'a> StageSteering<'a> {
     }
 }
 
-impl Known {
+impl KnownPositions {
     fn new(targets: impl Iterator<Item = GroundTargets>, model: StageModel<'_>) -> Self {
         let StageModel {
             channels, frames, ..
@@ -230,8 +230,8 @@ mod tests {
         };
         assert_eq!(of_goals(&points), [true, true, false, false]);
         assert_eq!(of_goals(&path), [true; 4]);
-        let (goals, drawn) = ([points], [vec![[0.0, 0.1]; 8]]);
-        let along = StageSteering::along(&config, &goals, &drawn, model).unwrap();
+        let (goals, paths) = ([points], [vec![[0.0, 0.1]; 8]]);
+        let along = StageSteering::along(&config, &goals, &paths, model).unwrap();
         assert_eq!(imputes(along), [true; 4]);
     }
 }

@@ -13,8 +13,8 @@ use kinegrad_train::config::PLAIN;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Padding {
-    /// Zeros of normalised motion, noised: what the network was trained to see there, so that it
-    /// knows how long the clip is.
+    /// Noised zeros of normalised motion, as in training: the network infers the length of the clip
+    /// from them.
     #[default]
     Zeros,
     /// Padding is sampled as motion and cut off, as in the published program of GMD: for models
@@ -40,8 +40,8 @@ pub struct SteeringConfig {
     /// Guide the second stage along the path of the first, in addition to imputation, as in the
     /// published demonstration; the published evaluation does not.
     pub second_stage_guidance: bool,
-    /// Denoising steps of the first stage, whose small model is cheap to ask often: its paths shake
-    /// in few steps. Omitted: those of the second.
+    /// Denoising steps of the first stage, whose model is small: paths of few steps shake. Omitted:
+    /// those of the second.
     pub first_stage_steps: Option<usize>,
     /// Classifier-free guidance scale of the first stage. Omitted: that of the second.
     pub first_stage_guidance_scale: Option<f64>,
@@ -81,7 +81,7 @@ impl SteeringConfig {
         }
     }
 
-    /// What a record says of the padding, and of the rest.
+    /// The padding and the other settings, for a record.
     pub(super) fn record(&self) -> (Value, Value) {
         let mut rest = to_value(self).expect(PLAIN);
         let padding = rest.as_object_mut().and_then(|keys| keys.remove("padding"));

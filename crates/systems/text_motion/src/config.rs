@@ -66,14 +66,14 @@ impl Default for TextMotionNetwork {
     }
 }
 
-/// The table `words`: the vectors that captions are read by.
+/// The table `words`: the word vectors.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct WordsConfig {
-    /// Word vectors as safetensors (docs/dataset.md). Without them every word has random numbers of
-    /// its own, which tell words apart and not what they mean: enough for few captions.
+    /// Word vectors as safetensors (docs/dataset.md). Without them every word has a random vector,
+    /// which distinguishes words without their meaning: enough for few captions.
     pub vectors: PathBuf,
-    /// Numbers of a vector, where there is no file.
+    /// Width of a vector without a file.
     pub width: usize,
 }
 
@@ -90,7 +90,7 @@ impl Default for WordsConfig {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct TextMotionLossConfig {
-    /// Distance that captions keep from the motions of others.
+    /// Smallest distance of captions from the motions of other clips without a loss.
     pub margin: f64,
 }
 

@@ -46,16 +46,16 @@ impl ContrastiveRecipe {
         let lengths = batch.mask.chunks(batch.frames);
         let lengths = lengths.map(|mask| mask.iter().filter(|&&valid| valid > 0.0).count());
         let motions = model.motions(frames, &lengths.collect::<Vec<_>>());
-        contrast(texts, motions, &together(batch), self.margin)
+        contrast(texts, motions, &positive(batch), self.margin)
     }
 }
 
 /// The two terms, for embeddings `[batch, width]` of captions and motions. Caption i and motion j
-/// are a positive pair where `together[i * batch + j]`.
+/// are a positive pair where `positive[i * batch + j]`.
 fn contrast(
     texts: Tensor<2>,
     motions: Tensor<2>,
-    together: &[bool],
+    positive: &[bool],
     margin: f64,
 ) -> [(&'static str, Tensor<1>); 2] {
     let [batch, width] = texts.dims();
@@ -65,7 +65,7 @@ fn contrast(
     let distances = (squares.clone() + EPSILON).sqrt();
     let missing = (distances * -1.0 + margin).clamp_min(0.0).powi_scalar(2);
     let mean = |of: Tensor<2>, belongs: bool| {
-        let weight = together.iter().map(|&is| f32::from(is == belongs));
+        let weight = positive.iter().map(|&is| f32::from(is == belongs));
         let weight: Vec<f32> = weight.collect();
         let count = weight.iter().sum::<f32>().max(1.0);
         let weight = Tensor::<2>::from_data(TensorData::new(weight, [batch, batch]), &device);
@@ -122,7 +122,7 @@ impl Captions {
 }
 
 /// For each pair, true if its clips have the same captions, or the same sentence of them.
-fn together(batch: &Batch) -> Vec<bool> {
+fn positive(batch: &Batch) -> Vec<bool> {
     let captions = &condition(batch, CAPTIONS).values;
     let words = condition(batch, WORDS);
     let sentences: Vec<&[f32]> = words.values.chunks(words.channels * words.frames).collect();
@@ -167,7 +167,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn pairs_are_drawn_together_and_pushed_apart() {
+    fn pairs_are_pulled_together_and_pushed_apart() {
         let device = Device::flex();
         let embeddings = |values: [f32; 6]| {
             Tensor::<2>::from_data(TensorData::new(values.to_vec(), [3, 2]), &device)
@@ -175,8 +175,8 @@ mod tests {
         // The captions 0 and 2 are equal.
         let texts = embeddings([0.0, 0.0, 3.0, 4.0, 0.0, 0.0]);
         let motions = embeddings([1.0, 0.0, 3.0, 4.0, 0.0, 2.0]);
-        let together = [true, false, true, false, true, false, true, false, true];
-        let [(_, near), (_, apart)] = contrast(texts, motions, &together, 6.0);
+        let positive = [true, false, true, false, true, false, true, false, true];
+        let [(_, near), (_, apart)] = contrast(texts, motions, &positive, 6.0);
         // 1, 4 of caption 0 and again of caption 2, and 0.
         let near = near.into_scalar::<f32>();
         assert!((near - 10.0 / 5.0).abs() < 1e-5, "{near}");
@@ -197,8 +197,8 @@ mod tests {
             channels,
             frames: 1,
         };
-        // Clips 0 and 1 have other captions and are told one sentence, clip 2 has those of clip 0
-        // and is told another of them.
+        // Clips 0 and 1 have different captions and the same sentence; clip 2 has the captions of
+        // clip 0 and another sentence.
         let batch = Batch {
             x_start: vec![0.0; 3],
             conditions: vec![
@@ -212,6 +212,6 @@ mod tests {
             frames: 1,
         };
         let expected = [true, true, true, true, true, false, true, false, true];
-        assert_eq!(together(&batch), expected);
+        assert_eq!(positive(&batch), expected);
     }
 }

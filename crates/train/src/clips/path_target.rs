@@ -158,10 +158,14 @@ impl PathTarget {
         let track: Vec<[f64; 2]> = root.iter().map(|[x, _, z]| [*x, *z]).collect();
         let turns = Self::WARP.turns(joints, skeleton, &track, &self.course);
         // A body sways with its steps; the trajectory without sway is moved.
-        let way = way(&root, fps);
-        let moved = track.iter().zip(&way).zip(&self.course.points).zip(&turns);
-        let moved = moved.map(|(((place, way), to), turn)| {
-            let [dx, dz] = [0, 1].map(|axis| place[axis] - way[axis]);
+        let trajectory = root_trajectory(&root, fps);
+        let moved = track
+            .iter()
+            .zip(&trajectory)
+            .zip(&self.course.points)
+            .zip(&turns);
+        let moved = moved.map(|(((place, smooth), to), turn)| {
+            let [dx, dz] = [0, 1].map(|axis| place[axis] - smooth[axis]);
             let (sin, cos) = turn.sin_cos();
             [to[0] + dx * cos + dz * sin, to[1] - dx * sin + dz * cos]
         });
@@ -245,7 +249,7 @@ impl Fastest {
 const SMOOTH: f64 = 1.0;
 
 /// The smoothed ground trajectory of a root at `places`, a point per frame.
-pub fn way(places: &[[f64; 3]], fps: f64) -> Vec<[f64; 2]> {
+pub fn root_trajectory(places: &[[f64; 3]], fps: f64) -> Vec<[f64; 2]> {
     let window = 2 * (SMOOTH * fps / 2.0) as usize + 1;
     let track: Vec<[f64; 2]> = places.iter().map(|[x, _, z]| [*x, *z]).collect();
     smoothed(&track, window, 3)

@@ -1,4 +1,4 @@
-//! What the keys of all systems say of themselves.
+//! The descriptions of the keys of all systems.
 
 use crate::BUILT_IN;
 

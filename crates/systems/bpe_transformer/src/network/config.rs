@@ -23,7 +23,7 @@ pub struct BlendedConfig {
     pub latent_dim: usize,
     /// Layers, each of attention and feed-forward.
     pub num_layers: usize,
-    /// Attention heads, of 64 channels each whatever the width.
+    /// Attention heads, of 64 channels each for any width.
     pub num_heads: usize,
     /// Width inside a feed-forward, rounded to a multiple of `latent_dim` as the published program
     /// does.

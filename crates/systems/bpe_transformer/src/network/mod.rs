@@ -225,7 +225,7 @@ impl BlendedTransformer {
         assert_eq!(
             (segments.len(), is_relative.len(), time.len()),
             (batch, batch, batch),
-            "a segments, a mode and a time for each motion"
+            "segments, a mode and a time for each motion"
         );
         let shared = Shared::new(
             self.conditions(time, texts, segments),
@@ -286,15 +286,15 @@ impl BlendedTransformer {
     /// The same network with only the path embedding and the last layers trainable.
     #[must_use]
     pub fn adapting(self, last_layers: usize) -> Self {
-        // Of parameters that are not drawn yet a copy would not say that it is trained.
+        // Copies of parameters that are not yet initialised lose the flag of being trained.
         let values = parameters::values(&self);
         let this = parameters::replace(self, values);
         let (first, second) = (this.embed_path_at_0.clone(), this.embed_path_at_2.clone());
         let layers = this.seqTransEncoder_at_attn_layers_at_layers.clone();
         let mut adapting = this.no_grad();
         (adapting.embed_path_at_0, adapting.embed_path_at_2) = (first, second);
-        let kept = layers.len().saturating_sub(2 * last_layers);
-        let last = layers.into_iter().enumerate().skip(kept);
+        let frozen = layers.len().saturating_sub(2 * last_layers);
+        let last = layers.into_iter().enumerate().skip(frozen);
         for (index, layer) in last {
             adapting.seqTransEncoder_at_attn_layers_at_layers[index] = layer;
         }
@@ -356,11 +356,11 @@ impl BlendedTransformer {
 
     /// Which sub-layers a training step leaves out.
     fn left_out(&self, dropout: DropoutKey, count: usize) -> Vec<bool> {
-        let drawn = |key: Key| key.named("depth").uniforms(count);
-        let Some(drawn) = dropout.filter(|_| self.depth > 0.0).map(drawn) else {
+        let uniforms = |key: Key| key.named("depth").uniforms(count);
+        let Some(uniforms) = dropout.filter(|_| self.depth > 0.0).map(uniforms) else {
             return vec![false; count];
         };
-        drawn
+        uniforms
             .into_iter()
             .map(|u| f64::from(u) < self.depth)
             .collect()

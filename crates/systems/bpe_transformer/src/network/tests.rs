@@ -30,12 +30,12 @@ fn network() -> BlendedTransformer {
     config(false).init(CHANNELS, 7, &init).expect("a network")
 }
 
-/// The same with what reads a path, whose weights are as drawn or as nothing has trained them.
-fn told(drawn: bool) -> BlendedTransformer {
+/// The same with a path embedding, whose last weights are random or, as in a new network, zero.
+fn path_conditioned(is_random: bool) -> BlendedTransformer {
     let init = Initializer::new(3, &Device::flex());
     let network = config(true).init(CHANNELS, 7, &init).expect("a network");
     let mut values = parameters::export(&network);
-    for parameter in values.iter_mut().filter(|_| drawn) {
+    for parameter in values.iter_mut().filter(|_| is_random) {
         if parameter.info.name == "embed_path.2.weight" {
             let key = Key::new(9, Purpose::Noise);
             parameter.values = key.normals(parameter.values.len());
@@ -92,21 +92,21 @@ fn the_published_sizes_have_the_published_number_of_parameters() {
 #[test]
 fn a_text_reaches_its_own_frames_and_across_the_border_in_relative_mode_alone() {
     let (x, segments) = (random([2, CHANNELS, FRAMES], 1), two());
-    let told = texts(2);
+    let rows = texts(2);
     let other = {
         // Text 0 is the first of the first motion and the last of the second.
         let zeros = Tensor::zeros([1, 7], &Device::flex());
-        Tensor::cat(vec![zeros, told.clone().narrow(0, 1, 2)], 0)
+        Tensor::cat(vec![zeros, rows.clone().narrow(0, 1, 2)], 0)
     };
     for (relative, reach) in [([false; 2], 0), ([true; 2], 8)] {
-        let a = answer(x.clone(), told.clone(), &segments, relative);
+        let a = answer(x.clone(), rows.clone(), &segments, relative);
         let b = answer(x.clone(), other.clone(), &segments, relative);
         let apart = apart(&a, &b);
         for (t, found) in apart[0].iter().enumerate().take(11) {
             // Keys do not know the text: two layers reach as far as the first's sums, one horizon.
-            let told = t < 5;
+            let has_text = t < 5;
             let near = t < 5 + reach;
-            assert!(!told || *found > 1e-4, "{relative:?} {t}");
+            assert!(!has_text || *found > 1e-4, "{relative:?} {t}");
             assert!(near || *found == 0.0, "{relative:?} {t}");
         }
         assert!(reach == 0 || apart[0][5] > 1e-6);
@@ -116,9 +116,9 @@ fn a_text_reaches_its_own_frames_and_across_the_border_in_relative_mode_alone() 
 
 #[test]
 fn modes_and_order_of_texts_matter_and_padding_does_not() {
-    let (x, segments, told) = (random([2, CHANNELS, FRAMES], 1), two(), texts(2));
-    let whole = answer(x.clone(), told.clone(), &segments, [false, true]);
-    let swapped = answer(x.clone(), told.clone(), &segments, [true, false]);
+    let (x, segments, rows) = (random([2, CHANNELS, FRAMES], 1), two(), texts(2));
+    let whole = answer(x.clone(), rows.clone(), &segments, [false, true]);
+    let swapped = answer(x.clone(), rows.clone(), &segments, [true, false]);
     let differs = apart(&whole, &swapped);
     assert!(differs.iter().all(|motion| motion[0] > 1e-4));
     // What stands in the first motion's padding, frames 11 to 13.
@@ -127,7 +127,7 @@ fn modes_and_order_of_texts_matter_and_padding_does_not() {
     let padded = Tensor::cat(vec![behind.narrow(0, 0, 1), x.clone().narrow(0, 1, 1)], 0);
     let other = apart(
         &whole,
-        &answer(padded, told.clone(), &segments, [false, true]),
+        &answer(padded, rows.clone(), &segments, [false, true]),
     );
     assert!(other[0][..11].iter().all(|difference| *difference == 0.0));
     // The same texts in another order.
@@ -136,7 +136,7 @@ fn modes_and_order_of_texts_matter_and_padding_does_not() {
         vec![segment(1, 5), segment(0, 6)],
         vec![segment(2, 3), segment(1, 4), segment(0, 7)],
     ]);
-    let turned = apart(&whole, &answer(x, told, &segments, [false, true]));
+    let turned = apart(&whole, &answer(x, rows, &segments, [false, true]));
     assert!(turned[0][..11].iter().all(|difference| *difference > 1e-5));
     assert!(turned[1].iter().all(|difference| *difference == 0.0));
 }
@@ -146,7 +146,7 @@ fn a_long_motion_is_what_its_parts_in_reach_make_of_it() {
     // In relative mode no frame knows its number: a motion cut off far ahead answers the same.
     let single = |frames| TextSegments::single([frames]);
     let x = random([1, CHANNELS, 60], 4);
-    let told = texts(2).narrow(0, 0, 1);
+    let rows = texts(2).narrow(0, 0, 1);
     let run = |x: Tensor<3>, frames| {
         let segments = single(frames);
         let pass = Pass {
@@ -156,7 +156,7 @@ fn a_long_motion_is_what_its_parts_in_reach_make_of_it() {
             path: None,
             path_mask: None,
         };
-        network().forward(x, &[Time(5.0)], told.clone(), pass)
+        network().forward(x, &[Time(5.0)], rows.clone(), pass)
     };
     let whole = run(x.clone(), 60);
     let part = run(x.narrow(2, 20, 40), 40);
@@ -181,12 +181,12 @@ fn an_untrained_path_changes_no_bit_and_a_trained_one_the_frames_in_reach() {
     };
     let path = random([2, PATH_CHANNELS, FRAMES], 5);
     let base = run(&network(), None).into_data();
-    assert_eq!(run(&told(false), Some(&path)).into_data(), base);
-    let drawn = told(true);
-    let whole = run(&drawn, Some(&path));
+    assert_eq!(run(&path_conditioned(false), Some(&path)).into_data(), base);
+    let trained = path_conditioned(true);
+    let whole = run(&trained, Some(&path));
     assert_ne!(whole.clone().into_data(), base);
-    assert_eq!(run(&drawn, None).into_data(), base);
-    // Of two motions, the one that is not told is drawn as without a path.
+    assert_eq!(run(&trained, None).into_data(), base);
+    // The motion whose path is masked is generated as without a path.
     let keep = Tensor::from_data(TensorData::new(vec![1.0f32, 0.0], [2, 1, 1]), &x.device());
     let pass = Pass {
         segments: &segments,
@@ -195,18 +195,18 @@ fn an_untrained_path_changes_no_bit_and_a_trained_one_the_frames_in_reach() {
         path: Some(&path),
         path_mask: Some(&keep),
     };
-    let kept = drawn.forward(x.clone(), &[Time(30.0), Time(700.0)], texts.clone(), pass);
+    let masked = trained.forward(x.clone(), &[Time(30.0), Time(700.0)], texts.clone(), pass);
     let part = |of: &Tensor<3>, motion: usize| of.clone().narrow(0, motion, 1).into_data();
-    assert_eq!(part(&kept, 0), part(&whole, 0));
-    assert_eq!(part(&kept, 1), part(&run(&drawn, None), 1));
-    // Another way in the last frame alone: seen by frames within twice the horizon, of that motion.
+    assert_eq!(part(&masked, 0), part(&whole, 0));
+    assert_eq!(part(&masked, 1), part(&run(&trained, None), 1));
+    // Another place in the last frame alone: seen by frames within twice the horizon, of that motion.
     let last = path.clone().narrow(2, FRAMES - 1, 1);
     let other = Tensor::cat(vec![path.narrow(2, 0, FRAMES - 1), last + 1.0], 2);
     let other = Tensor::cat(
         vec![other.clone().narrow(0, 0, 1), other.narrow(0, 1, 1)],
         0,
     );
-    let changed = apart(&whole, &run(&drawn, Some(&other)));
+    let changed = apart(&whole, &run(&trained, Some(&other)));
     assert!(changed[1][FRAMES - 1] > 1e-5);
     let far = FRAMES - 1 - 2 * 4;
     assert!(
@@ -246,7 +246,7 @@ fn adapting_trains_what_reads_the_path_and_the_last_layers() {
 
 #[test]
 fn training_leaves_sub_layers_out_by_its_key() {
-    let (x, segments, told) = (random([2, CHANNELS, FRAMES], 1), two(), texts(2));
+    let (x, segments, rows) = (random([2, CHANNELS, FRAMES], 1), two(), texts(2));
     let run = |seed: u64| {
         let pass = Pass {
             segments: &segments,
@@ -256,7 +256,7 @@ fn training_leaves_sub_layers_out_by_its_key() {
             path_mask: None,
         };
         network()
-            .forward(x.clone(), &[Time(3.0); 2], told.clone(), pass)
+            .forward(x.clone(), &[Time(3.0); 2], rows.clone(), pass)
             .into_data()
     };
     assert_eq!(run(1), run(1));

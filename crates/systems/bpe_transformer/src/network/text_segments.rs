@@ -29,10 +29,10 @@ impl TextSegments {
     /// Panics for a motion without a segment, or a segment without a frame.
     pub fn new(motions: impl IntoIterator<Item = Vec<Segment>>) -> Self {
         let motions: Arc<[Vec<Segment>]> = motions.into_iter().collect();
-        let whole = |motion: &Vec<Segment>| {
+        let valid = |motion: &Vec<Segment>| {
             !motion.is_empty() && motion.iter().all(|segment| segment.frames > 0)
         };
-        assert!(motions.iter().all(whole), "segments of a frame or more");
+        assert!(motions.iter().all(valid), "segments of a frame or more");
         Self(motions)
     }
 

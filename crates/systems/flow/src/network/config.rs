@@ -39,20 +39,20 @@ pub struct FlowConfig {
 
 impl Default for FlowConfig {
     fn default() -> Self {
-        Self::document()
+        Self::published()
     }
 }
 
 impl NetworkConfig for FlowConfig {
     const KIND: &'static str = "flow";
 
-    const SIZES: NamedSizes<Self> = &[("document", Self::document), ("tiny", Self::tiny)];
+    const SIZES: NamedSizes<Self> = &[("published", Self::published), ("tiny", Self::tiny)];
 }
 
 impl FlowConfig {
-    /// The widths of the document, with the choices of docs/sources.md, section 5: 1,639,648
+    /// The widths of the source, with the choices of docs/sources.md, section 5: 1,639,648
     /// parameters in the encoder and 820,131 in the predictor for 22 joints.
-    pub fn document() -> Self {
+    pub fn published() -> Self {
         Self {
             joint_dim: 128,
             context_dim: 64,
@@ -90,7 +90,7 @@ impl FlowConfig {
     /// # Errors
     /// Names the key that no network can be built from.
     pub fn validate(&self) -> Result<(), InvalidSetting> {
-        for (key, width, document) in [
+        for (key, width, published) in [
             ("model.joint_dim", self.joint_dim, 128),
             ("model.context_dim", self.context_dim, 64),
             ("model.gru_dim", self.gru_dim, 128),
@@ -98,7 +98,7 @@ impl FlowConfig {
             ("model.latent_dim", self.latent_dim, 128),
             ("model.ff_size", self.ff_size, 512),
         ] {
-            in_range(key, width, 1..=MAX_WIDTH).hint(format!("the document has {document}"))?;
+            in_range(key, width, 1..=MAX_WIDTH).hint(format!("the source has {published}"))?;
         }
         require(
             self.num_heads > 0 && self.latent_dim.is_multiple_of(self.num_heads),
@@ -106,7 +106,7 @@ impl FlowConfig {
             self.num_heads,
             format!("a divisor of model.latent_dim ({})", self.latent_dim),
         )
-        .hint("4 divides the document's 128")?;
-        in_range("model.num_layers", self.num_layers, 1..=MAX_LAYERS).hint("the document has 4")
+        .hint("4 divides the source's 128")?;
+        in_range("model.num_layers", self.num_layers, 1..=MAX_LAYERS).hint("the source has 4")
     }
 }

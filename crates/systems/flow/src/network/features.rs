@@ -53,8 +53,8 @@ pub(super) fn whole_body(rows: &Tensor<2>, joints: usize) -> Tensor<2> {
 }
 
 /// The state of each joint in the last frame of a history: position, the first two columns of its
-/// rotation, velocity. The root is at (0, its height, 0), unturned. Source: the document, section
-/// 2, with docs/sources.md, section 5.
+/// rotation, velocity. The root is at (0, its height, 0), unturned. Source: docs/sources.md, section
+/// 5.
 ///
 /// # Shapes
 /// - last: `[batch, 12 J - 1]`

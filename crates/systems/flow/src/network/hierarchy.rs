@@ -1,7 +1,7 @@
 use kinegrad_motion::humanml::Skeleton;
 
 /// Where each joint of a skeleton stands in its tree: on which limb, and how far from the root
-/// (the document's "kinematic hierarchy", section 2; docs/sources.md, section 5).
+/// ("kinematic hierarchy"; docs/sources.md, section 5).
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Hierarchy {
     /// The chain of each joint, `[J]`: the one that it is on without being its first joint; the

@@ -34,8 +34,7 @@ pub struct History {
     pub duration: Option<Tensor<2>>,
 }
 
-/// Past frames and a text to a context of each joint (the document, section 1; docs/sources.md,
-/// section 5). Should be created with [`FlowConfig::init`](super::FlowConfig::init).
+/// Past frames and a text to a context of each joint (docs/sources.md, section 5). Should be created with [`FlowConfig::init`](super::FlowConfig::init).
 ///
 /// ```text
 /// joint and frame:  position, velocity, body, duration, text_proj(text)
@@ -108,7 +107,7 @@ impl HistoryEncoder {
         let count = time * batch;
         let rows = frames.permute([2, 0, 1]).reshape([count, channels]);
 
-        // 1. What each joint of each frame is told.
+        // 1. The inputs of each joint of each frame.
         let body = whole_body(&rows, joints);
         let text = self.text_proj.forward(text);
         let duration = duration.unwrap_or_else(|| Tensor::zeros([batch, 1], &rows.device()));
@@ -126,7 +125,7 @@ impl HistoryEncoder {
             inputs.swap_dims(0, 1)
         });
 
-        // 2. Over time. What all joints are told is multiplied once a frame.
+        // 2. Over time. Inputs that all joints share are multiplied once a frame.
         let latents = self
             .joint_mlp_at_0
             .forward_frames_sharing(own.swap_dims(1, 2), shared);

@@ -7,9 +7,9 @@
 //!                                                                           velocity of x_t
 //! ```
 //!
-//! [`FlowRollout`] draws frame after frame, each the history of the next.
+//! [`FlowRollout`] samples frame after frame, each the history of the next.
 //!
-//! Source: the document "Human Motion Generation Architecture", sections 1 and 2, as
+//! Source: "Human Motion Generation Architecture", sections 1 and 2, as
 //! docs/sources.md reads it, section 5. Within this module joints stand where other networks have
 //! frames: `[batch, channels, joints]`.
 
@@ -79,12 +79,12 @@ impl FlowModel {
         }
     }
 
-    /// What the encoder reads of texts, `[batch, 512]`: as they are, or the embeddings of the
+    /// The encoder's input for texts, `[batch, 512]`: unchanged, or the embeddings of the
     /// captions that `[batch, captions]` names with 1 and all others with 0; zeros stand for no text.
-    pub fn text(&self, told: Tensor<2>) -> Tensor<2> {
+    pub fn text(&self, values: Tensor<2>) -> Tensor<2> {
         match &self.embed_captions {
-            Some(table) => table.mixed(told),
-            None => told,
+            Some(table) => table.mixed(values),
+            None => values,
         }
     }
 }

@@ -35,8 +35,8 @@ pub struct FlowCondition {
     pub progress: Tensor<1>,
 }
 
-/// A condition as far as it goes into the joints' tokens: what does not change while a pose is drawn
-/// is computed once ([`FlowPredictor::prepare`]).
+/// The condition's share of the joints' tokens, which is computed once for a pose
+/// ([`FlowPredictor::prepare`]).
 #[derive(Clone, Debug)]
 pub struct PreparedCondition {
     /// Tokens without noisy position and flow time: `[batch, latent_dim, J]`.
@@ -46,8 +46,8 @@ pub struct PreparedCondition {
     weight: Tensor<3>,
 }
 
-/// The velocity of a noisy pose at a flow time, 0 for noise and 1 for data (the document, section
-/// 2; docs/sources.md, section 5): a transformer encoder over joints. Should be created with
+/// The velocity of a noisy pose at a flow time, 0 for noise and 1 for data (docs/sources.md,
+/// section 5): a transformer encoder over joints. Should be created with
 /// [`FlowConfig::init`](super::FlowConfig::init).
 ///
 /// ```text

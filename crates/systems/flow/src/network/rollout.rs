@@ -40,12 +40,12 @@ pub struct FlowSpace {
 pub struct RolloutSettings {
     /// The solver of each pose.
     pub sampler: SamplerConfig,
-    /// Frames to draw; progress counts down from 1 at the first to 0 at the last.
+    /// Frames to sample; progress counts down from 1 at the first to 0 at the last.
     pub frames: usize,
     /// Gives every frame the bones of the history's last ([`with_bones`]).
     pub constant_bones: bool,
-    /// Draws every pose from the same noise: what it decides is then decided alike in every frame,
-    /// and poses that follow each other differ by what they were told alone.
+    /// Samples every pose from the same noise, so that consecutive poses differ by their conditions
+    /// alone.
     pub same_noise: bool,
     /// Of the contact flags, square metres
     /// ([`Extraction::contact_threshold`](kinegrad_motion::humanml::Extraction::contact_threshold)).
@@ -59,7 +59,7 @@ pub enum RolloutError {
     #[error("the history has {found} frames where at least {needed} are needed")]
     #[diagnostic(help(
         "every row of features is taken from a frame and the next, and the last frame is the one \
-         that the motion goes on from"
+         that the motion continues from"
     ))]
     HistoryTooShort {
         /// Frames found.
@@ -90,8 +90,8 @@ pub enum RolloutError {
     Sampler(#[from] kinegrad_diffusion::Error),
 }
 
-/// A motion that goes on from a history: the text is pushed, frames are pulled. What is kept does
-/// not grow with the frames drawn. Every frame is a function of the history, the texts so far and
+/// A motion that continues a history: the text is pushed, frames are pulled. Memory does not grow
+/// with the frames. Every frame is a function of the history, the texts so far and
 /// the key.
 ///
 /// Make it with a model of plain weights on a plain device (Burn: `Module::valid`).
@@ -113,8 +113,8 @@ pub struct FlowRollout {
 
 impl FlowRollout {
     /// Before its first frame, without a text. The history is joints in metres above the floor y =
-    /// 0, at the skeleton's rate: its last frame is the one that the motion goes on from, and as
-    /// many before it are seen as there are rows in a history.
+    /// 0, at the skeleton's rate: the motion continues from its last frame, and
+    /// the encoder reads as many frames before it as a history has rows.
     ///
     /// # Errors
     /// [`RolloutError::HistoryTooShort`]; [`RolloutError::Setting`] for a setting out of range;
@@ -129,7 +129,7 @@ impl FlowRollout {
     ) -> Result<Self, RolloutError> {
         must_suit_flow(&settings.sampler)?;
         in_range("frames", settings.frames, 1..).hint("20 frames are a second of HumanML3D")?;
-        in_range("history", space.history, 1..).hint("the document has 15")?;
+        in_range("history", space.history, 1..).hint("the source has 15")?;
         in_range("longest", space.longest, 1..).hint("196 in HumanML3D")?;
         let skeleton = &space.skeleton;
         history.must_be_of(skeleton)?;
@@ -258,7 +258,7 @@ impl FlowRollout {
         let last = frames.clone().narrow(1, rows - 1, 1);
         let text = TensorData::new(self.text.clone(), [1, TEXT_CHANNELS]);
         let text = Tensor::<2>::from_data(text, &self.device);
-        // Nor is training told of more.
+        // Training has no larger durations.
         let poses = self.settings.frames.min(self.space.longest);
         let duration = poses as f32 / self.space.longest as f32;
         let history = History {

@@ -33,7 +33,7 @@ fn history() -> History {
 
 #[test]
 fn the_documents_sizes_have_the_documents_parameters() {
-    let model = model(&FlowConfig::document());
+    let model = model(&FlowConfig::published());
     assert_eq!(parameters::count(&model.encoder), 1_639_648);
     assert_eq!(parameters::count(&model.predictor), 820_131);
 }
@@ -215,10 +215,10 @@ fn parts_of_the_document_can_be_left_out() {
                 .predictor
                 .forward(x_t.clone(), t.clone(), &cond(progress))
         };
-        let told = apart(forward(0.25), forward(0.75)) > 0.0;
+        let depends = apart(forward(0.25), forward(0.75)) > 0.0;
         let context = model.encoder.forward(history());
         assert_eq!(context.dims(), [3, tiny.context_dim, 22]);
-        (counts, told)
+        (counts, depends)
     };
     let [encoder, predictor] = [
         parameters::count(&whole.encoder),

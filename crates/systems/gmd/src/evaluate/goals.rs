@@ -286,7 +286,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn halves_are_drawn_at_random() {
+    fn halves_are_random() {
         // Every number twice, side by side, as mirrored or neighbouring clips of a take are.
         let normals = Key::new(4, Purpose::Synthetic).normals(60);
         let pairs = normals.iter().flat_map(|&value| [f64::from(value); 2]);

@@ -6,7 +6,7 @@ use kinegrad_data::humanml::labels_of;
 use super::super::load::text_input;
 use super::GoalTask;
 use super::goals::GoalEvaluation;
-use crate::generate::drawn_frames;
+use crate::generate::sampled_frames;
 use crate::load::footprint;
 use crate::sample::trajectory_model;
 use crate::{ClipGenerator, EvaluationSplit, GmdConfig};
@@ -37,7 +37,7 @@ pub fn prepare<'a>(
     let held_out = dataset.validation.evenly(settings.goals)?;
     let note = note_if_fewer(held_out.len(), settings.goals, "goals", trained);
     must_know_texts(&text_input(trained.config()), &held_out)?;
-    let frames = drawn_frames(trained.config(), data.target_frames);
+    let frames = sampled_frames(trained.config(), data.target_frames);
     let repeated = settings.variety_clips.min(held_out.len()) * settings.variety_repeats;
     let at_once = settings.batch_size.min(held_out.len().max(repeated));
     let networks = footprint(trained.config(), frames)?;

@@ -13,11 +13,11 @@ const OBSTACLE_RADIUS: f64 = 0.35;
 /// instead: otherwise the ends could not be reached.
 const CLEARANCE: f64 = 0.1;
 
-/// Which frames are keyframes.
+/// The choice of keyframes.
 #[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum KeyframePlacement {
-    /// Frames drawn at random, as in the published evaluation; a frame drawn twice counts once.
+    /// Random frames, as in the published evaluation; a frame that is sampled twice counts once.
     #[default]
     Random,
     /// Evenly spaced frames, the last one of the clip among them.
@@ -29,7 +29,7 @@ pub enum KeyframePlacement {
 pub struct GoalTask {
     /// Number of keyframes.
     pub keyframes: usize,
-    /// Which frames they are.
+    /// Their choice.
     pub keyframe_placement: KeyframePlacement,
     /// Number of discs of 35 cm on the path, evenly spaced in time; those that would cover its
     /// start or end are left out. With obstacles, only the last frame is a keyframe.
@@ -41,7 +41,7 @@ pub struct GoalTask {
 }
 
 impl GoalTask {
-    /// The goal derived from `clip`; `seed` draws its keyframes, with the clip's id.
+    /// The goal derived from `clip`; its keyframes depend on `seed` and the clip's id.
     pub fn goal(&self, clip: &Clip, seed: u64) -> Goal {
         let frames = clip.features.frames().min(self.frames);
         let features = clip.features.slice(0..frames).to_absolute();
@@ -122,7 +122,7 @@ mod tests {
     }
 
     #[test]
-    fn keyframes_are_drawn_from_all_frames() {
+    fn keyframes_are_sampled_from_all_frames() {
         let of = |id: &str, seed| places(&TASK.goal(&clip(id), seed));
         assert_eq!(of("a", 1), of("a", 1));
         assert_ne!(of("a", 1), of("b", 1));

@@ -18,7 +18,7 @@ use kinegrad_train::sampling::item_seed;
 
 impl ClipGenerator {
     /// The clean motion that a motion model predicts of each clip noised to `timestep`, in one step:
-    /// how accurate it is where sampling ends. Clips are cut to the frames of training; the noise of
+    /// a measure of accuracy at the end of sampling. Clips are cut to the frames of training; the noise of
     /// each depends on `seed` and its id.
     ///
     /// # Errors
@@ -50,7 +50,7 @@ impl ClipGenerator {
         let on_device = |values: Vec<f32>, shape: [usize; 3]| {
             Tensor::<3>::from_data(TensorData::new(values, shape), &self.device)
         };
-        let (mut starts, mut noise, mut told) = (Vec::new(), Vec::new(), Vec::new());
+        let (mut starts, mut noise, mut texts) = (Vec::new(), Vec::new(), Vec::new());
         for clip in clips {
             let length = clip.features.frames().min(frames);
             let rows = clip.features.with_root(humanml3d.root);
@@ -63,10 +63,10 @@ impl ClipGenerator {
             noise.extend(key.normals(channels * frames));
             let text = ClipText::of(clip).map(|text| self.text.values(&text));
             let text = text.transpose()?.flatten();
-            told.extend(text.unwrap_or_else(|| vec![0.0; self.text.channels()]));
+            texts.extend(text.unwrap_or_else(|| vec![0.0; self.text.channels()]));
         }
         let noise = on_device(noise, [batch, channels, frames]);
-        let cond = on_device(told, [batch, self.text.channels(), 1]);
+        let cond = on_device(texts, [batch, self.text.channels(), 1]);
         let timesteps = vec![timestep; batch];
         let x_start = Tensor::cat(starts, 0);
         let x_t = self.diffusion.add_noise(x_start, noise, &timesteps);

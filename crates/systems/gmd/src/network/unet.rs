@@ -32,8 +32,9 @@ pub struct GmdUnetConfig {
     /// Second convolutions and the last one are initialised to zero, so that a new network outputs
     /// 0.
     pub zero_init: bool,
-    /// The input is added to the output, mixed between channels and with a gain for each that the
-    /// timestep sets: a small network returns what it knows already. Not in the published models.
+    /// The input is added to the output, mixed between channels, with a gain of each channel that
+    /// depends on the timestep: small networks lose detail of the input otherwise. Not in the
+    /// published models.
     pub input_skip: bool,
     /// Frames that every clip is padded to.
     pub padded_frames: usize,
@@ -240,7 +241,7 @@ struct UpLevel {
     at_3_at_conv: ConvTranspose1d,
 }
 
-/// The UNet without what tells it timestep and text. Should be created with
+/// The UNet without the embeddings of timestep and text. Should be created with
 /// [`GmdUnetConfig::init`].
 ///
 /// There are as many levels down as multipliers and one less up; the skip of the finest level is
@@ -309,7 +310,7 @@ impl GmdUnet {
         }
         let last = &self.final_conv_at_0_at_block;
         let h = last.convolution().forward(x);
-        // The last convolution normalises its input itself: nothing holds this otherwise.
+        // The last convolution normalises its input itself: no other tensor contains this.
         stages.stage(format_args!("final0"), || last.norm().forward(h.clone()));
         let output = self.final_conv_at_1.operation();
         output.norm(last.norm()).forward(h)

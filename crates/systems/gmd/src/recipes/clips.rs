@@ -60,7 +60,7 @@ pub fn clip_recipe(
             );
             if let Some(joint_motion) = &joint_motion {
                 let output = loss.probes.iter().find(|(name, _)| *name == "model_output");
-                let (_, prediction) = output.expect("what the network said").clone();
+                let (_, prediction) = output.expect("the output of the network").clone();
                 for (name, term) in joint_motion.terms(prediction, target, mask) {
                     loss.total = loss.total + term.clone();
                     loss.terms.push((name, term));

@@ -20,8 +20,8 @@ const STANDING: f32 = 0.5;
 /// ```
 ///
 /// v is the velocity of a joint in the world, metres per second, from a frame to the next, and c the
-/// contact flag of the first of both. In the features a joint is where the root and its place in the
-/// facing frame say, which each may be nearly right while a standing foot slides.
+/// contact flag of the first of both. In the features, a joint's position is the sum of the root's and its own in the
+/// facing frame: both may be nearly right while a standing foot slides.
 #[derive(Clone, Debug)]
 pub struct JointMotion {
     joint_velocity: f64,

@@ -48,7 +48,7 @@ pub struct TextMotionConfig {
 }
 
 impl TextMotionConfig {
-    /// The widths of weights, whose shapes `shape` tells by name. A width that no weight tells is
+    /// The widths of weights with the named shapes `shape`. A width without such a weight is
     /// that of the published networks for HumanML3D.
     pub fn of_weights<'a>(shape: impl Fn(&str) -> Option<&'a [usize]>) -> Self {
         let width = |name: &str, axis: usize, published: usize| {

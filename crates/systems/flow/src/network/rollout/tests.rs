@@ -82,8 +82,8 @@ fn apart(a: &[Vec<[f64; 3]>], b: &[Vec<[f64; 3]>]) -> f64 {
 fn as_many_frames_are_drawn_as_asked_and_each_is_finite() {
     for next in [NextPose::Position, NextPose::Displacement] {
         let mut rollout = begin(space(next), settings(8), &walked(6), 1).expect("valid");
-        for drawn in 0..8 {
-            assert_eq!(rollout.remaining(), 8 - drawn);
+        for done in 0..8 {
+            assert_eq!(rollout.remaining(), 8 - done);
             let frame = rollout.next_frame().expect("finite").expect("not the last");
             assert_eq!(frame.len(), 22);
             assert!(frame.as_flattened().iter().all(|value| value.is_finite()));
@@ -96,14 +96,14 @@ fn as_many_frames_are_drawn_as_asked_and_each_is_finite() {
 #[test]
 fn a_rollout_repeats_itself_and_everything_given_changes_it() {
     let (next, history) = (NextPose::Position, walked(9));
-    let draw = |settings, history: &Joints, seed| {
+    let sample = |settings, history: &Joints, seed| {
         all(begin(space(next), settings, history, seed).expect("valid"))
     };
-    let drawn = draw(settings(6), &history, 1);
-    assert_eq!(drawn, draw(settings(6), &history, 1));
+    let sampled = sample(settings(6), &history, 1);
+    assert_eq!(sampled, sample(settings(6), &history, 1));
     // Only as many frames as a history has are seen.
     let recent = Joints::new(history.as_slice()[3 * 22..].to_vec(), 22).expect("frames");
-    assert_eq!(drawn, draw(settings(6), &recent, 1));
+    assert_eq!(sampled, sample(settings(6), &recent, 1));
     let older = Joints::new(history.as_slice()[..6 * 22].to_vec(), 22).expect("frames");
     let guided = RolloutSettings {
         sampler: SamplerConfig {
@@ -126,16 +126,16 @@ fn a_rollout_repeats_itself_and_everything_given_changes_it() {
     };
     let text = of_text(settings(6), 0.2);
     for (what, other) in [
-        ("key", draw(settings(6), &history, 2)),
-        ("history", draw(settings(6), &older, 1)),
-        ("frames", draw(settings(9), &history, 1)),
-        ("solver", draw(midpoint, &history, 1)),
+        ("key", sample(settings(6), &history, 2)),
+        ("history", sample(settings(6), &older, 1)),
+        ("frames", sample(settings(9), &history, 1)),
+        ("solver", sample(midpoint, &history, 1)),
         ("text", text.clone()),
     ] {
-        assert!(apart(&drawn, &other) > 1e-6, "{what}");
+        assert!(apart(&sampled, &other) > 1e-6, "{what}");
     }
     // Guidance is over the text: without one it changes nothing.
-    assert!(apart(&drawn, &draw(guided.clone(), &history, 1)) < 1e-6);
+    assert!(apart(&sampled, &sample(guided.clone(), &history, 1)) < 1e-6);
     assert!(apart(&text, &of_text(guided, 0.2)) > 1e-6);
 }
 
@@ -170,14 +170,14 @@ fn bones_are_constant_where_they_are_asked_to_be() {
 #[test]
 fn the_same_noise_is_that_of_the_first_frame() {
     let history = walked(6);
-    let draw = |same_noise| {
+    let sample = |same_noise| {
         let settings = RolloutSettings {
             same_noise,
             ..settings(4)
         };
         all(begin(space(NextPose::Position), settings, &history, 1).expect("valid"))
     };
-    let (own, same) = (draw(false), draw(true));
+    let (own, same) = (sample(false), sample(true));
     assert_eq!(own[0], same[0]);
     assert!(apart(&own[1..2], &same[1..2]) > 1e-6);
 }
@@ -205,11 +205,11 @@ fn what_a_rollout_cannot_begin_with_is_refused() {
     let other = begin(good(), settings(4), &other, 1).expect_err("another skeleton");
     assert!(other.to_string().contains("21"), "{other}");
     let mut rollout = begin(good(), settings(4), &walked(6), 1).expect("valid");
-    for (text, said) in [(vec![0.0; 511], "511"), (vec![f32::NAN; 512], "512")] {
+    for (text, expected) in [(vec![0.0; 511], "511"), (vec![f32::NAN; 512], "512")] {
         let refused = rollout
             .push_text(&text)
             .expect_err("a bad text")
             .to_string();
-        assert!(refused.contains(said), "{refused}");
+        assert!(refused.contains(expected), "{refused}");
     }
 }

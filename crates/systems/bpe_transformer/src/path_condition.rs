@@ -6,22 +6,24 @@ use kinegrad_motion::Statistics;
 use kinegrad_motion::humanml::Root;
 use kinegrad_motion::path::PathFeatures;
 
-use kinegrad_train::clips::path_target::way;
+use kinegrad_train::clips::path_target::root_trajectory;
 
 /// Channels of the root: rotation, x, z, height.
 const ROOT: usize = 4;
-/// Largest curvature given to the network, radians per metre, because a standing body sways.
+
+/// Largest curvature of a condition, radians per metre: a standing body sways.
 const SHARPEST: f32 = 3.0;
-/// The ways of training clips, as the paths that they follow.
+
+/// The root trajectories of training clips as path conditions.
 #[derive(Clone, Debug)]
-pub(super) struct Ways {
+pub(super) struct RootTrajectories {
     root: Root,
     mean: Vec<f64>,
     std: Vec<f64>,
     fps: f64,
 }
 
-impl Ways {
+impl RootTrajectories {
     /// For clips normalised by `statistics`, with `fps` frames a second.
     pub fn new(root: Root, statistics: &Statistics, fps: f64) -> Self {
         Self {
@@ -37,20 +39,20 @@ impl Ways {
     /// # Shapes
     /// - x_start: `[batch, channels, time]`
     /// - output: `[batch, PATH_CHANNELS, time]`
-    pub fn told(&self, x_start: &Tensor<3>, lengths: &[usize]) -> Tensor<3> {
+    pub fn conditions(&self, x_start: &Tensor<3>, lengths: &[usize]) -> Tensor<3> {
         let [batch, _, time] = x_start.dims();
         let values = x_start.clone().narrow(1, 0, ROOT).try_into_vec_as::<f32>();
         let values = values.expect("motion is float32");
-        let mut told = Vec::with_capacity(batch * PATH_CHANNELS * time);
+        let mut conditions = Vec::with_capacity(batch * PATH_CHANNELS * time);
         for (clip, &length) in values.chunks_exact(ROOT * time).zip(lengths) {
             let frame = |t: usize| {
                 [0, 1, 2, 3].map(|c| f64::from(clip[c * time + t]) * self.std[c] + self.mean[c])
             };
             let rows: Vec<[f64; ROOT]> = (0..length).map(frame).collect();
-            let way = way(&self.root.positions(&rows), self.fps);
-            told.extend(numbers(&way, self.fps, time));
+            let track = root_trajectory(&self.root.positions(&rows), self.fps);
+            conditions.extend(numbers(&track, self.fps, time));
         }
-        let data = TensorData::new(told, [batch, PATH_CHANNELS, time]);
+        let data = TensorData::new(conditions, [batch, PATH_CHANNELS, time]);
         Tensor::from_data(data, &x_start.device())
     }
 }
@@ -75,10 +77,10 @@ fn numbers(track: &[[f64; 2]], fps: f64, time: usize) -> Vec<f32> {
             heading,
             curvature,
         } = features;
-        let told = [x, z, dx * fps, dz * fps, heading.sin(), heading.cos()];
+        let values_of_frame = [x, z, dx * fps, dz * fps, heading.sin(), heading.cos()];
         let curvature = (curvature as f32).clamp(-SHARPEST, SHARPEST);
-        let told = told.map(|value| value as f32).into_iter();
-        for (channel, value) in told.chain([curvature]).enumerate() {
+        let values_of_frame = values_of_frame.map(|value| value as f32).into_iter();
+        for (channel, value) in values_of_frame.chain([curvature]).enumerate() {
             values[channel * time + t] = value;
         }
     }
@@ -92,7 +94,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_clip_is_told_its_own_way_whatever_root_and_padding() {
+    fn conditions_are_the_paths_of_clips_for_both_roots_and_with_padding() {
         // A quarter of a circle of 4 m, 60 and 40 of 64 frames, seen from the start facing +z.
         let device = Device::flex();
         let track = |frames: usize| -> Vec<[f64; 2]> {
@@ -127,10 +129,10 @@ mod tests {
                 values.extend(clip);
             }
             let x = Tensor::from_data(TensorData::new(values, [2, 5, time]), &device);
-            let ways = Ways::new(root, &statistics, 20.0);
-            let told = ways.told(&x, &[60, 40]);
+            let trajectories = RootTrajectories::new(root, &statistics, 20.0);
+            let conditions = trajectories.conditions(&x, &[60, 40]);
             for (clip, frames) in [(0, 60), (1, 40)] {
-                let own = told.clone().narrow(0, clip, 1);
+                let own = conditions.clone().narrow(0, clip, 1);
                 let own = own.narrow(2, 0, frames).try_into_vec_as::<f32>().unwrap();
                 let path = of_path(&track(frames), 20.0, &device);
                 let path = path.try_into_vec_as::<f32>().unwrap();
@@ -145,7 +147,7 @@ mod tests {
                     }
                 }
             }
-            let behind = told.narrow(0, 1, 1).narrow(2, 40, 24).abs().max();
+            let behind = conditions.narrow(0, 1, 1).narrow(2, 40, 24).abs().max();
             assert_eq!(behind.into_scalar::<f32>(), 0.0);
         }
     }
