@@ -347,7 +347,7 @@ fn what_cannot_be_matched_is_refused_and_leaves_nothing() {
         ("new.glb", &["does not end in .bvh or .npy"][..]),
         (
             "new.npy",
-            &["is to be a clip of joint features, and dance.bvh is none"],
+            &["is a clip of joint features, but the example dance.bvh is not"],
         ),
         ("dance.bvh", &["dance.bvh is read itself"]),
         ("./dance.bvh --overwrite", &["./dance.bvh is read itself"]),

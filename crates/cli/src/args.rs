@@ -34,7 +34,7 @@ pub use eval::{CheckArguments, EvalArguments};
 pub use matching::MatchArguments;
 pub use reading::ReadingArguments;
 pub use reports::{PlotArguments, ReportArguments, RunsArguments};
-pub use sample::{DrawArguments, SampleArguments};
+pub use sample::{SampleArguments, SamplerArguments};
 pub use text::{EmbedArguments, TextCommand};
 pub use train::{DEFAULT_CONFIG, TrainArguments};
 pub use verbosity::VerbosityArgs;

@@ -100,7 +100,7 @@ impl ConditionArguments {
     fn must_belong(&self) -> Result<(), Error> {
         let beats = self.beats.given();
         let of_beats = beats.first().copied().unwrap_or("tempo");
-        for (given, name, owner, has) in [
+        for (is_set, name, owner, has) in [
             (self.source.is_some(), "source", "item", self.item.is_some()),
             (self.start != 0.0, "start", "song", self.audio.is_some()),
             (!beats.is_empty(), of_beats, "song", self.audio.is_some()),
@@ -129,7 +129,7 @@ impl ConditionArguments {
                 self.keep.is_some(),
             ),
         ] {
-            if given && !has {
+            if is_set && !has {
                 return Err(Error::usage(
                     format!("option `{name}` without option `{owner}`"),
                     format!("pass option `{owner}` too"),

@@ -34,7 +34,7 @@ pub fn make_for(file: &Path) -> Result<(), Error> {
 ///
 /// # Errors
 /// As [`make`]; if `file` is a folder, or cannot be written.
-pub fn must_take(file: &Path) -> Result<(), Error> {
+pub fn must_be_writable(file: &Path) -> Result<(), Error> {
     make_for(file)?;
     if file.is_dir() {
         return Err(Error::usage(
@@ -57,17 +57,19 @@ mod tests {
     use super::*;
 
     #[test]
-    fn folders_are_made_and_what_takes_no_file_is_named() {
+    fn folders_are_created_and_unusable_paths_are_named() {
         let top = tempfile::tempdir().unwrap();
         let file = top.path().join("a/b/file");
-        must_take(&file).unwrap();
+        must_be_writable(&file).unwrap();
         assert!(!file.exists() && top.path().join("a/b").is_dir());
         assert_eq!(fs::read_dir(top.path().join("a/b")).unwrap().count(), 0);
         fs::write(&file, "").unwrap();
-        let error = must_take(&file.join("c/d")).unwrap_err().to_string();
+        let error = must_be_writable(&file.join("c/d")).unwrap_err().to_string();
         assert!(error.contains("file/c"), "{error}");
-        assert_eq!(must_take(&file).ok(), Some(()));
-        let error = must_take(&top.path().join("a")).unwrap_err().to_string();
+        assert_eq!(must_be_writable(&file).ok(), Some(()));
+        let error = must_be_writable(&top.path().join("a"))
+            .unwrap_err()
+            .to_string();
         assert!(error.contains("is a folder"), "{error}");
         make_for(Path::new("alone")).unwrap();
     }

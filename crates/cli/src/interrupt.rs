@@ -31,7 +31,7 @@ pub fn not_during<T>(work: impl FnOnce() -> T) -> T {
     work()
 }
 
-/// Runs long work that stops and cleans up soon after the function it is given returns true.
+/// Runs long work, which stops and cleans up soon after its argument returns true.
 pub fn stoppable<T>(work: impl FnOnce(&dyn Fn() -> bool) -> T) -> T {
     let set = |on| *WRITING.lock().unwrap_or_else(PoisonError::into_inner) = on;
     set(true);

@@ -1,6 +1,6 @@
 //! The `kinegrad` command line, for any list of systems.
 //!
-//! A program with its own systems gets all commands for them:
+//! All commands work for the systems of another program:
 //!
 //! ```no_run
 //! use kinegrad_systems::BUILT_IN;
@@ -36,7 +36,7 @@ mod scene;
 mod train_progress;
 
 pub use commands::sample::{checkpoint, while_it_is_trained};
-pub use commands::train::draw_samples_at_end;
+pub use commands::train::sample_at_end;
 pub use conditions::ConditionArguments;
 pub use io::{Existing, Files, bvh_text, must_be_finite};
 pub use options::as_arguments;
@@ -49,7 +49,7 @@ use kinegrad_train::Systems;
 
 use args::{Arguments, AudioCommand, Command, ConfigCommand, DataCommand, TextCommand};
 
-/// Parses and runs a command line with the given systems, and returns the exit code.
+/// Parses and runs a command line with `systems`, and returns the exit code.
 pub fn run(
     systems: Systems<'_>,
     arguments: impl IntoIterator<Item = impl Into<OsString> + Clone>,

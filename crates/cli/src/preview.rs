@@ -27,7 +27,7 @@ const CURVES: usize = 3;
 ///
 /// # Errors
 /// If they cannot be sampled or written; no page is left then.
-pub fn draw(systems: Systems<'_>, checkpoint: &Path, step: u64) -> Result<Vec<Preview>, Error> {
+pub fn write(systems: Systems<'_>, checkpoint: &Path, step: u64) -> Result<Vec<Preview>, Error> {
     let saved = SavedCheckpoint::read(checkpoint)?;
     let trained = systems.trained(saved, &[], Weights::Ema, None)?;
     let count = match trained.config().sampling.count_at_end {

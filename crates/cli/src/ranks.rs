@@ -14,13 +14,13 @@ use crate::{log, output};
 ///
 /// # Errors
 /// [`Error::Usage`] if a launcher started several and this program cannot reach them.
-pub fn together() -> Result<Rc<Together>, Error> {
-    let together = Together::new(ranks()?);
-    if !together.writes() {
+pub fn process_group() -> Result<Rc<Together>, Error> {
+    let group = Together::new(ranks()?);
+    if !group.writes() {
         output::be_silent();
         log::be_silent();
     }
-    Ok(together)
+    Ok(group)
 }
 
 /// The outcome of a command of several processes or, if one failed and printed its error, the exit code
@@ -28,15 +28,15 @@ pub fn together() -> Result<Rc<Together>, Error> {
 ///
 /// # Errors
 /// That of `outcome`, if there is one process.
-pub fn settled<T>(
-    together: &Together,
+pub fn agreed<T>(
+    group: &Together,
     outcome: Result<T, Error>,
 ) -> Result<Result<T, ExitCode>, Error> {
-    let ranks = together.ranks();
+    let ranks = group.ranks();
     if ranks.size() == 1 {
         return outcome.map(Ok);
     }
-    let Some((rank, code)) = together.ended_by(outcome.as_ref().err()) else {
+    let Some((rank, code)) = group.ended_by(outcome.as_ref().err()) else {
         return outcome.map(Ok);
     };
     if let Err(error) = &outcome
@@ -44,7 +44,7 @@ pub fn settled<T>(
     {
         output::failure(error);
     }
-    together.part();
+    group.part();
     Ok(Err(ExitCode::from(code)))
 }
 
@@ -57,11 +57,11 @@ fn ranks() -> Result<Rc<dyn Ranks>, Error> {
         Some(launched) if launched > 1 && launched != size => {
             let (what, hint) = match has_mpi {
                 false => (
-                    "knows nothing of MPI".to_string(),
+                    "was built without MPI".to_string(),
                     "build it with `--features mpi` (docs/cluster.md), or start it without the launcher",
                 ),
                 true => (
-                    format!("finds {size} of them by MPI"),
+                    format!("finds {size} of them through MPI"),
                     "start it with the launcher of the MPI that it was built with; with SLURM, \
                      `srun --mpi=pmi2` or `--mpi=pmix` (docs/cluster.md)",
                 ),
@@ -78,12 +78,12 @@ fn ranks() -> Result<Rc<dyn Ranks>, Error> {
 /// Prints an error, once for all processes, and returns the exit code.
 pub fn failed(error: Error) -> ExitCode {
     if are_several()
-        && let Ok(together) = together()
-        && together.ranks().size() > 1
+        && let Ok(group) = process_group()
+        && group.ranks().size() > 1
     {
         // The others may be running.
-        let outcome: Result<(), Error> = together.told(Err(error));
-        return match settled(&together, outcome) {
+        let outcome: Result<(), Error> = group.told(Err(error));
+        return match agreed(&group, outcome) {
             Ok(Err(code)) => code,
             _ => unreachable!("one of several processes has failed"),
         };

@@ -25,7 +25,7 @@ const NAMED: usize = 4;
 
 /// The state of a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Standing {
+pub enum RunStatus {
     /// A process trains it.
     Training,
     /// All steps are done.
@@ -42,7 +42,7 @@ pub enum Standing {
     Damaged,
 }
 
-impl Standing {
+impl RunStatus {
     /// Its name.
     pub fn name(self) -> &'static str {
         match self {
@@ -63,7 +63,7 @@ pub struct Run {
     /// Its folder.
     pub folder: PathBuf,
     /// Its state.
-    pub standing: Standing,
+    pub status: RunStatus,
     /// Its problems.
     pub problem: Option<String>,
     /// Its config, if one can be read.
@@ -107,12 +107,12 @@ impl Run {
         };
         let metrics = folder.join("metrics.jsonl");
         let in_use = is_in_use(folder);
-        let standing = match &newest {
-            _ if in_use => Standing::Training,
-            _ if is_damaged => Standing::Damaged,
-            None => Standing::NotStarted,
+        let status = match &newest {
+            _ if in_use => RunStatus::Training,
+            _ if is_damaged => RunStatus::Damaged,
+            None => RunStatus::NotStarted,
             Some(_) if !metrics.exists() && !folder.join("config.toml").exists() => {
-                Standing::Weights
+                RunStatus::Weights
             }
             Some((_, state)) => ended(state, config.as_ref().unwrap_or(&state.config)),
         };
@@ -122,7 +122,7 @@ impl Run {
             metadata.modified().ok()
         });
         Self {
-            standing,
+            status,
             problem,
             system: system.map(|(system, _)| system.name()),
             stages: system.map_or(&[], |(system, _)| system.stages()),
@@ -155,7 +155,7 @@ impl Run {
     /// Steps in all, for runs that are trained.
     pub fn max_steps(&self) -> Option<u64> {
         let config = self.config.as_ref()?;
-        (self.standing != Standing::Weights).then_some(config.train.max_steps)
+        (self.status != RunStatus::Weights).then_some(config.train.max_steps)
     }
 }
 
@@ -184,7 +184,7 @@ fn found(checkpoints: &Checkpoints) -> Found {
     });
     for step in steps.into_iter().rev() {
         let path = checkpoints.step_path(step);
-        match whole_state(&path) {
+        match complete_state(&path) {
             Ok(state) if found.newest.is_none() => found.newest = Some((path, state)),
             Ok(_) => {}
             // Removed by a training meanwhile.
@@ -199,7 +199,7 @@ fn found(checkpoints: &Checkpoints) -> Found {
 ///
 /// # Errors
 /// If the state or a file is damaged.
-pub fn whole_state(checkpoint: &Path) -> Result<State, Error> {
+pub fn complete_state(checkpoint: &Path) -> Result<State, Error> {
     let state = State::read(checkpoint)?;
     let mut files = state.checksums.keys();
     match files.find(|file| !checkpoint.join(file).exists()) {
@@ -223,14 +223,14 @@ fn joined(problems: impl Iterator<Item = String>) -> Option<String> {
     }
 }
 
-fn ended(state: &State, config: &Config) -> Standing {
+fn ended(state: &State, config: &Config) -> RunStatus {
     let patience = config.train.patience;
     if state.step >= config.train.max_steps {
-        Standing::Finished
+        RunStatus::Finished
     } else if patience > 0 && state.progress.validations_since_best >= patience {
-        Standing::StoppedEarly
+        RunStatus::StoppedEarly
     } else {
-        Standing::Stopped
+        RunStatus::Stopped
     }
 }
 
@@ -243,8 +243,8 @@ fn last_step(path: &Path) -> Option<u64> {
     let mut tail = Vec::new();
     file.take(TAIL).read_to_end(&mut tail).ok()?;
     let tail = String::from_utf8_lossy(&tail);
-    let whole = &tail[..tail.rfind('\n')?];
-    let line: serde_json::Value = serde_json::from_str(whole.lines().last()?).ok()?;
+    let complete = &tail[..tail.rfind('\n')?];
+    let line: serde_json::Value = serde_json::from_str(complete.lines().last()?).ok()?;
     line.get("step")?.as_u64()
 }
 
@@ -265,11 +265,11 @@ fn size_on_disk(folder: &Path, depth: usize) -> u64 {
 /// True for a folder with files of a training, or with a config alone.
 pub fn is_run(folder: &Path) -> bool {
     let written = ["checkpoints", "metrics.jsonl", "lock"];
-    written.iter().any(|name| folder.join(name).exists()) || holds_a_config_alone(folder)
+    written.iter().any(|name| folder.join(name).exists()) || has_only_a_config(folder)
 }
 
-/// A `config.toml` beside files of no training belongs to another program.
-fn holds_a_config_alone(folder: &Path) -> bool {
+/// Any other file beside `config.toml` shows that it belongs to another program.
+fn has_only_a_config(folder: &Path) -> bool {
     let entries = fs::read_dir(folder).into_iter().flatten().flatten();
     let names: Vec<OsString> = entries.map(|entry| entry.file_name()).collect();
     let beside = ["config.toml", "reports", "report.html", SAMPLES, PREVIEWS];
@@ -340,18 +340,18 @@ mod tests {
     }
 
     #[test]
-    fn a_run_without_checkpoints_has_never_begun_and_a_bad_one_is_damaged() {
+    fn a_run_without_checkpoints_is_not_started_and_a_bad_one_is_damaged() {
         let root = tempfile::tempdir().expect("a folder");
         let lock = root.path().join("lock");
         fs::write(&lock, "").expect("a lock");
-        let standing = || Run::read(BUILT_IN, root.path()).standing;
-        assert_eq!(standing(), Standing::NotStarted);
+        let status = || Run::read(BUILT_IN, root.path()).status;
+        assert_eq!(status(), RunStatus::NotStarted);
         let checkpoint = root.path().join("checkpoints/step-00000004");
         fs::create_dir_all(checkpoint).expect("folders");
-        assert_eq!(standing(), Standing::Damaged);
-        let held = File::open(&lock).expect("the lock");
-        held.try_lock().expect("locked");
-        assert_eq!(standing(), Standing::Training);
+        assert_eq!(status(), RunStatus::Damaged);
+        let locked = File::open(&lock).expect("the lock");
+        locked.try_lock().expect("locked");
+        assert_eq!(status(), RunStatus::Training);
     }
 
     #[test]
@@ -382,12 +382,12 @@ mod tests {
         fs::write(root.path().join("config.toml"), "= none").expect("written");
         assert!(is_run(root.path()));
         let run = Run::read(BUILT_IN, root.path());
-        assert_eq!(run.standing, Standing::Damaged);
+        assert_eq!(run.status, RunStatus::Damaged);
         assert!(run.problem.expect("a problem").contains("config.toml"));
     }
 
     #[test]
-    fn the_last_step_is_that_of_the_last_whole_line() {
+    fn the_last_step_is_that_of_the_last_complete_line() {
         let root = tempfile::tempdir().expect("a folder");
         let path = root.path().join("metrics.jsonl");
         assert_eq!(last_step(&path), None);

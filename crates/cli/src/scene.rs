@@ -28,7 +28,7 @@ pub use music::{Music, song};
 /// Largest number of figures in a scene.
 const MOST_FIGURES: usize = 16;
 
-/// Facts that motion files do not contain, and what is shown with them.
+/// Facts that motion files do not contain, and what to show with them.
 #[derive(Debug)]
 pub struct Reading {
     /// Unit and vertical of BVH files.

@@ -15,13 +15,13 @@ use crate::{output, preview};
 /// Weight of the old value in the smoothed loss.
 const SMOOTHING: f64 = 0.98;
 
-/// Lines of progress of a whole training without a terminal.
+/// Number of progress lines of a training without a terminal.
 const LINES: u64 = 20;
 
 /// Shows a training on standard error.
 pub struct TrainProgress<'a> {
     systems: Systems<'a>,
-    /// Hidden if standard error is no terminal.
+    /// Hidden if standard error is not a terminal.
     bar: ProgressBar,
     smoothed: Option<f64>,
     started: Instant,
@@ -129,8 +129,8 @@ impl Observer for TrainProgress<'_> {
     }
 
     fn preview(&mut self, checkpoint: &Path, step: u64) -> Result<Vec<Preview>, Error> {
-        let previews = preview::draw(self.systems, checkpoint, step)?;
-        self.line(&format!("drew {} previews", previews.len()));
+        let previews = preview::write(self.systems, checkpoint, step)?;
+        self.line(&format!("sampled {} previews", previews.len()));
         Ok(previews)
     }
 

@@ -6,7 +6,7 @@ use pyo3::prelude::*;
 /// A row-major float32 array of this shape.
 ///
 /// # Errors
-/// If the shape is not that of so many values.
+/// If the shape does not match the number of values.
 pub fn array<'py>(
     py: Python<'py>,
     shape: &[usize],
@@ -18,7 +18,7 @@ pub fn array<'py>(
 /// A row-major float64 array of this shape.
 ///
 /// # Errors
-/// If the shape is not that of so many values.
+/// If the shape does not match the number of values.
 pub fn double<'py>(
     py: Python<'py>,
     shape: &[usize],

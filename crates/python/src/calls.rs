@@ -22,30 +22,30 @@ pub fn call<T: Send>(
         .map_err(|error| exception(py, &error))
 }
 
-/// Progress of reading a dataset that nobody is told of; Ctrl-C ends it, as far as it is called on
-/// the thread that this is made on: Python handles signals on its main thread alone.
+/// Ends the reading of a dataset on Ctrl-C, without showing progress. It checks only on the thread
+/// that created it, because Python handles signals on its main thread.
 pub fn until_interrupted() -> Box<Reading> {
     let here = thread::current().id();
     Box::new(move |_, _| {
-        let is_asked = thread::current().id() == here;
-        match is_asked && Python::attach(|py| py.check_signals()).is_err() {
+        let checks = thread::current().id() == here;
+        match checks && Python::attach(|py| py.check_signals()).is_err() {
             true => ControlFlow::Break(()),
             false => ControlFlow::Continue(()),
         }
     })
 }
 
-/// Tells a Python callable `progress(stage, done, total)` how far a computation is, and ends the
-/// computation where that raises, or a signal handler does.
+/// Reports to a Python callable `progress(stage, done, total)`, and ends the computation if it or a
+/// signal handler raises.
 pub struct Progress {
     callback: Option<Py<PyAny>>,
     raised: Option<PyErr>,
 }
 
 impl Progress {
-    /// `done` steps of `total` are done, of a stage if there are several; whether to go on.
+    /// Reports that `done` of `total` steps of a stage are done; `Break` ends the computation.
     pub fn step(&mut self, stage: &str, done: usize, total: usize) -> ControlFlow<()> {
-        self.tell(|py, callback| {
+        self.notify(|py, callback| {
             if let Some(callback) = callback {
                 callback.call1(py, (stage, done, total))?;
             }
@@ -53,24 +53,24 @@ impl Progress {
         })
     }
 
-    /// Warns of something doubtful; whether to go on.
+    /// Issues a Python warning; `Break` ends the computation.
     pub fn warn(&mut self, text: &str) -> ControlFlow<()> {
-        self.tell(|py, _| {
+        self.notify(|py, _| {
             py.import("warnings")?
                 .call_method1("warn", (as_arguments(text),))?;
             Ok(())
         })
     }
 
-    fn tell(
+    fn notify(
         &mut self,
-        tell: impl FnOnce(Python<'_>, Option<&Py<PyAny>>) -> PyResult<()>,
+        call: impl FnOnce(Python<'_>, Option<&Py<PyAny>>) -> PyResult<()>,
     ) -> ControlFlow<()> {
-        let told = Python::attach(|py| {
+        let called = Python::attach(|py| {
             py.check_signals()?;
-            tell(py, self.callback.as_ref())
+            call(py, self.callback.as_ref())
         });
-        match told {
+        match called {
             Ok(()) => ControlFlow::Continue(()),
             Err(raised) => {
                 self.raised = Some(raised);
@@ -83,7 +83,7 @@ impl Progress {
 /// [`call`] of work that reports its progress to `callback`, if there is one.
 ///
 /// # Errors
-/// The exception of its error, or what ended it: `KeyboardInterrupt`, or what `callback` raised.
+/// The exception of its error, `KeyboardInterrupt`, or the exception that `callback` raised.
 pub fn call_with<T: Send>(
     py: Python<'_>,
     callback: Option<Py<PyAny>>,
@@ -100,7 +100,7 @@ pub fn call_with<T: Send>(
     }
 }
 
-/// Plain data as JSON, which the Python side reads.
+/// Plain data as JSON for the Python side.
 pub fn json(value: &impl serde::Serialize) -> String {
     serde_json::to_string(value).expect("plain data")
 }

@@ -12,7 +12,7 @@ use pyo3::prelude::*;
 use crate::arrays::shape_and_values;
 use crate::calls::{call, json};
 
-/// The report of the checks of `profile`, as JSON; `run` has the statistics of training motion.
+/// The report of the checks of `profile` as JSON, with the training statistics of `run`.
 #[pyfunction]
 pub fn check(
     py: Python<'_>,

@@ -20,7 +20,7 @@ use pyo3::types::PyDict;
 use crate::arrays::array;
 use crate::calls::{call, json, until_interrupted};
 
-/// One side of a dataset, which stays open.
+/// One split of a dataset, kept open.
 #[pyclass(frozen, module = "kinegrad._kinegrad")]
 pub struct Dataset {
     config: Config,
@@ -29,23 +29,23 @@ pub struct Dataset {
     warnings: Vec<String>,
 }
 
-/// The items of a side.
+/// The items of a split.
 enum Items {
     Phrases(ItemSet<PhraseItem>),
     Clips(Box<Clips>),
 }
 
-/// The clips of a side, with the dataset that they are of.
+/// The clips of a split, with their dataset.
 struct Clips {
     dataset: kinegrad_data::Dataset<Clip>,
     items: ItemSet<Clip>,
-    /// What captions are to the model, where they are labels.
+    /// The labels of the model, if captions are labels.
     labels: Option<CaptionLabels>,
 }
 
 #[pymethods]
 impl Dataset {
-    /// Opens the dataset of a `source`, which is a config or a place, or of a `run`.
+    /// Opens the dataset of a `source` (a config file or an address), or of a `run`.
     #[new]
     fn new(
         py: Python<'_>,
@@ -98,7 +98,7 @@ impl Dataset {
         self.warnings.clone()
     }
 
-    /// Mean and standard deviation of each channel that normalise its batches.
+    /// Mean and standard deviation of each channel, which normalise the batches.
     fn statistics(&self) -> (Vec<f64>, Vec<f64>) {
         (self.statistics.mean.clone(), self.statistics.std.clone())
     }
@@ -151,7 +151,7 @@ impl Dataset {
             if self.__len__() == 0 {
                 return Err(Error::usage(
                     "the split is empty: it has no batches",
-                    "`data.validation` says what is held out",
+                    "set `data.validation`, which selects the held-out items",
                 ));
             }
             Ok(Batches(Mutex::new(self.loader(&data, seed, first))))
@@ -227,7 +227,7 @@ impl Dataset {
         }
     }
 
-    /// The stream that a training on this side has.
+    /// The stream of batches of a training on this split.
     fn loader(&self, data: &DataConfig, seed: u64, first: u64) -> Loader {
         let statistics = self.statistics.clone();
         match &self.items {
@@ -264,8 +264,8 @@ impl Dataset {
     }
 }
 
-/// What captions are to a model of `config`, where they are labels: those that the config states,
-/// else those of the training clips.
+/// The labels of a model of `config`, if captions are labels: those of the config, else those of the
+/// training clips.
 fn labels_of(
     config: &Config,
     dataset: &kinegrad_data::Dataset<Clip>,
@@ -286,7 +286,7 @@ fn labels_of(
     Ok(Some(CaptionLabels::new(captions)))
 }
 
-/// What normalises the batches: the statistics of the run, if there is one, else of the dataset.
+/// The statistics that normalise the batches: those of the run if there is one, else of the dataset.
 fn statistics_of<T: Item>(
     dataset: &kinegrad_data::Dataset<T>,
     state: Option<&State>,
@@ -297,7 +297,7 @@ fn statistics_of<T: Item>(
     }))
 }
 
-/// The config of a file, or of the dataset at a place with the defaults of its kind.
+/// The config of a file, or of the dataset at an address with the defaults of its kind.
 fn config_of(source: &str, settings: &[String]) -> Result<Config, Error> {
     if source.ends_with(".toml") {
         return Ok(BUILT_IN.load(Path::new(source), settings)?);
@@ -347,8 +347,8 @@ fn dictionary<'py>(py: Python<'py>, batch: &Batch) -> PyResult<Bound<'py, PyDict
     Ok(found)
 }
 
-/// Keeps an object for ever: one that a fork has from its parent, and whose threads are not there to
-/// be waited for.
+/// Leaks an object that a fork inherited: dropping it would wait for threads that only the parent
+/// process has.
 #[pyfunction]
 pub fn abandon(object: Py<PyAny>) {
     mem::forget(object);

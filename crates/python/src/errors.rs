@@ -6,7 +6,7 @@ use miette::Diagnostic;
 use pyo3::exceptions::PyKeyboardInterrupt;
 use pyo3::prelude::*;
 
-/// The exception that stands for `error`, with its hint and the exit code of the command line.
+/// The exception of `error`, with its hint and the exit code of the command line.
 pub fn exception(py: Python<'_>, error: &Error) -> PyErr {
     if matches!(error, Error::Interrupted) {
         return PyKeyboardInterrupt::new_err(());
@@ -49,7 +49,7 @@ fn class(error: &Error) -> &'static str {
     }
 }
 
-/// An error of something that was given and cannot be used.
+/// An error of the user's input.
 pub fn unusable(error: impl Diagnostic) -> Error {
     let hint = error.help().map(|hint| hint.to_string());
     Error::usage(error.to_string(), hint.unwrap_or_default())

@@ -1,5 +1,5 @@
-//! The Python module `kinegrad._kinegrad`: what the Python package `kinegrad`, in `python/kinegrad`,
-//! is a thin layer over. Plain data crosses as JSON, motion as NumPy arrays.
+//! The Python module `kinegrad._kinegrad`. The Python package `kinegrad`, in `python/kinegrad`, is a
+//! thin layer over it. Plain data is passed as JSON, motion as NumPy arrays.
 #![recursion_limit = "256"]
 // An error ends the call, and moves once: its size costs nothing.
 #![allow(clippy::result_large_err)]

@@ -13,7 +13,7 @@ use crate::arrays::{double, shape_and_values};
 use crate::calls::call;
 use crate::skeletons::{joints, skeleton_of};
 
-/// Share of the frames in which a foot that stands skates.
+/// Share of the frames in which a standing foot skates.
 #[pyfunction]
 pub fn foot_skating(
     py: Python<'_>,
@@ -26,7 +26,7 @@ pub fn foot_skating(
     })
 }
 
-/// Share of the frames in which a foot that stands slides.
+/// Share of the frames in which a standing foot slides.
 #[pyfunction]
 pub fn foot_sliding(
     py: Python<'_>,
@@ -39,7 +39,7 @@ pub fn foot_sliding(
     })
 }
 
-/// A measure of the toes, or of other joints.
+/// A measure of the joints `feet`, by default the toes.
 fn of_feet(
     py: Python<'_>,
     positions: &PyReadonlyArrayDyn<'_, f64>,

@@ -1,4 +1,4 @@
-//! Trained runs: what they hold, and their evaluation.
+//! Trained runs and their evaluation.
 
 use std::path::{Path, PathBuf};
 
@@ -11,7 +11,7 @@ use pyo3::prelude::*;
 
 use crate::calls::{call, call_with, json};
 
-/// The checkpoint that a run or checkpoint means, its step and its config as JSON.
+/// The path of the checkpoint of a run or checkpoint, its step, and its config as JSON.
 #[pyfunction]
 pub fn open_run(py: Python<'_>, path: PathBuf) -> PyResult<(PathBuf, u64, String)> {
     call(py, || {
@@ -34,7 +34,7 @@ pub fn read_metrics(py: Python<'_>, folder: PathBuf) -> PyResult<Vec<Line>> {
     Ok(records.iter().map(line).collect())
 }
 
-/// A model and how to run it.
+/// A model and its settings.
 #[derive(FromPyObject)]
 #[pyo3(from_item_all)]
 pub struct Model {

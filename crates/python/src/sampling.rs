@@ -18,10 +18,10 @@ use crate::arrays::array;
 use crate::calls::{Progress, call, call_with, json, until_interrupted};
 use crate::runs::Model;
 
-/// What a sample is conditioned on, and how many are drawn.
+/// The conditions of samples, and their number.
 #[derive(FromPyObject)]
 #[pyo3(from_item_all)]
-pub struct Wanted {
+pub struct SampleRequest {
     source: Option<String>,
     item: Option<String>,
     audio_features: Option<PathBuf>,
@@ -48,8 +48,8 @@ pub struct Wanted {
     style: Option<String>,
 }
 
-impl Wanted {
-    /// The profile, if it is another one than the default.
+impl SampleRequest {
+    /// The profile, unless it is the default.
     fn post_processing(&self) -> Result<Option<PostProcessProfile>, Error> {
         match self.postprocess.as_str() {
             "default" => Ok(None),
@@ -106,13 +106,13 @@ type NamedArray<'a, 'py> = (&'a str, Bound<'py, PyArrayDyn<f32>>);
 
 #[pymethods]
 impl Sample {
-    /// What tells it from the other samples of its call.
+    /// Its name among the samples of the call.
     #[getter]
     fn name(&self) -> String {
         self.0.name.clone()
     }
 
-    /// How it was made, as JSON.
+    /// Its record, as JSON.
     #[getter]
     fn record(&self) -> String {
         json(&self.0.record)
@@ -147,7 +147,7 @@ impl Sample {
         })
     }
 
-    /// Writes the files that the command line would for `--out PREFIX`; where.
+    /// Writes the same files as `kinegrad sample --out PREFIX`, and returns their paths.
     fn save(&self, py: Python<'_>, prefix: PathBuf, overwrite: bool) -> PyResult<Vec<PathBuf>> {
         call(py, || {
             let files = Files::new(&prefix, Existing::Replaced)?;
@@ -194,18 +194,18 @@ impl SampleSink for Collector<'_> {
     }
 }
 
-/// Draws samples from a model.
+/// Samples a model.
 #[pyfunction]
 pub fn sample(
     py: Python<'_>,
     model: Model,
-    wanted: Wanted,
+    request: SampleRequest,
     progress: Option<Py<PyAny>>,
 ) -> PyResult<Vec<Sample>> {
     kinegrad_kernels::memory::keep_freed();
     call_with(py, progress, |progress| {
         while_it_is_trained(|| {
-            let request = wanted.request()?;
+            let request = request.request()?;
             let trained = model.open()?;
             let mut collector = Collector {
                 progress: &mut *progress,

@@ -15,7 +15,7 @@ use crate::errors::unusable;
 /// Positions `[T, J, 3]`, names, parents (-1 for the root) and frames per second.
 type ReadBvh<'py> = (Bound<'py, PyArrayDyn<f64>>, Vec<String>, Vec<i64>, f64);
 
-/// Joint positions of a BVH file in metres, where `units_per_metre` of the file's units make one.
+/// Joint positions of a BVH file in metres; a metre has `units_per_metre` of the file's units.
 #[pyfunction]
 pub fn read_bvh(py: Python<'_>, path: PathBuf, units_per_metre: f64) -> PyResult<ReadBvh<'_>> {
     let (bvh, positions) = call(py, || {
@@ -61,7 +61,7 @@ pub fn write_bvh(
 /// Joints of an array.
 ///
 /// # Errors
-/// Unless its shape is `[T, J, 3]` and its values are finite.
+/// If its shape is not `[T, J, 3]`, or a value is not finite.
 pub fn joints(shape: &[usize], values: &[f64]) -> Result<Joints, Error> {
     match *shape {
         [_, joints, 3] => {
@@ -75,7 +75,7 @@ pub fn joints(shape: &[usize], values: &[f64]) -> Result<Joints, Error> {
     }
 }
 
-/// The skeleton with so many joints.
+/// The known skeleton with as many joints.
 ///
 /// # Errors
 /// If there is none.

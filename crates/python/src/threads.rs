@@ -1,4 +1,4 @@
-//! The threads that computations run on, in this process and in its forks.
+//! The threads of computations, in this process and in its forks.
 
 use std::mem;
 use std::process;
@@ -12,13 +12,12 @@ static IMPORTED_BY: OnceLock<u32> = OnceLock::new();
 /// The threads of a fork, and its process.
 static OF_FORK: Mutex<Option<(u32, Arc<ThreadPool>)>> = Mutex::new(None);
 
-/// Remembers which process imported the module.
+/// Remembers this process as the one that imported the module.
 pub fn remember_process() {
     let _ = IMPORTED_BY.set(process::id());
 }
 
-/// Runs `work`. Threads do not survive a fork, so a forked process runs it in a pool of its own
-/// instead of waiting for threads that only its parent has.
+/// Runs `work`. Threads do not survive a fork, so a forked process runs it in a separate pool.
 pub fn run<T: Send>(work: impl FnOnce() -> T + Send) -> T {
     match IMPORTED_BY.get() {
         Some(process) if *process != process::id() => of_fork().install(work),
@@ -33,8 +32,7 @@ fn of_fork() -> Arc<ThreadPool> {
         _ => {
             let built = ThreadPoolBuilder::new().build();
             let built = Arc::new(built.expect("a process can start threads"));
-            // The parent's, if there is one: to end it would be to wait for threads that are not
-            // here.
+            // Dropping the parent's pool would wait for threads that do not exist here.
             mem::forget(pool.replace((process::id(), built.clone())));
             built
         }

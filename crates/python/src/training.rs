@@ -13,8 +13,8 @@ use pyo3::types::PyDict;
 
 use crate::calls::{call, until_interrupted};
 
-/// Tells a Python callable `event(kind, fields)` what happens, and asks the training to stop where
-/// that raises, or a signal handler does.
+/// Passes events to a Python callable `event(kind, fields)`, and stops the training if it or a
+/// signal handler raises.
 struct Events {
     event: Py<PyAny>,
     raised: Option<PyErr>,
@@ -22,18 +22,18 @@ struct Events {
 }
 
 impl Events {
-    fn tell(&mut self, kind: &str, fill: impl Fn(&Bound<'_, PyDict>) -> PyResult<()>) {
+    fn notify(&mut self, kind: &str, fill: impl Fn(&Bound<'_, PyDict>) -> PyResult<()>) {
         if self.raised.is_some() {
             return;
         }
-        let told = Python::attach(|py| {
+        let called = Python::attach(|py| {
             py.check_signals()?;
             let fields = PyDict::new(py);
             fill(&fields)?;
             self.event.call1(py, (kind, fields))?;
             Ok(())
         });
-        if let Err(raised) = told {
+        if let Err(raised) = called {
             self.raised = Some(raised);
             self.stop.store(true, Ordering::SeqCst);
         }
@@ -42,7 +42,7 @@ impl Events {
 
 impl Observer for Events {
     fn started(&mut self, summary: &RunSummary) {
-        self.tell("started", |fields| {
+        self.notify("started", |fields| {
             fields.set_item("name", &summary.name)?;
             fields.set_item("folder", &summary.folder)?;
             fields.set_item("device", &summary.device)?;
@@ -55,7 +55,7 @@ impl Observer for Events {
     }
 
     fn stepped(&mut self, report: &StepReport) {
-        self.tell("step", |fields| {
+        self.notify("step", |fields| {
             fields.set_item("step", report.step)?;
             fields.set_item("max_steps", report.max_steps)?;
             fields.set_item("loss", report.loss)?;
@@ -65,7 +65,7 @@ impl Observer for Events {
     }
 
     fn validated(&mut self, step: u64, val_loss: f64, best: bool) {
-        self.tell("validated", |fields| {
+        self.notify("validated", |fields| {
             fields.set_item("step", step)?;
             fields.set_item("val_loss", val_loss)?;
             fields.set_item("best", best)
@@ -73,15 +73,15 @@ impl Observer for Events {
     }
 
     fn saved(&mut self, path: &Path) {
-        self.tell("saved", |fields| fields.set_item("path", path));
+        self.notify("saved", |fields| fields.set_item("path", path));
     }
 
     fn note(&mut self, text: &str) {
-        self.tell("note", |fields| fields.set_item("text", as_arguments(text)));
+        self.notify("note", |fields| fields.set_item("text", as_arguments(text)));
     }
 
     fn warning(&mut self, text: &str) {
-        self.tell("warning", |fields| {
+        self.notify("warning", |fields| {
             fields.set_item("text", as_arguments(text))
         });
     }
@@ -95,8 +95,8 @@ impl Observer for Events {
     }
 }
 
-/// Trains a run to its end and draws the samples of `sampling.count_at_end`; returns its folder.
-/// What a callback or Ctrl-C raises is raised after a checkpoint has been written.
+/// Trains a run to its end, generates the samples of `sampling.count_at_end`, and returns its folder.
+/// Exceptions of callbacks and of Ctrl-C are raised after a checkpoint has been written.
 #[pyfunction]
 pub fn train(
     py: Python<'_>,
@@ -129,6 +129,6 @@ pub fn train(
     if outcome.ending == Some(Ending::Interrupted) {
         return Err(PyKeyboardInterrupt::new_err(()));
     }
-    call(py, || kinegrad_cli::draw_samples_at_end(BUILT_IN, &outcome))?;
+    call(py, || kinegrad_cli::sample_at_end(BUILT_IN, &outcome))?;
     Ok(outcome.folder)
 }

@@ -17,13 +17,13 @@ const ALONE: (u32, u32) = (400, 360);
 /// See [`ALONE`].
 const BESIDE: (u32, u32) = (320, 340);
 
-/// Writes a scene as an endlessly repeated GIF. Each picture holds only the changes. Delays are
+/// Writes a scene as an endlessly repeated GIF. Each picture contains only the changes. Delays are
 /// whole hundredths of a second whose rounding errors cancel, so the total length is exact. `stop`
 /// is called before each picture.
 ///
 /// # Errors
 /// Those of [`must_be_exportable`](crate::must_be_exportable); [`ExportError::Write`];
-/// [`ExportError::Interrupted`] once `stop` says so.
+/// [`ExportError::Interrupted`] once `stop` returns true.
 pub fn write(scene: &Scene, out: &Path, stop: &dyn Fn() -> bool) -> Result<(), ExportError> {
     export::check(scene, out)?;
     let encoded = encode(scene, size(scene), stop).map_err(|reason| ExportError::Write {

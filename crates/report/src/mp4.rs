@@ -67,19 +67,19 @@ fn write_by(
         path: out.to_path_buf(),
         reason: reason.to_string(),
     };
-    let (film, song) = (
+    let (film, music) = (
         export::temporary(out, "film"),
         export::temporary(out, "song"),
     );
-    if let Some(given) = &scene.song {
-        fs::write(&song, &given.bytes).map_err(|reason| {
-            let _ = fs::remove_file(&song);
+    if let Some(song) = &scene.song {
+        fs::write(&music, &song.bytes).map_err(|reason| {
+            let _ = fs::remove_file(&music);
             failed(reason)
         })?;
     }
-    let given = scene.song.as_ref().map(|given| (given, song.as_path()));
-    let encoded = encode(program, scene, given, &film, out, stop);
-    let _ = fs::remove_file(&song);
+    let song = scene.song.as_ref().map(|song| (song, music.as_path()));
+    let encoded = encode(program, scene, song, &film, out, stop);
+    let _ = fs::remove_file(&music);
     let written = encoded.and_then(|()| fs::rename(&film, out).map_err(failed));
     if written.is_err() {
         let _ = fs::remove_file(&film);

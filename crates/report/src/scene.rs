@@ -225,7 +225,7 @@ impl SceneObject {
         }
     }
 
-    /// Whether a joint is the end of the head.
+    /// True if a joint is the end of the head.
     pub(crate) fn is_head(&self, joint: usize) -> bool {
         let name = self.joint_names.get(joint);
         let named = name.is_some_and(|name| name.to_lowercase().ends_with("head"));

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::Args;
 use kinegrad_motion::Profile;
 
-use super::sample::DrawArguments;
+use super::sample::SamplerArguments;
 use super::values::named;
 
 /// Arguments of `kinegrad check`.
@@ -57,7 +57,7 @@ pub struct EvalArguments {
     #[arg(long)]
     pub audio_ablation: bool,
     #[command(flatten)]
-    pub draw: DrawArguments,
+    pub sampler: SamplerArguments,
     /// Random seed of the noise
     #[arg(long, default_value_t = 0)]
     pub seed: u64,

@@ -119,7 +119,7 @@ pub struct SampleArguments {
     #[arg(long, value_name = "S", conflicts_with = "frames")]
     pub seconds: Option<f64>,
     #[command(flatten)]
-    pub draw: DrawArguments,
+    pub sampler: SamplerArguments,
     /// Random seed of the noise
     #[arg(long, default_value_t = 0)]
     pub seed: u64,
@@ -130,7 +130,7 @@ pub struct SampleArguments {
 
 /// Sampling options shared by `sample` and `eval`.
 #[derive(Clone, Debug, Args)]
-pub struct DrawArguments {
+pub struct SamplerArguments {
     /// Override a key of the run's `sampling` or `evaluation` table, for example
     /// sampling.sampler.kind=dpmpp_2m
     #[arg(long = "set", value_name = "KEY=VALUE")]

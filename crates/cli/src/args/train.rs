@@ -58,14 +58,14 @@ impl TrainArguments {
             // `--resume` before a config file.
             (None, Some(Some(file))) if file.is_file() => Ok(Target::Resumed(file.clone())),
             (None, Some(Some(folder))) => {
-                for (option, given) in [
+                for (option, is_set) in [
                     ("--name", self.name.is_some()),
                     ("--runs-dir", self.runs_dir.is_some()),
                 ] {
-                    if given {
+                    if is_set {
                         return Err(Error::usage(
                             format!("`{option}` with `--resume {}`", folder.display()),
-                            "the folder says which run it is: leave the option out",
+                            "the folder selects the run: leave the option out",
                         ));
                     }
                 }

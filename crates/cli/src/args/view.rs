@@ -13,7 +13,7 @@ Examples:
   kinegrad view dance.npy --audio song.mp3 --start 30
   kinegrad view walk.npy --goal goal.toml
   kinegrad view dance.npy --raw
-  kinegrad view drawn.npy real.npy --title 'Drawn beside real' --out both.html
+  kinegrad view sample.npy real.npy --title 'Sample and real motion' --out both.html
   kinegrad view capture.bvh --units cmu
   kinegrad view dance.npy --audio song.mp3 --mp4 dance.mp4 --glb dance.glb --bvh dance.bvh")]
 pub struct ViewArguments {

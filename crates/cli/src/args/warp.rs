@@ -27,11 +27,11 @@ pub struct WarpArguments {
     /// Replace existing files
     #[arg(long)]
     pub overwrite: bool,
-    /// `stretch`: over the whole path, faster or slower than before; `own`: at the motion's speed,
+    /// `stretch`: over the entire path, faster or slower than before; `own`: at the motion's speed,
     /// until one of them ends
     #[arg(long, value_parser = named::<ArcLengthMode>, default_value = "stretch")]
     pub along: ArcLengthMode,
-    /// HeadingMode of the body: `relative`, with the direction of movement (side steps stay side steps);
+    /// Heading of the body: `relative`, with the direction of movement (side steps stay side steps);
     /// `face`, facing along the path; `free`, none
     #[arg(long, value_parser = named::<HeadingMode>, default_value = "relative", value_name = "TURNING")]
     pub heading: HeadingMode,

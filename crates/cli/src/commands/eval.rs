@@ -16,20 +16,18 @@ use serde_json::json;
 use super::sample::{checkpoint, trained_for, while_it_is_trained};
 use crate::args::EvalArguments;
 use crate::progress::Denoising;
-use crate::ranks::{guarded, settled, together};
+use crate::ranks::{agreed, guarded, process_group};
 
 /// Evaluates each run, writes the reports and prints them.
 pub fn run(systems: Systems<'_>, arguments: EvalArguments) -> Result<ExitCode, Error> {
-    let together = together()?;
-    let ranks = together.ranks();
+    let group = process_group()?;
+    let ranks = group.ranks();
     let outcome = match ranks.size() {
-        1 => while_it_is_trained(|| evaluate(systems, arguments.clone(), &together)),
+        1 => while_it_is_trained(|| evaluate(systems, arguments.clone(), &group)),
         // Ranks cannot repeat the reading.
-        _ => guarded(ranks, || {
-            together.told(evaluate(systems, arguments, &together))
-        }),
+        _ => guarded(ranks, || group.told(evaluate(systems, arguments, &group))),
     };
-    Ok(match settled(&together, outcome)? {
+    Ok(match agreed(&group, outcome)? {
         Ok(()) => ExitCode::SUCCESS,
         Err(code) => code,
     })
@@ -38,10 +36,10 @@ pub fn run(systems: Systems<'_>, arguments: EvalArguments) -> Result<ExitCode, E
 fn evaluate(
     systems: Systems<'_>,
     arguments: EvalArguments,
-    together: &Rc<Together>,
+    group: &Rc<Together>,
 ) -> Result<(), Error> {
     let runs = &arguments.runs;
-    let scales = arguments.draw.guidance_scale.len();
+    let scales = arguments.sampler.guidance_scale.len();
     if scales > 1 && !arguments.audio_ablation {
         let message = format!("`--guidance-scale` names {scales} scales");
         let hint = "give one, or compare them with `--audio-ablation`";
@@ -49,7 +47,7 @@ fn evaluate(
     }
     let models: Vec<TrainedModel> = runs
         .iter()
-        .map(|run| trained_for(systems, run, &arguments.draw, together))
+        .map(|run| trained_for(systems, run, &arguments.sampler, group))
         .collect::<Result<_, _>>()?;
     must_compare(systems, &models)?;
     let trajectory = arguments.trajectory_run.as_deref().map(checkpoint);
@@ -59,9 +57,9 @@ fn evaluate(
         evaluator: None,
         seed: arguments.seed,
         audio_ablation: arguments.audio_ablation,
-        together: together.clone(),
+        together: group.clone(),
     };
-    must_evaluate_the_same(together, &models, &request)?;
+    must_evaluate_the_same(group, &models, &request)?;
     // Every run is checked before the first evaluation.
     let mut evaluations = Vec::with_capacity(models.len());
     for trained in &models {
@@ -72,7 +70,7 @@ fn evaluate(
         Some(out) => vec![out],
         None => models.iter().map(own).collect(),
     };
-    if together.writes() {
+    if group.writes() {
         let mut folders = folders.iter();
         folders.try_for_each(|folder| crate::folder::make(folder))?;
     }
@@ -89,14 +87,14 @@ fn evaluate(
     // One folder for all runs, or one for each.
     let each = evaluated.chunks(models.len() / folders.len());
     let each = folders.iter().zip(each);
-    let written = match together.writes() {
+    let written = match group.writes() {
         true => each
             .map(|(folder, each)| write(folder, runs, each))
             .collect(),
         false => Ok(Vec::new()),
     };
-    let written: Vec<[PathBuf; 2]> = together.done(written)?;
-    if !together.writes() {
+    let written: Vec<[PathBuf; 2]> = group.done(written)?;
+    if !group.writes() {
         return Ok(());
     }
     if arguments.json {
@@ -118,7 +116,7 @@ fn evaluate(
 
 /// Rejects processes with different evaluations. Collective.
 fn must_evaluate_the_same(
-    together: &Together,
+    group: &Together,
     models: &[TrainedModel],
     request: &EvaluationRequest,
 ) -> Result<(), Error> {
@@ -129,10 +127,10 @@ fn must_evaluate_the_same(
     };
     let runs: String = models.iter().map(run).collect();
     let trajectory = request.trajectory.as_ref().map(weights);
-    together.done(Ok(()))?;
+    group.done(Ok(()))?;
     let options = (&request.source, request.seed, request.audio_ablation);
-    together.must_compute_alike()?;
-    together.must_be_about_the_same(&[
+    group.must_compute_alike()?;
+    group.must_be_about_the_same(&[
         ("run", &runs),
         ("trajectory run", &trajectory.unwrap_or_default()),
         ("command", &format!("{options:?}")),

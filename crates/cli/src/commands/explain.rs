@@ -12,8 +12,8 @@ use kinegrad_train::system::{ConfigKey, toml_text};
 use super::nearest;
 use crate::args::ExplainArguments;
 
-/// A document with keys.
-struct Document {
+/// A kind of file and its keys.
+struct ConfigFile {
     title: &'static str,
     about: &'static str,
     keys: Vec<ConfigKey>,
@@ -32,16 +32,16 @@ Units are in the names of keys (`_seconds`, `_frames`, `_metres`, `_steps`) or i
 
 /// Prints descriptions of keys.
 pub fn run(systems: Systems<'_>, arguments: ExplainArguments) -> Result<ExitCode, Error> {
-    let mut documents = documents(systems);
+    let mut files = files(systems);
     if arguments.markdown {
-        documents
+        files
             .iter_mut()
-            .for_each(|document| systems.find_ranges(&mut document.keys));
-        say!("{}", markdown(&documents).trim_end());
+            .for_each(|file| systems.find_ranges(&mut file.keys));
+        say!("{}", markdown(&files).trim_end());
         return Ok(ExitCode::SUCCESS);
     }
-    let Some(asked) = &arguments.key else {
-        for Document { title, keys, .. } in &documents {
+    let Some(requested) = &arguments.key else {
+        for ConfigFile { title, keys, .. } in &files {
             say!("# {title}");
             let plain = keys.iter().filter(|key| !key.key.values.is_table());
             let mut lines: Vec<String> = plain
@@ -52,30 +52,30 @@ pub fn run(systems: Systems<'_>, arguments: ExplainArguments) -> Result<ExitCode
         }
         return Ok(ExitCode::SUCCESS);
     };
-    let asked = asked.replace("[]", "");
-    for document in &mut documents {
-        document.keys = chosen(&document.keys, &asked);
-        systems.find_ranges(&mut document.keys);
+    let requested = requested.replace("[]", "");
+    for file in &mut files {
+        file.keys = chosen(&file.keys, &requested);
+        systems.find_ranges(&mut file.keys);
     }
-    documents.retain(|document| !document.keys.is_empty());
-    if documents.is_empty() {
-        return Err(unknown(systems, &asked));
+    files.retain(|file| !file.keys.is_empty());
+    if files.is_empty() {
+        return Err(unknown(systems, &requested));
     }
-    // A whole name is preferred to the last part of another.
-    let has_it = |document: &Document| document.keys.iter().any(|key| bare(&key.key.name) == asked);
-    if documents.iter().any(has_it) {
-        documents.retain(has_it);
+    // An exact name takes precedence over the last part of another.
+    let has_it = |file: &ConfigFile| file.keys.iter().any(|key| bare(&key.key.name) == requested);
+    if files.iter().any(has_it) {
+        files.retain(has_it);
     }
     let every = systems.recipes().count();
-    let texts = documents.iter().flat_map(|document| {
-        let keys = document.keys.iter();
-        keys.map(|key| explained(key, document.title, every))
+    let texts = files.iter().flat_map(|file| {
+        let keys = file.keys.iter();
+        keys.map(|key| explained(key, file.title, every))
     });
     say!("{}", texts.collect::<Vec<_>>().join("\n").trim_end());
     Ok(ExitCode::SUCCESS)
 }
 
-fn documents(systems: Systems<'_>) -> Vec<Document> {
+fn files(systems: Systems<'_>) -> Vec<ConfigFile> {
     let of_type = |keys: Vec<kinegrad_settings::Key>| {
         let described = keys.into_iter().map(|key| ConfigKey {
             defaults: match (&key.default, key.required || key.values.is_table()) {
@@ -90,18 +90,18 @@ fn documents(systems: Systems<'_>) -> Vec<Document> {
         described.collect()
     };
     vec![
-        Document {
+        ConfigFile {
             title: "training config",
             about: "Read by `kinegrad train`; `--set table.key=value` overrides a key.",
             keys: systems.keys(),
         },
-        Document {
+        ConfigFile {
             title: "plan of `kinegrad data prepare`",
             about: "[dataset.md](dataset.md) describes how a dataset is prepared. Paths are relative \
                     to the plan.",
             keys: of_type(kinegrad_settings::keys_of::<Plan>()),
         },
-        Document {
+        ConfigFile {
             title: "goal of `kinegrad sample --goal`",
             about: "[goals.md](goals.md) describes goals.",
             keys: of_type(kinegrad_settings::keys_of::<Goal>()),
@@ -114,38 +114,38 @@ fn bare(name: &str) -> String {
     name.replace("[]", "")
 }
 
-/// The key or the keys of the table `asked`, else those with this last part.
-fn chosen(keys: &[ConfigKey], asked: &str) -> Vec<ConfigKey> {
+/// The key or the keys of the table `requested`, else those with this last part.
+fn chosen(keys: &[ConfigKey], requested: &str) -> Vec<ConfigKey> {
     let with = |holds: &dyn Fn(&str) -> bool| -> Vec<ConfigKey> {
         let keys = keys.iter().filter(|key| holds(&bare(&key.key.name)));
         keys.cloned().collect()
     };
-    let below = format!("{asked}.");
-    let found = with(&|name| name == asked || name.starts_with(&below));
+    let below = format!("{requested}.");
+    let found = with(&|name| name == requested || name.starts_with(&below));
     match found.is_empty() {
         false => found,
-        true => with(&|name| name.rsplit('.').next() == Some(asked)),
+        true => with(&|name| name.rsplit('.').next() == Some(requested)),
     }
 }
 
-fn unknown(systems: Systems<'_>, asked: &str) -> Error {
-    let documents = documents(systems);
-    let names: Vec<String> = documents
+fn unknown(systems: Systems<'_>, requested: &str) -> Error {
+    let files = files(systems);
+    let names: Vec<String> = files
         .iter()
-        .flat_map(|document| document.keys.iter().map(|key| bare(&key.key.name)))
+        .flat_map(|file| file.keys.iter().map(|key| bare(&key.key.name)))
         .collect();
     let last = |name: &str| name.rsplit('.').next().unwrap_or_default().to_owned();
-    let whole = nearest(asked, names.iter().map(String::as_str));
-    let near = whole.map(str::to_owned).or_else(|| {
+    let near_name = nearest(requested, names.iter().map(String::as_str));
+    let near = near_name.map(str::to_owned).or_else(|| {
         let lasts: Vec<String> = names.iter().map(|name| last(name)).collect();
-        let near = nearest(&last(asked), lasts.iter().map(String::as_str))?;
+        let near = nearest(&last(requested), lasts.iter().map(String::as_str))?;
         names.iter().find(|name| last(name) == near).cloned()
     });
     let hint = match near {
         Some(near) => format!("did you mean `{near}`?"),
         None => "`kinegrad config explain` lists every key".into(),
     };
-    Error::usage(format!("there is no key or table `{asked}`"), hint)
+    Error::usage(format!("there is no key or table `{requested}`"), hint)
 }
 
 /// Type and range of a key.
@@ -181,7 +181,7 @@ fn default(key: &ConfigKey, quote: &str) -> String {
 }
 
 /// A key for the terminal; there are `every` recipes.
-fn explained(key: &ConfigKey, document: &str, every: usize) -> String {
+fn explained(key: &ConfigKey, file: &str, every: usize) -> String {
     let mut text = format!("{}\n", key.key.name);
     let mut add = |line: &str, indent: &str| {
         text.push_str(&wrapped(line, indent));
@@ -202,8 +202,8 @@ fn explained(key: &ConfigKey, document: &str, every: usize) -> String {
     }
     add(&format!("default: {}", default(key, "")), "  ");
     let place = match &key.recipes[..] {
-        recipes if recipes.is_empty() || recipes.len() == every => document.to_owned(),
-        recipes => format!("{document}, recipe {}", recipes.join(", ")),
+        recipes if recipes.is_empty() || recipes.len() == every => file.to_owned(),
+        recipes => format!("{file}, recipe {}", recipes.join(", ")),
     };
     let place = match &key.key.only_with {
         Some(with) => format!("{place}, with {with}"),
@@ -226,9 +226,9 @@ fn wrapped(text: &str, indent: &str) -> String {
 }
 
 /// All keys as a page.
-fn markdown(documents: &[Document]) -> String {
+fn markdown(files: &[ConfigFile]) -> String {
     let mut page = PAGE.to_owned();
-    for Document { title, about, keys } in documents {
+    for ConfigFile { title, about, keys } in files {
         let _ = write!(page, "\n## The {title}\n\n{about}\n");
         for (table, group) in groups(keys) {
             section(&mut page, keys, group[0], table);

@@ -165,7 +165,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_written_is_the_file_of_the_repository_with_paths_that_are_there() {
+    fn a_written_config_is_that_of_the_repository_with_valid_paths() {
         for template in TEMPLATES {
             let file = PathBuf::from(format!("{}.toml", template.name));
             let written = template.contents(&file);

@@ -29,7 +29,7 @@ const TURNS: f64 = 120.0;
 pub fn run(systems: Systems<'_>, arguments: MatchArguments) -> Result<ExitCode, Error> {
     interrupt::end_between_files();
     let record_path = arguments.out.with_extension("json");
-    must_be_writable(&arguments, &record_path)?;
+    check_outputs(&arguments, &record_path)?;
     let read = arguments
         .examples
         .iter()
@@ -52,7 +52,7 @@ pub fn run(systems: Systems<'_>, arguments: MatchArguments) -> Result<ExitCode, 
         arguments.svg.as_ref(),
     ];
     for path in outputs.into_iter().flatten() {
-        folder::must_take(path)?;
+        folder::must_be_writable(path)?;
     }
     let content = match &features {
         Some(features) => Content::features(features),
@@ -84,11 +84,11 @@ pub fn run(systems: Systems<'_>, arguments: MatchArguments) -> Result<ExitCode, 
     Ok(ExitCode::SUCCESS)
 }
 
-/// The error of a clip from examples that are none.
+/// The error of a clip as output if the first example is not a clip.
 fn no_clip(arguments: &MatchArguments) -> Error {
     let (out, first) = (&arguments.out, &arguments.examples[0]);
     let message = format!(
-        "`--out {}` is to be a clip of joint features, and {} is none",
+        "`--out {}` is a clip of joint features, but the example {} is not",
         out.display(),
         first.display()
     );
@@ -97,7 +97,7 @@ fn no_clip(arguments: &MatchArguments) -> Error {
 }
 
 /// Refuses outputs that exist or are read.
-fn must_be_writable(arguments: &MatchArguments, record: &PathBuf) -> Result<(), Error> {
+fn check_outputs(arguments: &MatchArguments, record: &PathBuf) -> Result<(), Error> {
     let out = &arguments.out;
     if !is_bvh(out) && !is_clip(out) {
         let message = format!("`--out {}` does not end in .bvh or .npy", out.display());

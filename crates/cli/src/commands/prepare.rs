@@ -48,7 +48,7 @@ pub fn run(arguments: PrepareArguments) -> Result<ExitCode, Error> {
     let progress = Progress {
         takes: Count::new("takes done"),
         stop: stop_on_ctrl_c(
-            "stopping after the takes under way; run it again to continue",
+            "stopping after the current takes; run the command again to continue",
             Arc::new(AtomicBool::new(true)),
         ),
     };

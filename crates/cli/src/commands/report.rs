@@ -18,7 +18,7 @@ use kinegrad_train::{Error, config};
 use crate::args::ReportArguments;
 use crate::folder;
 use crate::io::files_in;
-use crate::runs::{Run, Standing, is_run};
+use crate::runs::{Run, RunStatus, is_run};
 
 /// Writes a page about a run.
 pub fn run(systems: Systems<'_>, arguments: ReportArguments) -> Result<ExitCode, Error> {
@@ -38,7 +38,7 @@ pub fn run(systems: Systems<'_>, arguments: ReportArguments) -> Result<ExitCode,
     Ok(ExitCode::SUCCESS)
 }
 
-/// Writes the page to another name first, so that an existing page stays whole.
+/// Writes to a temporary name first, so that a failure does not damage an existing page.
 fn write(out: &Path, text: &str) -> Result<(), Error> {
     if out.is_dir() {
         let message = format!("`--out {}` is a folder", out.display());
@@ -65,8 +65,8 @@ fn stages(systems: Systems<'_>, run: &Run) -> Vec<Run> {
         false => run.stages.to_vec(),
     };
     let folders = names.iter().map(|name| run.folder.join(name));
-    let begun = folders.filter(|folder| is_run(folder));
-    begun.map(|folder| Run::read(systems, &folder)).collect()
+    let started = folders.filter(|folder| is_run(folder));
+    started.map(|folder| Run::read(systems, &folder)).collect()
 }
 
 fn page(systems: Systems<'_>, run: &Run, stages: &[Run]) -> Page {
@@ -79,7 +79,7 @@ fn page(systems: Systems<'_>, run: &Run, stages: &[Run]) -> Page {
         .extend(run.problem.clone().map(Block::Warning));
     if records.is_empty() {
         overview.add(Block::Text(
-            "There are no metrics: nothing was trained here.".into(),
+            "There are no metrics: this run was not trained here.".into(),
         ));
     }
     overview.add(Block::Charts(curves::charts(&records)));
@@ -133,18 +133,18 @@ fn subtitle(run: &Run) -> String {
 }
 
 fn status(run: &Run, stages: &[Run]) -> Cell {
-    let is_training = |run: &Run| run.standing == Standing::Training;
-    let standing = match stages.iter().any(is_training) {
-        true => Standing::Training,
-        false => run.standing,
+    let is_training = |run: &Run| run.status == RunStatus::Training;
+    let status = match stages.iter().any(is_training) {
+        true => RunStatus::Training,
+        false => run.status,
     };
-    let tone = match standing {
-        Standing::Finished | Standing::StoppedEarly | Standing::Weights => Tone::Good,
-        Standing::Damaged => Tone::Bad,
-        Standing::Training => Tone::Busy,
-        Standing::Stopped | Standing::NotStarted => Tone::Plain,
+    let tone = match status {
+        RunStatus::Finished | RunStatus::StoppedEarly | RunStatus::Weights => Tone::Good,
+        RunStatus::Damaged => Tone::Bad,
+        RunStatus::Training => Tone::Busy,
+        RunStatus::Stopped | RunStatus::NotStarted => Tone::Plain,
     };
-    Cell::new(standing.name(), tone)
+    Cell::new(status.name(), tone)
 }
 
 /// A stage of a fine-tuning.
@@ -156,7 +156,7 @@ fn stage_section(stage: &Run) -> Section {
         .extend(stage.problem.clone().map(Block::Warning));
     let records = records(stage);
     let environments = read_environments(&stage.folder);
-    let mut facts = vec![("state".to_string(), stage.standing.name().to_string())];
+    let mut facts = vec![("state".to_string(), stage.status.name().to_string())];
     facts.extend(facts::highlights(stage, &records, environments.last()));
     section.add(Block::Facts(facts));
     section.add(Block::Charts(curves::charts(&records)));
@@ -179,10 +179,10 @@ fn evaluation(run: &Path) -> Section {
         match csv_table(&text).filter(|table| is_csv && !table.rows.is_empty()) {
             Some(table) => {
                 section.add(Block::Heading(name.into_owned()));
-                let chief = chief(&table);
-                let whole = chief.rows.len() == table.rows.len();
-                section.add(Block::Table(chief));
-                if !whole {
+                let main_rows = main_rows(&table);
+                let complete = main_rows.rows.len() == table.rows.len();
+                section.add(Block::Table(main_rows));
+                if !complete {
                     let title = "every measure".into();
                     section.add(Block::Folded { title, table });
                 }
@@ -199,16 +199,16 @@ fn evaluation(run: &Path) -> Section {
     section
 }
 
-/// The main measures: those that are no part of another, and pass rates.
-fn chief(table: &Table) -> Table {
-    let is_chief = |row: &&Vec<Cell>| {
+/// The main measures: names without a dot, and pass rates.
+fn main_rows(table: &Table) -> Table {
+    let is_main = |row: &&Vec<Cell>| {
         let name = row.first().map_or("", |cell| &cell.text);
         let parts = name.split('.').count();
         row.len() == 1 || parts == 1 || parts == 2 && name.ends_with("pass_rate")
     };
     Table {
         header: table.header.clone(),
-        rows: table.rows.iter().filter(is_chief).cloned().collect(),
+        rows: table.rows.iter().filter(is_main).cloned().collect(),
     }
 }
 

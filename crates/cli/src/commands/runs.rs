@@ -61,8 +61,8 @@ fn name(run: &Run, folder: &Path) -> String {
     match below.as_os_str().is_empty() {
         false => below.display().to_string(),
         true => {
-            let whole = folder.canonicalize().unwrap_or_else(|_| folder.into());
-            let own = whole.file_name().unwrap_or(whole.as_os_str());
+            let folder = folder.canonicalize().unwrap_or_else(|_| folder.into());
+            let own = folder.file_name().unwrap_or(folder.as_os_str());
             own.to_string_lossy().into_owned()
         }
     }
@@ -78,7 +78,7 @@ fn row(run: &Run, folder: &Path) -> [String; 7] {
     [
         name(run, folder),
         or_missing(recipe),
-        run.standing.name().into(),
+        run.status.name().into(),
         run.steps(|step| step.to_string()),
         or_missing(best),
         size(run.bytes),
@@ -102,7 +102,7 @@ fn object(run: &Run, folder: &Path) -> Value {
         "path": run.folder.display().to_string(),
         "system": run.system,
         "recipe": run.recipe(),
-        "state": run.standing.name(),
+        "state": run.status.name(),
         "problem": run.problem,
         "step": run.step,
         "max_steps": run.max_steps(),

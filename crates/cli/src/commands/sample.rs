@@ -11,7 +11,7 @@ use kinegrad_train::sampling::{Request, Summary};
 use kinegrad_train::{Error, Together};
 use serde::Serialize;
 
-use crate::args::{DrawArguments, SampleArguments};
+use crate::args::{SampleArguments, SamplerArguments};
 use crate::conditions::ConditionArguments;
 use crate::io::{Existing, Files, Written};
 use crate::{interrupt, output};
@@ -19,7 +19,7 @@ use crate::{interrupt, output};
 /// Generates motion and writes it to files.
 pub fn run(systems: Systems<'_>, arguments: SampleArguments) -> Result<ExitCode, Error> {
     interrupt::end_between_files();
-    while_it_is_trained(|| draw(systems, arguments.clone()))
+    while_it_is_trained(|| sample(systems, arguments.clone()))
 }
 
 /// Largest number of attempts to find a checkpoint.
@@ -36,12 +36,12 @@ pub fn while_it_is_trained<T>(mut read: impl FnMut() -> Result<T, Error>) -> Res
     read()
 }
 
-fn draw(systems: Systems<'_>, arguments: SampleArguments) -> Result<ExitCode, Error> {
+fn sample(systems: Systems<'_>, arguments: SampleArguments) -> Result<ExitCode, Error> {
     let existing = match arguments.overwrite {
         true => Existing::Replaced,
         false => Existing::Refused,
     };
-    let scales = arguments.draw.guidance_scale.len();
+    let scales = arguments.sampler.guidance_scale.len();
     if scales > 1 {
         let message = format!("`--guidance-scale` names {scales} scales");
         let hint = "give one; `kinegrad eval --audio-ablation` compares several";
@@ -49,13 +49,14 @@ fn draw(systems: Systems<'_>, arguments: SampleArguments) -> Result<ExitCode, Er
     }
     let mut files = Files::new(&arguments.out, existing)?.locking_feet(arguments.lock_feet);
     if arguments.json {
-        files = files.keeping();
+        files = files.collecting();
     }
-    let mut draw = arguments.draw.clone();
+    let mut sampler = arguments.sampler.clone();
     let method = arguments.method.iter();
-    draw.overrides
+    sampler
+        .overrides
         .extend(method.map(|method| format!("evaluation.path.method={method}")));
-    let trained = trained(systems, &arguments.run, &draw)?;
+    let trained = trained(systems, &arguments.run, &sampler)?;
     let conditions = ConditionArguments {
         source: arguments.source,
         item: arguments.item,
@@ -90,7 +91,7 @@ fn draw(systems: Systems<'_>, arguments: SampleArguments) -> Result<ExitCode, Er
     let summary = systems.sample(&trained, &request, &mut files)?;
     match arguments.json {
         true => output::json(&Results {
-            samples: files.kept(),
+            samples: files.collected(),
             remark: summary.map(|summary| match summary {
                 Summary::Text(text) => serde_json::json!(text),
                 Summary::Table(table) => serde_json::json!(table),
@@ -124,7 +125,7 @@ pub fn checkpoint(path: &Path) -> Result<SavedCheckpoint, Error> {
 pub fn trained(
     systems: Systems<'_>,
     run: &Path,
-    arguments: &DrawArguments,
+    arguments: &SamplerArguments,
 ) -> Result<TrainedModel, Error> {
     trained_for(systems, run, arguments, &Together::alone())
 }
@@ -133,10 +134,10 @@ pub fn trained(
 pub fn trained_for(
     systems: Systems<'_>,
     run: &Path,
-    arguments: &DrawArguments,
-    together: &Together,
+    arguments: &SamplerArguments,
+    group: &Together,
 ) -> Result<TrainedModel, Error> {
-    let DrawArguments {
+    let SamplerArguments {
         overrides,
         steps,
         guidance_scale,
@@ -158,7 +159,7 @@ pub fn trained_for(
         true => Weights::Model,
         false => Weights::Ema,
     };
-    let (saved, local) = (checkpoint(run)?, together.ranks().local().rank);
+    let (saved, local) = (checkpoint(run)?, group.ranks().local().rank);
     systems.trained_for(saved, &overrides, weights, device.as_deref(), local)
 }
 
@@ -176,7 +177,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_checkpoint_that_a_training_removed_is_looked_for_again() {
+    fn a_checkpoint_that_a_training_removed_is_searched_again() {
         let damaged = |path: &Path| Error::CheckpointDamaged {
             path: path.to_path_buf(),
             reason: "state.json: not found".into(),

@@ -66,10 +66,10 @@ pub fn embed(arguments: EmbedArguments) -> Result<ExitCode, Error> {
 }
 
 /// The tensors by name, each with its number of texts, and all texts in their order.
-type Asked = (Vec<(String, usize)>, Vec<String>);
+type NamedTexts = (Vec<(String, usize)>, Vec<String>);
 
 /// The texts to embed, at least one.
-fn texts(arguments: &EmbedArguments) -> Result<Asked, Error> {
+fn texts(arguments: &EmbedArguments) -> Result<NamedTexts, Error> {
     if let Some(dataset) = &arguments.dataset {
         let clips = read_captions(dataset)?;
         let named = clips

@@ -20,7 +20,7 @@ use crate::args::TrainArguments;
 use crate::io::Files;
 use crate::output;
 use crate::progress::duration;
-use crate::ranks::{guarded, settled, together};
+use crate::ranks::{agreed, guarded, process_group};
 use crate::train_progress::TrainProgress;
 
 /// Trains, then generates the samples of `sampling.count_at_end`.
@@ -44,23 +44,23 @@ pub fn run(systems: Systems<'_>, arguments: TrainArguments) -> Result<ExitCode, 
         dry_run,
     };
     let started = Instant::now();
-    let together = together()?;
-    let ranks = together.ranks();
+    let group = process_group()?;
+    let ranks = group.ranks();
     let mut progress = TrainProgress::new(systems);
     let outcome = guarded(ranks, || {
-        run::train_together(systems, &request, &together, &mut progress)
+        run::train_together(systems, &request, &group, &mut progress)
     });
     progress.finish();
-    let outcome = match settled(&together, outcome)? {
+    let outcome = match agreed(&group, outcome)? {
         Ok(outcome) => outcome,
         Err(code) => return Ok(code),
     };
-    if !together.writes() {
+    if !group.writes() {
         // From here on Ctrl-C ends all processes.
         let stops = progress.end_training();
         let interrupted = outcome.ending == Some(Ending::Interrupted);
         if interrupted {
-            together.part();
+            group.part();
         }
         return Ok(ExitCode::from(if interrupted || stops { 130 } else { 0 }));
     }
@@ -79,24 +79,24 @@ pub fn run(systems: Systems<'_>, arguments: TrainArguments) -> Result<ExitCode, 
     };
     if outcome.ending == Some(Ending::Interrupted) {
         summary(0);
-        together.part();
+        group.part();
         return Ok(ExitCode::from(130));
     }
-    if owes_samples(&outcome) {
+    if lacks_samples(&outcome) {
         if progress.end_training() {
             tell!("stopped before sampling; `--resume` writes the samples");
             summary(0);
             return Ok(ExitCode::from(130));
         }
         // The outcome keeps the run locked until then.
-        let drawn = draw_samples(systems, &outcome)?;
+        let written = write_final_samples(systems, &outcome)?;
         if !json {
             let folder = outcome.folder.join(SAMPLES);
-            let DrawnSamples { count, step, .. } = drawn;
+            let FinalSamples { count, step, .. } = written;
             say!("\n{count} samples of step {step} in {}", folder.display());
-            say_summary(drawn.summary);
+            say_summary(written.summary);
         }
-        summary(drawn.count);
+        summary(written.count);
         return Ok(ExitCode::SUCCESS);
     }
     summary(0);
@@ -104,7 +104,7 @@ pub fn run(systems: Systems<'_>, arguments: TrainArguments) -> Result<ExitCode, 
 }
 
 /// True if the samples of the run's end are missing: they were interrupted or removed.
-fn owes_samples(outcome: &Outcome) -> bool {
+fn lacks_samples(outcome: &Outcome) -> bool {
     let unfinished = outcome.folder.join(UNFINISHED_SAMPLES).exists();
     let owed = unfinished || !outcome.folder.join(SAMPLES).exists();
     owed && outcome.config.sampling.count_at_end > 0
@@ -114,9 +114,9 @@ fn owes_samples(outcome: &Outcome) -> bool {
 ///
 /// # Errors
 /// If they cannot be sampled or written.
-pub fn draw_samples_at_end(systems: Systems<'_>, outcome: &Outcome) -> Result<(), Error> {
-    if owes_samples(outcome) {
-        draw_samples(systems, outcome)?;
+pub fn sample_at_end(systems: Systems<'_>, outcome: &Outcome) -> Result<(), Error> {
+    if lacks_samples(outcome) {
+        write_final_samples(systems, outcome)?;
     }
     Ok(())
 }
@@ -184,7 +184,7 @@ fn summarise(outcome: &Outcome, seconds: f64) {
 }
 
 /// The samples at the end of a training.
-struct DrawnSamples {
+struct FinalSamples {
     count: usize,
     /// Steps of their checkpoint.
     step: u64,
@@ -192,7 +192,7 @@ struct DrawnSamples {
 }
 
 /// Writes samples for the first held-out items to the run's folder, all or none.
-fn draw_samples(systems: Systems<'_>, outcome: &Outcome) -> Result<DrawnSamples, Error> {
+fn write_final_samples(systems: Systems<'_>, outcome: &Outcome) -> Result<FinalSamples, Error> {
     let saved = checkpoint(&outcome.folder)?;
     let trained = systems.trained(saved, &[], Weights::Ema, None)?;
     let count = outcome.config.sampling.count_at_end;
@@ -204,7 +204,7 @@ fn draw_samples(systems: Systems<'_>, outcome: &Outcome) -> Result<DrawnSamples,
     let mut files = Files::silent(&unfinished);
     let summary = systems.sample(&trained, &request, &mut files)?;
     move_into(&unfinished, &folder)?;
-    Ok(DrawnSamples {
+    Ok(FinalSamples {
         count: files.written(),
         step: trained.saved.state.step,
         summary,

@@ -69,7 +69,7 @@ pub fn run(systems: Systems<'_>, arguments: ViewArguments) -> Result<ExitCode, E
     });
     let mut bvh = bvh.transpose()?.map(|bvh| bvh.to_text());
     for (_, path) in &outputs {
-        folder::must_take(path)?;
+        folder::must_be_writable(path)?;
     }
     for (kind, path) in outputs {
         let written = match kind {

@@ -134,7 +134,7 @@ pub fn run(systems: Systems<'_>, arguments: WarpArguments) -> Result<ExitCode, E
         path_content: plan,
     };
     for path in &outputs {
-        folder::must_take(path)?;
+        folder::must_be_writable(path)?;
     }
     interrupt::not_during(|| write(&moved, &features, &skeleton, &record, &outputs))?;
     match arguments.json {
@@ -146,7 +146,7 @@ pub fn run(systems: Systems<'_>, arguments: WarpArguments) -> Result<ExitCode, E
             record.summarize();
         }
     }
-    record.doubt(joints.frames(), arguments.along);
+    record.warn(joints.frames(), arguments.along);
     Ok(ExitCode::SUCCESS)
 }
 
@@ -252,10 +252,10 @@ impl Record {
     }
 
     /// Prints notes and warnings.
-    fn doubt(&self, given: usize, along: ArcLengthMode) {
-        if self.frames < given {
+    fn warn(&self, frames: usize, along: ArcLengthMode) {
+        if self.frames < frames {
             tell!(
-                "note: the path ends after {} of {given} frames, at {:.2} m",
+                "note: the path ends after {} of {frames} frames, at {:.2} m",
                 self.frames,
                 self.path_length
             );

@@ -32,7 +32,7 @@ pub fn is_bvh(path: &Path) -> bool {
 /// Reads a BVH file.
 ///
 /// # Errors
-/// If it cannot be read or is no BVH file.
+/// If it cannot be read or is not a BVH file.
 pub fn read_bvh(path: &Path) -> Result<Bvh, Error> {
     let file = path.display().to_string();
     let bytes = read_file(path, LARGEST).map_err(|error| {
@@ -71,7 +71,7 @@ impl Capture {
         if reading.units.is_none() || reading.up.is_none() {
             let axis = if up == UpAxis::Y { "y" } else { "z" };
             tell!(
-                "note: {} is read in {} with {axis} up; `--units` and `--up` say otherwise",
+                "note: {} is read in {} with {axis} up; set `--units` and `--up` to change that",
                 path.display(),
                 in_words(units)
             );

@@ -77,7 +77,7 @@ pub fn with_raw(files: Vec<PathBuf>) -> Vec<PathBuf> {
     each.flatten().collect()
 }
 
-/// The files of a folder with one of these endings, by name; none where there is no folder.
+/// The files of a folder with one of these endings, by name; none without the folder.
 pub fn files_in(folder: &Path, endings: &[&str]) -> Vec<PathBuf> {
     let entries = fs::read_dir(folder).into_iter().flatten().flatten();
     let paths = entries.map(|entry| entry.path());

@@ -24,7 +24,7 @@ impl Motion {
     /// Reads a BVH file, or an array of any kind.
     ///
     /// # Errors
-    /// If the file cannot be read or is no motion.
+    /// If the file cannot be read or is not a motion.
     pub fn read(systems: Systems<'_>, path: &Path, reading: &BvhReading) -> Result<Self, Error> {
         if is_bvh(path) {
             return Capture::read(path, reading).map(Self::Bvh);
@@ -106,6 +106,6 @@ impl MotionArray {
 pub fn not_finite(path: &Path) -> Error {
     Error::usage(
         format!("{}: a position is not finite", path.display()),
-        "`kinegrad check` finds what is wrong with a motion",
+        "`kinegrad check` lists the problems of a motion",
     )
 }

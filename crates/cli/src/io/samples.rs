@@ -40,12 +40,12 @@ pub struct Files {
     bar: Option<Denoising>,
     /// Called for each written sample.
     tell: fn(&Written),
-    keeps: bool,
+    collects: bool,
     /// Inexact files are noted.
     notes: bool,
     /// Feet of BVH files are locked.
     lock_feet: bool,
-    kept: Vec<Written>,
+    collected: Vec<Written>,
     written: usize,
 }
 
@@ -68,12 +68,12 @@ impl Files {
         })
     }
 
-    /// The same, not printed but [kept](Self::kept).
+    /// Collects the samples instead of printing them.
     #[must_use]
-    pub fn keeping(self) -> Self {
+    pub fn collecting(self) -> Self {
         Self {
             tell: |_| {},
-            keeps: true,
+            collects: true,
             ..self
         }
     }
@@ -91,10 +91,10 @@ impl Files {
             existing: Existing::Replaced,
             bar: None,
             tell: |_| {},
-            keeps: false,
+            collects: false,
             notes: false,
             lock_feet: false,
-            kept: Vec::new(),
+            collected: Vec::new(),
             written: 0,
         }
     }
@@ -104,9 +104,9 @@ impl Files {
         self.written
     }
 
-    /// The samples that were written, if they are kept.
-    pub fn kept(self) -> Vec<Written> {
-        self.kept
+    /// The samples that were written, with [`collecting`](Self::collecting).
+    pub fn collected(self) -> Vec<Written> {
+        self.collected
     }
 
     fn path(&self, name: &str, extension: &str) -> PathBuf {
@@ -235,8 +235,8 @@ impl SampleSink for Files {
             record: sample.record,
         };
         (self.tell)(&written);
-        if self.keeps {
-            self.kept.push(written);
+        if self.collects {
+            self.collected.push(written);
         }
         Ok(())
     }

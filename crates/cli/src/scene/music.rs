@@ -115,7 +115,7 @@ mod tests {
     }
 
     #[test]
-    fn the_part_that_is_danced_comes_along_where_it_is_smaller() {
+    fn the_part_during_the_motion_is_used_if_it_is_smaller() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("song.wav");
         std::fs::write(&path, wav(&clicks())).unwrap();

@@ -10,8 +10,7 @@ from kinegrad import _kinegrad
 
 def main() -> int:
     """Runs the command line of `sys.argv` and returns its exit code."""
-    # Ctrl-C ends the program, or does what the command installs for it; Python, which never runs
-    # meanwhile, could not.
+    # Python code does not run meanwhile, so its handler of Ctrl-C would never be called.
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     return _kinegrad.main(["kinegrad", *sys.argv[1:]])
 

@@ -12,7 +12,7 @@ ProgressArgument = Union[Progress, Literal[False], None]
 
 
 class Bar:
-    """A bar that is redrawn in place, and taken away at the end."""
+    """A bar that is redrawn in place, and removed at the end."""
 
     def __init__(self, unit: str) -> None:
         self._unit = unit
@@ -54,8 +54,8 @@ class _Reporting:
 
 
 def reporting(progress: ProgressArgument, unit: str) -> Bar | _Reporting:
-    """A context that gives the callable to report to: `progress` itself, for `None` a bar if
-    standard error is a terminal, and for `False` none."""
+    """A context with the callable to report to: `progress` itself; for `None` a bar if standard error
+    is a terminal; for `False` none."""
     if progress is False:
         return _Reporting(None)
     if progress is None:

@@ -13,10 +13,10 @@ Progress = Callable[[str, int, int], object]
 
 
 def overrides(settings: Mapping[str, Any] | Sequence[str] | None) -> list[str]:
-    """`{"optim.learning_rate": 1e-4}` as `["optim.learning_rate=0.0001"]`; lists pass as they are.
+    """`{"optim.learning_rate": 1e-4}` as `["optim.learning_rate=0.0001"]`; lists are unchanged.
 
     Raises:
-        TypeError: For a value that a config cannot hold.
+        TypeError: For a value that a config cannot contain.
     """
     if settings is None:
         return []
@@ -28,7 +28,7 @@ def overrides(settings: Mapping[str, Any] | Sequence[str] | None) -> list[str]:
 
 
 def _toml(value: Any) -> str:
-    """A value in TOML, which for numbers, texts, truths and lists is JSON."""
+    """A value in TOML, which equals JSON for numbers, strings, booleans and lists."""
     if isinstance(value, Mapping):
         return "{" + ", ".join(f"{json.dumps(k)} = {_toml(v)}" for k, v in value.items()) + "}"
     if isinstance(value, (list, tuple)):
@@ -38,5 +38,5 @@ def _toml(value: Any) -> str:
     if hasattr(value, "item"):  # a NumPy scalar
         value = value.item()
     if value is None or not isinstance(value, (bool, int, float, str)):
-        raise TypeError(f"a config cannot hold {value!r}")
+        raise TypeError(f"a config cannot contain {value!r}")
     return json.dumps(value)

@@ -20,25 +20,26 @@ Item = dict[str, Any]
 
 
 class Dataset(Sequence[Item]):
-    """One side of a dataset: a sequence of dictionaries.
+    """One split of a dataset: a sequence of dictionaries.
 
     A phrase has `id`, `motion` `[T, 25]` float32 and `audio` `[163, T]` float32 (`[170, T]` with the
-    beats in `data.audio_features`), as stored; a clip has `id`, `motion` `[T, 263]` or `[T, 251]`
-    with the root as the model is trained on, and `captions`. Items are read on demand and cached (`data.cache`).
+    beats in `data.audio_features`), as stored. A clip has `id`, `motion` `[T, 263]` or `[T, 251]`
+    with the root encoding of the model, and `captions`. Items are read on demand and cached
+    (`data.cache`).
 
     A dataset can be sent to other processes, such as the workers of a PyTorch `DataLoader`, forked
-    or not: each opens it again with threads and connections of its own.
+    or not: each process opens it again with new threads and connections.
 
     Args:
-        source: A config file (`.toml`), or where a dataset lies: a folder, a bucket
+        source: A config file (`.toml`), or the address of a dataset: a folder, a bucket
             (`gs://`, `s3://`) or a web server.
         split: `"train"` or `"validation"`.
         settings: Keys of the config, such as `{"data.validation.fraction": 0.1}`.
-        run: Instead of `source`, a run: its dataset and its statistics.
+        run: A run, instead of `source`: its dataset with its statistics.
 
     Raises:
         DataError: For a dataset that cannot be used.
-        ConfigError: For settings that are wrong.
+        ConfigError: For invalid settings.
     """
 
     def __init__(
@@ -63,7 +64,7 @@ class Dataset(Sequence[Item]):
     def _native(self) -> _kinegrad.Dataset:
         if self._opened is None or self._process != os.getpid():
             if self._opened is not None:
-                # Of the process that this one was forked from: its threads are not here.
+                # It belongs to the parent process, whose threads do not exist here.
                 _kinegrad.abandon(self._opened)
             self._opened = _kinegrad.Dataset(*self._arguments)
             self._process = os.getpid()
@@ -90,17 +91,17 @@ class Dataset(Sequence[Item]):
 
     @property
     def warnings(self) -> list[str]:
-        """What is odd about the dataset."""
+        """Warnings about the dataset."""
         return self._native.warnings
 
     @property
     def mean(self) -> NDArray[np.float64]:
-        """What batches are normalised with: the mean of each channel, `[channels]`."""
+        """The mean of each channel, `[channels]`, which normalises the batches."""
         return np.array(self._native.statistics()[0])
 
     @property
     def std(self) -> NDArray[np.float64]:
-        """What batches are normalised with: the standard deviation of each channel."""
+        """The standard deviation of each channel, which normalises the batches."""
         return np.array(self._native.statistics()[1])
 
     def __len__(self) -> int:
@@ -134,17 +135,17 @@ class Dataset(Sequence[Item]):
         first: int = 0,
         num_workers: int = 0,
     ) -> Batches:
-        """The endless stream of batches that a training of this `seed` has: cropped, augmented and
+        """The endless stream of batches of a training with this `seed`: cropped, augmented and
         normalised, each a dictionary of `ids`, `motion` `[B, C, T]`, the condition (`audio`
         `[B, 163, T]`, or `text` `[B, 512, 1]`), and `mask` `[B, T]`, 1 in valid frames.
 
-        A batch follows from seed, batch size and number alone.
+        A batch depends only on seed, batch size and number.
 
         Args:
             seed: Seed of order, crops and augmentation; by default `run.seed` of the config.
             batch_size: Samples in a batch; by default `data.batch_size`.
             first: Number of the first batch.
-            num_workers: Threads that make batches ahead; with 0 each is made when asked for.
+            num_workers: Threads that prepare batches ahead; with 0 each batch is prepared on demand.
         """
         return Batches(self, seed, batch_size, first, num_workers)
 

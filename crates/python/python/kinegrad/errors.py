@@ -1,4 +1,4 @@
-"""The exceptions of kinegrad: what the command line prints as an error, with its hint."""
+"""The exceptions of kinegrad: the errors of the command line, with their hints."""
 
 from __future__ import annotations
 
@@ -17,10 +17,9 @@ class Error(Exception):
     """The base of all exceptions of kinegrad.
 
     Attributes:
-        message: What is wrong, naming the file, key or argument.
-        hint: What to do about it; `None` where there is nothing to say.
-        exit_code: The exit code of the command line for it: 2 if what was given is wrong, 1 if
-            the run failed.
+        message: The problem, naming the file, key or argument.
+        hint: A way to solve it, or `None`.
+        exit_code: The exit code of the command line: 2 for invalid input, 1 if the run failed.
     """
 
     message: str
@@ -42,7 +41,7 @@ class UsageError(Error, ValueError):
 
 
 class ConfigError(Error, ValueError):
-    """A key or value of a config that is wrong."""
+    """An invalid key or value of a config."""
 
 
 class DataError(Error, ValueError):

@@ -1,5 +1,5 @@
-"""Metrics of motion; docs/evaluation.md defines them. One that cannot be computed, for want of
-frames or items or because a value is not finite, is `None`."""
+"""Metrics of motion; docs/evaluation.md defines them. A metric is `None` if there are too few frames
+or items, or if a value is not finite."""
 
 from __future__ import annotations
 
@@ -74,12 +74,12 @@ def trajectory_features(motion: ArrayLike, std: ArrayLike) -> NDArray[np.float64
 
 def diversity(features: ArrayLike, pairs: int = 300, seed: int = 0) -> float | None:
     """Mean Euclidean distance of pairs of feature vectors: of all pairs if there are at most
-    `pairs`, else of `pairs` pairs drawn from `seed`.
+    `pairs`, else of `pairs` random pairs.
 
     Args:
         features: `[n, features]`.
-        pairs: Most pairs to compare.
-        seed: Seed of the drawn pairs.
+        pairs: Largest number of pairs to compare.
+        seed: Seed of the random pairs.
     """
     return _kinegrad.diversity(np.asarray(features, dtype=np.float64), pairs, seed)
 

@@ -30,16 +30,15 @@ class Bvh(NamedTuple):
 
 
 def read_bvh(path: PathArgument, units_per_metre: float = 100.0) -> Bvh:
-    """Reads a BVH file and computes where its joints are.
+    """Reads a BVH file and computes its joint positions.
 
     Args:
         path: The file.
-        units_per_metre: How many of the file's units make a metre: 100 for centimetres, 1 for
-            metres.
+        units_per_metre: Units of the file in a metre: 100 for centimetres, 1 for metres.
 
     Raises:
-        DataError, UsageError: For a file that cannot be used, with the line.
-        StorageError: For one that cannot be read.
+        DataError, UsageError: For an invalid file; names the line.
+        StorageError: For a file that cannot be read.
     """
     return Bvh(*_kinegrad.read_bvh(path, units_per_metre))
 
@@ -50,7 +49,7 @@ def write_bvh(path: PathArgument, positions: ArrayLike, units_per_metre: float =
     Args:
         path: The file to write.
         positions: `[T, 22, 3]` of HumanML3D's joints or `[T, 21, 3]` of KIT-ML's, in metres.
-        units_per_metre: How many of the file's units make a metre.
+        units_per_metre: Units of the file in a metre.
 
     Raises:
         UsageError: For another number of joints.
@@ -70,15 +69,15 @@ def check(
     Args:
         motion: A phrase `[T, 25]`, joint features `[T, 263]` or `[T, 251]`, joint positions
             `[T, J, 3]` in metres, or the path of a `.npy` file of one.
-        profile: `"ccmotion"`, which looks at the channels of phrases alone, or `"strict"`, which
-            looks at how positions and rotations move, with bounds from training motion.
+        profile: `"ccmotion"` checks the channels of phrases; `"strict"` checks the movement of
+            positions and rotations, with bounds from training motion.
         run: Run or checkpoint whose training statistics `"strict"` uses.
 
     Returns:
         `passed`, and `checks`: for each its `name`, `passed`, `value`, `threshold` and `message`.
 
     Raises:
-        UsageError: For an array that is no known representation.
+        UsageError: For an array of an unknown representation.
         DataError: If `"strict"` has no statistics.
     """
     if isinstance(motion, (str, Path)):

@@ -39,14 +39,14 @@ class StepReport(TypedDict):
 class Sample:
     """A generated motion."""
 
-    def __init__(self, drawn: _kinegrad.Sample) -> None:
-        self._drawn = drawn
-        self._arrays = dict(drawn.arrays())
+    def __init__(self, sample: _kinegrad.Sample) -> None:
+        self._sample = sample
+        self._arrays = dict(sample.arrays())
 
     @property
     def name(self) -> str:
-        """What its files' names have after the prefix; empty for a single sample."""
-        return self._drawn.name
+        """The part of its file names after the prefix; empty for a single sample."""
+        return self._sample.name
 
     @property
     def motion(self) -> NDArray[np.float32]:
@@ -56,28 +56,28 @@ class Sample:
 
     @property
     def raw(self) -> NDArray[np.float32] | None:
-        """Of a phrase, the model's output before post-processing, `[T, 25]`."""
+        """The model's output before post-processing, `[T, 25]`; `None` unless it is a phrase."""
         return self._arrays.get(".raw.npy")
 
     @property
     def features(self) -> NDArray[np.float32] | None:
-        """Of a clip, its joint features, `[T, 263]` or `[T, 251]`."""
+        """Joint features, `[T, 263]` or `[T, 251]`; `None` unless it is a clip."""
         return self._arrays.get(".features.npy")
 
     @property
     def path(self) -> NDArray[np.float32] | None:
-        """Of a clip sampled in two stages, the ground path of the first, `[T, 2]` in metres."""
+        """The ground path of the first stage, `[T, 2]` in metres; `None` unless there are two stages."""
         return self._arrays.get(".path.npy")
 
     @property
     def record(self) -> dict[str, Any]:
-        """How it was made: run, checkpoint, seed, sampler, condition."""
-        record: dict[str, Any] = json.loads(self._drawn.record)
+        """The record: run, checkpoint, seed, sampler, condition."""
+        record: dict[str, Any] = json.loads(self._sample.record)
         return record
 
     @property
     def arrays(self) -> dict[str, NDArray[np.float32]]:
-        """All of its arrays by the ending of their files."""
+        """All arrays by the ending of their files."""
         return dict(self._arrays)
 
     def bvh(self) -> str:
@@ -86,7 +86,7 @@ class Sample:
         Raises:
             UsageError: For a motion without a skeleton.
         """
-        text = self._drawn.bvh()
+        text = self._sample.bvh()
         if text is None:
             raise UsageError("the sample has no skeleton to write as BVH", None)
         return text
@@ -99,7 +99,7 @@ class Sample:
         Raises:
             UsageError: If the file exists, unless `overwrite`.
         """
-        return self._drawn.save(prefix, overwrite)
+        return self._sample.save(prefix, overwrite)
 
     def __repr__(self) -> str:
         shape = ", ".join(str(length) for length in self.motion.shape)
@@ -123,7 +123,7 @@ class Run:
 
     @property
     def path(self) -> Path:
-        """The folder given."""
+        """The folder of the run or checkpoint."""
         return self._path
 
     @property
@@ -138,12 +138,12 @@ class Run:
 
     @property
     def step(self) -> int:
-        """Optimiser steps that the weights were trained for."""
+        """Number of optimiser steps of the weights."""
         return self._step
 
     def metrics(self) -> dict[str, NDArray[Any]]:
-        """What the training recorded, by name: `step` `[N]` int64, and `loss`, `val_loss`, `lr`,
-        `grad_norm` and others `[N]` float64, NaN at steps without."""
+        """The metrics of the training by name: `step` `[N]` int64, and `loss`, `val_loss`, `lr`,
+        `grad_norm` and others `[N]` float64, NaN at steps without a value."""
         folder = self._path
         if not (folder / "metrics.jsonl").exists() and self._checkpoint.parent.name == "checkpoints":
             folder = self._checkpoint.parent.parent
@@ -191,51 +191,51 @@ class Run:
         device: str | None = None,
         progress: ProgressArgument = None,
     ) -> list[Sample]:
-        """Generates motion; the same request as `kinegrad sample`, and the same arrays.
+        """Generates motion, with the options and results of `kinegrad sample`.
 
         Args:
-            item: Phrase of the dataset whose audio features are the condition, or clip whose first
-                caption is; `*` matches any text. By default the first held-out phrase.
+            item: Item of the dataset that gives the condition: the audio features of a phrase, or the
+                first caption of a clip; `*` matches any text. By default the first held-out phrase.
             audio: Song to use as the condition, of any length; from `start` to its end if there is
                 no `frames`.
             start: Position in the song, in seconds, at which the motion starts.
             audio_features: `features.npz` to use as the condition.
             goal: Goal file or files for position control of a clip.
-            text: Text to use as the condition, embedded with `text_encoder`; for runs with `data.humanml3d.text = "labels"` one of
-                the captions that they were trained on.
+            text: Text to use as the condition, embedded with `text_encoder`; for runs with
+                `data.humanml3d.text = "labels"` one of the training captions.
             text_encoder: Folder with CLIP ViT-B/32, which embeds the text.
             text_embedding: Text embedding to use as the condition, `FILE#KEY`.
-            history: Joints that the motion goes on from, `[T, J, 3]` in metres, for runs of recipe
-                `flow`.
+            history: Joint positions `[T, J, 3]` in metres that the motion continues, for runs of
+                recipe `flow`.
             prompts: File of texts one after another, each with its length, for runs of recipe `flow` or
                 `bpe_motion`.
             path: Path over the ground that the motion follows (.toml, .csv or .svg), for runs of recipe
-                `bpe_motion`; `settings` says how, as `{"evaluation.path.method": "override"}`.
-            metres_per_unit: Metres of a unit of a path that is a drawing.
+                `bpe_motion`; `{"evaluation.path.method": "override"}` in `settings` selects the method.
+            metres_per_unit: Metres in a unit of a path that is a drawing.
             trajectory_run: Run of recipe `gmd_trajectory` that generates the ground path first.
-            held_out: One sample for each of the first so many held-out items.
+            held_out: Number of held-out items; each of the first ones gives a sample.
             source: Dataset that contains the phrase, instead of the run's own.
-            continue_from: Motion file to go on from: the sample begins with its last frames, a
-                quarter of the length that the run was trained on.
-            keep: Frames that the sample takes from `keep_from` as they are, at the same places:
+            continue_from: Motion file to continue: the sample begins with its last frames, a
+                quarter of the training length.
+            keep: Frames taken unchanged from `keep_from`, at the same positions:
                 `"0..30,90..120"` or `[(0, 30), (90, 120)]`, without the ends.
-            keep_from: Motion file that the frames of `keep` are taken from.
-            postprocess: Repairs of the generated phrase: `"default"`, `"ccmotion"` (CC-MotionGen's
-                to the letter) or `"none"`.
+            keep_from: Motion file that contains the frames of `keep`.
+            postprocess: Repairs of the generated phrase: `"default"`, `"ccmotion"` (exactly
+                CC-MotionGen's) or `"none"`.
             style: Style of the sample, for runs with `model.style`: a label, such as `"waltz"`, or
                 eight numbers in the units of the motion's style channels.
             count: Samples per condition.
-            frames: Frames to generate, by default as many as the condition has.
-            seconds: Seconds to generate, in the place of `frames`.
+            frames: Frames to generate; by default the length of the condition.
+            seconds: Seconds to generate, instead of `frames`.
             seed: Random seed of the noise.
             steps: Number of denoising steps.
             guidance_scale: Classifier-free guidance scale; 1 disables guidance.
             settings: Keys of the `sampling` table, such as
                 `{"sampling.sampler.kind": "dpmpp_2m"}`.
-            weights: `"ema"` for the moving average of the weights, `"model"` for themselves.
+            weights: `"ema"` for the exponential moving average, `"model"` for the trained weights.
             device: Device to run on, by default that of the run.
             progress: Called with stage, denoising steps done and in total; `None` for a bar if
-                standard error is a terminal, `False` for nothing. What it raises ends the call.
+                standard error is a terminal, `False` for no progress. An exception that it raises ends the call.
 
         Raises:
             UsageError: For conditions that the model does not support.
@@ -250,10 +250,10 @@ class Run:
             goals = list(goal)
         if style is not None and not isinstance(style, str):
             style = ",".join(repr(float(number)) for number in style)
-        kept = keep
+        frames_kept = keep
         if keep is not None and not isinstance(keep, str):
-            kept = ",".join(f"{start}..{end}" for start, end in keep)
-        wanted = {
+            frames_kept = ",".join(f"{start}..{end}" for start, end in keep)
+        request = {
             "source": source,
             "item": item,
             "audio_features": audio_features,
@@ -274,15 +274,15 @@ class Run:
             "seconds": None if seconds is None else float(seconds),
             "seed": seed,
             "continue_from": continue_from,
-            "keep": kept,
+            "keep": frames_kept,
             "keep_from": keep_from,
             "postprocess": postprocess,
             "style": style,
         }
         model = self._model(settings, steps, guidance_scale, weights, device)
         with reporting(progress, "denoising steps") as report:
-            drawn = _kinegrad.sample(model, wanted, report)
-        return [Sample(each) for each in drawn]
+            samples = _kinegrad.sample(model, request, report)
+        return [Sample(sample) for sample in samples]
 
     def evaluate(
         self,
@@ -334,12 +334,12 @@ class Run:
         weights: Literal["ema", "model"],
         device: str | None,
     ) -> dict[str, Any]:
-        given = as_overrides(settings)
+        overrides = as_overrides(settings)
         if steps is not None:
-            given.append(f"sampling.sampler.num_inference_steps={steps}")
+            overrides.append(f"sampling.sampler.num_inference_steps={steps}")
         if guidance_scale is not None:
-            given.append(f"sampling.sampler.guidance_scale={float(guidance_scale)!r}")
-        return {"run": self._path, "settings": given, "weights": weights, "device": device}
+            overrides.append(f"sampling.sampler.guidance_scale={float(guidance_scale)!r}")
+        return {"run": self._path, "settings": overrides, "weights": weights, "device": device}
 
     def __repr__(self) -> str:
         return f"<kinegrad.Run {self._path} at step {self._step}>"
@@ -367,7 +367,7 @@ def train(
         overrides: Keys of the config, such as `{"train.max_steps": 100}`.
         runs_dir: Folder that contains the runs.
         resume: Continue the run from its latest valid checkpoint.
-        on_step: Called with each optimiser step. What it raises is raised here, after a
+        on_step: Called after each optimiser step. Its exceptions are raised here, after a
             checkpoint has been written.
         progress: Whether to show a bar; `None` if standard error is a terminal.
 
@@ -375,9 +375,9 @@ def train(
         The run, opened at its best checkpoint.
 
     Raises:
-        ConfigError: For a config that is wrong; nothing has been written then.
+        ConfigError: For an invalid config; no file has been written then.
         Error: Anything else; see `kinegrad.errors`.
-        KeyboardInterrupt: On Ctrl-C, after a checkpoint has been written; `resume=True` goes on.
+        KeyboardInterrupt: On Ctrl-C, after a checkpoint has been written; `resume=True` continues.
     """
     shows = sys.stderr.isatty() if progress is None and sys.stderr is not None else bool(progress)
     bar = Bar("steps")

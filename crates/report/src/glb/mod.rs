@@ -8,7 +8,7 @@
 //! Positions do not determine rotations. Each joint gets the shortest rotation, relative to its
 //! parent's, that points the bone at its child. A joint with several children gets the rotation that
 //! fits them best; each of its bones begins with an extra node in the same place, named as
-//! `pelvis_to_left_hip`, which adds the remaining rotation. Where a bone changes its length, the
+//! `pelvis_to_left_hip`, which adds the remaining rotation. If a bone changes its length, the
 //! translation of the joint at its end is animated too, so joints are exact in every frame.
 //! Interpolation between frames is linear.
 //!

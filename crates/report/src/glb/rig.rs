@@ -135,7 +135,7 @@ impl Rig {
     }
 }
 
-/// Whether two translations count as equal.
+/// True if two translations count as equal.
 fn near(a: [f32; 3], b: [f32; 3]) -> bool {
     a.iter()
         .zip(b)

@@ -2,8 +2,7 @@
 
 use std::ops::Range;
 
-/// Whether a value can be drawn. Ticks are counted in steps of the scale, which does not end for
-/// larger values.
+/// True if a value can be drawn: with larger values the loop over ticks would not end.
 pub(super) fn can_be_drawn(value: f64) -> bool {
     value.abs() <= 1e30
 }

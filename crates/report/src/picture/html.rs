@@ -38,7 +38,7 @@ struct Frame {
 }
 
 impl Panel {
-    /// Whether no point of its curves can be drawn.
+    /// True if no point of its curves can be drawn.
     pub fn is_empty(&self) -> bool {
         self.curves().next().is_none()
     }

@@ -34,7 +34,7 @@ pub struct Panel {
     pub(super) points: Vec<(String, (f64, f64))>,
     /// Corners of the regions of a map.
     pub(super) regions: Vec<Vec<(f64, f64)>>,
-    /// Whether it fills a row.
+    /// It fills a row.
     pub(super) is_wide: bool,
 }
 

@@ -181,7 +181,7 @@ mod tests {
     }
 
     #[test]
-    fn a_camera_holds_a_box_and_not_much_more() {
+    fn a_camera_shows_a_box_and_little_more() {
         for bounds in [
             [[-0.5, 0.0, -0.5], [0.5, 1.8, 0.5]],
             [[-4.0, 0.0, 2.0], [4.0, 1.0, 3.0]],

@@ -163,7 +163,7 @@ impl<'a> View<'a> {
         image
     }
 
-    /// Smoothed ground position of the root, for a steady camera.
+    /// Ground position of the root, smoothed over time for the camera.
     fn followed(&self, seconds: f64) -> [f32; 2] {
         let places = (-4..=4).map(|step| {
             let moment = seconds + f64::from(step) / 4.0 * SMOOTHING;

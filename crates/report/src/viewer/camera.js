@@ -1,15 +1,15 @@
-// An eye that orbits a target, and the projection onto a part of the canvas.
+// A camera that orbits a target, and the projection onto a part of the canvas.
 
 const VIEW_ANGLE = (36 * Math.PI) / 180;
-// The part of the picture that figures take.
+// The part of the picture that figures fill.
 const MARGIN = 0.9;
 
-// How far above the horizon the eye is at first.
+// The initial angle of the eye above the horizon.
 const FIRST_PITCH = 0.28;
 
-// The distance from which an eye at the first pitch sees all of `points`, `[reach, rise]` from the
-// axis through the target and above it, wherever around that axis they and the eye are; `aspect`
-// is the width of a picture whose height is one.
+// The distance from which an eye at the initial pitch sees all `points` from any side. Points are
+// `[reach, rise]`: the distance from the vertical axis through the target, and the height above the
+// target. `aspect` is width by height of the picture.
 const distanceFor = (points, aspect) => {
   const [sp, cp] = [Math.sin(FIRST_PITCH), Math.cos(FIRST_PITCH)];
   const half = MARGIN * Math.tan(VIEW_ANGLE / 2);
@@ -44,7 +44,7 @@ class Camera {
     this.zoom = Math.min(20, Math.max(0.05, this.zoom * factor));
   }
 
-  // Moves what is seen with the pointer; a pixel is `metres` long at the target.
+  // Moves the target with the pointer; a pixel is `metres` long at the target.
   shift(dx, dy, metres) {
     const [sy, cy] = [Math.sin(this.yaw), Math.cos(this.yaw)];
     const [sp, cp] = [Math.sin(this.pitch), Math.cos(this.pitch)];

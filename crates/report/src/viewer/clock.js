@@ -1,4 +1,4 @@
-// What time it is in the motion. While a song plays, its clock leads.
+// The time in the motion. While a song plays, the time follows the song.
 
 class Clock {
   constructor(seconds, song) {
@@ -11,7 +11,7 @@ class Clock {
     this.audio.preservesPitch = true;
   }
 
-  // Whether the song has something to play at this time.
+  // True if the song is audible at this time.
   sounds() {
     const at = this.time + this.start;
     const end = this.audio?.duration;
@@ -26,7 +26,7 @@ class Clock {
     this.sing();
   }
 
-  // Starts the song where the motion is. A browser that does not allow it leaves it silent.
+  // Starts the song at the time of the motion. It stays silent if the browser does not allow it.
   async sing() {
     if (!this.sounds() || this.starting) return;
     this.starting = true;
@@ -46,7 +46,7 @@ class Clock {
     this.audio?.pause();
   }
 
-  // Puts the song to the time of the motion.
+  // Sets the song to the time of the motion.
   place() {
     const at = Math.max(0, this.time + this.start);
     if (Math.abs(this.audio.currentTime - at) > 1e-3) this.audio.currentTime = at;

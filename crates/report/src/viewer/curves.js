@@ -2,7 +2,7 @@
 
 const SERIES_COLOURS = ["#4a86e0", "#e58037", "#2fa37a", "#d0515f", "#b263c9", "#8f8a2f", "#3aa7bf", "#8c8c8c"];
 const DASHES = [[], [6, 3], [2, 3], [8, 3, 2, 3], [12, 3], [4, 2, 1, 2, 1, 2], [1, 5], [12, 3, 3, 3]];
-// Figures that dashes alone tell apart.
+// Largest number of figures that are distinguished by dashes alone.
 const FEW = 4;
 
 const element = (name, attributes = {}, text = "") => {
@@ -18,7 +18,7 @@ const short = (value) => {
   return size >= 1e4 || size < 1e-3 ? value.toExponential(1) : String(+value.toPrecision(3));
 };
 
-// Curves of one title belong together, of whatever figure.
+// Curves with the same title share a chart, for all figures.
 const chartsOf = (scene) => {
   const charts = new Map();
   scene.figures.forEach((figure, index) => {
@@ -69,8 +69,9 @@ class Chart {
     });
   }
 
-  // With several figures a single curve has the colour of its figure; several curves have colours
-  // of their own and the dashes of their figure or, with many figures, the other way round.
+  // With several figures, a single curve has the colour of its figure. Several curves have a colour
+  // each and the dashes of their figure; with many figures, colours are of figures and dashes of
+  // curves.
   look({ figure, name }) {
     const series = this.names.indexOf(name);
     const dash = DASHES[(this.byFigure ? series : figure) % DASHES.length];
@@ -78,7 +79,7 @@ class Chart {
     return { colour, dash: this.scene.figures.length > 1 ? dash : [] };
   }
 
-  // Whether colours stand for figures.
+  // True if colours distinguish figures.
   get byFigure() {
     const figures = this.scene.figures.length;
     return figures > FEW || (figures > 1 && this.names.length === 1);
@@ -121,7 +122,7 @@ class Chart {
       }
     }
     if (!(least <= most)) [least, most] = [0, 1];
-    // What differs in the last digits of a float is level.
+    // Differences in the last digits of a float are rounding noise.
     const size = Math.max(Math.abs(least), Math.abs(most)) || 1;
     const margin = Math.max(0.08 * (most - least), 1e-4 * size);
     const y = (value) => height - (height * (value - least + margin)) / (most - least + 2 * margin);
@@ -149,7 +150,7 @@ class Chart {
     context.fillText(short(least), 3 * ratio, height - 2 * ratio);
   }
 
-  // Of many frames in one pixel the least and the largest value are drawn.
+  // If a pixel has many frames, their smallest and largest values are drawn.
   trace(context, { values }, step, y) {
     context.beginPath();
     let down = false;
@@ -178,7 +179,7 @@ class Chart {
   }
 }
 
-// When which joint of which figure stands on the ground.
+// The times at which each joint stands on the ground, by figure.
 class ContactChart extends Chart {
   constructor(scene, seek) {
     const rows = scene.figures.flatMap((figure, index) =>
@@ -218,7 +219,7 @@ class ContactChart extends Chart {
   }
 }
 
-// The size of a canvas in its own pixels, with a fresh context.
+// Sets the canvas to its size in device pixels, and returns a new context.
 const sized = (canvas) => {
   const ratio = Math.min(2, devicePixelRatio || 1);
   const [width, height] = [canvas.clientWidth, canvas.clientHeight].map((side) => Math.round(side * ratio));

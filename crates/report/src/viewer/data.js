@@ -1,4 +1,4 @@
-// What `encode.rs` packed, as arrays of numbers.
+// Unpacks the data of `encode.rs` into arrays of numbers.
 
 const GAP = 65535;
 
@@ -74,7 +74,7 @@ const SIDES = [
 ];
 const FINGERS = /thumb|index|middle|ring|pinky|finger/i;
 
-// A figure with its numbers, sizes and what the drawing needs to know of its joints.
+// A figure with its numbers, its sizes, and the properties of its joints that drawing needs.
 const readFigure = async (data) => {
   const { frames, fps } = data;
   const count = data.parents.length;
@@ -132,7 +132,7 @@ const measure = (figure, parents) => {
     }
     return most - least;
   });
-  // A lone root belongs to a person.
+  // A lone root has the size of a person.
   figure.height = count === 1 ? 1.7 : Math.max(...heights) || 1;
   figure.root = 0;
   figure.bones = [];
@@ -141,7 +141,7 @@ const measure = (figure, parents) => {
     const lengths = sampled.map((frame) => apart(frame, joint, parent));
     const spread = Math.max(...lengths) - Math.min(...lengths);
     if (spread > 0.3 * figure.height) {
-      // No bone, but a body that leaves the point it is given from.
+      // A distance that varies is not a bone; below the root, the joint is the root of the body.
       if (parent === figure.root) figure.root = joint;
       return;
     }
@@ -152,7 +152,7 @@ const measure = (figure, parents) => {
     figure.bones.push({ parent, joint, radius, side: figure.sides[joint] });
   });
   figure.head = figure.joints.findIndex((name) => /^head$/i.test(name));
-  // The top of the head lies within the ball that is drawn for it.
+  // The top of the head lies within its ball.
   const tops = figure.bones.filter(({ parent, joint }) => parent === figure.head && /end|top/i.test(figure.joints[joint]));
   figure.top = tops.length === 1 ? tops[0].joint : figure.head;
   figure.bones = figure.bones.filter((bone) => !tops.includes(bone) || tops.length > 1);
@@ -166,12 +166,12 @@ const measure = (figure, parents) => {
 
 // Layers of a figure's outline.
 const LAYERS = 24;
-// What is drawn around joints, as a part of the height; a lone root's body with its arrow, metres.
+// Extent of the drawing around joints, as a part of the height; of a lone root with its arrow, metres.
 const FLESH = 0.05;
 const LONE = 0.5;
 
-// How far from an upright axis, which `axis` gives for each frame, what is drawn reaches in all
-// frames: `[reach, height]`, metres, of the lower and upper border of each layer.
+// Largest distance of the drawing from a vertical axis over all frames, as `[reach, height]` in metres
+// for the lower and upper border of each layer. `axis` returns the axis of a frame.
 const outline = (figure, axis) => {
   const { positions, count, frames, bones, low, high, height } = figure;
   const joints = bones.length > 0 ? [...new Set(bones.flatMap(({ parent, joint }) => [parent, joint]))] : [...Array(count).keys()];
@@ -194,8 +194,8 @@ const outline = (figure, axis) => {
   return reaches.flatMap((reach, i) => (reach < 0 ? [] : [[reach, from + i * thick], [reach, from + (i + 1) * thick]]));
 };
 
-// The root's place on the ground, `[frames, 2]`, averaged over `half` frames before and after: what
-// a camera follows.
+// The root position on the ground, `[frames, 2]`, averaged over `half` frames before and after, for a
+// following camera.
 const smoothed = ({ positions, count, frames, root }, half) => {
   const trajectory = new Float32Array(2 * frames);
   for (const [axis, coordinate] of [[0, 0], [1, 2]]) {

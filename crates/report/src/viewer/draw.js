@@ -8,14 +8,14 @@ const mixed = (from, to, part) => {
   return `#${channels.join("")}`;
 };
 
-// As many as a scene has figures.
+// One colour for each figure of a scene.
 const FIGURE_COLOURS = [
   "#4a86e0", "#e58037", "#2fa37a", "#b263c9", "#d0515f", "#8f8a2f", "#17a9c9", "#8a5a3c",
   "#e273b5", "#6a6f7d", "#86bf2c", "#3b4fb8", "#d4a90f", "#0e6b5c", "#a02a6b", "#f0938a",
 ];
 const colourOf = (index) => FIGURE_COLOURS[index % FIGURE_COLOURS.length];
 
-// Corners of a lone root's body and the faces they make, seen from outside; its front is +z.
+// Corners and faces of a lone root's body, seen from outside; its front is +z.
 const BODY = [0.17, 0.26, 0.1];
 const FACES = [[0, 1, 3, 2], [5, 4, 6, 7], [4, 0, 2, 6], [1, 5, 7, 3], [2, 3, 7, 6], [4, 5, 1, 0]];
 
@@ -43,7 +43,7 @@ class Painter {
     this.obstacle = read("--kg-obstacle");
   }
 
-  // Draws the figures of `pane` at the frames that `frameOf` says.
+  // Draws the figures of `pane` at the frames that `frameOf` returns.
   pane(pane, view, frameOf, ratio) {
     const { context } = this;
     this.view = view;
@@ -124,7 +124,7 @@ class Painter {
     context.closePath();
   }
 
-  // A round carpet of squares below the target.
+  // A round grid of squares below the target.
   floor() {
     const { context, view, scene } = this;
     const cell = 10 ** Math.round(Math.log10(scene.size / 2.5));
@@ -226,7 +226,7 @@ class Painter {
     }
   }
 
-  // Shadow and contacts are drawn at once; of the body `pieces` that wait for their turn.
+  // Draws shadow and contacts, and adds the pieces of the body to `pieces`, which are sorted by depth.
   figure(index, frame, pieces) {
     const figure = this.scene.figures[index];
     const { positions, count } = figure;
@@ -315,7 +315,7 @@ class Painter {
     }
   }
 
-  // A joint that stands on the ground: a ring below it, and the joint lit up.
+  // A joint that stands on the ground: a ring below it, and a highlighted joint.
   touch(figure, base, joint, pieces) {
     const { context, view, ratio, contact } = this;
     const at = base + 3 * joint;
@@ -337,8 +337,8 @@ class Painter {
     pieces.push({ depth: depth - 0.05 * figure.height, draw });
   }
 
-  // A lone root: a body with an arrow to its front where its orientation is known, else a ball; and
-  // a plumb line to the ground.
+  // A lone root: a body with an arrow to its front if its orientation is known, else a ball; and a
+  // vertical line to the ground.
   root(figure, frame, colour, pieces) {
     const { context, view, ratio } = this;
     const at = [0, 1, 2].map((axis) => figure.positions[3 * frame + axis]);

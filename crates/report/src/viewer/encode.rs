@@ -1,7 +1,7 @@
 //! Compact text for motion and curves: quantised, predicted, compressed, base64.
 //!
-//! A pack holds channels over the same frames. A channel is quantised to 16 bits and stored as
-//! zigzag second differences, which are small for steady motion, all low bytes before all high
+//! A pack contains channels over the same frames. A channel is quantised to 16 bits and stored as
+//! zigzag second differences, which are small for smooth motion, all low bytes before all high
 //! bytes, in a zlib stream. Browsers unpack it with `DecompressionStream`.
 
 use base64::Engine;
@@ -24,7 +24,7 @@ const GAP: u16 = u16::MAX;
 
 /// Positions `[frames, joints, 3]` as a pack of `3 * joints` channels.
 ///
-/// Steps are 0.1 mm up to a spread of 6.5 m and grow with the spread. Where half a step would
+/// Steps are 0.1 mm up to a spread of 6.5 m and grow with the spread. If half a step would
 /// exceed [`POSITION_ERROR`] (26 m), values are stored in single precision.
 pub fn positions(values: &[f32], joints: usize) -> Value {
     let width = 3 * joints;

@@ -1,9 +1,9 @@
-// Where the frames of a motion that was made of examples come from, and what of those appears.
+// The source frames of a motion made from examples, and the coverage of the examples.
 
-// The colour of a place in all examples together, from 0 to 1.
+// The colour of a source frame, whose position in all examples is from 0 to 1.
 const originColour = (place) => `hsl(${Math.round(15 + 290 * place)} 60% 52%)`;
 
-// The figures with origins: their number, and the frames of their examples one behind the other.
+// The figures with origins: their number, and the frames of their examples, concatenated.
 const originated = (scene) =>
   scene.figures.flatMap((figure, index) => {
     if (!figure.origins) return [];
@@ -14,7 +14,7 @@ const originated = (scene) =>
     return [{ ...figure.origins, figure: index, fps: figure.fps, name: figure.name, colour }];
   });
 
-// A run of frames that follow each other in an example, from colour to colour.
+// A run of consecutive frames of an example, from colour to colour.
 const fillRun = (context, from, to, top, height, first, last) => {
   const gradient = context.createLinearGradient(from, 0, Math.max(to, from + 1), 0);
   gradient.addColorStop(0, first);
@@ -35,8 +35,8 @@ const rowLabel = (context, text, middle, ratio, colours) => {
 
 const noLegend = () => element("ul", { class: "kg-legend" });
 
-// For each part and moment the place in the examples, by its colour; a line rises through each run
-// of frames that follow each other.
+// The source frame of each part and time, by colour; a line rises through each run of consecutive
+// frames.
 class OriginChart extends Chart {
   constructor(scene, seek) {
     const several = scene.figures.length > 1;
@@ -73,8 +73,8 @@ class OriginChart extends Chart {
   }
 }
 
-// Which frames of each example appear, in any part; a click seeks one. The cursor is at the frame that
-// the first part shows.
+// The frames of each example that appear in any part; a click seeks one. The cursor is at the source
+// frame of the first part.
 class ExampleChart extends Chart {
   constructor(scene, seek) {
     const several = scene.figures.length > 1;
@@ -102,7 +102,7 @@ class ExampleChart extends Chart {
     return noLegend();
   }
 
-  // When the first part that has this frame of an example shows it; null if none does.
+  // The time at which the first part with this source frame shows it; null if none does.
   timeOf({ parts, example, fps }, frame) {
     for (const [start, from, first, frames] of parts.flatMap(({ runs }) => runs)) {
       if (from === example && frame >= first && frame < first + frames) return (start + frame - first) / fps;

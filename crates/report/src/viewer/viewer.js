@@ -22,7 +22,7 @@ const KEYS = [
   ["Drag", "turn; with Shift, the right button or two fingers: move"],
   ["Wheel, pinch", "nearer or further"],
 ];
-// Pixels that a canvas may have: without a graphics processor each one costs time.
+// Largest number of pixels of a canvas: without a GPU each pixel costs time.
 const MOST_PIXELS = 1.3e6;
 
 const icon = (name) => {
@@ -78,15 +78,15 @@ class Viewer {
     const size = Math.max(...figures.map((figure) => figure.height));
     const lowest = Math.min(...figures.map((figure) => figure.low[1]));
     const lone = figures.every((figure) => figure.count === 1);
-    // Feet stand at 0, unless the file puts its origin elsewhere.
+    // Feet stand at 0, unless the file has another origin.
     const ground = lone || Math.abs(lowest) < 0.3 * size ? 0 : lowest;
-    // What is further above than it is tall comes from another origin.
+    // A body further above 0 than its height has another origin.
     for (const figure of figures) {
       const above = figure.low[1] - ground;
       figure.ground = figure.count > 1 && above > figure.height ? figure.low[1] : ground;
     }
     this.scene = { ...data, figures, seconds, size, ground };
-    // The last frame lasts as long as any other, but no time lies beyond its beginning.
+    // The last frame is shown as long as any other, but the time ends at its start.
     this.clock = new Clock(seconds, data.song);
     this.sideBySide = figures.length > 1;
     this.following = figures.some((figure) => this.extent(figure) > 2.2 * figure.height);
@@ -162,7 +162,7 @@ class Viewer {
     return Math.min(frames - 1, Math.floor(this.clock.time * fps + 1e-4));
   }
 
-  // Goes on to the moment `now`, and draws what has changed.
+  // Advances to the time `now`, and draws the changes.
   tick(now) {
     if (!this.clock || !this.visible) return;
     const playing = this.playing;
@@ -181,7 +181,7 @@ class Viewer {
     this.stale = false;
     this.shown = this.frame;
     const panes = this.panes();
-    // What shows between the panes.
+    // The background between the panes.
     this.painter.context.fillStyle = this.painter.grid;
     this.painter.context.fillRect(0, 0, this.width, this.height);
     for (const pane of panes) {
@@ -226,7 +226,7 @@ class Viewer {
     }));
   }
 
-  // What the camera looks at, and from how far: all that is drawn of the figures, and the ground.
+  // Target and distance of the camera, so that it sees all figures and the ground.
   framing(pane) {
     const { ground, width, height } = pane;
     const goals = this.following ? [] : this.goalPlaces();
@@ -250,7 +250,7 @@ class Viewer {
     return [[x, y, z], distance];
   }
 
-  // Corners of what a goal puts on the ground.
+  // Corners of the marks of a goal on the ground.
   goalPlaces() {
     const { path, keyframes, obstacles, polygons } = this.scene.floor;
     const discs = obstacles.flatMap(([[x, z], r]) => [[x - r, z - r], [x + r, z + r]]);
@@ -287,7 +287,7 @@ class Viewer {
     const { keyframes } = this.scene.floor;
     this.ticks.classList.toggle("kg-none", beats.length + keyframes.length === 0);
     const [width, height, context, ratio] = sized(this.ticks);
-    // The slider's knob keeps within its ends.
+    // The slider's knob stays within its ends.
     const x = (time) => 8 * ratio + ((width - 16 * ratio) * time) / this.scene.seconds;
     context.fillStyle = this.painter.muted;
     for (const beat of beats) context.fillRect(x(beat), 0, 1.5 * ratio, 0.6 * height);
@@ -307,7 +307,7 @@ class Viewer {
     return button;
   }
 
-  // A button that stays down while `read` says so.
+  // A button that is down while `read` returns true.
   toggleButton(name, label, read, write) {
     const button = this.button(name, label, () => {
       write();
@@ -412,7 +412,7 @@ class Viewer {
     this.rates.value = rate;
   }
 
-  // Buttons say what they would do, or whether they are down.
+  // Labels of buttons name their action; toggles show their state.
   dress() {
     if (!this.playButton) return;
     const label = this.playing ? "Pause" : "Play";
@@ -470,7 +470,7 @@ class Viewer {
     found?.click();
   }
 
-  // Whether the key meant something here.
+  // True if the key has a meaning here.
   key({ key, shiftKey, target }) {
     const onButton = target instanceof HTMLElement && target.matches("button, summary");
     if (key === " " && onButton) return false;

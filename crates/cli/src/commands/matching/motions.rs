@@ -44,7 +44,7 @@ pub fn read(systems: Systems<'_>, path: &Path) -> Result<Motion, Error> {
         return read_clip(systems, path, file);
     }
     if !is_bvh(path) {
-        let message = format!("{file} is no .bvh or .npy file");
+        let message = format!("{file} is not a .bvh or .npy file");
         let hint = "examples are motions as BVH, or clips of joint features as .npy";
         return Err(Error::usage(message, hint));
     }

@@ -84,7 +84,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_belongs_together_is_one_chart() {
+    fn related_scalars_share_a_chart() {
         let record = Record::new(1)
             .with("loss", 2.0)
             .with("lr", 0.1)

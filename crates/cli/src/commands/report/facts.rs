@@ -12,7 +12,7 @@ use kinegrad_train::telemetry::{Environment, Record};
 
 use super::curves::training_seconds;
 use crate::progress::duration;
-use crate::runs::{Run, Standing, whole_state};
+use crate::runs::{Run, RunStatus, complete_state};
 
 type Fact = (String, String);
 
@@ -35,7 +35,7 @@ pub fn highlights(run: &Run, records: &[Record], last: Option<&Environment>) -> 
         facts.push(fact("from first to last step", duration(seconds)));
         let speed = records.iter().rev();
         let speed = speed.filter_map(|r| r.get("steps_per_second")).next();
-        if let (Some(speed), true) = (speed, run.standing == Standing::Training) {
+        if let (Some(speed), true) = (speed, run.status == RunStatus::Training) {
             let done = run.step.unwrap_or(0);
             let left = run.max_steps().map_or(0, |all| all.saturating_sub(done));
             facts.push(fact("time left", duration(left as f64 / speed.max(1e-9))));
@@ -140,7 +140,7 @@ pub fn checkpoints(run: &Run) -> Table {
     let best = run.best.as_ref().map(|best| best.step);
     let row = |step: u64| {
         let path = checkpoints.step_path(step);
-        let state = whole_state(&path);
+        let state = complete_state(&path);
         if state.is_err() && !path.exists() {
             return None;
         }
