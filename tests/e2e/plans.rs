@@ -197,7 +197,7 @@ fn what_a_preparation_should_tell_it_tells() {
         assert!(said.contains(text), "no `{text}` in {said}");
     }
     let said = sandbox.run("data prepare cut.toml").succeeded().stdout;
-    for text in ["shorter than its headers say", "are its units"] {
+    for text in ["shorter than its headers state", "are its units"] {
         assert!(said.contains(text), "no `{text}` in {said}");
     }
     let flagged = "flags like *damaged_audio*";

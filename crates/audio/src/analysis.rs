@@ -6,8 +6,7 @@ use crate::{
     tuning,
 };
 
-/// Samples beyond this magnitude are refused: their power would leave single precision. Full scale
-/// is 1.
+/// Largest magnitude of a sample, as its power must fit single precision. Full scale is 1.
 pub const LARGEST_SAMPLE: f32 = 1e6;
 
 /// The features of a recording before normalisation.
@@ -36,11 +35,11 @@ pub struct Analysis {
 }
 
 impl Analysis {
-    /// Analyses mono samples at [`SAMPLE_RATE`](crate::SAMPLE_RATE), any number of them.
+    /// Analyses any number of mono samples at [`SAMPLE_RATE`](crate::SAMPLE_RATE).
     ///
     /// # Errors
-    /// [`Error::Sample`] for a sample that is not finite or beyond [`LARGEST_SAMPLE`];
-    /// [`Error::AnalysisMemory`] where there is too little of it.
+    /// [`Error::Sample`] for a sample that is not finite or beyond [`LARGEST_SAMPLE`], and
+    /// [`Error::AnalysisMemory`].
     pub fn new(signal: &[f32]) -> Result<Self, Error> {
         check(signal)?;
         Ok(Self::of_checked(signal, tuning::estimate(signal)))
@@ -74,7 +73,7 @@ impl Analysis {
         }
     }
 
-    /// The same analysis with the beats of a song whose tempo is about `bpm` beats per minute.
+    /// The analysis with the beats of a tempo of about `bpm` beats per minute.
     pub fn with_tempo_near(self, bpm: f64) -> Self {
         Self {
             beats: beats::track_near(&self.onset.median, bpm),
@@ -87,11 +86,10 @@ impl Analysis {
         Features::new(self)
     }
 
-    /// Bytes of memory that it takes to compute the features of `samples` samples, beside the
-    /// samples themselves, roughly.
+    /// Approximate bytes of memory for the features of `samples` samples, in addition to the samples.
     pub fn memory(samples: usize) -> u64 {
-        // All tensors of an analysis are alive at a time, and as much again of what they are
-        // computed from; of the band-limited samples there is a piece at a time.
+        // All tensors of an analysis, the same again for their inputs, and one piece of the
+        // band-limited samples.
         let per_frame = 2 * mel::BANDS + mfcc::COEFFICIENTS + cqt::BINS + chroma::CLASSES + 4;
         let growing = num_frames(samples) as u64 * per_frame as u64 * 8;
         let piece = samples.min(cqt::SAMPLES_AT_A_TIME) as u64 * 8;
@@ -99,7 +97,7 @@ impl Analysis {
     }
 }
 
-/// The features of mono samples at [`SAMPLE_RATE`](crate::SAMPLE_RATE), any number of them.
+/// The features of any number of mono samples at [`SAMPLE_RATE`](crate::SAMPLE_RATE).
 ///
 /// # Errors
 /// As [`Analysis::new`].
@@ -107,8 +105,7 @@ pub fn extract(signal: &[f32]) -> Result<Features, Error> {
     Ok(Analysis::new(signal)?.features())
 }
 
-/// [`extract`] of a song whose tempo is known to be about `bpm` beats per minute: the beats are those
-/// of that tempo.
+/// [`extract`] with the beats of a tempo of about `bpm` beats per minute.
 ///
 /// # Errors
 /// As [`Analysis::new`].

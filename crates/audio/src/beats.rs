@@ -20,7 +20,7 @@ const SMOOTHING: [f64; 3] = [0.5, 1.0, 0.5];
 /// The tempo and the beats of a piece.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Beats {
-    /// Beats per minute; 0 where there is no onset.
+    /// Beats per minute; 0 without an onset.
     pub tempo: f64,
     /// Frames of the beats, ascending.
     pub frames: Vec<usize>,
@@ -40,9 +40,9 @@ pub struct Search {
     pub frames_per_beat: usize,
     /// Smoothed envelope, `[T]`.
     pub local_score: Vec<f64>,
-    /// Best score of a chain of beats that ends here, `[T]`.
+    /// Best score of a chain of beats that ends at the frame, `[T]`.
     pub cumulative_score: Vec<f64>,
-    /// The beat before, in that chain, `[T]`.
+    /// The previous beat of that chain, `[T]`.
     pub backlinks: Vec<Option<usize>>,
 }
 
@@ -52,8 +52,7 @@ pub fn track(onset_envelope: &[f32]) -> Beats {
     track_at(onset_envelope, tempo::estimate)
 }
 
-/// [`track`] with a tempo of about `bpm` beats per minute, which decides between a tempo, its half
-/// and its double.
+/// [`track`] with a tempo of about `bpm` beats per minute, not its half or double.
 pub fn track_near(onset_envelope: &[f32], bpm: f64) -> Beats {
     track_at(onset_envelope, |onset| tempo::estimate_near(onset, bpm))
 }
@@ -78,8 +77,7 @@ impl Search {
     /// Runs the dynamic programme at a fixed tempo.
     ///
     /// # Panics
-    /// Panics if a beat of this tempo lasts less than a frame or longer than a window of
-    /// [`LAGS`] frames; [`tempo::estimate`] gives no such tempo.
+    /// Panics unless a beat of this tempo lasts 1 to [`LAGS`] frames, as those of [`tempo::estimate`].
     pub fn new(onset_envelope: &[f32], tempo: &Tempo) -> Self {
         let frames_per_beat = (FRAMES_PER_MINUTE / tempo.bpm).round_ties_even() as usize;
         assert!((1..=LAGS).contains(&frames_per_beat), "a possible tempo");
@@ -93,7 +91,7 @@ impl Search {
         }
     }
 
-    /// Follows the links back from the last beat and drops weak beats at both ends.
+    /// Follows the links from the last beat and drops weak beats at both ends.
     pub fn beats(&self) -> Vec<usize> {
         let last = last_beat(&self.cumulative_score);
         let mut beats: Vec<usize> = std::iter::successors(last, |&i| self.backlinks[i]).collect();
@@ -126,7 +124,7 @@ fn local_score(onset_envelope: &[f32], frames_per_beat: usize) -> Vec<f64> {
         .collect()
 }
 
-/// Cumulative scores and links to the best beat before.
+/// Cumulative scores and links to the best previous beat.
 fn link(local: &[f64], frames_per_beat: usize) -> (Vec<f64>, Vec<Option<usize>>) {
     let nearest = (frames_per_beat as f64 / 2.0).round_ties_even() as usize;
     let distances = nearest.max(1)..=2 * frames_per_beat;
@@ -177,7 +175,7 @@ fn last_beat(cumulative: &[f64]) -> Option<usize> {
     strong.copied().or(n.checked_sub(1))
 }
 
-/// Drops the beats in the weak stretches before the first and after the last strong frame.
+/// Drops the beats before the first and after the last strong frame.
 fn trim(local: &[f64], beats: Vec<usize>) -> Vec<usize> {
     let at = |i: usize| beats.get(i).map_or(0.0, |&beat| local[beat]);
     let smoothed: Vec<f64> = (0..beats.len() + 2)

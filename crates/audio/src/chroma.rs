@@ -8,7 +8,7 @@ pub const CLASSES: usize = 12;
 
 const BINS_PER_SEMITONE: usize = BINS_PER_OCTAVE / CLASSES;
 
-/// Adds up the bins of each pitch class, three a semitone, centred on it.
+/// Adds up the bins of each pitch class: three per semitone, centred on it.
 ///
 /// # Shapes
 /// `cqt`: `[T, 252]`; result: `[T, 12]`.
@@ -22,7 +22,7 @@ pub fn fold(cqt: &FrameMatrix) -> FrameMatrix {
     out
 }
 
-/// Divides each frame by its maximum; a frame without one stays zero. `[T, 12]`.
+/// Divides each frame by its maximum; a frame of zeros stays zero. `[T, 12]`.
 pub fn normalise(mut chroma: FrameMatrix) -> FrameMatrix {
     for row in chroma.as_mut_slice().chunks_exact_mut(CLASSES) {
         let maximum = row.iter().copied().fold(0.0, f32::max);

@@ -8,8 +8,8 @@
 //! without its smallest values (1 % of the magnitude sum). A unit sine on a bin's centre gives
 //! `sqrt(L_k) / 2`.
 //!
-//! Each octave is computed from frames of 1024 samples of a signal whose band was halved as often
-//! as the octave lies low, instead of frames of up to 65536 samples. Source: Schörkhuber and
+//! Each octave is computed from frames of 1024 samples of a band-limited signal, instead of frames of
+//! up to 65536 samples. Source: Schörkhuber and
 //! Klapuri, Constant-Q transform toolbox for music processing, 2010; librosa 0.11 `cqt`.
 
 use rayon::prelude::*;
@@ -33,19 +33,19 @@ pub fn bin_frequency(k: usize, tuning: f64) -> f64 {
     440.0 * 2f64.powf(-45.0 / 12.0 + (k as f64 + tuning) / BINS_PER_OCTAVE as f64)
 }
 
-/// Two minutes: the octaves of a whole song would take more memory than the song.
+/// Two minutes, because the octaves of a long song take more memory than the song.
 const FRAMES_AT_A_TIME: usize = 4096;
 
-/// Samples that are band-limited at a time, at most.
+/// Most samples that are band-limited at a time.
 pub(crate) const SAMPLES_AT_A_TIME: usize = FRAMES_AT_A_TIME * HOP + 2 * octaves::CONTEXT;
 
-/// Magnitudes of the constant-Q transform of `signal`, `[T, 252]`, for the deviation from concert
-/// pitch that [`tuning::estimate`](crate::tuning::estimate) gives.
+/// Magnitudes of the constant-Q transform of `signal`, `[T, 252]`, for a deviation from concert pitch
+/// ([`tuning::estimate`](crate::tuning::estimate)).
 pub fn magnitudes(signal: &[f32], tuning: f64) -> FrameMatrix {
     in_pieces(signal, tuning, FRAMES_AT_A_TIME)
 }
 
-/// [`magnitudes`] of `frames` frames at a time, the same to the bit for any number of them.
+/// [`magnitudes`] in pieces of `frames` frames, which do not change the bits.
 fn in_pieces(signal: &[f32], tuning: f64, frames: usize) -> FrameMatrix {
     let filters = wavelets::all(tuning);
     let transform = RealFftPlanner::<f32>::new().plan_fft_forward(FRAME);
@@ -53,7 +53,7 @@ fn in_pieces(signal: &[f32], tuning: f64, frames: usize) -> FrameMatrix {
     let pieces = out.as_mut_slice().chunks_mut(frames * BINS);
     for (piece, rows) in pieces.enumerate() {
         let centre = piece * frames * HOP;
-        // An even sample: the octaves hold every second one.
+        // An even sample: the octaves contain every second one.
         let begin = centre.saturating_sub(octaves::CONTEXT) / 2 * 2;
         let end = centre + rows.len() / BINS * HOP + octaves::CONTEXT;
         let mut octaves = Octaves::new(&signal[begin..end.min(signal.len())]);

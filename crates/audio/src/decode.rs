@@ -19,20 +19,20 @@ use crate::analysis::unusable_sample;
 use crate::guard::guarded;
 use crate::resample::Resampling;
 
-/// Longest recording that is read: features of a longer one would be longer than any motion.
+/// Longest recording.
 pub const MAX_HOURS: u64 = 2;
 
-/// Most samples of one channel that are decoded: a small file at a high rate may claim many.
+/// Most samples of one channel.
 pub const MAX_SAMPLES: u64 = 1 << 30;
 
-/// Smallest sample rate that is read, in Hz.
+/// Lowest sample rate, in Hz.
 pub const LOWEST_RATE: u32 = 4000;
 
-/// Largest sample rate that is read, in Hz.
+/// Highest sample rate, in Hz.
 pub const HIGHEST_RATE: u32 = 768_000;
 
-/// Missing seconds worth a warning: an MP3 without a length header is measured by its size, and
-/// tags at its end count as music.
+/// Missing seconds from which on [`Waveform::damage`] reports them: the length of an MP3 without a
+/// length header is estimated from its size, which includes tags.
 const NOTICED_SECONDS: f64 = 0.1;
 
 /// A decoded recording.
@@ -44,10 +44,10 @@ pub struct Waveform {
     pub source_rate: u32,
     /// Channels in the file, averaged.
     pub source_channels: usize,
-    /// Damaged packets, replaced by silence of the same length as players do. A damaged part in
-    /// which not even packets can be found, as in MP3, is lost, and what follows comes early by it.
+    /// Damaged packets, replaced by silence of the same length. A damaged part without packets, as in
+    /// MP3, is lost, and the music after it is early.
     pub skipped_packets: usize,
-    /// Seconds missing relative to the headers of the file; 0 if they state no length.
+    /// Seconds missing relative to the file's headers; 0 if they state no length.
     pub missing_seconds: f64,
 }
 
@@ -58,8 +58,8 @@ impl Waveform {
             .then(|| format!("{} damaged packets were skipped", self.skipped_packets));
         let missing = (self.missing_seconds > NOTICED_SECONDS).then(|| {
             format!(
-                "it is {:.2} s shorter than its headers say: it was cut off, or parts of it are \
-                 lost and what follows them comes too early",
+                "it is {:.2} s shorter than its headers state: it was cut off, or parts of it are \
+                 lost and the music after them is early",
                 self.missing_seconds
             )
         });
@@ -68,19 +68,18 @@ impl Waveform {
     }
 }
 
-/// Decodes an MP3, WAV, FLAC or Ogg Vorbis file: channels averaged, encoder delay and padding
-/// taken off, resampled to [`SAMPLE_RATE`](crate::SAMPLE_RATE).
+/// Decodes an MP3, WAV, FLAC or Ogg Vorbis file: channels averaged, encoder delay and padding removed,
+/// resampled to [`SAMPLE_RATE`](crate::SAMPLE_RATE).
 ///
 /// # Errors
-/// [`Error`] names the file and the problem: unreadable, empty, of unknown format, without audio,
-/// damaged, of an odd sample rate, too long, or with samples out of range.
+/// All of [`Error`] but those of the analysis.
 pub fn decode(path: &Path) -> Result<Waveform, Error> {
     let name = path.display().to_string();
     let unreadable = |reason: String| Error::Read {
         file: name.clone(),
         reason,
     };
-    // Opening a pipe would wait for somebody to write into it, and a device may never end.
+    // Opening a pipe would wait for a writer, and a device may never end.
     if path.metadata().is_ok_and(|found| !found.is_file()) {
         return Err(unreadable("it is not a file".into()));
     }
@@ -89,8 +88,7 @@ pub fn decode(path: &Path) -> Result<Waveform, Error> {
     decode_reader(file, extension, &name)
 }
 
-/// [`decode()`] from any source of bytes. `extension` helps to find the format, `name` stands for
-/// the file in errors.
+/// [`decode()`] from any reader. `extension` is a hint for the format; errors name the file `name`.
 ///
 /// # Errors
 /// As [`decode()`].
@@ -109,7 +107,7 @@ pub fn decode_reader(
         });
     }
     let mut mono = Mono::new(name);
-    // The format readers compute with sizes of forged headers and can panic on them.
+    // The format readers can panic on forged headers.
     let read = guarded(|| mono.read(source, extension));
     read.unwrap_or_else(|| Err(mono.corrupt("its sizes contradict each other".to_owned())))?;
     Ok(Waveform {
@@ -139,7 +137,7 @@ fn open_format<'s>(
             MetadataOptions::default(),
         )
         .map_err(|e| match e {
-            // The readers take tags into memory whole, of any length.
+            // The readers load tags of any length into memory.
             StreamError::IoError(e) if e.kind() == io::ErrorKind::OutOfMemory => Error::Memory {
                 file: name.to_owned(),
                 second: 0.0,
@@ -151,7 +149,7 @@ fn open_format<'s>(
         })
 }
 
-/// The first audio track with a known coding, and its decoder.
+/// The first audio track with a known codec, and its decoder.
 fn open_track<'f>(
     format: &'f dyn FormatReader,
     name: &str,
@@ -202,7 +200,7 @@ struct Mono<'a> {
     promised: Option<u64>,
     /// The signal so far, from the first packet on.
     signal: Option<Resampling>,
-    /// Samples of the packet that is decoded.
+    /// Samples of the current packet.
     mono: Vec<f32>,
     interleaved: Vec<f32>,
 }
@@ -299,12 +297,11 @@ impl<'a> Mono<'a> {
         }
     }
 
-    /// Replaces a damaged packet by silence, so that what follows keeps its time. Damaged packets
+    /// Replaces a damaged packet by silence, so that later packets keep their time. Damaged packets
     /// before the first good one are dropped.
     fn skip(&mut self, packet: &Packet) -> Result<(), Error> {
         self.skipped_packets += 1;
-        // The formats that are read count packets in samples. A forged duration adds at most a
-        // second.
+        // All supported formats count packets in samples. A forged duration adds at most a second.
         let silence = packet.dur.get().min(u64::from(self.rate)) as usize;
         self.must_hold(silence)?;
         if let Some(signal) = &mut self.signal {
@@ -331,8 +328,7 @@ impl<'a> Mono<'a> {
         }
     }
 
-    /// Whether the file was written without a known length, as into a pipe: its headers then state
-    /// no length, or an impossible one.
+    /// True if the headers state no length, or an impossible one, as in a file written into a pipe.
     fn is_endless(&self) -> bool {
         let most = MAX_HOURS * 3600 * u64::from(self.rate.max(1));
         self.promised.is_none_or(|promised| promised > most)
@@ -398,7 +394,7 @@ mod tests {
     #[test]
     fn a_high_rate_makes_no_room_for_more_samples() {
         let mut song = Mono::new("song.flac");
-        // Two hours would be 4.7 thousand million samples.
+        // Two hours would be 4.7e9 samples.
         song.rate = 655_350;
         song.must_hold(MAX_SAMPLES as usize)
             .expect("as many as are read");

@@ -3,7 +3,7 @@
 use miette::Diagnostic;
 use thiserror::Error;
 
-/// Errors of decoding and analysis. `file` is the path, or the name given for a reader.
+/// Errors of decoding and analysis. `file` is the path, or the name of a reader.
 #[derive(Clone, Debug, Diagnostic, Error, PartialEq)]
 pub enum Error {
     /// The file could not be opened or read.
@@ -12,7 +12,7 @@ pub enum Error {
     Read {
         /// The file.
         file: String,
-        /// Reason given by the operating system.
+        /// Reason from the operating system.
         reason: String,
     },
 
@@ -33,11 +33,11 @@ pub enum Error {
     UnknownFormat {
         /// The file.
         file: String,
-        /// Reason given by the reader.
+        /// Reason from the reader.
         reason: String,
     },
 
-    /// The file holds no audio track.
+    /// The file contains no audio track.
     #[error("{file}: no audio track found")]
     #[diagnostic(help("name a file with music in it"))]
     NoAudioTrack {
@@ -53,7 +53,7 @@ pub enum Error {
     UnsupportedCodec {
         /// The file.
         file: String,
-        /// Reason given by the decoder.
+        /// Reason from the decoder.
         reason: String,
     },
 
@@ -65,11 +65,11 @@ pub enum Error {
         file: String,
         /// Seconds decoded so far.
         second: f64,
-        /// Reason given by the reader or decoder.
+        /// Reason from the reader or decoder.
         reason: String,
     },
 
-    /// The file ends without one decodable packet.
+    /// The file contains no decodable packet.
     #[error("{file}: nothing could be decoded; {skipped_packets} damaged packets found")]
     #[diagnostic(help("the file is damaged or was cut off: copy or export it again"))]
     NothingDecoded {
@@ -119,7 +119,7 @@ pub enum Error {
         samples: u64,
     },
 
-    /// There is no memory for the samples.
+    /// Out of memory for the samples.
     #[error("{file}: memory is full after second {second:.0}")]
     #[diagnostic(help(
         "a minute takes 10 MiB, and its features 8: cut the file into pieces, or free memory"
@@ -131,7 +131,7 @@ pub enum Error {
         second: f64,
     },
 
-    /// There is no memory for the features.
+    /// Out of memory for the features.
     #[error(
         "the features of {minutes:.0} minutes need {mebibytes} MiB of memory, and there is less"
     )]
@@ -155,7 +155,7 @@ pub enum Error {
         found: f32,
     },
 
-    /// A sample given for analysis is not finite or far beyond full scale.
+    /// A sample for analysis is not finite or far beyond full scale.
     #[error("sample {index} is {found}, -1 to 1 is full scale")]
     #[diagnostic(help("scale the samples to full scale 1 and repair those that are not finite"))]
     Sample {

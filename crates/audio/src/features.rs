@@ -32,7 +32,7 @@ pub const CHANNELS: usize = ONSET + 1;
 /// Avoids division by zero.
 const EPSILON: f64 = 1e-8;
 
-/// The seven features of a recording, tempo and beats. Made by [`extract`](crate::extract).
+/// The features, tempo and beats of a recording, from [`extract`](crate::extract).
 #[derive(Clone, Debug, PartialEq)]
 pub struct Features {
     frames: usize,
@@ -73,18 +73,18 @@ impl Features {
         &self.stacked
     }
 
-    /// The rows `rows` of the conditioning tensor, `[rows, T]`: `features.rows(CHROMA)`.
+    /// Rows of the conditioning tensor, `[rows, T]`: `features.rows(CHROMA)`.
     ///
     /// # Panics
-    /// Panics if the range reaches beyond [`CHANNELS`].
+    /// Panics if the range exceeds [`CHANNELS`].
     pub fn rows(&self, rows: Range<usize>) -> &[f32] {
         &self.stacked[rows.start * self.frames..rows.end * self.frames]
     }
 
-    /// The frames of `range`, with the beats in them; the tempo stays that of the whole.
+    /// The frames and beats of `range`, with the tempo of the whole recording.
     ///
     /// # Panics
-    /// Panics if `range` reaches beyond the last frame.
+    /// Panics if `range` exceeds the frames.
     pub fn slice(&self, range: Range<usize>) -> Self {
         let rows = self.stacked.chunks_exact(self.frames);
         let beats = self.beats.frames.iter();

@@ -1,4 +1,4 @@
-//! One row of values for every frame.
+//! A matrix with one row per frame.
 
 /// A matrix `[frames, width]` of single-precision values, one frame after the other.
 #[derive(Clone, Debug, PartialEq)]
@@ -13,7 +13,7 @@ impl FrameMatrix {
     /// # Panics
     /// Panics if `width` is zero.
     pub fn zeros(frames: usize, width: usize) -> Self {
-        assert!(width > 0, "a frame holds at least one value");
+        assert!(width > 0, "a frame has at least one value");
         Self {
             width,
             values: vec![0.0; frames * width],
@@ -43,7 +43,7 @@ impl FrameMatrix {
         &self.values
     }
 
-    /// All values, row-major `[frames, width]`, to be changed.
+    /// All values, row-major `[frames, width]`, for changes.
     pub fn as_mut_slice(&mut self) -> &mut [f32] {
         &mut self.values
     }

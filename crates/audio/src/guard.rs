@@ -7,14 +7,13 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 /// Number of active guarded calls.
 static GUARDED: AtomicUsize = AtomicUsize::new(0);
 
-/// The result of `call`; `None` if it panics. The message of the panic is not shown; the caller
-/// reports the error.
+/// The result of `call`; `None` if it panics, without the panic's message.
 pub fn guarded<T>(call: impl FnOnce() -> T) -> Option<T> {
     static HOOK: Once = Once::new();
     HOOK.call_once(|| {
         let before = take_hook();
         set_hook(Box::new(move |panic| {
-            // The library may panic on threads of its own, so the flag is not this thread's.
+            // Not thread-local: the library may panic on its own threads.
             if GUARDED.load(Ordering::SeqCst) == 0 {
                 before(panic);
             }

@@ -1,10 +1,8 @@
 //! From a music file to the `[163, T]` audio conditioning tensor, tempo and beats.
 //!
 //! [`decode()`] reads a file to mono samples at [`SAMPLE_RATE`]; [`extract`] computes the features
-//! at [`FPS`] frames per second, `T = 1 + floor(n / `[`HOP`]`)`. [`Analysis`] contains every
-//! intermediate tensor, and [`beats::track`] works on a stored onset envelope. The definitions are
-//! librosa's (0.11) with CC-MotionGen's settings. Source: CC-MotionGen, section 4 (docs/sources.md,
-//! section 2).
+//! at [`FPS`] frames per second, `T = 1 + floor(n / `[`HOP`]`)`. The definitions are librosa's (0.11)
+//! with CC-MotionGen's settings. Source: CC-MotionGen, section 4 (docs/sources.md, section 2).
 //!
 //! ```
 //! use kinegrad_audio::{CHANNELS, SAMPLE_RATE, extract};
@@ -44,7 +42,7 @@ pub use features::{CHANNELS, Features};
 pub use frames::FrameMatrix;
 pub use pulse::Pulse;
 
-/// Samples per second that every feature is computed at.
+/// Samples per second of every analysis.
 pub const SAMPLE_RATE: u32 = 44_100;
 
 /// Samples from one frame to the next: a thirtieth of a second.

@@ -13,7 +13,7 @@ use crate::stft::{BINS, bin_frequency};
 /// Bands of a bank.
 pub const BANDS: usize = 128;
 
-/// Decibels between the loudest and the quietest value that is kept.
+/// Decibels from the loudest value to the floor.
 pub const DYNAMIC_RANGE_DB: f64 = 80.0;
 
 const QUIETEST_POWER: f64 = 1e-10;
@@ -28,7 +28,7 @@ pub struct MelBank {
     filters: Vec<Filter>,
 }
 
-/// The part of a filter that is not zero.
+/// The nonzero part of a filter.
 struct Filter {
     first_bin: usize,
     weights: Vec<f32>,

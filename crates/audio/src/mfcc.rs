@@ -5,7 +5,7 @@ use std::f64::consts::PI;
 use crate::FrameMatrix;
 use crate::mel::BANDS;
 
-/// Coefficients kept, the zeroth included.
+/// Coefficients, the zeroth included.
 pub const COEFFICIENTS: usize = 20;
 
 /// The first [`COEFFICIENTS`] of the orthonormal DCT-II over the bands of each frame, no lifter.

@@ -1,9 +1,8 @@
 //! The signal at half the sample rate, band-limited further for every lower octave.
 //!
-//! The hop at half rate, 735 samples, is odd: a frame may begin at any sample, so the rate cannot
-//! fall further. Instead each octave's signal stays at this rate and only its band is halved, by
-//! the same half-band filter with its taps spread twice as far apart (the "à trous" cascade). A
-//! frame is then read with a stride.
+//! The hop at half rate, 735 samples, is odd, so the rate cannot be halved again. Instead each octave
+//! halves the band alone, by the same half-band filter with taps twice as far apart (the "à trous"
+//! cascade), and frames are read with a stride.
 
 use std::f64::consts::PI;
 
@@ -11,20 +10,20 @@ use rayon::prelude::*;
 
 use crate::wavelets::FRAME;
 
-/// Taps of the band filter on one side of its centre; a half-band filter has only odd ones. With
-/// the window below it stops 90 dB, from 0.4 of the rate on what it passes up to 0.1.
+/// Taps of the band filter on one side of its centre, at odd distances. With the window below it passes
+/// frequencies up to 0.1 of the rate and attenuates those from 0.4 on by 90 dB.
 const BAND_TAPS: usize = 6;
-/// Taps of the filter that halves the rate: 0.46 to 0.54 of the new rate lie between both.
+/// Taps of the filter that halves the rate; its transition is 0.46 to 0.54 of the new rate.
 const RATE_TAPS: usize = 40;
 const KAISER_BETA: f64 = 10.06;
-/// Widest spread of the taps: below octave 1 there are six filters, spread 1 to 32.
+/// Widest spread of the taps: the six filters below octave 1 are spread 1 to 32.
 const WIDEST_SPREAD: usize = 32;
-/// Silence on both sides of the signal, where the filters ring out: all their reaches together
-/// and the last one's once more, for reading.
+/// Silence on both sides of the signal, where the filters ring out: the sum of their reaches, and the
+/// last one's again for reading.
 const PAD: usize = reach(BAND_TAPS) * 3 * WIDEST_SPREAD + reach(BAND_TAPS);
-/// Samples at the full rate on each side of a frame's centre that a frame depends on, at most.
+/// Most samples at the full rate on each side of a frame's centre that a frame depends on.
 pub(crate) const CONTEXT: usize = 2 * (PAD + FRAME / 2 * 2 * WIDEST_SPREAD + RATE_TAPS);
-/// Samples a thread filters at a time.
+/// Samples of a task.
 const CHUNK: usize = 4096;
 
 /// The band-limited signal of one octave after the other, at 22050 samples a second.
@@ -35,7 +34,7 @@ pub(crate) struct Octaves<'a> {
     /// The octave's signal with [`PAD`] samples on both sides.
     samples: Vec<f32>,
     filtered: Vec<f32>,
-    /// Distance between the taps of the next filter, in units of half the distance at first.
+    /// Spread of the next filter's taps: 1, 2, 4, ...
     spread: usize,
 }
 
@@ -56,8 +55,8 @@ impl<'a> Octaves<'a> {
     /// Halves the band: the next octave down.
     pub fn descend(&mut self) {
         if self.spread == 1 {
-            // The reference reads the top octave at the full rate, and all others from a signal
-            // of half the rate that begins and ends sharply.
+            // The reference reads the top octave at the full rate and the others from a signal of half
+            // the rate with sharp ends.
             self.samples = halve(self.signal, &half_band(RATE_TAPS));
             let end = self.samples.len() - PAD;
             self.samples[..PAD].fill(0.0);
@@ -83,12 +82,11 @@ impl<'a> Octaves<'a> {
         self.spread *= 2;
     }
 
-    /// Every `stride`-th sample around `centre`, zeros outside the signal; the centre itself goes
-    /// to the middle of `frame`.
+    /// Fills `frame` with every `stride`-th sample around `centre`, zeros outside the signal.
     pub fn gather(&self, centre: usize, stride: usize, frame: &mut [f32]) {
         let before = stride * (frame.len() / 2);
         let centre = centre + PAD;
-        // Samples of the frame that lie before the first stored one.
+        // Samples of the frame before the first stored one.
         let skipped = before
             .saturating_sub(centre)
             .div_ceil(stride)
@@ -135,8 +133,7 @@ fn padded(samples: impl Iterator<Item = f32>, len: usize) -> Vec<f32> {
     out
 }
 
-/// Calls `chunk(first, out)` for the parts of `out` that lie at least `reach` from its ends. The
-/// signal has died away before: the ends stay zero.
+/// Calls `chunk(first, out)` for the parts of `out` at least `reach` from its ends, which stay zero.
 fn filter(out: &mut [f32], reach: usize, chunk: impl Fn(usize, &mut [f32]) + Sync) {
     let end = out.len() - reach;
     out[reach..end]
@@ -193,7 +190,7 @@ mod tests {
     }
 
     #[test]
-    fn the_filters_pass_and_stop_as_they_say() {
+    fn the_filters_have_their_pass_and_stop_bands() {
         for (taps, passed) in [(BAND_TAPS, 0.1), (RATE_TAPS, 0.23)] {
             for i in 0..=100 {
                 let f = passed * f64::from(i) / 100.0;

@@ -8,7 +8,7 @@
 
 use crate::FrameMatrix;
 
-/// Both summaries of the growth over the bands, each `[T]`.
+/// The mean and median growth over the bands, each `[T]`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct OnsetStrength {
     /// Mean over the bands: the conditioning row before its normalisation.

@@ -1,4 +1,4 @@
-//! Positions within beats and bars, and the beat features made of them.
+//! Positions within beats and bars, and their beat features.
 //!
 //! The position is linear in time between beats; beyond the ends, beats continue at the distance of
 //! the nearest two.
@@ -7,9 +7,9 @@ use std::f64::consts::TAU;
 
 use crate::{Beats, FPS};
 
-/// The beat features of a frame, in the order of their rows: sine and cosine of the position in the
-/// beat; sine and cosine of the position in the bar, and whether it is known (all three 0 where it
-/// is not); 1 in the frame nearest to a beat; the tempo in octaves above [`REFERENCE_BPM`].
+/// The rows of the beat features: sine and cosine of the position in the beat; sine and cosine of the
+/// position in the bar, and 1 if it is known (all three 0 otherwise); 1 in the frame nearest to a beat;
+/// the tempo in octaves above [`REFERENCE_BPM`].
 pub const BEAT_FEATURES: [&str; 7] = [
     "beat_sin",
     "beat_cos",
@@ -20,16 +20,16 @@ pub const BEAT_FEATURES: [&str; 7] = [
     "tempo",
 ];
 
-/// Beats per minute of the tempo feature 0.
+/// Beats per minute at tempo feature 0.
 pub const REFERENCE_BPM: f64 = 120.0;
 
-/// Beats on either side of a beat that its time is smoothed over.
+/// Beats on either side that smooth a beat's time.
 const REACH: usize = 4;
 
-/// Most seconds that smoothing moves a beat: one frame, what tracking is precise to.
+/// Most seconds that smoothing moves a beat: one frame, the precision of tracking.
 const MOST_MOVED: f64 = 1.0 / FPS;
 
-/// Beats on either side of a moment that the local tempo is the mean of.
+/// Beats on either side of a moment that the local tempo averages.
 const TEMPO_REACH: f64 = 2.0;
 
 /// The beats of a song in seconds, with the bars if they are known.
@@ -49,7 +49,7 @@ pub struct Bars {
 }
 
 impl Pulse {
-    /// Beats at these `seconds`; none unless they are at least two, finite and increasing.
+    /// Beats at these `seconds`; `None` unless they are at least two, finite and increasing.
     pub fn new(seconds: Vec<f64>) -> Option<Self> {
         let increasing = seconds.windows(2).all(|pair| pair[0] < pair[1]);
         let sound = seconds.len() >= 2 && increasing && seconds.iter().all(|s| s.is_finite());
@@ -59,16 +59,14 @@ impl Pulse {
         })
     }
 
-    /// Even beats, the first at `start` seconds, the others `seconds_per_beat` apart; none unless
-    /// that is positive.
+    /// Even beats from `start` seconds on; `None` unless `seconds_per_beat` is positive.
     pub fn even(start: f64, seconds_per_beat: f64) -> Option<Self> {
         // Two beats are extrapolated on both sides.
         Self::new(vec![start, start + seconds_per_beat])
     }
 
-    /// The beats of a tracker, smoothed, as they are rounded to frames: each is moved by at most a
-    /// frame towards the line fitted to the four beats on either side. None of fewer than two
-    /// beats.
+    /// The beats of a tracker, which are rounded to frames, smoothed: each moves by at most a frame
+    /// towards the line fitted to four beats on either side. `None` for fewer than two beats.
     pub fn tracked(beats: &Beats) -> Option<Self> {
         let tracked = beats.times();
         let smoothed = (0..tracked.len()).map(|k| {
@@ -77,15 +75,14 @@ impl Pulse {
             line.clamp(tracked[k] - MOST_MOVED, tracked[k] + MOST_MOVED)
         });
         let mut smoothed: Vec<f64> = smoothed.collect();
-        // Beats less than two frames apart could change places.
+        // Smoothing could reorder beats less than two frames apart.
         if smoothed.windows(2).any(|pair| pair[0] >= pair[1]) {
             smoothed = tracked;
         }
         Self::new(smoothed)
     }
 
-    /// `count` beats (at least two) from position `first` on, extrapolated beyond the ends. Bars
-    /// are dropped.
+    /// `count` beats (at least two) from position `first` on, extrapolated beyond the ends, without bars.
     pub fn from_beat(&self, first: f64, count: usize) -> Self {
         let moment = |k: usize| self.moment(first + k as f64);
         Self {
@@ -94,8 +91,8 @@ impl Pulse {
         }
     }
 
-    /// The same beats in bars of `beats_per_bar`, at least 1, one of which begins at the beat
-    /// nearest to `downbeat` seconds.
+    /// The beats in bars of `beats_per_bar`, at least 1, one of which begins at the beat nearest to
+    /// `downbeat` seconds.
     pub fn with_downbeat(self, beats_per_bar: u32, downbeat: f64) -> Self {
         let downbeat = self.position(downbeat).round();
         let bars = Some(Bars {
@@ -105,7 +102,7 @@ impl Pulse {
         Self { bars, ..self }
     }
 
-    /// The bars, where they are known.
+    /// The bars, if they are known.
     pub fn bars(&self) -> Option<Bars> {
         self.bars
     }
@@ -167,10 +164,10 @@ impl Pulse {
     }
 }
 
-/// Beats from the first of `beats` to a moment; they are at least two and increase.
+/// Beats from the first of increasing `beats` to a moment.
 ///
 /// # Panics
-/// Panics on fewer than two.
+/// Panics on fewer than two beats.
 pub fn position(beats: &[f64], seconds: f64) -> f64 {
     let started = beats.partition_point(|beat| *beat <= seconds);
     let last = started.saturating_sub(1).min(beats.len() - 2);
@@ -211,7 +208,7 @@ mod tests {
     }
 
     #[test]
-    fn positions_are_linear_between_beats_and_go_on_at_the_ends() {
+    fn positions_are_linear_between_beats_and_beyond_the_ends() {
         for (seconds, position) in [
             (0.5, -1.0),
             (1.0, 0.0),
@@ -226,7 +223,7 @@ mod tests {
     }
 
     #[test]
-    fn too_few_or_disordered_beats_are_no_pulse() {
+    fn too_few_or_disordered_beats_are_refused() {
         for bad in [&[][..], &[1.0], &[1.0, 1.0], &[2.0, 1.0], &[0.0, f64::NAN]] {
             assert_eq!(Pulse::new(bad.to_vec()), None, "{bad:?}");
         }

@@ -7,26 +7,26 @@ use rubato::{Fft, FixedSync, Resampler, WindowFunction};
 
 use crate::SAMPLE_RATE;
 
-/// Samples of a block at the lower of both rates, at least: the filter then passes about 0.91 of
-/// the lower Nyquist frequency and stops everything above it, as soxr's "HQ" does.
+/// Fewest samples of a block at the lower rate: the filter then passes about 0.91 of the lower Nyquist
+/// frequency and stops everything above it, as soxr's "HQ" does.
 const BLOCK: usize = 288;
 
-/// Resamples a signal that arrives in pieces to [`SAMPLE_RATE`], with linear phase and without
-/// delay. It buffers less than a block.
+/// Resamples pieces of a signal to [`SAMPLE_RATE`], with linear phase and without delay. It buffers less
+/// than a block.
 pub(crate) struct Resampling {
     rate: u32,
-    /// None where the signal has the rate already.
+    /// `None` if the signal has the rate already.
     resampler: Option<Fft<f32>>,
-    /// Samples that do not fill a block yet.
+    /// Samples that do not yet fill a block.
     pending: Vec<f32>,
-    /// Samples of the filter's delay that are still to come.
+    /// Remaining samples of the filter's delay.
     delay: usize,
     received: u64,
     resampled: Vec<f32>,
 }
 
 impl Resampling {
-    /// Of a signal with `rate` samples per second.
+    /// Resamples from `rate` samples per second.
     ///
     /// # Panics
     /// Panics if `rate` is zero.
@@ -50,7 +50,7 @@ impl Resampling {
     /// Reserves memory for the result of `more` samples.
     ///
     /// # Errors
-    /// If there is no memory for it.
+    /// If memory is full.
     pub fn reserve(&mut self, more: usize) -> Result<(), TryReserveError> {
         let block = self
             .resampler
@@ -92,15 +92,13 @@ impl Resampling {
             .as_mut()
             .expect("only where the rates differ");
         let output = resampler.process(&input, None);
-        let output = output
-            .expect("the block has the size asked for")
-            .take_data();
+        let output = output.expect("the block has the right size").take_data();
         let late = self.delay.min(output.len());
         self.delay -= late;
         self.resampled.extend_from_slice(&output[late..]);
     }
 
-    /// The whole signal: `ceil(received * 44100 / rate)` samples.
+    /// The resampled signal: `ceil(received * 44100 / rate)` samples.
     pub fn finish(mut self) -> Vec<f32> {
         let length = self.received * u64::from(SAMPLE_RATE);
         let length = length.div_ceil(u64::from(self.rate)) as usize;
@@ -114,7 +112,6 @@ impl Resampling {
             }
         }
         self.resampled.resize(length, 0.0);
-        // Growing left room.
         self.resampled.shrink_to_fit();
         self.resampled
     }
@@ -123,7 +120,7 @@ impl Resampling {
 fn resampler(rate: u32) -> Fft<f32> {
     let divisor = greatest_common_divisor(rate, SAMPLE_RATE);
     let lower = (rate.min(SAMPLE_RATE) / divisor) as usize;
-    // An even number of blocks: the filter's delay is half a block, a whole number of samples.
+    // An even number, so that the filter's delay, half a block, is a whole number of samples.
     let blocks = BLOCK.div_ceil(lower).next_multiple_of(2);
     let block = blocks * (rate / divisor) as usize;
     Fft::new_custom(
@@ -179,7 +176,7 @@ mod tests {
     }
 
     #[test]
-    fn what_lies_above_the_new_limit_is_gone() {
+    fn frequencies_above_the_new_limit_are_removed() {
         let found = to_sample_rate(sine(23_500.0, 96_000, 96_000), 96_000);
         assert!(found[10_000..34_000].iter().all(|y| y.abs() < 2e-6));
     }

@@ -7,7 +7,7 @@ use crate::mel::{BANDS, MelBank};
 use crate::stft::{BINS, Stft, bin_frequency};
 use crate::{FrameMatrix, HOP, num_frames};
 
-/// The spectrum of every frame, summarised; the transform itself is not kept.
+/// Summaries of the spectrum of every frame.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Spectral {
     /// Mel power between 20 and 8000 Hz, `[T, 128]`.
@@ -18,7 +18,7 @@ pub struct Spectral {
     pub centroid: Vec<f32>,
 }
 
-/// Computes one transform of every frame of `signal` and summarises it.
+/// Transforms every frame of `signal` once.
 pub fn analyse(signal: &[f32]) -> Spectral {
     let frames = num_frames(signal.len());
     let stft = Stft::new();
@@ -53,7 +53,7 @@ pub fn analyse(signal: &[f32]) -> Spectral {
     out
 }
 
-/// Mean frequency weighted by magnitude; 0 for a frame with next to none.
+/// Mean frequency weighted by magnitude; 0 for a silent frame.
 fn spectral_centroid(magnitudes: &[f32], frequencies: &[f64]) -> f32 {
     let (mut weighted, mut sum) = (0.0f64, 0.0f64);
     for (&m, f) in magnitudes.iter().zip(frequencies) {

@@ -19,14 +19,14 @@ pub const FRAMES_PER_MINUTE: f64 = 60.0 * crate::FPS;
 const PRIOR_BPM: f64 = 120.0;
 /// Width of the prior around a stated tempo, in octaves.
 const STATED_OCTAVES: f64 = 0.1;
-/// A beat is found this many octaves around a stated tempo.
+/// Largest distance from a stated tempo, in octaves.
 const STATED_REACH: f64 = 0.3;
-/// Tempi from here on are no beats.
+/// Lowest tempo that is too fast.
 const TOO_FAST_BPM: f64 = 320.0;
-/// Windows a thread adds up in one go; fixed, so that the sum does not depend on the threads.
+/// Windows of a task; fixed, so that sums do not depend on the number of threads.
 const WINDOWS: usize = 256;
 
-/// A tempo and the curve it was read from.
+/// A tempo and its autocorrelation.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Tempo {
     /// Beats per minute, `1800 / lag` for a whole lag.
@@ -44,10 +44,10 @@ pub fn estimate(onset_envelope: &[f32]) -> Tempo {
     choose(onset_envelope, log_prior)
 }
 
-/// The tempo of `onset_envelope`, `[T]`, any scale, where it is known to be about `stated` beats
-/// per minute: not its half or its double.
+/// The tempo of `onset_envelope`, `[T]`, any scale, near `stated` beats per minute: not its half or
+/// double.
 pub fn estimate_near(onset_envelope: &[f32], stated: f64) -> Tempo {
-    // The nearest whole lag always counts, however short.
+    // The nearest whole lag is always allowed.
     let nearest = (FRAMES_PER_MINUTE / stated)
         .round()
         .clamp(1.0, (LAGS - 1) as f64);
@@ -85,7 +85,7 @@ fn tempogram_mean(onset_envelope: &[f32]) -> Vec<f64> {
     let hann: Vec<f64> = (0..LAGS)
         .map(|n| 0.5 - 0.5 * (TAU * n as f64 / LAGS as f64).cos())
         .collect();
-    // Twice as long as a window: the autocorrelation does not wrap.
+    // Twice the window, so that the autocorrelation does not wrap.
     let size = (2 * LAGS).next_power_of_two();
     // A planner of double precision would compile all of rustfft a second time.
     let forward = Radix4::<f64>::new(size, FftDirection::Forward);
@@ -124,7 +124,7 @@ fn tempogram_mean(onset_envelope: &[f32]) -> Vec<f64> {
     mean
 }
 
-/// The curve with half a window on either side that falls linearly to zero.
+/// The curve with half a window of linear decay to zero at either end.
 fn extend(curve: &[f32]) -> Vec<f64> {
     const HALF: usize = LAGS / 2;
     let first = f64::from(curve.first().copied().unwrap_or(0.0));

@@ -11,7 +11,7 @@ use crate::stft::{BINS, N_FFT, Stft, bin_frequency};
 const HOP: usize = 512;
 const LOWEST_HZ: f64 = 150.0;
 const HIGHEST_HZ: f64 = 4000.0;
-/// A peak is at least this high, relative to its frame's maximum.
+/// Least height of a peak, relative to its frame's maximum.
 const PEAK_THRESHOLD: f32 = 0.1;
 /// 440 Hz, four octaves down.
 const REFERENCE_HZ: f64 = 27.5;
@@ -26,7 +26,7 @@ struct Peak {
 }
 
 /// The deviation from concert pitch in fractions of a 1/36-octave bin, a multiple of 0.01 in
-/// [-0.5, 0.5); 0 where there is no peak. On noise the value is arbitrary.
+/// [-0.5, 0.5); 0 without peaks, arbitrary for noise.
 pub fn estimate(signal: &[f32]) -> f64 {
     let stft = Stft::new();
     let mut peaks: Vec<Peak> = (0..1 + signal.len() / HOP)

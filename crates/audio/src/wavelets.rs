@@ -13,10 +13,10 @@ use rustfft::{Fft, FftDirection};
 use crate::SAMPLE_RATE;
 use crate::cqt::{BINS, BINS_PER_OCTAVE, OCTAVES, bin_frequency};
 
-/// Samples of a frame once its octave's stride is applied.
+/// Samples of a frame, after its octave's stride.
 pub(crate) const FRAME: usize = 1024;
 
-/// The smallest magnitudes of a row that together stay below this share of it are dropped.
+/// Share of a row's magnitude sum; the smallest magnitudes below it are dropped.
 const DROPPED_SHARE: f64 = 0.01;
 
 /// One filter: weights of neighbouring bins of a frame's spectrum.
@@ -65,17 +65,17 @@ pub(crate) fn all(tuning: f64) -> Vec<Wavelet> {
 /// ```text
 /// h[n] = exp(2 pi i f n / sr') w[n] / sum w,  floor(-L/2) <= n < floor(L/2),  L = Q sr' / f
 /// ```
-/// `w` is a periodic Hann window. The working rate `sr'` is 44100 in the top octave, else 22050;
-/// of its samples only every `stride`-th is taken.
+/// `w` is a periodic Hann window. The working rate `sr'` is 44100 in the top octave, else 22050; frames
+/// contain every `stride`-th sample.
 struct Kernel {
     /// Cycles per sample at the working rate.
     frequency: f64,
     /// First sample and the one after the last, counted from the centre.
     start: f64,
     end: f64,
-    /// Working-rate samples between two samples of the frame.
+    /// Distance of the frame's samples at the working rate.
     stride: f64,
-    /// From a sum over bins to a response: `stride * sqrt(L at 44100) / FRAME`.
+    /// Scale of a response: `stride * sqrt(L at 44100) / FRAME`.
     gain: f64,
 }
 
@@ -100,9 +100,8 @@ impl Kernel {
         }
     }
 
-    /// Sum of the magnitudes of all bins between the highest of the frame and the highest of a
-    /// frame read without a stride, relative to `gain`. It decides close calls of the
-    /// sparsification.
+    /// Magnitude sum, relative to `gain`, of the bins that the frame lacks because of its stride. It
+    /// decides close calls of the sparsification.
     ///
     /// ```text
     /// |H(x)| = |sin(pi x)| / (pi x (x^2 - 1)),  x bins of a transform as long as the wavelet away
@@ -116,7 +115,7 @@ impl Kernel {
         (near.powi(-2) - far.powi(-2)) / (PI * PI * bin_width) / self.stride
     }
 
-    /// The frame.
+    /// The frame's samples.
     fn samples(&self) -> Vec<Complex64> {
         let mut samples = vec![Complex64::default(); FRAME];
         let length = self.end - self.start;
@@ -133,8 +132,8 @@ impl Kernel {
     }
 }
 
-/// Drops the smallest magnitudes and cuts the row to what remains. `tail` is the magnitude sum of
-/// small values beyond the row.
+/// Drops the smallest magnitudes and cuts the row to the rest. `tail` is the magnitude sum beyond the
+/// row.
 fn sparsify(row: &[Complex64], tail: f64) -> Wavelet {
     let mut sorted: Vec<f64> = row.iter().map(|w| w.norm()).collect();
     let total = sorted.iter().sum::<f64>() + tail;

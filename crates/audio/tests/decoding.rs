@@ -104,7 +104,7 @@ fn lost_audio_is_reported() {
             found.missing_seconds
         );
         let damage = found.damage().expect("damage");
-        assert!(damage.contains("shorter than its headers say"), "{damage}");
+        assert!(damage.contains("shorter than its headers state"), "{damage}");
     }
     let flac = std::fs::read(fixture("flac")).expect("the fixture is readable");
     let found = read(flac[..flac.len() / 2].to_vec()).expect("the rest decodes");
@@ -180,7 +180,7 @@ fn a_damaged_mp3_packet_keeps_the_time_of_the_rest() {
 }
 
 #[test]
-fn a_file_that_was_cut_off_gives_what_is_there() {
+fn a_file_that_was_cut_off_gives_its_first_part() {
     // The Ogg file is a single page, which is lost as a whole.
     for extension in ["flac", "mp3"] {
         let mut bytes = std::fs::read(fixture(extension)).expect("the fixture is there");

@@ -7,7 +7,7 @@ use kinegrad_settings::{ABOVE_ZERO, InvalidSetting, Refused, in_range, require};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// The shape of the betas over the timesteps; the tables are in [`crate::NoiseSchedule`].
+/// The shape of the betas over the timesteps; tables in [`crate::NoiseSchedule`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum BetaSchedule {
@@ -109,22 +109,22 @@ impl Default for DiffusionConfig {
     }
 }
 
-/// More timesteps than this are rejected as a mistake.
+/// Most timesteps accepted.
 const MAX_TRAIN_TIMESTEPS: usize = 1_000_000;
 
-/// Of a style of numbers and label, three things are dropped with this probability each, which leaves
-/// some samples both.
+/// Largest probability of dropping the style. Numbers, label and both are dropped with this probability
+/// each, so that some samples keep both.
 const MAX_STYLE_DROP: f64 = 0.3;
 
-/// Least share of the motion's variance at the last timestep: below, the factors that undo the
-/// noising leave the range of single precision. The source's cosine schedule leaves 2.4e-10.
+/// Least share of the motion's variance at the last timestep. Below, the factors of the denoising
+/// leave the range of single precision. The source's cosine schedule has 2.4e-10.
 const MIN_SIGNAL: f64 = 1e-30;
 
 impl DiffusionConfig {
-    /// Rejects values that no process can work with.
+    /// Checks all values.
     ///
     /// # Errors
-    /// Names the first bad key: what it is, what is allowed, how to mend it.
+    /// The first invalid key, with its value and the allowed ones.
     pub fn validate(&self) -> Result<(), InvalidSetting> {
         self.check().within("diffusion")
     }
@@ -152,8 +152,8 @@ impl DiffusionConfig {
             "false when diffusion.prediction_type is \"epsilon\"",
         )
         .hint(
-            "at the last timestep the input would be the noise itself, so that predicting it says \
-             nothing of the motion: use prediction_type \"v_prediction\" or \"sample\"",
+            "at the last timestep the input would be the noise itself, so that predicting it does \
+             not determine the motion: use prediction_type \"v_prediction\" or \"sample\"",
         )?;
         in_range("cond_drop_prob", self.cond_drop_prob, 0.0..1.0).hint(
             "0.1 is usual; 0 trains without a null condition, and then only guidance_scale 1 works",
@@ -184,7 +184,6 @@ impl DiffusionConfig {
 
     /// The probability that the style of a sample is dropped in training.
     pub fn style_drop_prob(&self) -> f64 {
-        // As much as there can be of it.
         let same = self.cond_drop_prob.min(MAX_STYLE_DROP);
         self.style_drop_prob.unwrap_or(same)
     }
@@ -213,12 +212,11 @@ fn linspace(start: f64, end: f64, n: usize) -> Vec<f64> {
     values
 }
 
-/// Offset that keeps the first betas of the cosine schedule from vanishing.
+/// Offset of the cosine schedule, so that the first betas do not vanish.
 const COSINE_OFFSET: f64 = 0.008;
 
 /// `1 - cos^2(b) / cos^2(a)` with `a`, `b` the angles of t and t+1, as the sources compute it. The
-/// difference costs the smallest beta the last 5 of its 16 digits; a form that keeps them would
-/// not agree with published schedules to the 12 digits that these agree to.
+/// smallest beta loses 5 of its 16 digits; a more precise form would differ from published schedules.
 fn cosine_beta(t: usize, steps: usize) -> f64 {
     let cumulative = |t: usize| {
         let angle = (t as f64 / steps as f64 + COSINE_OFFSET) / (1.0 + COSINE_OFFSET) * FRAC_PI_2;

@@ -4,24 +4,24 @@ use burn::tensor::Tensor;
 
 use crate::Time;
 
-/// A network that makes a prediction for a noisy motion. The process's `prediction_type` says what
-/// the prediction is; the network does not depend on it.
+/// A network that makes a prediction for a noisy motion. The process's `prediction_type` names the
+/// predicted quantity.
 pub trait Denoiser {
     /// The condition, for the whole batch: audio features `[batch, channels, time]`, a text
     /// embedding, or nothing.
     type Cond;
 
-    /// The prediction at the given noise levels, one per sample.
+    /// The prediction at these noise levels, one per sample.
     ///
     /// # Shapes
     /// - x_t, output: `[batch, channels, time]`
     fn predict(&self, x_t: Tensor<3>, time: &[Time], cond: &Self::Cond) -> Tensor<3>;
 
-    /// The null condition, of the same shape as `cond`, that training uses for dropped conditions.
+    /// The null condition of training, in the shape of `cond`.
     fn null_cond(&self, cond: &Self::Cond) -> Self::Cond;
 
-    /// `cond` without its style, where the condition has a style that is guided by a scale of its
-    /// own; the null condition has no style either.
+    /// `cond` without its style, if the style has its own guidance scale. The null condition has no
+    /// style either.
     fn null_style(&self, _cond: &Self::Cond) -> Option<Self::Cond> {
         None
     }
@@ -30,14 +30,14 @@ pub trait Denoiser {
 /// Guidance scales of the conditions; 1 is as trained.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GuidanceScales {
-    /// Of the condition without its style.
+    /// Scale of the condition without its style.
     pub cond: f64,
-    /// Of the style.
+    /// Scale of the style.
     pub style: f64,
 }
 
 impl GuidanceScales {
-    /// The scale of the condition, and of the style where that has one of its own.
+    /// Scales of the condition and of the style, by default the same.
     pub fn new(cond: f64, style: Option<f64>) -> Self {
         Self {
             cond,
@@ -66,16 +66,15 @@ impl From<f64> for GuidanceScales {
 /// section 1.9; Ho and Salimans 2022, <https://arxiv.org/abs/2207.12598>, equation 6):
 /// `uncond + guidance_scale (cond - uncond)`.
 ///
-/// A scale of 1 is the conditional and a scale of 0 the unconditional prediction; both call the
-/// network once, every other scale twice.
+/// A scale of 1 is the conditional, a scale of 0 the unconditional prediction. Both call the network
+/// once, other scales twice.
 ///
-/// The raw outputs are combined for any prediction type: with `x_t` fixed, noise, clean motion and
-/// velocity are affine in each other, and the two factors `1 - scale` and `scale` add up to 1, so
-/// that mixing before or after a conversion is the same. (Not so after clipping.)
+/// The outputs are combined before any conversion. This gives the same result for every prediction
+/// type: for a fixed `x_t`, noise, clean motion and velocity are affine in each other, and the factors
+/// `1 - scale` and `scale` add up to 1. Clipping must follow the guidance.
 ///
-/// Where the style has another scale than the rest of the condition, the two are composed as in
-/// InstructPix2Pix (Brooks et al. 2023, <https://arxiv.org/abs/2211.09800>, equation 3), of which
-/// equal scales are the case above:
+/// If the style has another scale, the two are composed as in InstructPix2Pix (Brooks et al. 2023,
+/// <https://arxiv.org/abs/2211.09800>, equation 3); equal scales are the case above:
 ///
 /// ```text
 /// uncond + scales.cond (unstyled - uncond) + scales.style (cond - unstyled)
@@ -172,7 +171,7 @@ mod tests {
 
         fn predict(&self, x_t: Tensor<3>, _: &[Time], cond: &Self::Cond) -> Tensor<3> {
             self.0.set(self.0.get() + 1);
-            // What style does depends on the audio, so that the order of the terms can be seen.
+            // The effect of the style depends on the audio, so that the order of the terms matters.
             let (audio, style) = (cond.0, cond.1.unwrap_or(0.0));
             x_t * 0.0 + (audio + 10.0 * style + audio * style)
         }

@@ -8,18 +8,16 @@
 //!                           rollout (gradients)        /
 //! ```
 //!
-//! [`flow`] is the other process: a straight path from noise to data, and solvers along its
-//! velocity, over the same [`Denoiser`]s and guidance.
+//! [`flow`] is the other process: a straight path from noise to data, with solvers along its velocity
+//! and the same [`Denoiser`]s and guidance.
 //!
-//! The crate is independent of what channels mean and of specific networks: a network implements
-//! [`Denoiser`]. There is no hidden randomness: noise is an argument, or comes from a
-//! [`kinegrad_random::Key`].
+//! A network implements [`Denoiser`]; the crate does not depend on the meaning of channels. Noise is an
+//! argument or comes from a [`kinegrad_random::Key`].
 //!
-//! Timesteps are host integers `0..num_train_timesteps`, 0 being the least noisy. The source
-//! (CC-MotionGen, section 5.3; docs/sources.md, section 1.2) writes 1 to T in its formulas and 0 to
-//! T-1 in its code; the convention of the code is used throughout.
+//! Timesteps are host integers `0..num_train_timesteps`, 0 being the least noisy: the convention of the
+//! source's code (CC-MotionGen, section 5.3; docs/sources.md, section 1.2), whose formulas count from 1.
 //!
-//! Symbols of the papers and their names here:
+//! Symbols of the papers:
 //!
 //! | paper | name |
 //! |---|---|
@@ -52,7 +50,7 @@ pub use loss::diffusion_loss;
 pub use process::GaussianDiffusion;
 pub use rollout::{Rollout, RolloutMode, RolloutOutput, Trace, rollout_timesteps};
 pub use sampler::{
-    ClipRange, Ddim, Dopri5, FinalAlpha, GivenNoise, Imputation, NoiseKeys, OnStep, Predict,
+    ClipRange, Ddim, Dopri5, FinalAlpha, FixedNoise, Imputation, NoiseKeys, OnStep, Predict,
     Prediction, SamplerConfig, SamplerKind, Space, Steered, TimestepPath, TimestepSpacing,
     Timesteps, ddim, ddim_step, ddpm, ddpm_step, dpmpp_2m, heun, must_suit, must_suit_flow,
     noise_of_parts, sample, sample_with, timesteps,

@@ -1,4 +1,4 @@
-//! The training loss: a distance per element, averaged over all elements that are not padding.
+//! The training loss: a distance per element, averaged over all valid elements.
 //!
 //! ```text
 //! d = model_output - target
@@ -7,8 +7,8 @@
 //! huber  d^2 / 2 where |d| <= 1, else |d| - 1/2
 //! ```
 //!
-//! Source: CC-MotionGen, sections 3.2.1 and 5.3, which name the three; the huber threshold of 1 is
-//! a reading (docs/sources.md, section 1.4).
+//! Source: CC-MotionGen, sections 3.2.1 and 5.3, which do not state the huber threshold
+//! (docs/sources.md, section 1.4).
 
 use burn::tensor::Tensor;
 
@@ -25,7 +25,7 @@ pub fn elementwise(model_output: Tensor<3>, target: Tensor<3>, loss_type: LossTy
         LossType::Mse => difference.clone() * difference,
         LossType::L1 => difference.abs(),
         LossType::Huber => {
-            // With c = min(|d|, 1): c^2 / 2 + (|d| - c), both branches in one expression.
+            // Both branches at once: c^2 / 2 + (|d| - c) with c = min(|d|, 1).
             let distance = difference.abs();
             let capped = distance.clone().clamp_max(1.0);
             capped.clone() * capped.clone() * 0.5 + (distance - capped)
@@ -35,17 +35,15 @@ pub fn elementwise(model_output: Tensor<3>, target: Tensor<3>, loss_type: LossTy
 
 /// The mean distance over the valid elements: `sum(weight mask distance) / (channels sum(mask))`.
 ///
-/// Without a mask every element is valid. The weights, one per sample, scale the sum and not the
-/// count: they change how much a timestep matters, which is what min-SNR weighting is. A batch
-/// without any valid element has loss 0.
+/// Without a mask every element is valid. The weights scale the sum and not the count, as in min-SNR
+/// weighting. A batch without valid elements has loss 0.
 ///
-/// The sums run over time, then channels, then the batch, each in a fixed order: a plain sum of
-/// 4,194,304 or more elements depends on thread scheduling on Burn's CPU backend, and would not be
-/// repeated bit for bit by a resumed run.
+/// The sums run over time, then channels, then the batch. A plain sum of 4,194,304 or more elements
+/// depends on thread scheduling on Burn's CPU backend, so a resumed run would not repeat it exactly.
 ///
 /// # Shapes
 /// - model_output, target: `[batch, channels, time]`
-/// - mask: `[batch, time]`, 1 where a frame is valid, 0 where it is padding
+/// - mask: `[batch, time]`, 1 for valid frames, 0 for padding
 /// - weights: one per sample
 /// - output: `[1]`
 ///

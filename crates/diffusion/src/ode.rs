@@ -1,5 +1,5 @@
-//! Explicit Runge-Kutta methods for `dx / dt = f(x, t)`, each given by its Butcher tableau. Flows
-//! and Heun's sampler of a diffusion process share them: an [`Ode`] defines how its state moves.
+//! Explicit Runge-Kutta methods for `dx / dt = f(x, t)` by their Butcher tableaus, shared by flows and
+//! Heun's sampler of a diffusion process.
 
 use burn::tensor::Tensor;
 
@@ -7,7 +7,7 @@ use crate::Error;
 
 /// One step of a differential equation.
 pub(crate) trait Ode<const D: usize> {
-    /// A slope, with all that [`moved`](Self::moved) needs of it.
+    /// A slope, with the data for [`moved`](Self::moved).
     type Slope;
 
     /// `f(x, t)` at `place` of the step, from 0, its start, to 1, its end.
@@ -19,10 +19,9 @@ pub(crate) trait Ode<const D: usize> {
 
 /// A method of integration.
 pub(crate) struct Method {
-    /// Of each slope but the first, the place where it is taken, and the shares of the slopes
-    /// before it that lead there.
+    /// Place of each slope but the first, and the shares of the previous slopes that lead there.
     stages: &'static [(f64, &'static [f64])],
-    /// Shares of all slopes in the step.
+    /// Shares of the slopes in the step.
     shares: &'static [f64],
 }
 
@@ -82,8 +81,8 @@ impl Method {
         ],
     };
 
-    /// The shares of the slopes of [`Self::DOPRI5`], and of the one at its end, in its error: the
-    /// difference from a solution of order 4.
+    /// Shares of the slopes of [`Self::DOPRI5`], and of the slope at its end, in the difference from a
+    /// solution of order 4.
     pub const DOPRI5_ERROR: [f64; 7] = [
         71.0 / 57600.0,
         0.0,
@@ -94,7 +93,7 @@ impl Method {
         -1.0 / 40.0,
     ];
 
-    /// Number of slopes that a step takes.
+    /// Slopes per step.
     pub const fn evaluations(&self) -> usize {
         self.shares.len()
     }
@@ -109,7 +108,7 @@ impl Method {
         Ok(self.step_along(ode, x, first)?.0)
     }
 
-    /// The same where the slope at the start is known, with all slopes.
+    /// The end of a step whose `first` slope is known, and all its slopes.
     pub fn step_along<O: Ode<D>, const D: usize>(
         &self,
         ode: &mut O,

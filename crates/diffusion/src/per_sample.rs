@@ -1,9 +1,9 @@
-//! Coefficients that differ from sample to sample, from the host's f64 tables to the device.
+//! Coefficients per sample, from the host's f64 tables to the device.
 
 use burn::tensor::{Tensor, TensorData};
 
-/// The `values`, one per sample, as `[batch, 1, 1]` on the device and in the precision of `like`
-/// `[batch, channels, time]`. Each value is rounded once, here.
+/// One value per sample as `[batch, 1, 1]`, on the device and in the precision of `like`, `[batch,
+/// channels, time]`. Each value is rounded once, here.
 ///
 /// # Panics
 /// Panics if there is not one value per sample.

@@ -9,8 +9,8 @@ use crate::{DiffusionConfig, NoiseSchedule, PredictionType};
 /// Gaussian diffusion (CC-MotionGen, sections 3.2 and 5; docs/sources.md, section 1.3; Ho et al.
 /// 2020, <https://arxiv.org/abs/2006.11239>).
 ///
-/// Motions, noises and model outputs are `[batch, channels, time]`; `timesteps` holds one host
-/// integer per sample. With `a = sqrt(abar_t)` and `s = sqrt(1 - abar_t)`:
+/// Motions, noises and model outputs are `[batch, channels, time]`; `timesteps` has one entry per
+/// sample. With `a = sqrt(abar_t)` and `s = sqrt(1 - abar_t)`:
 ///
 /// ```text
 /// x_t = a x_start + s noise            epsilon        noise
@@ -25,7 +25,7 @@ use crate::{DiffusionConfig, NoiseSchedule, PredictionType};
 pub struct GaussianDiffusion {
     /// The tables.
     pub schedule: NoiseSchedule,
-    /// The settings the tables were built from.
+    /// The settings.
     pub config: DiffusionConfig,
 }
 
@@ -71,7 +71,7 @@ impl GaussianDiffusion {
         }
     }
 
-    /// The clean motion that a model output stands for, not clipped.
+    /// The clean motion of a model output, not clipped.
     ///
     /// # Shapes
     /// - model_output, x_t, output: `[batch, channels, time]`
@@ -87,8 +87,8 @@ impl GaussianDiffusion {
 
     /// Converts a prediction of one type to another, for the same `x_t`: an affine map.
     ///
-    /// At a terminal timestep of pure noise (`rescale_betas_zero_snr`) a noise prediction does
-    /// not determine the motion, and converting it gives values that are not finite.
+    /// At a terminal timestep of pure noise (`rescale_betas_zero_snr`) predicted noise does not
+    /// determine the motion; the result is not finite.
     ///
     /// # Shapes
     /// - prediction, x_t, output: `[batch, channels, time]`

@@ -1,14 +1,13 @@
 //! A differentiable sampler, with gradients from the motion back to the start noise and the network
 //! (CC-MotionGen, section 7.3; docs/sources.md, section 1.8).
 //!
-//! A rollout is deterministic DDIM over K timesteps, run during training. [`RolloutMode`] trades
-//! memory for compute: one graph over all steps; no graph, with each step recomputed in the
-//! backward pass ([`Trace::backward`]); or a graph over the last steps alone.
+//! A rollout is deterministic DDIM over K timesteps during training. [`RolloutMode`] trades memory for
+//! compute.
 //!
-//! With the cosine schedule a naive rollout is unstable: from t = 999 of 1000 a noise prediction is
+//! With the cosine schedule a naive rollout is unstable: at t = 999 of 1000 a noise prediction is
 //! multiplied by 1/sqrt(abar) = 64179. To stabilise it, predict the clean motion, clip it
-//! ([`ClipRange::StraightThrough`]), start from a lower timestep, or decay the gradient from step
-//! to step (`gradient_decay`).
+//! ([`ClipRange::StraightThrough`]), start from a lower timestep, or decay the gradient
+//! (`gradient_decay`).
 
 use std::ops::ControlFlow;
 
@@ -21,16 +20,16 @@ use crate::{
     TimestepPath, ddim, guided,
 };
 
-/// The data that a rollout keeps for its backward pass.
+/// The data that a rollout stores for its backward pass.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum RolloutMode {
     /// One graph over all steps.
     Full,
-    /// The K + 1 states. The backward pass recomputes each step with a graph of its own and
-    /// carries its vector-Jacobian product on: the gradients of `Full` in the memory of one step,
-    /// for one more forward pass.
+    /// The K + 1 states. [`Trace::backward`] recomputes each step with its own graph and chains the
+    /// vector-Jacobian products: the gradients of `Full` in the memory of one step, for one more
+    /// forward pass.
     Checkpointed,
-    /// A graph over the last k steps; the gradient ends there (DRaFT-K, Clark et al. 2024,
+    /// A graph over the last k steps alone (DRaFT-K, Clark et al. 2024,
     /// <https://arxiv.org/abs/2309.17400>, section 4.1).
     LastK(usize),
 }
@@ -38,31 +37,30 @@ pub enum RolloutMode {
 /// The settings of a rollout.
 #[derive(Clone, Debug)]
 pub struct Rollout {
-    /// The process, whose prediction type the network has.
+    /// The process of the network.
     pub diffusion: GaussianDiffusion,
     /// Bounds of the predicted clean motion.
     pub clip: ClipRange,
     /// Weights of the conditions: 1 as trained ([`guided`]).
     pub guidance: GuidanceScales,
-    /// Factor on the gradient that a step hands to the one before it: 1 leaves it exact.
+    /// Factor of the gradient from step to step; 1 is exact.
     pub gradient_decay: f64,
 }
 
 /// The result of a rollout.
 #[derive(Debug)]
 pub struct RolloutOutput {
-    /// The final state on the autodiff device: `[batch, channels, time]`.
+    /// The final state, on the autodiff device: `[batch, channels, time]`.
     pub x: Tensor<3>,
-    /// The state where the graph begins, which has a gradient: the start noise for
-    /// [`RolloutMode::Full`], the state before the last k steps, or `x` itself for
-    /// [`RolloutMode::Checkpointed`].
+    /// The state where the graph begins, which gets a gradient: the start noise
+    /// ([`RolloutMode::Full`]), the state before the last k steps, or `x` itself
+    /// ([`RolloutMode::Checkpointed`]).
     pub entry: Tensor<3>,
-    /// Continues the backward pass ([`Trace::backward`]) where the graph of `x` ends; only in
-    /// [`RolloutMode::Checkpointed`].
+    /// Continues the backward pass in [`RolloutMode::Checkpointed`].
     pub trace: Option<Trace>,
 }
 
-/// The states of a rollout whose graph was not kept.
+/// The states of a rollout without a graph.
 #[derive(Debug)]
 pub struct Trace {
     /// The state before each step, without a graph.
@@ -72,8 +70,8 @@ pub struct Trace {
     strategy: Option<GradientCheckpointingStrategy>,
 }
 
-/// A state whose gradient is kept, with the setting of activation checkpointing of the network:
-/// operations do not mix two settings.
+/// A state that gets a gradient, with the activation checkpointing of the network, because operations
+/// do not mix two settings.
 fn tracked(state: Tensor<3>, strategy: Option<GradientCheckpointingStrategy>) -> Tensor<3> {
     let state = state.autodiff().require_grad();
     match strategy {
@@ -82,9 +80,8 @@ fn tracked(state: Tensor<3>, strategy: Option<GradientCheckpointingStrategy>) ->
     }
 }
 
-/// The timesteps of a rollout of `steps` steps whose sample i begins at `starts[i]`:
-/// `floor(start (K - 1 - k) / (K - 1))` for step k, one list of the whole batch per step. It ends
-/// on the clean motion.
+/// The timesteps of a rollout of K = `steps` steps to the clean motion whose sample i begins at
+/// `starts[i]`: `floor(start (K - 1 - k) / (K - 1))` for step k, one list of the batch per step.
 pub fn rollout_timesteps(starts: &[usize], steps: usize) -> Vec<Vec<usize>> {
     let last = steps.saturating_sub(1);
     (0..steps)
@@ -96,12 +93,11 @@ pub fn rollout_timesteps(starts: &[usize], steps: usize) -> Vec<Vec<usize>> {
 }
 
 impl Rollout {
-    /// Runs the steps of `timesteps` ([`rollout_timesteps`]) from `x_start_noise` on. `plain` is
-    /// `model` without gradients (Burn: `Module::valid`); both run the same operations.
+    /// Runs the steps of `timesteps` ([`rollout_timesteps`]) from `x_start_noise`. `plain` is `model`
+    /// without gradients (Burn: `Module::valid`).
     ///
     /// # Shapes
-    /// - x_start_noise: `[batch, channels, time]`, best on the device of `model`; its graph, if
-    ///   any, is not kept
+    /// - x_start_noise: `[batch, channels, time]`, best on the device of `model`; detached
     ///
     /// # Errors
     /// If the clipping bounds do not fit the channels, or the network's output has other sizes
@@ -160,7 +156,7 @@ impl Rollout {
         Ok(RolloutOutput { x, entry, trace })
     }
 
-    /// The same state, whose gradient is scaled by `gradient_decay`.
+    /// The state with its gradient scaled by `gradient_decay`.
     fn decayed(&self, x: Tensor<3>) -> Tensor<3> {
         if self.gradient_decay == 1.0 {
             return x;
@@ -208,9 +204,9 @@ impl Rollout {
 }
 
 impl Trace {
-    /// Goes on with the backward pass: takes the gradient of the final state out of `gradients`,
-    /// and hands the gradients of each step to `each`, with the step's index, the last step first.
-    /// Returns the gradient of the start noise.
+    /// Continues the backward pass: removes the gradient of the final state from `gradients`, calls
+    /// `each` with the index and gradients of each step, the last step first, and returns the gradient
+    /// of the start noise.
     ///
     /// # Errors
     /// As [`Rollout::run`].

@@ -16,15 +16,15 @@ use crate::DiffusionConfig;
 ///          f(u) = cos^2(pi/2 (u + 0.008) / 1.008)
 /// ```
 ///
-/// Values are rounded to single precision once, where they are used. Evaluated in single precision
-/// from a rounded `abar`, `sqrt(1 - abar)` would be wrong by up to 1.5e-4 at t = 0.
+/// Values are rounded to single precision once, at their use: computed from a rounded `abar`,
+/// `sqrt(1 - abar)` would be wrong by up to 1.5e-4 at t = 0.
 #[derive(Clone, Debug, PartialEq)]
 pub struct NoiseSchedule {
     /// Variance of the noise that step t adds.
     pub betas: Vec<f64>,
     /// `1 - beta_t`.
     pub alphas: Vec<f64>,
-    /// Running product of `alphas`: the share of the motion's variance left at t.
+    /// Cumulative product of `alphas`: the share of the motion's variance at t.
     pub alphas_cumprod: Vec<f64>,
     /// `abar` one timestep earlier; 1 at t = 0.
     pub alphas_cumprod_prev: Vec<f64>,
@@ -42,8 +42,7 @@ pub struct NoiseSchedule {
     pub posterior_mean_coef1: Vec<f64>,
     /// Factor of x_t in the posterior mean: `(1 - abar_prev) sqrt(alpha) / (1 - abar)`.
     pub posterior_mean_coef2: Vec<f64>,
-    /// Variance of the posterior: `beta (1 - abar_prev) / (1 - abar)`; 0 at t = 0. The source
-    /// names `beta` as an alternative and uses this one.
+    /// Variance of the posterior: `beta (1 - abar_prev) / (1 - abar)`; 0 at t = 0.
     pub posterior_variance: Vec<f64>,
 }
 
@@ -63,7 +62,7 @@ impl NoiseSchedule {
 
     fn from_betas(betas: Vec<f64>) -> Self {
         let steps = betas.len();
-        // From before the first step on: entry t + 1 is that of timestep t.
+        // Entry t + 1 is that of timestep t.
         let (mut abar, mut rest) = (vec![1.0], vec![0.0]);
         for (t, beta) in betas.iter().enumerate() {
             // 1 - abar = (1 - abar_prev) + abar_prev beta: only positive terms, nothing cancels.
@@ -101,20 +100,20 @@ impl NoiseSchedule {
         self.alphas_cumprod[timestep] / self.one_minus_alphas_cumprod[timestep]
     }
 
-    /// `(abar, 1 - abar)` where a sampler's step lands; `None` is the clean motion, (1, 0).
+    /// `(abar, 1 - abar)` at a timestep; `None` is the clean motion, (1, 0).
     ///
     /// # Panics
     /// Panics if the timestep is not below T.
-    pub fn landing(&self, prev_timestep: Option<usize>) -> (f64, f64) {
-        match prev_timestep {
+    pub fn abar_at(&self, timestep: Option<usize>) -> (f64, f64) {
+        match timestep {
             Some(t) => (self.alphas_cumprod[t], self.one_minus_alphas_cumprod[t]),
             None => (1.0, 0.0),
         }
     }
 }
 
-/// Algorithm 1 of Lin et al. 2023: shifts `sqrt(abar)` to 0 at the last timestep and scales it
-/// back to its old value at the first.
+/// Algorithm 1 of Lin et al. 2023: shifts `sqrt(abar)` to 0 at the last timestep and rescales it to its
+/// old value at the first.
 fn rescale_zero_terminal_snr(betas: &[f64]) -> Vec<f64> {
     let mut product = 1.0;
     let roots: Vec<f64> = betas

@@ -1,16 +1,16 @@
 use burn::backend::Dispatch;
 use burn::tensor::Tensor;
 
-use crate::backend::{FusedOps, Given};
+use crate::backend::{FusedOps, Options};
 use crate::composed;
 use crate::mode::fuses;
 use crate::{KeyRanges, Lengths};
 
-/// `softmax(queries keys^T / sqrt(head channels)) values` for each head, the channels of a head
-/// lying together; keys and values one after the other in `keys_values`.
+/// `softmax(queries keys^T / sqrt(head channels)) values` for each head. The channels of a head are
+/// contiguous; `keys_values` contains the keys, then the values.
 ///
-/// With `lengths` only so many keys of each sample are attended to. On the CPU no scores are kept
-/// for the backward pass.
+/// With `lengths`, each sample attends to that many keys. The CPU stores no scores for the backward
+/// pass.
 ///
 /// # Shapes
 /// - queries, output: `[batch, channels, time]`
@@ -44,20 +44,18 @@ pub fn cross_attention(
         queries.into_dispatch(),
         keys_values.into_dispatch(),
         num_heads,
-        given(lengths),
+        with_lengths(lengths),
     ))
 }
 
-/// [`cross_attention`] in which each query attends to its own keys, which follow each other; one
-/// without keys gives zeros.
+/// [`cross_attention`] in which each query attends to a range of keys; an empty range gives zeros.
 ///
-/// Time and memory grow with the number of queries times the widest range: a band of a long sequence
-/// costs what it holds.
+/// Time and memory are proportional to the number of queries times the widest range.
 ///
 /// # Shapes
 /// - queries, output: `[batch, channels, time]`
 /// - keys_values: `[batch, 2 channels, keys]`
-/// - ranges: for each query of each sample
+/// - ranges: one per query of each sample
 ///
 /// # Panics
 /// Panics if the channels do not divide into the heads, or the ranges do not fit.
@@ -81,22 +79,22 @@ pub fn ranged_attention(
         let values = keys_values.narrow(1, channels, channels);
         return composed::ranged_attention(queries, keys, values, num_heads, ranges);
     }
-    let given = Given {
+    let options = Options {
         keys: Some(ranges.clone()),
-        ..Given::default()
+        ..Options::default()
     };
     Tensor::from_dispatch(Dispatch::fused_cross_attention(
         queries.into_dispatch(),
         keys_values.into_dispatch(),
         num_heads,
-        given,
+        options,
     ))
 }
 
-/// [`cross_attention`] of a sequence to itself; queries, keys and values one after the other.
+/// [`cross_attention`] of a sequence to itself.
 ///
 /// # Shapes
-/// - queries_keys_values: `[batch, 3 channels, time]`
+/// - queries_keys_values: `[batch, 3 channels, time]`, in this order
 /// - output: `[batch, channels, time]`
 ///
 /// # Panics
@@ -127,14 +125,14 @@ pub fn self_attention(
     Tensor::from_dispatch(Dispatch::fused_self_attention(
         queries_keys_values.into_dispatch(),
         num_heads,
-        given(lengths),
+        with_lengths(lengths),
     ))
 }
 
-fn given(lengths: Option<&Lengths>) -> Given {
-    Given {
+fn with_lengths(lengths: Option<&Lengths>) -> Options {
+    Options {
         lengths: lengths.cloned(),
-        ..Given::default()
+        ..Options::default()
     }
 }
 

@@ -1,4 +1,4 @@
-//! The operations' backward passes.
+//! Backward passes of the operations.
 
 use burn::backend::autodiff::checkpoint::base::Checkpointer;
 use burn::backend::autodiff::checkpoint::strategy::CheckpointStrategy;
@@ -9,7 +9,7 @@ use burn::backend::tensor::FloatTensor;
 use burn::backend::{Autodiff, Flex};
 
 use crate::backend::{
-    FusedOps, Given, HostNorm, attend_backward, convolution, cross_heads, group_norm, mapped,
+    FusedOps, HostNorm, Options, attend_backward, convolution, cross_heads, group_norm, mapped,
     norm_gradients, recur, self_attend_backward, self_heads,
 };
 use crate::flex::{HostRows, contiguous, from_rows, of_pairs, tensor};
@@ -25,10 +25,10 @@ use crate::linear_map::SharedMap;
 struct ConvolutionState {
     x: FlexTensor,
     weight: FlexTensor,
-    /// Weight, bias, FiLM and mask of the normalisation, and what was measured.
+    /// Weight, bias, FiLM and mask of the normalisation, and the statistics of its input.
     norm: Option<([FlexTensor; 4], Statistics)>,
     plan: ConvolutionPlan,
-    given: Given,
+    options: Options,
 }
 
 #[derive(Debug)]
@@ -43,7 +43,7 @@ impl Backward<Flex, 7> for Convolution {
             weight,
             norm,
             plan,
-            given,
+            options,
         } = ops.state;
         let [
             x_node,
@@ -57,7 +57,7 @@ impl Backward<Flex, 7> for Convolution {
         let wanted = Wanted {
             input: x_node.is_some() || norm_wanted,
             weight: weight_node.is_some(),
-            bias: given.bias && bias_node.is_some(),
+            bias: options.bias && bias_node.is_some(),
         };
 
         let x_shape = x.layout().shape().dims::<3>();
@@ -69,7 +69,7 @@ impl Backward<Flex, 7> for Convolution {
             .map(|([weight, bias, film, mask], statistics)| {
                 (
                     statistics,
-                    HostNorm::new([weight, bias, film], mask, &given),
+                    HostNorm::new([weight, bias, film], mask, &options),
                 )
             });
         let input = Input {
@@ -77,7 +77,7 @@ impl Backward<Flex, 7> for Convolution {
             norm: host_norm
                 .as_ref()
                 .map(|(statistics, norm)| (*statistics, norm.parameters())),
-            lengths: given.frames(),
+            lengths: options.frames(),
         };
         let computed = plan.backward(
             input,
@@ -99,7 +99,7 @@ impl Backward<Flex, 7> for Convolution {
             let outputs = values.len();
             gradients.register::<Flex>(node.id, tensor(values, [outputs]));
         }
-        if let (Some(node), true) = (residual_node, given.residual) {
+        if let (Some(node), true) = (residual_node, options.residual) {
             gradients.register::<Flex>(node.id, gradient);
         }
         if let Some(computed) = computed.norm {
@@ -120,7 +120,7 @@ struct NormState {
     parameters: [FlexTensor; 4],
     statistics: Statistics,
     plan: GroupNormPlan,
-    given: Given,
+    options: Options,
 }
 
 #[derive(Debug)]
@@ -135,13 +135,13 @@ impl Backward<Flex, 4> for GroupNorm {
             parameters,
             statistics,
             plan,
-            given,
+            options,
         } = ops.state;
         let [x_node, norm_nodes @ ..] = ops.parents;
         let gradient = HostRows::of(gradients.consume::<Flex>(&ops.node));
         let x = HostRows::of(x);
         let [weight, bias, film, mask] = &parameters;
-        let norm = HostNorm::new([weight, bias, film], mask, &given);
+        let norm = HostNorm::new([weight, bias, film], mask, &options);
         let view = x.view();
         let shape = [view.batch, view.time, view.channels];
         let mut values: Vec<f32> = gradient.view().to_dense();
@@ -162,7 +162,7 @@ impl Backward<Flex, 4> for GroupNorm {
 struct LayerNorm;
 
 impl Backward<Flex, 3> for LayerNorm {
-    /// Rows and scales, and what is added to the variance.
+    /// Rows, scales and eps.
     type State = (FlexTensor, FlexTensor, f64);
 
     fn backward(self, ops: Ops<Self::State, 3>, gradients: &mut Gradients, _: &mut Checkpointer) {
@@ -192,14 +192,14 @@ impl Backward<Flex, 3> for LayerNorm {
 struct CrossAttention;
 
 impl Backward<Flex, 2> for CrossAttention {
-    type State = (FlexTensor, FlexTensor, usize, Given);
+    type State = (FlexTensor, FlexTensor, usize, Options);
 
     fn backward(self, ops: Ops<Self::State, 2>, gradients: &mut Gradients, _: &mut Checkpointer) {
-        let (queries, keys_values, num_heads, given) = ops.state;
+        let (queries, keys_values, num_heads, options) = ops.state;
         let gradient = HostRows::of(gradients.consume::<Flex>(&ops.node));
         let (queries, keys_values) = (HostRows::of(queries), HostRows::of(keys_values));
         let (queries, keys_values) = (queries.view(), keys_values.view());
-        let heads = cross_heads(queries, keys_values, num_heads, &given);
+        let heads = cross_heads(queries, keys_values, num_heads, &options);
         let values = attend_backward(heads, gradient.view());
         for (node, value) in ops.parents.into_iter().zip(values) {
             if let Some(node) = node {
@@ -213,13 +213,13 @@ impl Backward<Flex, 2> for CrossAttention {
 struct SelfAttention;
 
 impl Backward<Flex, 1> for SelfAttention {
-    type State = (FlexTensor, usize, Given);
+    type State = (FlexTensor, usize, Options);
 
     fn backward(self, ops: Ops<Self::State, 1>, gradients: &mut Gradients, _: &mut Checkpointer) {
-        let (all, num_heads, given) = ops.state;
+        let (all, num_heads, options) = ops.state;
         let gradient = HostRows::of(gradients.consume::<Flex>(&ops.node));
         let all = HostRows::of(all);
-        let heads = self_heads(all.view(), num_heads, &given);
+        let heads = self_heads(all.view(), num_heads, &options);
         let value = self_attend_backward(heads, gradient.view());
         if let [Some(node)] = ops.parents {
             gradients.register::<Flex>(node.id, value);
@@ -257,7 +257,7 @@ struct GruState {
     states: FlexTensor,
     gates: Vec<f32>,
     plan: GruPlan,
-    given: Given,
+    options: Options,
 }
 
 #[derive(Debug)]
@@ -275,7 +275,7 @@ impl Backward<Flex, 4> for Gru {
             states,
             gates,
             plan,
-            given,
+            options,
         } = ops.state;
         let gradient = gradients.consume::<Flex>(&ops.node);
         let values = GruValues {
@@ -283,10 +283,10 @@ impl Backward<Flex, 4> for Gru {
             weight: &contiguous(&weight),
             bias: &contiguous(&bias),
             initial: &contiguous(&initial),
-            lengths: given.frames(),
+            lengths: options.frames(),
         };
-        let kept = (&contiguous(&states)[..], &gates[..]);
-        let computed = plan.backward(&values, kept, &contiguous(&gradient));
+        let saved = (&contiguous(&states)[..], &gates[..]);
+        let computed = plan.backward(&values, saved, &contiguous(&gradient));
         let values = [
             (computed.inputs, inputs),
             (computed.weight, weight),
@@ -321,7 +321,7 @@ impl Backward<Flex, 1> for Gelu {
 struct Mapped;
 
 impl Backward<Flex, 1> for Mapped {
-    /// The map, and channels and frames of what went in.
+    /// The map, and the channels and frames of its input.
     type State = (SharedMap, [usize; 2]);
 
     fn backward(self, ops: Ops<Self::State, 1>, gradients: &mut Gradients, _: &mut Checkpointer) {
@@ -345,7 +345,7 @@ impl<C: CheckpointStrategy> FusedOps for Autodiff<Flex, C> {
         film: FloatTensor<Self>,
         mask: FloatTensor<Self>,
         plan: ConvolutionPlan,
-        given: Given,
+        options: Options,
     ) -> FloatTensor<Self> {
         let nodes = [
             &x,
@@ -365,7 +365,7 @@ impl<C: CheckpointStrategy> FusedOps for Autodiff<Flex, C> {
                 [norm_weight, norm_bias, film, mask].map(|tensor| tensor.into_primitive());
             (
                 parameters,
-                norm::statistics(rows.view(), &plan, given.frames()),
+                norm::statistics(rows.view(), &plan, options.frames()),
             )
         });
         let host_norm = norm
@@ -373,19 +373,19 @@ impl<C: CheckpointStrategy> FusedOps for Autodiff<Flex, C> {
             .map(|([weight, bias, film, mask], statistics)| {
                 (
                     statistics,
-                    HostNorm::new([weight, bias, film], mask, &given),
+                    HostNorm::new([weight, bias, film], mask, &options),
                 )
             });
         let output = convolution(
             rows.view(),
             &weight,
-            given.bias.then_some(bias.primitive()),
-            given.residual.then(|| residual.into_primitive()),
+            options.bias.then_some(bias.primitive()),
+            options.residual.then(|| residual.into_primitive()),
             host_norm
                 .as_ref()
                 .map(|(statistics, norm)| (*statistics, norm)),
             &plan,
-            given.frames(),
+            options.frames(),
         );
         match Convolution.prepare::<C>(nodes).compute_bound().stateful() {
             OpsKind::Tracked(prep) => prep.finish(
@@ -394,7 +394,7 @@ impl<C: CheckpointStrategy> FusedOps for Autodiff<Flex, C> {
                     weight,
                     norm,
                     plan,
-                    given,
+                    options,
                 },
                 output,
             ),
@@ -409,15 +409,15 @@ impl<C: CheckpointStrategy> FusedOps for Autodiff<Flex, C> {
         film: FloatTensor<Self>,
         mask: FloatTensor<Self>,
         plan: GroupNormPlan,
-        given: Given,
+        options: Options,
     ) -> FloatTensor<Self> {
         let nodes = [&x, &weight, &bias, &film].map(|tensor| tensor.node());
         let x = x.into_primitive();
         let parameters = [weight, bias, film, mask].map(|tensor| tensor.into_primitive());
         let [weight, bias, film, mask] = &parameters;
-        let norm = HostNorm::new([weight, bias, film], mask, &given);
+        let norm = HostNorm::new([weight, bias, film], mask, &options);
         let rows = HostRows::of(x.clone());
-        let statistics = norm::statistics(rows.view(), &plan, given.frames());
+        let statistics = norm::statistics(rows.view(), &plan, options.frames());
         let output = group_norm(rows.view(), &statistics, &norm, &plan);
         match GroupNorm.prepare::<C>(nodes).compute_bound().stateful() {
             OpsKind::Tracked(prep) => prep.finish(
@@ -426,7 +426,7 @@ impl<C: CheckpointStrategy> FusedOps for Autodiff<Flex, C> {
                     parameters,
                     statistics,
                     plan,
-                    given,
+                    options,
                 },
                 output,
             ),
@@ -438,18 +438,20 @@ impl<C: CheckpointStrategy> FusedOps for Autodiff<Flex, C> {
         queries: FloatTensor<Self>,
         keys_values: FloatTensor<Self>,
         num_heads: usize,
-        given: Given,
+        options: Options,
     ) -> FloatTensor<Self> {
         let nodes = [queries.node(), keys_values.node()];
         let (queries, keys_values) = (queries.into_primitive(), keys_values.into_primitive());
         let [q, kv] = [&queries, &keys_values].map(FlexTensor::clone);
-        let output = Flex::fused_cross_attention(q, kv, num_heads, given.clone());
+        let output = Flex::fused_cross_attention(q, kv, num_heads, options.clone());
         match CrossAttention
             .prepare::<C>(nodes)
             .compute_bound()
             .stateful()
         {
-            OpsKind::Tracked(prep) => prep.finish((queries, keys_values, num_heads, given), output),
+            OpsKind::Tracked(prep) => {
+                prep.finish((queries, keys_values, num_heads, options), output)
+            }
             OpsKind::UnTracked(prep) => prep.finish(output),
         }
     }
@@ -457,13 +459,13 @@ impl<C: CheckpointStrategy> FusedOps for Autodiff<Flex, C> {
     fn fused_self_attention(
         queries_keys_values: FloatTensor<Self>,
         num_heads: usize,
-        given: Given,
+        options: Options,
     ) -> FloatTensor<Self> {
         let nodes = [queries_keys_values.node()];
         let all = queries_keys_values.into_primitive();
-        let output = Flex::fused_self_attention(all.clone(), num_heads, given.clone());
+        let output = Flex::fused_self_attention(all.clone(), num_heads, options.clone());
         match SelfAttention.prepare::<C>(nodes).compute_bound().stateful() {
-            OpsKind::Tracked(prep) => prep.finish((all, num_heads, given), output),
+            OpsKind::Tracked(prep) => prep.finish((all, num_heads, options), output),
             OpsKind::UnTracked(prep) => prep.finish(output),
         }
     }
@@ -485,13 +487,13 @@ impl<C: CheckpointStrategy> FusedOps for Autodiff<Flex, C> {
         bias: FloatTensor<Self>,
         initial: FloatTensor<Self>,
         plan: GruPlan,
-        given: Given,
+        options: Options,
     ) -> FloatTensor<Self> {
         let nodes = [&inputs, &weight, &bias, &initial].map(|tensor| tensor.node());
         let [inputs, weight, bias, initial] =
             [inputs, weight, bias, initial].map(|tensor| tensor.into_primitive());
-        let given_tensors = [&inputs, &weight, &bias, &initial];
-        let (states, gates) = recur(given_tensors, &plan, &given, true);
+        let tensors = [&inputs, &weight, &bias, &initial];
+        let (states, gates) = recur(tensors, &plan, &options, true);
         let states = tensor(states, [plan.time, plan.batch, plan.width]);
         match Gru.prepare::<C>(nodes).compute_bound().stateful() {
             OpsKind::Tracked(prep) => prep.finish(
@@ -503,7 +505,7 @@ impl<C: CheckpointStrategy> FusedOps for Autodiff<Flex, C> {
                     states: states.clone(),
                     gates,
                     plan,
-                    given,
+                    options,
                 },
                 states,
             ),

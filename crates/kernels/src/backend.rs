@@ -1,7 +1,7 @@
 //! The operations as a Burn backend extension, for Flex and for gradients on it.
 //!
-//! Burn's extension macro has no optional tensors: a missing tensor is passed as any tensor, and
-//! [`Given`] marks it as missing.
+//! Burn's extension macro has no optional tensors: a placeholder is passed for a missing one, and
+//! [`Options`] marks it as missing.
 
 use std::borrow::Cow;
 
@@ -13,18 +13,18 @@ use crate::flex::{HostRows, contiguous, from_rows, of_elements, tensor};
 use crate::host::attention::{Attended, Columns, HeadGradients, Heads};
 use crate::host::convolution::{ConvolutionPlan, Input};
 use crate::host::gelu;
-use crate::host::kept;
 use crate::host::layer_norm::LayerNormRows;
 use crate::host::norm::{self, GroupNormPlan, NormGradients, NormParameters, Statistics};
+use crate::host::packed_cache;
 use crate::host::recurrence::{GruPlan, GruValues};
 use crate::host::rows::{Rows, SharedRows, rows_written_by};
 use crate::host::team;
 use crate::lengths::{KeyRanges, Lengths};
 use crate::linear_map::SharedMap;
 
-/// Optional tensors that are present, and sample lengths.
+/// The optional tensors that are present, sample lengths and attention ranges.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Given {
+pub struct Options {
     /// A convolution's bias.
     pub bias: bool,
     /// Addend of a convolution's output.
@@ -39,7 +39,7 @@ pub struct Given {
     pub keys: Option<KeyRanges>,
 }
 
-impl Given {
+impl Options {
     /// The keys that are attended to.
     pub fn attended(&self) -> Attended<'_> {
         match (&self.keys, self.frames()) {
@@ -49,13 +49,13 @@ impl Given {
         }
     }
 
-    /// The frames of each sample, as the kernels take them.
+    /// The frames of each sample.
     pub fn frames(&self) -> Option<&[usize]> {
         self.lengths.as_ref().map(Lengths::frames)
     }
 }
 
-/// The fused operations, without the choice whether to use them.
+/// The fused operations.
 #[allow(clippy::too_many_arguments)]
 #[backend_extension(Flex, Autodiff)]
 pub trait FusedOps: Backend {
@@ -71,7 +71,7 @@ pub trait FusedOps: Backend {
         film: FloatTensor<Self>,
         mask: FloatTensor<Self>,
         plan: ConvolutionPlan,
-        given: Given,
+        options: Options,
     ) -> FloatTensor<Self>;
 
     /// [`GroupNormPlan`] of `x`.
@@ -82,23 +82,22 @@ pub trait FusedOps: Backend {
         film: FloatTensor<Self>,
         mask: FloatTensor<Self>,
         plan: GroupNormPlan,
-        given: Given,
+        options: Options,
     ) -> FloatTensor<Self>;
 
-    /// Attention of queries `[batch, channels, time]` to keys and values side by side in
-    /// `[batch, 2 channels, keys]`, of which `given.lengths` are attended to.
+    /// Attention of queries `[batch, channels, time]` to keys and values `[batch, 2 channels, keys]`.
     fn fused_cross_attention(
         queries: FloatTensor<Self>,
         keys_values: FloatTensor<Self>,
         num_heads: usize,
-        given: Given,
+        options: Options,
     ) -> FloatTensor<Self>;
 
-    /// Attention within queries, keys and values side by side in `[batch, 3 channels, time]`.
+    /// Attention of queries, keys and values `[batch, 3 channels, time]`.
     fn fused_self_attention(
         queries_keys_values: FloatTensor<Self>,
         num_heads: usize,
-        given: Given,
+        options: Options,
     ) -> FloatTensor<Self>;
 
     /// The channels of `first`, then those of `second`.
@@ -111,7 +110,7 @@ pub trait FusedOps: Backend {
         bias: FloatTensor<Self>,
         initial: FloatTensor<Self>,
         plan: GruPlan,
-        given: Given,
+        options: Options,
     ) -> FloatTensor<Self>;
 
     /// Normalisation of each row of `x`, `[rows, features]`.
@@ -139,13 +138,17 @@ pub(crate) struct HostNorm {
 }
 
 impl HostNorm {
-    pub fn new([weight, bias, film]: [&FlexTensor; 3], mask: &FlexTensor, given: &Given) -> Self {
+    pub fn new(
+        [weight, bias, film]: [&FlexTensor; 3],
+        mask: &FlexTensor,
+        options: &Options,
+    ) -> Self {
         Self {
             weight: weight.to_contiguous(),
             bias: bias.to_contiguous(),
-            film: given.film.then(|| film.to_contiguous()),
-            mask: given.mask.then(|| HostRows::of(mask.clone())),
-            lengths: given.lengths.clone(),
+            film: options.film.then(|| film.to_contiguous()),
+            mask: options.mask.then(|| HostRows::of(mask.clone())),
+            lengths: options.lengths.clone(),
         }
     }
 
@@ -195,7 +198,7 @@ pub(crate) fn convolution(
     };
     let data = contiguous(weight);
     if let Cow::Borrowed(data) = data {
-        kept::allow(data, shape, || weight.clone());
+        packed_cache::allow(data, shape, || weight.clone());
     }
     let output = plan.forward(
         input,
@@ -227,12 +230,12 @@ pub(crate) fn group_norm(
     from_rows(output, shape)
 }
 
-/// Queries against keys and values that lie side by side.
+/// Heads of queries, and of keys and values side by side.
 pub(crate) fn cross_heads<'a>(
     queries: Rows<'a>,
     keys_values: Rows<'a>,
     num_heads: usize,
-    given: &'a Given,
+    options: &'a Options,
 ) -> Heads<'a> {
     let channels = queries.channels;
     Heads {
@@ -240,19 +243,19 @@ pub(crate) fn cross_heads<'a>(
         keys: keys_values.narrow(0, channels),
         values: keys_values.narrow(channels, channels),
         num_heads,
-        attended: given.attended(),
+        attended: options.attended(),
     }
 }
 
-/// Queries, keys and values that lie side by side.
-pub(crate) fn self_heads<'a>(all: Rows<'a>, num_heads: usize, given: &'a Given) -> Heads<'a> {
+/// Heads of queries, keys and values side by side.
+pub(crate) fn self_heads<'a>(all: Rows<'a>, num_heads: usize, options: &'a Options) -> Heads<'a> {
     let channels = all.channels / 3;
     Heads {
         queries: all.narrow(0, channels),
         keys: all.narrow(channels, channels),
         values: all.narrow(2 * channels, channels),
         num_heads,
-        attended: given.attended(),
+        attended: options.attended(),
     }
 }
 
@@ -265,7 +268,7 @@ pub(crate) fn attend(heads: Heads<'_>) -> FlexTensor {
     from_rows(heads.forward(), shape)
 }
 
-/// Gradients of queries and of keys and values, each as they lie.
+/// Gradients of the queries, and of the keys and values side by side.
 pub(crate) fn attend_backward(heads: Heads<'_>, gradient: Rows<'_>) -> [FlexTensor; 2] {
     let Rows {
         batch,
@@ -324,7 +327,7 @@ pub(crate) fn self_attend_backward(heads: Heads<'_>, gradient: Rows<'_>) -> Flex
     from_rows(all, shape)
 }
 
-/// `map` of each sample of `x`, `[batch, channels, time]`, to one of the given channels and frames.
+/// `map` of each sample of `x`, `[batch, channels, time]`, to a sample of these channels and frames.
 pub(crate) fn mapped(
     x: &FlexTensor,
     [channels, time]: [usize; 2],
@@ -342,21 +345,21 @@ pub(crate) fn mapped(
     tensor(into, [batch, channels, time])
 }
 
-/// The states of a gated recurrent unit, and what its backward pass needs, if it is `kept`.
+/// The states of a gated recurrent unit and, with `save`, the gates for its backward pass.
 pub(crate) fn recur(
     [inputs, weight, bias, initial]: [&FlexTensor; 4],
     plan: &GruPlan,
-    given: &Given,
-    kept: bool,
+    options: &Options,
+    save: bool,
 ) -> (Vec<f32>, Vec<f32>) {
     let values = GruValues {
         inputs: &contiguous(inputs),
         weight: &contiguous(weight),
         bias: &contiguous(bias),
         initial: &contiguous(initial),
-        lengths: given.frames(),
+        lengths: options.frames(),
     };
-    plan.forward(&values, kept)
+    plan.forward(&values, save)
 }
 
 impl FusedOps for Flex {
@@ -370,24 +373,24 @@ impl FusedOps for Flex {
         film: FlexTensor,
         mask: FlexTensor,
         plan: ConvolutionPlan,
-        given: Given,
+        options: Options,
     ) -> FlexTensor {
         let x = HostRows::of(x);
         let norm = plan.norm.map(|plan| {
             let parameters = [&norm_weight, &norm_bias, &film];
             (
-                norm::statistics(x.view(), &plan, given.frames()),
-                HostNorm::new(parameters, &mask, &given),
+                norm::statistics(x.view(), &plan, options.frames()),
+                HostNorm::new(parameters, &mask, &options),
             )
         });
         convolution(
             x.view(),
             &weight,
-            given.bias.then_some(&bias),
-            given.residual.then_some(residual),
+            options.bias.then_some(&bias),
+            options.residual.then_some(residual),
             norm.as_ref().map(|(statistics, norm)| (statistics, norm)),
             &plan,
-            given.frames(),
+            options.frames(),
         )
     }
 
@@ -398,11 +401,11 @@ impl FusedOps for Flex {
         film: FlexTensor,
         mask: FlexTensor,
         plan: GroupNormPlan,
-        given: Given,
+        options: Options,
     ) -> FlexTensor {
         let x = HostRows::of(x);
-        let norm = HostNorm::new([&weight, &bias, &film], &mask, &given);
-        let statistics = norm::statistics(x.view(), &plan, given.frames());
+        let norm = HostNorm::new([&weight, &bias, &film], &mask, &options);
+        let statistics = norm::statistics(x.view(), &plan, options.frames());
         group_norm(x.view(), &statistics, &norm, &plan)
     }
 
@@ -410,20 +413,20 @@ impl FusedOps for Flex {
         queries: FlexTensor,
         keys_values: FlexTensor,
         num_heads: usize,
-        given: Given,
+        options: Options,
     ) -> FlexTensor {
         let (queries, keys_values) = (HostRows::of(queries), HostRows::of(keys_values));
         let (queries, keys_values) = (queries.view(), keys_values.view());
-        attend(cross_heads(queries, keys_values, num_heads, &given))
+        attend(cross_heads(queries, keys_values, num_heads, &options))
     }
 
     fn fused_self_attention(
         queries_keys_values: FlexTensor,
         num_heads: usize,
-        given: Given,
+        options: Options,
     ) -> FlexTensor {
         let all = HostRows::of(queries_keys_values);
-        attend(self_heads(all.view(), num_heads, &given))
+        attend(self_heads(all.view(), num_heads, &options))
     }
 
     fn fused_gru(
@@ -432,9 +435,9 @@ impl FusedOps for Flex {
         bias: FlexTensor,
         initial: FlexTensor,
         plan: GruPlan,
-        given: Given,
+        options: Options,
     ) -> FlexTensor {
-        let (states, _) = recur([&inputs, &weight, &bias, &initial], &plan, &given, false);
+        let (states, _) = recur([&inputs, &weight, &bias, &initial], &plan, &options, false);
         tensor(states, [plan.time, plan.batch, plan.width])
     }
 

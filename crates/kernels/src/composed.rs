@@ -1,4 +1,4 @@
-//! The operations in Burn's own, for every device.
+//! The operations composed of Burn's, for every device.
 
 use std::ops::Range;
 
@@ -113,8 +113,8 @@ pub(crate) fn convolution(x: Tensor<3>, convolution: Convolution) -> Tensor<3> {
     }
 }
 
-/// A convolution as one matrix product over batch and time together, which Burn's CPU backends
-/// compute faster than their own.
+/// A convolution as one matrix product over batch and time, which is faster on Burn's CPU backends
+/// than their convolution.
 ///
 /// # Shapes
 /// - x: `[batch, in, time]`, weight: `[out, in, kernel]`
@@ -125,7 +125,7 @@ fn multiply_windows(x: Tensor<3>, weight: Tensor<3>, padding: usize, stride: usi
     let windows = time + 2 * padding + 1 - kernel;
     let frames = windows.div_ceil(stride);
 
-    // Frames become rows: row (b, t) holds the inputs that output frame t of sample b sees.
+    // Row (b, t) contains the inputs of output frame t of sample b.
     let rows = x.swap_dims(1, 2);
     let columns = if kernel == 1 && stride == 1 {
         rows
@@ -189,7 +189,7 @@ fn upsample_nearest(x: Tensor<3>, frames: usize) -> Tensor<3> {
 }
 
 /// Scaled dot-product attention; queries `[batch, channels, time]`, keys and values `[batch,
-/// channels, keys]`, of which `lengths` of each sample are attended to.
+/// channels, keys]`, the first `lengths` of each sample unmasked.
 pub(crate) fn attention(
     queries: Tensor<3>,
     keys: Tensor<3>,
@@ -204,7 +204,7 @@ pub(crate) fn attention(
     masked(queries, keys, values, num_heads, mask)
 }
 
-/// The same in which each query attends to its own keys. Queries of narrow ranges are taken in parts.
+/// [`attention`] of each query to a range of keys. Queries of narrow ranges are processed in parts.
 pub(crate) fn ranged_attention(
     queries: Tensor<3>,
     keys: Tensor<3>,
@@ -222,7 +222,7 @@ pub(crate) fn ranged_attention(
         let spans = (0..batch).map(|sample| ranges.span(sample, part.clone()));
         let spans = spans.filter(|span| !span.is_empty());
         let span = spans.reduce(|a, b| a.start.min(b.start)..a.end.max(b.end));
-        // Without any, a key that none attends to: zeros that depend on all that went in.
+        // Without any, one masked key: zeros that stay part of the graph.
         let span = span.unwrap_or(0..1);
         let of =
             |x: &Tensor<3>, frames: &Range<usize>| x.clone().narrow(2, frames.start, frames.len());
@@ -238,11 +238,10 @@ pub(crate) fn ranged_attention(
     Tensor::cat((0..time).step_by(length).map(part).collect(), 2)
 }
 
-/// Fewest queries that are taken together.
+/// Fewest queries of a part.
 const SHORTEST_PART: usize = if cfg!(test) { 2 } else { 64 };
 
-/// Attention to the keys under a mask that all heads share, `[batch, 1, 1 or time, keys]`; a query
-/// without a key gives zeros.
+/// Attention under a mask `[batch, 1, 1 or time, keys]`; a query without a key gives zeros.
 fn masked(
     queries: Tensor<3>,
     keys: Tensor<3>,
@@ -259,7 +258,7 @@ fn masked(
     let scale = (head_channels as f64).powf(-0.5);
     let scores = product(heads(queries).swap_dims(2, 3), heads(keys)).mul_scalar(scale);
     let weights = match mask {
-        // Far below every score, and finite: exactly no weight after the softmax.
+        // Far below every score, and finite: the weight is exactly 0 after the softmax.
         Some(mask) => {
             let hidden = mask.clone().sub_scalar(1.0).mul_scalar(1e9);
             softmax(scores + hidden) * mask
@@ -269,9 +268,8 @@ fn masked(
     product(heads(values), weights.swap_dims(2, 3)).reshape([batch, channels, time])
 }
 
-/// Softmax over the last dimension, in primitives that are the same with and without gradients:
-/// Burn's own is one fused operation without, whose last bits differ, and a rollout that is
-/// recomputed for its gradient must repeat itself exactly.
+/// Softmax over the last dimension, from primitives. Burn's own is fused without gradients and then
+/// differs in the last bits, but a rollout recomputed for its gradient must repeat exactly.
 fn softmax(scores: Tensor<4>) -> Tensor<4> {
     let largest = scores.clone().without_autodiff().max_dim(3);
     let exponentials = (scores - largest).exp();

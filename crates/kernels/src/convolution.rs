@@ -1,17 +1,17 @@
 use burn::backend::Dispatch;
 use burn::tensor::Tensor;
 
-use crate::backend::{FusedOps, Given};
+use crate::backend::{FusedOps, Options};
 use crate::host::convolution::ConvolutionPlan;
 use crate::host::geometry::Geometry;
 use crate::mode::fuses;
 use crate::normalization::NormTensors;
 use crate::{GroupNorm, Lengths, composed, product};
 
-/// A convolution over time, with what stands right before and after it.
+/// A convolution over time, fused with the operations right before and after it.
 ///
-/// On the CPU all of it is one operation that keeps its input and parameters for the backward pass:
-/// what is normalised or repeated before the products is computed again there.
+/// On the CPU this is one operation that stores its input and parameters. The backward pass recomputes
+/// the normalised or repeated input.
 ///
 /// ```text
 /// y = conv(norm(x)) + bias + residual        or        y = conv(upsample(x)) + bias + residual
@@ -29,8 +29,8 @@ pub struct Convolution {
 }
 
 impl Convolution {
-    /// Weight `[out, in, kernel]`. The kernel is padded by `(kernel - 1) / 2`: under an odd one
-    /// `time` frames become `ceil(time / stride)`, under one of 4 with stride 2 `floor(time / 2)`.
+    /// Weight `[out, in, kernel]`, padded by `(kernel - 1) / 2`. An odd kernel maps `time` frames to
+    /// `ceil(time / stride)`, a kernel of 4 with stride 2 to `floor(time / 2)`.
     pub fn new(weight: Tensor<3>, stride: usize) -> Self {
         let kernel = weight.dims()[2];
         Self {
@@ -49,7 +49,7 @@ impl Convolution {
         }
     }
 
-    /// The transposed map, with the weight `[in, out, kernel]`: `time` frames become
+    /// The transposed convolution, weight `[in, out, kernel]`: maps `time` frames to
     /// `(time - 1) stride + kernel - 2 padding`.
     pub fn transposed(weight: Tensor<3>, stride: usize, padding: usize) -> Self {
         let kernel = weight.dims()[2];
@@ -64,7 +64,7 @@ impl Convolution {
         }
     }
 
-    /// Adds one value an output channel, `[out]`.
+    /// Adds `[out]`, one value per output channel.
     pub fn bias(self, bias: Tensor<1>) -> Self {
         Self {
             bias: Some(bias),
@@ -80,7 +80,7 @@ impl Convolution {
         }
     }
 
-    /// Normalises the input first.
+    /// Normalises the input.
     pub fn norm(self, norm: GroupNorm) -> Self {
         Self {
             norm: Some(norm),
@@ -88,8 +88,8 @@ impl Convolution {
         }
     }
 
-    /// Repeats every input frame twice first, and keeps the first `frames`: twice the input's, or
-    /// one less. Not together with [`norm`](Self::norm).
+    /// Repeats every input frame twice, then keeps the first `frames`: twice the input's, or one
+    /// less. Excludes [`norm`](Self::norm).
     pub fn upsample(self, frames: usize) -> Self {
         Self {
             upsample: Some(frames),
@@ -97,8 +97,8 @@ impl Convolution {
         }
     }
 
-    /// Takes zeros for padding: the frames of each sample that count, of the input as it is
-    /// multiplied. Not together with [`norm`](Self::norm), which has lengths of its own.
+    /// Valid frames of each sample, after upsampling; the others are multiplied as zeros. Excludes
+    /// [`norm`](Self::norm), which has its own lengths.
     pub fn lengths(self, lengths: Option<Lengths>) -> Self {
         Self { lengths, ..self }
     }
@@ -152,14 +152,14 @@ impl Convolution {
             return composed::convolution(x, self);
         }
         let device = x.device();
-        let mut given = Given {
+        let mut options = Options {
             bias: self.bias.is_some(),
             residual: self.residual.is_some(),
             lengths: self.lengths,
-            ..Given::default()
+            ..Options::default()
         };
         let norm = match self.norm {
-            Some(norm) => norm.into_tensors(&mut given, &device),
+            Some(norm) => norm.into_tensors(&mut options, &device),
             None => NormTensors {
                 weight: Tensor::zeros([1], &device),
                 bias: Tensor::zeros([1], &device),
@@ -181,7 +181,7 @@ impl Convolution {
             norm.film.into_dispatch(),
             norm.mask.into_dispatch(),
             plan,
-            given,
+            options,
         ))
     }
 }
@@ -196,7 +196,7 @@ pub fn linear(x: Tensor<2>, weight: Tensor<2>, bias: Tensor<1>) -> Tensor<2> {
     if !fuses(&x) {
         return product(x, weight.transpose()) + bias.unsqueeze();
     }
-    // Rows as the frames of one sample: a view, as the kernels want channels side by side.
+    // Rows as the frames of one sample: a view with contiguous channels.
     let frames = x.unsqueeze::<3>().swap_dims(1, 2);
     Convolution::new(weight.unsqueeze_dim(2), 1)
         .bias(bias)

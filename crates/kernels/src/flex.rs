@@ -8,8 +8,7 @@ use burn::tensor::{Bytes, DType, Shape};
 use crate::host::rows::Rows;
 use crate::host::team;
 
-/// The frames of a tensor `[batch, channels, time]`, copied only if its channels do not lie side by
-/// side in memory.
+/// The frames of a tensor `[batch, channels, time]`, copied only if its channels are not contiguous.
 pub(crate) struct HostRows {
     storage: Storage,
     shape: [usize; 3],
@@ -90,7 +89,7 @@ fn turned(tensor: &FlexTensor) -> Vec<f32> {
     rows
 }
 
-/// The elements in row-major order, copied only if they are not so in memory.
+/// The elements in row-major order, copied only if the layout is another.
 pub(crate) fn contiguous(tensor: &FlexTensor) -> Cow<'_, [f32]> {
     match tensor.as_slice::<f32>() {
         Some(values) => Cow::Borrowed(values),
@@ -106,8 +105,7 @@ pub(crate) fn contiguous(tensor: &FlexTensor) -> Cow<'_, [f32]> {
     }
 }
 
-/// The elements in the order in which they lie in memory, if there are no gaps between them and none
-/// stands for several.
+/// The elements in memory order, if there are neither gaps nor broadcast elements.
 pub(crate) fn in_memory_order(tensor: &FlexTensor) -> Option<&[f32]> {
     let layout = tensor.layout();
     let mut axes: Vec<(isize, usize)> = layout
@@ -157,7 +155,7 @@ fn same_order(a: &FlexTensor, b: &FlexTensor) -> bool {
     a.shape() == b.shape() && axes.all(|(&size, (a, b))| size == 1 || a == b)
 }
 
-/// A tensor of elements that lie as those of `like` do.
+/// A tensor of the layout of `like`, whose elements are in memory order.
 fn laid_out(values: Vec<f32>, like: &FlexTensor) -> FlexTensor {
     let layout = like.layout();
     let strides = layout.strides().to_vec();

@@ -1,4 +1,4 @@
-//! Results that do not depend on how many samples a batch holds.
+//! Results that do not depend on the batch size.
 
 use std::cell::Cell;
 
@@ -8,20 +8,20 @@ thread_local! {
     static SAMPLES: Cell<usize> = const { Cell::new(1) };
 }
 
-/// Runs `work` on this thread, in which every batch stands for `samples` samples: the kernels then
-/// give each sample the very bits that it gets in a batch of its own.
+/// Runs `work` on this thread for batches of `samples` samples. Kernels give each sample the same bits
+/// as in a batch of one.
 ///
-/// Few rows are multiplied in another way than many, and their sums round otherwise; outside of
-/// this scope the rows of the whole batch decide. Operations without a kernel round as they do.
+/// Products of few rows use another algorithm, which rounds differently. Outside this scope the rows
+/// of the whole batch choose the algorithm. Operations without a kernel are not affected.
 ///
 /// # Panics
-/// Panics if there are no samples.
+/// Panics if `samples` is 0.
 pub fn batch_invariant<R>(samples: usize, work: impl FnOnce() -> R) -> R {
-    assert!(samples > 0, "a batch holds at least one sample");
+    assert!(samples > 0, "a batch has at least one sample");
     scoped(&SAMPLES, samples, work)
 }
 
-/// Samples that a batch on this thread stands for.
+/// Samples of a batch in the current [`batch_invariant`] scope, else 1.
 pub(crate) fn samples() -> usize {
     SAMPLES.get()
 }

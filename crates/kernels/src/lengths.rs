@@ -5,15 +5,15 @@ use std::sync::Arc;
 
 use burn::tensor::{Device, Tensor, TensorData};
 
-/// Frames that count of each sample of a batch, from the first on; the rest is padding.
+/// Valid frames of each sample of a batch; the rest is padding.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Lengths(Arc<[usize]>);
 
 impl Lengths {
-    /// The frames of each sample.
+    /// Lengths of `frames`.
     ///
     /// # Panics
-    /// Panics if a sample has none.
+    /// Panics if a sample has no frame.
     pub fn new(frames: impl IntoIterator<Item = usize>) -> Self {
         let frames: Arc<[usize]> = frames.into_iter().collect();
         assert!(!frames.contains(&0), "a sample without a frame");
@@ -31,20 +31,20 @@ impl Lengths {
         Self(self.0.iter().map(|frames| frames.div_ceil(2)).collect())
     }
 
-    /// 1 where a frame counts, else 0: `[batch, 1, time]`.
+    /// 1 for valid frames, else 0: `[batch, 1, time]`.
     pub fn mask(&self, time: usize, device: &Device) -> Tensor<3> {
         let of_sample = |&frames: &usize| (0..time).map(move |t| f32::from(u8::from(t < frames)));
         let values: Vec<f32> = self.0.iter().flat_map(of_sample).collect();
         Tensor::from_data(TensorData::new(values, [self.0.len(), 1, time]), device)
     }
 
-    /// The frames of each sample as a factor: `[batch, 1, 1]`.
+    /// The frames of each sample as a tensor `[batch, 1, 1]`.
     pub(crate) fn counts(&self, device: &Device) -> Tensor<3> {
         let values: Vec<f32> = self.0.iter().map(|&frames| frames as f32).collect();
         Tensor::from_data(TensorData::new(values, [self.0.len(), 1, 1]), device)
     }
 
-    /// Asserts that they fit a batch of so many samples and frames.
+    /// Asserts that they fit a batch of `batch` samples of `time` frames.
     pub(crate) fn check(&self, batch: usize, time: usize) {
         assert_eq!(self.0.len(), batch, "lengths of a batch");
         assert!(
@@ -55,20 +55,20 @@ impl Lengths {
     }
 }
 
-/// Frames that each frame of a batch attends to: a range for each.
+/// The range of keys that each query of a batch attends to.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct KeyRanges {
-    /// `[batch, queries]`, first and behind the last.
+    /// `[batch, queries]`, start and end.
     ranges: Arc<[[u32; 2]]>,
     queries: usize,
     widest: usize,
 }
 
 impl KeyRanges {
-    /// The keys of each query, `[batch][queries]`; an empty range gives zeros.
+    /// The keys of each query, `[batch][queries]`.
     ///
     /// # Panics
-    /// Panics unless every sample has as many queries, or if a range runs backwards.
+    /// Panics if the samples differ in their number of queries, or a range runs backwards.
     pub fn new(batch: impl IntoIterator<Item = Vec<Range<usize>>>) -> Self {
         let batch: Vec<Vec<Range<usize>>> = batch.into_iter().collect();
         let queries = batch.first().map_or(0, Vec::len);
@@ -99,7 +99,7 @@ impl KeyRanges {
         self.widest
     }
 
-    /// From the first key of some queries to behind their last; empty of none.
+    /// The smallest range that contains the keys of `queries`.
     pub(crate) fn span(&self, sample: usize, queries: Range<usize>) -> Range<usize> {
         let ranges = queries.map(|query| self.of(sample, query));
         let filled = ranges.filter(|range| !range.is_empty());
@@ -107,8 +107,7 @@ impl KeyRanges {
         span.unwrap_or(0..0)
     }
 
-    /// 1 where a query attends to a key, else 0, of some queries and keys:
-    /// `[batch, 1, queries, keys]`.
+    /// 1 where a query attends to a key, else 0: `[batch, 1, queries, keys]`.
     pub(crate) fn mask(
         &self,
         queries: Range<usize>,
@@ -130,7 +129,7 @@ impl KeyRanges {
         Tensor::from_data(TensorData::new(values, shape), device)
     }
 
-    /// Asserts that they fit a batch of so many samples, queries and keys.
+    /// Asserts that they fit a batch of `batch` samples with these numbers of queries and keys.
     pub(crate) fn check(&self, batch: usize, queries: usize, keys: usize) {
         assert_eq!(
             (self.ranges.len(), self.queries),
@@ -142,7 +141,7 @@ impl KeyRanges {
     }
 }
 
-/// Frames of a sample of `time` frames that count.
+/// Valid frames of a sample of `time` frames.
 pub(crate) fn frames_of(lengths: Option<&[usize]>, sample: usize, time: usize) -> usize {
     lengths.map_or(time, |lengths| lengths[sample])
 }

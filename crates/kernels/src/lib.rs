@@ -1,22 +1,20 @@
 //! Fused operations of motion networks, and the optimiser's step.
 //!
 //! Each operation is one function over Burn tensors. On the CPU (Flex) it runs as kernels of this
-//! crate, forward and backward; on every other device, or where [`Mode::Composed`] is set, it is
-//! composed of Burn's own operations, whose gradients Burn derives. Both give the same numbers to
-//! rounding.
+//! crate, forward and backward. On other devices, or with [`Mode::Composed`], it is composed of Burn's
+//! operations. Both agree to rounding.
 //!
 //! ```text
 //! convolution, normalization,
-//! attention, recurrence                   what a network calls
+//! attention, recurrence                   called by networks
 //!        |                \
 //!     backend           composed           Burn extension with its backward | Burn's operations
 //!        |
-//!      host                                kernels over slices; know nothing of Burn
+//!      host                                kernels over slices, independent of Burn
 //! ```
 //!
-//! The kernels read and write frames as rows (`[batch, time, channels]` in memory, `[batch,
-//! channels, time]` to Burn), so that a convolution's window is one piece of memory and a product
-//! needs no copy of it.
+//! Kernels store frames as rows: `[batch, time, channels]` in memory, `[batch, channels, time]` for
+//! Burn. A convolution's window is then contiguous, and a product reads it without a copy.
 
 mod attention;
 mod autodiff;
@@ -40,7 +38,7 @@ mod recurrence;
 pub use attention::{cross_attention, ranged_attention, self_attention};
 pub use convolution::{Convolution, concat_channels, linear};
 pub use host::activation::Activation;
-pub use host::kept::keeping_packed_weights;
+pub use host::packed_cache::cache_packed_weights;
 pub use host_values::host_values;
 pub use invariance::batch_invariant;
 pub use lengths::{KeyRanges, Lengths};

@@ -11,7 +11,7 @@ use crate::mode::fuses;
 
 /// A linear map of the values of one sample, and its adjoint.
 pub trait LinearMap: Debug + Send + Sync {
-    /// Channels and frames of the output for those of the input.
+    /// Channels and frames of the output for an input of this size.
     fn shape(&self, channels: usize, frames: usize) -> [usize; 2];
 
     /// Maps one sample, `[channels, frames]`.
@@ -20,19 +20,19 @@ pub trait LinearMap: Debug + Send + Sync {
     /// Maps output gradients to input gradients.
     fn adjoint(&self, gradient: &[f32], mapped: &mut [f32]);
 
-    /// The same map as operations of the device, for one that is not the host.
+    /// The map in Burn's operations, for other devices.
     fn composed(&self, x: Tensor<3>) -> Tensor<3>;
 }
 
-/// A map that an operation and its backward pass share.
+/// A map shared by an operation and its backward pass.
 pub type SharedMap = Arc<dyn LinearMap>;
 
-/// The map of each sample: on the CPU in time and memory that `map` takes, with its adjoint as the
-/// backward pass; elsewhere as it is composed.
+/// Maps each sample: on the CPU by [`LinearMap::apply`], with the adjoint as the backward pass; on
+/// other devices by [`LinearMap::composed`].
 ///
 /// # Shapes
 /// - x: `[batch, channels, time]`
-/// - output: `[batch, channels, time]`, with the shape of the map
+/// - output: `[batch, channels, time]`, of [`LinearMap::shape`]
 pub fn linear_map(x: Tensor<3>, map: SharedMap) -> Tensor<3> {
     if fuses(&x) {
         Tensor::from_dispatch(Dispatch::fused_linear_map(x.into_dispatch(), map))

@@ -15,14 +15,14 @@ pub const VARIABLE: &str = "KINEGRAD_KERNELS";
 /// Execution of operations.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Mode {
-    /// As kernels where there are some, which is on the CPU.
+    /// Kernels where they exist (on the CPU).
     #[default]
     Fused,
-    /// As Burn's own operations everywhere.
+    /// Burn's operations everywhere.
     Composed,
 }
 
-/// The environment variable has a value that means nothing.
+/// The environment variable has an unknown value.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ModeError {
     /// Its value.
@@ -37,7 +37,7 @@ impl Mode {
     /// The mode of the environment variable; fused by default.
     ///
     /// # Errors
-    /// If its value is no mode's name.
+    /// If its value is unknown.
     pub fn from_environment() -> Result<Self, ModeError> {
         let Some(found) = std::env::var_os(VARIABLE) else {
             return Ok(Self::default());
@@ -51,8 +51,8 @@ impl Mode {
         }
     }
 
-    /// The mode of this thread's operations: that of an enclosing [`scope`](Self::scope), else the
-    /// environment's at its first use, else fused.
+    /// The mode of this thread: that of the enclosing [`scope`](Self::scope), else that of the
+    /// environment at first use.
     pub fn current() -> Self {
         static ENVIRONMENT: OnceLock<Mode> = OnceLock::new();
         let environment =
@@ -66,7 +66,7 @@ impl Mode {
     }
 }
 
-/// Runs `work` while this thread's `cell` holds `value`.
+/// Runs `work` with `cell` set to `value` on this thread.
 pub(crate) fn scoped<T: Copy, R>(
     cell: &'static LocalKey<Cell<T>>,
     value: T,
@@ -82,13 +82,13 @@ pub(crate) fn scoped<T: Copy, R>(
     work()
 }
 
-/// Whether operations on this tensor run as kernels.
+/// True if operations on this tensor run as kernels.
 pub(crate) fn fuses<const D: usize>(x: &Tensor<D>) -> bool {
     fn on_flex(kind: &DispatchTensorKind) -> bool {
         match kind {
             DispatchTensorKind::Flex(_) => true,
             DispatchTensorKind::Autodiff(inner) => on_flex(inner),
-            // With Flex alone there is no other kind.
+            // Unreachable if Flex is the only backend.
             #[allow(unreachable_patterns)]
             _ => false,
         }

@@ -1,22 +1,22 @@
 use burn::backend::Dispatch;
 use burn::tensor::{Device, Tensor};
 
-use crate::backend::{FusedOps, Given};
+use crate::backend::{FusedOps, Options};
 use crate::composed;
 use crate::host::norm::GroupNormPlan;
 use crate::mode::fuses;
 use crate::{Activation, Lengths};
 
-/// Group normalisation over channels and time (biased variance), then FiLM, an activation and a
-/// mask, where they are given:
+/// Group normalisation over channels and time (biased variance), then optionally FiLM, an activation
+/// and a mask:
 ///
 /// ```text
 /// u = (x - mean) / sqrt(variance + eps) weight + bias
 /// y = activation(u (1 + scale) + shift) mask
 /// ```
 ///
-/// With lengths, mean and variance are over each sample's first frames alone, and the others are
-/// zero: what padding holds changes nothing, and no gradient flows to it.
+/// With lengths, mean and variance are those of the valid frames. Padding has no influence, becomes
+/// zero and gets no gradient.
 #[derive(Clone, Debug)]
 pub struct GroupNorm {
     pub(crate) weight: Tensor<1>,
@@ -27,7 +27,7 @@ pub struct GroupNorm {
     pub(crate) plan: GroupNormPlan,
 }
 
-/// The optional tensors as an extension takes them.
+/// The tensors of a normalisation, with placeholders for missing ones.
 pub(crate) struct NormTensors {
     pub weight: Tensor<1>,
     pub bias: Tensor<1>,
@@ -36,7 +36,7 @@ pub(crate) struct NormTensors {
 }
 
 impl GroupNorm {
-    /// A normalisation in `groups` groups; weight and bias `[channels]`.
+    /// A normalisation of `groups` groups; weight and bias `[channels]`.
     pub fn new(weight: Tensor<1>, bias: Tensor<1>, groups: usize, eps: f64) -> Self {
         let plan = GroupNormPlan {
             groups,
@@ -53,8 +53,7 @@ impl GroupNorm {
         }
     }
 
-    /// Scales by one more than the first half of `film`, `[batch, 2 channels]`, and shifts by the
-    /// second.
+    /// Scales by 1 plus the first half of `film`, `[batch, 2 channels]`, and shifts by the second.
     pub fn film(self, film: Tensor<2>) -> Self {
         Self {
             film: Some(film),
@@ -62,18 +61,18 @@ impl GroupNorm {
         }
     }
 
-    /// Activation afterwards.
+    /// Sets the activation.
     pub fn activation(mut self, activation: Activation) -> Self {
         self.plan.activation = activation;
         self
     }
 
-    /// Multiplies at last by `mask`, `[batch, channels, time]`, to which no gradient flows.
+    /// Multiplies the result by `mask`, `[batch, channels, time]`, which gets no gradient.
     pub fn mask(self, mask: Option<Tensor<3>>) -> Self {
         Self { mask, ..self }
     }
 
-    /// Leaves padding out: the frames of each sample that count.
+    /// Valid frames of each sample.
     pub fn lengths(self, lengths: Option<Lengths>) -> Self {
         Self { lengths, ..self }
     }
@@ -88,8 +87,8 @@ impl GroupNorm {
         if !fuses(&x) {
             return composed::group_norm(x, self);
         }
-        let (plan, mut given) = (self.plan, Given::default());
-        let tensors = self.into_tensors(&mut given, &x.device());
+        let (plan, mut options) = (self.plan, Options::default());
+        let tensors = self.into_tensors(&mut options, &x.device());
         Tensor::from_dispatch(Dispatch::fused_group_norm(
             x.into_dispatch(),
             tensors.weight.into_dispatch(),
@@ -97,7 +96,7 @@ impl GroupNorm {
             tensors.film.into_dispatch(),
             tensors.mask.into_dispatch(),
             plan,
-            given,
+            options,
         ))
     }
 
@@ -121,10 +120,10 @@ impl GroupNorm {
         }
     }
 
-    pub(crate) fn into_tensors(self, given: &mut Given, device: &Device) -> NormTensors {
-        given.film = self.film.is_some();
-        given.mask = self.mask.is_some();
-        given.lengths = self.lengths;
+    pub(crate) fn into_tensors(self, options: &mut Options, device: &Device) -> NormTensors {
+        options.film = self.film.is_some();
+        options.mask = self.mask.is_some();
+        options.lengths = self.lengths;
         NormTensors {
             weight: self.weight,
             bias: self.bias,

@@ -1,5 +1,5 @@
-//! The optimiser's step on the host's memory: one read of the gradients for their norm, then one
-//! pass for clipping, AdamW and the moving average together, in place.
+//! The optimiser's step in host memory: one pass over the gradients for their norm, then one in-place
+//! pass for clipping, AdamW and the moving average.
 
 mod tensors;
 
@@ -8,14 +8,13 @@ pub use tensors::AdamWTensors;
 use crate::host::simd::vectorized;
 use crate::host::team;
 
-/// Elements that one thread handles at a time. Fixed, so that the order of additions, and with it
-/// the last bit of a sum, does not depend on the number of threads.
+/// Elements of a task. Fixed, so that sums do not depend on the number of threads.
 const CHUNK: usize = 1 << 14;
 
-/// Sums that run side by side within a chunk, as vector code wants them.
+/// Parallel sums within a chunk, for vectorisation.
 const LANES: usize = 32;
 
-/// The sum of the squares of `values`, in double precision and in one order.
+/// The sum of the squares of `values`, in double precision and in a fixed order.
 pub fn sum_of_squares(values: &[f32]) -> f64 {
     let chunks: Vec<&[f32]> = values.chunks(CHUNK).collect();
     let partial = team::map(chunks.len(), |i| {
@@ -42,7 +41,7 @@ fn chunk_sum_of_squares(chunk: &[f32]) -> f64 {
     sums.iter().sum()
 }
 
-/// Divides all values, each in double precision.
+/// Divides each value in double precision.
 pub fn divide(values: &mut [f32], divisor: f64) {
     team::for_each_item(values.chunks_mut(CHUNK).collect(), |chunk: &mut [f32]| {
         vectorized(
@@ -55,18 +54,18 @@ pub fn divide(values: &mut [f32], divisor: f64) {
     });
 }
 
-/// The numbers of one AdamW step, the same for every element of a parameter.
+/// The settings of one AdamW step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AdamW {
-    /// Decay of the running mean of the gradient, and of its square.
+    /// Decay of the running means of the gradient and of its square.
     pub betas: [f64; 2],
     /// Added to the denominator.
     pub eps: f64,
     /// Decoupled weight decay.
     pub weight_decay: f64,
-    /// The step's rate.
+    /// Learning rate.
     pub learning_rate: f64,
-    /// Steps done with this one.
+    /// Number of this step, from 1.
     pub steps: u64,
     /// Factor of the gradient, for clipping.
     pub gradient_scale: f64,
@@ -80,7 +79,7 @@ pub struct AdamWState<'a> {
     pub exp_avg: &'a mut [f32],
     /// Running mean of the squared gradient.
     pub exp_avg_sq: &'a mut [f32],
-    /// The moving average of the values and the share of the distance that it moves now.
+    /// The moving average of the values, and its rate.
     pub ema: Option<(&'a mut [f32], f64)>,
 }
 

@@ -1,4 +1,4 @@
-//! The precision that products of matrices are computed in.
+//! The precision of matrix products.
 
 use std::cell::Cell;
 
@@ -6,15 +6,15 @@ use burn::tensor::{FloatDType, Tensor};
 
 use crate::mode::scoped;
 
-/// The precision of the products of a network. Weights, normalisations, softmax and sums stay in
+/// The precision of a network's matrix products. Weights, normalisations, softmax and sums stay in
 /// float32.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Precision {
     /// 32 bits: 23 of mantissa, 8 of exponent.
     #[default]
     Float32,
-    /// 16 bits: 7 of mantissa, 8 of exponent. Factors and products are rounded to them, as are their
-    /// gradients; kernels of the CPU, which know float32 alone, are not used.
+    /// 16 bits: 7 of mantissa, 8 of exponent. Factors, products and their gradients are rounded. The
+    /// CPU kernels are float32 only and are not used.
     Bfloat16,
 }
 
@@ -28,8 +28,8 @@ impl Precision {
         CURRENT.get()
     }
 
-    /// Runs `work` with products of this precision on this thread. A backward pass follows the forward
-    /// pass, whatever is set then; one that computes parts of the forward pass again belongs inside.
+    /// Runs `work` with this precision on this thread. A backward pass has the precision of its forward
+    /// pass; one that recomputes parts of the forward pass must run inside the scope.
     pub fn scope<R>(self, work: impl FnOnce() -> R) -> R {
         scoped(&CURRENT, self, work)
     }

@@ -1,20 +1,17 @@
-//! Products with all digits of float32.
+//! Matrix products in full float32 precision.
 
 use burn::tensor::{Tensor, s};
 
 use crate::mode::fuses;
 
-/// Channels whose products are in memory together: `BLOCK` times as much as the result.
+/// Channels per block; the products of a block take `BLOCK` times the memory of the result.
 const BLOCK: usize = 16;
 
 /// `W x` of every frame, each product in float32 whatever the device.
 ///
-/// GPU matrix units may multiply with 10 of the 23 mantissa bits (TF32) without notice. Each factor
-/// then has a relative error of up to 1/2,000, which a matrix with a large inverse amplifies to the
-/// size of the values. The CPU multiplies in float32. Elsewhere products are formed element by
-/// element, which uses no matrix unit, and summed, [`BLOCK`] channels at a time. Splitting the
-/// factors into 10-bit parts and summing six matrix products would be faster, but is only correct
-/// if no compiler reorders the arithmetic.
+/// GPU matrix units may use 10 of the 23 mantissa bits (TF32). Each factor then has a relative error of
+/// up to 1/2,000, which a matrix with a large inverse amplifies to the size of the values. Devices
+/// other than the CPU therefore multiply element by element, [`BLOCK`] channels at a time.
 ///
 /// # Shapes
 /// - matrix: `[channels_out, channels]`
@@ -55,8 +52,8 @@ mod tests {
     #[test]
     fn products_have_the_digits_that_tf32_loses() {
         let (batch, rows, columns, time) = (2, 29, 37, 5);
-        let draw = |at, count| Key::new(3, Purpose::Synthetic).at(at).normals(count);
-        let (matrix, x) = (draw(0, rows * columns), draw(1, batch * columns * time));
+        let values = |at, count| Key::new(3, Purpose::Synthetic).at(at).normals(count);
+        let (matrix, x) = (values(0, rows * columns), values(1, batch * columns * time));
         let product = |round: fn(f32) -> f32| -> Vec<f64> {
             let mut out = Vec::with_capacity(batch * rows * time);
             for sample in x.chunks(columns * time) {

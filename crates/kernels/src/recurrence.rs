@@ -1,11 +1,11 @@
-//! Gated recurrent units: the loop over time, once the inputs' part of all steps is known.
+//! The loop of a gated recurrent unit over time; its input projection is computed before.
 
 use burn::backend::Dispatch;
 use burn::tensor::activation::sigmoid;
 use burn::tensor::{Bool, Tensor, TensorData};
 
 use crate::Lengths;
-use crate::backend::{FusedOps, Given};
+use crate::backend::{FusedOps, Options};
 use crate::convolution::linear;
 use crate::host::recurrence::GruPlan;
 use crate::mode::fuses;
@@ -20,7 +20,7 @@ pub enum Direction {
 }
 
 impl Direction {
-    /// The steps of a sequence in the order that they are taken.
+    /// The steps of a sequence, in order.
     pub(crate) fn steps(self, time: usize) -> Box<dyn DoubleEndedIterator<Item = usize>> {
         match self {
             Self::Forward => Box::new(0..time),
@@ -28,7 +28,7 @@ impl Direction {
         }
     }
 
-    /// The step of `time` that is taken last.
+    /// The last step in this direction.
     pub fn last(self, time: usize) -> usize {
         match self {
             Self::Forward => time - 1,
@@ -43,19 +43,19 @@ impl Direction {
 /// r, z = sigmoid(input + state)    n = tanh(input + r * state)    h' = (1 - z) n + z h
 /// ```
 ///
-/// with `input` the three parts (reset, update, new) of `inputs`, and `state` those of
-/// `weight h + bias`. A sequence keeps its state in the steps beyond its length. Source: Cho et al.
-/// 2014, <https://arxiv.org/abs/1406.1078>, in PyTorch's form.
+/// `input` is one of the three parts (reset, update, new) of `inputs`, `state` one of those of
+/// `weight h + bias`. Beyond its length a sequence keeps its state. Source: Cho et al. 2014,
+/// <https://arxiv.org/abs/1406.1078>, in PyTorch's form.
 ///
 /// # Shapes
 /// - inputs: `[time, batch, 3 state]`
 /// - weight: `[3 state, state]`, bias: `[3 state]`
 /// - initial: `[batch, state]`
-/// - lengths: steps of each sequence, all where there are none
-/// - output: `[time, batch, state]`, in the order of `inputs` whatever the direction
+/// - lengths: steps of each sequence, all by default
+/// - output: `[time, batch, state]`, in the order of `inputs` for both directions
 ///
 /// # Panics
-/// Panics if the shapes do not fit, or there is no step.
+/// Panics if the shapes do not fit, or `time` is 0.
 pub fn gru(
     inputs: Tensor<3>,
     weight: Tensor<2>,
@@ -82,9 +82,9 @@ pub fn gru(
         width,
         direction,
     };
-    let given = Given {
+    let options = Options {
         lengths: lengths.cloned(),
-        ..Given::default()
+        ..Options::default()
     };
     Tensor::from_dispatch(Dispatch::fused_gru(
         inputs.into_dispatch(),
@@ -92,7 +92,7 @@ pub fn gru(
         bias.into_dispatch(),
         initial.into_dispatch(),
         plan,
-        given,
+        options,
     ))
 }
 

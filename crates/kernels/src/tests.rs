@@ -5,7 +5,7 @@ mod bounds;
 mod cases;
 mod fused;
 mod invariance;
-mod kept;
+mod packed_cache;
 mod padding;
 mod recurrence;
 mod reference;

@@ -12,16 +12,15 @@ pub const MAX_WIDTH: usize = 65_536;
 /// Most layers or blocks in a row.
 pub const MAX_LAYERS: usize = 1_024;
 
-/// The settings of one kind of network: the keys of a table `model` beside its `kind` and `size`,
-/// with a default for each. What its data decide, such as the number of channels, is given when it
-/// is built.
+/// The settings of one kind of network: the keys of a table `model` beside `kind` and `size`, with
+/// defaults. Sizes that depend on the data, such as the channels, are arguments of its construction.
 pub trait NetworkConfig: Serialize + DeserializeOwned + 'static {
     /// Name of the kind, in `model.kind`.
     const KIND: &'static str;
 
-    /// Named sizes that the keys start from, in `model.size`; the first where a config names none.
+    /// Defaults by the name in `model.size`; the first is the default size.
     const SIZES: NamedSizes<Self>;
 
-    /// Fills in what follows from other keys where a config is silent.
+    /// Fills in missing keys that follow from others.
     fn complete(&mut self) {}
 }

@@ -1,11 +1,11 @@
-//! Dropout whose masks are a function of a key, so that a resumed step drops the same elements.
+//! Dropout with masks from a key, so that a resumed step drops the same elements.
 
 use burn::module::Module;
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_random::Key;
 
-/// Which masks a forward pass uses: `Some` in training, keyed by step, micro-batch and call;
-/// `None` switches dropout off (validation, sampling, rollouts).
+/// The key of a forward pass's masks: `Some` in training, by step, micro-batch and call; `None` disables
+/// dropout (validation, sampling, rollouts).
 pub type DropoutKey = Option<Key>;
 
 /// Inverted dropout: elements are zeroed with probability `prob`, the rest scaled by
@@ -17,8 +17,7 @@ pub struct Dropout {
 }
 
 impl Dropout {
-    /// Dropout of probability `prob`; `layer` tells its masks from those of the network's other
-    /// dropout layers.
+    /// Dropout of probability `prob`; `layer` is its number among the network's dropout layers.
     pub fn new(prob: f64, layer: usize) -> Self {
         Self { prob, layer }
     }
@@ -28,7 +27,7 @@ impl Dropout {
         key.is_some() && self.prob > 0.0
     }
 
-    /// Applies the mask of `key`, or returns `x` as it is without a key.
+    /// Applies the mask of `key`; without a key returns `x`.
     ///
     /// # Shapes
     /// - x, output: any
@@ -39,7 +38,7 @@ impl Dropout {
         }
     }
 
-    /// The factors of `key` for a tensor of this shape; none without a key.
+    /// The factors of `key` for a tensor of this shape; `None` without a key.
     pub fn mask<const D: usize>(
         &self,
         shape: [usize; D],

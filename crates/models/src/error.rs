@@ -1,7 +1,7 @@
 use miette::Diagnostic;
 use thiserror::Error;
 
-/// Errors about weights meant for a network.
+/// Errors of loading weights.
 #[derive(Debug, Error, Diagnostic)]
 pub enum Error {
     /// Weights of another network.

@@ -5,7 +5,7 @@ use burn::tensor::{Gradients, Tensor, Transaction};
 
 use crate::parameters;
 
-/// Takes the gradients of `module`'s parameters out of `gradients`; zeros where a parameter had no
+/// Removes the gradients of `module`'s parameters from `gradients`; zeros for a parameter that had no
 /// part in the loss or is frozen.
 pub fn gradients<M: Module>(module: &M, gradients: &mut Gradients) -> Vec<Vec<f32>> {
     let mut sum = GradientSum::default();
@@ -19,7 +19,7 @@ pub fn gradients<M: Module>(module: &M, gradients: &mut Gradients) -> Vec<Vec<f3
 pub struct GradientSum(Vec<Option<Tensor<1>>>);
 
 impl GradientSum {
-    /// Takes the gradients of `module`'s parameters out of `gradients` and adds them.
+    /// Removes the gradients of `module`'s parameters from `gradients` and adds them.
     pub fn add<M: Module>(&mut self, module: &M, gradients: &mut Gradients) {
         struct Visitor<'a> {
             gradients: &'a mut Gradients,
@@ -55,7 +55,7 @@ impl GradientSum {
         self.into_host_with(module, Vec::new()).0
     }
 
-    /// [`into_host`](Self::into_host), and what other tensors hold, all in one read.
+    /// [`into_host`](Self::into_host), and the values of `others` in the same read.
     pub fn into_host_with<M: Module>(
         mut self,
         module: &M,
@@ -66,7 +66,7 @@ impl GradientSum {
         self.0.resize(infos.len(), None);
         let there: Vec<bool> = self.0.iter().map(Option::is_some).collect();
         let tensors: Vec<Tensor<1>> = self.0.into_iter().flatten().chain(others).collect();
-        // A device is not asked for nothing.
+        // An empty transaction has no device.
         let read = match tensors.is_empty() {
             true => Vec::new(),
             false => {
@@ -83,7 +83,7 @@ impl GradientSum {
         (values.collect(), read.collect())
     }
 
-    /// The sums on their device, in the module's order; none for a parameter that had no part in any
+    /// The sums on their device, in the module's order; `None` for a parameter that had no part in any
     /// loss.
     pub fn into_tensors(self) -> Vec<Option<Tensor<1>>> {
         self.0

@@ -1,13 +1,12 @@
-//! Initial weights: keyed by the parameter's name, so that they depend on the seed alone.
+//! Initial weights, keyed by the parameter's name.
 
 use burn::module::{Param, ParamId};
 use burn::tensor::{Device, Shape, Tensor, TensorData};
 use kinegrad_random::{Key, Purpose};
 
-/// Makes parameters at one place of a network's tree; [`at`](Self::at) descends.
+/// Initialises parameters at one place of a network's tree; [`at`](Self::at) descends.
 ///
-/// Parameters are lazy: a network whose parameters are only counted, or are loaded from a file,
-/// draws nothing.
+/// Parameters are lazy: counting them or loading them from a file initialises none.
 #[derive(Clone, Debug)]
 pub struct Initializer {
     key: Key,
@@ -32,8 +31,8 @@ impl Initializer {
         }
     }
 
-    /// A parameter drawn uniformly from `+-1 / sqrt(fan_in)`, the default of PyTorch's linear and
-    /// convolution layers for weight and bias alike.
+    /// A parameter sampled uniformly from `+-1 / sqrt(fan_in)`, the default of PyTorch's linear and
+    /// convolution layers for weights and biases.
     pub fn uniform<const D: usize>(
         &self,
         name: &str,
@@ -43,7 +42,7 @@ impl Initializer {
         self.bounded(name, shape, 1.0 / (fan_in as f64).sqrt())
     }
 
-    /// A parameter drawn uniformly from `+-bound`.
+    /// A parameter sampled uniformly from `+-bound`.
     pub fn bounded<const D: usize>(
         &self,
         name: &str,
@@ -65,10 +64,10 @@ impl Initializer {
         self.parameter(shape, move |n| vec![value; n])
     }
 
-    /// A parameter of the given values, row by row.
+    /// A parameter of these row-major values.
     ///
     /// # Panics
-    /// Panics, when it is first used, if there are not as many as the shape has places.
+    /// Panics at its first use if their number does not fit the shape.
     pub fn values<const D: usize>(&self, shape: [usize; D], values: Vec<f32>) -> Param<Tensor<D>> {
         self.parameter(shape, move |_| values)
     }

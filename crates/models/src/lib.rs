@@ -1,9 +1,8 @@
-//! What the networks of several systems share, independent of diffusion schedules, datasets and file
-//! locations. The networks themselves are in the crates of their systems.
+//! Layers and tools shared by the networks, which are in the crates of their systems.
 //!
-//! [`layers`] have PyTorch's names and weight layouts, so that the path of a parameter in the module
-//! tree *is* its state-dict name; [`parameters`] reads and writes them by that name. [`lora`] adds
-//! low-rank adapters, [`text_encoder`] is CLIP's text network.
+//! [`layers`] have PyTorch's names and weight layouts: the path of a parameter in the module tree *is*
+//! its state-dict name, by which [`parameters`] reads and writes it. [`lora`] adds low-rank adapters,
+//! [`text_encoder`] is CLIP's text network.
 
 pub mod config;
 pub mod dropout;

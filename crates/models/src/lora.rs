@@ -1,4 +1,4 @@
-//! LoRA: selecting layers and adding adapters to a network.
+//! LoRA: adapters of selected layers.
 
 use kinegrad_settings::{ABOVE_ZERO, InvalidSetting, Refused, in_range, require};
 use schemars::JsonSchema;
@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use crate::Initializer;
 use crate::config::MAX_WIDTH;
 
-/// Layers that adapters can be put on.
+/// Layers with adapters.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum LoraTarget {
@@ -47,7 +47,7 @@ impl Default for LoraConfig {
 
 impl LoraConfig {
     /// # Errors
-    /// Names the key that no adapter can be built from.
+    /// The first invalid key.
     pub fn validate(&self) -> Result<(), InvalidSetting> {
         in_range("lora.rank", self.rank, 1..=MAX_WIDTH).hint("4 to 16 is usual")?;
         in_range("lora.alpha", self.alpha, ABOVE_ZERO)
@@ -58,25 +58,25 @@ impl LoraConfig {
     }
 }
 
-/// A layer whose weight can carry an adapter.
+/// A layer whose weight can have an adapter.
 pub trait Adaptable: Sized {
-    /// The layer with a fresh adapter in place of any that it has.
+    /// The layer with a new adapter.
     fn with_adapter(self, config: &LoraConfig, init: &Initializer) -> Self;
 
-    /// The layer without an adapter, whose change is added to the weight.
+    /// The layer with its adapter merged into the weight.
     fn merge_adapter(self) -> Self;
 }
 
-/// What is done to the adapters of a network, at one place of its tree; [`at`](Self::at) descends.
+/// A change of a network's adapters, at one place of its tree; [`at`](Self::at) descends.
 pub enum Adapting<'a> {
-    /// Puts fresh adapters on the layers that the config names.
+    /// Adds new adapters to the layers of the config.
     Attach(&'a LoraConfig, Initializer),
-    /// Takes all adapters off and adds them to the weights.
+    /// Merges all adapters into the weights.
     Merge,
 }
 
 impl Adapting<'_> {
-    /// The same for the place `name` below this one.
+    /// The change for the place `name` below this one.
     pub fn at(&self, name: &str) -> Self {
         match self {
             Self::Attach(config, init) => Self::Attach(config, init.at(name)),
@@ -84,7 +84,7 @@ impl Adapting<'_> {
         }
     }
 
-    /// Does it to the layer `name` below this place.
+    /// Applies the change to the layer `name` below this place.
     pub fn layer<L: Adaptable>(&self, target: LoraTarget, name: &str, layer: L) -> L {
         match self {
             Self::Attach(config, init) if config.targets.contains(&target) => {
@@ -109,7 +109,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_config_leaves_out_is_the_default_and_unknown_keys_are_refused() {
+    fn missing_keys_have_their_default_and_unknown_keys_are_refused() {
         let config = read("rank", 3).expect("a known key");
         assert_eq!(
             config,

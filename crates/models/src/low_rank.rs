@@ -1,24 +1,22 @@
 //! The low-rank change of one layer's weight (Hu et al. 2021, <https://arxiv.org/abs/2106.09685>).
 //!
-//! It is a field of our layers instead of Burn's `LoraAdapter`, which covers weights of rank 2
-//! alone and so no convolution, and puts its factors below the weight, where our state-dict names
-//! have them beside it.
+//! Burn's `LoraAdapter` covers weights of two dimensions only, not convolutions, and names its factors
+//! below the weight instead of beside it.
 
 use burn::module::{Module, Param};
 use burn::tensor::Tensor;
 
 use crate::{Initializer, LoraConfig};
 
-/// A change of a weight `W` by a product of two thin matrices, the weight itself being frozen:
+/// A change of a frozen weight `W` by a product of two thin matrices:
 ///
 /// ```text
 /// W' = W + (alpha / rank) reshape(b a)
 /// ```
 ///
-/// `a` is `[rank, fan_in]` and `b` `[out, rank]`, where `fan_in` runs over all sizes of the weight
-/// but the first: `in` of a linear layer, `in * kernel` of a convolution, whose `a` is thus that
-/// of a convolution from `in` to `rank` channels. As in PEFT, `a` starts uniform in
-/// `+-1 / sqrt(fan_in)` and `b` at zero, so that a fresh one changes nothing.
+/// `a` is `[rank, fan_in]` and `b` `[out, rank]`; `fan_in` is `in` for a linear layer and `in * kernel`
+/// for a convolution. As in PEFT, `a` starts uniform in `+-1 / sqrt(fan_in)` and `b` at zero, so that
+/// the initial change is zero.
 #[derive(Module, Debug)]
 pub struct LowRank {
     a: Param<Tensor<2>>,
@@ -27,7 +25,7 @@ pub struct LowRank {
 }
 
 impl LowRank {
-    /// A change, so far of nothing, of a weight `[outputs, ..]` with `fan_in` elements a row.
+    /// The initial change of a weight `[outputs, ..]` with `fan_in` elements per row.
     pub fn new(fan_in: usize, outputs: usize, config: &LoraConfig, init: &Initializer) -> Self {
         Self {
             a: init.uniform("a", [config.rank, fan_in], fan_in),
@@ -44,9 +42,9 @@ impl LowRank {
         weight + change.reshape(shape)
     }
 
-    /// The weight with the change added to it, as a parameter that is still frozen.
+    /// The sum of weight and change, as a frozen parameter.
     pub fn merge<const D: usize>(self, weight: Param<Tensor<D>>) -> Param<Tensor<D>> {
-        // Without gradients, so that the sum is a plain value and no graph outlives it.
+        // Without gradients, so that no graph outlives the sum.
         let change = self.no_grad();
         weight
             .set_require_grad(false)
@@ -73,7 +71,7 @@ mod tests {
         Initializer::new(4, &Device::flex().autodiff())
     }
 
-    /// `b` of the layer's adapter made other than zero.
+    /// The layer with a nonzero `b` in its adapter.
     fn disturbed<M: Module>(layer: M) -> M {
         parameters::update(layer, |index, values| {
             for (i, value) in values.iter_mut().enumerate() {
@@ -164,7 +162,7 @@ mod tests {
                 .sum();
             let expected = weight + 1.5 * product;
             assert!((merged - expected).abs() < 1e-6, "{merged} {expected}");
-            assert!(product.abs() > 1e-4, "a change of nothing proves nothing");
+            assert!(product.abs() > 1e-4, "a change of zero proves nothing");
         }
     }
 }

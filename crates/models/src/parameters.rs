@@ -1,7 +1,6 @@
-//! Parameters by state-dict name: counting, reading, loading, gradients and updates in place.
+//! Parameters by state-dict name: counting, reading, loading and updates in place.
 //!
-//! The order of all functions here is the order of the module tree, which is fixed by the model's
-//! code, so index `i` means the same parameter in each of them.
+//! All functions have the order of the module tree: index `i` means the same parameter in each.
 
 use std::collections::{BTreeMap, HashMap};
 
@@ -10,7 +9,7 @@ use burn::tensor::{Tensor, TensorData, Transaction};
 
 use crate::Error;
 
-/// Where a parameter stands and how large it is.
+/// Name and shape of a parameter.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ParameterInfo {
     /// State-dict name, for example `enc.0.res.1.conv1.weight`.
@@ -40,14 +39,12 @@ pub struct HostParameter {
     pub values: Vec<f32>,
 }
 
-/// Keeps the path of the module being visited.
+/// The path of the visited module.
 #[derive(Default)]
 struct Path(Vec<String>);
 
 impl Path {
-    /// A field `at_n` stands for child `n` of a torch `Sequential`, and `a_at_b` for `b` in a
-    /// module `a`. A field `flat_x` is no part of a name, as if what it holds stood in its place,
-    /// nor is the variant of an enum.
+    /// Maps field names as [`crate::layers`] documents; an enum's variant is not part of a name.
     fn enter(&mut self, name: &str, container: &str) {
         let nameless = name.starts_with("flat_") || container.starts_with("Enum:");
         let name = if nameless { "" } else { name };
@@ -94,9 +91,7 @@ pub fn infos<M: Module>(module: &M) -> Vec<ParameterInfo> {
     visitor.infos
 }
 
-/// True for parameters that are trained, false for frozen ones; initialises all.
-///
-/// Says so on a plain device too, where no tensor has gradients.
+/// True for trained parameters, false for frozen ones, also on a plain device; initialises all.
 pub fn trainable<M: Module>(module: &M) -> Vec<bool> {
     struct Visitor(Vec<bool>);
     impl ModuleVisitor for Visitor {
@@ -109,7 +104,7 @@ pub fn trainable<M: Module>(module: &M) -> Vec<bool> {
     visitor.0
 }
 
-/// Burn keeps the setting of a parameter to itself and shows it only in what `train` makes of it.
+/// Burn shows the setting of a parameter only in the result of `train`.
 fn is_trainable<const D: usize>(param: &Param<Tensor<D>>) -> bool {
     param.valid().train().is_require_grad()
 }
@@ -144,8 +139,8 @@ pub fn count<M: Module>(module: &M) -> usize {
     infos(module).iter().map(ParameterInfo::len).sum()
 }
 
-/// Everything in which the `found` parameters are not the `expected` ones: what is missing, of
-/// another shape or not known.
+/// All differences of the `found` parameters from the `expected` ones: missing, of another shape, or not
+/// known.
 pub fn differences(expected: &[ParameterInfo], found: &[ParameterInfo]) -> Vec<String> {
     let mut found: BTreeMap<&str, &[usize]> = found
         .iter()
@@ -164,8 +159,8 @@ pub fn differences(expected: &[ParameterInfo], found: &[ParameterInfo]) -> Vec<S
     differences
 }
 
-/// Replaces every parameter by the one of its name in `weights`, which must hold all of them, with
-/// the right shapes, and nothing else.
+/// Replaces every parameter by the one of its name in `weights`, whose names and shapes must be exactly
+/// those of the module.
 ///
 /// # Errors
 /// [`Error::Weights`] with all [`differences`].
@@ -186,8 +181,7 @@ pub fn load<M: Module>(module: M, weights: Vec<HostParameter>) -> Result<M, Erro
     Ok(replace(module, ordered.expect("all names were compared")))
 }
 
-/// Replaces the values of all parameters, given in the module's order and with its sizes. What is
-/// frozen stays frozen.
+/// Replaces the values of all parameters, in the module's order. Frozen ones stay frozen.
 pub fn replace<M: Module>(module: M, values: Vec<Vec<f32>>) -> M {
     struct Mapper(std::vec::IntoIter<Vec<f32>>);
     impl ModuleMapper for Mapper {
@@ -202,10 +196,9 @@ pub fn replace<M: Module>(module: M, values: Vec<Vec<f32>>) -> M {
     module.map(&mut Mapper(values.into_iter()))
 }
 
-/// Hands the values of every parameter that is not frozen to `change`, with its index among all,
-/// to be changed in place, and puts them back on the device.
+/// Changes the values of every trained parameter in place; `change` gets its index among all.
 ///
-/// On the CPU nothing is copied as long as no clone of the module is alive.
+/// On the CPU the values are not copied if the module has no other clone.
 pub fn update<M: Module>(module: M, mut change: impl FnMut(usize, &mut [f32])) -> M {
     map(module, |index, row| {
         let device = row.device();
@@ -215,8 +208,8 @@ pub fn update<M: Module>(module: M, mut change: impl FnMut(usize, &mut [f32])) -
     })
 }
 
-/// Hands the values of every parameter that is not frozen to `change`, as one row on their device, with
-/// its index among all, and puts in their place what that returns.
+/// Replaces the values of every trained parameter, one row on its device, by the result of `change`,
+/// which gets its index among all.
 pub fn map<M: Module>(module: M, change: impl FnMut(usize, Tensor<1>) -> Tensor<1>) -> M {
     struct Mapper<F> {
         change: F,
@@ -265,7 +258,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_exported_loads_again() {
+    fn exported_weights_load_again() {
         let weights = export(&layer());
         let names: Vec<&str> = weights.iter().map(|p| p.info.name.as_str()).collect();
         assert_eq!(names, ["weight", "bias"]);

@@ -14,8 +14,8 @@ use crate::{Dropout, DropoutKey, Initializer};
 pub struct ResBlockConfig {
     /// Width of the time embedding.
     pub time_embed_dim: usize,
-    /// Feed the timestep in as scale and shift after the second normalisation (FiLM) instead of
-    /// adding it before.
+    /// Apply the timestep as scale and shift after the second normalisation (FiLM) instead of adding it
+    /// before.
     pub use_scale_shift_norm: bool,
     /// Dropout before the second convolution.
     pub dropout: f64,
@@ -43,8 +43,7 @@ pub struct ResBlock {
 }
 
 impl ResBlock {
-    /// A block from `inputs` to `outputs` channels; `layer` numbers its dropout within the
-    /// network.
+    /// A block from `inputs` to `outputs` channels; `layer` is the number of its dropout.
     pub fn new(
         inputs: usize,
         outputs: usize,
@@ -74,7 +73,7 @@ impl ResBlock {
     /// # Shapes
     /// - x: `[batch, in, time]`
     /// - time_emb: `[batch, time_embed_dim]`
-    /// - lengths: frames of each sample that are not padding, which takes no part
+    /// - lengths: valid frames of each sample
     /// - output: `[batch, out, time]`
     pub fn forward(
         &self,
@@ -108,7 +107,7 @@ impl ResBlock {
             .forward(h)
     }
 
-    /// The block after `adapting` its layers.
+    /// Applies `adapting` to the layers.
     pub fn adapting(self, adapting: &Adapting<'_>) -> Self {
         let conv = |name, layer| adapting.layer(LoraTarget::Convolution, name, layer);
         let time = adapting.at("time_mlp");

@@ -2,19 +2,18 @@
 
 use burn::tensor::{Device, Tensor, TensorData};
 
-/// Turns channels of each head by the frame's position, so that the product of a query and a key
-/// depends on how far apart their frames are, and on where neither stands:
+/// Rotates channels of each head by the frame's position, so that the product of a query and a key
+/// depends on the distance of their frames alone:
 ///
 /// ```text
 /// [a_i | b_i] -> [a_i cos(t f_i) - b_i sin(t f_i) | a_i sin(t f_i) + b_i cos(t f_i)]
 /// f_i = 10000^(-i / h)
 /// ```
 ///
-/// with `a` the first and `b` the second half of the `2 h` channels of a head that turn, its first
-/// ones.
+/// `a` and `b` are the halves of the first `2 h` channels of a head; the others are not rotated.
 #[derive(Clone, Debug)]
 pub struct Rotation {
-    /// Channels of a head that turn.
+    /// Rotated channels of a head.
     channels: usize,
     /// `[1 or batch, time, 1, half]`.
     cos: Tensor<4>,
@@ -22,11 +21,11 @@ pub struct Rotation {
 }
 
 impl Rotation {
-    /// Turns the first `channels` of each head, an even number, in those motions of a batch that
-    /// `turns` says; one entry stands for all motions.
+    /// Rotates the first `channels` (even) of each head in the motions of a batch whose entry in `turns`
+    /// is true; a single entry applies to all.
     pub fn new(channels: usize, time: usize, turns: &[bool], device: &Device) -> Self {
         let half = channels / 2;
-        // Computed on the host in double precision, as the embedding of timesteps is.
+        // In double precision on the host, as the embedding of timesteps.
         let frequencies = (0..half).map(|i| 10_000f64.powf(-(i as f64) / half as f64));
         let frequencies: Vec<f64> = frequencies.collect();
         let angles: Vec<f64> = (0..time)
@@ -53,11 +52,11 @@ impl Rotation {
     }
 
     /// # Shapes
-    /// - x, output: `[batch, channels, time]`, the channels of a head lying together
+    /// - x, output: `[batch, channels, time]`, the channels of a head contiguous
     pub fn turn(&self, x: Tensor<3>, num_heads: usize) -> Tensor<3> {
         let [batch, channels, time] = x.dims();
         let (head, half) = (channels / num_heads, self.channels / 2);
-        // A frame's channels lie side by side in memory, as kernels write them.
+        // A frame's channels are contiguous in memory, as kernels write them.
         let heads = x.swap_dims(1, 2).reshape([batch, time, num_heads, head]);
         let part = |first, count| heads.clone().narrow(3, first, count);
         let (a, b) = (part(0, half), part(half, half));
@@ -74,10 +73,10 @@ impl Rotation {
     }
 }
 
-/// [`Rotation`] of all channels of each head.
+/// Rotates all channels of each head, an even number ([`Rotation`]).
 ///
 /// # Shapes
-/// - x, output: `[batch, channels, time]`, the channels of a head lying together and even in number
+/// - x, output: `[batch, channels, time]`, the channels of a head contiguous
 pub fn rotate(x: Tensor<3>, num_heads: usize) -> Tensor<3> {
     let [_, channels, time] = x.dims();
     Rotation::new(channels / num_heads, time, &[true], &x.device()).turn(x, num_heads)
@@ -98,14 +97,14 @@ mod tests {
 
     /// Products of queries and keys of each head: `[heads, time, time]`.
     fn scores(time: usize) -> Vec<f32> {
-        let draw = |phase: f32| -> Vec<f32> {
+        let values = |phase: f32| -> Vec<f32> {
             let channels = HEADS * 6;
             (0..channels)
                 .map(|i| (1.3 * i as f32 + phase).sin())
                 .collect()
         };
         let heads = |phase: f32| {
-            let turned = rotate(constant(&draw(phase), time), HEADS);
+            let turned = rotate(constant(&values(phase), time), HEADS);
             turned.reshape([HEADS, 6, time])
         };
         let products = heads(0.0).swap_dims(1, 2).matmul(heads(2.0));
@@ -129,7 +128,7 @@ mod tests {
     }
 
     #[test]
-    fn the_first_frame_stays_and_lengths_are_kept() {
+    fn the_first_frame_and_all_norms_stay() {
         let x = constant(&[0.5, -1.0, 2.0, 3.0], 4);
         let turned = rotate(x.clone(), 1);
         let first = |x: &Tensor<3>| x.clone().narrow(2, 0, 1);

@@ -1,9 +1,8 @@
 //! The text encoder of CLIP (Radford et al. 2021, "Learning Transferable Visual Models From Natural
-//! Language Supervision", <https://arxiv.org/abs/2103.00020>, section 2.4), whose embeddings of
-//! captions condition models of clips. It is not trained here.
+//! Language Supervision", <https://arxiv.org/abs/2103.00020>, section 2.4). It is not trained here.
 //!
-//! Parameters have the names and layouts of the published weights on the model hub
-//! (`CLIPTextModelWithProjection` of the Python package `transformers`).
+//! Parameters have the names and layouts of `CLIPTextModelWithProjection` of the Python package
+//! `transformers`.
 
 use burn::module::{Module, Param};
 use burn::tensor::activation::{sigmoid, softmax};
@@ -16,7 +15,7 @@ use crate::Initializer;
 use crate::config::{MAX_LAYERS, MAX_WIDTH};
 use crate::layers::{Embedding, LAYER_NORM_EPS, LayerNorm, Linear};
 
-/// The most tokens that an encoder knows; two bytes hold the number of any.
+/// The largest vocabulary: a token is two bytes.
 const MAX_TOKENS: usize = 1 << 16;
 
 /// The activation between the two linear maps of a layer.
@@ -39,12 +38,12 @@ impl Activation {
     }
 }
 
-/// The sizes of a [`ClipTextModel`], as the published `config.json` states them (its `text_config`);
-/// where it states none, those of ViT-B/32. Other keys are passed over.
+/// The sizes of a [`ClipTextModel`]: `text_config` of the published `config.json`, by default those of
+/// ViT-B/32. Other keys are ignored.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(default)]
 pub struct ClipTextConfig {
-    /// Tokens that it knows.
+    /// Size of the vocabulary.
     pub vocab_size: usize,
     /// Width of a token.
     pub hidden_size: usize,
@@ -82,7 +81,7 @@ impl Default for ClipTextConfig {
 
 impl ClipTextConfig {
     /// # Errors
-    /// Names the key that no network can be built from.
+    /// The first invalid key.
     pub fn validate(&self) -> Result<(), InvalidSetting> {
         in_range("vocab_size", self.vocab_size, 3..=MAX_TOKENS)?;
         for (key, width) in [
@@ -106,7 +105,7 @@ impl ClipTextConfig {
         require(eps == LAYER_NORM_EPS, "layer_norm_eps", eps, LAYER_NORM_EPS)
     }
 
-    /// Builds the network; its parameters are initialised when they are first used.
+    /// Builds the network; parameters are initialised at their first use.
     ///
     /// # Errors
     /// As [`validate`](Self::validate).
@@ -154,16 +153,14 @@ pub struct ClipTextModel {
 }
 
 impl ClipTextModel {
-    /// The embeddings of texts. Texts of different lengths may stand in one batch: what follows the
-    /// last token of a text has no influence, so any token may fill it up.
+    /// The embeddings of texts of any lengths.
     ///
     /// # Shapes
-    /// - texts: the numbers of each text's tokens, those of its start and its end among them
+    /// - texts: the tokens of each text, including those of its start and end
     /// - output: `[batch, projection_dim]`
     ///
     /// # Panics
-    /// Panics if there is no text, a text without a token, or one with more tokens or other ones
-    /// than the encoder knows.
+    /// Panics if there is no text, or a text has no token, too many, or unknown ones.
     pub fn forward(&self, texts: &[&[u16]], device: &Device) -> Tensor<2> {
         let batch = texts.len();
         let length = texts.iter().map(|tokens| tokens.len()).max().unwrap_or(0);
@@ -255,7 +252,7 @@ impl ClipLayer {
     }
 }
 
-/// Queries, keys and values of their own weights.
+/// Attention with separate weights for queries, keys and values.
 #[derive(Module, Debug)]
 struct ClipAttention {
     k_proj: Linear,
@@ -319,7 +316,7 @@ mod tests {
     }
 
     #[test]
-    fn a_text_is_embedded_the_same_in_any_company() {
+    fn an_embedding_does_not_depend_on_the_batch() {
         let texts: [&[u16]; 3] = [&[9, 3, 10], &[9, 1, 2, 3, 4, 5, 10], &[9, 10]];
         let together = embeddings(&texts);
         for (text, found) in texts.iter().zip(&together) {
@@ -337,7 +334,7 @@ mod tests {
     }
 
     #[test]
-    fn sizes_that_no_network_has_are_refused_by_their_keys() {
+    fn invalid_sizes_are_refused_by_their_keys() {
         type Change = fn(&mut ClipTextConfig);
         let cases: [(&str, Change); 5] = [
             ("vocab_size", |c| c.vocab_size = 70_000),

@@ -11,7 +11,7 @@ use crate::layers::Linear;
 /// Rows of the sinusoid table of width `dim` (even): column `2i` is `sin(t f_i)` and column
 /// `2i + 1` is `cos(t f_i)` with `f_i = 10000^(-2i / dim)`.
 ///
-/// Computed on the host in double precision, as t up to 999 is the argument.
+/// Computed on the host in double precision, because arguments are as large as 999.
 ///
 /// # Shapes
 /// - output: `[batch, dim]`
@@ -80,7 +80,7 @@ impl TimeEmbedding {
     }
 
     /// # Shapes
-    /// - output: `[batch, dim]`, batch being the number of times
+    /// - output: `[times, dim]`
     pub fn forward(&self, time: &[Time], device: &Device) -> Tensor<2> {
         let h = self.at_0.forward(sinusoidal(time, self.dim, device));
         self.at_2.forward(silu(h))

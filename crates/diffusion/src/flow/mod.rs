@@ -5,13 +5,10 @@
 //! v   = x_start - noise                dx / dt = v
 //! ```
 //!
-//! The convention of t is that of Lipman et al. 2023, <https://arxiv.org/abs/2210.02747>, and of
-//! Liu et al. 2023, <https://arxiv.org/abs/2209.03003>: it runs in the opposite direction of
-//! the timesteps of [`GaussianDiffusion`](crate::GaussianDiffusion). The papers' x_0 and x_1 are
-//! `noise` and `x_start` here. Source: docs/sources.md, section 5.
-//!
-//! [`integrate`] runs the solver of a config over any [`Velocity`], and [`sample_flow`] does so
-//! with a network.
+//! As in Lipman et al. 2023, <https://arxiv.org/abs/2210.02747>, and Liu et al. 2023,
+//! <https://arxiv.org/abs/2209.03003>, t runs opposite to the timesteps of
+//! [`GaussianDiffusion`](crate::GaussianDiffusion). The papers' x_0 and x_1 are `noise` and `x_start`
+//! here. Source: docs/sources.md, section 5.
 
 mod process;
 mod solver;
@@ -29,23 +26,23 @@ use crate::ode::Method;
 use crate::sampler::{Dopri5, SamplerConfig, SamplerKind, must_suit_flow};
 use crate::{Denoiser, Error, Time, guided};
 
-/// The velocity of a state at a flow time, called by a solver as often as it needs to.
+/// The velocity of a state at a flow time.
 pub type Velocity<'v, const D: usize> = dyn FnMut(Tensor<D>, f64) -> Result<Tensor<D>, Error> + 'v;
 
-/// Callback after each step: the flow time that is reached, and the state there. `Break` ends the
-/// solver with [`Error::Stopped`].
+/// Callback after each step, with the flow time and the state. `Break` ends the solver with
+/// [`Error::Stopped`].
 pub type OnFlowStep<'a, const D: usize> = dyn FnMut(f64, &Tensor<D>) -> ControlFlow<()> + 'a;
 
-/// Where a solver came to.
+/// The result of a solver.
 #[derive(Clone, Debug)]
 pub struct Flowed<const D: usize> {
     /// The state at t = 1, of the start's shape.
     pub x: Tensor<D>,
-    /// Number of velocities taken; under guidance each calls the network twice.
+    /// Number of velocities computed; with guidance each calls the network twice.
     pub evaluations: usize,
 }
 
-/// Runs the solver that `config` names from `x`, at t = 0, to t = 1.
+/// Runs the solver of `config` from `x` at t = 0 to t = 1.
 ///
 /// # Errors
 /// If the config is not valid, those of `velocity`, [`Error::Stopped`], and
@@ -78,14 +75,14 @@ pub fn integrate<const D: usize>(
     Ok(Flowed { x, evaluations })
 }
 
-/// Generates one pose or motion per sample of the start noise by following a network's velocity.
+/// Generates one pose or motion per sample of the start noise along a network's velocity.
 ///
-/// Run it on a plain device with a network of plain weights, as [`sample`](crate::sample). What
-/// predicts noise is read as a velocity no nearer than [`NEAREST_END`] to t = 0, and data to t = 1.
+/// Run it on a plain device with a network of plain weights, as [`sample`](crate::sample). Predicted
+/// noise is converted to a velocity no nearer than [`NEAREST_END`] to t = 0, predicted data to t = 1.
 ///
 /// # Shapes
-/// - noise, standard normal, and the state that comes of it: `[batch, channels, time]`
-/// - cond: what the network takes, for the same batch; it is asked at [`Time`]s from 0 to 1
+/// - noise, standard normal, and the result: `[batch, channels, time]`
+/// - cond: the network's condition for the batch; its [`Time`]s run from 0 to 1
 ///
 /// # Errors
 /// As [`integrate`]; [`Error::ModelOutput`] if the network's output has other sizes than its input.

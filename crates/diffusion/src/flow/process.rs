@@ -6,9 +6,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::per_sample::per_sample;
 
-/// Least distance from t = 0 at which predicted noise is converted to a velocity, and from t = 1
-/// for predicted data: closer, the factors grow without bound, and the errors of the network with
-/// them.
+/// Least distance from t = 0 at which predicted noise is converted to a velocity, and from t = 1 for
+/// predicted data. Closer, the factors amplify the network's errors without bound.
 pub const NEAREST_END: f64 = 0.05;
 
 /// The quantity that the network of a flow predicts.
@@ -64,7 +63,7 @@ impl FlowPrediction {
     /// v = (x_t - noise) / t      v = (data - x_t) / (1 - t)
     /// ```
     ///
-    /// Not finite for noise at t = 0 and data at t = 1, which do not determine the velocity.
+    /// Noise at t = 0 and data at t = 1 do not determine the velocity; the result is not finite.
     ///
     /// # Shapes
     /// - prediction, x_t, output: `[batch, channels, time]`
@@ -91,7 +90,7 @@ impl FlowPrediction {
         }
     }
 
-    /// The time nearest to `t` at which a velocity can be read off the prediction.
+    /// The time nearest to `t` at which the prediction determines a velocity.
     pub(super) fn readable(self, t: f64) -> f64 {
         match self {
             Self::Velocity => t,

@@ -5,9 +5,9 @@ use burn::tensor::{DType, Tensor};
 use super::{OnFlowStep, Velocity};
 use crate::Error;
 use crate::ode::{Method, Ode};
-use crate::sampler::go_on;
+use crate::sampler::continue_or_stop;
 
-/// A step of size `h`; `time` gives the flow time of a place in it.
+/// A step of size `h`; `time` maps a place in it to a flow time.
 struct FlowStep<'a, 'v, T, const D: usize> {
     velocity: &'a mut Velocity<'v, D>,
     time: T,
@@ -24,7 +24,7 @@ impl<T: Fn(f64) -> f64, const D: usize> Ode<D> for FlowStep<'_, '_, T, D> {
     fn moved(&self, x: &Tensor<D>, shares: &[f64], slopes: &[Tensor<D>]) -> Tensor<D> {
         let terms = shares.iter().zip(slopes);
         let terms: Vec<_> = terms.filter(|(share, _)| **share != 0.0).collect();
-        // Slopes of equal shares are added before they are scaled: one product fewer.
+        // Slopes of equal shares are added before scaling: one product fewer.
         let equal = terms.chunk_by(|a, b| a.0 == b.0);
         equal.fold(x.clone(), |x, terms| {
             let slopes = terms.iter().map(|(_, slope)| (*slope).clone());
@@ -48,30 +48,30 @@ pub(super) fn equal_steps<const D: usize>(
     let h = 1.0 / steps as f64;
     for step in 0..steps {
         let start = step as f64;
-        // The two roundings differ, and a seed's sample depends on them.
+        // The two round differently, which the sample of a seed depends on.
         let time = |place: f64| match method.evaluations() {
             1 | 2 => (start + place) * h,
             _ => start * h + place * h,
         };
         x = method.step(&mut FlowStep { velocity, time, h }, &x)?;
-        go_on(on_step((start + 1.0) * h, &x))?;
+        continue_or_stop(on_step((start + 1.0) * h, &x))?;
     }
     Ok(x)
 }
 
-/// The shortest step that the adaptive solver takes.
+/// The shortest step of the adaptive solver.
 const LEAST_STEP: f64 = 1e-6;
 
-/// Steps of [`Method::DOPRI5`] whose sizes follow from their estimated errors. The error of each
-/// step is at most `tolerance`: the root mean square over the numbers of a sample, each divided by
-/// its own size if that is above 1, for every sample of the batch. All samples take the same steps,
-/// so that a sample depends on the others of its batch, within the tolerance.
+/// Steps of [`Method::DOPRI5`] of adaptive size. For every sample, the estimated error of a step is at
+/// most `tolerance`: the root mean square over the sample's numbers, each divided by its size if that
+/// is above 1. All samples of a batch take the same steps, so a sample depends on the others within
+/// the tolerance.
 ///
-/// Takes the velocity six times a step, taken or tried, and once at the start.
+/// Computes the velocity once at the start and six times per step, accepted or rejected.
 ///
 /// # Errors
-/// Those of `velocity`, [`Error::Stopped`], [`Error::FlowTolerance`] where no step is short enough,
-/// and [`Error::NotFinite`].
+/// Those of `velocity`, [`Error::Stopped`], [`Error::FlowTolerance`] if no step is short enough, and
+/// [`Error::NotFinite`].
 pub(super) fn adaptive_steps<const D: usize>(
     velocity: &mut Velocity<'_, D>,
     mut x: Tensor<D>,
@@ -103,7 +103,7 @@ pub(super) fn adaptive_steps<const D: usize>(
         if error <= 1.0 {
             (x, t) = (end, t_end);
             first = slopes.pop().expect("the velocity at the end");
-            go_on(on_step(t, &x))?;
+            continue_or_stop(on_step(t, &x))?;
         } else if !error.is_finite() {
             return Err(Error::NotFinite);
         } else if h_taken <= LEAST_STEP {
@@ -140,7 +140,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_number_that_is_none_is_seen_in_any_sample() {
+    fn nan_is_found_in_any_sample() {
         for broken in 0..3 {
             let mut values = vec![0.1f32, 0.2, 0.3, 0.4, 0.5, 0.6];
             values[2 * broken] = f32::NAN;

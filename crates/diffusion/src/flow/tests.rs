@@ -162,7 +162,7 @@ impl Denoiser for Straight {
 
     fn predict(&self, x_t: Tensor<3>, time: &[Time], cond: &Tensor<3>) -> Tensor<3> {
         self.1.set(self.1.get() + 1);
-        // Of the data, velocity and noise can be told up to the end.
+        // The data determine velocity and noise up to the end.
         let inner = |t: f64| t.min(1.0 - NEAREST_END);
         let times: Vec<f64> = time.iter().map(|time| inner(time.0)).collect();
         FlowPrediction::Sample.convert(cond.clone(), x_t, &times, self.0)
@@ -195,7 +195,7 @@ fn every_solver_follows_a_straight_flow_and_guidance_overshoots() {
             assert_eq!(network.1.get(), calls * flowed.evaluations, "{kind}");
             // Without guidance to the data; guided, to twice the data less what no condition gives.
             let error = apart(flowed.x, data.clone() * guidance_scale);
-            // Where a solver asks at t = 1, the divisor's bound bends the way.
+            // A solver with a slope at t = 1 is deflected by the divisor's bound.
             let allowed = if kind == SamplerKind::Euler {
                 1e-5
             } else {

@@ -3,11 +3,11 @@
 use burn::tensor::{Tensor, TensorData};
 use kinegrad_settings::{InvalidSetting, Refused, require};
 
-/// Bounds of the predicted clean motion, in the units the network works in (normalised motion).
+/// Bounds of the predicted clean motion, in the network's units (normalised motion).
 ///
 /// The source clips to [-1, 1] (CC-MotionGen, sections 3.2.4 and 8.1; docs/sources.md, sections 1.3
-/// and 1.9). Normalised real motion leaves that range by far in single channels; bounds per
-/// channel, taken from the training data, keep the purpose without cutting motion.
+/// and 1.9), which single channels of real motion exceed by far. Bounds per channel from the training
+/// data do not cut motion.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub enum ClipRange {
     /// No bounds.
@@ -22,17 +22,17 @@ pub enum ClipRange {
         /// Greatest value of each channel.
         max: Vec<f32>,
     },
-    /// To the bounds within, but gradients pass as if nothing were clipped (the straight-through
-    /// estimator, Bengio et al. 2013, <https://arxiv.org/abs/1308.3432>): a rollout whose early
-    /// steps leave the bounds everywhere would else lose its gradient there.
+    /// To the inner bounds, with the gradient of the identity (the straight-through estimator, Bengio
+    /// et al. 2013, <https://arxiv.org/abs/1308.3432>). Otherwise a rollout whose early steps exceed
+    /// the bounds everywhere would lose its gradient.
     StraightThrough(Box<ClipRange>),
 }
 
 impl ClipRange {
-    /// Rejects bounds that do not fit a motion of `channels` channels.
+    /// Checks the bounds of a motion of `channels` channels.
     ///
     /// # Errors
-    /// For a wrong number of bounds, and for a minimum above its maximum or a NaN.
+    /// If the number of bounds is wrong, a minimum exceeds its maximum, or a bound is NaN.
     pub fn validate(&self, channels: usize) -> Result<(), InvalidSetting> {
         match self {
             Self::None => Ok(()),
@@ -88,9 +88,9 @@ impl ClipRange {
 fn ordered(channel: usize, min: f32, max: f32) -> Result<(), InvalidSetting> {
     let found = format!("[{min}, {max}] in channel {channel}");
     let allowed = "a minimum that does not exceed its maximum";
-    // NaN is not ordered, and is refused with it.
+    // The comparison also refuses NaN.
     require(min <= max, "clip", found, allowed)
-        .hint("bounds taken from data that holds NaN look like this")
+        .hint("bounds of data that contains NaN look like this")
 }
 
 #[cfg(test)]

@@ -142,7 +142,7 @@ impl Default for Ddim {
 }
 
 impl SamplerKind {
-    /// The settings of the timesteps; `None` for kinds that only flows have.
+    /// The settings of the timesteps; `None` for samplers of flows only.
     pub fn timesteps(&self) -> Option<&Timesteps> {
         match self {
             Self::Ddim(Ddim { timesteps, .. })
@@ -170,7 +170,7 @@ impl fmt::Display for SamplerKind {
 }
 
 impl SamplerConfig {
-    /// A sampler of so many steps without guidance.
+    /// A sampler of `num_inference_steps` steps without guidance.
     pub fn new(kind: SamplerKind, num_inference_steps: usize) -> Self {
         Self {
             kind,
@@ -183,7 +183,7 @@ impl SamplerConfig {
     /// The guidance scales of the conditions at a timestep.
     pub fn guidance(&self, timestep: usize) -> GuidanceScales {
         let timesteps = self.kind.timesteps();
-        // A scale up to 1 amplifies nothing, and 0 stays the unconditional prediction.
+        // Scales up to 1 amplify no errors; 0 stays the unconditional prediction.
         let most = match timesteps.is_some_and(|all| timestep < all.guidance_until) {
             true => 1.0,
             false => f64::INFINITY,
@@ -192,17 +192,17 @@ impl SamplerConfig {
         GuidanceScales::new(self.guidance_scale.min(most), style)
     }
 
-    /// Predictions that a diffusion process takes; guidance multiplies the calls of the network. A
-    /// flow counts its own: [`Flowed::evaluations`](crate::Flowed::evaluations).
+    /// Number of predictions in a diffusion process. For a flow, see
+    /// [`Flowed::evaluations`](crate::Flowed::evaluations).
     pub fn network_evaluations(&self) -> usize {
         match self.kind {
-            // The last step lands on the clean motion, where there is no slope.
+            // The last step ends at the clean motion, which has no slope.
             SamplerKind::Heun(_) => (2 * self.num_inference_steps).saturating_sub(1),
             _ => self.num_inference_steps,
         }
     }
 
-    /// The timestep that the last step lands on; `None` is the clean motion.
+    /// The timestep at the end of the last step; `None` is the clean motion.
     pub(super) fn last_prev_timestep(&self) -> Option<usize> {
         match &self.kind {
             SamplerKind::Ddim(ddim) if ddim.final_alpha == FinalAlpha::First => Some(0),
@@ -211,24 +211,24 @@ impl SamplerConfig {
     }
 }
 
-/// Table of a config in which a sampler's settings stand.
+/// The table of a sampler's settings in a config.
 const TABLE: &str = "sampling.sampler";
 
-/// Most steps of a flow that are not a mistake.
+/// Most steps of a flow accepted.
 const MAX_FLOW_STEPS: usize = 10_000;
 
-/// Rejects a sampler's settings that do not work with a diffusion process.
+/// Checks a sampler's settings for a diffusion process.
 ///
 /// # Errors
-/// Names the first bad key: what it is, what is allowed, how to mend it.
+/// The first invalid key, with its value and the allowed ones.
 pub fn must_suit(config: &SamplerConfig, process: &DiffusionConfig) -> Result<(), InvalidSetting> {
     suits(config, process).within(TABLE)
 }
 
-/// Rejects a sampler's settings that do not work with a flow.
+/// Checks a sampler's settings for a flow.
 ///
 /// # Errors
-/// Names the first bad key: what it is, what is allowed, how to mend it.
+/// The first invalid key, with its value and the allowed ones.
 pub fn must_suit_flow(config: &SamplerConfig) -> Result<(), InvalidSetting> {
     suits_flow(config).within(TABLE)
 }

@@ -4,7 +4,7 @@ use burn::tensor::Tensor;
 
 use super::config::Ddim;
 use super::noise::NoiseKeys;
-use super::on_step::{OnStep, go_on};
+use super::on_step::{OnStep, continue_or_stop};
 use super::path::TimestepPath;
 use super::posterior::{Alphas, coefficients};
 use super::prediction::{Predict, Prediction};
@@ -35,7 +35,7 @@ pub fn ddim(
         let noise = (config.eta > 0.0 && path.stays_noisy(index))
             .then(|| keys.noise(index, None, &prediction.x_t));
         x = ddim_step(diffusion, &prediction, now, &next, noise, config);
-        go_on(on_step(index + 1, path.len(), &x))?;
+        continue_or_stop(on_step(index + 1, path.len(), &x))?;
     }
     Ok(x)
 }
@@ -46,9 +46,8 @@ pub fn ddim(
 /// `eta` and `recompute_epsilon` are read from `config`. With `eta` 1 and jumps of one timestep it
 /// is [`super::ddpm_step`].
 ///
-/// `timesteps` say where each sample is, `prev_timesteps` where it goes: a timestep not above its
-/// own, or `None` for the clean motion. Without noise the step gives its
-/// mean.
+/// Each sample goes from its timestep in `timesteps` to that in `prev_timesteps`, which is not above
+/// it; `None` is the clean motion. Without noise the step gives its mean.
 ///
 /// # Shapes
 /// - noise, standard normal, output: `[batch, channels, time]`
@@ -66,7 +65,7 @@ pub fn ddim_step(
 ) -> Tensor<3> {
     // abar         alpha-bar_t      where the sample is
     // abar'        alpha-bar_{t-1}  where it goes; the paper's t-1 is the next timestep visited
-    // sigma        sigma_t          noise drawn in this step
+    // sigma        sigma_t          scale of the noise of this step
     // direction    sqrt(1 - alpha-bar_{t-1} - sigma_t^2), "direction pointing to x_t"
     let of =
         |value: &dyn Fn(Alphas) -> f64| coefficients(diffusion, timesteps, prev_timesteps, value);

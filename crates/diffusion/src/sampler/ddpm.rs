@@ -3,14 +3,14 @@
 use burn::tensor::Tensor;
 
 use super::noise::NoiseKeys;
-use super::on_step::{OnStep, go_on};
+use super::on_step::{OnStep, continue_or_stop};
 use super::path::TimestepPath;
 use super::posterior::Posterior;
 use super::prediction::{Predict, Prediction};
 use crate::{Error, GaussianDiffusion};
 
-/// Samples by DDPM along `path` (Ho et al. 2020, <https://arxiv.org/abs/2006.11239>), steered where
-/// the predictions are.
+/// Samples by DDPM along `path` (Ho et al. 2020, <https://arxiv.org/abs/2006.11239>), with the steering
+/// of the predictions.
 ///
 /// # Shapes
 /// - x_T, output: `[batch, channels, time]`
@@ -38,19 +38,18 @@ pub fn ddpm(
             .filter(|steered| steered.imputation.is_some())
             .map(|_| keys.noise(index, Some("imputation"), &prediction.x_t));
         x = ddpm_step(diffusion, &prediction, now, &next, noise, imputation_noise);
-        go_on(on_step(index + 1, path.len(), &x))?;
+        continue_or_stop(on_step(index + 1, path.len(), &x))?;
     }
     Ok(x)
 }
 
-/// One step of DDPM: a draw from the posterior `q(x_{t-1} | x_t, x_0)` with the predicted x_0
+/// One step of DDPM: samples from the posterior `q(x_{t-1} | x_t, x_0)` with the predicted x_0
 /// (CC-MotionGen, section 3.2.4; docs/sources.md, section 1.3; Ho et al. 2020,
 /// <https://arxiv.org/abs/2006.11239>, equations 6 and 7).
 ///
 /// A jump over several timesteps is a step of the respaced process (Nichol and Dhariwal 2021,
-/// <https://arxiv.org/abs/2102.09672>, equation 19): its beta is `1 - abar / abar'`, from the kept
-/// cumulative products. A sample that goes to the clean motion gets no noise. The source decides
-/// that by the first sample of the batch; here every sample decides for itself.
+/// <https://arxiv.org/abs/2102.09672>, equation 19) with the beta `1 - abar / abar'`. A sample that
+/// goes to the clean motion gets no noise; the source decides this by the first sample of the batch.
 ///
 /// Timesteps and noise are those of [`super::ddim_step`]. Under steering (docs/sources.md, sections
 /// 4.6 to 4.8) the mean is shifted by the gradient:
@@ -59,15 +58,15 @@ pub fn ddpm(
 /// mean = coef1 x_0 + coef2 x_t + variance g           g: Steered::scaled_gradient
 /// ```
 ///
-/// Where the network predicts the clean motion, known values go into x_0, and those entries of the
-/// mean that they make replace the guided ones:
+/// If the network predicts the clean motion, known values replace entries of x_0, and the resulting
+/// entries replace those of the guided mean:
 ///
 /// ```text
 /// mean  <- known entries of (coef1 put(x_0) + coef2 x_t), else mean
 /// ```
 ///
-/// Where it predicts noise, they go into the sample, noised by `imputation_noise` to the level it
-/// has landed on.
+/// If it predicts noise, they replace entries of the sample, noised by `imputation_noise` to the level
+/// of `prev_timesteps`.
 ///
 /// # Shapes
 /// - noise, imputation_noise, both standard normal, output: `[batch, channels, time]`
@@ -83,7 +82,7 @@ pub fn ddpm_step(
     noise: Option<Tensor<3>>,
     imputation_noise: Option<Tensor<3>>,
 ) -> Tensor<3> {
-    // abar, abar'   alpha-bar_t, alpha-bar_{t-1}: where the sample is and where it goes
+    // abar, abar'   alpha-bar_t, alpha-bar_{t-1}: before and after the step
     // beta          beta_t of the jump; 1 - beta = alpha_t = abar / abar'
     // coef1, coef2  factors of x_0 and x_t in the posterior mean, mu-tilde_t
     // sigma         square root of the posterior variance, beta-tilde_t
@@ -104,7 +103,7 @@ pub fn ddpm_step(
     };
     match &prediction.steered {
         Some(steered) => {
-            steered.landed(diffusion, sample, x_start, prev_timesteps, imputation_noise)
+            steered.impute(diffusion, sample, x_start, prev_timesteps, imputation_noise)
         }
         None => sample,
     }

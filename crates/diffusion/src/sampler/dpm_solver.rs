@@ -3,19 +3,18 @@
 use burn::tensor::Tensor;
 
 use super::level::Level;
-use super::on_step::{OnStep, go_on};
+use super::on_step::{OnStep, continue_or_stop};
 use super::path::TimestepPath;
 use super::prediction::Predict;
 use crate::per_sample::per_sample;
 use crate::{Error, GaussianDiffusion};
 
-/// Fewest steps of which the last is one of second order, unless it lands on the clean motion: with
-/// fewer it would overshoot (as in diffusers' `lower_order_final`).
+/// Fewest steps whose last is of second order, unless it ends at the clean motion; with fewer it would
+/// overshoot (as in diffusers' `lower_order_final`).
 const STEPS_OF_SECOND_ORDER: usize = 15;
 
 /// Samples by DPM-Solver++(2M) along `path` (Lu et al. 2022, <https://arxiv.org/abs/2211.01095>,
-/// algorithm 2): of second order with one call of the network a step, by the difference of two
-/// predictions of the clean motion.
+/// algorithm 2): of second order with one call of the network per step.
 ///
 /// # Shapes
 /// - x_T, output: `[batch, channels, time]`
@@ -30,8 +29,8 @@ pub fn dpmpp_2m(
     on_step: &mut OnStep<'_>,
 ) -> Result<Tensor<3>, Error> {
     // alpha, sigma   factors of motion and noise in x_t; lambda = ln(alpha / sigma)
-    // h              growth of lambda over the step; infinite where it lands on the clean motion
-    // D              predicted clean motion, corrected by how it has changed
+    // h              growth of lambda over the step; infinite if it ends at the clean motion
+    // D              predicted clean motion, corrected by its change since the last step
     let mut x = x_T;
     let mut before: Option<(Tensor<3>, Vec<Level>)> = None;
     for index in 0..path.len() {
@@ -65,14 +64,14 @@ pub fn dpmpp_2m(
         // 2. x' = (sigma' / sigma) x + alpha' (1 - e^-h) D,  e^-h = (alpha sigma') / (sigma
         //    alpha').
         let levels = || now.iter().zip(&next);
-        let kept: Vec<f64> = levels().map(|(now, next)| next.sigma / now.sigma).collect();
-        let gained: Vec<f64> = levels()
+        let of_x: Vec<f64> = levels().map(|(now, next)| next.sigma / now.sigma).collect();
+        let of_x_start: Vec<f64> = levels()
             .map(|(now, next)| next.alpha - now.alpha * next.sigma / now.sigma)
             .collect();
-        let (kept, gained) = (per_sample(&kept, &x_t), per_sample(&gained, &corrected));
-        x = x_t * kept + corrected * gained;
+        let (of_x, of_x_start) = (per_sample(&of_x, &x_t), per_sample(&of_x_start, &corrected));
+        x = x_t * of_x + corrected * of_x_start;
         before = Some((x_start, now));
-        go_on(on_step(index + 1, path.len(), &x))?;
+        continue_or_stop(on_step(index + 1, path.len(), &x))?;
     }
     Ok(x)
 }

@@ -3,7 +3,7 @@
 use burn::tensor::Tensor;
 
 use super::level::Level;
-use super::on_step::{OnStep, go_on};
+use super::on_step::{OnStep, continue_or_stop};
 use super::path::TimestepPath;
 use super::prediction::Predict;
 use crate::ode::{Method, Ode};
@@ -11,15 +11,14 @@ use crate::per_sample::per_sample;
 use crate::{Error, GaussianDiffusion, Time};
 
 /// Samples by Heun's method along `path` (Karras et al. 2022, <https://arxiv.org/abs/2206.00364>,
-/// algorithm 1). Calls the network twice a step, and once in the step to the clean motion, where
-/// there is no slope and Euler's method takes over.
+/// algorithm 1). Calls the network twice per step, and once in the step to the clean motion, which uses
+/// Euler's method because there is no slope at its end.
 ///
 /// # Shapes
 /// - x_T, output: `[batch, channels, time]`
 ///
 /// # Errors
-/// Those of `predict`. A path that begins in pure noise, without any motion, gives NaN;
-/// [`must_suit`](super::must_suit) refuses it.
+/// Those of `predict`. A path from pure noise gives NaN; [`must_suit`](super::must_suit) refuses it.
 pub fn heun(
     diffusion: &GaussianDiffusion,
     predict: &mut Predict<'_, '_>,
@@ -42,20 +41,20 @@ pub fn heun(
             predict: &mut *predict,
         };
         x = method.step(&mut step, &x)?;
-        go_on(on_step(index + 1, path.len(), &x))?;
+        continue_or_stop(on_step(index + 1, path.len(), &x))?;
     }
     Ok(x)
 }
 
-/// A step of the probability flow. With the factors alpha and sigma of motion and noise in x_t and
-/// their ratio r = sigma / alpha, the flow is that of u = x / alpha:
+/// A step of the probability flow of u = x / alpha, with the ratio r = sigma / alpha of the factors of
+/// noise and motion in x_t:
 ///
 /// ```text
 /// du / dr = (u - x_0) / r
 /// ```
 struct Step<'a, 'p, 's> {
     predict: &'a mut Predict<'p, 's>,
-    /// Of both ends.
+    /// At both ends.
     times: [Vec<Time>; 2],
     now: Vec<Level>,
     next: Vec<Level>,
@@ -81,7 +80,7 @@ impl Ode<3> for Step<'_, '_, '_> {
     }
 
     fn moved(&self, _: &Tensor<3>, shares: &[f64], slopes: &[Self::Slope]) -> Tensor<3> {
-        // The state that the step began with, perhaps with another gradient.
+        // The state at the start, perhaps with another gradient.
         let (x_t, x_start) = slopes[0].clone();
         if slopes.len() == 1 {
             // u' = u + (r' - r) (u - x_0) / r = (r' / r) u + (1 - r' / r) x_0.

@@ -2,16 +2,15 @@
 
 use burn::tensor::Tensor;
 
-/// Conversion between the network's space and the space in which values are known. Both maps are
-/// affine and inverse to each other.
+/// Conversion between the network's space and that of the known values, by affine maps.
 pub trait Space {
-    /// From the network's space to that of the known values.
+    /// Network space to the space of the known values.
     ///
     /// # Shapes
     /// - x, output: `[batch, channels, time]`
     fn to_motion(&self, x: Tensor<3>) -> Tensor<3>;
 
-    /// From the space of the known values to the network's.
+    /// The inverse of [`to_motion`](Self::to_motion).
     ///
     /// # Shapes
     /// - motion, output: `[batch, channels, time]`
@@ -21,16 +20,16 @@ pub trait Space {
 /// Known values to impute.
 #[derive(Clone)]
 pub struct Imputation<'a> {
-    /// The space in which they are known.
+    /// The space of the values.
     pub space: &'a dyn Space,
-    /// The values, `[batch, channels, time]`; only those under the mask are used.
+    /// The values, `[batch, channels, time]`, used where the mask is 1.
     pub target: Tensor<3>,
     /// 1 where a value is known, else 0: `[batch, channels, time]`.
     pub mask: Tensor<3>,
 }
 
 impl Imputation<'_> {
-    /// `x`, in the network's space, with the known values in it.
+    /// `x`, in the network's space, with its known values replaced.
     pub fn put_into(&self, x: Tensor<3>) -> Tensor<3> {
         let motion = self.space.to_motion(x);
         let target = self.target.clone();

@@ -10,17 +10,17 @@ pub(super) struct Level {
 }
 
 impl Level {
-    /// The levels of timesteps; `None` is the clean motion.
+    /// The levels at timesteps; `None` is the clean motion.
     pub fn of(
         diffusion: &GaussianDiffusion,
         timesteps: impl IntoIterator<Item = Option<usize>>,
     ) -> Vec<Self> {
-        let landings = timesteps.into_iter().map(|t| diffusion.schedule.landing(t));
+        let pairs = timesteps.into_iter().map(|t| diffusion.schedule.abar_at(t));
         let level = |(abar, one_minus_abar): (f64, f64)| Self {
             alpha: abar.sqrt(),
             sigma: one_minus_abar.sqrt(),
         };
-        landings.map(level).collect()
+        pairs.map(level).collect()
     }
 
     /// Noise over motion.
@@ -28,7 +28,7 @@ impl Level {
         self.sigma / self.alpha
     }
 
-    /// Growth of `ln(alpha / sigma)` from here to another level.
+    /// Growth of `ln(alpha / sigma)` to another level.
     pub fn lambda_to(&self, other: &Self) -> f64 {
         (self.ratio() / other.ratio()).ln()
     }

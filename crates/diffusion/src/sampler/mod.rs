@@ -1,9 +1,8 @@
 //! Samplers: from noise to motion.
 //!
-//! Each sampler is a function in its own file that contains its whole loop: it calls a [`Predict`]
-//! for the clean motion along a [`TimestepPath`] of noise levels. [`sample`] runs the sampler of a config
-//! with a network, [`sample_with`] with any [`Predict`]. The single steps of DDIM and DDPM are public too,
-//! with their noise as an argument, for custom loops.
+//! Each sampler is a loop in its own file that calls a [`Predict`] along a [`TimestepPath`]. [`sample`]
+//! runs the sampler of a config with a network, [`sample_with`] with any [`Predict`]. The steps of DDIM
+//! and DDPM are public for custom loops.
 
 #![expect(
     non_snake_case,
@@ -39,9 +38,9 @@ pub use ddpm::{ddpm, ddpm_step};
 pub use dpm_solver::dpmpp_2m;
 pub use heun::heun;
 pub use imputation::{Imputation, Space};
-pub use noise::{GivenNoise, NoiseKeys, noise_of_parts};
+pub use noise::{FixedNoise, NoiseKeys, noise_of_parts};
 pub use on_step::OnStep;
-pub(crate) use on_step::go_on;
+pub(crate) use on_step::continue_or_stop;
 pub use path::TimestepPath;
 pub use prediction::{Predict, Prediction};
 pub use spacing::timesteps;
@@ -52,15 +51,15 @@ use crate::{Denoiser, Error, GaussianDiffusion, Time, guided};
 /// Generates one motion per sample of the start noise (CC-MotionGen, sections 3.2.4, 8.1 and 8.3;
 /// docs/sources.md, sections 1.3 and 1.9).
 ///
-/// Run it on a plain device with a network of plain weights (Burn: `Module::valid`): on a device
-/// with autodiff every step keeps its graph, and memory grows from call to call.
+/// Run it on a plain device with a network of plain weights (Burn: `Module::valid`). On an autodiff
+/// device every step stores its graph, and memory grows from call to call.
 ///
-/// `keys` seed the noise of the steps (`ddpm`, and `ddim` with `eta` above 0), which is generated
-/// on the host so that it does not depend on the device.
+/// `keys` seed the noise of the steps (`ddpm`, and `ddim` with `eta` above 0), generated on the host so
+/// that it does not depend on the device.
 ///
 /// # Shapes
 /// - x_T, the start noise, standard normal: `[batch, channels, time]`
-/// - cond: what the denoiser takes, for the same batch
+/// - cond: the denoiser's condition for the batch
 /// - output: `[batch, channels, time]`
 ///
 /// # Errors
@@ -89,7 +88,7 @@ pub fn sample<'k, D: Denoiser + ?Sized>(
     sample_with(diffusion, &mut predict, x_T, config, keys.into(), on_step)
 }
 
-/// Runs the sampler that `config` names with `predict`; [`sample`] describes the rest.
+/// Runs the sampler of `config` with `predict`, as [`sample`] does.
 ///
 /// # Shapes
 /// - x_T, output: `[batch, channels, time]`

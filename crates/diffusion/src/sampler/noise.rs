@@ -3,33 +3,32 @@
 use burn::tensor::{Tensor, TensorData};
 use kinegrad_random::Key;
 
-/// Keys of the noise that a sampler draws.
+/// The source of a sampler's noise.
 #[derive(Clone, Copy, Debug)]
 pub enum NoiseKeys<'a> {
-    /// One for the whole batch: sample i of step n draws from `key.at(n).at(i)`, so that its noise
-    /// does not depend on how many samples there are.
+    /// One key for the batch: step n of sample i uses `key.at(n).at(i)`, so that the noise does not
+    /// depend on the batch size.
     Batch(Key),
-    /// One for each sample, which then draws the same noise wherever it stands in a batch: from
+    /// One key per sample, whose noise does not depend on its place in the batch:
     /// `key.at(n).at(0)`.
     Samples(&'a [Key]),
-    /// One for each sample, with the number that it draws as in a [`Batch`](Self::Batch): from
-    /// `key.at(n).at(number)`.
+    /// One key per sample with its index in a [`Batch`](Self::Batch): `key.at(n).at(index)`.
     Numbered(&'a [(Key, u64)]),
-    /// One for a motion of which sample i is the part from frame `starts[i]` on: frame t of it has
-    /// the noise of `key.at(n).at(t)`, in every sample that it is in.
+    /// The samples are parts of one motion, sample i from frame `starts[i]` on. Frame t of the motion
+    /// has the noise of `key.at(n).at(t)` in every sample that contains it.
     Parts {
         /// The motion's key.
         key: Key,
         /// The first frame of each sample.
         starts: &'a [usize],
     },
-    /// Noise that is given, to repeat a draw of another program.
-    Given(&'a GivenNoise),
+    /// Stored noise, to repeat the run of another program.
+    Fixed(&'a FixedNoise),
 }
 
 /// Standard normal noise of each step, `[batch, channels, time]`, in the order of use.
 #[derive(Clone, Debug, Default)]
-pub struct GivenNoise {
+pub struct FixedNoise {
     /// The sampling noise.
     pub sampling: Vec<Tensor<3>>,
     /// The noise of known values that are imputed.
@@ -43,10 +42,10 @@ impl From<Key> for NoiseKeys<'_> {
 }
 
 impl NoiseKeys<'_> {
-    /// Standard normal noise like `x` of a step; noise of another purpose has a `name`.
+    /// Standard normal noise of a step, of the shape of `x`; noise of another purpose has a `name`.
     ///
     /// # Panics
-    /// Panics if noise is given, but not for this step.
+    /// Panics if [`FixedNoise`] does not contain the step.
     pub(super) fn noise(self, step: usize, name: Option<&str>, x: &Tensor<3>) -> Tensor<3> {
         let [batch, channels, time] = x.dims();
         let of_step = |key: Key| {
@@ -62,14 +61,14 @@ impl NoiseKeys<'_> {
             Self::Batch(key) => of_samples(&|sample| of_step(key).at(sample as u64)),
             Self::Samples(keys) => of_samples(&|sample| of_step(keys[sample]).at(0)),
             Self::Numbered(keys) => of_samples(&|sample| {
-                let (key, number) = keys[sample];
-                of_step(key).at(number)
+                let (key, index) = keys[sample];
+                of_step(key).at(index)
             }),
             Self::Parts { key, starts } => noise_of_parts(of_step(key), starts, [channels, time]),
-            Self::Given(given) => {
+            Self::Fixed(fixed) => {
                 let of_purpose = match name {
-                    None => &given.sampling,
-                    Some(_) => &given.imputation,
+                    None => &fixed.sampling,
+                    Some(_) => &fixed.imputation,
                 };
                 return of_purpose[step].clone();
             }
@@ -79,8 +78,7 @@ impl NoiseKeys<'_> {
     }
 }
 
-/// Standard normal noise `[parts, channels, time]` of parts of a motion, that of its frame t drawn
-/// from `key.at(t)`.
+/// Standard normal noise `[parts, channels, time]` of parts of a motion; its frame t uses `key.at(t)`.
 pub fn noise_of_parts(key: Key, starts: &[usize], [channels, time]: [usize; 2]) -> Vec<f32> {
     let mut values = vec![0.0; starts.len() * channels * time];
     let last = starts.iter().max().map_or(0, |start| start + time);

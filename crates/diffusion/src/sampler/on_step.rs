@@ -10,8 +10,9 @@ use crate::Error;
 /// and the new state `[batch, channels, time]`. `Break` ends the sampler with [`Error::Stopped`].
 pub type OnStep<'a> = dyn FnMut(usize, usize, &Tensor<3>) -> ControlFlow<()> + 'a;
 
-/// The error of a sampler whose callback asked it to stop.
-pub(crate) fn go_on(flow: ControlFlow<()>) -> Result<(), Error> {
+/// # Errors
+/// [`Error::Stopped`] if the callback returned `Break`.
+pub(crate) fn continue_or_stop(flow: ControlFlow<()>) -> Result<(), Error> {
     match flow {
         ControlFlow::Continue(()) => Ok(()),
         ControlFlow::Break(()) => Err(Error::Stopped),

@@ -1,20 +1,20 @@
-//! The noise levels that a sampler visits.
+//! The path of a sampler through the noise levels.
 
 use super::config::SamplerConfig;
 use super::spacing::timesteps;
 use crate::Time;
 
-/// The timesteps that each sample of a batch visits, noisiest first, and where its last step lands.
+/// The timesteps of each sample of a batch, noisiest first, and the end of its last step.
 #[derive(Clone, Debug)]
 pub struct TimestepPath {
-    /// One list of the whole batch per step.
+    /// One list of the batch per step.
     steps: Vec<Vec<usize>>,
-    /// The timestep of each sample after the last step, or `None` for the clean motion.
+    /// The timestep of each sample after the last step; `None` is the clean motion.
     last: Vec<Option<usize>>,
 }
 
 impl TimestepPath {
-    /// The path of a sampler's settings, the same for all samples of a batch.
+    /// The path of a sampler, the same for all samples of a batch.
     pub fn of(config: &SamplerConfig, num_train_timesteps: usize, batch: usize) -> Self {
         let visited = timesteps(config, num_train_timesteps).into_iter();
         Self {
@@ -23,8 +23,7 @@ impl TimestepPath {
         }
     }
 
-    /// A path to the clean motion on which samples have timesteps of their own: one list of the
-    /// whole batch per step.
+    /// A path to the clean motion with one list of the batch per step.
     pub fn to_clean(steps: Vec<Vec<usize>>) -> Self {
         Self {
             last: vec![None; steps.first().map_or(0, Vec::len)],
@@ -32,7 +31,7 @@ impl TimestepPath {
         }
     }
 
-    /// Step `index` as a path of its own.
+    /// Step `index` as a path.
     ///
     /// # Panics
     /// Panics if there are not so many steps.
@@ -49,12 +48,12 @@ impl TimestepPath {
         self.steps.len()
     }
 
-    /// True if there are no steps.
+    /// True without steps.
     pub fn is_empty(&self) -> bool {
         self.steps.is_empty()
     }
 
-    /// Where each sample is before step `index`.
+    /// The timestep of each sample before step `index`.
     ///
     /// # Panics
     /// Panics if there are not so many steps.
@@ -62,7 +61,7 @@ impl TimestepPath {
         &self.steps[index]
     }
 
-    /// The same as the time input of a network.
+    /// [`timesteps`](Self::timesteps) as the time input of a network.
     ///
     /// # Panics
     /// Panics if there are not so many steps.
@@ -70,7 +69,7 @@ impl TimestepPath {
         Time::of(self.timesteps(index))
     }
 
-    /// True if a sample goes to another timestep in step `index`, and not to the clean motion.
+    /// True if a sample goes to another timestep in step `index`, other than the clean motion.
     pub(super) fn stays_noisy(&self, index: usize) -> bool {
         let prev = self.prev_timesteps(index).into_iter();
         prev.zip(self.timesteps(index))
@@ -78,7 +77,7 @@ impl TimestepPath {
             .any(|(next, now)| next != *now)
     }
 
-    /// Where each sample is after step `index`.
+    /// The timestep of each sample after step `index`.
     ///
     /// # Panics
     /// Panics if there are not so many steps.

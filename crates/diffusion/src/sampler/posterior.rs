@@ -5,8 +5,7 @@ use burn::tensor::Tensor;
 use crate::GaussianDiffusion;
 use crate::per_sample::per_sample;
 
-/// One value per sample, from `(abar, 1 - abar, abar', 1 - abar')`, unprimed where it is and primed
-/// where it goes.
+/// One value per sample from its [`Alphas`].
 pub(super) fn coefficients(
     diffusion: &GaussianDiffusion,
     timesteps: &[usize],
@@ -17,8 +16,8 @@ pub(super) fn coefficients(
     let pairs = timesteps.iter().zip(prev_timesteps);
     pairs
         .map(|(&t, &prev)| {
-            let (abar, one_minus_abar) = schedule.landing(Some(t));
-            let (abar_prev, one_minus_abar_prev) = schedule.landing(prev);
+            let (abar, one_minus_abar) = schedule.abar_at(Some(t));
+            let (abar_prev, one_minus_abar_prev) = schedule.abar_at(prev);
             coefficient(Alphas {
                 abar,
                 one_minus_abar,
@@ -29,7 +28,7 @@ pub(super) fn coefficients(
         .collect()
 }
 
-/// `q(x' | x_t, x_0)` of a jump, one of each number per sample.
+/// `q(x' | x_t, x_0)` of a jump, with one value per sample.
 #[derive(Clone, Debug)]
 pub(crate) struct Posterior {
     /// Factor of x_0 in the mean.
@@ -41,7 +40,7 @@ pub(crate) struct Posterior {
 }
 
 impl Posterior {
-    /// The posterior of each sample's jump.
+    /// The posteriors of the samples' jumps.
     pub fn of(
         diffusion: &GaussianDiffusion,
         timesteps: &[usize],
@@ -75,7 +74,7 @@ impl Posterior {
     }
 }
 
-/// The cumulative products at both ends of a step.
+/// The cumulative products before and after a step.
 #[derive(Clone, Copy)]
 pub(crate) struct Alphas {
     pub abar: f64,
@@ -85,12 +84,12 @@ pub(crate) struct Alphas {
 }
 
 impl Alphas {
-    /// The beta of the whole jump, `1 - abar / abar'`: that of timestep t for a jump of one.
+    /// The beta of the jump, `1 - abar / abar'`.
     pub fn beta(self) -> f64 {
         1.0 - self.abar / self.abar_prev
     }
 
-    /// The variance of the posterior of the whole jump: `beta (1 - abar') / (1 - abar)`.
+    /// The posterior variance of the jump, `beta (1 - abar') / (1 - abar)`.
     pub fn posterior_variance(self) -> f64 {
         self.beta() * self.one_minus_abar_prev / self.one_minus_abar
     }

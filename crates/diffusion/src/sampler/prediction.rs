@@ -6,17 +6,14 @@ use super::clip::ClipRange;
 use super::steered::Steered;
 use crate::{Error, GaussianDiffusion, PredictionType, Time};
 
-/// The prediction for a noisy motion, called by a sampler as often as it needs to, with the
-/// noisy motion `[batch, channels, time]` and one [`Time`] a sample.
+/// Predicts the clean motion from a noisy motion `[batch, channels, time]` and one [`Time`] per sample.
 ///
-/// Guidance, clipping, steering and rollouts act between network and sampler, through this
-/// function.
+/// Guidance, clipping, steering and rollouts act through this function, between network and sampler.
 pub type Predict<'p, 's> = dyn FnMut(Tensor<3>, &[Time]) -> Result<Prediction<'s>, Error> + 'p;
 
 /// A prediction of the clean motion at a noise level.
 pub struct Prediction<'s> {
-    /// The noisy motion from which the step continues: the input of the prediction, perhaps with
-    /// another gradient.
+    /// The input of the prediction, perhaps with another gradient; the step continues from it.
     pub x_t: Tensor<3>,
     /// The predicted clean motion, clipped.
     pub x_start: Tensor<3>,
@@ -58,8 +55,8 @@ impl<'s> Prediction<'s> {
         })
     }
 
-    /// The predicted noise: the network's or, with `recompute` and a clipped prediction, the one
-    /// that leads from the clipped clean motion to the noisy one.
+    /// The predicted noise: that of the network or, with `recompute` and a clipped prediction, that of
+    /// the clipped motion.
     pub fn epsilon(
         &self,
         diffusion: &GaussianDiffusion,

@@ -1,12 +1,12 @@
-//! The timesteps that a sampler visits.
+//! The timesteps of a sampler.
 
 use super::config::{SamplerConfig, TimestepSpacing};
 
-/// The timesteps of `config` out of `num_train_timesteps`, noisiest first, by the formulas of
-/// [`TimestepSpacing`], all in integers: a floating-point linspace in single precision misses the
-/// formula at some step counts (from 220 of 1000).
+/// The timesteps of `config` out of `num_train_timesteps`, noisiest first: strictly decreasing for a
+/// valid config.
 ///
-/// For a config that is valid for `num_train_timesteps` they are strictly decreasing.
+/// The formulas of [`TimestepSpacing`] are evaluated in integers; a linspace in single precision is
+/// wrong at some step counts (from 220 of 1000).
 pub fn timesteps(config: &SamplerConfig, num_train_timesteps: usize) -> Vec<usize> {
     let (total, steps) = (num_train_timesteps, config.num_inference_steps);
     let last = total.saturating_sub(1);
@@ -70,7 +70,6 @@ mod tests {
         }
     }
 
-    /// For every N from 1 to T, not only some.
     #[test]
     fn they_strictly_decrease_within_range() {
         for total in [2, 3, 10, 50, 97, 360] {
@@ -89,14 +88,21 @@ mod tests {
 
     fn check(steps: usize, total: usize) {
         for spacing in SPACINGS {
-            let kept = spaced(spacing, steps, total);
-            assert_eq!(kept.len(), steps, "{spacing:?} {steps} of {total}");
-            assert!(kept[0] < total, "{spacing:?} {steps} of {total}: {kept:?}");
-            let decreases = kept.windows(2).all(|pair| pair[1] < pair[0]);
-            assert!(decreases, "{spacing:?} {steps} of {total}: {kept:?}");
+            let visited = spaced(spacing, steps, total);
+            assert_eq!(visited.len(), steps, "{spacing:?} {steps} of {total}");
+            assert!(
+                visited[0] < total,
+                "{spacing:?} {steps} of {total}: {visited:?}"
+            );
+            let decreases = visited.windows(2).all(|pair| pair[1] < pair[0]);
+            assert!(decreases, "{spacing:?} {steps} of {total}: {visited:?}");
             match spacing {
-                TimestepSpacing::Leading => assert_eq!(kept[steps - 1], 0),
-                _ => assert_eq!(kept[0], total - 1, "{spacing:?} begins with the noisiest"),
+                TimestepSpacing::Leading => assert_eq!(visited[steps - 1], 0),
+                _ => assert_eq!(
+                    visited[0],
+                    total - 1,
+                    "{spacing:?} begins with the noisiest"
+                ),
             }
         }
     }

@@ -9,16 +9,16 @@ use crate::{GaussianDiffusion, PredictionType};
 
 /// Guidance and imputation of one step of DDPM.
 pub struct Steered<'a> {
-    /// `s d(-L) / d x_t`, where the step is guided.
+    /// `s d(-L) / d x_t` of a guided step.
     pub scaled_gradient: Option<Tensor<3>>,
     /// [`Guidance::max_shift`](crate::Guidance::max_shift).
     pub max_shift: Option<f64>,
-    /// The values that are put in.
+    /// The known values.
     pub imputation: Option<Imputation<'a>>,
 }
 
 impl Steered<'_> {
-    /// The mean of the step, whose mean without steering is `unguided`.
+    /// The steered mean; `unguided` is the mean without steering.
     pub(crate) fn mean(
         &self,
         diffusion: &GaussianDiffusion,
@@ -41,7 +41,7 @@ impl Steered<'_> {
                 let imputed = posterior.mean(imputation.put_into(x_start.clone()), x_t);
                 match guided {
                     Some(guided) => imputation.merge(imputed, guided),
-                    // Outside the mask both means are the same: the map back and forth only rounds.
+                    // Outside the mask both means are the same.
                     None => imputed,
                 }
             }
@@ -49,8 +49,8 @@ impl Steered<'_> {
         }
     }
 
-    /// Where the step that produced `sample` lands.
-    pub(crate) fn landed(
+    /// `sample`, the result of the step, with the known values in it if the network predicts noise.
+    pub(crate) fn impute(
         &self,
         diffusion: &GaussianDiffusion,
         sample: Tensor<3>,
@@ -67,7 +67,7 @@ impl Steered<'_> {
         let known = imputation.put_into(x_start);
         let noised = match imputation_noise {
             Some(noise) => {
-                // The published program goes no lower than the least noisy timestep.
+                // As in the published program, timestep 0 is the lowest level.
                 let levels: Vec<usize> = prev_timesteps.iter().map(|t| t.unwrap_or(0)).collect();
                 diffusion.add_noise(known, noise, &levels)
             }
@@ -77,9 +77,9 @@ impl Steered<'_> {
     }
 }
 
-/// `shift` with frames no longer than `most`, over their channels, `[batch, 1, 1]`.
+/// `shift` with the norm of each frame, over its channels, limited to `most`, `[batch, 1, 1]`.
 fn limited(shift: Tensor<3>, most: Tensor<3>) -> Tensor<3> {
-    // Squares of what runs away would overflow; a frame that is not moved stays so.
+    // Scaled first, because squares of large shifts would overflow; a shift of zero stays zero.
     let largest = shift.clone().abs().max_dim(1).clamp_min(f32::MIN_POSITIVE);
     let direction = shift / largest.clone();
     let length = direction.clone().square().sum_dim(1).sqrt();
@@ -98,7 +98,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn frames_that_are_moved_too_far_keep_their_direction() {
+    fn limited_shifts_keep_their_direction() {
         let tensor = |values: &[f32], shape: [usize; 3]| -> Tensor<3> {
             Tensor::from_data(TensorData::new(values.to_vec(), shape), &Device::flex())
         };

@@ -22,7 +22,7 @@ enum Kind {
     Dopri5,
 }
 
-/// The keys of all kinds, so that errors name the key and may suggest any of them.
+/// The keys of all kinds, so that errors can suggest any of them.
 #[derive(Deserialize)]
 #[serde(default, deny_unknown_fields)]
 struct Table {
@@ -57,8 +57,8 @@ impl Default for Table {
 }
 
 impl Table {
-    /// Rejects keys of other kinds. One with its default value passes: `--set` may change the kind
-    /// of a saved config, which holds all keys of its own kind.
+    /// Rejects keys of other kinds unless they have their default value: `--set` may change the kind of
+    /// a saved config, which contains all keys of its kind.
     fn refuse_keys_of_other_kinds(&self) -> Result<(), String> {
         let usual = Self::default();
         let is_ddim = matches!(self.kind, Kind::Ddim);
@@ -91,7 +91,7 @@ impl Table {
         };
         let own = keys.iter().filter(|(_, own, _)| *own);
         let own: Vec<String> = own.map(|(key, ..)| format!("`{key}`")).collect();
-        // In the words of serde for a key that no kind has.
+        // In serde's words for an unknown key.
         Err(format!(
             "unknown field `{key}`, expected one of {}",
             own.join(", ")

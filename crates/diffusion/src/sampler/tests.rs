@@ -236,15 +236,15 @@ fn a_sample_does_not_depend_on_its_batch() {
 fn a_sample_with_its_own_key_is_the_same_anywhere_in_a_batch() {
     let diffusion = process(20, PredictionType::Epsilon);
     let config = ddpm(20);
-    let draw = |start: Tensor<3>, keys: &[Key]| {
+    let sampled = |start: Tensor<3>, keys: &[Key]| {
         let (clip, keys) = (ClipRange::None, NoiseKeys::Samples(keys));
         let ignore = &mut |_: usize, _: usize, _: &Tensor<3>| ControlFlow::Continue(());
         sample(&diffusion, &Waves, start, &(), &config, &clip, keys, ignore).unwrap()
     };
-    let both = draw(normal(1), &[key(5), key(6)]);
-    let second = draw(normal(1).narrow(0, 1, 1), &[key(6)]);
+    let both = sampled(normal(1), &[key(5), key(6)]);
+    let second = sampled(normal(1).narrow(0, 1, 1), &[key(6)]);
     assert_eq!(both.clone().narrow(0, 1, 1).into_data(), second.into_data());
-    let other = draw(normal(1), &[key(5), key(7)]);
+    let other = sampled(normal(1), &[key(5), key(7)]);
     assert_eq!(
         both.clone().narrow(0, 0, 1).into_data(),
         other.clone().narrow(0, 0, 1).into_data()

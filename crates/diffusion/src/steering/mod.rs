@@ -3,7 +3,6 @@
 //!
 //! Source: Guided Motion Diffusion, appendix F, and Dhariwal and Nichol 2021,
 //! <https://arxiv.org/abs/2105.05233>, algorithm 1, with the mean's shift scaled by the variance.
-//! An [`Objective`] is any function from the predicted motion to the gradient of a loss.
 
 mod step;
 
@@ -22,54 +21,51 @@ pub trait Objective {
     /// The gradient of the loss with respect to the predicted clean motion.
     ///
     /// # Shapes
-    /// - pred_original_sample, output: `[batch, channels, time]`, on a plain device, in the
-    ///   network's space
+    /// - pred_original_sample, output: `[batch, channels, time]`, in network space on a plain device
     fn gradient(&self, pred_original_sample: &Tensor<3>) -> Tensor<3>;
 }
 
 /// Guidance towards a goal.
 #[derive(Clone, Copy)]
 pub struct Guidance<'a> {
-    /// The loss that guides the sample.
+    /// The loss.
     pub objective: &'a dyn Objective,
     /// The guidance scale `s`; the gradient is also multiplied by the variance of the step.
     pub scale: f64,
-    /// Furthest that a frame is moved in one step, over all its channels, in standard deviations of the
-    /// step's noise.
+    /// Largest norm of a frame's shift in one step, in standard deviations of the step's noise.
     pub max_shift: Option<f64>,
 }
 
 /// Guidance and imputation of one step.
 #[derive(Clone, Default)]
 pub struct Steering<'a> {
-    /// The gradient that shifts the mean.
+    /// Shifts the mean.
     pub guidance: Option<Guidance<'a>>,
     /// The known values to impute.
     pub imputation: Option<Imputation<'a>>,
 }
 
-/// The same network with and without gradients.
+/// A network with and without gradients.
 #[derive(Debug)]
 pub struct Networks<'a, D: ?Sized> {
     /// On an autodiff device; its weights need no gradients.
     pub tracked: &'a D,
-    /// The same on the plain device.
+    /// On the plain device.
     pub plain: &'a D,
 }
 
 /// Generates one motion per sample of the start noise with DDPM, with the guidance and imputation
 /// that `steering` returns for each timestep.
 ///
-/// Noise is drawn as in [`sample`](crate::sample); that of an imputation has the name `imputation`.
+/// Noise is that of [`sample`](crate::sample); that of an imputation has the name `imputation`.
 ///
 /// # Shapes
 /// - x_T, the start noise, standard normal: `[batch, channels, time]`, on the plain device
-/// - cond: what the denoiser takes, for the same batch, on the plain device
+/// - cond: the denoiser's condition for the batch, on the plain device
 /// - output: `[batch, channels, time]`
 ///
 /// # Errors
-/// If the sampler's settings are not valid for this process or are not those of DDPM, the clipping
-/// bounds do not fit the channels, or the network's output has other sizes than its input.
+/// As [`sample`](crate::sample), and if the sampler is not DDPM.
 #[expect(
     non_snake_case,
     reason = "x_T is the field's symbol for the start noise"

@@ -3,7 +3,7 @@ use super::simd::{exp, sigmoid};
 /// Activation after a normalisation.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Activation {
-    /// Nothing.
+    /// The identity.
     #[default]
     None,
     /// `x sigmoid(x)`.
@@ -12,7 +12,7 @@ pub enum Activation {
     Mish,
 }
 
-/// An [`Activation`] as a type, so that the loop over it is compiled for it.
+/// An [`Activation`] as a type, so that loops are specialised for it.
 pub(crate) trait Pointwise: Copy + Send + Sync {
     fn value(self, x: f32) -> f32;
     fn derivative(self, x: f32) -> f32;
@@ -51,8 +51,8 @@ impl Pointwise for Silu {
 }
 
 impl Mish {
-    /// `tanh(ln(1 + e^x)) = e (e + 2) / (e (e + 2) + 2)` with `e = e^x`, which is 1 in single
-    /// precision from 20 on.
+    /// `tanh(ln(1 + e^x)) = e (e + 2) / (e (e + 2) + 2)` with `e = e^x`; 1 in single precision for
+    /// x >= 20.
     #[inline(always)]
     fn gate(x: f32) -> f32 {
         let e = exp(if x > 20.0 { 20.0 } else { x });
@@ -74,7 +74,7 @@ impl Pointwise for Mish {
     }
 }
 
-/// Evaluates `$body` with `$activation` standing for the type of an [`Activation`].
+/// Evaluates `$body` with `$activation` as the [`Pointwise`] of an [`Activation`].
 macro_rules! with_activation {
     ($kind:expr, |$activation:ident| $body:expr) => {
         match $kind {

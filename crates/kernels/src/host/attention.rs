@@ -1,8 +1,8 @@
-//! Scaled dot-product attention over short sequences, without keeping the score matrix.
+//! Scaled dot-product attention without a stored score matrix.
 //!
-//! Scores live in a buffer of one head at a time; the backward pass computes them anew from queries
-//! and keys. A sequence of motion is some hundred frames, so that one head's scores fit in cache; of a
-//! longer one the queries are taken in parts, so that memory grows with its length alone.
+//! A buffer contains the scores of one head; the backward pass recomputes them from queries and keys.
+//! The scores of some hundred frames fit in cache. Queries of longer sequences are processed in parts,
+//! so that memory is linear in the length.
 
 use std::cell::RefCell;
 use std::ops::Range;
@@ -23,25 +23,25 @@ pub struct Heads<'a> {
     pub keys: Rows<'a>,
     /// `[batch, keys, channels]`.
     pub values: Rows<'a>,
-    /// Heads that the channels divide into.
+    /// Number of heads.
     pub num_heads: usize,
-    /// Keys that are attended to.
+    /// Keys that each query attends to.
     pub attended: Attended<'a>,
 }
 
-/// Keys that are attended to.
+/// Keys that each query attends to.
 #[derive(Clone, Copy)]
 pub enum Attended<'a> {
-    /// All of them.
+    /// All keys.
     All,
-    /// So many of each sample, from the first on.
+    /// The first keys of each sample, by their number.
     First(&'a [usize]),
-    /// Those of each query.
+    /// A range per query.
     Ranges(&'a KeyRanges),
 }
 
 impl Attended<'_> {
-    /// Keys of a query, of so many.
+    /// Keys of a query, out of `keys`.
     fn of(self, sample: usize, query: usize, keys: usize) -> Range<usize> {
         match self {
             Self::All => 0..keys,
@@ -50,7 +50,7 @@ impl Attended<'_> {
         }
     }
 
-    /// From the first key of some queries to behind their last.
+    /// The smallest range that contains the keys of `queries`.
     fn span(self, sample: usize, queries: Range<usize>, keys: usize) -> Range<usize> {
         match self {
             Self::Ranges(ranges) => ranges.span(sample, queries),
@@ -67,26 +67,26 @@ pub(crate) struct HeadGradients<'a> {
     pub values: Columns<'a>,
 }
 
-/// Some channels of shared rows, from `first` on.
+/// The channels of shared rows from `first` on.
 #[derive(Clone, Copy)]
 pub(crate) struct Columns<'a> {
     pub rows: SharedRows<'a>,
     pub first: usize,
 }
 
-/// Most scores that are in memory at a time, of each thread: those of a thousand frames. Tests are of
-/// few, and take their queries in parts too.
+/// Most scores in memory per thread: those of a thousand frames. Lower in tests, so that they use
+/// parts too.
 const MOST_SCORES: usize = if cfg!(test) { 256 } else { 1 << 20 };
 
-/// Fewest queries of a part of those that attend to few keys each.
+/// Fewest queries of a part with narrow ranges.
 const SHORTEST_PART: usize = if cfg!(test) { 2 } else { 32 };
 
-/// Buffers of a thread for its current head.
+/// Buffers of a thread.
 #[derive(Default)]
 struct Buffers {
-    /// Attention `[part, keys]`.
+    /// Attention weights, `[part, keys]`.
     weights: Vec<f32>,
-    /// The gradient of the scores, `[part, keys]`.
+    /// Gradient of the scores, `[part, keys]`.
     scores: Vec<f32>,
     /// Results for a part of the queries.
     sums: Vec<f32>,
@@ -108,7 +108,7 @@ struct Matrix<'a> {
 }
 
 impl Matrix<'_> {
-    /// Its rows from one on.
+    /// The rows from `row` on.
     fn from(self, row: usize) -> Self {
         Self {
             data: &self.data[row * self.row..],
@@ -125,7 +125,7 @@ impl Matrix<'_> {
     }
 }
 
-/// `output = scale lhs rhs`, dense; with `add` that is added to what the output holds.
+/// `output = scale lhs rhs`, dense; with `add` the product is added to the output.
 fn product(
     output: &mut [f32],
     add: bool,
@@ -198,8 +198,8 @@ impl<'a> Heads<'a> {
         });
     }
 
-    /// The queries, in parts whose scores fit into a buffer. Of queries that attend to few keys each a
-    /// part is short, so that its keys are few as well.
+    /// The queries in parts whose scores fit into a buffer. With narrow ranges the parts are short, so
+    /// that each spans few keys.
     fn parts(&self) -> impl Iterator<Item = Range<usize>> + use<> {
         let (time, keys) = (self.queries.time, self.keys.time);
         let most = (MOST_SCORES / keys.max(1)).max(1);
@@ -213,7 +213,7 @@ impl<'a> Heads<'a> {
         starts.map(move |start| start..time.min(start + length))
     }
 
-    /// Writes the attention `[part, span]` of one head to `weights`; returns the keys of the span.
+    /// Writes the attention `[part, span]` of one head to `weights` and returns the span of keys.
     fn weights(
         &self,
         sample: usize,
@@ -240,7 +240,7 @@ impl<'a> Heads<'a> {
         );
         let ranges = part.map(|query| {
             let Range { start, end } = self.attended.of(sample, query, self.keys.time);
-            // Of a query without keys wherever its empty range is.
+            // An empty range may lie outside the span.
             let inside = |key: usize| key.clamp(span.start, span.end) - span.start;
             inside(start)..inside(end)
         });
@@ -293,8 +293,7 @@ impl<'a> Heads<'a> {
         output
     }
 
-    /// Writes the gradients of queries, keys and values from that of the output; nothing to keys
-    /// that are not attended to.
+    /// Writes the gradients of queries, keys and values; those of unattended keys are left as they are.
     pub(crate) fn backward(&self, gradient: Rows<'a>, into: HeadGradients<'_>) {
         let channels = self.head_channels();
         let scale = self.scale();
@@ -396,7 +395,7 @@ fn dense(data: &[f32], columns: usize) -> Matrix<'_> {
     }
 }
 
-/// Elements that are folded side by side, as vector code wants them.
+/// Parallel partial results, for vectorisation.
 const LANES: usize = 16;
 
 #[inline(always)]

@@ -1,15 +1,13 @@
-//! Lines that are written as columns: what products read with one load of neighbouring columns lies
-//! in different lines of a weight.
+//! Transposes lines of a weight, because products load neighbouring columns.
 
 #[cfg(target_arch = "x86_64")]
 use super::simd::fetch;
 
-/// Lines that are turned at once: what they write fills a cache line.
+/// Lines transposed at once: their writes fill a cache line.
 pub(crate) const LINES: usize = 16;
 
-/// Writes lines of the first one's length as columns: `panel[c stride + i] = lines[i][c]`. `next`
-/// follows in memory what is turned after these lines, and is fetched meanwhile: weights are read once
-/// a product, from afar, and to wait for them took two thirds of the time.
+/// Transposes lines of equal length: `panel[c stride + i] = lines[i][c]`. It prefetches `next`, the
+/// lines after these: waiting for weights took two thirds of the time.
 ///
 /// # Panics
 /// Panics if a line is shorter than the first, or the panel too short.
@@ -31,7 +29,7 @@ pub(crate) fn write_columns(
     }
 }
 
-/// Turns as many whole blocks as it can; how much of each line that is.
+/// Transposes all full blocks and returns the elements of each line that it covered.
 #[cfg(target_arch = "x86_64")]
 #[inline(always)]
 fn turn_blocks(lines: [&[f32]; LINES], stride: usize, panel: &mut [f32], next: &[f32]) -> usize {
@@ -69,7 +67,7 @@ mod avx {
     /// Lines and columns of a block.
     pub const SIDE: usize = 8;
 
-    /// Turns a block in registers: pairs of neighbours, then pairs of pairs, then halves.
+    /// Transposes a block in registers: pairs of neighbours, then pairs of pairs, then halves.
     #[inline(always)]
     pub fn turn(simd: V3, lines: [&[f32; SIDE]; SIDE], stride: usize, panel: &mut [f32]) {
         const FIRST_PAIRS: i32 = 0b01_00_01_00;

@@ -1,8 +1,7 @@
 //! Convolution over time: output, input gradient and weight gradient.
 //!
 //! Inputs are first written into zero-padded rows: copied, repeated (nearest upsampling) or
-//! normalised. The backward pass recomputes these rows from the input, which is cheaper than
-//! storing and reloading them.
+//! normalised. The backward pass recomputes these rows, which is cheaper than storing them.
 
 use std::mem::MaybeUninit;
 
@@ -23,30 +22,29 @@ use crate::lengths::frames_of;
 pub struct ConvolutionPlan {
     /// Kernel, stride and padding.
     pub geometry: Geometry,
-    /// Whether it is transposed, with the weight `[in, out, kernel]`.
+    /// True for a transposed convolution, with the weight `[in, out, kernel]`.
     pub transposed: bool,
-    /// Repeats every input frame twice and keeps so many frames, before all else.
+    /// Repeats every input frame twice, then keeps this many frames.
     pub upsample: Option<usize>,
-    /// Normalises the input before. Not together with `upsample`.
+    /// Normalises the input. Excludes `upsample`.
     pub norm: Option<GroupNormPlan>,
 }
 
-/// A convolution's input and what is done to it before it is multiplied.
+/// A convolution's input and the tensors of its normalisation.
 #[derive(Clone, Copy)]
 pub struct Input<'a> {
     /// Input frames.
     pub x: Rows<'a>,
     /// Statistics and parameters of the normalisation, where the plan has one.
     pub norm: Option<(&'a Statistics, NormParameters<'a>)>,
-    /// Frames of each sample that are multiplied, zeros standing for the others; a normalisation's
-    /// are the same.
+    /// Valid frames of each sample, also of the normalisation; the others are zeros.
     pub lengths: Option<&'a [usize]>,
 }
 
-/// Gradients of a backward pass.
+/// The gradients to compute.
 #[derive(Clone, Copy, Debug)]
 pub struct Wanted {
-    /// Of the input, and of the normalisation's parameters with it.
+    /// Of the input and the normalisation's parameters.
     pub input: bool,
     /// Of the weight.
     pub weight: bool,
@@ -58,7 +56,7 @@ pub struct Wanted {
 pub struct ConvolutionGradients {
     /// `[batch, time, in]`.
     pub input: Option<Vec<f32>>,
-    /// As the weight.
+    /// In the weight's shape.
     pub weight: Option<Vec<f32>>,
     /// `[out]`.
     pub bias: Option<Vec<f32>>,
@@ -66,14 +64,14 @@ pub struct ConvolutionGradients {
     pub norm: Option<NormGradients>,
 }
 
-/// The rows that windows are cut from.
+/// The source rows of the windows.
 enum Source<'a> {
     Plain(Rows<'a>),
     Padded(Padded, [usize; 3]),
 }
 
 impl ConvolutionPlan {
-    /// Frames that are multiplied, of `time` input frames.
+    /// Frames of `time` input frames after upsampling.
     fn source_frames(&self, time: usize) -> usize {
         self.upsample.unwrap_or(time)
     }
@@ -109,7 +107,7 @@ impl ConvolutionPlan {
         }
     }
 
-    /// The input as it is multiplied, with zero rows around it where `phases` look beyond its ends.
+    /// The prepared input, with zero rows around it where `phases` reach beyond its ends.
     fn prepare<'a>(&self, input: Input<'a>, phases: &[Phase]) -> Source<'a> {
         let x = input.x;
         let frames = self.source_frames(x.time);
@@ -183,7 +181,7 @@ impl ConvolutionPlan {
             bias: wanted.bias.then(|| column_sums(gradient)),
             norm: None,
         };
-        // The side whose frames are fewer gives single rows, the other windows.
+        // The side with fewer frames provides single rows, the other windows.
         let phases = self.backward_phases(frames);
         let padded_gradient = Source::pad(gradient, &phases);
         if wanted.weight {
@@ -223,8 +221,8 @@ impl ConvolutionPlan {
 }
 
 impl<'a> Source<'a> {
-    /// `rows` with zeros around them where `phases` look beyond their ends, and without gaps where
-    /// windows hold several of them.
+    /// `rows` with zeros around them where `phases` reach beyond their ends, and without gaps if windows
+    /// span several rows.
     fn pad(rows: Rows<'a>, phases: &[Phase]) -> Self {
         let (before, after) = margins(phases, rows.time);
         let single = phases.iter().all(|phase| phase.taps.len() <= 1);
@@ -280,7 +278,7 @@ impl<'a> Source<'a> {
         }
     }
 
-    /// The rows themselves.
+    /// The rows without padding.
     fn rows(&self) -> Rows<'_> {
         match self {
             Self::Plain(rows) => *rows,
@@ -296,7 +294,7 @@ impl<'a> Source<'a> {
     }
 }
 
-/// A weight as one of its two directions reads it.
+/// A weight and the direction that reads it.
 #[derive(Clone, Copy)]
 struct WeightView<'a> {
     data: &'a [f32],
@@ -351,7 +349,7 @@ fn multiply_phases(
     }
 }
 
-/// Copies to each of `frames` rows the row that `from` names; from the sample's length on, zeros.
+/// Copies row `from(t)` to each row t below the sample's length and writes zeros to the others.
 fn copy(
     x: Rows<'_>,
     frames: usize,
@@ -374,7 +372,7 @@ fn copy(
     });
 }
 
-/// Writes zeros to the rows from each sample's length on.
+/// Sets the rows from each sample's length on to zero.
 fn clear_padding(rows: &mut [f32], [_, time, channels]: [usize; 3], lengths: &[usize]) {
     if time * channels > 0 {
         let samples = rows.chunks_exact_mut(time * channels);

@@ -1,11 +1,10 @@
 use super::simd::{exp, vectorized};
 use super::team;
 
-/// Elements that one thread handles at a time.
+/// Elements of a task.
 const CHUNK: usize = 1 << 13;
 
-/// `erf(x)` to within 4e-7: a quotient of polynomials on [-4, 4], at whose ends it is 1 in single
-/// precision.
+/// `erf(x)` to within 4e-7: a rational function on [-4, 4]; beyond, it is 1 in single precision.
 #[inline(always)]
 fn erf(x: f32) -> f32 {
     let x = if x.is_nan() { x } else { x.clamp(-4.0, 4.0) };
@@ -25,7 +24,7 @@ fn erf(x: f32) -> f32 {
     if square < 16.0 { x * p / q } else { x / 4.0 }
 }
 
-/// The share of `x` that the unit lets through: `(1 + erf(x / sqrt 2)) / 2`.
+/// `(1 + erf(x / sqrt 2)) / 2`.
 #[inline(always)]
 fn gate(x: f32) -> f32 {
     0.5 + 0.5 * erf(x * std::f32::consts::FRAC_1_SQRT_2)
@@ -48,7 +47,7 @@ pub(crate) fn forward(x: &[f32]) -> Vec<f32> {
     y
 }
 
-/// The gradient of `x` from that of the output.
+/// The gradient of `x`.
 pub(crate) fn backward(x: &[f32], gradient: &[f32]) -> Vec<f32> {
     /// `1 / sqrt(2 pi)`.
     const DENSITY: f32 = 0.398_942_3;
@@ -76,7 +75,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_far_from_0_passes_or_does_not() {
+    fn values_far_from_0_pass_or_become_0() {
         let x = [-1e30, -40.0, -6.0, 6.0, 1e30];
         assert_eq!(forward(&x), [0.0, 0.0, 0.0, 6.0, 1e30]);
         assert_eq!(backward(&x, &[1.0; 5])[..2], [0.0; 2]);

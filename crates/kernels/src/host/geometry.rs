@@ -2,39 +2,39 @@
 
 /// Kernel size, stride and padding of a convolution over time.
 ///
-/// One geometry serves four maps. A convolution *gathers*: its output frame `t` sees input frames
-/// `t stride - padding + k` through tap `k`. Its input gradient *scatters* along the same pairs the
-/// other way round. A transposed convolution scatters, and its input gradient gathers.
+/// A convolution *gathers*: output frame `t` reads input frame `t stride - padding + k` through tap
+/// `k`. Its input gradient *scatters* along the same pairs in reverse. A transposed convolution
+/// scatters, and its input gradient gathers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Geometry {
     /// Taps.
     pub kernel: usize,
     /// Frames of the long side per frame of the short side.
     pub stride: usize,
-    /// Frames by which the first window stands before the first frame.
+    /// Frames by which the first window precedes the first frame.
     pub padding: usize,
 }
 
-/// Rows `first, first + step, ...` of a product's output, each from a window of source rows that
-/// follow each other.
+/// Rows `first, first + step, ...` of a product's output, each from a window of consecutive source
+/// rows.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Phase {
     /// First output row.
     pub first: usize,
-    /// Output rows from one to the next.
+    /// Distance of the output rows.
     pub step: usize,
     /// Number of output rows.
     pub rows: usize,
-    /// Source row where the first window begins; negative is before the first.
+    /// First source row of the first window; negative before the first row.
     pub source_first: isize,
-    /// Source rows from a window to the next.
+    /// Distance of the windows in source rows.
     pub source_step: usize,
     /// The tap of each row of a window.
     pub taps: Vec<usize>,
 }
 
 impl Geometry {
-    /// Length of the short side, whose frames a convolution of `long` frames puts out.
+    /// Output frames of a convolution of `long` frames.
     ///
     /// # Panics
     /// Panics if the kernel does not fit into the padded frames.
@@ -48,7 +48,7 @@ impl Geometry {
         (padded - self.kernel) / self.stride + 1
     }
 
-    /// Length of the long side, which a transposed convolution of `short` frames puts out.
+    /// Output frames of a transposed convolution of `short` frames.
     ///
     /// # Panics
     /// Panics if no frame is left.
@@ -74,7 +74,7 @@ impl Geometry {
         }]
     }
 
-    /// Output rows on the long side: those of equal remainder by the stride see the same taps.
+    /// Output rows on the long side: rows of equal remainder by the stride use the same taps.
     pub(crate) fn scatter(&self, long: usize) -> Vec<Phase> {
         let stride = self.stride;
         (0..stride.min(long))
@@ -130,7 +130,7 @@ mod tests {
     }
 
     #[test]
-    fn scattering_is_gathering_the_other_way_round() {
+    fn scattering_is_gathering_in_reverse() {
         for kernel in 1..6 {
             for stride in 1..4 {
                 for padding in 0..=kernel / 2 {

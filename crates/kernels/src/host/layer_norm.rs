@@ -1,16 +1,16 @@
-//! Layer normalisation of rows, in one pass each way.
+//! Layer normalisation of rows, in one forward and one backward pass.
 
 use super::simd::vectorized;
 use super::team;
 
-/// Elements that one thread handles at a time, about. The rows of a chunk do not depend on the number
-/// of threads, so that the sums over rows do not either.
+/// Approximate elements of a chunk. The chunks, and so the sums over rows, do not depend on the number
+/// of threads.
 const CHUNK: usize = 1 << 13;
 
-/// Rows of a chunk at least: each chunk has sums of its own over them.
+/// Fewest rows of a chunk, because each chunk has its own sums over them.
 const LEAST_ROWS: usize = 8;
 
-/// Partial sums side by side, as vector code wants them.
+/// Parallel partial sums, for vectorisation.
 const LANES: usize = 16;
 
 /// Rows `[rows, features]` and their normalisation.
@@ -27,7 +27,7 @@ pub(crate) struct LayerNormRows<'a> {
 /// The gradient of a chunk's rows, and its sums for scales and shifts.
 type Outputs<'a> = (&'a mut [f32], &'a mut [f32]);
 
-/// A chunk's rows, and the gradient of what they become.
+/// A chunk's rows, and the gradient of their output.
 type Inputs<'a> = (&'a [f32], &'a [f32]);
 
 /// Gradients of a layer normalisation.
@@ -45,7 +45,7 @@ impl LayerNormRows<'_> {
         self.weight.len()
     }
 
-    /// Elements of the rows that one thread handles at a time.
+    /// Elements of a chunk.
     fn chunk(&self) -> usize {
         (CHUNK / self.features()).max(LEAST_ROWS) * self.features()
     }
@@ -126,7 +126,7 @@ impl LayerNormRows<'_> {
         [weight_sums, bias_sums]: [&mut [f32]; 2],
     ) {
         let [mean, reciprocal] = moments(x, self.eps);
-        // The normalised values wait where the gradient is to stand.
+        // `dx` contains the normalised values until the last loop.
         let sums = weight_sums.iter_mut().zip(bias_sums);
         for (((dx, x), gradient), (weight, bias)) in dx.iter_mut().zip(x).zip(gradient).zip(sums) {
             let normalized = (x - mean) * reciprocal;
@@ -155,8 +155,7 @@ impl LayerNormRows<'_> {
     }
 }
 
-/// Mean and reciprocal deviation of a row: the mean first, then distances from it, so that a large
-/// mean costs few digits.
+/// Mean and reciprocal deviation of a row, in two passes, so that a large mean costs few digits.
 #[inline(always)]
 fn moments(x: &[f32], eps: f64) -> [f32; 2] {
     let count = x.len() as f32;
@@ -166,7 +165,7 @@ fn moments(x: &[f32], eps: f64) -> [f32; 2] {
     [mean, reciprocal]
 }
 
-/// The sum of `of` both values of each feature.
+/// The sum of `of(a, b)` over the features.
 #[inline(always)]
 fn sum(a: &[f32], b: &[f32], of: impl Fn(f32, f32) -> f32) -> f32 {
     let mut lanes = [0.0; LANES];

@@ -1,4 +1,4 @@
-//! The kernels on slices of the host's memory; they know nothing of Burn.
+//! Kernels on slices of host memory, independent of Burn.
 
 pub(crate) mod activation;
 pub(crate) mod attention;
@@ -6,11 +6,11 @@ pub(crate) mod columns;
 pub(crate) mod convolution;
 pub(crate) mod gelu;
 pub(crate) mod geometry;
-pub(crate) mod kept;
 pub(crate) mod layer_norm;
 pub(crate) mod narrow;
 pub(crate) mod norm;
 pub(crate) mod outer;
+pub(crate) mod packed_cache;
 pub(crate) mod packing;
 pub(crate) mod product;
 pub(crate) mod recurrence;

@@ -1,7 +1,7 @@
-//! Products of few windows with many weights, as those of a coarse level or of one sample.
+//! Products of few windows with many weights.
 //!
-//! To pack the weights would cost as much as to multiply them. Here the windows are turned into
-//! panels instead, and the weights are read once, where they stand.
+//! Packing the weights would cost as much as the product. Here the windows are packed instead, and the
+//! weights are read once, in place.
 
 use pulp::{Arch, Simd, WithSimd};
 
@@ -9,16 +9,16 @@ use super::packing::turn_windows;
 use super::product::{Addends, OutputRows, TILE_ROWS, WIDEST, Windows, tile, vectors};
 use super::team;
 
-/// Windows of several taps up to which this way can be the faster one.
+/// Most windows of several taps for which this algorithm can be faster.
 const MOST_ROWS: usize = 32;
 
-/// The same of a single tap, whose weights are quick to pack.
+/// Most windows of one tap, whose weights are quick to pack.
 const MOST_ROWS_OF_ONE_TAP: usize = 16;
 
-/// Output channels that one task takes at least.
+/// Fewest output channels of a task.
 const LEAST_CHANNELS: usize = 4 * TILE_ROWS;
 
-/// Whether a product has few windows of few taps relative to its output channels.
+/// True if a product has few windows of few taps relative to its output channels.
 pub(crate) fn is_narrow(rows: usize, channels: usize, taps: usize) -> bool {
     let most = match taps {
         1 => MOST_ROWS_OF_ONE_TAP,
@@ -27,10 +27,10 @@ pub(crate) fn is_narrow(rows: usize, channels: usize, taps: usize) -> bool {
     (1..=most).contains(&rows) && 2 * rows <= channels
 }
 
-/// `output = windows weight^T + addends` for a weight `[channels, inner, kernel]` whose windows run
-/// through all taps in order.
+/// `output = windows weight^T + addends` for a weight `[channels, inner, kernel]` and windows of all
+/// taps in order.
 ///
-/// Each element is summed in one order whatever the number of threads.
+/// The order of each sum does not depend on the number of threads.
 pub(crate) fn multiply_narrow(
     windows: Windows<'_>,
     weight: &[f32],
@@ -137,7 +137,7 @@ impl RunTask<'_> {
         let panel = pulp::as_arrays::<NR, _>(S::as_simd_f32s(panel).0).0;
         let rows = first..self.windows.len().min(first + width);
         for channel in self.channels.clone().step_by(TILE_ROWS) {
-            // Channels beyond the last are the last again; they are not written.
+            // Channels beyond the last repeat it and are not written.
             let last = self.channels.end - 1;
             let weights: [&[f32]; TILE_ROWS] = std::array::from_fn(|i| {
                 &self.weight[(channel + i).min(last) * self.depth..][..self.depth]
@@ -160,7 +160,7 @@ impl RunTask<'_> {
         }
     }
 
-    /// Writes some channels of one output row, with what is added to them.
+    /// Writes some channels of one output row plus the addends.
     #[inline(always)]
     fn write(&self, index: usize, channel: usize, values: &mut [f32]) {
         let (sample, row) = (index / self.windows.rows, index % self.windows.rows);
@@ -189,5 +189,5 @@ impl RunTask<'_> {
     }
 }
 
-/// Elements of the longest vector that any processor has.
+/// Elements of the longest vector of any processor.
 const LONGEST: usize = 16;

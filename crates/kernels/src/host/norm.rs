@@ -1,8 +1,5 @@
-//! Group normalisation with FiLM and an activation, in one pass each way.
-//!
-//! Per channel and sample all of it but the activation is one affine map of the distance from the
-//! mean, so the forward pass measures the statistics and then computes
-//! `activation(scale (x - mean) + shift)`.
+//! Group normalisation with FiLM and an activation: `activation(scale (x - mean) + shift)`, with one
+//! affine map per channel and sample.
 
 use std::mem::MaybeUninit;
 
@@ -12,18 +9,18 @@ use super::simd::vectorized;
 use super::team;
 use crate::lengths::frames_of;
 
-/// A group normalisation without its parameters.
+/// The settings of a group normalisation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GroupNormPlan {
-    /// Groups that the channels divide into.
+    /// Number of groups.
     pub groups: usize,
     /// Added to the variance.
     pub eps: f64,
-    /// Activation afterwards.
+    /// Activation of the result.
     pub activation: Activation,
 }
 
-/// A group normalisation's parameters: what is given changes the normalised values in this order.
+/// A group normalisation's parameters, in the order of their application.
 #[derive(Clone, Copy)]
 pub struct NormParameters<'a> {
     /// Scale of each channel.
@@ -35,7 +32,7 @@ pub struct NormParameters<'a> {
     pub film: Option<&'a [f32]>,
     /// Factor of each element after the activation.
     pub mask: Option<Rows<'a>>,
-    /// Frames of each sample that are measured; the others become zeros.
+    /// Valid frames of each sample; the others become zeros.
     pub lengths: Option<&'a [usize]>,
 }
 
@@ -49,12 +46,11 @@ pub struct NormGradients {
     pub weight: Vec<f32>,
     /// Of the shifts.
     pub bias: Vec<f32>,
-    /// Of FiLM's, where there is one.
+    /// Of FiLM.
     pub film: Option<Vec<f32>>,
 }
 
-/// The maps of a task's channels: `u = scale (x - mean) + shift`. Side by side, as vector code
-/// wants them.
+/// The maps `u = scale (x - mean) + shift` of a task's channels.
 #[derive(Default)]
 struct Affine {
     scale: Vec<f32>,
@@ -62,8 +58,8 @@ struct Affine {
     mean: Vec<f32>,
 }
 
-/// The statistics of every sample's groups: means first, then deviations from them, so that a
-/// large mean costs no digits. With `lengths` only so many frames of each sample are measured.
+/// The statistics of every sample's groups over its valid frames, in two passes, so that a large mean
+/// costs no digits.
 pub fn statistics(x: Rows<'_>, plan: &GroupNormPlan, lengths: Option<&[usize]>) -> Statistics {
     let size = x.channels / plan.groups;
     let tasks = column_tasks(x.batch, x.channels, size);
@@ -117,7 +113,7 @@ fn channel_sums(x: Rows<'_>, task: ColumnTask, sums: &mut [f32], means: Option<&
     );
 }
 
-/// The map of each of a task's channels, all but the activation.
+/// The affine map of each of a task's channels.
 fn affine(
     task: ColumnTask,
     channels: usize,
@@ -139,7 +135,7 @@ fn affine(
     affine
 }
 
-/// Factor and shift of FiLM, 1 and 0 without one.
+/// Factor and shift of FiLM; 1 and 0 without it.
 fn film(sample: usize, channel: usize, channels: usize, film: Option<&[f32]>) -> (f32, f32) {
     match film {
         Some(film) => {
@@ -150,7 +146,7 @@ fn film(sample: usize, channel: usize, channels: usize, film: Option<&[f32]>) ->
     }
 }
 
-/// Writes the normalised rows to `output`, every element of them.
+/// Writes every element of the normalised rows to `output`.
 pub(crate) fn forward(
     x: Rows<'_>,
     statistics: &Statistics,
@@ -222,12 +218,11 @@ fn forward_task(
     }
 }
 
-/// Turns `gradient`, the gradient of the output and dense, into that of `x`, and returns those of
-/// the parameters.
+/// Replaces the dense `gradient` of the output by that of `x`, and returns those of the parameters.
 ///
-/// With `u` the affine part and `n` the normalised values, the sums `s1 = sum du` and
-/// `s2 = sum du n` over a channel's time hold every parameter's gradient, and those over a group
-/// the two means that the input's gradient takes off.
+/// With `u` the affine part and `n` the normalised values, the sums `s1 = sum du` and `s2 = sum du n`
+/// over a channel's time give the parameters' gradients. Their sums over a group give the two means
+/// that are subtracted from the input's gradient.
 pub(crate) fn backward(
     x: Rows<'_>,
     statistics: &Statistics,
@@ -278,8 +273,8 @@ pub(crate) fn backward(
     gradients
 }
 
-/// Through mask and activation: `gradient` becomes that of `u`. Returns of each channel `sum du`
-/// and `sum du (x - mean)`.
+/// Backward through mask and activation: `gradient` becomes that of `u`. Returns `sum du` and
+/// `sum du (x - mean)` of each channel.
 #[inline(always)]
 fn backward_activation(
     x: Rows<'_>,
@@ -317,8 +312,8 @@ fn backward_activation(
     [sums, products]
 }
 
-/// Through FiLM, scale and normalisation: the gradient of `u` becomes that of `x`. Returns `s1`
-/// and `s2` of each channel.
+/// Backward through FiLM, scale and normalisation: the gradient of `u` becomes that of `x`. Returns
+/// `s1` and `s2` of each channel.
 fn backward_affine(
     x: Rows<'_>,
     task: ColumnTask,
@@ -343,8 +338,7 @@ fn backward_affine(
         f64::from(parameters.weight[channel])
             * f64::from(film(task.sample, channel, channels, parameters.film).0)
     };
-    // dx = reciprocal (factor du - mean1 - n mean2), as a map of du and of the distance of x from
-    // its mean.
+    // dx = reciprocal (factor du - mean1 - n mean2), as a map of du and x - mean.
     let [mut of_du, mut of_distance, mut constants, mut centers] =
         [(); 4].map(|()| Vec::with_capacity(task.channels));
     for (group, moments) in moments.chunks(size).enumerate() {

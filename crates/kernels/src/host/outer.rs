@@ -9,20 +9,20 @@ use super::rows::Rows;
 use super::simd::vectorized;
 use super::team;
 
-/// Rows of one pass: those of both sides stay in first-level cache while they are used.
+/// Rows of a pass, so that both sides stay in first-level cache.
 const PASS: usize = 128;
 
-/// Sums that one task keeps at most, which is what fits a second-level cache.
+/// Most sums of a task, so that they fit a second-level cache.
 const LARGEST_PART: usize = 1 << 19;
 
-/// `[a, c, k] = sum over rows of lhs[a] window[k, c]`, where `lhs` has one row a window, and the
-/// windows `taps` rows each.
+/// `[a, c, k] = sum over rows of lhs[a] window[k, c]`, for one row of `lhs` per window, and windows of
+/// `taps` rows.
 ///
-/// Each element is summed over the rows in their order, whatever the number of threads.
+/// Sums are in row order and do not depend on the number of threads.
 pub(crate) fn outer(lhs: Rows<'_>, windows: Windows<'_>, taps: usize) -> Vec<f32> {
     let depth = windows.depth;
     let len = lhs.channels * depth;
-    // Not zeroed first: gradients of weights are most of the memory that a step writes.
+    // Not zeroed: weight gradients are most of the memory that a step writes.
     let mut gradient = Vec::with_capacity(len);
     assert_eq!((lhs.batch, lhs.time), (windows.batch, windows.rows), "rows");
     assert!(
@@ -32,7 +32,7 @@ pub(crate) fn outer(lhs: Rows<'_>, windows: Windows<'_>, taps: usize) -> Vec<f32
     if windows.len() == 0 || len == 0 {
         return vec![0.0; len];
     }
-    // As few parts as keep all threads busy, as each packs the windows for itself.
+    // As few parts as occupy all threads, because each packs the windows.
     let most = (LARGEST_PART / depth.max(1)).max(TILE_ROWS) / TILE_ROWS * TILE_ROWS;
     let part = lhs
         .channels
@@ -94,8 +94,7 @@ impl RunPart<'_, '_> {
         let depth = self.windows.depth;
         let channels = self.lhs.channels;
         let total = self.lhs.batch * self.lhs.time;
-        // Sums are kept by tap and for whole tiles; those beyond the last channel or column are
-        // of no meaning, whatever stands in their place of the scratch.
+        // Sums are stored by tap in full tiles; those beyond the last channel or column are unused.
         let panels = depth.div_ceil(width);
         let tiles = channels.div_ceil(TILE_ROWS);
         let tile_len = TILE_ROWS * width;
@@ -164,8 +163,8 @@ impl RunPart<'_, '_> {
     }
 }
 
-/// Adds the products of a tile's values, `TILE_ROWS` a row, with the rows' vectors to sums that
-/// begin at zero if they are `fresh`.
+/// Adds the products of a tile's values, `TILE_ROWS` per row, and the rows' vectors to `sums`, which
+/// start at zero if `fresh`.
 #[inline(always)]
 fn add_products<S: Simd, const NR: usize>(
     simd: S,

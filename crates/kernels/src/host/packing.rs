@@ -1,4 +1,4 @@
-//! A convolution's weights, packed into the panels that products read.
+//! Packing a convolution's weights into panels for products.
 
 use super::columns::{LINES, write_columns};
 use super::simd::vectorized;
@@ -7,15 +7,13 @@ use super::team;
 /// Order in which a product reads a weight `[outer, inner, kernel]`.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Direction<'a> {
-    /// Columns are the outer channels; windows run through all taps in order, each with the inner
-    /// channels.
+    /// Columns are the outer channels; windows contain the inner channels of all taps, in order.
     Gather,
-    /// Columns are the inner channels; windows run through these taps, each with the outer
-    /// channels.
+    /// Columns are the inner channels; windows contain the outer channels of these taps.
     Scatter(&'a [usize]),
 }
 
-/// A weight and how it is read.
+/// A weight and its reading order.
 #[derive(Clone, Copy)]
 pub(crate) struct Weight<'a> {
     pub data: &'a [f32],
@@ -33,7 +31,7 @@ impl Weight<'_> {
         }
     }
 
-    /// Whether windows visit all taps in order.
+    /// True if windows contain all taps in order.
     pub fn gathers(&self) -> bool {
         matches!(self.direction, Direction::Gather)
     }
@@ -46,7 +44,7 @@ impl Weight<'_> {
         }
     }
 
-    /// All panels of so many columns, one after the other.
+    /// All panels of `width` columns, in order.
     pub fn packed(&self, width: usize) -> Vec<f32> {
         let len = self.depth() * width;
         let mut panels = vec![0.0; self.columns().div_ceil(width) * len];
@@ -57,8 +55,8 @@ impl Weight<'_> {
         panels
     }
 
-    /// Writes columns `first..first + width` as rows of `width`, one a depth; columns that do not
-    /// exist are zeros.
+    /// Writes columns `first..first + width` as one row of `width` per depth; missing columns are
+    /// zeros.
     pub fn pack(&self, first: usize, width: usize, panel: &mut [f32]) {
         let columns = width.min(self.columns() - first);
         if columns < width {
@@ -162,9 +160,8 @@ fn turn<const K: usize, const N: usize>(
     }
 }
 
-/// Writes windows `[kernel, inner]` as columns of the order in which a weight runs:
-/// `panel[(c kernel + k) width + i] = windows[i][k inner + c]`. Columns of windows that do not exist
-/// stay as they are.
+/// Writes windows `[kernel, inner]` as columns in the order of a weight:
+/// `panel[(c kernel + k) width + i] = windows[i][k inner + c]`. Other columns are left as they are.
 pub(crate) fn turn_windows(
     windows: &[&[f32]],
     [inner, kernel]: [usize; 2],

@@ -1,25 +1,24 @@
 //! Matrix products of windows of rows with a convolution's weights.
 //!
-//! A window is `taps` rows that follow each other in memory, so it is one row of the matrix that
-//! other implementations copy together (im2col); here it is read where it stands.
+//! A window is `taps` consecutive rows in memory: one row of the im2col matrix, read in place.
 
 use std::cell::RefCell;
 use std::mem::MaybeUninit;
 
 use pulp::{Arch, Simd, WithSimd};
 
-use super::kept;
+use super::packed_cache;
 use super::packing::Weight;
 use super::rows::{Rows, SharedRows};
 use super::team;
 
-/// Rows of a tile: six rows of four vectors keep 24 sums in registers.
+/// Rows of a tile: six rows of four vectors are 24 sums in registers.
 pub(crate) const TILE_ROWS: usize = 6;
 
-/// Rows below which a task is not cut further.
+/// Fewest rows of a task.
 const LEAST_ROWS: usize = 24;
 
-/// Windows of equal depth at equal distances, for each sample.
+/// Windows of equal depth at equal distances in each sample.
 #[derive(Clone, Copy)]
 pub(crate) struct Windows<'a> {
     /// From the first window on.
@@ -48,9 +47,9 @@ impl<'a> Windows<'a> {
 /// Addends of a product.
 #[derive(Clone, Copy, Default)]
 pub(crate) struct Addends<'a> {
-    /// One value a column.
+    /// One value per column.
     pub bias: Option<&'a [f32]>,
-    /// One value an element, at the rows of the output.
+    /// One value per element of the output.
     pub residual: Option<Rows<'a>>,
 }
 
@@ -69,7 +68,7 @@ thread_local! {
 
 /// `output = windows weight^T + addends`, written to every column of the windows' rows.
 ///
-/// Each element is summed in one order whatever the number of threads.
+/// The order of each sum does not depend on the number of threads.
 pub(crate) fn multiply(
     windows: Windows<'_>,
     weight: Weight<'_>,
@@ -81,7 +80,7 @@ pub(crate) fn multiply(
         return;
     }
     let width = panel_width();
-    let packed = kept::panels(&weight, windows.len());
+    let packed = packed_cache::panels(&weight, windows.len());
     let panels = weight.columns().div_ceil(width);
     let wanted = (2 * rayon::current_num_threads()).div_ceil(panels);
     let parts = wanted.min(windows.len() / LEAST_ROWS).max(1);
@@ -124,7 +123,7 @@ impl WithSimd for PanelWidth {
     }
 }
 
-/// Vectors of a tile's row: as many as leave registers for the operands.
+/// Vectors of a tile's row, which leave registers for the operands.
 #[inline(always)]
 pub(crate) const fn vectors<S: Simd>() -> usize {
     if S::REGISTER_COUNT >= 32 { 4 } else { 2 }
@@ -133,7 +132,7 @@ pub(crate) const fn vectors<S: Simd>() -> usize {
 struct PanelTask<'a> {
     windows: Windows<'a>,
     weight: Weight<'a>,
-    /// All panels, where they are kept.
+    /// All panels, if they are cached.
     packed: Option<&'a [f32]>,
     addends: Addends<'a>,
     output: OutputRows<'a>,
@@ -175,7 +174,7 @@ impl PanelTask<'_> {
         };
         let panel = pulp::as_arrays::<NR, _>(S::as_simd_f32s(panel).0).0;
         for first in self.rows.clone().step_by(TILE_ROWS) {
-            // Rows beyond the last are the last again; they are not written.
+            // Rows beyond the last repeat it and are not written.
             let last = self.rows.end - 1;
             let rows: [&[f32]; TILE_ROWS] =
                 std::array::from_fn(|i| self.windows.at((first + i).min(last)));
@@ -186,7 +185,7 @@ impl PanelTask<'_> {
         }
     }
 
-    /// Writes one row of a tile with what is added to it.
+    /// Writes one row of a tile plus the addends.
     #[inline(always)]
     fn write<S: Simd, const NR: usize>(
         &self,
@@ -237,7 +236,7 @@ impl PanelTask<'_> {
     }
 }
 
-/// A vector of at most its lanes; the others are zeros.
+/// A vector of `values`, filled up with zeros.
 #[inline(always)]
 fn load<S: Simd>(simd: S, values: &[f32]) -> S::f32s {
     match S::as_simd_f32s(values) {
@@ -246,10 +245,10 @@ fn load<S: Simd>(simd: S, values: &[f32]) -> S::f32s {
     }
 }
 
-/// Columns of the widest panel that any processor has.
+/// Columns of the widest panel of any processor.
 pub(crate) const WIDEST: usize = 64;
 
-/// The sums of one tile: rows of any place times a packed panel.
+/// The sums of one tile: rows times a packed panel.
 #[inline(always)]
 pub(crate) fn tile<S: Simd, const NR: usize>(
     simd: S,

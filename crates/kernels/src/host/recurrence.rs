@@ -1,5 +1,5 @@
-//! Gated recurrent units: all steps of some sequences at once, so that no step waits for another
-//! thread.
+//! Gated recurrent units: a task computes all steps of some sequences, so that no step waits for
+//! another thread.
 
 use pulp::{Arch, Simd, WithSimd};
 
@@ -13,9 +13,9 @@ use super::team;
 use crate::lengths::frames_of;
 use crate::recurrence::Direction;
 
-/// Values stored of a step for the backward pass, each of the state's width: reset, update and new
-/// gates, and the state's part of the new gate before its reset.
-const KEPT: usize = 4;
+/// Vectors stored per step for the backward pass: reset, update and new gates, and the state's part of
+/// the new gate before its reset.
+const SAVED: usize = 4;
 
 /// Sizes and direction of a recurrent layer.
 #[derive(Clone, Copy, Debug)]
@@ -45,7 +45,7 @@ pub struct GruValues<'a> {
     pub lengths: Option<&'a [usize]>,
 }
 
-/// Gradients of a recurrent layer, of the shapes of its values.
+/// Gradients of a recurrent layer, in the shapes of its values.
 pub struct GruGradients {
     /// Of the inputs.
     pub inputs: Vec<f32>,
@@ -58,16 +58,16 @@ pub struct GruGradients {
 }
 
 impl GruPlan {
-    /// The state after each step, `[time, batch, width]`, and what the backward pass needs, if it
-    /// is `kept`.
-    pub fn forward(&self, values: &GruValues<'_>, kept: bool) -> (Vec<f32>, Vec<f32>) {
+    /// The state after each step, `[time, batch, width]`, and with `save` the gates for the backward
+    /// pass.
+    pub fn forward(&self, values: &GruValues<'_>, save: bool) -> (Vec<f32>, Vec<f32>) {
         let (steps, width) = (self.time * self.batch, self.width);
         let mut states = vec![0.0; steps * width];
-        let mut gates = vec![0.0; if kept { steps * KEPT * width } else { 0 }];
+        let mut gates = vec![0.0; if save { steps * SAVED * width } else { 0 }];
         let packed = packed(values.weight, [3 * width, width], false);
         let states_rows = SharedRows::dense(&mut states, [self.time, self.batch, width]);
         let gates_rows =
-            kept.then(|| SharedRows::dense(&mut gates, [self.time, self.batch, KEPT * width]));
+            save.then(|| SharedRows::dense(&mut gates, [self.time, self.batch, SAVED * width]));
         team::for_each(self.batch.div_ceil(TILE_ROWS), |block| {
             Arch::new().dispatch(ForwardBlock {
                 plan: self,
@@ -81,8 +81,8 @@ impl GruPlan {
         (states, gates)
     }
 
-    /// The gradients from that of all states, `[time, batch, width]`, with the states and what
-    /// [`forward`](Self::forward) kept.
+    /// The gradients from that of all states, `[time, batch, width]`, with the states and gates of
+    /// [`forward`](Self::forward).
     pub fn backward(
         &self,
         values: &GruValues<'_>,
@@ -133,9 +133,9 @@ impl GruPlan {
     /// The state before each step.
     fn states_before(&self, states: &[f32], initial: &[f32]) -> Vec<f32> {
         let size = self.batch * self.width;
-        let kept = states.len() - size;
+        let end = states.len() - size;
         match self.direction {
-            Direction::Forward => [initial, &states[..kept]].concat(),
+            Direction::Forward => [initial, &states[..end]].concat(),
             Direction::Backward => [&states[size..], initial].concat(),
         }
     }
@@ -146,7 +146,7 @@ impl GruPlan {
     }
 }
 
-/// A weight `[outer, inner]`, as a product of rows with its lines reads it, or with its columns.
+/// A weight `[outer, inner]`, packed for products with its lines, or with its columns.
 fn packed(data: &[f32], [outer, inner]: [usize; 2], columns: bool) -> Vec<f32> {
     let weight = Weight {
         data,
@@ -159,7 +159,7 @@ fn packed(data: &[f32], [outer, inner]: [usize; 2], columns: bool) -> Vec<f32> {
     weight.packed(panel_width())
 }
 
-/// Rows of `depth` times packed panels, to rows of whole panels.
+/// Rows of `depth` times packed panels; the result has rows of full panels.
 #[inline(always)]
 fn multiply<S: Simd, const NR: usize>(
     simd: S,
@@ -219,24 +219,24 @@ impl ForwardBlock<'_> {
         let sequences = self.plan.sequences(self.first);
         // Rows beyond the last sequence stay zero.
         let mut state = vec![0.0; TILE_ROWS * width];
-        let given = &self.values.initial[self.first * width..][..sequences * width];
-        state[..sequences * width].copy_from_slice(given);
+        let initial = &self.values.initial[self.first * width..][..sequences * width];
+        state[..sequences * width].copy_from_slice(initial);
         let stride = self.packed.len() / width;
         let mut recurrent = vec![0.0; TILE_ROWS * stride];
-        let mut unkept = vec![0.0; KEPT * width];
+        let mut unsaved = vec![0.0; SAVED * width];
         for step in self.plan.direction.steps(time) {
             multiply::<S, NR>(simd, &state, width, self.packed, &mut recurrent);
             for i in 0..sequences {
                 let sequence = self.first + i;
                 let state = &mut state[i * width..][..width];
                 if step < frames_of(self.values.lengths, sequence, time) {
-                    let kept = match &self.gates {
+                    let saved = match &self.gates {
                         // SAFETY: a task owns its sequences, and this is its only slice of the row.
                         #[allow(unsafe_code)]
-                        Some(gates) => unsafe { gates.segment(step, sequence, 0, KEPT * width) },
-                        None => &mut unkept[..],
+                        Some(gates) => unsafe { gates.segment(step, sequence, 0, SAVED * width) },
+                        None => &mut unsaved[..],
                     };
-                    self.step(step, sequence, &recurrent[i * stride..], (state, kept));
+                    self.step(step, sequence, &recurrent[i * stride..], (state, saved));
                 }
                 // SAFETY: a task owns its sequences, and this is its only slice of the row.
                 #[allow(unsafe_code)]
@@ -246,15 +246,15 @@ impl ForwardBlock<'_> {
         }
     }
 
-    /// The state after a step of one sequence, and what the backward pass needs of it, from the
-    /// state's part of the gates.
+    /// Updates the state of one sequence by a step and saves its gates. `recurrent` is the state's part
+    /// of the gates.
     #[inline(always)]
     fn step(
         &self,
         step: usize,
         sequence: usize,
         recurrent: &[f32],
-        (state, kept): (&mut [f32], &mut [f32]),
+        (state, saved): (&mut [f32], &mut [f32]),
     ) {
         let width = self.plan.width;
         let row = step * self.plan.batch + sequence;
@@ -262,9 +262,9 @@ impl ForwardBlock<'_> {
         let (ir, iz, inew) = thirds(inputs, width);
         let (hr, hz, hnew) = thirds(recurrent, width);
         let (br, bz, bnew) = thirds(self.values.bias, width);
-        let (resets, kept) = kept.split_at_mut(width);
-        let (updates, kept) = kept.split_at_mut(width);
-        let (news, parts) = kept.split_at_mut(width);
+        let (resets, saved) = saved.split_at_mut(width);
+        let (updates, saved) = saved.split_at_mut(width);
+        let (news, parts) = saved.split_at_mut(width);
         for c in 0..width {
             let reset = sigmoid(ir[c] + hr[c] + br[c]);
             let update = sigmoid(iz[c] + hz[c] + bz[c]);
@@ -286,7 +286,7 @@ fn thirds(of: &[f32], width: usize) -> (&[f32], &[f32], &[f32]) {
     )
 }
 
-/// All steps of some sequences, the last taken first.
+/// All steps of some sequences, in reverse.
 struct BackwardBlock<'a> {
     plan: &'a GruPlan,
     values: &'a GruValues<'a>,
@@ -297,7 +297,7 @@ struct BackwardBlock<'a> {
     gradient: &'a [f32],
     inputs: SharedRows<'a>,
     recurrent: SharedRows<'a>,
-    /// The gradient of the state before the step that was looked at last.
+    /// The gradient of the state before the current step.
     carry: &'a mut [f32],
 }
 
@@ -350,16 +350,16 @@ impl BackwardBlock<'_> {
         }
     }
 
-    /// The gradients of one sequence's gates in a step; those of the state's part go to `slopes`
-    /// too. What remains in `carry` came past the gates.
+    /// The gradients of one sequence's gates in a step; `slopes` gets those of the state's part, and
+    /// `carry` keeps the part that bypasses the gates.
     #[inline(always)]
     fn step(&mut self, step: usize, i: usize, slopes: &mut [f32]) {
         let width = self.plan.width;
         let sequence = self.first + i;
         let row = step * self.plan.batch + sequence;
-        let kept = &self.gates[row * KEPT * width..][..KEPT * width];
-        let (resets, updates, news) = thirds(kept, width);
-        let parts = &kept[3 * width..];
+        let saved = &self.gates[row * SAVED * width..][..SAVED * width];
+        let (resets, updates, news) = thirds(saved, width);
+        let parts = &saved[3 * width..];
         let before = &self.before[row * width..][..width];
         let carry = &mut self.carry[i * width..][..width];
         // SAFETY: a task owns its sequences, and these are its only slices of the rows.

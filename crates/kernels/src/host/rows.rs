@@ -1,12 +1,12 @@
-//! Frames as rows: the memory order that the kernels work in.
+//! Frames as rows: the memory order of the kernels.
 
 use std::marker::PhantomData;
 use std::mem::MaybeUninit;
 
-/// A view of `[batch, time, channels]` whose channels lie side by side.
+/// A view of `[batch, time, channels]` with contiguous channels.
 #[derive(Clone, Copy, Debug)]
 pub struct Rows<'a> {
-    /// From the first element on.
+    /// The elements.
     pub data: &'a [f32],
     /// Samples.
     pub batch: usize,
@@ -14,14 +14,14 @@ pub struct Rows<'a> {
     pub time: usize,
     /// Channels of a frame.
     pub channels: usize,
-    /// Elements from a sample to the next.
+    /// Distance of samples in elements.
     pub sample_stride: usize,
-    /// Elements from a frame to the next.
+    /// Distance of frames in elements.
     pub row_stride: usize,
 }
 
 impl<'a> Rows<'a> {
-    /// A view of rows that follow each other without gaps.
+    /// A view of rows without gaps.
     pub fn dense(data: &'a [f32], [batch, time, channels]: [usize; 3]) -> Self {
         assert_eq!(data.len(), batch * time * channels, "elements");
         Self {
@@ -70,8 +70,7 @@ impl<'a> Rows<'a> {
     }
 }
 
-/// Rows with zero rows before and after each sample's, so that a window over the edge needs no
-/// special case.
+/// Rows with zero rows before and after each sample's, for windows across its ends.
 pub(crate) struct Padded {
     data: Vec<f32>,
     before: usize,
@@ -80,10 +79,10 @@ pub(crate) struct Padded {
 }
 
 impl Padded {
-    /// `before` zero rows, `time` rows that `write` writes, and `after` zero rows, a sample.
+    /// Per sample: `before` zero rows, `time` rows written by `write`, and `after` zero rows.
     ///
     /// # Safety
-    /// `write` writes every element of the rows that it is given.
+    /// `write` must write every element of the rows.
     #[allow(unsafe_code)]
     pub unsafe fn written_by(
         [batch, time, channels]: [usize; 3],
@@ -117,7 +116,7 @@ impl Padded {
         }
     }
 
-    /// Elements from a sample to the next.
+    /// Distance of samples in elements.
     pub fn sample_stride(&self) -> usize {
         self.rows * self.channels
     }
@@ -133,7 +132,7 @@ impl Padded {
     }
 }
 
-/// Rows that several threads write, each its own columns or its own rows.
+/// Rows written by several threads, each its own columns or rows.
 pub(crate) struct SharedRows<'a, T = f32> {
     data: *mut T,
     len: usize,
@@ -151,8 +150,8 @@ impl<T> Clone for SharedRows<'_, T> {
 
 impl<T> Copy for SharedRows<'_, T> {}
 
-// SAFETY: the pointer is only followed in `segment`, whose caller promises that no two threads
-// hold overlapping segments; the elements themselves may go to any thread.
+// SAFETY: only `segment` follows the pointer, and its callers keep the segments of two threads apart;
+// the elements may go to any thread.
 #[allow(unsafe_code)]
 unsafe impl<T: Send> Send for SharedRows<'_, T> {}
 // SAFETY: as above.
@@ -181,9 +180,8 @@ impl<'a, T> SharedRows<'a, T> {
     /// Channels `first..first + channels` of a row.
     ///
     /// # Safety
-    /// While the slice lives, no other slice of these elements may: callers cut rows or columns
-    /// among their tasks so that no two tasks share an element, and a task holds one slice of an
-    /// element at a time.
+    /// No other slice of these elements may exist at the same time: tasks own disjoint rows or columns,
+    /// and a task has one slice of an element at a time.
     #[inline(always)]
     #[allow(unsafe_code, clippy::mut_from_ref)]
     pub unsafe fn segment(
@@ -201,10 +199,10 @@ impl<'a, T> SharedRows<'a, T> {
     }
 }
 
-/// Elements `[batch, time, channels]` that `write` writes.
+/// Elements `[batch, time, channels]` written by `write`.
 ///
 /// # Safety
-/// `write` writes every element.
+/// `write` must write every element.
 #[allow(unsafe_code)]
 pub(crate) unsafe fn rows_written_by(
     shape: [usize; 3],
@@ -223,8 +221,8 @@ pub(crate) unsafe fn rows_written_by(
     data
 }
 
-/// Cuts `[batch, channels]` into tasks of whole samples, or of parts of their channels where there
-/// are fewer samples than threads to use. A part is a multiple of `unit` channels.
+/// Divides `[batch, channels]` into tasks of one sample, or, with few samples, of some of its channels.
+/// The channels of a task are a multiple of `unit`.
 pub(crate) fn column_tasks(batch: usize, channels: usize, unit: usize) -> Vec<ColumnTask> {
     /// A part narrower than this does not fill vector registers.
     const LEAST: usize = 32;
@@ -242,7 +240,7 @@ pub(crate) fn column_tasks(batch: usize, channels: usize, unit: usize) -> Vec<Co
         .collect()
 }
 
-/// Some channels of all frames of one sample.
+/// A task: some channels of all frames of one sample.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct ColumnTask {
     pub sample: usize,

@@ -1,8 +1,8 @@
-//! Choosing the instruction set at run time, fetching ahead, and the exponential that vectorises.
+//! Run-time choice of the instruction set, prefetching, and a vectorisable exponential.
 
 use pulp::Arch;
 
-/// Runs `work` in code compiled for the best instruction set that this processor has.
+/// Runs `work` compiled for the best instruction set of this processor.
 ///
 /// Functions called by `work` must be inlined to be vectorised.
 #[inline(always)]
@@ -10,8 +10,8 @@ pub(crate) fn vectorized<R>(work: impl FnOnce() -> R) -> R {
     Arch::new().dispatch(work)
 }
 
-/// Asks for values to be brought near, and does not wait. Weights are read once a product, from
-/// afar and in an order that the processor does not guess.
+/// Prefetches values. A product reads each weight once, in an order that the processor does not
+/// predict.
 #[inline(always)]
 pub(crate) fn fetch(values: &[f32]) {
     /// Elements of a cache line.
@@ -29,12 +29,11 @@ pub(crate) fn fetch(values: &[f32]) {
     }
 }
 
-/// `e^x` to within 2 units in the last place, without a branch or a call, so that a loop over it
-/// becomes vector code. Overflows to infinity, underflows through the subnormal numbers to zero,
-/// and keeps NaN.
+/// `e^x` to within 2 units in the last place, without branches or calls, so that loops vectorise. It
+/// overflows to infinity, underflows gradually to zero and keeps NaN.
 #[inline(always)]
 pub(crate) fn exp(x: f32) -> f32 {
-    /// Adding it rounds to an integer that then stands in the low bits.
+    /// Adding it rounds to an integer in the low bits.
     const ROUND: f32 = 12_582_912.0;
     const LN_2_HIGH: f32 = 0.693_145_75;
     const LN_2_LOW: f32 = 1.428_606_8e-6;
@@ -51,7 +50,7 @@ pub(crate) fn exp(x: f32) -> f32 {
     let p = p * r + 1.666_666_5e-1;
     let p = p * r + 0.5;
     let y = p * r * r + r + 1.0;
-    // 2^n in two factors, as n runs beyond what one exponent holds.
+    // 2^n in two factors, because n exceeds the range of one exponent.
     let half = n >> 1;
     let power = |n: i32| f32::from_bits(((n + 127) as u32) << 23);
     let y = y * power(half) * power(n - half);

@@ -1,9 +1,8 @@
-//! Threads that wait for the next kernel awake.
+//! Threads that spin while they wait for the next kernel.
 //!
-//! A training step is some thousand short parallel sections, one after the other. To put a thread
-//! to sleep and wake it costs more than many of them take, so the helpers here spin for a moment
-//! before they sleep, as the threads of other frameworks' kernels do. How many threads take part
-//! is Rayon's setting, so that one setting rules all.
+//! A training step consists of some thousand short parallel sections. Sleeping and waking would take
+//! longer than many of them, so helpers spin for a moment before they sleep. The number of threads is
+//! Rayon's.
 
 use std::cell::UnsafeCell;
 use std::hint::spin_loop;
@@ -12,27 +11,27 @@ use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError, TryLockError};
 use std::thread::{self, Thread};
 
-/// Looks at the next section before a helper sleeps: some hundred microseconds.
+/// Checks for the next section before a helper sleeps: some hundred microseconds.
 const SPINS: u32 = 4000;
 
 /// The number of a section in the upper half of the state.
 const SECTION: u32 = 32;
 /// Flag: helpers may still enter the section.
 const OPEN: u64 = 1 << 31;
-/// Helpers that are in the section.
+/// Mask: number of helpers in the section.
 const INSIDE: u64 = OPEN - 1;
 
-/// The work of a section: task `i` of a count.
+/// The work of a section.
 #[derive(Clone, Copy)]
 struct Job {
     work: &'static (dyn Fn(usize) + Sync),
     tasks: usize,
-    /// Helpers that may take part, the first ones.
+    /// Number of helpers that take part.
     helpers: usize,
 }
 
 struct Shared {
-    /// Number of the section, whether it is open, and how many helpers are inside.
+    /// Number of the section, [`OPEN`], and the number of helpers inside.
     state: AtomicU64,
     job: UnsafeCell<Option<Job>>,
     next: AtomicUsize,
@@ -55,8 +54,8 @@ struct Team {
     helpers: Mutex<Vec<Helper>>,
 }
 
-/// Runs `work(0)` to `work(tasks - 1)`, each once, on this thread and the helpers; returns when
-/// all are done. Within another section, or while another thread has the helpers, all on this
+/// Runs `work(0)` to `work(tasks - 1)` once each, on this thread and the helpers, and returns when all
+/// are done. Inside another section, or while another thread uses the helpers, all run on this
 /// thread.
 ///
 /// # Panics
@@ -67,12 +66,12 @@ pub(crate) fn for_each(tasks: usize, work: impl Fn(usize) + Sync) {
         return (0..tasks).for_each(work);
     }
     let team = team();
-    let held = match team.helpers.try_lock() {
-        Ok(held) => Some(held),
+    let guard = match team.helpers.try_lock() {
+        Ok(guard) => Some(guard),
         Err(TryLockError::Poisoned(poisoned)) => Some(poisoned.into_inner()),
         Err(TryLockError::WouldBlock) => None,
     };
-    let Some(mut crew) = held else {
+    let Some(mut crew) = guard else {
         (0..tasks).for_each(work);
         return;
     };
@@ -83,7 +82,7 @@ pub(crate) fn for_each(tasks: usize, work: impl Fn(usize) + Sync) {
     team.shared.run(&work, tasks, helpers, &crew);
 }
 
-/// [`for_each`] over items, each of which one task takes.
+/// [`for_each`] over items, one task per item.
 pub(crate) fn for_each_item<T: Send>(items: Vec<T>, work: impl Fn(T) + Sync) {
     let slots: Vec<Mutex<Option<T>>> = items.into_iter().map(|i| Mutex::new(Some(i))).collect();
     for_each(slots.len(), |index| {
@@ -110,7 +109,7 @@ pub(crate) fn map<T: Send>(tasks: usize, work: impl Fn(usize) -> T + Sync) -> Ve
         .collect()
 }
 
-/// The process's team, whose helpers are started when they are first needed.
+/// The process's team; helpers start when they are first needed.
 fn team() -> &'static Team {
     static TEAM: OnceLock<Team> = OnceLock::new();
     TEAM.get_or_init(|| Team {
@@ -125,7 +124,7 @@ fn team() -> &'static Team {
 }
 
 impl Shared {
-    /// Opens a section, works in it, closes it and waits for the helpers inside.
+    /// Opens a section, runs its tasks, closes it and waits for the helpers inside.
     fn run(&self, work: &(dyn Fn(usize) + Sync), tasks: usize, helpers: usize, crew: &[Helper]) {
         // SAFETY: the reference leaves this function only in `job`, which helpers read only inside
         // the section; before this function returns or unwinds, the section is closed and empty.
@@ -161,7 +160,7 @@ impl Shared {
             if spins < SPINS {
                 spin_loop();
             } else {
-                // The helper may be waiting for this very core.
+                // The helper may wait for this core.
                 thread::yield_now();
             }
         }
@@ -235,7 +234,7 @@ fn help(index: usize, shared: &Shared, asleep: &AtomicBool) {
     }
 }
 
-/// Waits, first awake, for a section after `seen`.
+/// Waits for a section after `seen`: first spinning, then asleep.
 fn wait(shared: &Shared, asleep: &AtomicBool, seen: u64) -> u64 {
     loop {
         for _ in 0..SPINS {
@@ -246,7 +245,7 @@ fn wait(shared: &Shared, asleep: &AtomicBool, seen: u64) -> u64 {
             spin_loop();
         }
         asleep.store(true, Ordering::SeqCst);
-        // Looked at once more after the flag is up, so that no section is slept through.
+        // Checked again after the flag is set, so that no section is missed.
         let state = shared.state.load(Ordering::SeqCst);
         if state >> SECTION == seen || state & OPEN == 0 {
             thread::park();
@@ -303,7 +302,7 @@ mod tests {
     }
 
     #[test]
-    fn helpers_that_have_gone_to_sleep_wake() {
+    fn sleeping_helpers_wake() {
         with_threads(3, || {
             for _ in 0..20 {
                 thread::sleep(std::time::Duration::from_millis(3));
@@ -318,7 +317,7 @@ mod tests {
     }
 
     #[test]
-    fn a_panic_reaches_the_caller_and_the_team_lives_on() {
+    fn a_panic_reaches_the_caller_and_the_team_continues() {
         with_threads(3, || {
             let caught = catch_unwind(|| for_each(30, |i| assert!(i != 17, "seventeen")));
             assert!(caught.is_err());

@@ -1,10 +1,10 @@
-//! The optimiser's step in Burn's operations, for parameters that stay on a device of their own.
+//! The optimiser's step in Burn's operations, for parameters on other devices.
 
 use burn::tensor::Tensor;
 
 use super::AdamW;
 
-/// State of one parameter on its device: rows of one length.
+/// State of one parameter on its device; all rows have the same length.
 #[derive(Clone, Debug)]
 pub struct AdamWTensors {
     /// The values.
@@ -13,12 +13,12 @@ pub struct AdamWTensors {
     pub exp_avg: Tensor<1>,
     /// Running mean of the squared gradient.
     pub exp_avg_sq: Tensor<1>,
-    /// The moving average of the values and the share of the distance that it moves now.
+    /// The moving average of the values, and its rate.
     pub ema: Option<(Tensor<1>, f64)>,
 }
 
 impl AdamW {
-    /// The step of [`update`](Self::update), operation by operation, on the tensors' device.
+    /// The step of [`update`](Self::update) on the tensors' device.
     #[must_use]
     pub fn update_tensors(&self, state: AdamWTensors, gradient: Tensor<1>) -> AdamWTensors {
         let numbers = self.coefficients();

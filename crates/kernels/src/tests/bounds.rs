@@ -32,17 +32,17 @@ fn with_value(leaves: &[Leaf], leaf: usize, element: usize, value: f32) -> Vec<L
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(300))]
 
-    /// What is not a number reaches all that depends on it, and what the composed operations take
-    /// it to. Left out are weights and transposed convolutions, where the two multiply it with
-    /// other zeros beyond the ends.
+    /// A value that is not finite reaches all outputs that depend on it, as in the composed operations.
+    /// Excluded are weights and transposed convolutions, where the two multiply it by other zeros
+    /// beyond the ends.
     #[test]
-    fn what_is_not_finite_is_passed_on(
+    fn values_that_are_not_finite_are_passed_on(
         case in cases(),
         leaf in any::<prop::sample::Index>(),
         element in any::<usize>(),
         value in prop_oneof![Just(f32::NAN), Just(f32::INFINITY), Just(f32::NEG_INFINITY)],
     ) {
-        // What padding holds is not looked at by kernels and multiplied by zero without them.
+        // Kernels do not read padding; the composed operations multiply it by zero.
         let mut case = Case { padded: false, ..case };
         if let Operation::CrossAttention { reach, .. } = &mut case.operation {
             *reach = None;

@@ -9,7 +9,7 @@ use crate::{
 };
 use crate::{Mode, linear};
 
-/// How a tensor lies in memory when an operation gets it.
+/// The memory layout of an operation's input.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Memory {
     /// `[batch, channels, time]` without gaps.
@@ -72,9 +72,9 @@ pub struct Case {
     pub memory: Memory,
     /// Bit `i`: whether leaf `i` has gradients; with none set all have.
     pub tracked: u16,
-    /// Whether Burn computes what is cheap again in the backward pass.
+    /// True if Burn recomputes cheap operations in the backward pass.
     pub checkpointing: bool,
-    /// Whether samples are padded, each by another number of frames.
+    /// True if samples are padded, each by another number of frames.
     pub padded: bool,
     pub seed: u64,
 }
@@ -103,8 +103,7 @@ impl Case {
         }
     }
 
-    /// Whether a normalisation's groups have so few elements that what is left of a gradient is
-    /// rounding.
+    /// True if a normalisation's groups have so few elements that the gradient is mostly rounding.
     pub fn few(&self) -> bool {
         let elements = match self.operation {
             Operation::LayerNorm => self.inputs,
@@ -385,7 +384,7 @@ impl Case {
                 stride,
                 transposed,
                 upsample,
-                norm: given,
+                norm: settings,
                 residual,
                 bias,
             } => {
@@ -401,18 +400,18 @@ impl Case {
                 if residual {
                     operation = operation.residual(take("residual"));
                 }
-                if let Some(given) = given {
-                    operation = operation.norm(norm(given));
+                if let Some(settings) = settings {
+                    operation = operation.norm(norm(settings));
                 }
                 if let Some(even) = upsample {
                     operation = operation.upsample(2 * self.time - usize::from(!even));
                 }
-                if given.is_none() {
+                if settings.is_none() {
                     operation = operation.lengths(self.lengths());
                 }
                 operation.forward(x)
             }
-            Operation::GroupNorm(given) => norm(given).forward(x),
+            Operation::GroupNorm(settings) => norm(settings).forward(x),
             Operation::CrossAttention { num_heads, .. } => {
                 let keys_values = take("keys_values");
                 match self.ranges() {

@@ -90,8 +90,8 @@ fn operations() -> impl Strategy<Value = Operation> {
 /// Sizes that are 1, odd, no multiple of a vector, of a tile or of a panel.
 pub fn cases() -> impl Strategy<Value = Case> {
     let sizes = (1..4usize, 1..40usize, 1..50usize, 1..140usize);
-    let ways = (memories(), any::<u16>(), any::<[bool; 2]>(), any::<u64>());
-    (operations(), sizes, ways).prop_map(
+    let settings = (memories(), any::<u16>(), any::<[bool; 2]>(), any::<u64>());
+    (operations(), sizes, settings).prop_map(
         |(
             operation,
             (batch, time, inputs, outputs),

@@ -18,8 +18,7 @@ fn vector(stream: u64) -> Tensor<1> {
     random([1, 1, CHANNELS], stream).reshape([CHANNELS])
 }
 
-/// Asserts that the first frames of each sample are what the sample gives alone; `frames` says how
-/// many come of how many.
+/// Asserts that each sample has the same valid frames as alone; `frames` maps their number.
 fn agrees(
     channels: usize,
     frames: fn(usize) -> usize,
@@ -43,7 +42,7 @@ fn agrees(
 }
 
 #[test]
-fn a_normalisation_measures_what_is_real() {
+fn a_normalisation_measures_valid_frames() {
     let norm = || GroupNorm::new(vector(1), vector(2), 4, 1e-5).activation(Activation::Silu);
     agrees(
         CHANNELS,
@@ -112,7 +111,7 @@ fn padding_has_no_gradient() {
             let on = |tensor: Tensor<1>| Tensor::<1>::from_data(tensor.into_data(), &device);
             let norm = GroupNorm::new(on(vector(1)), on(vector(2)), 4, 1e-5)
                 .lengths(Some(Lengths::new(LENGTHS)));
-            // Also of what is asked about padding itself.
+            // The loss includes the padding.
             let loss = norm.forward(x.clone()).powi_scalar(3).sum();
             let gradient = x.grad(&loss.backward()).expect("a leaf");
             for (sample, length) in LENGTHS.into_iter().enumerate() {

@@ -24,23 +24,23 @@ impl Case {
     fn run(&self, mode: Mode) -> Vec<Vec<f32>> {
         let (time, batch, width) = (self.time, self.batch, self.width);
         let device = Device::flex().autodiff();
-        let draw = |name: &str, len: usize, scale: f32| -> Vec<f32> {
+        let values = |name: &str, len: usize, scale: f32| -> Vec<f32> {
             let values = Key::new(self.seed, Purpose::Noise).named(name).normals(len);
             values.into_iter().map(|value| scale * value).collect()
         };
         let scale = (width as f32).sqrt().recip();
         let [tracks_inputs, tracks_weight, tracks_bias, tracks_initial] = self.tracked;
         let shape = [time, batch, 3 * width];
-        let inputs = TensorData::new(draw("inputs", time * batch * 3 * width, 1.5), shape);
+        let inputs = TensorData::new(values("inputs", time * batch * 3 * width, 1.5), shape);
         let inputs = Tensor::<3>::from_data(inputs, &device).set_require_grad(tracks_inputs);
-        let weight = draw("weight", 3 * width * width, scale);
+        let weight = values("weight", 3 * width * width, scale);
         let weight = TensorData::new(weight, [3 * width, width]);
         let weight = Tensor::<2>::from_data(weight, &device).set_require_grad(tracks_weight);
-        let bias = TensorData::new(draw("bias", 3 * width, 1.0), [3 * width]);
+        let bias = TensorData::new(values("bias", 3 * width, 1.0), [3 * width]);
         let bias = Tensor::<1>::from_data(bias, &device).set_require_grad(tracks_bias);
-        let initial = TensorData::new(draw("initial", batch * width, 1.0), [batch, width]);
+        let initial = TensorData::new(values("initial", batch * width, 1.0), [batch, width]);
         let initial = Tensor::<2>::from_data(initial, &device).set_require_grad(tracks_initial);
-        let cotangent = draw("cotangent", time * batch * width, 1.0);
+        let cotangent = values("cotangent", time * batch * width, 1.0);
         let cotangent = TensorData::new(cotangent, [time, batch, width]);
         let cotangent = Tensor::<3>::from_data(cotangent, &device);
         let lengths = self.lengths.clone().map(Lengths::new);
@@ -83,13 +83,13 @@ impl Case {
 /// Sizes that are 1, odd, no multiple of a vector, of a tile or of a panel.
 fn cases() -> impl Strategy<Value = Case> {
     let sizes = (1..12usize, 1..20usize, 1..70usize);
-    let ways = (
+    let settings = (
         any::<bool>(),
         any::<bool>(),
         any::<[bool; 4]>(),
         any::<u64>(),
     );
-    (sizes, ways).prop_map(
+    (sizes, settings).prop_map(
         |((time, batch, width), (backward, padded, tracked, seed))| {
             let length = |sequence: usize| 1 + (seed as usize).wrapping_add(5 * sequence) % time;
             let nothing = tracked == [false; 4];
@@ -137,7 +137,7 @@ proptest! {
     }
 
     #[test]
-    fn a_sequence_does_not_depend_on_what_is_beside_it(case in cases()) {
+    fn a_sequence_does_not_depend_on_the_others(case in cases()) {
         let of = |case: &Case| case.infer(Mode::Fused);
         let all = of(&case);
         // Another last sequence's length changes no other sequence.

@@ -4,10 +4,8 @@ use kinegrad_kernels::{Direction, Lengths, gru, linear};
 
 use crate::Initializer;
 
-/// A gated recurrent unit ([`gru`]) that runs over sequences, in both directions unless it is
-/// [`forwards`](Self::forwards), with `input` and
-/// `state` the three parts (reset, update, new) of `weight_ih x + bias_ih` and `weight_hh h +
-/// bias_hh`.
+/// A gated recurrent unit ([`gru`]) in both directions, or in one ([`forwards`](Self::forwards)), with
+/// `inputs = weight_ih x + bias_ih`.
 ///
 /// Names and layouts are those of torch's bidirectional `GRU` of one layer: weights `[3 state, in]`
 /// and `[3 state, state]`, biases `[3 state]`.
@@ -40,7 +38,7 @@ impl BiGru {
         }
     }
 
-    /// The same layer without its backward direction.
+    /// The layer without its backward direction.
     #[must_use]
     pub fn forwards(self) -> Self {
         Self {
@@ -52,13 +50,12 @@ impl BiGru {
         }
     }
 
-    /// The states after each step of each sequence, and those after its last step forward and its
-    /// first step backward. A sequence is its first `lengths[i]` steps: what follows them is not
-    /// seen, and the backward direction begins at the last of them.
+    /// The states of each sequence, its first `lengths[i]` steps; the backward direction begins at the
+    /// last of them.
     ///
     /// # Shapes
     /// - x: `[batch, in, time]`, `lengths` from 1 to `time`
-    /// - initial: `[2, 1, state]`, where each direction begins
+    /// - initial: `[2, 1, state]`, the initial state of each direction
     pub fn forward(&self, x: Tensor<3>, lengths: &[usize], initial: Tensor<3>) -> GruStates {
         let [batch, inputs, time] = x.dims();
         let rows = x.permute([2, 0, 1]).reshape([time * batch, inputs]);
@@ -121,7 +118,7 @@ impl BiGru {
 pub struct GruStates {
     /// After each step forward: `[time, batch, state]`.
     pub forward: Tensor<3>,
-    /// After each step backward, of a layer that has this direction: `[time, batch, state]`.
+    /// After each step backward, if the layer has this direction: `[time, batch, state]`.
     pub backward: Option<Tensor<3>>,
     /// After the last step of each sequence forward, then after its first step backward: `[batch, 2
     /// state]`, or `[batch, state]` without that direction.
@@ -135,14 +132,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_follows_a_sequence_is_not_seen() {
+    fn padding_has_no_influence() {
         let device = Device::flex();
         let gru = BiGru::new(3, 4, &Initializer::new(1, &device));
-        let draw = |shape: [usize; 3]| {
+        let values = |shape: [usize; 3]| {
             let values = (0..shape.iter().product()).map(|i: usize| (i as f32 * 0.7).sin());
             Tensor::<3>::from_data(TensorData::new(values.collect(), shape), &device)
         };
-        let (x, initial) = (draw([3, 3, 6]), draw([2, 1, 4]));
+        let (x, initial) = (values([3, 3, 6]), values([2, 1, 4]));
         let lengths = [6, 1, 4];
         let together = gru.forward(x.clone(), &lengths, initial.clone()).last;
         assert_eq!(together.dims(), [3, 8]);

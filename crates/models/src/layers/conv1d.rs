@@ -5,9 +5,8 @@ use kinegrad_kernels::Convolution;
 use crate::lora::Adaptable;
 use crate::{Initializer, LoraConfig, LowRank};
 
-/// A convolution over time with torch's layout: weight `[out, in, kernel]`, bias `[out]`. Kernels
-/// are padded by `(kernel - 1) / 2`, so that stride 1 keeps the length under odd ones. An adapter,
-/// if there is one, changes the weight.
+/// A convolution over time with torch's layout: weight `[out, in, kernel]`, bias `[out]`. Kernels are
+/// padded by `(kernel - 1) / 2`. An optional adapter changes the weight.
 #[derive(Module, Debug)]
 pub struct Conv1d {
     weight: Param<Tensor<3>>,
@@ -22,8 +21,8 @@ impl Conv1d {
         Self::strided(inputs, outputs, kernel_size, 1, init)
     }
 
-    /// A convolution that maps `time` frames to `ceil(time / stride)` under an odd kernel, and to
-    /// `floor(time / 2)` under one of 4 with stride 2.
+    /// A convolution of `time` frames to `ceil(time / stride)` with an odd kernel, and to
+    /// `floor(time / 2)` with a kernel of 4 and stride 2.
     pub fn strided(
         inputs: usize,
         outputs: usize,
@@ -40,7 +39,7 @@ impl Conv1d {
         }
     }
 
-    /// The same with weight and bias zero at first.
+    /// The layer with zeros as initial weight and bias.
     #[must_use]
     pub fn zeroed(self, init: &Initializer) -> Self {
         let [outputs, inputs, kernel_size] = self.weight.lazy_shape().dims();
@@ -58,7 +57,7 @@ impl Conv1d {
         self.operation().forward(x)
     }
 
-    /// The convolution as an operation, to which what stands before and after it can be added.
+    /// The convolution as an operation that can be fused with others.
     pub fn operation(&self) -> Convolution {
         let weight = match &self.lora {
             Some(lora) => lora.apply(self.weight.val()),

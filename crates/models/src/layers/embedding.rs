@@ -3,8 +3,7 @@ use burn::tensor::{Int, Tensor};
 
 use crate::Initializer;
 
-/// A learned row for each of a fixed number of things: weight `[things, features]`, as torch's
-/// `Embedding`.
+/// A learned row for each of a fixed number of things: weight `[things, features]`, as in torch.
 #[derive(Module, Debug)]
 pub struct Embedding {
     weight: Param<Tensor<2>>,
@@ -18,7 +17,7 @@ impl Embedding {
         }
     }
 
-    /// The same with new rows, whose numbers have variance 1.
+    /// The layer with new initial rows of variance 1.
     #[must_use]
     pub fn with_unit_variance(self, init: &Initializer) -> Self {
         let [things, features] = self.weight.lazy_shape().dims();
@@ -27,14 +26,13 @@ impl Embedding {
         }
     }
 
-    /// The rows that stand for so many captions: `embed_captions` in `init`, of variance 1.
+    /// The rows of `captions` captions: `embed_captions` in `init`, of variance 1.
     pub fn of_captions(captions: usize, features: usize, init: &Initializer) -> Self {
         let init = init.at("embed_captions");
         Self::new(captions, features, &init).with_unit_variance(&init)
     }
 
-    /// The sum of all rows, each times its share: the row of a thing where that has 1 and all others
-    /// 0, and zeros where all have 0.
+    /// The sum of all rows, each times its share.
     ///
     /// # Shapes
     /// - shares: `[rows, things]`

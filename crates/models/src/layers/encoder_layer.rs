@@ -29,27 +29,26 @@ pub struct EncoderLayerConfig {
     pub num_heads: usize,
     /// Width between the two linear maps.
     pub ff_size: usize,
-    /// Where it normalises.
+    /// Place of the normalisations.
     pub norm: NormOrder,
-    /// Dropout in training: of the attention's weights, of what attention and linear maps add, and
-    /// between the two linear maps, as in PyTorch.
+    /// Dropout in training, as in PyTorch: of the attention weights, of the outputs of attention and
+    /// linear maps, and between the linear maps.
     pub dropout: f64,
 }
 
-/// Dropouts in a layer.
+/// Dropouts of a layer.
 const DROPOUTS: usize = 4;
 
 impl EncoderLayerConfig {
-    /// A layer whose parameters are initialised when they are first used; `index` tells its dropout from
-    /// that of the network's other layers.
+    /// Builds layer `index` of a network; parameters are initialised at their first use.
     pub fn init(&self, index: usize, init: &Initializer) -> EncoderLayer {
         let width = self.width;
         let dropout = |number| Dropout::new(self.dropout, index * DROPOUTS + number);
         let attention = init.at("self_attn");
         EncoderLayer {
             self_attn: SelfAttention {
-                // Xavier's bound for a weight of `width` inputs and `3 width` outputs, as
-                // `nn.MultiheadAttention` has it; its biases begin at zero.
+                // Xavier's bound for `width` inputs and `3 width` outputs, and biases of zero, as in
+                // `nn.MultiheadAttention`.
                 in_proj_weight: attention.bounded(
                     "in_proj_weight",
                     [3 * width, width],
@@ -178,7 +177,7 @@ impl EncoderLayer {
     }
 }
 
-/// `residual` and the map of `x`, of which some elements are dropped in training.
+/// `residual + dropout(map(x))`.
 fn added(
     residual: Tensor<3>,
     map: &Linear,
@@ -215,7 +214,7 @@ mod tests {
     }
 
     #[test]
-    fn dropout_changes_what_a_key_says_and_nothing_else() {
+    fn dropout_depends_on_the_key_alone() {
         let key = |seed| Some(Key::new(seed, Purpose::Dropout));
         for norm in [NormOrder::Post, NormOrder::Pre] {
             let whole = answer(norm, 0.3, None);

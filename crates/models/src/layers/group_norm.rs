@@ -30,7 +30,7 @@ impl GroupNorm {
         }
     }
 
-    /// The normalisation as an operation, to which what follows it can be added.
+    /// The normalisation as an operation that can be fused with others.
     pub fn operation(&self) -> kernels::GroupNorm {
         kernels::GroupNorm::new(
             self.weight.val(),

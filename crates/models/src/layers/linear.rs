@@ -7,8 +7,8 @@ use kinegrad_kernels::{Convolution, linear};
 use crate::lora::Adaptable;
 use crate::{Initializer, LoraConfig, LowRank};
 
-/// `y = x W^T + b` with torch's layout: weight `[out, in]`, bias `[out]`. An adapter, if
-/// there is one, changes the weight.
+/// `y = x W^T + b` with torch's layout: weight `[out, in]`, bias `[out]`. An optional adapter changes the
+/// weight.
 #[derive(Module, Debug)]
 pub struct Linear {
     weight: Param<Tensor<2>>,
@@ -26,7 +26,7 @@ impl Linear {
         }
     }
 
-    /// The same with weight and bias zero at first.
+    /// The layer with zeros as initial weight and bias.
     #[must_use]
     pub fn zeroed(self, init: &Initializer) -> Self {
         let [outputs, inputs] = self.weight.lazy_shape().dims();
@@ -37,7 +37,7 @@ impl Linear {
         }
     }
 
-    /// Features that it takes.
+    /// Input features.
     pub fn inputs(&self) -> usize {
         let [_, inputs] = self.weight.lazy_shape().dims();
         inputs
@@ -50,7 +50,7 @@ impl Linear {
         linear(x, self.effective_weight(), self.bias.val())
     }
 
-    /// The same map applied to every frame.
+    /// The map of every frame.
     ///
     /// # Shapes
     /// - x: `[batch, in, time]`
@@ -61,7 +61,7 @@ impl Linear {
             .forward(x)
     }
 
-    /// [`forward_frames`](Self::forward_frames), added to `residual`, `[batch, out, time]`.
+    /// `residual`, `[batch, out, time]`, plus [`forward_frames`](Self::forward_frames).
     pub fn forward_frames_onto(&self, residual: Tensor<3>, x: Tensor<3>) -> Tensor<3> {
         Convolution::new(self.effective_weight().unsqueeze_dim(2), 1)
             .bias(self.bias.val())
@@ -69,8 +69,8 @@ impl Linear {
             .forward(x)
     }
 
-    /// [`forward_frames`](Self::forward_frames) of inputs of which the first are each frame's own, and
-    /// the others the same in all frames of a sample: those are multiplied once.
+    /// [`forward_frames`](Self::forward_frames) of the inputs `own` and `shared`; all frames of a sample
+    /// share the latter, which is multiplied once.
     ///
     /// # Shapes
     /// - own: `[batch, some, time]`
@@ -80,13 +80,13 @@ impl Linear {
         let [batch, some, time] = own.dims();
         let shared = linear(shared, self.columns(some..self.inputs()), self.bias.val());
         let [_, outputs] = shared.dims();
-        // By frames and then channels, as its gradient is summed faster so.
+        // By frames, then channels: its gradient is summed faster.
         let shared = shared.unsqueeze_dim::<3>(1).expand([batch, time, outputs]);
         self.forward_own(own, shared)
     }
 
-    /// [`forward_frames_sharing`](Self::forward_frames_sharing) of frames each of which shares a row of
-    /// `cond`, the one that `rows` names.
+    /// [`forward_frames_sharing`](Self::forward_frames_sharing) in which each frame has the row of `cond`
+    /// with its index in `rows`.
     ///
     /// # Shapes
     /// - own: `[batch, some, time]`
@@ -105,7 +105,7 @@ impl Linear {
         self.forward_own(own, cond)
     }
 
-    /// The first inputs' share, added to `others`, `[batch, time, out]`.
+    /// `others`, `[batch, time, out]`, plus the part of the first inputs.
     fn forward_own(&self, own: Tensor<3>, others: Tensor<3>) -> Tensor<3> {
         let [_, some, _] = own.dims();
         Convolution::new(self.columns(0..some).unsqueeze_dim(2), 1)
@@ -180,7 +180,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_frames_share_may_be_given_once() {
+    fn shared_inputs_give_the_same_result() {
         let device = Device::flex().autodiff();
         let values = |shape: &[usize]| {
             let count: usize = shape.iter().product();

@@ -1,9 +1,7 @@
 //! Layers with PyTorch's parameter names and weight layouts.
 //!
-//! A torch `Sequential` numbers its children and skips those without parameters; a field that
-//! stands for child `n` of one is called `at_n`, and [`crate::parameters`] writes it as `n`. A
-//! field `a_at_b` is written as `a.b`. What a field `flat_x` holds is named as if it stood in the
-//! field's place.
+//! [`crate::parameters`] maps field names to state-dict names: `at_n` to `n`, for child `n` of a torch
+//! `Sequential`, and `a_at_b` to `a.b`. A field `flat_x` is not part of a name.
 
 mod bi_gru;
 mod conv1d;

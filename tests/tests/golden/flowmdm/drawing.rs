@@ -5,7 +5,7 @@ use std::ops::ControlFlow;
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_bpe_transformer::network::{BlendedTransformer, Composed, TextSegments};
 use kinegrad_diffusion::{
-    ClipRange, GivenNoise, NoiseKeys, Prediction, PredictionType, Time, TimestepPath, ddpm,
+    ClipRange, FixedNoise, NoiseKeys, Prediction, PredictionType, Time, TimestepPath, ddpm,
     ddpm_step, guided,
 };
 use kinegrad_tests::golden::{Golden, GoldenTensors as _};
@@ -31,7 +31,7 @@ impl Drawing<'_> {
             let size: Vec<usize> = start.dims().to_vec();
             Tensor::from_data(TensorData::new(part.f32s(), size), &device)
         });
-        let given = GivenNoise {
+        let given = FixedNoise {
             sampling: noise.collect(),
             imputation: Vec::new(),
         };
@@ -50,7 +50,7 @@ impl Drawing<'_> {
             &mut predict,
             start,
             &path,
-            NoiseKeys::Given(&given),
+            NoiseKeys::Fixed(&given),
             &mut |_, _, state: &_| {
                 states.push(state.clone());
                 ControlFlow::Continue(())

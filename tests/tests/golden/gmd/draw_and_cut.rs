@@ -5,7 +5,7 @@ use std::ops::ControlFlow;
 use burn::module::Module as _;
 use burn::tensor::{Device, Tensor};
 use kinegrad_diffusion::{
-    ClipRange, GivenNoise, Guidance, Networks, NoiseKeys, PredictionType, Space as _, Steering,
+    ClipRange, FixedNoise, Guidance, Networks, NoiseKeys, PredictionType, Space as _, Steering,
     Time, TimestepPath, ddpm, steered_prediction,
 };
 use kinegrad_gmd::GroundObjective;
@@ -35,7 +35,7 @@ fn draw(golden: &Golden, frames: usize, padded: usize) -> Tensor<3> {
     let diffusion = process(PredictionType::Sample);
     let first = |x: Tensor<3>| x.narrow(2, 0, frames);
     let noise = noise_of_steps(golden, "in.noise", &device);
-    let given = GivenNoise {
+    let given = FixedNoise {
         sampling: noise.into_iter().map(first).collect(),
         imputation: Vec::new(),
     };
@@ -71,7 +71,7 @@ fn draw(golden: &Golden, frames: usize, padded: usize) -> Tensor<3> {
         &mut predict,
         start,
         &path,
-        NoiseKeys::Given(&given),
+        NoiseKeys::Fixed(&given),
         go_on,
     )
     .expect("sizes fit")

@@ -118,7 +118,7 @@ fn golden_gmd_schedule_respaced(golden: Golden) {
         .take(kept.len())
         .collect();
     let landings = |at: Vec<Option<usize>>| -> Vec<f64> {
-        at.into_iter().map(|t| schedule.landing(t).0).collect()
+        at.into_iter().map(|t| schedule.abar_at(t).0).collect()
     };
     let abar = landings(kept.iter().copied().map(Some).collect());
     let abar_before = landings(before.clone());

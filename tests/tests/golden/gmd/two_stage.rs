@@ -6,7 +6,7 @@ use std::ops::ControlFlow;
 use burn::module::Module as _;
 use burn::tensor::{Device, Tensor};
 use kinegrad_diffusion::{
-    ClipRange, GivenNoise, Networks, NoiseKeys, PredictionType, Space as _, Time, TimestepPath,
+    ClipRange, FixedNoise, Networks, NoiseKeys, PredictionType, Space as _, Time, TimestepPath,
     ddpm, steered_prediction,
 };
 use kinegrad_gmd::network::TextDenoiser;
@@ -194,7 +194,7 @@ fn draw(
         .tensor::<2>("in.text_features", device)
         .unsqueeze_dim(2);
     let start: Tensor<3> = golden.get(&format!("in.{stage}.x_T")).flat().tensor(device);
-    let given = GivenNoise {
+    let given = FixedNoise {
         sampling: noise_of_steps(golden, &format!("in.{stage}.noise"), device),
         imputation: match stage {
             "traj" => noise_of_steps(golden, "in.traj.noise_q", device),
@@ -225,7 +225,7 @@ fn draw(
         Ok(prediction)
     };
     let mut samples = Vec::new();
-    let keys = NoiseKeys::Given(&given);
+    let keys = NoiseKeys::Fixed(&given);
     ddpm(
         &diffusion,
         &mut predict,

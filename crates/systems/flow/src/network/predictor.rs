@@ -3,7 +3,7 @@ use std::ops::ControlFlow;
 use burn::module::Module;
 use burn::tensor::{Int, Tensor, TensorData};
 use kinegrad_diffusion::{Denoiser, FlowPrediction, Flowed, SamplerConfig, Time, sample_flow};
-use kinegrad_kernels::{Convolution, gelu, keeping_packed_weights};
+use kinegrad_kernels::{Convolution, cache_packed_weights, gelu};
 use kinegrad_motion::humanml::Skeleton;
 
 use super::{FlowConfig, Hierarchy, PREVIOUS_STATE};
@@ -158,7 +158,7 @@ impl FlowPredictor {
         sampler: &SamplerConfig,
     ) -> Result<Flowed<3>, kinegrad_diffusion::Error> {
         let cond = self.prepare(cond);
-        keeping_packed_weights(|| {
+        cache_packed_weights(|| {
             let on_step = &mut |_, _: &Tensor<3>| ControlFlow::Continue(());
             sample_flow(self, noise, &cond, prediction, sampler, on_step)
         })

@@ -1,9 +1,9 @@
-//! Packed weights that are kept: the same bits, and never those of another weight.
+//! Cached packed weights give the same bits and are never those of another weight.
 
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_random::{Key, Purpose};
 
-use crate::{Convolution, Mode, keeping_packed_weights};
+use crate::{Convolution, Mode, cache_packed_weights};
 
 fn random(shape: [usize; 3], stream: u64) -> Tensor<3> {
     let values = Key::new(stream, Purpose::Sampling).normals(shape.iter().product());
@@ -17,7 +17,7 @@ fn convolved(x: &Tensor<3>, weight: &Tensor<3>) -> Vec<u32> {
 }
 
 #[test]
-fn a_kept_weight_gives_the_same_bits() {
+fn a_cached_weight_gives_the_same_bits() {
     Mode::Fused.scope(|| {
         // One tap and three, fewer columns than a panel has and more.
         for (kernel, channels) in [(1, 48), (1, 150), (3, 150)] {
@@ -25,8 +25,8 @@ fn a_kept_weight_gives_the_same_bits() {
             let inputs: Vec<_> = (0..3).map(|i| random([1, 40, 23 + 20 * i], 3)).collect();
             let all = || -> Vec<_> { inputs.iter().map(|x| convolved(x, &weight)).collect() };
             let plain = all();
-            let kept = keeping_packed_weights(|| [all(), all()]);
-            assert_eq!(kept, [plain.clone(), plain]);
+            let cached = cache_packed_weights(|| [all(), all()]);
+            assert_eq!(cached, [plain.clone(), plain]);
         }
     });
 }
@@ -35,12 +35,12 @@ fn a_kept_weight_gives_the_same_bits() {
 fn a_weight_that_changes_is_another() {
     Mode::Fused.scope(|| {
         let x = random([2, 40, 11], 1);
-        keeping_packed_weights(|| {
+        cache_packed_weights(|| {
             let mut weight = random([96, 40, 1], 2);
             for _ in 0..4 {
                 let found = convolved(&x, &weight);
                 assert_eq!(found, outside(&x, &weight));
-                // In place, if nobody else held it.
+                // In place, unless the cache shares it.
                 weight = weight.mul_scalar(1.5);
             }
             // The first channels of a weight lie where the weight does.
@@ -51,7 +51,7 @@ fn a_weight_that_changes_is_another() {
     });
 }
 
-/// Convolved on a thread of its own, which keeps nothing.
+/// Convolved on another thread, which has no cache.
 fn outside(x: &Tensor<3>, weight: &Tensor<3>) -> Vec<u32> {
     std::thread::scope(|scope| {
         let work = || Mode::Fused.scope(|| convolved(x, weight));
