@@ -104,7 +104,10 @@ fn lost_audio_is_reported() {
             found.missing_seconds
         );
         let damage = found.damage().expect("damage");
-        assert!(damage.contains("shorter than its headers state"), "{damage}");
+        assert!(
+            damage.contains("shorter than its headers state"),
+            "{damage}"
+        );
     }
     let flac = std::fs::read(fixture("flac")).expect("the fixture is readable");
     let found = read(flac[..flac.len() / 2].to_vec()).expect("the rest decodes");
