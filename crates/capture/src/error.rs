@@ -31,7 +31,7 @@ pub enum Error {
         hint: &'static str,
     },
 
-    /// A file has no marker or joint of a name that is looked for, or several.
+    /// A file has no marker or joint of a name, or several.
     #[error("{problem}")]
     #[diagnostic(help("{hint}"))]
     Name {
@@ -41,7 +41,7 @@ pub enum Error {
         hint: String,
     },
 
-    /// A frame has no place or rotation of the root, or no frame of a take has.
+    /// A frame, or every frame of a take, lacks the root.
     #[error("{problem}")]
     #[diagnostic(help("{hint}"))]
     NoPose {
@@ -107,6 +107,23 @@ impl Error {
         Self::Plan {
             file: file.display().to_string(),
             problem: problem.to_string(),
+        }
+    }
+
+    /// An [`Error::Format`] about `found` at `place`.
+    pub(crate) fn format(
+        file: &str,
+        place: String,
+        found: impl Into<String>,
+        allowed: &str,
+        hint: &'static str,
+    ) -> Self {
+        Self::Format {
+            file: file.to_string(),
+            place,
+            found: found.into(),
+            allowed: allowed.to_string(),
+            hint,
         }
     }
 

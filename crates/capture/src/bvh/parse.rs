@@ -10,11 +10,11 @@ const MOST_CHANNELS: usize = 6;
 impl Bvh {
     /// Reads a BVH file from its bytes; `file` is its name for messages.
     ///
-    /// Line ends and indentation do not matter within the hierarchy; each frame is one line.
-    /// Bytes that are not UTF-8 (in names) become replacement characters.
+    /// Within the hierarchy any whitespace separates words; each frame is one line. Bytes that are not
+    /// UTF-8 become replacement characters.
     ///
     /// # Errors
-    /// [`Error::Format`] with the line, what was found and what is allowed there.
+    /// [`Error::Format`].
     pub fn parse(bytes: &[u8], file: &str) -> Result<Self, Error> {
         let text = String::from_utf8_lossy(bytes);
         let text = text.trim_start_matches('\u{feff}');
@@ -53,13 +53,8 @@ struct Reader<'a> {
 
 impl<'a> Reader<'a> {
     fn error(&self, found: impl Into<String>, allowed: &str, hint: &'static str) -> Error {
-        Error::Format {
-            file: self.file.to_string(),
-            place: format!("line {}", self.line),
-            found: found.into(),
-            allowed: allowed.to_string(),
-            hint,
-        }
+        let place = format!("line {}", self.line);
+        Error::format(self.file, place, found, allowed, hint)
     }
 
     /// Moves to the next text that is not blank; false at the end of the file.
@@ -109,11 +104,6 @@ impl<'a> Reader<'a> {
         Err(self.error(shown(word), &allowed, "the file may be cut off or no BVH"))
     }
 
-    fn number(&mut self) -> Result<f64, Error> {
-        let word = self.word();
-        self.finite(word)
-    }
-
     fn finite(&self, word: &str) -> Result<f64, Error> {
         let value = word.parse::<f64>().ok().filter(|value| value.is_finite());
         let hint = "decimals take a point, as in 1.5";
@@ -121,7 +111,12 @@ impl<'a> Reader<'a> {
     }
 
     fn vector(&mut self) -> Result<[f64; 3], Error> {
-        Ok([self.number()?, self.number()?, self.number()?])
+        let mut vector = [0.0; 3];
+        for value in &mut vector {
+            let word = self.word();
+            *value = self.finite(word)?;
+        }
+        Ok(vector)
     }
 
     /// The tree, without recursion: its depth is bounded by the text alone.
@@ -194,8 +189,12 @@ impl<'a> Reader<'a> {
         let mut channels = Vec::new();
         for _ in 0..count {
             let word = self.word();
-            let channel = channel(word).filter(|channel| !channels.contains(channel));
-            channels.push(channel.ok_or_else(|| self.error(shown(word), allowed, hint))?);
+            let mut known = CHANNELS.iter();
+            let known = known.find(|(name, _)| name.eq_ignore_ascii_case(word));
+            match known.filter(|(_, channel)| !channels.contains(channel)) {
+                Some((_, channel)) => channels.push(*channel),
+                None => return Err(self.error(shown(word), allowed, hint)),
+            }
         }
         Ok(channels)
     }
@@ -266,10 +265,4 @@ fn shown(word: &str) -> String {
         "" => "the end of the line or file".to_string(),
         word => quote(word),
     }
-}
-
-fn channel(name: &str) -> Option<Channel> {
-    let mut channels = CHANNELS.into_iter();
-    let named = channels.find(|(known, _)| known.eq_ignore_ascii_case(name));
-    named.map(|(_, channel)| channel)
 }

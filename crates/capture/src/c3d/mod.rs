@@ -23,12 +23,12 @@ pub struct C3d {
     pub labels: Vec<String>,
     /// Frames per second.
     pub rate: f64,
-    /// Length of one file unit (POINT:UNITS; millimetres where it is missing).
+    /// Length of a file unit (POINT:UNITS, by default millimetres).
     pub metres_per_unit: f64,
-    /// Number of the first stored frame, as the header has it. Frame indices elsewhere count from
-    /// 0 at this frame.
+    /// Number of the first stored frame. Frame indices count from 0 at this frame.
     pub first_frame: u32,
-    points_per_frame: usize,
+    /// Number of points in a frame, at least 1.
+    pub points_per_frame: usize,
     /// `[frames, points]` in file units; NaN where a point was not seen.
     points: Vec<[f32; 3]>,
 }
@@ -39,12 +39,7 @@ impl C3d {
         self.points.len() / self.points_per_frame
     }
 
-    /// Number of points in a frame, at least 1.
-    pub fn points_per_frame(&self) -> usize {
-        self.points_per_frame
-    }
-
-    /// Place of a point in frame `t`, in file units and axes; none where it was not seen.
+    /// Place of a point in frame `t`, in file units and axes; none where it is missing.
     ///
     /// # Panics
     /// Panics if there is no such frame or point.
@@ -61,11 +56,9 @@ impl C3d {
             let labels = self.labels.iter().enumerate();
             labels.filter(|(_, l)| fits(l)).map(|(i, _)| i).collect()
         };
-        let exact = with(&|label| label == name);
-        if exact.is_empty() {
-            with(&|label| label.rsplit(':').next() == Some(name))
-        } else {
-            exact
+        match with(&|label| label == name) {
+            exact if !exact.is_empty() => exact,
+            _ => with(&|label| label.rsplit(':').next() == Some(name)),
         }
     }
 }

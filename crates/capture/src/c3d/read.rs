@@ -20,33 +20,14 @@ const LABEL_PARAMETERS: usize = 257;
 impl C3d {
     /// Reads a C3D file from its bytes; `file` is its name for messages.
     ///
-    /// Parameters take precedence over the header. The number of frames is the
-    /// header's, or where its 16 bits are full that of TRIAL:ACTUAL_START_FIELD and
-    /// ACTUAL_END_FIELD, POINT:LONG_FRAMES or POINT:FRAMES. A point is missing where its residual
-    /// is negative or a number is NaN.
+    /// Parameters take precedence over the header, except for the number of frames: the parameters
+    /// state it only where the header's 16 bits are full. A point is missing where its residual is
+    /// negative or a number is NaN.
     ///
     /// # Errors
-    /// [`Error::Format`] with the section, its place, what was found and what is allowed.
+    /// [`Error::Format`].
     pub fn parse(bytes: &[u8], file: &str) -> Result<Self, Error> {
         Reader::new(bytes, file)?.read()
-    }
-}
-
-/// An error about the bytes of a section at an offset of the file.
-fn wrong(
-    file: &str,
-    section: &str,
-    offset: usize,
-    found: String,
-    allowed: &str,
-    hint: &'static str,
-) -> Error {
-    Error::Format {
-        file: file.to_string(),
-        place: format!("{section} at byte {offset}"),
-        found,
-        allowed: allowed.to_string(),
-        hint,
     }
 }
 
@@ -60,33 +41,38 @@ struct Reader<'a> {
 impl<'a> Reader<'a> {
     fn new(bytes: &'a [u8], file: &'a str) -> Result<Self, Error> {
         let no_c3d = "the file is no C3D file, or an empty or damaged one";
-        let header = |found, allowed| wrong(file, "header", 0, found, allowed, no_c3d);
+        let wrong = |section, offset, found: String, allowed, hint| {
+            let place = format!("{section} at byte {offset}");
+            Err(Error::format(file, place, found, allowed, hint))
+        };
         if bytes.len() < 2 * BLOCK {
             let found = format!("{} bytes", bytes.len());
-            return Err(header(found, "at least two blocks of 512 bytes"));
+            let allowed = "at least two blocks of 512 bytes";
+            return wrong("header", 0, found, allowed, no_c3d);
         }
         if bytes[1] != KEY || bytes[0] == 0 {
             let found = format!("{:#04x} {:#04x}", bytes[0], bytes[1]);
             let allowed = "the number of the parameter block and 0x50";
-            return Err(header(found, allowed));
+            return wrong("header", 0, found, allowed, no_c3d);
         }
         let start = (usize::from(bytes[0]) - 1) * BLOCK;
-        let section = |place, found: String, allowed, hint| {
-            wrong(file, "parameter section", place, found, allowed, hint)
-        };
-        let place = start + 3;
+        let (section, place) = ("parameter section", start + 3);
         let Some(kind) = bytes.get(place) else {
             let found = "the end of the file".to_string();
-            return Err(section(place, found, "its head", no_c3d));
+            return wrong(section, place, found, "its head", no_c3d);
         };
-        let processor = Processor::from_type(*kind).ok_or_else(|| {
+        let Some(processor) = Processor::from_type(*kind) else {
             let allowed = "the processor type 84 (Intel), 85 (DEC) or 86 (MIPS)";
-            section(place, kind.to_string(), allowed, no_c3d)
-        })?;
-        let parameters = Parameters::read(bytes, start + 4, processor).map_err(|place| {
-            let found = "a parameter that reaches beyond the file".to_string();
-            section(place, found, "a whole parameter", "the file may be cut off")
-        })?;
+            return wrong(section, place, kind.to_string(), allowed, no_c3d);
+        };
+        let parameters = match Parameters::read(bytes, start + 4, processor) {
+            Ok(parameters) => parameters,
+            Err(place) => {
+                let found = "a parameter that reaches beyond the file".to_string();
+                let hint = "the file may be cut off";
+                return wrong(section, place, found, "a whole parameter", hint);
+            }
+        };
         Ok(Self {
             bytes,
             file,
@@ -108,7 +94,8 @@ impl<'a> Reader<'a> {
             Some(parameter) => (format!("POINT:{name}"), parameter.offset),
             None => ("header".to_string(), header_offset),
         };
-        wrong(self.file, &section, offset, found, allowed, hint)
+        let place = format!("{section} at byte {offset}");
+        Error::format(self.file, place, found, allowed, hint)
     }
 
     /// A word of the header, whose block is known to be there.
@@ -118,9 +105,8 @@ impl<'a> Reader<'a> {
 
     /// `POINT:name`, otherwise the header's value.
     fn point_number(&self, name: &str, header: impl FnOnce() -> f64) -> f64 {
-        self.parameters
-            .number("POINT", name, 0)
-            .unwrap_or_else(header)
+        let number = self.parameters.number("POINT", name, 0);
+        number.unwrap_or_else(header)
     }
 
     fn header_float(&self, offset: usize) -> f64 {
@@ -150,15 +136,14 @@ impl<'a> Reader<'a> {
         }
         let points_per_frame = points_per_frame as usize;
         let points = self.points(points_per_frame, scale as f32)?;
+        let first_frame = self.actual_field("ACTUAL_START_FIELD");
         Ok(C3d {
             file: self.file.to_string(),
             processor: self.processor,
             labels: self.labels(points_per_frame),
             rate,
             metres_per_unit: self.metres_per_unit()?,
-            first_frame: self
-                .actual_field("ACTUAL_START_FIELD")
-                .unwrap_or(self.header(6).into()),
+            first_frame: first_frame.unwrap_or(self.header(6).into()),
             points_per_frame,
             points,
         })
@@ -167,11 +152,8 @@ impl<'a> Reader<'a> {
     /// The labels, over as many parameters LABELS, LABELS2, ... as there are points for.
     fn labels(&self, points: usize) -> Vec<String> {
         let mut labels = Vec::new();
-        for part in 1..=LABEL_PARAMETERS {
-            let name = match part {
-                1 => "LABELS".to_string(),
-                _ => format!("LABELS{part}"),
-            };
+        let more = (2..=LABEL_PARAMETERS).map(|part| format!("LABELS{part}"));
+        for name in std::iter::once("LABELS".to_string()).chain(more) {
             let before = labels.len();
             let part = self.parameters.strings("POINT", &name);
             labels.extend(part.take(points - before));

@@ -218,7 +218,7 @@ proptest! {
         }
         bytes.truncate(end.max(1024));
         if let Ok(c3d) = C3d::parse(&bytes, "damaged") {
-            prop_assert!(c3d.frames() * c3d.points_per_frame() * 8 <= bytes.len());
+            prop_assert!(c3d.frames() * c3d.points_per_frame * 8 <= bytes.len());
         }
     }
 }

@@ -50,9 +50,7 @@ impl Body {
         units: Option<Units>,
         up: Option<UpAxis>,
     ) -> Result<Self, String> {
-        let found = map.find(bvh)?;
-        let places = (0..bvh.frames()).flat_map(|t| found.of(&bvh.world(t)).collect::<Vec<_>>());
-        Self::of_places(places.collect(), skeleton, rate, units, up)
+        Self::of_places(map.joints_of(bvh)?, skeleton, rate, units, up)
     }
 
     /// The body of a capture of markers, with estimated joint centres ([`Centres`]). Every marker
@@ -114,7 +112,9 @@ impl Body {
                 match UNITS.into_iter().find(fits) {
                     Some(units) => units.metres(),
                     None if legs > 0.0 => {
-                        let metres = usual_legs(skeleton) / legs;
+                        let skeleton = skeleton.description();
+                        let rest = |joint: usize| length(skeleton.rest_offsets[joint]);
+                        let metres = skeleton.leg_joints.map(rest).iter().sum::<f64>() / legs;
                         notes.push(format!(
                             "the length of its legs, {legs:.3} units, fits no known unit: one unit is \
                              taken as {metres:.5} metres (state `units`)"
@@ -130,11 +130,9 @@ impl Body {
         let joints = Joints::new(places.collect(), skeleton.joints()).map_err(|e| e.to_string())?;
         let [left, right] = toes_ahead(&joints, skeleton);
         if left + right < 0.0 {
-            return Err(
-                "its toes point backwards: left and right joints are exchanged, in the map or in \
-                 the file"
-                    .to_owned(),
-            );
+            let problem = "its toes point backwards: left and right joints are exchanged, in the \
+                           map or in the file";
+            return Err(problem.to_owned());
         }
         if left.min(right) < 0.0 {
             let side = if left < 0.0 { "left" } else { "right" };
@@ -205,13 +203,6 @@ fn legs(raw: &Joints, skeleton: &Skeleton) -> f64 {
         bone(&hip, &knee) + bone(&knee, &ankle)
     };
     (leg("left") + leg("right")) / 2.0
-}
-
-/// Length of the legs in the skeleton's reference pose, metres.
-fn usual_legs(skeleton: &Skeleton) -> f64 {
-    let bones = skeleton.description().leg_joints;
-    let rest = &skeleton.description().rest_offsets;
-    bones.map(|joint| length(rest[joint])).iter().sum()
 }
 
 /// Mean distance of each foot's toes ahead of its ankle, in the direction of hips and shoulders,

@@ -20,7 +20,7 @@ type Place = Vector3<f64>;
 
 /// Longest gap of a marker that is filled by a straight line, in seconds.
 const LONGEST_GAP_SECONDS: f64 = 0.1;
-/// Metres from the marker at the outer side of a knee, ankle or elbow to its centre.
+/// Metres from the marker at the outer side of a joint to its centre.
 const KNEE: f64 = 0.055;
 const ANKLE: f64 = 0.04;
 const ELBOW: f64 = 0.04;
@@ -29,35 +29,15 @@ const SHOULDER: f64 = 0.045;
 /// Sine of the bend of an elbow from which on its plane is well known.
 const BENT: f64 = 0.15;
 
-/// The markers that are needed, with their names in different sets.
-const MARKERS: [&[&str]; 26] = [
-    &["LFWT", "LASI"],
-    &["RFWT", "RASI"],
-    &["LBWT", "LPSI"],
-    &["RBWT", "RPSI"],
-    &["LKNE"],
-    &["RKNE"],
-    &["LANK"],
-    &["RANK"],
-    &["LTOE"],
-    &["RTOE"],
-    &["T10"],
-    &["STRN"],
-    &["C7"],
-    &["CLAV"],
-    &["LFHD"],
-    &["RFHD"],
-    &["LBHD"],
-    &["RBHD"],
-    &["LSHO"],
-    &["RSHO"],
-    &["LELB"],
-    &["RELB"],
-    &["LWRA"],
-    &["LWRB"],
-    &["RWRA"],
-    &["RWRB"],
+/// The markers that are needed, in pairs.
+const MARKERS: [&str; 26] = [
+    "LFWT", "RFWT", "LBWT", "RBWT", "LKNE", "RKNE", "LANK", "RANK", "LTOE", "RTOE", "T10", "STRN",
+    "C7", "CLAV", "LFHD", "RFHD", "LBHD", "RBHD", "LSHO", "RSHO", "LELB", "RELB", "LWRA", "LWRB",
+    "RWRA", "RWRB",
 ];
+
+/// The names of the waist markers in Plug-in Gait.
+const WAIST: [&str; 4] = ["LASI", "RASI", "LPSI", "RPSI"];
 
 /// The joints of a take of markers.
 #[derive(Clone, Debug)]
@@ -78,7 +58,8 @@ impl Centres {
         let mut tracks = Vec::with_capacity(MARKERS.len());
         let (mut lacking, mut notes) = (Vec::new(), Vec::new());
         let most = (LONGEST_GAP_SECONDS * take.rate).round() as usize;
-        for names in MARKERS {
+        for (index, name) in MARKERS.into_iter().enumerate() {
+            let names: Vec<&str> = [name].iter().chain(WAIST.get(index)).copied().collect();
             let found = names.iter().find_map(|name| match take.find(name)[..] {
                 [point] => Some(point),
                 _ => None,
@@ -91,10 +72,8 @@ impl Centres {
             let mut track: Vec<_> = (0..take.frames()).map(|t| take.point(t, point)).collect();
             let gaps = fill_gaps(&mut track, most, label);
             if gaps.filled_frames > 0 {
-                notes.push(format!(
-                    "{} frames of {label} were filled",
-                    gaps.filled_frames
-                ));
+                let frames = gaps.filled_frames;
+                notes.push(format!("{frames} frames of {label} were filled"));
             }
             if let Some(frame) = used.clone().find(|&t| track[t].is_none()) {
                 return Err(format!(
@@ -157,51 +136,36 @@ impl Centres {
 
 /// The joints of the skeleton in its order, from the markers in the order of [`MARKERS`].
 fn centres(markers: &[Place]) -> [Place; 22] {
+    let (pairs, _) = markers.as_chunks::<2>();
     let [
-        left_front,
-        right_front,
-        left_back,
-        right_back,
-        left_knee,
-        right_knee,
-        left_ankle,
-        right_ankle,
-        left_toe,
-        right_toe,
-        t10,
-        sternum,
-        c7,
-        clavicle,
-        head_a,
-        head_b,
-        head_c,
-        head_d,
-        left_shoulder,
-        right_shoulder,
-        left_elbow,
-        right_elbow,
-        left_thumb_side,
-        left_small_side,
-        right_thumb_side,
-        right_small_side,
-    ] = markers
+        fronts,
+        backs,
+        knees,
+        ankles,
+        toes,
+        chest,
+        neck,
+        brow,
+        nape,
+        shoulders,
+        elbows,
+        left_wrist,
+        right_wrist,
+    ] = pairs
     else {
         unreachable!("all markers")
     };
-    let middle = |a: &Place, b: &Place| (a + b) / 2.0;
-    let (front, back) = (
-        middle(left_front, right_front),
-        middle(left_back, right_back),
-    );
-    let left = unit((left_front - right_front) + (left_back - right_back));
+    let middle = |[a, b]: &[Place; 2]| (a + b) / 2.0;
+    let (front, back) = (middle(fronts), middle(backs));
+    let left = unit((fronts[0] - fronts[1]) + (backs[0] - backs[1]));
     let forward = unit(across(front - back, left));
     let up = forward.cross(&left);
-    let (width, depth) = ((left_front - right_front).norm(), (front - back).norm());
+    let (width, depth) = ((fronts[0] - fronts[1]).norm(), (front - back).norm());
     let hip = |side: f64| {
         front - forward * (0.24 * depth + 0.0099) - up * (0.30 * width + 0.0109)
             + left * side * (0.33 * width + 0.0073)
     };
-    let pelvis = middle(&front, &back);
+    let pelvis = middle(&[front, back]);
     let leg = |side: f64, knee: &Place, ankle: &Place| {
         let hip = hip(side);
         let inwards = unit(across(left * -side, unit(knee - hip)));
@@ -209,12 +173,12 @@ fn centres(markers: &[Place]) -> [Place; 22] {
         let ankle = ankle + unit(across(inwards, unit(ankle - knee))) * ANKLE;
         (hip, knee, ankle)
     };
-    let (left_hip, left_knee, left_ankle) = leg(1.0, left_knee, left_ankle);
-    let (right_hip, right_knee, right_ankle) = leg(-1.0, right_knee, right_ankle);
-    let chest = middle(t10, sternum);
-    let neck = middle(c7, clavicle);
+    let (left_hip, left_knee, left_ankle) = leg(1.0, &knees[0], &ankles[0]);
+    let (right_hip, right_knee, right_ankle) = leg(-1.0, &knees[1], &ankles[1]);
+    let chest = middle(chest);
+    let neck = middle(neck);
     let down = unit(chest - neck);
-    let head = middle(&((head_a + head_b + head_c + head_d) / 4.0), &neck);
+    let head = middle(&[(brow[0] + brow[1] + nape[0] + nape[1]) / 4.0, neck]);
     let arm = |side: f64, shoulder: &Place, elbow: &Place, wrist: Place| {
         let shoulder = shoulder + down * SHOULDER;
         // Perpendicular to the bent arm: to the body of a left arm, away from it of a right one.
@@ -222,11 +186,10 @@ fn centres(markers: &[Place]) -> [Place; 22] {
         let elbow = elbow + plane * (side * ELBOW / (plane.norm() + BENT));
         (shoulder, elbow, wrist)
     };
-    let left_wrist = middle(left_thumb_side, left_small_side);
-    let right_wrist = middle(right_thumb_side, right_small_side);
-    let (left_shoulder, left_elbow, left_wrist) = arm(1.0, left_shoulder, left_elbow, left_wrist);
+    let [left_wrist, right_wrist] = [left_wrist, right_wrist].map(middle);
+    let (left_shoulder, left_elbow, left_wrist) = arm(1.0, &shoulders[0], &elbows[0], left_wrist);
     let (right_shoulder, right_elbow, right_wrist) =
-        arm(-1.0, right_shoulder, right_elbow, right_wrist);
+        arm(-1.0, &shoulders[1], &elbows[1], right_wrist);
     let collar = |shoulder: &Place| neck * 0.2 + chest * 0.4 + shoulder * 0.4;
     let spine = |part: f64| pelvis + (chest - pelvis) * part;
     [
@@ -240,8 +203,8 @@ fn centres(markers: &[Place]) -> [Place; 22] {
         left_ankle,
         right_ankle,
         chest,
-        *left_toe,
-        *right_toe,
+        toes[0],
+        toes[1],
         neck,
         collar(&left_shoulder),
         collar(&right_shoulder),
@@ -300,7 +263,7 @@ mod tests {
         let skeleton = Skeleton::humanml3d();
         let names = &skeleton.description().joint_names;
         let joints = walking(frames, 80.0, 1.0);
-        let labels: Vec<&str> = MARKERS.iter().map(|names| names[0]).collect();
+        let labels = MARKERS;
         let place = |t: usize, label: &str| {
             let (bare, side) = match (label.strip_prefix('L'), label.strip_prefix('R')) {
                 (Some(bare), _) => (bare, 1.0),

@@ -1,6 +1,6 @@
 //! Joint maps: names of a capture's joints for the joints of the clips' skeleton.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use kinegrad_motion::humanml::Skeleton;
@@ -42,8 +42,7 @@ enum Source {
     Joint(String),
     /// A fraction `at` of the line between two joints.
     Between { from: String, to: String, at: f64 },
-    /// A fraction `at` of the last bone of a chain, from its joint to the first of its End Sites
-    /// that is not at the joint.
+    /// A fraction `at` of the line from a joint to its first End Site that is not at the joint.
     EndSite { end_site: String, at: f64 },
 }
 
@@ -69,9 +68,7 @@ impl TryFrom<toml::Value> for Source {
                 (key, value) => return Err(format!("found {key} = {value}, allowed: {allowed}")),
             }
         }
-        if let Some(at) = at
-            && !PARTS.contains(&at)
-        {
+        if let Some(at) = at.filter(|at| !PARTS.contains(at)) {
             let (least, most) = (PARTS.start(), PARTS.end());
             return Err(format!("found at = {at}, allowed: {least} to {most}"));
         }
@@ -101,17 +98,12 @@ impl Source {
 
     /// The joint or End Site that the capture lacks, in words.
     fn lacks(&self, bvh: &Bvh) -> Option<String> {
-        let mut names = self.names().into_iter();
-        if let Some(absent) = names.find(|name| bvh.joint(name).is_none()) {
-            return Some(absent.to_owned());
+        let names = self.names();
+        if let Some(absent) = names.iter().find(|name| bvh.joint(name).is_none()) {
+            return Some((*absent).to_owned());
         }
-        let without = self.place(bvh).is_none();
-        without.then(|| {
-            format!(
-                "an End Site of {} that is not at the joint",
-                self.names()[0]
-            )
-        })
+        let lacks = self.place(bvh).is_none();
+        lacks.then(|| format!("an End Site of {} that is not at the joint", names[0]))
     }
 
     /// Its place in a capture, none if that lacks it.
@@ -126,29 +118,20 @@ impl Source {
             },
             Self::EndSite { end_site, at } => {
                 let joint = bvh.joint(end_site)?;
-                let ends = &bvh.joints()[joint].end_sites;
+                let mut ends = bvh.joints()[joint].end_sites.iter();
                 // An End Site without a length has no direction.
-                let end = ends
-                    .iter()
-                    .find(|end| end.iter().any(|&value| value != 0.0))?;
+                let end = ends.find(|end| end.iter().any(|&value| value != 0.0))?;
                 Place::on(joint, end.map(|value| at * value))
             }
         })
     }
 }
 
-/// A map, as its file has it.
+/// The file of a map.
 #[derive(Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 struct MapFile {
     joints: BTreeMap<String, Source>,
-}
-
-/// A map whose joints were found in a capture.
-#[derive(Clone, Debug)]
-pub struct FoundJoints {
-    /// The place of each joint of the skeleton.
-    places: Vec<Place>,
 }
 
 /// A place on a body of a capture.
@@ -172,18 +155,14 @@ impl Place {
             offset,
         }
     }
-}
 
-impl FoundJoints {
-    /// The skeleton's joints, `[J]`, where the capture has its joints at `world`.
-    pub fn of(&self, world: &[RootPose]) -> impl Iterator<Item = [f64; 3]> {
-        self.places.iter().map(|place| {
-            let (from, to) = (&world[place.from], &world[place.to]);
-            let turned = from.orientation.rotate(place.offset);
-            [0, 1, 2].map(|axis| {
-                let apart = to.position[axis] - from.position[axis];
-                from.position[axis] + place.at * apart + turned[axis]
-            })
+    /// The place where the capture has its joints at `world`.
+    fn at(&self, world: &[RootPose]) -> [f64; 3] {
+        let (from, to) = (&world[self.from], &world[self.to]);
+        let turned = from.orientation.rotate(self.offset);
+        [0, 1, 2].map(|axis| {
+            let apart = to.position[axis] - from.position[axis];
+            from.position[axis] + self.at * apart + turned[axis]
         })
     }
 }
@@ -247,10 +226,8 @@ impl JointMap {
     /// Names the joints that the capture lacks of the best map.
     pub fn fitting(bvh: &Bvh) -> Result<Self, String> {
         let named = |map: &Self| {
-            let mut joints: Vec<&str> = map.names().collect();
-            joints.sort_unstable();
-            joints.dedup();
-            joints.len()
+            let names = map.joints.iter().flat_map(|(_, source)| source.names());
+            names.collect::<BTreeSet<_>>().len()
         };
         let mut maps = Self::all_built_in();
         maps.sort_by_key(|map| (map.missing(bvh).len(), std::cmp::Reverse(named(map))));
@@ -275,10 +252,6 @@ impl JointMap {
         format!("{:?}", self.joints)
     }
 
-    fn names(&self) -> impl Iterator<Item = &str> {
-        self.joints.iter().flat_map(|(_, source)| source.names())
-    }
-
     /// The skeleton's joints that a capture lacks, each with the missing joint of the capture.
     fn missing(&self, bvh: &Bvh) -> Vec<(&str, String)> {
         let joints = self.joints.iter();
@@ -290,10 +263,8 @@ impl JointMap {
     /// The joints that a capture lacks, in words.
     fn lacking(&self, bvh: &Bvh) -> String {
         let missing = self.missing(bvh);
-        let shown = missing.iter().take(SHOWN);
-        let mut names: Vec<String> = shown
-            .map(|(joint, name)| format!("{name} ({joint})"))
-            .collect();
+        let name = |(joint, name): &(&str, String)| format!("{name} ({joint})");
+        let mut names: Vec<String> = missing.iter().take(SHOWN).map(name).collect();
         if missing.len() > SHOWN {
             names.push(format!("{} more", missing.len() - SHOWN));
         }
@@ -306,15 +277,19 @@ impl JointMap {
         )
     }
 
-    /// Finds its joints in a capture.
+    /// The skeleton's joints in each frame of a capture, `[frames, J]`, in its units and axes.
     ///
     /// # Errors
     /// Names the joints that the capture lacks.
-    pub fn find(&self, bvh: &Bvh) -> Result<FoundJoints, String> {
+    pub fn joints_of(&self, bvh: &Bvh) -> Result<Vec<[f64; 3]>, String> {
         let places = self.joints.iter().map(|(_, source)| source.place(bvh));
-        match places.collect() {
-            Some(places) => Ok(FoundJoints { places }),
-            None => Err(self.lacking(bvh)),
-        }
+        let places: Option<Vec<Place>> = places.collect();
+        let places = places.ok_or_else(|| self.lacking(bvh))?;
+        let frames = (0..bvh.frames()).flat_map(|t| {
+            let world = bvh.world(t);
+            let joint = |place: &Place| place.at(&world);
+            places.iter().map(joint).collect::<Vec<_>>()
+        });
+        Ok(frames.collect())
     }
 }

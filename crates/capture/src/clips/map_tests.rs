@@ -172,7 +172,7 @@ fn toes_that_are_end_sites_lie_on_the_last_bone() {
         let map = map.replace("\"LeftToeBase\"", &site);
         let map = JointMap::parse("own", &map, &Skeleton::humanml3d()).unwrap();
         let bvh = Bvh::parse(text.as_bytes(), "take.bvh").unwrap();
-        let message = map.find(&bvh).unwrap_err();
+        let message = map.joints_of(&bvh).unwrap_err();
         assert!(message.contains(part), "{message}");
     }
 }

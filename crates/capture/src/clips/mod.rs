@@ -33,7 +33,7 @@ pub use body::Body;
 pub use captions::{Labels, mirrored};
 pub use clip::Grounded;
 pub use cut::cut;
-pub use map::{FoundJoints, JointMap};
+pub use map::JointMap;
 pub use report::{ClipTakeReport, ClipsReport};
 pub use split::Part;
 

@@ -72,15 +72,7 @@ impl Report for ClipTakeReport {
         }
     }
 
-    fn name(&self) -> &str {
-        &self.name
-    }
-
-    fn failure(&self) -> Option<&str> {
-        self.failure.as_deref()
-    }
-
-    fn rejected(&self) -> &[Rejection] {
-        &self.skipped
+    fn problems(&self) -> (Option<&str>, &[Rejection]) {
+        (self.failure.as_deref(), &self.skipped)
     }
 }

@@ -48,19 +48,16 @@ pub(super) struct TakeInput {
 }
 
 impl Take {
-    /// Reads the file, labels and captions.
-    ///
-    /// # Errors
-    /// Names what is missing.
+    /// Reads the file, labels and captions; an error names those that are missing.
     pub fn input(&self, plan: &Plan, table: Option<&CaptionTable>) -> Result<TakeInput, String> {
-        let stem = self
-            .motion
-            .file_stem()
-            .unwrap_or_default()
-            .to_string_lossy();
+        let stem = self.motion.file_stem().unwrap_or_default();
+        let stem = stem.to_string_lossy();
         let in_file = |problem: String| format!("{}: {problem}", self.motion.display());
-        let found = self.capture.labels.of(&stem, plan, table);
-        let found = found.map_err(in_file)?;
+        let found = self
+            .capture
+            .labels
+            .of(&stem, plan, table)
+            .map_err(in_file)?;
         let mut captions = found.captions.clone();
         for caption in plan.captions().of(&found.labels).map_err(in_file)? {
             if !captions.contains(&caption) {
@@ -82,10 +79,7 @@ impl Take {
         })
     }
 
-    /// Writes the clips of the take.
-    ///
-    /// # Errors
-    /// If a file cannot be written. The report of a take that cannot be used has the reason.
+    /// Writes the clips of the take. The report of a take that cannot be used has the reason.
     pub fn make(
         &self,
         plan: &Plan,
@@ -100,7 +94,10 @@ impl Take {
             ..ClipTakeReport::default()
         };
         let clips = plan.clips();
-        let in_file = |problem: String| format!("{}: {problem}", self.motion.display());
+        let failed = |mut report: ClipTakeReport, problem: String| {
+            report.failure = Some(format!("{}: {problem}", self.motion.display()));
+            Ok((Vec::new(), report))
+        };
         let ready = self.body(input, &skeleton).and_then(|(map, body)| {
             let fps = match clips.resample {
                 true => skeleton.description().fps,
@@ -112,10 +109,7 @@ impl Take {
         });
         let (map, body, fps, grounded) = match ready {
             Ok(ready) => ready,
-            Err(problem) => {
-                report.failure = Some(in_file(problem));
-                return Ok((Vec::new(), report));
-            }
+            Err(problem) => return failed(report, problem),
         };
         let frames = grounded.frames();
         report.seconds = frames as f64 / fps;
@@ -137,15 +131,11 @@ impl Take {
             });
         }
         // Before the first is written: a take gives all of its clips or none.
-        let made = ranges
-            .iter()
-            .map(|range| grounded.clip(&skeleton, range.clone()));
+        let clip = |range: &Range<usize>| grounded.clip(&skeleton, range.clone());
+        let made = ranges.iter().map(clip);
         let features = match made.collect::<Result<Vec<_>, _>>() {
             Ok(features) => features,
-            Err(problem) => {
-                report.failure = Some(in_file(problem.to_string()));
-                return Ok((Vec::new(), report));
-            }
+            Err(problem) => return failed(report, problem.to_string()),
         };
         let mut rows = Vec::new();
         for (range, features) in ranges.into_iter().zip(features) {
@@ -207,11 +197,8 @@ impl Take {
     /// The file's frames, at `rate` per second, of the part that the plan asks for.
     fn frames_used(&self, rate: f64, frames: usize) -> Range<usize> {
         let start = (self.capture.motion_start_seconds * rate).floor() as usize;
-        let end = self.capture.motion_end_seconds;
-        let end = end.map_or(frames, |end| {
-            ((end * rate).ceil() as usize).saturating_add(1)
-        });
-        let end = end.min(frames);
+        let end = self.capture.motion_end_seconds.unwrap_or(f64::INFINITY);
+        let end = ((end * rate).ceil() as usize).saturating_add(1).min(frames);
         start.min(end.saturating_sub(1))..end
     }
 
@@ -219,11 +206,9 @@ impl Take {
     fn within(&self, body: &Body, fps: f64) -> Result<Joints, String> {
         let joints = body.at_rate(fps);
         let start = (self.capture.motion_start_seconds * fps).round() as usize;
-        let end = self
-            .capture
-            .motion_end_seconds
-            .map(|end| ((end * fps).round() as usize).saturating_add(1));
-        let end = end.unwrap_or(usize::MAX).min(joints.frames());
+        let end = self.capture.motion_end_seconds.unwrap_or(f64::INFINITY);
+        let end = ((end * fps).round() as usize).saturating_add(1);
+        let end = end.min(joints.frames());
         if start.saturating_add(1) >= end {
             return Err(format!(
                 "{} frames of it from second {}: at least 2 are needed",

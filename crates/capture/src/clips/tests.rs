@@ -177,7 +177,7 @@ fn what_lacks_joints_or_has_its_sides_exchanged_is_refused() {
     let stated = JointMap::built_in("mixamo").unwrap();
     assert!(
         stated
-            .find(&bvh)
+            .joints_of(&bvh)
             .unwrap_err()
             .contains("LeftLeg (left_knee)")
     );

@@ -89,15 +89,7 @@ impl Report for TakeReport {
         }
     }
 
-    fn name(&self) -> &str {
-        &self.name
-    }
-
-    fn failure(&self) -> Option<&str> {
-        self.failure.as_deref()
-    }
-
-    fn rejected(&self) -> &[Rejection] {
-        &self.rejected
+    fn problems(&self) -> (Option<&str>, &[Rejection]) {
+        (self.failure.as_deref(), &self.rejected)
     }
 }

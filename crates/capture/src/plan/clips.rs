@@ -12,22 +12,8 @@ use super::units::Units;
 use crate::UpAxis;
 
 /// The columns of the manifest that labels do not take.
-const COLUMNS: [&str; 14] = [
-    "id",
-    "take",
-    "file",
-    "map",
-    "first_frame",
-    "frames",
-    "seconds",
-    "fps",
-    "mirrored",
-    "split",
-    "caption",
-    "captions",
-    "features_bytes",
-    "features_sha256",
-];
+const COLUMNS: &str = "id, take, file, map, first_frame, frames, seconds, fps, mirrored, split, \
+     caption, captions, features_bytes, features_sha256";
 
 /// The fewest and most frames that a plan can ask of a clip.
 const FRAMES: std::ops::RangeInclusive<usize> = 4..=10_000;
@@ -194,21 +180,16 @@ impl Wordings {
 }
 
 impl ClipsPlan {
-    /// # Errors
-    /// Names the key.
+    /// An error names the key.
     pub(crate) fn check(&self) -> Result<(), InvalidSetting> {
         in_range("clips.min_frames", self.min_frames, FRAMES)?;
-        in_range(
-            "clips.max_frames",
-            self.max_frames,
-            self.min_frames..=*FRAMES.end(),
-        )
+        let frames = self.min_frames..=*FRAMES.end();
+        in_range("clips.max_frames", self.max_frames, frames)
     }
 }
 
 impl CapturePlan {
-    /// # Errors
-    /// Names the key.
+    /// An error names the key.
     pub(crate) fn check(&self) -> Result<(), InvalidSetting> {
         check_name(self.name.as_deref())?;
         check_end(self.motion_start_seconds, self.motion_end_seconds)?;
@@ -218,17 +199,14 @@ impl CapturePlan {
         let key = "labels.name";
         let odd = |problem| InvalidSetting::new(key, format!("\"{pattern}\""), problem);
         let labels = placeholders(pattern).map_err(odd)?;
-        let labels = labels.iter().filter(|label| *label != TAKE);
-        let labels = labels.map(|label| (key, label));
-        let fixed = self
-            .labels
-            .fixed
-            .keys()
-            .map(|label| ("labels.fixed", label));
-        let names = self.labels.json_names.keys();
-        let names = names.map(|label| ("labels.json_names", label));
-        for (key, label) in labels.chain(fixed).chain(names) {
+        for label in labels.iter().filter(|label| *label != TAKE) {
             check_label(key, label)?;
+        }
+        for label in self.labels.fixed.keys() {
+            check_label("labels.fixed", label)?;
+        }
+        for label in self.labels.json_names.keys() {
+            check_label("labels.json_names", label)?;
         }
         let needed = self.labels.json_names.is_empty() || self.labels.json.is_some();
         let allowed = "the file that `labels.json_names` is about";
@@ -240,18 +218,15 @@ impl CapturePlan {
 pub(crate) fn check_label(key: &str, label: &str) -> Result<(), InvalidSetting> {
     let letters = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_';
     let begins = label.starts_with(|c: char| c.is_ascii_lowercase());
-    let sound = begins && label.chars().all(letters) && !COLUMNS.contains(&label);
+    let sound =
+        begins && label.chars().all(letters) && COLUMNS.split(", ").all(|column| column != label);
     let found = format!("a label called `{label}`");
-    let allowed = format!(
-        "small letters, digits and _, but for {}",
-        COLUMNS.join(", ")
-    );
+    let allowed = format!("small letters, digits and _, but for {COLUMNS}");
     require(sound, key, found, allowed)
 }
 
 impl CaptionsPlan {
-    /// # Errors
-    /// Names the key.
+    /// An error names the key.
     pub(crate) fn check(&self) -> Result<(), InvalidSetting> {
         let mut used = BTreeSet::new();
         for (index, template) in self.templates.iter().enumerate() {

@@ -136,11 +136,8 @@ impl Plan {
     }
 
     fn check(&self) -> Result<(), InvalidSetting> {
-        in_range(
-            "phrases.frames",
-            self.phrases.frames,
-            MIN_FRAMES..=MAX_FRAMES,
-        )?;
+        let lengths = MIN_FRAMES..=MAX_FRAMES;
+        in_range("phrases.frames", self.phrases.frames, lengths)?;
         in_range("phrases.hop", self.phrases.hop, 1..)?;
         check_groups("phrases.audio_features", &self.phrases.audio_features)?;
         in_range("split.fraction", self.split.fraction, 0.0..1.0)?;
@@ -149,22 +146,14 @@ impl Plan {
         if self.is_of_clips() {
             self.clips().check()?;
             self.captions().check()?;
-            let mut captures = self.captures.iter().enumerate();
-            return captures.try_for_each(|(index, capture)| {
-                capture.check().within(&format!("capture[{index}]"))
-            });
+            for (index, capture) in self.captures.iter().enumerate() {
+                capture.check().within(&format!("capture[{index}]"))?;
+            }
+            return Ok(());
         }
-        for (key, is_set) in [
-            ("split.test", !self.split.test.is_empty()),
-            ("split.test_fraction", test.is_some()),
-        ] {
-            require(
-                !is_set,
-                key,
-                "given",
-                "in plans of clips, which have [[capture]]",
-            )?;
-        }
+        let allowed = "in plans of clips, which have [[capture]]";
+        require(self.split.test.is_empty(), "split.test", "given", allowed)?;
+        require(test.is_none(), "split.test_fraction", "given", allowed)?;
         self.joining.check().within("joining")?;
         let mut takes = self.takes.iter().enumerate();
         takes.try_for_each(|(index, take)| take.check().within(&format!("take[{index}]")))

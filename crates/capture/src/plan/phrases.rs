@@ -138,10 +138,7 @@ pub enum Grid {
 }
 
 impl TakePlan {
-    /// Checks what can be checked without opening a file.
-    ///
-    /// # Errors
-    /// Names the key.
+    /// Checks everything but the files; an error names the key.
     pub(crate) fn check(&self) -> Result<(), InvalidSetting> {
         let label = self.label.as_deref().unwrap_or("x");
         let found = format!("\"{label}\"");
@@ -149,11 +146,7 @@ impl TakePlan {
         require(is_label(label), "label", found, allowed)?;
         let pieces = !self.segments.is_empty();
         let allowed = "either `motion` or [[take.segment]]";
-        let found = if pieces {
-            "given with segments"
-        } else {
-            "missing"
-        };
+        let found = ["missing", "given with segments"][usize::from(pieces)];
         require(self.motion.is_some() != pieces, "motion", found, allowed)?;
         if pieces {
             let allowed = "the beats that segments are aligned with";
@@ -173,53 +166,25 @@ impl TakePlan {
             in_range("beats.start_seconds", grid.start_seconds, -MOST..=MOST)?;
             Beats::Grid(*grid).check().within("beats")?;
         }
-        let recordings = "in whole takes; segments have `frames` and follow `beats`";
-        let tracked = "where beats are tracked; `beats` states its own bars";
-        for (key, is_set, holds, allowed) in [
-            (
-                "beats_per_bar",
-                self.beats_per_bar.is_some(),
-                self.beats.is_none(),
-                tracked,
-            ),
-            (
-                "downbeat_seconds",
-                self.downbeat_seconds.is_some(),
-                self.beats.is_none(),
-                tracked,
-            ),
-            (
-                "motion_start_seconds",
-                self.motion_start_seconds != 0.0,
-                !pieces,
-                recordings,
-            ),
-            (
-                "motion_end_seconds",
-                self.motion_end_seconds.is_some(),
-                !pieces,
-                recordings,
-            ),
-            (
-                "audio_start_seconds",
-                self.audio_start_seconds != 0.0,
-                !pieces,
-                recordings,
-            ),
-            (
-                "grid",
-                self.grid.is_some(),
-                pieces,
-                "for segments; a whole take is not moved",
-            ),
+        let allowed = "where beats are tracked; `beats` states its own bars";
+        for (key, is_set) in [
+            ("beats_per_bar", self.beats_per_bar.is_some()),
+            ("downbeat_seconds", self.downbeat_seconds.is_some()),
         ] {
-            require(!is_set || holds, key, "given", allowed)?;
+            require(!is_set || self.beats.is_none(), key, "given", allowed)?;
         }
-        in_range(
-            "beats_per_bar",
-            u64::from(self.beats_per_bar.unwrap_or(1)),
-            1..,
-        )?;
+        let allowed = "in whole takes; segments have `frames` and follow `beats`";
+        for (key, is_set) in [
+            ("motion_start_seconds", self.motion_start_seconds != 0.0),
+            ("motion_end_seconds", self.motion_end_seconds.is_some()),
+            ("audio_start_seconds", self.audio_start_seconds != 0.0),
+        ] {
+            require(!is_set || !pieces, key, "given", allowed)?;
+        }
+        let allowed = "for segments; a whole take is not moved";
+        require(self.grid.is_none() || pieces, "grid", "given", allowed)?;
+        let beats_per_bar = u64::from(self.beats_per_bar.unwrap_or(1));
+        in_range("beats_per_bar", beats_per_bar, 1..)?;
         for (index, segment) in self.segments.iter().enumerate() {
             let [from, to] = segment.frames;
             let ordered = from.is_finite() && to.is_finite() && 0.0 <= from && from < to;

@@ -40,12 +40,8 @@ pub(crate) trait Row: DeserializeOwned + Serialize + Send {
 pub(crate) trait Report: DeserializeOwned + Serialize + Send {
     /// The report of the take `name`, which cannot be used.
     fn failed(name: &str, problem: String) -> Self;
-    /// Name of the take.
-    fn name(&self) -> &str;
-    /// The reason if the take cannot be used.
-    fn failure(&self) -> Option<&str>;
-    /// Frames that no item has.
-    fn rejected(&self) -> &[Rejection];
+    /// The reason if the take cannot be used, and the frames that no item has.
+    fn problems(&self) -> (Option<&str>, &[Rejection]);
 }
 
 /// A maker of the items of one kind of dataset.
@@ -63,16 +59,11 @@ pub(crate) trait Maker: Sync {
 
     fn name<'a>(&self, take: &'a Self::Take) -> &'a str;
 
-    /// Reads a take's inputs, and their checksum with that of its part of the plan.
-    ///
-    /// # Errors
-    /// The reason why the take cannot be used.
+    /// Reads a take's inputs, and their checksum with that of its part of the plan. An error is the
+    /// reason why the take cannot be used.
     fn read(&self, take: &Self::Take) -> Result<(Digest, Self::Input), String>;
 
     /// Writes the items of a take. The report of a take that cannot be used has the reason.
-    ///
-    /// # Errors
-    /// If a file cannot be written.
     fn make(
         &self,
         take: &Self::Take,
@@ -87,9 +78,7 @@ pub(crate) type Journals<M> = Vec<Journal<<M as Maker>::Row, <M as Maker>::Repor
 
 /// Makes the takes that have changed and returns all journals, sorted by name. One thread makes
 /// the takes of a group, one after the other. `None` if the observer stopped it.
-///
-/// # Errors
-/// [`Error::Plan`] if no take gave an item, and errors of writing.
+/// [`Error::Plan`] if no take gave an item.
 pub(crate) fn make_takes<M: Maker>(
     maker: &M,
     groups: &[Vec<&M::Take>],
@@ -113,21 +102,19 @@ pub(crate) fn make_takes<M: Maker>(
         Ok(Some(journals))
     };
     let groups = groups.par_iter().map(of_group);
-    let groups: Option<Vec<Journals<M>>> = groups.collect::<Result<Option<_>, Error>>()?;
-    let Some(groups) = groups else {
+    let Some(groups) = groups.collect::<Result<Option<Vec<_>>, Error>>()? else {
         return Ok(None);
     };
     let mut journals: Journals<M> = groups.into_iter().flatten().collect();
-    journals.sort_by(|a, b| a.report.name().cmp(b.report.name()));
+    journals.sort_by(|a, b| a.name.cmp(&b.name));
     if journals.iter().all(|journal| journal.rows.is_empty()) {
-        let reports: Vec<&M::Report> = journals.iter().map(|journal| &journal.report).collect();
-        let problem = format!("no take gave a {}{}", M::ITEM, reasons(&reports));
+        let problem = format!("no take gave a {}{}", M::ITEM, reasons::<M>(&journals));
         return Err(Error::plan(plan_file, problem));
     }
     // Takes without items are recorded once there is a dataset.
-    for journal in &journals {
-        if !journal.reused && journal.rows.is_empty() && journal.report.failure().is_none() {
-            journal.write(journal.report.name(), output)?;
+    for journal in journals.iter().filter(|journal| !journal.reused) {
+        if journal.rows.is_empty() && journal.report.problems().0.is_none() {
+            journal.write(output)?;
         }
     }
     Ok(Some(journals))
@@ -142,15 +129,18 @@ fn one<M: Maker>(
     options: PrepareOptions,
 ) -> Result<Journal<M::Row, M::Report>, Error> {
     let name = maker.name(take);
+    let journal = |key, rows, report| Journal {
+        name: name.to_owned(),
+        key,
+        rows,
+        report,
+        reused: false,
+    };
     let (key, input) = match maker.read(take) {
         Ok(read) => read,
         Err(problem) => {
-            return Ok(Journal {
-                key: Digest::of(b""),
-                rows: Vec::new(),
-                report: M::Report::failed(name, problem),
-                reused: false,
-            });
+            let report = M::Report::failed(name, problem);
+            return Ok(journal(Digest::of(b""), Vec::new(), report));
         }
     };
     if !options.again
@@ -162,31 +152,26 @@ fn one<M: Maker>(
         }
     }
     let (rows, report) = maker.make(take, input, shared, output)?;
-    let journal = Journal {
-        key,
-        rows,
-        report,
-        reused: false,
-    };
+    let journal = journal(key, rows, report);
     // A take that cannot be used is tried again by the next preparation.
     if !journal.rows.is_empty() {
-        journal.write(name, output)?;
+        journal.write(output)?;
     }
     Ok(journal)
 }
 
 /// The reasons why the first takes gave nothing.
-fn reasons<R: Report>(reports: &[&R]) -> String {
+fn reasons<M: Maker>(journals: &Journals<M>) -> String {
     const SHOWN: usize = 5;
-    let reason = |report: &&R| {
-        let rejected = report.rejected().first();
-        let rejected = rejected.map(|rejection| rejection.reason.as_str());
-        let reason = report.failure().or(rejected).unwrap_or_default();
-        format!("; {}: {reason}", report.name())
+    let reason = |journal: &Journal<M::Row, M::Report>| {
+        let (failure, rejected) = journal.report.problems();
+        let rejected = rejected.first().map(|rejection| rejection.reason.as_str());
+        let reason = failure.or(rejected).unwrap_or_default();
+        format!("; {}: {reason}", journal.name)
     };
-    let mut text: String = reports.iter().take(SHOWN).map(reason).collect();
-    if reports.len() > SHOWN {
-        text += &format!("; and {} more", reports.len() - SHOWN);
+    let mut text: String = journals.iter().take(SHOWN).map(reason).collect();
+    if journals.len() > SHOWN {
+        text += &format!("; and {} more", journals.len() - SHOWN);
     }
     text
 }

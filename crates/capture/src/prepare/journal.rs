@@ -13,6 +13,9 @@ const MAX_BYTES: u64 = 64 << 20;
 /// A finished take: a row for each item, and its report.
 #[derive(Clone, Debug, Deserialize, Serialize)]
 pub(crate) struct Journal<Row, Report> {
+    /// Name of the take.
+    #[serde(skip)]
+    pub name: String,
     /// A checksum of the take's files and its part of the plan.
     pub key: Digest,
     pub rows: Vec<Row>,
@@ -27,15 +30,13 @@ fn path(name: &str) -> String {
 }
 
 impl<Row: DeserializeOwned, Report: DeserializeOwned> Journal<Row, Report> {
-    /// The journal of the take `name`, if it has this `key`.
-    ///
-    /// # Errors
-    /// [`Error::Data`]; a journal that cannot be read is none.
+    /// The journal of the take `name`, if it is readable and has this `key`.
     pub fn read(store: &Store, name: &str, key: Digest) -> Result<Option<Self>, Error> {
         let bytes = store.find(&path(name), MAX_BYTES)?;
         let journal = bytes.and_then(|bytes| serde_json::from_slice::<Self>(&bytes).ok());
         let journal = journal.filter(|journal| journal.key == key);
         Ok(journal.map(|journal| Self {
+            name: name.to_owned(),
             reused: true,
             ..journal
         }))
@@ -43,12 +44,9 @@ impl<Row: DeserializeOwned, Report: DeserializeOwned> Journal<Row, Report> {
 }
 
 impl<Row: Serialize, Report: Serialize> Journal<Row, Report> {
-    /// Writes it as that of the take `name`.
-    ///
-    /// # Errors
-    /// As [`Output::write`].
-    pub fn write(&self, name: &str, output: &Output) -> Result<(), Error> {
+    /// Writes the journal.
+    pub fn write(&self, output: &Output) -> Result<(), Error> {
         let bytes = serde_json::to_vec_pretty(self).expect("plain data");
-        output.write(&path(name), bytes)
+        output.write(&path(&self.name), bytes)
     }
 }

@@ -72,11 +72,8 @@ fn remove_unfinished(store: &Store) -> Result<(), Error> {
 }
 
 impl Output {
-    /// The place that the plan names, with nothing written yet.
-    ///
-    /// # Errors
-    /// [`Error::Data`] if it contains a dataset of another origin or cannot be used,
-    /// [`Error::Busy`] if another preparation is writing.
+    /// The place that the plan names. [`Error::Data`] if it contains a dataset of another origin or
+    /// cannot be used, [`Error::Busy`] if another preparation is writing.
     pub fn open(plan: &Plan, parts: Parts) -> Result<Self, Error> {
         let place = match plan.output.contains("://") {
             true => plan.output.clone(),
@@ -86,8 +83,9 @@ impl Output {
         if !store.is_writable() {
             return Err(StoreError::ReadOnly { uri: store.uri() }.into());
         }
-        let present = present(&store, parts)?;
-        refuse_foreign(&store, parts, &present)?;
+        let files = (parts.list)(&store)?.into_iter();
+        let present: HashMap<_, _> = files.map(|file| (file.path, file.bytes)).collect();
+        refuse_foreign(&store, parts, present.is_empty())?;
         let mut state = WriteState::default();
         // An empty folder stays empty if nothing can be made.
         if store.place(LOCK)?.is_some_and(|lock| lock.exists()) {
@@ -115,9 +113,6 @@ impl Output {
 
     /// Writes a file of the dataset. Before the first file, the index is removed, because it would
     /// be wrong, and this preparation's mark is written.
-    ///
-    /// # Errors
-    /// [`Error::Busy`], [`Error::Data`].
     pub fn write(&self, path: &str, bytes: Vec<u8>) -> Result<(), Error> {
         {
             let mut state = self
@@ -138,12 +133,9 @@ impl Output {
         Ok(self.store.write(path, bytes)?)
     }
 
-    /// Ends the preparation: writes the index, as `write_index` does, and the report. Files of items
-    /// that were there before and are not among those `made` are removed with `prune`; `report` is
-    /// given the number of items that are left.
-    ///
-    /// # Errors
-    /// [`Error::Busy`] if another preparation has started meanwhile, [`Error::Data`].
+    /// Ends the preparation: writes the index with `write_index`, then the report, which is made from
+    /// the number of stale items. With `prune`, the older files that are not in `made` are removed.
+    /// [`Error::Busy`] if another preparation has started meanwhile.
     pub fn finish<R: Serialize>(
         &self,
         made: &BTreeSet<String>,
@@ -215,35 +207,19 @@ fn lock(store: &Store) -> Result<Option<File>, Error> {
     }
 }
 
-/// The files of items, with their lengths.
-fn present(store: &Store, parts: Parts) -> Result<HashMap<String, u64>, Error> {
-    let files = (parts.list)(store)?.into_iter();
-    Ok(files.map(|file| (file.path, file.bytes)).collect())
-}
-
 /// Rejects a place that contains items of another origin.
-fn refuse_foreign(
-    store: &Store,
-    parts: Parts,
-    present: &HashMap<String, u64>,
-) -> Result<(), Error> {
-    let there = |path| {
-        store
-            .find(path, manifest::MAX_BYTES)
-            .map(|found| found.is_some())
-    };
-    if there(PREPARATION)? {
+fn refuse_foreign(store: &Store, parts: Parts, is_empty: bool) -> Result<(), Error> {
+    let exists = |path| Ok::<_, Error>(store.find(path, manifest::MAX_BYTES)?.is_some());
+    if exists(PREPARATION)? {
         return Ok(());
     }
-    let mut foreign = !present.is_empty();
+    let mut foreign = !is_empty;
     for index in parts.index {
-        foreign = foreign || there(index)?;
+        foreign = foreign || exists(index)?;
     }
-    match foreign {
-        false => Ok(()),
-        true => {
-            let path = store.uri().into();
-            Err(kinegrad_data::Error::Exists { path }.into())
-        }
+    if foreign {
+        let path = store.uri().into();
+        return Err(kinegrad_data::Error::Exists { path }.into());
     }
+    Ok(())
 }
