@@ -2,7 +2,6 @@
 
 use std::ops::ControlFlow;
 
-use burn::tensor::{Tensor, TensorData};
 use kinegrad_data::AudioFeatures;
 use kinegrad_diffusion::{NoiseKeys, sample};
 use kinegrad_kernels::batch_invariant;
@@ -23,9 +22,6 @@ pub use super::generator::{Generator, Sample};
 const BATCH: usize = 32;
 
 /// The memory of a batch of `count` samples of `frames` frames.
-///
-/// # Errors
-/// If a network cannot be built.
 pub(super) fn needs(
     trained: &TrainedModel,
     count: usize,
@@ -46,9 +42,6 @@ pub(super) fn needs(
 
 /// Rejects `count` samples of `frames` frames by each of `processes` if a batch of them takes more
 /// memory than is free.
-///
-/// # Errors
-/// [`Error::Usage`] with both figures.
 pub(super) fn must_fit(
     trained: &TrainedModel,
     count: usize,
@@ -130,18 +123,16 @@ impl Generator {
                         in_flight: WINDOWS_IN_FLIGHT,
                     };
                     let before = done.saturating_mul(BATCH).saturating_add(number);
-                    take(
-                        self.sample_windowed(&windowed, sampling, key, &mut |windows, of| {
-                            let before = before.saturating_mul(of);
-                            on_step(before.saturating_add(windows), count.saturating_mul(of))
-                        })?,
-                    )?;
+                    let on_windows = &mut |windows, of| {
+                        let before = before.saturating_mul(of);
+                        on_step(before.saturating_add(windows), count.saturating_mul(of))
+                    };
+                    take(self.sample_windowed(&windowed, sampling, key, on_windows)?)?;
                 }
                 continue;
             }
-            let on_device = |values: Vec<f32>, channels: usize| -> Tensor<3> {
-                let data = TensorData::new(values, [conditions.len(), channels, frames]);
-                Tensor::from_data(data, &self.device)
+            let on_device = |values: Vec<f32>, channels: usize| {
+                self.on_device(values, [conditions.len(), channels, frames])
             };
             let start = keys.iter().map(|key| key.at(0).normals(channels * frames));
             let features = conditions.iter().map(|cond| cond.as_slice().to_vec());
@@ -169,11 +160,14 @@ impl Generator {
             let values = x.try_into_vec_as::<f32>().expect("samples are float32");
             let width = self.decoder.as_ref().map_or(channels, |_| CHANNELS);
             for values in values.chunks(width * frames) {
-                let raw = match &self.decoder {
-                    Some(_) => Phrase::from_channel_major(values, frames)?.into(),
+                let (raw, confidence) = match &self.decoder {
+                    Some(_) => (
+                        Phrase::from_channel_major(values, frames)?,
+                        vec![1.0; frames],
+                    ),
                     None => self.predicted(values)?,
                 };
-                take(self.finished(raw, &vec![false; frames]))?;
+                take(self.finished(raw, &confidence, &vec![false; frames]))?;
             }
         }
         Ok(())

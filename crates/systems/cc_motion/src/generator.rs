@@ -1,7 +1,7 @@
 //! A trained model of phrases.
 
 use burn::module::Module;
-use burn::tensor::{Device, Tensor};
+use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_diffusion::GaussianDiffusion;
 use kinegrad_motion::postprocess::PostProcessConfig;
 use kinegrad_motion::{ChannelEncoding, Phrase, Phrases, Statistics, process_around};
@@ -11,9 +11,8 @@ use kinegrad_train::sampling::Style;
 use kinegrad_train::{Error, TrainedModel};
 
 use super::load::targets;
-use super::style::EncodedStyle;
-use super::{CcMotionConfig, Trained};
-use crate::network::{AudioCondition, MotionDecoder, UNet1d};
+use super::{CcMotionConfig, Trained, style};
+use crate::network::{AudioCondition, MotionDecoder, StyleCondition, UNet1d};
 
 /// One sample, in physical units.
 #[derive(Clone, Debug)]
@@ -24,21 +23,6 @@ pub struct Sample {
     pub motion: Phrase,
 }
 
-/// A motion as a network predicts it.
-pub(super) struct Raw {
-    motion: Phrase,
-    /// Confidence of each frame's heading, 0 to 1.
-    confidence: Vec<f64>,
-}
-
-/// For a decoder, which has no confidence.
-impl From<Phrase> for Raw {
-    fn from(motion: Phrase) -> Self {
-        let confidence = vec![1.0; motion.frames()];
-        Self { motion, confidence }
-    }
-}
-
 /// A trained model, ready to generate samples.
 pub struct Generator {
     pub(super) unet: UNet1d,
@@ -46,7 +30,8 @@ pub struct Generator {
     pub(super) diffusion: GaussianDiffusion,
     pub(super) targets: ChannelEncoding,
     pub(super) post_processing: PostProcessConfig,
-    pub(super) style: Option<EncodedStyle>,
+    /// Of one sample; the null style if none.
+    pub(super) style: Option<StyleCondition>,
     pub(super) device: Device,
     pub(super) state: State,
 }
@@ -89,34 +74,35 @@ impl Generator {
         }
     }
 
-    /// The same with another post-processing than the default.
-    #[must_use]
-    pub fn with_post_processing(self, post_processing: PostProcessConfig) -> Self {
-        Self {
-            post_processing,
-            ..self
-        }
-    }
-
-    /// The same with a style; without one the null style is used.
+    /// The same with a post-processing and a style.
     ///
     /// # Errors
     /// If the model is not conditioned on such a style, or does not know the label.
-    pub fn with_style(self, style: Option<&Style>) -> Result<Self, Error> {
-        let style = style
-            .map(|style| EncodedStyle::new(style, self.config(), self.statistics()))
-            .transpose()?;
-        Ok(Self { style, ..self })
+    pub(super) fn with(
+        self,
+        post_processing: PostProcessConfig,
+        style: Option<&Style>,
+    ) -> Result<Self, Error> {
+        let encoded =
+            |style| style::of_sample(style, self.config(), self.statistics(), &self.device);
+        let style = style.map(encoded).transpose()?;
+        Ok(Self {
+            post_processing,
+            style,
+            ..self
+        })
+    }
+
+    /// `values` on the device of the networks.
+    pub(super) fn on_device(&self, values: Vec<f32>, shape: [usize; 3]) -> Tensor<3> {
+        Tensor::from_data(TensorData::new(values, shape), &self.device)
     }
 
     /// The condition of samples for `features`, `[batch, channels, time]`.
     pub(super) fn condition(&self, features: Tensor<3>) -> AudioCondition {
-        let (batch, device) = (features.dims()[0], features.device());
+        let batch = features.dims()[0];
         AudioCondition {
-            style: self
-                .style
-                .as_ref()
-                .map(|style| style.repeated(batch, &device)),
+            style: self.style.as_ref().map(|style| style.repeated(batch)),
             ..features.into()
         }
     }
@@ -131,25 +117,18 @@ impl Generator {
         &self.state.statistics
     }
 
-    /// The motion of the network's normalised output, `[channels, frames]`.
-    ///
-    /// # Errors
-    /// If they are not whole frames.
-    pub(super) fn predicted(&self, values: &[f32]) -> Result<Raw, Error> {
+    /// The motion of the network's normalised output, `[channels, frames]`, and the confidence of each
+    /// frame's heading, 0 to 1.
+    pub(super) fn predicted(&self, values: &[f32]) -> Result<(Phrase, Vec<f64>), Error> {
         let rows = self.state.normalization().denormalize(values);
         let confidence = self.targets.confidence(&rows);
-        let motion = Phrase::new(self.targets.decode(rows))?;
-        Ok(Raw { motion, confidence })
+        Ok((Phrase::new(self.targets.decode(rows))?, confidence))
     }
 
     /// The post-processed sample of a raw motion of which some frames are known.
-    pub(super) fn finished(&self, raw: Raw, is_known: &[bool]) -> Sample {
-        let Raw { motion, confidence } = raw;
+    pub(super) fn finished(&self, raw: Phrase, confidence: &[f64], is_known: &[bool]) -> Sample {
         let (steps, statistics) = (&self.post_processing, Some(self.statistics()));
-        let processed = process_around(&motion, steps, statistics, is_known, &confidence);
-        Sample {
-            raw: motion,
-            motion: processed,
-        }
+        let motion = process_around(&raw, steps, statistics, is_known, confidence);
+        Sample { raw, motion }
     }
 }

@@ -275,9 +275,8 @@ impl Sampler for Phrases<'_> {
     }
 
     fn sample(&self, run: &mut Run<'_>) -> Result<Option<Summary>, Error> {
-        let generator = Generator::load(self.trained)?
-            .with_post_processing(self.post_processing())
-            .with_style(self.request.style())?;
+        let generator =
+            Generator::load(self.trained)?.with(self.post_processing(), self.request.style())?;
         if self.request.held_out_items().is_some() {
             return self.held_out(run, &generator).map(Some);
         }

@@ -20,8 +20,7 @@ use crate::network::{AudioCondition, StyleCondition, StyleConditioning};
 /// states none. Reports phrases without a known label.
 ///
 /// # Errors
-/// If there are no labels, one is none, or a training phrase has one that a network which states its
-/// labels does not know.
+/// If there are no labels, or a training phrase has an invalid or unknown one.
 pub(super) fn with_labels(
     config: Config,
     dataset: &Dataset<PhraseItem>,
@@ -73,10 +72,11 @@ pub(super) fn with_labels(
              network they have none"
         ));
     }
-    let without = (0..dataset.train.len()).filter(|&p| dataset.train.label(p).is_none());
-    let without = without.count();
+    let all = dataset.train.len();
+    let without = (0..all)
+        .filter(|&p| dataset.train.label(p).is_none())
+        .count();
     if without > 0 {
-        let all = dataset.train.len();
         observer.note(&format!(
             "{without} of {all} training phrases have no label: they train the null label"
         ));
@@ -90,13 +90,7 @@ fn listed(labels: &[String]) -> String {
 }
 
 /// The style conditions of a config's samples; `statistics` are of the 25 stored channels.
-///
-/// # Errors
-/// If the config cannot be read.
-pub(super) fn conditions(
-    config: &Config,
-    statistics: &Statistics,
-) -> Result<StyleConditions, Error> {
+pub(super) fn conditions(config: &Config, statistics: &Statistics) -> StyleConditions {
     let unet = unet1d(config);
     let mut conditions = StyleConditions::default();
     if unet.style.has_numbers() {
@@ -105,78 +99,55 @@ pub(super) fn conditions(
     if unet.style.has_label() {
         conditions = conditions.with_labels(unet.style_labels.clone());
     }
-    Ok(conditions)
+    conditions
 }
 
 /// The denoiser's condition for a batch.
 pub(super) fn condition(cond: &Conditions, lengths: Option<Lengths>) -> AudioCondition {
-    let of = |name| {
-        let values = cond.find(name)?.clone();
-        Some(values.squeeze_dim::<2>(2))
-    };
+    let of = |name| Some(cond.find(name)?.clone().squeeze_dim::<2>(2));
     let style = StyleCondition {
         numbers: of(STYLE),
         label: of(LABEL),
     };
     let is_conditioned = style.numbers.is_some() || style.label.is_some();
     AudioCondition {
-        features: cond.get(kinegrad_data::AUDIO).clone(),
         lengths,
         style: is_conditioned.then_some(style),
-        teacher_forcing: false,
+        ..cond.get(kinegrad_data::AUDIO).clone().into()
     }
 }
 
-/// The condition of samples of one style.
-#[derive(Clone, Debug)]
-pub(super) struct EncodedStyle {
-    numbers: Option<Vec<f32>>,
-    label: Option<Vec<f32>>,
-}
-
-impl EncodedStyle {
-    /// The style condition for the network of a config; `statistics` are those of the 25 stored
-    /// channels.
-    ///
-    /// # Errors
-    /// If the network has no such style; for a label that it does not know, with those it knows.
-    pub fn new(style: &Style, config: &Config, statistics: &Statistics) -> Result<Self, Error> {
-        must_know(style, config)?;
-        let conditions = conditions(config, statistics)?;
-        let (numbers, label) = match style {
-            Style::Numbers(numbers) => (Some(*numbers), None),
-            Style::Label(label) => (None, Some(label.as_str())),
-        };
-        let names = conditions.shapes().into_iter().map(|(name, _)| name);
-        let values: Vec<_> = names.zip(conditions.values(numbers, label)).collect();
-        let of = |wanted: &str| {
-            let found = values.iter().find(|(name, _)| *name == wanted);
-            found.map(|(_, values)| values.clone())
-        };
-        Ok(Self {
-            numbers: of(STYLE),
-            label: of(LABEL),
-        })
-    }
-
-    /// For each of `batch` samples.
-    pub fn repeated(&self, batch: usize, device: &Device) -> StyleCondition {
-        let on_device = |values: &Option<Vec<f32>>| {
-            let values = values.as_ref()?;
-            let data = TensorData::new(values.repeat(batch), [batch, values.len()]);
-            Some(Tensor::from_data(data, device))
-        };
-        StyleCondition {
-            numbers: on_device(&self.numbers),
-            label: on_device(&self.label),
-        }
-    }
-}
-
-/// Rejects a style that a config's network does not support or know.
+/// The condition of one sample of a style for the network of a config; `statistics` are of the 25
+/// stored channels.
 ///
 /// # Errors
-/// [`Error::Usage`], for an unknown label with those that it knows.
+/// As [`must_know`].
+pub(super) fn of_sample(
+    style: &Style,
+    config: &Config,
+    statistics: &Statistics,
+    device: &Device,
+) -> Result<StyleCondition, Error> {
+    must_know(style, config)?;
+    let conditions = conditions(config, statistics);
+    let (numbers, label) = match style {
+        Style::Numbers(numbers) => (Some(*numbers), None),
+        Style::Label(label) => (None, Some(label.as_str())),
+    };
+    let names = conditions.shapes().into_iter().map(|(name, _)| name);
+    let values: Vec<_> = names.zip(conditions.values(numbers, label)).collect();
+    let of = |wanted: &str| {
+        let (_, values) = values.iter().find(|(name, _)| *name == wanted)?;
+        let data = TensorData::new(values.clone(), [1, values.len()]);
+        Some(Tensor::from_data(data, device))
+    };
+    Ok(StyleCondition {
+        numbers: of(STYLE),
+        label: of(LABEL),
+    })
+}
+
+/// Rejects a style that a config's network does not support, and an unknown label.
 pub(super) fn must_know(style: &Style, config: &Config) -> Result<(), Error> {
     let unet = unet1d(config);
     let (supported, requested) = match style {

@@ -115,7 +115,7 @@ pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome
     };
     let normalized = Arc::new(network_statistics.as_ref().unwrap_or(&statistics).clone());
     let shared = normalized.clone();
-    let style = style::conditions(&config, &statistics)?;
+    let style = style::conditions(&config, &statistics);
     let samples = move |phrases, config: &Config| {
         let (statistics, seed) = (shared.clone(), config.run.seed);
         PhraseSamples::new(phrases, statistics, &config.data, seed)

@@ -7,7 +7,7 @@
 
 use std::ops::{ControlFlow, Range};
 
-use burn::tensor::{Tensor, TensorData};
+use burn::tensor::Tensor;
 use kinegrad_data::AudioFeatures;
 use kinegrad_diffusion::{
     NoiseKeys, Prediction, PredictionType, Time, guided, noise_of_parts, sample_with,
@@ -28,7 +28,7 @@ use kinegrad_train::sampling::KnownFrames;
 
 use super::generator::{Generator, Sample};
 use super::path::PhrasePath;
-use crate::network::decoder::Coherence;
+use crate::network::decoder::{Coherence, MotionDecoder};
 
 /// Windows that the network sees at a time.
 pub const WINDOWS_IN_FLIGHT: usize = 8;
@@ -72,26 +72,25 @@ impl Generator {
         on_windows: &mut dyn FnMut(usize, usize) -> ControlFlow<()>,
     ) -> Result<Sample, Error> {
         let physical = windowed.known.map(KnownFrames::known);
-        let normalized = windowed.known.map(|known| self.normalized(&known.known()));
-        let latents = self.latents(windowed, normalized.as_ref(), sampling, key, on_windows)?;
-        let raw = match &self.decoder {
-            None => {
-                let mut values = latents;
-                let all = self.stitched(windowed, &mut values, normalized.as_ref());
-                self.predicted(&all)?
-            }
-            Some(_) => self.decoded(windowed, physical.as_ref(), &latents)?.into(),
+        let normalized = physical.as_ref().map(|known| self.normalized(known));
+        let frames = windowed.windows.frames();
+        let mut latents = self.latents(windowed, normalized.as_ref(), sampling, key, on_windows)?;
+        let (raw, confidence) = match &self.decoder {
+            None => self.predicted(&self.stitched(windowed, &mut latents, normalized.as_ref()))?,
+            Some(decoder) => (
+                self.decoded(decoder, windowed, physical.as_ref(), &latents)?,
+                vec![1.0; frames],
+            ),
         };
-        let none = || vec![false; windowed.windows.frames()];
-        let is_known = physical.map_or_else(none, |known| known.is_known);
-        let mut sample = self.finished(raw, &is_known);
-        if let Some(known) = windowed.known {
-            known.put_into(&mut sample.raw);
-            known.put_into(&mut sample.motion);
-        }
-        if let Some(path) = windowed.path {
-            path.finish(&mut sample.raw);
-            path.finish(&mut sample.motion);
+        let is_known = is_known(physical.as_ref(), frames);
+        let mut sample = self.finished(raw, &confidence, &is_known);
+        for motion in [&mut sample.raw, &mut sample.motion] {
+            if let Some(known) = windowed.known {
+                known.put_into(motion);
+            }
+            if let Some(path) = windowed.path {
+                path.finish(motion);
+            }
         }
         Ok(sample)
     }
@@ -100,10 +99,8 @@ impl Generator {
     fn normalized(&self, known: &stitch::KnownFrames) -> stitch::KnownFrames {
         let frames = known.is_known.len();
         let phrase = Phrase::from_channel_major(&known.values, frames).expect("25 channels");
-        let (rows, channels) = (
-            self.targets.encode(phrase.as_slice()),
-            self.targets.channels(),
-        );
+        let rows = self.targets.encode(phrase.as_slice());
+        let channels = self.targets.channels();
         let Statistics { mean, std, .. } = self.state.normalization();
         let place = |index: usize| (index / frames, index % frames);
         let values = (0..channels * frames).map(place).map(|(channel, t)| {
@@ -150,10 +147,6 @@ impl Generator {
         let back: Vec<f64> = angles.iter().map(|angle| -angle).collect();
         turning.turn(windows, values, &back);
         motion
-    }
-
-    fn on_device(&self, values: Vec<f32>, shape: [usize; 3]) -> Tensor<3> {
-        Tensor::from_data(TensorData::new(values, shape), &self.device)
     }
 
     /// The denoised windows, `[windows, channels, frames of a window]`, normalised.
@@ -246,11 +239,11 @@ impl Generator {
     /// trajectory is that of the whole motion.
     fn decoded(
         &self,
+        decoder: &MotionDecoder,
         windowed: &WindowedSampling<'_>,
         known: Option<&stitch::KnownFrames>,
         latents: &[f32],
     ) -> Result<Phrase, Error> {
-        let decoder = self.decoder.as_ref().expect("a decoder");
         let windows = &windowed.windows;
         let channels = self.targets.channels();
         let a_window = channels * windows.length();
@@ -269,8 +262,7 @@ impl Generator {
         let mut motion = Phrase::from_channel_major(&all, windows.frames())?;
         let coherence = decoder.coherence();
         if coherence != Coherence::None {
-            let none = || vec![false; windows.frames()];
-            let is_known = known.map_or_else(none, |known| known.is_known.clone());
+            let is_known = is_known(known, windows.frames());
             let std = &self.statistics().std;
             fit_trajectory(&mut motion, std, &is_known);
             if coherence == Coherence::Full {
@@ -279,8 +271,7 @@ impl Generator {
                 fit_orientation(&mut motion, std, &is_known);
             }
         }
-        let frames = 0..motion.frames();
-        let units = frames.map(|t| motion.quaternion(t).normalised());
+        let units = (0..motion.frames()).map(|t| motion.quaternion(t).normalised());
         let mut quaternions: Vec<_> = units.collect();
         if coherence != Coherence::None {
             make_sign_continuous(&mut quaternions);
@@ -294,4 +285,9 @@ impl Generator {
         }
         Ok(motion)
     }
+}
+
+/// True for each known one of `frames` frames.
+fn is_known(known: Option<&stitch::KnownFrames>, frames: usize) -> Vec<bool> {
+    known.map_or_else(|| vec![false; frames], |known| known.is_known.clone())
 }

@@ -2,7 +2,6 @@
 
 use std::f64::consts::TAU;
 
-use burn::tensor::{Tensor, TensorData};
 use kinegrad_motion::circular;
 
 use super::BeatPhrase;
@@ -13,10 +12,8 @@ use crate::network::AudioCondition;
 /// tracker finds and that of the music; none without a tracker.
 pub(super) fn error(generator: &Generator, phrase: &BeatPhrase) -> Option<f64> {
     let audio = &phrase.phrase.audio;
-    let (values, frames) = (audio.as_slice(), audio.frames());
-    let shape = [1, values.len() / frames, frames];
-    let features = TensorData::new(values.to_vec(), shape);
-    let features: Tensor<3> = Tensor::from_data(features, &generator.device);
+    let shape = [1, audio.channels(), audio.frames()];
+    let features = generator.on_device(audio.as_slice().to_vec(), shape);
     let found = generator.unet.find_beats(&AudioCondition::from(features))?;
     let found: Vec<f32> = found.into_data().try_into_vec().expect("float values");
     Some(error_of(&found, &phrase.bars, phrase.beats_per_bar))

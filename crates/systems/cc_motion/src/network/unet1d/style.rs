@@ -53,10 +53,18 @@ impl StyleCondition {
     /// The null style.
     #[must_use]
     pub fn null(&self) -> Self {
-        let zeros = |values: &Option<Tensor<2>>| values.as_ref().map(Tensor::zeros_like);
+        self.map(Tensor::zeros_like)
+    }
+
+    /// This style of one sample for each of `batch` samples.
+    pub(crate) fn repeated(&self, batch: usize) -> Self {
+        self.map(|values| values.clone().repeat_dim(0, batch))
+    }
+
+    fn map(&self, change: impl Fn(&Tensor<2>) -> Tensor<2>) -> Self {
         Self {
-            numbers: zeros(&self.numbers),
-            label: zeros(&self.label),
+            numbers: self.numbers.as_ref().map(&change),
+            label: self.label.as_ref().map(&change),
         }
     }
 }
@@ -77,27 +85,21 @@ pub(super) struct StyleEmbedding {
 }
 
 impl StyleEmbedding {
-    /// An embedding of `width` of a style of these parts, with so many labels.
+    /// An embedding of `width` of a style of these parts; none without style.
     pub fn new(
         style: StyleConditioning,
         labels: usize,
         width: usize,
         init: &Initializer,
     ) -> Option<Self> {
-        if style == StyleConditioning::None {
-            return None;
-        }
-        let numbers = init.at("numbers");
-        let part = |there: bool, layer: &dyn Fn() -> Linear| there.then(layer);
-        let has_numbers = style.has_numbers();
-        Some(Self {
-            numbers_at_0: part(has_numbers, &|| {
-                Linear::new(STYLE_VALUES, width, &numbers.at("0"))
-            }),
-            numbers_at_2: part(has_numbers, &|| Linear::new(width, width, &numbers.at("2"))),
-            label: part(style.has_label(), &|| {
-                Linear::new(labels, width, &init.at("label"))
-            }),
+        let layer = |there: bool, name: &str, inputs| {
+            there.then(|| Linear::new(inputs, width, &init.at(name)))
+        };
+        let (numbers, label) = (style.has_numbers(), style.has_label());
+        (style != StyleConditioning::None).then(|| Self {
+            numbers_at_0: layer(numbers, "numbers.0", STYLE_VALUES),
+            numbers_at_2: layer(numbers, "numbers.2", width),
+            label: layer(label, "label", labels),
         })
     }
 
