@@ -23,7 +23,7 @@ use kinegrad_train::TrainedModel;
 use kinegrad_train::config::{Config, ConfigError, OwnTables, SystemTables};
 use kinegrad_train::denoising::{HeldOut, Inputs};
 use kinegrad_train::evaluation::{Evaluation, EvaluationRequest, Group, Metrics, Number, Results};
-use kinegrad_train::run::{Material, Outcome, Setup};
+use kinegrad_train::run::{Outcome, RunContext, TrainingData};
 use kinegrad_train::sampling::{Generated, Job, Request, Run, SampleSink, Sampler, Summary};
 use kinegrad_train::{Error, Loss, Measured, Observer, ParameterCount, Recipe, StepKey};
 use kinegrad_train::{RecipeInfo, System, Systems};
@@ -444,15 +444,15 @@ impl System for Toy {
         })
     }
 
-    fn train(&self, setup: Setup, observer: &mut dyn Observer) -> Result<Outcome, Error> {
-        let setup = setup.with_gradients(false);
-        let dataset = dataset(&setup.config)?;
-        setup.must_be_same_dataset(dataset.digest)?;
-        let statistics = match &setup.checkpoint {
+    fn train(&self, context: RunContext, observer: &mut dyn Observer) -> Result<Outcome, Error> {
+        let context = context.with_gradients(false);
+        let dataset = dataset(&context.config)?;
+        context.must_be_same_dataset(dataset.digest)?;
+        let statistics = match &context.checkpoint {
             Some(checkpoint) => checkpoint.state.statistics_of(&Point)?.clone(),
             None => dataset.statistics()?,
         };
-        let frames = setup.config.own::<ToyConfig>().circles.frames;
+        let frames = context.config.own::<ToyConfig>().circles.frames;
         let samples = |circles| CircleSamples {
             circles,
             statistics: Arc::new(statistics.clone()),
@@ -460,7 +460,7 @@ impl System for Toy {
         };
         let held_out = samples(dataset.validation.clone());
         let train = samples(dataset.train.clone());
-        let material = Material {
+        let training_data = TrainingData {
             train: dataset.train.len(),
             validation: dataset.validation.len(),
             skipped: dataset.skipped,
@@ -471,9 +471,9 @@ impl System for Toy {
             statistics,
             network_statistics: None,
         };
-        let recipe = ToyRecipe(HeldOut::new(held_out, &setup.config.validation));
-        let model = Network::new(&setup.device);
-        setup.train(material, recipe, model, observer)
+        let recipe = ToyRecipe(HeldOut::new(held_out, &context.config.validation));
+        let model = Network::new(&context.device);
+        context.train(training_data, recipe, model, observer)
     }
 }
 

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use burn::tensor::{Device, Tensor};
 use kinegrad_cc_motion::network::MotionModel;
-use kinegrad_cc_motion::recipes::{E2eDraws, E2eRecipe, Rollouts};
+use kinegrad_cc_motion::recipes::{E2eRandomInputs, E2eRecipe, Rollouts};
 use kinegrad_cc_motion::{LossConfig, RolloutConfig, RolloutMode, RolloutStart};
 use kinegrad_data::AUDIO;
 use kinegrad_diffusion::{BetaSchedule, DiffusionConfig, GaussianDiffusion, PredictionType};
@@ -12,7 +12,7 @@ use kinegrad_models::Initializer;
 use kinegrad_models::parameters;
 use kinegrad_motion::Statistics;
 use kinegrad_train::config::ClipSample;
-use kinegrad_train::denoising::{Conditions, Draws, HeldOut, Inputs};
+use kinegrad_train::denoising::{Conditions, HeldOut, Inputs, RandomInputs};
 
 use crate::golden::{Golden, GoldenTensors, Reference};
 use crate::{decoder, unet, weights};
@@ -118,14 +118,14 @@ impl Case {
     }
 
     /// The file's values in place of random numbers.
-    pub fn draws(&self) -> E2eDraws {
+    pub fn draws(&self) -> E2eRandomInputs {
         let timesteps = self.golden.get(&format!("in.{}.t", self.name));
-        E2eDraws {
-            denoising: Draws {
+        E2eRandomInputs {
+            denoising: RandomInputs {
                 timesteps: timesteps.indices(),
                 noise: self.tensor("in.noise"),
-                keep_cond: None,
-                keep_style: None,
+                condition_dropout_mask: None,
+                style_dropout_mask: None,
                 dropout: None,
             },
             starts: self.starts(),

@@ -6,7 +6,7 @@ use std::process::ExitCode;
 use std::rc::Rc;
 
 use kinegrad_ranks::{Alone, Ranks};
-use kinegrad_train::{Error, Together};
+use kinegrad_train::{Error, ProcessGroup};
 
 use crate::{log, output};
 
@@ -14,8 +14,8 @@ use crate::{log, output};
 ///
 /// # Errors
 /// [`Error::Usage`] if a launcher started several and this program cannot reach them.
-pub fn process_group() -> Result<Rc<Together>, Error> {
-    let group = Together::new(ranks()?);
+pub fn process_group() -> Result<Rc<ProcessGroup>, Error> {
+    let group = ProcessGroup::new(ranks()?);
     if !group.writes() {
         output::be_silent();
         log::be_silent();
@@ -29,14 +29,14 @@ pub fn process_group() -> Result<Rc<Together>, Error> {
 /// # Errors
 /// That of `outcome`, if there is one process.
 pub fn agreed<T>(
-    group: &Together,
+    group: &ProcessGroup,
     outcome: Result<T, Error>,
 ) -> Result<Result<T, ExitCode>, Error> {
     let ranks = group.ranks();
     if ranks.size() == 1 {
         return outcome.map(Ok);
     }
-    let Some((rank, code)) = group.ended_by(outcome.as_ref().err()) else {
+    let Some((rank, code)) = group.first_failure(outcome.as_ref().err()) else {
         return outcome.map(Ok);
     };
     if let Err(error) = &outcome
@@ -82,7 +82,7 @@ pub fn failed(error: Error) -> ExitCode {
         && group.ranks().size() > 1
     {
         // The others may be running.
-        let outcome: Result<(), Error> = group.told(Err(error));
+        let outcome: Result<(), Error> = group.report_failure(Err(error));
         return match agreed(&group, outcome) {
             Ok(Err(code)) => code,
             _ => unreachable!("one of several processes has failed"),

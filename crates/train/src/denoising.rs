@@ -14,8 +14,8 @@ use kinegrad_models::DropoutKey;
 use kinegrad_random::{Key, Purpose};
 
 use crate::config::ValidationConfig;
+use crate::process_group::{ProcessGroup, Tag};
 use crate::recipe::{Loss, Measured, Recipe, StepKey};
-use crate::together::{About, Together};
 
 /// A batch on the device.
 #[derive(Clone, Debug)]
@@ -79,22 +79,22 @@ impl Conditions {
         found.map(|(_, cond)| cond)
     }
 
-    /// All of them but the style times `keep`, `[batch, 1, 1]`, which is 0 where they are dropped.
+    /// All of them but the style times `mask`, `[batch, 1, 1]`, which is 0 where they are dropped.
     #[must_use]
-    pub fn kept(self, keep: &Tensor<3>) -> Self {
+    pub fn with_dropout(self, mask: &Tensor<3>) -> Self {
         let named = self.0.into_iter().map(|(name, cond)| match name {
             STYLE | LABEL => (name, cond),
-            _ => (name, cond * keep.clone()),
+            _ => (name, cond * mask.clone()),
         });
         Self::new(named)
     }
 
-    /// The style's numbers and label times those of `keep`, each `[batch, 1, 1]`.
+    /// The style's numbers and label times those of `mask`, each `[batch, 1, 1]`.
     #[must_use]
-    pub fn kept_style(self, keep: &KeptStyle) -> Self {
+    pub fn with_style_dropout(self, mask: &StyleDropoutMask) -> Self {
         let named = self.0.into_iter().map(|(name, cond)| match name {
-            STYLE => (name, cond * keep.numbers.clone()),
-            LABEL => (name, cond * keep.label.clone()),
+            STYLE => (name, cond * mask.numbers.clone()),
+            LABEL => (name, cond * mask.label.clone()),
             _ => (name, cond),
         });
         Self::new(named)
@@ -103,17 +103,17 @@ impl Conditions {
 
 /// 0 where a part of a sample's style is dropped, else 1: `[batch, 1, 1]` each.
 #[derive(Clone, Debug)]
-pub struct KeptStyle {
+pub struct StyleDropoutMask {
     /// The eight numbers.
     pub numbers: Tensor<3>,
     /// The label.
     pub label: Tensor<3>,
 }
 
-impl KeptStyle {
+impl StyleDropoutMask {
     /// The dropout mask of the style in `cond`: with `probability` all is dropped, and with the
     /// same probability each of numbers and label alone. `None` drops nothing.
-    fn draw(cond: &Conditions, probability: f64, key: Key, device: &Device) -> Option<Self> {
+    fn sample(cond: &Conditions, probability: f64, key: Key, device: &Device) -> Option<Self> {
         let there = [STYLE, LABEL].map(|name| cond.find(name));
         let batch = there.into_iter().flatten().next()?.dims()[0];
         if probability <= 0.0 {
@@ -144,20 +144,20 @@ impl KeptStyle {
 
 /// The random inputs of one batch's loss.
 #[derive(Clone, Debug)]
-pub struct Draws {
+pub struct RandomInputs {
     /// One timestep per sample.
     pub timesteps: Vec<usize>,
     /// Standard normal: `[batch, channels, time]`.
     pub noise: Tensor<3>,
     /// 0 where the condition is dropped, else 1: `[batch, 1, 1]`. None drops none.
-    pub keep_cond: Option<Tensor<3>>,
+    pub condition_dropout_mask: Option<Tensor<3>>,
     /// The dropout mask of the style. `None` drops nothing.
-    pub keep_style: Option<KeptStyle>,
+    pub style_dropout_mask: Option<StyleDropoutMask>,
     /// The network's dropout.
     pub dropout: DropoutKey,
 }
 
-impl Draws {
+impl RandomInputs {
     /// The random inputs of `key` for a batch.
     pub fn new(
         diffusion: &GaussianDiffusion,
@@ -168,7 +168,7 @@ impl Draws {
         let config = &diffusion.config;
         let shape = inputs.x_start.dims();
         let batch = shape[0];
-        let keep_cond = (config.cond_drop_prob > 0.0).then(|| {
+        let condition_dropout_mask = (config.cond_drop_prob > 0.0).then(|| {
             let keep: Vec<f32> = key
                 .of(Purpose::CondDropout)
                 .uniforms(batch)
@@ -182,10 +182,10 @@ impl Draws {
                 .of(Purpose::Timesteps)
                 .integers(batch, config.num_train_timesteps),
             noise: noise(key.of(Purpose::Noise), shape, device),
-            keep_cond,
-            keep_style: {
+            condition_dropout_mask,
+            style_dropout_mask: {
                 let key = key.of(Purpose::StyleDropout);
-                KeptStyle::draw(&inputs.cond, config.style_drop_prob(), key, device)
+                StyleDropoutMask::sample(&inputs.cond, config.style_drop_prob(), key, device)
             },
             dropout: Some(key.of(Purpose::Dropout)),
         }
@@ -209,7 +209,7 @@ pub fn noise(key: Key, shape: [usize; 3], device: &Device) -> Tensor<3> {
 pub fn denoising_loss(
     diffusion: &GaussianDiffusion,
     inputs: Inputs,
-    draws: Draws,
+    draws: RandomInputs,
     network: impl FnOnce(Tensor<3>, &[Time], &Conditions, DropoutKey) -> Tensor<3>,
     distance: impl FnOnce(Tensor<3>, Tensor<3>, Tensor<2>) -> Tensor<1>,
 ) -> Loss {
@@ -219,20 +219,20 @@ pub fn denoising_loss(
         mask,
         lengths: _,
     } = inputs;
-    let Draws {
+    let RandomInputs {
         timesteps,
         noise,
-        keep_cond,
-        keep_style,
+        condition_dropout_mask,
+        style_dropout_mask,
         dropout,
     } = draws;
     let x_t = diffusion.add_noise(x_start.clone(), noise.clone(), &timesteps);
-    let cond = match keep_cond {
-        Some(keep) => cond.kept(&keep),
+    let cond = match condition_dropout_mask {
+        Some(mask) => cond.with_dropout(&mask),
         None => cond,
     };
-    let cond = match keep_style {
-        Some(keep) => cond.kept_style(&keep),
+    let cond = match style_dropout_mask {
+        Some(mask) => cond.with_style_dropout(&mask),
         None => cond,
     };
     let model_output = network(x_t.clone(), &Time::of(&timesteps), &cond, dropout);
@@ -254,21 +254,21 @@ pub fn denoising_loss(
 pub struct DenoisingRecipe<M> {
     diffusion: GaussianDiffusion,
     held_out: HeldOut,
-    loss: Box<DrawnLoss<M>>,
+    loss: Box<BatchLoss<M>>,
     averages_samples: bool,
     measures_first: bool,
 }
 
 /// The loss of a network on a batch and its random inputs. Training uses the weights of timesteps
 /// and other training aids; validation does not.
-pub type DrawnLoss<M> = dyn Fn(&GaussianDiffusion, &M, Inputs, Draws, bool) -> Loss;
+pub type BatchLoss<M> = dyn Fn(&GaussianDiffusion, &M, Inputs, RandomInputs, bool) -> Loss;
 
 impl<M> DenoisingRecipe<M> {
     /// A recipe over `diffusion`, validated on `held_out` without the weights of timesteps.
     pub fn new(
         diffusion: GaussianDiffusion,
         held_out: HeldOut,
-        loss: impl Fn(&GaussianDiffusion, &M, Inputs, Draws, bool) -> Loss + 'static,
+        loss: impl Fn(&GaussianDiffusion, &M, Inputs, RandomInputs, bool) -> Loss + 'static,
     ) -> Self {
         Self {
             diffusion,
@@ -299,7 +299,7 @@ impl<M> DenoisingRecipe<M> {
     }
 
     /// The loss for given random inputs.
-    pub fn loss_of(&self, model: &M, inputs: Inputs, draws: Draws) -> Loss {
+    pub fn loss_of(&self, model: &M, inputs: Inputs, draws: RandomInputs) -> Loss {
         (self.loss)(&self.diffusion, model, inputs, draws, true)
     }
 }
@@ -321,7 +321,7 @@ impl<M: Module> Recipe for DenoisingRecipe<M> {
 
     fn loss(&self, model: &M, batch: &Batch, key: StepKey, device: &Device) -> Loss {
         let inputs = Inputs::new(batch, device);
-        let draws = Draws::new(&self.diffusion, &inputs, key, device);
+        let draws = RandomInputs::new(&self.diffusion, &inputs, key, device);
         self.loss_of(model, inputs, draws)
     }
 
@@ -343,7 +343,7 @@ pub struct HeldOut {
     draws: usize,
     batch_size: usize,
     /// The processes that share the measuring.
-    together: Rc<Together>,
+    group: Rc<ProcessGroup>,
 }
 
 impl HeldOut {
@@ -357,15 +357,15 @@ impl HeldOut {
             collate: Box::new(move |range| samples.collate(range).expect("items in memory")),
             draws: validation.draws,
             batch_size: validation.batch_size,
-            together: Together::alone(),
+            group: ProcessGroup::alone(),
         }
     }
 
     /// The same; each rank measures a part.
     #[must_use]
-    pub fn among(self, together: &Rc<Together>) -> Self {
+    pub fn among(self, group: &Rc<ProcessGroup>) -> Self {
         Self {
-            together: together.clone(),
+            group: group.clone(),
             ..self
         }
     }
@@ -377,7 +377,7 @@ impl HeldOut {
             collate: Box::new(|_| unreachable!("nothing is held out")),
             draws: 1,
             batch_size: 1,
-            together: Together::alone(),
+            group: ProcessGroup::alone(),
         }
     }
 
@@ -417,12 +417,12 @@ impl HeldOut {
 
     /// The mean of a loss over all items and draws, without dropout, at timesteps that are the same
     /// each time: those of draw k of item p of P are `floor((k P + p + 0.5) T / (draws P))`, so
-    /// that all together cover them evenly.
+    /// that together they cover all timesteps evenly.
     pub fn mean_loss(
         &self,
         diffusion: &GaussianDiffusion,
         device: &Device,
-        loss: impl Fn(Inputs, Draws) -> Tensor<1>,
+        loss: impl Fn(Inputs, RandomInputs) -> Tensor<1>,
     ) -> f64 {
         let (all, draws) = (self.len(), self.draws);
         let num_train_timesteps = diffusion.config.num_train_timesteps;
@@ -431,11 +431,11 @@ impl HeldOut {
                 let twice = 2 * (draw * all + p) + 1;
                 twice * num_train_timesteps / (2 * draws * all)
             };
-            let given = Draws {
+            let given = RandomInputs {
                 timesteps: range.clone().map(timestep).collect(),
                 noise: self.noise(range, draw as u64, &inputs.x_start),
-                keep_cond: None,
-                keep_style: None,
+                condition_dropout_mask: None,
+                style_dropout_mask: None,
                 dropout: None,
             };
             loss(inputs, given)
@@ -493,14 +493,14 @@ impl HeldOut {
 
     /// The losses of each job, in their order, shared among the ranks. Collective.
     fn measured<J>(&self, jobs: &[J], measure: impl Fn(&J) -> Vec<Tensor<1>>) -> Vec<Vec<f32>> {
-        let ranks = self.together.ranks();
+        let ranks = self.group.ranks();
         let (own, size) = (ranks.rank(), ranks.size());
         let mut measured = Vec::new();
         for job in jobs.iter().skip(own).step_by(size) {
             let losses = measure(job).into_iter();
             measured.extend(losses.flat_map(|loss| loss.into_scalar::<f32>().to_le_bytes()));
         }
-        let all = self.together.gather(About::Losses, &measured);
+        let all = self.group.gather(Tag::Losses, &measured);
         // The first rank has a job wherever there is one.
         let count = all[0].len() / 4 / jobs.len().div_ceil(size).max(1);
         let of = |job: usize| {
@@ -526,9 +526,10 @@ mod tests {
     fn shares(names: &[&'static str], probability: f64) -> [f64; 4] {
         let (batch, key) = (4000, Key::new(7, Purpose::StyleDropout));
         let cond = conditions(batch, names);
-        let keep = KeptStyle::draw(&cond, probability, key, &Device::flex()).expect("a style");
+        let mask =
+            StyleDropoutMask::sample(&cond, probability, key, &Device::flex()).expect("a style");
         let host = |x: Tensor<3>| x.try_into_vec_as::<f32>().expect("float32");
-        let (numbers, label) = (host(keep.numbers.clone()), host(keep.label.clone()));
+        let (numbers, label) = (host(mask.numbers.clone()), host(mask.label.clone()));
         let mut counts = [0.0; 4];
         for (numbers, label) in numbers.iter().zip(&label) {
             let place = match (*numbers > 0.0, *label > 0.0) {
@@ -540,7 +541,7 @@ mod tests {
             counts[place] += 1.0 / batch as f64;
         }
         // Kept values are unchanged, the others zero, and the audio is unchanged.
-        let kept = cond.kept_style(&keep);
+        let kept = cond.with_style_dropout(&mask);
         for (name, values) in kept.0 {
             let sum = values.sum().into_scalar::<f32>() / 2.0;
             let expected: f32 = match name {
@@ -569,14 +570,14 @@ mod tests {
         near(shares(&["audio", STYLE], 0.2), [0.8, 0.0, 0.0, 0.2]);
         near(shares(&["audio", LABEL], 0.3), [0.7, 0.0, 0.0, 0.3]);
         let (key, device) = (Key::new(7, Purpose::StyleDropout), Device::flex());
-        assert!(KeptStyle::draw(&conditions(3, &["audio"]), 0.2, key, &device).is_none());
-        assert!(KeptStyle::draw(&conditions(3, &[STYLE]), 0.0, key, &device).is_none());
+        assert!(StyleDropoutMask::sample(&conditions(3, &["audio"]), 0.2, key, &device).is_none());
+        assert!(StyleDropoutMask::sample(&conditions(3, &[STYLE]), 0.0, key, &device).is_none());
     }
 
     #[test]
     fn dropped_audio_leaves_the_style() {
         let cond = conditions(3, &["audio", STYLE, LABEL]);
-        let kept = cond.kept(&Tensor::zeros([3, 1, 1], &Device::flex()));
+        let kept = cond.with_dropout(&Tensor::zeros([3, 1, 1], &Device::flex()));
         let sum = |name| kept.get(name).clone().sum().into_scalar::<f32>();
         assert_eq!([sum("audio"), sum(STYLE), sum(LABEL)], [0.0, 6.0, 6.0]);
     }

@@ -27,9 +27,9 @@ use crate::config::Config;
 use crate::error::Error;
 use crate::observer::{Observer, StepReport};
 use crate::optim::{clip_factor, learning_rate, norm_of_squares};
+use crate::process_group::ProcessGroup;
 use crate::recipe::{Measured, Recipe};
 use crate::telemetry::{LoaderLog, Metrics, Record};
-use crate::together::Together;
 use accumulation::Averaged;
 use exchange::Exchange;
 use gradients::StepGradients;
@@ -89,7 +89,7 @@ pub struct TrainerParts<R: Recipe> {
     /// The run's folder.
     pub folder: PathBuf,
     /// The processes that train it; the first of them writes.
-    pub together: Rc<Together>,
+    pub group: Rc<ProcessGroup>,
 }
 
 impl<R: Recipe> Trainer<R> {
@@ -106,7 +106,7 @@ impl<R: Recipe> Trainer<R> {
     ) -> Result<Self, Error> {
         let mut trainer = Self::unrecorded(parts, model, checkpoint);
         let parts = &trainer.parts;
-        if !parts.together.writes() {
+        if !parts.group.writes() {
             return Ok(trainer);
         }
         let mut warn = |text: &str| observer.warning(text);
@@ -130,16 +130,16 @@ impl<R: Recipe> Trainer<R> {
         };
         let groups = infos.iter().map(|info| parts.recipe.group_of(&info.name));
         let groups: Vec<usize> = groups.collect();
-        let begin = states::Begin {
+        let inputs = states::Inputs {
             groups: &groups,
             config: &parts.config,
             infos: &infos,
             device: &parts.device,
             on_host: parts.on_host,
-            ranks: parts.together.ranks(),
+            ranks: parts.group.ranks(),
         };
-        let states = States::begin(&model, checkpoint, &begin);
-        let exchange = states.exchange(&model, parts.together.ranks());
+        let states = States::new(&model, checkpoint, &inputs);
+        let exchange = states.exchange(&model, parts.group.ranks());
         let checkpoints = Checkpoints::of(&parts.folder);
         let last_saved = goes_on.then(|| checkpoints.step_path(step));
         Self {
@@ -207,11 +207,11 @@ impl<R: Recipe> Trainer<R> {
             self.progress = Progress::default();
             if self.validate(observer)? {
                 self.save_unless_saved(observer)?;
-                let marked = match self.parts.together.writes() {
+                let marked = match self.parts.group.writes() {
                     true => self.checkpoints.set_best(self.progress.best().as_ref()),
                     false => Ok(()),
                 };
-                self.parts.together.done(marked)?;
+                self.parts.group.done(marked)?;
             }
         }
         self.preview_if_missing(observer)?;
@@ -226,12 +226,12 @@ impl<R: Recipe> Trainer<R> {
             // A write error of this rank is reported here.
             let before = std::mem::replace(&mut written, Ok(()));
             let goes = before.map(|()| (!observer.stop_requested()).then_some(()));
-            if self.parts.together.agree(goes, &[])?.is_none() {
+            if self.parts.group.agree(goes, &[])?.is_none() {
                 break Ending::Interrupted;
             }
             let record = match self.train_step(observer) {
                 // The data failed, not the training, so progress is saved.
-                Err(error) if self.parts.together.keeps_what_is_learned() => {
+                Err(error) if self.parts.group.saves_progress() => {
                     self.save_unless_saved(observer)?;
                     return Err(error);
                 }
@@ -251,7 +251,7 @@ impl<R: Recipe> Trainer<R> {
                 self.preview(false, observer)?;
             }
         };
-        self.parts.together.done(written)?;
+        self.parts.group.done(written)?;
         self.save_unless_saved(observer)?;
         Ok(ending)
     }
@@ -299,7 +299,7 @@ impl<R: Recipe> Trainer<R> {
         else {
             return Ok(None);
         };
-        let squares = gradients.squares(&self.parts.together);
+        let squares = gradients.squares(&self.parts.group);
         let grad_norm = norm_of_squares(&squares);
         if !grad_norm.is_finite() {
             let broken = match &gradients {
@@ -326,7 +326,7 @@ impl<R: Recipe> Trainer<R> {
             &mut gradients,
             clip_factor(grad_norm, train.max_grad_norm),
             &of_parameters.collect::<Vec<_>>(),
-            self.parts.together.ranks(),
+            self.parts.group.ranks(),
         ));
         if let StepGradients::Ranks(exchange) = gradients {
             self.exchange = Some(exchange);
@@ -360,7 +360,7 @@ impl<R: Recipe> Trainer<R> {
         let model = self.model.as_ref().expect("held between updates").valid();
         let averages = self
             .states
-            .averages(self.parts.together.ranks(), Receivers::All);
+            .averages(self.parts.group.ranks(), Receivers::All);
         let averaged = parameters::replace(model, averages.into_owned());
         let Measured { total, terms } = self.parts.recipe.validation_loss(&averaged, &device);
         if !total.is_finite() {
@@ -393,7 +393,7 @@ impl<R: Recipe> Trainer<R> {
             .map_or([f64::NAN; 2], |(val_loss, score)| {
                 [*val_loss, score.unwrap_or(f64::NAN)]
             });
-        let agreed = self.parts.together.agree(measured.map(Some), &own)?;
+        let agreed = self.parts.group.agree(measured.map(Some), &own)?;
         let ((_, score), said) = agreed.expect("nobody stops here");
         // The first rank's measurement applies to all ranks, so that they decide alike.
         let (val_loss, score) = (said[0][0], score.map(|_| said[0][1]));
@@ -421,26 +421,26 @@ impl<R: Recipe> Trainer<R> {
 
     fn save(&mut self, observer: &mut dyn Observer) -> Result<(), Error> {
         let weights = parameters::values(self.model.as_ref().expect("held between updates"));
-        let together = self.parts.together.clone();
-        together.must_have_equal(self.step, &weights)?;
+        let group = self.parts.group.clone();
+        group.must_have_equal(self.step, &weights)?;
         // The lines up to this step must not be lost once the checkpoint counts.
         let synced = match &mut self.record {
             Some((metrics, _)) => metrics.sync(),
             None => Ok(()),
         };
-        together.done(synced)?;
+        group.done(synced)?;
         let mut saving = Saving::begin(self);
         saving.put(|writing| writing.weights(Weights::Model, &weights));
         drop(weights);
         // The first rank gathers one part after the other, even if writing has failed.
-        let (ranks, to) = (together.ranks(), Receivers::First);
+        let (ranks, to) = (group.ranks(), Receivers::First);
         let averages = self.states.averages(ranks, to);
         saving.put(|writing| writing.weights(Weights::Ema, &averages));
         drop(averages);
         let moments = self.states.moments(ranks, to);
         saving.put(|writing| writing.moments(&moments));
         drop(moments);
-        together.done(saving.finish())?;
+        group.done(saving.finish())?;
         let path = self.checkpoints.step_path(self.step);
         observer.saved(&path);
         self.last_saved = Some(path);

@@ -7,7 +7,7 @@ use std::path::Path;
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_data::{AUDIO, TEXT};
 use kinegrad_models::parameters::{HostParameter, ParameterInfo};
-use kinegrad_train::denoising::{Conditions, Draws, Inputs};
+use kinegrad_train::denoising::{Conditions, Inputs, RandomInputs};
 use safetensors::{Dtype, SafeTensors};
 
 use crate::Result;
@@ -62,12 +62,12 @@ impl NamedTensors {
         })
     }
 
-    pub fn draws(&self) -> Result<Draws> {
-        Ok(Draws {
+    pub fn draws(&self) -> Result<RandomInputs> {
+        Ok(RandomInputs {
             timesteps: self.timesteps.clone(),
             noise: self.tensor("noise")?,
-            keep_cond: None,
-            keep_style: None,
+            condition_dropout_mask: None,
+            style_dropout_mask: None,
             dropout: None,
         })
     }

@@ -9,7 +9,7 @@ use burn::tensor::{Device, Tensor};
 use kinegrad_data::TEXT;
 use kinegrad_diffusion::{FlowPrediction, SamplerConfig, SamplerKind};
 use kinegrad_flow::network::{FlowCondition, FlowModel, History, previous_state};
-use kinegrad_flow::recipe::{FlowDraws, FlowRecipe};
+use kinegrad_flow::recipe::{FlowRandomInputs, FlowRecipe};
 use kinegrad_flow::{HISTORY, PLACE, PoseConfig};
 use kinegrad_models::Initializer;
 use kinegrad_motion::humanml::Skeleton;
@@ -45,7 +45,7 @@ pub fn training(
         x_start,
     };
     let times: Vec<f32> = inputs.tensor("times")?.try_into_vec_as()?;
-    let draws = FlowDraws {
+    let draws = FlowRandomInputs {
         times: times.into_iter().map(f64::from).collect(),
         noise: inputs.tensor("noise")?,
         keep_text: None,

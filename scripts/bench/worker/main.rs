@@ -33,7 +33,7 @@ use kinegrad_cc_motion::network::MotionModel;
 use kinegrad_cc_motion::network::UNet1d;
 use kinegrad_cc_motion::network::UNet1dConfig;
 use kinegrad_cc_motion::network::decoder::{DecoderInit, Normalization};
-use kinegrad_cc_motion::recipes::{E2eDraws, E2eRecipe, Rollouts, diffusion_recipe};
+use kinegrad_cc_motion::recipes::{E2eRandomInputs, E2eRecipe, Rollouts, diffusion_recipe};
 use kinegrad_cc_motion::{LossConfig, RolloutConfig};
 use kinegrad_data::AUDIO_CHANNELS;
 use kinegrad_diffusion::{
@@ -344,7 +344,7 @@ fn load(row: Row, folder: &Path, device: &Device) -> Result<Box<dyn Work>> {
             let sampler = Rollouts::new(diffusion, &rollout, statistics)?;
             let recipe = E2eRecipe::new(sampler, &LossConfig::ccmotion(), held_out);
             let batch = inputs.batch()?;
-            let draws = E2eDraws {
+            let draws = E2eRandomInputs {
                 denoising: inputs.draws()?,
                 starts: vec![last; batch.x_start.dims()[0]],
                 start_noise: inputs.tensor("x_T")?,

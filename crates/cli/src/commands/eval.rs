@@ -10,7 +10,7 @@ use kinegrad_train::Systems;
 use kinegrad_train::checkpoint::SavedCheckpoint;
 use kinegrad_train::config;
 use kinegrad_train::evaluation::{self, Evaluated, EvaluationRequest, Group, Number};
-use kinegrad_train::{Error, Together, TrainedModel};
+use kinegrad_train::{Error, ProcessGroup, TrainedModel};
 use serde_json::json;
 
 use super::sample::{checkpoint, trained_for, while_it_is_trained};
@@ -25,7 +25,7 @@ pub fn run(systems: Systems<'_>, arguments: EvalArguments) -> Result<ExitCode, E
     let outcome = match ranks.size() {
         1 => while_it_is_trained(|| evaluate(systems, arguments.clone(), &group)),
         // Ranks cannot repeat the reading.
-        _ => guarded(ranks, || group.told(evaluate(systems, arguments, &group))),
+        _ => guarded(ranks, || group.report_failure(evaluate(systems, arguments, &group))),
     };
     Ok(match agreed(&group, outcome)? {
         Ok(()) => ExitCode::SUCCESS,
@@ -36,7 +36,7 @@ pub fn run(systems: Systems<'_>, arguments: EvalArguments) -> Result<ExitCode, E
 fn evaluate(
     systems: Systems<'_>,
     arguments: EvalArguments,
-    group: &Rc<Together>,
+    group: &Rc<ProcessGroup>,
 ) -> Result<(), Error> {
     let runs = &arguments.runs;
     let scales = arguments.sampler.guidance_scale.len();
@@ -57,7 +57,7 @@ fn evaluate(
         evaluator: None,
         seed: arguments.seed,
         audio_ablation: arguments.audio_ablation,
-        together: group.clone(),
+        group: group.clone(),
     };
     must_evaluate_the_same(group, &models, &request)?;
     // Every run is checked before the first evaluation.
@@ -116,7 +116,7 @@ fn evaluate(
 
 /// Rejects processes with different evaluations. Collective.
 fn must_evaluate_the_same(
-    group: &Together,
+    group: &ProcessGroup,
     models: &[TrainedModel],
     request: &EvaluationRequest,
 ) -> Result<(), Error> {
@@ -130,7 +130,7 @@ fn must_evaluate_the_same(
     group.done(Ok(()))?;
     let options = (&request.source, request.seed, request.audio_ablation);
     group.must_compute_alike()?;
-    group.must_be_about_the_same(&[
+    group.must_match(&[
         ("run", &runs),
         ("trajectory run", &trajectory.unwrap_or_default()),
         ("command", &format!("{options:?}")),

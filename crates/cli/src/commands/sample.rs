@@ -8,7 +8,7 @@ use kinegrad_train::Systems;
 use kinegrad_train::TrainedModel;
 use kinegrad_train::checkpoint::{SavedCheckpoint, Weights, resolve_checkpoint};
 use kinegrad_train::sampling::{Request, Summary};
-use kinegrad_train::{Error, Together};
+use kinegrad_train::{Error, ProcessGroup};
 use serde::Serialize;
 
 use crate::args::{SampleArguments, SamplerArguments};
@@ -127,7 +127,7 @@ pub fn trained(
     run: &Path,
     arguments: &SamplerArguments,
 ) -> Result<TrainedModel, Error> {
-    trained_for(systems, run, arguments, &Together::alone())
+    trained_for(systems, run, arguments, &ProcessGroup::alone())
 }
 
 /// [`trained`], on the device of this rank.
@@ -135,7 +135,7 @@ pub fn trained_for(
     systems: Systems<'_>,
     run: &Path,
     arguments: &SamplerArguments,
-    group: &Together,
+    group: &ProcessGroup,
 ) -> Result<TrainedModel, Error> {
     let SamplerArguments {
         overrides,

@@ -48,7 +48,7 @@ pub fn run(systems: Systems<'_>, arguments: TrainArguments) -> Result<ExitCode, 
     let ranks = group.ranks();
     let mut progress = TrainProgress::new(systems);
     let outcome = guarded(ranks, || {
-        run::train_together(systems, &request, &group, &mut progress)
+        run::train_distributed(systems, &request, &group, &mut progress)
     });
     progress.finish();
     let outcome = match agreed(&group, outcome)? {

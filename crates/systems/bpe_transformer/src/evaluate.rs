@@ -75,7 +75,7 @@ fn evaluate(
     });
     let compositions: Vec<Vec<TimedPrompt>> = compositions.collect();
     let composed: Vec<Features> = for_each_item(
-        &request.together,
+        &request.group,
         compositions.len(),
         on_step,
         |number, on_step| {

@@ -148,7 +148,7 @@ pub(super) fn evaluate(
     let chosen: Vec<&Walk> = (0..count)
         .map(|n| &walks[n * walks.len() / count])
         .collect();
-    let samples = for_each_item(&request.together, count, on_step, |number, on_step| {
+    let samples = for_each_item(&request.group, count, on_step, |number, on_step| {
         let (walk, start) = (chosen[number], Instant::now());
         let line = TimedPrompt {
             text: walk.text.clone(),

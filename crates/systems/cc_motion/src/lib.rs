@@ -32,7 +32,7 @@ use kinegrad_train::checkpoint::SavedCheckpoint;
 use kinegrad_train::config::{Config, ConfigError, OwnTables, Place, SystemTables};
 use kinegrad_train::evaluation::{Evaluation, EvaluationRequest};
 use kinegrad_train::memory::Footprint;
-use kinegrad_train::run::{Outcome, Setup};
+use kinegrad_train::run::{Outcome, RunContext};
 use kinegrad_train::sampling::{Request, SampleSink, Sampler};
 use kinegrad_train::start::tables_of;
 use kinegrad_train::{Error, Observer, ParameterCount, RecipeInfo, System, TrainedModel};
@@ -147,7 +147,7 @@ impl System for CcMotion {
         evaluate::prepare(trained, request)
     }
 
-    fn train(&self, setup: Setup, observer: &mut dyn Observer) -> Result<Outcome, Error> {
-        train::train(setup, observer)
+    fn train(&self, context: RunContext, observer: &mut dyn Observer) -> Result<Outcome, Error> {
+        train::train(context, observer)
     }
 }

@@ -4,8 +4,8 @@ use std::path::Path;
 use std::rc::Rc;
 
 use kinegrad_train::config::{Config, OptimConfig, OwnTables, RunConfig, TrainConfig};
-use kinegrad_train::run::{Outcome, has_begun, train_config};
-use kinegrad_train::{Ending, Error, Observer, Systems, Together};
+use kinegrad_train::run::{Outcome, contains_run, train_config};
+use kinegrad_train::{Ending, Error, Observer, Systems, ProcessGroup};
 
 use super::recipe_name::RecipeName;
 use super::{CcMotion, CcMotionConfig, InitConfig, PretrainConfig};
@@ -37,7 +37,7 @@ pub(super) fn moved(saved: Config, given: &Config, folder: &Path) -> Result<Conf
 /// Refuses to train a new base model for a decoder that was trained on another one.
 fn must_have_base(folder: &Path) -> Result<(), Error> {
     let [base, decoder] = STAGES.map(|stage| folder.join(stage));
-    match has_begun(&decoder)? && !has_begun(&base)? {
+    match contains_run(&decoder)? && !contains_run(&base)? {
         false => Ok(()),
         true => Err(Error::usage(
             format!(
@@ -60,7 +60,7 @@ fn must_have_base(folder: &Path) -> Result<(), Error> {
 pub(super) fn run(
     config: &Config,
     folder: &Path,
-    together: &Rc<Together>,
+    group: &Rc<ProcessGroup>,
     observer: &mut dyn Observer,
 ) -> Result<Result<InitConfig, Box<Outcome>>, Error> {
     let pretrain = announce(config, folder, observer)?;
@@ -79,9 +79,9 @@ pub(super) fn run(
         }
         let stage = stage(config, name, recipe, &init, steps, rate)?;
         let run = folder.join(name);
-        let resume = has_begun(&run)?;
+        let resume = contains_run(&run)?;
         let systems = Systems(&[&CcMotion]);
-        let outcome = train_config(systems, stage, folder, resume, together, observer)?;
+        let outcome = train_config(systems, stage, folder, resume, group, observer)?;
         if outcome.ending == Some(Ending::Interrupted) {
             return Ok(Err(Box::new(outcome)));
         }

@@ -10,7 +10,7 @@ use kinegrad_diffusion::GaussianDiffusion;
 use kinegrad_models::GradientSum;
 use kinegrad_train::checkpoint::State;
 use kinegrad_train::config::SelectBy;
-use kinegrad_train::{Error, Loss, Measured, Recipe, Score, StepKey, Together};
+use kinegrad_train::{Error, Loss, Measured, Recipe, Score, StepKey, ProcessGroup};
 
 use super::CondSource;
 use super::evaluate::{EvaluationReport, SampleSettings, evaluate};
@@ -47,7 +47,7 @@ pub(super) struct Selection {
     /// The state of a checkpoint.
     state: State,
     /// The processes that share the sampling.
-    together: Rc<Together>,
+    group: Rc<ProcessGroup>,
 }
 
 impl Selection {
@@ -60,7 +60,7 @@ impl Selection {
         held_out: &PhraseSet,
         diffusion: &GaussianDiffusion,
         state: State,
-        together: &Rc<Together>,
+        group: &Rc<ProcessGroup>,
     ) -> Result<Option<Self>, Error> {
         let validation = &state.config.validation;
         let by = validation.select_by;
@@ -80,7 +80,7 @@ impl Selection {
             phrases: phrases.iter().map(|one| leading(one, longest)).collect(),
             diffusion: diffusion.clone(),
             state,
-            together: together.clone(),
+            group: group.clone(),
         }))
     }
 
@@ -95,8 +95,8 @@ impl Selection {
             cond: CondSource::Phrases,
         };
         let no_progress = &mut |_, _, _| ControlFlow::Continue(());
-        let (phrases, together) = (&self.phrases, &self.together);
-        let report = evaluate(&generator, phrases, &[], settings, together, no_progress)?;
+        let (phrases, group) = (&self.phrases, &self.group);
+        let report = evaluate(&generator, phrases, &[], settings, group, no_progress)?;
         Ok(score(self.by, &report))
     }
 }

@@ -11,7 +11,7 @@ use kinegrad_motion::{ChannelEncoding, OrientationEncoding, Phrases, Statistics}
 use kinegrad_settings::InvalidSetting;
 use kinegrad_train::checkpoint::State;
 use kinegrad_train::config::Config;
-use kinegrad_train::run::{Material, Outcome, Setup};
+use kinegrad_train::run::{TrainingData, Outcome, RunContext};
 use kinegrad_train::{Error, Observer};
 
 use super::load::{denoiser, networks, targets};
@@ -21,30 +21,30 @@ use super::select::{Selecting, Selection};
 use super::start::Starts;
 use super::{CcMotionConfig, leaks, pretrain, style};
 
-/// Trains according to the setup's config.
-pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome, Error> {
-    let own: CcMotionConfig = setup.config.own::<CcMotionConfig>().clone();
-    let mut setup = setup.with_gradients(own.model.activation_checkpointing);
-    let (together, reading) = (setup.together.clone(), observer.reading());
-    let data = &setup.config.data;
-    let dataset = Dataset::<PhraseItem>::open_among(data, &*observer.reading(), &*setup.together)?;
-    setup.check_dataset(&dataset, observer)?;
-    let config = style::with_labels(setup.config.clone(), &dataset, observer)?;
-    setup.config = config.clone();
+/// Trains according to the context's config.
+pub(super) fn train(context: RunContext, observer: &mut dyn Observer) -> Result<Outcome, Error> {
+    let own: CcMotionConfig = context.config.own::<CcMotionConfig>().clone();
+    let mut context = context.with_gradients(own.model.activation_checkpointing);
+    let (group, reading) = (context.group.clone(), observer.reading());
+    let data = &context.config.data;
+    let dataset = Dataset::<PhraseItem>::open_among(data, &*observer.reading(), &*context.group)?;
+    context.check_dataset(&dataset, observer)?;
+    let config = style::with_labels(context.config.clone(), &dataset, observer)?;
+    context.config = config.clone();
     let recipe = RecipeName::of(&config);
     let pretrains = recipe == RecipeName::E2e && own.init.diffusion.as_os_str().is_empty();
-    if setup.dry_run && pretrains {
-        pretrain::announce(&config, &setup.folder, observer)?;
+    if context.dry_run && pretrains {
+        pretrain::announce(&config, &context.folder, observer)?;
         observer.note("the estimate does not include these two, but only the last training");
     }
-    let planned = setup.dry_run && pretrains;
-    let starts_anew = setup.checkpoint.is_none() && !planned;
+    let planned = context.dry_run && pretrains;
+    let starts_anew = context.checkpoint.is_none() && !planned;
     let starts = match recipe.trains_through_sampler() && starts_anew {
         false => None,
         true => {
             let mut init = own.init.clone();
             if pretrains {
-                init = match pretrain::run(&config, &setup.folder, &together, observer)? {
+                init = match pretrain::run(&config, &context.folder, &group, observer)? {
                     Ok(trained) => trained,
                     Err(interrupted) => return Ok(*interrupted),
                 };
@@ -58,14 +58,14 @@ pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome
         }
     };
     if let Some(starts) = &starts
-        && together.writes()
+        && group.writes()
     {
         // Another dataset, read for a warning alone.
         leaks::warn(starts, &dataset, &config.data, observer);
     }
     let targets = targets(&config);
-    let measured = |dataset: &Dataset<PhraseItem>| dataset.statistics_among(&*reading, &*together);
-    let (statistics, network_statistics) = match (&setup.checkpoint, &starts) {
+    let measured = |dataset: &Dataset<PhraseItem>| dataset.statistics_among(&*reading, &*group);
+    let (statistics, network_statistics) = match (&context.checkpoint, &starts) {
         (Some(checkpoint), _) => {
             let stored = checkpoint.state.statistics_of(&Phrases)?.clone();
             (stored, checkpoint.state.network_statistics.clone())
@@ -104,7 +104,7 @@ pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome
                 !targets.are_stored_channels() || config.data.statistics != StatisticsOf::Phrases;
             let own = differ.then(|| {
                 let measured =
-                    target_statistics(dataset.train.clone(), targets, &config.data, &*together);
+                    target_statistics(dataset.train.clone(), targets, &config.data, &*group);
                 Ok::<_, Error>(wide(targets, measured?, &of_crops))
             });
             (
@@ -127,36 +127,36 @@ pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome
         network_statistics: network_statistics.clone(),
         ..State::untrained(config.clone(), statistics.clone())
     };
-    let selection = Selection::new(&dataset.validation, &diffusion, state, &together)?;
-    let (material, held_out) = setup.material(dataset, statistics.clone(), samples)?;
-    let material = Material {
+    let selection = Selection::new(&dataset.validation, &diffusion, state, &group)?;
+    let (training_data, held_out) = context.training_data(dataset, statistics.clone(), samples)?;
+    let training_data = TrainingData {
         network_statistics,
-        ..material
+        ..training_data
     };
     let through_sampler = |diffusion| {
         let model = match starts {
-            Some(starts) => starts.networks(&config, &setup.device)?,
+            Some(starts) => starts.networks(&config, &context.device)?,
             // The weights of the checkpoint will replace them.
-            None => networks(&config, &normalized, &setup.device)?,
+            None => networks(&config, &normalized, &context.device)?,
         };
         let rollouts = Rollouts::new(diffusion, &own.rollout, normalized)?;
         Ok::<_, Error>((model, rollouts.with_targets(targets, &statistics)))
     };
     match recipe {
         RecipeName::Diffusion => {
-            let model = denoiser(&config, &setup.device)?;
+            let model = denoiser(&config, &context.device)?;
             let recipe = diffusion_recipe(diffusion, held_out);
-            setup.train(material, Selecting { recipe, selection }, model, observer)
+            context.train(training_data, Selecting { recipe, selection }, model, observer)
         }
         RecipeName::Decoder => {
             let (model, rollouts) = through_sampler(diffusion)?;
             let recipe = DecoderRecipe::new(rollouts, &own.loss, held_out);
-            setup.train(material, Selecting { recipe, selection }, model, observer)
+            context.train(training_data, Selecting { recipe, selection }, model, observer)
         }
         RecipeName::E2e => {
             let (model, rollouts) = through_sampler(diffusion)?;
             let recipe = E2eRecipe::new(rollouts, &own.loss, held_out);
-            setup.train(material, Selecting { recipe, selection }, model, observer)
+            context.train(training_data, Selecting { recipe, selection }, model, observer)
         }
     }
 }

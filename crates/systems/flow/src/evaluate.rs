@@ -105,7 +105,7 @@ fn evaluate(
     let frames = settings.frames;
     // The rollouts of each clip by text, and the velocity evaluations of the first.
     let rollouts = for_each_item(
-        &request.together,
+        &request.group,
         held_out.len(),
         on_step,
         |number, on_step| {

@@ -27,7 +27,7 @@ pub struct FlowRecipe {
 
 /// The random inputs of one batch's loss.
 #[derive(Clone, Debug)]
-pub struct FlowDraws {
+pub struct FlowRandomInputs {
     /// Flow time of each sample.
     pub times: Vec<f64>,
     /// Standard normal: `[batch, 3, J]`.
@@ -47,7 +47,7 @@ impl FlowRecipe {
     ///
     /// # Panics
     /// Panics without one of the conditions.
-    pub fn loss_of(&self, model: &FlowModel, inputs: Inputs, draws: FlowDraws) -> Loss {
+    pub fn loss_of(&self, model: &FlowModel, inputs: Inputs, draws: FlowRandomInputs) -> Loss {
         let Inputs { x_start, cond, .. } = inputs;
         let prediction_type = self.pose.prediction_type;
         let x_start = of_joints(x_start);
@@ -113,7 +113,7 @@ impl Recipe for FlowRecipe {
             Tensor::from_data(TensorData::new(keep.collect(), [size, 1, 1]), device)
         });
         let [_, numbers, _] = inputs.x_start.dims();
-        let draws = FlowDraws {
+        let draws = FlowRandomInputs {
             times: key
                 .of(Purpose::Timesteps)
                 .uniforms(size)
@@ -132,7 +132,7 @@ impl Recipe for FlowRecipe {
         let total = self.held_out.mean(device, |repeat, range, inputs| {
             let time = |p| ((repeat * all + p) as f64 + 0.5) / (repeats * all) as f64;
             let like = of_joints(inputs.x_start.clone());
-            let draws = FlowDraws {
+            let draws = FlowRandomInputs {
                 times: range.clone().map(time).collect(),
                 noise: self.held_out.noise(range, repeat as u64, &like),
                 keep_text: None,

@@ -13,30 +13,30 @@ use super::windows::{PoseSpace, PoseWindows};
 use super::{FlowTables, statistics_in};
 use kinegrad_train::Error;
 use kinegrad_train::Observer;
-use kinegrad_train::Together;
+use kinegrad_train::ProcessGroup;
 use kinegrad_train::clips::captions::with_captions;
 use kinegrad_train::clips::training;
 use kinegrad_train::config::Config;
-use kinegrad_train::run::{Material, Outcome, Setup};
+use kinegrad_train::run::{Outcome, RunContext, TrainingData};
 
 /// Statistics of features and poses.
 pub(super) type Both = [Statistics; 2];
 
-/// Trains according to the setup's config.
-pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome, Error> {
-    let mut own = setup.config.own::<FlowTables>().clone();
-    let mut setup = setup.with_gradients(own.model.activation_checkpointing);
-    let dataset = training::open(&setup, observer)?;
-    own.text = with_captions(own.text, &setup, &dataset, observer)?;
-    let config = setup.config.clone().with_own(own.clone());
-    setup.config = config.clone();
+/// Trains according to the context's config.
+pub(super) fn train(context: RunContext, observer: &mut dyn Observer) -> Result<Outcome, Error> {
+    let mut own = context.config.own::<FlowTables>().clone();
+    let mut context = context.with_gradients(own.model.activation_checkpointing);
+    let dataset = training::open(&context, observer)?;
+    own.text = with_captions(own.text, &context, &dataset, observer)?;
+    let config = context.config.clone().with_own(own.clone());
+    context.config = config.clone();
     let skeleton = config.data.humanml3d.skeleton.skeleton();
     let space = PoseSpace::new(skeleton, &own.pose, config.data.target_frames);
-    let [features, target] = match &setup.checkpoint {
+    let [features, target] = match &context.checkpoint {
         Some(checkpoint) => statistics_in(&checkpoint.state)?,
-        None => measured(&dataset, &space, &setup.together, observer)?,
+        None => measured(&dataset, &space, &context.group, observer)?,
     };
-    let model = model(&config, &setup.device)?;
+    let model = model(&config, &context.device)?;
     let text = text_input(&config);
     let shared = [&features, &target].map(|statistics| Arc::new(statistics.clone()));
     let samples = move |clips, config: &Config| {
@@ -45,13 +45,13 @@ pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome
         let seed = config.run.seed;
         PoseWindows::new(clips, space.clone(), features, target, labels, seed)
     };
-    let (material, held_out) = setup.material(dataset, features, samples)?;
-    let material = Material {
+    let (training_data, held_out) = context.training_data(dataset, features, samples)?;
+    let training_data = TrainingData {
         network_statistics: Some(target),
-        ..material
+        ..training_data
     };
-    setup.train(
-        material,
+    context.train(
+        training_data,
         FlowRecipe::new(own.pose, held_out),
         model,
         observer,
@@ -63,7 +63,7 @@ pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome
 fn measured(
     dataset: &Dataset<Clip>,
     space: &PoseSpace,
-    together: &Together,
+    group: &ProcessGroup,
     observer: &mut dyn Observer,
 ) -> Result<Both, Error> {
     let mut all: Option<[ChannelMoments; 2]> = None;
@@ -77,7 +77,7 @@ fn measured(
     let progress = observer.reading();
     dataset
         .train
-        .measure_among(|clip| space.moments(clip), take, &*progress, together)?;
+        .measure_among(|clip| space.moments(clip), take, &*progress, group)?;
     let [features, target] = all
         .expect("a dataset has training clips")
         .map(Statistics::standard);

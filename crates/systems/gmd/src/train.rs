@@ -13,7 +13,7 @@ use kinegrad_train::Observer;
 use kinegrad_train::clips::captions::with_captions;
 use kinegrad_train::clips::training;
 use kinegrad_train::config::Config;
-use kinegrad_train::run::{Outcome, Setup};
+use kinegrad_train::run::{Outcome, RunContext};
 
 /// The loss of the joints that `own` asks for, in the space of `model`.
 fn joint_motion(
@@ -40,26 +40,26 @@ fn joint_motion(
     ))
 }
 
-/// Trains according to the setup's config.
-pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome, Error> {
-    let mut own = setup.config.own::<GmdConfig>().clone();
-    let mut setup = setup.with_gradients(own.model.activation_checkpointing);
-    let dataset = training::open(&setup, observer)?;
-    own.text = with_captions(own.text, &setup, &dataset, observer)?;
-    let config = setup.config.clone().with_own(own.clone());
-    setup.config = config.clone();
-    let start = training::start_of(&setup, &own.init.diffusion, &Gmd)?;
-    let statistics = training::statistics(&setup, start.as_ref(), &dataset, observer)?;
+/// Trains according to the context's config.
+pub(super) fn train(context: RunContext, observer: &mut dyn Observer) -> Result<Outcome, Error> {
+    let mut own = context.config.own::<GmdConfig>().clone();
+    let mut context = context.with_gradients(own.model.activation_checkpointing);
+    let dataset = training::open(&context, observer)?;
+    own.text = with_captions(own.text, &context, &dataset, observer)?;
+    let config = context.config.clone().with_own(own.clone());
+    context.config = config.clone();
+    let start = training::start_of(&context, &own.init.diffusion, &Gmd)?;
+    let statistics = training::statistics(&context, start.as_ref(), &dataset, observer)?;
     let channels = channels_of(&config);
     let model = match start {
-        Some(start) => started(&start, &config, &setup.device)?,
-        None => model_in_space(&config, &setup.device)?,
+        Some(start) => started(&start, &config, &context.device)?,
+        None => model_in_space(&config, &context.device)?,
     };
     let joint_motion = joint_motion(&own, &config, &model, &statistics)?;
     let diffusion = GaussianDiffusion::new(&own.diffusion)?;
     let samples = training::samples(&dataset, &statistics, channels, text_input(&config));
-    let (material, held_out) = setup.material(dataset, statistics, samples)?;
+    let (training_data, held_out) = context.training_data(dataset, statistics, samples)?;
     let recipe = clip_recipe(diffusion, channels, &own.loss, joint_motion, held_out)
         .measuring_first(!own.init.diffusion.as_os_str().is_empty());
-    setup.train(material, recipe, model, observer)
+    context.train(training_data, recipe, model, observer)
 }

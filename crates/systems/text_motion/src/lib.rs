@@ -34,7 +34,7 @@ use kinegrad_train::clips::evaluator::{EvaluatorSource, TextMotionEvaluator};
 use kinegrad_train::config::{Config, ConfigError, OwnTables, Place, SystemTables};
 use kinegrad_train::evaluation::{Evaluation, EvaluationRequest};
 use kinegrad_train::memory::Footprint;
-use kinegrad_train::run::{Outcome, Setup};
+use kinegrad_train::run::{Outcome, RunContext};
 use kinegrad_train::sampling::{Request, SampleSink, Sampler};
 
 /// Name of the recipe.
@@ -122,7 +122,7 @@ impl System for TextMotionSystem {
         evaluate::prepare(trained, request)
     }
 
-    fn train(&self, setup: Setup, observer: &mut dyn Observer) -> Result<Outcome, Error> {
-        train::train(setup, observer)
+    fn train(&self, context: RunContext, observer: &mut dyn Observer) -> Result<Outcome, Error> {
+        train::train(context, observer)
     }
 }

@@ -9,17 +9,17 @@ use kinegrad_train::Error;
 use kinegrad_train::Observer;
 use kinegrad_train::clips::captions::TextInput;
 use kinegrad_train::clips::training;
-use kinegrad_train::run::{Outcome, Setup};
+use kinegrad_train::run::{Outcome, RunContext};
 
-/// Trains according to the setup's config.
-pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome, Error> {
-    let config = setup.config.clone();
+/// Trains according to the context's config.
+pub(super) fn train(context: RunContext, observer: &mut dyn Observer) -> Result<Outcome, Error> {
+    let config = context.config.clone();
     let own: &TextMotionTables = config.own();
-    let setup = setup.with_gradients(own.model.activation_checkpointing);
+    let context = context.with_gradients(own.model.activation_checkpointing);
     let words = Arc::new(word_vectors(&own.words)?);
-    let dataset = training::open(&setup, observer)?;
-    let statistics = training::statistics(&setup, None, &dataset, observer)?;
-    let model = encoders(&config, words.width(), &setup.device)?;
+    let dataset = training::open(&context, observer)?;
+    let statistics = training::statistics(&context, None, &dataset, observer)?;
+    let model = encoders(&config, words.width(), &context.device)?;
     let samples = training::samples(
         &dataset,
         &statistics,
@@ -27,7 +27,7 @@ pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome
         TextInput::Embedding,
     );
     let samples = move |clips, config: &_| samples(clips, config).with_words(words.clone());
-    let (material, held_out) = setup.material(dataset, statistics, samples)?;
+    let (training_data, held_out) = context.training_data(dataset, statistics, samples)?;
     let recipe = ContrastiveRecipe::new(own.loss.margin, held_out);
-    setup.train(material, recipe, model, observer)
+    context.train(training_data, recipe, model, observer)
 }

@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use crate::error::Error;
 use crate::observer::Observer;
-use crate::run::Setup;
+use crate::run::RunContext;
 use crate::sampling::Condition;
 use crate::text_encoder::TextEncoder;
 use burn::tensor::Device;
@@ -250,15 +250,15 @@ pub fn text_of(
 /// If there are none or too many, or a clip has one that is not known.
 pub fn with_captions(
     mut text: CaptionsConfig,
-    setup: &Setup,
+    context: &RunContext,
     dataset: &Dataset<Clip>,
     observer: &mut dyn Observer,
 ) -> Result<CaptionsConfig, Error> {
-    let (data, together) = (&setup.config.data, &*setup.together);
+    let (data, group) = (&context.config.data, &*context.group);
     if data.humanml3d.text != CaptionText::Labels {
         return Ok(text);
     }
-    let found = |set: &ClipSet| set.captions_among(&*observer.reading(), together);
+    let found = |set: &ClipSet| set.captions_among(&*observer.reading(), group);
     let (train, held_out) = (found(&dataset.train)?, found(&dataset.validation)?);
     if text.captions.is_empty() {
         let count = train.len();

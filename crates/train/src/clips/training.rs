@@ -11,7 +11,7 @@ use super::captions::TextInput;
 use crate::config::Config;
 use crate::error::Error;
 use crate::observer::Observer;
-use crate::run::Setup;
+use crate::run::RunContext;
 use crate::start::Start;
 use crate::system::System;
 
@@ -19,10 +19,10 @@ use crate::system::System;
 ///
 /// # Errors
 /// If it cannot be opened, or is another than the one trained on so far.
-pub fn open(setup: &Setup, observer: &mut dyn Observer) -> Result<Dataset<Clip>, Error> {
-    let data = &setup.config.data;
-    let dataset = Dataset::open_among(data, &*observer.reading(), &*setup.together)?;
-    setup.check_dataset(&dataset, observer)?;
+pub fn open(context: &RunContext, observer: &mut dyn Observer) -> Result<Dataset<Clip>, Error> {
+    let data = &context.config.data;
+    let dataset = Dataset::open_among(data, &*observer.reading(), &*context.group)?;
+    context.check_dataset(&dataset, observer)?;
     Ok(dataset)
 }
 
@@ -30,8 +30,12 @@ pub fn open(setup: &Setup, observer: &mut dyn Observer) -> Result<Dataset<Clip>,
 ///
 /// # Errors
 /// As [`Start::named`].
-pub fn start_of(setup: &Setup, init: &Path, system: &dyn System) -> Result<Option<Start>, Error> {
-    match &setup.checkpoint {
+pub fn start_of(
+    context: &RunContext,
+    init: &Path,
+    system: &dyn System,
+) -> Result<Option<Start>, Error> {
+    match &context.checkpoint {
         Some(_) => Ok(None),
         None => Start::named("init.diffusion", init, system),
     }
@@ -59,16 +63,16 @@ pub fn must_fit_clips(start: &Start, config: &Config) -> Result<(), Error> {
 /// # Errors
 /// [`Error::OtherRepresentation`] for statistics of other motion; if a clip cannot be read.
 pub fn statistics(
-    setup: &Setup,
+    context: &RunContext,
     start: Option<&Start>,
     dataset: &Dataset<Clip>,
     observer: &mut dyn Observer,
 ) -> Result<Statistics, Error> {
-    let resumed = setup.checkpoint.as_ref();
+    let resumed = context.checkpoint.as_ref();
     let resumed = resumed.map(|checkpoint| &checkpoint.state);
     match resumed.or(start.map(Start::state)) {
         Some(state) => Ok(state.clip_statistics()?.clone()),
-        None => Ok(dataset.statistics_among(&*observer.reading(), &*setup.together)?),
+        None => Ok(dataset.statistics_among(&*observer.reading(), &*context.group)?),
     }
 }
 

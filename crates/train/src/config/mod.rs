@@ -23,7 +23,7 @@ pub use error::ConfigError;
 pub(crate) use model::names;
 pub use model::{ModelTable, NetworkKind};
 pub use resume::{may_differ, must_continue, must_have_recipe};
-pub use resumed::Kept;
+pub use resumed::IgnoredKey;
 pub(crate) use resumed::resumed;
 pub use system_tables::{OwnTables, SystemTables};
 pub(crate) use tables::validate;

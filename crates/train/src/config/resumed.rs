@@ -6,7 +6,7 @@ use super::{Config, PLAIN, difference, may_differ};
 
 /// A key of the given file that a resumed run does not take.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Kept {
+pub struct IgnoredKey {
     /// Dotted key.
     pub key: String,
     /// Its value in the run's saved config, as JSON.
@@ -27,7 +27,7 @@ pub(crate) fn resumed(
     defaults: &Config,
     file: &Table,
     overrides: &[String],
-) -> (Table, Vec<Kept>) {
+) -> (Table, Vec<IgnoredKey>) {
     let set: Vec<&str> = overrides
         .iter()
         .filter_map(|argument| Some(argument.split_once('=')?.0.trim()))
@@ -38,14 +38,14 @@ pub(crate) fn resumed(
         .map(|difference| difference.key)
         .collect();
     let is_in_file = |key: &str| stands_in(file, key);
-    let mut kept = Vec::new();
+    let mut ignored = Vec::new();
     let mut taken = Vec::new();
     for difference in difference(saved, given) {
         let key = &difference.key;
         if is_set(key) || (!may_differ(key) && (is_in_file(key) || not_default.contains(key))) {
             taken.push(difference.key);
         } else if may_differ(key) && is_in_file(key) {
-            kept.push(Kept {
+            ignored.push(IgnoredKey {
                 key: difference.key,
                 saved: difference.left,
                 given: difference.right,
@@ -56,7 +56,7 @@ pub(crate) fn resumed(
     for key in &taken {
         take(&mut table, &given, key);
     }
-    (table, kept)
+    (table, ignored)
 }
 
 /// True if a dotted key is `table` or below it.
@@ -111,39 +111,39 @@ mod tests {
         let given = config(file, overrides);
         let overrides: Vec<String> = overrides.iter().map(|s| s.to_string()).collect();
         let table: Table = file.parse().expect("TOML");
-        let (resumed, kept) = resumed(&saved, &given, &config("", &[]), &table, &overrides);
+        let (resumed, ignored) = resumed(&saved, &given, &config("", &[]), &table, &overrides);
         let text = toml::to_string(&resumed).expect("plain");
-        let kept = kept.into_iter().map(|kept| kept.key).collect();
-        (config(&text, &[]), kept)
+        let ignored = ignored.into_iter().map(|ignored| ignored.key).collect();
+        (config(&text, &[]), ignored)
     }
 
     const FILE: &str = "[train]\nmax_steps = 600\n[run]\nname = \"a\"";
 
     #[test]
     fn what_a_run_was_started_with_stays_and_the_file_is_named() {
-        let (config, kept) = resume(FILE, &["train.max_steps=300"], &[]);
+        let (config, ignored) = resume(FILE, &["train.max_steps=300"], &[]);
         assert_eq!(config.train.max_steps, 300);
-        assert_eq!(kept, ["train.max_steps"]);
+        assert_eq!(ignored, ["train.max_steps"]);
         // A key that is not in the file gives no warning.
-        let (config, kept) = resume(FILE, &["checkpoint.keep_last=7"], &[]);
+        let (config, ignored) = resume(FILE, &["checkpoint.keep_last=7"], &[]);
         assert_eq!(config.checkpoint.keep_last, 7);
-        assert!(kept.is_empty(), "{kept:?}");
+        assert!(ignored.is_empty(), "{ignored:?}");
     }
 
     #[test]
     fn the_command_line_extends_a_run() {
-        let (config, kept) = resume(FILE, &["train.max_steps=300"], &["train.max_steps=600"]);
-        assert_eq!((config.train.max_steps, kept), (600, Vec::new()));
+        let (config, ignored) = resume(FILE, &["train.max_steps=300"], &["train.max_steps=600"]);
+        assert_eq!((config.train.max_steps, ignored), (600, Vec::new()));
         let (config, _) = resume(FILE, &[], &["data.source=elsewhere"]);
         assert_eq!(config.data.source.as_deref(), Some("elsewhere"));
     }
 
     #[test]
     fn other_keys_of_the_command_line_stay_too_and_those_of_the_file_are_taken() {
-        let (config, kept) = resume(FILE, &["optim.learning_rate=0.5"], &[]);
-        assert_eq!((config.optim.learning_rate, kept), (0.5, Vec::new()));
+        let (config, ignored) = resume(FILE, &["optim.learning_rate=0.5"], &[]);
+        assert_eq!((config.optim.learning_rate, ignored), (0.5, Vec::new()));
         let file = "[optim]\nlearning_rate = 0.25";
-        let (config, kept) = resume(file, &["optim.learning_rate=0.5"], &[]);
-        assert_eq!((config.optim.learning_rate, kept), (0.25, Vec::new()));
+        let (config, ignored) = resume(file, &["optim.learning_rate=0.5"], &[]);
+        assert_eq!((config.optim.learning_rate, ignored), (0.25, Vec::new()));
     }
 }

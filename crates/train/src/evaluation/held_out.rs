@@ -23,7 +23,7 @@ pub fn clips_with_held_out(
     purpose: &str,
 ) -> Result<(DataConfig, Dataset<Clip>), Error> {
     let data = dataset_or(own, request.source.as_deref());
-    let dataset = Dataset::open_among(&data, &no_progress, &*request.together)?;
+    let dataset = Dataset::open_among(&data, &no_progress, &*request.group)?;
     Ok((data, must_hold_out(dataset, trained, purpose)?))
 }
 
@@ -42,7 +42,7 @@ pub fn phrases_with_held_out(
         data.kind = DataKind::Phrases;
         data.source = Some(source.clone());
     }
-    let dataset = Dataset::open_among(&data, &no_progress, &*request.together)?;
+    let dataset = Dataset::open_among(&data, &no_progress, &*request.group)?;
     Ok((data, must_hold_out(dataset, trained, purpose)?))
 }
 

@@ -20,7 +20,7 @@ pub use table::{Column, Group, Metrics, Number};
 
 use crate::config::SamplingConfig;
 use crate::error::Error;
-use crate::together::Together;
+use crate::process_group::ProcessGroup;
 
 /// Progress callback: stage, denoising steps done and in total. `Break` ends with
 /// [`Error::Interrupted`].
@@ -84,13 +84,13 @@ pub struct Evaluated {
 /// # Errors
 /// The first error of `item`.
 pub fn for_each_item<T: Serialize + DeserializeOwned>(
-    together: &Together,
+    group: &ProcessGroup,
     count: usize,
     on_step: &mut OnStep<'_>,
     mut item: impl FnMut(usize, &mut OnStep<'_>) -> Result<T, Error>,
 ) -> Result<Vec<T>, Error> {
-    together.each(count, |number| {
-        let [before, own] = together.own_of(number, count);
+    group.each(count, |number| {
+        let [before, own] = group.own_of(number, count);
         item(number, &mut |stage, done, all| {
             on_step(stage, before * all + done, own * all)
         })

@@ -7,7 +7,7 @@ use crate::checkpoint::SavedCheckpoint;
 use crate::clips::evaluator::TextMotionEvaluator;
 use crate::error::Error;
 use crate::memory::must_fit;
-use crate::together::Together;
+use crate::process_group::ProcessGroup;
 
 /// The parts of an evaluation that a system's own tables do not state.
 #[derive(Clone, Debug, Default)]
@@ -24,7 +24,7 @@ pub struct EvaluationRequest {
     /// Whether to compare the phrases' own music with silence and with altered music.
     pub audio_ablation: bool,
     /// The processes that generate a part of the samples each; all of them get the same results.
-    pub together: Rc<Together>,
+    pub group: Rc<ProcessGroup>,
 }
 
 impl EvaluationRequest {
@@ -60,7 +60,7 @@ impl EvaluationRequest {
     /// # Errors
     /// As [`must_fit`].
     pub fn must_fit(&self, needed: u64, hint: &str) -> Result<(), Error> {
-        let processes = self.together.ranks().local().size as u64;
+        let processes = self.group.ranks().local().size as u64;
         must_fit("the evaluation", needed.saturating_mul(processes), hint)
     }
 }

@@ -34,7 +34,7 @@ pub fn preview_page(folder: &Path, step: u64) -> PathBuf {
 ///
 /// # Errors
 /// If the checkpoints cannot be listed.
-pub fn has_begun(folder: &Path) -> Result<bool, Error> {
+pub fn contains_run(folder: &Path) -> Result<bool, Error> {
     Ok(folder.join(CONFIG).exists() || !Checkpoints::of(folder).steps()?.is_empty())
 }
 

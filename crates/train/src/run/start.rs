@@ -7,15 +7,15 @@ use kinegrad_data::file::read_text;
 use kinegrad_settings::{Refused, require};
 use toml::Table;
 
-use super::folder::{exists_already, has_begun, lock, must_be_a_folder, must_hold_no_other};
-use super::setup::{Outcome, Setup};
+use super::context::{Outcome, RunContext};
+use super::folder::{contains_run, exists_already, lock, must_be_a_folder, must_hold_no_other};
 use crate::checkpoint::Checkpoints;
 use crate::config::{self, Config, ConfigError, OptimPlace};
 use crate::error::Error;
 use crate::memory;
 use crate::observer::Observer;
+use crate::process_group::ProcessGroup;
 use crate::system::Systems;
-use crate::together::Together;
 
 /// The run to train.
 #[derive(Clone, Debug)]
@@ -53,30 +53,30 @@ pub fn train(
     request: &TrainRequest,
     observer: &mut dyn Observer,
 ) -> Result<Outcome, Error> {
-    train_together(systems, request, &Together::alone(), observer)
+    train_distributed(systems, request, &ProcessGroup::alone(), observer)
 }
 
-/// [`train`] by several processes, each with its `together`. The first writes the run; all return
+/// [`train`] by several processes, each with its `group`. The first writes the run; all return
 /// the same outcome, but only the first has the run's lock.
 ///
 /// # Errors
 /// As [`train`], on all ranks: those that have met nothing themselves return [`Error::OtherRank`].
-pub fn train_together(
+pub fn train_distributed(
     systems: Systems<'_>,
     request: &TrainRequest,
-    together: &Rc<Together>,
+    group: &Rc<ProcessGroup>,
     observer: &mut dyn Observer,
 ) -> Result<Outcome, Error> {
-    together.told(begun(systems, request, together, observer))
+    group.report_failure(launch(systems, request, group, observer))
 }
 
-fn begun(
+fn launch(
     systems: Systems<'_>,
     request: &TrainRequest,
-    together: &Rc<Together>,
+    group: &Rc<ProcessGroup>,
     observer: &mut dyn Observer,
 ) -> Result<Outcome, Error> {
-    let size = together.ranks().size();
+    let size = group.ranks().size();
     if request.dry_run && size > 1 {
         return Err(Error::usage(
             format!("option `dry_run` with {size} ranks"),
@@ -84,7 +84,7 @@ fn begun(
         ));
     }
     let overrides = &request.overrides;
-    let begin = |folder, resume| Begin {
+    let launch = |folder, resume| Launch {
         folder,
         resume,
         dry_run: request.dry_run,
@@ -94,8 +94,8 @@ fn begun(
         Target::Folder(folder) => {
             let saved = saved_of(systems, folder)?;
             let given = systems.parse(&config::to_toml(&saved), SAVED, overrides)?;
-            let begin = begin(folder.clone(), true);
-            return train_in(systems, given, begin, together, observer);
+            let launch = launch(folder.clone(), true);
+            return train_in(systems, given, launch, group, observer);
         }
     };
     let resume = matches!(request.target, Target::Resumed(_));
@@ -122,7 +122,7 @@ fn begun(
         let taken = system.moved(saved.clone(), &config, &folder)?;
         config = resumed(systems, &taken, &config, path, overrides, observer)?;
     }
-    train_in(systems, config, begin(folder, resume), together, observer)
+    train_in(systems, config, launch(folder, resume), group, observer)
 }
 
 /// The config of a resumed run, and warnings for other values in the file.
@@ -138,8 +138,8 @@ fn resumed(
     let defaults = systems.parse(&recipe, "the defaults", &[])?;
     let file = read_text(path).ok().and_then(|text| text.parse().ok());
     let file: Table = file.unwrap_or_default();
-    let (table, kept) = config::resumed(saved, given, &defaults, &file, overrides);
-    for config::Kept { key, saved, given } in kept {
+    let (table, ignored) = config::resumed(saved, given, &defaults, &file, overrides);
+    for config::IgnoredKey { key, saved, given } in ignored {
         let (file, set) = (path.display(), given.trim_matches('"'));
         observer.warning(&format!(
             "`{key}` is {given} in {file} and {saved} in the run's saved config, which counts; \
@@ -206,28 +206,28 @@ fn saved_config(systems: Systems<'_>, folder: &Path) -> Result<Option<Config>, C
 /// Trains the run of a resolved config, in the folder of its name under `runs_dir`. Collective.
 ///
 /// # Errors
-/// As [`train_together`].
+/// As [`train_distributed`].
 pub fn train_config(
     systems: Systems<'_>,
     config: Config,
     runs_dir: &Path,
     resume: bool,
-    together: &Rc<Together>,
+    group: &Rc<ProcessGroup>,
     observer: &mut dyn Observer,
 ) -> Result<Outcome, Error> {
-    let begin = Begin {
+    let launch = Launch {
         folder: runs_dir.join(&config.run.name),
         resume,
         dry_run: false,
     };
-    train_in(systems, config, begin, together, observer)
+    train_in(systems, config, launch, group, observer)
 }
 
 /// Rejects a number of ranks that cannot share the micro-batches of a step.
-fn must_share(config: &Config, together: &Together) -> Result<(), Error> {
+fn must_share(config: &Config, group: &ProcessGroup) -> Result<(), Error> {
     let (steps, size) = (
         config.train.gradient_accumulation_steps,
-        together.ranks().size() as u64,
+        group.ranks().size() as u64,
     );
     require(
         steps.is_multiple_of(size),
@@ -248,7 +248,7 @@ fn must_share(config: &Config, together: &Together) -> Result<(), Error> {
 }
 
 /// The start of a new or resumed run.
-struct Begin {
+struct Launch {
     folder: PathBuf,
     resume: bool,
     dry_run: bool,
@@ -260,25 +260,25 @@ const SAMPLES_AT_ONCE: usize = 32;
 fn train_in(
     systems: Systems<'_>,
     config: Config,
-    begin: Begin,
-    together: &Rc<Together>,
+    launch: Launch,
+    group: &Rc<ProcessGroup>,
     observer: &mut dyn Observer,
 ) -> Result<Outcome, Error> {
-    let Begin {
+    let Launch {
         folder,
         resume,
         dry_run,
-    } = begin;
+    } = launch;
     for warning in systems.validate(&config)? {
         observer.warning(&warning);
     }
-    must_share(&config, together)?;
+    must_share(&config, group)?;
     let (system, recipe) = systems.of(&config)?;
     let name = config.run.name.clone();
     must_be_a_folder(&folder)?;
-    let mut exists = has_begun(&folder)?;
+    let mut exists = contains_run(&folder)?;
     for stage in system.stages() {
-        exists |= has_begun(&folder.join(stage))?;
+        exists |= contains_run(&folder.join(stage))?;
     }
     match (exists, resume) {
         (true, false) => return Err(exists_already(&name, &folder)),
@@ -289,7 +289,7 @@ fn train_in(
         _ => {}
     }
     // Without writes no lock is needed.
-    let locks = exists && !dry_run && together.writes();
+    let locks = exists && !dry_run && group.writes();
     let lock = locks.then(|| lock(&folder)).transpose()?;
     let (checkpoint, saved) = match resume {
         false => (None, None),
@@ -312,13 +312,13 @@ fn train_in(
         }
     }
 
-    let local = together.ranks().local().rank;
+    let local = group.ranks().local().rank;
     let (device, device_name) = crate::device::open_for(&config.run.device, local)?;
     let on_host = crate::device::is_host(&device_name);
     log::debug!("device {device_name}; {}", crate::device::kernels());
     let footprint = system.footprint(&config)?;
     let needed = footprint.of_training(&config, on_host);
-    let exchanged = match together.ranks().size() {
+    let exchanged = match group.ranks().size() {
         1 => 0,
         _ => footprint.of_exchange(),
     };
@@ -326,7 +326,7 @@ fn train_in(
         0 => 0,
         count => footprint.of_sampling(count.min(SAMPLES_AT_ONCE), false, on_host),
     };
-    let processes = together.ranks().local().size;
+    let processes = group.ranks().local().size;
     memory::must_fit(
         "training",
         (needed + exchanged).saturating_mul(processes as u64),
@@ -334,19 +334,19 @@ fn train_in(
          `data.target_frames` or, with synthetic data, `data.synthetic.phrases`; `kinegrad config \
          show` prints the estimate",
     )?;
-    together.done(Ok(()))?;
+    group.done(Ok(()))?;
     let step = checkpoint.as_ref().map(|checkpoint| checkpoint.state.step);
-    together.must_compute_alike()?;
-    if let Some(warning) = together.shared_card(&device_name)
+    group.must_compute_alike()?;
+    if let Some(warning) = group.shared_card(&device_name)
         && !on_host
     {
         observer.warning(&warning);
     }
-    together.must_be_about_the_same(&[
+    group.must_match(&[
         ("config", &config::to_toml(&config)),
         ("step that it goes on from", &step.unwrap_or(0).to_string()),
     ])?;
-    let setup = Setup {
+    let context = RunContext {
         dry_run,
         memory: needed,
         memory_of_samples,
@@ -357,7 +357,7 @@ fn train_in(
         lock,
         checkpoint,
         config,
-        together: together.clone(),
+        group: group.clone(),
     };
-    system.train(setup, observer)
+    system.train(context, observer)
 }

@@ -26,7 +26,7 @@ use crate::memory::Footprint;
 use crate::observer::Observer;
 use crate::parameter_count::ParameterCount;
 use crate::recipe::RecipeInfo;
-use crate::run::{Outcome, Setup};
+use crate::run::{Outcome, RunContext};
 use crate::sampling::{Request, SampleSink, Sampler};
 use crate::trained_model::TrainedModel;
 
@@ -209,11 +209,11 @@ pub trait System: Sync {
         request: &EvaluationRequest,
     ) -> Result<Evaluation<'a>, Error>;
 
-    /// Trains until the end or until interrupted, with [`Setup::train`].
+    /// Trains until the end or until interrupted, with [`RunContext::train`].
     ///
     /// # Errors
     /// If the run is rejected, before anything is written, or if it fails.
-    fn train(&self, setup: Setup, observer: &mut dyn Observer) -> Result<Outcome, Error>;
+    fn train(&self, context: RunContext, observer: &mut dyn Observer) -> Result<Outcome, Error>;
 }
 
 /// The systems that are available to an entry point.

@@ -27,11 +27,11 @@ impl EventFile {
     /// If the file cannot be read or written.
     pub fn open(path: &Path, step: u64, warn: &mut dyn FnMut(&str)) -> Result<Self, Error> {
         let read = || match step {
-            0 => Ok(Kept::default()),
-            _ => Kept::of(BufReader::new(File::open(path)?), step),
+            0 => Ok(ValidPrefix::default()),
+            _ => ValidPrefix::of(BufReader::new(File::open(path)?), step),
         };
         let found = match regular(path) {
-            Err(error) if error.kind() == ErrorKind::NotFound => Ok(Kept::default()),
+            Err(error) if error.kind() == ErrorKind::NotFound => Ok(ValidPrefix::default()),
             found => found.and_then(|_| read()),
         };
         let found = found.map_err(Error::io("read", path))?;
@@ -148,14 +148,14 @@ const MAX_EVENT_BYTES: u64 = 16 << 20;
 
 /// The beginning of a file that a resumed run keeps.
 #[derive(Debug, Default, PartialEq)]
-struct Kept {
+struct ValidPrefix {
     /// Its length: whole records not beyond a step.
     bytes: u64,
     /// True if it ends at a damaged record. A truncated record is from a process that was killed.
     damaged: bool,
 }
 
-impl Kept {
+impl ValidPrefix {
     fn of(mut file: impl Read, step: u64) -> io::Result<Self> {
         let mut kept = Self::default();
         loop {

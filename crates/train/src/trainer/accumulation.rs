@@ -42,16 +42,16 @@ impl<R: Recipe> Trainer<R> {
         &mut self,
         observer: &mut dyn Observer,
     ) -> Result<Option<Averaged>, Error> {
-        let together = self.parts.together.clone();
+        let group = self.parts.group.clone();
         let count = self.parts.config.train.gradient_accumulation_steps;
-        let share = together.ranks().share(count);
+        let share = group.ranks().share(count);
         let stop = || observer.stop_requested();
         let batch = self.parts.loader.next_unless(&stop).map_err(Error::from);
         let weight = match &batch {
             Ok(Some(batch)) => self.parts.recipe.weight(batch),
             _ => 0.0,
         };
-        let Some((batch, weights)) = together.agree(batch, &[weight])? else {
+        let Some((batch, weights)) = group.agree(batch, &[weight])? else {
             return Ok(None);
         };
         let first = weights[0][0];
@@ -60,7 +60,7 @@ impl<R: Recipe> Trainer<R> {
             ..Measured::default()
         };
         let gradients = self.summed(share, Some(batch), &mut measured, observer);
-        let Some((mut gradients, numbers)) = together.agree(gradients, &measured.numbers)? else {
+        let Some((mut gradients, numbers)) = group.agree(gradients, &measured.numbers)? else {
             return Ok(None);
         };
         let (mut loss, mut divisor) = (0.0, 0.0);
@@ -84,7 +84,7 @@ impl<R: Recipe> Trainer<R> {
         }
         match (self.exchange.take(), gradients) {
             (Some(mut exchange), StepGradients::Host(own)) => {
-                exchange.sum(together.ranks(), own, divisor);
+                exchange.sum(group.ranks(), own, divisor);
                 gradients = StepGradients::Ranks(exchange);
             }
             (_, own) => {

@@ -6,7 +6,7 @@ use kinegrad_kernels::optimizer::{self, sum_of_squares};
 use kinegrad_ranks::Ranks;
 
 use super::owners::Owners;
-use crate::together::{About, Together};
+use crate::process_group::{ProcessGroup, Tag};
 
 /// The gradients of all parameters that are trained, one behind the other, in memory that is kept from step
 /// to step: pages that are new each time cost more than the copy.
@@ -85,7 +85,7 @@ impl Exchange {
     }
 
     /// The sum of the squares of each parameter's gradient. Collective.
-    pub fn squares(&self, together: &Together) -> Vec<f64> {
+    pub fn squares(&self, group: &ProcessGroup) -> Vec<f64> {
         let mut squares = vec![0.0; self.places.len()];
         let own =
             (0..squares.len()).filter(|&index| self.has(index) && !self.places[index].is_empty());
@@ -95,9 +95,9 @@ impl Exchange {
         let Some(owners) = &self.owners else {
             return squares;
         };
-        let own = owners.of_rank(together.ranks().rank());
+        let own = owners.of_rank(group.ranks().rank());
         let said: Vec<u8> = own.flat_map(|index| squares[index].to_le_bytes()).collect();
-        for (rank, said) in together.gather(About::Squares, &said).iter().enumerate() {
+        for (rank, said) in group.gather(Tag::Squares, &said).iter().enumerate() {
             let (numbers, _) = said.as_chunks::<8>();
             for (index, number) in owners.of_rank(rank).zip(numbers) {
                 squares[index] = f64::from_le_bytes(*number);

@@ -11,7 +11,7 @@ use kinegrad_ranks::add;
 use super::exchange::Exchange;
 use super::rows::{Layout, Rows};
 use crate::optim;
-use crate::together::Together;
+use crate::process_group::ProcessGroup;
 
 /// The gradients of all parameters.
 pub(super) enum StepGradients {
@@ -77,10 +77,10 @@ impl StepGradients {
     }
 
     /// The sum of the squares of each parameter's gradient, or of each row of them. Collective.
-    pub fn squares(&self, together: &Together) -> Vec<f64> {
+    pub fn squares(&self, group: &ProcessGroup) -> Vec<f64> {
         match self {
             Self::Host(gradients) => optim::squares(gradients),
-            Self::Ranks(exchange) => exchange.squares(together),
+            Self::Ranks(exchange) => exchange.squares(group),
             Self::Device(gradients) => {
                 let parts: Vec<Tensor<1>> = gradients.rows.iter().map(squares_of_parts).collect();
                 let counts: Vec<usize> = parts.iter().map(|parts| parts.dims()[0]).collect();
@@ -149,7 +149,7 @@ mod tests {
         let layout = Layout::new(&lengths, |index| index == 3);
         let rows = Rows::joined(&layout, &tensors.collect::<Vec<_>>(), &device);
         let sum = |squares: Vec<f64>| squares.iter().sum::<f64>();
-        let alone = Together::alone();
+        let alone = ProcessGroup::alone();
         let found = StepGradients::Device(rows).squares(&alone);
         assert_eq!(found.len(), 2);
         let (found, expected) = (sum(found), sum(StepGradients::Host(host).squares(&alone)));

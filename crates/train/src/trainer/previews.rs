@@ -32,13 +32,13 @@ impl<R: Recipe> Trainer<R> {
         drawn: bool,
         observer: &mut dyn Observer,
     ) -> Result<(), Error> {
-        let together = self.parts.together.clone();
-        let draws = together.writes() && !drawn && !observer.stop_requested();
+        let group = self.parts.group.clone();
+        let draws = group.writes() && !drawn && !observer.stop_requested();
         let recorded = match draws {
             true => self.draw_previews(observer),
             false => Ok(()),
         };
-        together.done(recorded)
+        group.done(recorded)
     }
 
     fn draw_previews(&mut self, observer: &mut dyn Observer) -> Result<(), Error> {

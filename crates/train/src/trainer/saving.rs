@@ -22,7 +22,7 @@ pub(super) struct Writing<'a, R: Recipe> {
 impl<'a, R: Recipe> Saving<'a, R> {
     /// Starts a checkpoint of the current state.
     pub fn begin(trainer: &'a Trainer<R>) -> Self {
-        let writes = trainer.parts.together.writes();
+        let writes = trainer.parts.group.writes();
         let begun = writes.then(|| trainer.checkpoints.begin(trainer.step));
         Self {
             trainer,

@@ -25,11 +25,11 @@ use crate::parameter_count::is_adapter;
 pub(super) struct States {
     optimizer: AdamW,
     ema: Ema,
-    kept: Kept,
+    storage: Storage,
 }
 
 /// Running means and averages, in the module's order.
-enum Kept {
+enum Storage {
     /// In main memory.
     Host(OnHost),
     /// On the device of the networks.
@@ -59,7 +59,7 @@ struct OnDevice {
 }
 
 /// The initial states of a training.
-pub(super) struct Begin<'a> {
+pub(super) struct Inputs<'a> {
     pub config: &'a Config,
     pub infos: &'a [ParameterInfo],
     /// The autodiff device of the networks.
@@ -73,13 +73,13 @@ pub(super) struct Begin<'a> {
 
 impl States {
     /// States of `model` at step 0, or those of a checkpoint, whose weights it has.
-    pub fn begin<M: Module>(model: &M, checkpoint: Option<Checkpoint>, begin: &Begin<'_>) -> Self {
-        let Begin {
+    pub fn new<M: Module>(model: &M, checkpoint: Option<Checkpoint>, inputs: &Inputs<'_>) -> Self {
+        let Inputs {
             config,
             infos,
             ranks,
             ..
-        } = begin;
+        } = inputs;
         let optim = &config.optim;
         // Frozen parameters have no running means.
         let lengths = trained_lengths(model);
@@ -118,15 +118,15 @@ impl States {
         let decaying = infos.iter().map(|info| decays(optim, info)).collect();
         let optimizer = AdamW::new(optim, steps).with_decay_on(decaying);
         let on_device = match optim.offload {
-            OptimPlace::Auto => !begin.on_host && ranks.size() == 1,
+            OptimPlace::Auto => !inputs.on_host && ranks.size() == 1,
             OptimPlace::Host => false,
             OptimPlace::Device => true,
         };
-        let kept = if on_device {
+        let storage = if on_device {
             let layout = Layout::new(&lengths, |index| {
-                (begin.groups[index], decays(optim, &infos[index]))
+                (inputs.groups[index], decays(optim, &infos[index]))
             });
-            let device = begin.device.clone().inner();
+            let device = inputs.device.clone().inner();
             let put = |values: &[Vec<f32>]| Rows::put(&layout, values, &device);
             let (exp_avg, exp_avg_sq): (Vec<_>, Vec<_>) = moments
                 .into_iter()
@@ -139,41 +139,41 @@ impl States {
                 averages: put(&averages),
                 frozen: {
                     let frozen = averages.into_iter().zip(&lengths);
-                    let kept = frozen.map(|(values, &length)| match length {
+                    let frozen = frozen.map(|(values, &length)| match length {
                         0 => values,
                         _ => Vec::new(),
                     });
-                    kept.collect()
+                    frozen.collect()
                 },
             };
-            Kept::Device(on_device)
+            Storage::Device(on_device)
         } else {
-            Kept::Host(OnHost {
+            Storage::Host(OnHost {
                 moments,
                 averages,
                 owners,
-                weights: (!begin.on_host).then(|| parameters::values(model)),
+                weights: (!inputs.on_host).then(|| parameters::values(model)),
             })
         };
         Self {
             optimizer,
             ema: Ema::new(&config.ema),
-            kept,
+            storage,
         }
     }
 
     /// The layout of gradients on the device of the networks, if they are needed there.
     pub fn on_device(&self) -> Option<&Rc<Layout>> {
-        match &self.kept {
-            Kept::Host(_) => None,
-            Kept::Device(kept) => Some(&kept.weights.layout),
+        match &self.storage {
+            Storage::Host(_) => None,
+            Storage::Device(states) => Some(&states.weights.layout),
         }
     }
 
     /// The exchange between ranks in the steps of `model`, if there are several.
     pub fn exchange<M: Module>(&self, model: &M, ranks: &dyn Ranks) -> Option<Exchange> {
-        let owners = match &self.kept {
-            Kept::Host(kept) if ranks.size() > 1 => kept.owners.clone(),
+        let owners = match &self.storage {
+            Storage::Host(states) if ranks.size() > 1 => states.owners.clone(),
             _ => return None,
         };
         Some(Exchange::new(ranks, &trained_lengths(model), owners))
@@ -192,15 +192,15 @@ impl States {
         self.optimizer.begin_step();
         let share = self.ema.share_at(self.optimizer.steps());
         let step = |index| self.optimizer.step(index, gradient_scale, rates[index]);
-        match (&mut self.kept, gradients) {
-            (Kept::Host(kept), StepGradients::Host(gradients)) => {
-                kept.update(model, |index, parameter, moments, average| {
+        match (&mut self.storage, gradients) {
+            (Storage::Host(states), StepGradients::Host(gradients)) => {
+                states.update(model, |index, parameter, moments, average| {
                     let average = share.map(|share| (average, share));
                     moments.update(step(index), parameter, &gradients[index], average);
                 })
             }
-            (Kept::Host(kept), StepGradients::Ranks(exchange)) => {
-                let model = kept.update(model, |index, parameter, moments, average| {
+            (Storage::Host(states), StepGradients::Ranks(exchange)) => {
+                let model = states.update(model, |index, parameter, moments, average| {
                     if exchange.has(index) {
                         let average = share.map(|share| (average, share));
                         let gradient = exchange.gradient(index);
@@ -210,32 +210,32 @@ impl States {
                 });
                 match exchange.gather_weights(ranks) {
                     false => model,
-                    true => on_host(model, kept.weights.as_mut(), |index, values| {
+                    true => on_host(model, states.weights.as_mut(), |index, values| {
                         if let Some(weights) = exchange.weights_of_other(index) {
                             values.copy_from_slice(weights);
                         }
                     }),
                 }
             }
-            (Kept::Device(kept), StepGradients::Device(gradients)) => {
-                for (row, first) in kept.weights.layout.clone().first().enumerate() {
-                    let average = kept.averages.rows[row].clone();
+            (Storage::Device(states), StepGradients::Device(gradients)) => {
+                for (row, first) in states.weights.layout.clone().first().enumerate() {
+                    let average = states.averages.rows[row].clone();
                     let state = AdamWTensors {
-                        parameter: kept.weights.rows[row].clone(),
-                        exp_avg: kept.exp_avg.rows[row].clone(),
-                        exp_avg_sq: kept.exp_avg_sq.rows[row].clone(),
+                        parameter: states.weights.rows[row].clone(),
+                        exp_avg: states.exp_avg.rows[row].clone(),
+                        exp_avg_sq: states.exp_avg_sq.rows[row].clone(),
                         ema: share.map(|share| (average, share)),
                     };
                     let gradient = gradients.rows[row].clone();
                     let state = step(first).update_tensors(state, gradient);
-                    kept.weights.rows[row] = state.parameter;
-                    kept.exp_avg.rows[row] = state.exp_avg;
-                    kept.exp_avg_sq.rows[row] = state.exp_avg_sq;
+                    states.weights.rows[row] = state.parameter;
+                    states.exp_avg.rows[row] = state.exp_avg;
+                    states.exp_avg_sq.rows[row] = state.exp_avg_sq;
                     if let Some((average, _)) = state.ema {
-                        kept.averages.rows[row] = average;
+                        states.averages.rows[row] = average;
                     }
                 }
-                parameters::map(model, |index, _| kept.weights.part(index))
+                parameters::map(model, |index, _| states.weights.part(index))
             }
             _ => unreachable!("gradients are where the states are"),
         }
@@ -243,14 +243,14 @@ impl States {
 
     /// The averaged weights of all parameters, on the ranks that receive them. Collective.
     pub fn averages(&self, ranks: &dyn Ranks, to: Receivers) -> Cow<'_, [Vec<f32>]> {
-        match &self.kept {
-            Kept::Host(kept) => match &kept.owners {
-                Some(owners) => owners.gathered(ranks, to, kept.averages.iter()).into(),
-                None => kept.averages.as_slice().into(),
+        match &self.storage {
+            Storage::Host(states) => match &states.owners {
+                Some(owners) => owners.gathered(ranks, to, states.averages.iter()).into(),
+                None => states.averages.as_slice().into(),
             },
-            Kept::Device(kept) => {
-                let mut averages = kept.averages.read();
-                for (average, frozen) in averages.iter_mut().zip(&kept.frozen) {
+            Storage::Device(states) => {
+                let mut averages = states.averages.read();
+                for (average, frozen) in averages.iter_mut().zip(&states.frozen) {
                     average.extend(frozen);
                 }
                 averages.into()
@@ -260,13 +260,13 @@ impl States {
 
     /// The optimiser's running means of all parameters, on the ranks that receive them. Collective.
     pub fn moments(&self, ranks: &dyn Ranks, to: Receivers) -> Cow<'_, [Moments]> {
-        let [exp_avg, exp_avg_sq] = match &self.kept {
-            Kept::Host(OnHost {
+        let [exp_avg, exp_avg_sq] = match &self.storage {
+            Storage::Host(OnHost {
                 moments,
                 owners: None,
                 ..
             }) => return moments.as_slice().into(),
-            Kept::Host(OnHost {
+            Storage::Host(OnHost {
                 moments,
                 owners: Some(owners),
                 ..
@@ -279,7 +279,7 @@ impl States {
                     all(|moments| &moments.exp_avg_sq),
                 ]
             }
-            Kept::Device(kept) => [kept.exp_avg.read(), kept.exp_avg_sq.read()],
+            Storage::Device(states) => [states.exp_avg.read(), states.exp_avg_sq.read()],
         };
         let moments = |(exp_avg, exp_avg_sq)| Moments {
             exp_avg,

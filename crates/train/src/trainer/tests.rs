@@ -110,7 +110,7 @@ fn trainer_with(batches: usize, states: &str, on_host: bool) -> Trainer<Squares>
         on_host,
         dataset: dataset.digest,
         folder: PathBuf::new(),
-        together: Together::alone(),
+        group: ProcessGroup::alone(),
     };
     let model = Linear::new(25, 2, &Initializer::new(3, &device));
     Trainer::unrecorded(parts, model, None)
@@ -147,7 +147,7 @@ fn states_are_moved_alike_in_either_place() {
             trainer.states.on_device().is_some(),
             states != "host" && !on_host
         );
-        let ranks = trainer.parts.together.ranks();
+        let ranks = trainer.parts.group.ranks();
         let moments = trainer.states.moments(ranks, Receivers::All).into_owned();
         let halves = moments.into_iter().map(|m| [m.exp_avg, m.exp_avg_sq]);
         let mut all = parameters::values(trainer.model.as_ref().unwrap());

@@ -17,7 +17,7 @@ use kinegrad_train::evaluation::{
     Evaluation, EvaluationRequest, OnStep, for_each_item, phrases_with_held_out,
 };
 use kinegrad_train::sampling::item_seed;
-use kinegrad_train::{Error, Together, TrainedModel};
+use kinegrad_train::{Error, ProcessGroup, TrainedModel};
 
 use super::generate::{self, Generator, keys};
 use super::lengths::{untrained, windows};
@@ -88,7 +88,7 @@ pub(super) fn prepare<'a>(
         let measure = audio_ablation::prepare(trained, request, &data, held_out, &dataset.train)?;
         return Ok(evaluation("eval-audio-ablation", measure));
     }
-    let processes = request.together.ranks().local().size;
+    let processes = request.group.ranks().local().size;
     let lengths: BTreeSet<usize> = held_out.iter().map(|phrase| phrase.frames()).collect();
     for frames in lengths {
         generate::must_fit(trained, settings.seeds, frames, processes, BATCH_HINT)?;
@@ -108,11 +108,11 @@ pub(super) fn prepare<'a>(
         seed: request.seed,
         cond: settings.cond,
     };
-    let together = request.together.clone();
+    let group = request.group.clone();
     let measure = move |on_step: &mut OnStep<'_>| {
         let generator = Generator::load(trained)?;
         let report = evaluate(
-            &generator, &held_out, &training, settings, &together, on_step,
+            &generator, &held_out, &training, settings, &group, on_step,
         )?;
         let mut results = report.results(&config.sampling);
         if generator.statistics().movement.is_empty() {
@@ -140,12 +140,12 @@ pub(super) fn evaluate(
     held_out: &[Arc<PhraseItem>],
     training: &[Arc<PhraseItem>],
     settings: SampleSettings,
-    together: &Together,
+    group: &ProcessGroup,
     on_step: &mut OnStep<'_>,
 ) -> Result<EvaluationReport, Error> {
     let SampleSettings { seeds, seed, cond } = settings;
     let sampling = &generator.config().sampling;
-    let samples = for_each_item(together, held_out.len(), on_step, |index, on_step| {
+    let samples = for_each_item(group, held_out.len(), on_step, |index, on_step| {
         let phrase = &held_out[index];
         let (mut raw, mut processed) = (Vec::new(), Vec::new());
         let audio = condition(phrase, cond, seed);

@@ -16,7 +16,7 @@
 use burn::tensor::{Device, Tensor};
 use kinegrad_diffusion::{GaussianDiffusion, diffusion_loss};
 use kinegrad_train::Loss;
-use kinegrad_train::denoising::{DenoisingRecipe, Draws, HeldOut, Inputs};
+use kinegrad_train::denoising::{DenoisingRecipe, HeldOut, Inputs, RandomInputs};
 
 use crate::network::{AudioCondition, UNet1d, beat_labels};
 use crate::style::condition;
@@ -35,7 +35,7 @@ pub(in super::super) fn denoising_loss(
     diffusion: &GaussianDiffusion,
     unet: &UNet1d,
     inputs: Inputs,
-    draws: Draws,
+    draws: RandomInputs,
     training: bool,
 ) -> Loss {
     let lengths = inputs.lengths.clone();
@@ -210,11 +210,11 @@ mod tests {
             .expect("a network");
         let diffusion = GaussianDiffusion::new(&DiffusionConfig::default()).expect("a process");
         let loss = |start: f32, training: bool| {
-            let draws = Draws {
+            let draws = RandomInputs {
                 timesteps: vec![600],
                 noise: Tensor::ones([1, 25, 13], &device) * 0.5,
-                keep_cond: None,
-                keep_style: None,
+                condition_dropout_mask: None,
+                style_dropout_mask: None,
                 dropout: None,
             };
             let inputs = labelled(start, &device);

@@ -21,7 +21,7 @@ use kinegrad_data::Batch;
 use kinegrad_diffusion::{Trace, rollout_timesteps};
 use kinegrad_models::{DropoutKey, GradientSum};
 use kinegrad_random::Purpose;
-use kinegrad_train::denoising::{Draws, HeldOut, Inputs, noise};
+use kinegrad_train::denoising::{RandomInputs, HeldOut, Inputs, noise};
 use kinegrad_train::{Loss, Measured, Recipe, StepKey};
 
 use super::Rollouts;
@@ -50,9 +50,9 @@ pub struct PendingRollout {
 
 /// The random inputs of one batch's loss.
 #[derive(Clone, Debug)]
-pub struct E2eDraws {
+pub struct E2eRandomInputs {
     /// Inputs of the diffusion loss.
-    pub denoising: Draws,
+    pub denoising: RandomInputs,
     /// Start timestep of each sample's rollout.
     pub starts: Vec<usize>,
     /// Start noise of the rollout, standard normal: `[batch, channels, time]`.
@@ -76,9 +76,9 @@ impl E2eRecipe {
         &self,
         model: &MotionModel,
         inputs: Inputs,
-        draws: E2eDraws,
+        draws: E2eRandomInputs,
     ) -> Loss<Option<PendingRollout>> {
-        let E2eDraws {
+        let E2eRandomInputs {
             denoising,
             starts,
             start_noise,
@@ -181,8 +181,8 @@ impl Recipe for E2eRecipe {
         let inputs = Inputs::new(batch, device);
         let shape = inputs.x_start.dims();
         let diffusion = &self.rollouts.rollout.diffusion;
-        let draws = E2eDraws {
-            denoising: Draws::new(diffusion, &inputs, key, device),
+        let draws = E2eRandomInputs {
+            denoising: RandomInputs::new(diffusion, &inputs, key, device),
             starts: self
                 .rollouts
                 .sample_starts(shape[0], key.of(Purpose::RolloutTimesteps)),

@@ -8,5 +8,5 @@ mod rollouts;
 pub use decoder::DecoderRecipe;
 pub(super) use diffusion::denoising_loss;
 pub use diffusion::diffusion_recipe;
-pub use e2e::{E2eDraws, E2eRecipe, PendingRollout};
+pub use e2e::{E2eRandomInputs, E2eRecipe, PendingRollout};
 pub use rollouts::Rollouts;

@@ -15,7 +15,7 @@ use super::{GoalTask, VarietyReport};
 use crate::generate::keys;
 use crate::{ClipGenerator, ClipRequest, GeneratedClip, GmdConfig, GmdEvaluationConfig};
 use kinegrad_train::Error;
-use kinegrad_train::Together;
+use kinegrad_train::ProcessGroup;
 use kinegrad_train::clips::captions::ClipText;
 use kinegrad_train::clips::evaluator::{TextMotionEvaluator, TextMotionReports};
 use kinegrad_train::config::SamplingConfig;
@@ -49,7 +49,7 @@ pub(super) struct GoalEvaluation<'a> {
     /// The labels of clips.
     pub labels: &'a ClipLabels,
     /// The processes that generate some batches each.
-    pub together: &'a Together,
+    pub group: &'a ProcessGroup,
 }
 
 /// One replication.
@@ -148,7 +148,7 @@ impl GoalEvaluation<'_> {
         let (requests, noise): (Vec<_>, Vec<_>) = all.unzip();
         let size = self.settings.batch_size;
         let batches: Vec<_> = requests.chunks(size).zip(noise.chunks(size)).collect();
-        let samples = for_each_item(self.together, batches.len(), on_step, |batch, on_step| {
+        let samples = for_each_item(self.group, batches.len(), on_step, |batch, on_step| {
             let (requests, noise) = batches[batch];
             let trajectory = self.trajectory;
             self.generator

@@ -45,7 +45,7 @@ pub fn prepare<'a>(
     let trajectory = trajectory
         .map(|saved| trajectory_model(trained, saved))
         .transpose()?;
-    let together = request.together.clone();
+    let group = request.group.clone();
     let evaluator = request.evaluator.clone();
     if let Some(evaluator) = &evaluator {
         evaluator.must_take(held_out[0].features.layout())?;
@@ -83,7 +83,7 @@ pub fn prepare<'a>(
                 trajectory: trajectory.as_ref(),
                 evaluator: evaluator.as_deref(),
                 labels: &labels,
-                together: &together,
+                group: &group,
             };
             evaluation.run(seed, on_step)
         }),

@@ -6,7 +6,7 @@ use kinegrad_diffusion::GaussianDiffusion;
 
 use kinegrad_train::Loss;
 use kinegrad_train::clips::weighted_masked_loss;
-use kinegrad_train::denoising::{Draws, Inputs, denoising_loss};
+use kinegrad_train::denoising::{Inputs, RandomInputs, denoising_loss};
 
 /// The loss of one batch, `x_start` standing in the network's space:
 ///
@@ -23,7 +23,7 @@ pub fn clip_loss(
     diffusion: &GaussianDiffusion,
     model: &TextDenoiser,
     inputs: Inputs,
-    draws: Draws,
+    draws: RandomInputs,
     channel_weights: &[f64],
     velocity: f64,
     weighted: bool,

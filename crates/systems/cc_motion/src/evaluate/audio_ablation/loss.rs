@@ -3,7 +3,7 @@
 use burn::tensor::{Tensor, TensorData};
 use kinegrad_data::{AUDIO, AudioFeatures, PhraseItem};
 use kinegrad_random::{Key, Purpose};
-use kinegrad_train::denoising::{Conditions, Draws, Inputs};
+use kinegrad_train::denoising::{Conditions, RandomInputs, Inputs};
 
 use crate::generate::Generator;
 use crate::recipes::denoising_loss;
@@ -44,11 +44,11 @@ pub(super) fn loss(generator: &Generator, phrase: &PhraseItem, audio: &AudioFeat
         mask: Tensor::ones([levels, frames], device),
         lengths: None,
     };
-    let draws = Draws {
+    let draws = RandomInputs {
         timesteps,
         noise,
-        keep_cond: None,
-        keep_style: None,
+        condition_dropout_mask: None,
+        style_dropout_mask: None,
         dropout: None,
     };
     let loss = denoising_loss(&generator.diffusion, &generator.unet, inputs, draws, false);

@@ -71,7 +71,7 @@ pub(super) fn prepare<'a>(
     }
     let longest = held_out.iter().map(|one| one.phrase.frames()).max();
     let batch = settings.seeds.saturating_mul(AudioVariant::ALL.len());
-    let processes = request.together.ranks().local().size;
+    let processes = request.group.ranks().local().size;
     let longest = longest.unwrap_or_default();
     generate::must_fit(trained, batch, longest, processes, BATCH_HINT)?;
     let training_phrases = train.load()?;
@@ -150,8 +150,8 @@ impl<'a> Ablation<'a> {
     /// If the sampler's settings cannot work, and [`Error::Interrupted`] after `Break`.
     fn run(&self, on_step: &mut OnStep<'_>) -> Result<AblationReport, Error> {
         let (held_out, seed) = (self.held_out, self.request.seed);
-        let together = &self.request.together;
-        let measured = for_each_item(together, held_out.len(), on_step, |index, on_step| {
+        let group = &self.request.group;
+        let measured = for_each_item(group, held_out.len(), on_step, |index, on_step| {
             self.measure(&held_out[index], on_step)
         })?;
         let guidance = self.guidance(on_step)?;
@@ -231,7 +231,7 @@ impl<'a> Ablation<'a> {
             let mut on_step =
                 |stage, done, all| on_step(stage, number * all + done, scales.len() * all);
             let samples = for_each_item(
-                &self.request.together,
+                &self.request.group,
                 held_out.len(),
                 &mut on_step,
                 |index, on_step| {

@@ -29,17 +29,17 @@ pub type Agreed<T, S = Vec<f64>> = Option<(T, Vec<S>)>;
 
 /// The ranks of a run.
 #[derive(Debug)]
-pub struct Together {
+pub struct ProcessGroup {
     ranks: Rc<dyn Ranks>,
     /// True if all ranks know of a failure.
     knows: Cell<bool>,
-    /// See [`keeps_what_is_learned`](Self::keeps_what_is_learned).
+    /// See [`saves_progress`](Self::saves_progress).
     keeps: Cell<bool>,
 }
 
 /// The kind of a message between ranks, its first byte.
 #[derive(Clone, Copy, Debug)]
-pub(crate) enum About {
+pub(crate) enum Tag {
     Outcome = 1,
     Plan = 2,
     Weights = 3,
@@ -48,14 +48,14 @@ pub(crate) enum About {
     End = 6,
 }
 
-impl Default for Together {
+impl Default for ProcessGroup {
     /// A process by itself.
     fn default() -> Self {
         Self::of(Rc::new(Alone))
     }
 }
 
-impl Together {
+impl ProcessGroup {
     /// The ranks of a run that has not begun.
     pub fn new(ranks: Rc<dyn Ranks>) -> Rc<Self> {
         Rc::new(Self::of(ranks))
@@ -88,7 +88,7 @@ impl Together {
     ///
     /// # Panics
     /// Panics if another rank has another tag: the ranks are out of step.
-    pub(crate) fn gather(&self, about: About, own: &[u8]) -> Vec<Vec<u8>> {
+    pub(crate) fn gather(&self, about: Tag, own: &[u8]) -> Vec<Vec<u8>> {
         let mut message = vec![about as u8];
         message.extend(own);
         let mut all = self.ranks.gather(&message);
@@ -139,7 +139,7 @@ impl Together {
         };
         let mut message = vec![status as u8, code];
         message.extend(said);
-        let mut all = self.gather(About::Outcome, &message);
+        let mut all = self.gather(Tag::Outcome, &message);
         let is = |message: &Vec<u8>, status: Status| message[0] == status as u8;
         let failed =
             |message: &Vec<u8>| is(message, Status::Failed) || is(message, Status::FailedData);
@@ -166,21 +166,21 @@ impl Together {
 
     /// True if progress before the error of [`agree`](Self::agree) should be saved, equal on all
     /// ranks: only the data failed, on any of them.
-    pub fn keeps_what_is_learned(&self) -> bool {
+    pub fn saves_progress(&self) -> bool {
         self.keeps.get()
     }
 
     /// Rejects ranks of which one and the same work may come out differently. Collective.
     ///
     /// # Errors
-    /// As [`must_be_about_the_same`](Self::must_be_about_the_same).
+    /// As [`must_match`](Self::must_match).
     pub fn must_compute_alike(&self) -> Result<(), Error> {
         // kinegrad's own kernels add in one order whatever the number of threads.
         let threads = match Mode::from_environment() {
             Ok(Mode::Composed) => rayon::current_num_threads().to_string(),
             _ => String::new(),
         };
-        self.must_be_about_the_same(&[
+        self.must_match(&[
             ("version of the program", env!("CARGO_PKG_VERSION")),
             ("number of threads", &threads),
             ("value of KINEGRAD_KERNELS", crate::device::kernels()),
@@ -193,7 +193,7 @@ impl Together {
         let shown = std::env::var("CUDA_VISIBLE_DEVICES").unwrap_or_default();
         let machine = sysinfo::System::host_name().unwrap_or_default();
         let own = format!("`{name}` of {machine} {shown}");
-        let all = self.gather(About::Plan, own.as_bytes());
+        let all = self.gather(Tag::Plan, own.as_bytes());
         let sharing = |own: &&Vec<u8>| all.iter().filter(|other| other == own).count();
         let shared = all.iter().find(|own| sharing(own) > 1)?;
         Some(format!(
@@ -207,15 +207,12 @@ impl Together {
     ///
     /// # Errors
     /// [`Error::Usage`] names the first of `what` that differs, by its name.
-    pub fn must_be_about_the_same(&self, what: &[(&str, &str)]) -> Result<(), Error> {
+    pub fn must_match(&self, what: &[(&str, &str)]) -> Result<(), Error> {
         if self.ranks.size() == 1 {
             return Ok(());
         }
         for (name, own) in what {
-            let all = self.gather(
-                About::Plan,
-                Digest::of(own.as_bytes()).to_string().as_bytes(),
-            );
+            let all = self.gather(Tag::Plan, Digest::of(own.as_bytes()).to_string().as_bytes());
             if let Some(rank) = all.iter().position(|said| said != &all[0]) {
                 return Err(Error::usage(
                     format!("rank {rank} has another {name} than rank 0"),
@@ -229,10 +226,10 @@ impl Together {
 
     /// The end of the run, if any rank failed: the first rank with an error of its own, and its
     /// exit code. Collective.
-    pub fn ended_by(&self, own: Option<&Error>) -> Option<(usize, u8)> {
+    pub fn first_failure(&self, own: Option<&Error>) -> Option<(usize, u8)> {
         let own = own.filter(|error| !matches!(error, Error::OtherRank { .. }));
         let message = own.map_or([0, 0], |error| [1, error.exit_code()]);
-        let all = self.gather(About::End, &message);
+        let all = self.gather(Tag::End, &message);
         let rank = all.iter().position(|said| said[0] == 1)?;
         Some((rank, all[rank][1]))
     }
@@ -240,7 +237,7 @@ impl Together {
     /// Waits until all ranks have come as far as this: launchers end the others as soon as one has returned a
     /// code that is not 0. Collective.
     pub fn part(&self) {
-        self.gather(About::End, &[]);
+        self.gather(Tag::End, &[]);
     }
 
     /// Reports this rank's own failure to all ranks between two collective operations, unless they
@@ -248,7 +245,7 @@ impl Together {
     ///
     /// # Errors
     /// The error of `outcome`.
-    pub fn told<T>(&self, outcome: Result<T, Error>) -> Result<T, Error> {
+    pub fn report_failure<T>(&self, outcome: Result<T, Error>) -> Result<T, Error> {
         match &outcome {
             Err(_) if !self.knows.get() => self.done(outcome),
             _ => outcome,
@@ -275,7 +272,7 @@ impl Together {
         }
         let parts = weights.iter().map(|values| bytemuck::cast_slice(values));
         let own = Digest::of_parts(parts).to_string();
-        let all = self.gather(About::Weights, own.as_bytes());
+        let all = self.gather(Tag::Weights, own.as_bytes());
         let differs = |other: &Vec<u8>| other != &all[0];
         match all.iter().position(differs) {
             None => Ok(()),

@@ -10,7 +10,7 @@ use kinegrad_data::{BatchShare, Dataset, Digest, Item, ItemSet, Loader, Samples}
 use kinegrad_models::parameters;
 use kinegrad_motion::Statistics;
 
-use super::folder::{UNFINISHED_SAMPLES, exists_already, has_begun, remove, write_config};
+use super::folder::{UNFINISHED_SAMPLES, contains_run, exists_already, remove, write_config};
 use super::plan::{Plan, Planned};
 use crate::checkpoint::{Checkpoint, Checkpoints, Progress};
 use crate::config::Config;
@@ -18,9 +18,9 @@ use crate::denoising::HeldOut;
 use crate::error::Error;
 use crate::observer::{Observer, RunSummary};
 use crate::parameter_count::ParameterCount;
+use crate::process_group::ProcessGroup;
 use crate::recipe::{Recipe, RecipeInfo};
 use crate::telemetry::Environment;
-use crate::together::Together;
 use crate::trainer::restore::check_moments;
 use crate::trainer::{Ending, Trainer, TrainerParts};
 
@@ -44,7 +44,7 @@ pub struct Outcome {
 }
 
 /// A run whose request has been checked.
-pub struct Setup {
+pub struct RunContext {
     /// The resolved config.
     pub config: Config,
     /// Its kind of training.
@@ -65,11 +65,11 @@ pub struct Setup {
     /// Taken already where the run existed before.
     pub(super) lock: Option<Arc<File>>,
     /// The processes that train it.
-    pub together: Rc<Together>,
+    pub group: Rc<ProcessGroup>,
 }
 
 /// The training data of a run.
-pub struct Material {
+pub struct TrainingData {
     /// Items to train on.
     pub train: usize,
     /// Number of held-out items.
@@ -98,9 +98,9 @@ fn networks_of(recipe: &RecipeInfo) -> &'static [&'static str] {
 pub type MakeLoader = dyn FnOnce(&Config, BatchShare) -> Loader;
 
 /// The batches of a rank after `step` steps.
-fn batches(config: &Config, step: u64, together: &Together) -> BatchShare {
+fn batches(config: &Config, step: u64, group: &ProcessGroup) -> BatchShare {
     let of = config.train.gradient_accumulation_steps;
-    let share = together.ranks().share(of);
+    let share = group.ranks().share(of);
     let each = share.end - share.start;
     BatchShare {
         done: step * each,
@@ -110,7 +110,7 @@ fn batches(config: &Config, step: u64, together: &Together) -> BatchShare {
     }
 }
 
-impl Setup {
+impl RunContext {
     /// The same on the device with gradients; `activation_checkpointing` recomputes cheap
     /// activations in the backward pass instead of keeping them.
     #[must_use]
@@ -146,12 +146,12 @@ impl Setup {
     /// # Errors
     /// If a held-out item cannot be read, or the samples at the end cannot be clipped as
     /// configured.
-    pub fn material<T: Item, S: Samples>(
+    pub fn training_data<T: Item, S: Samples>(
         &self,
         dataset: Dataset<T>,
         statistics: Statistics,
         samples: impl Fn(ItemSet<T>, &Config) -> S + 'static,
-    ) -> Result<(Material, HeldOut), Error> {
+    ) -> Result<(TrainingData, HeldOut), Error> {
         let config = &self.config;
         if config.sampling.count_at_end > 0 || config.sampling.preview_every_steps > 0 {
             // The requirements of the samples are known here.
@@ -161,7 +161,7 @@ impl Setup {
                 .range(&statistics, statistics.channels())?;
         }
         let held_out = samples(dataset.validation.load()?.into(), config);
-        let material = Material {
+        let training_data = TrainingData {
             train: dataset.train.len(),
             validation: dataset.validation.len(),
             skipped: dataset.skipped,
@@ -174,7 +174,7 @@ impl Setup {
             }),
         };
         let held_out = HeldOut::new(held_out, &config.validation);
-        Ok((material, held_out.among(&self.together)))
+        Ok((training_data, held_out.among(&self.group)))
     }
 
     /// Rejects to continue on another dataset than the one trained on so far.
@@ -203,7 +203,7 @@ impl Setup {
     /// If the checkpoint does not fit the model, or the run fails.
     pub fn train<R: Recipe>(
         self,
-        material: Material,
+        training_data: TrainingData,
         recipe: R,
         mut model: R::Model,
         observer: &mut dyn Observer,
@@ -214,9 +214,9 @@ impl Setup {
             check_moments(&model, checkpoint, &path)?;
         }
         // All ranks have come as far as this, or end here: nothing is written before.
-        self.together.done(Ok(()))?;
-        self.together
-            .must_be_about_the_same(&[("dataset", &material.digest.to_string())])?;
+        self.group.done(Ok(()))?;
+        self.group
+            .must_match(&[("dataset", &training_data.digest.to_string())])?;
         let Self {
             mut config,
             recipe: info,
@@ -228,7 +228,7 @@ impl Setup {
             dry_run,
             memory,
             memory_of_samples,
-            together,
+            group,
         } = self;
         let on_host = crate::device::is_host(&device_name);
         let (step, progress) = match &checkpoint {
@@ -244,9 +244,9 @@ impl Setup {
                 let infos = parameters::infos(&model);
                 ParameterCount::of(&infos, networks_of(info), |index, _| trained[index])
             },
-            train_phrases: material.train,
-            validation_phrases: material.validation,
-            skipped: material.skipped,
+            train_phrases: training_data.train,
+            validation_phrases: training_data.validation,
+            skipped: training_data.skipped,
             step,
             max_steps: config.train.max_steps,
         };
@@ -260,24 +260,24 @@ impl Setup {
                 memory,
                 memory_of_samples,
                 channels: {
-                    let own = material.network_statistics.as_ref();
-                    own.unwrap_or(&material.statistics).channels()
+                    let own = training_data.network_statistics.as_ref();
+                    own.unwrap_or(&training_data.statistics).channels()
                 },
                 nothing_left,
             };
-            let share = batches(&config, step, &together);
+            let share = batches(&config, step, &group);
             let parts = TrainerParts {
                 recipe,
                 groups: info.groups,
                 config: config.clone(),
-                statistics: material.statistics,
-                network_statistics: material.network_statistics,
+                statistics: training_data.statistics,
+                network_statistics: training_data.network_statistics,
                 device,
                 on_host,
-                loader: (material.loader)(&config, share),
-                dataset: material.digest,
+                loader: (training_data.loader)(&config, share),
+                dataset: training_data.digest,
                 folder: folder.clone(),
-                together,
+                group,
             };
             let plan = Plan::measure(&planned, parts, model, checkpoint, observer)?;
             return Ok(Outcome {
@@ -290,7 +290,7 @@ impl Setup {
                 lock,
             });
         }
-        let written = match together.writes() {
+        let written = match group.writes() {
             true => Written {
                 folder: &folder,
                 config: &config,
@@ -303,7 +303,7 @@ impl Setup {
             .write(lock),
             false => Ok(None),
         };
-        let lock = together.done(written)?;
+        let lock = group.done(written)?;
         observer.started(&summary);
         if nothing_left {
             return Ok(Outcome {
@@ -316,26 +316,26 @@ impl Setup {
                 lock,
             });
         }
-        if config.validation.every_steps > 0 && material.validation == 0 {
+        if config.validation.every_steps > 0 && training_data.validation == 0 {
             observer.warning("nothing is held out: there is no validation and no best step");
             config.validation.every_steps = 0;
         }
-        let loader = (material.loader)(&config, batches(&config, step, &together));
+        let loader = (training_data.loader)(&config, batches(&config, step, &group));
         let parts = TrainerParts {
             recipe,
             groups: info.groups,
             config: config.clone(),
-            statistics: material.statistics,
-            network_statistics: material.network_statistics,
+            statistics: training_data.statistics,
+            network_statistics: training_data.network_statistics,
             device,
             on_host,
             loader,
-            dataset: material.digest,
+            dataset: training_data.digest,
             folder: folder.clone(),
-            together: together.clone(),
+            group: group.clone(),
         };
         let trainer = Trainer::new(parts, model, checkpoint, observer);
-        let mut trainer = together.done(trainer)?;
+        let mut trainer = group.done(trainer)?;
         let ending = trainer.run(observer)?;
         let (step, progress) = (trainer.step(), trainer.progress().clone());
         Ok(Outcome {
@@ -383,7 +383,7 @@ impl Written<'_> {
             None => {
                 let lock = super::folder::lock(folder)?;
                 // Another process may have begun or ended the run since this one looked.
-                if has_begun(folder)? {
+                if contains_run(folder)? {
                     return Err(exists_already(&config.run.name, folder));
                 }
                 lock

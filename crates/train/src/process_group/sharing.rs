@@ -4,10 +4,10 @@ use kinegrad_ranks::{Sharing, shared};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
-use super::Together;
+use super::ProcessGroup;
 use crate::error::Error;
 
-impl Together {
+impl ProcessGroup {
     /// The results of `make` for `count` items, in order: each rank computes every size-th, and all
     /// get all. Collective.
     ///
@@ -33,7 +33,7 @@ impl Together {
     }
 }
 
-impl Sharing<Error> for Together {
+impl Sharing<Error> for ProcessGroup {
     fn rank(&self) -> usize {
         self.ranks().rank()
     }
@@ -49,7 +49,7 @@ impl Sharing<Error> for Together {
     }
 }
 
-impl Sharing<kinegrad_data::Error> for Together {
+impl Sharing<kinegrad_data::Error> for ProcessGroup {
     fn rank(&self) -> usize {
         self.ranks().rank()
     }
@@ -78,11 +78,11 @@ mod tests {
 
     #[test]
     fn one_process_makes_all() {
-        let together = Together::alone();
-        let made = together.each(4, |number| Ok(number * 2));
+        let group = ProcessGroup::alone();
+        let made = group.each(4, |number| Ok(number * 2));
         assert_eq!(made.expect("nothing failed"), [0, 2, 4, 6]);
-        assert_eq!(together.own_of(3, 4), [3, 4]);
-        let failed = together.each(4, |number| match number {
+        assert_eq!(group.own_of(3, 4), [3, 4]);
+        let failed = group.each(4, |number| match number {
             2 => Err(Error::Interrupted),
             _ => Ok(number),
         });
