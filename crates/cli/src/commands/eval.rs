@@ -25,7 +25,9 @@ pub fn run(systems: Systems<'_>, arguments: EvalArguments) -> Result<ExitCode, E
     let outcome = match ranks.size() {
         1 => while_it_is_trained(|| evaluate(systems, arguments.clone(), &group)),
         // Ranks cannot repeat the reading.
-        _ => guarded(ranks, || group.report_failure(evaluate(systems, arguments, &group))),
+        _ => guarded(ranks, || {
+            group.report_failure(evaluate(systems, arguments, &group))
+        }),
     };
     Ok(match agreed(&group, outcome)? {
         Ok(()) => ExitCode::SUCCESS,

@@ -5,7 +5,7 @@ use std::rc::Rc;
 
 use kinegrad_train::config::{Config, OptimConfig, OwnTables, RunConfig, TrainConfig};
 use kinegrad_train::run::{Outcome, contains_run, train_config};
-use kinegrad_train::{Ending, Error, Observer, Systems, ProcessGroup};
+use kinegrad_train::{Ending, Error, Observer, ProcessGroup, Systems};
 
 use super::recipe_name::RecipeName;
 use super::{CcMotion, CcMotionConfig, InitConfig, PretrainConfig};

@@ -10,7 +10,7 @@ use kinegrad_diffusion::GaussianDiffusion;
 use kinegrad_models::GradientSum;
 use kinegrad_train::checkpoint::State;
 use kinegrad_train::config::SelectBy;
-use kinegrad_train::{Error, Loss, Measured, Recipe, Score, StepKey, ProcessGroup};
+use kinegrad_train::{Error, Loss, Measured, ProcessGroup, Recipe, Score, StepKey};
 
 use super::CondSource;
 use super::evaluate::{EvaluationReport, SampleSettings, evaluate};

@@ -11,7 +11,7 @@ use kinegrad_motion::{ChannelEncoding, OrientationEncoding, Phrases, Statistics}
 use kinegrad_settings::InvalidSetting;
 use kinegrad_train::checkpoint::State;
 use kinegrad_train::config::Config;
-use kinegrad_train::run::{TrainingData, Outcome, RunContext};
+use kinegrad_train::run::{Outcome, RunContext, TrainingData};
 use kinegrad_train::{Error, Observer};
 
 use super::load::{denoiser, networks, targets};
@@ -146,17 +146,32 @@ pub(super) fn train(context: RunContext, observer: &mut dyn Observer) -> Result<
         RecipeName::Diffusion => {
             let model = denoiser(&config, &context.device)?;
             let recipe = diffusion_recipe(diffusion, held_out);
-            context.train(training_data, Selecting { recipe, selection }, model, observer)
+            context.train(
+                training_data,
+                Selecting { recipe, selection },
+                model,
+                observer,
+            )
         }
         RecipeName::Decoder => {
             let (model, rollouts) = through_sampler(diffusion)?;
             let recipe = DecoderRecipe::new(rollouts, &own.loss, held_out);
-            context.train(training_data, Selecting { recipe, selection }, model, observer)
+            context.train(
+                training_data,
+                Selecting { recipe, selection },
+                model,
+                observer,
+            )
         }
         RecipeName::E2e => {
             let (model, rollouts) = through_sampler(diffusion)?;
             let recipe = E2eRecipe::new(rollouts, &own.loss, held_out);
-            context.train(training_data, Selecting { recipe, selection }, model, observer)
+            context.train(
+                training_data,
+                Selecting { recipe, selection },
+                model,
+                observer,
+            )
         }
     }
 }

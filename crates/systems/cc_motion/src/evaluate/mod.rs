@@ -111,9 +111,7 @@ pub(super) fn prepare<'a>(
     let group = request.group.clone();
     let measure = move |on_step: &mut OnStep<'_>| {
         let generator = Generator::load(trained)?;
-        let report = evaluate(
-            &generator, &held_out, &training, settings, &group, on_step,
-        )?;
+        let report = evaluate(&generator, &held_out, &training, settings, &group, on_step)?;
         let mut results = report.results(&config.sampling);
         if generator.statistics().movement.is_empty() {
             results.remarks.push(format!(

@@ -21,7 +21,7 @@ use kinegrad_data::Batch;
 use kinegrad_diffusion::{Trace, rollout_timesteps};
 use kinegrad_models::{DropoutKey, GradientSum};
 use kinegrad_random::Purpose;
-use kinegrad_train::denoising::{RandomInputs, HeldOut, Inputs, noise};
+use kinegrad_train::denoising::{HeldOut, Inputs, RandomInputs, noise};
 use kinegrad_train::{Loss, Measured, Recipe, StepKey};
 
 use super::Rollouts;

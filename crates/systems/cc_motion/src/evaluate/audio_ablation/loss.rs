@@ -3,7 +3,7 @@
 use burn::tensor::{Tensor, TensorData};
 use kinegrad_data::{AUDIO, AudioFeatures, PhraseItem};
 use kinegrad_random::{Key, Purpose};
-use kinegrad_train::denoising::{Conditions, RandomInputs, Inputs};
+use kinegrad_train::denoising::{Conditions, Inputs, RandomInputs};
 
 use crate::generate::Generator;
 use crate::recipes::denoising_loss;
