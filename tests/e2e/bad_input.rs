@@ -2,7 +2,7 @@
 
 use std::fs;
 
-use kinegrad_data::{AudioFeatures, write_features, write_motion};
+use kinegrad_data::{AudioFeatures, AudioLayout, write_features, write_motion};
 use kinegrad_motion::Phrase;
 use kinegrad_tests::sandbox::{SMALLEST, Sandbox, finish};
 
@@ -202,7 +202,11 @@ fn phrase(sandbox: &Sandbox, id: &str, frames: usize) {
     )
     .expect("npy");
     let features = sandbox.path(format!("set/audio_features/{id}/features.npz"));
-    write_features(&features, &AudioFeatures::zeros(frames)).expect("npz");
+    write_features(
+        &features,
+        &AudioFeatures::silence(AudioLayout::CCMOTION, frames),
+    )
+    .expect("npz");
 }
 
 const PHRASES: &str = "--set data.kind=phrases --set data.source=set";

@@ -47,23 +47,15 @@ impl<T: Listable> Dataset<T> {
     /// [`Error::Store`], [`Error::Io`] for an unusable dataset; [`Error::BadItem`] for the first
     /// bad item by id; [`Error::NothingToTrainOn`].
     pub fn open(config: &DataConfig) -> Result<Self, Error> {
-        Self::open_with_progress(config, &no_progress)
+        Self::open_among(config, &no_progress, &Alone)
     }
 
-    /// [`open`](Self::open) with `progress`.
+    /// [`open`](Self::open) with `progress`, by ranks that each read a part of the items.
+    /// Collective.
     ///
     /// # Errors
-    /// As [`open`](Self::open), and [`Error::Interrupted`].
-    pub fn open_with_progress(config: &DataConfig, progress: OpenProgress) -> Result<Self, Error> {
-        Self::open_among(config, progress, &Alone)
-    }
-
-    /// [`open_with_progress`](Self::open_with_progress) by ranks that each read a part of the
-    /// items. Collective.
-    ///
-    /// # Errors
-    /// As there; [`Error::OtherListing`] if ranks list different items, and [`Error::OtherReader`]
-    /// if another rank failed.
+    /// As there; [`Error::Interrupted`]; [`Error::OtherListing`] if ranks list different items;
+    /// [`Error::OtherReader`] if another rank failed.
     pub fn open_among(
         config: &DataConfig,
         progress: OpenProgress,
@@ -165,22 +157,14 @@ impl<T: Item> Dataset<T> {
     /// # Errors
     /// As [`ItemSet::get`].
     pub fn statistics(&self) -> Result<Statistics, Error> {
-        self.statistics_with_progress(&no_progress)
+        self.statistics_among(&no_progress, &Alone)
     }
 
-    /// [`statistics`](Self::statistics) with `progress`.
+    /// [`statistics`](Self::statistics) with `progress`, by ranks that each measure a part of the
+    /// items. Collective.
     ///
     /// # Errors
-    /// As [`statistics`](Self::statistics), and [`Error::Interrupted`].
-    pub fn statistics_with_progress(&self, progress: OpenProgress) -> Result<Statistics, Error> {
-        self.statistics_among(progress, &Alone)
-    }
-
-    /// [`statistics_with_progress`](Self::statistics_with_progress) by ranks that each measure a
-    /// part of the items. Collective.
-    ///
-    /// # Errors
-    /// As there, and [`Error::OtherReader`].
+    /// As there, [`Error::Interrupted`] and [`Error::OtherReader`].
     pub fn statistics_among(
         &self,
         progress: OpenProgress,
@@ -345,17 +329,17 @@ mod tests {
             }
         };
         let read = AtomicUsize::new(0);
-        let opened = Dataset::<PhraseItem>::open_with_progress(&config, &|_, _| after(3, &read))
+        let opened = Dataset::<PhraseItem>::open_among(&config, &|_, _| after(3, &read), &Alone)
             .unwrap_err();
         assert!(matches!(opened, Error::Interrupted), "{opened}");
         assert!(read.load(Ordering::SeqCst) < 39);
 
         let dataset = Dataset::<PhraseItem>::open(&config).unwrap();
         let read = AtomicUsize::new(0);
-        let measured = dataset.statistics_with_progress(&|_, _| after(3, &read));
+        let measured = dataset.statistics_among(&|_, _| after(3, &read), &Alone);
         assert!(matches!(measured, Err(Error::Interrupted)));
         assert!(read.load(Ordering::SeqCst) < dataset.train.len());
-        let statistics = dataset.statistics_with_progress(&|_, _| ControlFlow::Continue(()));
+        let statistics = dataset.statistics_among(&no_progress, &Alone);
         assert_eq!(statistics.unwrap(), dataset.statistics().unwrap());
     }
 

@@ -22,9 +22,6 @@ pub const FEATURES: [(&str, usize); 6] = [
 /// The array of beat features in `features.npz`, with its rows.
 pub const BEATS: (&str, usize) = ("beats", BEAT_FEATURES.len());
 
-/// Channel of the onset strength, the last of the 163.
-const ONSET_STRENGTH: usize = AUDIO_CHANNELS - 1;
-
 /// Name of an audio channel, such as `mel[17]`, `rms` or `beats.bar_sin`.
 pub fn audio_channel_name(channel: usize) -> String {
     let mut row = channel;
@@ -53,17 +50,6 @@ pub struct AudioFeatures {
     values: Vec<f32>,
 }
 
-impl From<&Features> for AudioFeatures {
-    /// The features of a whole song.
-    fn from(features: &Features) -> Self {
-        Self {
-            frames: features.frames(),
-            layout: AudioLayout::CCMOTION,
-            values: features.stacked().to_vec(),
-        }
-    }
-}
-
 impl AudioFeatures {
     /// Features from `[163, frames]` or `[170, frames]` values, channel-major; `None` for other
     /// sizes.
@@ -78,12 +64,7 @@ impl AudioFeatures {
         })
     }
 
-    /// Silence, also the null condition of classifier-free guidance: `[163, frames]` zeros.
-    pub fn zeros(frames: usize) -> Self {
-        Self::silence(AudioLayout::CCMOTION, frames)
-    }
-
-    /// Zeros in every channel of `layout`, `[channels, frames]`.
+    /// Silence, also the null condition of classifier-free guidance: `[channels, frames]` zeros.
     pub fn silence(layout: AudioLayout, frames: usize) -> Self {
         Self {
             frames,
@@ -94,7 +75,11 @@ impl AudioFeatures {
 
     /// A song's features in `layout`, with the beats of `pulse`, or zero.
     pub fn of_song(features: &Features, layout: AudioLayout, pulse: Option<&Pulse>) -> Self {
-        let ccmotion = Self::from(features);
+        let ccmotion = Self {
+            frames: features.frames(),
+            layout: AudioLayout::CCMOTION,
+            values: features.stacked().to_vec(),
+        };
         match layout.beats {
             true => ccmotion.with_beats(pulse),
             false => ccmotion,
@@ -142,19 +127,16 @@ impl AudioFeatures {
 
     /// Removes the bar positions from beat features.
     pub fn forget_bars(&mut self) {
-        let bars = |name: &&str| name.starts_with("bar_");
-        let rows = BEAT_FEATURES
-            .iter()
-            .enumerate()
-            .filter(|(_, name)| bars(name));
-        for (row, _) in rows.filter(|_| self.layout.beats).collect::<Vec<_>>() {
-            self.channel_mut(AUDIO_CHANNELS + row).fill(0.0);
+        for (row, name) in BEAT_FEATURES.iter().enumerate() {
+            if self.layout.beats && name.starts_with("bar_") {
+                self.channel_mut(AUDIO_CHANNELS + row).fill(0.0);
+            }
         }
     }
 
-    /// Onset strength over time, `[frames]`.
+    /// Onset strength over time, the last of the 163 channels, `[frames]`.
     pub fn onset_strength(&self) -> &[f32] {
-        self.channel(ONSET_STRENGTH)
+        self.channel(AUDIO_CHANNELS - 1)
     }
 
     /// One channel over time, `[frames]`, mutable.
@@ -164,28 +146,25 @@ impl AudioFeatures {
 
     /// The frames of `range`, `[channels, range.len()]`.
     pub fn slice(&self, range: Range<usize>) -> Self {
-        let mut values = Vec::with_capacity(self.channels() * range.len());
-        for channel in 0..self.channels() {
-            values.extend_from_slice(&self.channel(channel)[range.clone()]);
-        }
-        Self {
-            frames: range.len(),
-            layout: self.layout,
-            values,
-        }
+        self.each_channel(range.len(), |row| row[range.clone()].iter().copied())
     }
 
     /// The frames at these indices, `[channels, frames.len()]`.
     pub fn at_frames(&self, frames: &[usize]) -> Self {
-        let mut values = Vec::with_capacity(self.channels() * frames.len());
-        for channel in 0..self.channels() {
-            let row = self.channel(channel);
-            values.extend(frames.iter().map(|&frame| row[frame]));
-        }
+        self.each_channel(frames.len(), |row| frames.iter().map(|&frame| row[frame]))
+    }
+
+    /// `frames` values of each channel.
+    fn each_channel<'a, I: Iterator<Item = f32>>(
+        &'a self,
+        frames: usize,
+        values: impl Fn(&'a [f32]) -> I,
+    ) -> Self {
+        let channels = (0..self.channels()).map(|channel| self.channel(channel));
         Self {
-            frames: frames.len(),
+            frames,
             layout: self.layout,
-            values,
+            values: channels.flat_map(values).collect(),
         }
     }
 
@@ -227,7 +206,7 @@ mod tests {
 
     #[test]
     fn the_onset_strength_is_the_channel_of_that_name() {
-        assert_eq!(audio_channel_name(ONSET_STRENGTH), "onset_strength");
+        assert_eq!(audio_channel_name(AUDIO_CHANNELS - 1), "onset_strength");
     }
 
     #[test]
@@ -258,7 +237,10 @@ mod tests {
         let pulse = Pulse::new(vec![0.0, 0.1, 0.2, 0.3]).unwrap();
         let both = ccmotion.with_beats(Some(&pulse));
         assert_eq!((both.channels(), both.frames()), (170, 9));
-        assert_eq!(both.onset_strength(), ccmotion.onset_strength());
+        assert_eq!(
+            both.channel(AUDIO_CHANNELS - 1),
+            ccmotion.channel(AUDIO_CHANNELS - 1)
+        );
         let cosine = both.channel(164);
         assert!((cosine[3] - 1.0).abs() < 1e-6 && (cosine[1] + 0.5).abs() < 1e-6);
         let cut = both.slice(3..5);
@@ -273,7 +255,7 @@ mod tests {
 
     #[test]
     fn the_first_bad_value_in_time_is_found() {
-        let mut features = AudioFeatures::zeros(6);
+        let mut features = AudioFeatures::silence(AudioLayout::CCMOTION, 6);
         assert_eq!(features.first_unusable(), None);
         features.channel_mut(3)[4] = f32::NAN;
         features.channel_mut(100)[2] = f32::INFINITY;

@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use kinegrad_motion::{ChannelMoments, Measured, Profile, Representation, Statistics};
 use kinegrad_ranks::Alone;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use crate::humanml::Clip;
 use crate::item::Item;
@@ -45,7 +45,7 @@ pub struct Inspection {
     /// Channels of the motion.
     pub channels: usize,
     /// Counts of conditions, by name.
-    pub counts: Vec<(&'static str, usize)>,
+    pub counts: Vec<(String, usize)>,
     /// Summary of each channel, or group of channels, of the motion, in the dataset's units.
     pub motion: Vec<ChannelSummary>,
     /// Summary of each condition.
@@ -105,21 +105,25 @@ pub struct Problem {
 }
 
 /// Measures of one or several items.
+#[derive(Deserialize, Serialize)]
 struct Contents {
     motion: Measured,
-    conditions: Vec<(&'static str, ChannelMoments)>,
-    counts: Vec<(&'static str, usize)>,
+    conditions: Vec<(String, ChannelMoments)>,
+    counts: Vec<(String, usize)>,
 }
 
 impl Contents {
     fn of<T: Item>(item: &T, representation: &T::Representation) -> Self {
         let conditions = item.conditions().into_iter();
+        let counts = item.counts().into_iter();
         Self {
             motion: Measured::of(representation, &item.rows(representation)),
             conditions: conditions
-                .map(|(name, values)| (name, ChannelMoments::measure(1, [values])))
+                .map(|(name, values)| (name.to_owned(), ChannelMoments::measure(1, [values])))
                 .collect(),
-            counts: item.counts(),
+            counts: counts
+                .map(|(name, count)| (name.to_owned(), count))
+                .collect(),
         }
     }
 
@@ -207,13 +211,14 @@ fn inspect_items<T: Listable>(
     let mut all: Option<Contents> = None;
     let mut of_training = None;
     for side in [&train, &validation] {
-        side.measure(
+        side.measure_among(
             |item| Contents::of(item, &representation),
             |contents| match &mut all {
                 Some(all) => all.merge(contents),
                 None => all = Some(contents),
             },
             &no_progress,
+            &Alone,
         )?;
         let measured = || all.as_ref().map(|all| all.motion.clone());
         of_training = of_training.or_else(measured);
@@ -243,7 +248,7 @@ fn inspect_items<T: Listable>(
                 .collect::<Vec<_>>()
         };
         let take = |failed: Vec<_>| problems.extend(failed.into_iter().map(problem(false)));
-        side.measure(failed, take, &no_progress)?;
+        side.measure_among(failed, take, &no_progress, &Alone)?;
     }
     problems.sort_by(|a, b| a.id.cmp(&b.id));
     let frames: usize = lengths.iter().sum();

@@ -1,12 +1,11 @@
 //! Some items of a dataset.
 
 use std::collections::BTreeSet;
-use std::ops::Range;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use kinegrad_motion::{Measured, Statistics};
-use kinegrad_ranks::{Alone, Sharing, shared};
+use kinegrad_ranks::{Sharing, shared};
 use rayon::prelude::*;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -14,7 +13,7 @@ use serde::de::DeserializeOwned;
 use crate::Error;
 use crate::item::Item;
 use crate::item_store::ItemStore;
-use crate::progress::{OpenProgress, no_progress, report};
+use crate::progress::{OpenProgress, report};
 
 /// Items that are measured at a time.
 const CHUNK: usize = 256;
@@ -152,19 +151,8 @@ impl<T: Item> ItemSet<T> {
             .collect()
     }
 
-    /// The statistics of their motion in `representation`; none of no items.
-    ///
-    /// # Errors
-    /// As [`get`](Self::get).
-    pub fn statistics(
-        &self,
-        representation: &T::Representation,
-    ) -> Result<Option<Statistics>, Error> {
-        self.statistics_among(representation, &no_progress, &Alone)
-    }
-
-    /// [`statistics`](Self::statistics) with `progress`, by ranks that measure a part each.
-    /// Collective.
+    /// The statistics of their motion in `representation`; none of no items. Ranks measure a part
+    /// each. Collective.
     ///
     /// # Errors
     /// As [`measure_among`](Self::measure_among).
@@ -184,25 +172,11 @@ impl<T: Item> ItemSet<T> {
         Ok(all.map(|all| all.statistics(representation)))
     }
 
-    /// Measures each item on all cores and passes the results to `take` in order.
+    /// Measures each item on all cores and passes the results to `take` in order. Ranks measure a
+    /// part each and take all. Collective.
     ///
     /// # Errors
-    /// As [`get`](Self::get), and [`Error::Interrupted`].
-    pub fn measure<M: Send>(
-        &self,
-        measure: impl Fn(&T) -> M + Sync,
-        take: impl FnMut(M),
-        progress: OpenProgress,
-    ) -> Result<(), Error> {
-        let measure = |position| Ok(measure(&*self.get(position)?));
-        let measuring = Measuring::of(self.len(), &measure, progress);
-        measuring.in_order(1, take, |positions| measuring.each(positions.collect()))
-    }
-
-    /// [`measure`](Self::measure) by ranks that measure a part each and take all. Collective.
-    ///
-    /// # Errors
-    /// As there, and [`Error::OtherReader`].
+    /// As [`get`](Self::get); [`Error::Interrupted`]; [`Error::OtherReader`].
     pub fn measure_among<M: Send + Serialize + DeserializeOwned>(
         &self,
         measure: impl Fn(&T) -> M + Sync,
@@ -230,62 +204,28 @@ pub(crate) fn measure_among<M: Send + Serialize + DeserializeOwned>(
     total: usize,
     owner: impl Fn(usize) -> usize,
     measure: impl Fn(usize) -> Result<M, Error> + Sync,
-    take: impl FnMut(M),
+    mut take: impl FnMut(M),
     progress: OpenProgress,
     sharing: &dyn Sharing<Error>,
 ) -> Result<(), Error> {
-    let measuring = Measuring::of(total, &measure, progress);
-    measuring.in_order(sharing.size(), take, |positions| {
-        shared(sharing, positions, &owner, |own| measuring.each(own))
-    })
-}
-
-/// Measuring of items by position.
-struct Measuring<'a, F> {
-    total: usize,
-    measure: &'a F,
-    progress: OpenProgress<'a>,
-    done: AtomicUsize,
-}
-
-impl<'a, M: Send, F: Fn(usize) -> Result<M, Error> + Sync> Measuring<'a, F> {
-    fn of(total: usize, measure: &'a F, progress: OpenProgress<'a>) -> Self {
-        Self {
-            total,
-            measure,
-            progress,
-            done: AtomicUsize::new(0),
-        }
+    let done = AtomicUsize::new(0);
+    let measure = |position| {
+        let measured = measure(position)?;
+        report(progress, done.fetch_add(1, Ordering::Relaxed) + 1, total)?;
+        Ok(measured)
+    };
+    let chunk = CHUNK * sharing.size();
+    for start in (0..total).step_by(chunk) {
+        let end = (start + chunk).min(total);
+        let measured = shared(sharing, start..end, &owner, |own| {
+            report(progress, start, total)?;
+            own.into_par_iter().map(measure).collect()
+        })?;
+        // Includes other ranks' items.
+        done.store(end, Ordering::Relaxed);
+        measured.into_iter().for_each(&mut take);
     }
-
-    /// Measures items on all cores.
-    fn each(&self, positions: Vec<usize>) -> Result<Vec<M>, Error> {
-        report(self.progress, self.done.load(Ordering::Relaxed), self.total)?;
-        let measure = |position| {
-            let measured = (self.measure)(position)?;
-            let done = self.done.fetch_add(1, Ordering::Relaxed) + 1;
-            report(self.progress, done, self.total)?;
-            Ok(measured)
-        };
-        positions.into_par_iter().map(measure).collect()
-    }
-
-    /// Passes the results to `take` in order, a chunk for each of the ranks at a time.
-    fn in_order(
-        &self,
-        ranks: usize,
-        mut take: impl FnMut(M),
-        some: impl Fn(Range<usize>) -> Result<Vec<M>, Error>,
-    ) -> Result<(), Error> {
-        let chunk = CHUNK * ranks;
-        for start in (0..self.total).step_by(chunk) {
-            let measured = some(start..(start + chunk).min(self.total))?;
-            // Includes other ranks' items.
-            self.done.store(start + measured.len(), Ordering::Relaxed);
-            measured.into_iter().for_each(&mut take);
-        }
-        Ok(())
-    }
+    Ok(())
 }
 
 impl<T: Item> From<Vec<Arc<T>>> for ItemSet<T> {

@@ -37,14 +37,6 @@ impl Labels {
         Some(label.trim()).filter(|label| !label.is_empty())
     }
 
-    /// Patterns that match none of the `ids`, as warnings.
-    pub fn idle_patterns<'a>(&self, ids: impl Iterator<Item = &'a str> + Clone) -> Vec<String> {
-        let idle = self.patterns.keys();
-        let idle = idle.filter(|pattern| !ids.clone().any(|id| matches(pattern, id)));
-        idle.map(|pattern| format!("data.labels: `{pattern}` matches no phrase"))
-            .collect()
-    }
-
     /// The dataset's labels as text; empty without labels.
     pub fn fingerprint(&self) -> String {
         if self.stated.is_empty() {
@@ -78,6 +70,7 @@ pub fn is_label(text: &str) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::pattern::idle;
 
     fn labels() -> Labels {
         let named = |(a, b): (&str, &str)| (a.to_owned(), b.to_owned());
@@ -106,7 +99,7 @@ mod tests {
             assert_eq!(labels.of(id), expected, "{id}");
         }
         let ids = ["W_1_00000", "C_2_00000"].into_iter();
-        let idle = labels.idle_patterns(ids);
+        let idle = idle("data.labels", labels.patterns.keys(), ids);
         assert_eq!(idle.len(), 2, "{idle:?}");
         assert!(idle[0].contains("`C_9*` matches no phrase"), "{idle:?}");
     }

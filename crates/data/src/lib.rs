@@ -62,6 +62,7 @@ pub mod synthetic;
 mod time_stretch;
 
 pub use kinegrad_motion::MAX_FRAMES;
+pub use kinegrad_ranks::Alone;
 
 pub use atomic::{is_unfinished, write as write_whole};
 pub use audio_layout::{AUDIO_CHANNELS, AudioGroup, AudioLayout, check_groups};
@@ -98,7 +99,7 @@ pub use pattern::matches;
 pub use phrase_item::{PhraseItem, load_audio};
 pub use phrase_samples::{PhraseSamples, target_statistics};
 pub use phrase_set::PhraseSet;
-pub use progress::OpenProgress;
+pub use progress::{OpenProgress, no_progress};
 pub use songs::{held_out_songs, song_of};
 pub use split::Side;
 pub use store::{Object, Store, StoreError};

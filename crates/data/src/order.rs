@@ -7,8 +7,8 @@ use kinegrad_random::{Key, Purpose};
 pub(crate) struct Order {
     seed: u64,
     items: usize,
-    /// The latest epoch and its permutation, as a cache.
-    latest: Option<(u64, Vec<usize>)>,
+    /// The latest epoch and its permutation, as a cache; empty before the first item.
+    latest: (u64, Vec<usize>),
 }
 
 impl Order {
@@ -17,7 +17,7 @@ impl Order {
         Self {
             seed,
             items,
-            latest: None,
+            latest: (0, Vec::new()),
         }
     }
 
@@ -25,16 +25,11 @@ impl Order {
     pub fn item(&mut self, n: u64) -> usize {
         let epoch = n / self.items as u64;
         let place = (n % self.items as u64) as usize;
-        match &self.latest {
-            Some((latest, permutation)) if *latest == epoch => permutation[place],
-            _ => {
-                let key = Key::new(self.seed, Purpose::DataOrder).at(epoch);
-                let permutation = key.permutation(self.items);
-                let item = permutation[place];
-                self.latest = Some((epoch, permutation));
-                item
-            }
+        if self.latest.0 != epoch || self.latest.1.is_empty() {
+            let key = Key::new(self.seed, Purpose::DataOrder).at(epoch);
+            self.latest = (epoch, key.permutation(self.items));
         }
+        self.latest.1[place]
     }
 }
 

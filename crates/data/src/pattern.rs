@@ -23,6 +23,17 @@ pub fn matches(pattern: &str, text: &str) -> bool {
     pattern[p..].iter().all(|&byte| byte == b'*')
 }
 
+/// A warning that begins with `key` for each of `patterns` that matches none of `ids`.
+pub(crate) fn idle<'a>(
+    key: &str,
+    patterns: impl Iterator<Item = &'a String>,
+    ids: impl Iterator<Item = &'a str> + Clone,
+) -> Vec<String> {
+    let idle = patterns.filter(|pattern| !ids.clone().any(|id| matches(pattern, id)));
+    idle.map(|pattern| format!("{key}: `{pattern}` matches no phrase"))
+        .collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

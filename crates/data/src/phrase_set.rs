@@ -17,6 +17,7 @@ use crate::layout::{features_path, motion_path};
 use crate::listing::{Listed, Listing, ids};
 use crate::npy::MAX_MOTION_BYTES;
 use crate::npz::MAX_FEATURES_BYTES;
+use crate::pattern::idle;
 use crate::scan::{Listable, Scan};
 use crate::split::Split;
 use crate::store::Store;
@@ -89,9 +90,8 @@ impl Listable for PhraseItem {
             }
         };
         scan.warnings.extend(split.idle_entries(ids(&scan.listed)));
-        let labels = Labels::new(&config.labels, HashMap::new());
-        scan.warnings
-            .extend(labels.idle_patterns(ids(&scan.listed)));
+        let labelled = idle("data.labels", config.labels.keys(), ids(&scan.listed));
+        scan.warnings.extend(labelled);
         scan.split = Some(split);
         Ok(scan)
     }

@@ -9,7 +9,7 @@ use crate::Error;
 pub type OpenProgress<'a> = &'a (dyn Fn(usize, usize) -> ControlFlow<()> + Sync);
 
 /// Progress that is ignored.
-pub(crate) fn no_progress(_done: usize, _total: usize) -> ControlFlow<()> {
+pub fn no_progress(_done: usize, _total: usize) -> ControlFlow<()> {
     ControlFlow::Continue(())
 }
 

@@ -8,7 +8,7 @@ use kinegrad_random::{Key, Purpose};
 use serde::{Deserialize, Serialize};
 
 use crate::file::read_text;
-use crate::pattern::matches;
+use crate::pattern::{idle, matches};
 use crate::songs::{held_out_songs, song_of};
 use crate::{Error, ValidationSplit};
 
@@ -98,10 +98,8 @@ impl Split {
     }
 
     /// A warning for each id or pattern that matches none of `ids`.
-    pub fn idle_entries<'a>(&self, ids: impl Iterator<Item = &'a str> + Clone) -> Vec<String> {
-        let idle = |pattern: &&String| !ids.clone().any(|id| matches(pattern, id));
-        let warning = |pattern| format!("data.validation: `{pattern}` matches no phrase");
-        self.patterns.iter().filter(idle).map(warning).collect()
+    pub fn idle_entries<'a>(&'a self, ids: impl Iterator<Item = &'a str> + Clone) -> Vec<String> {
+        idle("data.validation", self.patterns.iter(), ids)
     }
 }
 

@@ -112,9 +112,11 @@ mod tests {
                 let beats = beats.iter().map(|beat| beat / speed).collect();
                 Pulse::new(beats).unwrap().with_downbeat(4, 0.63 / speed)
             };
-            let song = AudioFeatures::zeros(200).with_beats(Some(&pulse(1.0)));
+            let song =
+                AudioFeatures::silence(AudioLayout::CCMOTION, 200).with_beats(Some(&pulse(1.0)));
             let played = at_speed(&song, speed);
-            let expected = AudioFeatures::zeros(played.frames()).with_beats(Some(&pulse(speed)));
+            let expected = AudioFeatures::silence(AudioLayout::CCMOTION, played.frames())
+                .with_beats(Some(&pulse(speed)));
             assert_eq!(played.frames(), frames_at_speed(200, speed));
             for (row, name) in BEAT_FEATURES.iter().enumerate() {
                 let pairs = [&played, &expected].map(|f| f.channel(AUDIO_CHANNELS + row));
@@ -133,9 +135,11 @@ mod tests {
             .collect();
         for speed in [0.5, 0.8, 1.25, 2.0] {
             let pulse = |speed: f64| Pulse::new(beats.iter().map(|beat| beat / speed).collect());
-            let song = AudioFeatures::zeros(300).with_beats(pulse(1.0).as_ref());
+            let song =
+                AudioFeatures::silence(AudioLayout::CCMOTION, 300).with_beats(pulse(1.0).as_ref());
             let played = at_speed(&song, speed);
-            let expected = AudioFeatures::zeros(played.frames()).with_beats(pulse(speed).as_ref());
+            let expected = AudioFeatures::silence(AudioLayout::CCMOTION, played.frames())
+                .with_beats(pulse(speed).as_ref());
             let [found, expected] = [played, expected].map(|features| {
                 let marks = features.channel(AUDIO_CHANNELS + MARK).to_vec();
                 (0..marks.len())

@@ -3,7 +3,9 @@
 use std::path::PathBuf;
 
 use kinegrad_audio::{FPS, Features, SAMPLE_RATE};
-use kinegrad_data::{AUDIO_CHANNELS, AudioFeatures, audio_channel_name, write_song_features};
+use kinegrad_data::{
+    AUDIO_CHANNELS, AudioFeatures, AudioLayout, audio_channel_name, write_song_features,
+};
 use kinegrad_train::song::{KnownBeats, song_features};
 use numpy::PyArrayDyn;
 use pyo3::prelude::*;
@@ -73,7 +75,7 @@ pub fn audio_features(py: Python<'_>, path: PathBuf) -> PyResult<SongFeatures> {
     call(py, || {
         let (waveform, features) = song_features(&path, &KnownBeats::default())?;
         Ok(SongFeatures {
-            stacked: AudioFeatures::from(&features),
+            stacked: AudioFeatures::of_song(&features, AudioLayout::CCMOTION, None),
             features,
             seconds: waveform.samples.len() as f64 / f64::from(SAMPLE_RATE),
         })

@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use kinegrad_cli::checkpoint;
 use kinegrad_data::humanml::{CaptionLabels, CaptionText, Clip, ClipSamples};
-use kinegrad_data::{Batch, DataConfig, DataKind, Item, ItemSet, Loader};
+use kinegrad_data::{Alone, Batch, DataConfig, DataKind, Item, ItemSet, Loader};
 use kinegrad_data::{PhraseItem, PhraseSamples};
 use kinegrad_gmd::{GmdConfig, channels_of};
 use kinegrad_motion::{CHANNELS, Representation, Statistics};
@@ -187,9 +187,10 @@ impl Dataset {
         };
         match config.data.kind {
             DataKind::Phrases | DataKind::Synthetic => {
-                let dataset = kinegrad_data::Dataset::<PhraseItem>::open_with_progress(
+                let dataset = kinegrad_data::Dataset::<PhraseItem>::open_among(
                     &config.data,
                     &*until_interrupted(),
+                    &Alone,
                 )?;
                 let statistics = statistics_of(&dataset, state.as_ref())?;
                 Ok(Self {
@@ -203,9 +204,10 @@ impl Dataset {
                 })
             }
             DataKind::Humanml3d | DataKind::SyntheticWalks => {
-                let dataset = kinegrad_data::Dataset::<Clip>::open_with_progress(
+                let dataset = kinegrad_data::Dataset::<Clip>::open_among(
                     &config.data,
                     &*until_interrupted(),
+                    &Alone,
                 )?;
                 let statistics = statistics_of(&dataset, state.as_ref())?;
                 let items = match trains {
@@ -278,7 +280,7 @@ fn labels_of(
         none if none.is_empty() => {
             let found = dataset
                 .train
-                .captions_with_progress(&*until_interrupted())?;
+                .captions_among(&*until_interrupted(), &Alone)?;
             found.into_keys().collect()
         }
         stated => stated,
@@ -293,7 +295,7 @@ fn statistics_of<T: Item>(
 ) -> Result<Arc<Statistics>, Error> {
     Ok(Arc::new(match state {
         Some(state) => state.statistics_of(&dataset.representation)?.clone(),
-        None => dataset.statistics_with_progress(&*until_interrupted())?,
+        None => dataset.statistics_among(&*until_interrupted(), &Alone)?,
     }))
 }
 

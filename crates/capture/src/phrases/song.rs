@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use kinegrad_audio::{Analysis, Beats};
-use kinegrad_data::AudioFeatures;
+use kinegrad_data::{AudioFeatures, AudioLayout};
 
 /// A song's features, beats and onset strength.
 #[derive(Debug)]
@@ -33,7 +33,7 @@ impl Song {
         Ok(Self {
             beats: features.beats().clone(),
             onset,
-            features: AudioFeatures::from(&features),
+            features: AudioFeatures::of_song(&features, AudioLayout::CCMOTION, None),
             damage: damage.map(|damage| format!("the song: {damage}")),
         })
     }

@@ -222,7 +222,7 @@ fn print(inspection: &Inspection, config: &DataConfig) {
         ("channels", grouped(inspection.channels)),
     ];
     let counts = inspection.counts.iter();
-    let counts = counts.map(|(name, count)| (*name, grouped(*count)));
+    let counts = counts.map(|(name, count)| (name.as_str(), grouped(*count)));
     say!("{}\n", facts(shown.into_iter().chain(counts)));
     say!("{}", channels(&inspection.motion));
     if !inspection.conditions.is_empty() {

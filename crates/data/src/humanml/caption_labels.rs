@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
 
-use kinegrad_ranks::{Alone, Sharing};
+use kinegrad_ranks::Sharing;
 
 use crate::progress::OpenProgress;
 use crate::{Error, ItemSet};
@@ -78,22 +78,10 @@ fn plain(text: &str) -> String {
 
 impl ItemSet<Clip> {
     /// The distinct captions of the clips in alphabetical order, each with the id of its first
-    /// clip, with `progress` over clips.
+    /// clip. Ranks each read a part of the clips. Collective.
     ///
     /// # Errors
-    /// As [`get`](Self::get), and [`Error::Interrupted`].
-    pub fn captions_with_progress(
-        &self,
-        progress: OpenProgress,
-    ) -> Result<BTreeMap<String, String>, Error> {
-        self.captions_among(progress, &Alone)
-    }
-
-    /// [`captions_with_progress`](Self::captions_with_progress) by ranks that each read a part of
-    /// the clips. Collective.
-    ///
-    /// # Errors
-    /// As there, and [`Error::OtherReader`].
+    /// As [`measure_among`](Self::measure_among).
     pub fn captions_among(
         &self,
         progress: OpenProgress,
@@ -122,7 +110,7 @@ mod tests {
     use super::*;
     use crate::humanml::{CaptionText, ClipSamples, Humanml3dConfig};
     use crate::loader::Samples as _;
-    use crate::progress::no_progress;
+    use crate::{Alone, no_progress};
     use crate::{DataConfig, DataKind, Dataset};
 
     fn labels() -> CaptionLabels {
@@ -169,7 +157,7 @@ mod tests {
         config.synthetic.phrases = 9;
         let dataset = Dataset::<Clip>::open(&config).unwrap();
         let statistics = Arc::new(dataset.statistics().unwrap());
-        let captions = dataset.train.captions_with_progress(&no_progress).unwrap();
+        let captions = dataset.train.captions_among(&no_progress, &Alone).unwrap();
         let clips = dataset.train.load().unwrap();
         let texts = clips.iter().flat_map(|clip| &clip.captions);
         assert!(texts.clone().all(|caption| caption.embedding.is_none()));

@@ -4,7 +4,7 @@ use kinegrad_audio::Pulse;
 use kinegrad_motion::FPS;
 use kinegrad_random::Key;
 
-use crate::audio_layout::AUDIO_CHANNELS;
+use crate::audio_layout::{AUDIO_CHANNELS, AudioLayout};
 use crate::features::AudioFeatures;
 
 /// Number of moves.
@@ -96,7 +96,7 @@ impl Music {
     /// decaying loudness, a chord, spectrum and brightness for each move, and noise.
     pub fn features(&self, frames: usize, phrase: Key) -> AudioFeatures {
         let noise = phrase.at(NOISE).normals(AUDIO_CHANNELS * frames);
-        let mut features = AudioFeatures::zeros(frames);
+        let mut features = AudioFeatures::silence(AudioLayout::CCMOTION, frames);
         for t in 0..frames {
             let column = self.frame_features(t);
             for (channel, value) in column.into_iter().enumerate() {

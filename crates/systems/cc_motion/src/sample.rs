@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use std::iter::repeat_n;
 use std::path::{Path, PathBuf};
 
-use kinegrad_data::{AudioFeatures, DataConfig, DataKind, Dataset, PhraseItem, load_audio};
+use kinegrad_data::{Alone, AudioFeatures, DataConfig, DataKind, Dataset, PhraseItem, load_audio};
 use kinegrad_motion::path::PathPlan;
 use kinegrad_motion::postprocess::PostProcessConfig;
 use kinegrad_motion::stitch::Windows;
@@ -97,7 +97,7 @@ impl<'a> Phrases<'a> {
         };
         if let Some(count) = request.held_out_items() {
             let dataset =
-                Dataset::<PhraseItem>::open_with_progress(&config.data, &*sink.reading())?;
+                Dataset::<PhraseItem>::open_among(&config.data, &*sink.reading(), &Alone)?;
             for phrase in dataset.held_out().first(count)? {
                 let windows = windows(config, phrase.audio.frames());
                 resolved.push(
@@ -488,7 +488,7 @@ fn of_phrases(
         data.kind = DataKind::Phrases;
         data.source = Some(source.to_owned());
     }
-    let dataset = Dataset::<PhraseItem>::open_with_progress(&data, &*sink.reading())?;
+    let dataset = Dataset::<PhraseItem>::open_among(&data, &*sink.reading(), &Alone)?;
     let mut found = Vec::new();
     for side in [&dataset.validation, &dataset.train] {
         match item {

@@ -6,7 +6,7 @@ use std::slice::from_ref;
 use std::sync::Arc;
 
 use kinegrad_data::humanml::Clip;
-use kinegrad_data::{Dataset, ItemSet, read_array};
+use kinegrad_data::{Alone, Dataset, ItemSet, read_array};
 use kinegrad_diffusion::SamplerConfig;
 use kinegrad_motion::humanml::Joints;
 use kinegrad_random::{Key, Purpose};
@@ -161,7 +161,7 @@ impl<'a> Rollouts<'a> {
         sink: &mut dyn SampleSink,
     ) -> Result<(Option<String>, Vec<Arc<Clip>>), Error> {
         let data = &self.trained.config().data;
-        let dataset = Dataset::<Clip>::open_with_progress(data, &*sink.reading())?;
+        let dataset = Dataset::<Clip>::open_among(data, &*sink.reading(), &Alone)?;
         let first = prompts.and_then(|prompts| prompts.first()?.text.as_ref());
         let caption = first.and_then(|text| text.caption.as_deref());
         let sets = [dataset.held_out(), &dataset.train];

@@ -20,7 +20,7 @@ pub use text_plan::{TextPlan, TextStep, TimedPrompt};
 use std::sync::Arc;
 
 use kinegrad_data::humanml::Clip;
-use kinegrad_data::{DataConfig, DataKind, Dataset, ValidationSplit};
+use kinegrad_data::{Alone, DataConfig, DataKind, Dataset, ValidationSplit};
 
 use crate::TrainedModel;
 use crate::error::Error;
@@ -77,7 +77,7 @@ pub fn requested(
     }
     let source = item.and_then(|(_, source)| source);
     let data = dataset_or(&trained.config().data, source);
-    let dataset = Dataset::<Clip>::open_with_progress(&data, &*sink.reading())?;
+    let dataset = Dataset::<Clip>::open_among(&data, &*sink.reading(), &Alone)?;
     let clips = match (item, held_out) {
         (Some((pattern, _)), _) => clips_named(&dataset, pattern)?,
         (None, count) => dataset.held_out().evenly(count.unwrap_or(0))?,

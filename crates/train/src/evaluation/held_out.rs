@@ -1,9 +1,7 @@
 //! The held-out items of an evaluation.
 
-use std::ops::ControlFlow;
-
 use kinegrad_data::humanml::Clip;
-use kinegrad_data::{DataConfig, DataKind, Dataset, Item, PhraseItem};
+use kinegrad_data::{DataConfig, DataKind, Dataset, Item, PhraseItem, no_progress};
 
 use super::EvaluationRequest;
 use crate::TrainedModel;
@@ -44,10 +42,6 @@ pub fn phrases_with_held_out(
     }
     let dataset = Dataset::open_among(&data, &no_progress, &*request.group)?;
     Ok((data, must_hold_out(dataset, trained, purpose)?))
-}
-
-fn no_progress(_: usize, _: usize) -> ControlFlow<()> {
-    ControlFlow::Continue(())
 }
 
 fn must_hold_out<T: Item>(

@@ -1,5 +1,5 @@
 use kinegrad_audio::beats;
-use kinegrad_data::AudioFeatures;
+use kinegrad_data::{AudioFeatures, AudioLayout};
 use kinegrad_motion::FPS;
 
 use super::*;
@@ -12,7 +12,7 @@ fn song(onsets: &[(f64, f32)], seconds: f64) -> Song {
         onset[(at * FPS).round() as usize] = *strength;
     }
     Song {
-        features: AudioFeatures::zeros(frames),
+        features: AudioFeatures::silence(AudioLayout::CCMOTION, frames),
         beats: beats::track(&onset),
         onset,
         damage: None,

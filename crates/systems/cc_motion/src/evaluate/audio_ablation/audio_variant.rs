@@ -159,7 +159,7 @@ pub(super) fn donors<'a>(
 mod tests {
     use std::sync::Arc;
 
-    use kinegrad_data::{Songs, synthetic};
+    use kinegrad_data::{AudioLayout, Songs, synthetic};
     use kinegrad_motion::FPS;
     use kinegrad_motion::metrics::phase_error;
     use kinegrad_motion::phrase::PHASE;
@@ -232,7 +232,7 @@ mod tests {
         let reversed = own.music(AudioVariant::Reversed, 5, &[]).unwrap().audio;
         assert_eq!(reversed.channel(7)[0], audio.channel(7)[49]);
         let silence = own.music(AudioVariant::Silence, 5, &[]).unwrap().audio;
-        assert_eq!(silence, AudioFeatures::zeros(50));
+        assert_eq!(silence, AudioFeatures::silence(AudioLayout::CCMOTION, 50));
         assert_eq!(&own.music(AudioVariant::Own, 5, &[]).unwrap().audio, audio);
     }
 
