@@ -11,9 +11,8 @@ use kinegrad_models::rotary::rotate;
 /// Self-attention with a residual, then cross-attention to the context with a residual
 /// (CC-MotionGen, section 3.1.4; docs/sources.md, section 1.5).
 ///
-/// The context keeps its own length: attention is over all its frames, whatever the level's
-/// length. There is no positional encoding, so that the order of its frames does not matter, unless
-/// the block is [`with_positions`](Self::with_positions).
+/// Attention is over all frames of the context, whatever the level's length. Their order does not
+/// matter, except [`with_positions`](Self::with_positions).
 #[derive(Module, Debug)]
 pub struct AttentionBlock {
     norm: GroupNorm,
@@ -36,14 +35,14 @@ impl AttentionBlock {
         context_dim: Option<usize>,
         init: &Initializer,
     ) -> Self {
+        let norm = |name| GroupNorm::new(channels, GROUPS, &init.at(name));
         let pointwise =
             |name: &str, inputs, outputs| Conv1d::new(inputs, outputs, 1, &init.at(name));
         Self {
-            norm: GroupNorm::new(channels, GROUPS, &init.at("norm")),
+            norm: norm("norm"),
             qkv: pointwise("qkv", channels, 3 * channels),
             proj: pointwise("proj", channels, channels),
-            cross_norm: context_dim
-                .map(|_| GroupNorm::new(channels, GROUPS, &init.at("cross_norm"))),
+            cross_norm: context_dim.map(|_| norm("cross_norm")),
             q_cross: context_dim.map(|_| pointwise("q_cross", channels, channels)),
             kv_cross: context_dim.map(|dim| pointwise("kv_cross", dim, 2 * channels)),
             proj_cross: context_dim.map(|_| pointwise("proj_cross", channels, channels)),
@@ -52,14 +51,11 @@ impl AttentionBlock {
         }
     }
 
-    /// The block with [rotary positions](rotate) on queries and keys of the cross-attention, whose
-    /// context then has the level's own frames; heads have an even number of channels.
+    /// Sets whether queries and keys of the cross-attention have [rotary positions](rotate). The
+    /// context then has the level's own frames, and heads an even number of channels.
     #[must_use]
-    pub fn with_positions(self) -> Self {
-        Self {
-            positions: true,
-            ..self
-        }
+    pub fn with_positions(self, positions: bool) -> Self {
+        Self { positions, ..self }
     }
 
     /// # Shapes

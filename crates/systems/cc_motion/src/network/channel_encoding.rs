@@ -8,6 +8,8 @@ use kinegrad_motion::channel_encoding::{LEAST_HARMONICS, LEAST_SQUARE};
 use kinegrad_motion::phrase::QUATERNION;
 use kinegrad_motion::{ChannelEncoding, OrientationEncoding, PhaseEncoding};
 
+use crate::network::rotation::hemisphere;
+
 /// Square of the radius below which the gradient of an angle does not grow any more.
 const LEAST_RADIUS_SQUARE: f64 = 1e-4;
 
@@ -154,8 +156,7 @@ fn nearest_rotations(columns: Tensor<3>) -> Tensor<3> {
 /// hemisphere of the one before. The signs are constants to the gradient.
 fn canonical_signs(quaternion: Tensor<3>) -> Tensor<3> {
     let first = quaternion.clone().without_autodiff().narrow(2, 0, 1);
-    let sign = first.narrow(1, 0, 1).lower_elem(0.0).float() * -2.0 + 1.0;
-    sign_continuous(quaternion * sign)
+    sign_continuous(quaternion * hemisphere(first.narrow(1, 0, 1)))
 }
 
 /// Negates quaternions `[batch, 4, time]` so that each lies in the hemisphere of the one before.
@@ -167,7 +168,7 @@ pub(crate) fn sign_continuous(quaternion: Tensor<3>) -> Tensor<3> {
     }
     let known = quaternion.clone().inner();
     let dots = (known.clone().narrow(2, 1, time - 1) * known.narrow(2, 0, time - 1)).sum_dim(1);
-    let flips = dots.lower_elem(0.0).float() * -2.0 + 1.0;
+    let flips = hemisphere(dots);
     let signs = Tensor::cat(vec![flips.clone().narrow(2, 0, 1).ones_like(), flips], 2).cumprod(2);
     quaternion * signs
 }

@@ -11,6 +11,13 @@ pub fn hemisphere(x: Tensor<3>) -> Tensor<3> {
     x.lower_elem(0.0).float() * -2.0 + 1.0
 }
 
+/// Sine and cosine `[batch, 2, time]` of an angle to which another one is added.
+pub(crate) fn add_angle(angle: Tensor<3>, sine: Tensor<3>, cosine: Tensor<3>) -> Tensor<3> {
+    let [s, c] = [0, 1].map(|row| angle.clone().narrow(1, row, 1));
+    let sin = s.clone() * cosine.clone() + c.clone() * sine.clone();
+    Tensor::cat(vec![sin, c * cosine - s * sine], 1)
+}
+
 /// The products `a b` of quaternions, `[batch, 4, time]` each: the rotation `b`, then `a`.
 pub fn product(a: Tensor<3>, b: Tensor<3>) -> Tensor<3> {
     let parts = |q: Tensor<3>| [0, 1, 2, 3].map(|index| q.clone().narrow(1, index, 1));

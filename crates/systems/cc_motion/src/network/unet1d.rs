@@ -33,9 +33,9 @@ pub use config::UNet1dConfig;
 pub use style::{STYLE_VALUES, StyleCondition, StyleConditioning};
 
 impl UNet1dConfig {
-    /// Builds the network for motion of `in_channels` under conditions of `cond_channels` per
-    /// frame; its parameters are initialised when they are first used. Where beats are tracked, the last
-    /// [`BEAT_CHANNELS`] conditions are their labels.
+    /// Builds the network for motion of `in_channels` under conditions of `cond_channels` per frame,
+    /// with lazy parameters. Where beats are tracked, the last [`BEAT_CHANNELS`] conditions are
+    /// their labels.
     ///
     /// # Errors
     /// As [`validate`](Self::validate), and where beats are tracked without labels.
@@ -125,6 +125,20 @@ impl Builder<'_> {
         ResBlock::new(inputs, outputs, &config, self.dropout_layers - 1, init)
     }
 
+    fn res_blocks(
+        &mut self,
+        count: usize,
+        inputs: usize,
+        width: usize,
+        init: &Initializer,
+    ) -> Vec<ResBlock> {
+        let block = |j: usize| {
+            let inputs = if j == 0 { inputs } else { width };
+            self.res_block(inputs, width, &init.at("res").at(&j.to_string()))
+        };
+        (0..count).map(block).collect()
+    }
+
     fn aligned(&self) -> bool {
         self.config.audio_conditioning == AudioConditioning::Aligned
     }
@@ -139,20 +153,13 @@ impl Builder<'_> {
 
     fn attention(&self, level: usize, channels: usize, init: &Initializer) -> AttentionBlock {
         let width = Some(self.context_width(level));
-        let block = AttentionBlock::new(channels, self.config.num_heads, width, init);
-        match self.aligned() {
-            true => block.with_positions(),
-            false => block,
-        }
+        let heads = self.config.num_heads;
+        AttentionBlock::new(channels, heads, width, init).with_positions(self.aligned())
     }
 
     fn join(&self, level: usize, channels: usize, init: &Initializer) -> Option<Conv1d> {
         let layer = || Conv1d::new(self.context_width(level), channels, 1, &init.at("audio"));
         self.aligned().then(layer)
-    }
-
-    fn attends(&self, level: usize) -> bool {
-        self.config.attention_levels().contains(&level)
     }
 
     fn encoder_level(&mut self, level: usize) -> EncoderLevel {
@@ -161,14 +168,8 @@ impl Builder<'_> {
         let inputs = channels[level.saturating_sub(1)];
         let width = channels[level];
         EncoderLevel {
-            res: (0..self.config.num_res_blocks)
-                .map(|j| {
-                    let inputs = if j == 0 { inputs } else { width };
-                    self.res_block(inputs, width, &init.at("res").at(&j.to_string()))
-                })
-                .collect(),
-            attn: self
-                .attends(level)
+            res: self.res_blocks(self.config.num_res_blocks, inputs, width, &init),
+            attn: (self.config.attention_levels().contains(&level))
                 .then(|| self.attention(level, width, &init.at("attn"))),
             down: (level + 1 < channels.len())
                 .then(|| Conv1d::strided(width, width, 3, 2, &init.at("down"))),
@@ -180,25 +181,18 @@ impl Builder<'_> {
         let channels = self.config.channels();
         let init = self.init.at("dec").at(&level.to_string());
         let coarsest = channels.len() - 1;
-        let attends = level != coarsest && self.attends(level);
-        // What comes from below has this level's width: a level is left at the width of the next
-        // finer one.
+        let attends = level != coarsest && self.config.attention_levels().contains(&level);
+        // The output of a level has the width of the next finer one.
         let inputs = 2 * channels[level];
         let width = channels[level.saturating_sub(1)];
         let blocks = if attends { 1 } else { 2 };
         DecoderLevel {
-            res: (0..blocks)
-                .map(|j| {
-                    let inputs = if j == 0 { inputs } else { width };
-                    self.res_block(inputs, width, &init.at("res").at(&j.to_string()))
-                })
-                .collect(),
+            res: self.res_blocks(blocks, inputs, width, &init),
             attn: attends.then(|| self.attention(level, width, &init.at("attn"))),
             up: (level > 0).then(|| Conv1d::new(width, width, 3, &init.at("up"))),
-            audio: match level == coarsest {
-                true => None,
-                false => self.join(level, channels[level], &init),
-            },
+            audio: (level != coarsest)
+                .then(|| self.join(level, channels[level], &init))
+                .flatten(),
         }
     }
 
@@ -254,10 +248,10 @@ impl UNet1d {
         self.forward_stages(x_t, time, cond, dropout, &mut ())
     }
 
-    /// [`forward`](Self::forward), and what each stage gives: `time_emb [batch, time_embed_dim]`
-    /// with the style in it,
-    /// `audio_ctx` (`audio_ctx.i` of each level, where audio is aligned), `input_conv`, `enc.i` before its length is halved (the skip), `mid`, and
-    /// `dec.i` after its length is doubled, from the coarsest level to the finest.
+    /// [`forward`](Self::forward), with the output of each stage: `time_emb [batch, time_embed_dim]`
+    /// with the style in it, `audio_ctx` (`audio_ctx.i` of each level, where audio is aligned),
+    /// `input_conv`, `enc.i` before its length is halved (the skip), `mid`, and `dec.i` after its
+    /// length is doubled, from the coarsest level to the finest.
     pub fn forward_stages(
         &self,
         x_t: Tensor<3>,
@@ -267,11 +261,10 @@ impl UNet1d {
         stages: &mut impl Stages,
     ) -> Tensor<3> {
         let cond = cond.into();
-        let time_emb = self.time_embed.forward(time, &x_t.device());
-        let time_emb = match &self.style {
-            Some(style) => style.add_to(time_emb, cond.style.as_ref()),
-            None => time_emb,
-        };
+        let mut time_emb = self.time_embed.forward(time, &x_t.device());
+        if let Some(style) = &self.style {
+            time_emb = style.add_to(time_emb, cond.style.as_ref());
+        }
         stages.stage(format_args!("time_emb"), || time_emb.clone());
         let audio = self.encode_audio(cond, stages);
         let attend = |block: &Option<AttentionBlock>, level: usize, h: Tensor<3>| match block {
@@ -326,9 +319,8 @@ impl UNet1d {
         output_conv.lengths(audio.lengths(0).cloned()).forward(h)
     }
 
-    /// Sine and cosine of the place of each frame in its beat as the network's own tracker finds it
-    /// in features `[batch, channels, time]`, without the last
-    /// [`BEAT_CHANNELS`]: `[batch, 2, time]`, none without a tracker.
+    /// Sine and cosine of the place of each frame in its beat by the network's tracker, in all features
+    /// but the last [`BEAT_CHANNELS`]: `[batch, 2, time]`, none without a tracker.
     pub fn track_beats(&self, cond: &AudioCondition) -> Option<Tensor<3>> {
         let encoder = self.audio.as_ref()?;
         encoder.track(cond.features.clone(), cond.lengths.as_ref())
@@ -347,7 +339,7 @@ impl UNet1d {
             (Some(projection), _) => {
                 let context = projection.forward_frames(cond.features);
                 stages.stage(format_args!("audio_ctx"), || context.clone());
-                AudioContext::everywhere(context, levels)
+                AudioContext(vec![(context, None); levels])
             }
             (None, encoder) => {
                 let encoder = encoder.as_ref().expect("one of the two");

@@ -11,7 +11,7 @@ use kinegrad_motion::phrase::FPS;
 
 use super::orientation::Smooth;
 use crate::network::channel_encoding::turns;
-use crate::network::rotation::{product, step};
+use crate::network::rotation::{add_angle, product, step};
 
 /// Below this square a direction is not divided by its length.
 const LEAST_SQUARE: f64 = 1e-4;
@@ -114,12 +114,9 @@ fn from_to(from: Tensor<3>, to: Tensor<3>) -> Tensor<3> {
     Tensor::cat(vec![sin, c * cosine + s * sine], 1)
 }
 
-/// Sine and cosine `[batch, 2, time]` of an angle to which another one is added, `[batch, 1, time]`.
+/// Sine and cosine of a direction turned by `angle`, `[batch, 1, time]`.
 fn turned_by(direction: Tensor<3>, angle: Tensor<3>) -> Tensor<3> {
-    let [s, c] = [0, 1].map(|row| direction.clone().narrow(1, row, 1));
-    let (sine, cosine) = (angle.clone().sin(), angle.cos());
-    let sin = s.clone() * cosine.clone() + c.clone() * sine.clone();
-    Tensor::cat(vec![sin, c * cosine - s * sine], 1)
+    add_angle(direction, angle.clone().sin(), angle.cos())
 }
 
 /// Places in turns `[batch, 1, time]`, moved by whole turns to less than half of one from the place

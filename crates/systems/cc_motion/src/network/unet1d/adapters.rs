@@ -11,11 +11,9 @@ use super::{Bottleneck, DecoderLevel, EncoderLevel, UNet1d};
 use crate::network::attention::AttentionBlock;
 
 impl UNet1d {
-    /// Puts a fresh adapter on every layer that `config` names, which changes nothing yet, and
-    /// freezes all other parameters. Adapters that the network has are merged first.
-    ///
-    /// The adapters' first values depend on the seed of `init` and on their names alone; its
-    /// device is the network's.
+    /// Puts a fresh adapter without effect on every layer that `config` names, and freezes all other
+    /// parameters. Existing adapters are merged first. The first values depend on the seed of `init`
+    /// and on the names alone; its device is the network's.
     ///
     /// # Errors
     /// As [`LoraConfig::validate`].
@@ -29,32 +27,39 @@ impl UNet1d {
         Ok(frozen.adapting(&Adapting::Attach(config, init.clone())))
     }
 
-    /// The plain network that computes the same: every adapter is added to its layer's weight and
-    /// removed. All parameters can be trained again.
+    /// The network with its adapters merged into the weights, all of them trainable.
     #[must_use]
     pub fn merge_adapters(self) -> Self {
         self.adapting(&Adapting::Merge).set_require_grad(true)
     }
 
     fn adapting(self, adapting: &Adapting<'_>) -> Self {
-        let conv = |name, layer| adapting.layer(LoraTarget::Convolution, name, layer);
         let (enc, mid, dec) = (adapting.at("enc"), adapting.at("mid"), adapting.at("dec"));
+        let conv = |at: &Adapting<'_>, name: &str, layer: Conv1d| {
+            at.layer(LoraTarget::Convolution, name, layer)
+        };
+        let attention = |at: &Adapting<'_>, block: Option<AttentionBlock>| {
+            block.map(|block| block.adapting(&at.at("attn")))
+        };
+        let join = |at: &Adapting<'_>, layer: Option<Conv1d>| {
+            layer.map(|layer| at.layer(LoraTarget::Conditioning, "audio", layer))
+        };
         Self {
             audio_proj: self
                 .audio_proj
                 .map(|layer| adapting.layer(LoraTarget::Conditioning, "audio_proj", layer)),
             audio: self
                 .audio
-                .map(|encoder| encoder.adapting(&adapting.at("audio"))),
+                .map(|audio| audio.adapting(&adapting.at("audio"))),
             style: self
                 .style
                 .map(|style| style.adapting(&adapting.at("style"))),
-            input_conv: conv("input_conv", self.input_conv),
+            input_conv: conv(adapting, "input_conv", self.input_conv),
             enc: numbered(self.enc, &enc, |level, at| EncoderLevel {
                 res: numbered(level.res, &at.at("res"), ResBlock::adapting),
-                attn: optional_attention(level.attn, at),
-                down: optional_convolution("down", level.down, at),
-                audio: joining(level.audio, at),
+                attn: attention(at, level.attn),
+                down: level.down.map(|layer| conv(at, "down", layer)),
+                audio: join(at, level.audio),
             }),
             mid: Bottleneck {
                 res1: self.mid.res1.adapting(&mid.at("res1")),
@@ -63,18 +68,18 @@ impl UNet1d {
             },
             dec: numbered(self.dec, &dec, |level, at| DecoderLevel {
                 res: numbered(level.res, &at.at("res"), ResBlock::adapting),
-                attn: optional_attention(level.attn, at),
-                up: optional_convolution("up", level.up, at),
-                audio: joining(level.audio, at),
+                attn: attention(at, level.attn),
+                up: level.up.map(|layer| conv(at, "up", layer)),
+                audio: join(at, level.audio),
             }),
-            output_conv: conv("output_conv", self.output_conv),
+            output_conv: conv(adapting, "output_conv", self.output_conv),
             ..self
         }
     }
 }
 
-/// Does it to every item of a list, whose place is its number.
-fn numbered<T>(
+/// Applies `each` to the items of a list, at the places of their numbers.
+pub(super) fn numbered<T>(
     items: Vec<T>,
     adapting: &Adapting<'_>,
     each: impl Fn(T, &Adapting<'_>) -> T,
@@ -83,25 +88,6 @@ fn numbered<T>(
     items
         .map(|(index, item)| each(item, &adapting.at(&index.to_string())))
         .collect()
-}
-
-fn optional_attention(
-    block: Option<AttentionBlock>,
-    adapting: &Adapting<'_>,
-) -> Option<AttentionBlock> {
-    block.map(|block| block.adapting(&adapting.at("attn")))
-}
-
-fn optional_convolution(
-    name: &str,
-    layer: Option<Conv1d>,
-    adapting: &Adapting<'_>,
-) -> Option<Conv1d> {
-    layer.map(|layer| adapting.layer(LoraTarget::Convolution, name, layer))
-}
-
-fn joining(layer: Option<Conv1d>, adapting: &Adapting<'_>) -> Option<Conv1d> {
-    layer.map(|layer| adapting.layer(LoraTarget::Conditioning, "audio", layer))
 }
 
 #[cfg(test)]

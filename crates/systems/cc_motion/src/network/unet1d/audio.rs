@@ -12,6 +12,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::StyleCondition;
+use super::adapters::numbered;
 use super::beats::{BEAT_CHANNELS, BeatTracker, TRACKED, beat_labels};
 use super::constant_tempo::fit_constant_tempo;
 
@@ -49,30 +50,28 @@ pub struct AudioCondition {
     /// The style of each sample; the null style if `None`. Networks without style ignore it.
     pub style: Option<StyleCondition>,
     /// Replaces tracked beats by the beat labels where there are some. Training sets this, because
-    /// the tracker is poor at first and later nearly perfect on the training songs, and on other
-    /// songs neither.
+    /// the tracker is poor at first, and later nearly perfect on the training songs alone.
     pub teacher_forcing: bool,
 }
 
 impl AudioCondition {
-    /// The condition without audio and style: features of zeros, in aligned networks what the
-    /// encoder's biases make of them, which is learned.
+    /// The condition without audio and style: features of zeros. In aligned networks the biases of
+    /// the encoder learn its embedding.
     #[must_use]
     pub fn null(&self) -> Self {
         Self {
             features: self.features.zeros_like(),
-            lengths: self.lengths.clone(),
             style: self.style.as_ref().map(StyleCondition::null),
-            teacher_forcing: self.teacher_forcing,
+            ..self.clone()
         }
     }
 
     /// The same audio with the null style; `None` if there is no style.
     #[must_use]
     pub fn null_style(&self) -> Option<Self> {
-        let style = self.style.as_ref()?.null();
+        let style = Some(self.style.as_ref()?.null());
         Some(Self {
-            style: Some(style),
+            style,
             ..self.clone()
         })
     }
@@ -91,14 +90,9 @@ impl From<Tensor<3>> for AudioCondition {
 }
 
 /// The audio features of each level of the UNet, with the lengths of the samples there.
-pub(super) struct AudioContext(Vec<(Tensor<3>, Option<Lengths>)>);
+pub(super) struct AudioContext(pub Vec<(Tensor<3>, Option<Lengths>)>);
 
 impl AudioContext {
-    /// The same at every level, as a set of frames.
-    pub fn everywhere(context: Tensor<3>, levels: usize) -> Self {
-        Self(vec![(context, None); levels])
-    }
-
     /// At level `level`: `[batch, width, time of the level]`.
     pub fn context(&self, level: usize) -> Tensor<3> {
         self.0[level].0.clone()
@@ -109,16 +103,11 @@ impl AudioContext {
         self.0[level].1.as_ref()
     }
 
-    /// `convolution`, whose output is at `level`, with the audio context of that level added.
-    pub fn join(
-        &self,
-        layer: &Option<Conv1d>,
-        level: usize,
-        convolution: Convolution,
-    ) -> Convolution {
+    /// The convolution `conv`, whose output is at `level`, with the audio context of that level added.
+    pub fn join(&self, layer: &Option<Conv1d>, level: usize, conv: Convolution) -> Convolution {
         match layer {
-            Some(layer) => convolution.residual(layer.forward(self.context(level))),
-            None => convolution,
+            Some(layer) => conv.residual(layer.forward(self.context(level))),
+            None => conv,
         }
     }
 }
@@ -146,8 +135,7 @@ pub(super) fn mean_around(features: Tensor<3>, lengths: Option<&Lengths>) -> Ten
 }
 
 /// Sine and cosine of the same angle with a norm of one. The tracker's norm is near one on its
-/// training songs and smaller on others, which would be inputs that the network never had in
-/// training.
+/// training songs and smaller on others, outside the range of training.
 fn direction(beats: Tensor<3>) -> Tensor<3> {
     let norm = (beats.clone().square().sum_dim(1) + SMALLEST_NORM * SMALLEST_NORM).sqrt();
     beats / norm
@@ -161,9 +149,9 @@ fn direction(beats: Tensor<3>) -> Tensor<3> {
 /// a_i = block(conv3 with stride 2(a_(i-1)))
 /// ```
 ///
-/// Lengths are halved as the UNet halves them: frame `j` of a level is centred on frame `2 j` of the
-/// finer one, and `n` frames become `ceil(n / 2)`, so that frame `j` of `a_i` and frame `j` of the
-/// UNet's level `i` are the same time whatever the length.
+/// Lengths are halved as in the UNet: frame `j` of a level is centred on frame `2 j` of the finer
+/// one, and `n` frames become `ceil(n / 2)`. Frame `j` of `a_i` and of the UNet's level `i` have the
+/// same time.
 #[derive(Module, Debug)]
 pub(super) struct AudioEncoder {
     /// In place of the beat features.
@@ -182,23 +170,19 @@ struct AudioLevel {
 
 /// Channels of the encoder's levels under a UNet of these channels.
 pub(super) fn widths(channels: &[usize], context_dim: usize) -> Vec<usize> {
-    channels
-        .iter()
-        .map(|&width| width.min(context_dim))
-        .collect()
+    let widths = channels.iter().map(|&width| width.min(context_dim));
+    widths.collect()
 }
 
 impl AudioEncoder {
     /// An encoder of `inputs` features with levels of these `widths`, multiples of 32. Where it
-    /// `tracks` beats, the last [`BEAT_CHANNELS`] features are only what it learns that from.
-    ///
-    /// # Panics
-    /// Panics if it tracks and has no other features.
+    /// `tracks` beats, the last [`BEAT_CHANNELS`] features are the labels of its tracker alone.
     pub fn new(inputs: usize, widths: &[usize], tracks: bool, init: &Initializer) -> Self {
         let beats = tracks.then(|| BeatTracker::new(inputs - BEAT_CHANNELS, &init.at("beats")));
-        let inputs = match tracks {
-            true => inputs - BEAT_CHANNELS + TRACKED,
-            false => inputs,
+        let inputs = if tracks {
+            inputs - BEAT_CHANNELS + TRACKED
+        } else {
+            inputs
         };
         let level = |level: usize| {
             let init = init.at("levels").at(&level.to_string());
@@ -222,21 +206,15 @@ impl AudioEncoder {
     /// # Shapes
     /// - features: `[batch, inputs, time]`
     pub fn forward(&self, cond: AudioCondition) -> AudioContext {
-        let AudioCondition {
-            features,
-            mut lengths,
-            style: _,
-            teacher_forcing,
-        } = cond;
+        let (features, mut lengths) = (cond.features, cond.lengths);
         let stem = self.stem.operation().lengths(lengths.clone());
         let features = match self.find(features.clone(), lengths.as_ref()) {
             Some(mut beats) => {
-                if teacher_forcing {
+                if cond.teacher_forcing {
                     let (labels, known) = beat_labels(&features);
                     beats = labels * known.clone() + beats * (known.neg() + 1.0);
                 }
-                // Unaveraged features would also contain the onsets, which a network memorises for
-                // a few songs without use for others.
+                // Unaveraged features contain the onsets, which a network memorises for few songs.
                 let sounds = mean_around(without_labels(features), lengths.as_ref());
                 Tensor::cat(vec![sounds, beats], 1)
             }
@@ -268,33 +246,24 @@ impl AudioEncoder {
     /// Gradients do not reach the tracker.
     pub fn find(&self, features: Tensor<3>, lengths: Option<&Lengths>) -> Option<Tensor<3>> {
         let found = self.track(features.clone(), lengths)?.detach();
-        let loudest = without_labels(features)
-            .detach()
-            .abs()
-            .max_dim(2)
-            .max_dim(1);
-        let sounds = loudest.greater_elem(0.0).float();
+        let loudest = without_labels(features).detach().abs();
+        let sounds = loudest.max_dim(2).max_dim(1).greater_elem(0.0).float();
         Some(direction(fit_constant_tempo(found, lengths)) * sounds)
     }
 
     pub fn adapting(self, adapting: &Adapting<'_>) -> Self {
         let layer =
             |at: &Adapting<'_>, name: &str, conv| at.layer(LoraTarget::Conditioning, name, conv);
-        let of_levels = adapting.at("levels");
-        let levels = self.levels.into_iter().enumerate();
         Self {
             beats: self.beats,
             stem: layer(adapting, "stem", self.stem),
-            levels: levels
-                .map(|(index, level)| {
-                    let at = of_levels.at(&index.to_string());
-                    AudioLevel {
-                        down: level.down.map(|down| layer(&at, "down", down)),
-                        conv: layer(&at, "conv", level.conv),
-                        ..level
-                    }
-                })
-                .collect(),
+            levels: numbered(self.levels, &adapting.at("levels"), |level, at| {
+                AudioLevel {
+                    down: level.down.map(|down| layer(at, "down", down)),
+                    conv: layer(at, "conv", level.conv),
+                    ..level
+                }
+            }),
         }
     }
 }

@@ -6,6 +6,7 @@ use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_kernels::Lengths;
 
 use super::audio::mean_around;
+use crate::network::rotation::add_angle;
 
 /// Beats in a frame, from 30 to 300 a minute at 30 frames per second.
 const SLOWEST: f64 = 30.0 / 60.0 / 30.0;
@@ -45,16 +46,9 @@ pub(super) fn fit_constant_tempo(found: Tensor<3>, lengths: Option<&Lengths>) ->
         let turns = turns.select(0, tempo.clone());
         turns.reshape([batch, 1, time])
     });
-    let left = turned(found, sine.clone().neg(), cosine.clone());
+    let left = add_angle(found, sine.clone().neg(), cosine.clone());
     let left = mean_around(mean_around(left, lengths), lengths);
-    turned(left, sine, cosine)
-}
-
-/// Sine and cosine `[batch, 2, time]` of an angle to which one is added.
-fn turned(angle: Tensor<3>, sine: Tensor<3>, cosine: Tensor<3>) -> Tensor<3> {
-    let [s, c] = [0, 1].map(|row| angle.clone().narrow(1, row, 1));
-    let sin = s.clone() * cosine.clone() + c.clone() * sine.clone();
-    Tensor::cat(vec![sin, c * cosine - s * sine], 1)
+    add_angle(left, sine, cosine)
 }
 
 /// Sine or cosine of the angles of each tempo, `[TEMPI, time]`.

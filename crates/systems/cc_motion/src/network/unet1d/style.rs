@@ -12,8 +12,7 @@ use serde::{Deserialize, Serialize};
 /// Values of a style's numbers: the eight, normalised, and 1.
 pub const STYLE_VALUES: usize = 9;
 
-/// The style condition (CC-MotionGen, section 15.2, names style control for its
-/// version 0.4).
+/// The style condition (CC-MotionGen, section 15.2, plans style control for version 0.4).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum StyleConditioning {
@@ -92,14 +91,14 @@ impl StyleEmbedding {
         width: usize,
         init: &Initializer,
     ) -> Option<Self> {
-        let layer = |there: bool, name: &str, inputs| {
-            there.then(|| Linear::new(inputs, width, &init.at(name)))
+        let layer = |there: bool, inputs, init: Initializer| {
+            there.then(|| Linear::new(inputs, width, &init))
         };
-        let (numbers, label) = (style.has_numbers(), style.has_label());
+        let (has_numbers, numbers) = (style.has_numbers(), init.at("numbers"));
         (style != StyleConditioning::None).then(|| Self {
-            numbers_at_0: layer(numbers, "numbers.0", STYLE_VALUES),
-            numbers_at_2: layer(numbers, "numbers.2", width),
-            label: layer(label, "label", labels),
+            numbers_at_0: layer(has_numbers, STYLE_VALUES, numbers.at("0")),
+            numbers_at_2: layer(has_numbers, width, numbers.at("2")),
+            label: layer(style.has_label(), labels, init.at("label")),
         })
     }
 
