@@ -24,28 +24,7 @@ pub fn cross_attention(
     num_heads: usize,
     lengths: Option<&Lengths>,
 ) -> Tensor<3> {
-    let [batch, channels, _] = queries.dims();
-    check(channels, num_heads);
-    let [other_batch, both, num_keys] = keys_values.dims();
-    assert_eq!(
-        (other_batch, both),
-        (batch, 2 * channels),
-        "samples and channels of keys and values"
-    );
-    if let Some(lengths) = lengths {
-        lengths.check(batch, num_keys);
-    }
-    if !fuses(&queries) {
-        let keys = keys_values.clone().narrow(1, 0, channels);
-        let values = keys_values.narrow(1, channels, channels);
-        return composed::attention(queries, keys, values, num_heads, lengths);
-    }
-    Tensor::from_dispatch(Dispatch::fused_cross_attention(
-        queries.into_dispatch(),
-        keys_values.into_dispatch(),
-        num_heads,
-        with_lengths(lengths),
-    ))
+    cross(queries, keys_values, num_heads, lengths.into())
 }
 
 /// [`cross_attention`] in which each query attends to a range of keys; an empty range gives zeros.
@@ -65,6 +44,19 @@ pub fn ranged_attention(
     num_heads: usize,
     ranges: &KeyRanges,
 ) -> Tensor<3> {
+    let options = Options {
+        keys: Some(ranges.clone()),
+        ..Options::default()
+    };
+    cross(queries, keys_values, num_heads, options)
+}
+
+fn cross(
+    queries: Tensor<3>,
+    keys_values: Tensor<3>,
+    num_heads: usize,
+    options: Options,
+) -> Tensor<3> {
     let [batch, channels, time] = queries.dims();
     check(channels, num_heads);
     let [other_batch, both, num_keys] = keys_values.dims();
@@ -73,16 +65,20 @@ pub fn ranged_attention(
         (batch, 2 * channels),
         "samples and channels of keys and values"
     );
-    ranges.check(batch, time, num_keys);
+    if let Some(lengths) = &options.lengths {
+        lengths.check(batch, num_keys);
+    }
+    if let Some(ranges) = &options.keys {
+        ranges.check(batch, time, num_keys);
+    }
     if !fuses(&queries) {
         let keys = keys_values.clone().narrow(1, 0, channels);
         let values = keys_values.narrow(1, channels, channels);
-        return composed::ranged_attention(queries, keys, values, num_heads, ranges);
+        return match &options.keys {
+            Some(ranges) => composed::ranged_attention(queries, keys, values, num_heads, ranges),
+            None => composed::attention(queries, keys, values, num_heads, options.lengths.as_ref()),
+        };
     }
-    let options = Options {
-        keys: Some(ranges.clone()),
-        ..Options::default()
-    };
     Tensor::from_dispatch(Dispatch::fused_cross_attention(
         queries.into_dispatch(),
         keys_values.into_dispatch(),
@@ -125,15 +121,8 @@ pub fn self_attention(
     Tensor::from_dispatch(Dispatch::fused_self_attention(
         queries_keys_values.into_dispatch(),
         num_heads,
-        with_lengths(lengths),
+        lengths.into(),
     ))
-}
-
-fn with_lengths(lengths: Option<&Lengths>) -> Options {
-    Options {
-        lengths: lengths.cloned(),
-        ..Options::default()
-    }
 }
 
 fn check(channels: usize, num_heads: usize) {

@@ -9,13 +9,14 @@ use burn::backend::flex::FlexTensor;
 use burn::backend::tensor::FloatTensor;
 use burn::backend::{Backend, Flex, backend_extension};
 
-use crate::flex::{HostRows, contiguous, from_rows, of_elements, tensor};
-use crate::host::attention::{Attended, Columns, HeadGradients, Heads};
+use crate::flex::{HostRows, contiguous, from_rows, of_elements, tensor, tensor_like};
+use crate::host::attention::{Attended, Columns, Heads};
 use crate::host::convolution::{ConvolutionPlan, Input};
 use crate::host::gelu;
 use crate::host::layer_norm::LayerNormRows;
-use crate::host::norm::{self, GroupNormPlan, NormGradients, NormParameters, Statistics};
+use crate::host::norm::{self, GroupNormPlan, Norm, NormGradients, Statistics};
 use crate::host::packed_cache;
+use crate::host::product::Addends;
 use crate::host::recurrence::{GruPlan, GruValues};
 use crate::host::rows::{Rows, SharedRows, rows_written_by};
 use crate::host::team;
@@ -37,6 +38,15 @@ pub struct Options {
     pub lengths: Option<Lengths>,
     /// Keys that each query attends to.
     pub keys: Option<KeyRanges>,
+}
+
+impl From<Option<&Lengths>> for Options {
+    fn from(lengths: Option<&Lengths>) -> Self {
+        Self {
+            lengths: lengths.cloned(),
+            ..Self::default()
+        }
+    }
 }
 
 impl Options {
@@ -128,106 +138,117 @@ pub trait FusedOps: Backend {
     fn fused_linear_map(x: FloatTensor<Self>, map: SharedMap) -> FloatTensor<Self>;
 }
 
-/// The tensors of a normalisation on the host.
-pub(crate) struct HostNorm {
-    weight: FlexTensor,
-    bias: FlexTensor,
-    film: Option<FlexTensor>,
-    mask: Option<HostRows>,
-    lengths: Option<Lengths>,
+/// A normalisation of one input.
+#[derive(Clone, Debug)]
+pub(crate) struct MeasuredNorm {
+    plan: GroupNormPlan,
+    /// Weight, bias, FiLM and mask.
+    tensors: [FlexTensor; 4],
+    statistics: Statistics,
 }
 
-impl HostNorm {
+impl MeasuredNorm {
+    /// Measures `x`.
     pub fn new(
-        [weight, bias, film]: [&FlexTensor; 3],
-        mask: &FlexTensor,
+        x: Rows<'_>,
+        plan: GroupNormPlan,
+        tensors: [FlexTensor; 4],
         options: &Options,
     ) -> Self {
         Self {
-            weight: weight.to_contiguous(),
-            bias: bias.to_contiguous(),
-            film: options.film.then(|| film.to_contiguous()),
-            mask: options.mask.then(|| HostRows::of(mask.clone())),
-            lengths: options.lengths.clone(),
+            plan,
+            tensors,
+            statistics: norm::statistics(x, &plan, options.frames()),
         }
     }
 
-    pub fn parameters(&self) -> NormParameters<'_> {
-        NormParameters {
-            weight: self.weight.as_slice().expect("float32, contiguous"),
-            bias: self.bias.as_slice().expect("float32, contiguous"),
-            film: self
-                .film
-                .as_ref()
-                .map(|film| film.as_slice().expect("float32, contiguous")),
-            mask: self.mask.as_ref().map(HostRows::view),
-            lengths: self.lengths.as_ref().map(Lengths::frames),
-        }
+    /// Calls `work` with the normalisation as slices.
+    pub fn slices<R>(&self, options: &Options, work: impl FnOnce(Norm<'_>) -> R) -> R {
+        let [weight, bias, film, mask] = &self.tensors;
+        let film = options.film.then(|| contiguous(film));
+        let mask = options.mask.then(|| HostRows::of(mask.clone()));
+        work(Norm {
+            plan: self.plan,
+            statistics: &self.statistics,
+            weight: &contiguous(weight),
+            bias: &contiguous(bias),
+            film: film.as_deref(),
+            mask: mask.as_ref().map(HostRows::view),
+            lengths: options.frames(),
+        })
     }
 }
 
 /// The gradients of a normalisation's weight, bias and FiLM as tensors.
-pub(crate) fn norm_gradients(
-    gradients: NormGradients,
-    film: [usize; 2],
-) -> [Option<FlexTensor>; 3] {
+pub(crate) fn norm_gradients(gradients: NormGradients, batch: usize) -> [Option<FlexTensor>; 3] {
     let channels = gradients.weight.len();
+    let film = gradients.film;
     [
         Some(tensor(gradients.weight, [channels])),
         Some(tensor(gradients.bias, [channels])),
-        gradients.film.map(|values| tensor(values, film)),
+        film.map(|values| tensor(values, [batch, 2 * channels])),
     ]
+}
+
+/// Calls `work` with the input of a convolution as slices.
+pub(crate) fn with_input<R>(
+    x: Rows<'_>,
+    norm: Option<&MeasuredNorm>,
+    options: &Options,
+    work: impl FnOnce(Input<'_>) -> R,
+) -> R {
+    let lengths = options.frames();
+    match norm {
+        Some(norm) => norm.slices(options, |norm| {
+            let norm = Some(norm);
+            work(Input { x, norm, lengths })
+        }),
+        None => work(Input {
+            x,
+            norm: None,
+            lengths,
+        }),
+    }
 }
 
 pub(crate) fn convolution(
     x: Rows<'_>,
     weight: &FlexTensor,
-    bias: Option<&FlexTensor>,
-    residual: Option<FlexTensor>,
-    norm: Option<(&Statistics, &HostNorm)>,
+    bias: &FlexTensor,
+    residual: FlexTensor,
+    norm: Option<&MeasuredNorm>,
     plan: &ConvolutionPlan,
-    lengths: Option<&[usize]>,
+    options: &Options,
 ) -> FlexTensor {
     let shape = weight.layout().shape().dims();
-    let residual = residual.map(HostRows::of);
-    let bias = bias.map(contiguous);
-    let input = Input {
-        x,
-        norm: norm.map(|(statistics, norm)| (statistics, norm.parameters())),
-        lengths,
+    let residual = options.residual.then(|| HostRows::of(residual));
+    let bias = options.bias.then(|| contiguous(bias));
+    let addends = Addends {
+        bias: bias.as_deref(),
+        residual: residual.as_ref().map(HostRows::view),
     };
     let data = contiguous(weight);
     if let Cow::Borrowed(data) = data {
         packed_cache::allow(data, shape, || weight.clone());
     }
-    let output = plan.forward(
-        input,
-        &data,
-        shape,
-        bias.as_deref(),
-        residual.as_ref().map(HostRows::view),
-    );
+    let output = with_input(x, norm, options, |input| {
+        plan.forward(input, &data, shape, addends)
+    });
     from_rows(
         output,
         [x.batch, plan.frames(x.time), plan.out_channels(shape)],
     )
 }
 
-pub(crate) fn group_norm(
-    x: Rows<'_>,
-    statistics: &Statistics,
-    norm: &HostNorm,
-    plan: &GroupNormPlan,
-) -> FlexTensor {
-    let shape = [x.batch, x.time, x.channels];
-    // SAFETY: a normalisation writes every element.
-    #[allow(unsafe_code)]
-    let output = unsafe {
-        rows_written_by(shape, |rows| {
-            norm::forward(x, statistics, plan, &norm.parameters(), rows);
-        })
-    };
-    from_rows(output, shape)
+pub(crate) fn group_norm(x: Rows<'_>, norm: &MeasuredNorm, options: &Options) -> FlexTensor {
+    let output = norm.slices(options, |norm| {
+        // SAFETY: a normalisation writes every element.
+        #[allow(unsafe_code)]
+        unsafe {
+            rows_written_by(x.shape(), |rows| norm::forward(x, &norm, rows))
+        }
+    });
+    from_rows(output, x.shape())
 }
 
 /// Heads of queries, and of keys and values side by side.
@@ -260,71 +281,32 @@ pub(crate) fn self_heads<'a>(all: Rows<'a>, num_heads: usize, options: &'a Optio
 }
 
 pub(crate) fn attend(heads: Heads<'_>) -> FlexTensor {
-    let shape = [
-        heads.queries.batch,
-        heads.queries.time,
-        heads.queries.channels,
-    ];
-    from_rows(heads.forward(), shape)
+    from_rows(heads.forward(), heads.queries.shape())
 }
 
-/// Gradients of the queries, and of the keys and values side by side.
-pub(crate) fn attend_backward(heads: Heads<'_>, gradient: Rows<'_>) -> [FlexTensor; 2] {
-    let Rows {
-        batch,
-        time,
-        channels,
-        ..
-    } = heads.queries;
-    let keys = heads.keys.time;
-    let (mut queries, mut keys_values) = (
-        vec![0.0; batch * time * channels],
-        vec![0.0; batch * keys * 2 * channels],
-    );
-    let query_rows = SharedRows::dense(&mut queries, [batch, time, channels]);
-    let rows = SharedRows::dense(&mut keys_values, [batch, keys, 2 * channels]);
-    heads.backward(
-        gradient,
-        HeadGradients {
-            queries: Columns {
-                rows: query_rows,
-                first: 0,
-            },
-            keys: Columns { rows, first: 0 },
-            values: Columns {
-                rows,
-                first: channels,
-            },
-        },
-    );
-    [
-        from_rows(queries, [batch, time, channels]),
-        from_rows(keys_values, [batch, keys, 2 * channels]),
-    ]
-}
-
-/// Gradient of queries, keys and values side by side.
-pub(crate) fn self_attend_backward(heads: Heads<'_>, gradient: Rows<'_>) -> FlexTensor {
-    let Rows {
-        batch,
-        time,
-        channels,
-        ..
-    } = heads.queries;
-    let shape = [batch, time, 3 * channels];
-    let mut all = vec![0.0; shape.iter().product()];
-    let rows = SharedRows::dense(&mut all, shape);
-    let columns = |part: usize| Columns {
-        rows,
-        first: part * channels,
-    };
-    let into = HeadGradients {
-        queries: columns(0),
-        keys: columns(1),
-        values: columns(2),
-    };
+/// Gradients of queries, keys and values in tensors that contain them in order: the frames of each
+/// tensor, and the number of its parts.
+pub(crate) fn attend_backward<const N: usize>(
+    heads: Heads<'_>,
+    gradient: Rows<'_>,
+    sizes: [(usize, usize); N],
+) -> [FlexTensor; N] {
+    let [batch, _, channels] = heads.queries.shape();
+    let mut tensors = sizes.map(|(time, parts)| {
+        let shape = [batch, time, parts * channels];
+        (vec![0.0; shape.iter().product()], shape)
+    });
+    let columns = tensors.iter_mut().zip(sizes);
+    let mut columns = columns.flat_map(|((values, shape), (_, parts))| {
+        let rows = SharedRows::dense(values, *shape);
+        (0..parts).map(move |part| Columns {
+            rows,
+            first: part * channels,
+        })
+    });
+    let into = [(); 3].map(|()| columns.next().expect("three parts"));
     heads.backward(gradient, into);
-    from_rows(all, shape)
+    tensors.map(|(values, shape)| from_rows(values, shape))
 }
 
 /// `map` of each sample of `x`, `[batch, channels, time]`, to a sample of these channels and frames.
@@ -345,21 +327,20 @@ pub(crate) fn mapped(
     tensor(into, [batch, channels, time])
 }
 
-/// The states of a gated recurrent unit and, with `save`, the gates for its backward pass.
-pub(crate) fn recur(
-    [inputs, weight, bias, initial]: [&FlexTensor; 4],
-    plan: &GruPlan,
+/// Calls `work` with the inputs, weight, bias and initial state of a recurrent layer as slices.
+pub(crate) fn with_gru_values<R>(
+    tensors: &[FlexTensor; 4],
     options: &Options,
-    save: bool,
-) -> (Vec<f32>, Vec<f32>) {
-    let values = GruValues {
-        inputs: &contiguous(inputs),
-        weight: &contiguous(weight),
-        bias: &contiguous(bias),
-        initial: &contiguous(initial),
+    work: impl FnOnce(&GruValues<'_>) -> R,
+) -> R {
+    let [inputs, weight, bias, initial] = tensors.each_ref().map(contiguous);
+    work(&GruValues {
+        inputs: &inputs,
+        weight: &weight,
+        bias: &bias,
+        initial: &initial,
         lengths: options.frames(),
-    };
-    plan.forward(&values, save)
+    })
 }
 
 impl FusedOps for Flex {
@@ -376,22 +357,12 @@ impl FusedOps for Flex {
         options: Options,
     ) -> FlexTensor {
         let x = HostRows::of(x);
-        let norm = plan.norm.map(|plan| {
-            let parameters = [&norm_weight, &norm_bias, &film];
-            (
-                norm::statistics(x.view(), &plan, options.frames()),
-                HostNorm::new(parameters, &mask, &options),
-            )
-        });
-        convolution(
-            x.view(),
-            &weight,
-            options.bias.then_some(&bias),
-            options.residual.then_some(residual),
-            norm.as_ref().map(|(statistics, norm)| (statistics, norm)),
-            &plan,
-            options.frames(),
-        )
+        let norm = [norm_weight, norm_bias, film, mask];
+        let norm = plan
+            .norm
+            .map(|plan| MeasuredNorm::new(x.view(), plan, norm, &options));
+        let norm = norm.as_ref();
+        convolution(x.view(), &weight, &bias, residual, norm, &plan, &options)
     }
 
     fn fused_group_norm(
@@ -404,9 +375,8 @@ impl FusedOps for Flex {
         options: Options,
     ) -> FlexTensor {
         let x = HostRows::of(x);
-        let norm = HostNorm::new([&weight, &bias, &film], &mask, &options);
-        let statistics = norm::statistics(x.view(), &plan, options.frames());
-        group_norm(x.view(), &statistics, &norm, &plan)
+        let norm = MeasuredNorm::new(x.view(), plan, [weight, bias, film, mask], &options);
+        group_norm(x.view(), &norm, &options)
     }
 
     fn fused_cross_attention(
@@ -437,7 +407,8 @@ impl FusedOps for Flex {
         plan: GruPlan,
         options: Options,
     ) -> FlexTensor {
-        let (states, _) = recur([&inputs, &weight, &bias, &initial], &plan, &options, false);
+        let tensors = [inputs, weight, bias, initial];
+        let (states, _) = with_gru_values(&tensors, &options, |values| plan.forward(values, false));
         tensor(states, [plan.time, plan.batch, plan.width])
     }
 
@@ -452,8 +423,7 @@ impl FusedOps for Flex {
             weight: &contiguous(&weight),
             eps,
         };
-        let values = rows.forward(&contiguous(&bias));
-        tensor(values, x.layout().shape().clone())
+        tensor_like(rows.forward(&contiguous(&bias)), &x)
     }
 
     fn fused_gelu(x: FlexTensor) -> FlexTensor {

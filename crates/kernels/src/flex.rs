@@ -10,14 +10,9 @@ use crate::host::team;
 
 /// The frames of a tensor `[batch, channels, time]`, copied only if its channels are not contiguous.
 pub(crate) struct HostRows {
-    storage: Storage,
+    tensor: FlexTensor,
     shape: [usize; 3],
     strides: [usize; 2],
-}
-
-enum Storage {
-    Shared { tensor: FlexTensor, start: usize },
-    Copied(Vec<f32>),
 }
 
 impl HostRows {
@@ -35,28 +30,17 @@ impl HostRows {
             Some(&[sample, channel, row]) if channel == 1 || channels == 1 => Self {
                 shape: [batch, time, channels],
                 strides: [sample, row],
-                storage: Storage::Shared {
-                    start: layout.start_offset(),
-                    tensor,
-                },
+                tensor,
             },
-            _ => Self {
-                shape: [batch, time, channels],
-                strides: [time * channels, channels],
-                storage: Storage::Copied(turned(&tensor)),
-            },
+            _ => Self::of(from_rows(transposed(&tensor), [batch, time, channels])),
         }
     }
 
     pub fn view(&self) -> Rows<'_> {
         let [batch, time, channels] = self.shape;
         let [sample_stride, row_stride] = self.strides;
-        let data = match &self.storage {
-            Storage::Shared { tensor, start } => &tensor.storage::<f32>()[*start..],
-            Storage::Copied(data) => data,
-        };
         Rows {
-            data,
+            data: &self.tensor.storage::<f32>()[self.tensor.layout().start_offset()..],
             batch,
             time,
             channels,
@@ -67,7 +51,7 @@ impl HostRows {
 }
 
 /// `[batch, time, channels]` without gaps, of a tensor `[batch, channels, time]` of any layout.
-fn turned(tensor: &FlexTensor) -> Vec<f32> {
+fn transposed(tensor: &FlexTensor) -> Vec<f32> {
     const BLOCK: usize = 16;
     let tensor = tensor.to_contiguous();
     let [_, channels, time] = tensor.layout().shape().dims();
@@ -128,10 +112,9 @@ pub(crate) fn in_memory_order(tensor: &FlexTensor) -> Option<&[f32]> {
 
 /// Applies `of` to each element of `x`; the result has the memory order of `x` if `x` has no gaps.
 pub(crate) fn of_elements(x: &FlexTensor, of: impl Fn(&[f32]) -> Vec<f32>) -> FlexTensor {
-    let shape = x.layout().shape().clone();
     match in_memory_order(x) {
         Some(values) => laid_out(of(values), x),
-        None => tensor(of(&contiguous(x)), shape),
+        None => tensor_like(of(&contiguous(x)), x),
     }
 }
 
@@ -141,10 +124,9 @@ pub(crate) fn of_pairs(
     other: &FlexTensor,
     of: impl Fn(&[f32], &[f32]) -> Vec<f32>,
 ) -> FlexTensor {
-    let shape = x.layout().shape().clone();
     match (in_memory_order(x), in_memory_order(other)) {
         (Some(a), Some(b)) if same_order(x, other) => laid_out(of(a, b), x),
-        _ => tensor(of(&contiguous(x), &contiguous(other)), shape),
+        _ => tensor_like(of(&contiguous(x), &contiguous(other)), x),
     }
 }
 
@@ -173,6 +155,11 @@ pub(crate) fn tensor(values: Vec<f32>, shape: impl Into<Shape>) -> FlexTensor {
         Layout::contiguous(shape.into()),
         DType::F32,
     )
+}
+
+/// A tensor of row-major elements in the shape of `like`.
+pub(crate) fn tensor_like(values: Vec<f32>, like: &FlexTensor) -> FlexTensor {
+    tensor(values, like.layout().shape().clone())
 }
 
 /// A tensor `[batch, channels, time]` whose memory is the rows `[batch, time, channels]`.

@@ -5,7 +5,7 @@ use burn::tensor::activation::sigmoid;
 use burn::tensor::{Bool, Tensor, TensorData};
 
 use crate::Lengths;
-use crate::backend::{FusedOps, Options};
+use crate::backend::FusedOps;
 use crate::convolution::linear;
 use crate::host::recurrence::GruPlan;
 use crate::mode::fuses;
@@ -82,17 +82,13 @@ pub fn gru(
         width,
         direction,
     };
-    let options = Options {
-        lengths: lengths.cloned(),
-        ..Options::default()
-    };
     Tensor::from_dispatch(Dispatch::fused_gru(
         inputs.into_dispatch(),
         weight.into_dispatch(),
         bias.into_dispatch(),
         initial.into_dispatch(),
         plan,
-        options,
+        lengths.into(),
     ))
 }
 

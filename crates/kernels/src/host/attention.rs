@@ -59,14 +59,6 @@ impl Attended<'_> {
     }
 }
 
-/// Gradients of [`Heads`].
-#[derive(Clone, Copy)]
-pub(crate) struct HeadGradients<'a> {
-    pub queries: Columns<'a>,
-    pub keys: Columns<'a>,
-    pub values: Columns<'a>,
-}
-
 /// The channels of shared rows from `first` on.
 #[derive(Clone, Copy)]
 pub(crate) struct Columns<'a> {
@@ -267,9 +259,7 @@ impl<'a> Heads<'a> {
 
     /// `softmax(queries keys^T / sqrt(head channels)) values`: `[batch, time, channels]`.
     pub fn forward(&self) -> Vec<f32> {
-        let time = self.queries.time;
-        let (channels, head_channels) = (self.queries.channels, self.head_channels());
-        let shape = [self.queries.batch, time, channels];
+        let (shape, head_channels) = (self.queries.shape(), self.head_channels());
         let mut output = vec![0.0; shape.iter().product()];
         let rows = SharedRows::dense(&mut output, shape);
         self.for_each(|sample, head| {
@@ -294,7 +284,8 @@ impl<'a> Heads<'a> {
     }
 
     /// Writes the gradients of queries, keys and values; those of unattended keys are left as they are.
-    pub(crate) fn backward(&self, gradient: Rows<'a>, into: HeadGradients<'_>) {
+    pub(crate) fn backward(&self, gradient: Rows<'a>, into: [Columns<'_>; 3]) {
+        let [queries_into, keys_into, values_into] = into;
         let channels = self.head_channels();
         let scale = self.scale();
         self.for_each(|sample, head| {
@@ -359,12 +350,11 @@ impl<'a> Heads<'a> {
                     let size = [length, keys, channels];
                     product(sums, false, scale, dense(scores, keys), keys_matrix, size);
                     let place = [sample, part.start, first];
-                    into.queries.write(place, sums, channels);
+                    queries_into.write(place, sums, channels);
                 }
-                into.keys
-                    .write([sample, all.start, first], of_keys, channels);
-                into.values
-                    .write([sample, all.start, first], of_values, channels);
+                let place = [sample, all.start, first];
+                keys_into.write(place, of_keys, channels);
+                values_into.write(place, of_values, channels);
             });
         });
     }

@@ -3,15 +3,16 @@
 //! Inputs are first written into zero-padded rows: copied, repeated (nearest upsampling) or
 //! normalised. The backward pass recomputes these rows, which is cheaper than storing them.
 
+use std::borrow::Cow;
 use std::mem::MaybeUninit;
 
 use super::geometry::{Geometry, Phase, margins};
 use super::narrow::{is_narrow, multiply_narrow};
-use super::norm::{self, GroupNormPlan, NormGradients, NormParameters, Statistics};
+use super::norm::{self, GroupNormPlan, Norm, NormGradients};
 use super::outer::outer;
 use super::packing::{Direction, Weight};
 use super::product::{Addends, OutputRows, Windows, multiply};
-use super::rows::{Padded, Rows, SharedRows, rows_written_by};
+use super::rows::{Rows, SharedRows, padded_rows_written_by, rows_written_by};
 use super::simd::vectorized;
 use super::team;
 use crate::invariance::samples;
@@ -35,8 +36,8 @@ pub struct ConvolutionPlan {
 pub struct Input<'a> {
     /// Input frames.
     pub x: Rows<'a>,
-    /// Statistics and parameters of the normalisation, where the plan has one.
-    pub norm: Option<(&'a Statistics, NormParameters<'a>)>,
+    /// The normalisation, if the plan has one.
+    pub norm: Option<Norm<'a>>,
     /// Valid frames of each sample, also of the normalisation; the others are zeros.
     pub lengths: Option<&'a [usize]>,
 }
@@ -65,9 +66,13 @@ pub struct ConvolutionGradients {
 }
 
 /// The source rows of the windows.
-enum Source<'a> {
-    Plain(Rows<'a>),
-    Padded(Padded, [usize; 3]),
+struct Source<'a> {
+    data: Cow<'a, [f32]>,
+    /// Zero rows before each sample.
+    before: usize,
+    shape: [usize; 3],
+    sample_stride: usize,
+    row_stride: usize,
 }
 
 impl ConvolutionPlan {
@@ -91,22 +96,6 @@ impl ConvolutionPlan {
         weight[usize::from(self.transposed)]
     }
 
-    fn forward_phases(&self, frames: usize) -> Vec<Phase> {
-        if self.transposed {
-            self.geometry.scatter(frames)
-        } else {
-            self.geometry.gather(frames)
-        }
-    }
-
-    fn backward_phases(&self, source_frames: usize) -> Vec<Phase> {
-        if self.transposed {
-            self.geometry.gather(source_frames)
-        } else {
-            self.geometry.scatter(source_frames)
-        }
-    }
-
     /// The prepared input, with zero rows around it where `phases` reach beyond its ends.
     fn prepare<'a>(&self, input: Input<'a>, phases: &[Phase]) -> Source<'a> {
         let x = input.x;
@@ -123,35 +112,33 @@ impl ConvolutionPlan {
         if (self.upsample, self.norm, input.lengths) == (None, None, None) {
             return Source::pad(x, phases);
         }
-        let (before, after) = margins(phases, frames);
-        let shape = [x.batch, frames, x.channels];
         // SAFETY: a normalisation and a copy write every element of every row.
         #[allow(unsafe_code)]
-        let padded = unsafe {
-            Padded::written_by(shape, before, after, |rows| match (self.norm, input.norm) {
-                (Some(plan), Some((statistics, parameters))) => {
-                    norm::forward(x, statistics, &plan, &parameters, rows);
-                }
-                _ => {
-                    let repeats = if self.upsample.is_some() { 2 } else { 1 };
-                    copy(x, frames, input.lengths, rows, |time| time / repeats);
-                }
-            })
-        };
-        Source::Padded(padded, shape)
+        unsafe {
+            Source::written_by(
+                [x.batch, frames, x.channels],
+                margins(phases, frames),
+                |rows| match &input.norm {
+                    Some(norm) => norm::forward(x, norm, rows),
+                    None => {
+                        let repeats = if self.upsample.is_some() { 2 } else { 1 };
+                        copy(x, frames, input.lengths, rows, |time| time / repeats);
+                    }
+                },
+            )
+        }
     }
 
-    /// `[batch, frames, out]` of the input, plus `bias` and `residual`.
-    pub fn forward(
+    /// `[batch, frames, out]` of the input, plus `addends`.
+    pub(crate) fn forward(
         &self,
         input: Input<'_>,
         weight: &[f32],
         weight_shape: [usize; 3],
-        bias: Option<&[f32]>,
-        residual: Option<Rows<'_>>,
+        addends: Addends<'_>,
     ) -> Vec<f32> {
         let (batch, frames) = (input.x.batch, self.frames(input.x.time));
-        let phases = self.forward_phases(frames);
+        let phases = self.geometry.phases(!self.transposed, frames);
         let source = self.prepare(input, &phases);
         let shape = [batch, frames, self.out_channels(weight_shape)];
         let weight = WeightView {
@@ -159,7 +146,7 @@ impl ConvolutionPlan {
             shape: weight_shape,
             gathers: !self.transposed,
         };
-        multiply_phases(&source, &phases, weight, Addends { bias, residual }, shape)
+        multiply_phases(&source, &phases, weight, addends, shape)
     }
 
     /// The gradients of what is `wanted`, from the output's `gradient`.
@@ -182,7 +169,7 @@ impl ConvolutionPlan {
             norm: None,
         };
         // The side with fewer frames provides single rows, the other windows.
-        let phases = self.backward_phases(frames);
+        let phases = self.geometry.phases(self.transposed, frames);
         let padded_gradient = Source::pad(gradient, &phases);
         if wanted.weight {
             let kernel = self.geometry.kernel;
@@ -190,7 +177,7 @@ impl ConvolutionPlan {
                 let source = self.prepare(input, &[]);
                 outer(source.rows(), padded_gradient.windows(&phases[0]), kernel)
             } else {
-                let forward = self.forward_phases(gradient.time);
+                let forward = self.geometry.gather(gradient.time);
                 let source = self.prepare(input, &forward);
                 outer(gradient, source.windows(&forward[0]), kernel)
             });
@@ -210,10 +197,7 @@ impl ConvolutionPlan {
             if self.upsample.is_some() {
                 output = fold_pairs(Rows::dense(&output, shape), x.time);
             }
-            if let (Some(plan), Some((statistics, parameters))) = (self.norm, input.norm) {
-                let norm = norm::backward(x, statistics, &plan, &parameters, &mut output);
-                gradients.norm = Some(norm);
-            }
+            gradients.norm = input.norm.map(|norm| norm::backward(x, &norm, &mut output));
             gradients.input = Some(output);
         }
         gradients
@@ -221,75 +205,81 @@ impl ConvolutionPlan {
 }
 
 impl<'a> Source<'a> {
+    /// Rows written by `write`, with `before` and `after` zero rows around those of each sample.
+    ///
+    /// # Safety
+    /// `write` must write every element of the rows.
+    #[allow(unsafe_code)]
+    unsafe fn written_by(
+        shape: [usize; 3],
+        (before, after): (usize, usize),
+        write: impl FnOnce(SharedRows<'_, MaybeUninit<f32>>),
+    ) -> Self {
+        let [_, time, channels] = shape;
+        Self {
+            // SAFETY: the caller's promise.
+            data: Cow::Owned(unsafe { padded_rows_written_by(shape, before, after, write) }),
+            before,
+            shape,
+            sample_stride: (before + time + after) * channels,
+            row_stride: channels,
+        }
+    }
+
     /// `rows` with zeros around them where `phases` reach beyond their ends, and without gaps if windows
     /// span several rows.
     fn pad(rows: Rows<'a>, phases: &[Phase]) -> Self {
-        let (before, after) = margins(phases, rows.time);
+        let margins = margins(phases, rows.time);
         let single = phases.iter().all(|phase| phase.taps.len() <= 1);
-        if (before, after) == (0, 0) && (single || rows.row_stride == rows.channels) {
-            return Self::Plain(rows);
+        if margins == (0, 0) && (single || rows.row_stride == rows.channels) {
+            return Self {
+                data: Cow::Borrowed(rows.data),
+                before: 0,
+                shape: rows.shape(),
+                sample_stride: rows.sample_stride,
+                row_stride: rows.row_stride,
+            };
         }
-        let shape = [rows.batch, rows.time, rows.channels];
         // SAFETY: a copy writes every element of every row.
         #[allow(unsafe_code)]
-        let padded = unsafe {
-            Padded::written_by(shape, before, after, |padded| {
+        unsafe {
+            Self::written_by(rows.shape(), margins, |padded| {
                 copy(rows, rows.time, None, padded, |time| time);
             })
-        };
-        Self::Padded(padded, shape)
-    }
-
-    fn batch(&self) -> usize {
-        match self {
-            Self::Plain(rows) => rows.batch,
-            Self::Padded(_, [batch, ..]) => *batch,
         }
     }
 
     /// The windows of a phase.
     fn windows(&self, phase: &Phase) -> Windows<'_> {
-        let (data, before, sample_stride, row_stride, batch, channels) = match self {
-            Self::Plain(rows) => {
-                let [sample, row] = [rows.sample_stride, rows.row_stride];
-                (rows.data, 0, sample, row, rows.batch, rows.channels)
+        let [batch, _, channels] = self.shape;
+        let (first, step) = match phase.taps.is_empty() {
+            true => (0, 0),
+            false => {
+                let first = self.before as isize + phase.source_first;
+                let first = usize::try_from(first).expect("padded enough");
+                (first, phase.source_step)
             }
-            Self::Padded(padded, [batch, _, channels]) => {
-                let (before, sample) = (padded.before(), padded.sample_stride());
-                (padded.data(), before, sample, *channels, *batch, *channels)
-            }
-        };
-        let first = if phase.taps.is_empty() {
-            0
-        } else {
-            usize::try_from(before as isize + phase.source_first).expect("padded enough")
         };
         Windows {
-            data: &data[first * row_stride..],
+            data: &self.data[first * self.row_stride..],
             batch,
             rows: phase.rows,
-            sample_stride,
-            row_stride: if phase.taps.is_empty() {
-                0
-            } else {
-                phase.source_step * row_stride
-            },
+            sample_stride: self.sample_stride,
+            row_stride: step * self.row_stride,
             depth: phase.taps.len() * channels,
         }
     }
 
     /// The rows without padding.
     fn rows(&self) -> Rows<'_> {
-        match self {
-            Self::Plain(rows) => *rows,
-            Self::Padded(padded, [batch, time, channels]) => Rows {
-                data: &padded.data()[padded.before() * channels..],
-                batch: *batch,
-                time: *time,
-                channels: *channels,
-                sample_stride: padded.sample_stride(),
-                row_stride: *channels,
-            },
+        let [batch, time, channels] = self.shape;
+        Rows {
+            data: &self.data[self.before * self.row_stride..],
+            batch,
+            time,
+            channels,
+            sample_stride: self.sample_stride,
+            row_stride: self.row_stride,
         }
     }
 }
@@ -312,7 +302,7 @@ fn multiply_phases(
 ) -> Vec<f32> {
     let columns = weight.shape[usize::from(!weight.gathers)];
     assert_eq!(
-        (source.batch(), columns),
+        (source.shape[0], columns),
         (shape[0], shape[2]),
         "samples and columns"
     );

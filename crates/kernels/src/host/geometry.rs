@@ -62,6 +62,14 @@ impl Geometry {
         reached - 2 * self.padding
     }
 
+    /// Output rows of one direction.
+    pub(crate) fn phases(&self, gathers: bool, rows: usize) -> Vec<Phase> {
+        match gathers {
+            true => self.gather(rows),
+            false => self.scatter(rows),
+        }
+    }
+
     /// Output rows on the short side.
     pub(crate) fn gather(&self, short: usize) -> Vec<Phase> {
         vec![Phase {

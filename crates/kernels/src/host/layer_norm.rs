@@ -30,16 +30,6 @@ type Outputs<'a> = (&'a mut [f32], &'a mut [f32]);
 /// A chunk's rows, and the gradient of their output.
 type Inputs<'a> = (&'a [f32], &'a [f32]);
 
-/// Gradients of a layer normalisation.
-pub(crate) struct LayerNormGradients {
-    /// Of the rows.
-    pub x: Vec<f32>,
-    /// Of the scales.
-    pub weight: Vec<f32>,
-    /// Of the shifts.
-    pub bias: Vec<f32>,
-}
-
 impl LayerNormRows<'_> {
     fn features(&self) -> usize {
         self.weight.len()
@@ -72,11 +62,11 @@ impl LayerNormRows<'_> {
         y
     }
 
-    /// The gradients from that of the output.
+    /// The gradients of the rows, scales and shifts, from that of the output.
     ///
     /// With `n` the normalised values and `d` the output's gradient times the weight:
     /// `dx = (d - mean(d) - n mean(d n)) / sqrt(variance + eps)`.
-    pub fn backward(&self, gradient: &[f32]) -> LayerNormGradients {
+    pub fn backward(&self, gradient: &[f32]) -> [Vec<f32>; 3] {
         let (features, chunk) = (self.features(), self.chunk());
         let mut dx = vec![0.0; self.x.len()];
         let inputs = self.x.chunks(chunk).zip(gradient.chunks(chunk));
@@ -110,11 +100,7 @@ impl LayerNormRows<'_> {
                 *sum += part;
             }
         }
-        LayerNormGradients {
-            x: dx,
-            weight,
-            bias,
-        }
+        [dx, weight, bias]
     }
 
     #[inline(always)]
@@ -247,8 +233,8 @@ mod tests {
                 weight: &weight,
                 eps,
             };
-            let found = norm.backward(&gradient);
-            let found = [norm.forward(&bias), found.x, found.weight, found.bias];
+            let [dx, dw, db] = norm.backward(&gradient);
+            let found = [norm.forward(&bias), dx, dw, db];
             let expected = expected(&x, &weight, &bias, &gradient, eps);
             for (which, (found, expected)) in found.iter().zip(&expected).enumerate() {
                 let largest = expected

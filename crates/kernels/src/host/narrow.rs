@@ -6,7 +6,7 @@
 use pulp::{Arch, Simd, WithSimd};
 
 use super::packing::turn_windows;
-use super::product::{Addends, OutputRows, TILE_ROWS, WIDEST, Windows, tile, vectors};
+use super::product::{Addends, OutputRows, TILE_ROWS, WIDEST, Windows, panel_size, tile, vectors};
 use super::team;
 
 /// Most windows of several taps for which this algorithm can be faster.
@@ -38,13 +38,12 @@ pub(crate) fn multiply_narrow(
     addends: Addends<'_>,
     output: OutputRows<'_>,
 ) {
-    let lanes = Arch::new().dispatch(Lanes);
+    let [most, lanes] = panel_size();
     let total = windows.len();
     let groups = total.div_ceil(lanes);
     let depth = inner * kernel;
     // Vector g of depth d: windows g lanes.. of the weight's element d.
     let mut panels = vec![0.0; groups * depth * lanes];
-    let most = Arch::new().dispatch(MostVectors);
     let parts = panels
         .chunks_mut(most * depth * lanes)
         .enumerate()
@@ -75,30 +74,6 @@ pub(crate) fn multiply_narrow(
             output,
         });
     });
-}
-
-/// Elements of a vector on this processor.
-struct Lanes;
-
-impl WithSimd for Lanes {
-    type Output = usize;
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, _: S) -> usize {
-        S::F32_LANES
-    }
-}
-
-/// Vectors of a panel on this processor.
-struct MostVectors;
-
-impl WithSimd for MostVectors {
-    type Output = usize;
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, _: S) -> usize {
-        vectors::<S>()
-    }
 }
 
 /// Some output channels of all windows.

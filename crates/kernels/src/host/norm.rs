@@ -20,9 +20,13 @@ pub struct GroupNormPlan {
     pub activation: Activation,
 }
 
-/// A group normalisation's parameters, in the order of their application.
+/// A group normalisation of one input, its parameters in the order of their application.
 #[derive(Clone, Copy)]
-pub struct NormParameters<'a> {
+pub struct Norm<'a> {
+    /// Groups, eps and activation.
+    pub plan: GroupNormPlan,
+    /// Of the input.
+    pub statistics: &'a Statistics,
     /// Scale of each channel.
     pub weight: &'a [f32],
     /// Shift of each channel.
@@ -114,20 +118,15 @@ fn channel_sums(x: Rows<'_>, task: ColumnTask, sums: &mut [f32], means: Option<&
 }
 
 /// The affine map of each of a task's channels.
-fn affine(
-    task: ColumnTask,
-    channels: usize,
-    statistics: &Statistics,
-    plan: &GroupNormPlan,
-    parameters: &NormParameters<'_>,
-) -> Affine {
-    let size = channels / plan.groups;
+fn affine(task: ColumnTask, channels: usize, norm: &Norm<'_>) -> Affine {
+    let groups = norm.plan.groups;
+    let size = channels / groups;
     let mut affine = Affine::default();
     for channel in task.first..task.first + task.channels {
-        let [mean, reciprocal] = statistics.0[task.sample * plan.groups + channel / size];
-        let scale = reciprocal * parameters.weight[channel];
-        let shift = parameters.bias[channel];
-        let (film_scale, film_shift) = film(task.sample, channel, channels, parameters.film);
+        let [mean, reciprocal] = norm.statistics.0[task.sample * groups + channel / size];
+        let scale = reciprocal * norm.weight[channel];
+        let shift = norm.bias[channel];
+        let (film_scale, film_shift) = film(task.sample, channel, channels, norm.film);
         affine.scale.push(scale * film_scale);
         affine.shift.push(shift * film_scale + film_shift);
         affine.mean.push(mean);
@@ -147,29 +146,17 @@ fn film(sample: usize, channel: usize, channels: usize, film: Option<&[f32]>) ->
 }
 
 /// Writes every element of the normalised rows to `output`.
-pub(crate) fn forward(
-    x: Rows<'_>,
-    statistics: &Statistics,
-    plan: &GroupNormPlan,
-    parameters: &NormParameters<'_>,
-    output: SharedRows<'_, MaybeUninit<f32>>,
-) {
-    let tasks = column_tasks(x.batch, x.channels, x.channels / plan.groups);
+pub(crate) fn forward(x: Rows<'_>, norm: &Norm<'_>, output: SharedRows<'_, MaybeUninit<f32>>) {
+    let tasks = column_tasks(x.batch, x.channels, x.channels / norm.plan.groups);
     team::for_each(tasks.len(), |task| {
         let task = tasks[task];
-        let affine = affine(task, x.channels, statistics, plan, parameters);
-        with_activation!(plan.activation, |activation| vectorized(
+        let affine = affine(task, x.channels, norm);
+        with_activation!(norm.plan.activation, |activation| vectorized(
             #[inline(always)]
             || {
-                let frames = frames_of(parameters.lengths, task.sample, x.time);
-                forward_task(
-                    x.first(frames),
-                    task,
-                    &affine,
-                    parameters.mask,
-                    output,
-                    activation,
-                );
+                let frames = frames_of(norm.lengths, task.sample, x.time);
+                let valid = x.first(frames);
+                forward_task(valid, task, &affine, norm.mask, output, activation);
                 for time in frames..x.time {
                     // SAFETY: a task owns its columns of its sample, and this is its only slice of
                     // them.
@@ -223,49 +210,42 @@ fn forward_task(
 /// With `u` the affine part and `n` the normalised values, the sums `s1 = sum du` and `s2 = sum du n`
 /// over a channel's time give the parameters' gradients. Their sums over a group give the two means
 /// that are subtracted from the input's gradient.
-pub(crate) fn backward(
-    x: Rows<'_>,
-    statistics: &Statistics,
-    plan: &GroupNormPlan,
-    parameters: &NormParameters<'_>,
-    gradient: &mut [f32],
-) -> NormGradients {
+pub(crate) fn backward(x: Rows<'_>, norm: &Norm<'_>, gradient: &mut [f32]) -> NormGradients {
     let channels = x.channels;
-    let tasks = column_tasks(x.batch, channels, channels / plan.groups);
-    let output = SharedRows::dense(gradient, [x.batch, x.time, channels]);
+    let tasks = column_tasks(x.batch, channels, channels / norm.plan.groups);
+    let output = SharedRows::dense(gradient, x.shape());
     let sums: Vec<(ColumnTask, Vec<[f32; 2]>)> = team::map(tasks.len(), |task| {
         let task = tasks[task];
-        let affine = affine(task, channels, statistics, plan, parameters);
-        let frames = frames_of(parameters.lengths, task.sample, x.time);
+        let affine = affine(task, channels, norm);
+        let frames = frames_of(norm.lengths, task.sample, x.time);
         for time in frames..x.time {
             // SAFETY: a task owns its columns of its sample, and this is its only slice of them.
             #[allow(unsafe_code)]
             unsafe { output.segment(task.sample, time, task.first, task.channels) }.fill(0.0);
         }
         let x = x.first(frames);
-        let sums = with_activation!(plan.activation, |activation| vectorized(
+        let sums = with_activation!(norm.plan.activation, |activation| vectorized(
             #[inline(always)]
-            || { backward_activation(x, task, &affine, parameters.mask, output, activation) }
+            || { backward_activation(x, task, &affine, norm.mask, output, activation) }
         ));
-        let sums = backward_affine(x, task, statistics, plan, parameters, output, &sums);
+        let sums = backward_affine(x, task, norm, output, &sums);
         (task, sums)
     });
 
     let mut gradients = NormGradients {
         weight: vec![0.0; channels],
         bias: vec![0.0; channels],
-        film: parameters.film.map(|film| vec![0.0; film.len()]),
+        film: norm.film.map(|film| vec![0.0; film.len()]),
     };
     for (task, sums) in sums {
         for (i, [s1, s2]) in sums.into_iter().enumerate() {
             let channel = task.first + i;
-            let (factor, _) = film(task.sample, channel, channels, parameters.film);
+            let (factor, _) = film(task.sample, channel, channels, norm.film);
             gradients.weight[channel] += factor * s2;
             gradients.bias[channel] += factor * s1;
             if let Some(film) = &mut gradients.film {
                 let of_sample = &mut film[task.sample * 2 * channels..][..2 * channels];
-                of_sample[channel] =
-                    parameters.weight[channel] * s2 + parameters.bias[channel] * s1;
+                of_sample[channel] = norm.weight[channel] * s2 + norm.bias[channel] * s1;
                 of_sample[channels + channel] = s1;
             }
         }
@@ -317,26 +297,25 @@ fn backward_activation(
 fn backward_affine(
     x: Rows<'_>,
     task: ColumnTask,
-    statistics: &Statistics,
-    plan: &GroupNormPlan,
-    parameters: &NormParameters<'_>,
+    norm: &Norm<'_>,
     gradient: SharedRows<'_>,
     [sums, products]: &[Vec<f32>; 2],
 ) -> Vec<[f32; 2]> {
     let channels = x.channels;
-    let size = channels / plan.groups;
+    let size = channels / norm.plan.groups;
     let count = (size * x.time) as f64;
-    let first_group = task.sample * plan.groups + task.first / size;
+    let first_group = task.sample * norm.plan.groups + task.first / size;
+    let statistics = &norm.statistics.0[first_group..];
     let moments: Vec<[f32; 2]> = (0..task.channels)
         .map(|i| {
-            let [_, reciprocal] = statistics.0[first_group + i / size];
+            let [_, reciprocal] = statistics[i / size];
             [sums[i], products[i] * reciprocal]
         })
         .collect();
     let factor = |i: usize| {
         let channel = task.first + i;
-        f64::from(parameters.weight[channel])
-            * f64::from(film(task.sample, channel, channels, parameters.film).0)
+        f64::from(norm.weight[channel])
+            * f64::from(film(task.sample, channel, channels, norm.film).0)
     };
     // dx = reciprocal (factor du - mean1 - n mean2), as a map of du and x - mean.
     let [mut of_du, mut of_distance, mut constants, mut centers] =
@@ -348,7 +327,7 @@ fn backward_affine(
                 *mean += factor(group * size + i) * f64::from(*moment) / count;
             }
         }
-        let [mean, reciprocal] = statistics.0[first_group + group].map(f64::from);
+        let [mean, reciprocal] = statistics[group].map(f64::from);
         let slope = -reciprocal * reciprocal * means[1];
         let constant = -reciprocal * means[0];
         for i in 0..size {

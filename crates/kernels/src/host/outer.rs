@@ -2,9 +2,9 @@
 
 use std::mem::MaybeUninit;
 
-use pulp::{Arch, Simd, WithSimd};
+use pulp::Simd;
 
-use super::product::{PANEL, TILE_ROWS, Windows, vectors};
+use super::product::{PANEL, TILE_ROWS, TileWork, Windows};
 use super::rows::Rows;
 use super::simd::vectorized;
 use super::team;
@@ -46,13 +46,14 @@ pub(crate) fn outer(lhs: Rows<'_>, windows: Windows<'_>, taps: usize) -> Vec<f32
         |(index, gradient): (usize, &mut [MaybeUninit<f32>])| {
             let lhs = lhs.narrow(index * part, gradient.len() / depth);
             PANEL.with_borrow_mut(|scratch| {
-                Arch::new().dispatch(RunPart {
+                let part = RunPart {
                     lhs,
                     windows,
                     taps,
                     gradient,
                     scratch,
-                });
+                };
+                part.dispatch();
             });
         },
     );
@@ -74,20 +75,7 @@ struct RunPart<'a, 'b> {
     scratch: &'b mut Vec<f32>,
 }
 
-impl WithSimd for RunPart<'_, '_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) {
-        if vectors::<S>() == 4 {
-            self.run::<S, 4>(simd);
-        } else {
-            self.run::<S, 2>(simd);
-        }
-    }
-}
-
-impl RunPart<'_, '_> {
+impl TileWork for RunPart<'_, '_> {
     #[inline(always)]
     fn run<S: Simd, const NR: usize>(self, simd: S) {
         let width = NR * S::F32_LANES;

@@ -103,23 +103,52 @@ pub(crate) fn multiply(
             first_column: panel * width,
             rows: row..(row + part).min(windows.len()),
         };
-        PANEL.with_borrow_mut(|scratch| Arch::new().dispatch(RunPanel { task, scratch }));
+        PANEL.with_borrow_mut(|scratch| RunPanel { task, scratch }.dispatch());
     });
 }
 
 /// Columns of a panel on this processor.
 pub(crate) fn panel_width() -> usize {
-    Arch::new().dispatch(PanelWidth)
+    panel_size().into_iter().product()
 }
 
-struct PanelWidth;
+/// Vectors of a panel on this processor, and elements of a vector.
+pub(crate) fn panel_size() -> [usize; 2] {
+    struct PanelSize;
+    impl WithSimd for PanelSize {
+        type Output = [usize; 2];
 
-impl WithSimd for PanelWidth {
-    type Output = usize;
+        #[inline(always)]
+        fn with_simd<S: Simd>(self, _: S) -> [usize; 2] {
+            [vectors::<S>(), S::F32_LANES]
+        }
+    }
+    Arch::new().dispatch(PanelSize)
+}
+
+/// Work on tiles of `NR` vectors a row.
+pub(crate) trait TileWork: Sized {
+    /// Does the work.
+    fn run<S: Simd, const NR: usize>(self, simd: S);
+
+    /// Does the work with the best instruction set of this processor.
+    fn dispatch(self) {
+        Arch::new().dispatch(Dispatched(self));
+    }
+}
+
+struct Dispatched<W>(W);
+
+impl<W: TileWork> WithSimd for Dispatched<W> {
+    type Output = ();
 
     #[inline(always)]
-    fn with_simd<S: Simd>(self, _: S) -> usize {
-        S::F32_LANES * vectors::<S>()
+    fn with_simd<S: Simd>(self, simd: S) {
+        if vectors::<S>() == 4 {
+            self.0.run::<S, 4>(simd);
+        } else {
+            self.0.run::<S, 2>(simd);
+        }
     }
 }
 
@@ -145,46 +174,36 @@ struct RunPanel<'a, 'b> {
     scratch: &'b mut Vec<f32>,
 }
 
-impl WithSimd for RunPanel<'_, '_> {
-    type Output = ();
-
+impl TileWork for RunPanel<'_, '_> {
     #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) {
-        if vectors::<S>() == 4 {
-            self.task.run::<S, 4>(simd, self.scratch);
-        } else {
-            self.task.run::<S, 2>(simd, self.scratch);
+    fn run<S: Simd, const NR: usize>(self, simd: S) {
+        let Self { task, scratch } = self;
+        let width = NR * S::F32_LANES;
+        let depth = task.windows.depth;
+        let columns = width.min(task.weight.columns() - task.first_column);
+        let panel = match task.packed {
+            Some(packed) => &packed[task.first_column * depth..][..width * depth],
+            None => {
+                scratch.resize(depth * width, 0.0);
+                task.weight.pack(task.first_column, width, scratch);
+                scratch
+            }
+        };
+        let panel = pulp::as_arrays::<NR, _>(S::as_simd_f32s(panel).0).0;
+        for first in task.rows.clone().step_by(TILE_ROWS) {
+            // Rows beyond the last repeat it and are not written.
+            let last = task.rows.end - 1;
+            let rows: [&[f32]; TILE_ROWS] =
+                std::array::from_fn(|i| task.windows.at((first + i).min(last)));
+            let sums = tile(simd, rows, panel);
+            for (i, sums) in sums.iter().enumerate().take(task.rows.end - first) {
+                task.write(simd, first + i, columns, sums);
+            }
         }
     }
 }
 
 impl PanelTask<'_> {
-    #[inline(always)]
-    fn run<S: Simd, const NR: usize>(self, simd: S, scratch: &mut Vec<f32>) {
-        let width = NR * S::F32_LANES;
-        let depth = self.windows.depth;
-        let columns = width.min(self.weight.columns() - self.first_column);
-        let panel = match self.packed {
-            Some(packed) => &packed[self.first_column * depth..][..width * depth],
-            None => {
-                scratch.resize(depth * width, 0.0);
-                self.weight.pack(self.first_column, width, scratch);
-                scratch
-            }
-        };
-        let panel = pulp::as_arrays::<NR, _>(S::as_simd_f32s(panel).0).0;
-        for first in self.rows.clone().step_by(TILE_ROWS) {
-            // Rows beyond the last repeat it and are not written.
-            let last = self.rows.end - 1;
-            let rows: [&[f32]; TILE_ROWS] =
-                std::array::from_fn(|i| self.windows.at((first + i).min(last)));
-            let sums = tile(simd, rows, panel);
-            for (i, sums) in sums.iter().enumerate().take(self.rows.end - first) {
-                self.write(simd, first + i, columns, sums);
-            }
-        }
-    }
-
     /// Writes one row of a tile plus the addends.
     #[inline(always)]
     fn write<S: Simd, const NR: usize>(

@@ -1,12 +1,12 @@
 //! Gated recurrent units: a task computes all steps of some sequences, so that no step waits for
 //! another thread.
 
-use pulp::{Arch, Simd, WithSimd};
+use pulp::Simd;
 
 use super::convolution::column_sums;
 use super::outer::outer;
 use super::packing::{self, Weight};
-use super::product::{TILE_ROWS, Windows, panel_width, tile, vectors};
+use super::product::{TILE_ROWS, TileWork, Windows, panel_width, tile};
 use super::rows::{Rows, SharedRows};
 use super::simd::{exp, sigmoid};
 use super::team;
@@ -45,18 +45,6 @@ pub struct GruValues<'a> {
     pub lengths: Option<&'a [usize]>,
 }
 
-/// Gradients of a recurrent layer, in the shapes of its values.
-pub struct GruGradients {
-    /// Of the inputs.
-    pub inputs: Vec<f32>,
-    /// Of the weight.
-    pub weight: Vec<f32>,
-    /// Of the bias.
-    pub bias: Vec<f32>,
-    /// Of the initial state.
-    pub initial: Vec<f32>,
-}
-
 impl GruPlan {
     /// The state after each step, `[time, batch, width]`, and with `save` the gates for the backward
     /// pass.
@@ -69,26 +57,27 @@ impl GruPlan {
         let gates_rows =
             save.then(|| SharedRows::dense(&mut gates, [self.time, self.batch, SAVED * width]));
         team::for_each(self.batch.div_ceil(TILE_ROWS), |block| {
-            Arch::new().dispatch(ForwardBlock {
+            let block = ForwardBlock {
                 plan: self,
                 values,
                 packed: &packed,
                 first: block * TILE_ROWS,
                 states: states_rows,
                 gates: gates_rows,
-            });
+            };
+            block.dispatch();
         });
         (states, gates)
     }
 
-    /// The gradients from that of all states, `[time, batch, width]`, with the states and gates of
-    /// [`forward`](Self::forward).
+    /// The gradients of inputs, weight, bias and initial state from that of all states, `[time, batch,
+    /// width]`, with the states and gates of [`forward`](Self::forward).
     pub fn backward(
         &self,
         values: &GruValues<'_>,
         (states, gates): (&[f32], &[f32]),
         gradient: &[f32],
-    ) -> GruGradients {
+    ) -> [Vec<f32>; 4] {
         let (steps, width) = (self.time * self.batch, self.width);
         let before = self.states_before(states, values.initial);
         let mut inputs = vec![0.0; steps * 3 * width];
@@ -100,7 +89,7 @@ impl GruPlan {
         let recurrent_rows = SharedRows::dense(&mut recurrent, shape);
         let blocks = initial.chunks_mut(TILE_ROWS * width).enumerate().collect();
         team::for_each_item(blocks, |(block, initial): (usize, &mut [f32])| {
-            Arch::new().dispatch(BackwardBlock {
+            let block = BackwardBlock {
                 plan: self,
                 values,
                 packed: &packed,
@@ -111,7 +100,8 @@ impl GruPlan {
                 inputs: inputs_rows,
                 recurrent: recurrent_rows,
                 carry: initial,
-            });
+            };
+            block.dispatch();
         });
         let recurrent = Rows::dense(&recurrent, [1, steps, 3 * width]);
         let windows = Windows {
@@ -122,12 +112,8 @@ impl GruPlan {
             row_stride: width,
             depth: width,
         };
-        GruGradients {
-            weight: outer(recurrent, windows, 1),
-            bias: column_sums(recurrent),
-            inputs,
-            initial,
-        }
+        let weight = outer(recurrent, windows, 1);
+        [inputs, weight, column_sums(recurrent), initial]
     }
 
     /// The state before each step.
@@ -199,20 +185,7 @@ struct ForwardBlock<'a> {
     gates: Option<SharedRows<'a>>,
 }
 
-impl WithSimd for ForwardBlock<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) {
-        if vectors::<S>() == 4 {
-            self.run::<S, 4>(simd);
-        } else {
-            self.run::<S, 2>(simd);
-        }
-    }
-}
-
-impl ForwardBlock<'_> {
+impl TileWork for ForwardBlock<'_> {
     #[inline(always)]
     fn run<S: Simd, const NR: usize>(self, simd: S) {
         let GruPlan { time, width, .. } = *self.plan;
@@ -245,7 +218,9 @@ impl ForwardBlock<'_> {
             }
         }
     }
+}
 
+impl ForwardBlock<'_> {
     /// Updates the state of one sequence by a step and saves its gates. `recurrent` is the state's part
     /// of the gates.
     #[inline(always)]
@@ -301,20 +276,7 @@ struct BackwardBlock<'a> {
     carry: &'a mut [f32],
 }
 
-impl WithSimd for BackwardBlock<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) {
-        if vectors::<S>() == 4 {
-            self.run::<S, 4>(simd);
-        } else {
-            self.run::<S, 2>(simd);
-        }
-    }
-}
-
-impl BackwardBlock<'_> {
+impl TileWork for BackwardBlock<'_> {
     #[inline(always)]
     fn run<S: Simd, const NR: usize>(mut self, simd: S) {
         let GruPlan {
@@ -349,7 +311,9 @@ impl BackwardBlock<'_> {
             }
         }
     }
+}
 
+impl BackwardBlock<'_> {
     /// The gradients of one sequence's gates in a step; `slopes` gets those of the state's part, and
     /// `carry` keeps the part that bypasses the gates.
     #[inline(always)]

@@ -34,6 +34,11 @@ impl<'a> Rows<'a> {
         }
     }
 
+    /// `[batch, time, channels]`.
+    pub fn shape(&self) -> [usize; 3] {
+        [self.batch, self.time, self.channels]
+    }
+
     /// Frame `time` of sample `sample`.
     #[inline(always)]
     pub fn row(&self, sample: usize, time: usize) -> &'a [f32] {
@@ -67,68 +72,6 @@ impl<'a> Rows<'a> {
             channels,
             ..*self
         }
-    }
-}
-
-/// Rows with zero rows before and after each sample's, for windows across its ends.
-pub(crate) struct Padded {
-    data: Vec<f32>,
-    before: usize,
-    rows: usize,
-    channels: usize,
-}
-
-impl Padded {
-    /// Per sample: `before` zero rows, `time` rows written by `write`, and `after` zero rows.
-    ///
-    /// # Safety
-    /// `write` must write every element of the rows.
-    #[allow(unsafe_code)]
-    pub unsafe fn written_by(
-        [batch, time, channels]: [usize; 3],
-        before: usize,
-        after: usize,
-        write: impl FnOnce(SharedRows<'_, MaybeUninit<f32>>),
-    ) -> Self {
-        let rows = before + time + after;
-        let len = batch * rows * channels;
-        let mut data: Vec<f32> = Vec::with_capacity(len);
-        let unwritten = &mut data.spare_capacity_mut()[..len];
-        if len > 0 {
-            for sample in unwritten.chunks_exact_mut(rows * channels) {
-                let (head, inner) = sample.split_at_mut(before * channels);
-                let (_, tail) = inner.split_at_mut(time * channels);
-                head.fill(MaybeUninit::new(0.0));
-                tail.fill(MaybeUninit::new(0.0));
-            }
-        }
-        let start = before * channels;
-        write(SharedRows::new(unwritten, start, rows * channels, channels));
-        // SAFETY: the zero rows are written above, the others by the caller's promise.
-        unsafe {
-            data.set_len(len);
-        }
-        Self {
-            data,
-            before,
-            rows,
-            channels,
-        }
-    }
-
-    /// Distance of samples in elements.
-    pub fn sample_stride(&self) -> usize {
-        self.rows * self.channels
-    }
-
-    /// Zero rows before a sample's first.
-    pub fn before(&self) -> usize {
-        self.before
-    }
-
-    /// All elements.
-    pub fn data(&self) -> &[f32] {
-        &self.data
     }
 }
 
@@ -208,13 +151,41 @@ pub(crate) unsafe fn rows_written_by(
     shape: [usize; 3],
     write: impl FnOnce(SharedRows<'_, MaybeUninit<f32>>),
 ) -> Vec<f32> {
-    let len = shape.iter().product();
-    let mut data: Vec<f32> = Vec::with_capacity(len);
-    write(SharedRows::dense(
-        &mut data.spare_capacity_mut()[..len],
-        shape,
-    ));
     // SAFETY: the caller's promise.
+    unsafe { padded_rows_written_by(shape, 0, 0, write) }
+}
+
+/// [`rows_written_by`] with zero rows before and after each sample's, for windows across its ends:
+/// `[batch, before + time + after, channels]`.
+///
+/// # Safety
+/// `write` must write every element of its rows.
+#[allow(unsafe_code)]
+pub(crate) unsafe fn padded_rows_written_by(
+    [batch, time, channels]: [usize; 3],
+    before: usize,
+    after: usize,
+    write: impl FnOnce(SharedRows<'_, MaybeUninit<f32>>),
+) -> Vec<f32> {
+    let stride = (before + time + after) * channels;
+    let len = batch * stride;
+    let mut data: Vec<f32> = Vec::with_capacity(len);
+    let unwritten = &mut data.spare_capacity_mut()[..len];
+    if len > 0 {
+        for sample in unwritten.chunks_exact_mut(stride) {
+            let (head, inner) = sample.split_at_mut(before * channels);
+            let (_, tail) = inner.split_at_mut(time * channels);
+            head.fill(MaybeUninit::new(0.0));
+            tail.fill(MaybeUninit::new(0.0));
+        }
+    }
+    write(SharedRows::new(
+        unwritten,
+        before * channels,
+        stride,
+        channels,
+    ));
+    // SAFETY: the zero rows are written above, the others by the caller's promise.
     unsafe {
         data.set_len(len);
     }
