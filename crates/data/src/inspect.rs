@@ -228,7 +228,7 @@ fn inspect_items<T: Listable>(
         let failed = |item: &T| {
             let rows = item.rows(&representation);
             let odd = representation.implausible(&rows).into_iter();
-            let profiles = [Profile::Strict, Profile::Document].into_iter();
+            let profiles = [Profile::Strict, Profile::Ccmotion].into_iter();
             let checks = profiles.flat_map(|profile| {
                 let report = representation.check(&rows, profile, statistics.as_ref());
                 let checks = report.map(|report| report.checks).unwrap_or_default();

@@ -4,7 +4,7 @@
 use crate::phrase::{ACCELERATION, ANGULAR_VELOCITY, POSITION, QUATERNION, VELOCITY};
 use crate::{Phrase, Quaternion};
 
-/// Turns the whole phrase about +y by `angle` radians (+z towards +x).
+/// Turns the phrase about +y by `angle` radians (+z towards +x).
 pub fn rotate_yaw(motion: &mut Phrase, angle: f64) {
     let turn = Quaternion::from_yaw(angle);
     for t in 0..motion.frames() {

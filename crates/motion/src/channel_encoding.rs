@@ -302,8 +302,8 @@ fn canonical_signs(mut quaternions: Vec<Quaternion>) -> Vec<Quaternion> {
     quaternions
 }
 
-/// The rotation of a matrix whose first two columns are given, `[6]`, by Gram-Schmidt: the
-/// direction of the first column is kept. Its sign is arbitrary; not finite if the columns are not.
+/// The rotation of a matrix with these first two columns, `[6]`, by Gram-Schmidt, which keeps the
+/// direction of the first. Its sign is arbitrary; not finite if the columns are not.
 pub fn from_columns(columns: &[f64]) -> Quaternion {
     let unit = |v: [f64; 3]| v.map(|part| part / dot(v, v).max(LEAST_SQUARE).sqrt());
     let [a, b] = pair(columns);

@@ -2,13 +2,13 @@
 
 use std::f64::consts::TAU;
 
-/// The shortest step from one position to another, -0.5 to 0.5. Whole cycles do not count.
+/// The shortest step from one position to another, -0.5 to 0.5. Full cycles do not count.
 pub fn step(from: f64, to: f64) -> f64 {
     let step = to - from;
     step - step.round()
 }
 
-/// An angle in radians, by whole turns within half a turn of 0: -pi to pi.
+/// An angle in radians, moved by full turns to -pi to pi.
 pub fn wrapped(angle: f64) -> f64 {
     angle - TAU * (angle / TAU).round()
 }

@@ -10,7 +10,7 @@ pub enum Error {
     #[error("{values} values are not one or more whole frames of {channels} channels")]
     #[diagnostic(help("a phrase is a row-major array [frames, 25]"))]
     NotWholeFrames {
-        /// Number of values given.
+        /// Number of values.
         values: usize,
         /// Number of channels in a frame.
         channels: usize,
@@ -31,7 +31,7 @@ pub enum Error {
     /// The strict profile needs the statistics of training motion.
     #[error("the profile `strict` compares with training motion, whose statistics are missing")]
     #[diagnostic(help(
-        "name the run that holds them with option `run`, or the motion itself with option `source`, \
+        "name the run that contains them with option `run`, or the motion itself with option `source`, \
          or use option `profile ccmotion`"
     ))]
     StatisticsNeeded,

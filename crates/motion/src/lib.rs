@@ -11,9 +11,9 @@
 //! let mut frame = [0.0f32; 25];
 //! frame[9] = 2.0; // a quaternion of twice the unit norm
 //! let motion = Phrase::new(frame.repeat(4))?;
-//! assert!(!check(&motion, Profile::Document, None)?.passed);
+//! assert!(!check(&motion, Profile::Ccmotion, None)?.passed);
 //! let repaired = process(&motion, &PostProcessConfig::default(), None);
-//! assert!(check(&repaired, Profile::Document, None)?.passed);
+//! assert!(check(&repaired, Profile::Ccmotion, None)?.passed);
 //! # Ok::<(), kinegrad_motion::Error>(())
 //! ```
 

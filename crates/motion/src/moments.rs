@@ -95,7 +95,7 @@ mod tests {
     }
 
     #[test]
-    fn merged_moments_are_those_of_all_items_together() {
+    fn merged_moments_are_those_of_all_items() {
         let item = |frames: usize, scale: f32| -> Vec<f32> {
             let values = (0..frames * 7).map(|i| scale * ((i * 7919) % 101) as f32 - 3.0);
             values.collect()

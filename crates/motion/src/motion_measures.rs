@@ -133,14 +133,14 @@ impl MotionMeasure {
             Self::LargestTurn | Self::LargestTilt => "degrees",
             Self::PhaseRate => "bars/s",
             Self::LargestPhaseStep => "bars",
-            Self::PhaseWraps => "bars begun",
+            Self::PhaseWraps => "bars",
         }
     }
 
     /// The sides on which it is checked, and by which factor.
     pub fn bounds(self) -> Bounds {
         match self {
-            // Even turning, counting or standing is no fault.
+            // Low values (even turning, counting, standing) are plausible.
             Self::LargestTurn | Self::LargestPhaseStep | Self::Travel => Bounds::Upper(FACTOR),
             Self::LargestTilt => Bounds::UpperBeyond {
                 factor: FACTOR,
@@ -310,7 +310,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_a_number_is_not_passed_over() {
+    fn nan_is_not_skipped() {
         for channel in [0, 9, PHASE] {
             let mut motion = constant_motion(60);
             motion.frame_mut(20)[channel] = f32::NAN;
@@ -349,7 +349,7 @@ mod tests {
     }
 
     #[test]
-    fn the_sign_of_a_quaternion_is_no_turn() {
+    fn the_sign_of_a_quaternion_is_not_a_turn() {
         let mut motion = constant_motion(60);
         let before = MotionMeasure::TurnRate.of(&motion);
         motion.set_quaternion(30, motion.quaternion(30).scale(-1.0));

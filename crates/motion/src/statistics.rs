@@ -354,7 +354,7 @@ mod tests {
     }
 
     #[test]
-    fn the_range_holds_the_training_motion_and_touches_it() {
+    fn the_range_contains_the_training_motion_and_touches_it() {
         let (rows, statistics) = example();
         let [low, high] = statistics.normalized_range().unwrap();
         for (channel, row) in statistics.normalize(&rows).chunks(20).enumerate() {

@@ -6,7 +6,7 @@
 //! neighbours (least squares over the overlaps), and blended with squared-sine weights that add up
 //! to 1.
 //!
-//! Known frames are kept: windows move to where they are, and the difference at their edges fades
+//! Known frames do not change: windows move to where they are, and the difference at their edges fades
 //! out over a third of a second.
 
 #[cfg(test)]
@@ -80,7 +80,7 @@ impl Layout {
     }
 }
 
-/// Frames of a motion that are given.
+/// Known frames of a motion.
 #[derive(Clone, Debug, PartialEq)]
 pub struct KnownFrames {
     /// Of each frame, whether it is known.

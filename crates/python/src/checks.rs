@@ -38,7 +38,7 @@ pub fn check(
 
 fn profile_of(name: &str) -> Result<Profile, Error> {
     match name {
-        "ccmotion" => Ok(Profile::Document),
+        "ccmotion" => Ok(Profile::Ccmotion),
         "strict" => Ok(Profile::Strict),
         _ => Err(Error::usage(
             format!("the profile is \"{name}\""),

@@ -53,7 +53,7 @@ impl SampleRequest {
     fn post_processing(&self) -> Result<Option<PostProcessProfile>, Error> {
         match self.postprocess.as_str() {
             "default" => Ok(None),
-            "ccmotion" => Ok(Some(PostProcessProfile::Document)),
+            "ccmotion" => Ok(Some(PostProcessProfile::Ccmotion)),
             "none" => Ok(Some(PostProcessProfile::None)),
             other => Err(Error::usage(
                 format!("`postprocess` is \"{other}\""),

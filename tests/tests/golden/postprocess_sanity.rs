@@ -35,7 +35,7 @@ fn motion(golden: &Golden, name: &str) -> Phrase {
 
 /// The settings of an option of the file.
 fn config(option: &str) -> PostProcessConfig {
-    let document = PostProcessConfig::document();
+    let document = PostProcessConfig::ccmotion();
     match option {
         "default" => document,
         "none" => PostProcessConfig::none(),
@@ -107,7 +107,7 @@ fn golden_postprocess_all_options(golden: Golden) {
 fn golden_postprocess_document_defaults(golden: Golden) {
     let stored: serde_json::Value =
         serde_json::from_str(golden.metadata("defaults")).expect("the defaults are JSON");
-    let ours = serde_json::to_value(PostProcessConfig::document()).expect("settings serialise");
+    let ours = serde_json::to_value(PostProcessConfig::ccmotion()).expect("settings serialise");
     for (key, value) in stored.as_object().expect("an object") {
         let name = match key.as_str() {
             "quat_eps" => continue, // A constant here.
@@ -118,7 +118,7 @@ fn golden_postprocess_document_defaults(golden: Golden) {
         compared(1);
     }
     assert_eq!(
-        PostProcessConfig::document().hemisphere,
+        PostProcessConfig::ccmotion().hemisphere,
         Hemisphere::PositiveW
     );
 }
@@ -134,7 +134,7 @@ fn golden_sanity_values_and_flags(golden: Golden) {
                 "raw" => input.clone(),
                 option => process(&input, &config(option), None),
             };
-            let report = check(&checked, Profile::Document, None).expect("no statistics needed");
+            let report = check(&checked, Profile::Ccmotion, None).expect("no statistics needed");
             let of = |check: &str| {
                 report
                     .check(check)

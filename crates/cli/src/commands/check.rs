@@ -25,7 +25,7 @@ pub fn run(systems: Systems<'_>, arguments: CheckArguments) -> Result<ExitCode, 
     if arguments.raw {
         files = with_raw(files);
     }
-    let strict = arguments.profile != Profile::Document;
+    let strict = arguments.profile != Profile::Ccmotion;
     let run = arguments.run.as_deref().filter(|_| strict);
     let state = run.map(checkpoint).transpose()?.map(|saved| saved.state);
     for path in files {
@@ -100,7 +100,7 @@ fn statistics(
     state: Option<&State>,
     representation: &dyn Representation,
 ) -> Result<Option<Statistics>, Error> {
-    if arguments.profile == Profile::Document {
+    if arguments.profile == Profile::Ccmotion {
         return Ok(None);
     }
     if let Some(state) = state {

@@ -152,7 +152,7 @@ mod tests {
             let made = phrases(64, frames, seed);
             let statistics = phrase_statistics(made.iter().map(|phrase| &phrase.motion)).unwrap();
             for phrase in &made {
-                for profile in [Profile::Document, Profile::Strict] {
+                for profile in [Profile::Ccmotion, Profile::Strict] {
                     let report = check(&phrase.motion, profile, Some(&statistics)).unwrap();
                     assert!(report.passed, "{}: {report:#?}", phrase.id);
                 }

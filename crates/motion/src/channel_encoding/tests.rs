@@ -20,7 +20,7 @@ fn all() -> Vec<ChannelEncoding> {
     phases.into_iter().flat_map(of_phase).collect()
 }
 
-/// A phrase that turns all ways, whose quaternions change sign and whose phase wraps.
+/// A phrase that turns about all axes, whose quaternions change sign and whose phase wraps.
 fn phrase(seed: u64, frames: usize) -> Phrase {
     let mut motion = random_phrase(seed, frames);
     for t in 0..frames {
@@ -58,7 +58,7 @@ fn the_stored_channels_stay_bit_for_bit() {
 }
 
 #[test]
-fn what_is_encoded_comes_back() {
+fn encoding_is_undone_by_decoding() {
     for targets in all() {
         for seed in 0..4 {
             let motion = phrase(seed, 23);
@@ -177,9 +177,13 @@ fn statistics_leave_circles_and_rotations_as_they_are() {
         let channels = targets.channels();
         let statistics = targets.statistics(ChannelMoments::measure(channels, [&rows[..]]));
         assert_eq!(statistics.channels(), channels);
-        let kept = targets.orientation_channels();
-        assert!(statistics.std[kept.clone()].iter().all(|&std| std == 1.0));
-        assert!(statistics.mean[kept].iter().all(|&mean| mean == 0.0));
+        let orientation = targets.orientation_channels();
+        assert!(
+            statistics.std[orientation.clone()]
+                .iter()
+                .all(|&std| std == 1.0)
+        );
+        assert!(statistics.mean[orientation].iter().all(|&mean| mean == 0.0));
         let normalized = statistics.normalize(&rows);
         let (low, high) = (0.0f32, 0.0f32);
         let phase = targets.phase_channels();
@@ -207,7 +211,7 @@ fn predictions_of_any_size_decode_and_numbers_that_are_none_stay() {
     assert_eq!(zeros[PHASE], 0.0);
     let norm: f32 = zeros[QUATERNION].iter().map(|part| part * part).sum();
     assert!((norm - 1.0).abs() < 1e-6);
-    // Just below a whole turn is the beginning of the next bar, not 1.
+    // Just below a full turn is the beginning of the next bar, not 1.
     let mut rows = vec![0.0; channels];
     rows[targets.phase_channels()].copy_from_slice(&[-1e-9, 1.0]);
     assert_eq!(targets.decode(rows)[PHASE], 0.0);
@@ -235,7 +239,7 @@ fn beats_place_what_the_bar_leaves_open() {
         say(beats, TAU * beat, 1.0);
         f64::from(targets.decode(rows)[PHASE])
     };
-    // Where in the bar is roughly known and where in the beat well: 0.3 beats from the second.
+    // The position in the bar is roughly known and that in the beat well: 0.3 beats from the second.
     for beats in [2, 3, 4] {
         let truth = 1.3 / beats as f64;
         for error in [-0.06, 0.0, 0.08] {
@@ -276,9 +280,9 @@ proptest! {
 
     #[test]
     fn the_columns_of_a_rotation_give_it_back(parts in proptest::collection::vec(-1.0f64..1.0, 4)) {
-        let given = Quaternion::new(parts[0], parts[1], parts[2], parts[3]);
-        prop_assume!(given.norm() > 1e-3);
-        let unit = given.normalised();
+        let quaternion = Quaternion::new(parts[0], parts[1], parts[2], parts[3]);
+        prop_assume!(quaternion.norm() > 1e-3);
+        let unit = quaternion.normalised();
         let columns = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]].map(|axis| unit.rotate(axis));
         for found in [from_columns(&columns.concat()), nearest_rotation(&columns.concat())] {
             prop_assert!((found.dot(unit).abs() - 1.0).abs() < 1e-9);

@@ -7,7 +7,7 @@
 //!
 //! over complex numbers of any size. `psi_t` is the heading of frame t, the
 //! [twist](Quaternion::twist) about the vertical, and `d_t` its change by the angular velocity. The
-//! arguments of `h` determine by how many whole turns each `psi_t` is moved. The result is the same
+//! arguments of `h` determine by how many full turns each `psi_t` is moved. The result is the same
 //! fit of those angles, which cannot flip where a complex number passes through zero.
 //!
 //! A network that is uncertain about an orientation predicts a mean of many. Its tilt is sound, but
@@ -151,7 +151,7 @@ mod tests {
     }
 
     #[test]
-    fn the_angular_velocities_lead_over_headings_that_are_means() {
+    fn angular_velocities_dominate_over_mean_headings() {
         let original = turning(200);
         let mut lost = original.clone();
         for t in 60..100 {
@@ -191,7 +191,7 @@ mod tests {
     }
 
     #[test]
-    fn frames_that_say_nothing_at_all_keep_the_fit_finite() {
+    fn frames_without_information_keep_the_fit_finite() {
         let mut motion = turning(90);
         for t in 0..90 {
             motion.set_quaternion(t, Quaternion::new(0.0, 0.0, 0.0, 0.0));

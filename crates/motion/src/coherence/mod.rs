@@ -8,9 +8,9 @@
 //! - [`fit_trajectory`]: positions to positions, velocities and accelerations
 //! - [`fit_heading`]: headings to orientations, weighted by confidence, and angular velocities
 //! - [`fit_orientation`]: orientations to quaternions and angular velocities
-//! - [`fit_phase`]: a phase that advances steadily
+//! - [`fit_phase`]: a phase that advances evenly
 //!
-//! A fitted motion is coherent by construction; that is no merit of the network.
+//! A fitted motion is coherent by construction, so its coherence does not measure the network.
 
 mod heading;
 mod orientation;

@@ -103,7 +103,7 @@ impl OrientationFit {
 
 /// Replaces the quaternions of a phrase by those nearest to its quaternions and angular velocities,
 /// of unit norm and continuous sign, except in `known` frames. `std` are the training deviations of
-/// the channels, `[25]`; angular velocities are kept.
+/// the channels, `[25]`; angular velocities do not change.
 pub fn fit_orientation(motion: &mut Phrase, std: &[f64], known: &[bool]) {
     let frames = motion.frames();
     assert_eq!(known.len(), frames, "known frames");

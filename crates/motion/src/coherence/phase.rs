@@ -1,13 +1,12 @@
-//! The nearest phase that advances steadily.
+//! The nearest phase that advances evenly.
 //!
 //! A model that knows the beats but not the bar lines jumps by whole beats. So the phase is fitted
-//! in the fraction of a bar that is steadiest ([`parts`]), and then placed in the bar that most
+//! in the fraction of a bar in which it is most even ([`parts`]), and then placed in the bar that most
 //! frames agree with.
 //!
 //! Dynamic programming finds a path `p` whose advance a frame is half to one and a half of the
-//! tempo and that maximises `sum cos 2 pi (p_t - phase_t)`. Then the path is moved to the nearby
-//! stated phases and smoothed:
-//! path is moved to the stated phases near it, and smoothed:
+//! tempo and that maximises `sum cos 2 pi (p_t - phase_t)`. Then the path is
+//! moved to the stated phases near it and smoothed:
 //!
 //! ```text
 //! min_q  sum_t |q_t - p_t - d_t|^2 + S^4 |q_{t+2} - 2 q_{t+1} + q_t|^2
@@ -24,7 +23,7 @@ use crate::phrase::PHASE;
 use crate::{Phrase, circular};
 
 /// `S`: changes of tempo within four seconds are noise.
-const STEADINESS_FRAMES: f64 = 20.0;
+const SMOOTHING_FRAMES: f64 = 20.0;
 
 /// Positions in a bar of the dynamic programme.
 const PLACES: usize = 256;
@@ -53,7 +52,7 @@ const AGREEMENT_MARGIN: f64 = 0.1;
 /// The second difference of three frames.
 const SECOND_DIFFERENCE: [f64; 3] = [1.0, -2.0, 1.0];
 
-/// Replaces the phase by the nearest one that advances steadily, in [0, 1), except in `known`
+/// Replaces the phase by the nearest one that advances evenly, in [0, 1), except in `known`
 /// frames.
 pub fn fit_phase(motion: &mut Phrase, known: &[bool]) {
     let frames = motion.frames();
@@ -83,7 +82,7 @@ pub fn fit_phase(motion: &mut Phrase, known: &[bool]) {
     }
 }
 
-/// Number of parts of a bar in which the phase is steady: the fewest whose agreement with a tempo
+/// Number of parts of a bar in which the phase is even: the fewest whose agreement with a tempo
 /// is nearly the best.
 fn parts(stated: &[f64]) -> usize {
     let agreement = |parts: usize| {
@@ -113,7 +112,7 @@ fn bar(fitted: &[f64], stated: &[f64], known: &[bool], parts: usize) -> f64 {
     best.map_or(0.0, |(_, bar)| bar)
 }
 
-/// The steady path nearest to the stated phases, unwrapped.
+/// The smooth path nearest to the stated phases, unwrapped.
 fn fit(stated: &[f64], known: &[bool]) -> Vec<f64> {
     let path = path(stated, known);
     let frames = stated.len();
@@ -129,7 +128,7 @@ fn fit(stated: &[f64], known: &[bool]) -> Vec<f64> {
     for first in 0..frames.saturating_sub(2) {
         for (i, a) in SECOND_DIFFERENCE.iter().enumerate() {
             for (j, b) in SECOND_DIFFERENCE.iter().enumerate().take(i + 1) {
-                normal[first + i][i - j] += STEADINESS_FRAMES.powi(4) * a * b;
+                normal[first + i][i - j] += SMOOTHING_FRAMES.powi(4) * a * b;
             }
         }
     }
@@ -264,7 +263,7 @@ mod tests {
     }
 
     #[test]
-    fn a_steady_phase_stays() {
+    fn a_phase_at_constant_tempo_stays() {
         for (frames, rate) in [(1, 0.02), (2, 0.02), (3, 0.5), (90, 0.017), (77, -0.01)] {
             let turns: Vec<f64> = (0..frames).map(|t| 0.3 + rate * f64::from(t)).collect();
             let mut motion = with_phases(&turns);
@@ -303,11 +302,11 @@ mod tests {
     }
 
     #[test]
-    fn a_change_of_mind_about_the_bar_is_caught_up_with_and_a_short_one_passed_over() {
-        let steady: Vec<f64> = (0..900).map(|t| 0.1 + 0.0125 * f64::from(t)).collect();
+    fn a_lasting_change_of_the_bar_is_followed_and_a_short_one_ignored() {
+        let even: Vec<f64> = (0..900).map(|t| 0.1 + 0.0125 * f64::from(t)).collect();
         // A beat later from second 10 on, and for a third of a second at second 20.
         let later = |t: usize, turn: f64| turn - if t >= 300 { 0.25 } else { 0.0 };
-        let lasting: Vec<f64> = steady
+        let lasting: Vec<f64> = even
             .iter()
             .enumerate()
             .map(|(t, turn)| later(t, *turn))
@@ -353,8 +352,8 @@ mod tests {
             let worst = (0..frames).map(off).fold(0.0, f64::max);
             assert!(worst < 0.06, "{beats} {tempo}: {worst}");
             let steps = crate::motion_measures::phase_steps(&motion);
-            let steady = |step: &f64| (step - tempo).abs() < 0.002;
-            assert!(steps.iter().all(steady), "{beats} {tempo}");
+            let even = |step: &f64| (step - tempo).abs() < 0.002;
+            assert!(steps.iter().all(even), "{beats} {tempo}");
         }
     }
 
@@ -378,13 +377,13 @@ mod tests {
             }
             let steps = crate::motion_measures::phase_steps(&motion);
             let allowed = if first == 0.25 { 0.002 } else { 0.013 };
-            let steady = |step: &f64| (step - 0.0151).abs() < allowed;
-            assert!(steps.iter().all(steady), "{first}: {steps:?}");
+            let even = |step: &f64| (step - 0.0151).abs() < allowed;
+            assert!(steps.iter().all(even), "{first}: {steps:?}");
         }
     }
 
     #[test]
-    fn long_motion_and_wild_phases_take_their_time() {
+    fn long_motion_and_arbitrary_phases_are_fitted() {
         let noise = Key::new(8, Purpose::Noise).uniforms(20_000);
         let stated: Vec<f64> = noise.into_iter().map(f64::from).collect();
         let mut motion = with_phases(&stated);

@@ -53,7 +53,7 @@ impl CoherentFit {
     /// Panics if a scale is not positive.
     pub fn around(known: &[bool], scales: [f64; 3]) -> Self {
         assert!(scales.iter().all(|&scale| scale > 0.0), "scales {scales:?}");
-        // Within known frames the positions decide; at their end velocity and acceleration lead on.
+        // Within known frames the positions decide; at their end also velocity and acceleration.
         let is_last = |t: usize| known[t] && known.get(t + 1) != Some(&true);
         let decides: [&dyn Fn(usize) -> bool; 3] = [&|t| known[t], &is_last, &is_last];
         let weights = [0, 1, 2].map(|estimate| {
@@ -320,7 +320,7 @@ mod tests {
     }
 
     #[test]
-    fn known_positions_hold_where_known_accelerations_say_otherwise() {
+    fn known_positions_dominate_contradicting_accelerations() {
         let mut motion = crate::random_phrase::random_phrase(5, 90);
         let noise = Key::new(1, Purpose::Noise).normals(90);
         for (t, noise) in noise.into_iter().enumerate().take(58) {

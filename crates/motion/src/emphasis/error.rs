@@ -20,18 +20,18 @@ pub enum EmphasisError {
         "give the square matrix that was trained with, row by row, as wide as the motion's features"
     ))]
     NotSquare {
-        /// Number of values given.
+        /// Number of values.
         values: usize,
         /// Number of features of a frame.
         dimension: usize,
     },
 
-    /// The matrix holds NaN or an infinity.
+    /// The matrix contains NaN or an infinity.
     #[error(
         "the projection matrix is not finite in row {row}, column {column} (counted from 0): \
          {found}"
     )]
-    #[diagnostic(help("the file that holds the matrix is damaged: fetch or export it again"))]
+    #[diagnostic(help("the file of the matrix is damaged: fetch or export it again"))]
     NonFinite {
         /// Row of the first such value.
         row: usize,

@@ -186,7 +186,7 @@ fn total_variance(dimension: usize, channels: usize, scale: f64) -> f64 {
     (dimension - channels) as f64 + channels as f64 * scale.powi(2)
 }
 
-/// The transpose of a matrix given row by row.
+/// The transpose of a row-major matrix.
 fn read(matrix: &[f32], dimension: usize) -> Result<DMatrix<f64>, EmphasisError> {
     if dimension == 0 || dimension.checked_pow(2) != Some(matrix.len()) {
         return Err(EmphasisError::NotSquare {

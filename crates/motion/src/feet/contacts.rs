@@ -162,13 +162,17 @@ mod tests {
 
     #[test]
     fn short_gaps_and_short_contacts_go() {
-        for (found, steady) in [
+        for (found, expected) in [
             ("..####.###..", "..########.."),
             (".##....####", ".......####"),
             ("###...###", "###...###"),
             (".##.##.", ".#####."),
         ] {
-            assert_eq!(without_short_runs(read(found), 3), read(steady), "{found}");
+            assert_eq!(
+                without_short_runs(read(found), 3),
+                read(expected),
+                "{found}"
+            );
         }
         assert_eq!(runs(&read(".##...#")), [1..3, 6..7]);
         assert!(runs(&read("...")).is_empty());

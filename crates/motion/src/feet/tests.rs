@@ -8,7 +8,7 @@ const LEG: Leg = Leg {
     sole: 4,
 };
 
-/// A pelvis, a leg with a toe, and a pocket on the thigh, which slide along at a steady pace.
+/// A pelvis, a leg with a toe, and a pocket on the thigh, which slide at constant speed.
 fn sliding_leg(frames: usize) -> Vec<Vec<[f64; 3]>> {
     let at = |t: usize| {
         let x = 0.01 * t as f64;

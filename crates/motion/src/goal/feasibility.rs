@@ -141,7 +141,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_body_can_run_draws_no_word() {
+    fn a_possible_speed_has_no_warning() {
         assert!(
             goal(&[(20, 0.0, 11.9)])
                 .feasibility_warnings(20.0)

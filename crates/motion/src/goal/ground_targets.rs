@@ -74,15 +74,15 @@ impl GroundTargets {
     /// their mask: 1 for x and z of frames with a target.
     pub fn in_channels(&self, channels: usize, frames: usize) -> [Vec<f32>; 2] {
         let mut values = vec![0.0; channels * frames];
-        let mut given = values.clone();
+        let mut mask = values.clone();
         for (frame, position) in self.masked() {
             for (axis, value) in position.into_iter().enumerate() {
                 let place = (GROUND_X + axis) * frames + frame;
                 values[place] = value as f32;
-                given[place] = 1.0;
+                mask[place] = 1.0;
             }
         }
-        [values, given]
+        [values, mask]
     }
 }
 
@@ -126,9 +126,9 @@ mod tests {
     #[test]
     fn targets_fill_two_of_four_channels() {
         let targets = GroundTargets::trajectory(&[[1.0, 2.0]], 1, 2);
-        let [values, given] = targets.in_channels(4, 2);
+        let [values, mask] = targets.in_channels(4, 2);
         assert_eq!(values, [0.0, 0.0, 0.0, 1.0, 0.0, 2.0, 0.0, 0.0]);
-        assert_eq!(given, [0.0, 0.0, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0]);
+        assert_eq!(mask, [0.0, 0.0, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0]);
         let [longer, _] = targets.in_channels(3, 3);
         assert_eq!(longer, [0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 2.0, 0.0]);
     }

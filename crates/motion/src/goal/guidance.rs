@@ -103,12 +103,12 @@ impl GuidanceLoss {
         frames: usize,
     ) -> Result<Self, InvalidSetting> {
         assert_eq!(goals.len(), paths.len(), "a path for each goal");
-        let mut whole = Self::new(config, goals, frames)?;
-        for (sample, path) in whole.samples.iter_mut().zip(paths) {
+        let mut loss = Self::new(config, goals, frames)?;
+        for (sample, path) in loss.samples.iter_mut().zip(paths) {
             assert!(path.len() <= frames, "a frame for each position");
             sample.targets = GroundTargets::trajectory(path, 0, path.len());
         }
-        Ok(Self::of_samples(config, whole.samples, frames))
+        Ok(Self::of_samples(config, loss.samples, frames))
     }
 
     fn of_samples(config: &GuidanceConfig, samples: Vec<Sample>, frames: usize) -> Self {

@@ -34,7 +34,7 @@ impl Obstacle {
 
     /// The [signed distance](Self::signed_distance) and its gradient, a unit vector: that of the
     /// first of several nearest edges, the outward normal on an edge, and +x in a disc's centre so
-    /// that guidance finds a way out.
+    /// that guidance can leave it.
     pub fn distance_and_gradient(&self, point: [f64; 2]) -> (f64, [f64; 2]) {
         match self {
             &Self::Disc { x, z, radius } => {

@@ -72,7 +72,7 @@ pub(super) fn check(vertices: &[[f64; 2]]) -> Result<(), InvalidSetting> {
                     "a line whose edges from {:?} and from {:?} cross or touch",
                     first.0, second.0
                 );
-                let allowed = "a line that meets itself nowhere";
+                let allowed = "a line that does not touch itself";
                 return Err(InvalidSetting::new("vertices", found, allowed).hint(
                     "name the corners in order around the obstacle; split a shape with several \
                      parts into several obstacles",

@@ -1,4 +1,4 @@
-//! Goals as documents, what is refused of them, and the loss that guides towards them.
+//! Goals as TOML and JSON, their validation, and the guidance loss.
 
 use proptest::prelude::*;
 

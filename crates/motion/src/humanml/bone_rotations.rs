@@ -2,7 +2,7 @@
 //!
 //! The rotation of joint b rotates the bone that *ends* at b. In the published data the rotations
 //! of every chain begin at the root quaternion, which maps world to body while bone rotations map
-//! the other way, so the first of a chain contains the heading twice. Source: HumanML3D
+//! body to world, so the first of a chain contains the heading twice. Source: HumanML3D
 //! (docs/sources.md, section 3.2).
 
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
@@ -221,7 +221,7 @@ mod tests {
         }
 
         #[test]
-        fn rotations_of_joints_lead_back_to_the_joints(
+        fn rotations_of_joints_give_the_joints(
             places in proptest::collection::vec(vector(), 2 * 22),
         ) {
             let skeleton = Skeleton::humanml3d();

@@ -13,7 +13,7 @@ use crate::rotation::between;
 use crate::vector::minus;
 
 impl Features {
-    /// The frames of `range` as if extraction had begun there: moved and rotated so that the first
+    /// The frames of `range` as if extraction started there: moved and rotated so that the first
     /// is at x = z = 0 and faces +z. Frames that already begin so do not change.
     ///
     /// # Errors
@@ -90,8 +90,7 @@ mod tests {
         Joints::new(places.collect(), skeleton.joints()).unwrap()
     }
 
-    /// The floor of a part is that of the whole, and the heading of a frame its own: extraction
-    /// would else see more of the whole than of a part.
+    /// Features with the raw heading and without moving, so that a part has the floor of the clip.
     fn extracted(skeleton: &Skeleton, joints: &Joints) -> Features {
         let extraction = Extraction {
             rescale: false,
@@ -102,10 +101,10 @@ mod tests {
     }
 
     #[test]
-    fn a_part_is_what_its_joints_would_have_become() {
+    fn a_part_equals_the_features_of_its_joints() {
         let skeleton = Skeleton::humanml3d();
         let joints = turning(&skeleton);
-        let whole = extracted(&skeleton, &joints);
+        let clip = extracted(&skeleton, &joints);
         let floor = |joints: &[[f64; 3]]| {
             let heights = joints.iter().map(|place| place[1]);
             heights.fold(f64::INFINITY, f64::min)
@@ -117,8 +116,8 @@ mod tests {
             assert!((floor(places) - floor(joints.as_slice())).abs() < 1e-9);
             for root in [Root::Relative, Root::Absolute] {
                 let expected = expected.with_root(root);
-                let whole = whole.with_root(root);
-                let found = whole.crop(&skeleton, range.clone()).unwrap();
+                let clip = clip.with_root(root);
+                let found = clip.crop(&skeleton, range.clone()).unwrap();
                 let apart = largest(found.as_slice(), expected.as_slice());
                 assert!(apart < 1e-4, "{range:?} {root}: {apart}");
                 // By its rotations the part has the joints that it has by its positions.
@@ -126,7 +125,7 @@ mod tests {
                 let apart = largest(&places, &found.joints().to_f32());
                 assert!(apart < 1e-4, "{range:?} {root}: {apart}");
                 // A slice alone does not.
-                let cut = whole.slice(range.clone());
+                let cut = clip.slice(range.clone());
                 if range.start > 0 {
                     let rotations = |features: &Features| features.frame(0)[67..193].to_vec();
                     assert!(largest(&rotations(&cut), &rotations(&found)) > 0.1);
@@ -140,16 +139,16 @@ mod tests {
     #[test]
     fn an_absolute_clip_is_turned_and_moved_to_its_start() {
         let skeleton = Skeleton::humanml3d();
-        let whole = extracted(&skeleton, &turning(&skeleton));
-        let absolute = whole.to_absolute();
+        let clip = extracted(&skeleton, &turning(&skeleton));
+        let absolute = clip.to_absolute();
         let found = absolute.crop(&skeleton, 20..33).unwrap();
         assert_eq!(found.frame(0)[..3], [0.0; 3]);
-        let relative = whole.crop(&skeleton, 20..33).unwrap().to_absolute();
+        let relative = clip.crop(&skeleton, 20..33).unwrap().to_absolute();
         assert!(largest(found.as_slice(), relative.as_slice()) < 1e-5);
-        // A part of a part is one of the whole.
+        // A part of a part is a part of the clip.
         let twice = absolute.crop(&skeleton, 7..40).unwrap();
         let twice = twice.crop(&skeleton, 13..26).unwrap();
         assert!(largest(found.as_slice(), twice.as_slice()) < 1e-5);
-        assert!(whole.crop(&Skeleton::kit(), 20..33).is_err());
+        assert!(clip.crop(&Skeleton::kit(), 20..33).is_err());
     }
 }

@@ -27,7 +27,7 @@ pub enum FeatureError {
     NotWholeFrames {
         /// Kind of the values.
         what: &'static str,
-        /// Number of values given.
+        /// Number of values.
         values: usize,
         /// Numbers in a frame.
         width: usize,
@@ -40,7 +40,7 @@ pub enum FeatureError {
          joints (KIT)"
     ))]
     InvalidChannels {
-        /// Number of channels given.
+        /// Number of channels.
         found: usize,
     },
 

@@ -173,7 +173,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn any_number_of_joints_is_found_again_and_its_groups_meet(joints in 2usize..200) {
+        fn any_number_of_joints_is_found_again_and_its_groups_adjoin(joints in 2usize..200) {
             let layout = FeatureLayout::of_joints(joints).unwrap();
             let channels = layout.channels();
             prop_assert_eq!(channels, 4 + 3 * (joints - 1) + 6 * (joints - 1) + 3 * joints + 4);

@@ -165,11 +165,11 @@ mod tests {
                 [0, 1, 2].map(|i| place[i] + shift(i))
             });
             let clip = Joints::new(places.collect(), skeleton.joints()).unwrap();
-            let whole = raw().features_in_place(&skeleton, &clip).unwrap();
+            let clip_features = raw().features_in_place(&skeleton, &clip).unwrap();
             let mut stream = stream(&skeleton);
             for t in 0..frames {
                 let row = stream.push(clip.frame(t)).unwrap();
-                prop_assert_eq!(row.as_deref(), t.checked_sub(1).map(|t| whole.frame(t)));
+                prop_assert_eq!(row.as_deref(), t.checked_sub(1).map(|t| clip_features.frame(t)));
                 prop_assert_eq!(stream.last().unwrap().0, clip.frame(t));
             }
             prop_assert_eq!(stream.frames(), frames);
@@ -208,8 +208,9 @@ mod tests {
             let rows = (0..12).filter_map(|t| stream.push(clip.frame(t)).unwrap());
             // All channels but the rotations.
             let rotations = skeleton.layout().rotations();
-            let kept = |row: Vec<f32>| [&row[..rotations.start], &row[rotations.end..]].concat();
-            rows.flat_map(kept).collect()
+            let but_rotations =
+                |row: Vec<f32>| [&row[..rotations.start], &row[rotations.end..]].concat();
+            rows.flat_map(but_rotations).collect()
         };
         let own_heading = || stream(&skeleton).with_own_heading();
         let (found, expected) = (rows(&turned, own_heading()), rows(&clip, own_heading()));
@@ -239,7 +240,7 @@ mod tests {
     }
 
     #[test]
-    fn a_bad_frame_is_refused_and_leaves_the_stream_as_it_was() {
+    fn a_bad_frame_is_refused_and_does_not_change_the_stream() {
         let skeleton = Skeleton::humanml3d();
         let clip = test_clip(&skeleton, 3);
         let mut stream = stream(&skeleton);

@@ -262,7 +262,7 @@ mod tests {
     }
 
     #[test]
-    fn the_pelvis_goes_where_the_course_leads() {
+    fn the_pelvis_follows_the_course() {
         let skeleton = Skeleton::humanml3d();
         let straight = joints(&course(1.0, 0.0), &skeleton, 41);
         let (first, last) = (straight[0], straight[40 * 22]);

@@ -92,7 +92,7 @@ mod tests {
     }
 
     #[test]
-    fn intervals_cover_the_mean_about_as_often_as_they_say() {
+    fn intervals_cover_the_mean_about_as_often_as_stated() {
         let covered = (0..60u64)
             .filter(|&seed| {
                 let values = normals(seed, 40);

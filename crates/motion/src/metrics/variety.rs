@@ -102,7 +102,7 @@ mod tests {
         assert!((0..9).any(|seed| wide(seed) != wide(1)));
         assert_eq!(multimodality(&far, 5, 0), None);
         assert_eq!(multimodality(&[], 1, 0), None);
-        // Firsts and seconds as given.
+        // Stated firsts and seconds.
         let found = mean_pair_distance(&[at(0.0, 2.0), at(50.0, 1.0)], &[0, 3], &[1, 3]);
         assert_eq!(found, Some((2.0 + 0.0 + 1.0 + 0.0) / 4.0));
     }

@@ -54,7 +54,7 @@ impl Bend {
     }
 
     /// `joints` at `fps` frames per second on the bent trajectory: each step and the body are
-    /// rotated by the angle at its arc length. Length, steps and heights are kept. Arc length
+    /// rotated by the angle at its arc length. Length, steps and heights do not change. Arc length
     /// ignores sway and standing.
     pub fn apply(&self, joints: &Joints, fps: f64) -> Joints {
         let track = joints.track(0).into_iter();
@@ -95,7 +95,7 @@ impl Bend {
         if locked.missed > MISSED {
             return Ok(features.to_relative());
         }
-        // Features begin at the origin; the floor is that of the whole clip.
+        // Features begin at the origin; the floor is that of the clip.
         let joints = extrapolated(&locked.joints)?;
         let moved = canonicalize(skeleton, &joints)?;
         let floor = joints.frame(0)[0][1] - moved.frame(0)[0][1];
@@ -150,7 +150,7 @@ mod tests {
     }
 
     #[test]
-    fn bones_and_heights_stay_and_draws_differ() {
+    fn bones_and_heights_stay_and_samples_differ() {
         let (joints, skeleton) = straight(60);
         let key = Key::new(3, Purpose::Augment);
         let bent: Vec<Joints> = (0..20)

@@ -8,8 +8,8 @@ use super::{Polyline, STILL, between};
 #[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ArcLengthMode {
-    /// The whole path, in the proportions of the motion's own trajectory. A standing motion is
-    /// spread evenly.
+    /// The whole path, in the proportions of the motion's own trajectory. A standing motion
+    /// advances evenly.
     #[default]
     Stretch,
     /// The motion's own arc length and speed, until the path or the motion ends.

@@ -9,7 +9,7 @@ use crate::humanml::FeatureError;
 pub enum PathError {
     /// A path has fewer than two points.
     #[error("a path has {found} points, at least 2 are needed")]
-    #[diagnostic(help("give where it begins and where it ends, `[x, z]` in metres"))]
+    #[diagnostic(help("give its begin and its end, `[x, z]` in metres"))]
     TooFewPoints {
         /// Points found.
         found: usize,
@@ -28,7 +28,7 @@ pub enum PathError {
     },
 
     /// All points of a path are the same.
-    #[error("all points of the path are the same: it leads nowhere")]
+    #[error("all points of the path are the same: it has no length")]
     #[diagnostic(help("points are `[x, z]` in metres"))]
     NoLength,
 

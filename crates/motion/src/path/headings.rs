@@ -47,8 +47,8 @@ pub fn headings_of(track: &[[f64; 2]]) -> Vec<f64> {
     headings(&gradient(track))
 }
 
-/// Headings of a walk at `track` without its sway, kept while the step is shorter than `least`
-/// metres.
+/// Headings of a walk at `track` without its sway; steps shorter than `least` metres repeat the
+/// one before.
 pub fn headings_of_gait(track: &[[f64; 2]], least: f64) -> Vec<f64> {
     headings_above(&gradient(&without_sway(track)), least.max(STILL))
 }
@@ -65,7 +65,7 @@ fn headings(steps: &[[f64; 2]]) -> Vec<f64> {
     headings_above(steps, STILL)
 }
 
-/// Directions of steps, kept while they are shorter than `least`.
+/// Directions of steps; those shorter than `least` repeat the one before.
 fn headings_above(steps: &[[f64; 2]], least: f64) -> Vec<f64> {
     let moving = |[dx, dz]: &[f64; 2]| dx.hypot(*dz) >= least;
     let heading = |[dx, dz]: &[f64; 2]| dx.atan2(*dz);
@@ -134,7 +134,7 @@ mod tests {
     }
 
     #[test]
-    fn who_stands_keeps_the_heading_and_who_never_moves_has_none() {
+    fn a_standing_body_keeps_its_heading_and_one_that_never_moves_has_none() {
         let mut track = vec![[0.0, 0.0]; 3];
         track.extend([[0.1, 0.0], [0.2, 0.0]]);
         track.extend([[0.2, 0.0]; 4]);

@@ -206,7 +206,7 @@ fn read_table(text: &str) -> Result<Vec<[f64; 2]>, String> {
             let cell = row.get(column).unwrap_or_default();
             *value = cell.parse().map_err(|_| {
                 format!(
-                    "line {line}: `{cell}` in column {} is no number",
+                    "line {line}: `{cell}` in column {} is not a number",
                     column + 1
                 )
             })?;
@@ -226,7 +226,7 @@ mod tests {
         let plan = PathPlan::read(text, "p.toml", None).unwrap();
         assert_eq!(plan.speed, Some(1.2));
         assert_eq!(plan.polyline().unwrap().length(), 2.5);
-        let table = "# drawn by hand\nframe, z, x\n0, 0.0, 1.0\n1, 2.0, 1.0\n";
+        let table = "# by hand\nframe, z, x\n0, 0.0, 1.0\n1, 2.0, 1.0\n";
         let plan = PathPlan::read(table, "p.csv", None).unwrap();
         assert_eq!(plan.points, [[1.0, 0.0], [1.0, 2.0]]);
         for text in ["1;2\n", "1,2,3\n4,5,6\n"] {
@@ -253,7 +253,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_path_is_refused_with_its_place() {
+    fn invalid_files_are_refused_with_their_place() {
         for (file, text, expected) in [
             (
                 "p.toml",
@@ -263,7 +263,7 @@ mod tests {
             (
                 "p.toml",
                 "points = [[1, 1], [1, 1]]",
-                "p.toml: all points of the path are the same: it leads nowhere",
+                "p.toml: all points of the path are the same: it has no length",
             ),
             (
                 "p.toml",
@@ -308,7 +308,7 @@ mod tests {
             (
                 "p.csv",
                 "x,z\n1,2\n3\n",
-                "p.csv: line 3: `` in column 2 is no number",
+                "p.csv: line 3: `` in column 2 is not a number",
             ),
             (
                 "p.svg",

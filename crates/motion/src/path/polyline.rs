@@ -16,7 +16,7 @@ pub struct Polyline {
 /// A position on a path.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PathPoint {
-    /// Where it is, metres.
+    /// Ground position, metres.
     pub point: [f64; 2],
     /// Unit tangent.
     pub tangent: [f64; 2],
@@ -82,8 +82,8 @@ impl Polyline {
         }
         let metres = metres.clamp(0.0, length);
         // The last segment with a length that begins at or before.
-        let begun = self.cumulative.partition_point(|begin| *begin <= metres);
-        let mut segment = begun.clamp(1, self.points.len() - 1) - 1;
+        let begins = self.cumulative.partition_point(|begin| *begin <= metres);
+        let mut segment = begins.clamp(1, self.points.len() - 1) - 1;
         let long = |segment: usize| self.cumulative[segment + 1] - self.cumulative[segment];
         while segment > 0 && long(segment) == 0.0 {
             segment -= 1;
@@ -157,7 +157,7 @@ mod tests {
             (-0.5, [0.0, 0.0], [0.0, 1.0]),
             (0.0, [0.0, 0.0], [0.0, 1.0]),
             (0.5, [0.0, 1.5], [0.0, 1.0]),
-            // At a corner the line already leads on.
+            // At a corner the tangent is that of the next segment.
             (2.0 / 3.0, [0.0, 2.0], [1.0, 0.0]),
             (1.0, [1.0, 2.0], [1.0, 0.0]),
             (7.0, [1.0, 2.0], [1.0, 0.0]),
@@ -172,7 +172,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_path_is_refused() {
+    fn invalid_points_are_refused() {
         let message = |points| Polyline::new(points).unwrap_err().to_string();
         assert_eq!(
             message(vec![[1.0, 2.0]]),
@@ -193,7 +193,7 @@ mod tests {
         ) {
             let line = Polyline::new(points.clone()).unwrap();
             let place = line.at(share);
-            // Cut there, what lies before is this share of the whole.
+            // The part before has this share of the length.
             let metres = share * line.length();
             let mut before: Vec<[f64; 2]> = points
                 .iter()

@@ -53,7 +53,7 @@ pub fn savgol_weights(window: usize, order: usize, at: f64, derivative: usize) -
 }
 
 /// `values` smoothed with `window` frames. Shorter lists use their largest odd window and, if
-/// needed, a lower order; fewer than 3 values are kept.
+/// needed, a lower order; fewer than 3 values do not change.
 ///
 /// # Panics
 /// Panics unless `window` is odd and greater than `order`.

@@ -170,7 +170,7 @@ mod tests {
     }
 
     #[test]
-    fn two_points_close_and_curves_may_lead_beyond_the_furthest_point() {
+    fn two_points_close_and_curves_may_exceed_the_furthest_point() {
         let kind = Parameterization::Centripetal;
         let there_and_back = CatmullRom::new(&[[0.0, 0.0], [0.0, 2.0]], kind, true).unwrap();
         let line = there_and_back.polyline();

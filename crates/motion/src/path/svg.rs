@@ -46,7 +46,7 @@ pub(super) fn read_svg(text: &str, scale: f64) -> Result<SvgPath, String> {
         ..ParsingOptions::default()
     };
     let document = Document::parse_with_options(text, options);
-    let document = document.map_err(|error| format!("it is no SVG: {error}"))?;
+    let document = document.map_err(|error| format!("it is not SVG: {error}"))?;
     let names = ["path", "polyline", "polygon", "line"];
     let is_path = |node: &Node| {
         let hidden = node.ancestors().any(|node| {
@@ -57,7 +57,7 @@ pub(super) fn read_svg(text: &str, scale: f64) -> Result<SvgPath, String> {
         node.is_element() && names.contains(&node.tag_name().name()) && !hidden
     };
     let node = document.descendants().find(is_path);
-    let node = node.ok_or("it holds no `path`, `polyline`, `polygon` or `line`")?;
+    let node = node.ok_or("it contains no `path`, `polyline`, `polygon` or `line`")?;
     let turned =
         |node: Node| node.has_attribute("transform") || style_of(&node).contains("transform");
     if node.ancestors().any(turned) {
@@ -114,18 +114,18 @@ fn style_of(node: &Node) -> String {
 /// A node's outline as a path.
 fn outline(node: &Node) -> Result<BezPath, String> {
     let name = node.tag_name().name();
-    let given = |key: &str| {
+    let attribute = |key: &str| {
         let value = node.attribute(key);
         value.ok_or_else(|| format!("its `{name}` has no `{key}`"))
     };
     let data = match name {
-        "path" => given("d")?.to_owned(),
+        "path" => attribute("d")?.to_owned(),
         "line" => {
-            let [x1, y1, x2, y2] = ["x1", "y1", "x2", "y2"].map(given);
+            let [x1, y1, x2, y2] = ["x1", "y1", "x2", "y2"].map(attribute);
             format!("M{},{} L{},{}", x1?, y1?, x2?, y2?)
         }
-        "polygon" => format!("M{} Z", given("points")?),
-        _ => format!("M{}", given("points")?),
+        "polygon" => format!("M{} Z", attribute("points")?),
+        _ => format!("M{}", attribute("points")?),
     };
     BezPath::from_svg(&data).map_err(|error| format!("its `{name}` cannot be read: {error}"))
 }
@@ -172,8 +172,8 @@ mod tests {
     #[test]
     fn hidden_paths_are_refused() {
         for (text, scale, expected) in [
-            ("no", 1.0, "it is no SVG"),
-            (&svg("<rect/>"), 1.0, "it holds no `path`"),
+            ("no", 1.0, "it is not SVG"),
+            (&svg("<rect/>"), 1.0, "it contains no `path`"),
             (&svg("<path/>"), 1.0, "its `path` has no `d`"),
             (&svg("<path d='M 0 x'/>"), 1.0, "its `path` cannot be read"),
             (
@@ -201,7 +201,7 @@ mod tests {
             (
                 &svg("<defs><path d='M0 0L1 1'/></defs>"),
                 1.0,
-                "it holds no `path`",
+                "it contains no `path`",
             ),
         ] {
             let found = read_svg(text, scale).unwrap_err();

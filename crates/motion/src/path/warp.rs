@@ -17,7 +17,7 @@ pub enum HeadingMode {
     /// Rotated like the direction of its trajectory: a sideways walk stays sideways.
     #[default]
     Relative,
-    /// Along the path.
+    /// In the direction of the path.
     Face,
     /// Unchanged.
     Free,
@@ -57,7 +57,7 @@ pub struct Warped {
 
 impl Warp {
     /// `joints` on `path`: each frame is rotated about the vertical through its root and moved.
-    /// Heights and bones are kept.
+    /// Heights and bones do not change.
     ///
     /// # Errors
     /// [`PathError::Features`] unless they are joints of `skeleton`.

@@ -59,9 +59,8 @@ pub enum PostProcessProfile {
     /// [`PostProcessConfig::default`].
     #[default]
     Default,
-    /// [`PostProcessConfig::document`], CC-MotionGen's to the letter.
-    #[serde(rename = "ccmotion")]
-    Document,
+    /// [`PostProcessConfig::ccmotion`], exactly CC-MotionGen's.
+    Ccmotion,
     /// [`PostProcessConfig::none`]: the raw output of the model.
     None,
 }
@@ -70,7 +69,7 @@ impl From<PostProcessProfile> for PostProcessConfig {
     fn from(profile: PostProcessProfile) -> Self {
         match profile {
             PostProcessProfile::Default => Self::default(),
-            PostProcessProfile::Document => Self::document(),
+            PostProcessProfile::Ccmotion => Self::ccmotion(),
             PostProcessProfile::None => Self::none(),
         }
     }
@@ -78,7 +77,7 @@ impl From<PostProcessProfile> for PostProcessConfig {
 
 /// Settings of [`process`](super::process) (CC-MotionGen, section 9.1; docs/sources.md, section
 /// 1.12), in the order of the steps. Presets: [`default`](Self::default),
-/// [`document`](Self::document) and [`none`](Self::none).
+/// [`ccmotion`](Self::ccmotion) and [`none`](Self::none).
 #[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct PostProcessConfig {
@@ -112,7 +111,7 @@ pub struct PostProcessConfig {
     /// Frames in that mean, odd.
     pub smoothing_kernel_size: usize,
     /// Step 7: fit the nearest coherent motion ([`crate::coherence`]), if training statistics are
-    /// known. Not in CC-MotionGen. Coherence of such motion is no merit of the network.
+    /// known. Not in CC-MotionGen. The coherence of such motion is no measure of the network.
     pub fit_coherent_motion: bool,
     /// Step 8: derive the angular velocity from the quaternions. Not in CC-MotionGen.
     pub derive_angular_velocity: bool,
@@ -137,7 +136,7 @@ impl Default for PostProcessConfig {
 
 impl PostProcessConfig {
     /// CC-MotionGen's defaults: `w >= 0`, its limits, backward differences, no fit.
-    pub fn document() -> Self {
+    pub fn ccmotion() -> Self {
         Self {
             widen_limits: false,
             hemisphere: Hemisphere::PositiveW,
@@ -210,7 +209,7 @@ mod tests {
                 "fit_coherent_motion": false, "derive_angular_velocity": false}"#,
         )
         .unwrap();
-        assert_eq!(config, PostProcessConfig::document());
+        assert_eq!(config, PostProcessConfig::ccmotion());
         let config = read(r#"{"limits": {"velocity": 20}}"#).unwrap();
         assert_eq!(
             config.limits,
@@ -228,7 +227,7 @@ mod tests {
     fn ready_configurations_are_valid() {
         for config in [
             PostProcessConfig::default(),
-            PostProcessConfig::document(),
+            PostProcessConfig::ccmotion(),
             PostProcessConfig::none(),
         ] {
             assert_eq!(config.validate(), Ok(()));

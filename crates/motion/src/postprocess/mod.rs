@@ -271,7 +271,7 @@ mod tests {
             motion.set_vector(t, ANGULAR_VELOCITY, [1.0, -2.0, 0.5]);
         }
         let error = |motion: &Phrase| mean_norm(&crate::derivatives::rotation_errors(motion));
-        let literal = process(&motion, &PostProcessConfig::document(), None);
+        let literal = process(&motion, &PostProcessConfig::ccmotion(), None);
         assert!(error(&literal) > 1.0);
         assert_eq!(literal.vector(7, ANGULAR_VELOCITY), [1.0, -2.0, 0.5]);
         let processed = process(&motion, &PostProcessConfig::default(), None);
@@ -312,7 +312,7 @@ mod tests {
         let wide = process(&motion, &clamped, Some(&statistics));
         assert_eq!(wide.vector(1, ANGULAR_VELOCITY), [-12.0, 9.0, 20.0]);
         assert_eq!(wide.vector(1, VELOCITY), [49.0, 50.0, -50.0]);
-        let literal = process(&motion, &PostProcessConfig::document(), Some(&statistics));
+        let literal = process(&motion, &PostProcessConfig::ccmotion(), Some(&statistics));
         assert_eq!(literal.vector(1, ANGULAR_VELOCITY), [-10.0, 9.0, 10.0]);
     }
 
@@ -432,7 +432,7 @@ mod tests {
         channels
             .clone()
             .for_each(|channel| motion.frame_mut(2)[channel] = f32::NAN);
-        for config in [PostProcessConfig::default(), PostProcessConfig::document()] {
+        for config in [PostProcessConfig::default(), PostProcessConfig::ccmotion()] {
             let processed = process(&motion, &config, None);
             assert!(
                 channels

@@ -355,9 +355,9 @@ mod tests {
         let of = |rows: &[f32]| Measured::of(&representation(), rows);
         let mut merged = of(&clips[0]);
         clips[1..].iter().for_each(|clip| merged.merge(of(clip)));
-        let whole = of(&clips.concat());
+        let all = of(&clips.concat());
         for channel in 0..263 {
-            let (a, b) = (merged.moments(), whole.moments());
+            let (a, b) = (merged.moments(), all.moments());
             assert!((a.mean[channel] - b.mean[channel]).abs() < 1e-12);
             assert!((a.std[channel] - b.std[channel]).abs() < 1e-12);
         }

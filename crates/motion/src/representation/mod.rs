@@ -97,8 +97,8 @@ pub trait Representation: Debug + Send + Sync {
     ///
     /// # Errors
     /// [`Error::StatisticsNeeded`] without the statistics that the profile needs,
-    /// [`Error::MovementUnknown`] if they do not describe movement. Failed checks are no error
-    /// ([`Report::passed`]).
+    /// [`Error::MovementUnknown`] if they do not describe movement. A failed check is not an
+    /// error ([`Report::passed`]).
     fn check(
         &self,
         rows: &[f32],

@@ -147,7 +147,7 @@ mod tests {
     }
 
     #[test]
-    fn curves_show_how_the_poses_move_beside_what_the_channels_say() {
+    fn curves_show_poses_beside_channels() {
         let mut motion = random_phrase(3, 40);
         motion.set_vector(20, POSITION, motion.vector(20, POSITION).map(|x| x + 0.05));
         let curves = Phrases.curves(motion.as_slice());

@@ -30,7 +30,7 @@ pub(crate) fn check(
 ) -> Result<Report, Error> {
     let mut checks = vec![finite(rows)];
     let training = match profile {
-        Profile::Document => None,
+        Profile::Ccmotion => None,
         Profile::Strict => Some(statistics.ok_or(Error::StatisticsNeeded)?),
     };
     let Some(joints) = joints else {

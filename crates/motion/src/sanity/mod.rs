@@ -1,6 +1,6 @@
 //! Plausibility checks of a phrase.
 //!
-//! [`Profile::Document`] makes the five checks of CC-MotionGen, section 10.1 (docs/sources.md,
+//! [`Profile::Ccmotion`] makes the five checks of CC-MotionGen, section 10.1 (docs/sources.md,
 //! section 1.13). Most of them cannot fail where it matters (section 1.14, hazard 10): they are
 //! means over frames, the jerk bound exceeds what the clamps pass, and they read channels alone, so
 //! that a shaking path passes. [`Profile::Strict`] checks every frame, compares the explicit
@@ -8,7 +8,7 @@
 //! training phrases.
 
 pub(crate) mod body;
-mod document;
+mod ccmotion;
 mod report;
 mod strict;
 
@@ -30,8 +30,7 @@ pub enum Profile {
     /// CC-MotionGen's five checks and thresholds. A phrase that is not finite also fails by a sixth
     /// line `finite`.
     #[default]
-    #[serde(rename = "ccmotion")]
-    Document,
+    Ccmotion,
     /// Every frame, channels against poses, and poses against the training phrases.
     Strict,
 }
@@ -47,7 +46,7 @@ impl std::fmt::Display for Profile {
 ///
 /// # Errors
 /// For the profile `strict`, [`Error::StatisticsNeeded`] without `statistics` and
-/// [`Error::MovementUnknown`] if they do not describe movement. Failed checks are no error
+/// [`Error::MovementUnknown`] if they do not describe movement. A failed check is not an error
 /// ([`Report::passed`]).
 pub fn check(
     motion: &Phrase,
@@ -55,7 +54,7 @@ pub fn check(
     statistics: Option<&Statistics>,
 ) -> Result<Report, Error> {
     match profile {
-        Profile::Document => Ok(document::check(motion)),
+        Profile::Ccmotion => Ok(ccmotion::check(motion)),
         Profile::Strict => {
             let training = statistics.ok_or(Error::StatisticsNeeded)?;
             strict::check(motion, training).ok_or(Error::MovementUnknown)
@@ -136,7 +135,7 @@ mod tests {
     fn one_bad_value_in_any_channel_fails_both_profiles() {
         let good = random_phrase(2, 6);
         let statistics = crate::phrase_statistics([&good]).unwrap();
-        for profile in [Profile::Document, Profile::Strict] {
+        for profile in [Profile::Ccmotion, Profile::Strict] {
             assert!(check(&good, profile, Some(&statistics)).unwrap().passed);
             for place in 0..6 * CHANNELS {
                 for value in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
@@ -155,7 +154,7 @@ mod tests {
         let mut motion = random_phrase(2, 6);
         (0..CHANNELS).for_each(|channel| motion.frame_mut(3)[channel] = f32::NAN);
         let statistics = crate::phrase_statistics([&random_phrase(2, 6)]).unwrap();
-        for profile in [Profile::Document, Profile::Strict] {
+        for profile in [Profile::Ccmotion, Profile::Strict] {
             let report = check(&motion, profile, Some(&statistics)).unwrap();
             assert!(
                 report.checks.iter().all(|check| !check.passed),
@@ -169,7 +168,7 @@ mod tests {
         let statistics = crate::phrase_statistics([&random_phrase(2, 40)]).unwrap();
         for frames in [1, 2] {
             let motion = random_phrase(2, frames);
-            for profile in [Profile::Document, Profile::Strict] {
+            for profile in [Profile::Ccmotion, Profile::Strict] {
                 let report = check(&motion, profile, Some(&statistics)).unwrap();
                 assert!(report.passed, "{profile:?}, {frames}: {report:#?}");
             }

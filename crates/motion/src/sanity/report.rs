@@ -178,7 +178,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn thresholds_admit_what_they_say() {
+    fn thresholds_admit_their_values() {
         let admits = |threshold: Threshold| {
             [0.9, 1.0, 1.1, 2.0, 2.1].map(|value| threshold.admits(Value::Number(value)))
         };

@@ -112,9 +112,9 @@ fn means(motion: &Phrase, training: &Statistics) -> Option<Vec<Check>> {
 /// A measure against its 1st and 99th percentile in training motion; `None` if it is not checked.
 fn movement(measure: MotionMeasure, motion: &Phrase, training: &Statistics) -> Option<Check> {
     let &[low, high] = training.movement.get(measure.name())?;
-    // A part of a phrase may be less or more lively than the whole.
-    let whole = training.frames as f64 / training.items.max(1) as f64;
-    let shorter = (whole / motion.frames() as f64).max(1.0);
+    // A part of a phrase may be less or more lively than the phrase.
+    let length = training.frames as f64 / training.items.max(1) as f64;
+    let shorter = (length / motion.frames() as f64).max(1.0);
     let threshold = match measure.bounds() {
         Bounds::Both(factor) => {
             let factor = factor * shorter;

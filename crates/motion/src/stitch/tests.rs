@@ -123,7 +123,7 @@ fn windows_in_other_encodings_make_the_motion() {
     let stitched = windows.stitch(&mut values, None, layout);
     assert_near(&stitched, &columns(&motion), 2e-5);
     assert_near(&values, &before, 2e-5);
-    // Known frames of these channels hold too, and fade.
+    // Known frames of these channels stay too, and fade.
     let known = KnownFrames {
         is_known: (0..91).map(|t| (30..40).contains(&t)).collect(),
         values: columns(&motion),
@@ -185,7 +185,7 @@ fn windows_that_differ_agree_afterwards() {
 }
 
 #[test]
-fn known_frames_are_met_exactly_and_say_where_the_motion_stands() {
+fn known_frames_are_exact_and_determine_the_position() {
     let mut motion = random_phrase(8, 70);
     for t in 0..70 {
         let [x, y, z] = motion.vector(t, POSITION);

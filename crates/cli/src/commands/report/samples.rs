@@ -69,7 +69,7 @@ fn read(systems: Systems<'_>, run: &Run, path: &Path) -> Result<Sample, Error> {
     };
     Ok(Sample {
         seconds: array.frames as f64 / representation.fps(),
-        ccmotion: check(Profile::Document),
+        ccmotion: check(Profile::Ccmotion),
         strict: statistics.and_then(|_| check(Profile::Strict)),
         scene: figure.map(|figure| Scene {
             title: name.to_string(),

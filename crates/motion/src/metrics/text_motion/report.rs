@@ -21,8 +21,8 @@ pub const DIVERSITY_PAIRS: usize = 300;
 /// Pools are [`POOL`] consecutive pairs; the remainder is not ranked. Of equally near motions the
 /// first is nearer, so identical motions rank by chance. Captions of the pool with the same
 /// embedding count as the own one, because small datasets repeat captions. Motions are ranked by
-/// Euclidean distance for each caption, as in the published program (the paper has it the other way
-/// around). `None` for less than one pool or values that are not finite.
+/// Euclidean distance for each caption, as in the published program (the paper ranks captions for
+/// each motion). `None` for less than one pool or values that are not finite.
 pub fn r_precision(texts: &[Vec<f64>], motions: &[Vec<f64>]) -> Option<[f64; 3]> {
     assert_eq!(texts.len(), motions.len(), "a caption for each motion");
     let mut found = [0usize; 3];
@@ -266,7 +266,7 @@ mod tests {
     }
 
     #[test]
-    fn what_makes_no_whole_pool_is_not_ranked() {
+    fn the_remainder_is_not_ranked() {
         let mut motions = at(numbers(40));
         let texts = motions.clone();
         motions[32..].reverse();

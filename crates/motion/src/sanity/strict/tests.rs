@@ -56,7 +56,7 @@ fn a_single_frame_of_wrong_norm_or_sign_fails() {
 
 #[test]
 fn phase_outside_the_bar_fails() {
-    // The whole phrase, so that no single step stands out.
+    // In all frames, so that no single step stands out.
     assert_eq!(
         failing(|m| (0..60).for_each(|t| m.frame_mut(t)[PHASE] += 0.018)),
         ["phase"]
@@ -249,7 +249,7 @@ fn channels_that_lie_about_the_movement_fail() {
 }
 
 #[test]
-fn statistics_of_before_the_movement_was_measured_say_too_little() {
+fn statistics_without_movement_are_refused() {
     let old = Statistics {
         movement: Default::default(),
         ..training()

@@ -193,7 +193,7 @@ impl<'a> Reference<'a> {
             mean_jerk: mean(all().map(|motion| Some(mean_jerk_norm(motion)))),
             movement: movement_spreads(all()),
             losses: loss_terms(motions, self.phrases),
-            ccmotion: rates(Profile::Document),
+            ccmotion: rates(Profile::Ccmotion),
             strict: rates(Profile::Strict),
         }
     }

@@ -16,7 +16,7 @@ const MAX_VELOCITY_ERROR: f64 = 5.0;
 /// Bound of the mean absolute component of the acceleration error, metres per second squared.
 const MAX_ACCELERATION_ERROR: f64 = 100.0;
 
-/// Makes the five checks of [`Profile::Document`](super::Profile::Document) (CC-MotionGen, section
+/// Makes the five checks of [`Profile::Ccmotion`](super::Profile::Ccmotion) (CC-MotionGen, section
 /// 10.1; docs/sources.md, section 1.13), and the line `finite` where it fails.
 pub(super) fn check(motion: &Phrase) -> Report {
     let mut checks = vec![
@@ -84,14 +84,14 @@ mod tests {
     fn a_good_phrase_passes_five_checks() {
         let report = check(&random_phrase(7, 20));
         let names: Vec<_> = report.checks.iter().map(|check| check.name).collect();
-        let document = [
+        let published = [
             "quaternion",
             "phase",
             "jerk",
             "velocity_coherence",
             "accel_coherence",
         ];
-        assert_eq!(names, document);
+        assert_eq!(names, published);
         assert!(report.passed);
     }
 
