@@ -26,8 +26,8 @@ pub fn mirror(motion: &mut Phrase) {
         }
         let [x, y, z] = motion.vector(t, ANGULAR_VELOCITY);
         motion.set_vector(t, ANGULAR_VELOCITY, [x, -y, -z]);
-        let Quaternion { w, x, y, z } = motion.quaternion(t);
-        motion.set_quaternion(t, Quaternion { w, x, y: -y, z: -z });
+        let [w, x, y, z] = motion.quaternion(t).parts();
+        motion.set_quaternion(t, Quaternion::new(w, x, -y, -z));
     }
 }
 

@@ -18,6 +18,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::augment::mirrored_channels;
+use crate::humanml::bone_rotations::to_columns;
 use crate::phrase::{ANGULAR_VELOCITY, CHANNELS, PHASE, QUATERNION, STYLE};
 use crate::vector::{cross, dot};
 use crate::{ChannelMoments, Phrase, Quaternion, Statistics, rotate_yaw};
@@ -71,12 +72,8 @@ fn turn_of(pairs: &[f32]) -> f32 {
     for (k, pair) in (1..).zip(pairs.chunks_exact(2)) {
         let k = f64::from(k);
         let rest = turns(pair) - k * first;
-        let weight = k
-            * k
-            * pair
-                .iter()
-                .map(|&part| f64::from(part).powi(2))
-                .sum::<f64>();
+        let squares = pair.iter().map(|&part| f64::from(part).powi(2));
+        let weight = k * k * squares.sum::<f64>();
         moved += weight * (rest - rest.round()) / k;
         all += weight;
     }
@@ -124,8 +121,8 @@ impl ChannelEncoding {
     /// Channels of the orientation.
     pub fn orientation_channels(self) -> Range<usize> {
         let width = match self.orientation {
-            OrientationEncoding::Quaternion | OrientationEncoding::CanonicalQuaternion => 4,
             OrientationEncoding::Rotation6d => 6,
+            _ => 4,
         };
         QUATERNION.start..QUATERNION.start + width
     }
@@ -150,14 +147,14 @@ impl ChannelEncoding {
 
     /// The channels that mirroring a phrase ([`crate::mirror`]) negates.
     pub fn mirrored_channels(self) -> Vec<usize> {
-        let (stored, rotation) = (mirrored_channels(), self.angular_velocity_channels());
+        let rotation = self.angular_velocity_channels();
         let moved = |channel: usize| match channel {
             c if c < QUATERNION.start => Some(c),
             c if ANGULAR_VELOCITY.contains(&c) => Some(rotation.start + c - ANGULAR_VELOCITY.start),
             c if self.orientation != OrientationEncoding::Rotation6d => Some(c),
             _ => None,
         };
-        let mut negated: Vec<usize> = stored.into_iter().filter_map(moved).collect();
+        let mut negated: Vec<usize> = mirrored_channels().into_iter().filter_map(moved).collect();
         if self.orientation == OrientationEncoding::Rotation6d {
             // S R S with S = diag(-1, 1, 1): y and z of the first column, x of the second.
             negated.extend([1, 2, 3].map(|offset| QUATERNION.start + offset));
@@ -174,8 +171,8 @@ impl ChannelEncoding {
         if self.orientation == OrientationEncoding::CanonicalQuaternion {
             let heading = motion.quaternion(0).yaw();
             rotate_yaw(&mut motion, -heading);
-            let found = (0..motion.frames()).map(|t| motion.quaternion(t));
-            for (t, unit) in canonical_signs(found.collect()).into_iter().enumerate() {
+            let units = canonical_signs(motion.quaternions());
+            for (t, unit) in units.into_iter().enumerate() {
                 motion.set_quaternion(t, unit);
             }
         }
@@ -184,24 +181,19 @@ impl ChannelEncoding {
             let frame = motion.frame(t);
             encoded.extend_from_slice(&frame[..QUATERNION.start]);
             match self.orientation {
-                OrientationEncoding::Quaternion | OrientationEncoding::CanonicalQuaternion => {
-                    encoded.extend_from_slice(&frame[QUATERNION]);
-                }
                 OrientationEncoding::Rotation6d => {
-                    let unit = motion.quaternion(t).normalised();
-                    let columns = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]].map(|axis| unit.rotate(axis));
-                    encoded.extend(columns.iter().flatten().map(|&value| value as f32));
+                    let columns = to_columns(motion.quaternion(t).normalised());
+                    encoded.extend(columns.map(|value| value as f32));
                 }
+                _ => encoded.extend_from_slice(&frame[QUATERNION]),
             }
             encoded.extend_from_slice(&frame[ANGULAR_VELOCITY]);
-            match self.phase {
-                PhaseEncoding::Scalar => encoded.push(frame[PHASE]),
-                PhaseEncoding::SinCos | PhaseEncoding::Harmonics => {
-                    for k in 1..=self.phase.harmonics() {
-                        let (sin, cos) = (TAU * k as f64 * f64::from(frame[PHASE])).sin_cos();
-                        encoded.extend([sin as f32, cos as f32]);
-                    }
-                }
+            if self.phase == PhaseEncoding::Scalar {
+                encoded.push(frame[PHASE]);
+            }
+            for k in 1..=self.phase.harmonics() {
+                let (sin, cos) = (TAU * k as f64 * f64::from(frame[PHASE])).sin_cos();
+                encoded.extend([sin as f32, cos as f32]);
             }
             encoded.extend_from_slice(&frame[STYLE]);
         }
@@ -217,8 +209,7 @@ impl ChannelEncoding {
         }
         let frames = rows.chunks_exact(self.channels());
         let orientations = frames.clone().map(|frame| {
-            let values = frame[self.orientation_channels()].iter();
-            let values: Vec<f64> = values.map(|&value| f64::from(value)).collect();
+            let values = self.orientation_of(frame);
             match self.orientation {
                 OrientationEncoding::Rotation6d => nearest_rotation(&values),
                 _ => Quaternion::new(values[0], values[1], values[2], values[3]),
@@ -229,14 +220,14 @@ impl ChannelEncoding {
             _ => canonical_signs(orientations.collect()),
         };
         let mut decoded = Vec::with_capacity(frames.len() * CHANNELS);
-        for (frame, Quaternion { w, x, y, z }) in frames.zip(orientations) {
+        for (frame, quaternion) in frames.zip(orientations) {
             decoded.extend_from_slice(&frame[..QUATERNION.start]);
-            decoded.extend([w, x, y, z].map(|part| part as f32));
+            decoded.extend(quaternion.parts().map(|part| part as f32));
             decoded.extend_from_slice(&frame[self.angular_velocity_channels()]);
             let phase = &frame[self.phase_channels()];
             decoded.push(match self.phase {
                 PhaseEncoding::Scalar => phase[0],
-                PhaseEncoding::SinCos | PhaseEncoding::Harmonics => turn_of(phase),
+                _ => turn_of(phase),
             });
             decoded.extend_from_slice(&frame[self.style_channels()]);
         }
@@ -247,21 +238,21 @@ impl ChannelEncoding {
     /// of a rotation, or the norm of the quaternion. A mean of different orientations is short. NaN
     /// of values that are not finite.
     pub fn confidence(self, rows: &[f32]) -> Vec<f64> {
-        let length = |v: &[f64]| v.iter().map(|part| part * part).sum::<f64>().sqrt();
         let of_frame = |frame: &[f32]| {
-            let values = frame[self.orientation_channels()].iter();
-            let v: Vec<f64> = values.map(|&value| f64::from(value)).collect();
-            match self.orientation {
-                OrientationEncoding::Quaternion | OrientationEncoding::CanonicalQuaternion => {
-                    length(&v).min(1.0)
-                }
-                OrientationEncoding::Rotation6d => {
-                    let [a, b] = pair(&v);
-                    length(&cross(a, b)).min(1.0)
-                }
+            let mut values = self.orientation_of(frame);
+            if self.orientation == OrientationEncoding::Rotation6d {
+                let [a, b] = pair(&values);
+                values = cross(a, b).to_vec();
             }
+            let squares = values.iter().map(|part| part * part);
+            squares.sum::<f64>().sqrt().min(1.0)
         };
         rows.chunks_exact(self.channels()).map(of_frame).collect()
+    }
+
+    fn orientation_of(self, frame: &[f32]) -> Vec<f64> {
+        let values = frame[self.orientation_channels()].iter();
+        values.map(|&value| f64::from(value)).collect()
     }
 
     /// Statistics that normalise such channels: zero mean and unit deviation, but quaternions,
@@ -273,7 +264,7 @@ impl ChannelEncoding {
         statistics.std[orientation].fill(1.0);
         let (mean, std) = match self.phase {
             PhaseEncoding::Scalar => (0.5, 0.5),
-            PhaseEncoding::SinCos | PhaseEncoding::Harmonics => (0.0, 1.0),
+            _ => (0.0, 1.0),
         };
         statistics.mean[phase.clone()].fill(mean);
         statistics.std[phase.clone()].fill(std);
@@ -342,7 +333,7 @@ fn pair(columns: &[f64]) -> [[f64; 3]; 2] {
 /// The rotation whose matrix has these first two columns.
 fn of_orthonormal(a: [f64; 3], b: [f64; 3]) -> Quaternion {
     if !a.iter().chain(&b).all(|part| part.is_finite()) {
-        return Quaternion::new(f64::NAN, f64::NAN, f64::NAN, f64::NAN);
+        return Quaternion::from([f64::NAN; 4]);
     }
     let c = cross(a, b);
     // The matrix 4 q q^T: its row of the largest diagonal is q, scaled by 4 times that part.
@@ -355,8 +346,7 @@ fn of_orthonormal(a: [f64; 3], b: [f64; 3]) -> Quaternion {
         [wz, xz, yz, 1.0 - a[0] - b[1] + c[2]],
     ];
     let largest = (0..4).max_by(|&i, &j| rows[i][i].total_cmp(&rows[j][j]));
-    let [w, x, y, z] = rows[largest.expect("four rows")];
-    Quaternion::new(w, x, y, z).normalised()
+    Quaternion::from(rows[largest.expect("four rows")]).normalised()
 }
 
 #[cfg(test)]

@@ -25,12 +25,9 @@ pub fn angular_velocity(quaternions: &[Quaternion], fps: f64) -> Vec<[f64; 3]> {
     repeat_last(turns.collect(), quaternions.len())
 }
 
-/// Angular velocity between neighbouring frames by the quaternions, of any norm and sign: radians per
-/// second, world frame, `[frames - 1, 3]`. NaN stays NaN.
+/// [`angular_velocity`] between the frames of a phrase, `[frames - 1, 3]`. NaN stays NaN.
 pub fn angular_rates(motion: &Phrase) -> Vec<[f64; 3]> {
-    let frames = 0..motion.frames();
-    let quaternions: Vec<Quaternion> = frames.map(|t| motion.quaternion(t)).collect();
-    let mut rates = angular_velocity(&quaternions, FPS);
+    let mut rates = angular_velocity(&motion.quaternions(), FPS);
     // The last one repeats the one before.
     rates.pop();
     rates
@@ -52,10 +49,10 @@ pub fn make_sign_continuous(quaternions: &mut [Quaternion]) {
 
 /// A phrase whose velocity, acceleration and angular velocity are derived from its pose.
 ///
-/// `positions` `[frames, 3]` in metres, `quaternions` of any norm and sign, `phase` from 0 to 1,
-/// `style` `[frames, 8]`. Derivatives use the stored single-precision values. Because the last
-/// velocity is repeated, the acceleration before the last frame is zero; compute two more frames
-/// and slice them off to avoid that.
+/// `positions` are `[frames, 3]` in metres, `quaternions` of any norm and sign, `phase` 0 to 1,
+/// `style` `[frames, 8]`. Derivatives use the stored single-precision values. The last velocity is
+/// repeated, so the acceleration before the last frame is zero; slice off two more frames to avoid
+/// that.
 ///
 /// # Errors
 /// [`Error::LengthMismatch`] if the arrays differ in length; [`Error::NotWholeFrames`] if they are
@@ -67,12 +64,9 @@ pub fn derive(
     style: &[[f64; 8]],
 ) -> Result<Phrase, Error> {
     let frames = positions.len();
-    let lengths = [
-        ("quaternions", quaternions.len()),
-        ("phase", phase.len()),
-        ("style", style.len()),
-    ];
-    for (what, found) in lengths {
+    let names = ["quaternions", "phase", "style"];
+    let lengths = [quaternions.len(), phase.len(), style.len()];
+    for (what, found) in names.into_iter().zip(lengths) {
         if found != frames {
             return Err(Error::LengthMismatch {
                 what,
@@ -100,14 +94,13 @@ pub fn derive(
 /// Replaces velocity, acceleration and angular velocity by the derivatives of the stored positions
 /// and quaternions.
 pub fn rederive(motion: &mut Phrase) {
-    let velocity = forward_differences(&vectors(motion, POSITION), FPS);
+    let velocity = forward_differences(&motion.vectors(POSITION), FPS);
     for (t, value) in velocity.into_iter().enumerate() {
         motion.set_vector(t, VELOCITY, value);
     }
     // The checks compare with the velocity as rounded to single precision.
-    let acceleration = forward_differences(&vectors(motion, VELOCITY), FPS);
-    let quaternions: Vec<Quaternion> = (0..motion.frames()).map(|t| motion.quaternion(t)).collect();
-    let turning = angular_velocity(&quaternions, FPS);
+    let acceleration = forward_differences(&motion.vectors(VELOCITY), FPS);
+    let turning = angular_velocity(&motion.quaternions(), FPS);
     for (t, (a, w)) in acceleration.into_iter().zip(turning).enumerate() {
         motion.set_vector(t, ACCELERATION, a);
         motion.set_vector(t, ANGULAR_VELOCITY, w);
@@ -116,25 +109,28 @@ pub fn rederive(motion: &mut Phrase) {
 
 /// `v[t] - fps (p[t+1] - p[t])` in metres per second, `[frames - 1, 3]`.
 pub fn velocity_errors(motion: &Phrase) -> Vec<[f64; 3]> {
-    errors(motion, POSITION, VELOCITY)
+    errors(
+        motion,
+        VELOCITY,
+        differences(&motion.vectors(POSITION), FPS),
+    )
 }
 
 /// `a[t] - fps (v[t+1] - v[t])` in metres per second squared, `[frames - 1, 3]`.
 pub fn acceleration_errors(motion: &Phrase) -> Vec<[f64; 3]> {
-    errors(motion, VELOCITY, ACCELERATION)
+    let derived = differences(&motion.vectors(VELOCITY), FPS);
+    errors(motion, ACCELERATION, derived)
 }
 
 /// `w[t]` minus the rotation vector of `q[t+1] * conj(q[t])` times `fps`, radians per second,
 /// `[frames - 1, 3]`.
 pub fn rotation_errors(motion: &Phrase) -> Vec<[f64; 3]> {
-    let stored = vectors(motion, ANGULAR_VELOCITY).into_iter();
-    let derived = angular_rates(motion).into_iter();
-    stored.zip(derived).map(|(a, b)| minus(a, b)).collect()
+    errors(motion, ANGULAR_VELOCITY, angular_rates(motion))
 }
 
 /// `fps (a[t+1] - a[t])` in metres per second cubed, `[frames - 1, 3]`.
 pub fn jerk(motion: &Phrase) -> Vec<[f64; 3]> {
-    differences(&vectors(motion, ACCELERATION), FPS)
+    differences(&motion.vectors(ACCELERATION), FPS)
 }
 
 /// Mean Euclidean norm of the [`jerk`], metres per second cubed; 0 of a single frame.
@@ -155,16 +151,9 @@ pub fn mean_absolute_component(vectors: &[[f64; 3]]) -> f64 {
     total / (3 * vectors.len()).max(1) as f64
 }
 
-fn errors(motion: &Phrase, base: Range<usize>, explicit: Range<usize>) -> Vec<[f64; 3]> {
-    let derived = differences(&vectors(motion, base), FPS);
-    let stored = vectors(motion, explicit).into_iter();
+fn errors(motion: &Phrase, explicit: Range<usize>, derived: Vec<[f64; 3]>) -> Vec<[f64; 3]> {
+    let stored = motion.vectors(explicit).into_iter();
     stored.zip(derived).map(|(a, b)| minus(a, b)).collect()
-}
-
-fn vectors(motion: &Phrase, channels: Range<usize>) -> Vec<[f64; 3]> {
-    (0..motion.frames())
-        .map(|t| motion.vector(t, channels.clone()))
-        .collect()
 }
 
 /// Jerk of positions `[frames, 3]` in metres: third differences times `fps^3`, `[frames - 3, 3]`.

@@ -5,10 +5,10 @@
 //! spins in the overlap. So each window is rotated about the vertical before windows are moved and
 //! blended ([`crate::stitch`]).
 
+use crate::humanml::bone_rotations::to_columns;
 use crate::phrase::{ACCELERATION, POSITION, QUATERNION, VELOCITY};
-use crate::rotation::Quaternion;
 use crate::stitch::{KnownFrames, Layout, Windows};
-use crate::{OrientationEncoding, Statistics};
+use crate::{Quaternion, Statistics};
 
 /// The channels of windows and their units.
 #[derive(Clone, Copy, Debug)]
@@ -90,35 +90,28 @@ impl HeadingAlignment<'_> {
             }
         }
         if self.is_quaternion() {
-            let parts = QUATERNION.map(|c| self.physical(c, values[c * length + t]));
-            let parts: Vec<f64> = parts.collect();
-            let turned = Quaternion::from_yaw(angle) * quaternion(&parts);
-            let turned = [turned.w, turned.x, turned.y, turned.z];
-            for (channel, value) in QUATERNION.zip(turned) {
+            let turned = Quaternion::from_yaw(angle)
+                * self.quaternion(|channel| values[channel * length + t]);
+            for (channel, value) in QUATERNION.zip(turned.parts()) {
                 values[channel * length + t] = self.own(channel, value);
             }
         }
     }
 
     fn is_quaternion(&self) -> bool {
-        match self.layout {
-            Layout::Phrase => true,
-            Layout::Predicted(encoding) => encoding.orientation != OrientationEncoding::Rotation6d,
-        }
+        !self.layout.quaternions().is_empty()
+    }
+
+    fn quaternion(&self, value: impl Fn(usize) -> f32) -> Quaternion {
+        let channels = [0, 1, 2, 3].map(|part| QUATERNION.start + part);
+        Quaternion::from(channels.map(|channel| self.physical(channel, value(channel))))
     }
 
     /// Channels of the horizontal components of vectors, x and z.
     fn horizontal(&self) -> Vec<[usize; 2]> {
-        let rotation = match self.layout {
-            Layout::Phrase => crate::phrase::ANGULAR_VELOCITY,
-            Layout::Predicted(encoding) => encoding.angular_velocity_channels(),
-        };
-        let mut starts = vec![
-            POSITION.start,
-            VELOCITY.start,
-            ACCELERATION.start,
-            rotation.start,
-        ];
+        let rotation = self.layout.encoding().angular_velocity_channels();
+        let vectors = [POSITION, VELOCITY, ACCELERATION, rotation];
+        let mut starts = vectors.map(|vector| vector.start).to_vec();
         if !self.is_quaternion() {
             starts.extend([QUATERNION.start, QUATERNION.start + 3]);
         }
@@ -128,15 +121,11 @@ impl HeadingAlignment<'_> {
     /// Horizontal components (z, x) of the body's own x and y axes.
     fn facing(&self, value: impl Fn(usize) -> f32) -> [[f64; 2]; 2] {
         let at = |channel: usize| self.physical(channel, value(channel));
-        let axes = match self.is_quaternion() {
-            true => {
-                let parts: Vec<f64> = QUATERNION.map(at).collect();
-                let quaternion = quaternion(&parts);
-                [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]].map(|axis| quaternion.rotate(axis))
-            }
-            false => [0, 3].map(|column| [0, 1, 2].map(|i| at(QUATERNION.start + column + i))),
+        let [x_of_x, _, z_of_x, x_of_y, _, z_of_y] = match self.is_quaternion() {
+            true => to_columns(self.quaternion(value)),
+            false => std::array::from_fn(|i| at(QUATERNION.start + i)),
         };
-        axes.map(|[x, _, z]| [z, x])
+        [[z_of_x, x_of_x], [z_of_y, x_of_y]]
     }
 
     fn physical(&self, channel: usize, value: f32) -> f64 {
@@ -153,15 +142,6 @@ impl HeadingAlignment<'_> {
             None => value,
         };
         own as f32
-    }
-}
-
-fn quaternion(parts: &[f64]) -> Quaternion {
-    Quaternion {
-        w: parts[0],
-        x: parts[1],
-        y: parts[2],
-        z: parts[3],
     }
 }
 

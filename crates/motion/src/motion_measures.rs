@@ -7,7 +7,7 @@
 use crate::derivatives::{angular_rates, differences, mean_norm};
 use crate::phrase::{PHASE, POSITION};
 use crate::vector::length;
-use crate::{FPS, Phrase, circular};
+use crate::{FPS, Phrase, Quaternion, circular};
 
 /// Frames in a second.
 const SECOND: usize = FPS as usize;
@@ -155,10 +155,8 @@ impl MotionMeasure {
     /// Its value; `None` if the phrase is too short.
     pub fn of(self, motion: &Phrase) -> Option<f64> {
         let frames = motion.frames();
-        let positions =
-            || -> Vec<[f64; 3]> { (0..frames).map(|t| motion.vector(t, POSITION)).collect() };
         let nth = |order: usize| {
-            let mut values = positions();
+            let mut values = motion.vectors(POSITION);
             for _ in 0..order {
                 values = differences(&values, FPS);
             }
@@ -205,39 +203,33 @@ fn floor_distance(motion: &Phrase, from: usize, to: usize) -> f64 {
 
 /// Angles between neighbouring frames, degrees, `[frames - 1]`.
 fn turns(motion: &Phrase) -> Vec<f64> {
-    let rates = angular_rates(motion).into_iter();
-    rates
-        .map(|rate| (length(rate) / FPS).to_degrees())
-        .collect()
+    let degrees = |rate| (length(rate) / FPS).to_degrees();
+    angular_rates(motion).into_iter().map(degrees).collect()
 }
 
 /// Angles between the body's upward axis and the vertical, degrees, `[frames]`.
 fn tilts(motion: &Phrase) -> Vec<f64> {
-    let tilt = |t| {
-        let quaternion = motion.quaternion(t);
-        let [x, y, z] = quaternion
-            .scale(1.0 / quaternion.norm())
-            .rotate([0.0, 1.0, 0.0]);
+    let tilt = |quaternion: Quaternion| {
+        let unit = quaternion.scale(1.0 / quaternion.norm());
+        let [x, y, z] = unit.rotate([0.0, 1.0, 0.0]);
         x.hypot(z).atan2(y).to_degrees()
     };
-    (0..motion.frames()).map(tilt).collect()
+    motion.quaternions().into_iter().map(tilt).collect()
 }
 
 /// Shortest steps of the phase between frames, -0.5 to 0.5, `[frames - 1]`.
 pub fn phase_steps(motion: &Phrase) -> Vec<f64> {
-    let phase = |t: usize| f64::from(motion.frame(t)[PHASE]);
-    (1..motion.frames())
-        .map(|t| circular::step(phase(t - 1), phase(t)))
-        .collect()
+    let phases = motion.column(PHASE);
+    let pairs = phases.windows(2);
+    pairs.map(|pair| circular::step(pair[0], pair[1])).collect()
 }
 
 /// Number of bar lines that the phase passes, minus those that it passes backwards.
 fn phase_wraps(motion: &Phrase) -> f64 {
-    let phase = |t: usize| f64::from(motion.frame(t)[PHASE]);
     // A step of more than half a bar counts as one in the other direction.
-    (1..motion.frames())
-        .map(|t| (phase(t - 1) - phase(t)).round())
-        .sum()
+    let phases = motion.column(PHASE);
+    let pairs = phases.windows(2);
+    pairs.map(|pair| (pair[0] - pair[1]).round()).sum()
 }
 
 #[cfg(test)]

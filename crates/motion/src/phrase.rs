@@ -65,6 +65,7 @@ pub struct Phrase {
 impl Phrase {
     /// A phrase from row-major `[frames, 25]` values.
     ///
+    /// # Errors
     /// [`Error::NotWholeFrames`] if the length is zero or not a multiple of 25.
     pub fn new(data: Vec<f32>) -> Result<Self, Error> {
         if data.is_empty() || !data.len().is_multiple_of(CHANNELS) {
@@ -135,26 +136,37 @@ impl Phrase {
 
     /// Writes `vector` into the first three channels of `channels` in frame `t`.
     pub fn set_vector(&mut self, t: usize, channels: Range<usize>, vector: [f64; 3]) {
-        let values = &mut self.frame_mut(t)[channels];
-        for (value, component) in values[..3].iter_mut().zip(vector) {
-            *value = component as f32;
-        }
+        let vector = vector.map(|component| component as f32);
+        self.frame_mut(t)[channels][..3].copy_from_slice(&vector);
     }
 
     /// The orientation in frame `t`, as stored (not normalised).
     pub fn quaternion(&self, t: usize) -> Quaternion {
         let values = &self.frame(t)[QUATERNION];
-        let [w, x, y, z] = [0, 1, 2, 3].map(|part| f64::from(values[part]));
-        Quaternion { w, x, y, z }
+        Quaternion::from([0, 1, 2, 3].map(|part| f64::from(values[part])))
     }
 
     /// Writes the orientation of frame `t`.
     pub fn set_quaternion(&mut self, t: usize, orientation: Quaternion) {
-        let Quaternion { w, x, y, z } = orientation;
-        let values = &mut self.frame_mut(t)[QUATERNION];
-        for (value, part) in values.iter_mut().zip([w, x, y, z]) {
-            *value = part as f32;
-        }
+        let parts = orientation.parts().map(|part| part as f32);
+        self.frame_mut(t)[QUATERNION].copy_from_slice(&parts);
+    }
+
+    /// The values of one channel, `[frames]`.
+    pub fn column(&self, channel: usize) -> Vec<f64> {
+        let values = self.data.iter().skip(channel).step_by(CHANNELS);
+        values.map(|&value| f64::from(value)).collect()
+    }
+
+    /// [`vector`](Self::vector) of all frames.
+    pub fn vectors(&self, channels: Range<usize>) -> Vec<[f64; 3]> {
+        let frames = 0..self.frames();
+        frames.map(|t| self.vector(t, channels.clone())).collect()
+    }
+
+    /// The orientations of all frames, as stored.
+    pub fn quaternions(&self) -> Vec<Quaternion> {
+        (0..self.frames()).map(|t| self.quaternion(t)).collect()
     }
 
     /// A copy of some frames.

@@ -32,6 +32,11 @@ impl Quaternion {
         Self { w, x, y, z }
     }
 
+    /// (w, x, y, z).
+    pub const fn parts(self) -> [f64; 4] {
+        [self.w, self.x, self.y, self.z]
+    }
+
     /// The rotation about +y by `angle` radians: it turns +z towards +x.
     pub fn from_yaw(angle: f64) -> Self {
         let (sin, cos) = (0.5 * angle).sin_cos();
@@ -88,22 +93,19 @@ impl Quaternion {
     /// All four parts times `factor`.
     #[must_use]
     pub fn scale(self, factor: f64) -> Self {
-        let Self { w, x, y, z } = self;
-        Self::new(w * factor, x * factor, y * factor, z * factor)
+        Self::from(self.parts().map(|part| part * factor))
     }
 
     /// The same direction with norm 1; the identity if the norm is zero or not finite.
     #[must_use]
     pub fn normalised(self) -> Self {
         // Scaling by the largest part first avoids overflow and underflow of squares.
-        let parts = [self.w, self.x, self.y, self.z].map(f64::abs);
-        let largest = parts.into_iter().fold(0.0, f64::max);
+        let largest = self.parts().map(f64::abs).into_iter().fold(0.0, f64::max);
         let scaled = self.scale(1.0 / largest);
         let unit = scaled.scale(1.0 / scaled.norm());
-        if unit.dot(unit).is_finite() {
-            unit
-        } else {
-            Self::IDENTITY
+        match unit.dot(unit).is_finite() {
+            true => unit,
+            false => Self::IDENTITY,
         }
     }
 
@@ -136,6 +138,12 @@ impl Quaternion {
     }
 }
 
+impl From<[f64; 4]> for Quaternion {
+    fn from([w, x, y, z]: [f64; 4]) -> Self {
+        Self::new(w, x, y, z)
+    }
+}
+
 impl Mul for Quaternion {
     type Output = Self;
 
@@ -160,10 +168,9 @@ pub fn between(from: [f64; 3], to: [f64; 3]) -> Quaternion {
     if scalar == 0.0 && axis.norm() == 0.0 && u.norm() > 0.0 && v.norm() > 0.0 {
         let across = |direction: Vector3<f64>| direction - u * u.dot(&direction);
         let [about_y, about_x] = [Vector3::y(), Vector3::x()].map(across);
-        axis = if about_y.norm() > 1e-6 {
-            about_y
-        } else {
-            about_x
+        axis = match about_y.norm() > 1e-6 {
+            true => about_y,
+            false => about_x,
         };
     }
     Quaternion::new(scalar, axis.x, axis.y, axis.z).normalised()

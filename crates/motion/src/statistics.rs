@@ -64,23 +64,13 @@ impl Statistics {
 
     /// Zero mean and unit deviation in every channel; constant channels keep their scale.
     pub fn standard(moments: ChannelMoments) -> Self {
-        let ChannelMoments {
-            mean,
-            mut std,
-            min,
-            max,
-            frames,
-            items,
-        } = moments;
-        for deviation in std.iter_mut().filter(|deviation| **deviation < CONSTANT) {
-            *deviation = 1.0;
-        }
+        let scale = |deviation: f64| if deviation < CONSTANT { 1.0 } else { deviation };
         Self {
-            mean,
-            std,
-            range: Some([min, max]),
-            frames,
-            items,
+            mean: moments.mean,
+            std: moments.std.into_iter().map(scale).collect(),
+            range: Some([moments.min, moments.max]),
+            frames: moments.frames,
+            items: moments.items,
             ..Self::default()
         }
     }
@@ -139,10 +129,8 @@ impl Statistics {
     pub fn normalized_range(&self) -> Option<[Vec<f32>; 2]> {
         // Rounded like the data, so that extreme items stay within.
         let bound = |values: &Vec<f64>| {
-            let channels = values.iter().zip(self.mean.iter().zip(&self.std));
-            channels
-                .map(|(&value, (&mean, &std))| normalized(value as f32, mean, std))
-                .collect()
+            let values: Vec<f32> = values.iter().map(|&value| value as f32).collect();
+            self.normalize(&values)
         };
         self.range.as_ref().map(|range| range.each_ref().map(bound))
     }
@@ -194,18 +182,9 @@ impl Statistics {
     fn checked(self) -> Result<Self, Error> {
         let invalid = |reason: String| Err(Error::InvalidStatistics { reason });
         let channels = self.channels();
-        let [min, max] = match &self.range {
-            Some([min, max]) => [Some(min), Some(max)],
-            None => [None; 2],
-        };
-        let lists = [
-            ("mean", Some(&self.mean)),
-            ("std", Some(&self.std)),
-            ("min", min),
-            ("max", max),
-        ];
-        for (name, list) in lists {
-            let Some(list) = list else { continue };
+        let lists = [&self.mean, &self.std].into_iter();
+        let lists = lists.chain(self.range.iter().flatten());
+        for (name, list) in ["mean", "std", "min", "max"].into_iter().zip(lists) {
             if list.len() != channels {
                 return invalid(format!("`{name}` has {} of {channels} values", list.len()));
             }
@@ -277,32 +256,21 @@ impl TryFrom<Stored> for Statistics {
 
 impl From<Statistics> for Stored {
     fn from(statistics: Statistics) -> Self {
-        let Statistics {
-            mean,
-            std,
-            range,
-            frames,
-            items,
-            rms_speed,
-            rms_acceleration,
-            jerk_p95,
-            movement,
-            root,
-        } = statistics;
-        let (min, max) = range.map(|[min, max]| (min, max)).unzip();
+        let (min, max) = statistics.range.map(|[min, max]| (min, max)).unzip();
+        let (items, is_phrases) = (Some(statistics.items), statistics.root.is_none());
         Self {
-            phrases: root.is_none().then_some(items),
-            clips: root.is_some().then_some(items),
-            rms_speed,
-            rms_acceleration,
-            jerk_p95,
-            movement,
-            root,
-            mean,
-            std,
+            root: statistics.root,
+            mean: statistics.mean,
+            std: statistics.std,
             min,
             max,
-            frames,
+            frames: statistics.frames,
+            phrases: items.filter(|_| is_phrases),
+            clips: items.filter(|_| !is_phrases),
+            rms_speed: statistics.rms_speed,
+            rms_acceleration: statistics.rms_acceleration,
+            jerk_p95: statistics.jerk_p95,
+            movement: statistics.movement,
         }
     }
 }

@@ -15,7 +15,8 @@ mod tests;
 use std::ops::Range;
 
 use crate::banded::{BAND, Cholesky};
-use crate::phrase::{CHANNELS, PHASE, POSITION, QUATERNION};
+use crate::feet::runs;
+use crate::phrase::{POSITION, QUATERNION};
 use crate::{ChannelEncoding, OrientationEncoding, PhaseEncoding};
 
 /// Channels that are relative to a window's first frame: the position on the floor.
@@ -48,35 +49,34 @@ pub enum Layout {
 }
 
 impl Layout {
-    /// Number of channels.
-    pub fn channels(self) -> usize {
+    pub(crate) fn encoding(self) -> ChannelEncoding {
         match self {
-            Self::Phrase => CHANNELS,
-            Self::Predicted(encoding) => encoding.channels(),
+            Self::Phrase => ChannelEncoding::default(),
+            Self::Predicted(encoding) => encoding,
         }
     }
 
+    /// Number of channels.
+    pub fn channels(self) -> usize {
+        self.encoding().channels()
+    }
+
     /// Channels of quaternions, whose signs differ between windows.
-    fn quaternions(self) -> Range<usize> {
-        match self {
-            Self::Predicted(encoding)
-                if encoding.orientation == OrientationEncoding::Rotation6d =>
-            {
-                0..0
-            }
+    pub(crate) fn quaternions(self) -> Range<usize> {
+        match self.encoding().orientation {
+            OrientationEncoding::Rotation6d => 0..0,
             _ => QUATERNION,
         }
     }
 
     /// The channel of a phase that jumps at bar lines, and its values at start and end of a bar.
     fn jumping_phase(self) -> Option<(usize, [f64; 2])> {
-        match self {
-            Self::Phrase => Some((PHASE, [0.0, 1.0])),
-            Self::Predicted(encoding) if encoding.phase == PhaseEncoding::Scalar => {
-                Some((encoding.phase_channels().start, [-1.0, 1.0]))
-            }
-            Self::Predicted(_) => None,
-        }
+        let (encoding, start) = (
+            self.encoding(),
+            if self == Self::Phrase { 0.0 } else { -1.0 },
+        );
+        let channel = encoding.phase_channels().start;
+        (encoding.phase == PhaseEncoding::Scalar).then_some((channel, [start, 1.0]))
     }
 }
 
@@ -313,19 +313,15 @@ impl Windows {
         known: Option<&KnownFrames>,
         quaternions: &Range<usize>,
     ) -> Vec<f32> {
-        let dots: Vec<f32> = (0..self.length)
-            .map(|t| {
-                let products = quaternions
-                    .clone()
-                    .map(|c| motion[c * self.frames + start + t] * values[c * self.length + t]);
-                products.sum()
-            })
-            .collect();
+        let dot = |t: usize| -> f32 {
+            let product =
+                |c: usize| motion[c * self.frames + start + t] * values[c * self.length + t];
+            quaternions.clone().map(product).sum()
+        };
+        let dots: Vec<f32> = (0..self.length).map(dot).collect();
         let is_known = |t: usize| known.is_some_and(|known| known.is_known[start + t]);
-        let of_known: f32 = (0..self.length)
-            .filter(|&t| is_known(t))
-            .map(|t| dots[t])
-            .sum();
+        let known_frames = (0..self.length).filter(|&t| is_known(t));
+        let of_known: f32 = known_frames.map(|t| dots[t]).sum();
         let dot = |t: usize| if is_known(t) { of_known } else { dots[t] };
         (0..self.length)
             .map(|t| if dot(t) < 0.0 { -1.0 } else { 1.0 })
@@ -343,17 +339,8 @@ fn most_apart(length: usize) -> usize {
 fn put(motion: &mut [f32], known: &KnownFrames, layout: Layout) {
     let (channels, quaternions) = (layout.channels(), layout.quaternions());
     let frames = known.is_known.len();
-    let edges: Vec<(usize, bool)> = (0..frames)
-        .filter(|&t| known.is_known[t])
-        .flat_map(|t| {
-            let before = t > 0 && !known.is_known[t - 1];
-            let after = t + 1 < frames && !known.is_known[t + 1];
-            [(before, false), (after, true)]
-                .into_iter()
-                .filter_map(move |(is_edge, forwards)| is_edge.then_some((t, forwards)))
-        })
-        .collect();
-    for (edge, forwards) in edges {
+    let edges = runs(&known.is_known).into_iter();
+    for (edge, forwards) in edges.flat_map(|run| [(run.start, false), (run.end - 1, true)]) {
         let reached = (1..=FADE)
             .map_while(|d| match forwards {
                 true => Some(edge + d).filter(|t| *t < frames),

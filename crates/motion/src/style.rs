@@ -31,12 +31,8 @@ const REST_SPEED: f64 = 0.1;
 /// Style of every frame, `[frames, 8]`, of a take at 30 frames per second: `positions` `[frames,
 /// 3]` in metres, unit `orientations` `[frames]`.
 pub fn describe(positions: &[[f64; 3]], orientations: &[Quaternion]) -> Vec<[f64; 8]> {
-    assert_eq!(
-        positions.len(),
-        orientations.len(),
-        "one orientation a frame"
-    );
     let frames = positions.len();
+    assert_eq!(frames, orientations.len(), "one orientation a frame");
     let velocity = forward_differences(positions, FPS);
     // The last two accelerations repeat the one before them.
     let mut acceleration = forward_differences(&velocity[..frames.saturating_sub(1)], FPS);

@@ -1,7 +1,7 @@
 //! A phrase played faster or slower.
 
 use crate::circular::step;
-use crate::derivatives::rederive;
+use crate::derivatives::{make_sign_continuous, rederive};
 use crate::phrase::{PHASE, POSITION, STYLE};
 use crate::{CHANNELS, Phrase, Quaternion};
 
@@ -27,38 +27,19 @@ pub fn at_speed(motion: &Phrase, speed: f64) -> Phrase {
     let mut played = Phrase::new(vec![0.0; frames * CHANNELS]).expect("at least one frame");
 
     for channel in POSITION {
-        let rows: Vec<f64> = (0..motion.frames())
-            .map(|t| f64::from(motion.frame(t)[channel]))
-            .collect();
-        for (t, value) in spline(&rows, &times).into_iter().enumerate() {
+        let values = spline(&motion.column(channel), &times);
+        for (t, value) in values.into_iter().enumerate() {
             played.frame_mut(t)[channel] = value as f32;
         }
     }
-    let mut rows: [Vec<f64>; 4] = Default::default();
-    let mut before = motion.quaternion(0);
-    for t in 0..motion.frames() {
-        // With one continuous sign.
-        let q = motion.quaternion(t);
-        before = if before.dot(q) < 0.0 {
-            q.scale(-1.0)
-        } else {
-            q
-        };
-        for (row, value) in rows
-            .iter_mut()
-            .zip([before.w, before.x, before.y, before.z])
-        {
-            row.push(value);
-        }
-    }
-    let [w, x, y, z] = [0, 1, 2, 3].map(|row| spline(&rows[row], &times));
+    let mut quaternions = motion.quaternions();
+    make_sign_continuous(&mut quaternions);
+    let parts = [0, 1, 2, 3].map(|part| {
+        let values: Vec<f64> = quaternions.iter().map(|q| q.parts()[part]).collect();
+        spline(&values, &times)
+    });
     for (t, &time) in times.iter().enumerate() {
-        let turned = Quaternion {
-            w: w[t],
-            x: x[t],
-            y: y[t],
-            z: z[t],
-        };
+        let turned = Quaternion::from([0, 1, 2, 3].map(|part| parts[part][t]));
         played.set_quaternion(t, turned.scale(1.0 / turned.norm().max(f64::MIN_POSITIVE)));
         let (from, to, fraction) = between(motion.frames(), time);
         let (from, to) = (motion.frame(from), motion.frame(to));
@@ -124,11 +105,9 @@ fn curvature(values: &[f64]) -> Vec<f64> {
     for i in (0..inner - 1).rev() {
         rest[i] -= factor[i] * rest[i + 1];
     }
-    let mut all = Vec::with_capacity(values.len());
-    all.push(rest[0]);
-    all.extend_from_slice(&rest);
-    all.push(rest[inner - 1]);
-    all
+    rest.insert(0, rest[0]);
+    rest.push(rest[inner]);
+    rest
 }
 
 #[cfg(test)]

@@ -1,32 +1,27 @@
-//! Vectors of three components, in double precision.
+//! Vectors in double precision.
 
 /// Euclidean length of a vector.
 pub fn length(vector: [f64; 3]) -> f64 {
-    vector
-        .iter()
-        .map(|component| component * component)
-        .sum::<f64>()
-        .sqrt()
+    let squares = vector.map(|component| component * component);
+    squares.iter().sum::<f64>().sqrt()
 }
 
 /// The vector with length 1; the zero vector stays.
 pub fn unit(vector: [f64; 3]) -> [f64; 3] {
-    let length = length(vector);
-    if length > 0.0 {
-        vector.map(|value| value / length)
-    } else {
-        vector
+    match length(vector) {
+        length if length > 0.0 => vector.map(|value| value / length),
+        _ => vector,
     }
 }
 
 /// `a + b`.
-pub fn plus(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
-    [0, 1, 2].map(|i| a[i] + b[i])
+pub fn plus<const N: usize>(a: [f64; N], b: [f64; N]) -> [f64; N] {
+    std::array::from_fn(|i| a[i] + b[i])
 }
 
 /// `a - b`.
-pub fn minus(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
-    [0, 1, 2].map(|i| a[i] - b[i])
+pub fn minus<const N: usize>(a: [f64; N], b: [f64; N]) -> [f64; N] {
+    std::array::from_fn(|i| a[i] - b[i])
 }
 
 /// The inner product.

@@ -2,6 +2,8 @@
 
 use kinegrad_settings::{InvalidSetting, Refused, require};
 
+use crate::vector::minus;
+
 /// The edges of a closed polygon, without those of length zero.
 fn edges(vertices: &[[f64; 2]]) -> impl Iterator<Item = ([f64; 2], [f64; 2])> + Clone {
     let after = vertices.iter().cycle().skip(1);
@@ -102,10 +104,6 @@ fn intersect((a, b): ([f64; 2], [f64; 2]), (c, d): ([f64; 2], [f64; 2])) -> bool
         || (d_side == 0.0 && within(a, b, d))
         || (a_side == 0.0 && within(c, d, a))
         || (b_side == 0.0 && within(c, d, b))
-}
-
-fn minus(a: [f64; 2], b: [f64; 2]) -> [f64; 2] {
-    [a[0] - b[0], a[1] - b[1]]
 }
 
 fn dot(a: [f64; 2], b: [f64; 2]) -> f64 {
