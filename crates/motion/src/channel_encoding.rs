@@ -284,10 +284,8 @@ fn canonical_signs(mut quaternions: Vec<Quaternion>) -> Vec<Quaternion> {
     let mut before = Quaternion::IDENTITY;
     for quaternion in &mut quaternions {
         if quaternion.norm().is_finite() {
-            let unit = quaternion.normalised();
-            let sign = if unit.dot(before) < 0.0 { -1.0 } else { 1.0 };
-            *quaternion = unit.scale(sign);
-            before = *quaternion;
+            before = quaternion.normalised().nearer_to(before);
+            *quaternion = before;
         }
     }
     quaternions

@@ -38,9 +38,7 @@ pub fn angular_rates(motion: &Phrase) -> Vec<[f64; 3]> {
 pub fn make_sign_continuous(quaternions: &mut [Quaternion]) {
     let mut previous: Option<Quaternion> = None;
     for quaternion in quaternions {
-        if previous.is_some_and(|p| p.dot(*quaternion) < 0.0) {
-            *quaternion = quaternion.scale(-1.0);
-        }
+        *quaternion = quaternion.nearer_to(previous.unwrap_or(*quaternion));
         if quaternion.norm().is_finite() {
             previous = Some(*quaternion);
         }

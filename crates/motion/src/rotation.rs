@@ -109,6 +109,15 @@ impl Quaternion {
         }
     }
 
+    /// This quaternion or its negative, whichever is nearer to `other`.
+    #[must_use]
+    pub fn nearer_to(self, other: Self) -> Self {
+        match self.dot(other) < 0.0 {
+            true => self.scale(-1.0),
+            false => self,
+        }
+    }
+
     /// The vector turned by this unit quaternion.
     pub fn rotate(self, vector: [f64; 3]) -> [f64; 3] {
         let [x, y, z] = vector;

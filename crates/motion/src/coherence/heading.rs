@@ -25,10 +25,8 @@ const LEAST_WEIGHT: f64 = 1e-4;
 /// Confidence of headings, 0 to 1, `[frames]`, by the norms of quaternions: a mean of different
 /// orientations is short.
 pub fn heading_confidence(motion: &Phrase) -> Vec<f64> {
-    let frames = 0..motion.frames();
-    frames
-        .map(|t| motion.quaternion(t).norm().min(1.0))
-        .collect()
+    let quaternions = motion.quaternions().into_iter();
+    quaternions.map(|q| q.norm().min(1.0)).collect()
 }
 
 /// Squared cosine of half the tilt (120 degrees) beyond which bodies are rotated less; upside down
@@ -43,18 +41,15 @@ pub fn fit_heading(motion: &mut Phrase, std: &[f64], known: &[bool], confidence:
     let frames = motion.frames();
     assert_eq!(known.len(), frames, "known frames");
     assert_eq!(confidence.len(), frames, "confidence of each frame");
-    let units: Vec<Quaternion> = (0..frames)
-        .map(|t| motion.quaternion(t).normalised())
-        .collect();
-    let weights = known
-        .iter()
-        .zip(confidence)
-        .map(|(&known, confidence)| match known {
-            true => weight(known),
-            false => confidence.powi(2).clamp(LEAST_WEIGHT, 1.0),
-        });
+    let quaternions = motion.quaternions().into_iter();
+    let units: Vec<Quaternion> = quaternions.map(Quaternion::normalised).collect();
+    let weights = known.iter().zip(confidence);
+    let weights = weights.map(|(&known, confidence)| match known {
+        true => weight(known),
+        false => confidence.powi(2).clamp(LEAST_WEIGHT, 1.0),
+    });
     let vertical = ANGULAR_VELOCITY.start + 1;
-    let fit = OrientationFit::of_weighted_headings(weights.collect(), std[vertical]);
+    let fit = OrientationFit::of_headings(weights.collect(), std[vertical]);
 
     let headings: Vec<f64> = units.iter().map(|unit| unit.twist()).collect();
     let steps = units.iter().enumerate().map(|(t, unit)| {
@@ -69,12 +64,11 @@ pub fn fit_heading(motion: &mut Phrase, std: &[f64], known: &[bool], confidence:
     }
     let rest = headings.iter().zip(&along);
     let rest: Vec<f64> = rest.map(|(heading, along)| heading - along).collect();
-    let [mut sines, mut cosines] = [f64::sin, f64::cos].map(|part| {
-        let parts = rest.iter().map(|&angle| part(angle));
-        parts.collect::<Vec<f64>>()
+    let [sines, cosines] = [f64::sin, f64::cos].map(|part| {
+        let mut parts: Vec<f64> = rest.iter().map(|&angle| part(angle)).collect();
+        fit.fit(&mut parts);
+        parts
     });
-    fit.fit(&mut sines);
-    fit.fit(&mut cosines);
     let mut fitted = Vec::with_capacity(frames);
     let mut before = 0.0;
     for (t, angle) in rest.into_iter().enumerate() {

@@ -36,38 +36,27 @@ pub struct OrientationFit {
 }
 
 impl OrientationFit {
-    /// The fit of `frames` frames; `rates` are the training deviations of the angular velocity,
-    /// rad/s.
+    /// The fit with a weight for each frame; `rates` are the training deviations of the angular
+    /// velocity, rad/s.
     ///
     /// # Panics
     /// Panics unless the deviations are positive.
-    pub fn new(frames: usize, rates: &[f64]) -> Self {
-        Self::around(&vec![false; frames], rates)
-    }
-
-    fn around(known: &[bool], rates: &[f64]) -> Self {
+    pub fn new(weights: Vec<f64>, rates: &[f64]) -> Self {
         // A small rotation adds half its rotation vector to a quaternion.
         let step_scale = rates.iter().sum::<f64>() / rates.len() as f64 / (2.0 * FPS);
-        let weights = known.iter().map(|&known| weight(known)).collect();
         Self::weighted(weights, [QUATERNION_SCALE, step_scale])
     }
 
-    /// The fit of headings of `frames` frames; `rate` is the training deviation of the angular
-    /// velocity about the vertical, rad/s.
+    /// The same for headings; `rate` is the training deviation of the angular velocity about the
+    /// vertical, rad/s.
     ///
     /// # Panics
     /// Panics unless the deviation is positive.
-    pub fn of_headings(frames: usize, rate: f64) -> Self {
-        Self::of_weighted_headings(vec![1.0; frames], rate)
-    }
-
-    /// The same with a weight of each frame.
-    pub(super) fn of_weighted_headings(weights: Vec<f64>, rate: f64) -> Self {
+    pub fn of_headings(weights: Vec<f64>, rate: f64) -> Self {
         assert!(rate > 0.0, "deviation of the angular velocity");
         Self::weighted(weights, [HEADING_SCALE, (rate / FPS).max(LEAST_TURN)])
     }
 
-    /// The fit with a weight for each frame, and the scales of a component and of its steps.
     fn weighted(weights: Vec<f64>, [scale, step_scale]: [f64; 2]) -> Self {
         assert!(step_scale > 0.0, "deviations of the angular velocity");
         let stiffness = (scale / step_scale.max(LEAST_STEP)).powi(2);
@@ -107,7 +96,8 @@ impl OrientationFit {
 pub fn fit_orientation(motion: &mut Phrase, std: &[f64], known: &[bool]) {
     let frames = motion.frames();
     assert_eq!(known.len(), frames, "known frames");
-    let fit = OrientationFit::around(known, &std[ANGULAR_VELOCITY]);
+    let weights = known.iter().map(|&known| weight(known)).collect();
+    let fit = OrientationFit::new(weights, &std[ANGULAR_VELOCITY]);
     let mut turned = Vec::with_capacity(frames);
     let mut rotation = Quaternion::IDENTITY;
     for t in 0..frames {
@@ -120,23 +110,20 @@ pub fn fit_orientation(motion: &mut Phrase, std: &[f64], known: &[bool]) {
     let mut rest: Vec<Quaternion> = rest.collect();
     make_sign_continuous(&mut rest);
 
-    let parts: [fn(&Quaternion) -> f64; 4] = [|q| q.w, |q| q.x, |q| q.y, |q| q.z];
-    let [w, x, y, z] = parts.map(|part| {
-        let mut fitted: Vec<f64> = rest.iter().map(part).collect();
+    let parts = [0, 1, 2, 3].map(|part| {
+        let mut fitted: Vec<f64> = rest.iter().map(|rest| rest.parts()[part]).collect();
         fit.fit(&mut fitted);
         fitted
     });
-    let mut fitted: Vec<Quaternion> = turned
-        .iter()
-        .enumerate()
-        .map(|(t, turned)| *turned * Quaternion::new(w[t], x[t], y[t], z[t]).normalised())
-        .collect();
+    let fitted = turned.into_iter().enumerate().map(|(t, turned)| {
+        turned * Quaternion::from([0, 1, 2, 3].map(|part| parts[part][t])).normalised()
+    });
+    let mut fitted: Vec<Quaternion> = fitted.collect();
     make_sign_continuous(&mut fitted);
     for (t, quaternion) in fitted.into_iter().enumerate() {
-        if !known[t] {
-            motion.set_quaternion(t, quaternion);
-        } else if motion.quaternion(t).dot(quaternion) < 0.0 {
-            motion.set_quaternion(t, motion.quaternion(t).scale(-1.0));
+        match known[t] {
+            true => motion.set_quaternion(t, motion.quaternion(t).nearer_to(quaternion)),
+            false => motion.set_quaternion(t, quaternion),
         }
     }
 }

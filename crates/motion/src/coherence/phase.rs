@@ -57,9 +57,7 @@ const SECOND_DIFFERENCE: [f64; 3] = [1.0, -2.0, 1.0];
 pub fn fit_phase(motion: &mut Phrase, known: &[bool]) {
     let frames = motion.frames();
     assert_eq!(known.len(), frames, "known frames");
-    let stated: Vec<f64> = (0..frames)
-        .map(|t| f64::from(motion.frame(t)[PHASE]))
-        .collect();
+    let stated = motion.column(PHASE);
     let in_parts = |parts: usize| -> Vec<f64> {
         let of_part: Vec<f64> = stated.iter().map(|turn| parts as f64 * turn).collect();
         let fitted = fit(&of_part, known);
@@ -91,10 +89,8 @@ fn parts(stated: &[f64]) -> usize {
     };
     let agreements: Vec<f64> = (1..=MOST_PARTS).map(agreement).collect();
     let best = agreements.iter().copied().fold(0.0, f64::max);
-    let enough = agreements
-        .iter()
-        .position(|agreement| *agreement >= best - AGREEMENT_MARGIN);
-    1 + enough.unwrap_or(0)
+    let enough = |agreement: &f64| *agreement >= best - AGREEMENT_MARGIN;
+    1 + agreements.iter().position(enough).unwrap_or(0)
 }
 
 /// The whole turns to add to `fitted`, in `parts` of a bar, that agree best with the stated phases.
@@ -139,9 +135,8 @@ fn fit(stated: &[f64], known: &[bool]) -> Vec<f64> {
 /// The path, unwrapped, that agrees best with the stated phases.
 fn path(stated: &[f64], known: &[bool]) -> Vec<f64> {
     let place = |turn: f64| (turn * PLACES as f64).rem_euclid(PLACES as f64) as usize % PLACES;
-    let cosines: Vec<f64> = (0..PLACES)
-        .map(|place| (TAU * place as f64 / PLACES as f64).cos())
-        .collect();
+    let cosine = |place: usize| (TAU * place as f64 / PLACES as f64).cos();
+    let cosines: Vec<f64> = (0..PLACES).map(cosine).collect();
     let gain = |t: usize, at: usize| {
         let apart = (at + PLACES - place(stated[t])) % PLACES;
         weight(known[t]) * cosines[apart]
@@ -199,10 +194,8 @@ fn advances(stated: &[f64]) -> Vec<i64> {
     } else if mean <= -1.0 {
         high = high.min(-1);
     }
-    let count = (high - low + 1) as usize;
-    (low..=high)
-        .step_by(count.div_ceil(MOST_ADVANCES))
-        .collect()
+    let step = ((high - low + 1) as usize).div_ceil(MOST_ADVANCES);
+    (low..=high).step_by(step).collect()
 }
 
 struct Tempo {

@@ -39,29 +39,20 @@ pub struct CoherentFit {
 }
 
 impl CoherentFit {
-    /// The fit of `frames` frames. `scales` are `[s_p, s_v, s_a]` in m, m/s and m/s^2.
+    /// The fit of `[frames]`, which passes through the estimates of `known` ones. `scales` are
+    /// `[s_p, s_v, s_a]` in m, m/s and m/s^2.
     ///
     /// # Panics
     /// Panics if a scale is not positive.
-    pub fn new(frames: usize, scales: [f64; 3]) -> Self {
-        Self::around(&vec![false; frames], scales)
-    }
-
-    /// The same, but the fit passes through the estimates of `known` frames.
-    ///
-    /// # Panics
-    /// Panics if a scale is not positive.
-    pub fn around(known: &[bool], scales: [f64; 3]) -> Self {
+    pub fn new(known: &[bool], scales: [f64; 3]) -> Self {
         assert!(scales.iter().all(|&scale| scale > 0.0), "scales {scales:?}");
         // Within known frames the positions decide; at their end also velocity and acceleration.
         let is_last = |t: usize| known[t] && known.get(t + 1) != Some(&true);
         let decides: [&dyn Fn(usize) -> bool; 3] = [&|t| known[t], &is_last, &is_last];
         let weights = [0, 1, 2].map(|estimate| {
-            let relative = (0..known.len()).map(|t| weight(decides[estimate](t)));
-            let scale: f64 = scales[estimate];
-            relative
-                .map(|weight| weight / (scale * scale))
-                .collect::<Vec<f64>>()
+            let (decides, scale): (_, f64) = (decides[estimate], scales[estimate]);
+            let of_frame = |t| weight(decides(t)) / (scale * scale);
+            (0..known.len()).map(of_frame).collect::<Vec<f64>>()
         });
         let mut normal = vec![[0.0; BAND]; known.len() + EXTRA_FRAMES];
         for (stencil, weights) in STENCILS.iter().zip(&weights) {
@@ -119,7 +110,7 @@ impl CoherentFit {
 /// # Panics
 /// Panics if a scale is not positive.
 pub fn coherent_matrix(frames: usize, scales: [f64; 3]) -> Vec<f32> {
-    let fit = CoherentFit::new(frames, scales);
+    let fit = CoherentFit::new(&vec![false; frames], scales);
     let rows = frames + EXTRA_FRAMES;
     let row = |row: usize| {
         let mut unit = vec![0.0; rows];
@@ -138,13 +129,7 @@ pub fn fit_trajectory(motion: &mut Phrase, std: &[f64], known: &[bool]) {
     assert_eq!(known.len(), frames, "known frames");
     for axis in 0..3 {
         let components = [POSITION, VELOCITY, ACCELERATION].map(|component| component.start + axis);
-        let column = |channel: usize| -> Vec<f64> {
-            let frames = 0..frames;
-            frames
-                .map(|t| f64::from(motion.frame(t)[channel]))
-                .collect()
-        };
-        let estimates = components.map(column);
+        let estimates = components.map(|channel| motion.column(channel));
         let [position, velocity, acceleration] = components.map(|channel| std[channel]);
         // A nearly constant axis would exceed double precision.
         let scales = [
@@ -152,7 +137,7 @@ pub fn fit_trajectory(motion: &mut Phrase, std: &[f64], known: &[bool]) {
             velocity.max(LEAST_RATES[0] * position),
             acceleration.max(LEAST_RATES[1] * position),
         ];
-        let fit = CoherentFit::around(known, scales);
+        let fit = CoherentFit::new(known, scales);
         let position = fit.positions([&estimates[0], &estimates[1], &estimates[2]]);
         let velocity = differences(&position);
         let acceleration = differences(&velocity);
@@ -167,10 +152,8 @@ pub fn fit_trajectory(motion: &mut Phrase, std: &[f64], known: &[bool]) {
 }
 
 fn differences(values: &[f64]) -> Vec<f64> {
-    values
-        .windows(2)
-        .map(|pair| FPS * (pair[1] - pair[0]))
-        .collect()
+    let pairs = values.windows(2);
+    pairs.map(|pair| FPS * (pair[1] - pair[0])).collect()
 }
 
 #[cfg(test)]
@@ -189,7 +172,7 @@ mod tests {
             part.iter().map(|value| value * scale).collect::<Vec<f64>>()
         });
         let [p, v, a] = &estimates;
-        CoherentFit::new(frames, SCALES).positions([p, v, a])
+        CoherentFit::new(&vec![false; frames], SCALES).positions([p, v, a])
     }
 
     /// The scaled estimates that positions imply.
@@ -273,7 +256,7 @@ mod tests {
     #[test]
     fn the_adjoint_is_the_gradient() {
         let frames = 9;
-        let fit = CoherentFit::new(frames, SCALES);
+        let fit = CoherentFit::new(&vec![false; frames], SCALES);
         let normals = |seed, n| -> Vec<f64> {
             let values = Key::new(seed, Purpose::Noise).normals(n);
             values.into_iter().map(f64::from).collect()

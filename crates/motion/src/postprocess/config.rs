@@ -174,13 +174,9 @@ impl PostProcessConfig {
     /// # Errors
     /// Names the first such setting.
     pub fn validate(&self) -> Result<(), InvalidSetting> {
-        for (key, frames) in [
-            (
-                "quaternion_smoothing_window",
-                self.quaternion_smoothing_window,
-            ),
-            ("smoothing_kernel_size", self.smoothing_kernel_size),
-        ] {
+        let keys = ["quaternion_smoothing_window", "smoothing_kernel_size"];
+        let windows = [self.quaternion_smoothing_window, self.smoothing_kernel_size];
+        for (key, frames) in keys.into_iter().zip(windows) {
             let allowed = "an odd number of frames: 1, 3, 5, ...";
             require(!frames.is_multiple_of(2), key, frames, allowed)?;
         }
@@ -188,11 +184,8 @@ impl PostProcessConfig {
         in_range("limits.position", limits.position, ABOVE_ZERO)?;
         in_range("limits.velocity", limits.velocity, ABOVE_ZERO)?;
         in_range("limits.acceleration", limits.acceleration, ABOVE_ZERO)?;
-        in_range(
-            "limits.angular_velocity",
-            limits.angular_velocity,
-            ABOVE_ZERO,
-        )
+        let rate = limits.angular_velocity;
+        in_range("limits.angular_velocity", rate, ABOVE_ZERO)
     }
 }
 

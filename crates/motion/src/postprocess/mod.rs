@@ -25,7 +25,7 @@ use crate::coherence::{
     fit_heading, fit_orientation, fit_phase, fit_trajectory, heading_confidence,
 };
 use crate::phrase::{
-    ACCELERATION, ANGULAR_VELOCITY, CHANNELS, FPS, PHASE, POSITION, STYLE, VELOCITY,
+    ACCELERATION, ANGULAR_VELOCITY, CHANNELS, FPS, PHASE, POSITION, QUATERNION, VELOCITY,
 };
 use crate::{Phrase, Statistics};
 
@@ -41,14 +41,8 @@ pub fn process(
     config: &PostProcessConfig,
     statistics: Option<&Statistics>,
 ) -> Phrase {
-    let none = vec![false; motion.frames()];
-    process_around(
-        motion,
-        config,
-        statistics,
-        &none,
-        &heading_confidence(motion),
-    )
+    let (none, confidence) = (vec![false; motion.frames()], heading_confidence(motion));
+    process_around(motion, config, statistics, &none, &confidence)
 }
 
 /// The same for a phrase with `known` frames, which the fit passes through. `confidence`, 0 to 1,
@@ -78,9 +72,9 @@ pub fn process_around(
         orientation::smooth(&mut frames, window, config.hemisphere);
     }
     if config.clamp_phase {
-        frames
-            .iter_mut()
-            .for_each(|frame| frame[PHASE] = clamp(frame[PHASE], 0.0, 1.0));
+        for frame in &mut frames {
+            frame[PHASE] = clamp(frame[PHASE], 0.0, 1.0);
+        }
     }
     if config.enforce_phase_monotonic {
         make_phase_monotonic(&mut frames);
@@ -144,15 +138,14 @@ fn clamp_values(frames: &mut Frames, config: &PostProcessConfig, statistics: Opt
         (ACCELERATION, limits.acceleration),
         (ANGULAR_VELOCITY, limits.angular_velocity),
     ];
-    for (channel, limit) in groups
-        .into_iter()
-        .flat_map(|(group, l)| group.map(move |c| (c, l)))
-    {
-        let low = widest.map_or(-limit, |[min, _]| min[channel].min(-limit));
-        let high = widest.map_or(limit, |[_, max]| max[channel].max(limit));
-        frames
-            .iter_mut()
-            .for_each(|frame| frame[channel] = clamp(frame[channel], low, high));
+    for (group, limit) in groups {
+        for channel in group {
+            let low = widest.map_or(-limit, |[min, _]| min[channel].min(-limit));
+            let high = widest.map_or(limit, |[_, max]| max[channel].max(limit));
+            for frame in frames.iter_mut() {
+                frame[channel] = clamp(frame[channel], low, high);
+            }
+        }
     }
 }
 
@@ -194,19 +187,11 @@ fn blend_with_differences(
 /// and phase.
 fn smooth_over_time(frames: &mut Frames, kernel_size: usize) {
     let original = frames.clone();
-    let channels = || {
-        POSITION
-            .chain(VELOCITY)
-            .chain(ACCELERATION)
-            .chain(ANGULAR_VELOCITY)
-            .chain(STYLE)
-    };
+    let smoothed = |channel: &usize| !QUATERNION.contains(channel) && *channel != PHASE;
     for (t, frame) in frames.iter_mut().enumerate() {
-        for channel in channels() {
-            let total: f64 = window(t, kernel_size, original.len())
-                .map(|s| original[s][channel])
-                .sum();
-            frame[channel] = total / (2 * (kernel_size / 2) + 1) as f64;
+        for channel in (0..CHANNELS).filter(smoothed) {
+            let values = window(t, kernel_size, original.len()).map(|s| original[s][channel]);
+            frame[channel] = values.sum::<f64>() / (2 * (kernel_size / 2) + 1) as f64;
         }
     }
 }
@@ -220,12 +205,10 @@ fn window(t: usize, size: usize, frames: usize) -> impl Iterator<Item = usize> {
 /// The value within the limits. Keeps NaN, unlike `f64::max`, and never panics, unlike
 /// `f64::clamp`.
 fn clamp(value: f64, low: f64, high: f64) -> f64 {
-    if value < low {
-        low
-    } else if value > high {
-        high
-    } else {
-        value
+    match value {
+        _ if value < low => low,
+        _ if value > high => high,
+        _ => value,
     }
 }
 

@@ -4,6 +4,7 @@ use super::{Frames, Hemisphere, window};
 use crate::Quaternion;
 use crate::derivatives::make_sign_continuous;
 use crate::phrase::{CHANNELS, QUATERNION};
+use crate::vector::plus;
 
 /// A norm below this carries no direction.
 const SMALLEST_NORM: f64 = 1e-8;
@@ -21,19 +22,9 @@ pub(super) fn smooth(frames: &mut Frames, size: usize, hemisphere: Hemisphere) {
     let original: Vec<Quaternion> = frames.iter().map(read).collect();
     let mut smoothed: Vec<Quaternion> = (0..original.len())
         .map(|t| {
-            let mut sum = Quaternion::new(0.0, 0.0, 0.0, 0.0);
-            for neighbour in window(t, size, original.len()).map(|s| original[s]) {
-                let sign = if neighbour.dot(original[t]) < 0.0 {
-                    -1.0
-                } else {
-                    1.0
-                };
-                sum.w += sign * neighbour.w;
-                sum.x += sign * neighbour.x;
-                sum.y += sign * neighbour.y;
-                sum.z += sign * neighbour.z;
-            }
-            sum.scale(1.0 / (2 * (size / 2) + 1) as f64)
+            let near = window(t, size, original.len()).map(|s| original[s].nearer_to(original[t]));
+            let sum = near.fold([0.0; 4], |sum, near| plus(sum, near.parts()));
+            Quaternion::from(sum).scale(1.0 / (2 * (size / 2) + 1) as f64)
         })
         .collect();
     finish(&mut smoothed, hemisphere);
@@ -66,13 +57,12 @@ fn finish(quaternions: &mut [Quaternion], hemisphere: Hemisphere) {
 }
 
 fn read(frame: &[f64; CHANNELS]) -> Quaternion {
-    let [w, x, y, z] = [0, 1, 2, 3].map(|part| frame[QUATERNION.start + part]);
-    Quaternion { w, x, y, z }
+    Quaternion::from([0, 1, 2, 3].map(|part| frame[QUATERNION.start + part]))
 }
 
 fn write(frames: &mut Frames, quaternions: &[Quaternion]) {
-    for (frame, &Quaternion { w, x, y, z }) in frames.iter_mut().zip(quaternions) {
-        frame[QUATERNION].copy_from_slice(&[w, x, y, z]);
+    for (frame, quaternion) in frames.iter_mut().zip(quaternions) {
+        frame[QUATERNION].copy_from_slice(&quaternion.parts());
     }
 }
 

@@ -2,11 +2,10 @@
 
 use std::ops::Range;
 
-use super::{Curves, Representation};
+use super::{Curves, Representation, root_mean_square};
 use crate::derivatives::{differences, jerk_of};
 use crate::humanml::units::MILLIMETRE;
 use crate::humanml::{FeatureLayout, Features, Joints, Root, Skeleton};
-use crate::quantiles::percentile;
 use crate::statistics::CONSTANT;
 use crate::vector::{length, minus};
 use crate::{ChannelMoments, Statistics};
@@ -87,11 +86,9 @@ impl Representation for JointFeatures {
         names.zip(self.layout().groups()).collect()
     }
 
-    fn statistics(&self, moments: ChannelMoments, jerks: Vec<f64>) -> Statistics {
+    fn statistics(&self, moments: ChannelMoments) -> Statistics {
         let velocity = self.layout().velocities().start;
-        let squares =
-            (velocity..velocity + 3).map(|c| moments.mean[c].powi(2) + moments.std[c].powi(2));
-        let rms_speed = self.fps() * squares.sum::<f64>().sqrt();
+        let rms_speed = self.fps() * root_mean_square(&moments, velocity..velocity + 3);
         let measured = moments.std.clone();
         let mut statistics = Statistics::standard(moments);
         for group in self.layout().groups() {
@@ -101,7 +98,6 @@ impl Representation for JointFeatures {
         Statistics {
             root: Some(self.root),
             rms_speed: Some(rms_speed),
-            jerk_p95: Some(percentile(jerks, 95.0)),
             ..statistics
         }
     }
@@ -119,12 +115,12 @@ impl Representation for JointFeatures {
     fn accepts(&self, shape: &[usize], values: &[f32]) -> bool {
         let fits =
             matches!(shape, [_, channels] if *channels == self.channels()) && !values.is_empty();
-        let other = match self.root {
-            Root::Relative => Root::Absolute,
-            Root::Absolute => Root::Relative,
-        };
-        let [own, other] = [self.root, other].map(|root| self.mismatch(values, root));
-        fits && (own < other || self.root == Root::Relative && own == other)
+        let roots = [Root::Relative, Root::Absolute];
+        let [relative, absolute] = roots.map(|root| self.mismatch(values, root));
+        fits && match self.root {
+            Root::Relative => relative <= absolute,
+            Root::Absolute => absolute < relative,
+        }
     }
 
     /// The first invalid rotation, as in normalised features or another layout.
@@ -150,14 +146,8 @@ impl Representation for JointFeatures {
         };
         let mut curves = curves(&joints, Some(&self.skeleton), self.fps());
         let names = ["left ankle", "left foot", "right ankle", "right foot"];
-        let (contacts, width) = (self.layout().contacts(), self.channels());
-        curves.push(Curves::channels(
-            "foot contacts",
-            rows,
-            width,
-            contacts,
-            &names,
-        ));
+        let (title, contacts, width) = ("foot contacts", self.layout().contacts(), self.channels());
+        curves.push(Curves::channels(title, rows, width, contacts, &names));
         curves
     }
 }
@@ -199,9 +189,6 @@ impl Representation for JointPositions {
     fn joints(&self, rows: &[f32]) -> Option<Joints> {
         let joints = Joints::from_f32(rows, self.skeleton.joints()).ok()?;
         let unit = unit_of(&joints);
-        if unit == 1.0 {
-            return Some(joints);
-        }
         let places = joints.as_slice().iter();
         let places = places.map(|place| place.map(|value| unit * value));
         Joints::new(places.collect(), joints.joints()).ok()
@@ -259,19 +246,18 @@ impl Representation for GroundPath {
 
     /// The root on the ground.
     fn joints(&self, rows: &[f32]) -> Option<Joints> {
-        let places = rows
-            .chunks_exact(2)
-            .map(|place| [place[0].into(), 0.0, place[1].into()]);
+        let frames = rows.chunks_exact(2);
+        let places = frames.map(|place| [place[0].into(), 0.0, place[1].into()]);
         Joints::new(places.collect(), 1).ok()
     }
 
     /// Position, and speed and jerk as of a body.
     fn curves(&self, rows: &[f32]) -> Vec<Curves> {
-        let place = Curves::channels("position (m)", rows, 2, 0..2, &["x", "z"]);
-        let joints = self.joints(rows);
-        let moving = joints.map(|joints| curves(&joints, None, self.fps));
-        let moving = moving.unwrap_or_default().into_iter().skip(1);
-        [place].into_iter().chain(moving).collect()
+        let mut all = vec![Curves::channels("position (m)", rows, 2, 0..2, &["x", "z"])];
+        if let Some(joints) = self.joints(rows) {
+            all.extend(curves(&joints, None, self.fps).into_iter().skip(1));
+        }
+        all
     }
 }
 
@@ -282,32 +268,27 @@ pub(super) fn curves(joints: &Joints, skeleton: Option<&Skeleton>, fps: f64) -> 
         let velocity = differences(&joints.track(joint), fps).into_iter();
         velocity.map(|[x, _, z]| x.hypot(z)).collect()
     };
-    let jerks: Vec<Vec<f64>> = (0..joints.joints())
-        .map(|joint| {
-            let jerk = jerk_of(&joints.track(joint), fps).into_iter();
-            jerk.map(length).collect()
-        })
-        .collect();
+    let jerk = |joint| jerk_of(&joints.track(joint), fps);
+    let jerks: Vec<Vec<[f64; 3]>> = (0..joints.joints()).map(jerk).collect();
     let steps = 0..jerks[0].len();
-    let mean = |t: usize| jerks.iter().map(|jerk| jerk[t]).sum::<f64>() / jerks.len() as f64;
+    let mean =
+        |t: usize| jerks.iter().map(|jerk| length(jerk[t])).sum::<f64>() / jerks.len() as f64;
     let mut named = vec![("root", 0)];
     if let Some(skeleton) = skeleton {
         let [_, left, _, right] = skeleton.contact_joints();
         named.extend([("left foot", left), ("right foot", right)]);
     }
     let of = |numbers: &dyn Fn(usize) -> Vec<f64>| {
-        let named = named.iter();
-        named
-            .map(|(name, joint)| ((*name).to_owned(), numbers(*joint)))
-            .collect()
+        let series = named
+            .iter()
+            .map(|&(name, joint)| (name.to_owned(), numbers(joint)));
+        series.collect()
     };
+    let jerk = vec![("|jerk|".into(), steps.map(mean).collect())];
     vec![
         Curves::new("height (m)", of(&heights)),
         Curves::new("speed on the ground (m/s)", of(&speeds)),
-        Curves::new(
-            "jerk, mean over joints (m/s³)",
-            vec![("|jerk|".into(), steps.map(mean).collect())],
-        ),
+        Curves::new("jerk, mean over joints (m/s³)", jerk),
     ]
 }
 

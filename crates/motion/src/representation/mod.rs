@@ -67,13 +67,9 @@ pub trait Representation: Debug + Send + Sync {
         channels.map(|c| (self.channel_name(c), c..c + 1)).collect()
     }
 
-    /// Statistics that normalise motion with these `moments`; `jerks` are the [mean
-    /// jerks](Self::mean_jerk) of the items, at least one.
-    fn statistics(&self, moments: ChannelMoments, jerks: Vec<f64>) -> Statistics {
-        Statistics {
-            jerk_p95: Some(percentile(jerks, 95.0)),
-            ..Statistics::standard(moments)
-        }
+    /// Statistics that normalise motion with these `moments`.
+    fn statistics(&self, moments: ChannelMoments) -> Statistics {
+        Statistics::standard(moments)
     }
 
     /// Mean norm of the third derivative of position, metres per second cubed; of finite rows.
@@ -117,10 +113,8 @@ pub trait Representation: Debug + Send + Sync {
 
     /// Curves to plot over time.
     fn curves(&self, rows: &[f32]) -> Vec<Curves> {
-        let joints = self.joints(rows);
-        joints.map_or_else(Vec::new, |joints| {
-            joints::curves(&joints, self.skeleton(), self.fps())
-        })
+        let of = |joints| joints::curves(&joints, self.skeleton(), self.fps());
+        self.joints(rows).map(of).unwrap_or_default()
     }
 }
 
@@ -149,17 +143,12 @@ impl Curves {
         channels: Range<usize>,
         names: &[&str],
     ) -> Self {
-        let column = |channel: usize| {
+        let series = channels.zip(names).map(|(channel, name)| {
             let frames = rows.chunks_exact(width);
-            frames.map(|frame| f64::from(frame[channel])).collect()
-        };
-        let named = channels.zip(names);
-        Self::new(
-            title,
-            named
-                .map(|(channel, name)| ((*name).to_owned(), column(channel)))
-                .collect(),
-        )
+            let values = frames.map(|frame| f64::from(frame[channel])).collect();
+            ((*name).to_owned(), values)
+        });
+        Self::new(title, series.collect())
     }
 }
 
@@ -178,14 +167,12 @@ impl Measured {
     /// # Panics
     /// Panics if there are none.
     pub fn of(representation: &dyn Representation, rows: &[f32]) -> Self {
+        let movement = representation.movement(rows).into_iter();
+        let movement = movement.map(|(name, value)| (name.to_owned(), vec![value]));
         Self {
             moments: ChannelMoments::measure(representation.channels(), [rows]),
             jerks: vec![representation.mean_jerk(rows)],
-            movement: representation
-                .movement(rows)
-                .into_iter()
-                .map(|(name, value)| (name.to_owned(), vec![value]))
-                .collect(),
+            movement: movement.collect(),
         }
     }
 
@@ -211,20 +198,27 @@ impl Measured {
             movement: movement
                 .map(|(name, values)| (name, extremes(values)))
                 .collect(),
-            ..representation.statistics(self.moments, self.jerks)
+            jerk_p95: Some(percentile(self.jerks, 95.0)),
+            ..representation.statistics(self.moments)
         }
     }
 }
 
-/// The statistics of whole items; `None` without items.
+/// The statistics of items; `None` without items.
 pub fn statistics_of<'a>(
     representation: &dyn Representation,
     items: impl IntoIterator<Item = &'a [f32]>,
 ) -> Option<Statistics> {
-    let mut items = items
-        .into_iter()
-        .map(|rows| Measured::of(representation, rows));
+    let of_item = |rows| Measured::of(representation, rows);
+    let mut items = items.into_iter().map(of_item);
     let mut all = items.next()?;
     items.for_each(|measured| all.merge(measured));
     Some(all.statistics(representation))
+}
+
+/// Root mean square of the norm of a vector in `channels`.
+fn root_mean_square(moments: &ChannelMoments, channels: Range<usize>) -> f64 {
+    // E|v|^2 is the sum over the axes of squared mean plus squared deviation.
+    let squares = channels.map(|c| moments.mean[c].powi(2) + moments.std[c].powi(2));
+    squares.sum::<f64>().sqrt()
 }

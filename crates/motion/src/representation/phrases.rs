@@ -1,14 +1,13 @@
 //! Phrases: the 25 channels of CC-MotionGen.
 
-use super::{Curves, Representation};
+use super::{Curves, Representation, root_mean_square};
 use crate::derivatives::{angular_rates, differences, jerk, jerk_of, mean_jerk_norm};
 use crate::humanml::Joints;
 use crate::phrase::{ACCELERATION, ANGULAR_VELOCITY, PHASE, POSITION, QUATERNION, STYLE, VELOCITY};
-use crate::quantiles::percentile;
 use crate::vector::length;
 use crate::{
-    CHANNELS, ChannelMoments, Error, FPS, MotionMeasure, Phrase, Profile, Report, Statistics,
-    channel_name, sanity,
+    CHANNELS, ChannelEncoding, ChannelMoments, Error, FPS, MotionMeasure, Phrase, Profile,
+    Quaternion, Report, Statistics, channel_name, sanity,
 };
 
 /// Phrases, `[frames, 25]` at 30 frames per second (docs/sources.md, section 1.1). Normalisation
@@ -16,7 +15,7 @@ use crate::{
 #[derive(Clone, Copy, Debug)]
 pub struct Phrases;
 
-/// The statistics of whole, finite phrases; none of no phrases.
+/// The statistics of finite phrases; none of no phrases.
 pub fn phrase_statistics<'a>(phrases: impl IntoIterator<Item = &'a Phrase>) -> Option<Statistics> {
     super::statistics_of(&Phrases, phrases.into_iter().map(Phrase::as_slice))
 }
@@ -42,22 +41,11 @@ impl Representation for Phrases {
         channel_name(channel)
     }
 
-    fn statistics(&self, moments: ChannelMoments, jerks: Vec<f64>) -> Statistics {
-        // E|v|^2 is the sum over the axes of squared mean plus squared deviation.
-        let rms = |channels: std::ops::Range<usize>| {
-            let squares = channels.map(|c| moments.mean[c].powi(2) + moments.std[c].powi(2));
-            squares.sum::<f64>().sqrt()
-        };
-        let (rms_speed, rms_acceleration) = (rms(VELOCITY), rms(ACCELERATION));
-        let mut statistics = Statistics::standard(moments);
-        statistics.mean[QUATERNION].fill(0.0);
-        statistics.std[QUATERNION].fill(1.0);
-        (statistics.mean[PHASE], statistics.std[PHASE]) = (0.5, 0.5);
+    fn statistics(&self, moments: ChannelMoments) -> Statistics {
         Statistics {
-            rms_speed: Some(rms_speed),
-            rms_acceleration: Some(rms_acceleration),
-            jerk_p95: Some(percentile(jerks, 95.0)),
-            ..statistics
+            rms_speed: Some(root_mean_square(&moments, VELOCITY)),
+            rms_acceleration: Some(root_mean_square(&moments, ACCELERATION)),
+            ..ChannelEncoding::default().statistics(moments)
         }
     }
 
@@ -75,9 +63,7 @@ impl Representation for Phrases {
 
     /// The root alone.
     fn joints(&self, rows: &[f32]) -> Option<Joints> {
-        let motion = motion(rows);
-        let places = (0..motion.frames()).map(|t| motion.vector(t, POSITION));
-        Joints::new(places.collect(), 1).ok()
+        Joints::new(motion(rows).vectors(POSITION), 1).ok()
     }
 
     fn check(
@@ -93,8 +79,7 @@ impl Representation for Phrases {
         let motion = motion(rows);
         let channels =
             |title, range, names: &[&str]| Curves::channels(title, rows, CHANNELS, range, names);
-        let frames = 0..motion.frames();
-        let norms = frames.map(|t| motion.quaternion(t).norm()).collect();
+        let norms = motion.quaternions().into_iter().map(Quaternion::norm);
         // Channels and derivatives of the poses.
         let sizes = |channels: Vec<[f64; 3]>| channels.into_iter().map(length).collect();
         let twice = |title, channels: Vec<[f64; 3]>, poses: Vec<[f64; 3]>| {
@@ -102,10 +87,7 @@ impl Representation for Phrases {
             let series = series.map(|(name, vectors)| (name.to_owned(), sizes(vectors)));
             Curves::new(title, series.to_vec())
         };
-        let vectors = |channels: std::ops::Range<usize>| -> Vec<[f64; 3]> {
-            let frames = 0..motion.frames();
-            frames.map(|t| motion.vector(t, channels.clone())).collect()
-        };
+        let vectors = |channels| motion.vectors(channels);
         let turns = vectors(ANGULAR_VELOCITY);
         let path = differences(&vectors(POSITION), FPS);
         let bends = jerk_of(&vectors(POSITION), FPS);
@@ -118,7 +100,7 @@ impl Representation for Phrases {
             channels("angular velocity (rad/s)", ANGULAR_VELOCITY, &xyz),
             channels("phase", PHASE..PHASE + 1, &["phase"]),
             channels("style", STYLE, &["0", "1", "2", "3", "4", "5", "6", "7"]),
-            Curves::new("quaternion norm", vec![("|q|".into(), norms)]),
+            Curves::new("quaternion norm", vec![("|q|".into(), norms.collect())]),
             twice("speed (m/s)", vectors(VELOCITY), path),
             twice("jerk (m/s³)", jerk(&motion), bends),
             twice("turn rate (rad/s)", turns, angular_rates(&motion)),

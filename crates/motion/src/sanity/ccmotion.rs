@@ -1,8 +1,9 @@
 //! CC-MotionGen's five checks.
 
 use super::{Check, Report, Threshold, coherence, finite_phrase, jerk, phase};
-use crate::Phrase;
 use crate::derivatives::{acceleration_errors, mean_absolute_component, velocity_errors};
+use crate::moments::mean;
+use crate::{Phrase, Quaternion};
 
 /// Smallest and largest mean quaternion norm.
 const QUATERNION_NORM: [f64; 2] = [0.95, 1.05];
@@ -45,9 +46,7 @@ pub(super) fn check(motion: &Phrase) -> Report {
 }
 
 fn quaternion(motion: &Phrase) -> Check {
-    let frames = motion.frames();
-    let norms = (0..frames).map(|t| motion.quaternion(t).norm());
-    let mean = norms.sum::<f64>() / frames as f64;
+    let mean = mean(motion.quaternions().into_iter().map(Quaternion::norm));
     let message = format!("mean quaternion norm {mean:.4}");
     let threshold = Threshold::Within(QUATERNION_NORM);
     Check::new("quaternion", mean, threshold, message)

@@ -84,7 +84,7 @@ fn finite_phrase(motion: &Phrase) -> Check {
 
 /// The phase of every frame.
 fn phase(motion: &Phrase, allowed: [f64; 2]) -> Check {
-    let [low, high] = range((0..motion.frames()).map(|t| f64::from(motion.frame(t)[PHASE])));
+    let [low, high] = range(motion.column(PHASE).into_iter());
     let message = format!("phase from {low:.4} to {high:.4}");
     let value = Value::Range([low, high]);
     Check::new("phase", value, Threshold::Within(allowed), message)
@@ -107,10 +107,9 @@ fn coherence(name: &'static str, error: f64, message: &str, below: f64) -> Check
 fn range(values: impl Iterator<Item = f64>) -> [f64; 2] {
     values.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], value| {
         // `f64::min` would drop a NaN.
-        if value.is_nan() || low.is_nan() {
-            [f64::NAN; 2]
-        } else {
-            [low.min(value), high.max(value)]
+        match value.is_nan() || low.is_nan() {
+            true => [f64::NAN; 2],
+            false => [low.min(value), high.max(value)],
         }
     })
 }

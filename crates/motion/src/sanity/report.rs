@@ -63,10 +63,9 @@ impl Check {
     pub fn worse(self, other: Self) -> Self {
         let excess = |check: &Self| check.threshold.excess(check.value);
         // NaN is the worst.
-        if excess(&self) >= excess(&other) || excess(&self).is_nan() {
-            self
-        } else {
-            other
+        match excess(&self) >= excess(&other) || excess(&self).is_nan() {
+            true => self,
+            false => other,
         }
     }
 }
@@ -128,16 +127,10 @@ impl Threshold {
         };
         match value {
             Value::Number(number) => excess(number),
-            Value::Range([low, high]) => {
-                let [low, high] = [excess(low), excess(high)];
-                if low.is_nan() {
-                    low
-                } else if high > low || high.is_nan() {
-                    high
-                } else {
-                    low
-                }
-            }
+            Value::Range([low, high]) => match [excess(low), excess(high)] {
+                [low, high] if !low.is_nan() && (high > low || high.is_nan()) => high,
+                [low, _] => low,
+            },
         }
     }
 }

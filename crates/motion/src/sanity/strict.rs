@@ -121,11 +121,10 @@ fn movement(measure: MotionMeasure, motion: &Phrase, training: &Statistics) -> O
             Threshold::Within([low / factor, high * factor])
         }
         Bounds::Upper(factor) => Threshold::AtMost(high * factor),
-        Bounds::UpperBeyond { factor, harmless } => Threshold::AtMost(
-            (high * factor)
-                .max(harmless)
-                .min((high + UPSIDE_DOWN) / 2.0),
-        ),
+        Bounds::UpperBeyond { factor, harmless } => {
+            let most = (high + UPSIDE_DOWN) / 2.0;
+            Threshold::AtMost((high * factor).max(harmless).min(most))
+        }
         Bounds::Unchecked => return None,
     };
     let value = measure.of(motion)?;
@@ -145,8 +144,8 @@ fn phase_direction(motion: &Phrase) -> Option<Check> {
 }
 
 fn quaternion_norm(motion: &Phrase) -> Check {
-    let deviations = (0..motion.frames()).map(|t| (motion.quaternion(t).norm() - 1.0).abs());
-    let [_, largest] = range(deviations);
+    let quaternions = motion.quaternions().into_iter();
+    let [_, largest] = range(quaternions.map(|q| (q.norm() - 1.0).abs()));
     Check::new(
         "quaternion_norm",
         largest,
@@ -156,11 +155,10 @@ fn quaternion_norm(motion: &Phrase) -> Check {
 }
 
 fn quaternion_sign(motion: &Phrase) -> Check {
-    let neighbours = 1..motion.frames();
-    let [smallest, _] = if neighbours.is_empty() {
-        [1.0; 2] // A single frame has no neighbour to disagree with.
-    } else {
-        range(neighbours.map(|t| motion.quaternion(t - 1).dot(motion.quaternion(t))))
+    let quaternions = motion.quaternions();
+    let [smallest, _] = match quaternions.len() {
+        1 => [1.0; 2], // A single frame has no neighbour to disagree with.
+        _ => range(quaternions.windows(2).map(|pair| pair[0].dot(pair[1]))),
     };
     Check::new(
         "quaternion_sign",

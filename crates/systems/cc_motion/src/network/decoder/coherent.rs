@@ -29,7 +29,7 @@ impl Fits {
         });
         Self {
             scales,
-            fits: scales.map(|scales| CoherentFit::new(frames, scales)),
+            fits: scales.map(|scales| CoherentFit::new(&vec![false; frames], scales)),
         }
     }
 }

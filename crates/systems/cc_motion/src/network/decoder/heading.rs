@@ -34,7 +34,7 @@ pub(super) fn fitted(
     std: &[f64],
 ) -> (Tensor<3>, Tensor<3>) {
     let time = quaternion.dims()[2];
-    let fit = Arc::new(Smooth(OrientationFit::of_headings(time, std[1])));
+    let fit = Arc::new(Smooth(OrientationFit::of_headings(vec![1.0; time], std[1])));
     let [rate_x, rate_y, rate_z] = [0, 1, 2].map(|axis| rates.clone().narrow(1, axis, 1));
     let heading = heading(quaternion.clone());
     let next = product(step(rates), quaternion.clone());

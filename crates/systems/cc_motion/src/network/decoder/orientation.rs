@@ -23,7 +23,7 @@ pub(super) fn fitted(quaternion: Tensor<3>, rates: Tensor<3>, std: &[f64]) -> Te
     let time = quaternion.dims()[2];
     let along = turned(rates);
     let rest = sign_continuous(product(conjugate(along.clone()), quaternion));
-    let fit = Smooth(OrientationFit::new(time, std));
+    let fit = Smooth(OrientationFit::new(vec![1.0; time], std));
     let rest = linear_map(rest, Arc::new(fit));
     let square = rest.clone().square().sum_dim(1);
     let rest = rest / (square + LEAST_NORM * LEAST_NORM).sqrt();
