@@ -165,7 +165,9 @@ fn angle(pairs: impl Iterator<Item = (Facing, Facing, f64)>) -> Option<f64> {
 mod tests {
     use super::*;
     use crate::random_phrase::random_phrase;
-    use crate::{ChannelEncoding, PhaseEncoding, Phrase, anchor_floor, rotate_yaw};
+    use crate::{
+        ChannelEncoding, OrientationEncoding, PhaseEncoding, Phrase, anchor_floor, rotate_yaw,
+    };
 
     /// The windows of a motion, each anchored where it begins and turned by an angle.
     fn cut(windows: &Windows, motion: &Phrase, angles: &[f64]) -> Vec<Phrase> {

@@ -235,7 +235,7 @@ fn phase_wraps(motion: &Phrase) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{Quaternion, derive};
+    use crate::derive;
 
     /// A phrase that walks along x at 0.6 m/s while it turns about the vertical at 90 degrees per
     /// second, half a bar a second.

@@ -5,7 +5,7 @@ use std::process::ExitCode;
 
 use kinegrad_data::Digest;
 use kinegrad_data::file::read_text;
-use kinegrad_motion::feet::{ContactRule, lock_joints_above};
+use kinegrad_motion::feet::{ContactRule, lock_joints};
 use kinegrad_motion::humanml::{Extraction, Features, Joints, Skeleton};
 use kinegrad_motion::metrics::{mean_jerk, skating_ratio};
 use kinegrad_motion::path::{ArcLengthMode, PathPlan, PathReport, Warp};
@@ -97,7 +97,7 @@ pub fn run(systems: Systems<'_>, arguments: WarpArguments) -> Result<ExitCode, E
         joints.joints(),
     )?;
     let locked = match arguments.lock_feet {
-        true => Some(lock_joints_above(
+        true => Some(lock_joints(
             &warped.joints,
             &own,
             &skeleton,

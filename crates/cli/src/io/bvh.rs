@@ -167,7 +167,7 @@ fn with_locked_feet(
     // In BVH bones have constant lengths: feet that are locked before would slide again.
     let rigid = bvh.joints_of(skeleton, CENTIMETRES);
     let rigid = rigid.expect("a file of these joints");
-    let locked = lock_joints(&rigid, joints, skeleton, &ContactRule::default())?;
+    let locked = lock_joints(&rigid, joints, skeleton, &ContactRule::default(), 0.0)?;
     let short = match locked.missed > EXACT {
         true => format!("; legs are up to {:.3} m too short", locked.missed),
         false => String::new(),

@@ -4,7 +4,7 @@ use kinegrad_random::{Key, Purpose};
 use serde::Serialize;
 
 use super::EmphasisProjection;
-use crate::moments::mean;
+use crate::moments::{mean, mean_and_deviation};
 
 /// Frames of the round trip.
 const FRAMES: usize = 196;
@@ -35,23 +35,20 @@ impl EmphasisProjection {
     /// Measures this projection, with 196 random frames of `seed` for the round trip.
     pub fn measure(&self, seed: u64) -> EmphasisMeasures {
         let variances = self.variance_per_dimension();
-        let variance_mean = mean(variances.iter().copied());
-        let spread = mean(variances.iter().map(|v| (v - variance_mean).powi(2)));
+        let (variance_mean, variance_std) = mean_and_deviation(variances.iter().copied());
         // One level below the matrix's own numbers.
         let frames = Key::new(seed, Purpose::Emphasis)
             .at(0)
             .normals(FRAMES * self.dimension());
         let back = self.unproject(&self.project(&frames));
-        let errors = frames
-            .iter()
-            .zip(&back)
-            .map(|(&before, &after)| (f64::from(before) - f64::from(after)).abs());
+        let pairs = frames.iter().zip(&back);
+        let errors = pairs.map(|(&a, &b)| (f64::from(a) - f64::from(b)).abs());
         EmphasisMeasures {
             condition_number: self.condition_number(),
             variance_min: variances.iter().copied().fold(f64::INFINITY, f64::min),
             variance_mean,
             variance_max: variances.iter().copied().fold(0.0, f64::max),
-            variance_std: spread.sqrt(),
+            variance_std,
             trajectory_share: self.trajectory_share(),
             round_trip_max: errors.clone().fold(0.0, f64::max),
             round_trip_mean: mean(errors),

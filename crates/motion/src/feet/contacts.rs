@@ -2,6 +2,7 @@
 
 use std::ops::Range;
 
+use crate::derivatives::forward_differences;
 use crate::metrics::{SKATING_HEIGHT, SKATING_SPEED};
 use crate::vector::{length, minus};
 
@@ -39,10 +40,9 @@ impl ContactRule {
     /// per second above a floor of that height. The speed of a frame is that of the slower step to
     /// a neighbour.
     pub fn contacts(&self, path: &[[f64; 3]], fps: f64, floor: f64) -> Vec<bool> {
-        let steps: Vec<f64> = path
-            .windows(2)
-            .map(|pair| length(minus(pair[1], pair[0])) * fps)
-            .collect();
+        let pairs = path.windows(2);
+        let steps = pairs.map(|pair| length(minus(pair[1], pair[0])) * fps);
+        let steps: Vec<f64> = steps.collect();
         let speed = |t: usize| {
             let around = steps[t.saturating_sub(1)..(t + 1).min(steps.len())].iter();
             around.copied().fold(f64::INFINITY, f64::min)
@@ -114,11 +114,7 @@ impl StepRule {
 
 /// Steps to the next frame, the last one repeated; zero for a single frame.
 pub fn steps(path: &[[f64; 3]]) -> Vec<[f64; 3]> {
-    let pairs = path.windows(2).map(|pair| minus(pair[1], pair[0]));
-    let mut steps: Vec<[f64; 3]> = pairs.collect();
-    let last = steps.last().copied().unwrap_or_default();
-    steps.resize(path.len(), last);
-    steps
+    forward_differences(path, 1.0)
 }
 
 /// Runs of frames in contact, in order.

@@ -22,24 +22,11 @@ pub struct LockedJoints {
 }
 
 /// Locks the feet of `joints` in contact. `rule` finds the contacts in `seen`, the joints
-/// themselves or their source, above the floor y = 0.
+/// themselves or their source, above a `floor` of that height.
 ///
 /// # Errors
 /// [`FeatureError::LengthMismatch`] unless both are the same frames of joints of `skeleton`.
 pub fn lock_joints(
-    joints: &Joints,
-    seen: &Joints,
-    skeleton: &Skeleton,
-    rule: &ContactRule,
-) -> Result<LockedJoints, FeatureError> {
-    lock_joints_above(joints, seen, skeleton, rule, 0.0)
-}
-
-/// [`lock_joints`] above a floor of that height.
-///
-/// # Errors
-/// As [`lock_joints`].
-pub fn lock_joints_above(
     joints: &Joints,
     seen: &Joints,
     skeleton: &Skeleton,
@@ -53,9 +40,8 @@ pub fn lock_joints_above(
     let legs = skeleton.legs();
     let stands = |leg: &Leg| rule.contacts(&seen.track(leg.sole), fps, floor);
     let contacts: Vec<Vec<bool>> = legs.iter().map(stands).collect();
-    let frames: Vec<Vec<[f64; 3]>> = (0..joints.frames())
-        .map(|t| joints.frame(t).to_vec())
-        .collect();
+    let frames = (0..joints.frames()).map(|t| joints.frame(t).to_vec());
+    let frames: Vec<Vec<[f64; 3]>> = frames.collect();
     let blend = (BLEND_SECONDS * fps).round() as usize;
     let locked = lock(&frames, skeleton.parents(), &legs, &contacts, blend);
     let joints_after = Joints::new(locked.positions.concat(), joints.joints())?;
@@ -119,7 +105,7 @@ mod tests {
         let skeleton = Skeleton::humanml3d();
         let rule = ContactRule::default();
         let slid = sliding_walk(&skeleton, -0.4);
-        let locked = lock_joints(&slid, &slid, &skeleton, &rule).unwrap();
+        let locked = lock_joints(&slid, &slid, &skeleton, &rule, 0.0).unwrap();
         assert!(
             locked.in_contact > 0.4 && locked.in_contact < 0.8,
             "{}",
@@ -176,7 +162,7 @@ mod tests {
         );
         let skates = |joints: &Joints| skating_ratio(joints, fps, &[10, 11]).unwrap();
         let quick = sliding_walk(&skeleton, -0.48);
-        let quick_held = lock_joints(&quick, &quick, &skeleton, &rule).unwrap();
+        let quick_held = lock_joints(&quick, &quick, &skeleton, &rule, 0.0).unwrap();
         // A foot that has just left is low and quick: what a walk that does not slide has as well.
         let own = skates(&sliding_walk(&skeleton, 0.0));
         let (before, after) = (skates(&quick), skates(&quick_held.joints));
@@ -188,7 +174,7 @@ mod tests {
         // It slides on, beyond its strides.
         let skeleton = Skeleton::humanml3d();
         let slid = sliding_walk(&skeleton, 0.4);
-        let locked = lock_joints(&slid, &slid, &skeleton, &ContactRule::default()).unwrap();
+        let locked = lock_joints(&slid, &slid, &skeleton, &ContactRule::default(), 0.0).unwrap();
         assert!(locked.missed > 0.02, "{}", locked.missed);
         assert!(locked.after < 0.6 * locked.before, "{}", locked.after);
         for leg in skeleton.legs() {
@@ -214,21 +200,21 @@ mod tests {
         let above = walk.as_slice().iter().map(|[x, y, z]| [*x, y + 0.3, *z]);
         let flying = Joints::new(above.collect(), 22).unwrap();
         let rule = ContactRule::default();
-        let locked = lock_joints(&flying, &flying, &skeleton, &rule).unwrap();
+        let locked = lock_joints(&flying, &flying, &skeleton, &rule, 0.0).unwrap();
         assert_eq!(locked.joints, flying);
         // On a floor at that height it stands as often as the walk does on its own.
-        let on_floor = lock_joints_above(&flying, &flying, &skeleton, &rule, 0.3).unwrap();
-        let own = lock_joints(&walk, &walk, &skeleton, &rule).unwrap();
+        let on_floor = lock_joints(&flying, &flying, &skeleton, &rule, 0.3).unwrap();
+        let own = lock_joints(&walk, &walk, &skeleton, &rule, 0.0).unwrap();
         assert!(own.in_contact > 0.1 && on_floor.in_contact == own.in_contact);
         assert_eq!(
             (locked.in_contact, locked.before, locked.missed),
             (0.0, 0.0, 0.0)
         );
         // Contacts of other joints count.
-        let locked = lock_joints(&flying, &walk, &skeleton, &ContactRule::default()).unwrap();
+        let locked = lock_joints(&flying, &walk, &skeleton, &ContactRule::default(), 0.0).unwrap();
         assert!(locked.after < 1e-6 && locked.joints != flying);
         let short = Joints::new(walk.as_slice()[..22].to_vec(), 22).unwrap();
-        assert!(lock_joints(&walk, &short, &skeleton, &ContactRule::default()).is_err());
-        assert!(lock_joints(&walk, &walk, &Skeleton::kit(), &ContactRule::default()).is_err());
+        assert!(lock_joints(&walk, &short, &skeleton, &ContactRule::default(), 0.0).is_err());
+        assert!(lock_joints(&walk, &walk, &Skeleton::kit(), &ContactRule::default(), 0.0).is_err());
     }
 }

@@ -14,7 +14,7 @@ mod locked_joints;
 mod tests;
 
 pub use contacts::{ContactRule, StepRule, runs, steps, without_short_runs};
-pub use locked_joints::{LockedJoints, lock_joints, lock_joints_above};
+pub use locked_joints::{LockedJoints, lock_joints};
 
 use std::ops::Range;
 
@@ -133,9 +133,8 @@ fn corrections(path: &[[f64; 3]], contacts: &[bool], blend: usize) -> Vec<[f64; 
     let runs = runs(contacts);
     let mut by = vec![[0.0; 3]; frames];
     for (index, &Range { start: first, end }) in runs.iter().enumerate() {
-        let sum = path[first..end]
-            .iter()
-            .fold([0.0; 3], |sum, &p| plus(sum, p));
+        let contact = path[first..end].iter();
+        let sum = contact.fold([0.0; 3], |sum, &p| plus(sum, p));
         let still = sum.map(|value| value / (end - first) as f64);
         for t in first..end {
             by[t] = minus(still, path[t]);

@@ -17,46 +17,34 @@ impl Goal {
     /// than a sprinter's speed, and positions inside an obstacle.
     pub fn feasibility_warnings(&self, fps: f64) -> Vec<String> {
         let stops = self.stops();
-        let segments = match self.trajectory {
+        let segments = too_fast(&stops, fps);
+        let mut warnings: Vec<String> = match self.trajectory {
             // One warning for all points.
-            Some(_) => fastest(&stops, fps).into_iter().collect(),
-            None => too_fast(&stops, fps).map(|(_, text)| text).collect(),
+            Some(_) => fastest(segments.collect()).into_iter().collect(),
+            None => segments.map(|(_, text)| text).collect(),
         };
-        let mut warnings: Vec<String> = segments;
         warnings.extend(self.inside_obstacles(&stops));
         warnings
     }
 
     /// Target positions by frame. A clip begins at the origin.
     fn stops(&self) -> Vec<Stop> {
-        let mut stops: Vec<Stop> = match &self.trajectory {
-            Some(trajectory) => {
-                let points = trajectory.points.iter().enumerate();
-                let stop = |(index, &position)| Stop {
-                    name: format!("trajectory.points[{index}]"),
-                    frame: trajectory.first_frame + index,
-                    position,
-                };
-                points.map(stop).collect()
-            }
-            None => {
-                let keyframes = self.keyframes.iter().enumerate();
-                let stop = |(index, keyframe): (usize, &super::Keyframe)| Stop {
-                    name: format!("keyframe[{index}]"),
-                    frame: keyframe.frame,
-                    position: keyframe.position(),
-                };
-                keyframes.map(stop).collect()
-            }
+        let stop = |name, frame, position| Stop {
+            name,
+            frame,
+            position,
         };
+        let keyframes = self.keyframes.iter().enumerate();
+        let keyframes =
+            keyframes.map(|(i, k)| stop(format!("keyframe[{i}]"), k.frame, k.position()));
+        let points = self.trajectory.iter();
+        let points = points.flat_map(|all| (all.first_frame..).zip(&all.points).enumerate());
+        let points =
+            points.map(|(i, (frame, at))| stop(format!("trajectory.points[{i}]"), frame, *at));
+        let mut stops: Vec<Stop> = keyframes.chain(points).collect();
         stops.sort_by_key(|stop| stop.frame);
         if stops.first().is_some_and(|first| first.frame > 0) {
-            let start = Stop {
-                name: "the start".into(),
-                frame: 0,
-                position: [0.0; 2],
-            };
-            stops.insert(0, start);
+            stops.insert(0, stop("the start".into(), 0, [0.0; 2]));
         }
         stops
     }
@@ -100,9 +88,9 @@ fn too_fast(stops: &[Stop], fps: f64) -> impl Iterator<Item = (f64, String)> {
 }
 
 /// The fastest of them, and the number of others.
-fn fastest(stops: &[Stop], fps: f64) -> Option<String> {
-    let all = too_fast(stops, fps).count();
-    let (_, text) = too_fast(stops, fps).max_by(|a, b| a.0.total_cmp(&b.0))?;
+fn fastest(segments: Vec<(f64, String)>) -> Option<String> {
+    let all = segments.len();
+    let (_, text) = segments.into_iter().max_by(|a, b| a.0.total_cmp(&b.0))?;
     Some(match all {
         1 => text,
         all => format!("{text}; {} other steps are too fast too", all - 1),

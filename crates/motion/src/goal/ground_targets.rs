@@ -45,10 +45,8 @@ impl GroundTargets {
     /// A position for each frame from `first_frame` on.
     pub fn trajectory(positions: &[[f64; 2]], first_frame: usize, frames: usize) -> Self {
         let mut targets = vec![None; frames];
-        for (target, &position) in targets[first_frame..][..positions.len()]
-            .iter_mut()
-            .zip(positions)
-        {
+        let covered = &mut targets[first_frame..][..positions.len()];
+        for (target, &position) in covered.iter_mut().zip(positions) {
             *target = Some(position);
         }
         Self { targets }

@@ -60,13 +60,12 @@ impl Obstacle {
             &Self::Disc { x, z, radius } => {
                 check_metres("x", x)?;
                 check_metres("z", z)?;
-                require(
+                let (positive, allowed) = (
                     radius > 0.0 && radius.is_finite(),
-                    "radius",
-                    radius,
                     "a positive number of metres",
-                )
-                .hint("leave out an obstacle that has no size")
+                );
+                require(positive, "radius", radius, allowed)
+                    .hint("leave out an obstacle that has no size")
             }
             Self::Polygon { vertices } => {
                 for (index, &vertex) in vertices.iter().enumerate() {

@@ -8,7 +8,6 @@
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 
-use super::FaceJoints;
 use super::{FeatureError, Joints, Skeleton};
 use crate::Quaternion;
 use crate::rotation::between;
@@ -41,17 +40,12 @@ pub enum Across {
 
 /// The horizontal direction that the joints of one frame face, of any length.
 pub fn forward(skeleton: &Skeleton, frame: &[[f64; 3]], across: Across) -> [f64; 3] {
-    let FaceJoints {
-        right_hip,
-        left_hip,
-        right_shoulder,
-        left_shoulder,
-    } = skeleton.description().face_joints;
+    let face = skeleton.description().face_joints;
     let hips = match across {
-        Across::Consistent => minus(frame[right_hip], frame[left_hip]),
-        Across::Published => minus(frame[left_hip], frame[right_hip]),
+        Across::Consistent => minus(frame[face.right_hip], frame[face.left_hip]),
+        Across::Published => minus(frame[face.left_hip], frame[face.right_hip]),
     };
-    let shoulders = minus(frame[right_shoulder], frame[left_shoulder]);
+    let shoulders = minus(frame[face.right_shoulder], frame[face.left_shoulder]);
     let [x, _, z] = unit(plus(hips, shoulders));
     // The cross product of +y with it.
     [z, 0.0, -x]
@@ -67,10 +61,8 @@ pub fn facing(
     heading: Heading,
 ) -> Result<Vec<[f64; 3]>, FeatureError> {
     joints.must_be_of(skeleton)?;
-    let frames = (0..joints.frames()).map(|t| joints.frame(t));
-    let raw: Vec<[f64; 3]> = frames
-        .map(|frame| forward(skeleton, frame, Across::Published))
-        .collect();
+    let of_frame = |t| forward(skeleton, joints.frame(t), Across::Published);
+    let raw: Vec<[f64; 3]> = (0..joints.frames()).map(of_frame).collect();
     let directions = match heading {
         Heading::Raw => raw,
         Heading::Smoothed => smooth(&raw),
@@ -85,16 +77,15 @@ fn smooth(vectors: &[[f64; 3]]) -> Vec<[f64; 3]> {
     let weights: Vec<f64> = (-reach..=reach).map(weight).collect();
     let total: f64 = weights.iter().sum();
     let last = vectors.len() as i64 - 1;
-    (0..=last)
-        .map(|t| {
-            let mut sum = [0.0; 3];
-            for (offset, weight) in (-reach..=reach).zip(&weights) {
+    let mean = |t: i64| {
+        (-reach..=reach)
+            .zip(&weights)
+            .fold([0.0; 3], |sum, (offset, weight)| {
                 let vector = vectors[(t + offset).clamp(0, last) as usize];
-                sum = plus(sum, vector.map(|value| value * weight / total));
-            }
-            sum
-        })
-        .collect()
+                plus(sum, vector.map(|value| value * weight / total))
+            })
+    };
+    (0..=last).map(mean).collect()
 }
 
 /// Rotations of all joints, `[frames, J]`: the root quaternion (world to facing frame, the identity

@@ -72,6 +72,7 @@ impl Skeleton {
     pub fn humanml3d() -> Self {
         built_in(
             &HUMANML3D,
+            ["ankle", "foot"],
             SkeletonDescription {
                 name: "humanml3d".to_string(),
                 fps: 20.0,
@@ -82,26 +83,6 @@ impl Skeleton {
                     vec![9, 14, 17, 19, 21],
                     vec![9, 13, 16, 18, 20],
                 ],
-                face_joints: FaceJoints {
-                    right_hip: 2,
-                    left_hip: 1,
-                    right_shoulder: 17,
-                    left_shoulder: 16,
-                },
-                mirrored_joints: vec![
-                    [1, 2],
-                    [4, 5],
-                    [7, 8],
-                    [10, 11],
-                    [13, 14],
-                    [16, 17],
-                    [18, 19],
-                    [20, 21],
-                ],
-                feet: Feet {
-                    left: [7, 10],
-                    right: [8, 11],
-                },
                 leg_joints: [5, 8],
                 ..SkeletonDescription::default()
             },
@@ -117,6 +98,7 @@ impl Skeleton {
     pub fn kit() -> Self {
         built_in(
             &KIT,
+            ["heel", "foot"],
             SkeletonDescription {
                 name: "kit".to_string(),
                 fps: 12.5,
@@ -127,26 +109,6 @@ impl Skeleton {
                     vec![3, 5, 6, 7],
                     vec![3, 8, 9, 10],
                 ],
-                face_joints: FaceJoints {
-                    right_hip: 11,
-                    left_hip: 16,
-                    right_shoulder: 5,
-                    left_shoulder: 8,
-                },
-                mirrored_joints: vec![
-                    [8, 5],
-                    [9, 6],
-                    [10, 7],
-                    [16, 11],
-                    [17, 12],
-                    [18, 13],
-                    [19, 14],
-                    [20, 15],
-                ],
-                feet: Feet {
-                    left: [19, 20],
-                    right: [14, 15],
-                },
                 leg_joints: [17, 18],
                 ..SkeletonDescription::default()
             },
@@ -154,13 +116,30 @@ impl Skeleton {
     }
 }
 
-/// The skeleton of these joints and the rest of the description.
-fn built_in(joints: &[Joint], description: SkeletonDescription) -> Skeleton {
-    let joint_names = joints.iter().map(|(name, ..)| name.to_string()).collect();
+/// The skeleton of these joints and the rest of the description. Names pair left and right joints
+/// and contain `feet`, the two joints of the contact flags.
+fn built_in(joints: &[Joint], feet: [&str; 2], description: SkeletonDescription) -> Skeleton {
+    let place = |wanted: String| joints.iter().position(|(name, ..)| *name == wanted);
+    let left = |part: &str| place(format!("left_{part}")).expect("a left joint");
+    let right = |part: &str| place(format!("right_{part}")).expect("a right joint");
+    let parts = joints
+        .iter()
+        .filter_map(|(name, ..)| name.strip_prefix("left_"));
     Skeleton::new(SkeletonDescription {
-        joint_names,
+        joint_names: joints.iter().map(|(name, ..)| name.to_string()).collect(),
         raw_directions: joints.iter().map(|(_, direction, _)| *direction).collect(),
         rest_offsets: joints.iter().map(|(.., offset)| *offset).collect(),
+        face_joints: FaceJoints {
+            right_hip: right("hip"),
+            left_hip: left("hip"),
+            right_shoulder: right("shoulder"),
+            left_shoulder: left("shoulder"),
+        },
+        mirrored_joints: parts.map(|part| [left(part), right(part)]).collect(),
+        feet: Feet {
+            left: feet.map(left),
+            right: feet.map(right),
+        },
         ..description
     })
     .expect("the built-in descriptions are sound")

@@ -46,10 +46,9 @@ impl Extraction {
     /// for joints of another skeleton; [`FeatureError::TooFewFrames`] for a single frame;
     /// [`FeatureError::NoLegs`]; [`FeatureError::NonFinite`] if values overflow.
     pub fn features(&self, skeleton: &Skeleton, joints: &Joints) -> Result<Features, FeatureError> {
-        let joints = if self.rescale {
-            &rescale(skeleton, joints)?
-        } else {
-            joints
+        let joints = match self.rescale {
+            true => &rescale(skeleton, joints)?,
+            false => joints,
         };
         self.features_in_place(skeleton, &canonicalize(skeleton, joints)?)
     }
@@ -112,9 +111,8 @@ impl Extraction {
         next_facing: Quaternion,
     ) -> Vec<f32> {
         let facing = rotations[0];
-        let steps: Vec<[f64; 3]> = (0..frame.len())
-            .map(|joint| minus(next[joint], frame[joint]))
-            .collect();
+        let steps = next.iter().zip(frame);
+        let steps: Vec<[f64; 3]> = steps.map(|(next, here)| minus(*next, *here)).collect();
         let mut values = Vec::with_capacity(skeleton.layout().channels());
         let turn = next_facing * facing.conjugate();
         // The shorter rotation, also where the heading passes the direction opposite to the first
@@ -141,11 +139,8 @@ pub fn extrapolated(joints: &Joints) -> Result<Joints, FeatureError> {
     let mut places = joints.as_slice().to_vec();
     let last = joints.frames() - 1;
     let (before, now) = (joints.frame(last.saturating_sub(1)), joints.frame(last));
-    places.extend(
-        now.iter()
-            .zip(before)
-            .map(|(now, before)| plus(*now, minus(*now, *before))),
-    );
+    let steps = now.iter().zip(before);
+    places.extend(steps.map(|(now, before)| plus(*now, minus(*now, *before))));
     Joints::new(places, joints.joints())
 }
 
@@ -153,9 +148,8 @@ pub fn extrapolated(joints: &Joints) -> Result<Joints, FeatureError> {
 /// `facing`.
 pub fn in_facing_frame(frame: &[[f64; 3]], facing: Quaternion) -> impl Iterator<Item = [f64; 3]> {
     let [x, _, z] = frame[0];
-    frame
-        .iter()
-        .map(move |place| facing.rotate(minus(*place, [x, 0.0, z])))
+    let places = frame.iter();
+    places.map(move |place| facing.rotate(minus(*place, [x, 0.0, z])))
 }
 
 /// The clip with the bones of the skeleton's reference pose: the same rotations, and the root
@@ -180,12 +174,8 @@ pub fn leg_ratio(skeleton: &Skeleton, joints: &Joints) -> Result<f64, FeatureErr
     joints.must_be_of(skeleton)?;
     let legs = |offsets: &[[f64; 3]]| {
         let largest = |joint: usize| offsets[joint].iter().fold(0.0f64, |a, b| a.max(b.abs()));
-        skeleton
-            .description()
-            .leg_joints
-            .map(largest)
-            .iter()
-            .sum::<f64>()
+        let joints = skeleton.description().leg_joints;
+        joints.map(largest).iter().sum::<f64>()
     };
     let source = legs(&skeleton.offsets_of_frame(joints.frame(0)));
     if source == 0.0 {

@@ -123,19 +123,15 @@ impl Features {
     #[must_use]
     pub fn with_root(&self, root: Root) -> Self {
         let mut values = self.values.clone();
-        if root != self.root {
-            let converted = self.root.convert(&self.root_channels(), root);
-            let rows = values.chunks_exact_mut(self.layout.channels());
-            for (row, root) in rows.zip(converted) {
-                for (value, converted) in row.iter_mut().zip(root) {
-                    *value = converted as f32;
-                }
-            }
+        let converted = self.root.convert(&self.root_channels(), root);
+        let rows = values.chunks_exact_mut(self.layout.channels());
+        for (row, root) in rows.zip(converted) {
+            row[FeatureLayout::ROOT].copy_from_slice(&root.map(|value| value as f32));
         }
         Self {
             values,
-            layout: self.layout,
             root,
+            ..*self
         }
     }
 
@@ -193,13 +189,10 @@ impl Features {
         (sign[0], sign[1]) = (-1.0, -1.0);
         let mut reflect = |range: Range<usize>, first_joint: usize, signs: &[f32]| {
             for channel in range.clone() {
-                let (joint, part) = (
-                    (channel - range.start) / signs.len() + first_joint,
-                    (channel - range.start) % signs.len(),
-                );
-                let other = image[joint] - first_joint;
-                source[channel] = range.start + other * signs.len() + part;
-                sign[channel] = signs[part];
+                let (place, width) = (channel - range.start, signs.len());
+                let other = image[place / width + first_joint] - first_joint;
+                source[channel] = range.start + other * width + place % width;
+                sign[channel] = signs[place % width];
             }
         };
         reflect(layout.positions(), 1, &VECTOR);

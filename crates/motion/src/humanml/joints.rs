@@ -107,12 +107,8 @@ impl Joints {
         self.must_be_of(skeleton)?;
         let mirrored = skeleton.mirrored();
         let values = (0..self.frames()).flat_map(|t| {
-            let frame = self.frame(t);
-            let image = |&joint: &usize| {
-                let [x, y, z] = frame[joint];
-                [-x, y, z]
-            };
-            mirrored.iter().map(image)
+            let places = mirrored.iter().map(move |&joint| self.frame(t)[joint]);
+            places.map(|[x, y, z]| [-x, y, z])
         });
         Ok(Self {
             values: values.collect(),

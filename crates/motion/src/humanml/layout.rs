@@ -105,31 +105,27 @@ impl FeatureLayout {
     /// published names.
     pub(super) fn channel(self, index: usize) -> (Option<usize>, &'static str) {
         assert!(index < self.channels(), "channel {index} does not exist");
-        let of = |range: Range<usize>, first_joint: usize, components: &[&'static str]| {
-            let place = index - range.start;
-            let joint = first_joint + place / components.len();
-            (Some(joint), components[place % components.len()])
-        };
-        if Self::ROOT.contains(&index) {
-            let components = ["rot_half_vel_y", "lin_vel_x", "lin_vel_z", "height_y"];
-            (None, components[index])
-        } else if self.positions().contains(&index) {
-            of(self.positions(), 1, &["ric_x", "ric_y", "ric_z"])
-        } else if self.rotations().contains(&index) {
-            let columns = [
-                "rot6d_m00",
-                "rot6d_m10",
-                "rot6d_m20",
-                "rot6d_m01",
-                "rot6d_m11",
-                "rot6d_m21",
-            ];
-            of(self.rotations(), 1, &columns)
-        } else if self.velocities().contains(&index) {
-            of(self.velocities(), 0, &["vel_x", "vel_y", "vel_z"])
-        } else {
-            (None, "contact")
+        let columns = [
+            "rot6d_m00",
+            "rot6d_m10",
+            "rot6d_m20",
+            "rot6d_m01",
+            "rot6d_m11",
+            "rot6d_m21",
+        ];
+        let groups: [(_, _, &[&str]); 3] = [
+            (self.positions(), 1, &["ric_x", "ric_y", "ric_z"]),
+            (self.rotations(), 1, &columns),
+            (self.velocities(), 0, &["vel_x", "vel_y", "vel_z"]),
+        ];
+        for (range, first_joint, components) in groups {
+            if range.contains(&index) {
+                let (place, width) = (index - range.start, components.len());
+                return (Some(first_joint + place / width), components[place % width]);
+            }
         }
+        let root = ["rot_half_vel_y", "lin_vel_x", "lin_vel_z", "height_y"];
+        (None, root.get(index).unwrap_or(&"contact"))
     }
 
     /// Name of channel `index` without a skeleton, such as `root.height_y`, `joint_3.ric_x` or

@@ -10,6 +10,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::Quaternion;
+use crate::vector::{minus, plus};
 
 /// Representation of the root in channels 0 to 2.
 #[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, Serialize, JsonSchema)]
@@ -38,14 +39,9 @@ impl Root {
         match self {
             Self::Absolute => rotations.collect(),
             Self::Relative => {
-                let mut angle = 0.0;
-                rotations
-                    .map(|rotation| {
-                        let sum_before = angle;
-                        angle += rotation;
-                        sum_before
-                    })
-                    .collect()
+                let mut sum = 0.0;
+                let before = |rotation| std::mem::replace(&mut sum, sum + rotation);
+                rotations.map(before).collect()
             }
         }
     }
@@ -64,16 +60,14 @@ impl Root {
             Self::Relative => {
                 let angles = self.half_angles(channels);
                 let mut place = [0.0; 2];
-                (0..channels.len())
-                    .map(|t| {
-                        if t > 0 {
-                            let [_, x, z, _] = channels[t - 1];
-                            let step = turn(-angles[t], [x, z]);
-                            place = [place[0] + step[0], place[1] + step[1]];
-                        }
-                        [place[0], channels[t][3], place[1]]
-                    })
-                    .collect()
+                let position = |t: usize| {
+                    if t > 0 {
+                        let [_, x, z, _] = channels[t - 1];
+                        place = plus(place, turn(-angles[t], [x, z]));
+                    }
+                    [place[0], channels[t][3], place[1]]
+                };
+                (0..channels.len()).map(position).collect()
             }
         }
     }
@@ -96,9 +90,8 @@ impl Root {
                 });
                 let mut changes: Vec<[f64; 3]> = changes.collect();
                 changes.push(changes.last().copied().unwrap_or_default());
-                let rows = changes.into_iter().zip(channels);
-                rows.map(|([rotation, x, z], row)| [rotation, x, z, row[3]])
-                    .collect()
+                let row = |([rotation, x, z], row): ([f64; 3], &[f64; 4])| [rotation, x, z, row[3]];
+                changes.into_iter().zip(channels).map(row).collect()
             }
             _ => channels.to_vec(),
         }
@@ -118,7 +111,7 @@ impl Root {
         let mut gradient = vec![[0.0; 4]; channels.len()];
         let (mut later, mut angle_gradient) = ([0.0; 2], 0.0);
         for t in (1..channels.len()).rev() {
-            later = [later[0] + upstream[t][0], later[1] + upstream[t][1]];
+            later = plus(later, upstream[t]);
             let [_, x, z, _] = channels[t - 1];
             let step = turn(-angles[t], [x, z]);
             // a grown by one unit turns the step by two towards (-z, x).
@@ -137,12 +130,9 @@ impl Root {
         target: &[[f64; 2]],
     ) -> (f64, Vec<[f64; 4]>) {
         assert_eq!(target.len(), channels.len(), "one target a frame");
-        let apart: Vec<[f64; 2]> = self
-            .positions(channels)
-            .iter()
-            .zip(target)
-            .map(|([x, _, z], target)| [x - target[0], z - target[1]])
-            .collect();
+        let positions = self.positions(channels).into_iter().zip(target);
+        let apart = positions.map(|([x, _, z], target)| minus([x, z], *target));
+        let apart: Vec<[f64; 2]> = apart.collect();
         let distance = apart.iter().flatten().map(|value| value * value).sum();
         let upstream: Vec<[f64; 2]> = apart.iter().map(|v| v.map(|x| 2.0 * x)).collect();
         (distance, self.ground_gradient(channels, &upstream))

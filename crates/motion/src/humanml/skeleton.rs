@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{FeatureError, FeatureLayout, Feet, SkeletonDescription};
 use crate::feet::Leg;
-use crate::vector::length;
+use crate::vector::{length, minus};
 
 /// A valid skeleton, made from a [`SkeletonDescription`] (also its stored form) or built in:
 /// [`humanml3d`](Self::humanml3d), [`kit`](Self::kit).
@@ -42,7 +42,7 @@ impl Skeleton {
         FeatureError::unless_equal(what, self.joints(), joints.len())?;
         let offset = |(joint, parent): (usize, &Option<usize>)| match parent {
             None => [0.0; 3],
-            Some(parent) => [0, 1, 2].map(|i| joints[joint][i] - joints[*parent][i]),
+            Some(parent) => minus(joints[joint], joints[*parent]),
         };
         let rest_offsets = self.parents.iter().enumerate().map(offset).collect();
         Self::new(SkeletonDescription {
@@ -124,19 +124,15 @@ impl Skeleton {
         assert_eq!(frame.len(), self.joints(), "a place for each joint");
         let bone = |(joint, parent): (usize, &Option<usize>)| {
             let start = parent.map_or([0.0; 3], |parent| frame[parent]);
-            length([0, 1, 2].map(|i| frame[joint][i] - start[i]))
+            length(minus(frame[joint], start))
         };
         self.offsets_of_lengths(self.parents.iter().enumerate().map(bone))
     }
 
     fn offsets_of_lengths(&self, lengths: impl Iterator<Item = f64>) -> Vec<[f64; 3]> {
-        let mut offsets: Vec<[f64; 3]> = self
-            .description
-            .raw_directions
-            .iter()
-            .zip(lengths)
-            .map(|(direction, length)| direction.map(|value| value * length))
-            .collect();
+        let bones = self.description.raw_directions.iter().zip(lengths);
+        let offsets = bones.map(|(direction, length)| direction.map(|value| value * length));
+        let mut offsets: Vec<[f64; 3]> = offsets.collect();
         offsets[0] = [0.0; 3];
         offsets
     }

@@ -11,17 +11,11 @@ use crate::Quaternion;
 pub struct FeatureStream {
     skeleton: Skeleton,
     extraction: Extraction,
-    last: Option<PosedFrame>,
+    /// The last frame and its rotations.
+    last: Option<(Vec<[f64; 3]>, Vec<Quaternion>)>,
     frames: usize,
     /// Whether the first frame has its own heading.
     own_heading: bool,
-}
-
-/// A frame, with its rotations.
-#[derive(Clone, Debug)]
-struct PosedFrame {
-    places: Vec<[f64; 3]>,
-    rotations: Vec<Quaternion>,
 }
 
 /// Largest coordinate of a joint, metres.
@@ -80,9 +74,8 @@ impl FeatureStream {
             None if !self.own_heading => Quaternion::IDENTITY,
             _ => raw_root(&self.skeleton, frame),
         };
-        let row = self.last.as_ref().map(|last| {
-            let frames = [&last.places[..], frame];
-            let rotations = &last.rotations;
+        let row = self.last.as_ref().map(|(last, rotations)| {
+            let frames = [&last[..], frame];
             self.extraction.row(&self.skeleton, frames, rotations, root)
         });
         if let Some(row) = &row
@@ -91,18 +84,16 @@ impl FeatureStream {
             let name = self.skeleton.layout().channel_name(channel);
             return Err(not_finite("features", format!("channel `{name}`")));
         }
-        self.last = Some(PosedFrame {
-            places: frame.to_vec(),
-            rotations: rotations_of_frame(&self.skeleton, frame, root),
-        });
+        let rotations = rotations_of_frame(&self.skeleton, frame, root);
+        self.last = Some((frame.to_vec(), rotations));
         self.frames += 1;
         Ok(row)
     }
 
     /// The last frame, `[J, 3]`, and its root quaternion.
     pub fn last(&self) -> Option<(&[[f64; 3]], Quaternion)> {
-        let last = self.last.as_ref()?;
-        Some((&last.places, last.rotations[0]))
+        let (last, rotations) = self.last.as_ref()?;
+        Some((last, rotations[0]))
     }
 
     /// Number of frames added.

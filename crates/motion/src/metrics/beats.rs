@@ -26,8 +26,9 @@ pub fn speed_peaks(motion: &Phrase) -> Vec<f64> {
 
 /// Times in seconds of the local maxima of a function of the speed.
 fn peaks(motion: &Phrase, of: fn(f64) -> f64) -> Vec<f64> {
-    let values = (0..motion.frames()).map(|t| of(length(motion.vector(t, VELOCITY))));
-    let places = local_maxima(&values.collect::<Vec<_>>()).into_iter();
+    let velocities = motion.vectors(VELOCITY).into_iter();
+    let values: Vec<f64> = velocities.map(|velocity| of(length(velocity))).collect();
+    let places = local_maxima(&values).into_iter();
     places.map(|place| place / FPS).collect()
 }
 
@@ -38,10 +39,8 @@ pub fn beat_alignment(kinematic: &[f64], music: &[f64]) -> Option<f64> {
         return None;
     }
     let score = |beat: &f64| {
-        let nearest = music
-            .iter()
-            .map(|other| (other - beat).abs())
-            .fold(f64::INFINITY, f64::min);
+        let distances = music.iter().map(|other| (other - beat).abs());
+        let nearest = distances.fold(f64::INFINITY, f64::min);
         (-nearest.powi(2) / (2.0 * BEAT_SIGMA.powi(2))).exp()
     };
     Some(kinematic.iter().map(score).sum::<f64>() / kinematic.len() as f64)
@@ -54,10 +53,8 @@ const OFFSETS: usize = 50;
 /// within `seconds`.
 pub fn chance_alignment(kinematic: &[f64], music: &[f64], seconds: f64, key: Key) -> Option<f64> {
     let at = |offset: f32| {
-        let moved = kinematic
-            .iter()
-            .map(|beat| (beat + f64::from(offset) * seconds).rem_euclid(seconds));
-        beat_alignment(&moved.collect::<Vec<_>>(), music)
+        let moved = |beat| (beat + f64::from(offset) * seconds).rem_euclid(seconds);
+        beat_alignment(&kinematic.iter().map(moved).collect::<Vec<_>>(), music)
     };
     super::mean(key.uniforms(OFFSETS).into_iter().map(at))
 }
@@ -68,12 +65,9 @@ fn local_maxima(values: &[f64]) -> Vec<f64> {
     let mut start = 0;
     while start < values.len() {
         let level = values[start];
-        let length = values[start..]
-            .iter()
-            .take_while(|&&value| value == level)
-            .count()
-            .max(1); // NaN equals nothing, not even itself.
-        let end = start + length;
+        let plateau = values[start..].iter().take_while(|value| **value == level);
+        // NaN is not even equal to itself.
+        let end = start + plateau.count().max(1);
         let rises = start > 0 && values[start - 1] < level;
         let falls = values.get(end).is_some_and(|&after| after < level);
         if rises && falls {

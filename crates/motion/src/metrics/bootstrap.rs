@@ -28,11 +28,8 @@ impl Estimate {
     ///
     /// `None` of no values, or if one is not finite.
     pub fn of(groups: &[Vec<f64>], seed: u64) -> Option<Self> {
-        let groups: Vec<&[f64]> = groups
-            .iter()
-            .map(Vec::as_slice)
-            .filter(|group| !group.is_empty())
-            .collect();
+        let groups = groups.iter().filter(|group| !group.is_empty());
+        let groups: Vec<&Vec<f64>> = groups.collect();
         let all = || groups.iter().flat_map(|group| group.iter().copied());
         if groups.is_empty() || !all().all(f64::is_finite) {
             return None;

@@ -10,8 +10,8 @@ use crate::{Phrase, Statistics};
 /// standard deviations: 9 means, then 9 deviations.
 pub fn trajectory_features(motion: &Phrase, training: &Statistics) -> Vec<f64> {
     let moments = TRAJECTORY.map(|channel| {
-        let values = (0..motion.frames()).map(|t| f64::from(motion.frame(t)[channel]));
-        let (mean, deviation) = mean_and_deviation(values);
+        let values = motion.column(channel);
+        let (mean, deviation) = mean_and_deviation(values.into_iter());
         let unit = training.std[channel];
         (mean / unit, deviation / unit)
     });
@@ -35,10 +35,10 @@ impl FeatureMoments {
         if count < 2 || features.iter().flatten().any(|value| !value.is_finite()) {
             return None;
         }
-        let vectors: Vec<_> = features
+        let vectors = features
             .iter()
-            .map(|vector| DVector::from_column_slice(vector))
-            .collect();
+            .map(|vector| DVector::from_column_slice(vector));
+        let vectors: Vec<DVector<f64>> = vectors.collect();
         let mean = vectors.iter().sum::<DVector<f64>>() / count as f64;
         let mut covariance = DMatrix::zeros(mean.len(), mean.len());
         for vector in &vectors {
@@ -63,11 +63,11 @@ pub fn frechet_distance(a: &FeatureMoments, b: &FeatureMoments) -> f64 {
     let mut product = &root * &b.covariance * &root;
     // Rounding leaves it a little unsymmetric.
     product = (&product + product.transpose()) / 2.0;
-    let cross: f64 = SymmetricEigen::new(product)
-        .eigenvalues
+    let eigenvalues = SymmetricEigen::new(product).eigenvalues;
+    let roots = eigenvalues
         .iter()
-        .map(|eigenvalue| eigenvalue.max(0.0).sqrt())
-        .sum();
+        .map(|eigenvalue| eigenvalue.max(0.0).sqrt());
+    let cross: f64 = roots.sum();
     let spread = a.covariance.trace() + b.covariance.trace() - 2.0 * cross;
     // Rounding may leave the distance of equal sets below 0.
     ((&a.mean - &b.mean).norm_squared() + spread).max(0.0)

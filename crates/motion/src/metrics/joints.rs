@@ -14,27 +14,32 @@ pub const SKATING_SPEED: f64 = 0.5;
 /// joints) slides: below [`SKATING_HEIGHT`] in both frames and horizontally faster than
 /// [`SKATING_SPEED`]. `None` for fewer than two frames.
 pub fn sliding_ratio(joints: &Joints, fps: f64, feet: &[usize]) -> Option<f64> {
-    let steps = joints.frames() - 1;
-    let slides = |t: usize, foot: usize| {
-        let (here, there) = (joints.frame(t)[foot], joints.frame(t + 1)[foot]);
-        let speed = (there[0] - here[0]).hypot(there[2] - here[2]) * fps;
-        here[1] < SKATING_HEIGHT && there[1] < SKATING_HEIGHT && speed > SKATING_SPEED
-    };
-    let slid = (0..steps).filter(|&t| feet.iter().any(|&foot| slides(t, foot)));
-    (steps > 0).then(|| slid.count() as f64 / steps as f64)
+    share_of_steps(joints, fps, feet, |step| {
+        step.contact && step.speed > SKATING_SPEED
+    })
 }
 
 /// Foot skating as in the published evaluation: as [`sliding_ratio`], but the mean speed over the
 /// step and two steps on either side must exceed [`SKATING_SPEED`] too; steps beyond the ends count
 /// as zero (docs/sources.md, section 4.13). `None` for fewer than two frames.
 pub fn skating_ratio(joints: &Joints, fps: f64, feet: &[usize]) -> Option<f64> {
-    let speeds: Vec<Vec<SkatingStep>> = feet
-        .iter()
-        .map(|&foot| skating_steps(joints, fps, foot))
-        .collect();
+    share_of_steps(joints, fps, feet, |step| {
+        step.contact && step.speed > SKATING_SPEED && step.mean_speed > SKATING_SPEED
+    })
+}
+
+/// Share of the steps in which one of the `feet` `slides`.
+fn share_of_steps(
+    joints: &Joints,
+    fps: f64,
+    feet: &[usize],
+    slides: fn(&SkatingStep) -> bool,
+) -> Option<f64> {
+    let feet = feet.iter().map(|&foot| skating_steps(joints, fps, foot));
+    let feet: Vec<Vec<SkatingStep>> = feet.collect();
     let steps = joints.frames() - 1;
-    let skates = |t: &usize| speeds.iter().any(|foot| foot[*t].skates());
-    (steps > 0).then(|| (0..steps).filter(skates).count() as f64 / steps as f64)
+    let slid = (0..steps).filter(|&t| feet.iter().any(|foot| slides(&foot[t])));
+    (steps > 0).then(|| slid.count() as f64 / steps as f64)
 }
 
 /// A step of a foot between frames.
@@ -46,12 +51,6 @@ pub struct SkatingStep {
     pub speed: f64,
     /// Mean speed over five steps, with this one in the middle.
     pub mean_speed: f64,
-}
-
-impl SkatingStep {
-    fn skates(self) -> bool {
-        self.contact && self.speed > SKATING_SPEED && self.mean_speed > SKATING_SPEED
-    }
 }
 
 /// The steps of a foot, for [`skating_ratio`].

@@ -45,19 +45,13 @@ impl TransitionJerk {
     /// Measures curves of [`jerk_of_frames`], each around one transition. Missing frames of shorter
     /// curves count as 0, as in the published program. `None` of no frames.
     pub fn of(curves: &[Vec<f64>], real_jerk: f64) -> Option<Self> {
-        let frames = curves
-            .iter()
-            .map(Vec::len)
-            .max()
-            .filter(|frames| *frames > 0)?;
+        let frames = curves.iter().map(Vec::len).max()?;
         let mean = |t: usize| {
-            let values = curves
-                .iter()
-                .map(|curve| curve.get(t).copied().unwrap_or(0.0));
+            let values = curves.iter().map(|curve| curve.get(t).unwrap_or(&0.0));
             values.sum::<f64>() / curves.len() as f64
         };
         let means: Vec<f64> = (0..frames).map(mean).collect();
-        Some(Self {
+        (frames > 0).then(|| Self {
             peak: means.iter().copied().fold(0.0, f64::max),
             area: means.iter().map(|mean| (mean - real_jerk).abs()).sum(),
         })

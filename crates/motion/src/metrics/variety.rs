@@ -22,11 +22,8 @@ pub fn trajectory_diversity(paths: &[Vec<Vec<[f64; 2]>>]) -> Option<f64> {
                 sum += at(axis).map(|value| (value - mean).powi(2)).sum::<f64>();
             }
         }
-        let lengths = repetitions.iter().map(Vec::len);
-        assert!(
-            lengths.into_iter().all(|length| length == frames),
-            "repetitions of one length"
-        );
+        let same = repetitions.iter().all(|path| path.len() == frames);
+        assert!(same, "repetitions of one length");
         Some((sum / (count * frames) as f64).sqrt())
     }))
 }

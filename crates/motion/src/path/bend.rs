@@ -91,7 +91,7 @@ impl Bend {
     ) -> Result<Features, FeatureError> {
         let joints = features.joints();
         let bent = self.apply(&joints, skeleton.description().fps);
-        let locked = lock_joints(&bent, &joints, skeleton, &ContactRule::default())?;
+        let locked = lock_joints(&bent, &joints, skeleton, &ContactRule::default(), 0.0)?;
         if locked.missed > MISSED {
             return Ok(features.to_relative());
         }

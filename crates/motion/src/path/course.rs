@@ -39,17 +39,12 @@ impl Course {
                     true => t as f64 / last,
                     false => metres / total,
                 };
-                walked
-                    .iter()
-                    .enumerate()
-                    .map(|at| share(at) * length)
-                    .collect()
+                let shares = walked.iter().enumerate().map(share);
+                shares.map(|share| share * length).collect()
             }
             ArcLengthMode::Own => {
-                let on_path = walked
-                    .iter()
-                    .take_while(|metres| **metres <= length + STILL);
-                on_path.copied().collect()
+                let on_path = |metres: &f64| *metres <= length + STILL;
+                walked.iter().copied().take_while(on_path).collect()
             }
         };
         Self::at(path, metres)

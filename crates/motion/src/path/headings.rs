@@ -24,7 +24,7 @@ impl PathFeatures {
     pub fn of(track: &[[f64; 2]]) -> Vec<Self> {
         let steps = gradient(track);
         let seconds = gradient(&steps);
-        let headings = headings(&steps);
+        let headings = headings_above(&steps, STILL);
         let of_frame = |t: usize| {
             let ([dx, dz], [ddx, ddz]) = (steps[t], seconds[t]);
             let speed = dx.hypot(dz);
@@ -44,7 +44,7 @@ impl PathFeatures {
 
 /// The heading of each frame of a track, as in [`PathFeatures`].
 pub fn headings_of(track: &[[f64; 2]]) -> Vec<f64> {
-    headings(&gradient(track))
+    headings_above(&gradient(track), STILL)
 }
 
 /// Headings of a walk at `track` without its sway; steps shorter than `least` metres repeat the
@@ -60,10 +60,6 @@ pub(super) fn without_sway(track: &[[f64; 2]]) -> Vec<[f64; 2]> {
 
 /// Smoothing window for a gait, frames: about one step.
 const GAIT_WINDOW: usize = 13;
-
-fn headings(steps: &[[f64; 2]]) -> Vec<f64> {
-    headings_above(steps, STILL)
-}
 
 /// Directions of steps; those shorter than `least` repeat the one before.
 fn headings_above(steps: &[[f64; 2]], least: f64) -> Vec<f64> {

@@ -52,10 +52,8 @@ impl PathLoss {
     /// ones, and the last row moves nothing.
     pub fn evaluate(&self, root: Root, channels: &[[f64; 3]]) -> (f64, Vec<[f64; 3]>) {
         assert_eq!(self.points.len(), self.headings.len(), "a heading a point");
-        assert!(
-            channels.len() >= self.points.len(),
-            "a frame for each point"
-        );
+        let enough = channels.len() >= self.points.len();
+        assert!(enough, "a frame for each point");
         let channels: Vec<[f64; 4]> = channels.iter().map(|[a, x, z]| [*a, *x, *z, 0.0]).collect();
         let positions = root.positions(&channels);
         let angles = root.half_angles(&channels);
@@ -93,16 +91,11 @@ fn by_rotation(root: Root, by_heading: &[f64]) -> Vec<f64> {
         Root::Relative => {
             // A change rotates all later frames.
             let mut behind = 0.0;
-            let mut slopes: Vec<f64> = by_heading
-                .iter()
-                .rev()
-                .map(|slope| {
-                    let here = -2.0 * behind;
-                    behind += slope;
-                    here
-                })
-                .collect();
-            slopes.reverse();
+            let mut slopes = vec![0.0; by_heading.len()];
+            for (into, slope) in slopes.iter_mut().zip(by_heading).rev() {
+                *into = -2.0 * behind;
+                behind += slope;
+            }
             slopes
         }
     }
@@ -113,13 +106,8 @@ fn by_rotation(root: Root, by_heading: &[f64]) -> Vec<f64> {
 pub fn root_channels(points: &[[f64; 2]], headings: &[f64], root: Root) -> Vec<[f64; 3]> {
     assert_eq!(points.len(), headings.len(), "a heading for each point");
     let both = points.iter().zip(headings);
-    let absolute: Vec<[f64; 4]> = both
-        .map(|([x, z], psi)| [-0.5 * psi, *x, *z, 0.0])
-        .collect();
-    let converted = match root {
-        Root::Absolute => absolute,
-        Root::Relative => Root::Absolute.convert(&absolute, Root::Relative),
-    };
+    let absolute = both.map(|([x, z], psi)| [-0.5 * psi, *x, *z, 0.0]);
+    let converted = Root::Absolute.convert(&absolute.collect::<Vec<_>>(), root);
     converted
         .into_iter()
         .map(|[a, x, z, _]| [a, x, z])

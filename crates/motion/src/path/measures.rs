@@ -45,9 +45,8 @@ impl PathReport {
         joints.must_be_of(skeleton)?;
         FeatureError::unless_equal("frames", course.frames(), joints.frames())?;
         let track: Vec<[f64; 2]> = joints.track(0).iter().map(|[x, _, z]| [*x, *z]).collect();
-        let headings = facing(joints, skeleton)
-            .into_iter()
-            .zip(headings_of(&course.points));
+        let headings = facing(joints, skeleton).into_iter();
+        let headings = headings.zip(headings_of(&course.points));
         let angles = headings.map(|(body, path)| wrapped(body - path).abs().to_degrees());
         let (fps, feet) = (skeleton.description().fps, skeleton.contact_joints());
         let toes = [feet[1], feet[3]];
@@ -65,10 +64,8 @@ impl PathReport {
     /// # Panics
     /// Panics without a frame.
     pub fn of_root(track: &[[f64; 2]], path: &Polyline, course: &Course) -> Self {
-        let distances: Vec<f64> = track
-            .iter()
-            .map(|root| distance_from(path, *root))
-            .collect();
+        let distances = track.iter().map(|root| distance_from(path, *root));
+        let distances: Vec<f64> = distances.collect();
         let errors = track.iter().zip(&course.points);
         let errors = errors.map(|(root, target)| super::between(*root, *target));
         Self {
@@ -92,12 +89,9 @@ pub fn slide(joints: &Joints, feet: &[usize]) -> f64 {
     for &foot in feet {
         let track = joints.track(foot);
         let stands = StepRule::LOW_AND_SLOW.contacts(&track, floor);
-        for ([x, _, z], _) in steps(&track)
-            .iter()
-            .zip(stands)
-            .filter(|(_, stands)| *stands)
-        {
-            metres += x.hypot(*z);
+        let steps = steps(&track).into_iter().zip(stands);
+        for ([x, _, z], _) in steps.filter(|(_, stands)| *stands) {
+            metres += x.hypot(z);
             frames += 1.0;
         }
     }

@@ -5,7 +5,7 @@ use schemars::JsonSchema;
 use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize};
 
-use super::svg::{SvgPath, read_svg};
+use super::svg::read_svg;
 use super::{CatmullRom, Parameterization, PathError, Polyline};
 
 /// Curve through the points of a path.
@@ -72,22 +72,21 @@ impl PathPlan {
             file: file.to_owned(),
             problem,
         };
-        let ending = file
-            .rsplit_once('.')
-            .map(|(_, ending)| ending.to_lowercase());
-        if metres_per_unit.is_some() && ending.as_deref() != Some("svg") {
+        let (_, ending) = file.rsplit_once('.').unwrap_or_default();
+        let ending = ending.to_lowercase();
+        if metres_per_unit.is_some() && ending != "svg" {
             let problem = "option `metres_per_unit` is for drawings (.svg): this file is in metres";
             return Err(in_file(problem.to_owned()));
         }
-        let plan = match ending.as_deref() {
-            Some("csv") => Self::line(read_table(text).map_err(in_file)?),
-            Some("svg") => {
+        let plan = match ending.as_str() {
+            "csv" => Self::line(read_table(text).map_err(in_file)?),
+            "svg" => {
                 let scale = metres_per_unit.ok_or_else(|| {
                     let problem = "a drawing has no metres: state the length of its unit, as \
                                    option `metres_per_unit 0.01`";
                     in_file(problem.to_owned())
                 })?;
-                let SvgPath { points, closed } = read_svg(text, scale).map_err(in_file)?;
+                let (points, closed) = read_svg(text, scale).map_err(in_file)?;
                 Self {
                     closed,
                     ..Self::line(points)
@@ -96,17 +95,14 @@ impl PathPlan {
             _ => {
                 let document = Document::parse(text, file)?;
                 let plan: Self = document.read("docs/paths.md describes paths")?;
-                return match plan.validate() {
-                    Ok(()) => Ok(plan),
-                    Err(PathError::Setting(setting)) => Err(document.refuse(setting).into()),
-                    Err(error) => Err(in_file(error.to_string())),
-                };
+                if let Err(PathError::Setting(setting)) = plan.validate() {
+                    return Err(document.refuse(setting).into());
+                }
+                plan
             }
         };
-        match plan.validate() {
-            Ok(()) => Ok(plan),
-            Err(error) => Err(in_file(error.to_string())),
-        }
+        let in_place = |error: PathError| in_file(error.to_string());
+        plan.validate().map_err(in_place).map(|()| plan)
     }
 
     /// Rejects invalid paths.
@@ -148,8 +144,8 @@ impl PathPlan {
 fn ground_points<'de, D: Deserializer<'de>>(from: D) -> Result<Vec<[f64; 2]>, D::Error> {
     let points = Vec::<Vec<f64>>::deserialize(from)?.into_iter();
     let pair = |point: Vec<f64>| {
-        let wrong =
-            |point: Vec<f64>| D::Error::invalid_length(point.len(), &"an array of length 2");
+        let found = point.len();
+        let wrong = |_| D::Error::invalid_length(found, &"an array of length 2");
         <[f64; 2]>::try_from(point).map_err(wrong)
     };
     points.map(pair).collect()
@@ -168,9 +164,8 @@ fn read_table(text: &str) -> Result<Vec<[f64; 2]>, String> {
     let mut points = Vec::new();
     for (number, row) in reader.records().enumerate() {
         let row = row.map_err(|error| error.to_string())?;
-        let line = row
-            .position()
-            .map_or(number as u64 + 1, csv::Position::line);
+        let place = row.position();
+        let line = place.map_or(number as u64 + 1, csv::Position::line);
         let named = |name: &str| row.iter().position(|cell| cell.eq_ignore_ascii_case(name));
         if number == 0 && row.iter().any(|cell| cell.parse::<f64>().is_err()) {
             let [Some(x), Some(z)] = ["x", "z"].map(named) else {
@@ -204,12 +199,9 @@ fn read_table(text: &str) -> Result<Vec<[f64; 2]>, String> {
         let mut point = [0.0; 2];
         for (value, column) in point.iter_mut().zip(columns) {
             let cell = row.get(column).unwrap_or_default();
-            *value = cell.parse().map_err(|_| {
-                format!(
-                    "line {line}: `{cell}` in column {} is not a number",
-                    column + 1
-                )
-            })?;
+            let column = column + 1;
+            let wrong = |_| format!("line {line}: `{cell}` in column {column} is not a number");
+            *value = cell.parse().map_err(wrong)?;
         }
         points.push(point);
     }

@@ -1,6 +1,7 @@
 //! Polylines by arc length.
 
-use super::{PathError, STILL, between};
+use super::course::walked;
+use super::{PathError, STILL};
 
 /// Largest coordinate, metres: single precision resolves half a millimetre there.
 pub(super) const MAX_METRES: f64 = 5e3;
@@ -41,12 +42,7 @@ impl Polyline {
 
     /// The polyline through finite points, which may exceed the range of user input.
     pub(super) fn through(points: Vec<[f64; 2]>) -> Self {
-        let mut metres = 0.0;
-        let mut cumulative = vec![0.0];
-        for pair in points.windows(2) {
-            metres += between(pair[0], pair[1]);
-            cumulative.push(metres);
-        }
+        let cumulative = walked(&points);
         Self { points, cumulative }
     }
 

@@ -26,10 +26,8 @@ pub enum Edges {
 /// # Panics
 /// Panics unless `window` is odd and greater than `order`.
 pub fn savgol_weights(window: usize, order: usize, at: f64, derivative: usize) -> Vec<f64> {
-    assert!(
-        window % 2 == 1 && order < window,
-        "{window} frames, order {order}"
-    );
+    let valid = window % 2 == 1 && order < window;
+    assert!(valid, "{window} frames, order {order}");
     let half = (window / 2) as f64;
     // Offsets from -1 to 1 keep the powers well conditioned.
     let scale = half.max(1.0);
@@ -68,11 +66,8 @@ pub fn savgol(values: &[f64], window: usize, order: usize, edges: Edges) -> Vec<
     let half = window / 2;
     let inner = savgol_weights(window, order, 0.0, 0);
     let sum = |weights: &[f64], around: &[f64]| -> f64 {
-        weights
-            .iter()
-            .zip(around)
-            .map(|(weight, value)| weight * value)
-            .sum()
+        let products = weights.iter().zip(around);
+        products.map(|(weight, value)| weight * value).sum()
     };
     let smoothed = |t: usize| {
         if t >= half && t + half < n {
@@ -110,11 +105,8 @@ pub fn smoothed(track: &[[f64; 2]], window: usize, order: usize) -> Vec<[f64; 2]
         let values: Vec<f64> = track.iter().map(|point| point[i]).collect();
         savgol(&values, window, order, Edges::Fitted)
     };
-    axis(0)
-        .into_iter()
-        .zip(axis(1))
-        .map(|(x, z)| [x, z])
-        .collect()
+    let points = axis(0).into_iter().zip(axis(1));
+    points.map(|(x, z)| [x, z]).collect()
 }
 
 #[cfg(test)]

@@ -59,10 +59,8 @@ impl CatmullRom {
         must_be_points(points)?;
         let mut apart: Vec<[f64; 2]> = Vec::with_capacity(points.len());
         for point in points {
-            if apart
-                .last()
-                .is_none_or(|last| between(*last, *point) >= SAME)
-            {
+            let is_new = |last: &[f64; 2]| between(*last, *point) >= SAME;
+            if apart.last().is_none_or(is_new) {
                 apart.push(*point);
             }
         }
@@ -74,18 +72,15 @@ impl CatmullRom {
         let segments = match n {
             1 => vec![[apart[0]; 4]],
             _ if closed => {
-                let at = |i: usize| apart[i % n];
-                (0..n)
-                    .map(|i| [at(i + n - 1), at(i), at(i + 1), at(i + 2)])
-                    .collect()
+                let around = |i: usize| [i + n - 1, i, i + 1, i + 2].map(|i| apart[i % n]);
+                (0..n).map(around).collect()
             }
             _ => {
                 let mut all = vec![mirrored(apart[0], apart[1])];
                 all.extend(&apart);
                 all.push(mirrored(apart[n - 1], apart[n - 2]));
-                all.windows(4)
-                    .map(|four| [0, 1, 2, 3].map(|i| four[i]))
-                    .collect()
+                let windows = all.windows(4);
+                windows.map(|four| [0, 1, 2, 3].map(|i| four[i])).collect()
             }
         };
         Ok(Self {

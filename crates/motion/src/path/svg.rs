@@ -17,26 +17,17 @@ const HIDDEN: [&str; 6] = ["defs", "clipPath", "marker", "mask", "pattern", "sym
 /// Most nodes of a file, whose entities may multiply them.
 const MOST_NODES: u32 = 1 << 20;
 
-/// The path of an SVG file.
-#[derive(Clone, Debug, PartialEq)]
-pub(super) struct SvgPath {
-    /// Points `[x, z]`, metres.
-    pub points: Vec<[f64; 2]>,
-    /// Whether it is closed.
-    pub closed: bool,
-}
-
 /// The first `path`, `polyline`, `polygon` or `line` of an SVG file, with `scale` metres per unit:
-/// x to the right, z up. Only the first subpath is read.
+/// its points `[x, z]`, metres, x to the right, z up, and whether it is closed. Only the first
+/// subpath is read.
 ///
 /// # Errors
 /// A message.
-pub(super) fn read_svg(text: &str, scale: f64) -> Result<SvgPath, String> {
+pub(super) fn read_svg(text: &str, scale: f64) -> Result<(Vec<[f64; 2]>, bool), String> {
     if !SCALES.contains(&scale) {
+        let (least, most) = (SCALES.start(), SCALES.end());
         return Err(format!(
-            "a unit is {scale} metres, allowed: {} to {}",
-            SCALES.start(),
-            SCALES.end()
+            "a unit is {scale} metres, allowed: {least} to {most}"
         ));
     }
     // Drawing programs write a document type.
@@ -66,43 +57,34 @@ pub(super) fn read_svg(text: &str, scale: f64) -> Result<SvgPath, String> {
         );
     }
     let outline = outline(&node)?;
-    let points = outline
-        .elements()
-        .iter()
-        .flat_map(|element| match *element {
-            PathEl::MoveTo(a) | PathEl::LineTo(a) => vec![a],
-            PathEl::QuadTo(a, b) => vec![a, b],
-            PathEl::CurveTo(a, b, c) => vec![a, b, c],
-            PathEl::ClosePath => Vec::new(),
-        });
+    let elements = outline.elements().iter();
+    let mut points = elements.flat_map(|element| match *element {
+        PathEl::MoveTo(a) | PathEl::LineTo(a) => vec![a],
+        PathEl::QuadTo(a, b) => vec![a, b],
+        PathEl::CurveTo(a, b, c) => vec![a, b, c],
+        PathEl::ClosePath => Vec::new(),
+    });
     let far = |value: f64| !value.is_finite() || scale * value.abs() > MAX_METRES;
-    if let Some(point) = points
-        .into_iter()
-        .find(|point| far(point.x) || far(point.y))
-    {
+    if let Some(point) = points.find(|point| far(point.x) || far(point.y)) {
         return Err(format!(
             "a point of its path is ({}, {}) units, allowed: at most {MAX_METRES} metres",
             point.x, point.y
         ));
     }
-    let mut path = SvgPath {
-        points: Vec::new(),
-        closed: false,
-    };
-    let mut parts = 0;
+    let (mut path, mut closed, mut parts) = (Vec::new(), false, 0);
     kurbo::flatten(outline, TOLERANCE / scale, |element| {
         parts += usize::from(matches!(element, PathEl::MoveTo(_)));
         match element {
             _ if parts > 1 => {}
             // Up on the page is +z.
             PathEl::MoveTo(point) | PathEl::LineTo(point) => {
-                path.points.push([scale * point.x, -scale * point.y]);
+                path.push([scale * point.x, -scale * point.y]);
             }
-            PathEl::ClosePath => path.closed = true,
+            PathEl::ClosePath => closed = true,
             _ => unreachable!("a flattened path has lines only"),
         }
     });
-    Ok(path)
+    Ok((path, closed))
 }
 
 /// A node's style without spaces.

@@ -104,11 +104,8 @@ impl Warp {
             HeadingMode::Face => facing(joints, skeleton)[..track.len()].to_vec(),
         };
         let path = unwrapped(&headings_of(&course.points));
-        let turns = path
-            .iter()
-            .zip(unwrapped(&own))
-            .map(|(path, own)| path - own);
-        let turns: Vec<f64> = turns.collect();
+        let both = path.iter().zip(unwrapped(&own));
+        let turns: Vec<f64> = both.map(|(path, own)| path - own).collect();
         match self.smooth {
             true => savgol(&turns, HEADING_WINDOW, HEADING_ORDER, Edges::Fitted),
             false => turns,

@@ -217,6 +217,7 @@ mod tests {
     use super::*;
     use crate::Quaternion;
     use crate::derivatives::{mean_norm, velocity_errors};
+    use crate::phrase::STYLE;
     use crate::random_phrase::random_phrase;
 
     fn wild(frames: usize) -> Phrase {

@@ -1,6 +1,7 @@
 use super::*;
+use crate::phrase::PHASE;
 use crate::random_phrase::random_phrase;
-use crate::{Phrase, anchor_floor};
+use crate::{CHANNELS, Phrase, anchor_floor};
 
 /// The windows of a motion, each anchored where it begins.
 fn cut(windows: &Windows, motion: &Phrase) -> Vec<f32> {

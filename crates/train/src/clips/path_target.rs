@@ -185,7 +185,7 @@ impl PathTarget {
     ) -> Result<Followed, Error> {
         let (joints, legs_short) = match lock_feet {
             true => {
-                let held = lock_joints(&moved, before, skeleton, &ContactRule::default())?;
+                let held = lock_joints(&moved, before, skeleton, &ContactRule::default(), 0.0)?;
                 (held.joints, held.missed)
             }
             false => (moved, 0.0),

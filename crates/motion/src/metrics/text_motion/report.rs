@@ -30,10 +30,8 @@ pub fn r_precision(texts: &[Vec<f64>], motions: &[Vec<f64>]) -> Option<[f64; 3]>
     let ranked = text_pools.len() * POOL;
     for (texts, motions) in text_pools.zip(motion_pools) {
         for (own, text) in texts.iter().enumerate() {
-            let distances: Vec<f64> = motions
-                .iter()
-                .map(|motion| distance(text, motion))
-                .collect();
+            let distances = motions.iter().map(|motion| distance(text, motion));
+            let distances: Vec<f64> = distances.collect();
             if !distances.iter().all(|distance| distance.is_finite()) {
                 return None;
             }
@@ -57,51 +55,32 @@ pub fn multimodal_distance(texts: &[Vec<f64>], motions: &[Vec<f64>]) -> Option<f
 /// Share of the motions whose nearest caption, of all distinct ones, is their own; embeddings as in
 /// [`r_precision`]. `None` of nothing, a single caption, or values that are not finite.
 pub fn caption_accuracy(texts: &[Vec<f64>], motions: &[Vec<f64>]) -> Option<f64> {
-    assert_eq!(texts.len(), motions.len(), "a caption for each motion");
-    let mut different: Vec<&Vec<f64>> = Vec::new();
-    for text in texts {
-        if !different.contains(&text) {
-            different.push(text);
-        }
-    }
-    if different.len() < 2 {
-        return None;
-    }
-    let own_is_nearest = |(text, motion): (&Vec<f64>, &Vec<f64>)| {
-        let of_own = distance(text, motion);
-        let nearest = different.iter().map(|text| distance(text, motion));
-        let nearest = nearest.fold(f64::INFINITY, f64::min);
-        of_own
-            .is_finite()
-            .then(|| f64::from(u8::from(of_own <= nearest)))
-    };
-    mean(texts.iter().zip(motions).map(own_is_nearest))
+    let own = texts
+        .iter()
+        .map(|text| texts.iter().position(|other| other == text));
+    label_accuracy(texts, motions, &own.collect::<Vec<_>>())
 }
 
 /// Share of the motions whose nearest caption, of all distinct ones, belongs to a motion with the
 /// same label: `labels` are the values of one label, such as the action. Motions without one are
 /// not counted. `None` for fewer than two values or embeddings that are not finite.
-pub fn label_accuracy(
+pub fn label_accuracy<L: Copy + Ord>(
     texts: &[Vec<f64>],
     motions: &[Vec<f64>],
-    labels: &[Option<&str>],
+    labels: &[Option<L>],
 ) -> Option<f64> {
     assert_eq!(texts.len(), motions.len(), "a caption for each motion");
-    assert_eq!(
-        labels.len(),
-        motions.len(),
-        "a label, or none, for each motion"
-    );
+    assert_eq!(labels.len(), motions.len(), "labels of all motions");
     // For each caption, the label values of its motions.
-    let mut different: Vec<(&Vec<f64>, BTreeSet<&str>)> = Vec::new();
+    let mut different: Vec<(&Vec<f64>, BTreeSet<L>)> = Vec::new();
     for (text, label) in texts.iter().zip(labels) {
         let Some(label) = label else { continue };
         match different.iter_mut().find(|(known, _)| *known == text) {
-            Some((_, values)) => _ = values.insert(label),
+            Some((_, values)) => _ = values.insert(*label),
             None => different.push((text, BTreeSet::from([*label]))),
         }
     }
-    let values: BTreeSet<&str> = labels.iter().copied().flatten().collect();
+    let values: BTreeSet<L> = labels.iter().copied().flatten().collect();
     if values.len() < 2 {
         return None;
     }
@@ -112,10 +91,8 @@ pub fn label_accuracy(
         let distances: Vec<f64> = distances.collect();
         let all_finite = distances.iter().all(|distance| distance.is_finite());
         let nearest = distances.iter().copied().fold(f64::INFINITY, f64::min);
-        let right = different
-            .iter()
-            .zip(&distances)
-            .any(|((_, values), distance)| *distance <= nearest && values.contains(label));
+        let mut ranked = different.iter().zip(&distances);
+        let right = ranked.any(|((_, values), d)| *d <= nearest && values.contains(&label));
         all_finite.then(|| f64::from(u8::from(right)))
     }))
 }
@@ -212,11 +189,8 @@ impl TextMotionReport {
 impl fmt::Display for TextMotionReport {
     /// One line for each available metric.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(
-            f,
-            "{} motions, {} pools of {POOL}",
-            self.samples, self.pools
-        )?;
+        let Self { samples, pools, .. } = self;
+        write!(f, "{samples} motions, {pools} pools of {POOL}")?;
         for (name, value) in self.rows() {
             if let Some(value) = value {
                 write!(f, "\n{name:<24} {value:>9.4}")?;

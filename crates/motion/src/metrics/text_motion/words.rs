@@ -146,19 +146,9 @@ pub struct WordVectorsError {
 /// A vector for each word.
 #[derive(Clone, Debug, PartialEq)]
 pub struct WordVectors {
-    vocabulary: Vocabulary,
+    /// Row of each word, and the values of all rows; every word has a random vector without them.
+    table: Option<(HashMap<String, usize>, Vec<f32>)>,
     width: usize,
-}
-
-#[derive(Clone, Debug, PartialEq)]
-enum Vocabulary {
-    /// Rows by word.
-    Table {
-        places: HashMap<String, usize>,
-        values: Vec<f32>,
-    },
-    /// A random vector for every word.
-    Random,
 }
 
 impl WordVectors {
@@ -189,7 +179,7 @@ impl WordVectors {
             return Err(refused(found, "a vector for it: that of words without one"));
         }
         Ok(Self {
-            vocabulary: Vocabulary::Table { places, values },
+            table: Some((places, values)),
             width,
         })
     }
@@ -197,10 +187,7 @@ impl WordVectors {
     /// A normal random vector of `width` numbers for every word, keyed by the word. For captions
     /// with few words, whose meaning an encoder can learn.
     pub fn random(width: usize) -> Self {
-        Self {
-            vocabulary: Vocabulary::Random,
-            width,
-        }
+        Self { table: None, width }
     }
 
     /// Numbers of a vector.
@@ -210,16 +197,12 @@ impl WordVectors {
 
     /// The vector of a word, if it has one.
     pub fn vector(&self, word: &str) -> Option<Cow<'_, [f32]>> {
-        match &self.vocabulary {
-            Vocabulary::Table { places, values } => {
-                let start = places.get(word)? * self.width;
-                Some(Cow::Borrowed(&values[start..start + self.width]))
-            }
-            Vocabulary::Random => {
-                let key = Key::new(0, Purpose::WordVectors).named(word);
-                Some(Cow::Owned(key.normals(self.width)))
-            }
-        }
+        let Some((places, values)) = &self.table else {
+            let key = Key::new(0, Purpose::WordVectors).named(word);
+            return Some(Cow::Owned(key.normals(self.width)));
+        };
+        let start = places.get(word)? * self.width;
+        Some(Cow::Borrowed(&values[start..start + self.width]))
     }
 
     /// Vectors and classes of a caption's first [`MAX_WORDS`] words, between `sos` and `eos`. Words
@@ -227,14 +210,10 @@ impl WordVectors {
     pub fn sentence(&self, tokens: &[Token]) -> Vec<(Cow<'_, [f32]>, PartOfSpeech)> {
         let words = tokens.iter().take(MAX_WORDS);
         let words = words.map(|token| (token.word.as_str(), token.part_of_speech));
-        let start = std::iter::once(("sos", PartOfSpeech::Other));
-        let end = std::iter::once(("eos", PartOfSpeech::Other));
+        let [start, end] = ["sos", "eos"].map(|word| std::iter::once((word, PartOfSpeech::Other)));
         let read = |(word, stated)| match self.vector(word) {
             Some(vector) => (vector, PartOfSpeech::of_word(word).unwrap_or(stated)),
-            None => {
-                let unknown = self.vector(UNKNOWN).expect("checked when made");
-                (unknown, PartOfSpeech::Other)
-            }
+            None => (self.vector(UNKNOWN).expect("checked"), PartOfSpeech::Other),
         };
         start.chain(words).chain(end).map(read).collect()
     }
