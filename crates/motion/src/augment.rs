@@ -1,5 +1,4 @@
-//! Changes of a phrase that keep it a valid motion. Each commutes with derivation, and none alters
-//! phase or style.
+//! Changes of a phrase that commute with derivation and keep phase and style.
 
 use crate::phrase::{ACCELERATION, ANGULAR_VELOCITY, POSITION, QUATERNION, VELOCITY};
 use crate::{Phrase, Quaternion};
@@ -16,8 +15,7 @@ pub fn rotate_yaw(motion: &mut Phrase, angle: f64) {
     }
 }
 
-/// Reflects the phrase at the plane x = 0. Angular velocity is an axial vector: its y and z are
-/// negated.
+/// Reflects the phrase at the plane x = 0; of the axial angular velocity, y and z are negated.
 pub fn mirror(motion: &mut Phrase) {
     for t in 0..motion.frames() {
         for channels in [POSITION, VELOCITY, ACCELERATION] {

@@ -3,13 +3,12 @@
 /// Diagonals at and below the main one in sums of squared second differences.
 pub const BAND: usize = 3;
 
-/// The Cholesky factor of a band matrix with `BAND` diagonals at and below the main one; entry
-/// `[row][d]` is that of column `row - d`.
+/// The Cholesky factor of a band matrix: entry `[row][d]`, d below `BAND`, is in column `row - d`.
 #[derive(Clone, Debug)]
 pub struct Cholesky<const BAND: usize>(Vec<[f64; BAND]>);
 
 impl<const BAND: usize> Cholesky<BAND> {
-    /// The factor of a matrix whose row `row` has the entries of columns `row - d`.
+    /// The factor of a matrix in the same layout.
     pub fn new(mut matrix: Vec<[f64; BAND]>) -> Self {
         for row in 0..matrix.len() {
             for d in (0..BAND.min(row + 1)).rev() {

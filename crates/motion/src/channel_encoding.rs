@@ -1,5 +1,4 @@
-//! The channels in which a denoiser predicts a phrase: its 25 channels, or phase and orientation in
-//! continuous forms.
+//! The channels in which a denoiser predicts a phrase, with continuous phase and orientation.
 //!
 //! A phase of 0.99 and one of 0.01 are close in a bar but far apart as numbers, and q and -q are
 //! one rotation but add up to zero. A network that predicts means does badly on both.
@@ -201,8 +200,7 @@ impl ChannelEncoding {
     }
 
     /// Decodes predicted `rows` `[frames, channels]` of one sample to `[frames, 25]`: a phase in
-    /// [0, 1), and unit quaternions with continuous sign, the first with `w >= 0`. Values that are
-    /// not finite stay so.
+    /// [0, 1), and unit quaternions with continuous sign, the first with `w >= 0`. NaN stays NaN.
     pub fn decode(self, rows: Vec<f32>) -> Vec<f32> {
         if self.are_stored_channels() {
             return rows;
@@ -234,9 +232,9 @@ impl ChannelEncoding {
         decoded
     }
 
-    /// Confidence of the predicted heading, 0 to 1, `[frames]`: the area spanned by the two columns
-    /// of a rotation, or the norm of the quaternion. A mean of different orientations is short. NaN
-    /// of values that are not finite.
+    /// Confidence of the predicted heading, 0 to 1, `[frames]`: the area spanned by the two
+    /// columns, or the norm of the quaternion. A mean of different orientations is short. NaN stays
+    /// NaN.
     pub fn confidence(self, rows: &[f32]) -> Vec<f64> {
         let of_frame = |frame: &[f32]| {
             let mut values = self.orientation_of(frame);
@@ -278,8 +276,7 @@ impl ChannelEncoding {
     }
 }
 
-/// Unit quaternions with continuous sign, the first in the hemisphere of the identity; values that
-/// are not finite stay.
+/// Unit quaternions with continuous sign, the first with `w >= 0`; values that are not finite stay.
 fn canonical_signs(mut quaternions: Vec<Quaternion>) -> Vec<Quaternion> {
     let mut before = Quaternion::IDENTITY;
     for quaternion in &mut quaternions {
@@ -301,12 +298,11 @@ pub fn from_columns(columns: &[f64]) -> Quaternion {
     of_orthonormal(a, unit([0, 1, 2].map(|i| b[i] - along * a[i])))
 }
 
-/// The rotation of the orthonormal columns nearest to these two, `[6]`, in least squares; its sign
-/// is arbitrary, and it is not finite if the columns are not.
+/// The rotation of the orthonormal columns nearest to these two, `[6]`, in least squares. Its sign
+/// is arbitrary; not finite if the columns are not.
 ///
-/// A short column, such as the mean of many directions, has little influence on the other one. With
-/// Gram-Schmidt, a body with uncertain heading would fall over, because its side axis is short and
-/// its up axis is not.
+/// A short column, such as the mean of many directions, has little influence. With Gram-Schmidt a
+/// body with uncertain heading would fall over: its side axis is short, its up axis is not.
 ///
 /// With `M` the columns, `p = |a|^2`, `q = |b|^2`, `r = a.b` and `s = |a x b|`, they are
 ///

@@ -18,8 +18,7 @@ pub fn distance(a: f64, b: f64) -> f64 {
     step(a, b).abs()
 }
 
-/// Length of the mean of `exp(2 pi i d)` over differences `d`: 1 if all are equal, near 0 if they
-/// are spread evenly, 0 of none.
+/// Length of the mean of `exp(2 pi i d)` over differences `d`: 1 if all are equal, 0 of none.
 pub fn concentration(differences: impl IntoIterator<Item = f64>) -> f64 {
     let (mut sine, mut cosine, mut count) = (0.0, 0.0, 0.0);
     for difference in differences {

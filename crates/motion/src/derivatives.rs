@@ -9,8 +9,7 @@ use crate::phrase::{ACCELERATION, ANGULAR_VELOCITY, FPS, PHASE, POSITION, STYLE,
 use crate::vector::{length, minus};
 use crate::{CHANNELS, Error, Phrase, Quaternion};
 
-/// Forward differences of vectors `[frames, 3]` times `fps`, the last one repeated. A single frame
-/// has velocity zero.
+/// Forward differences of `[frames, 3]` times `fps`, the last one repeated; 0 for a single frame.
 pub fn forward_differences(values: &[[f64; 3]], fps: f64) -> Vec<[f64; 3]> {
     repeat_last(differences(values, fps), values.len())
 }
@@ -33,8 +32,8 @@ pub fn angular_rates(motion: &Phrase) -> Vec<[f64; 3]> {
     rates
 }
 
-/// Negates quaternions so that each lies in the hemisphere of the one before. The first one keeps
-/// its sign; quaternions that are not finite are skipped.
+/// Negates quaternions so that each lies in the hemisphere of the finite one before; the first
+/// keeps its sign.
 pub fn make_sign_continuous(quaternions: &mut [Quaternion]) {
     let mut previous: Option<Quaternion> = None;
     for quaternion in quaternions {
@@ -48,13 +47,12 @@ pub fn make_sign_continuous(quaternions: &mut [Quaternion]) {
 /// A phrase whose velocity, acceleration and angular velocity are derived from its pose.
 ///
 /// `positions` are `[frames, 3]` in metres, `quaternions` of any norm and sign, `phase` 0 to 1,
-/// `style` `[frames, 8]`. Derivatives use the stored single-precision values. The last velocity is
-/// repeated, so the acceleration before the last frame is zero; slice off two more frames to avoid
+/// `style` `[frames, 8]`. Derivatives use the single-precision values. The last velocity is
+/// repeated, so the acceleration before the last frame is 0; slice off two more frames to avoid
 /// that.
 ///
 /// # Errors
-/// [`Error::LengthMismatch`] if the arrays differ in length; [`Error::NotWholeFrames`] if they are
-/// empty.
+/// [`Error::LengthMismatch`] for arrays of different lengths; [`Error::NotWholeFrames`] of nothing.
 pub fn derive(
     positions: &[[f64; 3]],
     quaternions: &[Quaternion],
@@ -89,8 +87,7 @@ pub fn derive(
     Ok(motion)
 }
 
-/// Replaces velocity, acceleration and angular velocity by the derivatives of the stored positions
-/// and quaternions.
+/// Replaces velocity, acceleration and angular velocity by derivatives of the stored poses.
 pub fn rederive(motion: &mut Phrase) {
     let velocity = forward_differences(&motion.vectors(POSITION), FPS);
     for (t, value) in velocity.into_iter().enumerate() {
@@ -107,11 +104,8 @@ pub fn rederive(motion: &mut Phrase) {
 
 /// `v[t] - fps (p[t+1] - p[t])` in metres per second, `[frames - 1, 3]`.
 pub fn velocity_errors(motion: &Phrase) -> Vec<[f64; 3]> {
-    errors(
-        motion,
-        VELOCITY,
-        differences(&motion.vectors(POSITION), FPS),
-    )
+    let derived = differences(&motion.vectors(POSITION), FPS);
+    errors(motion, VELOCITY, derived)
 }
 
 /// `a[t] - fps (v[t+1] - v[t])` in metres per second squared, `[frames - 1, 3]`.
@@ -120,8 +114,7 @@ pub fn acceleration_errors(motion: &Phrase) -> Vec<[f64; 3]> {
     errors(motion, ACCELERATION, derived)
 }
 
-/// `w[t]` minus the rotation vector of `q[t+1] * conj(q[t])` times `fps`, radians per second,
-/// `[frames - 1, 3]`.
+/// `w[t]` minus [`angular_rates`], radians per second, `[frames - 1, 3]`.
 pub fn rotation_errors(motion: &Phrase) -> Vec<[f64; 3]> {
     errors(motion, ANGULAR_VELOCITY, angular_rates(motion))
 }
@@ -131,7 +124,7 @@ pub fn jerk(motion: &Phrase) -> Vec<[f64; 3]> {
     differences(&motion.vectors(ACCELERATION), FPS)
 }
 
-/// Mean Euclidean norm of the [`jerk`], metres per second cubed; 0 of a single frame.
+/// Mean norm of the [`jerk`], metres per second cubed; 0 of a single frame.
 pub fn mean_jerk_norm(motion: &Phrase) -> f64 {
     mean_norm(&jerk(motion))
 }
@@ -162,10 +155,8 @@ pub(crate) fn jerk_of(positions: &[[f64; 3]], fps: f64) -> Vec<[f64; 3]> {
 
 /// Forward differences of vectors `[frames, 3]` times `fps`, `[frames - 1, 3]`.
 pub(crate) fn differences(values: &[[f64; 3]], fps: f64) -> Vec<[f64; 3]> {
-    values
-        .windows(2)
-        .map(|pair| [0, 1, 2].map(|i| (pair[1][i] - pair[0][i]) * fps))
-        .collect()
+    let steps = values.windows(2).map(|pair| minus(pair[1], pair[0]));
+    steps.map(|step| step.map(|part| part * fps)).collect()
 }
 
 fn repeat_last(mut values: Vec<[f64; 3]>, frames: usize) -> Vec<[f64; 3]> {

@@ -1,9 +1,8 @@
 //! Alignment of the headings of overlapping windows.
 //!
-//! A model that was trained on randomly rotated phrases samples windows of any heading. If
-//! neighbours face opposite directions, the mean of their rotations is undefined, and the dancer
-//! spins in the overlap. So each window is rotated about the vertical before windows are moved and
-//! blended ([`crate::stitch`]).
+//! A model that was trained on randomly rotated phrases samples windows of any heading. The mean of
+//! opposite headings is undefined, and the dancer spins in the overlap. So windows are rotated
+//! about the vertical before they are moved and blended ([`crate::stitch`]).
 
 use crate::humanml::bone_rotations::to_columns;
 use crate::phrase::{ACCELERATION, POSITION, QUATERNION, VELOCITY};
@@ -147,8 +146,7 @@ impl HeadingAlignment<'_> {
 
 type Facing = [[f64; 2]; 2];
 
-/// The rotation angle from the second to the first of each pair, in weighted least squares; none of
-/// no pairs.
+/// The rotation angle from second to first of each pair, in weighted least squares; none of none.
 fn angle(pairs: impl Iterator<Item = (Facing, Facing, f64)>) -> Option<f64> {
     let mut sums = None;
     for (here, there, weight) in pairs {

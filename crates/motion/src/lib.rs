@@ -1,6 +1,5 @@
-//! Representations of motion on the host: the 25-channel phrase, rotations, statistics,
-//! augmentation, post-processing, checks and metrics, and joint features as in HumanML3D
-//! ([`humanml`]).
+//! Representations of motion on the host: the 25-channel phrase, joint features as in HumanML3D
+//! ([`humanml`]), rotations, statistics, augmentation, post-processing, checks and metrics.
 //!
 //! There are no tensors with gradients and no file I/O. Coordinates are metres and seconds,
 //! right-handed, +y up; a phrase has [`FPS`] frames per second. Source: CC-MotionGen, sections 2, 9

@@ -43,8 +43,7 @@ impl ChannelMoments {
         }
     }
 
-    /// Adds the moments of further items, as if all had been measured at once (Chan, Golub and
-    /// LeVeque 1979).
+    /// Adds the moments of further items exactly (Chan, Golub and LeVeque 1979).
     pub fn merge(&mut self, other: &Self) {
         let (n, m) = (self.frames as f64, other.frames as f64);
         let total = n + m;

@@ -1,8 +1,7 @@
 //! Measures of how a phrase moves, by its positions, quaternions and phase.
 //!
-//! The channels for velocity, acceleration and angular velocity are not used: generated phrases get
-//! them wrong. Measures that are checked are means or extremes over frames, so that phrases of
-//! different lengths compare.
+//! The channels of derivatives are not used: generated phrases get them wrong. Checked measures are
+//! means or extremes over frames, so that phrases of different lengths compare.
 
 use crate::derivatives::{angular_rates, differences, mean_norm};
 use crate::phrase::{PHASE, POSITION};

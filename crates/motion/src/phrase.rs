@@ -35,8 +35,7 @@ pub const PHASE: usize = 16;
 /// Style descriptors, unbounded.
 pub const STYLE: Range<usize> = 17..25;
 
-/// The name of a channel: `position.x`, `quaternion.w`, `phase`, `style.0`; `channel.{n}` beyond
-/// the last.
+/// The name of a channel: `position.x`, `phase`, `style.0`; `channel.{n}` beyond the last.
 pub fn channel_name(channel: usize) -> String {
     const AXES: [&str; 3] = ["x", "y", "z"];
     match channel {
@@ -96,11 +95,8 @@ impl Phrase {
 
     /// The values as channel-major `[25, frames]`.
     pub fn channel_major(&self) -> Vec<f32> {
-        let frames = self.frames();
-        let channel_major = (0..CHANNELS).flat_map(|c| (0..frames).map(move |t| (t, c)));
-        channel_major
-            .map(|(t, c)| self.data[t * CHANNELS + c])
-            .collect()
+        let column = |channel| self.data.iter().skip(channel).step_by(CHANNELS);
+        (0..CHANNELS).flat_map(column).copied().collect()
     }
 
     /// Number of frames, at least 1.

@@ -56,8 +56,7 @@ impl Quaternion {
         Self::new((0.5 * angle).cos(), x, y, z)
     }
 
-    /// The rotation vector in radians, of length at most pi. The norm does not matter; the zero
-    /// quaternion gives the zero vector.
+    /// The rotation vector in radians, of length at most pi, for any norm; zero for zero.
     pub fn to_rotation_vector(self) -> [f64; 3] {
         // Of q and -q, the one with w >= 0 rotates by at most pi.
         let Self { w, x, y, z } = if self.w < 0.0 { self.scale(-1.0) } else { self };
@@ -132,15 +131,13 @@ impl Quaternion {
         Self::from_rotation_vector(turn.map(|v| v * fraction)) * self
     }
 
-    /// The rotation about +y, in radians from -pi to pi, of the swing-twist decomposition. Zero
-    /// upside down, where it is undefined.
+    /// The twist about +y of the swing-twist decomposition, -pi to pi; 0 upside down.
     pub fn twist(self) -> f64 {
         let half = self.y.atan2(self.w);
         2.0 * (half - PI * (half / PI).round())
     }
 
-    /// Heading in radians, from -pi to pi: the angle about +y from +z to the rotated +z, seen from
-    /// above. Zero if the rotated +z is vertical.
+    /// Heading, -pi to pi: the angle about +y from +z to the rotated +z; 0 if that is vertical.
     pub fn yaw(self) -> f64 {
         let [x, _, z] = self.rotate([0.0, 0.0, 1.0]);
         x.atan2(z)
@@ -168,9 +165,9 @@ impl Mul for Quaternion {
     }
 }
 
-/// The shortest rotation from the direction of `from` to that of `to`: the quaternion
-/// (|u||v| + u.v, u x v), normalised. Opposite vectors are half a turn apart, about +y where possible;
-/// a zero vector gives the identity.
+/// The shortest rotation from the direction of `from` to that of `to`: the quaternion (|u||v| +
+/// u.v, u x v), normalised. Opposite vectors turn about +y where possible; zero vectors do not
+/// turn.
 pub fn between(from: [f64; 3], to: [f64; 3]) -> Quaternion {
     let (u, v) = (Vector3::from(unit(from)), Vector3::from(unit(to)));
     let (scalar, mut axis) = (u.norm() * v.norm() + u.dot(&v), u.cross(&v));

@@ -32,15 +32,13 @@ pub struct Statistics {
     pub frames: usize,
     /// Number of items; 0 if unknown.
     pub items: usize,
-    /// Root mean square of the root's speed, metres per second; this and the next two are none if
-    /// they were not measured.
+    /// Root mean square of the root's speed, metres per second; as the next two, if measured.
     pub rms_speed: Option<f64>,
     /// Root mean square of the root's acceleration, metres per second squared.
     pub rms_acceleration: Option<f64>,
     /// 95th percentile of the items' mean jerk norms, metres per second cubed.
     pub jerk_p95: Option<f64>,
-    /// 1st and 99th percentile over the items of each [measure](crate::MotionMeasure), by name;
-    /// empty if not measured.
+    /// 1st and 99th percentile over the items of each [measure](crate::MotionMeasure), if measured.
     pub movement: BTreeMap<String, [f64; 2]>,
     /// Representation of the root of joint features.
     pub root: Option<Root>,
@@ -105,13 +103,10 @@ impl Statistics {
         frames.map(move |frame| normalized(frame[channel], mean, std))
     }
 
-    /// The normalised values of `rows`, `[frames, channels]`, as channel-major `[channels,
-    /// frames]`.
+    /// The normalised `rows` `[frames, channels]` as channel-major `[channels, frames]`.
     pub fn normalize(&self, rows: &[f32]) -> Vec<f32> {
-        let channels = 0..self.channels();
-        channels
-            .flat_map(|channel| self.normalize_channel(rows, channel))
-            .collect()
+        let column = |channel| self.normalize_channel(rows, channel);
+        (0..self.channels()).flat_map(column).collect()
     }
 
     /// The rows `[frames, channels]` of normalised channel-major values `[channels, frames]`.
@@ -136,8 +131,7 @@ impl Statistics {
     }
 
     /// Widens the range of horizontal `vectors` to all directions of the same length, and of
-    /// `signed` channels to +-1. Models that are trained on rotated motion generate it in all
-    /// directions.
+    /// `signed` channels to +-1, as randomly rotated motion has them.
     pub fn widen_range_for_yaw(&mut self, vectors: &[Range<usize>], signed: Range<usize>) {
         let Some([min, max]) = &mut self.range else {
             return;
@@ -155,8 +149,7 @@ impl Statistics {
         }
     }
 
-    /// Widens the range of `channels` to be symmetric about zero, for augmentation that negates
-    /// them.
+    /// Widens the range of `channels` symmetrically about zero, for augmentation that negates them.
     pub fn widen_range_for_signs(&mut self, channels: impl IntoIterator<Item = usize>) {
         let Some([min, max]) = &mut self.range else {
             return;
@@ -167,8 +160,7 @@ impl Statistics {
         }
     }
 
-    /// Widens the range of `channels` by `factor`, at least 1, away from zero, for augmentation
-    /// that scales them.
+    /// Widens the range of `channels` by `factor` from zero, for augmentation that scales them.
     pub fn widen_range_by(&mut self, factor: f64, channels: impl IntoIterator<Item = usize>) {
         let Some([min, max]) = &mut self.range else {
             return;

@@ -1,13 +1,11 @@
 //! One motion from overlapping windows.
 //!
-//! Windows are sampled at the length that a model was trained on. Positions on the floor are
-//! relative to a window's first frame ([`crate::anchor_floor`]); all else is in world coordinates.
-//! So windows are rotated ([`crate::heading_alignment`]), moved on the floor to agree with their
-//! neighbours (least squares over the overlaps), and blended with squared-sine weights that add up
-//! to 1.
+//! Windows are sampled at the length that a model was trained on. Floor positions are relative to a
+//! window's first frame ([`crate::anchor_floor`]), all else is in world coordinates. So windows are
+//! rotated ([`crate::heading_alignment`]), moved on the floor to agree with their neighbours (least
+//! squares over the overlaps), and blended with squared-sine weights that add up to 1.
 //!
-//! Known frames do not change: windows move to where they are, and the difference at their edges fades
-//! out over a third of a second.
+//! Known frames do not change: windows move to them, and the difference fades out in 1/3 s.
 
 #[cfg(test)]
 mod tests;
@@ -85,8 +83,7 @@ impl Layout {
 pub struct KnownFrames {
     /// Of each frame, whether it is known.
     pub is_known: Vec<bool>,
-    /// `[channels, frames]`; only known frames are read. The sign of quaternions is continuous
-    /// within each run of them.
+    /// `[channels, frames]`; each run of known frames has one sign of quaternions.
     pub values: Vec<f32>,
 }
 
@@ -98,8 +95,7 @@ impl Windows {
     pub fn new(frames: usize, length: usize) -> Self {
         assert!(frames > 0 && length > 0, "windows of at least one frame");
         let length = length.min(frames);
-        let most_apart = most_apart(length);
-        let gaps = (frames - length).div_ceil(most_apart);
+        let gaps = (frames - length).div_ceil(most_apart(length));
         let start = |window: usize| window * (frames - length) / gaps.max(1);
         Self {
             frames,
@@ -143,19 +139,15 @@ impl Windows {
 
     /// The windows that contain frame `t`.
     fn at(&self, t: usize) -> Range<usize> {
-        let first = self
-            .starts
-            .partition_point(|start| start + self.length <= t);
-        let end = self.starts.partition_point(|start| *start <= t);
-        first..end
+        let starts = &self.starts;
+        let first = starts.partition_point(|start| start + self.length <= t);
+        first..starts.partition_point(|start| *start <= t)
     }
 
     /// Blends windows `[windows, channels, length]` to one motion `[channels, frames]`, and
-    /// replaces each window by its part of that motion, at the window's position on the floor and
-    /// with its signs of quaternions.
+    /// replaces each window by its part of that motion, with its own position and signs.
     ///
-    /// Where frames are `known`, the motion has their values and position; otherwise the first
-    /// window keeps its position.
+    /// The motion has the `known` values; without any, the first window keeps its position.
     pub fn stitch(
         &self,
         values: &mut [f32],
@@ -182,8 +174,7 @@ impl Windows {
         known: Option<&KnownFrames>,
         channels: usize,
     ) -> Vec<[f64; 2]> {
-        // The normal equations of `weight |o_next - o - d|^2` over neighbours and `weight |o -
-        // d|^2` over known frames.
+        // The normal equations of `weight |o_next - o - d|^2`, and `|o - d|^2` of known frames.
         let mut normal = vec![[0.0; BAND]; self.len()];
         let mut sides = [vec![0.0; self.len()], vec![0.0; self.len()]];
         let at = |window: usize, channel: usize, t: usize| {
@@ -303,8 +294,7 @@ impl Windows {
         }
     }
 
-    /// The signs that turn quaternions of the motion into those of a window: each frame's own, but
-    /// one for all known frames.
+    /// Signs from quaternions of the motion to those of a window: one for all known frames.
     fn signs(
         &self,
         motion: &[f32],
@@ -323,9 +313,8 @@ impl Windows {
         let known_frames = (0..self.length).filter(|&t| is_known(t));
         let of_known: f32 = known_frames.map(|t| dots[t]).sum();
         let dot = |t: usize| if is_known(t) { of_known } else { dots[t] };
-        (0..self.length)
-            .map(|t| if dot(t) < 0.0 { -1.0 } else { 1.0 })
-            .collect()
+        let sign = |t| if dot(t) < 0.0 { -1.0 } else { 1.0 };
+        (0..self.length).map(sign).collect()
     }
 }
 
@@ -334,8 +323,7 @@ fn most_apart(length: usize) -> usize {
     (length - length.div_ceil(OVERLAP)).max(1)
 }
 
-/// Writes known frames into a motion `[channels, frames]`, and fades out the difference at their
-/// edges.
+/// Writes known frames into a motion `[channels, frames]`, and fades out the difference.
 fn put(motion: &mut [f32], known: &KnownFrames, layout: Layout) {
     let (channels, quaternions) = (layout.channels(), layout.quaternions());
     let frames = known.is_known.len();

@@ -1,7 +1,6 @@
 //! The eight style channels of recorded motion, measured from the motion.
 //!
-//! The source's style is a learned representation in four pairs (CC-MotionGen, section 2.5). These
-//! measures fill the same pairs:
+//! The source's style is learned (CC-MotionGen, section 2.5). These measures fill its four pairs:
 //!
 //! | channels | pair of the source | measures |
 //! |---|---|---|
@@ -72,9 +71,8 @@ fn running_mean(values: &[f64]) -> Vec<f64> {
     let half = MEAN_FRAMES as isize / 2;
     let last = values.len() as isize - 1;
     let at = |t: isize| values[t.clamp(0, last) as usize];
-    (0..=last)
-        .map(|t| (t - half..t + half).map(at).sum::<f64>() / MEAN_FRAMES as f64)
-        .collect()
+    let mean = |t| (t - half..t + half).map(at).sum::<f64>() / MEAN_FRAMES as f64;
+    (0..=last).map(mean).collect()
 }
 
 /// Size of the bounding box of the positions near frame `t`, metres.

@@ -11,8 +11,7 @@ pub fn frames_at_speed(frames: usize, speed: f64) -> usize {
     ((frames.saturating_sub(1)) as f64 / speed + 1e-9).floor() as usize + 1
 }
 
-/// The phrase played at `speed`: the same path and rotations in `1 / speed` of the time. Frame `t`
-/// is frame `speed * t` of the original.
+/// The phrase played at `speed`: frame `t` is frame `speed * t` of the original.
 ///
 /// Positions and quaternions follow cubic splines, so that accelerations stay smooth; derivatives
 /// follow from them. The phase takes shortest steps, and style is interpolated unchanged.
@@ -79,17 +78,14 @@ pub fn spline(values: &[f64], times: &[f64]) -> Vec<f64> {
     times.iter().map(at).collect()
 }
 
-/// Second derivatives of the spline at its knots: `m[i-1] + 4 m[i] + m[i+1] = 6 (y[i-1] - 2 y[i] +
-/// y[i+1])`.
+/// Second derivatives at the knots: `m[i-1] + 4 m[i] + m[i+1] = 6 (y[i-1] - 2 y[i] + y[i+1])`.
 fn curvature(values: &[f64]) -> Vec<f64> {
     let inner = values.len().saturating_sub(2);
     if inner == 0 {
         return vec![0.0; values.len()];
     }
-    let mut rest: Vec<f64> = values
-        .windows(3)
-        .map(|y| 6.0 * (y[0] - 2.0 * y[1] + y[2]))
-        .collect();
+    let knots = values.windows(3);
+    let mut rest: Vec<f64> = knots.map(|y| 6.0 * (y[0] - 2.0 * y[1] + y[2])).collect();
     // The first and the last unknown equal their neighbours.
     let at_ends = |i: usize| f64::from(u8::from(i == 0)) + f64::from(u8::from(i + 1 == inner));
     let mut factor = vec![0.0; inner];

@@ -1,5 +1,4 @@
-//! The headings nearest to those of orientations, weighted by their confidence, and to the angular
-//! velocity about the vertical:
+//! The headings nearest to those of orientations and to the angular velocity about the vertical:
 //!
 //! ```text
 //! min_h  sum_t w_t |h_t - exp(i psi_t)|^2 / s_h^2 + |h_{t+1} - exp(i d_t) h_t|^2 / s_w^2
@@ -22,15 +21,13 @@ use crate::{Phrase, Quaternion};
 /// Smallest weight of a frame.
 const LEAST_WEIGHT: f64 = 1e-4;
 
-/// Confidence of headings, 0 to 1, `[frames]`, by the norms of quaternions: a mean of different
-/// orientations is short.
+/// Confidence of headings, 0 to 1, `[frames]`: norms of quaternions, as in means of orientations.
 pub fn heading_confidence(motion: &Phrase) -> Vec<f64> {
     let quaternions = motion.quaternions().into_iter();
     quaternions.map(|q| q.norm().min(1.0)).collect()
 }
 
-/// Squared cosine of half the tilt (120 degrees) beyond which bodies are rotated less; upside down
-/// not at all.
+/// Squared cosine of half the tilt (120 degrees) beyond which bodies are rotated less, down to 0.
 pub const UPRIGHT: f64 = 0.25;
 
 /// Rotates the orientations of a phrase about the vertical to the headings nearest to theirs and to

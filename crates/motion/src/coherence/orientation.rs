@@ -1,5 +1,4 @@
-//! The orientations nearest to quaternions `Q` and angular velocities `W` that contradict each
-//! other:
+//! The orientations nearest to contradicting quaternions `Q` and angular velocities `W`:
 //!
 //! ```text
 //! min_q  sum_t |q_t - Q_t|^2 / s_q^2 + |q_{t+1} - exp(W_t / fps) q_t|^2 / s_w^2
@@ -36,8 +35,7 @@ pub struct OrientationFit {
 }
 
 impl OrientationFit {
-    /// The fit with a weight for each frame; `rates` are the training deviations of the angular
-    /// velocity, rad/s.
+    /// The fit with a weight for each frame and training deviations of the angular velocity, rad/s.
     ///
     /// # Panics
     /// Panics unless the deviations are positive.
@@ -47,8 +45,7 @@ impl OrientationFit {
         Self::weighted(weights, [QUATERNION_SCALE, step_scale])
     }
 
-    /// The same for headings; `rate` is the training deviation of the angular velocity about the
-    /// vertical, rad/s.
+    /// The same for headings, with the deviation of the vertical angular velocity, rad/s.
     ///
     /// # Panics
     /// Panics unless the deviation is positive.
@@ -80,8 +77,7 @@ impl OrientationFit {
         self.weights.len()
     }
 
-    /// Fits one component in place, `[frames]`. Without known frames or weights it is its own
-    /// adjoint.
+    /// Fits one component in place, `[frames]`. With equal weights it is its own adjoint.
     pub fn fit(&self, component: &mut [f64]) {
         for (value, weight) in component.iter_mut().zip(&self.weights) {
             *value *= weight;

@@ -1,19 +1,17 @@
 //! The nearest phase that advances evenly.
 //!
 //! A model that knows the beats but not the bar lines jumps by whole beats. So the phase is fitted
-//! in the fraction of a bar in which it is most even ([`parts`]), and then placed in the bar that most
-//! frames agree with.
+//! in the most even fraction of a bar ([`parts`]), and then placed in the bar that most frames
+//! state.
 //!
 //! Dynamic programming finds a path `p` whose advance a frame is half to one and a half of the
-//! tempo and that maximises `sum cos 2 pi (p_t - phase_t)`. Then the path is
-//! moved to the stated phases near it and smoothed:
+//! tempo and that maximises `sum cos 2 pi (p_t - phase_t)`. The path is then smoothed:
 //!
 //! ```text
 //! min_q  sum_t |q_t - p_t - d_t|^2 + S^4 |q_{t+2} - 2 q_{t+1} + q_t|^2
 //! ```
 //!
-//! with `d_t` the shortest distance from the path to the stated phase where it is below an eighth
-//! of a turn, otherwise 0.
+//! with `d_t` the shortest distance from path to stated phase, or 0 beyond an eighth of a turn.
 
 use std::f64::consts::TAU;
 
@@ -52,8 +50,7 @@ const AGREEMENT_MARGIN: f64 = 0.1;
 /// The second difference of three frames.
 const SECOND_DIFFERENCE: [f64; 3] = [1.0, -2.0, 1.0];
 
-/// Replaces the phase by the nearest one that advances evenly, in [0, 1), except in `known`
-/// frames.
+/// Replaces the phase by the nearest even one, in [0, 1), except in `known` frames.
 pub fn fit_phase(motion: &mut Phrase, known: &[bool]) {
     let frames = motion.frames();
     assert_eq!(known.len(), frames, "known frames");
@@ -80,8 +77,7 @@ pub fn fit_phase(motion: &mut Phrase, known: &[bool]) {
     }
 }
 
-/// Number of parts of a bar in which the phase is even: the fewest whose agreement with a tempo
-/// is nearly the best.
+/// Number of parts of a bar: the fewest whose agreement with a tempo is nearly the best.
 fn parts(stated: &[f64]) -> usize {
     let agreement = |parts: usize| {
         let of_part: Vec<f64> = stated.iter().map(|turn| parts as f64 * turn).collect();
@@ -182,8 +178,7 @@ fn path(stated: &[f64], known: &[bool]) -> Vec<f64> {
     path
 }
 
-/// Possible advances of a path in a frame, around the tempo. None stands still if the tempo allows
-/// that.
+/// Possible advances of a path in a frame, around the tempo; not 0 if the tempo allows that.
 fn advances(stated: &[f64]) -> Vec<i64> {
     let mean = tempo(stated).advance * PLACES as f64;
     let mut bounds = SHARES.map(|share| share * mean);
@@ -206,8 +201,7 @@ struct Tempo {
 }
 
 /// The advance in turns a frame, -0.5 to 0.5, that agrees best with the phases: the largest mean
-/// over spans of `|sum exp(2 pi i (phase_t - advance t))|`. Unlike single steps, this is robust to
-/// noise.
+/// over spans of `|sum exp(2 pi i (phase_t - advance t))|`, robust to noise.
 fn tempo(stated: &[f64]) -> Tempo {
     let unit = |turns: f64| (TAU * turns).sin_cos();
     let phases: Vec<(f64, f64)> = stated.iter().map(|&turns| unit(turns)).collect();

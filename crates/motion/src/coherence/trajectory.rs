@@ -1,5 +1,4 @@
-//! The nearest coherent trajectory to estimates of position, velocity and acceleration that
-//! contradict each other:
+//! The coherent trajectory nearest to contradicting positions, velocities and accelerations:
 //!
 //! ```text
 //! min_p  sum_t |p_t - P_t|^2 / s_p^2 + |fps (p_{t+1} - p_t) - V_t|^2 / s_v^2
@@ -7,9 +6,8 @@
 //! ```
 //!
 //! With the training deviations as scales `s`, this is the orthogonal projection of the normalised
-//! estimates onto coherent motion. The normal equations have two diagonals beside the main one.
-//! Differences are forward ([`crate::derivatives`]); two extra frames complete the last velocity
-//! and acceleration.
+//! estimates onto coherent motion. The matrix has two diagonals beside the main one. Differences
+//! are forward; two extra frames complete the last velocity and acceleration.
 
 use super::weight;
 use crate::Phrase;
@@ -39,8 +37,7 @@ pub struct CoherentFit {
 }
 
 impl CoherentFit {
-    /// The fit of `[frames]`, which passes through the estimates of `known` ones. `scales` are
-    /// `[s_p, s_v, s_a]` in m, m/s and m/s^2.
+    /// The fit with `scales` `[s_p, s_v, s_a]` in m, m/s, m/s^2, exact in `known` frames.
     ///
     /// # Panics
     /// Panics if a scale is not positive.
@@ -75,8 +72,7 @@ impl CoherentFit {
         self.weights[0].len()
     }
 
-    /// The fitted positions, `[frames + 2]`, of estimates `[frames]` of position, velocity and
-    /// acceleration.
+    /// The fitted positions, `[frames + 2]`, of position, velocity and acceleration, `[frames]`.
     pub fn positions(&self, estimates: [&[f64]; 3]) -> Vec<f64> {
         let mut positions = vec![0.0; self.frames() + EXTRA_FRAMES];
         for ((stencil, weights), estimate) in STENCILS.iter().zip(&self.weights).zip(estimates) {
@@ -121,9 +117,8 @@ pub fn coherent_matrix(frames: usize, scales: [f64; 3]) -> Vec<f32> {
     (0..rows).flat_map(row).collect()
 }
 
-/// Replaces position, velocity and acceleration of a phrase by those of the nearest coherent
-/// trajectory, except in `known` frames, which it passes through. `std` are the training deviations
-/// of the channels, `[25]`.
+/// Replaces position, velocity and acceleration of a phrase by the nearest coherent ones, except in
+/// `known` frames. `std` are the training deviations of the channels, `[25]`.
 pub fn fit_trajectory(motion: &mut Phrase, std: &[f64], known: &[bool]) {
     let frames = motion.frames();
     assert_eq!(known.len(), frames, "known frames");

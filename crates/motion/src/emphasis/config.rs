@@ -48,10 +48,8 @@ impl Default for EmphasisConfig {
 }
 
 impl EmphasisConfig {
-    /// Rejects a scale out of range, and missing or repeated channels.
-    ///
     /// # Errors
-    /// Names the first such setting.
+    /// For a scale out of range, and missing or repeated channels.
     pub fn validate(&self) -> Result<(), InvalidSetting> {
         check(self.scale, &self.channels, usize::MAX)
     }
@@ -86,31 +84,20 @@ pub(super) fn check(
     channels: &[usize],
     dimension: usize,
 ) -> Result<(), InvalidSetting> {
-    require(
-        scale > 0.0 && scale <= LARGEST_SCALE,
-        "emphasis.scale",
-        scale,
-        "a positive number, at most 1000000",
-    )
-    .hint("1 emphasises nothing")?;
+    let allowed = "a positive number, at most 1000000";
+    let invertible = scale > 0.0 && scale <= LARGEST_SCALE;
+    require(invertible, "emphasis.scale", scale, allowed).hint("1 emphasises nothing")?;
     let mut once = channels.to_vec();
     once.sort_unstable();
     once.dedup();
-    require(
-        !channels.is_empty() && once.len() == channels.len(),
-        "emphasis.channels",
-        format!("{channels:?}"),
-        "one or more features, each once",
-    )
-    .hint("0, 1 and 2 are root rotation, x and z")?;
+    let (found, allowed) = (format!("{channels:?}"), "one or more features, each once");
+    let unique = !channels.is_empty() && once.len() == channels.len();
+    require(unique, "emphasis.channels", found, allowed)
+        .hint("0, 1 and 2 are root rotation, x and z")?;
     let highest = once[once.len() - 1];
-    require(
-        highest < dimension,
-        "emphasis.channels",
-        highest,
-        format!("features below {dimension}"),
-    )
-    .hint("features count from 0")
+    let allowed = format!("features below {dimension}");
+    require(highest < dimension, "emphasis.channels", highest, allowed)
+        .hint("features count from 0")
 }
 
 #[cfg(test)]

@@ -24,8 +24,7 @@ pub struct EmphasisMeasures {
     pub variance_std: f64,
     /// Share of the emphasised features in the total variance.
     pub trajectory_share: f64,
-    /// Largest absolute error of standard normal frames projected and brought back in single
-    /// precision.
+    /// Largest absolute error of a round trip of standard normal frames in single precision.
     pub round_trip_max: f64,
     /// Mean absolute error of the same frames.
     pub round_trip_mean: f64,

@@ -41,8 +41,7 @@ impl EmphasisProjection {
     /// it is about 0.4 to 3, and the condition number is in the thousands.
     ///
     /// # Errors
-    /// [`EmphasisError::Setting`] if the scale or a channel is out of range; else those of
-    /// [`from_matrix`](Self::from_matrix).
+    /// [`EmphasisError::Setting`] of scale or channels; as [`from_matrix`](Self::from_matrix).
     pub fn gaussian(
         normals: &[f32],
         dimension: usize,
@@ -58,8 +57,8 @@ impl EmphasisProjection {
 
     /// The same emphasis with an orthogonal matrix Q: `P = s diag(c or 1) Q`, `s^2 (D - n + n c^2)
     /// = D`. Q comes from a QR decomposition of `normals` with a positive diagonal of R, and so is
-    /// uniformly distributed. The mean variance is exactly 1, and the condition number exactly the
-    /// scale, the minimum for these row norms.
+    /// uniformly distributed. The mean variance is 1, and the condition number the scale, its
+    /// minimum.
     ///
     /// # Errors
     /// As for [`gaussian`](Self::gaussian).
@@ -88,9 +87,8 @@ impl EmphasisProjection {
     /// that describe it. The inverse is computed in double precision.
     ///
     /// # Errors
-    /// [`EmphasisError::NotSquare`], [`EmphasisError::NonFinite`] or [`EmphasisError::Singular`]
-    /// if the matrix is so; [`EmphasisError::Setting`] if the scale or a channel is out of
-    /// range.
+    /// [`EmphasisError::NotSquare`], [`EmphasisError::NonFinite`], [`EmphasisError::Singular`], or
+    /// [`EmphasisError::Setting`] of scale or channels.
     pub fn from_matrix(
         matrix: &[f32],
         dimension: usize,
@@ -149,26 +147,25 @@ impl EmphasisProjection {
         multiply(&self.inverse, frames)
     }
 
-    /// Largest singular value of P divided by the smallest: the amplification of rounding errors in
-    /// a round trip.
+    /// Largest singular value of P by the smallest: amplification of errors in a round trip.
     pub fn condition_number(&self) -> f64 {
         self.condition_number
     }
 
-    /// Variance of each projected feature, `[dimension]`, for independent features of unit
-    /// variance: `sum_i P_ij^2`.
+    /// Variance of each projected feature, `[dimension]`, of independent unit ones: `sum_i P_ij^2`.
     pub fn variance_per_dimension(&self) -> Vec<f64> {
-        let squares = self.matrix.clone().cast::<f64>().map(|value| value.powi(2));
-        squares.column_sum().as_slice().to_vec()
+        self.squares().column_sum().as_slice().to_vec()
     }
 
-    /// Share of the emphasised features in the total variance; [`relative_importance`] is its
-    /// expectation.
+    /// Share of the emphasised features in the total variance; expected: [`relative_importance`].
     pub fn trajectory_share(&self) -> f64 {
-        let squares = self.matrix.clone().cast::<f64>().map(|value| value.powi(2));
-        let of_rows = squares.row_sum();
+        let of_rows = self.squares().row_sum();
         let emphasised: f64 = self.channels.iter().map(|&row| of_rows[row]).sum();
         emphasised / of_rows.sum()
+    }
+
+    fn squares(&self) -> DMatrix<f64> {
+        self.matrix.clone().cast::<f64>().map(|value| value.powi(2))
     }
 }
 
@@ -214,10 +211,8 @@ fn emphasise(transposed: &mut DMatrix<f64>, scale: f64, channels: &[usize]) {
 
 fn multiply(transposed: &DMatrix<f32>, frames: &[f32]) -> Vec<f32> {
     let dimension = transposed.nrows();
-    assert!(
-        frames.len().is_multiple_of(dimension),
-        "whole frames of {dimension} features"
-    );
+    let complete = frames.len().is_multiple_of(dimension);
+    assert!(complete, "whole frames of {dimension} features");
     let frames = nalgebra::DMatrixView::from_slice(frames, dimension, frames.len() / dimension);
     (transposed * frames).data.into()
 }

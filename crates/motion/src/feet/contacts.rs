@@ -8,8 +8,7 @@ use crate::vector::{length, minus};
 
 /// Foot contacts by the position of the sole.
 ///
-/// A contact has a frame that is low and slow, and continues to either side with looser thresholds
-/// (hysteresis).
+/// A contact has a low and slow frame, and extends with looser thresholds (hysteresis).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ContactRule {
     /// Height of the sole above the floor in such a frame, metres.
@@ -23,8 +22,7 @@ pub struct ContactRule {
 }
 
 impl Default for ContactRule {
-    /// The height at which foot skating is measured, a speed above its threshold so that skating
-    /// feet are found, and an eighth of a second.
+    /// The height of the skating measure, a speed above its threshold, and an eighth of a second.
     fn default() -> Self {
         Self {
             height: SKATING_HEIGHT,
@@ -37,8 +35,7 @@ impl Default for ContactRule {
 
 impl ContactRule {
     /// Contacts `[frames]` of a sole at `path`, `[frames, 3]`, metres with +y up, at `fps` frames
-    /// per second above a floor of that height. The speed of a frame is that of the slower step to
-    /// a neighbour.
+    /// per second above a `floor`. The speed of a frame is that of its slower step.
     pub fn contacts(&self, path: &[[f64; 3]], fps: f64, floor: f64) -> Vec<bool> {
         let pairs = path.windows(2);
         let steps = pairs.map(|pair| length(minus(pair[1], pair[0])) * fps);
@@ -64,8 +61,8 @@ impl ContactRule {
     }
 }
 
-/// Contacts of a joint by its height and its step to the next frame, as in the literature; the last
-/// frame repeats the step before. Lengths in metres, a frame.
+/// Contacts of a joint by its height and its step to the next frame, as in the literature. Lengths
+/// in metres, a frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum StepRule {
     /// Low, and a short step (docs/sources.md, section 7, "Edge Considerations").

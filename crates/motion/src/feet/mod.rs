@@ -22,12 +22,11 @@ use crate::Quaternion;
 use crate::rotation::between;
 use crate::vector::{length, minus, plus};
 
-/// Longest leg as a share of its bones' length, so that the knee keeps its side. Legs that were
-/// straighter may stay so.
+/// Longest leg as a share of its bones, so that the knee keeps its side; straighter legs stay so.
 const STRETCH: f64 = 0.9999;
 
-/// If the knee is nearer to the line from hip to ankle than this share of the thigh, the side of
-/// the sole decides increasingly where the knee bends.
+/// If the knee is nearer to the line from hip to ankle than this share of the thigh, the sole
+/// increasingly decides its side.
 const STRAIGHT: f64 = 0.01;
 
 /// A leg, by the indices of its joints.
@@ -44,8 +43,7 @@ pub struct Leg {
 }
 
 impl Leg {
-    /// The leg above an ankle; `None` if it has fewer than two parents, or the sole is not below
-    /// it.
+    /// The leg above an ankle; `None` without two parents, or if the sole is not below it.
     pub fn above(ankle: usize, sole: usize, parents: &[Option<usize>]) -> Option<Self> {
         let knee = parents[ankle]?;
         let hip = parents[knee]?;
@@ -59,8 +57,7 @@ impl Leg {
     }
 }
 
-/// Rotations of a leg in one frame, in world coordinates, to be multiplied from the left. The
-/// ankle's orientation does not change.
+/// Rotations of a leg in one frame, world coordinates, from the left; the ankle keeps its own.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Turns {
     /// The thigh's.
@@ -76,8 +73,7 @@ pub struct Locked {
     pub positions: Vec<Vec<[f64; 3]>>,
     /// Rotations of the legs, `[legs][frames]`.
     pub turns: Vec<Vec<Turns>>,
-    /// Distance of each sole from its contact position where the leg is too short,
-    /// `[legs][frames]`.
+    /// Distance of each sole from its contact position out of reach, `[legs][frames]`.
     pub missed: Vec<Vec<f64>>,
 }
 
@@ -116,8 +112,7 @@ pub fn lock(
     }
 }
 
-/// Mean step of a joint between frames in contact, of a `path` `[frames]`; zero if there are no two
-/// such frames.
+/// Mean step of a joint between frames in contact, of a `path` `[frames]`; 0 without any.
 pub fn sliding(path: &[[f64; 3]], contacts: &[bool]) -> f64 {
     let steps = path.windows(2).zip(contacts.windows(2));
     let steps = steps.filter(|(_, contacts)| contacts[0] && contacts[1]);

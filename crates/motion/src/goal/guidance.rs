@@ -69,12 +69,10 @@ struct Sample {
 }
 
 impl GuidanceLoss {
-    /// The loss of a batch with one goal per sample, for motions of `frames` frames. Frames beyond
-    /// a shorter goal are free.
+    /// The loss of a batch, one goal per sample, of `frames` frames; those beyond a goal are free.
     ///
     /// # Errors
-    /// If [`Goal::validate`] or [`GuidanceConfig::validate`] refuses, or a goal is longer than
-    /// `frames`.
+    /// If [`Goal::validate`] or [`GuidanceConfig::validate`] refuses, or a goal is too long.
     pub fn new(
         config: &GuidanceConfig,
         goals: &[Goal],
@@ -91,8 +89,7 @@ impl GuidanceLoss {
         Ok(Self::of_samples(config, samples.collect(), frames))
     }
 
-    /// The loss of motions that follow `paths`, one per goal and at most `frames` long, which
-    /// replace keyframes and trajectories.
+    /// The loss of motions that follow `paths`, one per goal, instead of its targets.
     ///
     /// # Errors
     /// As [`new`](Self::new).
@@ -123,16 +120,12 @@ impl GuidanceLoss {
         }
     }
 
-    /// The loss of ground positions `[batch, frames, 2]` in metres and its gradient, `[batch,
-    /// frames, 2]`. At a kink it is a subgradient: 0 at the target under the absolute norm, and 0
-    /// at exactly the margin.
+    /// The loss of ground positions `[batch, frames, 2]` in metres and its gradient, of that shape.
+    /// At a kink it is a subgradient: 0 at the target under the absolute norm and at the margin.
     pub fn evaluate(&self, positions: &[f64]) -> (f64, Vec<f64>) {
         let width = 2 * self.frames;
-        assert_eq!(
-            positions.len(),
-            self.samples.len() * width,
-            "an x and a z for each frame of each sample"
-        );
+        let expected = self.samples.len() * width;
+        assert_eq!(positions.len(), expected, "x and z of all frames");
         let mut value = 0.0;
         let mut gradient = vec![0.0; positions.len()];
         for (index, sample) in self.samples.iter().enumerate() {

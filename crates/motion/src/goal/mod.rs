@@ -1,7 +1,6 @@
 //! Goals: position control of the root by keyframes, trajectories and obstacles.
 //!
-//! Positions are on the ground plane, x and z in metres; frames are numbered from 0. Goals are read
-//! from TOML such as:
+//! Positions are x and z in metres; frames are numbered from 0. Goals are read from TOML such as:
 //!
 //! ```toml
 //! frames = 120            # length of the clip
@@ -197,29 +196,21 @@ impl Goal {
     }
 
     fn check_trajectory(&self, trajectory: &Trajectory) -> Result<(), InvalidSetting> {
-        require(
-            self.keyframes.is_empty(),
-            "trajectory",
-            format!("given together with {} keyframes", self.keyframes.len()),
-            "one of the two",
-        )
-        .hint("write the keyframes into the trajectory, or leave the trajectory out")?;
+        let keyframes = self.keyframes.len();
+        let found = format!("given together with {keyframes} keyframes");
+        require(keyframes == 0, "trajectory", found, "one of the two")
+            .hint("write the keyframes into the trajectory, or leave the trajectory out")?;
         let points = &trajectory.points;
         let allowed = "one or more positions `[x, z]`";
         require(!points.is_empty(), "trajectory.points", "empty", allowed)
             .hint("leave out `[trajectory]` if there is none")?;
         self.check_frame("trajectory.first_frame", trajectory.first_frame)?;
-        let longest = self.frames - trajectory.first_frame;
-        require(
-            points.len() <= longest,
-            "trajectory.points",
-            format!("a list of {} positions", points.len()),
-            format!(
-                "at most {longest} (from frame {} of {})",
-                trajectory.first_frame, self.frames
-            ),
-        )
-        .hint("give one position for each frame, or raise `frames`")?;
+        let (first, frames) = (trajectory.first_frame, self.frames);
+        let found = format!("a list of {} positions", points.len());
+        let longest = frames - first;
+        let allowed = format!("at most {longest} (from frame {first} of {frames})");
+        require(points.len() <= longest, "trajectory.points", found, allowed)
+            .hint("give one position for each frame, or raise `frames`")?;
         for (index, &point) in points.iter().enumerate() {
             check_position(&format!("trajectory.points[{index}]"), point)?;
         }
@@ -237,10 +228,7 @@ impl Goal {
     /// The target positions: the keyframes, or the trajectory.
     pub fn points(&self) -> GroundTargets {
         match &self.trajectory {
-            Some(Trajectory {
-                first_frame,
-                points,
-            }) => GroundTargets::trajectory(points, *first_frame, self.frames),
+            Some(all) => GroundTargets::trajectory(&all.points, all.first_frame, self.frames),
             None => GroundTargets::points(&self.keyframes, self.frames),
         }
     }

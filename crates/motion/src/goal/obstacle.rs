@@ -33,8 +33,7 @@ impl Obstacle {
     }
 
     /// The [signed distance](Self::signed_distance) and its gradient, a unit vector: that of the
-    /// first of several nearest edges, the outward normal on an edge, and +x in a disc's centre so
-    /// that guidance can leave it.
+    /// first of several nearest edges, the outward normal on an edge, and +x in a disc's centre.
     pub fn distance_and_gradient(&self, point: [f64; 2]) -> (f64, [f64; 2]) {
         match self {
             &Self::Disc { x, z, radius } => {
@@ -50,22 +49,21 @@ impl Obstacle {
         }
     }
 
-    /// Rejects numbers that are not finite, radii that are not positive, and polygons with fewer
-    /// than three corners or touching edges.
-    ///
     /// # Errors
-    /// Names the first such value.
+    /// For invalid numbers, and polygons with fewer than three corners or touching edges.
     pub fn validate(&self) -> Result<(), InvalidSetting> {
         match self {
             &Self::Disc { x, z, radius } => {
                 check_metres("x", x)?;
                 check_metres("z", z)?;
-                let (positive, allowed) = (
+                let allowed = "a positive number of metres";
+                require(
                     radius > 0.0 && radius.is_finite(),
-                    "a positive number of metres",
-                );
-                require(positive, "radius", radius, allowed)
-                    .hint("leave out an obstacle that has no size")
+                    "radius",
+                    radius,
+                    allowed,
+                )
+                .hint("leave out an obstacle that has no size")
             }
             Self::Polygon { vertices } => {
                 for (index, &vertex) in vertices.iter().enumerate() {

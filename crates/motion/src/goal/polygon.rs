@@ -11,8 +11,7 @@ fn edges(vertices: &[[f64; 2]]) -> impl Iterator<Item = ([f64; 2], [f64; 2])> + 
     edges.filter(|(a, b)| a != b).map(|(a, b)| (*a, *b))
 }
 
-/// Signed distance of a point from a simple polygon's edge, negative inside, and its gradient. A
-/// polygon without edges is infinitely far.
+/// Signed distance of a point from a polygon's edge, negative inside, and its gradient.
 pub(super) fn distance_and_gradient(vertices: &[[f64; 2]], point: [f64; 2]) -> (f64, [f64; 2]) {
     let mut inside = false;
     let mut nearest = (f64::INFINITY, [0.0; 2], [0.0; 2]);
@@ -49,8 +48,7 @@ fn doubled_area(vertices: &[[f64; 2]]) -> f64 {
     edges(vertices).map(|(a, b)| cross(a, b)).sum()
 }
 
-/// Rejects polygons with fewer than three distinct corners, and edges that touch elsewhere than at
-/// shared corners.
+/// Rejects polygons with fewer than three corners, and edges that touch elsewhere than there.
 pub(super) fn check(vertices: &[[f64; 2]]) -> Result<(), InvalidSetting> {
     let edges: Vec<_> = edges(vertices).collect();
     let mut corners: Vec<[f64; 2]> = edges.iter().map(|(corner, _)| *corner).collect();

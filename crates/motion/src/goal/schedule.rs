@@ -19,8 +19,7 @@ pub enum Phase {
 /// The last timestep, counted down, at which each [`Phase`] acts.
 ///
 /// GMD, appendix F, ends guidance and imputation at t = 20; the published evaluation changes from
-/// the line to the keyframes at t = 100. The published demonstration imputes into the motion model
-/// until t = 1 (`motion_until = 1`).
+/// line to keyframes at t = 100, its demonstration imputes into the motion model until t = 1.
 #[derive(Clone, Debug, Deserialize, Eq, PartialEq, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct GuidanceSchedule {
@@ -64,10 +63,8 @@ impl GuidanceSchedule {
         }
     }
 
-    /// Rejects a line that acts longer than its keyframes.
-    ///
     /// # Errors
-    /// Names `dense_until`.
+    /// For a line that acts longer than its keyframes.
     pub fn validate(&self) -> Result<(), InvalidSetting> {
         let allowed = format!("{} (`points_until`) or more", self.points_until);
         let (dense, points) = (self.dense_until, self.points_until);

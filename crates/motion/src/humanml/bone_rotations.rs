@@ -1,9 +1,8 @@
 //! Rotations of bones from joint positions, and back.
 //!
-//! The rotation of joint b rotates the bone that *ends* at b. In the published data the rotations
-//! of every chain begin at the root quaternion, which maps world to body while bone rotations map
-//! body to world, so the first of a chain contains the heading twice. Source: HumanML3D
-//! (docs/sources.md, section 3.2).
+//! The rotation of joint b rotates the bone that *ends* at b. In the published data every chain
+//! begins at the root quaternion, which maps world to body while bone rotations map body to world:
+//! the first contains the heading twice. Source: HumanML3D (docs/sources.md, section 3.2).
 
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
@@ -133,12 +132,10 @@ pub(super) fn raw_root(skeleton: &Skeleton, frame: &[[f64; 3]]) -> Quaternion {
     between(facing, [0.0, 0.0, 1.0])
 }
 
-/// The joints of rotations `[frames, J]` as of [`inverse_kinematics`], with bones `offsets` `[J,
-/// 3]` and root positions `[frames, 3]`.
+/// The joints of rotations `[frames, J]`, with bones `[J, 3]` and root positions `[frames, 3]`.
 ///
 /// # Errors
-/// [`FeatureError::LengthMismatch`] for lists of other lengths, [`FeatureError::NonFinite`] if the
-/// joints are not finite.
+/// [`FeatureError::LengthMismatch`]; [`FeatureError::NonFinite`] if the joints are not finite.
 pub fn forward_kinematics(
     skeleton: &Skeleton,
     offsets: &[[f64; 3]],

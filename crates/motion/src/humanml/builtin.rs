@@ -37,9 +37,8 @@ const HUMANML3D: [Joint; 22] = [
     ("right_wrist", DOWN, [-0.25, 0.0, 0.0]),
 ];
 
-/// Left and right as in the published facing joints and contact flags. The published raw directions
-/// of hips and shoulders point to the other side, so rotations contain a large turn; positions do
-/// not depend on it.
+/// Left and right as in the published facing joints and contact flags. Published raw directions of
+/// hips and shoulders point to the other side, which affects rotations but not positions.
 const KIT: [Joint; 21] = [
     ("root", [0.0; 3], [0.0; 3]),
     ("pelvis", UP, [0.0, 0.06, 0.0]),

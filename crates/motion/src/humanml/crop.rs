@@ -45,8 +45,7 @@ impl Features {
     }
 }
 
-/// Rotations of one frame, six columns for each joint but the root, in the world rotated by
-/// `start`; `facing` is the root quaternion.
+/// Six columns for each joint but the root, in the world rotated by `start`; `facing` is the root.
 fn turn_rotations(skeleton: &Skeleton, columns: &mut [f32], facing: Quaternion, start: Quaternion) {
     let raw = &skeleton.description().raw_directions;
     let (columns, _) = columns.as_chunks_mut::<6>();

@@ -18,8 +18,7 @@ pub struct SkeletonDescription {
     pub chains: Vec<Vec<usize>>,
     /// Directions of bones without rotation, `[J, 3]`: unit vectors, joint 0 unused.
     pub raw_directions: Vec<[f64; 3]>,
-    /// Child minus parent in the reference pose, `[J, 3]`, metres, joint 0 unused: clips are
-    /// rescaled to these bone lengths.
+    /// Child minus parent in the reference pose, `[J, 3]`, metres, joint 0 unused.
     pub rest_offsets: Vec<[f64; 3]>,
     /// Joints that define the facing direction.
     pub face_joints: FaceJoints,

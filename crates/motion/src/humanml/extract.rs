@@ -17,8 +17,7 @@ use crate::vector::{minus, plus};
 #[derive(Clone, Copy, Debug, Deserialize, PartialEq, Serialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Extraction {
-    /// Rescale every clip to the bones of the skeleton's reference pose ([`rescale`]), as in the
-    /// published dataset.
+    /// [Rescale](rescale) every clip to the reference bones, as in the published dataset.
     pub rescale: bool,
     /// A foot joint is in contact where its squared displacement to the next frame is below this,
     /// square metres. The published 0.002 are 4.5 cm a frame, without a height test.
@@ -65,8 +64,7 @@ impl Extraction {
         self.features(skeleton, &extrapolated(joints)?)
     }
 
-    /// The features of a clip without rescaling or moving. Heights are above y = 0, and the first
-    /// frame counts as facing +z.
+    /// The features of a clip as it is: heights above y = 0, the first frame counted as facing +z.
     ///
     /// # Errors
     /// As [`features`](Self::features).
@@ -101,8 +99,7 @@ impl Extraction {
         Ok(())
     }
 
-    /// The features of a frame with its rotations, and of its step to the next frame with its root
-    /// quaternion.
+    /// The features of a frame with its rotations, and of its step to the next root quaternion.
     pub(super) fn row(
         &self,
         skeleton: &Skeleton,
@@ -144,8 +141,7 @@ pub fn extrapolated(joints: &Joints) -> Result<Joints, FeatureError> {
     Joints::new(places, joints.joints())
 }
 
-/// The joints of one frame relative to the root's ground position, rotated by the root quaternion
-/// `facing`.
+/// The joints of one frame from the root's ground position, rotated by the root quaternion.
 pub fn in_facing_frame(frame: &[[f64; 3]], facing: Quaternion) -> impl Iterator<Item = [f64; 3]> {
     let [x, _, z] = frame[0];
     let places = frame.iter();
@@ -184,8 +180,7 @@ pub fn leg_ratio(skeleton: &Skeleton, joints: &Joints) -> Result<f64, FeatureErr
     Ok(legs(&skeleton.offsets()) / source)
 }
 
-/// The clip moved and rotated to the origin of features: lowest joint on the floor y = 0, the first
-/// frame's root at x = z = 0, facing +z.
+/// The clip with its lowest joint at y = 0, the first root at x = z = 0, facing +z.
 ///
 /// # Errors
 /// [`FeatureError::LengthMismatch`] for joints of another skeleton; [`FeatureError::NonFinite`] if

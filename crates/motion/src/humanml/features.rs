@@ -91,9 +91,8 @@ impl Features {
 
     /// Channels 0 to 3, `[frames, 4]`: rotation, x, z, height.
     pub fn root_channels(&self) -> Vec<[f64; 4]> {
-        let rows = (0..self.frames()).map(|t| self.frame(t));
-        rows.map(|row| [0, 1, 2, 3].map(|i| f64::from(row[i])))
-            .collect()
+        let of_frame = |t| [0, 1, 2, 3].map(|i| f64::from(self.frame(t)[i]));
+        (0..self.frames()).map(of_frame).collect()
     }
 
     /// The root's positions (x, height, z), `[frames, 3]`, metres, summed in double precision.
@@ -112,8 +111,7 @@ impl Features {
         self.with_root(Root::Absolute)
     }
 
-    /// The same features with relative root ([`Root::convert`]): the start is lost, and the last
-    /// row repeats the step before.
+    /// The same features with relative root, the last step repeated ([`Root::convert`]).
     #[must_use]
     pub fn to_relative(&self) -> Self {
         self.with_root(Root::Relative)
@@ -152,8 +150,7 @@ impl Features {
         Joints::computed(places, count)
     }
 
-    /// The joints from the rotations in the features, `[frames, J, 3]`: forward kinematics with the
-    /// bones of the skeleton's reference pose.
+    /// The joints from the rotations, `[frames, J, 3]`, with the bones of the reference pose.
     ///
     /// # Errors
     /// [`FeatureError::LengthMismatch`] for features of another skeleton;

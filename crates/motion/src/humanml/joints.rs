@@ -98,8 +98,7 @@ impl Joints {
         FeatureError::unless_equal("joints of a frame", skeleton.joints(), self.joints)
     }
 
-    /// The clip reflected at the plane x = 0: the joints of each pair are swapped and x is negated,
-    /// as in the dataset's mirrored half.
+    /// The clip reflected at the plane x = 0: paired joints are swapped and x is negated.
     ///
     /// # Errors
     /// [`FeatureError::LengthMismatch`] if they are not joints of `skeleton`.

@@ -101,8 +101,7 @@ impl FeatureLayout {
         ]
     }
 
-    /// The joint of channel `index` (none for the root and contact flags) and its component, by the
-    /// published names.
+    /// Joint (none of root and contacts) and published component name of channel `index`.
     pub(super) fn channel(self, index: usize) -> (Option<usize>, &'static str) {
         assert!(index < self.channels(), "channel {index} does not exist");
         let columns = [
@@ -128,8 +127,7 @@ impl FeatureLayout {
         (None, root.get(index).unwrap_or(&"contact"))
     }
 
-    /// Name of channel `index` without a skeleton, such as `root.height_y`, `joint_3.ric_x` or
-    /// `contact_0`.
+    /// Name of channel `index`: `root.height_y`, `joint_3.ric_x` or `contact_0`.
     pub fn channel_name(self, index: usize) -> String {
         let (joint, component) = self.channel(index);
         match joint {

@@ -1,5 +1,4 @@
-//! Joint positions and joint features as in HumanML3D: 263 channels for 22 joints, or `12 J - 1`
-//! for J joints.
+//! Joint positions and features as in HumanML3D: `12 J - 1` channels for J joints, 263 for 22.
 //!
 //! Metres (published features in millimetres are converted when read), +y up, the skeleton's own
 //! frame rate, velocities per frame. Root quaternions map world to facing frame and enter the

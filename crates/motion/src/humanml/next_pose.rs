@@ -12,8 +12,7 @@ use crate::vector::plus;
 /// Representation of the next pose, `[J, 3]` in metres, in the facing frame of the current one
 /// relative to the root's ground position (docs/sources.md, section 5).
 ///
-/// A row of features determines both. So the history from which frame t + 1 is predicted ends with
-/// row t - 1: row t contains the answer.
+/// Row t of features determines both, so the history that predicts frame t + 1 ends with row t - 1.
 #[derive(Clone, Copy, Debug, Default, Deserialize, Eq, JsonSchema, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum NextPose {
@@ -40,8 +39,7 @@ impl NextPose {
         let layout = FeatureLayout::of_channels(row.len())?;
         let mut target = row[layout.velocities()].to_vec();
         if self == Self::Position {
-            let height = row[FeatureLayout::ROOT.end - 1];
-            let root = [0.0, height, 0.0];
+            let root = [0.0, row[FeatureLayout::ROOT.end - 1], 0.0];
             let places = root.iter().chain(&row[layout.positions()]);
             for (value, place) in target.iter_mut().zip(places) {
                 *value += place;

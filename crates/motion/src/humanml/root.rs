@@ -32,8 +32,7 @@ impl fmt::Display for Root {
 }
 
 impl Root {
-    /// The half angles `a` of the root quaternion in radians, `[frames]`, from channels 0 to 3,
-    /// `[frames, 4]`.
+    /// The half angles `a` in radians, `[frames]`, of channels 0 to 3, `[frames, 4]`.
     pub fn half_angles(self, channels: &[[f64; 4]]) -> Vec<f64> {
         let rotations = channels.iter().map(|[rotation, ..]| *rotation);
         match self {

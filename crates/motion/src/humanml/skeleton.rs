@@ -112,14 +112,13 @@ impl Skeleton {
         mirrored
     }
 
-    /// Offsets of the joints without rotation, `[J, 3]`, metres: raw directions with the reference
-    /// bones' lengths.
+    /// Raw directions with the reference bones' lengths, `[J, 3]`, metres.
     pub fn offsets(&self) -> Vec<[f64; 3]> {
         let lengths = self.description.rest_offsets.iter().map(|o| length(*o));
         self.offsets_of_lengths(lengths)
     }
 
-    /// Offsets of the joints without rotation with the bone lengths of one frame of a clip.
+    /// Raw directions with the bone lengths of one frame of a clip.
     pub fn offsets_of_frame(&self, frame: &[[f64; 3]]) -> Vec<[f64; 3]> {
         assert_eq!(frame.len(), self.joints(), "a place for each joint");
         let bone = |(joint, parent): (usize, &Option<usize>)| {

@@ -42,8 +42,7 @@ impl FeatureStream {
         })
     }
 
-    /// The same for a motion that need not begin facing +z. Only the rotations of published
-    /// features depend on the heading.
+    /// The same for a motion that begins in any heading, on which published rotations depend.
     #[must_use]
     pub fn with_own_heading(self) -> Self {
         Self {
@@ -52,8 +51,7 @@ impl FeatureStream {
         }
     }
 
-    /// Adds the next frame, `[J, 3]` in metres, and returns the row of the one before, `[12 J -
-    /// 1]`; none for the first.
+    /// Adds the next frame, `[J, 3]` in metres; the row of the one before, `[12 J - 1]`, if any.
     ///
     /// # Errors
     /// [`FeatureError::LengthMismatch`] for another number of joints; [`FeatureError::NonFinite`]

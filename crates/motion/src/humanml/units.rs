@@ -1,7 +1,6 @@
 //! Conversion of published features to metres.
 //!
-//! HumanML3D is in metres. KIT-ML's features come from joints in millimetres, so their root is
-//! hundreds of units above the floor.
+//! HumanML3D is in metres, KIT-ML in millimetres: its roots are hundreds of units above the floor.
 
 use super::FeatureLayout;
 
@@ -22,8 +21,7 @@ impl FeatureLayout {
         lengths.iter().any(|group| group.contains(&channel))
     }
 
-    /// Features `[frames, channels]`, converted to metres if the mean height of the root shows
-    /// millimetres.
+    /// Features `[frames, channels]` in metres, converted if the mean height shows millimetres.
     pub fn in_metres(self, mut rows: Vec<f32>) -> Vec<f32> {
         let heights = rows.chunks_exact(self.channels()).map(|row| row[HEIGHT]);
         let (frames, sum) = heights.fold((0, 0.0), |(n, sum), y| (n + 1, sum + f64::from(y)));

@@ -1,7 +1,7 @@
 //! Validation of a skeleton's description.
 
 use super::{FeatureError, Feet, SkeletonDescription};
-use crate::vector::length;
+use crate::vector::{length, minus};
 
 /// Tolerance of the length of raw directions.
 const UNIT: f64 = 1e-6;
@@ -17,17 +17,14 @@ pub(super) fn parents(
             let field = format!("chains[{index}]");
             require(description, sound, &field, format!("{chain:?}"), allowed)
         };
-        let known = chain.len() >= 2 && chain.iter().all(|joint| *joint < joints);
-        require(known, "at least two indices of `joint_names`")?;
-        require(
-            chain[0] == 0 || parents[chain[0]].is_some(),
-            "a chain that begins at joint 0 or at a joint of an earlier chain",
-        )?;
+        let inside = chain.len() >= 2 && chain.iter().all(|joint| *joint < joints);
+        require(inside, "at least two indices of `joint_names`")?;
+        let begins = chain[0] == 0 || parents[chain[0]].is_some();
+        let allowed = "a chain that begins at joint 0 or at a joint of an earlier chain";
+        require(begins, allowed)?;
+        let allowed = "after its first joint, joints that no chain has reached yet";
         for pair in chain.windows(2) {
-            require(
-                pair[1] != 0 && parents[pair[1]].is_none(),
-                "after its first joint, joints that no chain has reached yet",
-            )?;
+            require(pair[1] != 0 && parents[pair[1]].is_none(), allowed)?;
             parents[pair[1]] = Some(pair[0]);
         }
     }
@@ -44,53 +41,38 @@ pub(super) fn the_rest(description: &SkeletonDescription) -> Result<(), FeatureE
     let require =
         |sound, field: &str, found, allowed| require(description, sound, field, found, allowed);
 
-    let fps = description.fps;
-    let found = fps.to_string();
-    require(
-        fps.is_finite() && fps > 0.0,
-        "fps",
-        found,
-        "a positive number",
-    )?;
+    let (fps, allowed) = (description.fps, "a positive number");
+    let positive = fps.is_finite() && fps > 0.0;
+    require(positive, "fps", fps.to_string(), allowed)?;
     let found = format!("a list of {joints}");
     require(joints >= 2, "joint_names", found, "at least two names")?;
     for (joint, name) in description.joint_names.iter().enumerate() {
         let first = description.joint_names[..joint].iter().all(|n| n != name);
         let bad = |c: char| c.is_control() || c == '{' || c == '}';
-        require(
-            first && !name.trim().is_empty() && !name.contains(bad),
-            &format!("joint_names[{joint}]"),
-            format!("`{}`", name.escape_debug()),
-            "a name of one line without braces that no other joint has",
-        )?;
+        let valid = first && !name.trim().is_empty() && !name.contains(bad);
+        let field = format!("joint_names[{joint}]");
+        let found = format!("`{}`", name.escape_debug());
+        let allowed = "a name of one line without braces that no other joint has";
+        require(valid, &field, found, allowed)?;
     }
 
-    for (field, list) in [
-        ("raw_directions", &description.raw_directions),
-        ("rest_offsets", &description.rest_offsets),
-    ] {
+    let (directions, offsets) = (&description.raw_directions, &description.rest_offsets);
+    for (field, list) in [("raw_directions", directions), ("rest_offsets", offsets)] {
         let found = format!("a list of {} for {joints} joints", list.len());
         require(list.len() == joints, field, found, "one entry a joint")?;
     }
     for joint in 1..joints {
-        let direction = description.raw_directions[joint];
-        require(
-            (length(direction) - 1.0).abs() <= UNIT,
-            &format!("raw_directions[{joint}]"),
-            format!("{direction:?}"),
-            "a vector of length 1",
-        )?;
-        let offset = description.rest_offsets[joint];
-        require(
-            length(offset).is_finite() && length(offset) > 0.0,
-            &format!("rest_offsets[{joint}]"),
-            format!("{offset:?}"),
-            "a finite vector in metres that is not zero",
-        )?;
+        let (direction, offset) = (directions[joint], offsets[joint]);
+        let (field, found) = (format!("raw_directions[{joint}]"), format!("{direction:?}"));
+        let unit = (length(direction) - 1.0).abs() <= UNIT;
+        require(unit, &field, found, "a vector of length 1")?;
+        let (field, found) = (format!("rest_offsets[{joint}]"), format!("{offset:?}"));
+        let positive = length(offset).is_finite() && length(offset) > 0.0;
+        let allowed = "a finite vector in metres that is not zero";
+        require(positive, &field, found, allowed)?;
     }
 
-    let face = description.face_joints;
-    let feet = description.feet;
+    let (face, feet) = (description.face_joints, description.feet);
     let legs = description.leg_joints;
     for (field, joint) in [
         ("face_joints.right_hip", face.right_hip),
@@ -113,38 +95,36 @@ pub(super) fn the_rest(description: &SkeletonDescription) -> Result<(), FeatureE
 
 /// The two sides must be mirror images, as mirroring of features requires.
 fn mirrored(description: &SkeletonDescription) -> Result<(), FeatureError> {
+    let require =
+        |sound, field: &str, found, allowed| require(description, sound, field, found, allowed);
     let directions = &description.raw_directions;
     let mut image: Vec<usize> = (0..directions.len()).collect();
     for (index, &[left, right]) in description.mirrored_joints.iter().enumerate() {
         let free = |joint: usize| 0 < joint && joint < image.len() && image[joint] == joint;
-        require(
-            description,
-            left != right && free(left) && free(right),
-            &format!("mirrored_joints[{index}]"),
-            format!("{:?}", [left, right]),
-            "two indices of `joint_names` above 0 that no other pair has",
-        )?;
+        let valid = left != right && free(left) && free(right);
+        let field = format!("mirrored_joints[{index}]");
+        let allowed = "two indices of `joint_names` above 0 that no other pair has";
+        require(valid, &field, format!("{:?}", [left, right]), allowed)?;
         image.swap(left, right);
     }
     for joint in 1..directions.len() {
         let ([x, y, z], other) = (directions[joint], directions[image[joint]]);
+        let symmetric = length(minus([-x, y, z], other)) <= UNIT;
+        let field = format!("raw_directions[{joint}]");
+        let allowed = "the mirror image, x negated, of that of the joint paired in \
+                       `mirrored_joints`, and x = 0 for a joint without a pair";
         require(
-            description,
-            length([0, 1, 2].map(|i| [-x, y, z][i] - other[i])) <= UNIT,
-            &format!("raw_directions[{joint}]"),
+            symmetric,
+            &field,
             format!("{:?}", directions[joint]),
-            "the mirror image, x negated, of that of the joint paired in `mirrored_joints`, and \
-             x = 0 for a joint without a pair",
+            allowed,
         )?;
     }
     let Feet { left, right } = description.feet;
-    require(
-        description,
-        left.map(|joint| image[joint]) == right,
-        "feet.right",
-        format!("{right:?}"),
-        "the joints paired in `mirrored_joints` with those of `feet.left`, in their order",
-    )
+    let paired = left.map(|joint| image[joint]) == right;
+    let allowed =
+        "the joints paired in `mirrored_joints` with those of `feet.left`, in their order";
+    require(paired, "feet.right", format!("{right:?}"), allowed)
 }
 
 fn require(

@@ -63,9 +63,8 @@ impl Path {
         let place = ((time - self.start) * TABLE_RATE).clamp(0.0, last as f64);
         let before = (place as usize).min(last - 1);
         let weight = place - before as f64;
-        std::array::from_fn(|i| {
-            self.steps[before][i] + weight * (self.steps[before + 1][i] - self.steps[before][i])
-        })
+        let (from, to) = (self.steps[before], self.steps[before + 1]);
+        plus(from, minus(to, from).map(|step| weight * step))
     }
 
     /// The time at which the phase is reached.
@@ -78,15 +77,13 @@ impl Path {
     }
 }
 
-/// The joints `[frames, 22, 3]` of a walk along `course`, metres, +y up, at the frame rate of
-/// `skeleton`, which is that of HumanML3D.
+/// The joints `[frames, 22, 3]` of a walk along `course`, metres; `skeleton` is HumanML3D's.
 pub fn joints(course: &Course, skeleton: &Skeleton, frames: usize) -> Vec<Point> {
     let fps = skeleton.description().fps;
     let path = Path::new(course, frames as f64 / fps);
     let walker = Walker::new(course, skeleton, frames as f64 / fps);
-    (0..frames)
-        .flat_map(|frame| walker.pose(&path, frame as f64 / fps))
-        .collect()
+    let pose = |frame| walker.pose(&path, frame as f64 / fps);
+    (0..frames).flat_map(pose).collect()
 }
 
 /// Sizes of a walker.
@@ -104,8 +101,7 @@ impl<'a> Walker<'a> {
         let offsets = &skeleton.description().rest_offsets[..];
         let speeds = (0..=20).map(|i| (course.speed)(seconds * f64::from(i) / 20.0));
         let fastest = speeds.fold(0.0, f64::max);
-        // The pelvis is low enough for the rear leg to reach the ground until the end of its
-        // stance.
+        // Low enough for the rear leg to reach the ground until the end of its stance.
         let reach = 0.5 * STANCE * fastest / (0.55 + 0.35 * fastest) + 0.02;
         let leg = 0.985 * (length(offsets[4]) + length(offsets[7]));
         let stretched = (leg * leg - reach * reach).sqrt();

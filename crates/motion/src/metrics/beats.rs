@@ -1,7 +1,6 @@
 //! Beat alignment of motion and music.
 //!
-//! The beat alignment score of Li et al. 2021 (AIST++), <https://arxiv.org/abs/2101.08779>, for the
-//! motion of the root.
+//! The score of Li et al. 2021 (AIST++, <https://arxiv.org/abs/2101.08779>), of the root.
 
 use kinegrad_random::Key;
 
@@ -18,8 +17,8 @@ pub fn kinematic_beats(motion: &Phrase) -> Vec<f64> {
     peaks(motion, |speed| -speed)
 }
 
-/// Times in seconds at which the root is fastest. Real ballroom dancers are fastest on beats more
-/// often than by chance, which is not true of the slowest moments (docs/results.md).
+/// Times in seconds at which the root is fastest: in real dances on beats more often than by chance
+/// (docs/results.md).
 pub fn speed_peaks(motion: &Phrase) -> Vec<f64> {
     peaks(motion, |speed| speed)
 }
@@ -49,8 +48,7 @@ pub fn beat_alignment(kinematic: &[f64], music: &[f64]) -> Option<f64> {
 /// Number of offsets for the chance level.
 const OFFSETS: usize = 50;
 
-/// Chance level of [`beat_alignment`]: its mean over random circular shifts of the motion's beats
-/// within `seconds`.
+/// Chance level: mean [`beat_alignment`] over circular shifts of the beats within `seconds`.
 pub fn chance_alignment(kinematic: &[f64], music: &[f64], seconds: f64, key: Key) -> Option<f64> {
     let at = |offset: f32| {
         let moved = |beat| (beat + f64::from(offset) * seconds).rem_euclid(seconds);

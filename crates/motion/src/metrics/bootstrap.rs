@@ -23,8 +23,7 @@ impl Estimate {
     /// The mean of the values of all `groups` with its bootstrap percentile interval (Efron and
     /// Tibshirani 1993, sections 8 and 13): 2000 times, groups are resampled with replacement, and
     /// then the values of each. Values of one group may be dependent, such as phrases of one song.
-    /// Depends on `seed` and the values alone, so estimates over the same groups use the same
-    /// resamples.
+    /// Estimates over the same groups and `seed` use the same resamples.
     ///
     /// `None` of no values, or if one is not finite.
     pub fn of(groups: &[Vec<f64>], seed: u64) -> Option<Self> {

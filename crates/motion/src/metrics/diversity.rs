@@ -20,8 +20,7 @@ pub fn trajectory_distance(a: &Phrase, b: &Phrase, training: &Statistics) -> f64
     (sum / (frames * TRAJECTORY.len()) as f64).sqrt()
 }
 
-/// Mean [`trajectory_distance`] over all pairs of phrases; `None` for fewer than two phrases or
-/// where a value is not finite.
+/// Mean [`trajectory_distance`] over all pairs; `None` without pairs or if it is not finite.
 pub fn diversity(motions: &[&Phrase], training: &Statistics) -> Option<f64> {
     mean(motions.iter().enumerate().flat_map(|(index, a)| {
         let others = motions[index + 1..].iter();
@@ -30,8 +29,7 @@ pub fn diversity(motions: &[&Phrase], training: &Statistics) -> Option<f64> {
 }
 
 /// Mean Euclidean distance of feature vectors `[n, features]` over all pairs, or over `pairs`
-/// random pairs of different vectors if there are more. `None` for fewer than two vectors, no
-/// pairs, or values that are not finite.
+/// random ones if there are more. `None` without pairs or if it is not finite.
 pub fn feature_diversity(features: &[Vec<f64>], pairs: usize, seed: u64) -> Option<f64> {
     let count = features.len();
     if count < 2 || pairs == 0 {

@@ -50,8 +50,7 @@ impl FeatureMoments {
     }
 }
 
-/// The squared Fréchet (2-Wasserstein) distance between two normal distributions, the "distance"
-/// of FID:
+/// The squared Fréchet (2-Wasserstein) distance of two normal distributions, as in FID:
 ///
 /// ```text
 /// |m1 - m2|^2 + tr(S1 + S2 - 2 (S1^1/2 S2 S1^1/2)^1/2)

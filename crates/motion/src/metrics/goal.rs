@@ -24,10 +24,8 @@ pub struct GoalSample<'a> {
 
 /// Distance in metres of the root from each target of the goal, in the order of frames.
 pub fn keyframe_distances(goal: &Goal, ground: &[[f64; 2]]) -> Vec<f64> {
-    let distance = |(frame, [x, z]): (usize, [f64; 2])| {
-        let [there_x, there_z] = ground[frame];
-        (there_x - x).hypot(there_z - z)
-    };
+    let distance =
+        |(frame, [x, z]): (usize, [f64; 2])| (ground[frame][0] - x).hypot(ground[frame][1] - z);
     goal.points().masked().map(distance).collect()
 }
 
@@ -77,11 +75,9 @@ pub struct GoalReport {
 impl GoalReport {
     /// Measures motions of `fps` frames per second; `feet` are the joints of the toes.
     pub fn compute(samples: &[GoalSample], fps: f64, feet: &[usize]) -> Self {
-        let distances: Vec<Vec<f64>> = samples
-            .iter()
-            .map(|sample| keyframe_distances(sample.goal, sample.ground))
-            .filter(|distances| !distances.is_empty())
-            .collect();
+        let distances = samples.iter().map(|s| keyframe_distances(s.goal, s.ground));
+        let distances = distances.filter(|distances| !distances.is_empty());
+        let distances: Vec<Vec<f64>> = distances.collect();
         let all: Vec<f64> = distances.concat();
         let finite = all.iter().all(|distance| distance.is_finite());
         let missed_motions = |threshold: f64| {
@@ -128,8 +124,7 @@ impl GoalReport {
     ) -> Self {
         self.diversity = feature_diversity(generated, pairs, seed);
         let moments = FeatureMoments::compute(generated).zip(FeatureMoments::compute(real));
-        self.frechet_distance =
-            moments.map(|(generated, real)| frechet_distance(&generated, &real));
+        self.frechet_distance = moments.map(|(a, b)| frechet_distance(&a, &b));
         self
     }
 

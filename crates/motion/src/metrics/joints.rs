@@ -69,8 +69,7 @@ pub fn skating_steps(joints: &Joints, fps: f64, foot: usize) -> Vec<SkatingStep>
     speeds.iter().enumerate().map(step).collect()
 }
 
-/// Mean over joints and frames of the jerk norm, metres per second cubed. `None` for fewer than
-/// four frames.
+/// Mean jerk norm of joints and frames, metres per second cubed; `None` below four frames.
 pub fn mean_jerk(joints: &Joints, fps: f64) -> Option<f64> {
     let jerk = |joint: usize| mean_norm(&jerk_of(&joints.track(joint), fps));
     let sum = || (0..joints.joints()).map(jerk).sum::<f64>();

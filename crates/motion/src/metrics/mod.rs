@@ -1,9 +1,8 @@
 //! Metrics of sets of phrases: variety, distance to real motion, agreement with the music.
 //!
-//! Variety and distance use the root's trajectory, [`TRAJECTORY`], in training standard deviations.
-//! A metric without data or with values that are not finite is `None`. [`GoalReport`] measures how
-//! well bodies reach a [`Goal`](crate::goal::Goal), [`text_motion`] how well they match their
-//! captions.
+//! Variety and distance use the root's [`TRAJECTORY`] in training standard deviations. A metric
+//! without data or with values that are not finite is `None`. [`GoalReport`] measures goals,
+//! [`text_motion`] the match of motions and captions.
 
 mod beats;
 mod bootstrap;

@@ -1,28 +1,23 @@
-//! Smoothness of transitions: Peak Jerk and Area Under the Jerk (Barquero et al. 2024, section 4;
-//! docs/sources.md, section 6.6).
+//! Peak Jerk and Area Under the Jerk of transitions (Barquero et al. 2024; docs/sources.md, 6.6).
 
 use serde::{Deserialize, Serialize};
 
 use crate::humanml::Joints;
 
-/// The published mean jerk of real motion of HumanML3D at 20 frames per second, metres per frame
-/// cubed.
+/// Published mean jerk of HumanML3D at 20 frames per second, metres per frame cubed.
 pub const HUMANML3D_JERK: f64 = 0.033_031_363;
 
 /// The same of BABEL at 30 frames per second.
 pub const BABEL_JERK: f64 = 0.016_383_045;
 
-/// Jerk of each frame, `[frames - 3]`, metres per frame cubed: the largest sum over joints of the
-/// absolute components of the third difference. The sum depends on the heading, so compared windows
-/// need the same one.
+/// Jerk of each frame, `[frames - 3]`, metres per frame cubed: the largest sum over joints of
+/// absolute components of the third difference. It depends on the heading.
 pub fn jerk_of_frames(joints: &Joints) -> Vec<f64> {
     let frames = joints.frames().saturating_sub(3);
     let of_joint = |t: usize, joint: usize| -> f64 {
-        let at = |ahead: usize| joints.frame(t + ahead)[joint];
-        let (a, b, c, d) = (at(0), at(1), at(2), at(3));
-        (0..3)
-            .map(|axis| (d[axis] - 3.0 * c[axis] + 3.0 * b[axis] - a[axis]).abs())
-            .sum()
+        let [a, b, c, d] = [0, 1, 2, 3].map(|ahead| joints.frame(t + ahead)[joint]);
+        let of_axis = |i: usize| (d[i] - 3.0 * c[i] + 3.0 * b[i] - a[i]).abs();
+        (0..3).map(of_axis).sum()
     };
     let of_frame = |t: usize| {
         let joints = (0..joints.joints()).map(|joint| of_joint(t, joint));

@@ -6,9 +6,8 @@ use super::diversity::distance;
 use super::mean;
 use crate::moments::mean_and_deviation;
 
-/// Trajectory diversity (Guided Motion Diffusion): the root mean square distance of the ground
-/// positions of repetitions from their mean, averaged over conditions. `None` of nothing or values
-/// that are not finite.
+/// Trajectory diversity (GMD): the root mean square distance of the ground positions of repetitions
+/// from their mean, averaged over conditions. `None` if it is not finite.
 ///
 /// `paths[condition][repetition]` are positions `[x, z]` in metres.
 pub fn trajectory_diversity(paths: &[Vec<Vec<[f64; 2]>>]) -> Option<f64> {

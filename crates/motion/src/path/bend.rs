@@ -54,8 +54,7 @@ impl Bend {
     }
 
     /// `joints` at `fps` frames per second on the bent trajectory: each step and the body are
-    /// rotated by the angle at its arc length. Length, steps and heights do not change. Arc length
-    /// ignores sway and standing.
+    /// rotated by the angle at its arc length, which ignores sway and standing.
     pub fn apply(&self, joints: &Joints, fps: f64) -> Joints {
         let track = joints.track(0).into_iter();
         let track: Vec<[f64; 2]> = track.map(|[x, _, z]| [x, z]).collect();
@@ -78,12 +77,10 @@ impl Bend {
         placed(joints, &points, &turns).expect("a point and a turn for each frame")
     }
 
-    /// The features of a clip on the bent trajectory with locked feet, with relative root.
-    /// Unchanged if the legs do not reach.
+    /// The relative features of a clip bent with locked feet; unchanged if the legs do not reach.
     ///
     /// # Errors
-    /// [`FeatureError::TooFewFrames`] for a single frame; [`FeatureError::LengthMismatch`] for
-    /// features of another skeleton.
+    /// [`FeatureError::TooFewFrames`]; [`FeatureError::LengthMismatch`] for another skeleton.
     pub fn of_features(
         &self,
         features: &Features,

@@ -8,8 +8,7 @@ use super::{Polyline, STILL, between};
 #[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ArcLengthMode {
-    /// The whole path, in the proportions of the motion's own trajectory. A standing motion
-    /// advances evenly.
+    /// The full path, in the proportions of the trajectory; evenly for a standing motion.
     #[default]
     Stretch,
     /// The motion's own arc length and speed, until the path or the motion ends.
@@ -26,8 +25,7 @@ pub struct Course {
 }
 
 impl Course {
-    /// The course along `path` of a motion with root positions `track`. With [`ArcLengthMode::Own`]
-    /// it may have fewer frames, at least one.
+    /// The course along `path` of a root at `track`; [`ArcLengthMode::Own`] may end it earlier.
     pub fn of_motion(path: &Polyline, track: &[[f64; 2]], along: ArcLengthMode) -> Self {
         let walked = walked(track);
         let total = walked.last().copied().unwrap_or(0.0);

@@ -12,8 +12,7 @@ pub struct PathFeatures {
     pub position: [f64; 2],
     /// Step per frame: central differences, one-sided at both ends.
     pub step: [f64; 2],
-    /// Direction of the step, radians, -pi to pi. Frames that hardly move keep the last direction,
-    /// at first 0.
+    /// Direction of the step, radians, -pi to pi; of frames that hardly move, the last one or 0.
     pub heading: f64,
     /// Change of the heading per metre; 0 in frames that hardly move.
     pub curvature: f64,
@@ -47,8 +46,7 @@ pub fn headings_of(track: &[[f64; 2]]) -> Vec<f64> {
     headings_above(&gradient(track), STILL)
 }
 
-/// Headings of a walk at `track` without its sway; steps shorter than `least` metres repeat the
-/// one before.
+/// Headings of a walk without its sway; steps below `least` metres repeat the one before.
 pub fn headings_of_gait(track: &[[f64; 2]], least: f64) -> Vec<f64> {
     headings_above(&gradient(&without_sway(track)), least.max(STILL))
 }

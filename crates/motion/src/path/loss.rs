@@ -1,5 +1,4 @@
-//! Distance of a root from its path, as a loss with a gradient (docs/sources.md, section 7, options
-//! B and D).
+//! Distance of a root from its path, as a loss (docs/sources.md, section 7, options B and D).
 
 use kinegrad_settings::{InvalidSetting, Refused, in_range};
 use schemars::JsonSchema;
@@ -48,8 +47,7 @@ pub struct PathLoss {
 
 impl PathLoss {
     /// The loss of a clip's first three channels (rotation, x, z, in radians and metres, in
-    /// representation `root`) and its gradient. With a relative root, early frames move all later
-    /// ones, and the last row moves nothing.
+    /// representation `root`) and its gradient. With a relative root the last row moves nothing.
     pub fn evaluate(&self, root: Root, channels: &[[f64; 3]]) -> (f64, Vec<[f64; 3]>) {
         assert_eq!(self.points.len(), self.headings.len(), "a heading a point");
         let enough = channels.len() >= self.points.len();

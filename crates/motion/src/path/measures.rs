@@ -19,8 +19,7 @@ pub struct PathReport {
     pub largest_distance: f64,
     /// Mean distance of the root from its position on the course, metres.
     pub mean_error: f64,
-    /// Mean angle between the body's heading and the path's, degrees; this and the following are
-    /// none for a root without a body.
+    /// Mean angle between body and path, degrees; this and the following need a body.
     pub heading_error: Option<f64>,
     /// Mean horizontal step of ankles and toes that are low and slow, metres.
     pub slide: Option<f64>,
@@ -34,8 +33,7 @@ impl PathReport {
     /// Measures a motion against a path and its course.
     ///
     /// # Errors
-    /// [`FeatureError::LengthMismatch`] for joints of another skeleton, or another number of frames
-    /// than the course.
+    /// [`FeatureError::LengthMismatch`] for another skeleton or other frames than the course.
     pub fn of(
         joints: &Joints,
         skeleton: &Skeleton,

@@ -1,5 +1,4 @@
-//! Paths on the ground: lines and curves by arc length, their features, and motions that are warped
-//! onto them.
+//! Paths on the ground by arc length, their features, and motions warped onto them.
 //!
 //! Ground points are `[x, z]` in metres. A heading is `atan2(dx, dz)`: 0 along +z, growing towards
 //! +x. Source: docs/sources.md, section 7, with the readings in `docs/paths.md`.

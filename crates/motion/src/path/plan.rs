@@ -43,8 +43,7 @@ pub struct PathPlan {
     /// Whether the path returns to its start.
     #[serde(default)]
     pub closed: bool,
-    /// Speed of a motion that follows it, metres per second; by default from end to end in the
-    /// motion's time.
+    /// Speed along it, metres per second; by default from end to end in the motion's time.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub speed: Option<f64>,
 }
@@ -61,12 +60,10 @@ impl PathPlan {
         }
     }
 
-    /// The path in `text`, by the extension of `file`: `.csv`, a table with columns x and z; `.svg`
-    /// with `metres_per_unit`; otherwise TOML.
+    /// The path in `text` by `file`'s extension: `.csv` with x and z, `.svg` with a scale, or TOML.
     ///
     /// # Errors
-    /// [`PathError::Document`], [`PathError::File`] with the place in the file, and as
-    /// [`validate`](Self::validate).
+    /// [`PathError::Document`] or [`PathError::File`] with the place in the file.
     pub fn read(text: &str, file: &str, metres_per_unit: Option<f64>) -> Result<Self, PathError> {
         let in_file = |problem: String| PathError::File {
             file: file.to_owned(),
@@ -105,8 +102,6 @@ impl PathPlan {
         plan.validate().map_err(in_place).map(|()| plan)
     }
 
-    /// Rejects invalid paths.
-    ///
     /// # Errors
     /// As [`polyline`](Self::polyline), and [`PathError::NoLength`].
     pub fn validate(&self) -> Result<(), PathError> {
@@ -151,8 +146,7 @@ fn ground_points<'de, D: Deserializer<'de>>(from: D) -> Result<Vec<[f64; 2]>, D:
     points.map(pair).collect()
 }
 
-/// The points of a table with one row for each. A first row of names may say which columns are x
-/// and z.
+/// The points of a table, one a row. A first row may name the columns x and z.
 fn read_table(text: &str) -> Result<Vec<[f64; 2]>, String> {
     let mut reader = csv::ReaderBuilder::new()
         .has_headers(false)

@@ -61,8 +61,7 @@ impl Polyline {
         *self.cumulative.last().expect("two points or more")
     }
 
-    /// The position at a share of its length, clamped to 0 to 1. A line without length is its first
-    /// point, with tangent +z.
+    /// The position at a share of its length, clamped; without length, its start with tangent +z.
     pub fn at(&self, share: f64) -> PathPoint {
         self.at_metres(share.clamp(0.0, 1.0) * self.length())
     }

@@ -20,9 +20,6 @@ const MOST_NODES: u32 = 1 << 20;
 /// The first `path`, `polyline`, `polygon` or `line` of an SVG file, with `scale` metres per unit:
 /// its points `[x, z]`, metres, x to the right, z up, and whether it is closed. Only the first
 /// subpath is read.
-///
-/// # Errors
-/// A message.
 pub(super) fn read_svg(text: &str, scale: f64) -> Result<(Vec<[f64; 2]>, bool), String> {
     if !SCALES.contains(&scale) {
         let (least, most) = (SCALES.start(), SCALES.end());

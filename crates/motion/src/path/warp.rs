@@ -56,8 +56,7 @@ pub struct Warped {
 }
 
 impl Warp {
-    /// `joints` on `path`: each frame is rotated about the vertical through its root and moved.
-    /// Heights and bones do not change.
+    /// `joints` on `path`: each frame is moved, and rotated about the vertical through its root.
     ///
     /// # Errors
     /// [`PathError::Features`] unless they are joints of `skeleton`.
@@ -86,8 +85,7 @@ impl Warp {
         })
     }
 
-    /// Rotation about +y of each frame of `joints`, whose root is at `track`, on its course,
-    /// radians.
+    /// Rotation about +y of each frame of `joints` on a course, radians; the root is at `track`.
     pub fn turns(
         &self,
         joints: &Joints,
@@ -117,8 +115,7 @@ impl Warp {
 /// to `points`. Frames beyond the last point are dropped.
 ///
 /// # Errors
-/// [`FeatureError::LengthMismatch`] unless there are as many angles as points, and at least as many
-/// frames.
+/// [`FeatureError::LengthMismatch`] unless there are as many angles as points, and enough frames.
 pub fn placed(joints: &Joints, points: &[[f64; 2]], turns: &[f64]) -> Result<Joints, FeatureError> {
     FeatureError::unless_equal("angles", points.len(), turns.len())?;
     FeatureError::unless_equal("points", points.len().min(joints.frames()), points.len())?;

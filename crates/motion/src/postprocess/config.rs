@@ -26,8 +26,7 @@ pub enum Differences {
     Backward,
 }
 
-/// Largest absolute value of each component (CC-MotionGen, section 9.1; docs/sources.md, section
-/// 1.12).
+/// Largest absolute value of each component (docs/sources.md, section 1.12).
 #[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ClampLimits {
@@ -85,8 +84,7 @@ pub struct PostProcessConfig {
     pub clamp_values: bool,
     /// Limits of the clamps.
     pub limits: ClampLimits,
-    /// Widen the limits of each channel to the range of the training phrases, if known: real dances
-    /// exceed CC-MotionGen's 10 rad/s.
+    /// Widen limits to the range of the training phrases, if known: real dances exceed 10 rad/s.
     pub widen_limits: bool,
     /// Step 2: normalise quaternions and make their sign follow `hemisphere`.
     pub normalize_quaternions: bool,
@@ -118,8 +116,7 @@ pub struct PostProcessConfig {
 }
 
 impl Default for PostProcessConfig {
-    /// Unit norm, continuous signs, clamped phase, limits no tighter than the training range,
-    /// coherent motion, derived angular velocity.
+    /// Normalised quaternions, clamps no tighter than the training range, coherent motion.
     fn default() -> Self {
         Self {
             clamp_values: true,
@@ -169,10 +166,8 @@ impl PostProcessConfig {
         }
     }
 
-    /// Rejects even windows and limits that are not positive and finite.
-    ///
     /// # Errors
-    /// Names the first such setting.
+    /// For even windows, and limits that are not positive and finite.
     pub fn validate(&self) -> Result<(), InvalidSetting> {
         let keys = ["quaternion_smoothing_window", "smoothing_kernel_size"];
         let windows = [self.quaternion_smoothing_window, self.smoothing_kernel_size];

@@ -1,7 +1,6 @@
 //! Post-processing of a generated phrase.
 //!
-//! Steps (CC-MotionGen, section 9.2; steps 3, 5 (acceleration) and 6 and the monotonic phase are
-//! defined in docs/sources.md, section 1.12):
+//! Steps (CC-MotionGen, section 9.2; docs/sources.md, section 1.12):
 //!
 //! 1. values clamped
 //! 2. quaternions normalised, with the sign of one hemisphere
@@ -32,8 +31,7 @@ use crate::{Phrase, Statistics};
 /// A phrase `[frames, 25]` in double precision.
 type Frames = Vec<[f64; CHANNELS]>;
 
-/// Post-processes a phrase. `statistics` widen the limits if [`PostProcessConfig::widen_limits`] is
-/// set, and scale the fit of coherent motion.
+/// Post-processes a phrase. Training `statistics` widen the limits and scale the coherent fit.
 ///
 /// NaN stays NaN and prevents the fit; infinities are clamped if the channel has limits.
 pub fn process(
@@ -55,11 +53,9 @@ pub fn process_around(
     confidence: &[f64],
 ) -> Phrase {
     assert_eq!(known.len(), motion.frames(), "known frames");
-    let mut frames: Frames = motion
-        .as_slice()
-        .chunks_exact(CHANNELS)
-        .map(|frame| std::array::from_fn(|channel| f64::from(frame[channel])))
-        .collect();
+    let frames = (0..motion.frames()).map(|t| motion.frame(t));
+    let frames = frames.map(|frame| std::array::from_fn(|c| f64::from(frame[c])));
+    let mut frames: Frames = frames.collect();
 
     if config.clamp_values {
         clamp_values(&mut frames, config, statistics);
@@ -183,8 +179,7 @@ fn blend_with_differences(
     }
 }
 
-/// A centred mean over `kernel_size` frames, with the ends repeated, of all channels but quaternion
-/// and phase.
+/// A centred mean over `kernel_size` frames of all channels but quaternion and phase.
 fn smooth_over_time(frames: &mut Frames, kernel_size: usize) {
     let original = frames.clone();
     let smoothed = |channel: &usize| !QUATERNION.contains(channel) && *channel != PHASE;
@@ -202,8 +197,7 @@ fn window(t: usize, size: usize, frames: usize) -> impl Iterator<Item = usize> {
     (0..2 * reach + 1).map(move |offset| (t + offset).saturating_sub(reach).min(frames - 1))
 }
 
-/// The value within the limits. Keeps NaN, unlike `f64::max`, and never panics, unlike
-/// `f64::clamp`.
+/// Keeps NaN, unlike `f64::max`, and never panics, unlike `f64::clamp`.
 fn clamp(value: f64, low: f64, high: f64) -> f64 {
     match value {
         _ if value < low => low,

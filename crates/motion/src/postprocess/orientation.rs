@@ -16,8 +16,7 @@ pub(super) fn normalize(frames: &mut Frames, hemisphere: Hemisphere) {
     write(frames, &quaternions);
 }
 
-/// Replaces each quaternion by the normalised mean of the `size` quaternions around it, with signs
-/// nearest to the centre.
+/// Replaces each quaternion by the normalised mean of the `size` around it, with its sign.
 pub(super) fn smooth(frames: &mut Frames, size: usize, hemisphere: Hemisphere) {
     let original: Vec<Quaternion> = frames.iter().map(read).collect();
     let mut smoothed: Vec<Quaternion> = (0..original.len())
@@ -37,8 +36,7 @@ fn finish(quaternions: &mut [Quaternion], hemisphere: Hemisphere) {
     for quaternion in quaternions.iter_mut() {
         let norm = quaternion.norm();
         *quaternion = match hemisphere {
-            // CC-MotionGen leaves a vanishing quaternion short; here the previous orientation is
-            // repeated.
+            // CC-MotionGen leaves a vanishing quaternion short; here the one before is repeated.
             Hemisphere::Continuous if norm < SMALLEST_NORM => previous,
             _ => quaternion.scale(1.0 / norm.max(SMALLEST_NORM)),
         };

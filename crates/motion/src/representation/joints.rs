@@ -14,8 +14,7 @@ use crate::{ChannelMoments, Statistics};
 const COLUMN_TOLERANCE: f32 = 0.05;
 
 /// Joint features of a skeleton, `[frames, 12 J - 1]` for J joints (docs/sources.md, section 3.1).
-/// Normalisation averages deviations within the seven groups of the layout (docs/sources.md,
-/// section 3.5).
+/// Deviations are averaged within the seven groups of the layout (section 3.5).
 #[derive(Clone, Debug)]
 pub struct JointFeatures {
     /// The skeleton.
@@ -34,8 +33,7 @@ impl JointFeatures {
         Features::new(rows, self.layout(), self.root).ok()
     }
 
-    /// Difference between the root's trajectory, read with `root`, and joint 0's displacements:
-    /// squared metres over all frames.
+    /// Squared difference between the trajectory read with `root` and joint 0's displacements.
     fn mismatch(&self, rows: &[f32], root: Root) -> f64 {
         let Ok(features) = Features::new(rows.to_vec(), self.layout(), root) else {
             return 0.0;
@@ -110,8 +108,7 @@ impl Representation for JointFeatures {
         Some(&self.skeleton)
     }
 
-    /// Both representations of the root have as many channels; the one that fits joint 0's
-    /// displacements is accepted.
+    /// Root representations have equal channels; the one that fits joint 0's steps is accepted.
     fn accepts(&self, shape: &[usize], values: &[f32]) -> bool {
         let fits =
             matches!(shape, [_, channels] if *channels == self.channels()) && !values.is_empty();

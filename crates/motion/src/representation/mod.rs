@@ -1,8 +1,7 @@
 //! Representations of motion.
 //!
-//! A [`Representation`] defines channels, frame rate, normalisation, joint positions, checks and
-//! curves. Models are trained on [`Phrases`] and [`JointFeatures`]; [`JointPositions`] is an
-//! exchange format.
+//! A [`Representation`] defines channels, frame rate, normalisation, joints, checks and curves.
+//! Models are trained on [`Phrases`] and [`JointFeatures`]; [`JointPositions`] are for exchange.
 
 mod joints;
 mod phrases;
@@ -47,8 +46,7 @@ pub trait Representation: Debug + Send + Sync {
     /// Name of a channel, such as `position.x`; for messages and tables.
     fn channel_name(&self, channel: usize) -> String;
 
-    /// Joint positions, `[frames, joints, 3]`, metres, the root being joint 0; `None` if a value is
-    /// not finite.
+    /// Joint positions, `[frames, joints, 3]`, metres, the root first; `None` if not finite.
     fn joints(&self, rows: &[f32]) -> Option<Joints>;
 
     /// The skeleton of the joints, if known.
@@ -92,9 +90,8 @@ pub trait Representation: Debug + Send + Sync {
     /// Checks whether rows are plausible motion; `statistics` are those of training motion.
     ///
     /// # Errors
-    /// [`Error::StatisticsNeeded`] without the statistics that the profile needs,
-    /// [`Error::MovementUnknown`] if they do not describe movement. A failed check is not an
-    /// error ([`Report::passed`]).
+    /// [`Error::StatisticsNeeded`], or [`Error::MovementUnknown`] if they do not describe movement.
+    /// A failed check is not an error ([`Report::passed`]).
     fn check(
         &self,
         rows: &[f32],

@@ -55,10 +55,8 @@ impl Representation for Phrases {
 
     fn movement(&self, rows: &[f32]) -> Vec<(&'static str, f64)> {
         let motion = motion(rows);
-        let measures = MotionMeasure::ALL.into_iter();
-        measures
-            .filter_map(|measure| Some((measure.name(), measure.of(&motion)?)))
-            .collect()
+        let of = |measure: MotionMeasure| Some((measure.name(), measure.of(&motion)?));
+        MotionMeasure::ALL.into_iter().filter_map(of).collect()
     }
 
     /// The root alone.

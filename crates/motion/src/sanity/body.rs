@@ -15,11 +15,7 @@ const SKATING_SHARE: f64 = 0.5;
 /// Allowed multiple of the training clips' root mean square speed.
 const SPEED_FACTOR: f64 = 3.0;
 
-/// Checks the `joints` of `rows`; none if a value is not finite. The profile `strict` also compares
-/// with training motion.
-///
-/// # Errors
-/// [`Error::StatisticsNeeded`] if the profile is strict and the statistics do not have the jerk.
+/// Checks the `joints` of `rows`; `strict` also compares with training motion.
 pub(crate) fn check(
     rows: &[f32],
     joints: Option<&Joints>,
@@ -50,75 +46,52 @@ pub(crate) fn check(
     Ok(Report::new(checks))
 }
 
-fn apart(a: [f64; 3], b: [f64; 3]) -> f64 {
-    length(minus(b, a))
-}
-
 fn bone_length(joints: &Joints, skeleton: &Skeleton) -> Check {
     let frames = || (0..joints.frames()).map(|t| joints.frame(t));
     let variation = |[parent, child]: [usize; 2]| {
-        let lengths = || frames().map(|frame| apart(frame[parent], frame[child]));
+        let lengths = || frames().map(|frame| length(minus(frame[child], frame[parent])));
         let [shortest, longest] = range(lengths());
         let mean = lengths().sum::<f64>() / joints.frames() as f64;
         (longest - shortest) / mean.max(1e-6)
     };
     let bones = skeleton.chains().flatten();
     let largest = bones.map(variation).fold(0.0, f64::max);
-    Check::new(
-        "bone_length",
-        largest,
-        Threshold::Below(BONE_TOLERANCE),
-        format!(
-            "largest change of a bone's length: {:.1} %",
-            100.0 * largest
-        ),
-    )
+    let percent = 100.0 * largest;
+    let message = format!("largest change of a bone's length: {percent:.1} %");
+    let allowed = Threshold::Below(BONE_TOLERANCE);
+    Check::new("bone_length", largest, allowed, message)
 }
 
 fn skating(joints: &Joints, skeleton: &Skeleton, fps: f64) -> Option<Check> {
     let ratio = sliding_ratio(joints, fps, &skeleton.contact_joints())?;
-    Some(Check::new(
-        "skating",
-        ratio,
-        Threshold::AtMost(SKATING_SHARE),
-        format!("a foot slides in {:.0} % of the steps", 100.0 * ratio),
-    ))
+    let message = format!("a foot slides in {:.0} % of the steps", 100.0 * ratio);
+    let allowed = Threshold::AtMost(SKATING_SHARE);
+    Some(Check::new("skating", ratio, allowed, message))
 }
 
 fn speed(joints: &Joints, fps: f64, rms_speed: f64) -> Check {
     let steps = joints.frames().saturating_sub(1);
-    let squares = (0..steps).map(|t| {
-        let (here, there) = (joints.frame(t)[0], joints.frame(t + 1)[0]);
-        (fps * apart(here, there)).powi(2)
-    });
+    let step = |t: usize| minus(joints.frame(t + 1)[0], joints.frame(t)[0]);
+    let squares = (0..steps).map(|t| (fps * length(step(t))).powi(2));
     let rms = (squares.sum::<f64>() / steps.max(1) as f64).sqrt();
-    Check::new(
-        "speed",
-        rms,
-        Threshold::AtMost(SPEED_FACTOR * rms_speed),
-        format!("root mean square of the root's speed: {rms:.2} m/s"),
-    )
+    let message = format!("root mean square of the root's speed: {rms:.2} m/s");
+    let allowed = Threshold::AtMost(SPEED_FACTOR * rms_speed);
+    Check::new("speed", rms, allowed, message)
 }
 
 fn jerk(joints: &Joints, fps: f64, jerk_p95: f64) -> Option<Check> {
     let mean = mean_jerk(joints, fps)?;
-    Some(Check::new(
-        "jerk",
-        mean,
-        Threshold::AtMost(JERK_FACTOR * jerk_p95),
-        format!("mean jerk of the joints: {mean:.1} m/s^3"),
-    ))
+    let message = format!("mean jerk of the joints: {mean:.1} m/s^3");
+    let allowed = Threshold::AtMost(JERK_FACTOR * jerk_p95);
+    Some(Check::new("jerk", mean, allowed, message))
 }
 
 fn floor(joints: &Joints) -> Check {
     let heights = joints.as_slice().iter().map(|place| place[1]);
     let [lowest, _] = range(heights);
-    Check::new(
-        "floor",
-        lowest,
-        Threshold::Above(-FLOOR_TOLERANCE),
-        format!("lowest joint at {lowest:.3} m"),
-    )
+    let message = format!("lowest joint at {lowest:.3} m");
+    let allowed = Threshold::Above(-FLOOR_TOLERANCE);
+    Check::new("floor", lowest, allowed, message)
 }
 
 #[cfg(test)]

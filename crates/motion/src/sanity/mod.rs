@@ -1,11 +1,10 @@
 //! Plausibility checks of a phrase.
 //!
 //! [`Profile::Ccmotion`] makes the five checks of CC-MotionGen, section 10.1 (docs/sources.md,
-//! section 1.13). Most of them cannot fail where it matters (section 1.14, hazard 10): they are
-//! means over frames, the jerk bound exceeds what the clamps pass, and they read channels alone, so
-//! that a shaking path passes. [`Profile::Strict`] checks every frame, compares the explicit
-//! derivatives with the poses, and the [measures](crate::MotionMeasure) of the poses with the
-//! training phrases.
+//! section 1.13). Most cannot fail where it matters (section 1.14, hazard 10): they are means, the
+//! jerk bound exceeds what the clamps pass, and a path may shake under smooth channels.
+//! [`Profile::Strict`] checks every frame, the derivatives against the poses, and the
+//! [measures](crate::MotionMeasure) of the poses against the training phrases.
 
 pub(crate) mod body;
 mod ccmotion;
@@ -27,8 +26,7 @@ const JERK_FACTOR: f64 = 3.0;
 #[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Profile {
-    /// CC-MotionGen's five checks and thresholds. A phrase that is not finite also fails by a sixth
-    /// line `finite`.
+    /// CC-MotionGen's five checks and thresholds, and a line `finite` where that fails.
     #[default]
     Ccmotion,
     /// Every frame, channels against poses, and poses against the training phrases.
@@ -45,9 +43,8 @@ impl std::fmt::Display for Profile {
 /// Checks a phrase. The profile `ccmotion` needs no `statistics`.
 ///
 /// # Errors
-/// For the profile `strict`, [`Error::StatisticsNeeded`] without `statistics` and
-/// [`Error::MovementUnknown`] if they do not describe movement. A failed check is not an error
-/// ([`Report::passed`]).
+/// For `strict`, [`Error::StatisticsNeeded`] without `statistics` and [`Error::MovementUnknown`] if
+/// they do not describe movement. A failed check is not an error ([`Report::passed`]).
 pub fn check(
     motion: &Phrase,
     profile: Profile,

@@ -86,8 +86,7 @@ impl From<f64> for Value {
     }
 }
 
-/// Allowed values of a check. In JSON an object such as `{"below": 5.0}` or
-/// `{"within": [0.0, 1.0]}`.
+/// Allowed values of a check. In JSON an object such as `{"below": 5.0}`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Threshold {
@@ -116,8 +115,7 @@ impl Threshold {
         }
     }
 
-    /// Distance of the value (the worse end of a range) beyond the bound: negative within. NaN of
-    /// NaN.
+    /// Distance of the value (the worse end of a range) beyond the bound, negative within.
     fn excess(self, value: Value) -> f64 {
         let excess = |value: f64| match self {
             Self::Below(bound) | Self::AtMost(bound) => value - bound,

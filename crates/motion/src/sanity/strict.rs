@@ -28,13 +28,11 @@ const UPSIDE_DOWN: f64 = 180.0;
 /// Allowed backward step of the phase, bars.
 const PHASE_TOLERANCE: f64 = 0.01;
 
-/// Makes the checks of [`Profile::Strict`](super::Profile::Strict); none if the statistics do not
-/// describe movement.
+/// Makes the checks of [`Profile::Strict`](super::Profile::Strict); none without measures.
 ///
 /// Means are checked in windows of the training phrases' length, an eighth apart, and the worst is
-/// reported: a minute of dancing does not compensate five seconds of standing. Phrases too short
-/// for a measure are not checked for it, and those shorter than the training phrases have
-/// proportionally wider bounds.
+/// reported: a minute of dancing does not compensate five seconds of standing. Short phrases lack
+/// some measures, and have proportionally wider bounds.
 pub(super) fn check(motion: &Phrase, training: &Statistics) -> Option<Report> {
     if training.movement.is_empty() {
         return None;
@@ -61,8 +59,7 @@ pub(super) fn check(motion: &Phrase, training: &Statistics) -> Option<Report> {
     Some(Report::new(checks))
 }
 
-/// Windows of the training phrases' mean length, at least a second, that cover `frames` frames; one
-/// window for hardly longer phrases.
+/// Windows of the training phrases' mean length, at least a second, that cover `frames` frames.
 fn windows(frames: usize, training: &Statistics) -> Vec<Range<usize>> {
     let length = (training.frames / training.items.max(1)).max(SHORTEST_WINDOW);
     if frames <= length + length / WINDOWS_A_LENGTH {
@@ -138,20 +135,17 @@ fn phase_direction(motion: &Phrase) -> Option<Check> {
     (!steps.is_empty()).then(|| {
         let [smallest, _] = range(steps.into_iter());
         let message = format!("smallest advance of the phase from frame to frame: {smallest:.4}");
-        let threshold = Threshold::Above(-PHASE_TOLERANCE);
-        Check::new("phase_direction", smallest, threshold, message)
+        let allowed = Threshold::Above(-PHASE_TOLERANCE);
+        Check::new("phase_direction", smallest, allowed, message)
     })
 }
 
 fn quaternion_norm(motion: &Phrase) -> Check {
     let quaternions = motion.quaternions().into_iter();
     let [_, largest] = range(quaternions.map(|q| (q.norm() - 1.0).abs()));
-    Check::new(
-        "quaternion_norm",
-        largest,
-        Threshold::Below(NORM_TOLERANCE),
-        format!("largest deviation of a quaternion's norm from 1: {largest:.2e}"),
-    )
+    let message = format!("largest deviation of a quaternion's norm from 1: {largest:.2e}");
+    let allowed = Threshold::Below(NORM_TOLERANCE);
+    Check::new("quaternion_norm", largest, allowed, message)
 }
 
 fn quaternion_sign(motion: &Phrase) -> Check {
@@ -160,12 +154,9 @@ fn quaternion_sign(motion: &Phrase) -> Check {
         1 => [1.0; 2], // A single frame has no neighbour to disagree with.
         _ => range(quaternions.windows(2).map(|pair| pair[0].dot(pair[1]))),
     };
-    Check::new(
-        "quaternion_sign",
-        smallest,
-        Threshold::Above(0.0),
-        format!("smallest product of neighbouring quaternions: {smallest:.4}"),
-    )
+    let message = format!("smallest product of neighbouring quaternions: {smallest:.4}");
+    let allowed = Threshold::Above(0.0);
+    Check::new("quaternion_sign", smallest, allowed, message)
 }
 
 #[cfg(test)]

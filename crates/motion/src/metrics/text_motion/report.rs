@@ -14,9 +14,8 @@ pub const POOL: usize = 32;
 /// Number of pairs for diversity.
 pub const DIVERSITY_PAIRS: usize = 300;
 
-/// R-precision: the share of the captions whose own motion is the nearest, among the two nearest,
-/// and among the three nearest of its pool. Embeddings are `[n, width]`, caption and motion at the
-/// same index.
+/// R-precision: the share of captions whose own motion is the nearest, among the two, and among the
+/// three nearest of its pool. Embeddings are `[n, width]`, pairs at one index.
 ///
 /// Pools are [`POOL`] consecutive pairs; the remainder is not ranked. Of equally near motions the
 /// first is nearer, so identical motions rank by chance. Captions of the pool with the same

@@ -13,8 +13,7 @@ pub const MAX_WORDS: usize = 20;
 /// Replacement of words without a vector.
 const UNKNOWN: &str = "unk";
 
-/// Classes of words, in the order of the encoder's one-hot vectors. Some words have a class of
-/// their own.
+/// Classes of words, in the order of the one-hot vectors. Some words have a class by themselves.
 #[derive(Clone, Copy, Debug, Eq, Hash, PartialEq)]
 pub enum PartOfSpeech {
     /// `VERB`.
