@@ -313,7 +313,7 @@ impl Windows {
         let known_frames = (0..self.length).filter(|&t| is_known(t));
         let of_known: f32 = known_frames.map(|t| dots[t]).sum();
         let dot = |t: usize| if is_known(t) { of_known } else { dots[t] };
-        let sign = |t| if dot(t) < 0.0 { -1.0 } else { 1.0 };
+        let sign = |t: usize| if dot(t) < 0.0 { -1.0 } else { 1.0 };
         (0..self.length).map(sign).collect()
     }
 }

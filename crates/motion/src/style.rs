@@ -71,7 +71,7 @@ fn running_mean(values: &[f64]) -> Vec<f64> {
     let half = MEAN_FRAMES as isize / 2;
     let last = values.len() as isize - 1;
     let at = |t: isize| values[t.clamp(0, last) as usize];
-    let mean = |t| (t - half..t + half).map(at).sum::<f64>() / MEAN_FRAMES as f64;
+    let mean = |t: isize| (t - half..t + half).map(at).sum::<f64>() / MEAN_FRAMES as f64;
     (0..=last).map(mean).collect()
 }
 

@@ -39,7 +39,11 @@ impl Root {
             Self::Absolute => rotations.collect(),
             Self::Relative => {
                 let mut sum = 0.0;
-                let before = |rotation| std::mem::replace(&mut sum, sum + rotation);
+                let before = |rotation: f64| {
+                    let before = sum;
+                    sum += rotation;
+                    before
+                };
                 rotations.map(before).collect()
             }
         }

@@ -82,7 +82,7 @@ pub fn joints(course: &Course, skeleton: &Skeleton, frames: usize) -> Vec<Point>
     let fps = skeleton.description().fps;
     let path = Path::new(course, frames as f64 / fps);
     let walker = Walker::new(course, skeleton, frames as f64 / fps);
-    let pose = |frame| walker.pose(&path, frame as f64 / fps);
+    let pose = |frame: usize| walker.pose(&path, frame as f64 / fps);
     (0..frames).flat_map(pose).collect()
 }
 

@@ -51,7 +51,7 @@ const OFFSETS: usize = 50;
 /// Chance level: mean [`beat_alignment`] over circular shifts of the beats within `seconds`.
 pub fn chance_alignment(kinematic: &[f64], music: &[f64], seconds: f64, key: Key) -> Option<f64> {
     let at = |offset: f32| {
-        let moved = |beat| (beat + f64::from(offset) * seconds).rem_euclid(seconds);
+        let moved = |beat: &f64| (beat + f64::from(offset) * seconds).rem_euclid(seconds);
         beat_alignment(&kinematic.iter().map(moved).collect::<Vec<_>>(), music)
     };
     super::mean(key.uniforms(OFFSETS).into_iter().map(at))

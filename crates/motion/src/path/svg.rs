@@ -122,15 +122,17 @@ mod tests {
     fn lines_and_curves_of_a_drawing_are_read_in_metres() {
         let text =
             svg("<text>a</text><path d='M 100 0 C 100 -100 200 -100 200 -200 M 0 0 L 5 5'/>");
-        let found = read_svg(&text, 0.01).unwrap();
-        assert_eq!(found.points[0], [1.0, 0.0]);
-        assert_eq!(found.points.last(), Some(&[2.0, 2.0]));
-        assert!(found.points.len() > 5 && !found.closed);
-        let polygon = read_svg(&svg("<polygon points='0,0 10,0 10,-20'/>"), 0.1).unwrap();
-        assert_eq!(polygon.points, [[0.0, 0.0], [1.0, 0.0], [1.0, 2.0]]);
-        assert!(polygon.closed);
-        let line = read_svg(&svg("<line x1='0' y1='0' x2='0' y2='-30'/>"), 0.1).unwrap();
-        assert_eq!(line.points, [[0.0, 0.0], [0.0, 3.0]]);
+        let (points, closed) = read_svg(&text, 0.01).unwrap();
+        assert_eq!(points[0], [1.0, 0.0]);
+        assert_eq!(points.last(), Some(&[2.0, 2.0]));
+        assert!(points.len() > 5 && !closed);
+        let polygon = svg("<polygon points='0,0 10,0 10,-20'/>");
+        let (points, closed) = read_svg(&polygon, 0.1).unwrap();
+        assert_eq!(points, [[0.0, 0.0], [1.0, 0.0], [1.0, 2.0]]);
+        assert!(closed);
+        let line = svg("<line x1='0' y1='0' x2='0' y2='-30'/>");
+        let (points, _) = read_svg(&line, 0.1).unwrap();
+        assert_eq!(points, [[0.0, 0.0], [0.0, 3.0]]);
         let plan = PathPlan::read(&svg("<polyline points='0,0 1,-1'/>"), "a.SVG", Some(2.0));
         assert_eq!(plan.unwrap().points[1], [2.0, 2.0]);
     }
@@ -144,8 +146,8 @@ mod tests {
             "<?xml version='1.0'?>\n<!DOCTYPE svg PUBLIC '-//W3C//DTD SVG 1.1//EN' \
              'http://www.w3.org/Graphics/SVG/1.1/DTD/svg11.dtd'>\n{path}"
         );
-        let svg = read_svg(&text, 1.0).unwrap();
-        assert_eq!(svg.points, [[0.0, 0.0], [0.0, 3.0]]);
+        let (points, _) = read_svg(&text, 1.0).unwrap();
+        assert_eq!(points, [[0.0, 0.0], [0.0, 3.0]]);
     }
 
     #[test]
