@@ -54,9 +54,9 @@ pub fn multimodal_distance(texts: &[Vec<f64>], motions: &[Vec<f64>]) -> Option<f
 /// Share of the motions whose nearest caption, of all distinct ones, is their own; embeddings as in
 /// [`r_precision`]. `None` of nothing, a single caption, or values that are not finite.
 pub fn caption_accuracy(texts: &[Vec<f64>], motions: &[Vec<f64>]) -> Option<f64> {
-    let own = texts
-        .iter()
-        .map(|text| texts.iter().position(|other| other == text));
+    let first = |text: &Vec<f64>| texts.iter().position(|other| other == text);
+    let own = texts.iter().enumerate();
+    let own = own.map(|(i, text)| first(text).or(Some(i)));
     label_accuracy(texts, motions, &own.collect::<Vec<_>>())
 }
 
