@@ -2,7 +2,7 @@
 
 #![no_main]
 
-use kinegrad_data::{AUDIO_CHANNELS, parse_features};
+use kinegrad_data::{AUDIO_CHANNELS, AudioLayout, parse_features};
 use kinegrad_fuzz::{MIB, bounded};
 use libfuzzer_sys::fuzz_target;
 
@@ -14,12 +14,11 @@ const MOST_UNPACKED: usize = 1032;
 // The list of members takes less than 0.2.
 fuzz_target!(|bytes: &[u8]| {
     let limit = MIB + 6 * MOST_UNPACKED * bytes.len();
-    let parsed = bounded(limit, || parse_features(bytes, "fuzzed.npz"));
+    let parsed = bounded(limit, || parse_features(bytes, "fuzzed.npz", AudioLayout::CCMOTION));
     if let Ok(features) = parsed {
         assert_eq!(
             features.as_slice().len(),
             AUDIO_CHANNELS * features.frames()
         );
-        let _ = features.first_non_finite();
     }
 });

@@ -4,7 +4,7 @@
 use std::fs;
 use std::path::Path;
 
-use kinegrad_data::{AudioFeatures, read_features, read_motion, write_features};
+use kinegrad_data::{AudioFeatures, AudioLayout, load_audio, read_motion, write_features};
 use kinegrad_tests::sandbox::{SMALLEST, Sandbox};
 
 /// Clips of 10 to 24 frames give batches of different lengths.
@@ -34,7 +34,9 @@ fn trained() -> Sandbox {
 /// The features reordered by `order`, as a file.
 fn write_ordered(sandbox: &Sandbox, name: &str, order: impl Iterator<Item = usize>) {
     let path = sandbox.path("set/audio_features/synthetic_00001/features.npz");
-    let features = read_features(&path).expect("features").slice(0..FRAMES);
+    let features = load_audio(&path, AudioLayout::CCMOTION)
+        .expect("features")
+        .slice(0..FRAMES);
     let frames = features.frames();
     let order: Vec<usize> = order.collect();
     assert_eq!(order.len(), frames);

@@ -228,7 +228,9 @@ fn enlarge(sandbox: &Sandbox, id: &str, position: f32, mel: f32) {
     (0..motion.frames()).for_each(|frame| motion.frame_mut(frame)[0] = position);
     write_motion(&path, &motion).expect("npy");
     let path = sandbox.path(format!("set/audio_features/{id}/features.npz"));
-    let audio = kinegrad_data::read_features(&path).expect("features");
+    let audio = std::fs::read(&path).expect("features");
+    let audio = kinegrad_data::parse_features(&audio, "features.npz", AudioLayout::CCMOTION)
+        .expect("features");
     let mut values = audio.as_slice().to_vec();
     values[..audio.frames()].fill(mel);
     let audio = AudioFeatures::new(audio.frames(), values).expect("as many");

@@ -53,7 +53,13 @@ fn config(folder: &str) -> DataConfig {
 }
 
 fn write(folder: &str, phrases: usize, frames: usize) -> Result<(), Box<dyn Error>> {
-    synthetic::write_dataset(Path::new(folder), phrases, frames, SEED)?;
+    synthetic::write_dataset(
+        Path::new(folder),
+        kinegrad_data::AudioLayout::CCMOTION,
+        phrases,
+        frames,
+        SEED,
+    )?;
     let statistics = Dataset::<PhraseItem>::open(&config(folder))?.statistics()?;
     let file = Path::new(folder).join("statistics.json");
     std::fs::write(file, serde_json::to_vec(&statistics)?)?;

@@ -217,7 +217,8 @@ mod tests {
 
     fn dataset(phrases: usize) -> (tempfile::TempDir, DataConfig) {
         let folder = tempfile::tempdir().unwrap();
-        synthetic::write_dataset(folder.path(), phrases, 12, 5).unwrap();
+        synthetic::write_dataset(folder.path(), crate::AudioLayout::CCMOTION, phrases, 12, 5)
+            .unwrap();
         let config = DataConfig {
             source: Some(folder.path().display().to_string()),
             ..DataConfig::default()

@@ -91,10 +91,7 @@ pub use npy::{
     Array, motion_bytes, parse as parse_array, parse_motion, read_array, read_motion, write_motion,
     write_values,
 };
-pub use npz::{
-    features_bytes, parse_arrays, parse_features, parse_features_as, read_features, write_features,
-    write_song_features,
-};
+pub use npz::{features_bytes, parse_arrays, parse_features, write_features, write_song_features};
 pub use pattern::matches;
 pub use phrase_item::{PhraseItem, load_audio};
 pub use phrase_samples::{PhraseSamples, target_statistics};

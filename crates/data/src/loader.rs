@@ -351,7 +351,7 @@ mod tests {
     #[test]
     fn batches_of_files_equal_those_of_memory_with_any_number_of_readers() {
         let folder = tempfile::tempdir().unwrap();
-        synthetic::write_dataset(folder.path(), 9, 20, 3).unwrap();
+        synthetic::write_dataset(folder.path(), crate::AudioLayout::CCMOTION, 9, 20, 3).unwrap();
         let batches = |num_workers, memory_mib| {
             let mut config = DataConfig {
                 source: Some(folder.path().display().to_string()),

@@ -8,10 +8,8 @@ use kinegrad_motion::MAX_FRAMES;
 use libdeflater::{Crc, Decompressor};
 use zip::{CompressionMethod, DateTime, ZipArchive, ZipWriter, write::SimpleFileOptions};
 
-use crate::audio_layout::AUDIO_CHANNELS;
-use crate::audio_layout::AudioLayout;
+use crate::audio_layout::{AUDIO_CHANNELS, AudioLayout};
 use crate::features::{AudioFeatures, BEATS, FEATURES};
-use crate::file::read_file;
 use crate::npy::{self, Array};
 use crate::{Error, FileError, atomic};
 
@@ -24,31 +22,14 @@ const METHOD: CompressionMethod = CompressionMethod::Stored;
 /// Largest ratio of deflate.
 const MOST_UNPACKED: usize = 1032;
 
-/// Reads a `features.npz` and stacks it to `[163, frames]` in the order of [`FEATURES`]
-/// (CC-MotionGen, section 4.3). Other members are ignored.
+/// Parses the bytes of a `features.npz` and stacks it to `[channels, frames]` of `layout`
+/// (CC-MotionGen, section 4.3). Other members are ignored; `file` names it in errors.
 ///
 /// # Errors
 /// [`FileError`] for an unreadable or truncated archive, a missing member, another dtype or shape,
 /// or members of unequal length. Values that are not finite are accepted (see
 /// [`crate::load_audio`]).
-pub fn read_features(path: &Path) -> Result<AudioFeatures, FileError> {
-    let bytes = read_file(path, MAX_FEATURES_BYTES).map_err(FileError::read(path))?;
-    parse_features(&bytes, &path.display().to_string())
-}
-
-/// Parses the bytes of a `features.npz`; `file` names it in errors.
-///
-/// # Errors
-/// As [`read_features`].
-pub fn parse_features(bytes: &[u8], file: &str) -> Result<AudioFeatures, FileError> {
-    parse_features_as(bytes, file, AudioLayout::CCMOTION)
-}
-
-/// [`parse_features`] in `layout`.
-///
-/// # Errors
-/// As [`read_features`].
-pub fn parse_features_as(
+pub fn parse_features(
     bytes: &[u8],
     file: &str,
     layout: AudioLayout,
@@ -79,7 +60,7 @@ pub fn parse_features_as(
 /// Parses the named arrays of an archive: `[frames, width]` each, of equal length.
 ///
 /// # Errors
-/// [`FileError`], as [`read_features`].
+/// [`FileError`], as [`parse_features`].
 pub fn parse_arrays(
     bytes: &[u8],
     file: &str,
@@ -280,16 +261,13 @@ impl<'a> Archive<'a> {
             .map(|name| name.strip_suffix(".npy").unwrap_or(&name).to_owned())
             .collect();
         found.sort_unstable();
-        let count = found.len();
+        let more = found.len().saturating_sub(12);
         found.truncate(12);
-        let mut found = if count == 0 {
-            "nothing".to_owned()
-        } else {
-            found.join(", ")
+        let found = match (found.is_empty(), more) {
+            (true, _) => "nothing".to_owned(),
+            (false, 0) => found.join(", "),
+            (false, more) => format!("{} and {more} more", found.join(", ")),
         };
-        if count > 12 {
-            found.push_str(&format!(" and {} more", count - 12));
-        }
         let problem = format!("array `{member}` is missing; found: {found}");
         let hint = match member == BEATS.0 {
             true => {

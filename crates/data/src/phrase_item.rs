@@ -44,7 +44,7 @@ impl PhraseItem {
             let channel = channel_name(channel);
             return Err(FileError::not_usable(name, frame, channel, value));
         }
-        let mut features = npz::parse_features_as(audio, audio_name, layout)?;
+        let mut features = npz::parse_features(audio, audio_name, layout)?;
         check_usable(&features, audio_name)?;
         let (motion_frames, audio_frames) = (motion.frames(), features.frames());
         let frames = motion_frames.min(audio_frames);
@@ -84,7 +84,7 @@ impl PhraseItem {
 pub fn load_audio(path: &Path, layout: AudioLayout) -> Result<AudioFeatures, FileError> {
     let bytes = read_file(path, npz::MAX_FEATURES_BYTES).map_err(FileError::read(path))?;
     let file = path.display().to_string();
-    let audio = npz::parse_features_as(&bytes, &file, layout)?;
+    let audio = npz::parse_features(&bytes, &file, layout)?;
     check_usable(&audio, &file)?;
     Ok(audio)
 }

@@ -19,7 +19,8 @@ const PHRASES: usize = 12;
 fn dataset(with_manifest: bool) -> tempfile::TempDir {
     let folder = tempfile::tempdir().expect("a folder");
     let set = folder.path().join("set");
-    synthetic::write_dataset(&set, PHRASES, 40, 3).expect("a dataset");
+    synthetic::write_dataset(&set, kinegrad_data::AudioLayout::CCMOTION, PHRASES, 40, 3)
+        .expect("a dataset");
     if with_manifest {
         let store = Store::open(&set.display().to_string(), &StoreConfig::default());
         manifest::write(&store.expect("a folder"), rows(&set)).expect("a manifest");

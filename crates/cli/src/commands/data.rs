@@ -7,7 +7,7 @@ use kinegrad_data::humanml::{SkeletonName, write_walks};
 use kinegrad_data::manifest::Selection;
 use kinegrad_data::{
     AudioLayout, ChannelSummary, DataConfig, DataKind, Inspection, MANIFEST, MOTION_FILE, Problem,
-    Store, StoreConfig, SyntheticConfig, synthetic,
+    Store, StoreConfig, synthetic,
 };
 use kinegrad_report::{Panel, facts, grouped, table};
 use kinegrad_train::Error;
@@ -33,12 +33,8 @@ pub fn synth(arguments: SynthArguments) -> Result<ExitCode, Error> {
         write_walks(&out, phrases, frames, seed)?;
         "walks"
     } else {
-        let config = SyntheticConfig {
-            phrases,
-            frames,
-            seed,
-        };
-        synthetic::write_dataset_in(AudioLayout { beats }, &out, &config)?;
+        let layout = AudioLayout { beats };
+        synthetic::write_dataset(&out, layout, phrases, frames, seed)?;
         "phrases"
     };
     say!("{phrases} {what} of {frames} frames in {}", out.display());

@@ -64,7 +64,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let at = |name: &str| folder.path().join(name);
         assert_eq!(found(&at("nowhere")), None);
-        synthetic::write_dataset(&at("phrases"), 2, 30, 0).unwrap();
+        synthetic::write_dataset(&at("phrases"), crate::AudioLayout::CCMOTION, 2, 30, 0).unwrap();
         assert_eq!(found(&at("phrases")), None);
         write_walks(&at("walks"), 2, 60, 0).unwrap();
         assert_eq!(found(&at("walks")), Some(Some(SkeletonName::Humanml3d)));

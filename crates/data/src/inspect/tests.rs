@@ -9,7 +9,7 @@ use std::fs;
 #[test]
 fn counts_and_statistics_are_those_of_the_phrases() {
     let folder = tempfile::tempdir().unwrap();
-    synthetic::write_dataset(folder.path(), 5, 30, 3).unwrap();
+    synthetic::write_dataset(folder.path(), crate::AudioLayout::CCMOTION, 5, 30, 3).unwrap();
     let mut config = DataConfig {
         source: Some(folder.path().display().to_string()),
         ..DataConfig::default()
@@ -62,7 +62,7 @@ fn counts_and_statistics_are_those_of_the_phrases() {
 #[test]
 fn every_kind_of_problem_is_listed_and_none_stops_the_rest() {
     let folder = tempfile::tempdir().unwrap();
-    synthetic::write_dataset(folder.path(), 8, 30, 3).unwrap();
+    synthetic::write_dataset(folder.path(), crate::AudioLayout::CCMOTION, 8, 30, 3).unwrap();
     let id = synthetic::id;
     let change = |index: usize, change: &dyn Fn(&mut kinegrad_motion::Phrase)| {
         let path = folder.path().join(motion_path(&id(index)));

@@ -52,7 +52,7 @@ mod tests {
     #[test]
     fn datasets_without_a_manifest_state_nothing() {
         let folder = tempfile::tempdir().unwrap();
-        synthetic::write_dataset(folder.path(), 2, 8, 1).unwrap();
+        synthetic::write_dataset(folder.path(), crate::AudioLayout::CCMOTION, 2, 8, 1).unwrap();
         let config = DataConfig {
             source: Some(folder.path().display().to_string()),
             ..DataConfig::default()

@@ -4,7 +4,7 @@ use std::fs;
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
-use super::{Object, StoreError};
+use super::{Backend, Object, StoreError};
 use crate::file::read_file;
 use crate::layout::check_path;
 use crate::{Error, atomic};
@@ -20,32 +20,8 @@ impl Folder {
         Self { root }
     }
 
-    pub fn root(&self) -> &Path {
-        &self.root
-    }
-
-    pub fn read(&self, path: &str, limit: u64) -> Result<Vec<u8>, StoreError> {
-        let full = self.inside(path)?;
-        read_file(&full, limit).map_err(|reason| match reason.kind() {
-            ErrorKind::FileTooLarge => StoreError::TooLarge {
-                object: full.display().to_string(),
-                found: fs::metadata(&full).map_or(0, |found| found.len()),
-                limit,
-            },
-            _ => failed(&full, "read", &reason),
-        })
-    }
-
-    pub fn write(&self, path: &str, bytes: &[u8]) -> Result<(), StoreError> {
-        let full = self.place(path)?;
-        atomic::write(&full, bytes).map_err(|error| match error {
-            Error::Io { reason, .. } => failed(&full, "write", &reason),
-            other => broken(&full, "write", other),
-        })
-    }
-
     /// Path of a file, existing or not, if it is within the folder.
-    pub fn place(&self, path: &str) -> Result<PathBuf, StoreError> {
+    fn checked(&self, path: &str) -> Result<PathBuf, StoreError> {
         check_path(path)?;
         // Existing folders may be links; others are created within the last one.
         let mut folder = Path::new(path);
@@ -57,65 +33,6 @@ impl Folder {
             }
         }
         Ok(self.root.join(path))
-    }
-
-    /// Removes a file, if it exists, and its empty folder below the root.
-    pub fn remove(&self, path: &str) -> Result<(), StoreError> {
-        let full = match self.inside(path) {
-            Ok(full) => full,
-            Err(StoreError::Missing { .. }) => return Ok(()),
-            Err(error) => return Err(error),
-        };
-        fs::remove_file(&full).map_err(|reason| failed(&full, "remove", &reason))?;
-        if let Some(folder) = full.parent().filter(|folder| *folder != self.root) {
-            // Fails if the folder is not empty.
-            let _ = fs::remove_dir(folder);
-        }
-        Ok(())
-    }
-
-    pub fn list(&self, folder: &str, file: &str) -> Result<Vec<Object>, StoreError> {
-        let place = self.root.join(folder);
-        let unreadable = |reason| failed(&place, "list", &reason);
-        let mut objects = Vec::new();
-        for entry in fs::read_dir(&place).map_err(unreadable)? {
-            let entry = entry.map_err(unreadable)?;
-            let name = entry.file_name().to_string_lossy().into_owned();
-            if name.starts_with('.') || !entry.path().is_dir() {
-                continue;
-            }
-            let path = format!("{folder}/{name}/{file}");
-            // A folder without its file is listed: reading it reports what is missing.
-            let metadata = fs::metadata(self.root.join(&path));
-            objects.push(Object {
-                bytes: metadata.as_ref().map_or(0, |metadata| metadata.len()),
-                version: String::new(),
-                path,
-            });
-        }
-        Ok(objects)
-    }
-
-    /// The files directly in `folder`, without hidden ones.
-    pub fn list_files(&self, folder: &str) -> Result<Vec<Object>, StoreError> {
-        let place = self.root.join(folder);
-        let unreadable = |reason| failed(&place, "list", &reason);
-        let mut objects = Vec::new();
-        for entry in fs::read_dir(&place).map_err(unreadable)? {
-            let entry = entry.map_err(unreadable)?;
-            let name = entry.file_name().to_string_lossy().into_owned();
-            match fs::metadata(entry.path()) {
-                Ok(metadata) if metadata.is_file() && !name.starts_with('.') => {
-                    objects.push(Object {
-                        path: format!("{folder}/{name}"),
-                        bytes: metadata.len(),
-                        version: String::new(),
-                    });
-                }
-                _ => {}
-            }
-        }
-        Ok(objects)
     }
 
     /// The full path, if it is within the folder after following links.
@@ -139,6 +56,85 @@ impl Folder {
             });
         }
         Ok(full)
+    }
+}
+
+impl Backend for Folder {
+    fn uri(&self) -> String {
+        self.root.display().to_string()
+    }
+
+    fn is_remote(&self) -> bool {
+        false
+    }
+
+    fn read(&self, path: &str, limit: u64) -> Result<(Vec<u8>, String), StoreError> {
+        let full = self.inside(path)?;
+        let bytes = read_file(&full, limit).map_err(|reason| match reason.kind() {
+            ErrorKind::FileTooLarge => StoreError::TooLarge {
+                object: full.display().to_string(),
+                found: fs::metadata(&full).map_or(0, |found| found.len()),
+                limit,
+            },
+            _ => failed(&full, "read", &reason),
+        })?;
+        Ok((bytes, String::new()))
+    }
+
+    fn write(&self, path: &str, bytes: Vec<u8>) -> Result<(), StoreError> {
+        let full = self.checked(path)?;
+        atomic::write(&full, &bytes).map_err(|error| match error {
+            Error::Io { reason, .. } => failed(&full, "write", &reason),
+            other => broken(&full, "write", other),
+        })
+    }
+
+    /// Removes a file, if it exists, and its empty folder below the root.
+    fn remove(&self, path: &str) -> Result<(), StoreError> {
+        let full = match self.inside(path) {
+            Ok(full) => full,
+            Err(StoreError::Missing { .. }) => return Ok(()),
+            Err(error) => return Err(error),
+        };
+        fs::remove_file(&full).map_err(|reason| failed(&full, "remove", &reason))?;
+        if let Some(folder) = full.parent().filter(|folder| *folder != self.root) {
+            // Fails if the folder is not empty.
+            let _ = fs::remove_dir(folder);
+        }
+        Ok(())
+    }
+
+    fn place(&self, path: &str) -> Result<Option<PathBuf>, StoreError> {
+        self.checked(path).map(Some)
+    }
+
+    /// Hidden files and folders are left out. A folder without its file is listed: reading it
+    /// reports what is missing.
+    fn list(&self, folder: &str, file: Option<&str>) -> Result<Vec<Object>, StoreError> {
+        let place = self.root.join(folder);
+        let unreadable = |reason| failed(&place, "list", &reason);
+        let mut objects = Vec::new();
+        for entry in fs::read_dir(&place).map_err(unreadable)? {
+            let entry = entry.map_err(unreadable)?;
+            let name = entry.file_name().to_string_lossy().into_owned();
+            let found = match file {
+                Some(_) => entry.path().is_dir(),
+                None => entry.path().is_file(),
+            };
+            if name.starts_with('.') || !found {
+                continue;
+            }
+            let path = match file {
+                Some(file) => format!("{folder}/{name}/{file}"),
+                None => format!("{folder}/{name}"),
+            };
+            objects.push(Object {
+                bytes: fs::metadata(self.root.join(&path)).map_or(0, |metadata| metadata.len()),
+                version: String::new(),
+                path,
+            });
+        }
+        Ok(objects)
     }
 }
 
@@ -171,12 +167,14 @@ mod tests {
     fn what_is_written_is_read_and_listed() {
         let folder = tempfile::tempdir().unwrap();
         let store = Folder::new(folder.path().to_owned());
-        store.write("motion/a/trajectory.npy", b"abc").unwrap();
+        store
+            .write("motion/a/trajectory.npy", b"abc".to_vec())
+            .unwrap();
         fs::create_dir_all(folder.path().join("motion/.hidden")).unwrap();
         fs::create_dir_all(folder.path().join("motion/empty")).unwrap();
         fs::write(folder.path().join("motion/loose"), b"").unwrap();
-        assert_eq!(store.read("motion/a/trajectory.npy", 3).unwrap(), b"abc");
-        let mut listed = store.list("motion", "trajectory.npy").unwrap();
+        assert_eq!(store.read("motion/a/trajectory.npy", 3).unwrap().0, b"abc");
+        let mut listed = store.list("motion", Some("trajectory.npy")).unwrap();
         listed.sort_unstable_by(|a, b| a.path.cmp(&b.path));
         let listed: Vec<_> = listed.iter().map(|o| (o.path.as_str(), o.bytes)).collect();
         assert_eq!(
@@ -204,7 +202,7 @@ mod tests {
         fs::write(outside.path().join("secret"), b"secret").unwrap();
         let folder = tempfile::tempdir().unwrap();
         let store = Folder::new(folder.path().to_owned());
-        store.write("motion/a/x", b"inside").unwrap();
+        store.write("motion/a/x", b"inside".to_vec()).unwrap();
         symlink(
             folder.path().join("motion/a"),
             folder.path().join("motion/b"),
@@ -216,7 +214,7 @@ mod tests {
         )
         .unwrap();
         symlink(outside.path(), folder.path().join("motion/c")).unwrap();
-        assert_eq!(store.read("motion/b/x", 99).unwrap(), b"inside");
+        assert_eq!(store.read("motion/b/x", 99).unwrap().0, b"inside");
         for path in ["motion/a/y", "motion/c/secret"] {
             let error = store.read(path, 99).unwrap_err();
             assert!(
@@ -233,10 +231,10 @@ mod tests {
         ] {
             let error = store.read(path, 99).unwrap_err();
             assert!(matches!(error, StoreError::Path { .. }), "{path}: {error}");
-            assert!(store.write(path, b"").is_err(), "{path}");
+            assert!(store.write(path, Vec::new()).is_err(), "{path}");
         }
         for path in ["motion/c/new", "motion/c/deep/new"] {
-            let error = store.write(path, b"").unwrap_err();
+            let error = store.write(path, Vec::new()).unwrap_err();
             assert!(
                 matches!(error, StoreError::Outside { .. }),
                 "{path}: {error}"

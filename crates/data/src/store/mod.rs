@@ -11,6 +11,7 @@ mod remote;
 mod services;
 
 use std::collections::HashMap;
+use std::fmt::Debug;
 use std::path::PathBuf;
 use std::sync::Arc;
 
@@ -22,15 +23,36 @@ use crate::{Counters, Error, StoreConfig};
 /// The location of a dataset. Clones share connections and counters.
 #[derive(Clone, Debug)]
 pub struct Store {
-    kind: Kind,
+    backend: Arc<dyn Backend>,
     counters: Arc<Counters>,
 }
 
-#[derive(Clone, Debug)]
-enum Kind {
-    Local(local::Folder),
-    #[cfg(feature = "cloud")]
-    Remote(Arc<remote::Remote>),
+/// A folder, a bucket or a web server.
+trait Backend: Debug + Send + Sync {
+    fn uri(&self) -> String;
+
+    /// The address with its endpoint: two providers may have the same bucket.
+    fn address(&self) -> String {
+        self.uri()
+    }
+
+    fn is_writable(&self) -> bool {
+        true
+    }
+
+    fn is_remote(&self) -> bool;
+
+    /// The object's bytes and version.
+    fn read(&self, path: &str, limit: u64) -> Result<(Vec<u8>, String), StoreError>;
+
+    fn write(&self, path: &str, bytes: Vec<u8>) -> Result<(), StoreError>;
+
+    fn remove(&self, path: &str) -> Result<(), StoreError>;
+
+    fn place(&self, path: &str) -> Result<Option<PathBuf>, StoreError>;
+
+    /// All objects `FOLDER/ANY/FILE`, or, without a file, `FOLDER/NAME`.
+    fn list(&self, folder: &str, file: Option<&str>) -> Result<Vec<Object>, StoreError>;
 }
 
 /// An object in a listing.
@@ -53,12 +75,12 @@ impl Store {
     /// build without `cloud`; [`Error::Store`] for unusable credentials or endpoints.
     pub fn open(source: &str, config: &StoreConfig) -> Result<Self, Error> {
         let counters = Arc::new(Counters::default());
-        let kind = match Location::parse(source)? {
-            Location::Folder(folder) => Kind::Local(local::Folder::new(folder)),
+        let backend: Arc<dyn Backend> = match Location::parse(source)? {
+            Location::Folder(folder) => Arc::new(local::Folder::new(folder)),
             #[cfg(feature = "cloud")]
             Location::Remote { service, uri } => {
-                let remote = remote::Remote::open(service, uri, config, counters.clone())?;
-                Kind::Remote(Arc::new(remote))
+                let counters = counters.clone();
+                Arc::new(remote::Remote::open(service, uri, config, counters)?)
             }
             #[cfg(not(feature = "cloud"))]
             Location::Remote { uri, .. } => {
@@ -69,34 +91,22 @@ impl Store {
                 });
             }
         };
-        Ok(Self { kind, counters })
+        Ok(Self { backend, counters })
     }
 
     /// The store's address, for messages.
     pub fn uri(&self) -> String {
-        match &self.kind {
-            Kind::Local(folder) => folder.root().display().to_string(),
-            #[cfg(feature = "cloud")]
-            Kind::Remote(remote) => remote.uri().to_owned(),
-        }
+        self.backend.uri()
     }
 
-    /// The store's address with its endpoint: two providers may have the same bucket.
+    /// The store's address with its endpoint.
     pub(crate) fn address(&self) -> String {
-        match &self.kind {
-            Kind::Local(_) => self.uri(),
-            #[cfg(feature = "cloud")]
-            Kind::Remote(remote) => remote.address(),
-        }
+        self.backend.address()
     }
 
     /// True if it is writable.
     pub fn is_writable(&self) -> bool {
-        match &self.kind {
-            Kind::Local(_) => true,
-            #[cfg(feature = "cloud")]
-            Kind::Remote(remote) => remote.is_writable(),
-        }
+        self.backend.is_writable()
     }
 
     /// Name of the object at `path` in messages.
@@ -106,11 +116,7 @@ impl Store {
 
     /// True if reads use a network, so that caching helps.
     pub fn is_remote(&self) -> bool {
-        match &self.kind {
-            Kind::Local(_) => false,
-            #[cfg(feature = "cloud")]
-            Kind::Remote(_) => true,
-        }
+        self.backend.is_remote()
     }
 
     /// Reads the object at `path`, of at most `limit` bytes.
@@ -138,11 +144,7 @@ impl Store {
         path: &str,
         limit: u64,
     ) -> Result<(Vec<u8>, String), StoreError> {
-        let (bytes, version) = match &self.kind {
-            Kind::Local(folder) => (folder.read(path, limit)?, String::new()),
-            #[cfg(feature = "cloud")]
-            Kind::Remote(remote) => remote.read(path, limit)?,
-        };
+        let (bytes, version) = self.backend.read(path, limit)?;
         self.counters.read(bytes.len());
         Ok((bytes, version))
     }
@@ -152,11 +154,7 @@ impl Store {
     /// # Errors
     /// [`StoreError`]; [`StoreError::ReadOnly`] for a web server.
     pub fn write(&self, path: &str, bytes: Vec<u8>) -> Result<(), StoreError> {
-        match &self.kind {
-            Kind::Local(folder) => folder.write(path, &bytes),
-            #[cfg(feature = "cloud")]
-            Kind::Remote(remote) => remote.write(path, bytes),
-        }
+        self.backend.write(path, bytes)
     }
 
     /// Removes the object at `path`, if it exists.
@@ -164,11 +162,7 @@ impl Store {
     /// # Errors
     /// [`StoreError`]; [`StoreError::ReadOnly`] for a web server.
     pub fn remove(&self, path: &str) -> Result<(), StoreError> {
-        match &self.kind {
-            Kind::Local(folder) => folder.remove(path),
-            #[cfg(feature = "cloud")]
-            Kind::Remote(remote) => remote.remove(path),
-        }
+        self.backend.remove(path)
     }
 
     /// Local path of the object at `path`, existing or not; `None` for remote stores.
@@ -176,11 +170,7 @@ impl Store {
     /// # Errors
     /// [`StoreError::Outside`] if a link leads out of the folder.
     pub fn place(&self, path: &str) -> Result<Option<PathBuf>, StoreError> {
-        match &self.kind {
-            Kind::Local(folder) => folder.place(path).map(Some),
-            #[cfg(feature = "cloud")]
-            Kind::Remote(_) => Ok(None),
-        }
+        self.backend.place(path)
     }
 
     /// All objects named `FOLDER/ANY/FILE`, sorted by path.
@@ -188,13 +178,7 @@ impl Store {
     /// # Errors
     /// [`StoreError`]; [`StoreError::NoListing`] for a web server.
     pub fn list(&self, folder: &str, file: &str) -> Result<Vec<Object>, StoreError> {
-        let mut objects = match &self.kind {
-            Kind::Local(root) => root.list(folder, file)?,
-            #[cfg(feature = "cloud")]
-            Kind::Remote(remote) => {
-                remote.list(folder, |path| middle(path, folder, file).is_some())?
-            }
-        };
+        let mut objects = self.backend.list(folder, Some(file))?;
         objects.sort_unstable_by(|a, b| a.path.cmp(&b.path));
         Ok(objects)
     }
@@ -204,12 +188,7 @@ impl Store {
     /// # Errors
     /// [`StoreError`]; [`StoreError::NoListing`] for a web server.
     pub fn list_files(&self, folder: &str, ending: &str) -> Result<Vec<Object>, StoreError> {
-        let listed = match &self.kind {
-            Kind::Local(root) => root.list_files(folder),
-            #[cfg(feature = "cloud")]
-            Kind::Remote(remote) => remote.list(folder, |path| directly_below(path, folder)),
-        };
-        let mut objects = match listed {
+        let mut objects = match self.backend.list(folder, None) {
             Err(StoreError::Missing { .. }) => Vec::new(),
             listed => listed?,
         };
@@ -224,42 +203,22 @@ impl Store {
     ///
     /// # Errors
     /// [`StoreError`].
-    #[cfg_attr(not(feature = "cloud"), expect(unused_variables))]
     pub(crate) fn versions(&self, folder: &str) -> Result<HashMap<String, String>, StoreError> {
-        match &self.kind {
-            Kind::Local(_) => Ok(HashMap::new()),
-            #[cfg(feature = "cloud")]
-            Kind::Remote(remote) => {
-                let objects = match remote.list(folder, |path| directly_below(path, folder)) {
-                    Err(StoreError::NoListing { .. }) => Vec::new(),
-                    listed => listed?,
-                };
-                let versions = objects
-                    .into_iter()
-                    .map(|object| (object.path, object.version));
-                Ok(versions.collect())
-            }
+        if !self.is_remote() {
+            return Ok(HashMap::new());
         }
+        let objects = match self.backend.list(folder, None) {
+            Err(StoreError::NoListing { .. }) => Vec::new(),
+            listed => listed?,
+        };
+        let versions = objects
+            .into_iter()
+            .map(|object| (object.path, object.version));
+        Ok(versions.collect())
     }
 
     /// Counters of reads.
     pub fn counters(&self) -> &Arc<Counters> {
         &self.counters
     }
-}
-
-/// True if `path` is `FOLDER/NAME`.
-#[cfg(feature = "cloud")]
-fn directly_below(path: &str, folder: &str) -> bool {
-    let rest = path.strip_prefix(folder);
-    let name = rest.and_then(|rest| rest.strip_prefix('/'));
-    name.is_some_and(|name| !name.contains('/') && !name.starts_with('.'))
-}
-
-/// The object's folder below `folder`, if `path` is `FOLDER/ANY/FILE`.
-#[cfg(feature = "cloud")]
-fn middle<'a>(path: &'a str, folder: &str, file: &str) -> Option<&'a str> {
-    let rest = path.strip_prefix(folder)?.strip_prefix('/')?;
-    let (middle, name) = rest.rsplit_once('/')?;
-    (name == file && !middle.contains('/') && !middle.starts_with('.')).then_some(middle)
 }

@@ -4,6 +4,7 @@
 //! `AWS_ACCESS_KEY_ID` and so on); `data.store` overrides the endpoint. Every request is retried
 //! here with its body, so that a cut connection is a retry like any other.
 
+use std::path::PathBuf;
 use std::sync::{Arc, Once};
 use std::time::{Duration, UNIX_EPOCH};
 
@@ -13,7 +14,7 @@ use object_store::{ObjectMeta, ObjectStore, ObjectStoreExt, PutPayload};
 use tokio::runtime::Runtime;
 use tokio::sync::Semaphore;
 
-use super::{Object, StoreError, services};
+use super::{Backend, Object, StoreError, services};
 use crate::layout::check_path;
 use crate::location::Service;
 use crate::{Counters, Error, StoreConfig};
@@ -79,52 +80,6 @@ impl Remote {
         })
     }
 
-    pub fn uri(&self) -> &str {
-        &self.uri
-    }
-
-    /// See [`super::Store::address`].
-    pub fn address(&self) -> String {
-        format!("{} {}", self.uri, self.endpoint)
-    }
-
-    pub fn is_writable(&self) -> bool {
-        self.can_list
-    }
-
-    /// The object's bytes and version.
-    pub fn read(&self, path: &str, limit: u64) -> Result<(Vec<u8>, String), StoreError> {
-        let (object, key) = self.key(path)?;
-        self.try_often(&object, "read", || async {
-            let found = self.store.get(&key).await.map_err(Failure::Request)?;
-            let length = found.meta.size;
-            let version = version(&found.meta);
-            if length > limit {
-                return Err(Failure::Final(StoreError::TooLarge {
-                    object: object.clone(),
-                    found: length,
-                    limit,
-                }));
-            }
-            let bytes = found.bytes().await.map_err(Failure::Request)?;
-            if bytes.len() as u64 != length {
-                let reason = format!("{} of {length} bytes came", bytes.len());
-                return Err(Failure::CutOff(reason));
-            }
-            Ok((bytes.into(), version))
-        })
-    }
-
-    pub fn write(&self, path: &str, bytes: Vec<u8>) -> Result<(), StoreError> {
-        self.must_be_writable()?;
-        let (object, key) = self.key(path)?;
-        let payload = PutPayload::from(bytes);
-        self.try_often(&object, "write", || async {
-            let put = self.store.put(&key, payload.clone()).await;
-            put.map(drop).map_err(Failure::Request)
-        })
-    }
-
     fn must_be_writable(&self) -> Result<(), StoreError> {
         if self.is_writable() {
             return Ok(());
@@ -132,49 +87,6 @@ impl Remote {
         Err(StoreError::ReadOnly {
             uri: self.uri.clone(),
         })
-    }
-
-    /// Removes the object, if it is there.
-    pub fn remove(&self, path: &str) -> Result<(), StoreError> {
-        self.must_be_writable()?;
-        let (object, key) = self.key(path)?;
-        self.try_often(&object, "remove", || async {
-            match self.store.delete(&key).await {
-                Err(object_store::Error::NotFound { .. }) => Ok(()),
-                removed => removed.map_err(Failure::Request),
-            }
-        })
-    }
-
-    /// The objects below `folder` whose paths `keep` picks.
-    pub fn list(
-        &self,
-        folder: &str,
-        keep: impl Fn(&str) -> bool,
-    ) -> Result<Vec<Object>, StoreError> {
-        if !self.can_list {
-            return Err(StoreError::NoListing {
-                uri: self.uri.clone(),
-            });
-        }
-        let (object, key) = self.key(folder)?;
-        let found: Vec<ObjectMeta> = self.try_often(&object, "list", || async {
-            let listing = self.store.list(Some(&key)).try_collect().await;
-            listing.map_err(Failure::Request)
-        })?;
-        let objects = found.into_iter().filter_map(|meta| {
-            let location = meta.location.to_string();
-            let path = match self.prefix.as_str() {
-                "" => location.as_str(),
-                prefix => location.strip_prefix(prefix)?.strip_prefix('/')?,
-            };
-            keep(path).then(|| Object {
-                path: path.to_owned(),
-                bytes: meta.size,
-                version: version(&meta),
-            })
-        });
-        Ok(objects.collect())
     }
 
     /// Name of `path` in messages, and its key in the bucket.
@@ -228,6 +140,109 @@ impl Remote {
             }
         })
     }
+}
+
+impl Backend for Remote {
+    fn uri(&self) -> String {
+        self.uri.clone()
+    }
+
+    fn address(&self) -> String {
+        format!("{} {}", self.uri, self.endpoint)
+    }
+
+    fn is_writable(&self) -> bool {
+        self.can_list
+    }
+
+    fn is_remote(&self) -> bool {
+        true
+    }
+
+    fn place(&self, _path: &str) -> Result<Option<PathBuf>, StoreError> {
+        Ok(None)
+    }
+
+    fn read(&self, path: &str, limit: u64) -> Result<(Vec<u8>, String), StoreError> {
+        let (object, key) = self.key(path)?;
+        self.try_often(&object, "read", || async {
+            let found = self.store.get(&key).await.map_err(Failure::Request)?;
+            let length = found.meta.size;
+            let version = version(&found.meta);
+            if length > limit {
+                return Err(Failure::Final(StoreError::TooLarge {
+                    object: object.clone(),
+                    found: length,
+                    limit,
+                }));
+            }
+            let bytes = found.bytes().await.map_err(Failure::Request)?;
+            if bytes.len() as u64 != length {
+                let reason = format!("{} of {length} bytes came", bytes.len());
+                return Err(Failure::CutOff(reason));
+            }
+            Ok((bytes.into(), version))
+        })
+    }
+
+    fn write(&self, path: &str, bytes: Vec<u8>) -> Result<(), StoreError> {
+        self.must_be_writable()?;
+        let (object, key) = self.key(path)?;
+        let payload = PutPayload::from(bytes);
+        self.try_often(&object, "write", || async {
+            let put = self.store.put(&key, payload.clone()).await;
+            put.map(drop).map_err(Failure::Request)
+        })
+    }
+
+    fn remove(&self, path: &str) -> Result<(), StoreError> {
+        self.must_be_writable()?;
+        let (object, key) = self.key(path)?;
+        self.try_often(&object, "remove", || async {
+            match self.store.delete(&key).await {
+                Err(object_store::Error::NotFound { .. }) => Ok(()),
+                removed => removed.map_err(Failure::Request),
+            }
+        })
+    }
+
+    fn list(&self, folder: &str, file: Option<&str>) -> Result<Vec<Object>, StoreError> {
+        if !self.can_list {
+            return Err(StoreError::NoListing {
+                uri: self.uri.clone(),
+            });
+        }
+        let (object, key) = self.key(folder)?;
+        let found: Vec<ObjectMeta> = self.try_often(&object, "list", || async {
+            let listing = self.store.list(Some(&key)).try_collect().await;
+            listing.map_err(Failure::Request)
+        })?;
+        let objects = found.into_iter().filter_map(|meta| {
+            let location = meta.location.to_string();
+            let path = match self.prefix.as_str() {
+                "" => location.as_str(),
+                prefix => location.strip_prefix(prefix)?.strip_prefix('/')?,
+            };
+            is_listed(path, folder, file).then(|| Object {
+                path: path.to_owned(),
+                bytes: meta.size,
+                version: version(&meta),
+            })
+        });
+        Ok(objects.collect())
+    }
+}
+
+/// True if `path` is `FOLDER/ANY/FILE` or, without a file, `FOLDER/NAME`, and not hidden.
+fn is_listed(path: &str, folder: &str, file: Option<&str>) -> bool {
+    let rest = path
+        .strip_prefix(folder)
+        .and_then(|rest| rest.strip_prefix('/'));
+    let name = match file {
+        Some(file) => rest.and_then(|rest| rest.strip_suffix(file)?.strip_suffix('/')),
+        None => rest,
+    };
+    name.is_some_and(|name| !name.contains('/') && !name.starts_with('.'))
 }
 
 /// A factor from 0.75 to 1.25, so that clients do not retry at the same time.

@@ -32,15 +32,7 @@ pub fn id(index: usize) -> String {
 /// # Panics
 /// Panics if `frames` is zero.
 pub fn phrase(index: usize, frames: usize, seed: u64) -> PhraseItem {
-    let key = Key::new(seed, Purpose::Synthetic).at(index as u64);
-    let music = Music::new(key);
-    let motion = dance::perform(&music, key, frames);
-    PhraseItem {
-        id: id(index),
-        motion,
-        audio: music.features(frames, key),
-        label: None,
-    }
+    phrase_in(AudioLayout::CCMOTION, index, frames, seed)
 }
 
 /// [`phrase`] with audio features in `layout`.
@@ -48,14 +40,17 @@ pub fn phrase(index: usize, frames: usize, seed: u64) -> PhraseItem {
 /// # Panics
 /// Panics if `frames` is zero.
 pub fn phrase_in(layout: AudioLayout, index: usize, frames: usize, seed: u64) -> PhraseItem {
-    let phrase = phrase(index, frames, seed);
-    if !layout.beats {
-        return phrase;
-    }
-    let music = Music::new(Key::new(seed, Purpose::Synthetic).at(index as u64));
+    let key = Key::new(seed, Purpose::Synthetic).at(index as u64);
+    let music = Music::new(key);
+    let audio = music.features(frames, key);
     PhraseItem {
-        audio: phrase.audio.with_beats(music.pulse(frames).as_ref()),
-        ..phrase
+        id: id(index),
+        motion: dance::perform(&music, key, frames),
+        audio: match layout.beats {
+            true => audio.with_beats(music.pulse(frames).as_ref()),
+            false => audio,
+        },
+        label: None,
     }
 }
 
@@ -70,36 +65,25 @@ pub fn phrases(phrases: usize, frames: usize, seed: u64) -> Vec<Arc<PhraseItem>>
         .collect()
 }
 
-/// Writes a synthetic dataset into `folder` in the phrase layout (CC-MotionGen, section 1.3),
-/// atomically.
+/// Writes a synthetic dataset into `folder` in the phrase layout (CC-MotionGen, section 1.3), with
+/// audio features in `layout`, atomically.
 ///
 /// # Errors
 /// [`Error::Config`] for sizes out of range, [`Error::Exists`] if `folder` contains a dataset,
 /// [`Error::Io`].
-pub fn write_dataset(folder: &Path, phrases: usize, frames: usize, seed: u64) -> Result<(), Error> {
+pub fn write_dataset(
+    folder: &Path,
+    layout: AudioLayout,
+    phrases: usize,
+    frames: usize,
+    seed: u64,
+) -> Result<(), Error> {
     let config = SyntheticConfig {
         phrases,
         frames,
         seed,
     };
-    write_dataset_in(AudioLayout::CCMOTION, folder, &config)
-}
-
-/// [`write_dataset`] with audio features in `layout`.
-///
-/// # Errors
-/// As [`write_dataset`].
-pub fn write_dataset_in(
-    layout: AudioLayout,
-    folder: &Path,
-    config: &SyntheticConfig,
-) -> Result<(), Error> {
     config.validate()?;
-    let &SyntheticConfig {
-        phrases,
-        frames,
-        seed,
-    } = config;
     write_whole(folder, &["audio_features", "motion"], |staging| {
         (0..phrases).into_par_iter().try_for_each(|index| {
             let phrase = phrase_in(layout, index, frames, seed);
@@ -265,16 +249,17 @@ mod tests {
     #[test]
     fn a_dataset_is_written_whole_and_never_over_another() {
         let folder = tempfile::tempdir().unwrap();
-        write_dataset(folder.path(), 3, 8, 1).unwrap();
+        write_dataset(folder.path(), AudioLayout::CCMOTION, 3, 8, 1).unwrap();
         let mut names: Vec<String> = fs::read_dir(folder.path())
             .unwrap()
             .map(|entry| entry.unwrap().file_name().to_string_lossy().into_owned())
             .collect();
         names.sort_unstable();
         assert_eq!(names, ["audio_features", "motion"]);
-        let again = write_dataset(folder.path(), 3, 8, 1).unwrap_err();
+        let again = write_dataset(folder.path(), AudioLayout::CCMOTION, 3, 8, 1).unwrap_err();
         assert!(matches!(again, Error::Exists { .. }), "{again}");
-        let empty = write_dataset(&folder.path().join("new"), 0, 8, 1).unwrap_err();
+        let empty =
+            write_dataset(&folder.path().join("new"), AudioLayout::CCMOTION, 0, 8, 1).unwrap_err();
         assert!(matches!(empty, Error::Config(_)), "{empty}");
         assert!(!folder.path().join("new").exists());
     }
