@@ -1,6 +1,5 @@
 //! Training samples of phrases: cropping and augmentation.
 
-use std::borrow::Cow;
 use std::ops::Range;
 
 use kinegrad_motion::time_stretch::{at_speed, frames_at_speed};
@@ -62,17 +61,15 @@ impl Augmentation {
         n: u64,
     ) -> (Window<'a, Phrase>, Window<'a, AudioFeatures>) {
         let AugmentConfig {
-            rotate_yaw: turn,
-            mirror: reflect,
-            flip_quaternion: flip,
             min_frames,
             audio_noise,
             audio_masks,
             audio_replace_prob,
             bar_drop_prob,
-            speed: _,
-            path_warp_prob: _,
+            ..
         } = self.augment;
+        let (reflect, turn) = (self.augment.mirror, self.augment.rotate_yaw);
+        let flip = self.augment.flip_quaternion;
         let key = Key::new(self.seed, Purpose::Augment).at(n);
         let speed = self.speed(key.at(SPEED));
         let mut window = self.crop(context, speed, n);
@@ -104,11 +101,11 @@ impl Augmentation {
             if anchor {
                 anchor_floor(&mut changed);
             }
-            motion = owned(changed, Phrase::frames);
+            motion = Window::owned(changed, Phrase::frames);
         }
         if speed != 1.0 {
             let played = time_stretch::at_speed(&context.take.audio.slice(window), speed);
-            audio = owned(played.slice(0..frames), AudioFeatures::frames);
+            audio = Window::owned(played.slice(0..frames), AudioFeatures::frames);
         }
         let drops_bar = bar_drop_prob > 0.0 && key.at(BAR_DROP).uniform() < bar_drop_prob;
         if audio_noise > 0.0 || audio_masks > 0 || audio_replace_prob > 0.0 || drops_bar {
@@ -127,7 +124,7 @@ impl Augmentation {
                 let noise = replace.at(1).normals(changed.as_slice().len());
                 changed = AudioFeatures::new(changed.frames(), noise).unwrap_or(changed);
             }
-            audio = owned(changed, AudioFeatures::frames);
+            audio = Window::owned(changed, AudioFeatures::frames);
         }
         (motion, audio)
     }
@@ -153,14 +150,6 @@ impl Augmentation {
             Crop::Random | Crop::Leading => context.own.start.min(starts.end - 1),
         };
         start..start + length
-    }
-}
-
-/// All frames of changed data.
-fn owned<'a, T: Clone>(changed: T, frames: impl Fn(&T) -> usize) -> Window<'a, T> {
-    Window {
-        frames: 0..frames(&changed),
-        of: Cow::Owned(changed),
     }
 }
 

@@ -31,6 +31,16 @@ pub(crate) struct Window<'a, T: Clone> {
     pub frames: Range<usize>,
 }
 
+impl<T: Clone> Window<'_, T> {
+    /// All frames of changed data.
+    pub fn owned(changed: T, frames: impl Fn(&T) -> usize) -> Self {
+        Self {
+            frames: 0..frames(&changed),
+            of: Cow::Owned(changed),
+        }
+    }
+}
+
 impl ContextWindow {
     /// A phrase without neighbours.
     pub(crate) fn alone(phrase: Arc<PhraseItem>) -> Self {
@@ -67,10 +77,7 @@ impl ContextWindow {
         if frames.start > 0 {
             let mut anchored = self.take.motion.slice(frames);
             anchor_floor(&mut anchored);
-            motion = Window {
-                frames: 0..anchored.frames(),
-                of: Cow::Owned(anchored),
-            };
+            motion = Window::owned(anchored, Phrase::frames);
         }
         (motion, audio)
     }
@@ -200,13 +207,9 @@ fn join(phrases: &[Arc<PhraseItem>]) -> PhraseItem {
         let before = Phrase::new(values.clone()).expect("whole frames");
         let mut next = phrase.motion.clone();
         let last = before.frames() - 1;
-        let seam_velocity = {
-            let (v, w) = (
-                before.vector(last.saturating_sub(1), VELOCITY),
-                next.vector(0, VELOCITY),
-            );
-            [0, 1, 2].map(|i| (v[i] + w[i]) / 2.0)
-        };
+        let v = before.vector(last.saturating_sub(1), VELOCITY);
+        let w = next.vector(0, VELOCITY);
+        let seam_velocity = [0, 1, 2].map(|i| (v[i] + w[i]) / 2.0);
         let (from, to) = (before.vector(last, POSITION), next.vector(0, POSITION));
         let shift = [0, 2].map(|i| from[i] + seam_velocity[i] / FPS - to[i]);
         let flip = before.quaternion(last).dot(next.quaternion(0)) < 0.0;

@@ -439,7 +439,7 @@ mod tests {
             .unwrap_err()
         };
         let missing = open(&folder.path().join("nowhere"));
-        assert!(matches!(missing, Error::MissingFolder { .. }), "{missing}");
+        assert!(matches!(missing, Error::MissingFolder(_)), "{missing}");
         fs::create_dir_all(folder.path().join("motion/a")).unwrap();
         let half = open(folder.path()).to_string();
         assert!(half.contains("audio_features not found"), "{half}");

@@ -98,15 +98,12 @@ pub enum Error {
         problem: String,
     },
     /// The dataset's folder, or a required one in it, is missing.
-    #[error("data.source: folder {} not found", path.display())]
+    #[error("data.source: folder {} not found", .0.display())]
     #[diagnostic(help(
         "a dataset holds audio_features/ID/features.npz and motion/ID/trajectory.npy; `kinegrad \
          data synth` makes one to try"
     ))]
-    MissingFolder {
-        /// The folder.
-        path: PathBuf,
-    },
+    MissingFolder(PathBuf),
     /// The dataset has nothing to train on.
     #[error("{problem}")]
     #[diagnostic(help("{hint}"))]
@@ -157,12 +154,9 @@ pub enum Error {
         reason: std::io::Error,
     },
     /// The folder already contains a dataset.
-    #[error("{} already holds a dataset", path.display())]
+    #[error("{} already holds a dataset", .0.display())]
     #[diagnostic(help("name a new folder, or remove the old dataset first"))]
-    Exists {
-        /// The folder.
-        path: PathBuf,
-    },
+    Exists(PathBuf),
 }
 
 impl FileError {

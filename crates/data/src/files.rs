@@ -60,7 +60,7 @@ impl Files {
     /// [`read`](Self::read) of a file without an expected version; `None` if it is missing.
     pub fn find(&self, path: &str, limit: u64) -> Result<Option<(Vec<u8>, Digest)>, StoreError> {
         match self.read(path, &Expected::Version(String::new()), limit, "") {
-            Err(StoreError::Missing { .. }) => Ok(None),
+            Err(StoreError::Missing(_)) => Ok(None),
             read => read.map(Some),
         }
     }

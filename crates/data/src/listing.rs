@@ -127,9 +127,7 @@ fn prepared(store: &Store) -> Result<bool, Error> {
 fn list(store: &Store) -> Result<Listing, Error> {
     let objects = |(folder, file): (&str, &str)| match store.list(folder, file) {
         Ok(objects) => Ok(objects),
-        Err(StoreError::Missing { object }) => Err(Error::MissingFolder {
-            path: object.into(),
-        }),
+        Err(StoreError::Missing(object)) => Err(Error::MissingFolder(object.into())),
         Err(error) => Err(error.into()),
     };
     // By `ID/`, the order of listings.

@@ -105,7 +105,7 @@ fn phrase_files(store: &Store) -> Result<Vec<Object>, StoreError> {
     for (folder, file) in [MOTION_FILE, AUDIO_FILE] {
         match store.list(folder, file) {
             Ok(objects) => files.extend(objects),
-            Err(StoreError::Missing { .. }) => {}
+            Err(StoreError::Missing(_)) => {}
             Err(error) => return Err(error),
         }
     }

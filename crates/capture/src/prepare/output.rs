@@ -81,7 +81,7 @@ impl Output {
         };
         let store = Store::open(&place, &plan.store)?;
         if !store.is_writable() {
-            return Err(StoreError::ReadOnly { uri: store.uri() }.into());
+            return Err(StoreError::ReadOnly(store.uri()).into());
         }
         let files = (parts.list)(&store)?.into_iter();
         let present: HashMap<_, _> = files.map(|file| (file.path, file.bytes)).collect();
@@ -218,8 +218,7 @@ fn refuse_foreign(store: &Store, parts: Parts, is_empty: bool) -> Result<(), Err
         foreign = foreign || exists(index)?;
     }
     if foreign {
-        let path = store.uri().into();
-        return Err(kinegrad_data::Error::Exists { path }.into());
+        return Err(kinegrad_data::Error::Exists(store.uri().into()).into());
     }
     Ok(())
 }

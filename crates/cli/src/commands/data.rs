@@ -61,7 +61,7 @@ pub fn inspect(arguments: InspectArguments) -> Result<ExitCode, Error> {
     }
     let inspection = kinegrad_data::inspect(&config, &*reading(Default::default()));
     let inspection = inspection.map_err(|error| match error {
-        kinegrad_data::Error::MissingFolder { path } if path.ends_with(MOTION_FILE.0) => {
+        kinegrad_data::Error::MissingFolder(path) if path.ends_with(MOTION_FILE.0) => {
             no_dataset(&arguments.source)
         }
         error => error.into(),

@@ -222,7 +222,7 @@ impl ClipFiles {
         let read = self.files.read(&path, expected, texts::MAX_BYTES, recorded);
         let (mut captions, digest) = match (read, expected) {
             (Ok((bytes, digest)), _) => (parse_captions(&bytes, &name)?, Some(digest)),
-            (Err(StoreError::Missing { .. }), Expected::Version(_)) => (Vec::new(), None),
+            (Err(StoreError::Missing(_)), Expected::Version(_)) => (Vec::new(), None),
             (Err(error), _) => return Err(error.into()),
         };
         if captions.is_empty() && self.captions_required {

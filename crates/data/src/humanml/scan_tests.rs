@@ -84,7 +84,7 @@ fn written_walks_are_those_made_in_memory() {
     ];
     assert_eq!(names, expected);
     let again = write_walks(folder.path(), 3, 80, 5).unwrap_err();
-    assert!(matches!(again, Error::Exists { .. }), "{again}");
+    assert!(matches!(again, Error::Exists(_)), "{again}");
 }
 
 #[test]

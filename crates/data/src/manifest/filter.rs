@@ -14,7 +14,7 @@ use std::cmp::Ordering;
 
 use polars::prelude::{DataFrame, DataType};
 
-use super::columns::{cast, numbers};
+use super::table::{cast, numbers};
 use crate::pattern::matches;
 
 /// Most parts of a filter.

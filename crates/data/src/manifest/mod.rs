@@ -3,8 +3,6 @@
 //! Needs the Cargo feature `manifest`; without it every attempt is [`Error::Feature`].
 
 #[cfg(feature = "manifest")]
-mod columns;
-#[cfg(feature = "manifest")]
 mod filter;
 #[cfg(feature = "manifest")]
 mod footer;

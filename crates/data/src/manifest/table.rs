@@ -15,8 +15,6 @@ use serde::de::value::{self, StrDeserializer};
 
 pub(super) use polars::prelude::DataFrame;
 
-use super::columns::cast;
-pub(super) use super::columns::numbers;
 use super::row::{Flag, ManifestRow};
 use super::{Cells, filter, footer};
 use crate::layout::check_id;
@@ -28,8 +26,12 @@ const LABEL_COLUMN: &str = "label";
 /// The Parquet file of `rows`, sorted by id.
 pub(super) fn encode(mut rows: Vec<ManifestRow>) -> Result<Vec<u8>, String> {
     rows.sort_unstable_by(|a, b| a.id.cmp(&b.id));
+    written(table(&rows))
+}
+
+fn written(frame: Result<DataFrame, PolarsError>) -> Result<Vec<u8>, String> {
     let mut bytes = Vec::new();
-    table(&rows)
+    frame
         .and_then(|mut frame| ParquetWriter::new(&mut bytes).finish(&mut frame))
         .map_err(|error| error.to_string())?;
     Ok(bytes)
@@ -46,11 +48,7 @@ pub(super) fn encode_columns(columns: Vec<(String, Cells)>) -> Result<Vec<u8>, S
             Cells::Flags(values) => Column::new(name, values),
         }
     });
-    let mut bytes = Vec::new();
-    DataFrame::new_infer_height(columns.collect())
-        .and_then(|mut frame| ParquetWriter::new(&mut bytes).finish(&mut frame))
-        .map_err(|error| error.to_string())?;
-    Ok(bytes)
+    written(DataFrame::new_infer_height(columns.collect()))
 }
 
 /// The `wanted` columns of a Parquet file, or all; or its problem.
@@ -242,4 +240,17 @@ pub(super) fn texts(column: &Column) -> Result<Vec<Option<String>>, String> {
     let column = cast(column, &DataType::String)?;
     let texts = column.str().map_err(|error| error.to_string())?;
     Ok(texts.iter().map(|text| text.map(str::to_owned)).collect())
+}
+
+/// The values of a column of numbers.
+pub(super) fn numbers(column: &Column) -> Result<Vec<Option<f64>>, String> {
+    let column = cast(column, &DataType::Float64)?;
+    let numbers = column.f64().map_err(|error| error.to_string())?;
+    Ok(numbers.iter().collect())
+}
+
+/// A column cast to the type `to`.
+pub(super) fn cast(column: &Column, to: &DataType) -> Result<Column, String> {
+    let broken = |error| format!("column `{}`: {error}", column.name());
+    column.cast(to).map_err(broken)
 }

@@ -3,16 +3,13 @@
 use miette::Diagnostic;
 use thiserror::Error;
 
-/// A problem of one object. `object` is its path or address.
+/// A problem of one object, given by its path or address.
 #[derive(Clone, Debug, Error, Diagnostic)]
 pub enum StoreError {
     /// The object does not exist.
-    #[error("{object}: not found")]
+    #[error("{0}: not found")]
     #[diagnostic(help("check data.source; was the file moved or deleted?"))]
-    Missing {
-        /// The object.
-        object: String,
-    },
+    Missing(String),
     /// Access is denied.
     #[error("{object}: access denied: {reason}")]
     #[diagnostic(help(
@@ -91,37 +88,24 @@ pub enum StoreError {
         reason: &'static str,
     },
     /// A web server cannot list objects.
-    #[error("{uri}: http cannot list phrases and there is no manifest.parquet")]
+    #[error("{0}: http cannot list phrases and there is no manifest.parquet")]
     #[diagnostic(help(
         "`kinegrad data prepare` writes a manifest; without one a dataset works from a folder, \
          gs:// or s3://"
     ))]
-    NoListing {
-        /// The address.
-        uri: String,
-    },
+    NoListing(String),
     /// A web server takes no files.
-    #[error("{uri}: http sources can only be read")]
+    #[error("{0}: http sources can only be read")]
     #[diagnostic(help("write to a folder, gs:// or s3://"))]
-    ReadOnly {
-        /// The address.
-        uri: String,
-    },
+    ReadOnly(String),
 }
 
 impl StoreError {
     /// True if the error concerns this object only, not the store or the identity of the dataset.
     pub fn concerns_one_object(&self) -> bool {
-        match self {
-            Self::Missing { .. }
-            | Self::TooLarge { .. }
-            | Self::Outside { .. }
-            | Self::Path { .. } => true,
-            Self::Changed { .. }
-            | Self::Denied { .. }
-            | Self::Failed { .. }
-            | Self::NoListing { .. }
-            | Self::ReadOnly { .. } => false,
-        }
+        matches!(
+            self,
+            Self::Missing(_) | Self::TooLarge { .. } | Self::Outside { .. } | Self::Path { .. }
+        )
     }
 }

@@ -93,7 +93,7 @@ impl Backend for Folder {
     fn remove(&self, path: &str) -> Result<(), StoreError> {
         let full = match self.inside(path) {
             Ok(full) => full,
-            Err(StoreError::Missing { .. }) => return Ok(()),
+            Err(StoreError::Missing(_)) => return Ok(()),
             Err(error) => return Err(error),
         };
         fs::remove_file(&full).map_err(|reason| failed(&full, "remove", &reason))?;
@@ -141,7 +141,7 @@ impl Backend for Folder {
 fn failed(path: &Path, action: &'static str, reason: &std::io::Error) -> StoreError {
     let object = path.display().to_string();
     match reason.kind() {
-        ErrorKind::NotFound => StoreError::Missing { object },
+        ErrorKind::NotFound => StoreError::Missing(object),
         ErrorKind::PermissionDenied => StoreError::Denied {
             object,
             reason: reason.to_string(),
@@ -190,7 +190,7 @@ mod tests {
         ));
         assert!(matches!(
             store.read("motion/b/trajectory.npy", 9),
-            Err(StoreError::Missing { .. })
+            Err(StoreError::Missing(_))
         ));
     }
 

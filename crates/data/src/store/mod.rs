@@ -133,7 +133,7 @@ impl Store {
     /// As [`read`](Self::read), but for [`StoreError::Missing`].
     pub fn find(&self, path: &str, limit: u64) -> Result<Option<Vec<u8>>, StoreError> {
         match self.read(path, limit) {
-            Err(StoreError::Missing { .. }) => Ok(None),
+            Err(StoreError::Missing(_)) => Ok(None),
             read => read.map(Some),
         }
     }
@@ -189,7 +189,7 @@ impl Store {
     /// [`StoreError`]; [`StoreError::NoListing`] for a web server.
     pub fn list_files(&self, folder: &str, ending: &str) -> Result<Vec<Object>, StoreError> {
         let mut objects = match self.backend.list(folder, None) {
-            Err(StoreError::Missing { .. }) => Vec::new(),
+            Err(StoreError::Missing(_)) => Vec::new(),
             listed => listed?,
         };
         let dotted = format!(".{ending}");
@@ -208,7 +208,7 @@ impl Store {
             return Ok(HashMap::new());
         }
         let objects = match self.backend.list(folder, None) {
-            Err(StoreError::NoListing { .. }) => Vec::new(),
+            Err(StoreError::NoListing(_)) => Vec::new(),
             listed => listed?,
         };
         let versions = objects

@@ -84,9 +84,7 @@ impl Remote {
         if self.is_writable() {
             return Ok(());
         }
-        Err(StoreError::ReadOnly {
-            uri: self.uri.clone(),
-        })
+        Err(StoreError::ReadOnly(self.uri.clone()))
     }
 
     /// Name of `path` in messages, and its key in the bucket.
@@ -208,9 +206,7 @@ impl Backend for Remote {
 
     fn list(&self, folder: &str, file: Option<&str>) -> Result<Vec<Object>, StoreError> {
         if !self.can_list {
-            return Err(StoreError::NoListing {
-                uri: self.uri.clone(),
-            });
+            return Err(StoreError::NoListing(self.uri.clone()));
         }
         let (object, key) = self.key(folder)?;
         let found: Vec<ObjectMeta> = self.try_often(&object, "list", || async {
@@ -304,7 +300,7 @@ fn final_error(
     }
     let object = object.to_owned();
     match error {
-        object_store::Error::NotFound { .. } => Some(StoreError::Missing { object }),
+        object_store::Error::NotFound { .. } => Some(StoreError::Missing(object)),
         object_store::Error::PermissionDenied { source, .. }
         | object_store::Error::Unauthenticated { source, .. } => Some(StoreError::Denied {
             object,

@@ -104,9 +104,7 @@ pub(crate) fn write_whole(
     fill: impl FnOnce(&Path) -> Result<(), Error>,
 ) -> Result<(), Error> {
     if parts.iter().any(|part| folder.join(part).exists()) {
-        return Err(Error::Exists {
-            path: folder.to_owned(),
-        });
+        return Err(Error::Exists(folder.to_owned()));
     }
     let staging = folder.join(format!(".synth-{}.tmp", std::process::id()));
     let written = fill(&staging).and_then(|()| {
@@ -257,7 +255,7 @@ mod tests {
         names.sort_unstable();
         assert_eq!(names, ["audio_features", "motion"]);
         let again = write_dataset(folder.path(), AudioLayout::CCMOTION, 3, 8, 1).unwrap_err();
-        assert!(matches!(again, Error::Exists { .. }), "{again}");
+        assert!(matches!(again, Error::Exists(_)), "{again}");
         let empty =
             write_dataset(&folder.path().join("new"), AudioLayout::CCMOTION, 0, 8, 1).unwrap_err();
         assert!(matches!(empty, Error::Config(_)), "{empty}");
