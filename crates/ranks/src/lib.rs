@@ -18,7 +18,7 @@ pub use self::mpi::Mpi;
 pub use sharing::{Sharing, from_bytes, shared, to_bytes};
 pub use tree::{add, pairwise, pairwise_with, split};
 
-/// A process among those on its machine, with which it shares cores and GPUs.
+/// A process among those on its machine, which share cores and GPUs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Local {
     /// Its number, from 0.

@@ -132,11 +132,10 @@ fn collect(table: &Map<String, Value>, prefix: &str, only_with: Option<&str>, ke
         keys[at].required = required.is_some_and(|names| names.iter().any(|n| n == name));
     }
     for variant in alternatives(table) {
-        let Some(tag) = tag_of(variant) else {
+        let Some((key, value)) = tag_of(variant) else {
             collect(variant, prefix, only_with, keys);
             continue;
         };
-        let (key, value) = tag;
         merge_tag(prefix, key, value, text(variant, "description"), keys);
         let with = format!("{prefix}{key} = \"{value}\"");
         let mut inner = variant.clone();
@@ -247,16 +246,12 @@ fn values_of(schema: &Map<String, Value>) -> Values {
             let fixed = length("minItems").filter(|least| Some(*least) == length("maxItems"));
             Values::List(Box::new(items), fixed)
         }
-        Some("object") if schema.get("properties").is_none() => {
-            let free = schema
-                .get("additionalProperties")
-                .and_then(Value::as_object);
-            match free {
-                Some(free) => Values::Map(Box::new(values_of(free))),
-                None => Values::Table,
-            }
+        Some("object") => {
+            let free = schema.get("additionalProperties");
+            let free = free.filter(|_| schema.get("properties").is_none());
+            let free = free.and_then(Value::as_object);
+            free.map_or(Values::Table, |free| Values::Map(Box::new(values_of(free))))
         }
-        Some("object") => Values::Table,
         _ => {
             let is_null = |schema: &&Map<String, Value>| text(schema, "type") == "null";
             let rest = alternatives(schema).filter(|each| !is_null(each));
@@ -319,31 +314,19 @@ fn plain(comment: &str) -> String {
     let joined = comment.split_whitespace().collect::<Vec<_>>().join(" ");
     let mut out = String::new();
     let mut rest = joined.as_str();
-    while let Some(open) = rest.find('[') {
-        let (before, link) = rest.split_at(open);
+    while let Some((before, link)) = rest.split_once('[')
+        && let Some((inside, after)) = link.split_once(']')
+    {
         out.push_str(before);
-        let Some(close) = link.find(']') else {
-            rest = link;
-            break;
-        };
-        let (inside, after) = (&link[1..close], &link[close + 1..]);
         let target = after
             .strip_prefix('(')
             .and_then(|after| after.split_once(')'));
-        match target {
-            Some((_, after)) => {
-                out.push_str(inside);
-                rest = after;
-            }
-            None if inside.starts_with('`') && inside.ends_with('`') => {
-                out.push_str(inside);
-                rest = after;
-            }
-            None => {
-                out.push_str(&link[..=close]);
-                rest = after;
-            }
+        let is_code = inside.starts_with('`') && inside.ends_with('`');
+        match target.is_some() || is_code {
+            true => out.push_str(inside),
+            false => out.push_str(&format!("[{inside}]")),
         }
+        rest = target.map_or(after, |(_, after)| after);
     }
     out + rest
 }

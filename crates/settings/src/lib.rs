@@ -135,10 +135,12 @@ pub fn in_range<N: Number>(
     require(holds, key, number, allowed)
 }
 
-/// A number that a setting may be.
+/// A number of a setting.
 pub trait Number: Copy + Display + PartialOrd {
     /// Neither infinite nor NaN.
-    fn is_finite(self) -> bool;
+    fn is_finite(self) -> bool {
+        true
+    }
 }
 
 impl Number for f64 {
@@ -147,23 +149,11 @@ impl Number for f64 {
     }
 }
 
-impl Number for usize {
-    fn is_finite(self) -> bool {
-        true
-    }
-}
+impl Number for usize {}
 
-impl Number for u64 {
-    fn is_finite(self) -> bool {
-        true
-    }
-}
+impl Number for u64 {}
 
-impl Number for i64 {
-    fn is_finite(self) -> bool {
-        true
-    }
-}
+impl Number for i64 {}
 
 #[cfg(test)]
 mod tests {
