@@ -193,14 +193,11 @@ impl Default for CacheConfig {
 impl CacheConfig {
     /// The cache's folder; `None` if the system defines no cache location.
     pub(crate) fn folder(&self) -> Option<PathBuf> {
-        if let Some(dir) = &self.dir {
-            return Some(PathBuf::from(dir));
-        }
         let named = |name| std::env::var_os(name).filter(|value| !value.is_empty());
-        let caches = named("XDG_CACHE_HOME")
-            .map(PathBuf::from)
-            .or_else(|| named("HOME").map(|home| PathBuf::from(home).join(".cache")));
-        caches.map(|folder| folder.join("kinegrad"))
+        let named = |name| named(name).map(PathBuf::from);
+        let caches = || named("XDG_CACHE_HOME").or_else(|| Some(named("HOME")?.join(".cache")));
+        let dir = self.dir.as_ref().map(PathBuf::from);
+        dir.or_else(|| Some(caches()?.join("kinegrad")))
     }
 }
 

@@ -29,26 +29,20 @@ impl Files {
         config: &DataConfig,
         warnings: &mut Vec<String>,
     ) -> Result<Self, Error> {
-        let disk = match (store.is_remote(), config.cache.disk_mib << 20) {
-            (false, _) | (_, 0) => None,
-            (true, limit) => {
-                let opened = config
-                    .cache
-                    .folder()
-                    .map(|folder| DiskCache::open(folder, limit));
-                match opened.transpose() {
-                    Ok(disk) => disk,
-                    Err(error) if config.cache.dir.is_some() => return Err(error),
-                    Err(error) => {
-                        warnings.push(format!("no file is cached: {error}"));
-                        None
-                    }
-                }
+        let is_remote = store.is_remote();
+        let limit = config.cache.disk_mib << 20;
+        let folder = config.cache.folder().filter(|_| is_remote && limit > 0);
+        let disk = match folder.map(|folder| DiskCache::open(folder, limit)) {
+            Some(Err(error)) if config.cache.dir.is_none() => {
+                warnings.push(format!("no file is cached: {error}"));
+                None
             }
+            opened => opened.transpose()?,
         };
-        let concurrency = match store.is_remote() {
-            true => config.store.concurrency,
-            false => 0,
+        let concurrency = if is_remote {
+            config.store.concurrency
+        } else {
+            0
         };
         Ok(Self {
             store,
@@ -73,18 +67,15 @@ impl Files {
         limit: u64,
         recorded: &'static str,
     ) -> Result<(Vec<u8>, Digest), StoreError> {
-        let key = match expected {
-            Expected::Version(version) if !version.is_empty() => {
-                let uri = self.store.address();
-                let parts = [uri.as_bytes(), path.as_bytes(), version.as_bytes()];
-                Some(Digest::of_parts(parts))
-            }
-            _ => None,
+        let key = |version: &str| {
+            let uri = self.store.address();
+            Digest::of_parts([uri.as_bytes(), path.as_bytes(), version.as_bytes()])
         };
         if let Some(disk) = &self.disk {
             let known = match expected {
                 Expected::Checksum(digest) => Some(*digest),
-                Expected::Version(_) => key.and_then(|key| disk.name(&key)),
+                Expected::Version(version) if version.is_empty() => None,
+                Expected::Version(version) => disk.name(&key(version)),
             };
             let cached = known.and_then(|digest| Some((disk.get(&digest)?, digest)));
             if let Some(found) = cached {
@@ -115,9 +106,9 @@ impl Files {
         if let Some(disk) = &self.disk {
             disk.put(&digest, &bytes);
             // An object that changed since it was listed has another version.
-            let as_listed = matches!(expected, Expected::Version(listed) if *listed == version);
-            if let Some(key) = key.filter(|_| as_listed) {
-                disk.put_name(&key, &digest);
+            if matches!(expected, Expected::Version(listed) if *listed == version && !listed.is_empty())
+            {
+                disk.put_name(&key(&version), &digest);
             }
         }
         Ok((bytes, digest))

@@ -122,16 +122,13 @@ impl Loader {
         assert!(config.batch_size > 0, "a batch holds at least one sample");
         let counters = items.counters().clone();
         let mut maker = Maker::new(samples, config, seed);
+        let make = move |done| maker.make(share.number(done));
         let prefetch = match config.num_workers {
             0 => None,
-            workers => {
-                let mut maker = maker.clone();
-                let make = move |done| maker.make(share.number(done));
-                Prefetch::start(workers, share.done, make)
-            }
+            workers => Prefetch::start(workers, share.done, make.clone()),
         };
         Self {
-            make: Box::new(move |done| maker.make(share.number(done))),
+            make: Box::new(make),
             share,
             prefetch,
             counters,
@@ -185,6 +182,12 @@ impl Loader {
     }
 }
 
+/// Threads that wait for a network, which may exceed the number of cores; `None` for 0.
+pub(crate) fn pool(threads: usize) -> Option<ThreadPool> {
+    let pool = ThreadPoolBuilder::new().num_threads(threads);
+    (threads > 0).then(|| pool.build().ok()).flatten()
+}
+
 /// Makes any batch from its number.
 #[derive(Clone)]
 struct Maker<S> {
@@ -200,12 +203,8 @@ struct Maker<S> {
 impl<S: Samples> Maker<S> {
     fn new(samples: S, config: &DataConfig, seed: u64) -> Self {
         let concurrency = samples.items().concurrency();
-        let readers = ThreadPoolBuilder::new().num_threads(concurrency);
         Self {
-            readers: match concurrency {
-                0 => None,
-                _ => readers.build().ok().map(Arc::new),
-            },
+            readers: pool(concurrency).map(Arc::new),
             order: Order::new(samples.items().len(), seed),
             batch_size: config.batch_size,
             all_cores: config.num_workers == 0,
@@ -230,9 +229,9 @@ impl<S: Samples> Maker<S> {
                 .map(|&(_, position)| samples.read(position));
             items.collect()
         };
-        let at_once = self.all_cores || self.readers.is_some();
         let ahead: Vec<Result<S::Read, Error>> = match &self.readers {
-            _ if !at_once || numbers.iter().all(is_cached) => Vec::new(),
+            None if !self.all_cores => Vec::new(),
+            _ if numbers.iter().all(is_cached) => Vec::new(),
             Some(readers) => readers.install(read),
             None => read(),
         };

@@ -13,6 +13,7 @@ use crate::item::Item;
 use crate::item_set::ItemSet;
 use crate::item_store::{Entry, ItemSource, ItemStore, index_item};
 use crate::listing::Listed;
+use crate::loader::pool;
 use crate::progress::{OpenProgress, report};
 use crate::split::{Side, Split};
 use crate::{DataConfig, Digest, Error, FileError, OnBadPhrase, StoreError};
@@ -108,9 +109,7 @@ impl<T: Item> Scan<T> {
         let some = |numbers: &[usize]| -> Result<Vec<Result<Outcome, FileError>>, Error> {
             numbers.par_iter().map(|&number| read_one(number)).collect()
         };
-        // Threads that wait for a network may exceed the number of cores.
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(concurrency);
-        let pool = (concurrency > 0).then(|| pool.build().ok()).flatten();
+        let pool = pool(concurrency);
         let mut outcomes = Vec::with_capacity(total);
         // The first bad item of this rank.
         let mut bad = None;

@@ -186,12 +186,9 @@ impl Key {
         let threshold = (prob * 2f64.powi(32)) as u64;
         let scale = (1.0 / (1.0 - prob)) as f32;
         (0..n)
-            .map(|_| {
-                if u64::from(rng.next_u32()) < threshold {
-                    0.0
-                } else {
-                    scale
-                }
+            .map(|_| match u64::from(rng.next_u32()) < threshold {
+                true => 0.0,
+                false => scale,
             })
             .collect()
     }
