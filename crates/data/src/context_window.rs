@@ -144,9 +144,6 @@ impl ContextWindows {
     }
 
     /// Reads context `position`.
-    ///
-    /// # Errors
-    /// As [`PhraseSet::get`].
     pub fn get(&self, position: usize) -> Result<ContextWindow, Error> {
         let recording = &self.recordings[position];
         if recording.len() == 1 {

@@ -21,9 +21,6 @@ pub(crate) struct Files {
 impl Files {
     /// `store` with the disk cache of a valid `config`. A cache that cannot be opened is a warning,
     /// unless the config names its folder.
-    ///
-    /// # Errors
-    /// [`Error::Io`].
     pub fn open(
         store: Store,
         config: &DataConfig,

@@ -197,9 +197,6 @@ impl<T: Item> ItemSet<T> {
 
 /// Measures `total` items on all cores, each by the rank of its `owner`, and passes the results to
 /// `take` in order. Collective.
-///
-/// # Errors
-/// Those of `measure`; [`Error::Interrupted`]; [`Error::OtherReader`].
 pub(crate) fn measure_among<M: Send + Serialize + DeserializeOwned>(
     total: usize,
     owner: impl Fn(usize) -> usize,

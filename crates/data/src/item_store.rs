@@ -58,9 +58,6 @@ pub(crate) struct ReadRequest<'a> {
 /// A source of items.
 pub(crate) trait ItemSource<T>: Debug + Send + Sync {
     /// Reads the requested item.
-    ///
-    /// # Errors
-    /// [`FileError`].
     fn read(&self, request: ReadRequest<'_>) -> Result<ReadItem<T>, FileError>;
 
     /// The files that items are read from, if any.
@@ -108,9 +105,6 @@ impl<T> ReadItem<T> {
 }
 
 /// Reads listed item `number` of `source` for the first time.
-///
-/// # Errors
-/// [`FileError`].
 pub(crate) fn index_item<T: Item>(
     source: &dyn ItemSource<T>,
     listed: &Listed,
@@ -180,9 +174,6 @@ impl<T: Item> ItemStore<T> {
     }
 
     /// The item of entry `index`.
-    ///
-    /// # Errors
-    /// [`Error::BadItem`] if its files are gone, changed or unreadable.
     pub fn get(&self, index: usize) -> Result<Arc<T>, Error> {
         let entry = &self.entries[index];
         if let Some(item) = self.memory.get(entry.number) {

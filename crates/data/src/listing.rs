@@ -63,9 +63,6 @@ pub(crate) struct Listing {
 
 impl Listing {
     /// Reads the manifest, or lists the folders where there is none.
-    ///
-    /// # Errors
-    /// [`Error::Manifest`], [`Error::Store`], [`Error::MissingFolder`].
     pub fn read(store: &Store) -> Result<Self, Error> {
         let object = || store.name_of(MANIFEST);
         match manifest::read(store) {

@@ -213,9 +213,6 @@ impl<S: Samples> Maker<S> {
     }
 
     /// Batch `number`; reads its items in parallel if that helps.
-    ///
-    /// # Errors
-    /// As [`Samples::read`].
     fn make(&mut self, number: u64) -> Result<Batch, Error> {
         let Self { samples, .. } = self;
         let mut batch = Batch::with_capacity(self.batch_size, &samples.shape());

@@ -27,10 +27,6 @@ impl PhraseItem {
     /// Parses a phrase with audio features of `layout`, from the bytes and names of its files, and
     /// cuts both to their common length (CC-MotionGen, section 6.1). Also returns a note if they
     /// differ by more than a frame.
-    ///
-    /// # Errors
-    /// [`FileError`] for an unusable file, or a value that is not finite or exceeds
-    /// [`LARGEST`](crate::LARGEST).
     pub(crate) fn parse(
         id: &str,
         (motion, name): (&[u8], &str),

@@ -69,9 +69,6 @@ impl<T: Send + 'static> Prefetch<T> {
     }
 
     /// The next value; `None` if `stop` becomes true while it waits.
-    ///
-    /// # Panics
-    /// Resumes the panic of the worker that made it.
     pub fn next_unless(&mut self, stop: &dyn Fn() -> bool) -> Option<T> {
         let mut wait = Duration::ZERO;
         let made = loop {

@@ -52,9 +52,6 @@ enum Rule {
 
 impl Split {
     /// The rule of `config`.
-    ///
-    /// # Errors
-    /// [`Error::Io`] if `ids_file` cannot be read.
     pub fn new(config: &ValidationSplit) -> Result<Self, Error> {
         let mut patterns = config.patterns.clone();
         let listed = !patterns.is_empty() || config.ids_file.is_some();

@@ -28,9 +28,6 @@ pub(crate) struct DiskCache {
 
 impl DiskCache {
     /// The cache in `folder`, created if missing.
-    ///
-    /// # Errors
-    /// [`Error::Io`].
     pub fn open(folder: PathBuf, limit: u64) -> Result<Self, Error> {
         for part in ["objects", "names"] {
             let part = folder.join(part);

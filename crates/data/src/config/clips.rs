@@ -6,9 +6,6 @@ use super::{DataConfig, DataKind, MIN_FRAMES, StatisticsOf};
 use crate::humanml::SkeletonName;
 
 /// Validates the table `humanml3d` and the other keys of `data` for clips.
-///
-/// # Errors
-/// Names the first invalid key.
 pub(super) fn validate(data: &DataConfig) -> Result<(), InvalidSetting> {
     let clips = &data.humanml3d;
     let (unit, least) = (clips.unit_frames, clips.unit_frames.max(MIN_FRAMES));

@@ -39,9 +39,6 @@ pub(super) fn most_unpacked(length: usize) -> usize {
 
 /// The file with a footer of the `wanted` columns, or all; nested ones, dates and times are
 /// dropped.
-///
-/// # Errors
-/// A problem of the footer or a page.
 pub(super) fn rewritten(mut file: Vec<u8>, wanted: Option<&[&str]>) -> Result<Vec<u8>, String> {
     let [.., a, b, c, d, b'P', b'A', b'R', b'1'] = *file.as_slice() else {
         return Err("it does not end with PAR1".to_owned());

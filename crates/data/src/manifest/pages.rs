@@ -17,9 +17,6 @@ const ENCODINGS: [Encoding; 5] = [
 
 /// The bytes that the pages of a flat column in one row group unpack to, if they contain exactly
 /// `values` values and at most `limit` bytes.
-///
-/// # Errors
-/// A problem of the pages.
 pub(super) fn unpacked_bytes(
     mut pages: &[u8],
     values: usize,

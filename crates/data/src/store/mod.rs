@@ -200,9 +200,6 @@ impl Store {
 
     /// The version of each object directly in `folder`, by path, for the cache. Empty without a
     /// cache or listing.
-    ///
-    /// # Errors
-    /// [`StoreError`].
     pub(crate) fn versions(&self, folder: &str) -> Result<HashMap<String, String>, StoreError> {
         if !self.is_remote() {
             return Ok(HashMap::new());

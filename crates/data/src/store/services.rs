@@ -12,9 +12,6 @@ use crate::StoreConfig;
 use crate::location::Service;
 
 /// The `bucket`, with credentials of the environment, or the web server at `uri`.
-///
-/// # Errors
-/// If credentials or the endpoint are unusable.
 pub(super) fn open(
     service: Service,
     uri: &str,
