@@ -5,6 +5,8 @@ use kinegrad_settings::{InvalidSetting, Refused, require};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::features::{BEATS, FEATURES};
+
 /// Audio features of a frame without beat features.
 pub const AUDIO_CHANNELS: usize = 163;
 
@@ -46,6 +48,11 @@ impl AudioLayout {
             false => vec![AudioGroup::Ccmotion],
             true => vec![AudioGroup::Ccmotion, AudioGroup::Beats],
         }
+    }
+
+    /// Names and rows of the stored arrays, in order.
+    pub(crate) fn arrays(self) -> impl Iterator<Item = (&'static str, usize)> {
+        FEATURES.into_iter().chain(self.beats.then_some(BEATS))
     }
 
     /// Features of a frame: 163 or 170.

@@ -60,6 +60,17 @@ pub struct ConditionRows<'a> {
     pub range: Range<usize>,
 }
 
+impl<'a> ConditionRows<'a> {
+    /// All `frames` of `values`, `[channels, frames]`.
+    pub fn all(values: &'a [f32], frames: usize) -> Self {
+        Self {
+            values,
+            frames,
+            range: 0..frames,
+        }
+    }
+}
+
 /// The shape of a batch's samples.
 #[derive(Clone, Debug)]
 pub struct SampleShape {
@@ -74,25 +85,21 @@ pub struct SampleShape {
 impl Batch {
     /// An empty batch that takes `batch_size` samples of this `shape`.
     pub fn with_capacity(batch_size: usize, shape: &SampleShape) -> Self {
-        let SampleShape {
-            channels,
-            frames,
-            conditions,
-        } = shape;
+        let values = |channels, frames| Vec::with_capacity(batch_size * channels * frames);
         let condition = |&(name, channels, frames): &(&'static str, usize, usize)| Condition {
             name,
-            values: Vec::with_capacity(batch_size * channels * frames),
+            values: values(channels, frames),
             channels,
             frames,
         };
         Self {
-            x_start: Vec::with_capacity(batch_size * channels * frames),
-            conditions: conditions.iter().map(condition).collect(),
-            mask: Vec::with_capacity(batch_size * frames),
+            x_start: values(shape.channels, shape.frames),
+            conditions: shape.conditions.iter().map(condition).collect(),
+            mask: values(1, shape.frames),
             ids: Vec::with_capacity(batch_size),
             batch_size: 0,
-            channels: *channels,
-            frames: *frames,
+            channels: shape.channels,
+            frames: shape.frames,
         }
     }
 
@@ -158,11 +165,7 @@ mod tests {
                 frames: 5,
                 range: 1..1 + frames as usize,
             };
-            let text = ConditionRows {
-                values: &[7.0, 8.0, 9.0],
-                frames: 1,
-                range: 0..1,
-            };
+            let text = ConditionRows::all(&[7.0, 8.0, 9.0], 1);
             batch.push(id, &rows, &statistics, &[audio, text]);
         }
         assert_eq!((batch.batch_size, batch.frames), (2, 4));

@@ -8,11 +8,11 @@ use serde::Serialize;
 /// Counters shared by a dataset's store, caches and loader.
 #[derive(Debug, Default)]
 pub struct Counters {
-    memory_hits: AtomicU64,
-    disk_hits: AtomicU64,
+    pub(crate) memory_hits: AtomicU64,
+    pub(crate) disk_hits: AtomicU64,
     reads: AtomicU64,
     bytes_read: AtomicU64,
-    retries: AtomicU64,
+    pub(crate) retries: AtomicU64,
     samples: AtomicU64,
     wait_nanoseconds: AtomicU64,
 }
@@ -37,21 +37,13 @@ pub struct LoaderReport {
 }
 
 impl Counters {
-    pub(crate) fn memory_hit(&self) {
-        self.memory_hits.fetch_add(1, Ordering::Relaxed);
-    }
-
-    pub(crate) fn disk_hit(&self) {
-        self.disk_hits.fetch_add(1, Ordering::Relaxed);
+    pub(crate) fn increment(counter: &AtomicU64) {
+        counter.fetch_add(1, Ordering::Relaxed);
     }
 
     pub(crate) fn read(&self, bytes: usize) {
         self.reads.fetch_add(1, Ordering::Relaxed);
         self.bytes_read.fetch_add(bytes as u64, Ordering::Relaxed);
-    }
-
-    pub(crate) fn retry(&self) {
-        self.retries.fetch_add(1, Ordering::Relaxed);
     }
 
     pub(crate) fn batch(&self, samples: usize, waited: Duration) {

@@ -120,6 +120,16 @@ impl AudioFeatures {
         &self.values
     }
 
+    /// Name, rows and values of each stored array.
+    pub(crate) fn arrays(&self) -> impl Iterator<Item = (&'static str, usize, &[f32])> {
+        let mut rest = self.as_slice();
+        self.layout.arrays().map(move |(name, rows)| {
+            let (values, after) = rest.split_at(rows * self.frames);
+            rest = after;
+            (name, rows, values)
+        })
+    }
+
     /// One channel over time, `[frames]`.
     pub fn channel(&self, channel: usize) -> &[f32] {
         &self.values[channel * self.frames..][..self.frames]

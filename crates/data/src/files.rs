@@ -4,7 +4,7 @@ use crate::cache::DiskCache;
 use crate::digest::Digest;
 use crate::listing::Expected;
 use crate::store::Store;
-use crate::{DataConfig, Error, StoreError};
+use crate::{Counters, DataConfig, Error, StoreError};
 
 /// Attempts to read a file with the expected checksum.
 const TRIES: usize = 3;
@@ -76,7 +76,7 @@ impl Files {
             };
             let cached = known.and_then(|digest| Some((disk.get(&digest)?, digest)));
             if let Some(found) = cached {
-                self.store.counters().disk_hit();
+                Counters::increment(&self.store.counters().disk_hits);
                 return Ok(found);
             }
         }
@@ -95,7 +95,7 @@ impl Files {
                             expected: digest.to_string(),
                         });
                     }
-                    self.store.counters().retry();
+                    Counters::increment(&self.store.counters().retries);
                 }
                 _ => break (bytes, found, version),
             }

@@ -72,7 +72,7 @@ impl<T: Item> ItemSet<T> {
 
     /// Index of item `position` in the dataset's listing, by which ranks divide the items.
     pub(crate) fn number(&self, position: usize) -> usize {
-        self.store.number(self.indices[position])
+        self.store.entries[self.indices[position]].number
     }
 
     /// Label of item `position`, without reading it.

@@ -40,7 +40,21 @@ pub(crate) struct Entry {
     /// Checksums of its files.
     content: Vec<Digest>,
     /// Its index in the source.
-    number: usize,
+    pub number: usize,
+}
+
+impl Entry {
+    /// An item without files.
+    fn of(item: &impl Item, number: usize) -> Self {
+        Self {
+            id: item.id().to_owned(),
+            frames: item.frames(),
+            side: None,
+            label: item.label().map(str::to_owned),
+            content: Vec::new(),
+            number,
+        }
+    }
 }
 
 /// A request to read an item.
@@ -118,11 +132,9 @@ pub(crate) fn index_item<T: Item>(
     })?;
     let entry = Entry {
         id: listed.id.clone(),
-        frames: read.item.frames(),
         side: listed.side,
-        label: read.item.label().map(str::to_owned),
         content: read.content.clone(),
-        number,
+        ..Entry::of(&*read.item, number)
     };
     Ok((entry, read))
 }
@@ -160,14 +172,7 @@ impl<T: Item> ItemStore<T> {
 
     /// A store of items in memory.
     pub fn in_memory(items: Vec<Arc<T>>) -> Self {
-        let entry = |(number, item): (usize, &Arc<T>)| Entry {
-            id: item.id().to_owned(),
-            frames: item.frames(),
-            side: None,
-            label: item.label().map(str::to_owned),
-            content: Vec::new(),
-            number,
-        };
+        let entry = |(number, item): (usize, &Arc<T>)| Entry::of(&**item, number);
         let entries = items.iter().enumerate().map(entry).collect();
         let memory = MemoryCache::new(0);
         Self::new(Box::new(InMemory(items)), entries, memory)
@@ -177,7 +182,7 @@ impl<T: Item> ItemStore<T> {
     pub fn get(&self, index: usize) -> Result<Arc<T>, Error> {
         let entry = &self.entries[index];
         if let Some(item) = self.memory.get(entry.number) {
-            self.counters.memory_hit();
+            Counters::increment(&self.counters.memory_hits);
             return Ok(item);
         }
         let expected = entry.content.iter().copied().map(Expected::Checksum);
@@ -188,16 +193,10 @@ impl<T: Item> ItemStore<T> {
             expected: &expected,
             recorded: "when the dataset was opened",
         });
-        let item = read
-            .map_err(|cause| Error::bad::<T>(&entry.id, cause))?
-            .item;
+        let read = read.map_err(|cause| Error::bad::<T>(&entry.id, cause))?;
+        let item = read.item;
         self.memory.put(entry.number, item.clone());
         Ok(item)
-    }
-
-    /// Index of the item of entry `index` in the source.
-    pub fn number(&self, index: usize) -> usize {
-        self.entries[index].number
     }
 
     /// True if the item of entry `index` is in memory.

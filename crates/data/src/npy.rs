@@ -158,17 +158,19 @@ fn column_major(mut at: usize, shape: &[usize]) -> usize {
 
 /// Appends the little-endian numbers of `data`.
 fn decode(values: &mut Vec<f32>, data: &[u8], double: bool) {
-    if double {
-        let (numbers, _) = data.as_chunks();
-        values.extend(
-            numbers
-                .iter()
-                .map(|&number| f64::from_le_bytes(number) as f32),
-        );
-    } else {
-        let (numbers, _) = data.as_chunks();
-        values.extend(numbers.iter().map(|&number| f32::from_le_bytes(number)));
+    match double {
+        true => values.extend(numbers(data, |bytes| f64::from_le_bytes(bytes) as f32)),
+        false => values.extend(numbers(data, f32::from_le_bytes)),
     }
+}
+
+/// The numbers of `data`, each of `N` bytes.
+pub(crate) fn numbers<const N: usize>(
+    data: &[u8],
+    number: impl Fn([u8; N]) -> f32,
+) -> impl Iterator<Item = f32> {
+    let (numbers, _) = data.as_chunks();
+    numbers.iter().map(move |&bytes| number(bytes))
 }
 
 #[cfg(test)]

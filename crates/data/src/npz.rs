@@ -9,7 +9,7 @@ use libdeflater::{Crc, Decompressor};
 use zip::{CompressionMethod, DateTime, ZipArchive, ZipWriter, write::SimpleFileOptions};
 
 use crate::audio_layout::{AUDIO_CHANNELS, AudioLayout};
-use crate::features::{AudioFeatures, BEATS, FEATURES};
+use crate::features::{AudioFeatures, BEATS};
 use crate::npy::{self, Array};
 use crate::{Error, FileError, atomic};
 
@@ -37,8 +37,7 @@ pub fn parse_features(
     let mut archive = Archive::new(bytes, file)?;
     let mut frames = None;
     let mut values = Vec::new();
-    let beats = layout.beats.then_some(BEATS);
-    for (name, rows) in FEATURES.into_iter().chain(beats) {
+    for (name, rows) in layout.arrays() {
         let shape = archive.read(name, rows, &mut values)?;
         let length = check_shape(&shape, file, name, rows)?;
         let expected = *frames.get_or_insert_with(|| {
@@ -129,22 +128,15 @@ fn archive(
     let options = SimpleFileOptions::default()
         .compression_method(method)
         .last_modified_time(DateTime::default());
-    let mut rest = features.as_slice();
-    let mut members: Vec<(&str, Vec<usize>, &[f32])> = Vec::new();
-    let groups = features.layout().beats.then_some(BEATS);
-    for (name, rows) in FEATURES.into_iter().chain(groups) {
-        let (values, after) = rest.split_at(rows * frames);
-        rest = after;
-        let shape = if rows == 1 {
-            vec![frames]
-        } else {
-            vec![rows, frames]
-        };
-        members.push((name, shape, values));
-    }
-    let beside = beside.iter();
-    members.extend(beside.map(|&(name, values)| (name, vec![values.len()], values)));
-    let written = members.into_iter().try_for_each(|(name, shape, values)| {
+    let members = features.arrays().map(|(name, rows, values)| match rows {
+        1 => (name, vec![frames], values),
+        _ => (name, vec![rows, frames], values),
+    });
+    let beside = beside
+        .iter()
+        .map(|&(name, values)| (name, vec![values.len()], values));
+    let mut members = members.chain(beside);
+    let written = members.try_for_each(|(name, shape, values)| {
         archive.start_file(format!("{name}.npy"), options)?;
         archive.write_all(&npy::array_bytes(&shape, values))
     });

@@ -150,11 +150,7 @@ impl Samples for PhraseSamples {
         let rows = &motion.of.as_slice()[rows];
         let numbers = Some(mean_style(rows));
         let style = self.style.values(numbers, context.take.label.as_deref());
-        let style = style.iter().map(|values| ConditionRows {
-            values,
-            frames: 1,
-            range: 0..1,
-        });
+        let style = style.iter().map(|values| ConditionRows::all(values, 1));
         let conditions: Vec<ConditionRows<'_>> = [audio_rows].into_iter().chain(style).collect();
         let rows = self.targets.encode(rows);
         batch.push(&context.id, &rows, &self.statistics, &conditions);

@@ -7,7 +7,6 @@ use kinegrad_motion::Phrases;
 use kinegrad_settings::InvalidSetting;
 
 use crate::audio_layout::AudioLayout;
-use crate::features::{BEATS, FEATURES};
 use crate::files::Files;
 use crate::item::Item;
 use crate::item_set::ItemSet;
@@ -53,14 +52,8 @@ impl Item for PhraseItem {
     }
 
     fn conditions(&self) -> Vec<(&'static str, &[f32])> {
-        let mut rest = self.audio.as_slice();
-        let beats = self.audio.layout().beats.then_some(BEATS);
-        let arrays = FEATURES.into_iter().chain(beats).map(|(name, rows)| {
-            let (array, after) = rest.split_at(rows * self.frames());
-            rest = after;
-            (name, array)
-        });
-        arrays.collect()
+        let arrays = self.audio.arrays();
+        arrays.map(|(name, _, values)| (name, values)).collect()
     }
 }
 

@@ -72,10 +72,8 @@ impl StyleConditions {
             }
         });
         let of_label = self.labels.as_ref().map(|labels| {
-            let known = labels.iter();
-            known
-                .map(|known| f32::from(Some(known.as_str()) == label))
-                .collect()
+            let is_label = |known: &String| f32::from(Some(known.as_str()) == label);
+            labels.iter().map(is_label).collect()
         });
         of_numbers.into_iter().chain(of_label).collect()
     }

@@ -83,11 +83,8 @@ fn position(places: &[Option<f64>], moment: f64) -> Option<f64> {
         return places[0];
     }
     let from = (moment.max(0.0) as usize).min(places.len() - 2);
-    let (a, b) = (places[from], places[from + 1]);
-    match (a, b) {
-        (Some(a), Some(b)) => Some(a + (moment - from as f64) * (b - a)),
-        _ => None,
-    }
+    let (a, b) = (places[from]?, places[from + 1]?);
+    Some(a + (moment - from as f64) * (b - a))
 }
 
 #[cfg(test)]

@@ -11,7 +11,7 @@ use safetensors::{Dtype, SafeTensors};
 
 use crate::file::{MAX_TENSOR_BYTES, read_file};
 use crate::magnitude::{allowed, first_unusable};
-use crate::{Digest, Error, FileError, atomic};
+use crate::{Digest, Error, FileError, atomic, npy};
 
 const HINT: &str = "`kinegrad text embed` makes the file (docs/dataset.md); data.humanml3d.text_embeddings = \
                     \"\" does without";
@@ -141,19 +141,14 @@ fn rows(id: &str, tensor: &TensorView, file: &str) -> Result<Vec<Arc<[f32]>>, Fi
 
 /// The numbers of a tensor in single or half precision; `None` for other types.
 pub(super) fn numbers(tensor: &TensorView) -> Option<Vec<f32>> {
-    Some(match tensor.dtype() {
-        Dtype::F32 => {
-            let (numbers, _) = tensor.data().as_chunks();
-            let single = |&bytes| f32::from_le_bytes(bytes);
-            numbers.iter().map(single).collect()
-        }
+    match tensor.dtype() {
+        Dtype::F32 => Some(npy::numbers(tensor.data(), f32::from_le_bytes).collect()),
         Dtype::F16 => {
-            let (numbers, _) = tensor.data().as_chunks();
-            let half = |&bytes| f16::from_le_bytes(bytes).to_f32();
-            numbers.iter().map(half).collect()
+            let half = |bytes| f16::from_le_bytes(bytes).to_f32();
+            Some(npy::numbers(tensor.data(), half).collect())
         }
-        _ => return None,
-    })
+        _ => None,
+    }
 }
 
 /// Checksum of captions.

@@ -170,35 +170,19 @@ impl Samples for ClipSamples {
                 let tokens = caption.map(Caption::words).unwrap_or_default();
                 let sentence = vectors.sentence(&tokens);
                 values = by_channel(&sentence, vectors.width());
-                ConditionRows {
-                    values: &values,
-                    frames: sentence.len(),
-                    range: 0..sentence.len(),
-                }
+                ConditionRows::all(&values, sentence.len())
             }
             (None, Some(labels)) => {
                 let row = caption.and_then(|caption| labels.row(&caption.text));
                 values = labels.values(row);
-                ConditionRows {
-                    values: &values,
-                    frames: 1,
-                    range: 0..1,
-                }
+                ConditionRows::all(&values, 1)
             }
-            (None, None) => ConditionRows {
-                values: caption
-                    .and_then(|caption| caption.embedding.as_deref())
-                    .unwrap_or(&NO_EMBEDDING),
-                frames: 1,
-                range: 0..1,
-            },
+            (None, None) => {
+                let embedding = caption.and_then(|caption| caption.embedding.as_deref());
+                ConditionRows::all(embedding.unwrap_or(&NO_EMBEDDING), 1)
+            }
         };
-        let captions = ConditionRows {
-            values: &same,
-            frames: 1,
-            range: 0..1,
-        };
-        let conditions = [text, captions];
+        let conditions = [text, ConditionRows::all(&same, 1)];
         let conditions = match self.words {
             Some(_) => &conditions[..],
             None => &conditions[..1],

@@ -14,10 +14,7 @@ use rayon::prelude::*;
 use crate::item_store::{ItemSource, ReadItem, ReadRequest};
 use crate::split::Split;
 use crate::synthetic::write_whole;
-use crate::{
-    DataConfig, DataKind, Error, FileError, Humanml3dConfig, SyntheticConfig, ValidationSplit,
-    atomic,
-};
+use crate::{DataConfig, DataKind, Error, FileError, SyntheticConfig, ValidationSplit, atomic};
 
 use super::clip::{self, features_path, write_features};
 use super::texts::{self, texts_path};
@@ -80,6 +77,8 @@ enum Shape {
     Winding,
 }
 
+const SHAPES: [Shape; 4] = [Shape::Straight, Shape::Circle, Shape::Turn, Shape::Winding];
+
 /// Slowest speed of each pace in metres per second, and its words in captions.
 const PACES: [(f64, &str, &str); 3] = [
     (0.6, "walks slowly", "walking slowly"),
@@ -95,12 +94,7 @@ impl Plan {
         let uniform = |place: u64| key.at(place).uniform();
         let pace = key.at(0).integers(1, PACES.len())[0];
         Self {
-            shape: match key.at(1).integers(1, 4)[0] {
-                0 => Shape::Straight,
-                1 => Shape::Circle,
-                2 => Shape::Turn,
-                _ => Shape::Winding,
-            },
+            shape: SHAPES[key.at(1).integers(1, SHAPES.len())[0]],
             side: if uniform(2) < 0.5 { 1.0 } else { -1.0 },
             pace,
             speed: PACES[pace].0 + 0.25 * uniform(3),
@@ -242,18 +236,13 @@ pub fn write_walks(folder: &Path, clips: usize, frames: usize, seed: u64) -> Res
         ..DataConfig::default()
     };
     config.validate()?;
-    let Humanml3dConfig {
-        train_list,
-        validation_list,
-        text_embeddings,
-        ..
-    } = config.humanml3d;
+    let names = config.humanml3d;
     let parts = [
         clip::FEATURES,
         texts::TEXTS,
-        train_list.as_str(),
-        &validation_list,
-        &text_embeddings,
+        &names.train_list,
+        &names.validation_list,
+        &names.text_embeddings,
     ];
     write_whole(folder, &parts, |staging| {
         let captions: Vec<(String, Vec<Caption>)> = (0..clips)
@@ -270,7 +259,7 @@ pub fn write_walks(folder: &Path, clips: usize, frames: usize, seed: u64) -> Res
         let ids = captions.iter().map(|(id, _)| (id.as_str(), None));
         let ids: Vec<_> = ids.collect();
         let held_out = split.holds_out(&ids);
-        for (list, side) in [(&train_list, false), (&validation_list, true)] {
+        for (list, side) in [(&names.train_list, false), (&names.validation_list, true)] {
             let of_side = ids
                 .iter()
                 .zip(&held_out)
@@ -284,7 +273,7 @@ pub fn write_walks(folder: &Path, clips: usize, frames: usize, seed: u64) -> Res
             (id.as_str(), rows.collect())
         });
         let bytes = embeddings::serialize(rows, HashMap::new());
-        atomic::write(&staging.join(&text_embeddings), &bytes)
+        atomic::write(&staging.join(&names.text_embeddings), &bytes)
     })
 }
 

@@ -1,4 +1,5 @@
 use super::*;
+use crate::features::FEATURES;
 use crate::npy::tests::raw;
 use proptest::prelude::*;
 

@@ -132,7 +132,7 @@ impl Remote {
                 if attempts > self.max_retries {
                     return Err(failed(object, action, attempts, reason));
                 }
-                self.counters.retry();
+                Counters::increment(&self.counters.retries);
                 tokio::time::sleep(pause.mul_f64(jitter())).await;
                 pause = (2 * pause).min(LONGEST_PAUSE);
             }

@@ -227,21 +227,14 @@ impl Samples for PoseWindows {
         let by_channel: Vec<f32> = by_channel.copied().collect();
         let place = place(pose, poses, self.space.longest);
         let text = self.text_of(caption);
-        fn all_frames(values: &[f32], frames: usize) -> ConditionRows<'_> {
-            ConditionRows {
-                values,
-                frames,
-                range: 0..frames,
-            }
-        }
         batch.push(
             &clip.id,
             &self.space.target_of(&last),
             &self.target,
             &[
-                all_frames(&by_channel, history),
-                all_frames(&place, 1),
-                all_frames(&text, 1),
+                ConditionRows::all(&by_channel, history),
+                ConditionRows::all(&place, 1),
+                ConditionRows::all(&text, 1),
             ],
         );
     }
