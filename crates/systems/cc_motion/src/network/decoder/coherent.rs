@@ -1,4 +1,4 @@
-//! The projection of decoded motion onto coherent trajectories, as an operation of a network.
+//! The projection of decoded motion onto coherent trajectories, with gradients.
 
 use std::ops::Range;
 
@@ -83,10 +83,10 @@ impl LinearMap for Fits {
             .reshape([batch, 3, AXES, time])
             .permute([2, 1, 3, 0])
             .reshape([AXES, 3 * time, batch]);
-        let matrices = self.scales.iter();
-        let matrices: Vec<f32> = matrices
-            .flat_map(|scales| coherent_matrix(time, *scales))
-            .collect();
+        let matrices = self
+            .scales
+            .map(|scales| coherent_matrix(time, scales))
+            .concat();
         let matrices = TensorData::new(matrices, [AXES, time + EXTRA_FRAMES, 3 * time]);
         let positions = Tensor::<3>::from_data(matrices, &device).matmul(estimates);
         positions.permute([2, 0, 1])

@@ -127,7 +127,7 @@ pub enum DecoderInit {
     Random,
 }
 
-/// Which decoder to build.
+/// The table `decoder`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct DecoderConfig {
@@ -196,14 +196,15 @@ impl DecoderConfig {
         frames as u64 * (a_frame + 8 * CHANNELS as u64)
     }
 
-    /// Numbers that are computed once for motion of `frames` frames, however many items there are:
-    /// the banded systems of the coherent fit of three axes, and their solutions.
+    /// Numbers computed once for motion of `frames` frames, for any number of items: the banded
+    /// systems of the coherent fits, and their solutions.
     pub fn shared(&self, frames: usize) -> u64 {
-        match self.coherence {
+        let axes = match self.coherence {
             Coherence::None => 0,
-            // In double precision.
-            Coherence::Projection => 3 * 2 * 16 * frames as u64,
-            Coherence::Full => 4 * 2 * 16 * frames as u64,
-        }
+            Coherence::Projection => 3,
+            Coherence::Full => 4,
+        };
+        // In double precision.
+        axes * 2 * 16 * frames as u64
     }
 }

@@ -141,7 +141,7 @@ mod tests {
     use kinegrad_motion::{Phrase, Quaternion};
     use kinegrad_random::{Key, Purpose};
 
-    use super::super::orientation::tests::{assert_gradients, shaken, tensors};
+    use super::super::tests::{assert_gradients, shaken, tensors};
     use super::*;
 
     /// A dancer who leans, and whose heading jumps in every seventh frame.

@@ -30,8 +30,8 @@ pub use config::{
 /// A quaternion of a smaller norm is not divided by it.
 const LEAST_NORM: f64 = 1e-12;
 
-/// Mean and deviation of each channel, by which the latent is normalised: `[channels]` each, of the
-/// denoiser's [`ChannelEncoding`].
+/// Mean and deviation of each channel of the latent: `[channels]` each, in the denoiser's
+/// [`ChannelEncoding`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct Normalization {
     /// Subtracted mean.
@@ -61,9 +61,9 @@ impl DecoderBlock {
     }
 }
 
-/// Decodes each frame by itself: an input projection, residual blocks, one linear head a
-/// component, the component's activation; then, if configured, the projection onto coherent
-/// motion, which couples the frames. Should be created with [`DecoderConfig::init`].
+/// Decodes each frame by itself: an input projection, residual blocks, a linear head and an
+/// activation for each component; then, if configured, the projection onto coherent motion, which
+/// couples the frames. Should be created with [`DecoderConfig::init`].
 ///
 /// The latent is the normalised motion that a sampler generates; the output is in metres, seconds
 /// and radians. The heads predict the [`ChannelEncoding`] of the denoiser; phase and orientation are
@@ -107,8 +107,8 @@ impl DecoderConfig {
         self.init_for(ChannelEncoding::default(), normalization, init)
     }
 
-    /// [`init`](Self::init) for latents of these `targets`. Where they are not the stored ones, the
-    /// activations of phase and quaternion do not apply: the conversion bounds both.
+    /// [`init`](Self::init) for latents of these `targets`. The activations of phase and quaternion
+    /// apply to the stored ones alone: the conversion bounds both.
     ///
     /// # Errors
     /// As [`validate`](Self::validate), and if the identity does not fit into `hidden_dim`.
@@ -192,27 +192,20 @@ impl MotionDecoder {
         for block in &self.blocks {
             h = block.forward(h, dropout);
         }
-        let (bounds, ranges) = (&self.activations, &self.ranges);
         let heads = [
-            (&self.position_head, bounds.position, ranges.position),
-            (&self.velocity_head, bounds.velocity, ranges.velocity),
-            (
-                &self.acceleration_head,
-                bounds.acceleration,
-                ranges.acceleration,
-            ),
-            (&self.quaternion_head, bounds.quaternion, 1.0),
-            (
-                &self.angular_velocity_head,
-                bounds.angular_velocity,
-                ranges.angular_velocity,
-            ),
-            (&self.phase_head, bounds.phase, 1.0),
-            (&self.style_head, bounds.style, ranges.style),
+            &self.position_head,
+            &self.velocity_head,
+            &self.acceleration_head,
+            &self.quaternion_head,
+            &self.angular_velocity_head,
+            &self.phase_head,
+            &self.style_head,
         ];
+        let bounds = self.bounds().into_iter();
         let components = heads
             .into_iter()
-            .map(|(head, activation, range)| bounded(head.forward(h.clone()), activation, range))
+            .zip(bounds)
+            .map(|(head, (activation, range))| bounded(head.forward(h.clone()), activation, range))
             .collect();
         let motion = Tensor::cat(components, 1)
             .reshape([batch, time, channels])
@@ -220,9 +213,23 @@ impl MotionDecoder {
         decode(self.targets, motion)
     }
 
-    /// Replaces position, velocity and acceleration by the nearest coherent ones, under
-    /// [`Coherence::Full`] the headings and then the quaternions by those nearest to them and the
-    /// angular velocities, makes their sign continuous, and derives the angular velocities from them.
+    /// Activation and range of each component, in the order of the channels.
+    fn bounds(&self) -> [(OutputActivation, f64); 7] {
+        let (bounds, ranges) = (&self.activations, &self.ranges);
+        [
+            (bounds.position, ranges.position),
+            (bounds.velocity, ranges.velocity),
+            (bounds.acceleration, ranges.acceleration),
+            (bounds.quaternion, 1.0),
+            (bounds.angular_velocity, ranges.angular_velocity),
+            (bounds.phase, 1.0),
+            (bounds.style, ranges.style),
+        ]
+    }
+
+    /// Replaces position, velocity and acceleration by the nearest coherent ones, and under
+    /// [`Coherence::Full`] headings and quaternions by those nearest to them and the angular
+    /// velocities. Signs become continuous, angular velocities the derivatives of the quaternions.
     fn project(&self, motion: Tensor<3>) -> Tensor<3> {
         let [batch, _, time] = motion.dims();
         let fits = Fits::new(time, &self.normalization.std);

@@ -1,7 +1,7 @@
 use burn::tensor::{Device, TensorData};
 use kinegrad_kernels::{Mode, host_values};
 use kinegrad_motion::phrase::{ACCELERATION, PHASE, POSITION, VELOCITY};
-use kinegrad_motion::{OrientationEncoding, PhaseEncoding, Phrase, derivatives};
+use kinegrad_motion::{OrientationEncoding, PhaseEncoding, Phrase, Quaternion, derivatives};
 use kinegrad_random::{Key, Purpose};
 
 use super::*;
@@ -248,5 +248,74 @@ fn the_banded_projection_is_the_dense_one_with_its_gradient() {
         for (a, b) in banded.1.iter().zip(&dense.1) {
             assert!((a - b).abs() < 1e-4 * largest, "{time} frames: {a} {b}");
         }
+    }
+}
+
+/// A dancer who turns, with noise in orientations and angular velocities.
+pub(super) fn shaken(seed: u64, frames: usize) -> Phrase {
+    let noise = Key::new(seed, Purpose::Noise).normals(6 * frames);
+    let mut motion = Phrase::new(vec![0.0; CHANNELS * frames]).unwrap();
+    for (t, noise) in noise.chunks(6).enumerate() {
+        let noise: Vec<f64> = noise.iter().map(|&value| f64::from(value)).collect();
+        let turn = [0.1 * noise[0], 0.1 * noise[1], 0.1 * noise[2]];
+        let at = Quaternion::from_yaw(2.0 * t as f64 / 30.0);
+        let sign = if t % 7 == 3 { -1.0 } else { 1.0 };
+        motion.set_quaternion(t, (Quaternion::from_rotation_vector(turn) * at).scale(sign));
+        motion.set_vector(
+            t,
+            ANGULAR_VELOCITY,
+            [0.1 * noise[3], 2.0 + 0.1 * noise[4], 0.1 * noise[5]],
+        );
+    }
+    motion
+}
+
+pub(super) fn tensors(motions: &[Phrase], device: &Device) -> [Tensor<3>; 2] {
+    let frames = motions[0].frames();
+    let rows: Vec<f32> = motions.iter().flat_map(|m| m.as_slice().to_vec()).collect();
+    let rows = TensorData::new(rows, [motions.len(), frames, CHANNELS]);
+    let all = Tensor::<3>::from_data(rows, device).swap_dims(1, 2);
+    [QUATERNION, ANGULAR_VELOCITY].map(|channels| all.clone().slice([0..motions.len(), channels]))
+}
+
+/// Asserts that the gradients of a loss of quaternions and angular velocities are its central
+/// differences over `step`, up to what is `allowed`.
+pub(super) fn assert_gradients(
+    motions: &[Phrase],
+    loss: impl Fn(Tensor<3>, Tensor<3>) -> Tensor<1>,
+    step: f32,
+    allowed: fn(f64) -> f64,
+) {
+    let device = Device::flex().autodiff();
+    for mode in [Mode::Fused, Mode::Composed] {
+        mode.scope(|| {
+            let [quaternion, rates] = tensors(motions, &device).map(Tensor::require_grad);
+            let gradients = loss(quaternion.clone(), rates.clone()).backward();
+            for (which, of) in [&quaternion, &rates].into_iter().enumerate() {
+                let gradient = of.grad(&gradients).expect("a gradient");
+                let gradient: Vec<f32> = gradient.into_data().try_into_vec::<f32>().unwrap();
+                let values: Vec<f32> = of.to_data().try_into_vec::<f32>().unwrap();
+                for index in (0..values.len()).step_by(5) {
+                    let at = |step: f32| -> f64 {
+                        let mut values = values.clone();
+                        values[index] += step;
+                        let data = TensorData::new(values, of.dims());
+                        let changed = Tensor::<3>::from_data(data, &device);
+                        let both = match which {
+                            0 => (changed, rates.clone()),
+                            _ => (quaternion.clone(), changed),
+                        };
+                        f64::from(loss(both.0, both.1).into_scalar::<f32>())
+                    };
+                    let expected = (at(step) - at(-step)) / (2.0 * f64::from(step));
+                    let found = f64::from(gradient[index]);
+                    assert!(
+                        (found - expected).abs() < allowed(expected),
+                        "{which} {index}: {found} {expected}"
+                    );
+                }
+                assert!(gradient.iter().any(|value| value.abs() > 1e-3));
+            }
+        });
     }
 }

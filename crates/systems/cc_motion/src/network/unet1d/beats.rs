@@ -51,9 +51,8 @@ const BLOCKS: usize = 5;
 /// Finds the place of each frame in its beat from features of the music.
 ///
 /// Onsets mark beats, while the levels of the features identify the song, which does not
-/// generalise: so the features enter as the increase, from frame to frame, of the mean of
-/// four adjacent ones, and only those left over (loudness, brightness and onset strength) as they
-/// are.
+/// generalise. The inputs are the increases, from frame to frame, of the means of four adjacent
+/// features; the remaining ones (loudness, brightness and onset strength) are unchanged.
 ///
 /// ```text
 /// h_0 = conv5(features)     h_(i+1) = h_i + conv5 of dilation 2^i (silu(norm(h_i)))
@@ -90,10 +89,8 @@ impl BeatTracker {
         }
     }
 
-    /// Numbers that the backward pass keeps of a frame, roughly.
-    pub fn activations() -> usize {
-        (3 * BLOCKS + 2) * WIDTH
-    }
+    /// Estimated numbers that the backward pass stores of a frame.
+    pub const ACTIVATIONS: u64 = ((3 * BLOCKS + 2) * WIDTH) as u64;
 
     /// # Shapes
     /// - features: `[batch, features, time]`
@@ -115,9 +112,9 @@ impl BeatTracker {
     }
 }
 
-/// The labels of the place in the beat in features `[batch, channels, time]`, sine and cosine
-/// `[batch, 2, time]`, and a mask, 1 where they are known, `[batch, 1, time]`. They are unknown where
-/// sine and cosine are not of one angle: replaced by noise, or without beats.
+/// The labels of the place in the beat in features `[batch, channels, time]`: sine and cosine
+/// `[batch, 2, time]`, and a mask, 1 where they are of one angle, `[batch, 1, time]`. Elsewhere they
+/// are noise, or there are no beats.
 pub fn beat_labels(features: &Tensor<3>) -> (Tensor<3>, Tensor<3>) {
     let first = features.dims()[1] - BEAT_CHANNELS;
     let labels = features.clone().narrow(1, first, TRACKED);
@@ -127,7 +124,7 @@ pub fn beat_labels(features: &Tensor<3>) -> (Tensor<3>, Tensor<3>) {
     (labels, known)
 }
 
-/// The increase of the mean of each four adjacent features from frame to frame, then those left over.
+/// The increases of the means of four adjacent features from frame to frame, then the remaining ones.
 fn novelty(features: Tensor<3>) -> Tensor<3> {
     let [batch, channels, time] = features.dims();
     let bands = channels / BAND;
@@ -151,17 +148,16 @@ fn novelty(features: Tensor<3>) -> Tensor<3> {
     }
 }
 
-/// `conv` with its taps `dilation` frames apart: every `dilation`-th frame is a sequence of its own.
+/// `conv` with its taps `dilation` frames apart: every `dilation`-th frames are one sequence.
 fn dilated(conv: &Conv1d, x: Tensor<3>, dilation: usize) -> Tensor<3> {
     let [batch, channels, time] = x.dims();
     if dilation == 1 {
         return conv.forward(x);
     }
     let each = time.div_ceil(dilation);
-    let missing = each * dilation - time;
-    let x = match missing {
+    let x = match each * dilation - time {
         0 => x,
-        _ => {
+        missing => {
             let zeros = Tensor::zeros([batch, channels, missing], &x.device());
             Tensor::cat(vec![x, zeros], 2)
         }

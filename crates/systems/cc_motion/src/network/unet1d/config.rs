@@ -12,8 +12,8 @@ use super::audio::{AudioConditioning, widths};
 use super::beats::{BeatTracker, Beats};
 use super::style::StyleConditioning;
 
-/// The sizes of a [`UNet1d`](super::UNet1d). Level `i` has `model_channels * channel_mult[i]` channels and runs at
-/// the input's length divided by `2^i`, rounded up.
+/// The sizes of a [`UNet1d`](super::UNet1d). Level `i` has `model_channels * channel_mult[i]`
+/// channels and the input's length divided by `2^i`, rounded up.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct UNet1dConfig {
@@ -192,23 +192,20 @@ impl UNet1dConfig {
         let aligned = self.audio_conditioning == AudioConditioning::Aligned;
         for level in attending.into_iter().chain([coarsest]).chain(ups) {
             let width = channels[level];
-            require(
+            let heads = |fit: bool, allowed: String| {
+                require(fit, "model.num_heads", self.num_heads, allowed).hint("CC-MotionGen has 8")
+            };
+            heads(
                 self.num_heads > 0 && width.is_multiple_of(self.num_heads),
-                "model.num_heads",
-                self.num_heads,
                 format!("a divisor of level {level}'s {width} channels"),
-            )
-            .hint("CC-MotionGen has 8")?;
-            require(
+            )?;
+            heads(
                 !aligned || (width / self.num_heads).is_multiple_of(2),
-                "model.num_heads",
-                self.num_heads,
                 format!(
                     "heads of an even number of level {level}'s {width} channels, which \
                      `model.audio_conditioning = \"aligned\"` turns in pairs"
                 ),
-            )
-            .hint("CC-MotionGen has 8")?;
+            )?;
         }
         require(
             !aligned || self.context_dim.is_multiple_of(GROUPS),
@@ -239,38 +236,34 @@ impl UNet1dConfig {
 
     fn validate_style(&self) -> Result<(), InvalidSetting> {
         let labels = &self.style_labels;
-        let found = || format!("{labels:?}");
-        require(
+        let must = |fit: bool, allowed: String| {
+            require(fit, "model.style_labels", format!("{labels:?}"), allowed)
+                .hint("leave the key out: labels are those of the training phrases")
+        };
+        must(
             labels.is_empty() || self.style.has_label(),
-            "model.style_labels",
-            found(),
-            "labels where `model.style` is \"label\" or \"both\"",
-        )
-        .hint("leave the key out: labels are those of the training phrases")?;
-        let differ = labels
-            .iter()
-            .enumerate()
+            "labels where `model.style` is \"label\" or \"both\"".into(),
+        )?;
+        let mut places = labels.iter().enumerate();
+        let differ = places
             .all(|(place, label)| !label.trim().is_empty() && !labels[..place].contains(label));
-        require(
+        must(
             differ && labels.len() <= MAX_WIDTH,
-            "model.style_labels",
-            found(),
             format!("up to {MAX_WIDTH} labels that differ, none of them empty"),
         )
-        .hint("leave the key out: labels are those of the training phrases")
     }
 
-    /// Numbers that the backward pass keeps of one item of `frames` frames, roughly.
+    /// Estimated numbers that the backward pass stores of one item of `frames` frames.
     pub fn activations(&self, frames: usize) -> u64 {
         let attending = self.attention_levels();
         let of_level = |(level, width): (usize, usize)| {
             let here = frames.div_ceil(1 << level) as u64;
-            // A block keeps its input and what its convolutions and its dropout give. The decoder
-            // has two, the first of which takes the skip connection too.
+            // A block stores its input and the outputs of its convolutions and its dropout. The
+            // decoder has two blocks, the first of which takes the skip connection too.
             let blocks = 4 * self.num_res_blocks as u64 + 12;
-            let attention = if attending.contains(&level) { 2 } else { 0 };
-            // Queries, keys, values and results, and the keys and values of the whole context, or of
-            // the level's own frames and turned.
+            let attention = 2 * u64::from(attending.contains(&level));
+            // Queries, keys, values and results, and the keys and values of the context (aligned: of
+            // the level's own frames, and rotated).
             let context = match self.audio_conditioning {
                 AudioConditioning::Ccmotion => 2 * frames as u64,
                 AudioConditioning::Aligned => 8 * here,
@@ -279,23 +272,19 @@ impl UNet1dConfig {
         };
         let channels = self.channels();
         let network: u64 = channels.iter().copied().enumerate().map(of_level).sum();
-        // The audio encoder keeps what its convolutions give, and what each join adds.
+        if self.audio_conditioning == AudioConditioning::Ccmotion {
+            return network;
+        }
+        // The audio encoder stores the outputs of its convolutions and of each join.
         let encoder = |(level, width): (usize, usize)| {
             let here = frames.div_ceil(1 << level) as u64;
             (3 * width + 2 * channels[level]) as u64 * here
         };
-        network
-            + match self.audio_conditioning {
-                AudioConditioning::Ccmotion => 0,
-                AudioConditioning::Aligned => {
-                    let widths = widths(&channels, self.context_dim);
-                    let tracker = match self.beats {
-                        Beats::Given => 0,
-                        Beats::Tracked => BeatTracker::activations() * frames,
-                    };
-                    let levels: u64 = widths.into_iter().enumerate().map(encoder).sum();
-                    tracker as u64 + levels
-                }
-            }
+        let widths = widths(&channels, self.context_dim).into_iter();
+        let tracker = match self.beats {
+            Beats::Given => 0,
+            Beats::Tracked => BeatTracker::ACTIVATIONS * frames as u64,
+        };
+        network + tracker + widths.enumerate().map(encoder).sum::<u64>()
     }
 }
