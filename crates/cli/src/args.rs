@@ -18,29 +18,13 @@ mod warp;
 mod weights;
 
 use std::any::TypeId;
+use std::ffi::OsString;
 
 use clap::{ArgAction, Command as Line, CommandFactory, FromArgMatches, Parser, Subcommand};
 use kinegrad_capture::Units;
 
-pub use config::{
-    CompletionsArguments, ConfigCommand, ExplainArguments, InitArguments, ManArguments,
-    ShowArguments,
-};
-pub use data::{
-    AudioCommand, DataCommand, FeaturesArguments, InspectArguments, PrepareArguments,
-    SynthArguments,
-};
-pub use eval::{CheckArguments, EvalArguments};
-pub use matching::MatchArguments;
-pub use reading::ReadingArguments;
-pub use reports::{PlotArguments, ReportArguments, RunsArguments};
-pub use sample::{SampleArguments, SamplerArguments};
-pub use text::{EmbedArguments, TextCommand};
-pub use train::{DEFAULT_CONFIG, TrainArguments};
-pub use verbosity::VerbosityArgs;
-pub use view::ViewArguments;
-pub use warp::WarpArguments;
-pub use weights::{ImportArguments, MergeArguments};
+pub use self::{config::*, data::*, eval::*, matching::*, reading::*, reports::*, sample::*};
+pub use self::{text::*, train::*, verbosity::*, view::*, warp::*, weights::*};
 
 use values::number;
 
@@ -110,13 +94,9 @@ pub enum Command {
 
 impl Arguments {
     /// Reads a command line.
-    ///
-    /// # Errors
-    /// Those of clap.
-    pub fn read<T>(line: impl IntoIterator<Item = T>) -> Result<Self, clap::Error>
-    where
-        T: Into<std::ffi::OsString> + Clone,
-    {
+    pub fn read(
+        line: impl IntoIterator<Item = impl Into<OsString> + Clone>,
+    ) -> Result<Self, clap::Error> {
         let mut command = with_numbers(Self::command());
         let found = command.try_get_matches_from_mut(line)?;
         Self::from_arg_matches(&found).map_err(|error| error.format(&mut command))

@@ -1,41 +1,91 @@
-//! The conditions of a request, from the arguments of the command line and of Python.
+//! The conditions of a request, from the options of the command line and of Python.
 
 use std::path::PathBuf;
 
+use clap::Args;
 use kinegrad_train::Error;
 use kinegrad_train::sampling::{
     Condition, GoalCondition, KnownFramesCondition, OtherCondition, PathFile, Style,
     TrajectoryCondition,
 };
-use kinegrad_train::song::KnownBeats;
 
+use crate::args::BeatArguments;
 use crate::checkpoint;
 
-/// Arguments that name conditions. Each is documented at its flag.
-#[derive(Clone, Debug, Default)]
-#[allow(missing_docs)]
+/// Options that name conditions.
+#[derive(Clone, Debug, Default, Args)]
 pub struct ConditionArguments {
+    /// Dataset that contains the item [default: the run's dataset]
+    #[arg(long, value_name = "URI")]
     pub source: Option<String>,
+    /// Item of the dataset that gives the condition; `*` matches any text, and each match is written
+    /// to PATH-ID.npy
+    #[arg(long, value_name = "ID", conflicts_with = "audio_features")]
     pub item: Option<String>,
+    /// Audio features as the condition
+    #[arg(long, value_name = "FILE.npz", conflicts_with = "source")]
     pub audio_features: Option<PathBuf>,
+    /// Song (mp3, wav, flac, ogg) as the condition
+    #[arg(long, value_name = "SONG", conflicts_with_all = ["source", "item", "audio_features"])]
     pub audio: Option<PathBuf>,
+    /// Position in the song, in seconds, at which the motion starts
+    #[arg(long, value_name = "S", default_value_t = 0.0, requires = "audio")]
     pub start: f64,
-    pub beats: KnownBeats,
+    #[command(flatten)]
+    pub beats: BeatArguments,
+    /// Goal of the root: key frames or a trajectory, and obstacles; several goals are sampled as one
+    /// batch
+    #[arg(long, value_name = "GOAL.toml")]
     pub goal: Vec<PathBuf>,
+    /// Run of recipe `gmd_trajectory` that generates the ground path first
+    #[arg(long, value_name = "RUN")]
     pub trajectory_run: Option<PathBuf>,
+    /// Text as the condition, embedded with `--text-encoder`; for runs with
+    /// `data.humanml3d.text = "labels"`, one of the training captions
+    #[arg(long, value_name = "SENTENCE", conflicts_with = "text_embedding")]
     pub text: Option<String>,
+    /// Folder of CLIP ViT-B/32, which embeds the text
+    #[arg(long, value_name = "DIR", requires = "text")]
     pub text_encoder: Option<PathBuf>,
+    /// Text embedding as the condition: 512 values in tensor KEY of a safetensors file, or row N of
+    /// it with KEY:N
+    #[arg(long, value_name = "FILE#KEY")]
     pub text_embedding: Option<String>,
-    pub prompts: Option<PathBuf>,
+    /// Joint positions `[T, J, 3]` in metres that the motion continues, for runs of recipe `flow`
+    #[arg(long, value_name = "MOTION.npy")]
     pub history: Option<PathBuf>,
+    /// Texts one after another, each with its length, for runs of recipe `flow` or `bpe_motion`
+    #[arg(long, value_name = "FILE.toml", conflicts_with_all = ["text", "text_embedding"])]
+    pub prompts: Option<PathBuf>,
+    /// Path over the ground that the motion follows (.toml, .csv or .svg)
+    #[arg(long, value_name = "FILE")]
     pub path: Option<PathBuf>,
+    /// Method of following the path [default: from the run's config]. Recipe `bpe_motion`: `none`,
+    /// `warp`, `override`, `guidance`, `override_guidance`, `tokens`, `tokens_guidance` or
+    /// `tokens_warp`; phrases: `override` or `guidance`
+    #[arg(long, value_name = "METHOD", requires = "path")]
+    pub method: Option<String>,
+    /// Metres in a unit of a path that is a drawing
+    #[arg(long, value_name = "METRES", requires = "path")]
     pub metres_per_unit: Option<f64>,
+    /// Style, for runs with `model.style`: a label, such as `waltz`, or eight numbers separated by
+    /// commas [default: none]
+    #[arg(long, value_name = "STYLE", allow_hyphen_values = true)]
     pub style: Option<String>,
+    /// Phrase to continue: the sample begins with its last frames, a quarter of the training length
+    #[arg(long, value_name = "MOTION.npy", conflicts_with = "keep")]
     pub continue_from: Option<PathBuf>,
+    /// Frames taken unchanged from `--keep-from`, for example 0..30,90..120 (without 30 and 120)
+    #[arg(long, value_name = "FRAMES", requires = "keep_from")]
     pub keep: Option<String>,
+    /// Phrase that contains the frames of `--keep`
+    #[arg(long, value_name = "MOTION.npy", requires = "keep")]
     pub keep_from: Option<PathBuf>,
+    /// Number of held-out items as conditions, without an option.
+    #[arg(skip)]
     pub held_out: Option<usize>,
-    /// `NAME=VALUE` of a system outside of kinegrad; the value is JSON, or text.
+    /// Condition of a system outside of kinegrad; the value is JSON, or text
+    #[arg(long = "condition", value_name = "NAME=VALUE", hide = true)]
     pub other: Vec<String>,
 }
 
@@ -51,7 +101,7 @@ impl ConditionArguments {
         let source = self.source;
         conditions.extend(self.item.map(|id| Condition::Item { id, source }));
         conditions.extend(self.audio_features.map(Condition::AudioFeatures));
-        let (start, beats) = (self.start, self.beats);
+        let (start, beats) = (self.start, self.beats.known());
         conditions.extend(
             self.audio
                 .map(|file| Condition::Song { file, start, beats }),
@@ -98,38 +148,32 @@ impl ConditionArguments {
 
     /// Rejects arguments without the one that they belong to.
     fn must_belong(&self) -> Result<(), Error> {
-        let beats = self.beats.given();
+        let beats = self.beats.known().given();
         let of_beats = beats.first().copied().unwrap_or("tempo");
-        for (is_set, name, owner, has) in [
-            (self.source.is_some(), "source", "item", self.item.is_some()),
-            (self.start != 0.0, "start", "song", self.audio.is_some()),
-            (!beats.is_empty(), of_beats, "song", self.audio.is_some()),
-            (
-                self.text_encoder.is_some(),
-                "text_encoder",
-                "text",
-                self.text.is_some(),
-            ),
-            (
-                self.metres_per_unit.is_some(),
-                "metres_per_unit",
-                "path",
-                self.path.is_some(),
-            ),
-            (
-                self.keep.is_some(),
-                "keep",
-                "keep_from",
-                self.keep_from.is_some(),
-            ),
-            (
-                self.keep_from.is_some(),
-                "keep_from",
-                "keep",
-                self.keep.is_some(),
-            ),
+        let options = [
+            ("source", self.source.is_some()),
+            ("item", self.item.is_some()),
+            ("start", self.start != 0.0),
+            (of_beats, !beats.is_empty()),
+            ("song", self.audio.is_some()),
+            ("text_encoder", self.text_encoder.is_some()),
+            ("text", self.text.is_some()),
+            ("metres_per_unit", self.metres_per_unit.is_some()),
+            ("path", self.path.is_some()),
+            ("keep", self.keep.is_some()),
+            ("keep_from", self.keep_from.is_some()),
+        ];
+        let is_set = |option: &str| options.contains(&(option, true));
+        for (name, owner) in [
+            ("source", "item"),
+            ("start", "song"),
+            (of_beats, "song"),
+            ("text_encoder", "text"),
+            ("metres_per_unit", "path"),
+            ("keep", "keep_from"),
+            ("keep_from", "keep"),
         ] {
-            if is_set && !has {
+            if is_set(name) && !is_set(owner) {
                 return Err(Error::usage(
                     format!("option `{name}` without option `{owner}`"),
                     format!("pass option `{owner}` too"),

@@ -5,10 +5,7 @@ use std::path::Path;
 
 use kinegrad_train::Error;
 
-/// Creates a folder and its parents.
-///
-/// # Errors
-/// If it cannot be created.
+/// Creates a folder and its parents. Fails if it cannot be created.
 pub fn make(folder: &Path) -> Result<(), Error> {
     // The parent of a file name alone is empty.
     if folder.as_os_str().is_empty() {
@@ -23,24 +20,16 @@ pub fn make(folder: &Path) -> Result<(), Error> {
 }
 
 /// Creates the folder of a file.
-///
-/// # Errors
-/// As [`make`].
 pub fn make_for(file: &Path) -> Result<(), Error> {
     file.parent().map_or(Ok(()), make)
 }
 
 /// [`make_for`], and a test that a file can be written there.
-///
-/// # Errors
-/// As [`make`]; if `file` is a folder, or cannot be written.
 pub fn must_be_writable(file: &Path) -> Result<(), Error> {
     make_for(file)?;
     if file.is_dir() {
-        return Err(Error::usage(
-            format!("{} is a folder", file.display()),
-            "name a file",
-        ));
+        let message = format!("{} is a folder", file.display());
+        return Err(Error::usage(message, "name a file"));
     }
     let tried = file.with_added_extension(format!("{}.try.tmp", std::process::id()));
     let made = File::create(&tried).and_then(|_| fs::remove_file(&tried));

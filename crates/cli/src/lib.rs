@@ -12,9 +12,9 @@
 //! }
 //! ```
 #![recursion_limit = "256"]
-// `say!` and `tell!` stand for them, which survive a reader that has gone.
+// `say!` and `tell!` replace them: they do not panic on a closed pipe.
 #![warn(clippy::print_stdout, clippy::print_stderr)]
-// An error ends the command, and moves once: its size costs nothing.
+// An error moves once, at the end of a command, so its size does not matter.
 #![allow(clippy::result_large_err)]
 
 #[macro_use]
@@ -38,14 +38,14 @@ mod train_progress;
 pub use commands::sample::{checkpoint, while_it_is_trained};
 pub use commands::train::sample_at_end;
 pub use conditions::ConditionArguments;
-pub use io::{Existing, Files, bvh_text, must_be_finite};
+pub use io::{Files, bvh_text, must_be_finite};
 pub use options::as_arguments;
+pub use output::unusable;
 
 use std::ffi::OsString;
 use std::process::ExitCode;
 
-use kinegrad_train::Error;
-use kinegrad_train::Systems;
+use kinegrad_train::{Error, Systems};
 
 use args::{Arguments, AudioCommand, Command, ConfigCommand, DataCommand, TextCommand};
 
@@ -65,8 +65,8 @@ pub fn run(
     done.unwrap_or_else(ranks::failed)
 }
 
-/// The error of a command line that cannot be read. Of several processes one prints it; a single one
-/// ends here, as it does after `--help`.
+/// The error of an invalid command line, which one of several processes prints. A single process
+/// prints it and exits here, as after `--help`.
 fn unread(error: clap::Error) -> Error {
     if !error.use_stderr() || !ranks::are_several() {
         error.exit();

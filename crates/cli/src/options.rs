@@ -1,4 +1,4 @@
-//! Options of the command line and of Python, by the names that errors of the libraries use.
+//! Options in messages of the libraries, as flags of the command line or arguments of Python.
 
 /// Options whose flag is not their name.
 const RENAMED: [(&str, &str); 2] = [("song", "audio"), ("trajectory", "trajectory_run")];

@@ -29,9 +29,7 @@ pub fn result(text: fmt::Arguments<'_>) {
     if let Err(error) = writeln!(io::stdout(), "{text}")
         && error.kind() != ErrorKind::BrokenPipe
     {
-        remark(format_args!(
-            "error: standard output cannot be written: {error}"
-        ));
+        tell!("error: standard output cannot be written: {error}");
         std::process::exit(1);
     }
 }
@@ -58,7 +56,7 @@ pub fn is_quiet() -> bool {
     QUIET.load(Ordering::Relaxed)
 }
 
-/// See [`tell!`]. A quiet command prints warnings and errors only, known by the first word.
+/// See [`tell!`]. A quiet command prints only lines that begin with `warning:` or `error:`.
 pub fn remark(text: fmt::Arguments<'_>) {
     if is_quiet() {
         let text = text.to_string();
@@ -79,20 +77,15 @@ fn always(text: fmt::Arguments<'_>) {
 
 /// A number of parameters, with its parts if there are several.
 pub fn parameters(count: &ParameterCount) -> String {
-    let mut parts: Vec<String> = count
-        .networks
-        .iter()
-        .map(|(name, own)| format!("{name} {}", grouped(*own)))
-        .collect();
+    let parts = count.networks.iter();
+    let parts = parts.map(|(name, own)| format!("{name} {}", grouped(*own)));
+    let mut parts: Vec<String> = parts.collect();
     if count.adapters > 0 {
         parts.push(format!("adapters among them {}", grouped(count.adapters)));
     }
     if count.trained != count.all {
-        let frozen = grouped(count.all - count.trained);
-        parts.push(format!(
-            "trained {}, frozen {frozen}",
-            grouped(count.trained)
-        ));
+        let [trained, frozen] = [count.trained, count.all - count.trained].map(grouped);
+        parts.push(format!("trained {trained}, frozen {frozen}"));
     }
     match parts.is_empty() {
         true => format!("{} parameters", grouped(count.all)),

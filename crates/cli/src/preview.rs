@@ -5,11 +5,10 @@ use std::path::Path;
 use kinegrad_data::write_whole;
 use kinegrad_report::scene::{Floor, Scene};
 use kinegrad_report::{body_panels, draw_png, viewer};
-use kinegrad_train::Systems;
 use kinegrad_train::checkpoint::{SavedCheckpoint, Weights};
 use kinegrad_train::run::preview_page;
 use kinegrad_train::sampling::{Contents, Request, Sample, SampleSink};
-use kinegrad_train::{Error, Preview};
+use kinegrad_train::{Error, Preview, Systems};
 
 use crate::scene;
 
@@ -23,10 +22,8 @@ const PANEL: (u32, u32) = (420, 240);
 const CURVES: usize = 3;
 
 /// Samples a checkpoint's averaged weights for the first held-out items, writes them as a page into
-/// the run's folder, and returns a picture of each.
-///
-/// # Errors
-/// If they cannot be sampled or written; no page is left then.
+/// the run's folder, and returns a picture of each. Fails if they cannot be sampled or written; no
+/// page is left then.
 pub fn write(systems: Systems<'_>, checkpoint: &Path, step: u64) -> Result<Vec<Preview>, Error> {
     let saved = SavedCheckpoint::read(checkpoint)?;
     let trained = systems.trained(saved, &[], Weights::Ema, None)?;
@@ -51,12 +48,12 @@ pub fn write(systems: Systems<'_>, checkpoint: &Path, step: u64) -> Result<Vec<P
         if panels.len() == 1 {
             panels.extend(scene::curve_panels(figure).take(CURVES));
         }
-        let png = draw_png(&panels, 2, PANEL)?;
+        let (png, (width, height)) = draw_png(&panels, 2, PANEL)?;
         Some(Preview {
             name: figure.name.clone(),
-            width: png.width,
-            height: png.height,
-            png: png.bytes,
+            width,
+            height,
+            png,
         })
     });
     Ok(previews.collect())
@@ -79,11 +76,9 @@ impl SampleSink for Scenes<'_> {
         let path = Path::new(&sample.name);
         let representation = self.systems.representation_of(path, shape, values)?;
         let figure = scene::of(&*representation, values, sample.name.clone());
-        self.scene
-            .objects
-            .push(figure.ok_or(Error::SampleNotFinite {
-                sample: sample.name,
-            })?);
+        let sample = sample.name;
+        let figure = figure.ok_or(Error::SampleNotFinite { sample })?;
+        self.scene.objects.push(figure);
         Ok(())
     }
 }

@@ -24,13 +24,13 @@ pub fn duration(seconds: f64) -> String {
     }
 }
 
-/// A flag that Ctrl-C sets, printing `message`, while `under_way` is set; a second Ctrl-C, or one
+/// A flag that Ctrl-C sets, printing `message`, while `is_active` is set; a second Ctrl-C, or one
 /// before, ends the process.
-pub fn stop_on_ctrl_c(message: &'static str, under_way: Arc<AtomicBool>) -> Arc<AtomicBool> {
+pub fn stop_on_ctrl_c(message: &'static str, is_active: Arc<AtomicBool>) -> Arc<AtomicBool> {
     let stop = Arc::new(AtomicBool::new(false));
     let flag = stop.clone();
     let handler = move || {
-        if flag.swap(true, Ordering::SeqCst) || !under_way.load(Ordering::SeqCst) {
+        if flag.swap(true, Ordering::SeqCst) || !is_active.load(Ordering::SeqCst) {
             std::process::exit(130);
         }
         tell!("\n{message}; again to stop at once");
@@ -110,12 +110,10 @@ impl Denoising {
     }
 }
 
-/// A word with spaces behind it, or nothing.
+/// A word and two spaces, or nothing.
 fn spaced(word: &str) -> String {
-    match word {
-        "" => String::new(),
-        word => format!("{word}  "),
-    }
+    let end = if word.is_empty() { "" } else { "  " };
+    format!("{word}{end}")
 }
 
 /// A bar on standard error, if that is a terminal.

@@ -10,10 +10,8 @@ use kinegrad_train::{Error, ProcessGroup};
 
 use crate::{log, output};
 
-/// The processes of this command. All but the first print nothing but errors.
-///
-/// # Errors
-/// [`Error::Usage`] if a launcher started several and this program cannot reach them.
+/// The processes of this command. All but the first print nothing but errors. Fails if a launcher
+/// started several and this program cannot reach them.
 pub fn process_group() -> Result<Rc<ProcessGroup>, Error> {
     let group = ProcessGroup::new(ranks()?);
     if !group.writes() {
@@ -23,11 +21,8 @@ pub fn process_group() -> Result<Rc<ProcessGroup>, Error> {
     Ok(group)
 }
 
-/// The outcome of a command of several processes or, if one failed and printed its error, the exit code
-/// of all. Collective.
-///
-/// # Errors
-/// That of `outcome`, if there is one process.
+/// The outcome of a command of several processes or, if one failed and printed its error, the exit
+/// code of all. Collective. Returns the error of `outcome`, if there is one process.
 pub fn agreed<T>(
     group: &ProcessGroup,
     outcome: Result<T, Error>,
@@ -50,29 +45,24 @@ pub fn agreed<T>(
 
 /// The ranks of the launcher, or this process alone.
 fn ranks() -> Result<Rc<dyn Ranks>, Error> {
-    let ranks = started();
-    let launched = launched();
-    let (size, has_mpi) = (ranks.size(), cfg!(feature = "mpi"));
-    match launched {
-        Some(launched) if launched > 1 && launched != size => {
-            let (what, hint) = match has_mpi {
-                false => (
-                    "was built without MPI".to_string(),
-                    "build it with `--features mpi` (docs/cluster.md), or start it without the launcher",
-                ),
-                true => (
-                    format!("finds {size} of them through MPI"),
-                    "start it with the launcher of the MPI that it was built with; with SLURM, \
-                     `srun --mpi=pmi2` or `--mpi=pmix` (docs/cluster.md)",
-                ),
-            };
-            Err(Error::usage(
-                format!("a launcher has started {launched} processes, and this program {what}"),
-                hint,
-            ))
-        }
-        _ => Ok(ranks),
+    let (ranks, launched) = (started(), launched());
+    let size = ranks.size();
+    if launched == 1 || launched == size {
+        return Ok(ranks);
     }
+    let (what, hint) = match cfg!(feature = "mpi") {
+        false => (
+            "was built without MPI".to_string(),
+            "build it with `--features mpi` (docs/cluster.md), or start it without the launcher",
+        ),
+        true => (
+            format!("finds {size} of them through MPI"),
+            "start it with the launcher of the MPI that it was built with; with SLURM, \
+             `srun --mpi=pmi2` or `--mpi=pmix` (docs/cluster.md)",
+        ),
+    };
+    let message = format!("a launcher has started {launched} processes, and this program {what}");
+    Err(Error::usage(message, hint))
 }
 
 /// Prints an error, once for all processes, and returns the exit code.
@@ -94,30 +84,26 @@ pub fn failed(error: Error) -> ExitCode {
 
 /// True if a launcher started several processes.
 pub fn are_several() -> bool {
-    launched().is_some_and(|processes| processes > 1)
+    launched() > 1
 }
 
-/// The launcher's number of processes, if there is a launcher.
-fn launched() -> Option<usize> {
-    let by_slurm = match env::var_os("SLURM_PROCID").is_some() {
-        true => number("SLURM_STEP_NUM_TASKS"),
-        false => None,
-    };
+/// The launcher's number of processes; 1 without a launcher.
+fn launched() -> usize {
+    let number = |name: &str| env::var(name).ok()?.parse().ok();
     let names = ["PMI_SIZE", "OMPI_COMM_WORLD_SIZE"];
-    names.iter().find_map(|name| number(name)).or(by_slurm)
+    let by_slurm = || env::var_os("SLURM_PROCID").and_then(|_| number("SLURM_STEP_NUM_TASKS"));
+    let processes: Option<usize> = names.into_iter().find_map(number).or_else(by_slurm);
+    processes.unwrap_or(1).max(1)
 }
 
 /// Rejects several processes.
-///
-/// # Errors
-/// [`Error::Usage`] if a launcher started several.
 pub fn must_be_one() -> Result<(), Error> {
     match launched() {
-        Some(processes) if processes > 1 => Err(Error::usage(
+        1 => Ok(()),
+        processes => Err(Error::usage(
             format!("a launcher has started {processes} processes, and each would do the same"),
             "processes share `kinegrad train` and `kinegrad eval`: start other commands without the launcher",
         )),
-        _ => Ok(()),
     }
 }
 
@@ -130,10 +116,6 @@ fn started() -> Rc<dyn Ranks> {
         return Rc::new(mpi);
     }
     Rc::new(Alone)
-}
-
-fn number(name: &str) -> Option<usize> {
-    env::var(name).ok()?.parse().ok()
 }
 
 /// Divides the cores among the processes that share them, unless RAYON_NUM_THREADS is set.

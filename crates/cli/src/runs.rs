@@ -6,10 +6,9 @@ use std::io::{Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
-use kinegrad_train::Systems;
 use kinegrad_train::checkpoint::{Best, Checkpoints, State};
 use kinegrad_train::run::{PREVIEWS, SAMPLES, is_in_use};
-use kinegrad_train::{Config, Error};
+use kinegrad_train::{Config, Error, Systems};
 
 /// Folders of a run that contain no runs.
 const INSIDE: [&str; 4] = ["checkpoints", "reports", SAMPLES, PREVIEWS];
@@ -60,11 +59,9 @@ impl RunStatus {
 /// A run folder.
 #[derive(Clone, Debug)]
 pub struct Run {
-    /// Its folder.
     pub folder: PathBuf,
-    /// Its state.
     pub status: RunStatus,
-    /// Its problems.
+    /// Its problems, in one line.
     pub problem: Option<String>,
     /// Its config, if one can be read.
     pub config: Option<Config>,
@@ -93,7 +90,7 @@ impl Run {
             None
         });
         let checkpoints = Checkpoints::of(folder);
-        let Found { newest, damaged } = found(&checkpoints);
+        let (newest, damaged) = found(&checkpoints);
         // An older checkpoint is enough to resume.
         let is_damaged = problem.is_some() || !damaged.is_empty() && newest.is_none();
         let unknown = newest.is_none() && !damaged.is_empty();
@@ -162,43 +159,31 @@ impl Run {
 /// The config beside the checkpoints, if there is one.
 fn saved_config(systems: Systems<'_>, folder: &Path) -> Result<Option<Config>, Error> {
     let path = folder.join("config.toml");
-    let exists = path.exists();
-    let config = exists.then(|| systems.load(&path, &[])).transpose()?;
-    Ok(config)
+    let config = path.exists().then(|| systems.load(&path, &[]));
+    Ok(config.transpose()?)
 }
 
-/// The checkpoints of a run.
-#[derive(Default)]
-struct Found {
-    /// The newest one whose state can be read and whose files are there.
-    newest: Option<(PathBuf, State)>,
-    /// The problems of the others, newest first. Resuming skips them.
-    damaged: Vec<String>,
-}
-
-fn found(checkpoints: &Checkpoints) -> Found {
-    let mut found = Found::default();
+/// The newest complete checkpoint with its state, and the problems of damaged ones, newest first.
+fn found(checkpoints: &Checkpoints) -> (Option<(PathBuf, State)>, Vec<String>) {
+    let (mut newest, mut damaged) = (None, Vec::new());
     let steps = checkpoints.steps().unwrap_or_else(|error| {
-        found.damaged.push(error.to_string());
+        damaged.push(error.to_string());
         Vec::new()
     });
     for step in steps.into_iter().rev() {
         let path = checkpoints.step_path(step);
         match complete_state(&path) {
-            Ok(state) if found.newest.is_none() => found.newest = Some((path, state)),
+            Ok(state) if newest.is_none() => newest = Some((path, state)),
             Ok(_) => {}
             // Removed by a training meanwhile.
             Err(_) if !path.exists() => {}
-            Err(error) => found.damaged.push(error.to_string()),
+            Err(error) => damaged.push(error.to_string()),
         }
     }
-    found
+    (newest, damaged)
 }
 
-/// The state of a checkpoint whose files all exist; they are not read.
-///
-/// # Errors
-/// If the state or a file is damaged.
+/// The state of a checkpoint. Fails if it is damaged or a file is missing; other files are not read.
 pub fn complete_state(checkpoint: &Path) -> Result<State, Error> {
     let state = State::read(checkpoint)?;
     let mut files = state.checksums.keys();
@@ -213,14 +198,13 @@ pub fn complete_state(checkpoint: &Path) -> Result<State, Error> {
 
 /// The first problems, and the number of the others.
 fn joined(problems: impl Iterator<Item = String>) -> Option<String> {
-    let problems: Vec<String> = problems.collect();
-    let (named, more) = problems.split_at(problems.len().min(NAMED));
-    let named = named.join("; ");
-    match (named.is_empty(), more.len()) {
-        (true, _) => None,
-        (_, 0) => Some(named),
-        (_, more) => Some(format!("{named}; and {more} more")),
+    let mut problems: Vec<String> = problems.collect();
+    let more = problems.len().saturating_sub(NAMED);
+    problems.truncate(NAMED);
+    if more > 0 {
+        problems.push(format!("and {more} more"));
     }
+    (!problems.is_empty()).then(|| problems.join("; "))
 }
 
 fn ended(state: &State, config: &Config) -> RunStatus {
@@ -238,8 +222,8 @@ fn ended(state: &State, config: &Config) -> RunStatus {
 fn last_step(path: &Path) -> Option<u64> {
     let mut file = File::open(path).ok()?;
     let length = file.metadata().ok()?.len();
-    file.seek(SeekFrom::Start(length.saturating_sub(TAIL)))
-        .ok()?;
+    let start = SeekFrom::Start(length.saturating_sub(TAIL));
+    file.seek(start).ok()?;
     let mut tail = Vec::new();
     file.take(TAIL).read_to_end(&mut tail).ok()?;
     let tail = String::from_utf8_lossy(&tail);
@@ -278,6 +262,13 @@ fn has_only_a_config(folder: &Path) -> bool {
             let name = name.to_string_lossy();
             beside.contains(&&*name) || name.starts_with('.')
         })
+}
+
+/// The name of a folder, also of a path such as `.`.
+pub fn folder_name(folder: &Path) -> String {
+    let folder = folder.canonicalize().unwrap_or_else(|_| folder.into());
+    let name = folder.file_name().unwrap_or(folder.as_os_str());
+    name.to_string_lossy().into_owned()
 }
 
 /// The runs in a folder and below it by path, the folder itself and stages included.

@@ -14,12 +14,14 @@ use kinegrad_motion::phrase::QUATERNION;
 use kinegrad_motion::{CHANNELS, Phrase, Phrases, Representation};
 use kinegrad_report::Panel;
 use kinegrad_report::scene::{Curves, Floor, Scene, SceneObject};
-use kinegrad_train::Error;
-use kinegrad_train::Systems;
 use kinegrad_train::clips::read_goal;
+use kinegrad_train::{Error, Systems};
 
 use crate::args::ReadingArguments;
-use crate::io::{BvhReading, CENTIMETRES, Motion, bvh_file, motion_files, not_finite, with_raw};
+use crate::io::{
+    BvhReading, CENTIMETRES, Motion, bvh_file, file_stem, motion_files, names as joint_names,
+    not_finite, with_raw,
+};
 use crate::output::unusable;
 
 use body::figure as body;
@@ -29,7 +31,7 @@ pub use music::{Music, song};
 const MOST_FIGURES: usize = 16;
 
 /// Facts that motion files do not contain, and what to show with them.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub struct Reading {
     /// Unit and vertical of BVH files.
     pub bvh: BvhReading,
@@ -44,7 +46,7 @@ pub struct Reading {
 }
 
 impl Reading {
-    /// Those of the options.
+    /// The reading that the options describe.
     pub fn of(arguments: &ReadingArguments) -> Self {
         Self {
             bvh: BvhReading {
@@ -52,17 +54,13 @@ impl Reading {
                 up: arguments.up,
             },
             fps: arguments.fps,
-            title: None,
-            goal: None,
-            music: None,
+            ..Self::default()
         }
     }
 }
 
-/// The motion files at `paths`; with `raw`, each with its raw model output behind it.
-///
-/// # Errors
-/// If there is nothing at a path, or too much.
+/// The motion files at `paths`; with `raw`, each with its raw model output after it. Fails if a
+/// path has no motion, or if there are too many.
 pub fn motions(paths: &[PathBuf], raw: bool) -> Result<Vec<PathBuf>, Error> {
     let mut files = motion_files(paths, &["npy", "bvh"])?;
     if raw {
@@ -70,12 +68,10 @@ pub fn motions(paths: &[PathBuf], raw: bool) -> Result<Vec<PathBuf>, Error> {
         files = with_raw(files);
     }
     if files.len() > MOST_FIGURES {
+        let (count, first) = (files.len(), files[0].display());
         return Err(Error::usage(
-            format!(
-                "{} motions, at most {MOST_FIGURES} fit on a page",
-                files.len()
-            ),
-            format!("name some of them, the first is {}", files[0].display()),
+            format!("{count} motions, at most {MOST_FIGURES} fit on a page"),
+            format!("name some of them, the first is {first}"),
         ));
     }
     Ok(files)
@@ -84,10 +80,8 @@ pub fn motions(paths: &[PathBuf], raw: bool) -> Result<Vec<PathBuf>, Error> {
 /// Warns of motions without raw model output.
 fn warn_of_no_raw(files: &[PathBuf]) {
     let is_raw = |file: &Path| file.to_string_lossy().ends_with(".raw.npy");
-    let without = files
-        .iter()
-        .filter(|file| !is_raw(file) && !file.with_extension("raw.npy").is_file());
-    let without: Vec<&PathBuf> = without.collect();
+    let mut without: Vec<&PathBuf> = files.iter().collect();
+    without.retain(|file| !is_raw(file) && !file.with_extension("raw.npy").is_file());
     let Some(first) = without.first() else {
         return;
     };
@@ -103,10 +97,7 @@ fn warn_of_no_raw(files: &[PathBuf]) {
     );
 }
 
-/// The scene of `motions`, one figure each.
-///
-/// # Errors
-/// If a motion, the goal or the song cannot be read.
+/// The scene of `motions`, one figure each. Fails if a motion, the goal or the song cannot be read.
 pub fn read(systems: Systems<'_>, motions: &[PathBuf], reading: &Reading) -> Result<Scene, Error> {
     let figures = motions.iter().zip(names(motions));
     let figures = figures
@@ -130,19 +121,15 @@ pub fn read(systems: Systems<'_>, motions: &[PathBuf], reading: &Reading) -> Res
 /// A name for each file: its stem, the folder of `ID/trajectory.npy` in datasets, or both if names
 /// are alike.
 fn names(paths: &[PathBuf]) -> Vec<String> {
-    let stem = |path: &Path| {
-        let stem = path.file_stem().unwrap_or_default();
-        stem.to_string_lossy().into_owned()
-    };
-    let folder = |path: &Path| stem(path.parent().unwrap_or(Path::new("")));
-    let short = |path: &PathBuf| match stem(path) {
+    let folder = |path: &Path| file_stem(path.parent().unwrap_or(Path::new("")));
+    let short = |path: &PathBuf| match file_stem(path) {
         stem if stem == "trajectory" && !folder(path).is_empty() => folder(path),
         stem => stem,
     };
     let different: HashSet<String> = paths.iter().map(short).collect();
     let name = |path: &PathBuf| match different.len() == paths.len() {
         true => short(path),
-        false => format!("{}/{}", folder(path), stem(path)),
+        false => format!("{}/{}", folder(path), file_stem(path)),
     };
     paths.iter().map(name).collect()
 }
@@ -161,9 +148,6 @@ fn figure(
 }
 
 /// The figure of a motion; points move at `fps`.
-///
-/// # Errors
-/// If it cannot be shown.
 pub fn of_motion(motion: &Motion, name: String, fps: f64) -> Result<SceneObject, Error> {
     match motion {
         Motion::Array(array) => {
@@ -175,7 +159,8 @@ pub fn of_motion(motion: &Motion, name: String, fps: f64) -> Result<SceneObject,
             let parents = joints.map(|joint| joint.parent).collect();
             let fps = 1.0 / capture.bvh.frame_time();
             let places = capture.joints()?;
-            Ok(body(name, fps, &places, capture.names(), parents, None))
+            let names = joint_names(&capture.bvh);
+            Ok(body(name, fps, &places, names, parents, None))
         }
     }
 }
@@ -189,10 +174,7 @@ fn no_legs(path: &Path, what: &str) -> Error {
 }
 
 /// A motion as BVH in centimetres with +y up, which will be at `out`. With `lock_feet`, feet stay
-/// where they stand.
-///
-/// # Errors
-/// If it cannot be read, or its skeleton is unknown.
+/// where they stand. Fails if it cannot be read, or its skeleton is unknown.
 pub fn as_bvh(
     systems: Systems<'_>,
     path: &Path,
@@ -224,11 +206,10 @@ pub fn of(representation: &dyn Representation, rows: &[f32], name: String) -> Op
     let curves = representation.curves(rows).into_iter().map(|curves| {
         let series = curves.series.into_iter();
         let single = |values: Vec<f64>| values.into_iter().map(|value| value as f32).collect();
+        let series = series.map(|(name, values)| (name, single(values)));
         Curves {
             title: curves.title,
-            series: series
-                .map(|(name, values)| (name, single(values)))
-                .collect(),
+            series: series.collect(),
         }
     });
     let curves = curves.collect();
@@ -295,13 +276,11 @@ fn points(places: &Joints, name: String, fps: f64) -> Result<SceneObject, Error>
 pub fn floor(goal: &Goal) -> Floor {
     let single = |place: [f64; 2]| place.map(|value| value as f32);
     let path = goal.trajectory.iter().flat_map(|path| &path.points);
+    let keyframes = goal.keyframes.iter();
+    let keyframes = keyframes.map(|keyframe| (keyframe.frame, single(keyframe.position())));
     let mut floor = Floor {
         path: path.map(|point| single(*point)).collect(),
-        keyframes: goal
-            .keyframes
-            .iter()
-            .map(|keyframe| (keyframe.frame, single(keyframe.position())))
-            .collect(),
+        keyframes: keyframes.collect(),
         ..Floor::default()
     };
     for obstacle in &goal.obstacles {

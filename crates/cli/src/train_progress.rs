@@ -6,8 +6,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
 use indicatif::ProgressBar;
-use kinegrad_train::Systems;
-use kinegrad_train::{Error, Observer, Preview, Reading, RunSummary, StepReport};
+use kinegrad_train::{Error, Observer, Preview, Reading, RunSummary, StepReport, Systems};
 
 use crate::progress::{bar, duration, reading, stop_on_ctrl_c};
 use crate::{output, preview};

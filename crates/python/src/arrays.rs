@@ -1,34 +1,22 @@
 //! NumPy arrays to and from vectors.
 
-use numpy::{PyArrayDyn, PyArrayMethods, PyReadonlyArrayDyn, ToPyArray};
+use numpy::{Element, PyArrayDyn, PyArrayMethods, PyReadonlyArrayDyn, ToPyArray};
 use pyo3::prelude::*;
 
-/// A row-major float32 array of this shape.
+/// A row-major array of this shape.
 ///
 /// # Errors
 /// If the shape does not match the number of values.
-pub fn array<'py>(
+pub fn array<'py, T: Element + Copy>(
     py: Python<'py>,
     shape: &[usize],
-    values: &[f32],
-) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
-    values.to_pyarray(py).reshape(shape.to_vec())
-}
-
-/// A row-major float64 array of this shape.
-///
-/// # Errors
-/// If the shape does not match the number of values.
-pub fn double<'py>(
-    py: Python<'py>,
-    shape: &[usize],
-    values: &[f64],
-) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
+    values: &[T],
+) -> PyResult<Bound<'py, PyArrayDyn<T>>> {
     values.to_pyarray(py).reshape(shape.to_vec())
 }
 
 /// Shape and row-major values of an array in any memory order.
-pub fn shape_and_values<T: numpy::Element + Copy>(
+pub fn shape_and_values<T: Element + Copy>(
     array: &PyReadonlyArrayDyn<'_, T>,
 ) -> (Vec<usize>, Vec<T>) {
     let view = array.as_array();

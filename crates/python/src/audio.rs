@@ -10,7 +10,7 @@ use kinegrad_train::song::{KnownBeats, song_features};
 use numpy::PyArrayDyn;
 use pyo3::prelude::*;
 
-use crate::arrays::{array, double};
+use crate::arrays::array;
 use crate::calls::call;
 
 /// The features of a song.
@@ -46,7 +46,7 @@ impl SongFeatures {
     #[getter]
     fn beat_times<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
         let times = self.features.beats().times();
-        double(py, &[times.len()], &times)
+        array(py, &[times.len()], &times)
     }
 
     /// Frames per second of the features.

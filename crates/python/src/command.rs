@@ -9,7 +9,6 @@ use pyo3::prelude::*;
 #[pyfunction]
 pub fn main(py: Python<'_>, arguments: Vec<String>) -> u8 {
     let code = py.detach(|| kinegrad_cli::run(BUILT_IN, arguments));
-    let codes = 0..=u8::MAX;
-    let mut codes = codes.filter(|number| ExitCode::from(*number) == code);
-    codes.next().unwrap_or(1)
+    let number = (0..=u8::MAX).find(|number| ExitCode::from(*number) == code);
+    number.unwrap_or(1)
 }

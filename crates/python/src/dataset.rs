@@ -35,9 +35,12 @@ enum Items {
     Clips(Box<Clips>),
 }
 
+/// Both splits of a dataset.
+type Opened<T> = kinegrad_data::Dataset<T>;
+
 /// The clips of a split, with their dataset.
 struct Clips {
-    dataset: kinegrad_data::Dataset<Clip>,
+    dataset: Opened<Clip>,
     items: ItemSet<Clip>,
     /// The labels of the model, if captions are labels.
     labels: Option<CaptionLabels>,
@@ -113,12 +116,8 @@ impl Dataset {
                 item.set_item("id", &phrase.id)?;
                 let rows = array(py, &[frames, CHANNELS], phrase.motion.as_slice())?;
                 item.set_item("motion", rows)?;
-                let audio = array(
-                    py,
-                    &[phrase.audio.channels(), frames],
-                    phrase.audio.as_slice(),
-                )?;
-                item.set_item("audio", audio)?;
+                let shape = [phrase.audio.channels(), frames];
+                item.set_item("audio", array(py, &shape, phrase.audio.as_slice())?)?;
             }
             Items::Clips(clips) => {
                 let Clips { dataset, items, .. } = &**clips;
@@ -166,10 +165,7 @@ impl Dataset {
         settings: &[String],
         split: &str,
     ) -> Result<Self, Error> {
-        let state = match run {
-            Some(run) => Some(checkpoint(run)?.state),
-            None => None,
-        };
+        let state = run.map(checkpoint).transpose()?.map(|saved| saved.state);
         let config = match (&state, source) {
             (Some(state), _) => BUILT_IN.completed(&state.config)?,
             (None, Some(source)) => config_of(source, settings)?,
@@ -185,13 +181,10 @@ impl Dataset {
                 ));
             }
         };
+        let progress = until_interrupted();
         match config.data.kind {
             DataKind::Phrases | DataKind::Synthetic => {
-                let dataset = kinegrad_data::Dataset::<PhraseItem>::open_among(
-                    &config.data,
-                    &*until_interrupted(),
-                    &Alone,
-                )?;
+                let dataset = Opened::<PhraseItem>::open_among(&config.data, &*progress, &Alone)?;
                 let statistics = statistics_of(&dataset, state.as_ref())?;
                 Ok(Self {
                     config,
@@ -204,11 +197,7 @@ impl Dataset {
                 })
             }
             DataKind::Humanml3d | DataKind::SyntheticWalks => {
-                let dataset = kinegrad_data::Dataset::<Clip>::open_among(
-                    &config.data,
-                    &*until_interrupted(),
-                    &Alone,
-                )?;
+                let dataset = Opened::<Clip>::open_among(&config.data, &*progress, &Alone)?;
                 let statistics = statistics_of(&dataset, state.as_ref())?;
                 let items = match trains {
                     true => dataset.train.clone(),
@@ -268,29 +257,23 @@ impl Dataset {
 
 /// The labels of a model of `config`, if captions are labels: those of the config, else those of the
 /// training clips.
-fn labels_of(
-    config: &Config,
-    dataset: &kinegrad_data::Dataset<Clip>,
-) -> Result<Option<CaptionLabels>, Error> {
+fn labels_of(config: &Config, dataset: &Opened<Clip>) -> Result<Option<CaptionLabels>, Error> {
     if config.data.humanml3d.text != CaptionText::Labels {
         return Ok(None);
     }
     let own = config.system.get::<GmdConfig>();
-    let captions = match own.map(|own| own.text.captions.clone()).unwrap_or_default() {
-        none if none.is_empty() => {
-            let found = dataset
-                .train
-                .captions_among(&*until_interrupted(), &Alone)?;
-            found.into_keys().collect()
-        }
-        stated => stated,
-    };
+    let mut captions = own.map_or(Vec::new(), |own| own.text.captions.clone());
+    if captions.is_empty() {
+        let progress = until_interrupted();
+        let found = dataset.train.captions_among(&*progress, &Alone)?;
+        captions = found.into_keys().collect();
+    }
     Ok(Some(CaptionLabels::new(captions)))
 }
 
 /// The statistics that normalise the batches: those of the run if there is one, else of the dataset.
 fn statistics_of<T: Item>(
-    dataset: &kinegrad_data::Dataset<T>,
+    dataset: &Opened<T>,
     state: Option<&State>,
 ) -> Result<Arc<Statistics>, Error> {
     Ok(Arc::new(match state {

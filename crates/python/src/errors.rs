@@ -5,6 +5,8 @@ use kinegrad_train::Error;
 use miette::Diagnostic;
 use pyo3::exceptions::PyKeyboardInterrupt;
 use pyo3::prelude::*;
+use serde::de::value::Error as ValueError;
+use serde::de::{DeserializeOwned, IntoDeserializer};
 
 /// The exception of `error`, with its hint and the exit code of the command line.
 pub fn exception(py: Python<'_>, error: &Error) -> PyErr {
@@ -49,8 +51,11 @@ fn class(error: &Error) -> &'static str {
     }
 }
 
-/// An error of the user's input.
-pub fn unusable(error: impl Diagnostic) -> Error {
-    let hint = error.help().map(|hint| hint.to_string());
-    Error::usage(error.to_string(), hint.unwrap_or_default())
+/// A value by its name in a config; `what` and `allowed` are for the error.
+pub fn named<T: DeserializeOwned>(what: &str, name: &str, allowed: &str) -> Result<T, Error> {
+    let value = T::deserialize(name.into_deserializer());
+    value.map_err(|_: ValueError| {
+        let message = format!("{what} is \"{name}\"");
+        Error::usage(message, format!("{allowed} are allowed"))
+    })
 }

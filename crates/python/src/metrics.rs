@@ -9,7 +9,7 @@ use kinegrad_train::Error;
 use numpy::{PyArrayDyn, PyReadonlyArrayDyn};
 use pyo3::prelude::*;
 
-use crate::arrays::{double, shape_and_values};
+use crate::arrays::{array, shape_and_values};
 use crate::calls::call;
 use crate::skeletons::{joints, skeleton_of};
 
@@ -99,7 +99,7 @@ pub fn trajectory_features<'py>(
         };
         Ok(metrics::trajectory_features(&phrase?, &training))
     })?;
-    double(py, &[features.len()], &features)
+    array(py, &[features.len()], &features)
 }
 
 /// Mean distance of pairs of feature vectors `[n, features]`.
@@ -146,7 +146,7 @@ pub fn kinematic_beats<'py>(
 ) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
     let phrase = phrase(&motion);
     let beats = call(py, || Ok(metrics::kinematic_beats(&phrase?)))?;
-    double(py, &[beats.len()], &beats)
+    array(py, &[beats.len()], &beats)
 }
 
 /// Agreement of the beats of motion with those of music, both in seconds.

@@ -1,15 +1,15 @@
 //! Trained runs and their evaluation.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use kinegrad_cli::{checkpoint, while_it_is_trained};
 use kinegrad_systems::BUILT_IN;
-use kinegrad_train::checkpoint::{SavedCheckpoint, Weights};
 use kinegrad_train::evaluation::EvaluationRequest;
 use kinegrad_train::{Error, TrainedModel, telemetry};
 use pyo3::prelude::*;
 
 use crate::calls::{call, call_with, json};
+use crate::errors::named;
 
 /// The path of the checkpoint of a run or checkpoint, its step, and its config as JSON.
 #[pyfunction]
@@ -50,27 +50,10 @@ impl Model {
     /// # Errors
     /// If there is none, it is damaged, or a setting is invalid.
     pub fn open(&self) -> Result<TrainedModel, Error> {
-        let weights = match self.weights.as_str() {
-            "ema" => Weights::Ema,
-            "model" => Weights::Model,
-            other => {
-                return Err(Error::usage(
-                    format!("`weights` is \"{other}\""),
-                    "\"ema\" and \"model\" are allowed",
-                ));
-            }
-        };
+        let weights = named("`weights`", &self.weights, "\"ema\" and \"model\"")?;
         let saved = checkpoint(&self.run)?;
         BUILT_IN.trained(saved, &self.settings, weights, self.device.as_deref())
     }
-}
-
-/// The checkpoint of an optional run.
-///
-/// # Errors
-/// If there is none.
-pub fn optional_checkpoint(run: Option<&Path>) -> Result<Option<SavedCheckpoint>, Error> {
-    run.map(checkpoint).transpose()
 }
 
 /// Evaluates a run and returns the report as JSON.
@@ -89,7 +72,7 @@ pub fn evaluate(
             let trained = model.open()?;
             let request = EvaluationRequest {
                 source: source.clone(),
-                trajectory: optional_checkpoint(trajectory_run.as_deref())?,
+                trajectory: trajectory_run.as_deref().map(checkpoint).transpose()?,
                 seed,
                 ..EvaluationRequest::default()
             };

@@ -3,19 +3,17 @@
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use kinegrad_cli::{
-    ConditionArguments, Existing, Files, bvh_text, must_be_finite, while_it_is_trained,
-};
+use kinegrad_cli::{ConditionArguments, Files, bvh_text, must_be_finite, while_it_is_trained};
 use kinegrad_motion::PostProcessProfile;
 use kinegrad_systems::BUILT_IN;
 use kinegrad_train::sampling::{self, Contents, Request, SampleSink};
-use kinegrad_train::song::KnownBeats;
 use kinegrad_train::{Error, Reading};
 use numpy::PyArrayDyn;
 use pyo3::prelude::*;
 
 use crate::arrays::array;
 use crate::calls::{Progress, call, call_with, json, until_interrupted};
+use crate::errors::named;
 use crate::runs::Model;
 
 /// The conditions of samples, and their number.
@@ -49,50 +47,39 @@ pub struct SampleRequest {
 }
 
 impl SampleRequest {
-    /// The profile, unless it is the default.
-    fn post_processing(&self) -> Result<Option<PostProcessProfile>, Error> {
-        match self.postprocess.as_str() {
-            "default" => Ok(None),
-            "ccmotion" => Ok(Some(PostProcessProfile::Ccmotion)),
-            "none" => Ok(Some(PostProcessProfile::None)),
-            other => Err(Error::usage(
-                format!("`postprocess` is \"{other}\""),
-                "\"default\", \"ccmotion\" and \"none\" are allowed",
-            )),
-        }
-    }
-
     fn request(&self) -> Result<Request, Error> {
+        let conditions = ConditionArguments {
+            source: self.source.clone(),
+            item: self.item.clone(),
+            audio_features: self.audio_features.clone(),
+            audio: self.audio.clone(),
+            start: self.start,
+            goal: self.goal.clone(),
+            trajectory_run: self.trajectory_run.clone(),
+            text: self.text.clone(),
+            text_encoder: self.text_encoder.clone(),
+            text_embedding: self.text_embedding.clone(),
+            prompts: self.prompts.clone(),
+            history: self.history.clone(),
+            path: self.path.clone(),
+            metres_per_unit: self.metres_per_unit,
+            style: self.style.clone(),
+            continue_from: self.continue_from.clone(),
+            keep: self.keep.clone(),
+            keep_from: self.keep_from.clone(),
+            held_out: self.held_out,
+            ..ConditionArguments::default()
+        };
+        let conditions = conditions.conditions()?;
+        let allowed = "\"default\", \"ccmotion\" and \"none\"";
+        let profile = named("`postprocess`", &self.postprocess, allowed)?;
         Ok(Request {
-            conditions: ConditionArguments {
-                source: self.source.clone(),
-                item: self.item.clone(),
-                audio_features: self.audio_features.clone(),
-                audio: self.audio.clone(),
-                start: self.start,
-                beats: KnownBeats::default(),
-                goal: self.goal.clone(),
-                trajectory_run: self.trajectory_run.clone(),
-                text: self.text.clone(),
-                text_encoder: self.text_encoder.clone(),
-                text_embedding: self.text_embedding.clone(),
-                prompts: self.prompts.clone(),
-                history: self.history.clone(),
-                path: self.path.clone(),
-                metres_per_unit: self.metres_per_unit,
-                style: self.style.clone(),
-                continue_from: self.continue_from.clone(),
-                keep: self.keep.clone(),
-                keep_from: self.keep_from.clone(),
-                held_out: self.held_out,
-                other: Vec::new(),
-            }
-            .conditions()?,
+            conditions,
             count: self.count,
             frames: self.frames,
             seconds: self.seconds,
             seed: self.seed,
-            post_processing: self.post_processing()?,
+            post_processing: Some(profile).filter(|own| *own != PostProcessProfile::Default),
         })
     }
 }
@@ -132,25 +119,19 @@ impl Sample {
     /// The text of its BVH file, if it has one.
     fn bvh(&self, py: Python<'_>) -> PyResult<Option<String>> {
         call(py, || {
-            let mut figures = self
-                .0
-                .files
-                .iter()
-                .filter_map(|(_, contents)| match contents {
-                    Contents::Figure { joints, skeleton } => Some((joints, skeleton)),
-                    Contents::Array { .. } => None,
-                });
-            let figure = figures.next();
-            figure
-                .map(|(joints, skeleton)| bvh_text(joints, skeleton))
-                .transpose()
+            let mut files = self.0.files.iter();
+            let text = files.find_map(|(_, contents)| match contents {
+                Contents::Figure { joints, skeleton } => Some(bvh_text(joints, skeleton)),
+                Contents::Array { .. } => None,
+            });
+            text.transpose()
         })
     }
 
     /// Writes the same files as `kinegrad sample --out PREFIX`, and returns their paths.
     fn save(&self, py: Python<'_>, prefix: PathBuf, overwrite: bool) -> PyResult<Vec<PathBuf>> {
         call(py, || {
-            let files = Files::new(&prefix, Existing::Replaced)?;
+            let files = Files::new(&prefix, true)?;
             let path = files.motion_path(&self.0);
             if !overwrite && path.exists() {
                 return Err(Error::usage(

@@ -3,14 +3,14 @@
 use std::path::PathBuf;
 
 use kinegrad_capture::Bvh;
+use kinegrad_cli::unusable;
 use kinegrad_motion::humanml::{Joints, Skeleton};
 use kinegrad_train::Error;
 use numpy::{PyArrayDyn, PyReadonlyArrayDyn};
 use pyo3::prelude::*;
 
-use crate::arrays::{double, shape_and_values};
+use crate::arrays::{array, shape_and_values};
 use crate::calls::call;
-use crate::errors::unusable;
 
 /// Positions `[T, J, 3]`, names, parents (-1 for the root) and frames per second.
 type ReadBvh<'py> = (Bound<'py, PyArrayDyn<f64>>, Vec<String>, Vec<i64>, f64);
@@ -19,7 +19,12 @@ type ReadBvh<'py> = (Bound<'py, PyArrayDyn<f64>>, Vec<String>, Vec<i64>, f64);
 #[pyfunction]
 pub fn read_bvh(py: Python<'_>, path: PathBuf, units_per_metre: f64) -> PyResult<ReadBvh<'_>> {
     let (bvh, positions) = call(py, || {
-        must_be_positive(units_per_metre)?;
+        if !(units_per_metre.is_finite() && units_per_metre > 0.0) {
+            return Err(Error::usage(
+                format!("`units_per_metre` is {units_per_metre}"),
+                "a positive number: 1 for metres, 100 for centimetres",
+            ));
+        }
         let bytes = std::fs::read(&path).map_err(Error::io("read", &path))?;
         let bvh = Bvh::parse(&bytes, &path.display().to_string()).map_err(unusable)?;
         let frames = (0..bvh.frames()).flat_map(|t| bvh.world(t));
@@ -30,7 +35,7 @@ pub fn read_bvh(py: Python<'_>, path: PathBuf, units_per_metre: f64) -> PyResult
     let joints = bvh.joints();
     let parent = |parent: Option<usize>| parent.map_or(-1, |parent| parent as i64);
     Ok((
-        double(py, &[bvh.frames(), joints.len(), 3], &positions)?,
+        array(py, &[bvh.frames(), joints.len(), 3], &positions)?,
         joints.iter().map(|joint| joint.name.clone()).collect(),
         joints.iter().map(|joint| parent(joint.parent)).collect(),
         1.0 / bvh.frame_time(),
@@ -80,24 +85,12 @@ pub fn joints(shape: &[usize], values: &[f64]) -> Result<Joints, Error> {
 /// # Errors
 /// If there is none.
 pub fn skeleton_of(joints: &Joints) -> Result<Skeleton, Error> {
-    let known = [Skeleton::humanml3d(), Skeleton::kit()];
-    let found = known
-        .into_iter()
-        .find(|skeleton| skeleton.joints() == joints.joints());
+    let mut known = [Skeleton::humanml3d(), Skeleton::kit()].into_iter();
+    let found = known.find(|skeleton| skeleton.joints() == joints.joints());
     found.ok_or_else(|| {
         Error::usage(
             format!("{} joints are of no known skeleton", joints.joints()),
             "HumanML3D has 22 joints, KIT-ML 21",
         )
     })
-}
-
-fn must_be_positive(units_per_metre: f64) -> Result<(), Error> {
-    match units_per_metre.is_finite() && units_per_metre > 0.0 {
-        true => Ok(()),
-        false => Err(Error::usage(
-            format!("`units_per_metre` is {units_per_metre}"),
-            "a positive number: 1 for metres, 100 for centimetres",
-        )),
-    }
 }

@@ -81,9 +81,8 @@ impl Observer for Events {
     }
 
     fn warning(&mut self, text: &str) {
-        self.notify("warning", |fields| {
-            fields.set_item("text", as_arguments(text))
-        });
+        let text = as_arguments(text);
+        self.notify("warning", |fields| fields.set_item("text", &text));
     }
 
     fn reading(&self) -> Box<Reading> {

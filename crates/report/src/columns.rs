@@ -36,13 +36,8 @@ pub fn columns_table(columns: &[Column<'_>]) -> String {
             all.push(heading);
         }
         let cells = line.values.iter().map(|value| value.unwrap_or(MISSING));
-        all.push(
-            [line.name]
-                .into_iter()
-                .chain(cells)
-                .map(String::from)
-                .collect(),
-        );
+        let cells = [line.name].into_iter().chain(cells);
+        all.push(cells.map(String::from).collect());
     }
     rows(all)
 }
@@ -72,9 +67,8 @@ fn lines<'a>(columns: &'a [Column<'a>]) -> Vec<Line<'a>> {
         for (place, column) in columns.iter().enumerate() {
             let (heading, values) = &column.sections[section];
             for (name, value) in values {
-                let known = lines[first..]
-                    .iter()
-                    .position(|line: &Line<'_>| line.name == *name);
+                let mut known = lines[first..].iter();
+                let known = known.position(|line: &Line<'_>| line.name == *name);
                 let index = known.map_or(lines.len(), |known| first + known);
                 if known.is_none() {
                     lines.push(Line {

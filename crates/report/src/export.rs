@@ -79,6 +79,16 @@ pub enum ExportError {
     },
 }
 
+impl ExportError {
+    /// Turns the reason why `path` cannot be written into an error.
+    pub(crate) fn write<E: ToString>(path: &Path) -> impl Fn(E) -> Self {
+        move |reason| Self::Write {
+            path: path.to_path_buf(),
+            reason: reason.to_string(),
+        }
+    }
+}
+
 /// Checks that a scene can be written to `out` as a GIF, MP4 or GLB file.
 ///
 /// # Errors
@@ -98,10 +108,8 @@ pub fn check(scene: &Scene, out: &Path) -> Result<(), ExportError> {
             return Err(refused(format!("`{name}` has no frames")));
         }
         if !(object.fps.is_finite() && object.fps > 0.0) {
-            return Err(refused(format!(
-                "`{name}` has {} frames a second",
-                object.fps
-            )));
+            let fps = object.fps;
+            return Err(refused(format!("`{name}` has {fps} frames a second")));
         }
         let hang = object.parents.iter().enumerate();
         let (mut hang, joints) = (hang.skip(1), object.joints());
@@ -132,9 +140,6 @@ pub(crate) fn write(out: &Path, bytes: &[u8]) -> Result<(), ExportError> {
     let written = fs::write(&part, bytes).and_then(|()| fs::rename(&part, out));
     written.map_err(|reason| {
         let _ = fs::remove_file(&part);
-        ExportError::Write {
-            path: out.to_path_buf(),
-            reason: reason.to_string(),
-        }
+        ExportError::write(out)(reason)
     })
 }

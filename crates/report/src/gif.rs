@@ -5,7 +5,7 @@ use std::path::Path;
 use gif::{DisposalMethod, Encoder, Frame, Repeat};
 
 use crate::export::{self, ExportError};
-use crate::raster::{Image, PALETTE, Painter};
+use crate::raster::{Image, PALETTE, Painter, square_side};
 use crate::scene::Scene;
 
 /// Most frames per second; faster motion is resampled.
@@ -14,7 +14,6 @@ const MOST_FPS: f64 = 20.0;
 const UNCHANGED: u8 = PALETTE.len() as u8;
 /// Pixels of a single object, and of each of several.
 const ALONE: (u32, u32) = (400, 360);
-/// See [`ALONE`].
 const BESIDE: (u32, u32) = (320, 340);
 
 /// Writes a scene as an endlessly repeated GIF. Each picture contains only the changes. Delays are
@@ -26,10 +25,7 @@ const BESIDE: (u32, u32) = (320, 340);
 /// [`ExportError::Interrupted`] once `stop` returns true.
 pub fn write(scene: &Scene, out: &Path, stop: &dyn Fn() -> bool) -> Result<(), ExportError> {
     export::check(scene, out)?;
-    let encoded = encode(scene, size(scene), stop).map_err(|reason| ExportError::Write {
-        path: out.to_path_buf(),
-        reason: reason.to_string(),
-    })?;
+    let encoded = encode(scene, size(scene), stop).map_err(ExportError::write(out))?;
     let bytes = encoded.ok_or_else(|| ExportError::Interrupted {
         out: out.to_path_buf(),
     })?;
@@ -42,13 +38,9 @@ pub(crate) fn size(scene: &Scene) -> (u32, u32) {
         0 | 1 => ALONE,
         count @ 2..=3 => (count * BESIDE.0, BESIDE.1),
         count => {
-            let side = (1..)
-                .find(|side| side * side >= count)
-                .expect("there is one");
-            (
-                side.min(4) * BESIDE.0,
-                count.div_ceil(side).min(4) * BESIDE.1,
-            )
+            let side = square_side(count);
+            let rows = count.div_ceil(side).min(4);
+            (side.min(4) * BESIDE.0, rows * BESIDE.1)
         }
     }
 }
@@ -60,14 +52,12 @@ fn timing(scene: &Scene) -> Vec<(f64, u16)> {
     let hundredths = |moment: f64| (100.0 * moment).round() as u64;
     let ends = (1..=count).map(|k| hundredths((k as f64 / fps).min(scene.seconds())));
     let starts = (0..count).map(|k| k as f64 / fps);
-    let delays = starts.zip(ends);
-    delays
-        .map(|(start, end)| {
-            // Most programs show delays below two hundredths as a tenth.
-            let delay = end.saturating_sub(hundredths(start)).max(2);
-            (start, delay.min(u64::from(u16::MAX)) as u16)
-        })
-        .collect()
+    let delays = starts.zip(ends).map(|(start, end)| {
+        // Most programs show delays below two hundredths as a tenth.
+        let delay = end.saturating_sub(hundredths(start)).max(2);
+        (start, delay.min(u64::from(u16::MAX)) as u16)
+    });
+    delays.collect()
 }
 
 /// The file; none if stopped.
@@ -79,7 +69,7 @@ fn encode(
     let painter = Painter::new(scene, size);
     let (width, height) = painter.size();
     let [width, height] = [width, height].map(|side| side.min(u32::from(u16::MAX)) as u16);
-    let mut palette = Palette::new();
+    let mut palette = vec![None; 1 << 15];
     let mut bytes = Vec::new();
     let mut encoder = Encoder::new(&mut bytes, width, height, PALETTE.as_flattened())?;
     encoder.set_repeat(Repeat::Infinite)?;
@@ -89,16 +79,19 @@ fn encode(
         if stop() {
             return Ok(None);
         }
-        let now = palette.indices(&painter.at(moment));
+        let now = indices(&painter.at(moment), &mut palette);
         let changed = match &before {
-            None => Some(whole(&now, width, height)),
+            None => Some(picture(now.clone(), width, height)),
             Some(before) => difference(before, &now, width.into()),
         };
         match (changed, &mut waiting) {
             // An unchanged picture extends the delay of the one before.
             (None, Some(frame)) if frame.delay.checked_add(delay).is_some() => frame.delay += delay,
             (changed, _) => {
-                let mut frame = changed.unwrap_or_else(unchanged);
+                let mut frame = changed.unwrap_or_else(|| Frame {
+                    transparent: Some(UNCHANGED),
+                    ..picture(vec![UNCHANGED], 1, 1)
+                });
                 frame.delay = delay;
                 if let Some(done) = waiting.replace(frame) {
                     encoder.write_frame(&done)?;
@@ -114,22 +107,14 @@ fn encode(
     Ok(Some(bytes))
 }
 
-/// The first picture.
-fn whole(indices: &[u8], width: u16, height: u16) -> Frame<'static> {
+/// A picture that stays below the next one.
+fn picture(indices: Vec<u8>, width: u16, height: u16) -> Frame<'static> {
     Frame {
         width,
         height,
-        buffer: indices.to_vec().into(),
+        buffer: indices.into(),
         dispose: DisposalMethod::Keep,
         ..Frame::default()
-    }
-}
-
-/// An unchanged pixel.
-fn unchanged() -> Frame<'static> {
-    Frame {
-        transparent: Some(UNCHANGED),
-        ..whole(&[UNCHANGED], 1, 1)
     }
 }
 
@@ -142,59 +127,33 @@ fn difference(before: &[u8], now: &[u8], width: usize) -> Option<Frame<'static>>
     let left = (0..width).find(apart)?;
     let right = (0..width).rev().find(apart)?;
     let places = (top..=bottom).flat_map(|row| row * width + left..=row * width + right);
-    let part = places.map(|at| {
-        if before[at] == now[at] {
-            UNCHANGED
-        } else {
-            now[at]
-        }
+    let part = places.map(|at| match now[at] {
+        value if value == before[at] => UNCHANGED,
+        value => value,
     });
+    let [width, height] = [right - left + 1, bottom - top + 1].map(|side| side as u16);
     Some(Frame {
         left: left as u16,
         top: top as u16,
-        width: (right - left + 1) as u16,
-        height: (bottom - top + 1) as u16,
-        buffer: part.collect::<Vec<u8>>().into(),
         transparent: Some(UNCHANGED),
-        dispose: DisposalMethod::Keep,
-        ..Frame::default()
+        ..picture(part.collect(), width, height)
     })
 }
 
-/// A cache of nearest palette colours.
-struct Palette {
-    /// Palette index of each colour of five bits a channel, once looked up.
-    known: Vec<Option<u8>>,
-}
-
-impl Palette {
-    fn new() -> Self {
-        Self {
-            known: vec![None; 1 << 15],
-        }
-    }
-
-    /// The index of each pixel's colour.
-    fn indices(&mut self, image: &Image) -> Vec<u8> {
-        let pixels = image.rgb.chunks_exact(3);
-        pixels
-            .map(|pixel| {
-                let at = pixel
-                    .iter()
-                    .fold(0, |at, value| at << 5 | usize::from(value >> 3));
-                *self.known[at].get_or_insert_with(|| nearest(pixel))
-            })
-            .collect()
-    }
+/// The palette index of each pixel. `known` caches the index of each colour of five bits a channel.
+fn indices(image: &Image, known: &mut [Option<u8>]) -> Vec<u8> {
+    let pixels = image.rgb.chunks_exact(3).map(|pixel| {
+        let bits = pixel.iter().map(|value| usize::from(value >> 3));
+        let at = bits.fold(0, |at, value| at << 5 | value);
+        *known[at].get_or_insert_with(|| nearest(pixel))
+    });
+    pixels.collect()
 }
 
 fn nearest(pixel: &[u8]) -> u8 {
     let distance = |colour: &[u8; 3]| {
-        let apart = colour
-            .iter()
-            .zip(pixel)
-            .map(|(a, b)| i32::from(*a) - i32::from(*b));
-        apart.map(|value| value * value).sum::<i32>()
+        let apart = colour.iter().zip(pixel).map(|(a, b)| a.abs_diff(*b));
+        apart.map(|value| i32::from(value).pow(2)).sum::<i32>()
     };
     let indices = 0..PALETTE.len() as u8;
     let found = indices.min_by_key(|index| distance(&PALETTE[usize::from(*index)]));

@@ -9,14 +9,12 @@ pub mod glb;
 pub mod mp4;
 pub mod page;
 mod picture;
-pub mod raster;
+mod raster;
 pub mod scene;
 mod table;
 pub mod viewer;
 
 pub use columns::{Column, Section, columns_csv, columns_table};
 pub use export::{ExportError, check as must_be_exportable};
-pub use picture::{
-    Panel, PictureError, Png, Pose, Series, body_panels, check_ending, draw, draw_png,
-};
+pub use picture::{Panel, PictureError, Series, body_panels, check_ending, draw, draw_png};
 pub use table::{facts, grouped, rows, table};

@@ -36,15 +36,9 @@ pub fn write(scene: &Scene, out: &Path, stop: &dyn Fn() -> bool) -> Result<(), E
 /// # Errors
 /// [`ExportError::NoEncoder`].
 pub fn must_have_encoder(out: &Path) -> Result<(), ExportError> {
-    let started = Command::new(ENCODER)
-        .arg("-version")
-        .stdin(Stdio::null())
-        .stdout(Stdio::null())
-        .stderr(Stdio::null())
-        .status();
-    started
-        .map(|_| ())
-        .map_err(|reason| no_encoder(out, OsStr::new(ENCODER), &reason))
+    let started = Command::new(ENCODER).arg("-version").output();
+    let missing = |reason| no_encoder(out, OsStr::new(ENCODER), &reason);
+    started.map(|_| ()).map_err(missing)
 }
 
 fn no_encoder(out: &Path, program: &OsStr, reason: &std::io::Error) -> ExportError {
@@ -63,24 +57,17 @@ fn write_by(
     stop: &dyn Fn() -> bool,
 ) -> Result<(), ExportError> {
     export::check(scene, out)?;
-    let failed = |reason: std::io::Error| ExportError::Write {
-        path: out.to_path_buf(),
-        reason: reason.to_string(),
-    };
-    let (film, music) = (
-        export::temporary(out, "film"),
-        export::temporary(out, "song"),
-    );
+    let [film, music] = ["film", "song"].map(|what| export::temporary(out, what));
     if let Some(song) = &scene.song {
         fs::write(&music, &song.bytes).map_err(|reason| {
             let _ = fs::remove_file(&music);
-            failed(reason)
+            ExportError::write(out)(reason)
         })?;
     }
     let song = scene.song.as_ref().map(|song| (song, music.as_path()));
     let encoded = encode(program, scene, song, &film, out, stop);
     let _ = fs::remove_file(&music);
-    let written = encoded.and_then(|()| fs::rename(&film, out).map_err(failed));
+    let written = encoded.and_then(|()| fs::rename(&film, out).map_err(ExportError::write(out)));
     if written.is_err() {
         let _ = fs::remove_file(&film);
     }
@@ -170,10 +157,10 @@ fn arguments(
         name
     };
     let words = |text: &str| -> Vec<OsString> { text.split(' ').map(OsString::from).collect() };
-    let mut all = words("-hide_banner -loglevel error -nostdin -y -f rawvideo -pix_fmt rgb24");
-    all.extend(words(&format!(
-        "-s {width}x{height} -framerate {FPS} -i pipe:0"
-    )));
+    let mut all = words(&format!(
+        "-hide_banner -loglevel error -nostdin -y -f rawvideo -pix_fmt rgb24 -s {width}x{height} \
+         -framerate {FPS} -i pipe:0"
+    ));
     if let Some((song, path)) = song {
         all.extend(words(&format!("-ss {:.6} -i", song.start.max(0.0))));
         all.push(file(path));
@@ -181,9 +168,8 @@ fn arguments(
     }
     // The song is padded and cut to the length of the motion.
     all.extend(words(&format!(
-        "-t {seconds:.6} -c:v libx264 -crf 20 -pix_fmt yuv420p"
+        "-t {seconds:.6} -c:v libx264 -crf 20 -pix_fmt yuv420p -movflags +faststart -f mp4"
     )));
-    all.extend(words("-movflags +faststart -f mp4"));
     all.push(file(film));
     all
 }

@@ -1,6 +1,10 @@
 //! Scenes for viewers, animated pictures and exported files: moving objects, marks on the floor,
 //! and a song.
 
+use std::ops::{Mul, Sub};
+
+use serde::{Deserialize, Serialize};
+
 /// Moving objects side by side.
 #[derive(Clone, Debug, Default)]
 pub struct Scene {
@@ -43,21 +47,17 @@ pub struct SceneObject {
 pub struct Origins {
     /// Name and number of frames of each example.
     pub examples: Vec<(String, usize)>,
-    /// Name and runs of each part matched by itself.
-    pub parts: Vec<(String, Vec<Run>)>,
+    /// The parts that were matched separately.
+    pub parts: Vec<PartOrigins>,
 }
 
-/// Consecutive frames that are consecutive in an example.
-#[derive(Clone, Copy, Debug, Eq, PartialEq)]
-pub struct Run {
-    /// First frame in the motion.
-    pub start: usize,
-    /// The example.
-    pub example: usize,
-    /// First frame in the example.
-    pub first: usize,
-    /// Number of frames.
-    pub frames: usize,
+/// Origins of a part of the body.
+#[derive(Clone, Debug, Deserialize, Serialize)]
+pub struct PartOrigins {
+    /// Its name.
+    pub name: String,
+    /// Consecutive frames of an example: first frame, example, first frame in it, number of frames.
+    pub runs: Vec<[usize; 4]>,
 }
 
 /// Ground contact of a joint.
@@ -79,7 +79,7 @@ pub struct Curves {
 }
 
 /// Marks on the floor. Points are `[x, z]` in metres.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug, Default, Serialize)]
 pub struct Floor {
     /// Path to follow.
     pub path: Vec<[f32; 2]>,
@@ -123,11 +123,7 @@ impl SceneObject {
     /// Position of a joint in a frame.
     pub fn joint(&self, frame: usize, joint: usize) -> [f32; 3] {
         let at = 3 * (frame * self.joints() + joint);
-        [
-            self.positions[at],
-            self.positions[at + 1],
-            self.positions[at + 2],
-        ]
+        [0, 1, 2].map(|axis| self.positions[at + axis])
     }
 }
 
@@ -135,18 +131,14 @@ impl Scene {
     /// Length of the longest object in seconds.
     pub fn seconds(&self) -> f64 {
         let lengths = self.objects.iter().map(SceneObject::seconds);
-        lengths
-            .filter(|length| length.is_finite())
-            .fold(0.0, f64::max)
+        let finite = lengths.filter(|length| length.is_finite());
+        finite.fold(0.0, f64::max)
     }
 
     /// Frame time of the object with the highest frame rate; 0 without objects.
     pub fn frame_seconds(&self) -> f64 {
-        let fps = self
-            .objects
-            .iter()
-            .map(|object| object.fps)
-            .fold(0.0, f64::max);
+        let rates = self.objects.iter().map(|object| object.fps);
+        let fps = rates.fold(0.0, f64::max);
         if fps > 0.0 { 1.0 / fps } else { 0.0 }
     }
 }
@@ -168,6 +160,9 @@ pub(crate) enum Side {
     Middle,
 }
 
+/// Half sizes of an oriented body in metres: side, up, front.
+pub(crate) const BODY: [f32; 3] = [0.17, 0.26, 0.1];
+
 /// Largest radius of a bone in metres, and relative to its length.
 const BONE_RADIUS: (f32, f32) = (0.032, 0.25);
 
@@ -183,11 +178,8 @@ impl SceneObject {
         let last = self.frames().saturating_sub(1);
         let place = (seconds * self.fps).clamp(0.0, last as f64);
         // Times of frames survive the division by the frame rate.
-        let place = if (place - place.round()).abs() < 1e-6 {
-            place.round()
-        } else {
-            place
-        };
+        let is_frame = (place - place.round()).abs() < 1e-6;
+        let place = if is_frame { place.round() } else { place };
         let (from, part) = (place.floor() as usize, (place - place.floor()) as f32);
         let to = (from + 1).min(last);
         let between = |a: f32, b: f32| if part > 0.0 { a + part * (b - a) } else { a };
@@ -247,22 +239,31 @@ impl SceneObject {
 /// The normalised quaternion (w, x, y, z); the identity if it has no norm.
 pub(crate) fn normalised(q: [f32; 4]) -> [f32; 4] {
     let norm = q.iter().map(|part| part * part).sum::<f32>().sqrt();
-    if norm.is_finite() && norm > 1e-12 {
-        q.map(|part| part / norm)
-    } else {
-        [1.0, 0.0, 0.0, 0.0]
+    match norm.is_finite() && norm > 1e-12 {
+        true => q.map(|part| part / norm),
+        false => [1.0, 0.0, 0.0, 0.0],
     }
+}
+
+/// The bounding box of points; zeros without any.
+pub(crate) fn bounds<const N: usize>(points: &[[f32; N]]) -> [[f32; N]; 2] {
+    [f32::min, f32::max].map(|extreme: fn(f32, f32) -> f32| {
+        let points = points.iter().copied();
+        let found = points.reduce(|a, b| std::array::from_fn(|axis| extreme(a[axis], b[axis])));
+        found.unwrap_or([0.0; N])
+    })
+}
+
+/// The cross product.
+pub(crate) fn cross<T>(a: [T; 3], b: [T; 3]) -> [T; 3]
+where
+    T: Copy + Mul<Output = T> + Sub<Output = T>,
+{
+    [(1, 2), (2, 0), (0, 1)].map(|(i, j)| a[i] * b[j] - a[j] * b[i])
 }
 
 /// The vector rotated by a unit quaternion (w, x, y, z).
 pub(crate) fn rotate([w, x, y, z]: [f32; 4], v: [f32; 3]) -> [f32; 3] {
-    let cross = |a: [f32; 3], b: [f32; 3]| {
-        [
-            a[1] * b[2] - a[2] * b[1],
-            a[2] * b[0] - a[0] * b[2],
-            a[0] * b[1] - a[1] * b[0],
-        ]
-    };
     let axis = [x, y, z];
     let once = cross(axis, v);
     let twice = cross(axis, once);

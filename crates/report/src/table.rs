@@ -36,15 +36,10 @@ pub fn facts<'a>(facts: impl IntoIterator<Item = (&'a str, String)>) -> String {
 
 /// `16342361` as `16,342,361`.
 pub fn grouped(n: usize) -> String {
-    let digits = n.to_string();
-    let mut out = String::new();
-    for (index, digit) in digits.chars().enumerate() {
-        if index > 0 && (digits.len() - index).is_multiple_of(3) {
-            out.push(',');
-        }
-        out.push(digit);
-    }
-    out
+    let mut digits = n.to_string();
+    let places = (1..digits.len()).rev().skip(2).step_by(3);
+    places.for_each(|place| digits.insert(place, ','));
+    digits
 }
 
 #[cfg(test)]

@@ -28,7 +28,7 @@ Examples:
   kinegrad init bodies
   kinegrad data prepare bodies.toml")]
 pub struct PrepareArguments {
-    /// Plan
+    /// Plan of the dataset
     #[arg(value_name = "PLAN.toml")]
     pub plan: PathBuf,
     /// Output folder, gs:// or s3:// URI [default: the plan's `output`]
@@ -86,7 +86,7 @@ pub struct FeaturesArguments {
 }
 
 /// The known beats of a song.
-#[derive(Clone, Debug, Args)]
+#[derive(Clone, Debug, Default, Args)]
 pub struct BeatArguments {
     /// Approximate tempo of the song in beats per minute; selects between the tracked tempo, its
     /// double and its half
@@ -101,7 +101,7 @@ pub struct BeatArguments {
 }
 
 impl BeatArguments {
-    /// The same for the library.
+    /// The known beats as the library takes them.
     pub fn known(&self) -> KnownBeats {
         KnownBeats {
             tempo: self.tempo,

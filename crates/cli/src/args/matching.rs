@@ -76,7 +76,7 @@ pub struct MatchArguments {
     /// [default: from the preset]
     #[arg(long, value_name = "PARTS")]
     pub parts: Option<PathBuf>,
-    /// Poses of the motion at given times
+    /// File of poses at given times
     #[arg(long, value_name = "KEYFRAMES.toml")]
     pub keyframes: Option<PathBuf>,
     /// Part that follows a motion, as legs=walk.bvh: a part of `--parts`, a joint with all joints

@@ -5,8 +5,8 @@ use std::path::PathBuf;
 use clap::Args;
 use kinegrad_motion::PostProcessProfile;
 
-use super::data::BeatArguments;
 use super::values::named;
+use crate::conditions::ConditionArguments;
 
 /// Arguments of `kinegrad sample`.
 #[derive(Clone, Debug, Args)]
@@ -32,72 +32,8 @@ pub struct SampleArguments {
     /// Replace existing files
     #[arg(long)]
     pub overwrite: bool,
-    /// Dataset that contains the item [default: the run's dataset]
-    #[arg(long, value_name = "URI")]
-    pub source: Option<String>,
-    /// Item of the dataset that gives the condition; `*` matches any text, and each match is written
-    /// to PATH-ID.npy
-    #[arg(long, value_name = "ID", conflicts_with = "audio_features")]
-    pub item: Option<String>,
-    /// Audio features as the condition
-    #[arg(long, value_name = "FILE.npz", conflicts_with = "source")]
-    pub audio_features: Option<PathBuf>,
-    /// Song (mp3, wav, flac, ogg) as the condition
-    #[arg(long, value_name = "SONG", conflicts_with_all = ["source", "item", "audio_features"])]
-    pub audio: Option<PathBuf>,
-    /// Position in the song, in seconds, at which the motion starts
-    #[arg(long, value_name = "S", default_value_t = 0.0, requires = "audio")]
-    pub start: f64,
     #[command(flatten)]
-    pub beats: BeatArguments,
-    /// Goal of the root: key frames or a trajectory, and obstacles; several goals are sampled as one
-    /// batch
-    #[arg(long, value_name = "GOAL.toml")]
-    pub goal: Vec<PathBuf>,
-    /// Run of recipe `gmd_trajectory` that generates the ground path first
-    #[arg(long, value_name = "RUN")]
-    pub trajectory_run: Option<PathBuf>,
-    /// Text as the condition, embedded with `--text-encoder`; for runs with
-    /// `data.humanml3d.text = "labels"`, one of the training captions
-    #[arg(long, value_name = "SENTENCE", conflicts_with = "text_embedding")]
-    pub text: Option<String>,
-    /// Folder of CLIP ViT-B/32, which embeds the text
-    #[arg(long, value_name = "DIR", requires = "text")]
-    pub text_encoder: Option<PathBuf>,
-    /// Text embedding as the condition: 512 values in tensor KEY of a safetensors file, or row N of
-    /// it with KEY:N
-    #[arg(long, value_name = "FILE#KEY")]
-    pub text_embedding: Option<String>,
-    /// Joint positions `[T, J, 3]` in metres that the motion continues, for runs of recipe `flow`
-    #[arg(long, value_name = "MOTION.npy")]
-    pub history: Option<PathBuf>,
-    /// Texts one after another, each with its length, for runs of recipe `flow` or `bpe_motion`
-    #[arg(long, value_name = "FILE.toml", conflicts_with_all = ["text", "text_embedding"])]
-    pub prompts: Option<PathBuf>,
-    /// Path over the ground that the motion follows (.toml, .csv or .svg)
-    #[arg(long, value_name = "FILE")]
-    pub path: Option<PathBuf>,
-    /// Method of following the path [default: from the run's config]. Recipe `bpe_motion`: `none`,
-    /// `warp`, `override`, `guidance`, `override_guidance`, `tokens`, `tokens_guidance` or
-    /// `tokens_warp`; phrases: `override` or `guidance`
-    #[arg(long, value_name = "METHOD", requires = "path")]
-    pub method: Option<String>,
-    /// Metres in a unit of a path that is a drawing
-    #[arg(long, value_name = "METRES", requires = "path")]
-    pub metres_per_unit: Option<f64>,
-    /// Style, for runs with `model.style`: a label, such as `waltz`, or eight numbers separated by
-    /// commas [default: none]
-    #[arg(long, value_name = "STYLE", allow_hyphen_values = true)]
-    pub style: Option<String>,
-    /// Phrase to continue: the sample begins with its last frames, a quarter of the training length
-    #[arg(long, value_name = "MOTION.npy", conflicts_with = "keep")]
-    pub continue_from: Option<PathBuf>,
-    /// Frames taken unchanged from `--keep-from`, for example 0..30,90..120 (without 30 and 120)
-    #[arg(long, value_name = "FRAMES", requires = "keep_from")]
-    pub keep: Option<String>,
-    /// Phrase that contains the frames of `--keep`
-    #[arg(long, value_name = "MOTION.npy", requires = "keep")]
-    pub keep_from: Option<PathBuf>,
+    pub conditions: ConditionArguments,
     /// Post-processing of phrases: `default`, `ccmotion` (exactly CC-MotionGen's) or `none`
     /// [default: default]
     #[arg(long, value_name = "PROFILE", value_parser = named::<PostProcessProfile>)]
@@ -105,9 +41,6 @@ pub struct SampleArguments {
     /// Lock feet in the BVH file while they stand; the arrays do not change
     #[arg(long)]
     pub lock_feet: bool,
-    /// Condition of a system outside of kinegrad
-    #[arg(long = "condition", value_name = "NAME=VALUE", hide = true)]
-    pub conditions: Vec<String>,
     /// Samples per condition
     #[arg(long, default_value_t = 1, value_name = "N")]
     pub count: usize,

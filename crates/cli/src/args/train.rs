@@ -6,7 +6,7 @@ use clap::Args;
 use kinegrad_train::Error;
 use kinegrad_train::run::Target;
 
-/// The config of a `kinegrad train` that names none.
+/// Default config file of `kinegrad train`.
 pub const DEFAULT_CONFIG: &str = "kinegrad.toml";
 
 /// Arguments of `kinegrad train`.
@@ -47,10 +47,7 @@ pub struct TrainArguments {
 }
 
 impl TrainArguments {
-    /// The run to train.
-    ///
-    /// # Errors
-    /// [`Error::Usage`] for options that contradict each other.
+    /// The run to train. Rejects options that contradict each other.
     pub fn target(&self) -> Result<Target, Error> {
         match (&self.config, &self.resume) {
             (Some(config), None) => Ok(Target::New(config.clone())),
@@ -92,10 +89,7 @@ impl TrainArguments {
     }
 }
 
-/// The default config.
-///
-/// # Errors
-/// If it is not in this folder.
+/// The default config. Fails if it is not in this folder.
 fn default_config() -> Result<PathBuf, Error> {
     let path = PathBuf::from(DEFAULT_CONFIG);
     match path.exists() {

@@ -31,9 +31,9 @@ pub struct WarpArguments {
     /// until one of them ends
     #[arg(long, value_parser = named::<ArcLengthMode>, default_value = "stretch")]
     pub along: ArcLengthMode,
-    /// Heading of the body: `relative`, with the direction of movement (side steps stay side steps);
-    /// `face`, facing along the path; `free`, none
-    #[arg(long, value_parser = named::<HeadingMode>, default_value = "relative", value_name = "TURNING")]
+    /// Heading of the body: `relative` turns with the direction of movement (side steps stay side
+    /// steps), `face` faces along the path, `free` does not turn
+    #[arg(long, value_parser = named::<HeadingMode>, default_value = "relative", value_name = "MODE")]
     pub heading: HeadingMode,
     /// Do not smooth turns over time
     #[arg(long)]

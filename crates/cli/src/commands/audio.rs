@@ -12,23 +12,17 @@ use kinegrad_train::song::song_features;
 use rayon::prelude::*;
 
 use crate::args::FeaturesArguments;
-use crate::io::must_be_new;
+use crate::io::{file_stem, must_be_new};
 use crate::output::{self, draw};
+
+/// Output files of a song.
+const FEATURES: &str = "features.npz";
+const PICTURE: &str = "features.png";
 
 /// A song and its output folder.
 struct Song {
     path: PathBuf,
     folder: PathBuf,
-}
-
-impl Song {
-    fn features(&self) -> PathBuf {
-        self.folder.join("features.npz")
-    }
-
-    fn picture(&self) -> PathBuf {
-        self.folder.join("features.png")
-    }
 }
 
 /// Writes the features of each song; exit code 2 if a song cannot be used, after the others.
@@ -46,10 +40,11 @@ pub fn features(arguments: FeaturesArguments) -> Result<ExitCode, Error> {
             return Err(Error::usage(message, hint));
         }
     }
-    let files = songs.iter().flat_map(|song| {
-        let picture = arguments.plot.then(|| song.picture());
-        [Some(song.features()), picture].into_iter().flatten()
-    });
+    let names = [Some(FEATURES), arguments.plot.then_some(PICTURE)];
+    let names = || names.into_iter().flatten();
+    let files = songs
+        .iter()
+        .flat_map(|song| names().map(move |name| song.folder.join(name)));
     let files: Vec<PathBuf> = files.collect();
     must_be_new(&files, &[], arguments.overwrite, "--out")?;
     let each = songs.par_iter().map(|song| one(song, &arguments));
@@ -75,13 +70,13 @@ pub fn features(arguments: FeaturesArguments) -> Result<ExitCode, Error> {
 fn songs(arguments: &FeaturesArguments) -> Result<Vec<Song>, Error> {
     let mut songs: Vec<Song> = Vec::new();
     for path in &arguments.songs {
-        let name = path.file_stem().unwrap_or_default().to_string_lossy();
+        let name = file_stem(path);
         if let Err(error) = check_id(&name) {
             let path = path.display();
             let message = format!("{path}: the name cannot be that of a folder: {error}");
             return Err(Error::usage(message, "rename the song"));
         }
-        let folder = arguments.out.join(&*name);
+        let folder = arguments.out.join(name);
         if songs.iter().any(|song| song.folder == folder) {
             let message = format!("two songs would be written to {}", folder.display());
             let hint = "rename one of them, or give each its own `--out`";
@@ -108,17 +103,15 @@ fn one(song: &Song, arguments: &FeaturesArguments) -> Result<[String; 6], Error>
     let frames = cut(features.frames(), song, arguments)?;
     let stacked = AudioFeatures::of_song(&features, layout, pulse.as_ref()).slice(frames.clone());
     let features = features.slice(frames);
-    let target = song.features();
+    let target = song.folder.join(FEATURES);
     let beats = features.beats();
     write_song_features(&target, &features, &stacked)?;
     if arguments.plot {
-        picture(&features, &song.picture())?;
+        picture(&features, &song.folder.join(PICTURE))?;
     }
-    let whole = waveform.samples.len() as f64 / f64::from(kinegrad_audio::SAMPLE_RATE);
-    let is_whole = arguments.start == 0.0 && arguments.duration.is_none();
-    let seconds = match is_whole {
-        true => whole,
-        false => features.frames() as f64 / kinegrad_audio::FPS,
+    let seconds = match (arguments.start, arguments.duration) {
+        (0.0, None) => waveform.samples.len() as f64 / f64::from(kinegrad_audio::SAMPLE_RATE),
+        _ => features.frames() as f64 / kinegrad_audio::FPS,
     };
     Ok([
         song.path.display().to_string(),
@@ -140,11 +133,9 @@ fn cut(frames: usize, song: &Song, arguments: &FeaturesArguments) -> Result<Rang
         return Err(Error::usage(message, "start earlier"));
     }
     let start = start.round() as usize;
-    let length = arguments
-        .duration
-        .map(|seconds| (seconds * kinegrad_audio::FPS).round());
     // At least one frame.
-    let length = length.map_or(frames, |length| (length as usize).max(1));
+    let length = |seconds: f64| ((seconds * kinegrad_audio::FPS).round() as usize).max(1);
+    let length = arguments.duration.map_or(frames, length);
     Ok(start..frames.min(start.saturating_add(length)))
 }
 

@@ -7,9 +7,8 @@ use kinegrad_data::humanml::SkeletonName;
 use kinegrad_data::{DataConfig, DataKind};
 use kinegrad_motion::{Profile, Report, Representation, Statistics};
 use kinegrad_report::table;
-use kinegrad_train::Error;
-use kinegrad_train::Systems;
 use kinegrad_train::checkpoint::State;
+use kinegrad_train::{Error, Systems};
 use miette::Diagnostic;
 use serde_json::json;
 
@@ -40,10 +39,9 @@ pub fn run(systems: Systems<'_>, arguments: CheckArguments) -> Result<ExitCode, 
             Motion::Bvh(_) => unreachable!("refused above"),
         };
         let statistics = statistics(&arguments, state.as_ref(), &*array.representation)?;
-        let report = array
-            .representation
-            .check(&array.values, arguments.profile, statistics.as_ref())
-            .map_err(|error| unusable(&arguments, error))?;
+        let (representation, statistics) = (array.representation, statistics.as_ref());
+        let report = representation.check(&array.values, arguments.profile, statistics);
+        let report = report.map_err(|error| unusable(&arguments, error))?;
         reports.push((path.display().to_string(), report));
     }
     let passed = reports.iter().filter(|(_, report)| report.passed).count();
@@ -143,9 +141,8 @@ fn rates_table<'a>(reports: impl Iterator<Item = &'a Report>) -> String {
             None => counts.push((check.name, 1, passed)),
         }
     }
-    let rows = counts.into_iter().map(|(name, all, good)| {
-        let rate = format!("{:.0} %", 100.0 * good as f64 / all as f64);
-        [name.to_string(), rate]
-    });
+    let rate = |all: usize, good: usize| format!("{:.0} %", 100.0 * good as f64 / all as f64);
+    let rows = counts.into_iter();
+    let rows = rows.map(|(name, all, good)| [name.to_string(), rate(all, good)]);
     table(["check", "pass"], rows)
 }

@@ -2,23 +2,17 @@
 
 use std::process::ExitCode;
 
-use kinegrad_train::Systems;
-use kinegrad_train::memory;
-use kinegrad_train::{Error, config, run};
+use kinegrad_train::{Error, Systems, config, memory, run};
 
 use crate::args::ShowArguments;
 use crate::output;
 
 /// Prints the resolved config, with comments on the size of the model.
 pub fn show(systems: Systems<'_>, arguments: ShowArguments) -> Result<ExitCode, Error> {
-    let config = run::load_config(
-        systems,
-        &arguments.config,
-        &arguments.overrides,
-        &mut |missing| {
-            tell!("warning: {missing}; its networks and process are not shown");
-        },
-    )?;
+    let ShowArguments { config, overrides } = arguments;
+    let config = run::load_config(systems, &config, &overrides, &mut |missing| {
+        tell!("warning: {missing}; its networks and process are not shown");
+    })?;
     for warning in systems.validate(&config)? {
         tell!("warning: {warning}");
     }
@@ -26,10 +20,8 @@ pub fn show(systems: Systems<'_>, arguments: ShowArguments) -> Result<ExitCode, 
     let parameters = output::parameters(&system.parameters(&config)?);
     say!("# model: {parameters}");
     let needed = system.footprint(&config)?.of_training(&config, true);
-    say!(
-        "# memory: about {} to train it on the CPU",
-        memory::size(needed)
-    );
+    let needed = memory::size(needed);
+    say!("# memory: about {needed} to train it on the CPU");
     say!("{}", config::to_toml(&config).trim_end());
     Ok(ExitCode::SUCCESS)
 }

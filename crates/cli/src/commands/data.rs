@@ -95,10 +95,10 @@ fn no_dataset(source: &str) -> Error {
 fn select(arguments: &InspectArguments) -> Result<ExitCode, Error> {
     let store = Store::open(&arguments.source, &StoreConfig::default())?;
     let Some(all) = Selection::read(&store)? else {
-        let is_there = store.is_remote() || Path::new(&store.uri()).is_dir();
-        let message = match is_there {
-            true => format!("{} has no {MANIFEST}", store.uri()),
-            false => format!("there is no folder {}", store.uri()),
+        let uri = store.uri();
+        let message = match store.is_remote() || Path::new(&uri).is_dir() {
+            true => format!("{uri} has no {MANIFEST}"),
+            false => format!("there is no folder {uri}"),
         };
         let hint = "`--where` and `--plot` need the manifest, which `kinegrad data prepare` \
                     writes";
@@ -144,22 +144,15 @@ fn print_selection(chosen: &Selection, all: usize) {
     say!("{}", table(names, rows));
     // An empty sum of f64 is -0.
     let sum = |column: &str| {
-        let values = chosen.numbers(column).unwrap_or_default();
-        values
-            .into_iter()
-            .flatten()
-            .fold(0.0, |sum, value| sum + value)
+        let values = chosen.numbers(column).into_iter().flatten().flatten();
+        values.fold(0.0, |sum, value| sum + value)
     };
     let seconds = match clips {
         true => sum("seconds"),
         false => sum("frames") / kinegrad_motion::FPS,
     };
-    say!(
-        "{} of {} {items}, {:.2} minutes",
-        grouped(chosen.len()),
-        grouped(all),
-        seconds / 60.0
-    );
+    let (count, all, minutes) = (grouped(chosen.len()), grouped(all), seconds / 60.0);
+    say!("{count} of {all} {items}, {minutes:.2} minutes");
 }
 
 fn plot(chosen: &Selection, out: &Path) -> Result<(), Error> {
@@ -195,6 +188,7 @@ fn print(inspection: &Inspection, config: &DataConfig) {
         format!("{kind}s left out"),
         format!("frames a {kind}"),
     );
+    let length = format!("{frames} ({minutes:.2} minutes at {fps} fps)");
     let layout = match config.kind {
         DataKind::Humanml3d => {
             let skeleton = config.humanml3d.skeleton;
@@ -209,10 +203,7 @@ fn print(inspection: &Inspection, config: &DataConfig) {
         (&unusable, grouped(inspection.bad_items)),
         (&left_out, grouped(inspection.left_out)),
         ("to train on, held out", format!("{train}, {held_out}")),
-        (
-            "frames",
-            format!("{frames} ({minutes:.2} minutes at {fps} fps)"),
-        ),
+        ("frames", length),
         (&lengths, format!("{shortest} to {longest}")),
         ("motion", inspection.representation.clone()),
         ("channels", grouped(inspection.channels)),

@@ -25,42 +25,29 @@ pub fn print(estimate: &Estimate, json: bool) {
     if json {
         return output::json(estimate);
     }
-    let items = [
-        estimate.train_items,
-        estimate.validation_items,
-        estimate.skipped_items,
-    ];
-    let [train, held_out, skipped] = items.map(grouped);
+    let [train, held_out] = [estimate.train_items, estimate.validation_items].map(grouped);
     let mut items = format!("{train} to train on, {held_out} held out");
     if estimate.skipped_items > 0 {
+        let skipped = grouped(estimate.skipped_items);
         items.push_str(&format!(", {skipped} skipped as unusable"));
     }
-    let memory = match estimate.free_memory_bytes {
-        Some(free) => format!(
-            "about {}; {} are free",
-            size(estimate.memory_bytes),
-            size(free)
-        ),
-        None => format!("about {}", size(estimate.memory_bytes)),
-    };
-    let left = estimate.max_steps.saturating_sub(estimate.step);
+    let mut memory = format!("about {}", size(estimate.memory_bytes));
+    if let Some(free) = estimate.free_memory_bytes {
+        memory.push_str(&format!("; {} are free", size(free)));
+    }
+    let left = grouped(estimate.max_steps.saturating_sub(estimate.step) as usize);
+    let needed = duration(estimate.training_seconds);
     let (step, time) = match estimate.step_seconds {
         Some(seconds) => (
             format!("{seconds:.3} s (mean of {})", estimate.measured_steps),
-            format!(
-                "about {} for {} steps{}",
-                duration(estimate.training_seconds),
-                grouped(left as usize),
-                counted(estimate)
-            ),
+            format!("about {needed} for {left} steps{}", counted(estimate)),
         ),
         None => ("not measured".into(), "nothing left to train".into()),
     };
+    let [all, each] = [estimate.disk_bytes, estimate.checkpoint_bytes].map(size);
     let mut disk = format!(
-        "about {}: {} checkpoints of {}",
-        size(estimate.disk_bytes),
-        estimate.checkpoints,
-        size(estimate.checkpoint_bytes)
+        "about {all}: {} checkpoints of {each}",
+        estimate.checkpoints
     );
     if estimate.samples_bytes > 0 {
         disk.push_str(&format!(", samples of {}", size(estimate.samples_bytes)));

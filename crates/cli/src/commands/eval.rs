@@ -6,11 +6,9 @@ use std::process::ExitCode;
 use std::rc::Rc;
 
 use kinegrad_report::{Column, Section, columns_csv, columns_table};
-use kinegrad_train::Systems;
 use kinegrad_train::checkpoint::SavedCheckpoint;
-use kinegrad_train::config;
-use kinegrad_train::evaluation::{self, Evaluated, EvaluationRequest, Group, Number};
-use kinegrad_train::{Error, ProcessGroup, TrainedModel};
+use kinegrad_train::evaluation::{self, Evaluated, EvaluationRequest};
+use kinegrad_train::{Error, ProcessGroup, Systems, TrainedModel, config};
 use serde_json::json;
 
 use super::sample::{checkpoint, trained_for, while_it_is_trained};
@@ -47,10 +45,8 @@ fn evaluate(
         let hint = "give one, or compare them with `--audio-ablation`";
         return Err(Error::usage(message, hint));
     }
-    let models: Vec<TrainedModel> = runs
-        .iter()
-        .map(|run| trained_for(systems, run, &arguments.sampler, group))
-        .collect::<Result<_, _>>()?;
+    let open = |run: &PathBuf| trained_for(systems, run, &arguments.sampler, group);
+    let models = runs.iter().map(open).collect::<Result<Vec<_>, _>>()?;
     must_compare(systems, &models)?;
     let trajectory = arguments.trajectory_run.as_deref().map(checkpoint);
     let request = EvaluationRequest {
@@ -63,10 +59,10 @@ fn evaluate(
     };
     must_evaluate_the_same(group, &models, &request)?;
     // Every run is checked before the first evaluation.
-    let mut evaluations = Vec::with_capacity(models.len());
-    for trained in &models {
-        evaluations.push(systems.evaluate(trained, &request)?);
-    }
+    let evaluations = models
+        .iter()
+        .map(|trained| systems.evaluate(trained, &request));
+    let evaluations = evaluations.collect::<Result<Vec<_>, _>>()?;
     let own = |trained: &TrainedModel| run_folder(trained.path()).join("reports");
     let folders: Vec<PathBuf> = match arguments.out {
         Some(out) => vec![out],
@@ -89,23 +85,16 @@ fn evaluate(
     // One folder for all runs, or one for each.
     let each = evaluated.chunks(models.len() / folders.len());
     let each = folders.iter().zip(each);
-    let written = match group.writes() {
-        true => each
-            .map(|(folder, each)| write(folder, runs, each))
-            .collect(),
-        false => Ok(Vec::new()),
-    };
-    let written: Vec<[PathBuf; 2]> = group.done(written)?;
+    let each = each.filter(|_| group.writes());
+    let written = each.map(|(folder, each)| write(folder, runs, each));
+    let written: Vec<[PathBuf; 2]> = group.done(written.collect())?;
     if !group.writes() {
         return Ok(());
     }
     if arguments.json {
         say!("{}", report(&evaluated));
     } else {
-        say!(
-            "{}",
-            columns_table(&columns(runs, &evaluated, table_sections))
-        );
+        say!("{}", columns_table(&columns(runs, &evaluated, false)));
         for remark in evaluated.iter().flat_map(|each| &each.remarks) {
             say!("\n{remark}");
         }
@@ -141,10 +130,9 @@ fn must_evaluate_the_same(
 
 /// Rejects runs without common measures.
 fn must_compare(systems: Systems<'_>, models: &[TrainedModel]) -> Result<(), Error> {
-    let mut names = Vec::with_capacity(models.len());
-    for trained in models {
-        names.push(systems.of(trained.config())?.0.name());
-    }
+    let systems = models.iter().map(|trained| systems.of(trained.config()));
+    let names = systems.map(|found| Ok(found?.0.name()));
+    let names = names.collect::<Result<Vec<_>, Error>>()?;
     if names.windows(2).all(|pair| pair[0] == pair[1]) {
         return Ok(());
     }
@@ -165,7 +153,7 @@ fn run_folder(checkpoint: &Path) -> &Path {
 fn write(folder: &Path, runs: &[PathBuf], all: &[Evaluated]) -> Result<[PathBuf; 2], Error> {
     let stem = all[0].report;
     let [json, csv] = ["json", "csv"].map(|ending| folder.join(format!("{stem}.{ending}")));
-    let columns = columns(runs, all, csv_sections);
+    let columns = columns(runs, all, true);
     let texts = [
         report(all) + "\n",
         columns_csv(["samples", "measure"], &columns),
@@ -188,19 +176,14 @@ fn report(all: &[Evaluated]) -> String {
 
 /// A column for each run, and one for real motion. They have the names of the runs or, if two are
 /// equal, their `paths`.
-fn columns<'a>(
-    paths: &[PathBuf],
-    all: &'a [Evaluated],
-    sections: fn(&evaluation::Column) -> Vec<Section<'_>>,
-) -> Vec<Column<'a>> {
-    let named_twice = |(index, each): (usize, &Evaluated)| {
-        all[..index].iter().any(|earlier| earlier.run == each.run)
-    };
-    let by_path = all.iter().enumerate().any(named_twice);
+fn columns<'a>(paths: &[PathBuf], all: &'a [Evaluated], in_full: bool) -> Vec<Column<'a>> {
+    let mut names: Vec<&str> = all.iter().map(|each| each.run.as_str()).collect();
+    names.sort_unstable();
+    let by_path = names.windows(2).any(|pair| pair[0] == pair[1]);
     let same = all.iter().all(|each| each.real == all[0].real);
     let column = |label: String, column: &'a evaluation::Column| Column {
         label,
-        sections: sections(column),
+        sections: sections(column, in_full),
     };
     let mut columns = Vec::new();
     for (path, each) in paths.iter().zip(all) {
@@ -219,47 +202,20 @@ fn columns<'a>(
     columns
 }
 
-/// All numbers in full.
-fn csv_sections(column: &evaluation::Column) -> Vec<Section<'_>> {
-    sections(
-        column,
-        |group| group.key,
-        |number| {
-            let value = number.value.map(|value| value.to_string());
-            Some((&number.name, value))
-        },
-    )
-}
-
-/// The main numbers.
-fn table_sections(column: &evaluation::Column) -> Vec<Section<'_>> {
-    sections(
-        column,
-        |group| group.title,
-        |number| {
-            let (title, shown) = number.line.as_ref()?;
-            Some((title, shown.clone()))
-        },
-    )
-}
-
-/// A name and the number as text.
-type Cell<'a> = (&'a str, Option<String>);
-
-/// Facts, then the groups.
-fn sections<'a>(
-    column: &'a evaluation::Column,
-    heading: fn(&Group) -> &str,
-    cell: fn(&Number) -> Option<Cell<'_>>,
-) -> Vec<Section<'a>> {
+/// Facts, then the groups: all numbers in full, or the main ones as shown in tables.
+fn sections(column: &evaluation::Column, in_full: bool) -> Vec<Section<'_>> {
     let facts = column.facts.iter();
     let facts = facts.map(|(name, count)| (*name, count.map(|count| count.to_string())));
-    let groups = column.groups.iter();
-    let groups = groups.map(|group| {
-        (
-            heading(group),
-            group.numbers.iter().filter_map(cell).collect(),
-        )
+    let groups = column.groups.iter().map(|group| {
+        let numbers = group.numbers.iter();
+        if in_full {
+            let full = |value: f64| value.to_string();
+            let cells = numbers.map(|number| (number.name.as_str(), number.value.map(full)));
+            return (group.key, cells.collect());
+        }
+        let lines = numbers.filter_map(|number| number.line.as_ref());
+        let cells = lines.map(|(title, shown)| (title.as_str(), shown.clone()));
+        (group.title, cells.collect())
     });
     [("", facts.collect())].into_iter().chain(groups).collect()
 }

@@ -5,9 +5,8 @@ use std::process::ExitCode;
 
 use kinegrad_capture::Plan;
 use kinegrad_motion::goal::Goal;
-use kinegrad_train::Error;
-use kinegrad_train::Systems;
 use kinegrad_train::system::{ConfigKey, toml_text};
+use kinegrad_train::{Error, Systems};
 
 use super::nearest;
 use crate::args::ExplainArguments;
@@ -255,10 +254,8 @@ fn groups(keys: &[ConfigKey]) -> Vec<(&str, Vec<&ConfigKey>)> {
         let same = |first: &ConfigKey| {
             first.key.only_with == key.key.only_with && first.recipes == key.recipes
         };
-        match groups
-            .iter_mut()
-            .find(|(known, group)| *known == table && same(group[0]))
-        {
+        let mut known = groups.iter_mut();
+        match known.find(|(name, group)| *name == table && same(group[0])) {
             Some((_, group)) => group.push(key),
             None => groups.push((table, vec![key])),
         }
@@ -296,10 +293,8 @@ fn section(page: &mut String, keys: &[ConfigKey], key: &ConfigKey, table: &str) 
 
 /// The number of recipes.
 fn longest(keys: &[ConfigKey]) -> usize {
-    keys.iter()
-        .map(|key| key.recipes.len())
-        .max()
-        .unwrap_or_default()
+    let counts = keys.iter().map(|key| key.recipes.len());
+    counts.max().unwrap_or_default()
 }
 
 /// The allowed values; names with their meanings.

@@ -3,9 +3,8 @@
 use std::process::ExitCode;
 
 use kinegrad_report::grouped;
-use kinegrad_train::Error;
-use kinegrad_train::Systems;
 use kinegrad_train::import::ImportRequest;
+use kinegrad_train::{Error, Systems};
 
 use crate::args::ImportArguments;
 
@@ -16,10 +15,8 @@ pub fn run(systems: Systems<'_>, arguments: ImportArguments) -> Result<ExitCode,
     let Some(system) = all().find(|system| system.architectures().contains(&name.as_str())) else {
         let known: Vec<&str> = all().flat_map(|s| s.architectures()).copied().collect();
         let message = format!("weights of `--arch {name}` cannot be imported");
-        return Err(Error::usage(
-            message,
-            format!("supported architectures: {}", known.join(", ")),
-        ));
+        let hint = format!("supported architectures: {}", known.join(", "));
+        return Err(Error::usage(message, hint));
     };
     let imported = system.import(&ImportRequest {
         weights: arguments.weights.clone(),

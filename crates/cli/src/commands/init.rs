@@ -63,10 +63,8 @@ impl Template {
         // "et al. 2023" does not end a sentence.
         let mut ends = stops.filter(|stop| paragraph[stop + 2..].starts_with(char::is_uppercase));
         let sentence = ends.next().map_or(&*paragraph, |end| &paragraph[..end]);
-        self.outside(
-            sentence.trim_end_matches(['.', ':']),
-            Path::new("prepare.toml"),
-        )
+        let sentence = sentence.trim_end_matches(['.', ':']);
+        self.outside(sentence, Path::new("prepare.toml"))
     }
 
     /// The command that uses the file.

@@ -7,11 +7,10 @@ use kinegrad_matching::{
     Example, Fixed, Job, Keyframe, Looping, Made, PartChoice, Preset, Settings,
 };
 use kinegrad_report::check_ending;
-use kinegrad_train::Error;
-use kinegrad_train::Systems;
+use kinegrad_train::{Error, Systems};
 
 use crate::args::MatchArguments;
-use crate::io::{Content, guess_units, guess_up, is_bvh, must_be_new, write_all};
+use crate::io::{Content, file_stem, guess_units, guess_up, is_bvh, must_be_new, write_all};
 use crate::output::unusable;
 use crate::{folder, interrupt, output};
 
@@ -30,10 +29,8 @@ pub fn run(systems: Systems<'_>, arguments: MatchArguments) -> Result<ExitCode, 
     interrupt::end_between_files();
     let record_path = arguments.out.with_extension("json");
     check_outputs(&arguments, &record_path)?;
-    let read = arguments
-        .examples
-        .iter()
-        .map(|path| motions::read(systems, path));
+    let read = arguments.examples.iter();
+    let read = read.map(|path| motions::read(systems, path));
     let read: Vec<Motion> = read.collect::<Result<_, _>>()?;
     let clip = read[0].clip.clone();
     let examples: Vec<Example> = read.into_iter().map(|motion| motion.example).collect();
@@ -64,7 +61,7 @@ pub fn run(systems: Systems<'_>, arguments: MatchArguments) -> Result<ExitCode, 
     ];
     interrupt::not_during(|| {
         if let Some(svg) = &arguments.svg {
-            let names = arguments.examples.iter().map(|path| name(path));
+            let names = arguments.examples.iter().map(|path| file_stem(path));
             let metres = guess_units(&examples[0].bvh, job.up).metres();
             picture::draw(&made, &names.collect::<Vec<_>>(), metres, svg)?;
         }
@@ -115,25 +112,17 @@ fn check_outputs(arguments: &MatchArguments, record: &PathBuf) -> Result<(), Err
 
 /// The files that a motion is made of.
 fn files_read(arguments: &MatchArguments) -> Vec<PathBuf> {
-    let MatchArguments {
-        examples,
-        fix,
-        content,
-        parts,
-        keyframes,
-        ..
-    } = arguments;
-    let fixed = fix.iter().map(|(_, path)| path);
-    let named = [content, parts, keyframes].into_iter().flatten();
-    let mut read: Vec<PathBuf> = examples.iter().chain(fixed).chain(named).cloned().collect();
+    let keyframes = &arguments.keyframes;
+    let fixed = arguments.fix.iter().map(|(_, path)| path);
+    let named = [&arguments.content, &arguments.parts, keyframes];
+    let read = arguments.examples.iter().chain(fixed);
+    let mut read: Vec<PathBuf> = read.chain(named.into_iter().flatten()).cloned().collect();
     // A file of key frames that cannot be read is an error later.
     if let Some(path) = keyframes
         && let Ok(text) = kinegrad_data::file::read_text(path)
         && let Ok(keyframes) = Keyframe::read(&text, &path.display().to_string())
     {
-        let sources = keyframes
-            .iter()
-            .filter_map(|keyframe| keyframe.file.as_ref());
+        let sources = keyframes.iter().flat_map(|keyframe| &keyframe.file);
         read.extend(sources.map(|file| path.with_file_name(file)));
     }
     read
@@ -158,11 +147,8 @@ fn job(
     examples: &[Example],
 ) -> Result<Job, Error> {
     let is_paper = arguments.preset == Preset::Paper;
-    let parts = match arguments
-        .parts
-        .as_deref()
-        .map(|parts| (parts, parts.to_str()))
-    {
+    let parts = arguments.parts.as_deref();
+    let parts = match parts.map(|parts| (parts, parts.to_str())) {
         None if is_paper => PartChoice::Automatic,
         None | Some((_, Some("whole"))) => PartChoice::Whole,
         Some((_, Some("auto"))) => PartChoice::Automatic,
@@ -176,9 +162,10 @@ fn job(
         None => Vec::new(),
     };
     let fixed = arguments.fix.iter().map(|(part, path)| {
-        let motion = read(systems, path)?;
-        let part = part.clone();
-        Ok(Fixed { part, motion })
+        Ok(Fixed {
+            part: part.clone(),
+            motion: read(systems, path)?,
+        })
     });
     let content = arguments.content.as_ref();
     let content = content.map(|path| read(systems, path));
@@ -221,19 +208,11 @@ fn keyframes(systems: Systems<'_>, path: &Path) -> Result<Vec<(Keyframe, Option<
     let text = read_text(path)?;
     let keyframes = Keyframe::read(&text, &path.display().to_string()).map_err(unusable)?;
     let with_source = |keyframe: Keyframe| {
-        let source = keyframe
-            .file
-            .as_ref()
-            .map(|file| read(systems, &path.with_file_name(file)));
+        let source = keyframe.file.as_ref();
+        let source = source.map(|file| read(systems, &path.with_file_name(file)));
         Ok((keyframe, source.transpose()?))
     };
     keyframes.into_iter().map(with_source).collect()
-}
-
-/// A file's name without its folder and extension.
-fn name(path: &Path) -> String {
-    let stem = path.file_stem().unwrap_or_default();
-    stem.to_string_lossy().into_owned()
 }
 
 /// Notes examples that are too short for a coarse level, where noise turns into long stretches.

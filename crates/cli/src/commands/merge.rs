@@ -2,8 +2,7 @@
 
 use std::process::ExitCode;
 
-use kinegrad_train::Error;
-use kinegrad_train::Systems;
+use kinegrad_train::{Error, Systems};
 
 use super::sample::checkpoint;
 use crate::args::MergeArguments;

@@ -3,16 +3,14 @@
 use std::path::Path;
 use std::process::ExitCode;
 
-use kinegrad_motion::Representation;
 use kinegrad_report::scene::Floor;
 use kinegrad_report::{Panel, Series, body_panels, check_ending};
-use kinegrad_train::Error;
-use kinegrad_train::Systems;
 use kinegrad_train::clips::read_goal;
 use kinegrad_train::telemetry::{Record, read_metrics};
+use kinegrad_train::{Error, Systems};
 
 use crate::args::PlotArguments;
-use crate::io::Motion;
+use crate::io::{Motion, MotionArray, file_stem};
 use crate::output::{draw, unusable};
 use crate::scene::{self, Reading};
 
@@ -70,32 +68,24 @@ fn motion_panels(
     reading: &Reading,
     floor: &Floor,
 ) -> Result<Vec<Panel>, Error> {
-    let name = path.file_stem().unwrap_or_default().to_string_lossy();
+    let name = file_stem(path);
     let motion = Motion::read(systems, path, &reading.bvh)?;
     if let Motion::Array(array) = &motion {
-        return Ok(known_panels(
-            &*array.representation,
-            &array.values,
-            &name,
-            floor,
-        ));
+        return Ok(known_panels(array, name, floor));
     }
-    let figure = scene::of_motion(&motion, name.into_owned(), reading.fps)?;
+    let figure = scene::of_motion(&motion, name, reading.fps)?;
     let body = body_panels(&figure, floor).into_iter();
     Ok(body.chain(scene::curve_panels(&figure)).collect())
 }
 
 /// The body along its path with the goal on the floor, and the curves of the representation.
-fn known_panels(
-    representation: &dyn Representation,
-    rows: &[f32],
-    name: &str,
-    floor: &Floor,
-) -> Vec<Panel> {
-    let figure = scene::of(representation, rows, name.to_string());
+fn known_panels(array: &MotionArray, name: String, floor: &Floor) -> Vec<Panel> {
+    let representation = &*array.representation;
+    let figure = scene::of(representation, &array.values, name);
     let body = figure.map(|figure| body_panels(&figure, floor));
     let fps = representation.fps();
-    let curves = representation.curves(rows).into_iter().map(|curves| {
+    let curves = representation.curves(&array.values).into_iter();
+    let curves = curves.map(|curves| {
         let series = curves.series.iter();
         let tracks = series.map(|(name, values)| (name.as_str(), values.clone()));
         Panel::over_time(curves.title.clone(), fps, tracks)
@@ -106,9 +96,8 @@ fn known_panels(
 fn loss_panels(records: &[Record]) -> Vec<Panel> {
     let panel = |title, names: &[&str]| {
         let curves = names.iter().map(|name| -> Series {
-            let points = records
-                .iter()
-                .filter_map(|r| Some((r.step as f64, r.get(name)?)));
+            let records = records.iter();
+            let points = records.filter_map(|r| Some((r.step as f64, r.get(name)?)));
             (name.to_string(), points.collect())
         });
         let measured = curves.filter(|(_, points)| !points.is_empty());

@@ -9,7 +9,7 @@ use kinegrad_capture::clips::{self, ClipsReport};
 use kinegrad_capture::phrases::{self, PhrasesReport, TakeReport};
 use kinegrad_capture::plan::{Grid, Plan};
 use kinegrad_capture::prepare::{PrepareObserver, PrepareOptions};
-use kinegrad_report::{facts, grouped, rows as table};
+use kinegrad_report::{facts, grouped, table};
 use kinegrad_train::Error;
 use serde::Serialize;
 
@@ -37,13 +37,11 @@ impl PrepareObserver for Progress {
 pub fn run(arguments: PrepareArguments) -> Result<ExitCode, Error> {
     let mut plan = Plan::read(&arguments.plan).map_err(failed)?;
     if let Some(out) = arguments.out {
-        plan.output = match out.contains("://") {
-            true => out,
-            // Relative to the working directory, not to the plan.
-            false => {
-                std::path::absolute(&out).map_or(out, |path| path.to_string_lossy().into_owned())
-            }
-        };
+        // A path is relative to the working directory, not to the plan.
+        let path = std::path::absolute(&out)
+            .ok()
+            .filter(|_| !out.contains("://"));
+        plan.output = path.map_or(out, |path| path.to_string_lossy().into_owned());
     }
     let progress = Progress {
         takes: Count::new("takes done"),
@@ -100,10 +98,9 @@ fn print(report: &PhrasesReport) {
         "left out (s)",
         "stated bars off the beat (ms)",
     ];
-    let mut rows = vec![header.map(String::from).to_vec()];
-    for take in &report.takes {
+    let rows = report.takes.iter().map(|take| {
         let lost: usize = take.rejected.iter().map(|rejection| rejection.frames).sum();
-        rows.push(vec![
+        [
             take.name.clone(),
             match take.failure {
                 Some(_) => "failed".to_owned(),
@@ -112,9 +109,9 @@ fn print(report: &PhrasesReport) {
             format!("{:.1}", take.seconds),
             format!("{:.1}", lost as f64 / kinegrad_motion::FPS),
             offsets(take),
-        ]);
-    }
-    say!("{}", table(rows));
+        ]
+    });
+    say!("{}", table(header, rows));
     print_grids(&report.takes);
     for take in &report.takes {
         if let Some(failure) = &take.failure {
@@ -142,13 +139,7 @@ fn print(report: &PhrasesReport) {
     for entry in &report.idle_entries {
         say!("split.validation: no phrase matches `{entry}`");
     }
-    if report.stale > 0 {
-        say!(
-            "{} phrases of other takes are in the output folder; the dataset does not include them, \
-             and `--prune` removes them",
-            grouped(report.stale)
-        );
-    }
+    print_stale(report.stale, "phrases");
     say!(
         "\n{} phrases ({:.2} minutes) in {}; {} of {} takes were unchanged",
         grouped(report.phrases),
@@ -159,6 +150,17 @@ fn print(report: &PhrasesReport) {
     );
 }
 
+/// Notes phrases or clips that the dataset does not include.
+fn print_stale(count: usize, items: &str) {
+    if count > 0 {
+        say!(
+            "{} {items} of other takes are in the output folder; the dataset does not include them, \
+             and `--prune` removes them",
+            grouped(count)
+        );
+    }
+}
+
 /// Most lines that are listed below a heading.
 const LISTED: usize = 20;
 
@@ -167,61 +169,39 @@ fn print_clips(report: &ClipsReport) {
     for take in report.takes.iter().filter(|take| take.clips > 0) {
         *maps.entry(&take.map).or_default() += 1;
     }
-    let maps = maps
-        .iter()
-        .map(|(map, takes)| format!("{map} {}", grouped(*takes)));
+    let maps = maps.into_iter();
+    let maps = maps.map(|(map, takes)| format!("{map} {}", grouped(takes)));
+    let (clips, minutes) = (grouped(report.clips), report.hours * 60.0);
+    let (unchanged, takes) = (grouped(report.kept), grouped(report.takes.len()));
     let parts = report.parts.iter();
     let parts = parts.map(|(part, clips)| format!("{part} {}", grouped(*clips)));
     let shown = [
         ("dataset", report.output.clone()),
-        (
-            "clips",
-            format!(
-                "{} ({:.2} minutes)",
-                grouped(report.clips),
-                report.hours * 60.0
-            ),
-        ),
+        ("clips", format!("{clips} ({minutes:.2} minutes)")),
         ("lists", parts.collect::<Vec<_>>().join(", ")),
         ("joint maps (takes)", maps.collect::<Vec<_>>().join(", ")),
-        (
-            "takes unchanged",
-            format!(
-                "{} of {}",
-                grouped(report.kept),
-                grouped(report.takes.len())
-            ),
-        ),
+        ("takes unchanged", format!("{unchanged} of {takes}")),
     ];
     say!("{}", facts(shown));
-    let failed = report.takes.iter().filter_map(|take| {
-        let failure = take.failure.as_ref()?;
-        Some(format!("{}: {failure}", take.name))
-    });
-    list("failed", failed.collect());
-    let skipped = report.takes.iter().flat_map(|take| {
-        let skipped = take.skipped.iter();
-        skipped.map(|rest| format!("{}: {}", take.name, rest.reason))
-    });
-    list("skipped", skipped.collect());
-    let notes = report.takes.iter().flat_map(|take| {
-        let notes = take.notes.iter();
-        notes.map(|note| format!("{}: {note}", take.name))
-    });
-    list("notes", notes.collect());
+    let mut lines = [("failed", vec![]), ("skipped", vec![]), ("notes", vec![])];
+    for take in &report.takes {
+        let line = |text: &String| format!("{}: {text}", take.name);
+        lines[0].1.extend(take.failure.iter().map(line));
+        lines[1]
+            .1
+            .extend(take.skipped.iter().map(|rest| line(&rest.reason)));
+        lines[2].1.extend(take.notes.iter().map(line));
+    }
+    for (heading, lines) in lines {
+        list(heading, lines);
+    }
     for note in &report.split_notes {
         say!("split: {note}");
     }
     for entry in &report.idle_entries {
         say!("split: no take matches `{entry}`");
     }
-    if report.stale > 0 {
-        say!(
-            "{} clips of other takes are in the output folder; the dataset does not include them, \
-             and `--prune` removes them",
-            grouped(report.stale)
-        );
-    }
+    print_stale(report.stale, "clips");
     if !report.manifest {
         say!("no manifest.parquet: this build writes none (`--features full` does)");
     }
@@ -237,10 +217,8 @@ fn list(heading: &str, lines: Vec<String>) {
         say!("  {line}");
     }
     if lines.len() > LISTED {
-        say!(
-            "  and {} more, in prepare/report.json",
-            lines.len() - LISTED
-        );
+        let more = lines.len() - LISTED;
+        say!("  and {more} more, in prepare/report.json");
     }
 }
 
@@ -256,29 +234,27 @@ fn print_grids(takes: &[TakeReport]) {
         "agreement of phase",
         "aligned with",
     ];
-    let mut rows = vec![header.map(String::from).to_vec()];
-    for take in takes {
-        let Some(grid) = &take.grid else { continue };
+    let rows = takes.iter().filter_map(|take| {
+        let grid = take.grid.as_ref()?;
         let (before, after) = (grid.uniform_concentration, grid.concentration);
-        rows.push(vec![
+        let (agreement, beats) = match grid.grid {
+            Grid::Tracked => (format!("{before:.2} -> {after:.2}"), "tracked beats"),
+            Grid::Uniform => (format!("{before:.2}"), "even beats"),
+        };
+        Some([
             take.name.clone(),
             format!("{:.1}", grid.stated_beats),
             grid.tracked_beats.to_string(),
             format!("{:.1}", grid.tracked_tempo),
             format!("{:.2}", grid.drift_seconds),
             format!("{:.2}", grid.drift_beats),
-            match grid.grid {
-                Grid::Tracked => format!("{before:.2} -> {after:.2}"),
-                Grid::Uniform => format!("{before:.2}"),
-            },
-            match grid.grid {
-                Grid::Tracked => "tracked beats".to_owned(),
-                Grid::Uniform => "even beats".to_owned(),
-            },
-        ]);
-    }
-    if rows.len() > 1 {
-        say!("{}", table(rows));
+            agreement,
+            beats.to_owned(),
+        ])
+    });
+    let rows: Vec<_> = rows.collect();
+    if !rows.is_empty() {
+        say!("{}", table(header, rows));
     }
 }
 

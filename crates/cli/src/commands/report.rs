@@ -11,14 +11,13 @@ use std::process::ExitCode;
 
 use kinegrad_data::file::read_text;
 use kinegrad_report::page::{Block, Cell, Page, Section, Table, Tone, csv_table, html};
-use kinegrad_train::Systems;
 use kinegrad_train::telemetry::{Record, read_environments, read_metrics};
-use kinegrad_train::{Error, config};
+use kinegrad_train::{Error, Systems, config};
 
 use crate::args::ReportArguments;
 use crate::folder;
-use crate::io::files_in;
-use crate::runs::{Run, RunStatus, is_run};
+use crate::io::{file_stem, files_in};
+use crate::runs::{Run, RunStatus, folder_name, is_run};
 
 /// Writes a page about a run.
 pub fn run(systems: Systems<'_>, arguments: ReportArguments) -> Result<ExitCode, Error> {
@@ -60,9 +59,9 @@ fn write(out: &Path, text: &str) -> Result<(), Error> {
 fn stages(systems: Systems<'_>, run: &Run) -> Vec<Run> {
     // A run without a config yet may have stages of any system.
     let all = systems.0.iter().flat_map(|system| system.stages());
-    let names: Vec<&str> = match run.stages.is_empty() && run.config.is_none() {
-        true => all.copied().collect(),
-        false => run.stages.to_vec(),
+    let names: Vec<&str> = match run.config {
+        None if run.stages.is_empty() => all.copied().collect(),
+        _ => run.stages.to_vec(),
     };
     let folders = names.iter().map(|name| run.folder.join(name));
     let started = folders.filter(|folder| is_run(folder));
@@ -74,13 +73,10 @@ fn page(systems: Systems<'_>, run: &Run, stages: &[Run]) -> Page {
     let environments = read_environments(&run.folder);
     let last = environments.last();
     let mut overview = Section::new("Training");
-    overview
-        .blocks
-        .extend(run.problem.clone().map(Block::Warning));
+    overview.add(Block::Warning(run.problem.clone().unwrap_or_default()));
     if records.is_empty() {
-        overview.add(Block::Text(
-            "There are no metrics: this run was not trained here.".into(),
-        ));
+        let text = "There are no metrics: this run was not trained here.";
+        overview.add(Block::Text(text.into()));
     }
     overview.add(Block::Charts(curves::charts(&records)));
     let mut sections = vec![overview];
@@ -103,7 +99,7 @@ fn page(systems: Systems<'_>, run: &Run, stages: &[Run]) -> Page {
     files.add(Block::Facts(facts::files(run)));
     sections.extend([machine, data, files, configuration(run)]);
     Page {
-        title: title(run),
+        title: folder_name(&run.folder),
         subtitle: subtitle(run),
         status: status(run, stages),
         highlights: facts::highlights(run, &records, last),
@@ -116,14 +112,6 @@ fn records(run: &Run) -> Vec<Record> {
     read_metrics(&run.folder, warn).unwrap_or_default()
 }
 
-/// The folder's name.
-fn title(run: &Run) -> String {
-    let folder = run.folder.canonicalize();
-    let folder = folder.unwrap_or_else(|_| run.folder.clone());
-    let name = folder.file_name().unwrap_or(folder.as_os_str());
-    name.to_string_lossy().into_owned()
-}
-
 fn subtitle(run: &Run) -> String {
     let recipe = match (run.system, run.recipe()) {
         (Some(system), Some(recipe)) => format!("Recipe {recipe} of {system}, in "),
@@ -133,11 +121,9 @@ fn subtitle(run: &Run) -> String {
 }
 
 fn status(run: &Run, stages: &[Run]) -> Cell {
-    let is_training = |run: &Run| run.status == RunStatus::Training;
-    let status = match stages.iter().any(is_training) {
-        true => RunStatus::Training,
-        false => run.status,
-    };
+    let mut all = stages.iter().map(|stage| stage.status);
+    let training = all.find(|status| *status == RunStatus::Training);
+    let status = training.unwrap_or(run.status);
     let tone = match status {
         RunStatus::Finished | RunStatus::StoppedEarly | RunStatus::Weights => Tone::Good,
         RunStatus::Damaged => Tone::Bad,
@@ -151,9 +137,7 @@ fn status(run: &Run, stages: &[Run]) -> Cell {
 fn stage_section(stage: &Run) -> Section {
     let name = stage.folder.file_name().unwrap_or_default();
     let mut section = Section::new(format!("Stage {}", name.to_string_lossy()));
-    section
-        .blocks
-        .extend(stage.problem.clone().map(Block::Warning));
+    section.add(Block::Warning(stage.problem.clone().unwrap_or_default()));
     let records = records(stage);
     let environments = read_environments(&stage.folder);
     let mut facts = vec![("state".to_string(), stage.status.name().to_string())];
@@ -167,7 +151,7 @@ fn stage_section(stage: &Run) -> Section {
 fn evaluation(run: &Path) -> Section {
     let mut section = Section::new("Evaluation");
     for path in files_in(&run.join("reports"), &["csv", "json"]) {
-        let name = path.file_stem().unwrap_or_default().to_string_lossy();
+        let name = file_stem(&path);
         let is_csv = path.extension().is_some_and(|ending| ending == "csv");
         let text = match read_text(&path) {
             Ok(text) => text,
@@ -178,22 +162,18 @@ fn evaluation(run: &Path) -> Section {
         };
         match csv_table(&text).filter(|table| is_csv && !table.rows.is_empty()) {
             Some(table) => {
-                section.add(Block::Heading(name.into_owned()));
+                section.add(Block::Heading(name));
                 let main_rows = main_rows(&table);
                 let complete = main_rows.rows.len() == table.rows.len();
                 section.add(Block::Table(main_rows));
                 if !complete {
-                    let title = "every measure".into();
-                    section.add(Block::Folded { title, table });
+                    section.add(Block::Folded("every measure".into(), table));
                 }
             }
             None if is_csv => {
                 section.add(Block::Warning(format!("{} is not a table", path.display())));
             }
-            None => section.add(Block::Source {
-                title: format!("{name}.json"),
-                text,
-            }),
+            None => section.add(Block::Source(format!("{name}.json"), text)),
         }
     }
     section
@@ -217,9 +197,7 @@ fn configuration(run: &Run) -> Section {
     let mut section = Section::new("Config");
     let saved = read_text(&run.folder.join("config.toml")).ok();
     let text = saved.or_else(|| run.config.as_ref().map(config::to_toml));
-    section.add(Block::Source {
-        title: "every key, resolved".into(),
-        text: text.unwrap_or_default(),
-    });
+    let title = "every key, resolved".into();
+    section.add(Block::Source(title, text.unwrap_or_default()));
     section
 }

@@ -5,15 +5,14 @@ use std::process::ExitCode;
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use kinegrad_report::table;
-use kinegrad_train::Error;
-use kinegrad_train::Systems;
 use kinegrad_train::memory::size;
+use kinegrad_train::{Error, Systems};
 use serde_json::{Value, json};
 
 use crate::args::RunsArguments;
 use crate::output;
 use crate::progress::duration;
-use crate::runs::{Run, find};
+use crate::runs::{Run, find, folder_name};
 
 /// Columns of the list.
 const HEADER: [&str; 7] = [
@@ -59,12 +58,8 @@ pub fn run(systems: Systems<'_>, arguments: RunsArguments) -> Result<ExitCode, E
 fn name(run: &Run, folder: &Path) -> String {
     let below = run.folder.strip_prefix(folder).unwrap_or(&run.folder);
     match below.as_os_str().is_empty() {
+        true => folder_name(folder),
         false => below.display().to_string(),
-        true => {
-            let folder = folder.canonicalize().unwrap_or_else(|_| folder.into());
-            let own = folder.file_name().unwrap_or(folder.as_os_str());
-            own.to_string_lossy().into_owned()
-        }
     }
 }
 

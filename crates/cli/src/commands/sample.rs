@@ -4,16 +4,13 @@ use std::path::Path;
 use std::process::ExitCode;
 
 use kinegrad_report::rows;
-use kinegrad_train::Systems;
-use kinegrad_train::TrainedModel;
 use kinegrad_train::checkpoint::{SavedCheckpoint, Weights, resolve_checkpoint};
 use kinegrad_train::sampling::{Request, Summary};
-use kinegrad_train::{Error, ProcessGroup};
+use kinegrad_train::{Error, ProcessGroup, Systems, TrainedModel};
 use serde::Serialize;
 
 use crate::args::{SampleArguments, SamplerArguments};
-use crate::conditions::ConditionArguments;
-use crate::io::{Existing, Files, Written};
+use crate::io::{Files, Written};
 use crate::{interrupt, output};
 
 /// Generates motion and writes it to files.
@@ -37,51 +34,22 @@ pub fn while_it_is_trained<T>(mut read: impl FnMut() -> Result<T, Error>) -> Res
 }
 
 fn sample(systems: Systems<'_>, arguments: SampleArguments) -> Result<ExitCode, Error> {
-    let existing = match arguments.overwrite {
-        true => Existing::Replaced,
-        false => Existing::Refused,
-    };
     let scales = arguments.sampler.guidance_scale.len();
     if scales > 1 {
         let message = format!("`--guidance-scale` names {scales} scales");
         let hint = "give one; `kinegrad eval --audio-ablation` compares several";
         return Err(Error::usage(message, hint));
     }
-    let mut files = Files::new(&arguments.out, existing)?.locking_feet(arguments.lock_feet);
-    if arguments.json {
-        files = files.collecting();
-    }
+    let mut files = Files::new(&arguments.out, arguments.overwrite)?;
+    (files.lock_feet, files.collects) = (arguments.lock_feet, arguments.json);
     let mut sampler = arguments.sampler.clone();
-    let method = arguments.method.iter();
+    let method = arguments.conditions.method.iter();
     sampler
         .overrides
         .extend(method.map(|method| format!("evaluation.path.method={method}")));
     let trained = trained(systems, &arguments.run, &sampler)?;
-    let conditions = ConditionArguments {
-        source: arguments.source,
-        item: arguments.item,
-        audio_features: arguments.audio_features,
-        audio: arguments.audio,
-        start: arguments.start,
-        beats: arguments.beats.known(),
-        goal: arguments.goal,
-        trajectory_run: arguments.trajectory_run,
-        text: arguments.text,
-        text_encoder: arguments.text_encoder,
-        text_embedding: arguments.text_embedding,
-        prompts: arguments.prompts,
-        history: arguments.history,
-        path: arguments.path,
-        metres_per_unit: arguments.metres_per_unit,
-        style: arguments.style,
-        continue_from: arguments.continue_from,
-        keep: arguments.keep,
-        keep_from: arguments.keep_from,
-        held_out: None,
-        other: arguments.conditions,
-    };
     let request = Request {
-        conditions: conditions.conditions()?,
+        conditions: arguments.conditions.conditions()?,
         count: arguments.count,
         frames: arguments.frames,
         seconds: arguments.seconds,
@@ -91,7 +59,7 @@ fn sample(systems: Systems<'_>, arguments: SampleArguments) -> Result<ExitCode, 
     let summary = systems.sample(&trained, &request, &mut files)?;
     match arguments.json {
         true => output::json(&Results {
-            samples: files.collected(),
+            samples: files.collected,
             remark: summary.map(|summary| match summary {
                 Summary::Text(text) => serde_json::json!(text),
                 Summary::Table(table) => serde_json::json!(table),

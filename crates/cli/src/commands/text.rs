@@ -23,11 +23,12 @@ pub fn embed(arguments: EmbedArguments) -> Result<ExitCode, Error> {
     interrupt::end_between_files();
     let out = &arguments.out;
     must_be_new([out], &[], arguments.overwrite, "--out")?;
-    let (named, texts) = texts(&arguments)?;
+    let named = texts(&arguments)?;
+    let texts = named.iter().flat_map(|(_, texts)| texts);
     let (device, _) = device::open(&arguments.device)?;
     let encoder = TextEncoder::read(&arguments.text_encoder, &device)?;
     // Captions repeat.
-    let mut distinct: Vec<&str> = texts.iter().map(String::as_str).collect();
+    let mut distinct: Vec<&str> = texts.clone().map(String::as_str).collect();
     distinct.sort_unstable();
     distinct.dedup();
     let count = Count::new("texts embedded");
@@ -39,57 +40,41 @@ pub fn embed(arguments: EmbedArguments) -> Result<ExitCode, Error> {
         let place = distinct.binary_search(&text.as_str());
         embedded[place.expect("one of them")].as_slice()
     };
-    let mut rest = texts.iter().map(row);
-    let tensors = named.iter().map(|(name, texts)| {
-        let rows: Vec<&[f32]> = rest.by_ref().take(*texts).collect();
-        (name.as_str(), rows)
-    });
-    let tensors: Vec<_> = tensors.collect();
+    let tensors = named.iter();
+    let tensors = tensors.map(|(name, texts)| (name.as_str(), texts.iter().map(row).collect()));
     // The file of a dataset records its captions.
-    let mut rest = texts.iter().map(String::as_str);
-    let of = named.iter().map(|(name, texts)| {
-        let captions: Vec<&str> = rest.by_ref().take(*texts).collect();
-        (name.as_str(), captions)
-    });
-    let of: Vec<_> = match arguments.dataset {
-        Some(_) => of.collect(),
-        None => Vec::new(),
-    };
-    interrupt::not_during(|| write_embeddings(out, tensors, &of))?;
+    let captions = named.iter().filter(|_| arguments.dataset.is_some());
+    let captions = captions.map(|(name, texts)| (name.as_str(), texts.iter().map(String::as_str)));
+    let captions: Vec<_> = captions
+        .map(|(name, texts)| (name, texts.collect()))
+        .collect();
+    interrupt::not_during(|| write_embeddings(out, tensors.collect(), &captions))?;
     say!(
         "{}: {} embeddings in {} tensor(s)",
         out.display(),
-        grouped(texts.len()),
+        grouped(texts.count()),
         grouped(named.len())
     );
     Ok(ExitCode::SUCCESS)
 }
 
-/// The tensors by name, each with its number of texts, and all texts in their order.
-type NamedTexts = (Vec<(String, usize)>, Vec<String>);
-
-/// The texts to embed, at least one.
-fn texts(arguments: &EmbedArguments) -> Result<NamedTexts, Error> {
+/// The texts to embed by tensor; at least one.
+fn texts(arguments: &EmbedArguments) -> Result<Vec<(String, Vec<String>)>, Error> {
     if let Some(dataset) = &arguments.dataset {
-        let clips = read_captions(dataset)?;
-        let named = clips
-            .iter()
-            .map(|(id, captions)| (id.clone(), captions.len()));
-        let texts = clips.iter().flat_map(|(_, captions)| captions);
-        return Ok((
-            named.collect(),
-            texts.map(|caption| caption.text.clone()).collect(),
-        ));
+        let clips = read_captions(dataset)?.into_iter();
+        let named = clips.map(|(id, captions)| {
+            let texts = captions.into_iter().map(|caption| caption.text);
+            (id, texts.collect())
+        });
+        return Ok(named.collect());
     }
     let texts = match &arguments.file {
         None => arguments.sentences.clone(),
         Some(path) => {
             let text = read_text(path).map_err(FileError::read(path))?;
             let lines = text.trim_start_matches('\u{feff}').lines().map(str::trim);
-            let lines: Vec<String> = lines
-                .filter(|line| !line.is_empty())
-                .map(String::from)
-                .collect();
+            let lines = lines.filter(|line| !line.is_empty());
+            let lines: Vec<String> = lines.map(String::from).collect();
             if lines.is_empty() {
                 let message = format!("{} has no sentence", path.display());
                 return Err(Error::usage(message, "write a sentence per line"));
@@ -97,5 +82,5 @@ fn texts(arguments: &EmbedArguments) -> Result<NamedTexts, Error> {
             lines
         }
     };
-    Ok((vec![(TENSOR.to_owned(), texts.len())], texts))
+    Ok(vec![(TENSOR.to_owned(), texts)])
 }

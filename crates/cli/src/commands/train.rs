@@ -6,12 +6,10 @@ use std::process::ExitCode;
 use std::time::Instant;
 
 use kinegrad_report::facts;
-use kinegrad_train::Systems;
 use kinegrad_train::checkpoint::Weights;
 use kinegrad_train::run::{self, Outcome, SAMPLES, TrainRequest, UNFINISHED_SAMPLES, remove};
 use kinegrad_train::sampling::{self, Request};
-use kinegrad_train::{Ending, Error};
-
+use kinegrad_train::{Ending, Error, Systems};
 use serde::Serialize;
 
 use super::estimate;
@@ -28,15 +26,10 @@ pub fn run(systems: Systems<'_>, arguments: TrainArguments) -> Result<ExitCode, 
     let target = arguments.target()?;
     let (json, dry_run) = (arguments.json, arguments.dry_run);
     let mut overrides = arguments.overrides;
-    for (key, value) in [
-        ("run.name", arguments.name),
-        ("run.device", arguments.device),
-    ] {
-        if let Some(value) = value {
-            // Quoted, so that a name of digits stays a name.
-            overrides.push(format!("{key}={}", serde_json::Value::from(value)));
-        }
-    }
+    // Quoted, so that a name of digits stays a name.
+    let set = |key: &str, value: String| format!("{key}={}", serde_json::Value::from(value));
+    overrides.extend(arguments.name.map(|name| set("run.name", name)));
+    overrides.extend(arguments.device.map(|device| set("run.device", device)));
     let request = TrainRequest {
         target,
         overrides,
@@ -89,14 +82,13 @@ pub fn run(systems: Systems<'_>, arguments: TrainArguments) -> Result<ExitCode, 
             return Ok(ExitCode::from(130));
         }
         // The outcome keeps the run locked until then.
-        let written = write_final_samples(systems, &outcome)?;
+        let (count, step, remark) = write_final_samples(systems, &outcome)?;
         if !json {
             let folder = outcome.folder.join(SAMPLES);
-            let FinalSamples { count, step, .. } = written;
             say!("\n{count} samples of step {step} in {}", folder.display());
-            say_summary(written.summary);
+            say_summary(remark);
         }
-        summary(written.count);
+        summary(count);
         return Ok(ExitCode::SUCCESS);
     }
     summary(0);
@@ -167,7 +159,7 @@ fn summarise(outcome: &Outcome, seconds: f64) {
             format!("stopped; `kinegrad train --resume {folder}` continues")
         }
     };
-    let progress = &outcome.progress;
+    let (progress, time) = (&outcome.progress, duration(seconds));
     let best = progress.best_step.zip(progress.best_val_loss);
     let best = best.map(|(step, loss)| ("best val_loss", format!("{loss:.5} at step {step}")));
     let rows = [
@@ -175,21 +167,13 @@ fn summarise(outcome: &Outcome, seconds: f64) {
         Some(("ended", ending)),
         Some(("steps", outcome.step.to_string())),
         best,
-        Some((
-            "time",
-            format!("{} in all, with preparation", duration(seconds)),
-        )),
+        Some(("time", format!("{time} in all, with preparation"))),
     ];
     say!("{}", facts(rows.into_iter().flatten()));
 }
 
-/// The samples at the end of a training.
-struct FinalSamples {
-    count: usize,
-    /// Steps of their checkpoint.
-    step: u64,
-    summary: Option<sampling::Summary>,
-}
+/// The number of samples at the end of a training, the step of their checkpoint, and their summary.
+type FinalSamples = (usize, u64, Option<sampling::Summary>);
 
 /// Writes samples for the first held-out items to the run's folder, all or none.
 fn write_final_samples(systems: Systems<'_>, outcome: &Outcome) -> Result<FinalSamples, Error> {
@@ -204,21 +188,15 @@ fn write_final_samples(systems: Systems<'_>, outcome: &Outcome) -> Result<FinalS
     let mut files = Files::silent(&unfinished);
     let summary = systems.sample(&trained, &request, &mut files)?;
     move_into(&unfinished, &folder)?;
-    Ok(FinalSamples {
-        count: files.written(),
-        step: trained.saved.state.step,
-        summary,
-    })
+    Ok((files.written, trained.saved.state.step, summary))
 }
 
 /// Moves a folder, or its files into an existing one, replacing files.
 fn move_into(from: &Path, to: &Path) -> Result<(), Error> {
     if (to.exists() || to.is_symlink()) && !to.is_dir() {
+        let to = to.display();
         return Err(Error::usage(
-            format!(
-                "the samples cannot be written: {} is not a folder",
-                to.display()
-            ),
+            format!("the samples cannot be written: {to} is not a folder"),
             "move it away, and `--resume` the run",
         ));
     }

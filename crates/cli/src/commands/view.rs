@@ -5,11 +5,10 @@ use std::process::ExitCode;
 
 use kinegrad_data::write_whole;
 use kinegrad_report::{ExportError, gif, glb, mp4, must_be_exportable, viewer};
-use kinegrad_train::Error;
-use kinegrad_train::Systems;
+use kinegrad_train::{Error, Systems};
 
 use crate::args::ViewArguments;
-use crate::io::must_be_new;
+use crate::io::{has_extension, must_be_new};
 use crate::output::unusable;
 use crate::scene::{self, Music, Reading};
 use crate::{folder, interrupt};
@@ -54,20 +53,18 @@ pub fn run(systems: Systems<'_>, arguments: ViewArguments) -> Result<ExitCode, E
     let scene = scene::read(systems, &motions, &reading)?;
     // All files are written, or none.
     for (kind, path) in &outputs {
-        let refused = match kind {
-            Kind::Page | Kind::Bvh => Ok(()),
-            Kind::Gif | Kind::Glb => must_be_exportable(&scene, path),
-            Kind::Mp4 => {
-                must_be_exportable(&scene, path).and_then(|()| mp4::must_have_encoder(path))
-            }
-        };
-        refused.map_err(unusable)?;
+        if !matches!(kind, Kind::Page | Kind::Bvh) {
+            must_be_exportable(&scene, path).map_err(unusable)?;
+        }
+        if *kind == Kind::Mp4 {
+            mp4::must_have_encoder(path).map_err(unusable)?;
+        }
     }
-    let bvh = outputs.iter().find(|(kind, _)| *kind == Kind::Bvh);
-    let bvh = bvh.map(|(_, out)| {
-        scene::as_bvh(systems, &motions[0], &reading.bvh, out, arguments.lock_feet)
-    });
-    let mut bvh = bvh.transpose()?.map(|bvh| bvh.to_text());
+    let mut bvh = None;
+    if let Some(out) = &arguments.bvh {
+        let lock_feet = arguments.lock_feet;
+        bvh = Some(scene::as_bvh(systems, &motions[0], &reading.bvh, out, lock_feet)?.to_text());
+    }
     for (_, path) in &outputs {
         folder::must_be_writable(path)?;
     }
@@ -78,9 +75,8 @@ pub fn run(systems: Systems<'_>, arguments: ViewArguments) -> Result<ExitCode, E
                     Kind::Page => viewer::page(&scene),
                     _ => bvh.take().unwrap_or_default(),
                 };
-                Ok(interrupt::not_during(|| {
-                    write_whole(&path, text.as_bytes())
-                })?)
+                interrupt::not_during(|| write_whole(&path, text.as_bytes()))?;
+                Ok(())
             }
             Kind::Gif => interrupt::stoppable(|stop| gif::write(&scene, &path, stop)),
             Kind::Mp4 => interrupt::stoppable(|stop| mp4::write(&scene, &path, stop)),
@@ -100,17 +96,16 @@ pub fn run(systems: Systems<'_>, arguments: ViewArguments) -> Result<ExitCode, E
 
 /// The files to write.
 fn outputs(arguments: &ViewArguments, motions: &[PathBuf]) -> Result<Vec<(Kind, PathBuf)>, Error> {
-    let asked = [
+    let named = [
         (Kind::Page, &arguments.out),
         (Kind::Gif, &arguments.gif),
         (Kind::Mp4, &arguments.mp4),
         (Kind::Glb, &arguments.glb),
         (Kind::Bvh, &arguments.bvh),
     ];
-    let asked = asked
-        .into_iter()
-        .filter_map(|(kind, path)| Some((kind, path.clone()?)));
-    let mut outputs: Vec<(Kind, PathBuf)> = asked.collect();
+    let named = named.into_iter();
+    let named = named.filter_map(|(kind, path)| Some((kind, path.clone()?)));
+    let mut outputs: Vec<(Kind, PathBuf)> = named.collect();
     if outputs.is_empty() {
         outputs.push((Kind::Page, motions[0].with_extension("html")));
     }
@@ -130,12 +125,11 @@ fn outputs(arguments: &ViewArguments, motions: &[PathBuf]) -> Result<Vec<(Kind, 
 
 fn must_have_ending(kind: Kind, path: &Path) -> Result<(), Error> {
     let [option, ending] = kind.names();
-    let found = path.extension();
-    if !found.is_some_and(|found| found.eq_ignore_ascii_case(ending)) {
-        return Err(Error::usage(
+    match has_extension(path, ending) {
+        true => Ok(()),
+        false => Err(Error::usage(
             format!("`{option} {}` does not end in .{ending}", path.display()),
             format!("`{option} {}`", path.with_extension(ending).display()),
-        ));
+        )),
     }
-    Ok(())
 }

@@ -10,8 +10,7 @@ use kinegrad_motion::humanml::{Extraction, Features, Joints, Skeleton};
 use kinegrad_motion::metrics::{mean_jerk, skating_ratio};
 use kinegrad_motion::path::{ArcLengthMode, PathPlan, PathReport, Warp};
 use kinegrad_report::table;
-use kinegrad_train::Error;
-use kinegrad_train::Systems;
+use kinegrad_train::{Error, Systems};
 use serde::Serialize;
 
 use crate::args::WarpArguments;
@@ -92,20 +91,13 @@ pub fn run(systems: Systems<'_>, arguments: WarpArguments) -> Result<ExitCode, E
         let hint = "give a longer path, or `--along stretch`";
         return Err(Error::usage(message, hint));
     }
-    let own = Joints::new(
-        joints.as_slice()[..frames * joints.joints()].to_vec(),
-        joints.joints(),
-    )?;
-    let locked = match arguments.lock_feet {
-        true => Some(lock_joints(
-            &warped.joints,
-            &own,
-            &skeleton,
-            &ContactRule::default(),
-            floor_of(&own),
-        )?),
-        false => None,
+    let own = joints.as_slice()[..frames * joints.joints()].to_vec();
+    let own = Joints::new(own, joints.joints())?;
+    let lock = || {
+        let (rule, floor) = (ContactRule::default(), floor_of(&own));
+        lock_joints(&warped.joints, &own, &skeleton, &rule, floor)
     };
+    let locked = arguments.lock_feet.then(lock).transpose()?;
     let feet = locked.as_ref().map(|locked| Feet {
         in_contact: locked.in_contact,
         slid_before: locked.before,
@@ -234,19 +226,14 @@ impl Record {
         let row = |name: &str, before: String, after: Option<f64>, digits| {
             [name.to_owned(), before, number(after, digits)]
         };
-        let (before, after, none) = (&self.before, &self.after, String::new);
+        let (before, after) = (&self.before, &self.after);
         let skating = number(before.foot_skating, 3);
-        let distance = Some(after.largest_distance);
+        let (heading, distance) = (after.heading_error, Some(after.largest_distance));
         let rows = [
             row("foot skating", skating, after.foot_skating, 3),
             row("jerk, m/s^3", number(before.jerk, 0), after.jerk, 0),
-            row(
-                "heading from the path, degrees",
-                none(),
-                after.heading_error,
-                1,
-            ),
-            row("root from the path, m", none(), distance, 6),
+            row("heading from the path, degrees", "".into(), heading, 1),
+            row("root from the path, m", "".into(), distance, 6),
         ];
         tell!("{}", table(["", "before", "after"], rows));
     }

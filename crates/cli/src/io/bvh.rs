@@ -2,13 +2,13 @@
 
 use std::path::Path;
 
-use kinegrad_capture::Units;
-use kinegrad_capture::{Bvh, UpAxis};
+use kinegrad_capture::{Bvh, Units, UpAxis};
 use kinegrad_data::file::read_file;
 use kinegrad_motion::feet::{ContactRule, lock_joints};
 use kinegrad_motion::humanml::{Joints, Skeleton};
 use kinegrad_train::Error;
 
+use super::find::has_extension;
 use crate::output::unusable;
 
 /// Largest file that is read, bytes.
@@ -25,14 +25,10 @@ const EXACT: f64 = 1e-3;
 
 /// True for the name of a BVH file.
 pub fn is_bvh(path: &Path) -> bool {
-    let ending = path.extension();
-    ending.is_some_and(|ending| ending.eq_ignore_ascii_case("bvh"))
+    has_extension(path, "bvh")
 }
 
-/// Reads a BVH file.
-///
-/// # Errors
-/// If it cannot be read or is not a BVH file.
+/// Reads a BVH file. Fails if it cannot be read or is not a BVH file.
 pub fn read_bvh(path: &Path) -> Result<Bvh, Error> {
     let file = path.display().to_string();
     let bytes = read_file(path, LARGEST).map_err(|error| {
@@ -61,9 +57,6 @@ pub struct Capture {
 
 impl Capture {
     /// Reads a BVH file, and prints the unit and vertical if they are guesses.
-    ///
-    /// # Errors
-    /// As [`read_bvh`].
     pub fn read(path: &Path, reading: &BvhReading) -> Result<Self, Error> {
         let bvh = read_bvh(path)?;
         let up = reading.up.unwrap_or_else(|| guess_up(&bvh));
@@ -81,9 +74,6 @@ impl Capture {
     }
 
     /// Joint positions in metres with +y up.
-    ///
-    /// # Errors
-    /// If there are none.
     pub fn joints(&self) -> Result<Joints, Error> {
         let world = (0..self.bvh.frames()).flat_map(|t| self.bvh.world(t));
         let metres = |place: [f64; 3]| self.up.to_y_up(place.map(|value| value * self.metres));
@@ -91,22 +81,14 @@ impl Capture {
         Ok(Joints::new(places.collect(), self.bvh.joints().len())?)
     }
 
-    /// Names of the joints.
-    pub fn names(&self) -> Vec<String> {
-        names(&self.bvh)
-    }
-
     /// The same motion in centimetres with +y up.
-    ///
-    /// # Errors
-    /// If it cannot be converted.
     pub fn in_centimetres(&self) -> Result<Bvh, Error> {
         let converted = self.bvh.converted(CENTIMETRES * self.metres, self.up);
         converted.map_err(unusable)
     }
 }
 
-/// The text of the BVH file of joint positions, in centimetres.
+/// Joint positions as the text of a BVH file, in centimetres.
 ///
 /// # Errors
 /// If they cannot be written as BVH.
@@ -115,18 +97,12 @@ pub fn bvh_text(joints: &Joints, skeleton: &Skeleton) -> Result<String, Error> {
 }
 
 /// Joint positions as BVH, in centimetres.
-///
-/// # Errors
-/// If they cannot be written as BVH.
 pub fn as_bvh(joints: &Joints, skeleton: &Skeleton) -> Result<Bvh, Error> {
     Bvh::from_joints(joints, skeleton, CENTIMETRES).map_err(unusable)
 }
 
-/// Joint positions as the BVH file `path`, in centimetres; prints how far it is from them. With
+/// Joint positions as the BVH file `path`, in centimetres; prints its distance from them. With
 /// `lock_feet`, feet stay where they stand.
-///
-/// # Errors
-/// If they cannot be written as BVH.
 pub fn bvh_file(
     path: &Path,
     joints: &Joints,
@@ -168,10 +144,9 @@ fn with_locked_feet(
     let rigid = bvh.joints_of(skeleton, CENTIMETRES);
     let rigid = rigid.expect("a file of these joints");
     let locked = lock_joints(&rigid, joints, skeleton, &ContactRule::default(), 0.0)?;
-    let short = match locked.missed > EXACT {
-        true => format!("; legs are up to {:.3} m too short", locked.missed),
-        false => String::new(),
-    };
+    let missed = Some(locked.missed).filter(|missed| *missed > EXACT);
+    let short = missed.map(|missed| format!("; legs are up to {missed:.3} m too short"));
+    let short = short.unwrap_or_default();
     tell!(
         "note: {}: feet stand in {:.0} % of the frames and slid by {:.2} m/s meanwhile, now by {:.2} \
          m/s{short}",
@@ -197,14 +172,11 @@ fn up_of(names: &[String], places: &[[f64; 3]]) -> UpAxis {
         along[along.len() / 2]
     };
     let drop = |axis: usize| {
-        feet.clone()
-            .map(|(_, place)| middle(axis) - place[axis])
-            .sum::<f64>()
+        let drops = feet.clone().map(|(_, place)| middle(axis) - place[axis]);
+        drops.sum::<f64>()
     };
-    match drop(2) > 1.5 * drop(1).max(0.0) && drop(2) > 0.0 {
-        true => UpAxis::Z,
-        false => UpAxis::Y,
-    }
+    let is_z = drop(2) > 1.5 * drop(1).max(0.0) && drop(2) > 0.0;
+    if is_z { UpAxis::Z } else { UpAxis::Y }
 }
 
 /// The unit in which the height of the body is nearest to a person's. The ground is at 0, or at the
@@ -219,8 +191,8 @@ fn units_of(places: &[[f64; 3]], up: UpAxis) -> Units {
     let off = |units: &Units| (tall * units.metres() / PERSON).ln().abs();
     let known = [Units::Cm, Units::M, Units::Mm, Units::Inch, Units::Cmu];
     let best = known.into_iter().min_by(|a, b| off(a).total_cmp(&off(b)));
-    best.filter(|units| off(units).is_finite())
-        .unwrap_or_default()
+    let best = best.filter(|units| off(units).is_finite());
+    best.unwrap_or_default()
 }
 
 fn in_words(units: Units) -> &'static str {
@@ -240,7 +212,8 @@ pub fn is_foot(name: &str) -> bool {
     (name.contains("foot") || name.contains("toe")) && !name.ends_with("end")
 }
 
-fn names(bvh: &Bvh) -> Vec<String> {
+/// Names of the joints.
+pub fn names(bvh: &Bvh) -> Vec<String> {
     let joints = bvh.joints().iter();
     joints.map(|joint| joint.name.clone()).collect()
 }

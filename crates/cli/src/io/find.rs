@@ -9,6 +9,18 @@ use kinegrad_train::Error;
 /// Endings of the files with other forms of a sample.
 const COMPANIONS: [&str; 3] = [".raw.npy", ".features.npy", ".path.npy"];
 
+/// A file's name without its folder and extension.
+pub fn file_stem(path: &Path) -> String {
+    let stem = path.file_stem().unwrap_or_default();
+    stem.to_string_lossy().into_owned()
+}
+
+/// True for a file with this extension, in upper or lower case.
+pub fn has_extension(path: &Path, extension: &str) -> bool {
+    let found = path.extension();
+    found.is_some_and(|found| found.eq_ignore_ascii_case(extension))
+}
+
 /// True for the name of a file beside a sample.
 pub fn is_companion(path: &Path) -> bool {
     let name = path.to_string_lossy();
@@ -16,10 +28,7 @@ pub fn is_companion(path: &Path) -> bool {
 }
 
 /// The files at `paths`. Folders are searched for files with these endings; of a sample in a folder
-/// only the array itself counts, not the files beside it.
-///
-/// # Errors
-/// If there is no motion at a path.
+/// only the array itself counts, not the files beside it. Fails if there is no motion at a path.
 pub fn motion_files(paths: &[PathBuf], endings: &[&str]) -> Result<Vec<PathBuf>, Error> {
     let mut files = Vec::new();
     for path in paths {
@@ -27,10 +36,8 @@ pub fn motion_files(paths: &[PathBuf], endings: &[&str]) -> Result<Vec<PathBuf>,
         collect(path, endings, &mut files);
         if files.len() == before {
             let message = format!("there is no motion file at {}", path.display());
-            let bvh = match endings.contains(&"bvh") {
-                true => ", a .bvh file,",
-                false => "",
-            };
+            let is_bvh = endings.contains(&"bvh");
+            let bvh = if is_bvh { ", a .bvh file," } else { "" };
             let hint = format!(
                 "give a .npy file such as `kinegrad sample` writes{bvh} or a folder of them"
             );
@@ -80,13 +87,11 @@ pub fn with_raw(files: Vec<PathBuf>) -> Vec<PathBuf> {
 /// The files of a folder with one of these endings, by name; none without the folder.
 pub fn files_in(folder: &Path, endings: &[&str]) -> Vec<PathBuf> {
     let entries = fs::read_dir(folder).into_iter().flatten().flatten();
-    let paths = entries.map(|entry| entry.path());
-    let mut paths: Vec<PathBuf> = paths
-        .filter(|path| {
-            let ending = path.extension().unwrap_or_default();
-            path.is_file() && endings.iter().any(|known| ending == *known)
-        })
-        .collect();
+    let mut paths: Vec<PathBuf> = entries.map(|entry| entry.path()).collect();
+    paths.retain(|path| {
+        let ending = path.extension().unwrap_or_default();
+        path.is_file() && endings.iter().any(|known| ending == *known)
+    });
     paths.sort();
     paths
 }

@@ -8,9 +8,9 @@ mod samples;
 
 pub use bvh::{
     BvhReading, CENTIMETRES, as_bvh, bvh_file, bvh_text, guess_units, guess_up, is_bvh, is_foot,
-    read_bvh,
+    names, read_bvh,
 };
-pub use find::{files_in, is_companion, motion_files, with_raw};
+pub use find::{file_stem, files_in, has_extension, is_companion, motion_files, with_raw};
 pub use motion::{Motion, MotionArray, not_finite};
 pub use outputs::{Content, must_be_new, stem, write_all};
-pub use samples::{Existing, Files, Written, must_be_finite};
+pub use samples::{Files, Written, must_be_finite};

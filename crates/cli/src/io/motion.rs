@@ -5,8 +5,7 @@ use std::path::{Path, PathBuf};
 use kinegrad_data::{Array, read_array};
 use kinegrad_motion::Representation;
 use kinegrad_motion::humanml::{Joints, Skeleton};
-use kinegrad_train::Error;
-use kinegrad_train::Systems;
+use kinegrad_train::{Error, Systems};
 
 use super::bvh::{BvhReading, Capture, is_bvh};
 
@@ -21,10 +20,8 @@ pub enum Motion {
 }
 
 impl Motion {
-    /// Reads a BVH file, or an array of any kind.
-    ///
-    /// # Errors
-    /// If the file cannot be read or is not a motion.
+    /// Reads a BVH file, or an array of any kind. Fails if the file cannot be read or is not a
+    /// motion.
     pub fn read(systems: Systems<'_>, path: &Path, reading: &BvhReading) -> Result<Self, Error> {
         if is_bvh(path) {
             return Capture::read(path, reading).map(Self::Bvh);
@@ -73,20 +70,16 @@ impl MotionArray {
         }
     }
 
-    /// Reads a `.npy` file.
-    ///
-    /// # Errors
-    /// If the file cannot be read, or no system knows its representation.
+    /// Reads a `.npy` file. Fails if the file cannot be read, or no system knows its
+    /// representation.
     pub fn read(systems: Systems<'_>, path: &Path) -> Result<Self, Error> {
         let array = read_array(path)?;
         let representation = recognise(systems, path, &array)?;
         Ok(Self::new(path, representation, array))
     }
 
-    /// Joint positions and their skeleton.
-    ///
-    /// # Errors
-    /// If the representation has no body, or a position is not finite.
+    /// Joint positions and their skeleton. Fails if the representation has no body, or a position
+    /// is not finite.
     pub fn body(&self) -> Result<(Joints, Skeleton), Error> {
         let Some(skeleton) = self.representation.skeleton() else {
             let (path, name) = (self.path.display(), self.representation.name());

@@ -7,10 +7,8 @@ use kinegrad_data::{write_values, write_whole};
 use kinegrad_motion::humanml::Features;
 use kinegrad_train::Error;
 
-/// The beginning of the names of files that `--out` gives, without `.npy`.
-///
-/// # Errors
-/// If it names a folder.
+/// The beginning of the names of files that `--out` gives, without `.npy`. Fails if it names a
+/// folder.
 pub fn stem(out: &Path) -> Result<String, Error> {
     let text = out.to_string_lossy();
     let stem = text.strip_suffix(".npy").unwrap_or(&text);
@@ -29,9 +27,7 @@ pub fn stem(out: &Path) -> Result<String, Error> {
 }
 
 /// Refuses outputs that are read as well, or exist and must not be replaced; `option` names them.
-///
-/// # Errors
-/// Names the first.
+/// The error names the first.
 pub fn must_be_new<'a>(
     outputs: impl IntoIterator<Item = &'a PathBuf, IntoIter: Clone>,
     read: &[PathBuf],
@@ -85,10 +81,7 @@ impl<'a> Content<'a> {
     }
 }
 
-/// Writes all files, or removes those that were written.
-///
-/// # Errors
-/// If one cannot be written.
+/// Writes all files, or removes those that were written. Fails if one cannot be written.
 pub fn write_all(files: &[(PathBuf, Content<'_>)]) -> Result<(), Error> {
     for (i, (path, content)) in files.iter().enumerate() {
         let written = match content {

@@ -24,29 +24,21 @@ pub struct Written {
     pub record: Record,
 }
 
-/// Treatment of existing files.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Existing {
-    /// They are an error.
-    Refused,
-    /// They are replaced.
-    Replaced,
-}
-
 /// Writes samples and their records to files with one stem.
+#[derive(Default)]
 pub struct Files {
     stem: String,
-    existing: Existing,
+    overwrite: bool,
     bar: Option<Denoising>,
-    /// Called for each written sample.
-    tell: fn(&Written),
-    collects: bool,
-    /// Inexact files are noted.
-    notes: bool,
+    /// Prints neither files nor notes on them.
+    is_silent: bool,
+    /// Collects the samples in `collected` instead of printing their files.
+    pub(crate) collects: bool,
+    pub(crate) collected: Vec<Written>,
     /// Feet of BVH files are locked.
-    lock_feet: bool,
-    collected: Vec<Written>,
-    written: usize,
+    pub(crate) lock_feet: bool,
+    /// Number of samples written.
+    pub(crate) written: usize,
 }
 
 impl Files {
@@ -54,59 +46,22 @@ impl Files {
     ///
     /// # Errors
     /// If `out` names a folder.
-    pub fn new(out: &Path, existing: Existing) -> Result<Self, Error> {
+    pub fn new(out: &Path, overwrite: bool) -> Result<Self, Error> {
         Ok(Self {
             stem: stem(out)?,
-            existing,
-            notes: true,
-            tell: |written| {
-                for file in &written.files {
-                    say!("{}", file.display());
-                }
-            },
-            ..Self::silent(Path::new(""))
+            overwrite,
+            ..Self::default()
         })
     }
 
-    /// Collects the samples instead of printing them.
-    #[must_use]
-    pub fn collecting(self) -> Self {
-        Self {
-            tell: |_| {},
-            collects: true,
-            ..self
-        }
-    }
-
-    /// The same with locked feet in BVH files, if `lock_feet`.
-    #[must_use]
-    pub fn locking_feet(self, lock_feet: bool) -> Self {
-        Self { lock_feet, ..self }
-    }
-
     /// Files in `folder` that are not printed.
-    pub fn silent(folder: &Path) -> Self {
+    pub(crate) fn silent(folder: &Path) -> Self {
         Self {
             stem: format!("{}/", folder.display()),
-            existing: Existing::Replaced,
-            bar: None,
-            tell: |_| {},
-            collects: false,
-            notes: false,
-            lock_feet: false,
-            collected: Vec::new(),
-            written: 0,
+            overwrite: true,
+            is_silent: true,
+            ..Self::default()
         }
-    }
-
-    /// Number of samples written.
-    pub fn written(&self) -> usize {
-        self.written
-    }
-
-    /// The samples that were written, with [`collecting`](Self::collecting).
-    pub fn collected(self) -> Vec<Written> {
-        self.collected
     }
 
     fn path(&self, name: &str, extension: &str) -> PathBuf {
@@ -143,9 +98,9 @@ impl Files {
                 shape: shape.clone(),
                 values,
             },
-            Contents::Figure { joints, skeleton } => Content::Text(match self.notes {
-                true => bvh_file(path, joints, skeleton, self.lock_feet)?.to_text(),
-                false => bvh_text(joints, skeleton)?,
+            Contents::Figure { joints, skeleton } => Content::Text(match self.is_silent {
+                true => bvh_text(joints, skeleton)?,
+                false => bvh_file(path, joints, skeleton, self.lock_feet)?.to_text(),
             }),
         })
     }
@@ -183,7 +138,7 @@ impl SampleSink for Files {
                 "leave it out: it is for runs that write BVH files, such as those of recipe gmd_motion",
             ));
         }
-        if self.existing == Existing::Replaced {
+        if self.overwrite {
             return Ok(());
         }
         let stem = Path::new(&self.stem);
@@ -191,24 +146,20 @@ impl SampleSink for Files {
             return Ok(());
         };
         let start = start.to_string_lossy();
-        let folder = match folder.as_os_str().is_empty() {
-            true => Path::new("."),
-            false => folder,
-        };
+        let is_here = folder.as_os_str().is_empty();
+        let folder = if is_here { Path::new(".") } else { folder };
         // There may be a billion names, so existing files are compared with them.
-        let mut taken: Vec<String> = fs::read_dir(folder)
-            .into_iter()
-            .flatten()
-            .flatten()
-            .map(|entry| entry.file_name().to_string_lossy().into_owned())
-            .filter(|file| {
-                let extensions = extensions.iter().chain([&RECORD]);
-                let rest = file.strip_prefix(&*start);
-                extensions
-                    .filter_map(|extension| rest?.strip_suffix(extension))
-                    .any(|name| names.contains(name))
+        let entries = fs::read_dir(folder).into_iter().flatten().flatten();
+        let files = entries.map(|entry| entry.file_name().to_string_lossy().into_owned());
+        let is_taken = |file: &String| {
+            let rest = file.strip_prefix(&*start);
+            let mut extensions = extensions.iter().chain([&RECORD]);
+            extensions.any(|extension| {
+                let name = rest.and_then(|rest| rest.strip_suffix(extension));
+                name.is_some_and(|name| names.contains(name))
             })
-            .collect();
+        };
+        let mut taken: Vec<String> = files.filter(is_taken).collect();
         taken.sort();
         let Some(first) = taken.first().map(|file| stem.with_file_name(file)) else {
             return Ok(());
@@ -234,9 +185,12 @@ impl SampleSink for Files {
             files,
             record: sample.record,
         };
-        (self.tell)(&written);
         if self.collects {
             self.collected.push(written);
+        } else if !self.is_silent {
+            for file in &written.files {
+                say!("{}", file.display());
+            }
         }
         Ok(())
     }

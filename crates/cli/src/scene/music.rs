@@ -13,7 +13,7 @@ use crate::output::unusable;
 /// Largest file of a song, bytes.
 const LARGEST: u64 = 1 << 30;
 
-/// A song and where the motion starts in it.
+/// A song and the position in it at which the motion starts.
 #[derive(Clone, Debug)]
 pub struct Music {
     /// The file.
@@ -23,10 +23,8 @@ pub struct Music {
 }
 
 /// The song with its beats during `seconds` of motion: the file, or if that is smaller the part
-/// during the motion as uncompressed mono.
-///
-/// # Errors
-/// If the song cannot be decoded, or the motion would start outside of it.
+/// during the motion as uncompressed mono. Fails if the song cannot be decoded, or the motion would
+/// start outside of it.
 pub fn song(music: &Music, seconds: f64) -> Result<Song, Error> {
     let Music { song: path, start } = music;
     let waveform = kinegrad_audio::decode(path)?;

@@ -3,8 +3,10 @@
 use std::path::{Path, PathBuf};
 
 use kinegrad_data::file::read_file;
-use kinegrad_report::scene::{Origins, Run};
+use kinegrad_report::scene::{Origins, PartOrigins};
 use serde::Deserialize;
+
+use crate::io::file_stem;
 
 /// Largest record, bytes.
 const LARGEST: u64 = 1 << 26;
@@ -15,13 +17,7 @@ struct Record {
     examples: Vec<PathBuf>,
     example_frames: Vec<usize>,
     frames: usize,
-    parts: Vec<Part>,
-}
-
-#[derive(Deserialize)]
-struct Part {
-    name: String,
-    runs: Vec<[usize; 4]>,
+    parts: Vec<PartOrigins>,
 }
 
 /// The source frames of the motion of `frames` frames in a file; none without a record of it.
@@ -32,33 +28,22 @@ pub fn beside(motion: &Path, frames: usize) -> Option<Origins> {
     if record.frames != frames || lengths.len() != record.examples.len() {
         return None;
     }
-    let mut parts = Vec::with_capacity(record.parts.len());
-    for part in record.parts {
+    for part in &record.parts {
         let mut next = 0;
-        let mut runs = Vec::with_capacity(part.runs.len());
-        for [start, example, first, frames] in part.runs {
+        for &[start, example, first, frames] in &part.runs {
             let within = first.checked_add(frames)? <= *lengths.get(example)?;
             if start != next || frames == 0 || !within {
                 return None;
             }
             next = start.checked_add(frames)?;
-            runs.push(Run {
-                start,
-                example,
-                first,
-                frames,
-            });
         }
         if next != frames {
             return None;
         }
-        parts.push((part.name, runs));
     }
-    let names = record.examples.iter().map(|path| {
-        let stem = path.file_stem().unwrap_or_default();
-        stem.to_string_lossy().into_owned()
-    });
+    let names = record.examples.iter().map(|path| file_stem(path));
     let examples = names.zip(record.example_frames).collect();
+    let parts = record.parts;
     (!parts.is_empty()).then_some(Origins { examples, parts })
 }
 
@@ -84,7 +69,7 @@ mod tests {
             origins.examples,
             [("walk".to_string(), 40), ("run".to_string(), 30)]
         );
-        assert_eq!(origins.parts[0].1[1].first, 3);
+        assert_eq!(origins.parts[0].runs[1][2], 3);
         assert!(beside(&motion, 10).is_none());
         for runs in [
             "[[0, 1, 25, 6], [6, 0, 3, 3]]",

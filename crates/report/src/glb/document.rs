@@ -1,6 +1,8 @@
 //! The JSON document of a glTF file and its one buffer.
 
-use serde_json::{Map, Value, json};
+use serde_json::{Value, json};
+
+use crate::scene::bounds;
 
 /// Component types and buffer targets, by their numbers in the specification.
 const FLOAT: u32 = 5126;
@@ -47,13 +49,9 @@ impl Document {
     /// [`floats`](Self::floats) with the lowest and the highest number of each component.
     pub fn ranged<const N: usize>(&mut self, rows: &[[f32; N]], target: Option<u32>) -> usize {
         let accessor = self.floats(rows, target);
-        let extreme = |of: fn(f32, f32) -> f32| {
-            let rows = rows.iter().copied();
-            let found = rows.reduce(|a, b| std::array::from_fn(|i| of(a[i], b[i])));
-            json!(found.expect("there are values").as_slice())
-        };
-        self.accessors[accessor]["min"] = extreme(f32::min);
-        self.accessors[accessor]["max"] = extreme(f32::max);
+        let [low, high] = bounds(rows);
+        self.accessors[accessor]["min"] = json!(low.as_slice());
+        self.accessors[accessor]["max"] = json!(high.as_slice());
         accessor
     }
 
@@ -118,15 +116,10 @@ impl Document {
         ];
         // A list without elements is not valid.
         let lists = lists.into_iter().filter(|(_, list)| !list.is_empty());
-        let mut document: Map<String, Value> = lists
-            .map(|(name, list)| (name.to_string(), list.into()))
-            .collect();
-        document.insert(
-            "asset".into(),
-            json!({ "generator": "kinegrad", "version": "2.0" }),
-        );
-        document.insert("scene".into(), json!(0));
-        let (mut text, mut buffer) = (Value::from(document).to_string().into_bytes(), self.buffer);
+        let mut document: Value = lists.collect();
+        document["asset"] = json!({ "generator": "kinegrad", "version": "2.0" });
+        document["scene"] = json!(0);
+        let (mut text, mut buffer) = (document.to_string().into_bytes(), self.buffer);
         text.resize(text.len().next_multiple_of(4), b' ');
         buffer.resize(buffer.len().next_multiple_of(4), 0);
         let length = 12 + 8 + text.len() + 8 + buffer.len();

@@ -7,7 +7,7 @@ use serde_json::{Value, json};
 use super::document::{ARRAY_BUFFER, Document, push};
 use super::rig::Rig;
 use super::rotation::Rotation;
-use crate::scene::SceneObject;
+use crate::scene::{BODY, SceneObject};
 
 /// Corners around a capsule.
 const SIDES: u32 = 10;
@@ -15,8 +15,6 @@ const SIDES: u32 = 10;
 const RINGS: u32 = 3;
 /// Radius in metres of a lone root without orientation.
 const BALL: f32 = 0.08;
-/// Half sizes of an oriented body in metres: side, up, front.
-const BODY: [f32; 3] = [0.17, 0.26, 0.1];
 /// Colour of all meshes (RGBA).
 const COLOUR: [f32; 4] = [0.35, 0.5, 0.72, 1.0];
 
@@ -178,7 +176,7 @@ mod tests {
             for corners in mesh.triangles.chunks_exact(3) {
                 let [a, b, c] = [0, 1, 2].map(|n| mesh.places[corners[n] as usize].map(f64::from));
                 let side = |from: [f64; 3], to: [f64; 3]| [0, 1, 2].map(|i| to[i] - from[i]);
-                let across = super::super::rotation::cross(side(a, b), side(a, c));
+                let across = crate::scene::cross(side(a, b), side(a, c));
                 let normal = [0, 1, 2].map(|axis| {
                     let corners = corners.iter();
                     corners

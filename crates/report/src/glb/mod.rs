@@ -116,9 +116,11 @@ fn add_mesh(
     place: [f32; 3],
 ) {
     if object.joints() == 1 {
-        let mesh = match object.orientations {
-            Some(_) => Mesh::body(),
-            None => Mesh::ball(),
+        let is_oriented = object.orientations.is_some();
+        let mesh = if is_oriented {
+            Mesh::body()
+        } else {
+            Mesh::ball()
         };
         let mesh = mesh.push(document, &object.name);
         document.nodes[first]["mesh"] = json!(mesh);

@@ -15,6 +15,7 @@ pub(super) struct Rig {
 }
 
 /// An animated node.
+#[derive(Default)]
 pub(super) struct RigNode {
     pub name: String,
     pub parent: Option<usize>,
@@ -47,32 +48,40 @@ impl Rig {
             all.filter(|child| object.parents[*child] == Some(joint))
                 .collect()
         };
+        let name = |joint: usize| {
+            let name = object.joint_names.get(joint).cloned();
+            name.unwrap_or_else(|| format!("joint_{joint}"))
+        };
         let mut nodes: Vec<RigNode> = Vec::new();
         let mut joints = vec![0; object.joints()];
         let mut waiting = vec![(0, None)];
         while let Some((joint, parent)) = waiting.pop() {
             let below = children(joint);
-            let name = object.joint_names.get(joint).cloned();
-            let name = name.unwrap_or_else(|| format!("joint_{joint}"));
             let place = nodes.len();
             joints[joint] = place;
-            let lone = (below.len() == 1).then(|| below[0]);
-            let fits = if below.len() > 1 {
-                below.clone()
-            } else {
-                vec![]
+            let mut node = RigNode {
+                name: name(joint),
+                parent,
+                at: joint,
+                ..RigNode::default()
             };
-            nodes.push(RigNode::new(name.clone(), parent, joint, lone, fits));
-            for child in below.iter().rev() {
-                let mut turned_by = place;
+            match below[..] {
+                [child] => node.bone_to = Some(child),
+                _ => node.fits = below.clone(),
+            }
+            nodes.push(node);
+            for &child in below.iter().rev() {
+                let turned_by = if below.len() > 1 { nodes.len() } else { place };
                 if below.len() > 1 {
-                    let end = object.joint_names.get(*child).cloned();
-                    let end = end.unwrap_or_else(|| format!("joint_{child}"));
-                    turned_by = nodes.len();
-                    let name = format!("{name}_to_{end}");
-                    nodes.push(RigNode::new(name, Some(place), joint, Some(*child), vec![]));
+                    nodes.push(RigNode {
+                        name: format!("{}_to_{}", name(joint), name(child)),
+                        parent: Some(place),
+                        bone_to: Some(child),
+                        at: joint,
+                        ..RigNode::default()
+                    });
                 }
-                waiting.push((*child, Some(turned_by)));
+                waiting.push((child, Some(turned_by)));
             }
         }
         Self { nodes, joints }
@@ -108,9 +117,8 @@ impl Rig {
                 Rotation::IDENTITY
             } else {
                 let ends = node.fits.iter();
-                let pairs: Vec<_> = ends
-                    .map(|end| (bone(0, node.at, *end), bone(frame, node.at, *end)))
-                    .collect();
+                let pairs = ends.map(|end| (bone(0, node.at, *end), bone(frame, node.at, *end)));
+                let pairs: Vec<_> = pairs.collect();
                 above.inverse().times(Rotation::fitting(&pairs, *before))
             };
             let last = node.rotations.last().copied();
@@ -137,27 +145,6 @@ impl Rig {
 
 /// True if two translations count as equal.
 fn near(a: [f32; 3], b: [f32; 3]) -> bool {
-    a.iter()
-        .zip(b)
-        .all(|(a, b)| f64::from((a - b).abs()) < STILL)
-}
-
-impl RigNode {
-    fn new(
-        name: String,
-        parent: Option<usize>,
-        at: usize,
-        bone_to: Option<usize>,
-        fits: Vec<usize>,
-    ) -> Self {
-        Self {
-            name,
-            parent,
-            bone_to,
-            fits,
-            at,
-            translations: Vec::new(),
-            rotations: Vec::new(),
-        }
-    }
+    let mut pairs = a.iter().zip(b);
+    pairs.all(|(a, b)| f64::from((a - b).abs()) < STILL)
 }

@@ -1,5 +1,7 @@
 //! Rotations in double precision, for exact ends of joint chains.
 
+use crate::scene::cross;
+
 /// A unit quaternion (w, x, y, z).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Rotation(pub [f64; 4]);
@@ -13,10 +15,9 @@ impl Rotation {
     /// The normalised quaternion; the identity if it has no norm.
     pub fn unit(parts: [f64; 4]) -> Self {
         let norm = parts.iter().map(|part| part * part).sum::<f64>().sqrt();
-        if norm.is_finite() && norm > 1e-12 {
-            Self(parts.map(|part| part / norm))
-        } else {
-            Self::IDENTITY
+        match norm.is_finite() && norm > 1e-12 {
+            true => Self(parts.map(|part| part / norm)),
+            false => Self::IDENTITY,
         }
     }
 
@@ -34,11 +35,8 @@ impl Rotation {
     /// The same rotation with the sign nearer to `before`.
     pub fn after(self, before: Self) -> Self {
         let dot: f64 = self.0.iter().zip(before.0).map(|(a, b)| a * b).sum();
-        if dot < 0.0 {
-            Self(self.0.map(|part| -part))
-        } else {
-            self
-        }
+        let sign = if dot < 0.0 { -1.0 } else { 1.0 };
+        Self(self.0.map(|part| sign * part))
     }
 
     pub fn inverse(self) -> Self {
@@ -140,14 +138,6 @@ impl Rotation {
 
 pub(super) fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
     a.iter().zip(b).map(|(a, b)| a * b).sum()
-}
-
-pub(super) fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
-    [
-        a[1] * b[2] - a[2] * b[1],
-        a[2] * b[0] - a[0] * b[2],
-        a[0] * b[1] - a[1] * b[0],
-    ]
 }
 
 #[cfg(test)]

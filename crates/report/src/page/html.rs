@@ -21,24 +21,16 @@ pub fn html(page: &Page) -> String {
          <meta http-equiv=\"Content-Security-Policy\" content=\"{CONTENT_SECURITY_POLICY}\">\n\
          <link rel=icon href=\"data:,\">\n<title>{title}</title>\n<style>\n{STYLE}</style>\n"
     );
-    let sections = page.sections.iter();
-    let sections: Vec<&Section> = sections
-        .filter(|section| !section.blocks.is_empty())
-        .collect();
-    let moves = |section: &&Section| {
-        let scenes = |block: &Block| matches!(block, Block::Scenes(_));
-        section.blocks.iter().any(scenes)
-    };
-    let moves = sections.iter().any(moves);
+    let mut sections: Vec<&Section> = page.sections.iter().collect();
+    sections.retain(|section| !section.blocks.is_empty());
+    let mut blocks = sections.iter().flat_map(|section| &section.blocks);
+    let moves = blocks.any(|block| matches!(block, Block::Scenes(_)));
     if moves {
         let _ = writeln!(out, "<style>\n{}</style>", viewer::style());
     }
-    let _ = writeln!(
-        out,
-        "</head>\n<body>\n<main>\n<header class=page><h1>{title}</h1>{}<p>{}</p></header>",
-        status(&page.status),
-        escape(&page.subtitle)
-    );
+    let (status, subtitle) = (status(&page.status), escape(&page.subtitle));
+    out += "</head>\n<body>\n<main>\n<header class=page>";
+    let _ = writeln!(out, "<h1>{title}</h1>{status}<p>{subtitle}</p></header>");
     highlights(&mut out, &page.highlights);
     out += "<nav>";
     for (index, section) in sections.iter().enumerate() {
@@ -70,14 +62,11 @@ fn tone(tone: Tone) -> &'static str {
 }
 
 fn status(cell: &Cell) -> String {
-    match cell.text.is_empty() {
-        true => String::new(),
-        false => format!(
-            "<span class=\"pill {}\">{}</span>",
-            tone(cell.tone),
-            escape(&cell.text)
-        ),
+    if cell.text.is_empty() {
+        return String::new();
     }
+    let (tone, text) = (tone(cell.tone), escape(&cell.text));
+    format!("<span class=\"pill {tone}\">{text}</span>")
 }
 
 fn highlights(out: &mut String, highlights: &[(String, String)]) {
@@ -120,17 +109,16 @@ fn block(out: &mut String, block: &Block) {
             scenes.iter().for_each(|scene| *out += &scene.html());
             writeln!(out, "</div>")
         }
-        Block::Folded { title, table } => {
+        Block::Folded(title, table) => {
             let _ = write!(out, "<details><summary>{}</summary>", escape(title));
             self::table(out, table);
             writeln!(out, "</details>")
         }
-        Block::Source { title, text } => writeln!(
-            out,
-            "<details><summary>{}</summary><pre>{}</pre></details>",
-            escape(title),
-            escape(text)
-        ),
+        Block::Source(title, text) => {
+            let (title, text) = (escape(title), escape(text));
+            let source = format!("<summary>{title}</summary><pre>{text}</pre>");
+            writeln!(out, "<details>{source}</details>")
+        }
     };
     written.expect("written to memory");
 }
@@ -149,16 +137,13 @@ fn table(out: &mut String, Table { header, rows }: &Table) {
     *out += "</tr></thead><tbody>\n";
     for row in rows {
         *out += "<tr>";
-        let span = match row.len() {
-            1 => format!(" colspan={}", header.len().max(1)),
-            _ => String::new(),
+        let (span, group) = match row.len() {
+            1 => (format!(" colspan={}", header.len().max(1)), Some("group")),
+            _ => (String::new(), None),
         };
         for (index, cell) in row.iter().enumerate() {
-            let kind = match () {
-                () if row.len() == 1 => "group",
-                () if words(index) => "words",
-                () => "",
-            };
+            let words = if words(index) { "words" } else { "" };
+            let kind = group.unwrap_or(words);
             let (tone, text) = (tone(cell.tone), escape(&cell.text));
             let _ = write!(out, "<td class=\"{kind} {tone}\"{span}>{text}</td>");
         }
@@ -187,15 +172,9 @@ mod tests {
             Block::Warning(bad()),
             Block::Facts(vec![(bad(), bad())]),
             Block::Table(table.clone()),
-            Block::Folded {
-                title: bad(),
-                table,
-            },
+            Block::Folded(bad(), table),
             Block::Charts(vec![chart]),
-            Block::Source {
-                title: bad(),
-                text: bad(),
-            },
+            Block::Source(bad(), bad()),
         ];
         let page = Page {
             title: bad(),

@@ -51,20 +51,10 @@ pub enum Block {
     Charts(Vec<Panel>),
     /// Moving objects side by side.
     Scenes(Vec<Thumbnail>),
-    /// A collapsed table.
-    Folded {
-        /// Title.
-        title: String,
-        /// The table.
-        table: Table,
-    },
-    /// Collapsed preformatted text.
-    Source {
-        /// Title.
-        title: String,
-        /// The text.
-        text: String,
-    },
+    /// A collapsed table, below its title.
+    Folded(String, Table),
+    /// Collapsed preformatted text, below its title.
+    Source(String, String),
 }
 
 /// A table.
@@ -128,11 +118,11 @@ impl Section {
     pub fn add(&mut self, block: Block) {
         let is_empty = match &block {
             Block::Facts(facts) => facts.is_empty(),
-            Block::Table(table) | Block::Folded { table, .. } => table.rows.is_empty(),
+            Block::Table(table) | Block::Folded(_, table) => table.rows.is_empty(),
             Block::Charts(charts) => charts.iter().all(Panel::is_empty),
             Block::Scenes(scenes) => scenes.is_empty(),
-            Block::Heading(text) | Block::Text(text) | Block::Warning(text) => text.is_empty(),
-            Block::Source { text, .. } => text.is_empty(),
+            Block::Heading(text) | Block::Text(text) => text.is_empty(),
+            Block::Warning(text) | Block::Source(_, text) => text.is_empty(),
         };
         if !is_empty {
             self.blocks.push(block);

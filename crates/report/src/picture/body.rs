@@ -1,6 +1,6 @@
 //! Panels of a body: poses in side view, trajectory in top view, ground contacts.
 
-use super::panel::{Panel, Pose};
+use super::panel::{Kind, Panel, Pose};
 use crate::scene::{Floor, SceneObject};
 
 /// Root motion in metres from which poses are drawn in place.
@@ -22,11 +22,8 @@ const SIDES: usize = 48;
 /// The poses of a body, its trajectory in top view with the floor, and its ground contacts; of a
 /// lone root only the trajectory.
 pub fn body_panels(object: &SceneObject, floor: &Floor) -> Vec<Panel> {
-    let mut panels = Vec::new();
-    panels.extend(poses(object));
-    panels.push(path(object, floor));
-    panels.extend(contacts(object));
-    panels
+    let panels = poses(object).into_iter().chain([path(object, floor)]);
+    panels.chain(contacts(object)).collect()
 }
 
 fn path(object: &SceneObject, floor: &Floor) -> Panel {
@@ -37,32 +34,31 @@ fn path(object: &SceneObject, floor: &Floor) -> Panel {
         let goal = floor.path.iter().map(|&[x, z]| (x.into(), z.into()));
         series.push(("goal".to_string(), goal.collect()));
     }
-    let keyframes = floor.keyframes.iter();
-    let keyframes = keyframes.map(|(frame, [x, z])| {
-        let place = (f64::from(*x), f64::from(*z));
-        (format!("frame {frame}"), place)
-    });
-    let map = Panel::map("root path, top view (m; x right, z down)", series).with_points(keyframes);
-    let polygons = floor.polygons.iter();
-    let map = polygons.fold(map, |map, corners| {
-        map.with_region(corners.iter().map(|&[x, z]| (x.into(), z.into())))
-    });
-    floor.obstacles.iter().fold(map, |map, ([x, z], radius)| {
-        map.with_region((0..SIDES).map(|side| {
+    let mut map = Panel::map("root path, top view (m; x right, z down)", series);
+    for (frame, [x, z]) in &floor.keyframes {
+        let place = (f64::from(*x), -f64::from(*z));
+        map.points.push((format!("frame {frame}"), place));
+    }
+    for corners in &floor.polygons {
+        let corners = corners.iter().map(|&[x, z]| (x.into(), -f64::from(z)));
+        map.regions.push(corners.collect());
+    }
+    for &([x, z], radius) in &floor.obstacles {
+        let [x, z, radius] = [x, z, radius].map(f64::from);
+        let corners = (0..SIDES).map(|side| {
             let (sin, cos) = (side as f64 / SIDES as f64 * std::f64::consts::TAU).sin_cos();
-            let radius = f64::from(*radius);
-            (f64::from(*x) + radius * sin, f64::from(*z) + radius * cos)
-        }))
-    })
+            (x + radius * sin, -(z + radius * cos))
+        });
+        map.regions.push(corners.collect());
+    }
+    map
 }
 
 fn contacts(object: &SceneObject) -> Option<Panel> {
     let tracks = object.contacts.iter().map(|contact| {
         let name = object.joint_names.get(contact.joint);
-        (
-            name.map_or("foot", String::as_str),
-            contact.frames.as_slice(),
-        )
+        let name = name.map_or("foot", String::as_str);
+        (name, contact.frames.as_slice())
     });
     let any = !object.contacts.is_empty();
     any.then(|| Panel::strip("on the ground", object.fps, tracks))
@@ -90,11 +86,8 @@ fn poses(object: &SceneObject) -> Option<Panel> {
     let loose: Vec<usize> = (0..object.joints())
         .filter(|joint| object.parents[*joint].is_none() && !object.parents.contains(&Some(*joint)))
         .collect();
-    let digits = if count as f64 > 10.0 * object.seconds() {
-        2
-    } else {
-        1
-    };
+    let is_dense = count as f64 > 10.0 * object.seconds();
+    let digits = if is_dense { 2 } else { 1 };
     let moment = |index: usize| index * (frames - 1) / (count - 1).max(1);
     let poses = (0..count).map(|index| {
         let frame = moment(index);
@@ -107,8 +100,7 @@ fn poses(object: &SceneObject) -> Option<Panel> {
             (along(frame, joint) + shift, height)
         };
         let bones = object.parents.iter().enumerate();
-        let bones =
-            bones.filter_map(|(joint, parent)| parent.map(|parent| [place(parent), place(joint)]));
+        let bones = bones.filter_map(|(joint, parent)| Some([place((*parent)?), place(joint)]));
         let joints = loose.iter().map(|&joint| place(joint));
         let heights = (0..object.joints()).map(|joint| place(joint).1);
         Pose {
@@ -122,7 +114,10 @@ fn poses(object: &SceneObject) -> Option<Panel> {
         true => "poses along the path, side view (m)",
         false => "poses side by side, side view (m)",
     };
-    Some(Panel::poses(title, poses.collect()).wide())
+    Some(Panel {
+        is_wide: true,
+        ..Panel::of(title, "m", Kind::Poses(poses.collect()))
+    })
 }
 
 /// The main direction (x, z) of the root, towards its end.
@@ -136,9 +131,8 @@ fn direction(object: &SceneObject) -> [f64; 2] {
     let mean = |axis: usize| track.iter().map(|p| p[axis]).sum::<f64>() / track.len() as f64;
     let middle = [mean(0), mean(1)];
     let product = |a: usize, b: usize| -> f64 {
-        let products = track
-            .iter()
-            .map(|p| (p[a] - middle[a]) * (p[b] - middle[b]));
+        let from_middle = |p: &[f64; 2], axis: usize| p[axis] - middle[axis];
+        let products = track.iter().map(|p| from_middle(p, a) * from_middle(p, b));
         products.sum()
     };
     let (xx, xz, zz) = (product(0, 0), product(0, 1), product(1, 1));

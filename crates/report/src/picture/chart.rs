@@ -41,11 +41,9 @@ pub(super) fn draw_panel<B: DrawingBackend<ErrorType: 'static>>(
         _ => Y_LABELS,
     };
     let (width, height) = area.dim_in_pixel();
-    let plot = [
-        width.saturating_sub(2 * MARGIN + left).max(1),
-        height.saturating_sub(2 * MARGIN + X_LABELS).max(1),
-    ];
-    let (x, y) = ranges(panel, f64::from(plot[0]) / f64::from(plot[1]));
+    let [width, height] = [(width, left), (height, X_LABELS)]
+        .map(|(size, labels)| f64::from(size.saturating_sub(2 * MARGIN + labels).max(1)));
+    let (x, y) = ranges(panel, width / height);
     let x = panel.across.clone().unwrap_or(x);
     let mut chart = ChartBuilder::on(area)
         .margin(MARGIN)
@@ -53,10 +51,8 @@ pub(super) fn draw_panel<B: DrawingBackend<ErrorType: 'static>>(
         .y_label_area_size(left)
         .build_cartesian_2d(x.clone(), y.clone())?;
     // Tick positions are sums of steps, so zero is inexact. A map has z downwards.
-    let near = |value: f64| {
-        let least = 1e-9 * (x.end - x.start).min(y.end - y.start);
-        if value.abs() < least { 0.0 } else { value }
-    };
+    let least = 1e-9 * (x.end - x.start).min(y.end - y.start);
+    let near = |value: f64| if value.abs() < least { 0.0 } else { value };
     let downwards = |value: &f64| short(-near(*value));
     let upwards = |value: &f64| short(near(*value));
     let mut mesh = chart.configure_mesh();
@@ -127,14 +123,13 @@ fn short(value: f64) -> String {
     match value.abs() {
         size if size != 0.0 && !(1e-3..1e5).contains(&size) => format!("{value:.1e}"),
         // Tick positions are sums of steps and inexact.
-        _ => {
-            let text = format!("{value:.4}");
-            let text = text.trim_end_matches('0').trim_end_matches('.');
-            match text {
-                "-0" => "0".into(),
-                text => text.into(),
-            }
-        }
+        _ => match format!("{value:.4}")
+            .trim_end_matches('0')
+            .trim_end_matches('.')
+        {
+            "-0" => "0".into(),
+            text => text.into(),
+        },
     }
 }
 
@@ -210,8 +205,8 @@ fn draw_marks<B: DrawingBackend<ErrorType: 'static>>(
     let top = chart.y_range().end;
     for &mark in marks.iter().filter(|mark| across.contains(mark)) {
         let (x, y) = pixel(chart, area, (mark, top));
-        let tick = PathElement::new(vec![(x, y - 6), (x, y - 1)], RED.mix(0.5));
-        area.draw(&tick)?;
+        let ends = vec![(x, y - 6), (x, y - 1)];
+        area.draw(&PathElement::new(ends, RED.mix(0.5)))?;
     }
     Ok(())
 }

@@ -1,7 +1,6 @@
 //! Panels as SVG elements, styled by their page: curves are smoothed, and axes logarithmic, as
 //! needed.
 
-use std::fmt::Write;
 use std::ops::Range;
 
 use super::Panel;
@@ -68,15 +67,11 @@ impl Panel {
             }
             if let [(x, y)] = points[..] {
                 let (x, y) = frame.place(x, y);
-                let _ = write!(body, "<circle class=s{colour} cx={x:.1} cy={y:.1} r=3 />");
+                body += &format!("<circle class=s{colour} cx={x:.1} cy={y:.1} r=3 />");
             }
             let name = escape(name);
-            let last = points.last().map_or(0.0, |point| point.1);
-            let last = label(last, 0.0);
-            let _ = write!(
-                legend,
-                "<span><i class=s{colour}></i>{name} <b>{last}</b></span>"
-            );
+            let last = label(points.last().map_or(0.0, |point| point.1), 0.0);
+            legend += &format!("<span><i class=s{colour}></i>{name} <b>{last}</b></span>");
         }
         let title = escape(&self.title);
         format!(
@@ -89,15 +84,12 @@ impl Panel {
 
 impl Frame {
     fn of<'a>(points: impl Iterator<Item = &'a (f64, f64)> + Clone) -> Self {
-        let (x, y) = (span(points.clone().map(|p| p.0)), span(points.map(|p| p.1)));
+        let (x, mut y) = (span(points.clone().map(|p| p.0)), span(points.map(|p| p.1)));
         let is_log = y.start > 0.0 && y.end / y.start > LOGARITHMIC;
-        let y = match is_log {
-            true => y.start.log10()..y.end.log10(),
-            false => y,
-        };
-        let margin = (0.06 * (y.end - y.start))
-            .max(1e-3 * y.end.abs())
-            .max(1e-12);
+        if is_log {
+            y = y.start.log10()..y.end.log10();
+        }
+        let margin = f64::max(0.06 * (y.end - y.start), 1e-3 * y.end.abs()).max(1e-12);
         Self {
             x: x.start..x.end.max(x.start + 1e-9),
             y: y.start - margin..y.end + margin,
@@ -119,7 +111,7 @@ impl Frame {
         let mut path = format!("<polyline class=\"s{colour} {class}\" points=\"");
         for &(x, y) in points {
             let (x, y) = self.place(x, y);
-            let _ = write!(path, "{x:.1},{y:.1} ");
+            path += &format!("{x:.1},{y:.1} ");
         }
         path + "\"/>"
     }
@@ -136,33 +128,27 @@ impl Frame {
             let value = if self.is_log { 10f64.powf(tick) } else { tick };
             let (_, y) = self.place(self.x.start, value);
             let number = label(value, step);
-            let _ = write!(
-                axes,
+            let (x, below) = (LEFT - 6.0, y + 3.5);
+            axes += &format!(
                 "<path class=grid d=\"M{LEFT} {y:.1}H{right}\"/>\
-                 <text x={} y={:.1} text-anchor=end>{number}</text>",
-                LEFT - 6.0,
-                y + 3.5
+                 <text x={x} y={below:.1} text-anchor=end>{number}</text>"
             );
         }
         let (step, columns) = ticks(&self.x, 6.0);
         for tick in columns {
             let x = LEFT + (tick - self.x.start) / (self.x.end - self.x.start) * (right - LEFT);
             let number = label(tick, step);
-            let _ = write!(
-                axes,
+            let y = bottom + 15.0;
+            axes += &format!(
                 "<path class=grid d=\"M{x:.1} {bottom}v4\"/>\
-                 <text x={x:.1} y={} text-anchor=middle>{number}</text>",
-                bottom + 15.0
+                 <text x={x:.1} y={y} text-anchor=middle>{number}</text>"
             );
         }
-        let _ = write!(
-            axes,
+        let (y, name) = (SIZE.1 - 3.0, escape(x_label));
+        axes + &format!(
             "<path class=axis d=\"M{LEFT} {bottom}H{right}\"/>\
-             <text class=name x={right} y={} text-anchor=end>{}</text>",
-            SIZE.1 - 3.0,
-            escape(x_label)
-        );
-        axes
+             <text class=name x={right} y={y} text-anchor=end>{name}</text>"
+        )
     }
 }
 

@@ -16,7 +16,7 @@ use plotters::coord::Shift;
 use plotters::prelude::*;
 
 pub use body::body_panels;
-pub use panel::{Panel, Pose, Series};
+pub use panel::{Panel, Series};
 
 use crate::font;
 use crate::raster::Image;
@@ -50,17 +50,14 @@ pub enum PictureError {
 /// # Errors
 /// [`PictureError::Ending`].
 pub fn check_ending(out: &Path) -> Result<(), PictureError> {
-    let ending = out.extension().unwrap_or_default().to_string_lossy();
-    if ["svg", "png"]
-        .iter()
-        .any(|known| ending.eq_ignore_ascii_case(known))
-    {
-        return Ok(());
+    let ending = out.extension().unwrap_or_default().to_ascii_lowercase();
+    match ending == "svg" || ending == "png" {
+        true => Ok(()),
+        false => Err(PictureError::Ending {
+            path: out.to_path_buf(),
+            ending: ending.to_string_lossy().into_owned(),
+        }),
     }
-    Err(PictureError::Ending {
-        path: out.to_path_buf(),
-        ending: ending.to_ascii_lowercase(),
-    })
 }
 
 /// Draws the panels to `out`, `columns` side by side, each `size` pixels.
@@ -74,9 +71,8 @@ pub fn draw(
     out: &Path,
 ) -> Result<(), PictureError> {
     check_ending(out)?;
-    let is_svg = out
-        .extension()
-        .is_some_and(|ending| ending.eq_ignore_ascii_case("svg"));
+    let ending = out.extension().unwrap_or_default();
+    let is_svg = ending.eq_ignore_ascii_case("svg");
     let sheet = Sheet::new(panels, columns, size);
     let bytes = if is_svg { sheet.svg() } else { sheet.png() };
     let written = bytes.and_then(|bytes| Ok(std::fs::write(out, bytes)?));
@@ -86,27 +82,14 @@ pub fn draw(
     })
 }
 
-/// A picture in memory.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Png {
-    /// Width in pixels.
-    pub width: u32,
-    /// Height in pixels.
-    pub height: u32,
-    /// The file.
-    pub bytes: Vec<u8>,
-}
-
-/// The panels as PNG; `None` if they cannot be drawn.
-pub fn draw_png(panels: &[Panel], columns: usize, size: (u32, u32)) -> Option<Png> {
+/// The panels as a PNG file, and its size in pixels; `None` if they cannot be drawn.
+pub fn draw_png(
+    panels: &[Panel],
+    columns: usize,
+    size: (u32, u32),
+) -> Option<(Vec<u8>, (u32, u32))> {
     let sheet = Sheet::new(panels, columns, size);
-    let (width, height) = sheet.size;
-    let bytes = sheet.png().ok()?;
-    Some(Png {
-        width,
-        height,
-        bytes,
-    })
+    Some((sheet.png().ok()?, sheet.size))
 }
 
 /// A panel with its upper left corner and size in pixels.
@@ -149,12 +132,11 @@ impl<'a> Sheet<'a> {
 
     fn png(&self) -> Result<Vec<u8>, Box<dyn Error>> {
         let (width, height) = self.size;
-        let mut pixels = vec![0; 3 * width as usize * height as usize];
-        let root = BitMapBackend::with_buffer(&mut pixels, self.size).into_drawing_area();
+        let mut rgb = vec![0; 3 * width as usize * height as usize];
+        let root = BitMapBackend::with_buffer(&mut rgb, self.size).into_drawing_area();
         // Wider bitmap strokes have spikes at sharp corners.
         self.draw(&root, 1)?;
         drop(root);
-        let rgb = pixels;
         Ok(Image { width, height, rgb }.png())
     }
 
@@ -239,7 +221,11 @@ mod tests {
     #[test]
     fn a_wide_panel_has_a_row_for_itself() {
         let panel = || Panel::lines("", "s", Vec::new());
-        let panels = [panel(), panel().wide(), panel(), panel(), panel()];
+        let wide = Panel {
+            is_wide: true,
+            ..panel()
+        };
+        let panels = [panel(), wide, panel(), panel(), panel()];
         let sheet = Sheet::new(&panels, 2, (10, 5));
         let places = sheet.panels.iter();
         let places: Vec<_> = places.map(|(_, corner, size)| (*corner, size.0)).collect();
@@ -261,9 +247,9 @@ mod tests {
         let panel = || [Panel::strip("feet", 2.0, [("left", &[true, false][..])])];
         let out = folder.join("strip.png");
         draw(&panel(), 1, (200, 100), &out).expect("written");
-        let png = draw_png(&panel(), 1, (200, 100)).expect("drawn");
-        assert_eq!((png.width, png.height), (200, 100));
-        assert!(png.bytes == std::fs::read(&out).expect("bytes"));
+        let (png, size) = draw_png(&panel(), 1, (200, 100)).expect("drawn");
+        assert_eq!(size, (200, 100));
+        assert!(png == std::fs::read(&out).expect("bytes"));
         std::fs::remove_dir_all(folder).expect("removed");
     }
 }

@@ -9,8 +9,7 @@ pub type Series = (String, Vec<(f64, f64)>);
 
 /// A body at a time, in side view.
 #[derive(Clone, Debug)]
-pub struct Pose {
-    /// Label of the time.
+pub(super) struct Pose {
     pub label: String,
     /// Position of the label, above the body.
     pub top: (f64, f64),
@@ -30,9 +29,9 @@ pub struct Panel {
     pub(super) marks: Vec<f64>,
     /// Range of the x axis; by default that of the data with a margin.
     pub(super) across: Option<Range<f64>>,
-    /// Named points of a map.
+    /// Named points (x, -z) of a map.
     pub(super) points: Vec<(String, (f64, f64))>,
-    /// Corners of the regions of a map.
+    /// Corners (x, -z) of the regions of a map.
     pub(super) regions: Vec<Vec<(f64, f64)>>,
     /// It fills a row.
     pub(super) is_wide: bool,
@@ -90,14 +89,8 @@ impl Panel {
         Self::of(title, "m", Kind::Map(series))
     }
 
-    /// Bodies in side view, with equal scales.
-    pub fn poses(title: impl Into<String>, poses: Vec<Pose>) -> Self {
-        Self::of(title, "m", Kind::Poses(poses))
-    }
-
-    /// Rows of values over time, darker for larger values; the last column ends at `seconds`.
-    pub fn heat(title: impl Into<String>, rows: Vec<Vec<f64>>, seconds: f64) -> Self {
-        let width = seconds;
+    /// Rows of values over time, darker for larger values; the last column ends at `width` seconds.
+    pub fn heat(title: impl Into<String>, rows: Vec<Vec<f64>>, width: f64) -> Self {
         Self::of(title, "s", Kind::Heat { rows, width })
     }
 
@@ -108,13 +101,11 @@ impl Panel {
         tracks: impl IntoIterator<Item = (&'a str, &'a [bool])>,
     ) -> Self {
         let mut width = 0.0f64;
-        let mut rows: Vec<_> = tracks
-            .into_iter()
-            .map(|(name, frames)| {
-                width = width.max(frames.len() as f64 / fps);
-                (name.to_string(), spans(frames, fps))
-            })
-            .collect();
+        let rows = tracks.into_iter().map(|(name, frames)| {
+            width = width.max(frames.len() as f64 / fps);
+            (name.to_string(), spans(frames, fps))
+        });
+        let mut rows: Vec<_> = rows.collect();
         rows.reverse();
         Self::of(title, "s", Kind::Strip { rows, width })
     }
@@ -149,22 +140,6 @@ impl Panel {
         self
     }
 
-    /// Adds named points (x, z) to a map, such as key frames.
-    #[must_use]
-    pub fn with_points(mut self, points: impl IntoIterator<Item = (String, (f64, f64))>) -> Self {
-        let points = points.into_iter().map(|(name, (x, z))| (name, (x, -z)));
-        self.points.extend(points);
-        self
-    }
-
-    /// Adds a region with corners (x, z) to a map, such as an obstacle.
-    #[must_use]
-    pub fn with_region(mut self, corners: impl IntoIterator<Item = (f64, f64)>) -> Self {
-        let corners = corners.into_iter().map(|(x, z)| (x, -z));
-        self.regions.push(corners.collect());
-        self
-    }
-
     /// Sets the range of the x axis, so that panels line up.
     #[must_use]
     pub fn spanning(mut self, across: Range<f64>) -> Self {
@@ -172,14 +147,7 @@ impl Panel {
         self
     }
 
-    /// Lets the panel fill a row.
-    #[must_use]
-    pub fn wide(mut self) -> Self {
-        self.is_wide = true;
-        self
-    }
-
-    fn of(title: impl Into<String>, x_label: &'static str, kind: Kind) -> Self {
+    pub(super) fn of(title: impl Into<String>, x_label: &'static str, kind: Kind) -> Self {
         Self {
             title: title.into(),
             x_label,
@@ -218,11 +186,8 @@ impl Panel {
             let ends = pose.bones.iter().flatten().copied();
             ends.chain(pose.joints.iter().copied()).chain([pose.top])
         });
-        series
-            .chain(named)
-            .chain(regions)
-            .chain(poses)
-            .filter(|(x, y)| can_be_drawn(*x) && can_be_drawn(*y))
+        let all = series.chain(named).chain(regions).chain(poses);
+        all.filter(|(x, y)| can_be_drawn(*x) && can_be_drawn(*y))
     }
 }
 

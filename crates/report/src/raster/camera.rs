@@ -1,5 +1,7 @@
 //! The camera.
 
+use crate::scene::bounds;
+
 /// Vertical field of view in radians.
 const FIELD_OF_VIEW: f32 = 0.6;
 /// Azimuth from the front, in radians.
@@ -72,16 +74,9 @@ impl Camera {
 
     /// The bounding box of projected points, if all are in front of the camera.
     fn extent(&self, points: &[[f32; 3]]) -> Option<[[f32; 2]; 2]> {
-        let mut extent = [[f32::INFINITY; 2], [f32::NEG_INFINITY; 2]];
-        for point in points {
-            let seen = self.see(*point)?;
-            let [low, high] = extent;
-            extent = [
-                [0, 1].map(|axis| low[axis].min(seen.at[axis])),
-                [0, 1].map(|axis| high[axis].max(seen.at[axis])),
-            ];
-        }
-        (!points.is_empty()).then_some(extent)
+        let seen = points.iter().map(|point| Some(self.see(*point)?.at));
+        let seen: Vec<[f32; 2]> = seen.collect::<Option<_>>()?;
+        (!seen.is_empty()).then(|| bounds(&seen))
     }
 
     /// A camera that looks at `target` from `distance`.
@@ -153,16 +148,6 @@ impl Camera {
             scale,
         }
     }
-}
-
-/// The bounding box of points; zeros without any.
-pub(super) fn bounds(points: &[[f32; 3]]) -> [[f32; 3]; 2] {
-    let of = |extreme: fn(f32, f32) -> f32| {
-        let found = points.iter().copied();
-        let found = found.reduce(|a, b| std::array::from_fn(|axis| extreme(a[axis], b[axis])));
-        found.unwrap_or_default()
-    };
-    [of(f32::min), of(f32::max)]
 }
 
 /// The centre of the bounding box.

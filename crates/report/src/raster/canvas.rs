@@ -2,10 +2,8 @@
 
 /// A picture in memory.
 #[derive(Clone, Debug, Eq, PartialEq)]
-pub struct Image {
-    /// Pixels from left to right.
+pub(crate) struct Image {
     pub width: u32,
-    /// Pixels from top to bottom.
     pub height: u32,
     /// Red, green and blue of each pixel, row by row from the top, `[height, width, 3]`.
     pub rgb: Vec<u8>,
@@ -14,12 +12,8 @@ pub struct Image {
 impl Image {
     /// A picture of one colour.
     pub(crate) fn filled(width: u32, height: u32, colour: [u8; 3]) -> Self {
-        let pixels = width as usize * height as usize;
-        Self {
-            width,
-            height,
-            rgb: colour.repeat(pixels),
-        }
+        let rgb = colour.repeat(width as usize * height as usize);
+        Self { width, height, rgb }
     }
 
     /// The picture as a PNG file.
@@ -28,10 +22,9 @@ impl Image {
         let mut encoder = png::Encoder::new(&mut bytes, self.width, self.height);
         encoder.set_color(png::ColorType::Rgb);
         encoder.set_depth(png::BitDepth::Eight);
-        let written = encoder
-            .write_header()
-            .and_then(|mut writer| writer.write_image_data(&self.rgb));
-        written.expect("a picture of its own size goes into memory");
+        let writer = encoder.write_header();
+        let written = writer.and_then(|mut writer| writer.write_image_data(&self.rgb));
+        written.expect("written to memory");
         bytes
     }
 
@@ -66,10 +59,9 @@ impl Image {
         let sizes = [self.width as f32, self.height as f32];
         let reach = radii[0].max(radii[1]) + 1.0;
         let along = b[main] - a[main];
-        let slope = if along.abs() > 1e-6 {
-            (b[cross] - a[cross]) / along
-        } else {
-            0.0
+        let slope = match along.abs() > 1e-6 {
+            true => (b[cross] - a[cross]) / along,
+            false => 0.0,
         };
         let beside = reach * (1.0 + slope * slope).sqrt() + 1.0;
         let first = (a[main].min(b[main]) - reach).floor().max(0.0);
@@ -97,7 +89,7 @@ impl Image {
     }
 
     /// A convex polygon in either orientation, in pixels.
-    pub(super) fn convex(&mut self, corners: &[[f32; 2]], colour: [u8; 3], opacity: f32) {
+    pub(super) fn convex(&mut self, corners: &[[f32; 2]], colour: [u8; 3]) {
         if !corners.as_flattened().iter().copied().all(f32::is_finite) {
             return;
         }
@@ -122,7 +114,7 @@ impl Image {
                 });
                 let coverage = (inside.fold(f32::INFINITY, f32::min) + 0.5).clamp(0.0, 1.0);
                 if coverage > 0.0 {
-                    self.blend(x, y, colour, coverage * opacity);
+                    self.blend(x, y, colour, coverage);
                 }
             }
         }
@@ -140,10 +132,9 @@ fn cover(pixel: [f32; 2], [a, b]: [[f32; 2]; 2], radii: [f32; 2]) -> f32 {
     let (dx, dy) = (b[0] - a[0], b[1] - a[1]);
     let (px, py) = (pixel[0] - a[0], pixel[1] - a[1]);
     let square = dx * dx + dy * dy;
-    let part = if square > 1e-12 {
-        ((px * dx + py * dy) / square).clamp(0.0, 1.0)
-    } else {
-        0.0
+    let part = match square > 1e-12 {
+        true => ((px * dx + py * dy) / square).clamp(0.0, 1.0),
+        false => 0.0,
     };
     let distance = (px - part * dx).hypot(py - part * dy);
     let radius = radii[0] + (radii[1] - radii[0]) * part;
@@ -184,7 +175,7 @@ mod tests {
         let mut square = vec![[10.5, 10.5], [30.0, 10.5], [30.0, 40.0], [10.5, 40.0]];
         for _ in 0..2 {
             let mut image = Image::filled(64, 64, [255; 3]);
-            image.convex(&square, BLACK, 1.0);
+            image.convex(&square, BLACK);
             let found = ink(&image);
             assert!((found - 19.5 * 29.5).abs() < 3.0, "{found}");
             square.reverse();
@@ -196,11 +187,8 @@ mod tests {
         let mut image = Image::filled(16, 16, [255; 3]);
         image.stroke([[-50.0, -9.0], [-20.0, 500.0]], [3.0, 9.0], BLACK);
         image.stroke([[f32::NAN, 0.0], [3.0, 3.0]], [3.0, 9.0], BLACK);
-        image.convex(
-            &[[100.0, 100.0], [120.0, 100.0], [120.0, 130.0]],
-            BLACK,
-            1.0,
-        );
+        let triangle = [[100.0, 100.0], [120.0, 100.0], [120.0, 130.0]];
+        image.convex(&triangle, BLACK);
         assert_eq!(ink(&image), 0.0);
         image.stroke([[-1e9, 8.0], [1e9, 8.0]], [1.0, 1.0], BLACK);
         assert!((ink(&image) - 32.0).abs() < 1.0);

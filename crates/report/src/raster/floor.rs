@@ -17,31 +17,19 @@ fn half(scale: f32, metres: f32) -> f32 {
     (0.5 * scale * metres).max(0.5)
 }
 
-/// A line on the ground.
-fn line(image: &mut Image, camera: &Camera, ends: [[f32; 2]; 2], width: f32, colour: [u8; 3]) {
-    let [a, b] = ends.map(|[x, z]| [x, 0.0, z]);
-    if let Some([a, b]) = camera.line(a, b) {
-        let radii = [half(a.scale, width), half(b.scale, width)];
-        image.stroke([a.at, b.at], radii, colour);
-    }
-}
-
 /// A polyline on the ground.
 fn polyline(image: &mut Image, camera: &Camera, points: &[[f32; 2]], width: f32, colour: [u8; 3]) {
+    let on_ground = |[x, z]: [f32; 2]| [x, 0.0, z];
     for pair in points.windows(2) {
-        line(image, camera, [pair[0], pair[1]], width, colour);
+        if let Some([a, b]) = camera.line(on_ground(pair[0]), on_ground(pair[1])) {
+            let radii = [half(a.scale, width), half(b.scale, width)];
+            image.stroke([a.at, b.at], radii, colour);
+        }
     }
 }
 
 /// A disc on the ground.
-fn disc(
-    image: &mut Image,
-    camera: &Camera,
-    [x, z]: [f32; 2],
-    radius: f32,
-    colour: [u8; 3],
-    opacity: f32,
-) {
+fn disc(image: &mut Image, camera: &Camera, [x, z]: [f32; 2], radius: f32, colour: [u8; 3]) {
     let corners: Option<Vec<[f32; 2]>> = (0..CIRCLE)
         .map(|corner| {
             let (sin, cos) = (corner as f32 * std::f32::consts::TAU / CIRCLE as f32).sin_cos();
@@ -50,7 +38,7 @@ fn disc(
         })
         .collect();
     if let Some(corners) = corners {
-        image.convex(&corners, colour, opacity);
+        image.convex(&corners, colour);
     }
 }
 
@@ -68,16 +56,16 @@ pub(super) fn draw(
         let step = step as f32;
         let across = [[x - reach, z + step], [x + reach, z + step]];
         let along = [[x + step, z - reach], [x + step, z + reach]];
-        line(image, camera, across, 0.012, GRID);
-        line(image, camera, along, 0.012, GRID);
+        polyline(image, camera, &across, 0.012, GRID);
+        polyline(image, camera, &along, 0.012, GRID);
     }
     for (centre, radius) in &floor.obstacles {
-        disc(image, camera, *centre, *radius, OBSTACLE, 1.0);
+        disc(image, camera, *centre, *radius, OBSTACLE);
     }
     polyline(image, camera, trail, 0.02, TRAIL);
     polyline(image, camera, &floor.path, 0.05, PATH);
     for (_, at) in &floor.keyframes {
-        disc(image, camera, *at, KEYFRAME_RADII[0], KEYFRAME, 1.0);
+        disc(image, camera, *at, KEYFRAME_RADII[0], KEYFRAME);
     }
 }
 
@@ -85,6 +73,6 @@ pub(super) fn draw(
 pub(super) fn draw_now(image: &mut Image, camera: &Camera, floor: &Floor, frame: usize) {
     let now = floor.keyframes.iter();
     for (_, at) in now.filter(|(key, _)| key.abs_diff(frame) <= 2) {
-        disc(image, camera, *at, KEYFRAME_RADII[1], KEYFRAME, 1.0);
+        disc(image, camera, *at, KEYFRAME_RADII[1], KEYFRAME);
     }
 }

@@ -7,8 +7,8 @@ use super::canvas::Image;
 use super::palette::TEXT;
 use crate::font;
 
-/// Writes a name at the top of a cell that is `width` pixels wide.
-pub(super) fn write(image: &mut Image, text: &str, left: u32, top: u32, width: u32) {
+/// Writes a name at the top of a cell with this corner and width in pixels.
+pub(super) fn write(image: &mut Image, text: &str, (left, top): (u32, u32), width: u32) {
     let height = (width / 20).clamp(9, 16);
     font::register();
     // Approximate number of letters that fit.

@@ -1,5 +1,4 @@
-//! Still pictures of a scene: a small software renderer without a browser or GPU, with equal
-//! results on every machine.
+//! Still pictures of a scene, by a small software renderer with equal results on every machine.
 
 mod camera;
 mod canvas;
@@ -9,38 +8,20 @@ mod object;
 mod painter;
 mod palette;
 
-pub use canvas::Image;
-pub(crate) use painter::Painter;
+pub(crate) use canvas::Image;
+pub(crate) use painter::{Painter, square_side};
 pub(crate) use palette::PALETTE;
-
-use crate::scene::Scene;
-
-/// The scene at a time, `size` pixels (at least 16 each): every object in a front view at an angle,
-/// side by side. The camera contains the whole motion, or follows the root of a far one.
-pub fn picture(scene: &Scene, seconds: f64, size: (u32, u32)) -> Image {
-    Painter::new(scene, size).at(seconds)
-}
-
-/// `count` times from start to end side by side, each of `size` pixels.
-pub fn strip(scene: &Scene, count: usize, size: (u32, u32)) -> Image {
-    let painter = Painter::new(scene, size);
-    let (width, height) = painter.size();
-    let count = count.max(1);
-    let mut whole = Image::filled(width * count as u32, height, palette::BACKGROUND);
-    let last = scene.seconds() - scene.frame_seconds();
-    for moment in 0..count {
-        let part = moment as f64 / (count - 1).max(1) as f64;
-        let image = painter.at(part * last);
-        whole.paste(&image, (moment as u32 * width, 0));
-    }
-    whole
-}
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::raster::palette::{BACKGROUND, LEFT, RIGHT};
+    use crate::raster::palette::{LEFT, RIGHT};
+    use crate::scene::Scene;
     use crate::scene::tests::{body, dancer};
+
+    fn picture(scene: &Scene, seconds: f64, size: (u32, u32)) -> Image {
+        Painter::new(scene, size).at(seconds)
+    }
 
     /// Bounding box `[left, top, right, bottom]` of the pixels of a colour.
     fn extent(image: &Image, colour: [u8; 3]) -> Option<[u32; 4]> {
@@ -141,25 +122,6 @@ mod tests {
             let [_, top, _, bottom] = extent(&image, LEFT).expect("the body is in the picture");
             assert!(bottom - top > 25, "{seconds}: {top} {bottom}");
         }
-    }
-
-    #[test]
-    fn strips_show_several_moments() {
-        let moments = strip(&scene(vec![body(40)]), 4, (100, 80));
-        assert_eq!((moments.width, moments.height), (400, 80));
-        let column = |n: u32| {
-            let mut part = Image::filled(100, 80, BACKGROUND);
-            for y in 0..80 {
-                let from = 3 * (y * 400 + n * 100) as usize;
-                let to = 3 * (y * 100) as usize;
-                part.rgb[to..to + 300].copy_from_slice(&moments.rgb[from..from + 300]);
-            }
-            part
-        };
-        let whole = scene(vec![body(40)]);
-        assert!(column(0) == picture(&whole, 0.0, (100, 80)));
-        assert!(column(3) == picture(&whole, whole.seconds() - 0.05, (100, 80)));
-        assert!(column(1) != column(2));
     }
 
     #[test]

@@ -3,10 +3,8 @@
 use super::camera::{Camera, Seen};
 use super::canvas::Image;
 use super::palette::{CONTACT, EDGE, FRONT, LEFT, MIDDLE, NOSE, RIGHT, SHADOW};
-use crate::scene::{Pose, SceneObject, Side, rotate};
+use crate::scene::{BODY, Pose, SceneObject, Side, rotate};
 
-/// Half sizes of an oriented body in metres: side, up, front.
-const BODY: [f32; 3] = [0.17, 0.26, 0.1];
 /// Length of the pointer in front, metres.
 const NOSE_LENGTH: f32 = 0.22;
 /// Corners of the six faces of a box, each by the bits of its axes (side, up, front).
@@ -51,12 +49,11 @@ pub(super) fn draw(
         Some(orientation) => body(&mut parts, camera, pose.joints[0], orientation),
         None => limbs(&mut parts, camera, object, pose),
     }
-    for joint in standing {
-        if let Some(seen) = camera.see(pose.joints[*joint]) {
-            // In front of the foot.
-            parts.push(limb([seen, seen], [0.045; 2], CONTACT, -0.2));
-        }
-    }
+    // In front of the feet.
+    let contacts = standing
+        .iter()
+        .filter_map(|joint| camera.see(pose.joints[*joint]));
+    parts.extend(contacts.map(|seen| limb([seen, seen], [0.045; 2], CONTACT, -0.2)));
     parts.sort_by(|a, b| b.depth.total_cmp(&a.depth));
     for part in parts {
         match part.shape {
@@ -69,7 +66,7 @@ pub(super) fn draw(
                 image.stroke(ends, radii.map(|radius| radius + edge), EDGE);
                 image.stroke(ends, radii, colour);
             }
-            Shape::Face { corners, colour } => image.convex(&corners, colour, 1.0),
+            Shape::Face { corners, colour } => image.convex(&corners, colour),
         }
     }
 }
@@ -81,10 +78,7 @@ fn limb(ends: [Seen; 2], radii: [f32; 2], colour: [u8; 3], nearer: f32) -> Part 
         depth: (a.depth + b.depth) / 2.0 + nearer,
         shape: Shape::Limb {
             ends: [a.at, b.at],
-            radii: [
-                0.7_f32.max(radii[0] * a.scale),
-                0.7_f32.max(radii[1] * b.scale),
-            ],
+            radii: [radii[0] * a.scale, radii[1] * b.scale].map(|radius| radius.max(0.7)),
             colour,
         },
     }
@@ -124,26 +118,15 @@ fn body(parts: &mut Vec<Part>, camera: &Camera, centre: [f32; 3], orientation: [
     let front = camera.see(place([0.0, 0.0, BODY[2] + NOSE_LENGTH]));
     let base = camera.see(place([0.0, 0.0, BODY[2]]));
     for (index, face) in FACES.iter().enumerate() {
-        let (axis, sign) = [
-            (0, -1.0),
-            (0, 1.0),
-            (1, -1.0),
-            (1, 1.0),
-            (2, -1.0),
-            (2, 1.0),
-        ][index];
+        let (axis, sign) = (index / 2, if index % 2 == 0 { -1.0 } else { 1.0 });
         let mut normal = [0.0; 3];
         normal[axis] = sign;
         let normal = rotate(orientation, normal);
-        let middle = face
-            .map(corner)
-            .iter()
-            .fold([0.0; 3], |sum: [f32; 3], corner| {
-                [0, 1, 2].map(|axis| sum[axis] + corner[axis] / 4.0)
-            });
+        let corners = face.map(corner);
+        let middle = [0, 1, 2].map(|axis| corners.iter().fold(0.0, |sum, at| sum + at[axis] / 4.0));
         let towards = camera.towards(middle);
         let facing: f32 = normal.iter().zip(towards).map(|(n, t)| n * t).sum();
-        let seen: Option<Vec<Seen>> = face.iter().map(|bits| camera.see(corner(*bits))).collect();
+        let seen: Option<Vec<Seen>> = corners.iter().map(|at| camera.see(*at)).collect();
         let (true, Some(seen)) = (facing > 0.0, seen) else {
             continue;
         };

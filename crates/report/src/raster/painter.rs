@@ -1,10 +1,10 @@
 //! Draws a scene at many times.
 
-use super::camera::{Camera, bounds, middle};
+use super::camera::{Camera, middle};
 use super::canvas::Image;
 use super::palette::BACKGROUND;
 use super::{floor, label, object};
-use crate::scene::{Floor, Scene, SceneObject};
+use crate::scene::{Floor, Scene, SceneObject, bounds};
 
 /// Largest motion of a camera at rest, in metres.
 const AT_REST: f32 = 6.0;
@@ -17,9 +17,16 @@ const MEASURED: usize = 300;
 /// Reach of a lone root along each axis, in metres.
 const LONE_REACH: f32 = 0.35;
 /// Objects in one row; more form a square.
-const ROW: usize = 3;
+const ROW: u32 = 3;
 /// Smallest side of a picture, in pixels.
 const SMALLEST: u32 = 16;
+
+/// Side of the smallest square of at least `count` cells.
+pub(crate) fn square_side(count: u32) -> u32 {
+    let mut sides = 1..;
+    let side = sides.find(|side| side * side >= count);
+    side.expect("there is one")
+}
 
 /// A scene with its cameras.
 pub(crate) struct Painter<'a> {
@@ -45,16 +52,12 @@ impl<'a> Painter<'a> {
     /// Prepares pictures of `size` pixels.
     pub fn new(scene: &'a Scene, (width, height): (u32, u32)) -> Self {
         let objects: Vec<&SceneObject> = scene.objects.iter().filter(|f| f.frames() > 0).collect();
-        let count = objects.len().max(1);
-        let columns = if count <= ROW {
-            count
-        } else {
-            (1..)
-                .find(|side| side * side >= count)
-                .expect("there is one")
+        let count = objects.len().max(1) as u32;
+        let columns = match count {
+            ..=ROW => count,
+            _ => square_side(count),
         };
-        let rows = count.div_ceil(columns) as u32;
-        let columns = columns as u32;
+        let rows = count.div_ceil(columns);
         let cell = (
             (width / columns).max(SMALLEST),
             (height / rows).max(SMALLEST),
@@ -86,13 +89,7 @@ impl<'a> Painter<'a> {
             );
             image.paste(&view.at(seconds, &self.scene.floor, self.cell), corner);
             if self.views.len() > 1 {
-                label::write(
-                    &mut image,
-                    &view.object.name,
-                    corner.0,
-                    corner.1,
-                    self.cell.0,
-                );
+                label::write(&mut image, &view.object.name, corner, self.cell.0);
             }
         }
         image
@@ -182,11 +179,8 @@ fn on_ground([x, _, z]: [f32; 3]) -> [f32; 2] {
 /// Joint positions over the motion, with the reach of a lone root and the ground below the root.
 fn joints(object: &SceneObject) -> impl Iterator<Item = (usize, [f32; 3])> {
     let step = object.frames().div_ceil(MEASURED).max(1);
-    let reach = if object.joints() == 1 {
-        LONE_REACH
-    } else {
-        0.0
-    };
+    let is_lone = object.joints() == 1;
+    let reach = if is_lone { LONE_REACH } else { 0.0 };
     let frames = (0..object.frames()).step_by(step);
     let all = frames.flat_map(move |frame| {
         let [x, y, z] = object.joint(frame, 0);
@@ -207,10 +201,8 @@ fn shown(object: &SceneObject, floor: &Floor) -> Vec<[f32; 3]> {
         .iter()
         .flat_map(|([x, z], radius)| [[x - radius, z - radius], [x + radius, z + radius]]);
     let ground = points.chain(obstacles).map(|[x, z]| [x, 0.0, z]);
-    joints(object)
-        .map(|(_, place)| place)
-        .chain(ground)
-        .collect()
+    let places = joints(object).map(|(_, place)| place);
+    places.chain(ground).collect()
 }
 
 /// Points for a following camera: the body relative to its root, and some ground.

@@ -1,34 +1,25 @@
 //! Colours of pictures; few, so that GIF palettes are exact.
 
-/// Background.
 pub(crate) const BACKGROUND: [u8; 3] = [255, 255, 255];
-/// Lines on the floor.
 pub(crate) const GRID: [u8; 3] = [226, 228, 232];
-/// Shadows on the floor.
 pub(crate) const SHADOW: [u8; 3] = [205, 208, 214];
-/// Root trajectory.
+/// The root trajectory.
 pub(crate) const TRAIL: [u8; 3] = [158, 166, 180];
-/// Left limbs.
+/// Limbs of each side; the middle is trunk, head and joints without a side.
 pub(crate) const LEFT: [u8; 3] = [222, 107, 40];
-/// Right limbs.
 pub(crate) const RIGHT: [u8; 3] = [38, 112, 190];
-/// Trunk, head and joints without a side.
 pub(crate) const MIDDLE: [u8; 3] = [74, 84, 102];
 /// Edges of limbs.
 pub(crate) const EDGE: [u8; 3] = [28, 32, 40];
-/// Front of an oriented body.
+/// Front of an oriented body, and the pointer before it.
 pub(crate) const FRONT: [u8; 3] = [92, 160, 222];
-/// Pointer in front of an oriented body.
 pub(crate) const NOSE: [u8; 3] = [240, 168, 36];
 /// A foot on the ground.
 pub(crate) const CONTACT: [u8; 3] = [52, 168, 83];
-/// Path to follow.
+/// A goal: its path, key frames and obstacles.
 pub(crate) const PATH: [u8; 3] = [86, 150, 86];
-/// Key frames.
 pub(crate) const KEYFRAME: [u8; 3] = [140, 70, 170];
-/// Obstacles.
 pub(crate) const OBSTACLE: [u8; 3] = [214, 120, 120];
-/// Names.
 pub(crate) const TEXT: [u8; 3] = [60, 66, 78];
 
 const COLOURS: [[u8; 3]; 14] = [

@@ -30,9 +30,8 @@ pub fn positions(values: &[f32], joints: usize) -> Value {
     let width = 3 * joints;
     let axis = |axis: usize| values.iter().skip(axis).step_by(3).map(|v| f64::from(*v));
     let least: [f64; 3] = [0, 1, 2].map(|a| axis(a).fold(f64::INFINITY, f64::min));
-    let spread = (0..3)
-        .map(|a| axis(a).fold(f64::NEG_INFINITY, f64::max) - least[a])
-        .fold(0.0, f64::max);
+    let spreads = (0..3).map(|a| axis(a).fold(f64::NEG_INFINITY, f64::max) - least[a]);
+    let spread = spreads.fold(0.0, f64::max);
     let needed = spread / f64::from(u16::MAX);
     if values.is_empty() || needed / 2.0 > POSITION_ERROR {
         let data = deflated(&planes(&by_channel(values, width)));
@@ -114,10 +113,8 @@ fn planes(values: &[f32]) -> Vec<u8> {
 fn deflated(bytes: &[u8]) -> String {
     let mut compressor = Compressor::new(CompressionLvl::default());
     let mut packed = vec![0; compressor.zlib_compress_bound(bytes.len())];
-    let length = compressor
-        .zlib_compress(bytes, &mut packed)
-        .expect("the bound holds");
-    packed.truncate(length);
+    let length = compressor.zlib_compress(bytes, &mut packed);
+    packed.truncate(length.expect("it fits into the bound"));
     BASE64_STANDARD.encode(packed)
 }
 

@@ -16,7 +16,7 @@ use base64::prelude::BASE64_STANDARD;
 use serde_json::{Value, json};
 
 use crate::escape::escape;
-use crate::scene::{Contact, Floor, Origins, Scene, SceneObject, Song};
+use crate::scene::{Contact, Origins, Scene, SceneObject, Song};
 
 /// Content security policy of pages with viewers, for `<meta
 /// http-equiv="Content-Security-Policy">`: nothing external.
@@ -84,26 +84,21 @@ fn inert(json: &Value) -> String {
 }
 
 fn scene_json(scene: &Scene, small: bool) -> Value {
-    let objects: Vec<Value> = scene
-        .objects
-        .iter()
-        .map(|object| object_json(object, small))
-        .collect();
+    let objects = scene.objects.iter();
+    let objects: Vec<Value> = objects.map(|object| object_json(object, small)).collect();
     let song = scene.song.as_ref().filter(|_| !small);
     json!({
         "title": scene.title,
         "figures": objects,
-        "floor": floor_json(&scene.floor),
+        "floor": scene.floor,
         "song": song.map(song_json),
     })
 }
 
 fn object_json(object: &SceneObject, small: bool) -> Value {
     let frames = object.frames();
-    let parents = object.parents.iter().map(|parent| match parent {
-        Some(parent) => json!(parent),
-        None => json!(-1),
-    });
+    let parents = object.parents.iter();
+    let parents = parents.map(|parent| parent.map_or(-1, |parent| parent as i64));
     let contacts = object.contacts.iter();
     let charts = object.curves.iter().filter(|_| !small);
     let series: Vec<&[f32]> = charts
@@ -129,22 +124,10 @@ fn object_json(object: &SceneObject, small: bool) -> Value {
     })
 }
 
-/// Runs as `[start, example, first, frames]`.
 fn origins_json(origins: &Origins) -> Value {
     let examples = origins.examples.iter();
-    let parts = origins.parts.iter().map(|(name, runs)| {
-        let runs = runs.iter();
-        let runs: Vec<[usize; 4]> = runs
-            .map(|run| [run.start, run.example, run.first, run.frames])
-            .collect();
-        json!({ "name": name, "runs": runs })
-    });
-    json!({
-        "examples": examples
-            .map(|(name, frames)| json!({ "name": name, "frames": frames }))
-            .collect::<Vec<_>>(),
-        "parts": parts.collect::<Vec<_>>(),
-    })
+    let examples = examples.map(|(name, frames)| json!({ "name": name, "frames": frames }));
+    json!({ "examples": examples.collect::<Vec<_>>(), "parts": origins.parts })
 }
 
 /// A contact as half-open frame ranges.
@@ -157,15 +140,6 @@ fn contact_json(contact: &Contact) -> Value {
         }
     }
     json!({ "joint": contact.joint, "ranges": ranges })
-}
-
-fn floor_json(floor: &Floor) -> Value {
-    json!({
-        "path": floor.path,
-        "keyframes": floor.keyframes,
-        "obstacles": floor.obstacles,
-        "polygons": floor.polygons,
-    })
 }
 
 fn song_json(song: &Song) -> Value {

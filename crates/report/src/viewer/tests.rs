@@ -1,5 +1,5 @@
 use super::*;
-use crate::scene::{Curves, Run};
+use crate::scene::{Curves, PartOrigins};
 
 fn object(name: &str, frames: usize, joints: usize) -> SceneObject {
     let place = |i: usize| (i as f32 * 0.37).sin();
@@ -83,15 +83,13 @@ fn contacts_are_ranges_and_thumbnails_leave_curves_and_song_out() {
 
 #[test]
 fn origins_are_runs_of_named_examples() {
-    let run = Run {
-        start: 3,
-        example: 1,
-        first: 20,
-        frames: 6,
+    let part = PartOrigins {
+        name: "body".to_string(),
+        runs: vec![[3, 1, 20, 6]],
     };
     let origins = Origins {
         examples: vec![("walk".to_string(), 40), ("run".to_string(), 30)],
-        parts: vec![("body".to_string(), vec![run])],
+        parts: vec![part],
     };
     let scene = Scene {
         objects: vec![SceneObject {

@@ -33,10 +33,8 @@ impl Thumbnail {
         let Some(mut scene) = data() else {
             return Vec::new();
         };
-        let objects = scene
-            .get_mut("figures")
-            .and_then(Value::as_array_mut)
-            .map(std::mem::take);
+        let objects = scene.get_mut("figures").and_then(Value::as_array_mut);
+        let objects = objects.map(std::mem::take);
         let floor = scene.get_mut("floor").map(Value::take);
         let thumbnails = objects.unwrap_or_default().into_iter();
         let thumbnails = thumbnails.filter(Value::is_object).map(|mut object| {
@@ -46,12 +44,7 @@ impl Thumbnail {
             object["charts"] = json!([]);
             object["curves"] = super::encode::curves(&[], frames);
             Self {
-                data: json!({
-                    "title": title,
-                    "figures": [object],
-                    "floor": floor,
-                    "song": null,
-                }),
+                data: json!({ "title": title, "figures": [object], "floor": floor, "song": null }),
                 title,
             }
         });

@@ -6,38 +6,31 @@ use kinegrad_capture::Bvh;
 use kinegrad_matching::Example;
 use kinegrad_motion::humanml::{Extraction, Features, Joints, Root, Skeleton};
 use kinegrad_motion::{JointFeatures, Representation};
-use kinegrad_train::Error;
-use kinegrad_train::Systems;
+use kinegrad_train::{Error, Systems};
 
-use crate::io::{CENTIMETRES, MotionArray, as_bvh, is_bvh, read_bvh};
+use crate::io::{CENTIMETRES, MotionArray, as_bvh, has_extension, is_bvh, read_bvh};
 
 /// The representation of a clip.
 #[derive(Clone, Debug)]
 pub struct Clip {
-    /// The skeleton.
-    pub skeleton: Skeleton,
-    /// The encoding of the root.
-    pub root: Root,
+    skeleton: Skeleton,
+    root: Root,
 }
 
 /// A motion that was read.
 pub struct Motion {
-    /// The motion.
     pub example: Example,
-    /// The representation; none for a BVH file.
+    /// None for a BVH file.
     pub clip: Option<Clip>,
 }
 
 /// True for the path of a clip.
 pub fn is_clip(path: &Path) -> bool {
-    let ending = path.extension();
-    ending.is_some_and(|ending| ending.eq_ignore_ascii_case("npy"))
+    has_extension(path, "npy")
 }
 
-/// Reads a BVH file or a clip.
-///
-/// # Errors
-/// If it is neither, cannot be read, or is a motion without a skeleton.
+/// Reads a BVH file or a clip. Fails if it is neither, cannot be read, or is a motion without a
+/// skeleton.
 pub fn read(systems: Systems<'_>, path: &Path) -> Result<Motion, Error> {
     let file = path.display().to_string();
     if is_clip(path) {
@@ -49,9 +42,8 @@ pub fn read(systems: Systems<'_>, path: &Path) -> Result<Motion, Error> {
         return Err(Error::usage(message, hint));
     }
     let bvh = read_bvh(path)?;
-    let example = Example { file, bvh };
     Ok(Motion {
-        example,
+        example: Example { file, bvh },
         clip: None,
     })
 }
@@ -75,24 +67,17 @@ fn read_clip(systems: Systems<'_>, path: &Path, file: String) -> Result<Motion, 
 }
 
 impl Clip {
-    /// Joint features of a motion made from clips, one row per frame; the last row repeats the velocity
-    /// of the row before.
-    ///
-    /// # Errors
-    /// If they cannot be computed.
+    /// Joint features of a motion made from clips, one row per frame; the last row repeats the
+    /// velocity of the row before.
     pub fn features(&self, bvh: &Bvh) -> Result<Features, Error> {
-        let names = &self.skeleton.description().joint_names;
-        let places = names
-            .iter()
-            .map(|name| bvh.joint(name).expect("its joints"));
+        let names = self.skeleton.description().joint_names.iter();
+        let places = names.map(|name| bvh.joint(name).expect("its joints"));
         let places: Vec<usize> = places.collect();
         let mut joints: Vec<[f64; 3]> = Vec::new();
         for t in 0..bvh.frames() {
             let world = bvh.world(t);
-            let metres = places
-                .iter()
-                .map(|&joint| world[joint].position.map(|value| value / CENTIMETRES));
-            joints.extend(metres);
+            let own = places.iter().map(|&joint| world[joint].position);
+            joints.extend(own.map(|place| place.map(|value| value / CENTIMETRES)));
         }
         let joints = Joints::new(joints, places.len())?;
         let extraction = Extraction {

@@ -50,21 +50,16 @@ fn origins(made: &Made) -> Panel {
 
 /// The frames of each example that appear in any part.
 fn coverage(made: &Made, examples: &[String]) -> Panel {
-    let mut used: Vec<Vec<bool>> = made
-        .examples
-        .iter()
-        .map(|example| vec![false; example.frames()])
-        .collect();
+    let used = made.examples.iter();
+    let used = used.map(|example| vec![false; example.frames()]);
+    let mut used: Vec<Vec<bool>> = used.collect();
     for &(example, frame) in made.synthesis.origins.iter().flatten() {
         used[example][frame] = true;
     }
     let tracks = examples.iter().zip(&used);
     let tracks = tracks.map(|(name, used)| (name.as_str(), used.as_slice()));
-    Panel::strip(
-        "used frames of the examples",
-        1.0 / made.layout.frame_time(),
-        tracks,
-    )
+    let fps = 1.0 / made.layout.frame_time();
+    Panel::strip("used frames of the examples", fps, tracks)
 }
 
 /// The root path, and that of the first example.

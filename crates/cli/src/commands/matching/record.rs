@@ -2,7 +2,9 @@
 
 use std::path::PathBuf;
 
-use kinegrad_matching::{Job, Made, Measures, Novelty, Preset, Seam, Settings, Sliding, Stillness};
+use kinegrad_matching::{
+    Job, Made, Measures, Novelty, Preset, Run, Seam, Settings, Sliding, Stillness,
+};
 use serde::Serialize;
 
 use crate::args::MatchArguments;
@@ -65,30 +67,22 @@ impl Record {
     /// The record of `made`.
     pub fn new(arguments: &MatchArguments, job: &Job, made: &Made) -> Self {
         let joints = made.layout.joints();
+        let as_array = |run: &Run| [run.start, run.example, run.first, run.frames];
+        let example_frames = made.examples.iter().map(|example| example.frames());
         let known = made.novelty().into_iter().zip(made.runs());
         let parts = made.parts.iter().zip(known);
         let parts = parts.map(|(part, (novelty, runs))| PartRecord {
             name: part.name.clone(),
-            joints: part
-                .joints
-                .iter()
-                .map(|&joint| joints[joint].name.clone())
-                .collect(),
+            joints: Vec::from_iter(part.joints.iter().map(|&joint| joints[joint].name.clone())),
             novelty,
-            runs: runs
-                .iter()
-                .map(|run| [run.start, run.example, run.first, run.frames])
-                .collect(),
+            runs: Vec::from_iter(runs.iter().map(as_array)),
         });
         let fixed = arguments.fix.iter();
+        let fixed = fixed.map(|(part, path)| format!("{part}={}", path.display()));
         Self {
             kinegrad: env!("CARGO_PKG_VERSION"),
             examples: arguments.examples.clone(),
-            example_frames: made
-                .examples
-                .iter()
-                .map(|example| example.frames())
-                .collect(),
+            example_frames: example_frames.collect(),
             content: arguments.content.clone(),
             seed: arguments.seed,
             preset: arguments.preset,
@@ -99,9 +93,7 @@ impl Record {
             heading: arguments.heading,
             parts: parts.collect(),
             keyframes: arguments.keyframes.clone(),
-            fixed: fixed
-                .map(|(part, path)| format!("{part}={}", path.display()))
-                .collect(),
+            fixed: fixed.collect(),
             sliding: made.sliding,
             jerk: made.jerk,
             seam: made.seam(job.settings.looping),
@@ -114,10 +106,8 @@ impl Record {
     pub fn summarize(&self) {
         tell!("{} frames at {:.2} a second", self.frames, self.fps);
         if let Some(measures) = &self.measures {
-            let global = match measures.global_diversity {
-                Some(global) => format!(", {global:.3} global"),
-                None => String::new(),
-            };
+            let global = measures.global_diversity;
+            let global = global.map_or_else(String::new, |global| format!(", {global:.3} global"));
             tell!(
                 "coverage {:.3} (window cost {:.3}), diversity {:.3} local{global}",
                 measures.coverage,
@@ -125,10 +115,8 @@ impl Record {
                 measures.local_diversity
             );
         }
-        if let Some(still) = self
-            .still
-            .filter(|still| still.motion > still.examples + MORE_STILL)
-        {
+        let is_stiller = |still: &Stillness| still.motion > still.examples + MORE_STILL;
+        if let Some(still) = self.still.filter(is_stiller) {
             tell!(
                 "it stands still in {:.0} % of its frames, the examples in {:.0} %: try another `--seed`, or \
                  `--coherence 1`",

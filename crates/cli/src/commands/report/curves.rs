@@ -32,10 +32,8 @@ pub fn charts(records: &[Record]) -> Vec<Panel> {
         Panel::lines(title, "step", lines.collect())
     };
     // Colours and places do not depend on the first record.
-    names.sort_by_key(|name| {
-        let place = ORDER.iter().position(|known| known == name);
-        place.unwrap_or(ORDER.len())
-    });
+    let place = |name: &&str| ORDER.iter().position(|known| known == name);
+    names.sort_by_key(|name| place(name).unwrap_or(ORDER.len()));
     let mut charts = Vec::new();
     let mut take = |title: &str, prefix: &str, least: usize, is_one: &dyn Fn(&str) -> bool| {
         let (taken, rest): (Vec<&str>, Vec<&str>) =

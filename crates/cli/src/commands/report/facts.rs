@@ -22,8 +22,7 @@ fn fact(name: &str, value: impl Into<String>) -> Fact {
 
 /// The main facts.
 pub fn highlights(run: &Run, records: &[Record], last: Option<&Environment>) -> Vec<Fact> {
-    let mut facts = Vec::new();
-    facts.push(fact("steps", run.steps(|step| grouped(step as usize))));
+    let mut facts = vec![fact("steps", run.steps(|step| grouped(step as usize)))];
     if let Some(best) = &run.best {
         let value = format!("{:.4} at {}", best.val_loss, grouped(best.step as usize));
         facts.push(fact("best validation loss", value));
@@ -125,10 +124,8 @@ pub fn data(run: &Run, last: Option<&Environment>) -> Vec<Fact> {
         let sha256 = state.dataset_sha256.clone();
         facts.extend(sha256.map(|sha256| fact("SHA-256", sha256)));
         let [items, frames] = [state.statistics.items, state.statistics.frames].map(grouped);
-        facts.push(fact(
-            "statistics",
-            format!("of {items} items with {frames} frames"),
-        ));
+        let statistics = format!("of {items} items with {frames} frames");
+        facts.push(fact("statistics", statistics));
     }
     facts
 }
@@ -146,8 +143,8 @@ pub fn checkpoints(run: &Run) -> Table {
         }
         let files = fs::read_dir(&path).into_iter().flatten().flatten();
         let bytes = files
-            .filter_map(|file| Some(file.metadata().ok()?.len()))
-            .sum();
+            .flat_map(|file| file.metadata())
+            .map(|file| file.len());
         let written = fs::metadata(&path).and_then(|metadata| metadata.modified());
         let (verdict, tone) = match state {
             Ok(_) if best == Some(step) => ("best", Tone::Good),
@@ -156,7 +153,7 @@ pub fn checkpoints(run: &Run) -> Table {
         };
         Some(vec![
             Cell::from(grouped(step as usize)),
-            Cell::from(size(bytes)),
+            Cell::from(size(bytes.sum())),
             Cell::from(written.map(moment).unwrap_or_default()),
             Cell::new(verdict, tone),
         ])
@@ -171,8 +168,7 @@ pub fn checkpoints(run: &Run) -> Table {
 pub fn files(run: &Run) -> Vec<Fact> {
     let mut facts = vec![fact("folder", run.folder.display().to_string())];
     for (name, folder) in [("samples", SAMPLES), ("previews", PREVIEWS)] {
-        let entries = fs::read_dir(run.folder.join(folder)).into_iter().flatten();
-        let count = entries.count();
+        let count = fs::read_dir(run.folder.join(folder)).map_or(0, Iterator::count);
         if count > 0 {
             facts.push(fact(name, format!("{count} files in {folder}")));
         }

@@ -5,7 +5,7 @@ use kinegrad_report::page::{Block, Section};
 use kinegrad_report::viewer::Thumbnail;
 use kinegrad_train::run::PREVIEWS;
 
-use crate::io::files_in;
+use crate::io::{file_stem, files_in};
 use crate::runs::Run;
 
 /// The newest previews as moving thumbnails.
@@ -25,8 +25,8 @@ pub fn section(run: &Run) -> Section {
             section.add(Block::Warning(text));
             continue;
         }
-        let step = page.file_stem().unwrap_or_default().to_string_lossy();
-        let step = step.trim_start_matches("step-").trim_start_matches('0');
+        let name = file_stem(page);
+        let step = name.trim_start_matches("step-").trim_start_matches('0');
         let step = if step.is_empty() { "0" } else { step };
         let all = match pages.len() {
             1 => String::new(),

@@ -1,16 +1,15 @@
 //! The samples of a run as moving thumbnails, with their checks.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use kinegrad_motion::{Profile, Report, Representation, Statistics};
 use kinegrad_report::page::{Block, Cell, Section, Table, Tone};
 use kinegrad_report::scene::Scene;
 use kinegrad_report::viewer::Thumbnail;
-use kinegrad_train::Error;
-use kinegrad_train::Systems;
 use kinegrad_train::run::SAMPLES;
+use kinegrad_train::{Error, Systems};
 
-use crate::io::{MotionArray, files_in, is_companion};
+use crate::io::{MotionArray, file_stem, files_in, is_companion};
 use crate::runs::Run;
 use crate::scene;
 
@@ -31,10 +30,8 @@ struct Sample {
 /// The samples in the run's folder.
 pub fn section(systems: Systems<'_>, run: &Run) -> Section {
     let mut section = Section::new("Samples");
-    let files: Vec<PathBuf> = files_in(&run.folder.join(SAMPLES), &["npy"])
-        .into_iter()
-        .filter(|path| !is_companion(path))
-        .collect();
+    let mut files = files_in(&run.folder.join(SAMPLES), &["npy"]);
+    files.retain(|path| !is_companion(path));
     let mut samples = Vec::new();
     for path in files.iter().take(CHECKED) {
         match read(systems, run, path) {
@@ -59,24 +56,25 @@ pub fn section(systems: Systems<'_>, run: &Run) -> Section {
 fn read(systems: Systems<'_>, run: &Run, path: &Path) -> Result<Sample, Error> {
     let array = MotionArray::read(systems, path)?;
     let representation = &*array.representation;
-    let name = path.file_stem().unwrap_or_default().to_string_lossy();
-    let figure = scene::of(representation, &array.values, name.to_string());
+    let name = file_stem(path);
+    let figure = scene::of(representation, &array.values, name.clone());
     let statistics = statistics(run, representation);
+    // Statistics that came with a dataset are too few for the strict profile.
     let check = |profile| {
-        let report = representation.check(&array.values, profile, statistics);
-        // Statistics that came with a dataset are too few for the strict profile.
-        report.ok()
+        representation
+            .check(&array.values, profile, statistics)
+            .ok()
     };
     Ok(Sample {
         seconds: array.frames as f64 / representation.fps(),
         ccmotion: check(Profile::Ccmotion),
         strict: statistics.and_then(|_| check(Profile::Strict)),
         scene: figure.map(|figure| Scene {
-            title: name.to_string(),
+            title: name.clone(),
             objects: vec![figure],
             ..Scene::default()
         }),
-        name: name.into_owned(),
+        name,
     })
 }
 
@@ -111,16 +109,12 @@ fn table(samples: &[Sample]) -> Table {
 
 /// The failed checks, each once, with the value of the last profile.
 fn failing(reports: [&Option<Report>; 2]) -> String {
-    let checks = reports
-        .into_iter()
-        .flatten()
-        .flat_map(|report| &report.checks);
+    let reports = reports.into_iter().flatten();
+    let checks = reports.flat_map(|report| &report.checks);
     let mut failing: Vec<(&str, String)> = Vec::new();
     for check in checks.filter(|check| !check.passed) {
-        let text = format!(
-            "{} {} (allowed {})",
-            check.name, check.value, check.threshold
-        );
+        let (value, threshold) = (&check.value, &check.threshold);
+        let text = format!("{} {value} (allowed {threshold})", check.name);
         match failing.iter_mut().find(|(name, _)| *name == check.name) {
             Some((_, known)) => *known = text,
             None => failing.push((check.name, text)),
