@@ -32,8 +32,7 @@ pub fn angular_rates(motion: &Phrase) -> Vec<[f64; 3]> {
     rates
 }
 
-/// Negates quaternions so that each lies in the hemisphere of the finite one before; the first
-/// keeps its sign.
+/// Negates quaternions so that each lies in the hemisphere of the finite one before.
 pub fn make_sign_continuous(quaternions: &mut [Quaternion]) {
     let mut previous: Option<Quaternion> = None;
     for quaternion in quaternions {
@@ -47,9 +46,8 @@ pub fn make_sign_continuous(quaternions: &mut [Quaternion]) {
 /// A phrase whose velocity, acceleration and angular velocity are derived from its pose.
 ///
 /// `positions` are `[frames, 3]` in metres, `quaternions` of any norm and sign, `phase` 0 to 1,
-/// `style` `[frames, 8]`. Derivatives use the single-precision values. The last velocity is
-/// repeated, so the acceleration before the last frame is 0; slice off two more frames to avoid
-/// that.
+/// `style` `[frames, 8]`. Derivatives use the single-precision values. Because the last velocity is
+/// repeated, the acceleration before the last frame is 0: slice off two more frames.
 ///
 /// # Errors
 /// [`Error::LengthMismatch`] for arrays of different lengths; [`Error::NotWholeFrames`] of nothing.

@@ -20,8 +20,8 @@ pub struct HeadingAlignment<'a> {
 
 impl HeadingAlignment<'_> {
     /// Rotation angles about the vertical, radians, by which windows `[windows, channels, length]`
-    /// agree with their neighbours in the overlaps. Windows with `known` frames agree with those;
-    /// without any, the first window keeps its heading.
+    /// agree with `known` frames or else their neighbours; without any, the first keeps its
+    /// heading.
     pub fn angles(
         &self,
         windows: &Windows,

@@ -2,8 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-/// Range, mean and standard deviation of each channel, as measured, in the representation's units.
-/// [`Statistics`](crate::Statistics) may normalise by other values.
+/// Range, mean and deviation of each channel as measured, unlike [`Statistics`](crate::Statistics).
 #[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
 pub struct ChannelMoments {
     /// Mean of each channel, `[channels]`.

@@ -54,8 +54,7 @@ pub fn channel_name(channel: usize) -> String {
     }
 }
 
-/// A phrase, `[frames, 25]`, at least one frame, in the dataset's units. Values may be NaN or
-/// infinite ([`first_non_finite`](Self::first_non_finite)).
+/// A phrase, `[frames, 25]`, at least one frame. Values may be NaN or infinite.
 #[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
 pub struct Phrase {
     data: Vec<f32>,
@@ -79,8 +78,7 @@ impl Phrase {
     /// A phrase from channel-major `[25, frames]` values, the layout of the networks.
     ///
     /// # Errors
-    /// [`Error::LengthMismatch`] if there are not `25 * frames` values;
-    /// [`Error::NotWholeFrames`] if `frames` is zero.
+    /// [`Error::LengthMismatch`]; [`Error::NotWholeFrames`] of no frames.
     pub fn from_channel_major(values: &[f32], frames: usize) -> Result<Self, Error> {
         if values.len() != CHANNELS * frames {
             return Err(Error::LengthMismatch {

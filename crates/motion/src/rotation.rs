@@ -166,8 +166,7 @@ impl Mul for Quaternion {
 }
 
 /// The shortest rotation from the direction of `from` to that of `to`: the quaternion (|u||v| +
-/// u.v, u x v), normalised. Opposite vectors turn about +y where possible; zero vectors do not
-/// turn.
+/// u.v, u x v), normalised. Opposite vectors turn about +y where possible, zero vectors never.
 pub fn between(from: [f64; 3], to: [f64; 3]) -> Quaternion {
     let (u, v) = (Vector3::from(unit(from)), Vector3::from(unit(to)));
     let (scalar, mut axis) = (u.norm() * v.norm() + u.dot(&v), u.cross(&v));

@@ -118,9 +118,8 @@ impl Statistics {
             .collect()
     }
 
-    /// Smallest and largest value of each channel in training motion in normalised units,
-    /// `[channels]` each: the bounds for clipping predicted data. The source's +-1 would clip real
-    /// data, which reaches 21 standard deviations.
+    /// Normalised range of training motion, `[channels]` each: bounds for predicted data. The
+    /// source's +-1 would clip real data, which reaches 21 standard deviations.
     pub fn normalized_range(&self) -> Option<[Vec<f32>; 2]> {
         // Rounded like the data, so that extreme items stay within.
         let bound = |values: &Vec<f64>| {
@@ -130,8 +129,7 @@ impl Statistics {
         self.range.as_ref().map(|range| range.each_ref().map(bound))
     }
 
-    /// Widens the range of horizontal `vectors` to all directions of the same length, and of
-    /// `signed` channels to +-1, as randomly rotated motion has them.
+    /// Widens the range of horizontal `vectors` to all directions, and of `signed` channels to +-1.
     pub fn widen_range_for_yaw(&mut self, vectors: &[Range<usize>], signed: Range<usize>) {
         let Some([min, max]) = &mut self.range else {
             return;

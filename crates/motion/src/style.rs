@@ -9,9 +9,8 @@
 //! | 4, 5 | rhythmic feel | burstiness; mean turning about the vertical / 3 (rad/s) |
 //! | 6, 7 | body attitude | 5 (mean height - median height of the take) (m); mean tilt of the body's up axis from the vertical (rad) |
 //!
-//! Means are over the 30 frames `t - 15 .. t + 15`, with the ends repeated; extents over the frames
-//! `t - 30 .. t + 30` of the take. Burstiness is the root mean square of the floor speed minus its
-//! mean, divided by the mean speed plus 0.1 m/s.
+//! Means are over the frames `t - 15 .. t + 15`, with the ends repeated; extents over `t - 30 .. t
+//! + 30`. Burstiness is the deviation of the floor speed over the mean speed plus 0.1 m/s.
 
 use crate::derivatives::{angular_velocity, forward_differences};
 use crate::quantiles::median;
@@ -27,8 +26,7 @@ const EXTENT_FRAMES: usize = 60;
 /// Added to the speed that burstiness is divided by, m/s.
 const REST_SPEED: f64 = 0.1;
 
-/// Style of every frame, `[frames, 8]`, of a take at 30 frames per second: `positions` `[frames,
-/// 3]` in metres, unit `orientations` `[frames]`.
+/// Style `[frames, 8]` of a take: `positions` `[frames, 3]` in metres, unit `orientations`.
 pub fn describe(positions: &[[f64; 3]], orientations: &[Quaternion]) -> Vec<[f64; 8]> {
     let frames = positions.len();
     assert_eq!(frames, orientations.len(), "one orientation a frame");

@@ -1,9 +1,8 @@
 //! Fits of the nearest coherent motion to channels that contradict each other.
 //!
-//! A phrase states its movement several times: by positions, velocities and accelerations, and by
-//! orientations and angular velocities. A network predicts each with a small, independent error, so
-//! that positions shake while accelerations are smooth. Each fit is a banded least-squares problem
-//! over all frames, linear in time and memory:
+//! A phrase states its movement by positions, velocities and accelerations, and by orientations and
+//! angular velocities. A network predicts each with a small, independent error: positions shake
+//! while accelerations are smooth. Each fit is a banded least-squares problem, linear in time:
 //!
 //! - [`fit_trajectory`]: positions to positions, velocities and accelerations
 //! - [`fit_heading`]: headings to orientations, weighted by confidence, and angular velocities

@@ -4,9 +4,8 @@
 //! min_q  sum_t |q_t - Q_t|^2 / s_q^2 + |q_{t+1} - exp(W_t / fps) q_t|^2 / s_w^2
 //! ```
 //!
-//! over quaternions of any norm, which are normalised at the end. With `r_t` the integral of the
-//! angular velocities and `q_t = r_t u_t`, the second term is `|u_{t+1} - u_t|^2`: the four
-//! components of `u` are independent tridiagonal systems.
+//! over quaternions of any norm. With `r_t` the integral of the angular velocities and `q_t = r_t
+//! u_t`, the second term is `|u_{t+1} - u_t|^2`: the parts of `u` are tridiagonal systems.
 
 use super::weight;
 use crate::banded::{BAND, Cholesky};
@@ -86,9 +85,8 @@ impl OrientationFit {
     }
 }
 
-/// Replaces the quaternions of a phrase by those nearest to its quaternions and angular velocities,
-/// of unit norm and continuous sign, except in `known` frames. `std` are the training deviations of
-/// the channels, `[25]`; angular velocities do not change.
+/// Replaces the quaternions of a phrase by those of the fit, of unit norm and continuous sign,
+/// except in `known` frames. `std` are the training deviations of the channels, `[25]`.
 pub fn fit_orientation(motion: &mut Phrase, std: &[f64], known: &[bool]) {
     let frames = motion.frames();
     assert_eq!(known.len(), frames, "known frames");

@@ -1,8 +1,7 @@
 //! The nearest phase that advances evenly.
 //!
 //! A model that knows the beats but not the bar lines jumps by whole beats. So the phase is fitted
-//! in the most even fraction of a bar ([`parts`]), and then placed in the bar that most frames
-//! state.
+//! in the most even fraction of a bar ([`parts`]), and placed in the bar that most frames state.
 //!
 //! Dynamic programming finds a path `p` whose advance a frame is half to one and a half of the
 //! tempo and that maximises `sum cos 2 pi (p_t - phase_t)`. The path is then smoothed:
@@ -81,7 +80,7 @@ pub fn fit_phase(motion: &mut Phrase, known: &[bool]) {
 fn parts(stated: &[f64]) -> usize {
     let agreement = |parts: usize| {
         let of_part: Vec<f64> = stated.iter().map(|turn| parts as f64 * turn).collect();
-        tempo(&of_part).agreement
+        tempo(&of_part).1
     };
     let agreements: Vec<f64> = (1..=MOST_PARTS).map(agreement).collect();
     let best = agreements.iter().copied().fold(0.0, f64::max);
@@ -180,7 +179,7 @@ fn path(stated: &[f64], known: &[bool]) -> Vec<f64> {
 
 /// Possible advances of a path in a frame, around the tempo; not 0 if the tempo allows that.
 fn advances(stated: &[f64]) -> Vec<i64> {
-    let mean = tempo(stated).advance * PLACES as f64;
+    let mean = tempo(stated).0 * PLACES as f64;
     let mut bounds = SHARES.map(|share| share * mean);
     bounds.sort_by(f64::total_cmp);
     let [mut low, mut high] = [bounds[0].floor() as i64, bounds[1].ceil() as i64];
@@ -193,16 +192,10 @@ fn advances(stated: &[f64]) -> Vec<i64> {
     (low..=high).step_by(step).collect()
 }
 
-struct Tempo {
-    /// Turns a frame.
-    advance: f64,
-    /// Agreement of the phases, 0 to 1.
-    agreement: f64,
-}
-
 /// The advance in turns a frame, -0.5 to 0.5, that agrees best with the phases: the largest mean
-/// over spans of `|sum exp(2 pi i (phase_t - advance t))|`, robust to noise.
-fn tempo(stated: &[f64]) -> Tempo {
+/// over spans of `|sum exp(2 pi i (phase_t - advance t))|`, robust to noise. Also their
+/// agreement, 0 to 1.
+fn tempo(stated: &[f64]) -> (f64, f64) {
     let unit = |turns: f64| (TAU * turns).sin_cos();
     let phases: Vec<(f64, f64)> = stated.iter().map(|&turns| unit(turns)).collect();
     let fits = |advance: f64| {
@@ -220,10 +213,7 @@ fn tempo(stated: &[f64]) -> Tempo {
     let best = tempos.map(|advance| (fits(advance), advance));
     let best = best.reduce(|a, b| if b.0 > a.0 { b } else { a });
     let (sum, advance) = best.expect("tempos");
-    Tempo {
-        advance,
-        agreement: sum / stated.len() as f64,
-    }
+    (advance, sum / stated.len() as f64)
 }
 
 #[cfg(test)]
@@ -387,7 +377,7 @@ mod tests {
             let stated: Vec<f64> = stated
                 .map(|(t, n)| t as f64 / 60.0 + 0.15 * f64::from(*n))
                 .collect();
-            let found = tempo(&stated).advance;
+            let found = tempo(&stated).0;
             assert!((found - 1.0 / 60.0).abs() < 0.004, "{seed}: {found}");
             let mut motion = with_phases(&stated);
             fit_phase(&mut motion, &[false; 120]);

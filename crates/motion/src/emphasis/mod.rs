@@ -56,9 +56,8 @@ impl EmphasisProjection {
     }
 
     /// The same emphasis with an orthogonal matrix Q: `P = s diag(c or 1) Q`, `s^2 (D - n + n c^2)
-    /// = D`. Q comes from a QR decomposition of `normals` with a positive diagonal of R, and so is
-    /// uniformly distributed. The mean variance is 1, and the condition number the scale, its
-    /// minimum.
+    /// = D`. Q, from a QR decomposition of `normals` with positive diagonal of R, is uniformly
+    /// distributed. The mean variance is 1, the condition number the scale, its minimum.
     ///
     /// # Errors
     /// As for [`gaussian`](Self::gaussian).

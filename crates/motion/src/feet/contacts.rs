@@ -61,8 +61,7 @@ impl ContactRule {
     }
 }
 
-/// Contacts of a joint by its height and its step to the next frame, as in the literature. Lengths
-/// in metres, a frame.
+/// Contacts of a joint by height and step to the next frame, as published; metres, per frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum StepRule {
     /// Low, and a short step (docs/sources.md, section 7, "Edge Considerations").

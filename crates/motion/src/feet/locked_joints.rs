@@ -21,8 +21,7 @@ pub struct LockedJoints {
     pub missed: f64,
 }
 
-/// Locks the feet of `joints` in contact. `rule` finds the contacts in `seen`, the joints
-/// themselves or their source, above a `floor` of that height.
+/// Locks the feet of `joints` in the contacts of `seen`, themselves or their source, above `floor`.
 ///
 /// # Errors
 /// [`FeatureError::LengthMismatch`] unless both are the same frames of joints of `skeleton`.

@@ -4,8 +4,7 @@
 //! position during that contact; hip and knee follow, and everything below the ankle moves along
 //! without rotation. Before and after a contact the correction fades within a few frames.
 //!
-//! [`ContactRule::contacts`] finds contacts by height and speed; [`lock_joints`] does both for the
-//! joints of a [`Skeleton`](crate::humanml::Skeleton).
+//! [`ContactRule::contacts`] finds contacts; [`lock_joints`] does both for joints of a skeleton.
 
 mod contacts;
 mod locked_joints;
@@ -25,8 +24,7 @@ use crate::vector::{length, minus, plus};
 /// Longest leg as a share of its bones, so that the knee keeps its side; straighter legs stay so.
 const STRETCH: f64 = 0.9999;
 
-/// If the knee is nearer to the line from hip to ankle than this share of the thigh, the sole
-/// increasingly decides its side.
+/// With the knee nearer to the leg's line than this share of the thigh, the sole decides its side.
 const STRAIGHT: f64 = 0.01;
 
 /// A leg, by the indices of its joints.

@@ -13,8 +13,7 @@ struct Stop {
 }
 
 impl Goal {
-    /// Warnings about a valid goal in a clip of `fps` frames per second: segments that need more
-    /// than a sprinter's speed, and positions inside an obstacle.
+    /// Warnings about a valid goal: segments beyond a sprinter's speed, and positions in obstacles.
     pub fn feasibility_warnings(&self, fps: f64) -> Vec<String> {
         let stops = self.stops();
         let segments = too_fast(&stops, fps);

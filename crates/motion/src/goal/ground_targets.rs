@@ -68,8 +68,7 @@ impl GroundTargets {
         targets.filter_map(|(frame, target)| target.map(|target| (frame, target)))
     }
 
-    /// The targets as values `[channels, frames]` of a clip that may be longer, in metres, and
-    /// their mask: 1 for x and z of frames with a target.
+    /// The targets as values `[channels, frames]`, metres, and their mask: 1 for x and z.
     pub fn in_channels(&self, channels: usize, frames: usize) -> [Vec<f32>; 2] {
         let mut values = vec![0.0; channels * frames];
         let mut mask = values.clone();

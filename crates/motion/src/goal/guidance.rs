@@ -4,7 +4,7 @@ use kinegrad_settings::{InvalidSetting, Refused, in_range, require};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{Goal, GroundTargets, Obstacle};
+use super::{Goal, GroundTargets};
 
 /// The norm of the distance from a target.
 #[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, Serialize, JsonSchema)]
@@ -60,12 +60,7 @@ pub struct GuidanceLoss {
 #[derive(Clone, Debug)]
 struct Sample {
     targets: GroundTargets,
-    position_weight: f64,
-    obstacles: Vec<Obstacle>,
-    margin: f64,
-    obstacle_weight: f64,
-    // Frames of the goal; later ones are free.
-    frames: usize,
+    goal: Goal,
 }
 
 impl GuidanceLoss {
@@ -85,7 +80,10 @@ impl GuidanceLoss {
             require(goal.frames <= frames, "frames", goal.frames, allowed)
                 .hint("shorten the goal, or sample a longer motion")?;
         }
-        let samples = goals.iter().map(|goal| Sample::new(goal, goal.points()));
+        let samples = goals.iter().map(|goal| Sample {
+            targets: goal.points(),
+            goal: goal.clone(),
+        });
         Ok(Self::of_samples(config, samples.collect(), frames))
     }
 
@@ -145,7 +143,7 @@ impl GuidanceLoss {
         positions: &[[f64; 2]],
         gradient: &mut [[f64; 2]],
     ) -> f64 {
-        let factor = self.factor * sample.position_weight;
+        let factor = self.factor * sample.goal.weights.position;
         let mut value = 0.0;
         let guided = |(frame, _): &(usize, [f64; 2])| *frame < self.frame_limit;
         for (frame, target) in sample.targets.masked().filter(guided) {
@@ -164,26 +162,16 @@ impl GuidanceLoss {
 }
 
 impl Sample {
-    fn new(goal: &Goal, targets: GroundTargets) -> Self {
-        Self {
-            targets,
-            frames: goal.frames,
-            position_weight: goal.weights.position,
-            obstacles: goal.obstacles.clone(),
-            margin: goal.margin,
-            obstacle_weight: goal.weights.obstacle,
-        }
-    }
-
     /// The sample's part of the second sum; its gradient is added to `gradient`.
     fn add_depths(&self, positions: &[[f64; 2]], gradient: &mut [[f64; 2]]) -> f64 {
-        let frames = self.frames;
-        let factor = self.obstacle_weight / frames as f64;
+        // Later frames are free.
+        let frames = self.goal.frames;
+        let factor = self.goal.weights.obstacle / frames as f64;
         let mut value = 0.0;
-        for obstacle in &self.obstacles {
+        for obstacle in &self.goal.obstacles {
             for (position, gradient) in positions.iter().zip(gradient.iter_mut()).take(frames) {
                 let (distance, direction) = obstacle.distance_and_gradient(*position);
-                let depth = self.margin - distance;
+                let depth = self.goal.margin - distance;
                 // NaN must not pass as outside.
                 if depth <= 0.0 {
                     continue;

@@ -150,11 +150,9 @@ impl Goal {
         }
     }
 
-    /// Rejects goals that are outside the clip, contradictory, not finite, or empty. Other
-    /// functions of this module accept every valid goal.
-    ///
     /// # Errors
-    /// Names the first invalid value, such as `keyframe[2].frame`; lists count from 0.
+    /// For goals outside the clip, contradictory, not finite, or empty: names the first invalid
+    /// value, such as `keyframe[2].frame`.
     pub fn validate(&self) -> Result<(), InvalidSetting> {
         in_range("frames", self.frames, 1..=MAX_FRAMES)
             .hint("`frames` is the length of the clip")?;

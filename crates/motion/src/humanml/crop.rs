@@ -1,8 +1,7 @@
 //! Parts of a clip as clips of their own.
 //!
-//! Positions, velocities and contacts are in the body's facing frame and do not change. Rotations
-//! do: each is the shortest from a raw direction to a bone's direction in the world, so they depend
-//! on the heading (see [`bone_rotations`](super::bone_rotations)).
+//! Positions, velocities and contacts are in the facing frame and do not change. Rotations are the
+//! shortest from raw to world directions, and so depend on the heading ([`super::bone_rotations`]).
 
 use std::ops::Range;
 

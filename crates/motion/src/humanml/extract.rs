@@ -37,13 +37,11 @@ impl Default for Extraction {
 }
 
 impl Extraction {
-    /// The features of a clip, with relative root: T frames give T - 1 rows. The clip is rescaled
-    /// if `rescale` is set, and [canonicalized](canonicalize).
+    /// The features of a clip, relative root: T frames give T - 1 rows.
+    /// [Canonicalizes](canonicalize).
     ///
     /// # Errors
-    /// [`FeatureError::Setting`] for an invalid contact threshold; [`FeatureError::LengthMismatch`]
-    /// for joints of another skeleton; [`FeatureError::TooFewFrames`] for a single frame;
-    /// [`FeatureError::NoLegs`]; [`FeatureError::NonFinite`] if values overflow.
+    /// [`FeatureError::Setting`] for an invalid contact threshold, or one about the joints.
     pub fn features(&self, skeleton: &Skeleton, joints: &Joints) -> Result<Features, FeatureError> {
         let joints = match self.rescale {
             true => &rescale(skeleton, joints)?,
@@ -148,8 +146,7 @@ pub fn in_facing_frame(frame: &[[f64; 3]], facing: Quaternion) -> impl Iterator<
     places.map(move |place| facing.rotate(minus(*place, [x, 0.0, z])))
 }
 
-/// The clip with the bones of the skeleton's reference pose: the same rotations, and the root
-/// trajectory scaled by the ratio of leg lengths.
+/// The clip with the reference bones: the same rotations, the root scaled by the leg lengths.
 ///
 /// # Errors
 /// [`FeatureError::LengthMismatch`] for joints of another skeleton; [`FeatureError::NoLegs`];

@@ -77,8 +77,8 @@ impl Features {
         &self.values[t * channels..(t + 1) * channels]
     }
 
-    /// The rows of `range` unchanged. With relative root the part begins at x = z = 0 facing +z,
-    /// but its rotations do not; [`crop`](Self::crop) rotates them too.
+    /// The rows of `range`. With relative root they begin at x = z = 0 facing +z; see
+    /// [`crop`](Self::crop).
     #[must_use]
     pub fn slice(&self, range: Range<usize>) -> Self {
         assert!(!range.is_empty(), "a clip has at least one frame");
@@ -168,8 +168,7 @@ impl Features {
         forward_kinematics(skeleton, &skeleton.offsets(), &roots, &rotations)
     }
 
-    /// The features of the clip reflected at the plane x = 0: exactly those of the mirrored joints
-    /// ([`Joints::mirror`]), as a [`Skeleton`] is symmetric.
+    /// The features of the clip reflected at the plane x = 0, those of [`Joints::mirror`].
     ///
     /// # Errors
     /// [`FeatureError::LengthMismatch`] if they are not features of `skeleton`.

@@ -6,8 +6,7 @@ use super::{FeatureError, FeatureLayout, Feet, SkeletonDescription};
 use crate::feet::Leg;
 use crate::vector::{length, minus};
 
-/// A valid skeleton, made from a [`SkeletonDescription`] (also its stored form) or built in:
-/// [`humanml3d`](Self::humanml3d), [`kit`](Self::kit).
+/// A valid skeleton, from a [`SkeletonDescription`] (also its stored form) or built in.
 #[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
 #[serde(try_from = "SkeletonDescription", into = "SkeletonDescription")]
 pub struct Skeleton {

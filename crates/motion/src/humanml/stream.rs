@@ -4,9 +4,8 @@ use super::bone_rotations::{forward_kinematics, inverse_kinematics, raw_root, ro
 use super::{Extraction, FeatureError, Heading, Joints, Skeleton};
 use crate::Quaternion;
 
-/// Features frame by frame: each frame completes the row of the one before. Rows equal those of
-/// [`Extraction::features_in_place`] with [`Heading::Raw`]. The smoothed heading of published
-/// features looks 80 frames ahead and is unavailable in real time.
+/// Features frame by frame, as [`Extraction::features_in_place`] with [`Heading::Raw`]: the
+/// smoothed heading looks 80 frames ahead and is unavailable in real time.
 #[derive(Clone, Debug)]
 pub struct FeatureStream {
     skeleton: Skeleton,
@@ -100,8 +99,7 @@ impl FeatureStream {
     }
 }
 
-/// The frame, `[J, 3]`, with bones of the lengths of `offsets` ([`Skeleton::offsets_of_frame`]) in
-/// their own directions. The root keeps its position.
+/// The frame, `[J, 3]`, with bones `offsets` ([`Skeleton::offsets_of_frame`]) in its directions.
 ///
 /// # Errors
 /// [`FeatureError::LengthMismatch`] for another number of joints or offsets;

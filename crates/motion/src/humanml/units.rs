@@ -36,8 +36,7 @@ impl FeatureLayout {
         rows
     }
 
-    /// Mean and deviation of features, `[channels]` each, converted to metres if they are in
-    /// millimetres. Normalised features stay the same.
+    /// Mean and deviation of features, `[channels]` each, converted to metres from millimetres.
     ///
     /// # Panics
     /// Panics unless both have the layout's channels.

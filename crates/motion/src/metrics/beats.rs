@@ -17,8 +17,7 @@ pub fn kinematic_beats(motion: &Phrase) -> Vec<f64> {
     peaks(motion, |speed| -speed)
 }
 
-/// Times in seconds at which the root is fastest: in real dances on beats more often than by chance
-/// (docs/results.md).
+/// Times in seconds at which the root is fastest, in real dances often on beats (docs/results.md).
 pub fn speed_peaks(motion: &Phrase) -> Vec<f64> {
     peaks(motion, |speed| speed)
 }

@@ -5,8 +5,7 @@ use kinegrad_random::{Key, Purpose};
 use super::{TRAJECTORY, mean};
 use crate::{Phrase, Statistics};
 
-/// Root mean square difference of two phrases over frames and [`TRAJECTORY`] channels, in training
-/// standard deviations, over the length of the shorter one.
+/// Root mean square difference of the common frames in [`TRAJECTORY`], in training deviations.
 pub fn trajectory_distance(a: &Phrase, b: &Phrase, training: &Statistics) -> f64 {
     let frames = a.frames().min(b.frames());
     let mut sum = 0.0;

@@ -6,8 +6,7 @@ use super::TRAJECTORY;
 use crate::moments::mean_and_deviation;
 use crate::{Phrase, Statistics};
 
-/// Mean and population standard deviation over frames of each [`TRAJECTORY`] channel, in training
-/// standard deviations: 9 means, then 9 deviations.
+/// 9 means, then 9 deviations of [`TRAJECTORY`] over frames, in training standard deviations.
 pub fn trajectory_features(motion: &Phrase, training: &Statistics) -> Vec<f64> {
     let moments = TRAJECTORY.map(|channel| {
         let values = motion.column(channel);

@@ -112,8 +112,8 @@ impl GoalReport {
         }
     }
 
-    /// Adds the metrics of feature vectors `[n, features]` of generated and real motions: diversity
-    /// over `pairs` random pairs, and the Fréchet distance.
+    /// Adds diversity over `pairs` random pairs, and the Fréchet distance, of features `[n,
+    /// features]`.
     #[must_use]
     pub fn with_features(
         mut self,

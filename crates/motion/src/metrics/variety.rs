@@ -29,8 +29,7 @@ pub fn trajectory_diversity(paths: &[Vec<Vec<[f64; 2]>>]) -> Option<f64> {
 
 /// Multimodality: the mean Euclidean distance between the embeddings of two motions of one
 /// condition, over `pairs` random pairs, the same for all conditions. Firsts are distinct, and so
-/// are seconds; a motion may be paired with itself, as in the published program. `None` of nothing,
-/// fewer repetitions than pairs, or values that are not finite.
+/// are seconds, as published. `None` of fewer repetitions than pairs, or if it is not finite.
 ///
 /// `embeddings[condition][repetition]` are vectors of one length.
 pub fn multimodality(embeddings: &[Vec<Vec<f64>>], pairs: usize, seed: u64) -> Option<f64> {
@@ -43,8 +42,7 @@ pub fn multimodality(embeddings: &[Vec<Vec<f64>>], pairs: usize, seed: u64) -> O
     mean_pair_distance(embeddings, &firsts, &seconds)
 }
 
-/// The mean Euclidean distance of repetitions `firsts[i]` and `seconds[i]` over all conditions.
-/// `None` of nothing or values that are not finite.
+/// The mean Euclidean distance of repetitions `firsts[i]` and `seconds[i]`; `None` if not finite.
 ///
 /// # Panics
 /// Panics if a condition has no such repetition.

@@ -28,7 +28,7 @@ pub enum CurveKind {
 /// closed = false
 /// speed = 1.2                   # metres per second
 /// ```
-#[derive(Clone, Debug, Deserialize, PartialEq, Serialize, JsonSchema)]
+#[derive(Clone, Debug, Default, Deserialize, PartialEq, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct PathPlan {
     /// Ground positions `[x, z]`, metres.
@@ -54,9 +54,7 @@ impl PathPlan {
         Self {
             points,
             curve: CurveKind::Line,
-            parameterization: Parameterization::default(),
-            closed: false,
-            speed: None,
+            ..Self::default()
         }
     }
 

@@ -43,8 +43,7 @@ pub fn process(
     process_around(motion, config, statistics, &none, &confidence)
 }
 
-/// The same for a phrase with `known` frames, which the fit passes through. `confidence`, 0 to 1,
-/// is that of each heading. Other steps treat all frames alike.
+/// The same with `known` frames, which the fit passes through, and headings' `confidence`, 0 to 1.
 pub fn process_around(
     motion: &Phrase,
     config: &PostProcessConfig,
@@ -111,8 +110,7 @@ pub fn process_around(
     processed
 }
 
-/// Derives the angular velocity from the quaternions: forward differences, the last one repeated.
-/// Values that are not finite stay and do not spread.
+/// Derives the angular velocity from the quaternions where both are finite.
 pub fn derive_angular_velocity(motion: &mut Phrase) {
     let finite = |vector: [f64; 3]| vector.iter().all(|value| value.is_finite());
     let rates = crate::derivatives::angular_rates(motion);

@@ -149,8 +149,7 @@ impl Representation for JointFeatures {
     }
 }
 
-/// Positions of a skeleton's joints, `[frames, J, 3]`, metres with +y up. Centimetres and
-/// millimetres are recognised by the size of bodies and converted.
+/// Joint positions, `[frames, J, 3]`, converted to metres by the size of the body.
 #[derive(Clone, Debug)]
 pub struct JointPositions {
     /// The skeleton.

@@ -10,8 +10,7 @@ use crate::{
     Quaternion, Report, Statistics, channel_name, sanity,
 };
 
-/// Phrases, `[frames, 25]` at 30 frames per second (docs/sources.md, section 1.1). Normalisation
-/// keeps the quaternion and maps the phase from [0, 1] to [-1, 1].
+/// Phrases, `[frames, 25]` at 30 frames per second (docs/sources.md, section 1.1).
 #[derive(Clone, Copy, Debug)]
 pub struct Phrases;
 

@@ -32,7 +32,7 @@ const PHASE_TOLERANCE: f64 = 0.01;
 ///
 /// Means are checked in windows of the training phrases' length, an eighth apart, and the worst is
 /// reported: a minute of dancing does not compensate five seconds of standing. Short phrases lack
-/// some measures, and have proportionally wider bounds.
+/// some measures and have wider bounds.
 pub(super) fn check(motion: &Phrase, training: &Statistics) -> Option<Report> {
     if training.movement.is_empty() {
         return None;

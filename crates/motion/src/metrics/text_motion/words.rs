@@ -112,8 +112,8 @@ pub struct Token {
 }
 
 impl Token {
-    /// Parses words `word/POS` separated by spaces. A word without `/POS` is
-    /// [`PartOfSpeech::Other`]; empty words are skipped.
+    /// Parses words `word/POS`; a word without `/POS` is [`PartOfSpeech::Other`], an empty one
+    /// skipped.
     pub fn parse_all(text: &str) -> Vec<Self> {
         text.split_whitespace()
             .map(|token| token.rsplit_once('/').unwrap_or((token, "")))
@@ -183,8 +183,7 @@ impl WordVectors {
         })
     }
 
-    /// A normal random vector of `width` numbers for every word, keyed by the word. For captions
-    /// with few words, whose meaning an encoder can learn.
+    /// A normal random vector of `width` numbers for every word, for captions with few words.
     pub fn random(width: usize) -> Self {
         Self { table: None, width }
     }
