@@ -40,9 +40,6 @@ pub enum PhaseEncoding {
     Harmonics,
 }
 
-/// Multiples of the phase angle in [`PhaseEncoding::Harmonics`].
-pub const HARMONICS: usize = 4;
-
 /// Sum of squares of all harmonics below which they do not determine the phase.
 pub const LEAST_HARMONICS: f64 = 1e-8;
 
@@ -52,7 +49,7 @@ impl PhaseEncoding {
         match self {
             Self::Scalar => 0,
             Self::SinCos => 1,
-            Self::Harmonics => HARMONICS,
+            Self::Harmonics => 4,
         }
     }
 }

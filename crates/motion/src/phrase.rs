@@ -37,21 +37,17 @@ pub const STYLE: Range<usize> = 17..25;
 
 /// The name of a channel: `position.x`, `phase`, `style.0`; `channel.{n}` beyond the last.
 pub fn channel_name(channel: usize) -> String {
-    const AXES: [&str; 3] = ["x", "y", "z"];
-    match channel {
-        c if POSITION.contains(&c) => format!("position.{}", AXES[c - POSITION.start]),
-        c if VELOCITY.contains(&c) => format!("velocity.{}", AXES[c - VELOCITY.start]),
-        c if ACCELERATION.contains(&c) => format!("acceleration.{}", AXES[c - ACCELERATION.start]),
-        c if QUATERNION.contains(&c) => {
-            format!("quaternion.{}", ["w", "x", "y", "z"][c - QUATERNION.start])
-        }
-        c if ANGULAR_VELOCITY.contains(&c) => {
-            format!("angular_velocity.{}", AXES[c - ANGULAR_VELOCITY.start])
-        }
-        PHASE => "phase".to_string(),
-        c if STYLE.contains(&c) => format!("style.{}", c - STYLE.start),
-        c => format!("channel.{c}"),
-    }
+    let (group, range, parts) = match channel {
+        c if POSITION.contains(&c) => ("position", POSITION, "xyz"),
+        c if VELOCITY.contains(&c) => ("velocity", VELOCITY, "xyz"),
+        c if ACCELERATION.contains(&c) => ("acceleration", ACCELERATION, "xyz"),
+        c if QUATERNION.contains(&c) => ("quaternion", QUATERNION, "wxyz"),
+        c if ANGULAR_VELOCITY.contains(&c) => ("angular_velocity", ANGULAR_VELOCITY, "xyz"),
+        c if STYLE.contains(&c) => ("style", STYLE, "01234567"),
+        PHASE => return "phase".to_owned(),
+        c => return format!("channel.{c}"),
+    };
+    format!("{group}.{}", &parts[channel - range.start..][..1])
 }
 
 /// A phrase, `[frames, 25]`, at least one frame. Values may be NaN or infinite.

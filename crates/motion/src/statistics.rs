@@ -100,7 +100,7 @@ impl Statistics {
     ) -> impl ExactSizeIterator<Item = f32> + use<'a> {
         let (mean, std) = (self.mean[channel], self.std[channel]);
         let frames = rows.chunks_exact(self.channels());
-        frames.map(move |frame| normalized(frame[channel], mean, std))
+        frames.map(move |frame| ((f64::from(frame[channel]) - mean) / std) as f32)
     }
 
     /// The normalised `rows` `[frames, channels]` as channel-major `[channels, frames]`.
@@ -191,10 +191,6 @@ impl Statistics {
             None => Ok(self),
         }
     }
-}
-
-fn normalized(value: f32, mean: f64, std: f64) -> f32 {
-    ((f64::from(value) - mean) / std) as f32
 }
 
 /// [`Statistics`] as stored. The number of items is named after their kind.

@@ -26,7 +26,7 @@ const EXTENT_FRAMES: usize = 60;
 /// Added to the speed that burstiness is divided by, m/s.
 const REST_SPEED: f64 = 0.1;
 
-/// Style `[frames, 8]` of a take: `positions` `[frames, 3]` in metres, unit `orientations`.
+/// Style of each frame, `[frames, 8]`, at 30 frames per second: metres, unit `orientations`.
 pub fn describe(positions: &[[f64; 3]], orientations: &[Quaternion]) -> Vec<[f64; 8]> {
     let frames = positions.len();
     assert_eq!(frames, orientations.len(), "one orientation a frame");

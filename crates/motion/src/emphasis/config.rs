@@ -57,8 +57,7 @@ impl EmphasisConfig {
     /// The projection of frames with `dimension` features; `None` if the kind is none.
     ///
     /// # Errors
-    /// [`EmphasisError::Setting`] if a setting is out of range or a channel is not among
-    /// the features; [`EmphasisError::Singular`] if the matrix cannot be inverted.
+    /// [`EmphasisError::Setting`], or [`EmphasisError::Singular`] if the matrix has no inverse.
     pub fn projection(
         &self,
         dimension: usize,

@@ -21,7 +21,7 @@ pub struct LockedJoints {
     pub missed: f64,
 }
 
-/// Locks the feet of `joints` in the contacts of `seen`, themselves or their source, above `floor`.
+/// Locks the feet of `joints` where `rule` finds contacts above `floor` in `seen`, their source.
 ///
 /// # Errors
 /// [`FeatureError::LengthMismatch`] unless both are the same frames of joints of `skeleton`.

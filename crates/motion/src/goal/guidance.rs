@@ -52,7 +52,6 @@ pub struct GuidanceLoss {
     norm: GuidanceNorm,
     frame_limit: usize,
     frames: usize,
-    // B / M, the factor of each term of the first sum.
     factor: f64,
     samples: Vec<Sample>,
 }
@@ -84,7 +83,14 @@ impl GuidanceLoss {
             targets: goal.points(),
             goal: goal.clone(),
         });
-        Ok(Self::of_samples(config, samples.collect(), frames))
+        let samples: Vec<Sample> = samples.collect();
+        Ok(Self {
+            norm: config.norm,
+            frame_limit: config.frame_limit.unwrap_or(frames),
+            frames,
+            factor: factor(&samples),
+            samples,
+        })
     }
 
     /// The loss of motions that follow `paths`, one per goal, instead of its targets.
@@ -103,19 +109,8 @@ impl GuidanceLoss {
             assert!(path.len() <= frames, "a frame for each position");
             sample.targets = GroundTargets::trajectory(path, 0, path.len());
         }
-        Ok(Self::of_samples(config, loss.samples, frames))
-    }
-
-    fn of_samples(config: &GuidanceConfig, samples: Vec<Sample>, frames: usize) -> Self {
-        let masked: usize = samples.iter().map(|s| 2 * s.targets.masked().count()).sum();
-        Self {
-            norm: config.norm,
-            frame_limit: config.frame_limit.unwrap_or(frames),
-            frames,
-            // Without targets there is no term.
-            factor: samples.len() as f64 / masked.max(1) as f64,
-            samples,
-        }
+        loss.factor = factor(&loss.samples);
+        Ok(loss)
     }
 
     /// The loss of ground positions `[batch, frames, 2]` in metres and its gradient, of that shape.
@@ -184,6 +179,13 @@ impl Sample {
         }
         value
     }
+}
+
+/// B / M, the factor of each term of the first sum.
+fn factor(samples: &[Sample]) -> f64 {
+    let masked: usize = samples.iter().map(|s| 2 * s.targets.masked().count()).sum();
+    // Without targets there is no term.
+    samples.len() as f64 / masked.max(1) as f64
 }
 
 /// -1, 0 or 1; NaN stays NaN.

@@ -35,17 +35,13 @@ pub(super) fn distance_and_gradient(vertices: &[[f64; 2]], point: [f64; 2]) -> (
     let (distance, offset, along) = nearest;
     if distance == 0.0 {
         // The outward side of an edge of an anticlockwise polygon (x to z).
-        let length = along[0].hypot(along[1]).copysign(doubled_area(vertices));
+        let doubled_area: f64 = edges(vertices).map(|(a, b)| cross(a, b)).sum();
+        let length = along[0].hypot(along[1]).copysign(doubled_area);
         return (0.0, [along[1] / length, -along[0] / length]);
     }
     let sign = if inside { -1.0 } else { 1.0 };
     let gradient = offset.map(|component| sign * component / distance);
     (sign * distance, gradient)
-}
-
-/// Twice the area, positive where the corners run from +x towards +z.
-fn doubled_area(vertices: &[[f64; 2]]) -> f64 {
-    edges(vertices).map(|(a, b)| cross(a, b)).sum()
 }
 
 /// Rejects polygons with fewer than three corners, and edges that touch elsewhere than there.

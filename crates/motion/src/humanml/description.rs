@@ -13,8 +13,8 @@ pub struct SkeletonDescription {
     pub fps: f64,
     /// Names of the joints, `[J]`, the root first.
     pub joint_names: Vec<String>,
-    /// Bones as chains of joints. The first chain begins at joint 0, each later one at a joint of
-    /// an earlier one; rotations of each chain begin at the root's.
+    /// Bones as chains of joints: the first begins at joint 0, later ones at a joint of an earlier
+    /// one.
     pub chains: Vec<Vec<usize>>,
     /// Directions of bones without rotation, `[J, 3]`: unit vectors, joint 0 unused.
     pub raw_directions: Vec<[f64; 3]>,

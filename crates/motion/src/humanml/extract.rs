@@ -37,8 +37,8 @@ impl Default for Extraction {
 }
 
 impl Extraction {
-    /// The features of a clip, relative root: T frames give T - 1 rows.
-    /// [Canonicalizes](canonicalize).
+    /// The features of a clip, with relative root: T frames give T - 1 rows. The clip is rescaled
+    /// if `rescale` is set, and [canonicalized](canonicalize).
     ///
     /// # Errors
     /// [`FeatureError::Setting`] for an invalid contact threshold, or one about the joints.
@@ -180,8 +180,7 @@ pub fn leg_ratio(skeleton: &Skeleton, joints: &Joints) -> Result<f64, FeatureErr
 /// The clip with its lowest joint at y = 0, the first root at x = z = 0, facing +z.
 ///
 /// # Errors
-/// [`FeatureError::LengthMismatch`] for joints of another skeleton; [`FeatureError::NonFinite`] if
-/// values overflow.
+/// [`FeatureError::LengthMismatch`]; [`FeatureError::NonFinite`] if values overflow.
 pub fn canonicalize(skeleton: &Skeleton, joints: &Joints) -> Result<Joints, FeatureError> {
     joints.must_be_of(skeleton)?;
     let heights = joints.as_slice().iter().map(|[_, y, _]| *y);

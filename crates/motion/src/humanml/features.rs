@@ -21,8 +21,7 @@ impl Features {
     /// Features from their values `[frames, channels]`, row by row.
     ///
     /// # Errors
-    /// [`FeatureError::NotWholeFrames`] unless they make one or more frames of the layout;
-    /// [`FeatureError::NonFinite`] if a value is not finite.
+    /// [`FeatureError::NotWholeFrames`]; [`FeatureError::NonFinite`] if a value is not finite.
     pub fn new(values: Vec<f32>, layout: FeatureLayout, root: Root) -> Result<Self, FeatureError> {
         let channels = layout.channels();
         if values.is_empty() || !values.len().is_multiple_of(channels) {
@@ -77,8 +76,8 @@ impl Features {
         &self.values[t * channels..(t + 1) * channels]
     }
 
-    /// The rows of `range`. With relative root they begin at x = z = 0 facing +z; see
-    /// [`crop`](Self::crop).
+    /// The rows of `range` unchanged. With relative root the part begins at x = z = 0 facing +z,
+    /// but its rotations do not; [`crop`](Self::crop) rotates them too.
     #[must_use]
     pub fn slice(&self, range: Range<usize>) -> Self {
         assert!(!range.is_empty(), "a clip has at least one frame");
@@ -153,8 +152,7 @@ impl Features {
     /// The joints from the rotations, `[frames, J, 3]`, with the bones of the reference pose.
     ///
     /// # Errors
-    /// [`FeatureError::LengthMismatch`] for features of another skeleton;
-    /// [`FeatureError::NonFinite`] if positions overflow.
+    /// [`FeatureError::LengthMismatch`]; [`FeatureError::NonFinite`] if positions overflow.
     pub fn joints_from_rotations(&self, skeleton: &Skeleton) -> Result<Joints, FeatureError> {
         skeleton.accept_layout(self.layout)?;
         let mut rotations = Vec::with_capacity(self.frames() * self.layout.joints());

@@ -15,8 +15,7 @@ impl Joints {
     /// Positions `[frames, joints, 3]`, row by row.
     ///
     /// # Errors
-    /// [`FeatureError::NotWholeFrames`] unless they make one or more frames of `joints` joints;
-    /// [`FeatureError::NonFinite`] if a coordinate is not finite.
+    /// [`FeatureError::NotWholeFrames`]; [`FeatureError::NonFinite`] if a coordinate is not finite.
     pub fn new(values: Vec<[f64; 3]>, joints: usize) -> Result<Self, FeatureError> {
         if values.is_empty() || joints == 0 || !values.len().is_multiple_of(joints) {
             return Err(FeatureError::NotWholeFrames {

@@ -49,7 +49,7 @@ impl NextPose {
     }
 
     /// The next frame in the world, `[J, 3]`, from a target, the current `frame` and its root
-    /// `facing`.
+    /// quaternion `facing` (world to facing frame).
     ///
     /// # Errors
     /// [`FeatureError::LengthMismatch`] unless there are three numbers for each joint.

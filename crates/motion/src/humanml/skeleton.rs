@@ -34,8 +34,7 @@ impl Skeleton {
     /// The same skeleton with the bones of a reference pose: `joints`, `[J, 3]`, metres.
     ///
     /// # Errors
-    /// [`FeatureError::LengthMismatch`] for another number of joints;
-    /// [`FeatureError::InvalidSkeleton`] if a bone has no length.
+    /// [`FeatureError::LengthMismatch`]; [`FeatureError::InvalidSkeleton`] for a bone of no length.
     pub fn with_rest_pose(&self, joints: &[[f64; 3]]) -> Result<Self, FeatureError> {
         let what = "joints of the reference pose";
         FeatureError::unless_equal(what, self.joints(), joints.len())?;

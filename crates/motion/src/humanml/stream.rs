@@ -102,8 +102,7 @@ impl FeatureStream {
 /// The frame, `[J, 3]`, with bones `offsets` ([`Skeleton::offsets_of_frame`]) in its directions.
 ///
 /// # Errors
-/// [`FeatureError::LengthMismatch`] for another number of joints or offsets;
-/// [`FeatureError::NonFinite`] if a coordinate is not finite.
+/// [`FeatureError::LengthMismatch`]; [`FeatureError::NonFinite`] if a coordinate is not finite.
 pub fn with_bones(
     skeleton: &Skeleton,
     frame: &[[f64; 3]],

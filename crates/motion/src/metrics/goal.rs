@@ -107,13 +107,12 @@ impl GoalReport {
             foot_sliding: mean(bodies().map(|joints| sliding_ratio(joints, fps, feet))),
             jerk: mean(bodies().map(|joints| mean_jerk(joints, fps))),
             inside_obstacles: share(inside.sum(), frames.sum()).filter(|_| known),
-            diversity: None,
-            frechet_distance: None,
+            ..Self::default()
         }
     }
 
-    /// Adds diversity over `pairs` random pairs, and the Fréchet distance, of features `[n,
-    /// features]`.
+    /// Adds the metrics of feature vectors `[n, features]` of generated and real motions: diversity
+    /// over `pairs` random pairs, and the Fréchet distance.
     #[must_use]
     pub fn with_features(
         mut self,

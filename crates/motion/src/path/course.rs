@@ -48,8 +48,8 @@ impl Course {
         Self::at(path, metres)
     }
 
-    /// The course of `frames` frames at `speed`, metres per second, or evenly; it stands at the
-    /// end.
+    /// The course of `frames` frames along `path` at `speed` metres per second, standing at its
+    /// end; without a speed, evenly from end to end.
     pub fn at_speed(path: &Polyline, frames: usize, speed: Option<f64>, fps: f64) -> Self {
         let length = path.length();
         let step = match speed {

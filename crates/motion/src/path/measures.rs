@@ -10,7 +10,7 @@ use crate::metrics::{mean_jerk, skating_ratio};
 use crate::moments::mean;
 
 /// Path errors of a motion, and its quality.
-#[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, Deserialize, PartialEq, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct PathReport {
     /// Mean distance of the root from the nearest point of the path, metres.
@@ -70,10 +70,7 @@ impl PathReport {
             mean_distance: mean(distances.iter().copied()),
             largest_distance: distances.iter().copied().fold(0.0, f64::max),
             mean_error: mean(errors),
-            heading_error: None,
-            slide: None,
-            foot_skating: None,
-            jerk: None,
+            ..Self::default()
         }
     }
 }

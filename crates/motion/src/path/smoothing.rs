@@ -21,7 +21,7 @@ pub enum Edges {
 }
 
 /// Weights of the `window` values around a frame for the value, or `derivative`, of their
-/// polynomial of `order` at offset `at` from the window's middle.
+/// polynomial of `order` at offset `at` from the middle.
 ///
 /// # Panics
 /// Panics unless `window` is odd and greater than `order`.

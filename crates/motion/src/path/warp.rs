@@ -111,7 +111,8 @@ impl Warp {
     }
 }
 
-/// `joints` with each frame rotated by `turns` about its root, which is moved to `points`, if any.
+/// `joints` with each frame rotated by `turns` about the vertical through its root, which is moved
+/// to `points`. Frames beyond the last point are dropped.
 ///
 /// # Errors
 /// [`FeatureError::LengthMismatch`] unless there are as many angles as points, and enough frames.

@@ -90,22 +90,15 @@ pub trait Representation: Debug + Send + Sync {
     /// Checks whether rows are plausible motion; `statistics` are those of training motion.
     ///
     /// # Errors
-    /// [`Error::StatisticsNeeded`], or [`Error::MovementUnknown`] if they do not describe movement.
-    /// A failed check is not an error ([`Report::passed`]).
+    /// [`Error::StatisticsNeeded`], [`Error::MovementUnknown`]; a failed check is none
+    /// ([`Report`]).
     fn check(
         &self,
         rows: &[f32],
         profile: Profile,
         statistics: Option<&Statistics>,
     ) -> Result<Report, Error> {
-        body::check(
-            rows,
-            self.joints(rows).as_ref(),
-            self.skeleton(),
-            self.fps(),
-            profile,
-            statistics,
-        )
+        body::check(self, rows, profile, statistics)
     }
 
     /// Curves to plot over time.

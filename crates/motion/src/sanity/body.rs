@@ -4,7 +4,7 @@ use super::{Check, JERK_FACTOR, Profile, Report, Threshold, finite, range};
 use crate::humanml::{Joints, Skeleton};
 use crate::metrics::{mean_jerk, sliding_ratio};
 use crate::vector::{length, minus};
-use crate::{Error, Statistics};
+use crate::{Error, Representation, Statistics};
 
 /// Allowed variation of a bone's length, relative to its mean.
 const BONE_TOLERANCE: f64 = 0.05;
@@ -15,12 +15,10 @@ const SKATING_SHARE: f64 = 0.5;
 /// Allowed multiple of the training clips' root mean square speed.
 const SPEED_FACTOR: f64 = 3.0;
 
-/// Checks the `joints` of `rows`; `strict` also compares with training motion.
-pub(crate) fn check(
+/// Checks the joints of `rows`; `strict` also compares with training motion.
+pub(crate) fn check<R: Representation + ?Sized>(
+    representation: &R,
     rows: &[f32],
-    joints: Option<&Joints>,
-    skeleton: Option<&Skeleton>,
-    fps: f64,
     profile: Profile,
     statistics: Option<&Statistics>,
 ) -> Result<Report, Error> {
@@ -29,10 +27,11 @@ pub(crate) fn check(
         Profile::Ccmotion => None,
         Profile::Strict => Some(statistics.ok_or(Error::StatisticsNeeded)?),
     };
-    let Some(joints) = joints else {
+    let Some(joints) = &representation.joints(rows) else {
         return Ok(Report::new(checks));
     };
-    if let Some(skeleton) = skeleton {
+    let fps = representation.fps();
+    if let Some(skeleton) = representation.skeleton() {
         checks.extend([bone_length(joints, skeleton), floor(joints)]);
         checks.extend(skating(joints, skeleton, fps));
     }
@@ -98,7 +97,7 @@ fn floor(joints: &Joints) -> Check {
 mod tests {
     use super::*;
     use crate::humanml::test_clip;
-    use crate::representation::{JointPositions, Representation, statistics_of};
+    use crate::representation::{JointPositions, statistics_of};
 
     fn representation() -> JointPositions {
         JointPositions {

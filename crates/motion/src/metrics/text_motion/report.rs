@@ -127,8 +127,8 @@ pub struct TextMotionReport {
 }
 
 impl TextMotionReport {
-    /// Measures embeddings of motions, captions (at the same index) and real motions; `seed` of
-    /// pairs.
+    /// Measures motions by the embeddings of them, their captions (at the same index) and real
+    /// motions. `seed` determines the pairs for diversity.
     pub fn compute(texts: &[Vec<f64>], motions: &[Vec<f64>], real: &[Vec<f64>], seed: u64) -> Self {
         let r_precision = r_precision(texts, motions);
         let moments = FeatureMoments::compute(motions).zip(FeatureMoments::compute(real));

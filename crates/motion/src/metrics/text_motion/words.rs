@@ -112,8 +112,8 @@ pub struct Token {
 }
 
 impl Token {
-    /// Parses words `word/POS`; a word without `/POS` is [`PartOfSpeech::Other`], an empty one
-    /// skipped.
+    /// Parses words `word/POS` separated by spaces. A word without `/POS` is
+    /// [`PartOfSpeech::Other`]; empty words are skipped.
     pub fn parse_all(text: &str) -> Vec<Self> {
         text.split_whitespace()
             .map(|token| token.rsplit_once('/').unwrap_or((token, "")))
