@@ -47,7 +47,7 @@ pub struct CatmullRom {
 type Moving = [[f64; 2]; 2];
 
 impl CatmullRom {
-    /// The curve through `points`, extended beyond both ends, or closed.
+    /// The curve through `points`, extended in the direction of its end points, or closed.
     ///
     /// # Errors
     /// As [`Polyline::new`].

@@ -90,8 +90,8 @@ pub trait Representation: Debug + Send + Sync {
     /// Checks whether rows are plausible motion; `statistics` are those of training motion.
     ///
     /// # Errors
-    /// [`Error::StatisticsNeeded`], [`Error::MovementUnknown`]; a failed check is none
-    /// ([`Report`]).
+    /// [`Error::StatisticsNeeded`], or [`Error::MovementUnknown`] if they do not describe movement.
+    /// A failed check is not an error ([`Report::passed`]).
     fn check(
         &self,
         rows: &[f32],

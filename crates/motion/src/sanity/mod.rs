@@ -43,8 +43,8 @@ impl std::fmt::Display for Profile {
 /// Checks a phrase. The profile `ccmotion` needs no `statistics`.
 ///
 /// # Errors
-/// For `strict`, [`Error::StatisticsNeeded`] and [`Error::MovementUnknown`]. A failed check is not
-/// an error ([`Report::passed`]).
+/// For `strict`, [`Error::StatisticsNeeded`] without `statistics` and [`Error::MovementUnknown`] if
+/// they do not describe movement. A failed check is not an error ([`Report::passed`]).
 pub fn check(
     motion: &Phrase,
     profile: Profile,
