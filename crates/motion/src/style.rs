@@ -47,21 +47,20 @@ pub fn describe(positions: &[[f64; 3]], orientations: &[Quaternion]) -> Vec<[f64
     let mean_floor_speed = running_mean(&floor_speed);
     let variance = running_mean(&of(&|t| (floor_speed[t] - mean_floor_speed[t]).powi(2)));
     let median_height = median(of(&|t| positions[t][1]));
-    (0..frames)
-        .map(|t| {
-            let [width, height, depth] = extent(positions, t);
-            [
-                mean_speed[t],
-                mean_acceleration[t] / 10.0,
-                width.hypot(depth),
-                height,
-                variance[t].sqrt() / (mean_speed[t] + REST_SPEED),
-                mean_turning[t] / 3.0,
-                5.0 * (mean_height[t] - median_height),
-                mean_tilt[t],
-            ]
-        })
-        .collect()
+    let of_frame = |t: usize| {
+        let [width, height, depth] = extent(positions, t);
+        [
+            mean_speed[t],
+            mean_acceleration[t] / 10.0,
+            width.hypot(depth),
+            height,
+            variance[t].sqrt() / (mean_speed[t] + REST_SPEED),
+            mean_turning[t] / 3.0,
+            5.0 * (mean_height[t] - median_height),
+            mean_tilt[t],
+        ]
+    };
+    (0..frames).map(of_frame).collect()
 }
 
 /// Means over the frames around each one, with the ends repeated.

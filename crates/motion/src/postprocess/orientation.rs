@@ -19,13 +19,12 @@ pub(super) fn normalize(frames: &mut Frames, hemisphere: Hemisphere) {
 /// Replaces each quaternion by the normalised mean of the `size` around it, with its sign.
 pub(super) fn smooth(frames: &mut Frames, size: usize, hemisphere: Hemisphere) {
     let original: Vec<Quaternion> = frames.iter().map(read).collect();
-    let mut smoothed: Vec<Quaternion> = (0..original.len())
-        .map(|t| {
-            let near = window(t, size, original.len()).map(|s| original[s].nearer_to(original[t]));
-            let sum = near.fold([0.0; 4], |sum, near| plus(sum, near.parts()));
-            Quaternion::from(sum).scale(1.0 / (2 * (size / 2) + 1) as f64)
-        })
-        .collect();
+    let mean = |t: usize| {
+        let near = window(t, size, original.len()).map(|s| original[s].nearer_to(original[t]));
+        let sum = near.fold([0.0; 4], |sum, near| plus(sum, near.parts()));
+        Quaternion::from(sum).scale(1.0 / (2 * (size / 2) + 1) as f64)
+    };
+    let mut smoothed: Vec<Quaternion> = (0..original.len()).map(mean).collect();
     finish(&mut smoothed, hemisphere);
     write(frames, &smoothed);
 }

@@ -75,9 +75,8 @@ impl PartOfSpeech {
 
     /// The class of that name; [`Other`](Self::Other) for unknown names.
     pub fn from_name(name: &str) -> Self {
-        let mut all = Self::ALL.into_iter();
-        all.find(|(_, known)| *known == name)
-            .map_or(Self::Other, |(class, _)| class)
+        let found = Self::ALL.into_iter().find(|(_, known)| *known == name);
+        found.map_or(Self::Other, |(class, _)| class)
     }
 
     /// The class of a word by itself.
