@@ -146,7 +146,7 @@ impl HeadingAlignment<'_> {
 
 type Facing = [[f64; 2]; 2];
 
-/// The rotation angle from second to first of each pair, in weighted least squares; none of none.
+/// The rotation angle from second to first of each pair, in least squares; `None` without pairs.
 fn angle(pairs: impl Iterator<Item = (Facing, Facing, f64)>) -> Option<f64> {
     let mut sums = None;
     for (here, there, weight) in pairs {

@@ -167,7 +167,7 @@ impl Windows {
         motion
     }
 
-    /// Position of each window's first frame on the floor of the whole motion.
+    /// Position of each window's first frame on the floor of the motion.
     fn places(
         &self,
         values: &[f32],

@@ -41,7 +41,8 @@ impl EmphasisProjection {
     /// it is about 0.4 to 3, and the condition number is in the thousands.
     ///
     /// # Errors
-    /// [`EmphasisError::Setting`] of scale or channels; as [`from_matrix`](Self::from_matrix).
+    /// [`EmphasisError::Setting`] about scale or channels; those of
+    /// [`from_matrix`](Self::from_matrix).
     pub fn gaussian(
         normals: &[f32],
         dimension: usize,
@@ -87,7 +88,7 @@ impl EmphasisProjection {
     ///
     /// # Errors
     /// [`EmphasisError::NotSquare`], [`EmphasisError::NonFinite`], [`EmphasisError::Singular`], or
-    /// [`EmphasisError::Setting`] of scale or channels.
+    /// [`EmphasisError::Setting`] about scale or channels.
     pub fn from_matrix(
         matrix: &[f32],
         dimension: usize,

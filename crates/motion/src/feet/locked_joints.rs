@@ -21,7 +21,8 @@ pub struct LockedJoints {
     pub missed: f64,
 }
 
-/// Locks the feet of `joints` where `rule` finds contacts above `floor` in `seen`, their source.
+/// Locks the feet of `joints` where `rule` finds contacts above `floor` in `seen`, the joints
+/// themselves or their source.
 ///
 /// # Errors
 /// [`FeatureError::LengthMismatch`] unless both are the same frames of joints of `skeleton`.

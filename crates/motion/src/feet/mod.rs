@@ -55,7 +55,8 @@ impl Leg {
     }
 }
 
-/// Rotations of a leg in one frame, world coordinates, from the left; the ankle keeps its own.
+/// Rotations of a leg in one frame, in world coordinates, applied from the left. The orientation of
+/// the ankle does not change.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Turns {
     /// The thigh's.

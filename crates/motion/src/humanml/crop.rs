@@ -44,7 +44,8 @@ impl Features {
     }
 }
 
-/// Six columns for each joint but the root, in the world rotated by `start`; `facing` is the root.
+/// Rotates the columns of one frame, six for each joint but the root, into the world rotated by
+/// `start`; `facing` is the root quaternion.
 fn turn_rotations(skeleton: &Skeleton, columns: &mut [f32], facing: Quaternion, start: Quaternion) {
     let raw = &skeleton.description().raw_directions;
     let (columns, _) = columns.as_chunks_mut::<6>();

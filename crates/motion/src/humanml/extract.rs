@@ -41,7 +41,7 @@ impl Extraction {
     /// if `rescale` is set, and [canonicalized](canonicalize).
     ///
     /// # Errors
-    /// [`FeatureError::Setting`] for an invalid contact threshold, or one about the joints.
+    /// [`FeatureError::Setting`] for an invalid contact threshold; other errors about the joints.
     pub fn features(&self, skeleton: &Skeleton, joints: &Joints) -> Result<Features, FeatureError> {
         let joints = match self.rescale {
             true => &rescale(skeleton, joints)?,

@@ -100,7 +100,7 @@ impl Root {
         }
     }
 
-    /// The gradient by channels 0 to 3, `[frames, 4]`, from that by positions `[frames, 2]`.
+    /// The gradient by channels, `[frames, 4]`, from `upstream`, that by positions `[frames, 2]`.
     ///
     /// With G(s) the sum of `upstream` from frame s on, a relative step before frame s gets G(s) in
     /// its own frame, and each rotation gets the sum over all later angles.

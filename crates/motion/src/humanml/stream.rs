@@ -50,7 +50,7 @@ impl FeatureStream {
         }
     }
 
-    /// Adds the next frame, `[J, 3]` in metres; the row of the one before, `[12 J - 1]`, if any.
+    /// Adds the next frame, `[J, 3]` in metres; returns the row of the one before, `[12 J - 1]`.
     ///
     /// # Errors
     /// [`FeatureError::LengthMismatch`] for another number of joints; [`FeatureError::NonFinite`]

@@ -47,7 +47,7 @@ pub fn beat_alignment(kinematic: &[f64], music: &[f64]) -> Option<f64> {
 /// Number of offsets for the chance level.
 const OFFSETS: usize = 50;
 
-/// Chance level: mean [`beat_alignment`] over circular shifts of the beats within `seconds`.
+/// Chance level: mean [`beat_alignment`] over random circular shifts within `seconds`.
 pub fn chance_alignment(kinematic: &[f64], music: &[f64], seconds: f64, key: Key) -> Option<f64> {
     let at = |offset: f32| {
         let moved = |beat: &f64| (beat + f64::from(offset) * seconds).rem_euclid(seconds);
@@ -63,7 +63,7 @@ fn local_maxima(values: &[f64]) -> Vec<f64> {
     while start < values.len() {
         let level = values[start];
         let plateau = values[start..].iter().take_while(|value| **value == level);
-        // NaN is not even equal to itself.
+        // NaN does not equal itself.
         let end = start + plateau.count().max(1);
         let rises = start > 0 && values[start - 1] < level;
         let falls = values.get(end).is_some_and(|&after| after < level);

@@ -14,7 +14,7 @@ use crate::{
 #[derive(Clone, Copy, Debug)]
 pub struct Phrases;
 
-/// The statistics of finite phrases; none of no phrases.
+/// The statistics of finite phrases; `None` without phrases.
 pub fn phrase_statistics<'a>(phrases: impl IntoIterator<Item = &'a Phrase>) -> Option<Statistics> {
     super::statistics_of(&Phrases, phrases.into_iter().map(Phrase::as_slice))
 }
