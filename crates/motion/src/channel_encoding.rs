@@ -230,7 +230,7 @@ impl ChannelEncoding {
     }
 
     /// Confidence of the predicted heading, 0 to 1, `[frames]`: the area spanned by two columns, or
-    /// the norm of the quaternion. A mean of different orientations is short. NaN stays.
+    /// the norm of the quaternion. Means of different orientations are short. NaN stays.
     pub fn confidence(self, rows: &[f32]) -> Vec<f64> {
         let of_frame = |frame: &[f32]| {
             let mut values = self.orientation_of(frame);

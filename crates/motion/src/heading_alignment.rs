@@ -19,9 +19,8 @@ pub struct HeadingAlignment<'a> {
 }
 
 impl HeadingAlignment<'_> {
-    /// Rotation angles about the vertical, radians, by which windows `[windows, channels, length]`
-    /// agree with `known` frames or else their neighbours; without any, the first keeps its
-    /// heading.
+    /// Rotation angles about the vertical, radians, of windows `[windows, channels, length]` that
+    /// agree with `known` frames or their neighbours; without any, the first keeps its heading.
     pub fn angles(
         &self,
         windows: &Windows,

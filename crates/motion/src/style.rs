@@ -10,7 +10,7 @@
 //! | 6, 7 | body attitude | 5 (mean height - median height of the take) (m); mean tilt of the body's up axis from the vertical (rad) |
 //!
 //! Means are over the frames `t - 15 .. t + 15`, with the ends repeated; extents over `t - 30 .. t
-//! + 30`. Burstiness is the deviation of the floor speed divided by its mean plus 0.1 m/s.
+//! + 30`. Burstiness is the deviation of the floor speed divided by the mean speed + 0.1 m/s.
 
 use crate::derivatives::{angular_velocity, forward_differences};
 use crate::quantiles::median;

@@ -192,9 +192,8 @@ fn advances(stated: &[f64]) -> Vec<i64> {
     (low..=high).step_by(step).collect()
 }
 
-/// The advance in turns a frame, -0.5 to 0.5, that agrees best with the phases: the largest mean
-/// over spans of `|sum exp(2 pi i (phase_t - advance t))|`, robust to noise. Also their
-/// agreement, 0 to 1.
+/// The advance in turns a frame, -0.5 to 0.5, that agrees best with the phases (largest mean over
+/// spans of `|sum exp(2 pi i (phase_t - advance t))|`), and their agreement, 0 to 1.
 fn tempo(stated: &[f64]) -> (f64, f64) {
     let unit = |turns: f64| (TAU * turns).sin_cos();
     let phases: Vec<(f64, f64)> = stated.iter().map(|&turns| unit(turns)).collect();

@@ -41,8 +41,7 @@ impl EmphasisProjection {
     /// it is about 0.4 to 3, and the condition number is in the thousands.
     ///
     /// # Errors
-    /// [`EmphasisError::Setting`] about scale or channels; those of
-    /// [`from_matrix`](Self::from_matrix).
+    /// [`EmphasisError::Setting`] about scale or channels; as [`from_matrix`](Self::from_matrix).
     pub fn gaussian(
         normals: &[f32],
         dimension: usize,

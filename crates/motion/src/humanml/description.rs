@@ -13,8 +13,7 @@ pub struct SkeletonDescription {
     pub fps: f64,
     /// Names of the joints, `[J]`, the root first.
     pub joint_names: Vec<String>,
-    /// Bones as chains of joints: the first begins at joint 0, later ones at a joint of an earlier
-    /// one.
+    /// Bones as chains: the first begins at joint 0, later ones at a joint of an earlier one.
     pub chains: Vec<Vec<usize>>,
     /// Directions of bones without rotation, `[J, 3]`: unit vectors, joint 0 unused.
     pub raw_directions: Vec<[f64; 3]>,
