@@ -27,7 +27,8 @@ pub(crate) fn check<R: Representation + ?Sized>(
         Profile::Ccmotion => None,
         Profile::Strict => Some(statistics.ok_or(Error::StatisticsNeeded)?),
     };
-    let Some(joints) = &representation.joints(rows) else {
+    let joints = representation.joints(rows);
+    let Some(joints) = &joints else {
         return Ok(Report::new(checks));
     };
     let fps = representation.fps();
