@@ -115,7 +115,7 @@ fn what_the_model_does_not_know_is_refused() {
     sample(&["--text", "someone jumped"]).failed(
         2,
         &[
-            "`someone jumped` is no caption",
+            "`someone jumped` is not a caption",
             "did you mean `someone jumps`?",
             "`a man sits down`",
         ],

@@ -396,7 +396,7 @@ fn damaged_weights_of_any_length_are_found_without_reading_them_into_memory() {
         .current_dir(sandbox.path(""));
     finish(command).failed(
         2,
-        &["ema.safetensors: 2147483648 bytes found, its header speaks of"],
+        &["ema.safetensors: 2147483648 bytes found, its header states"],
     );
 }
 

@@ -161,7 +161,7 @@ fn compositions_are_evaluated_beside_real_clips() {
         ),
         (
             "sample runs/bpe --text nothing --out x",
-            "`nothing` is no caption that the run knows",
+            "`nothing` is not a caption of the run",
         ),
         ("eval runs/bpe --audio-ablation", "`--audio-ablation` with"),
         (
@@ -175,7 +175,7 @@ fn compositions_are_evaluated_beside_real_clips() {
     let line = "sample runs/bpe --prompts long.toml --out x";
     sandbox
         .run(line)
-        .failed(2, &["long.toml: step[0]: `nothing` is no caption"]);
+        .failed(2, &["long.toml: step[0]: `nothing` is not a caption"]);
     assert!(!sandbox.path("x.npy").exists());
 }
 

@@ -271,7 +271,7 @@ fn a_motion_goes_on_from_its_history_as_the_texts_say() {
             "--prompts plan.toml --frames 3",
             ["`--prompts` with a length", ""],
         ),
-        ("--text nobody", ["`nobody` is no caption", ""]),
+        ("--text nobody", ["`nobody` is not a caption", ""]),
         ("--goal plan.toml", ["`--goal` with", "--history"]),
         (
             "--set sampling.sampler.kind=ddim",

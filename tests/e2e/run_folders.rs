@@ -18,7 +18,10 @@ fn a_folder_that_is_no_run_is_left_as_it_is() {
     for name in ["metrics.jsonl", "checkpoints/mine.txt"] {
         let file = sandbox.write(&format!("runs/mine/{name}"), "my own\n");
         for resume in ["", "--resume"] {
-            let texts = ["runs/mine exists and is no run", "choose another `--name`"];
+            let texts = [
+                "runs/mine exists and is not a run",
+                "choose another `--name`",
+            ];
             sandbox
                 .run(&format!("train c.toml --name mine {resume}"))
                 .failed(2, &texts);

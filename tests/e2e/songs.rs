@@ -266,7 +266,7 @@ fn frames_that_cannot_be_kept_are_refused() {
             "--keep 0..30 --keep-from first.npy --frames 20",
             "the sample has 20 frames",
         ),
-        ("--keep 0..40 --keep-from first.npy", "gives all 40 frames"),
+        ("--keep 0..40 --keep-from first.npy", "keeps all 40 frames"),
         ("--keep 0..3 --keep-from none.npy", "none.npy"),
         ("--continue-from c.toml", "c.toml"),
         ("--keep 0..3", "--keep-from"),
@@ -293,7 +293,7 @@ fn frames_that_cannot_be_kept_are_refused() {
             .run(&format!("sample runs/smallest {arguments} --out wrong"))
             .failed(2, &[option, "a run of recipe `gmd_motion`"]);
     }
-    let given = KnownFramesCondition::kept(Path::new("m.npy"), "1..2").expect("a range");
+    let given = KnownFramesCondition::in_place(Path::new("m.npy"), "1..2").expect("a range");
     assert_eq!(given.frames, [[1, 2]]);
 }
 

@@ -191,7 +191,7 @@ fn wrong_styles_are_refused_and_leave_nothing() {
         (
             "numbers",
             "--style 1,2,x".into(),
-            ["`x` is no number", "eight numbers"],
+            ["`x` is not a number", "eight numbers"],
         ),
         (
             "plain",

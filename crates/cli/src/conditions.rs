@@ -133,7 +133,7 @@ impl ConditionArguments {
             conditions.push(Condition::KnownFrames(known));
         }
         if let (Some(motion), Some(frames)) = (&self.keep_from, &self.keep) {
-            let known = KnownFramesCondition::kept(motion, frames)?;
+            let known = KnownFramesCondition::in_place(motion, frames)?;
             conditions.push(Condition::KnownFrames(known));
         }
         if let Some(style) = &self.style {

@@ -39,7 +39,7 @@ pub fn agreed<T>(
     {
         output::failure(error);
     }
-    group.part();
+    group.barrier();
     Ok(Err(ExitCode::from(code)))
 }
 

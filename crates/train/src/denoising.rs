@@ -1,5 +1,5 @@
-//! Training a denoiser on noised motion: a batch on the device, its random inputs, the loss, and
-//! the held-out motion. Recipes of all systems share it.
+//! Training a denoiser on noised motion, shared by the recipes of all systems: batches, random inputs,
+//! loss and validation.
 
 use std::cell::OnceCell;
 use std::ops::Range;
@@ -24,9 +24,9 @@ pub struct Inputs {
     pub x_start: Tensor<3>,
     /// The condition of each sample.
     pub cond: Conditions,
-    /// `[batch, time]`, 1 where a frame is real.
+    /// `[batch, time]`, 1 for valid frames.
     pub mask: Tensor<2>,
-    /// Frames of each sample that are real; none where all are.
+    /// Valid frames of each sample; `None` if all are valid.
     pub lengths: Option<Lengths>,
 }
 
@@ -67,7 +67,7 @@ impl Conditions {
     /// The condition of that name.
     ///
     /// # Panics
-    /// Panics if there is none: recipes use conditions that their dataset provides.
+    /// Panics if the dataset does not provide it.
     pub fn get(&self, name: &str) -> &Tensor<3> {
         let found = self.find(name);
         found.unwrap_or_else(|| panic!("no condition `{name}`"))
@@ -79,7 +79,7 @@ impl Conditions {
         found.map(|(_, cond)| cond)
     }
 
-    /// All of them but the style times `mask`, `[batch, 1, 1]`, which is 0 where they are dropped.
+    /// The conditions with all but the style multiplied by `mask`, `[batch, 1, 1]`.
     #[must_use]
     pub fn with_dropout(self, mask: &Tensor<3>) -> Self {
         let named = self.0.into_iter().map(|(name, cond)| match name {
@@ -89,7 +89,7 @@ impl Conditions {
         Self::new(named)
     }
 
-    /// The style's numbers and label times those of `mask`, each `[batch, 1, 1]`.
+    /// The conditions with the style's numbers and label multiplied by their masks.
     #[must_use]
     pub fn with_style_dropout(self, mask: &StyleDropoutMask) -> Self {
         let named = self.0.into_iter().map(|(name, cond)| match name {
@@ -101,7 +101,7 @@ impl Conditions {
     }
 }
 
-/// 0 where a part of a sample's style is dropped, else 1: `[batch, 1, 1]` each.
+/// The dropout masks of the style, `[batch, 1, 1]` each: 0 drops it.
 #[derive(Clone, Debug)]
 pub struct StyleDropoutMask {
     /// The eight numbers.
@@ -111,15 +111,15 @@ pub struct StyleDropoutMask {
 }
 
 impl StyleDropoutMask {
-    /// The dropout mask of the style in `cond`: with `probability` all is dropped, and with the
-    /// same probability each of numbers and label alone. `None` drops nothing.
+    /// The masks for the style in `cond`. Dropping everything, the numbers alone and the label alone
+    /// each have this `probability`. `None` drops nothing.
     fn sample(cond: &Conditions, probability: f64, key: Key, device: &Device) -> Option<Self> {
-        let there = [STYLE, LABEL].map(|name| cond.find(name));
-        let batch = there.into_iter().flatten().next()?.dims()[0];
+        let parts = [STYLE, LABEL].map(|name| cond.find(name));
+        let batch = parts.into_iter().flatten().next()?.dims()[0];
         if probability <= 0.0 {
             return None;
         }
-        let parts = if there.iter().all(Option::is_some) {
+        let kinds = if parts.iter().all(Option::is_some) {
             3
         } else {
             1
@@ -129,15 +129,15 @@ impl StyleDropoutMask {
         let dropped = uniforms
             .iter()
             .map(|&u| ((f64::from(u) / probability) as usize).min(3))
-            .map(|part| if part < parts { part } else { 3 });
+            .map(|kind| if kind < kinds { kind } else { 3 });
         let dropped: Vec<usize> = dropped.collect();
-        let kept = |parts: [usize; 2]| {
-            let keep = dropped.iter().map(|part| f32::from(!parts.contains(part)));
-            Tensor::from_data(TensorData::new(keep.collect(), [batch, 1, 1]), device)
+        let mask = |kinds: [usize; 2]| {
+            let mask = dropped.iter().map(|kind| f32::from(!kinds.contains(kind)));
+            Tensor::from_data(TensorData::new(mask.collect(), [batch, 1, 1]), device)
         };
         Some(Self {
-            numbers: kept([0, 1]),
-            label: kept([0, 2]),
+            numbers: mask([0, 1]),
+            label: mask([0, 2]),
         })
     }
 }
@@ -149,7 +149,7 @@ pub struct RandomInputs {
     pub timesteps: Vec<usize>,
     /// Standard normal: `[batch, channels, time]`.
     pub noise: Tensor<3>,
-    /// 0 where the condition is dropped, else 1: `[batch, 1, 1]`. None drops none.
+    /// 0 drops the condition, 1 keeps it: `[batch, 1, 1]`. `None` drops nothing.
     pub condition_dropout_mask: Option<Tensor<3>>,
     /// The dropout mask of the style. `None` drops nothing.
     pub style_dropout_mask: Option<StyleDropoutMask>,
@@ -209,7 +209,7 @@ pub fn noise(key: Key, shape: [usize; 3], device: &Device) -> Tensor<3> {
 pub fn denoising_loss(
     diffusion: &GaussianDiffusion,
     inputs: Inputs,
-    draws: RandomInputs,
+    random: RandomInputs,
     network: impl FnOnce(Tensor<3>, &[Time], &Conditions, DropoutKey) -> Tensor<3>,
     distance: impl FnOnce(Tensor<3>, Tensor<3>, Tensor<2>) -> Tensor<1>,
 ) -> Loss {
@@ -225,7 +225,7 @@ pub fn denoising_loss(
         condition_dropout_mask,
         style_dropout_mask,
         dropout,
-    } = draws;
+    } = random;
     let x_t = diffusion.add_noise(x_start.clone(), noise.clone(), &timesteps);
     let cond = match condition_dropout_mask {
         Some(mask) => cond.with_dropout(&mask),
@@ -250,7 +250,7 @@ pub fn denoising_loss(
     }
 }
 
-/// Training of a denoiser alone, with given random inputs.
+/// The training recipe of a denoiser.
 pub struct DenoisingRecipe<M> {
     diffusion: GaussianDiffusion,
     held_out: HeldOut,
@@ -259,8 +259,8 @@ pub struct DenoisingRecipe<M> {
     measures_first: bool,
 }
 
-/// The loss of a network on a batch and its random inputs. Training uses the weights of timesteps
-/// and other training aids; validation does not.
+/// The loss of a network on a batch with random inputs; the flag is true in training, which uses
+/// the weights of timesteps and other training aids.
 pub type BatchLoss<M> = dyn Fn(&GaussianDiffusion, &M, Inputs, RandomInputs, bool) -> Loss;
 
 impl<M> DenoisingRecipe<M> {
@@ -279,8 +279,7 @@ impl<M> DenoisingRecipe<M> {
         }
     }
 
-    /// The recipe of a loss that is the mean over the samples of a batch, whatever their lengths,
-    /// and not over its frames.
+    /// The recipe with a loss averaged over the samples of a batch instead of its frames.
     #[must_use]
     pub fn averaging_samples(self) -> Self {
         Self {
@@ -289,7 +288,7 @@ impl<M> DenoisingRecipe<M> {
         }
     }
 
-    /// The recipe of a training that starts from weights that are worth something, if so.
+    /// The recipe that validates before the first step, because the initial weights are trained.
     #[must_use]
     pub fn measuring_first(self, measures_first: bool) -> Self {
         Self {
@@ -299,8 +298,8 @@ impl<M> DenoisingRecipe<M> {
     }
 
     /// The loss for given random inputs.
-    pub fn loss_of(&self, model: &M, inputs: Inputs, draws: RandomInputs) -> Loss {
-        (self.loss)(&self.diffusion, model, inputs, draws, true)
+    pub fn loss_of(&self, model: &M, inputs: Inputs, random: RandomInputs) -> Loss {
+        (self.loss)(&self.diffusion, model, inputs, random, true)
     }
 }
 
@@ -321,13 +320,13 @@ impl<M: Module> Recipe for DenoisingRecipe<M> {
 
     fn loss(&self, model: &M, batch: &Batch, key: StepKey, device: &Device) -> Loss {
         let inputs = Inputs::new(batch, device);
-        let draws = RandomInputs::new(&self.diffusion, &inputs, key, device);
-        self.loss_of(model, inputs, draws)
+        let random = RandomInputs::new(&self.diffusion, &inputs, key, device);
+        self.loss_of(model, inputs, random)
     }
 
     fn validation_loss(&self, model: &M, device: &Device) -> Measured {
         let diffusion = &self.diffusion;
-        let loss = |inputs, draws| (self.loss)(diffusion, model, inputs, draws, false).total;
+        let loss = |inputs, random| (self.loss)(diffusion, model, inputs, random, false).total;
         Measured {
             total: self.held_out.mean_loss(diffusion, device, loss),
             terms: Vec::new(),
@@ -338,19 +337,16 @@ impl<M: Module> Recipe for DenoisingRecipe<M> {
 /// The held-out data of a recipe.
 pub struct HeldOut {
     ids: Vec<String>,
-    /// The batch of some items, by their numbers.
+    /// The batch of a range of items.
     collate: Box<dyn Fn(Range<usize>) -> Batch>,
     draws: usize,
     batch_size: usize,
-    /// The processes that share the measuring.
+    /// The processes that share validation.
     group: Rc<ProcessGroup>,
 }
 
 impl HeldOut {
-    /// The items of `samples`, which are in memory.
-    ///
-    /// # Panics
-    /// Measuring panics if they are not.
+    /// The items of `samples`, which must be in memory: validation panics otherwise.
     pub fn new(samples: impl Samples, validation: &ValidationConfig) -> Self {
         Self {
             ids: samples.items().ids().map(String::from).collect(),
@@ -361,7 +357,7 @@ impl HeldOut {
         }
     }
 
-    /// The same; each rank measures a part.
+    /// The same data, of which each rank of `group` validates a part.
     #[must_use]
     pub fn among(self, group: &Rc<ProcessGroup>) -> Self {
         Self {
@@ -370,7 +366,7 @@ impl HeldOut {
         }
     }
 
-    /// Nothing: a recipe that is never validated.
+    /// No items, for a recipe that is never validated.
     pub fn nothing() -> Self {
         Self {
             ids: Vec::new(),
@@ -391,18 +387,18 @@ impl HeldOut {
         self.ids.is_empty()
     }
 
-    /// Draws of each item that a validation loss is the mean over.
+    /// Noise samples per item in a validation loss.
     pub fn draws(&self) -> usize {
         self.draws
     }
 
-    /// The numbers of the items of each batch.
+    /// The range of items of each batch.
     fn ranges(&self) -> impl Iterator<Item = Range<usize>> {
         let starts = (0..self.len()).step_by(self.batch_size);
         starts.map(|start| start..(start + self.batch_size).min(self.len()))
     }
 
-    /// Noise keyed by item and draw alone, so that runs with other seeds are comparable.
+    /// Noise keyed by item and draw only, so that runs with other seeds are comparable.
     pub fn noise(&self, range: Range<usize>, draw: u64, like: &Tensor<3>) -> Tensor<3> {
         let [_, channels, time] = like.dims();
         let values: Vec<f32> = self.ids[range]
@@ -415,9 +411,8 @@ impl HeldOut {
         Tensor::from_data(TensorData::new(values, like.dims()), &like.device())
     }
 
-    /// The mean of a loss over all items and draws, without dropout, at timesteps that are the same
-    /// each time: those of draw k of item p of P are `floor((k P + p + 0.5) T / (draws P))`, so
-    /// that together they cover all timesteps evenly.
+    /// The mean of a loss over all items and draws, without dropout, at fixed timesteps: draw k of
+    /// item p of P has `floor((k P + p + 0.5) T / (draws P))`, so that they cover [0, T) evenly.
     pub fn mean_loss(
         &self,
         diffusion: &GaussianDiffusion,
@@ -431,19 +426,19 @@ impl HeldOut {
                 let twice = 2 * (draw * all + p) + 1;
                 twice * num_train_timesteps / (2 * draws * all)
             };
-            let given = RandomInputs {
+            let random = RandomInputs {
                 timesteps: range.clone().map(timestep).collect(),
                 noise: self.noise(range, draw as u64, &inputs.x_start),
                 condition_dropout_mask: None,
                 style_dropout_mask: None,
                 dropout: None,
             };
-            loss(inputs, given)
+            loss(inputs, random)
         })
     }
 
-    /// The mean of a loss over all items and draws, of each batch in each draw. Ranks share the
-    /// batches, and add their losses in one order.
+    /// The mean of a loss over all items and draws. Ranks share the batches and add the losses in one
+    /// order.
     pub fn mean(
         &self,
         device: &Device,
@@ -462,8 +457,8 @@ impl HeldOut {
         of_items.sum::<f64>() / (self.draws * self.len()) as f64
     }
 
-    /// The means of some terms over all items, of each batch, with the numbers of its items. Ranks share
-    /// the batches, as in [`mean`](Self::mean).
+    /// The means of several terms over all items; `terms` gets the range and batch of items. Ranks
+    /// share the batches, as in [`mean`](Self::mean).
     pub fn mean_terms(
         &self,
         terms: impl Fn(Range<usize>, Batch) -> Vec<(&'static str, Tensor<1>)>,
@@ -472,11 +467,11 @@ impl HeldOut {
         let terms = |range: &Range<usize>| terms(range.clone(), (self.collate)(range.clone()));
         let names = OnceCell::new();
         let losses = self.measured(&ranges, |range| {
-            let (said, terms) = terms(range).into_iter().unzip();
-            let _: Result<_, Vec<_>> = names.set(said);
+            let (own, terms) = terms(range).into_iter().unzip();
+            let _: Result<_, Vec<_>> = names.set(own);
             terms
         });
-        // Of more ranks than batches the last have measured nothing.
+        // With more ranks than batches, the last ranks have measured nothing.
         let names = names.get_or_init(|| {
             let terms = terms(&ranges[0]).into_iter();
             terms.map(|(name, _)| name).collect()
@@ -491,7 +486,7 @@ impl HeldOut {
         measured
     }
 
-    /// The losses of each job, in their order, shared among the ranks. Collective.
+    /// The losses of each job, in order, shared among the ranks. Collective.
     fn measured<J>(&self, jobs: &[J], measure: impl Fn(&J) -> Vec<Tensor<1>>) -> Vec<Vec<f32>> {
         let ranks = self.group.ranks();
         let (own, size) = (ranks.rank(), ranks.size());
@@ -501,7 +496,7 @@ impl HeldOut {
             measured.extend(losses.flat_map(|loss| loss.into_scalar::<f32>().to_le_bytes()));
         }
         let all = self.group.gather(Tag::Losses, &measured);
-        // The first rank has a job wherever there is one.
+        // The first rank always has a job.
         let count = all[0].len() / 4 / jobs.len().div_ceil(size).max(1);
         let of = |job: usize| {
             let (losses, _) = all[job % size].as_chunks::<4>();
@@ -516,7 +511,7 @@ impl HeldOut {
 mod tests {
     use super::*;
 
-    /// Conditions of so many samples with parts of these names, all ones.
+    /// Conditions of `batch` samples with these names, all ones.
     fn conditions(batch: usize, names: &[&'static str]) -> Conditions {
         let ones = Tensor::ones([batch, 2, 1], &Device::flex());
         Conditions::new(names.iter().map(|&name| (name, ones.clone())))
@@ -540,9 +535,9 @@ mod tests {
             };
             counts[place] += 1.0 / batch as f64;
         }
-        // Kept values are unchanged, the others zero, and the audio is unchanged.
-        let kept = cond.with_style_dropout(&mask);
-        for (name, values) in kept.0 {
+        // Dropped values are zero, the others and the audio are unchanged.
+        let masked = cond.with_style_dropout(&mask);
+        for (name, values) in masked.0 {
             let sum = values.sum().into_scalar::<f32>() / 2.0;
             let expected: f32 = match name {
                 STYLE => numbers.iter().sum(),
@@ -577,8 +572,8 @@ mod tests {
     #[test]
     fn dropped_audio_leaves_the_style() {
         let cond = conditions(3, &["audio", STYLE, LABEL]);
-        let kept = cond.with_dropout(&Tensor::zeros([3, 1, 1], &Device::flex()));
-        let sum = |name| kept.get(name).clone().sum().into_scalar::<f32>();
+        let masked = cond.with_dropout(&Tensor::zeros([3, 1, 1], &Device::flex()));
+        let sum = |name| masked.get(name).clone().sum().into_scalar::<f32>();
         assert_eq!([sum("audio"), sum(STYLE), sum(LABEL)], [0.0, 6.0, 6.0]);
     }
 }

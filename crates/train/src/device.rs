@@ -10,7 +10,7 @@ pub struct Kind {
     pub name: &'static str,
     /// A description.
     pub description: &'static str,
-    /// Takes part in `auto`, which takes the first that works.
+    /// True if `auto` may select it; it selects the first that works.
     automatic: bool,
     /// True if a machine may have several, each with an index.
     indexed: bool,
@@ -27,7 +27,7 @@ impl Kind {
     }
 }
 
-/// Best first.
+/// The kinds in order of preference.
 const KINDS: &[Kind] = &[
     #[cfg(feature = "cuda")]
     Kind {
@@ -104,8 +104,8 @@ pub fn list() -> impl Iterator<Item = (&'static Kind, bool)> {
 /// index such as `cuda:1`. Returns it with the name it goes by.
 ///
 /// # Errors
-/// If this build has no such device, or the machine cannot run it; or the environment asks for
-/// kernels that there are not.
+/// If this build has no such device, the machine cannot run it, or the environment names unknown
+/// kernels.
 pub fn open(name: &str) -> Result<(Device, String), InvalidSetting> {
     open_for(name, 0)
 }
@@ -169,8 +169,8 @@ pub fn open_for(name: &str, local: usize) -> Result<(Device, String), InvalidSet
     }
 }
 
-/// The device of process `local` of a machine: its own, or the only one that it is shown, as launchers do
-/// that give each process a card.
+/// The device of process `local` of a machine: its own, or the only visible one, because launchers may
+/// show each process one card.
 fn own(kind: &Kind, local: usize) -> Option<(Device, String)> {
     let index = if kind.indexed { local } else { 0 };
     let found = works(kind, index).map(|device| (device, kind.name_of(index)));
@@ -180,7 +180,7 @@ fn own(kind: &Kind, local: usize) -> Option<(Device, String)> {
 
 fn too_few(kind: &str, local: usize) -> String {
     format!(
-        "process {local} of this machine, counted from 0, finds no device `{kind}` of its own: start no more \
+        "process {local} of this machine, counted from 0, finds no free device `{kind}`: start no more \
          processes on a machine than it has cards"
     )
 }
@@ -196,7 +196,7 @@ pub fn hardware(device: &Device) -> Option<String> {
     device.identity().map(|identity| identity.name)
 }
 
-/// Without a graphics backend there is no such device.
+/// This build has no graphics backend.
 #[cfg(not(any(
     feature = "wgpu",
     feature = "vulkan",
@@ -217,7 +217,7 @@ fn is_software(device: &Device) -> bool {
     })
 }
 
-/// Opens a device and adds two numbers on it; drivers that are missing panic inside the backend.
+/// Opens a device and adds two numbers on it; a missing driver panics inside the backend.
 fn works(kind: &Kind, index: usize) -> Option<Device> {
     let open = kind.open;
     let quiet = std::panic::take_hook();

@@ -16,17 +16,15 @@ pub struct Ema {
 }
 
 impl Ema {
-    /// An average that moves as the config says.
+    /// The average with the settings of `config`.
     pub fn new(config: &EmaConfig) -> Self {
         Self {
             config: config.clone(),
         }
     }
 
-    /// The share that the update at optimiser step `step` (from 1) keeps, or `None` when that
-    /// step has no update.
-    ///
-    /// Update n keeps `min(decay, 1 - (1 + n / inv_gamma)^-power)`.
+    /// The decay of optimiser step `step` (from 1), `min(decay, 1 - (1 + n / inv_gamma)^-power)` for
+    /// update n; `None` without an update.
     pub fn decay_at(&self, step: u64) -> Option<f64> {
         let EmaConfig {
             decay,
@@ -46,8 +44,7 @@ impl Ema {
         Some(decay.min(warmed))
     }
 
-    /// The share of the distance to the weights that the average moves at optimiser step `step`
-    /// (from 1), if it moves.
+    /// `1 - decay` of optimiser step `step` (from 1); `None` without an update.
     pub fn share_at(&self, step: u64) -> Option<f64> {
         self.decay_at(step).map(|decay| 1.0 - decay)
     }

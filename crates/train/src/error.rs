@@ -21,7 +21,7 @@ pub enum Error {
         /// Its exit code.
         code: u8,
     },
-    /// The weights of the ranks are no longer the same.
+    /// The weights of the ranks differ.
     #[error("after step {step}, rank {rank} has other weights than rank 0")]
     #[diagnostic(help(
         "all ranks need the same build and the same kind of processor; the last checkpoint is good"
@@ -44,7 +44,7 @@ pub enum Error {
     #[error(transparent)]
     #[diagnostic(transparent)]
     Motion(#[from] kinegrad_motion::Error),
-    /// A setting that nothing can be made of.
+    /// An invalid setting.
     #[error(transparent)]
     #[diagnostic(transparent)]
     Setting(#[from] InvalidSetting),
@@ -52,7 +52,7 @@ pub enum Error {
     #[error(transparent)]
     #[diagnostic(transparent)]
     Model(#[from] kinegrad_models::Error),
-    /// The diffusion process or a sampler is set up wrongly.
+    /// Invalid settings of the diffusion process or a sampler.
     #[error(transparent)]
     #[diagnostic(transparent)]
     Diffusion(kinegrad_diffusion::Error),
@@ -60,11 +60,11 @@ pub enum Error {
     #[error("interrupted: what was not finished is not written")]
     #[diagnostic(help("what was written before is complete"))]
     Interrupted,
-    /// An emphasis projection cannot be made.
+    /// An invalid emphasis projection.
     #[error(transparent)]
     #[diagnostic(transparent)]
     Emphasis(#[from] kinegrad_motion::emphasis::EmphasisError),
-    /// A run of another system than is needed.
+    /// A run of the wrong system.
     #[error("the run's recipe is `{recipe}`, needed: {known}")]
     #[diagnostic(help("use a run of one of these recipes"))]
     OtherRecipe {
@@ -73,7 +73,7 @@ pub enum Error {
         /// The recipes that fit.
         known: String,
     },
-    /// A run on another representation of motion than is needed.
+    /// A run on the wrong representation of motion.
     #[error("the run's recipe, `{recipe}`, does not train on {expected}")]
     #[diagnostic(help("use a run of a recipe that does"))]
     OtherRepresentation {
@@ -126,9 +126,9 @@ pub enum Error {
         /// All of them.
         differences: Vec<String>,
     },
-    /// An array of another shape than needed.
-    #[error("{} holds {found}, allowed: {allowed}", path.display())]
-    #[diagnostic(help("`numpy.load` shows what a file holds"))]
+    /// An array of the wrong shape.
+    #[error("{} contains {found}, allowed: {allowed}", path.display())]
+    #[diagnostic(help("`numpy.load` shows the contents"))]
     Array {
         /// The file.
         path: PathBuf,
@@ -137,7 +137,7 @@ pub enum Error {
         /// The requirement.
         allowed: String,
     },
-    /// A run or checkpoint that is not there.
+    /// A missing run or checkpoint.
     #[error("there is no run or checkpoint at {}", path.display())]
     #[diagnostic(help("{hint}"))]
     RunMissing {
@@ -180,7 +180,7 @@ pub enum Error {
     NotFinite {
         /// The optimiser step that failed, from 1.
         step: u64,
-        /// The first tensor found to hold an infinity or NaN.
+        /// The first tensor with an infinity or NaN.
         tensor: String,
         /// Path of the last good checkpoint, or a note that there is none.
         last_good: String,
@@ -192,7 +192,7 @@ pub enum Error {
          weights), clip where the recipe does (`sampling.clip`), or check the model's validation loss"
     ))]
     SampleNotFinite {
-        /// The file it would have been, or its place among the samples.
+        /// Its file name, or its index.
         sample: String,
     },
     /// A request that does not fit the model, or contradictory options.
@@ -280,8 +280,8 @@ impl Error {
         }
     }
 
-    /// The exit code of a program that ends with this error: 1 when the run failed, 2 when what
-    /// it was given is wrong, 130 when it was interrupted.
+    /// The exit code of a program that ends with this error: 1 for a failure, 2 for invalid input,
+    /// 130 for an interruption.
     pub fn exit_code(&self) -> u8 {
         match self {
             Self::OtherRank { code, .. } => *code,

@@ -13,7 +13,7 @@ use crate::checkpoint::{State, write_weights};
 use crate::config::Config;
 use crate::error::Error;
 
-/// The settings of an import. A system refuses settings that its networks do not use.
+/// The settings of an import. A system rejects settings that its networks do not use.
 #[derive(Clone, Debug)]
 pub struct ImportRequest {
     /// The file that `torch.save` wrote.
@@ -29,9 +29,9 @@ pub struct ImportRequest {
     pub projection: Option<PathBuf>,
     /// Frames that the network pads every clip to.
     pub padded_frames: usize,
-    /// Take the weights of the last step and not their moving average.
+    /// Import the weights of the last step instead of their moving average.
     pub last: bool,
-    /// Settings of the new run, `KEY=VALUE`, in place of the recipe's defaults.
+    /// Settings of the new run, `KEY=VALUE`.
     pub overrides: Vec<String>,
     /// Folder of the new run.
     pub out: PathBuf,
@@ -44,9 +44,9 @@ pub struct Imported {
     pub path: PathBuf,
     /// Number of parameters.
     pub parameters: usize,
-    /// The part of the file that was read, or none for a bare state dict.
+    /// The part of the file that was read; `None` for a bare state dict.
     pub part: Option<&'static str>,
-    /// Names that are known and not needed.
+    /// Number of known tensors that are not needed.
     pub skipped: usize,
     /// The resolved config.
     pub config: Config,

@@ -1,4 +1,4 @@
-//! Memory that work takes, estimated before anything is built.
+//! Memory estimates before networks are built.
 
 use burn::module::Module;
 use kinegrad_models::parameters;
@@ -8,7 +8,7 @@ use sysinfo::{MemoryRefreshKind, ProcessRefreshKind, ProcessesToUpdate, RefreshK
 use crate::config::Config;
 use crate::error::Error;
 
-/// Bytes of a number.
+/// Bytes per number.
 const NUMBER: u64 = 4;
 
 /// The training memory of a run's networks.
@@ -16,14 +16,14 @@ const NUMBER: u64 = 4;
 pub struct Footprint {
     /// Numbers of all parameters, adapters included.
     pub parameters: u64,
-    /// Numbers that the backward pass keeps of one item of a batch for one pass through the
-    /// networks, roughly.
+    /// Estimated numbers that the backward pass stores per item of a batch and pass through the
+    /// networks.
     pub activations: u64,
-    /// Passes that the backward pass keeps at a time.
+    /// Passes that the backward pass stores at a time.
     pub passes: u64,
     /// Numbers of one item: motion and conditions.
     pub item: u64,
-    /// Numbers that all items of a batch share, beside the parameters.
+    /// Numbers that the items of a batch share, without parameters.
     pub shared: u64,
 }
 
@@ -34,12 +34,12 @@ const COPIES_OF_ITEM: u64 = 16;
 /// The same without losses and gradients, measured on the UNet of phrases.
 const COPIES_WITHOUT_LOSS: u64 = 4;
 
-/// The fraction of stored activations that is in use at a time without a backward pass, as its
-/// inverse; measured on a UNet of one level. Deep ones need half of that.
+/// The inverse fraction of stored activations in use at a time without a backward pass; measured on a
+/// UNet of one level. Deep ones need half of that.
 const PARTS_OF_ACTIVATIONS: u64 = 4;
 
 impl Footprint {
-    /// The footprint of one pass through `network`, which shares nothing between items.
+    /// The footprint of one pass through `network`, without shared numbers.
     pub fn of<M: Module>(network: &M, activations: u64, item: usize) -> Self {
         Self {
             parameters: parameters::count(network) as u64,
@@ -50,17 +50,16 @@ impl Footprint {
         }
     }
 
-    /// Bytes of main memory that training takes, roughly; `on_host` where the CPU trains, so that
-    /// gradients and activations are there too.
+    /// Estimated main memory for training, bytes; with `on_host`, gradients and activations are there
+    /// too.
     pub fn of_training(self, config: &Config, on_host: bool) -> u64 {
-        // Weights, their average, two moments, and what is copied of them for a checkpoint; where
-        // the CPU trains, gradients too.
+        // Weights, their average, two moments, the copy for a checkpoint and, on the host, gradients.
         let copies = if on_host { 6 } else { 5 };
         let parameters = self.parameters.saturating_mul(copies * NUMBER);
-        let of_items = |items: usize, kept: u64| kept.saturating_mul(items as u64);
+        let of_items = |items: usize, each: u64| each.saturating_mul(items as u64);
         let items = match on_host {
-            true => of_items(config.data.batch_size, self.kept(true))
-                .max(of_items(config.validation.batch_size, self.kept(false))),
+            true => of_items(config.data.batch_size, self.of_item(true))
+                .max(of_items(config.validation.batch_size, self.of_item(false))),
             false => 0,
         };
         parameters
@@ -69,8 +68,7 @@ impl Footprint {
             .saturating_add(config.data.memory())
     }
 
-    /// Bytes of main memory that a rank takes beside those of [training](Self::of_training) for what it exchanges:
-    /// the gradients that it sends, and those that it receives.
+    /// Additional bytes of main memory for the gradients that a rank sends and receives.
     pub fn of_exchange(self) -> u64 {
         self.parameters.saturating_mul(2 * NUMBER)
     }
@@ -101,9 +99,8 @@ impl Footprint {
         self.shared.saturating_mul(NUMBER)
     }
 
-    /// Bytes of one item, with the activations of a backward pass or of as many layers as are in
-    /// use at a time.
-    fn kept(self, with_gradients: bool) -> u64 {
+    /// Bytes of one item, with the activations of a backward pass or of the layers in use at a time.
+    fn of_item(self, with_gradients: bool) -> u64 {
         let inside = match with_gradients {
             true => self.of_gradients(),
             false => self.activations.saturating_mul(NUMBER) / 2,
@@ -112,9 +109,9 @@ impl Footprint {
         inside.saturating_add(around)
     }
 
-    /// Bytes that the backward pass keeps of one item.
+    /// Bytes that the backward pass stores per item.
     fn of_gradients(self) -> u64 {
-        // Half as much again for temporary memory.
+        // Half of it again for temporary memory.
         self.activations.saturating_mul(3 * self.passes * NUMBER) / 2
     }
 }
@@ -125,7 +122,7 @@ pub fn available() -> Option<u64> {
     let memory = RefreshKind::nothing().with_memory(MemoryRefreshKind::nothing().with_ram());
     let mut machine = System::new_with_specifics(memory);
     let free = Some(machine.available_memory()).filter(|free| *free > 0);
-    // Of the group's own use a part is cached files, which make room.
+    // Part of the group's usage is cached files, which can be freed.
     let group = machine.cgroup_limits().map(|limits| limits.total_memory);
     let addresses = getrlimit(Resource::As).current.map(|limit| {
         let process = sysinfo::get_current_pid().ok().and_then(|own| {
@@ -138,8 +135,7 @@ pub fn available() -> Option<u64> {
     free.into_iter().chain(group).chain(addresses).min()
 }
 
-/// Bytes of main memory that this process has taken at its most, code and stacks included, and that
-/// it takes now; nothing where the system does not tell.
+/// Main memory of this process, code and stacks included; `None` if unknown.
 pub fn taken() -> Option<Taken> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let kibibytes = |key: &str| {
@@ -161,7 +157,7 @@ pub struct Taken {
     pub now: u64,
 }
 
-/// Work that is estimated to take no more than this is tried: an estimate is not that exact.
+/// Work estimated to take at most this is tried anyway, because estimates are inexact.
 const SMALL: u64 = 256 << 20;
 
 /// Rejects `work` that needs more memory than is free.
@@ -182,7 +178,7 @@ pub fn must_fit(work: &str, needed: u64, hint: &str) -> Result<(), Error> {
     }
 }
 
-/// A number of bytes for people: `120 MiB`, `3.5 GiB`.
+/// Formats a number of bytes: `120 MiB`, `3.5 GiB`.
 pub fn size(bytes: u64) -> String {
     let mebibytes = bytes as f64 / f64::from(1 << 20);
     match mebibytes < 1000.0 {

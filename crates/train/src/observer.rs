@@ -20,8 +20,8 @@ pub trait Observer {
     fn validated(&mut self, step: u64, val_loss: f64, best: bool);
     /// A checkpoint was written.
     fn saved(&mut self, path: &Path);
-    /// Draws previews of the checkpoint at `checkpoint`, that of `step`, and returns pictures of them
-    /// for TensorBoard. By default there are none.
+    /// Samples previews from the checkpoint of `step` at `checkpoint` and returns pictures for
+    /// TensorBoard; by default none.
     ///
     /// # Errors
     /// If sampling fails; training warns and continues.
@@ -32,9 +32,9 @@ pub trait Observer {
     fn note(&mut self, text: &str);
     /// A warning that does not stop the run.
     fn warning(&mut self, text: &str);
-    /// Returns a callback for the progress of opening the dataset and of measuring its statistics,
-    /// called from several threads, and now and then from this one, with the number of items read
-    /// and in total. `Break` ends the run with [`Error::Interrupted`].
+    /// Returns a callback for the progress of opening the dataset and measuring its statistics, called
+    /// from several threads with the number of items read and in total. `Break` ends the run with
+    /// [`Error::Interrupted`].
     fn reading(&self) -> Box<Reading> {
         Box::new(|_, _| ControlFlow::Continue(()))
     }
@@ -85,10 +85,10 @@ pub struct RunSummary {
     pub train_phrases: usize,
     /// Number of held-out items.
     pub validation_phrases: usize,
-    /// Unusable items that were skipped, with the reason.
+    /// Skipped unusable items, with the reason.
     pub skipped: Vec<(String, String)>,
     /// Steps already done.
     pub step: u64,
-    /// Steps in all.
+    /// Steps in total.
     pub max_steps: u64,
 }

@@ -1,10 +1,10 @@
-//! The counted parameters of a model.
+//! Parameter counts.
 
 use burn::module::Module;
 use kinegrad_models::parameters::{self, ParameterInfo};
 use serde::Serialize;
 
-/// Parameters of the networks of a run, as it trains them.
+/// Parameter counts of a run's networks.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct ParameterCount {
     /// All of them: trained, frozen and adapters.
@@ -13,12 +13,12 @@ pub struct ParameterCount {
     pub trained: usize,
     /// The parameters of low-rank adapters.
     pub adapters: usize,
-    /// All of them by network, where there are several.
+    /// All of them by network; empty for a single network.
     pub networks: Vec<(String, usize)>,
 }
 
 impl ParameterCount {
-    /// A single network, all of which is trained.
+    /// The counts of a single network that is trained completely.
     pub fn trained<M: Module>(network: &M) -> Self {
         let all = parameters::count(network);
         Self {
@@ -28,8 +28,7 @@ impl ParameterCount {
         }
     }
 
-    /// The count of parameters by their names, each with whether it is trained. Parameters of
-    /// `networks` begin with their name and a dot.
+    /// The counts of `infos`; the name of a parameter of `networks` starts with the network's and a dot.
     pub fn of(
         infos: &[ParameterInfo],
         networks: &[&str],

@@ -22,25 +22,25 @@ pub fn read_tensors(path: &Path) -> Result<BTreeMap<String, Tensor>, Error> {
         path: path.to_path_buf(),
         reason,
     };
-    let held = regular(path).map_err(|error| foreign(error.to_string()))?;
-    // A pickle may claim that any part of the file is one value, which is then read.
-    if held > MAX_TENSOR_BYTES {
-        let reason = format!("{held} bytes found, at most {MAX_TENSOR_BYTES} are read");
+    let length = regular(path).map_err(|error| foreign(error.to_string()))?;
+    // A pickle may declare any part of the file as one value, which is then read.
+    if length > MAX_TENSOR_BYTES {
+        let reason = format!("{length} bytes found, at most {MAX_TENSOR_BYTES} are read");
         return Err(foreign(reason));
     }
     let read = PytorchReader::new(path).map_err(|error| foreign(error.to_string()))?;
     let tensors: BTreeMap<String, Tensor> = read.into_tensors().into_iter().collect();
     let bytes = |tensor: &Tensor| tensor.byte_len() as u64;
     let stated = tensors.values().map(bytes).try_fold(0, u64::checked_add);
-    match stated.is_some_and(|stated| stated <= SHARED.saturating_mul(held)) {
+    match stated.is_some_and(|stated| stated <= SHARED.saturating_mul(length)) {
         true => Ok(tensors),
         false => Err(foreign(format!(
-            "its tensors are larger together than its {held} bytes can hold"
+            "its tensors need more than its {length} bytes"
         ))),
     }
 }
 
-/// Limit on how often shared storage counts.
+/// Limit on the total size of tensors with shared storage, in file sizes.
 const SHARED: u64 = 4;
 
 /// The tensors below `part`, by the rest of their names.
@@ -71,8 +71,8 @@ pub fn load<M: Module>(
     load_values(path, module, &found, values)
 }
 
-/// Replaces every parameter of `module` by the one of its name that was `found` in the file at
-/// `path`, whose numbers `values` reads.
+/// Replaces every parameter of `module` by the one `found` in the file at `path`, whose numbers `values`
+/// reads.
 ///
 /// # Errors
 /// As [`load`].
@@ -86,7 +86,7 @@ pub fn load_values<M: Module>(
     let mut differences = parameters::differences(&infos, found);
     let mut weights = Vec::with_capacity(infos.len());
     for ParameterInfo { name, shape } in infos {
-        // Those of other shapes are among the differences, and may have any size.
+        // Other shapes are among the differences, and may have any size.
         let fits = found
             .iter()
             .any(|info| info.name == name && info.shape == shape);
@@ -94,7 +94,9 @@ pub fn load_values<M: Module>(
             Some(Ok(values)) if values.iter().all(|value| value.is_finite()) => {
                 weights.push(values);
             }
-            Some(Ok(_)) => differences.push(format!("`{name}` holds numbers that are not finite")),
+            Some(Ok(_)) => {
+                differences.push(format!("`{name}` contains numbers that are not finite"))
+            }
             Some(Err(reason)) => differences.push(format!("`{name}`: {reason}")),
             None => {}
         }
@@ -114,7 +116,7 @@ pub fn values_of(tensor: &Tensor) -> Result<Vec<f32>, String> {
     singles(&bytes, tensor.dtype())
 }
 
-/// Numbers of a type in single precision.
+/// Numbers of type `dtype` in single precision.
 pub fn singles(bytes: &[u8], dtype: DType) -> Result<Vec<f32>, String> {
     fn numbers<T: bytemuck::Pod>(bytes: &[u8], single: impl Fn(T) -> f32) -> Vec<f32> {
         let numbers: Vec<T> = bytemuck::pod_collect_to_vec(bytes);
@@ -149,11 +151,11 @@ pub fn array(
     }
 }
 
-/// Mean and deviation of features from two `.npy` files, in metres where they are of published
-/// features in millimetres.
+/// Mean and deviation of features from two `.npy` files; published features in millimetres are
+/// converted to metres.
 ///
 /// # Errors
-/// [`Error::Array`] for files of other shapes than each other's.
+/// [`Error::Array`] for files of different shapes.
 pub fn mean_and_deviation(mean_path: &Path, std_path: &Path) -> Result<[Vec<f64>; 2], Error> {
     let (mut mean, mut std) = (vector(mean_path)?, vector(std_path)?);
     if mean.len() != std.len() {

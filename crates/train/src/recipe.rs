@@ -1,7 +1,6 @@
 //! The interface between a training recipe and the trainer.
 //!
-//! A recipe computes the loss of a batch, independently of files, step counts and device names;
-//! the [`crate::Trainer`] does the rest.
+//! A recipe computes the loss of a batch; the [`crate::Trainer`] does the rest.
 
 use burn::module::Module;
 use burn::tensor::{Device, Tensor};
@@ -16,7 +15,7 @@ use crate::error::Error;
 pub struct RecipeInfo {
     /// Its name, the value of `train.recipe`, unique across systems.
     pub name: &'static str,
-    /// The parameter groups it trains, each with its own learning rate (`optim.groups`).
+    /// Its parameter groups, each with its own learning rate (`optim.groups`).
     pub groups: &'static [&'static str],
 }
 
@@ -46,7 +45,7 @@ impl StepKey {
 pub struct Loss<P = ()> {
     /// The minimised loss.
     pub total: Tensor<1>,
-    /// The weighted terms it is the sum of, by name.
+    /// The weighted terms of the sum, by name.
     pub terms: Vec<(&'static str, Tensor<1>)>,
     /// Intermediate tensors in the order of computation, to locate a NaN.
     pub probes: Vec<(&'static str, Tensor<3>)>,
@@ -57,14 +56,14 @@ pub struct Loss<P = ()> {
 /// A loss measured on held-out phrases.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Measured {
-    /// The whole.
+    /// The total loss.
     pub total: f64,
-    /// The weighted terms it is the sum of, where there are several.
+    /// The weighted terms of the sum, if several.
     pub terms: Vec<(&'static str, f64)>,
 }
 
 impl Measured {
-    /// Adds to the term `name`, and to the whole.
+    /// Adds to the term `name` and to the total.
     pub fn add(&mut self, name: &'static str, value: f64) {
         self.total += value;
         match self.terms.iter_mut().find(|(known, _)| *known == name) {
@@ -88,7 +87,7 @@ pub trait Recipe {
     /// The networks that are trained.
     type Model: Module;
 
-    /// The state with which the backward pass continues after that of the loss; usually none.
+    /// The state with which the backward pass continues after that of the loss; usually `()`.
     type Pending;
 
     /// The optimiser group of a parameter, an index into [`RecipeInfo::groups`].
@@ -101,9 +100,8 @@ pub trait Recipe {
         false
     }
 
-    /// The weight of `batch` in the average of gradients of one step: the number of terms of its
-    /// mean loss, so that one batch and its parts give the same result. By default the number of
-    /// valid frames.
+    /// The weight of `batch` in the gradient average of a step: the number of terms of its mean loss, by
+    /// default its valid frames.
     fn weight(&self, batch: &Batch) -> f64 {
         batch.mask.iter().map(|&valid| f64::from(valid)).sum()
     }
@@ -117,7 +115,7 @@ pub trait Recipe {
         device: &Device,
     ) -> Loss<Self::Pending>;
 
-    /// The gradients of a loss; none of frozen parameters.
+    /// The gradients of a loss, without frozen parameters.
     fn backward(&self, model: &Self::Model, loss: Loss<Self::Pending>) -> GradientSum {
         let mut sum = GradientSum::default();
         sum.add(model, &mut loss.total.backward());

@@ -1,4 +1,4 @@
-//! Starting and resuming a run: validation before anything is written.
+//! Starting and resuming runs: validation before files are written.
 
 mod context;
 mod folder;

@@ -14,31 +14,31 @@ use crate::memory::must_fit;
 /// Tempi that can be stated, in beats per minute.
 const TEMPI: std::ops::RangeInclusive<f64> = 10.0..=600.0;
 
-/// Beats in a bar where only a downbeat is stated.
+/// Beats in a bar if only a downbeat is stated.
 const BEATS_PER_BAR: u32 = 4;
 
-/// Given data of a song's beats, before tracking.
+/// Known facts about a song's beats, which are not tracked.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct KnownBeats {
-    /// About how many there are a minute: not half or double as many.
+    /// Approximate tempo, beats per minute, to resolve octave errors.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tempo: Option<f64>,
     /// Beats in a bar.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub beats_per_bar: Option<u32>,
-    /// Seconds into the song of a downbeat; without one, bars are not known.
+    /// Time of a downbeat, seconds; without it bars are unknown.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub downbeat: Option<f64>,
 }
 
 impl KnownBeats {
-    /// Whether nothing is known.
+    /// True if no fact is known.
     pub fn is_empty(&self) -> bool {
         self.given().is_empty()
     }
 
-    /// Names of the facts that are given.
+    /// Names of the known facts.
     pub fn given(&self) -> Vec<&'static str> {
         let options = [
             ("tempo", self.tempo.is_some()),
@@ -49,7 +49,7 @@ impl KnownBeats {
         given.map(|(name, _)| name).collect()
     }
 
-    /// Rejects what is no tempo, bar or moment.
+    /// Rejects an invalid tempo, bar or downbeat.
     ///
     /// # Errors
     /// [`Error::Usage`] for the first.
@@ -82,8 +82,7 @@ impl KnownBeats {
         Ok(())
     }
 
-    /// The beats of a song with these features, in bars where a downbeat is known. None where no
-    /// beats are tracked.
+    /// The beats of a song with these features, in bars if a downbeat is known; `None` without beats.
     pub fn pulse(&self, features: &Features) -> Option<Pulse> {
         let pulse = Pulse::tracked(features.beats())?;
         Some(match self.downbeat {
@@ -95,11 +94,10 @@ impl KnownBeats {
     }
 }
 
-/// Decodes the song at `path` and computes the features of all of it, with beats of the tempo that
-/// is `known`.
+/// Decodes the song at `path` and computes its features, with beats near the `known` tempo.
 ///
 /// # Errors
-/// If it cannot be decoded, has unusable samples, or is too long for the memory that is free.
+/// If it cannot be decoded, has unusable samples, or is too long for the free memory.
 pub fn song_features(path: &Path, known: &KnownBeats) -> Result<(Waveform, Features), Error> {
     known.validate()?;
     let waveform = decode(path)?;

@@ -32,11 +32,10 @@ pub struct Start {
 }
 
 impl Start {
-    /// The best checkpoint of the run, or the checkpoint, that `key` names; none where the path is
-    /// empty.
+    /// The checkpoint, or the best checkpoint of the run, in `path`; `None` if the path is empty.
     ///
     /// # Errors
-    /// If it is not there, is damaged, or of a run of another system.
+    /// If it is missing, damaged, or of another system.
     pub fn named(
         key: &'static str,
         path: &Path,
@@ -64,7 +63,7 @@ impl Start {
     /// The network that `load` reads from the checkpoint.
     ///
     /// # Errors
-    /// Names the key and why the checkpoint does not fit.
+    /// Names the key and the mismatch.
     pub fn load<T>(
         &self,
         load: impl FnOnce(&SavedCheckpoint) -> Result<T, Error>,
@@ -72,12 +71,12 @@ impl Start {
         load(&self.saved).map_err(|error| self.refused(&error))
     }
 
-    /// The tables `names` of its config, every key written out.
+    /// The tables `names` of its config, with every key.
     pub fn tables(&self, names: &[&str]) -> Table {
         tables_of(&self.saved.state.config, names)
     }
 
-    /// The error of a checkpoint that cannot be started from.
+    /// The error of an unusable checkpoint.
     pub fn refused(&self, reason: &dyn Display) -> Error {
         refused(self.key, &self.saved.path, reason)
     }
@@ -92,14 +91,14 @@ fn refused(key: &str, path: &Path, reason: &dyn Display) -> Error {
     )
 }
 
-/// The tables `names` of a config, every key written out.
+/// The tables `names` of a config, with every key.
 pub fn tables_of(config: &Config, names: &[&str]) -> Table {
     let tables = config.system.to_table().into_iter();
     let tables = tables.filter(|(name, _)| names.contains(&name.as_str()));
     tables.collect()
 }
 
-/// Rejects a config whose networks or process, the tables `names`, are not those of its start.
+/// Rejects a config whose tables `names` (networks or process) differ from those of its start.
 ///
 /// # Errors
 /// Names the first key that differs.

@@ -1,4 +1,4 @@
-//! A trained model, as samplers and evaluations get it.
+//! Trained models for sampling and evaluation.
 
 use burn::module::Module;
 use burn::tensor::Device;
@@ -8,11 +8,10 @@ use crate::config::Config;
 use crate::error::Error;
 use std::path::Path;
 
-/// A checkpoint that is sampled or evaluated, and the device to do it on.
+/// A checkpoint to sample or evaluate, and its device.
 #[derive(Clone, Debug)]
 pub struct TrainedModel {
-    /// The checkpoint. Its config has the tables of its system read, and the overrides of sampling
-    /// and evaluation settings applied.
+    /// The checkpoint, whose config has its system's tables and the overrides applied.
     pub saved: SavedCheckpoint,
     /// The trained weights, or their moving average.
     pub weights: Weights,
@@ -41,7 +40,7 @@ impl TrainedModel {
         self.saved.load(network, self.weights)
     }
 
-    /// The model of another checkpoint of the same weights and device.
+    /// The model of another checkpoint with the same kind of weights and device.
     #[must_use]
     pub fn beside(&self, saved: SavedCheckpoint) -> Self {
         Self {

@@ -50,7 +50,7 @@ pub enum Ending {
 /// Trains the networks of one recipe.
 pub struct Trainer<R: Recipe> {
     parts: TrainerParts<R>,
-    /// `None` only while an update holds it.
+    /// `None` only during an update.
     model: Option<R::Model>,
     infos: Vec<ParameterInfo>,
     /// Optimiser group of each parameter.
@@ -68,13 +68,13 @@ pub struct Trainer<R: Recipe> {
 
 /// The inputs of a [`Trainer`], in addition to the networks.
 pub struct TrainerParts<R: Recipe> {
-    /// The kind of training.
+    /// The recipe.
     pub recipe: R,
     /// Names of its optimiser groups.
     pub groups: &'static [&'static str],
     /// The resolved config.
     pub config: Config,
-    /// Statistics of what is trained on.
+    /// Statistics of the training data.
     pub statistics: Statistics,
     /// The statistics of the networks' channels, if different.
     pub network_statistics: Option<Statistics>,
@@ -82,19 +82,19 @@ pub struct TrainerParts<R: Recipe> {
     pub device: Device,
     /// True if it computes in main memory.
     pub on_host: bool,
-    /// Batches from the next step's on.
+    /// The batches from the next step on.
     pub loader: Loader,
     /// The contents of the dataset.
     pub dataset: Digest,
     /// The run's folder.
     pub folder: PathBuf,
-    /// The processes that train it; the first of them writes.
+    /// The processes that train the run; the first writes.
     pub group: Rc<ProcessGroup>,
 }
 
 impl<R: Recipe> Trainer<R> {
-    /// A trainer of `model`, networks on the autodiff device with the weights to start from, at
-    /// step 0, or at the step of `checkpoint`, whose weights it has.
+    /// A trainer of `model`, on the autodiff device, at step 0 or at the step of `checkpoint`, whose
+    /// weights it has.
     ///
     /// # Errors
     /// If the run's files cannot be opened.
@@ -123,11 +123,9 @@ impl<R: Recipe> Trainer<R> {
         checkpoint: Option<Checkpoint>,
     ) -> Self {
         let infos = parameters::infos(&model);
-        let goes_on = checkpoint.is_some();
-        let (step, progress) = match &checkpoint {
-            Some(checkpoint) => (checkpoint.state.step, checkpoint.state.progress.clone()),
-            None => (0, Progress::default()),
-        };
+        let state = checkpoint.as_ref().map(|checkpoint| &checkpoint.state);
+        let progress = state.map_or_else(Progress::default, |state| state.progress.clone());
+        let checkpoint_step = state.map(|state| state.step);
         let groups = infos.iter().map(|info| parts.recipe.group_of(&info.name));
         let groups: Vec<usize> = groups.collect();
         let inputs = states::Inputs {
@@ -141,7 +139,7 @@ impl<R: Recipe> Trainer<R> {
         let states = States::new(&model, checkpoint, &inputs);
         let exchange = states.exchange(&model, parts.group.ranks());
         let checkpoints = Checkpoints::of(&parts.folder);
-        let last_saved = goes_on.then(|| checkpoints.step_path(step));
+        let last_saved = checkpoint_step.map(|step| checkpoints.step_path(step));
         Self {
             model: Some(model),
             groups,
@@ -150,7 +148,7 @@ impl<R: Recipe> Trainer<R> {
             record: None,
             infos,
             parts,
-            step,
+            step: checkpoint_step.unwrap_or(0),
             progress,
             checkpoints,
             last_saved,
@@ -173,7 +171,7 @@ impl<R: Recipe> Trainer<R> {
     /// Validates once and returns the duration.
     ///
     /// # Errors
-    /// If a number stops being one.
+    /// If a number is not finite.
     pub(crate) fn time_validation(&mut self) -> Result<Duration, Error> {
         let began = Instant::now();
         self.measure()?;
@@ -195,15 +193,15 @@ impl<R: Recipe> Trainer<R> {
         &self.progress
     }
 
-    /// Trains to the end, or until it is stopped. A checkpoint of the last step exists after it.
+    /// Trains to the end or until stopped, with a checkpoint of the last step.
     ///
     /// # Errors
-    /// If a number stops being one, a phrase can no longer be read, or a file cannot be written.
+    /// If a number is not finite, an item cannot be read, or a file cannot be written.
     pub fn run(&mut self, observer: &mut dyn Observer) -> Result<Ending, Error> {
         let max_steps = self.parts.config.train.max_steps;
         let validates = self.parts.config.validation.every_steps > 0;
         if self.step == 0 && validates && self.parts.recipe.measures_first() {
-            // Training may only make them worse. A run that was stopped here measures them again.
+            // Training may worsen the initial weights. A run stopped here measures them again.
             self.progress = Progress::default();
             if self.validate(observer)? {
                 self.save_unless_saved(observer)?;
@@ -256,7 +254,7 @@ impl<R: Recipe> Trainer<R> {
         Ok(ending)
     }
 
-    /// Writes what a step has measured, where it is due.
+    /// Writes the measurements of a step if due.
     fn write(&mut self, record: &Record) -> Result<(), Error> {
         let train = &self.parts.config.train;
         let due = self.step.is_multiple_of(train.log_every_steps) || self.step == train.max_steps;
@@ -320,7 +318,7 @@ impl<R: Recipe> Trainer<R> {
             .collect();
         let rate = rates[0];
         let of_parameters = self.groups.iter().map(|&group| rates[group]);
-        let model = self.model.take().expect("held between updates");
+        let model = self.model.take().expect("present between updates");
         self.model = Some(self.states.update(
             model,
             &mut gradients,
@@ -357,7 +355,11 @@ impl<R: Recipe> Trainer<R> {
     /// selects the best step, if different.
     fn measure(&mut self) -> Result<(f64, Option<f64>), Error> {
         let device = self.parts.device.clone().inner();
-        let model = self.model.as_ref().expect("held between updates").valid();
+        let model = self
+            .model
+            .as_ref()
+            .expect("present between updates")
+            .valid();
         let averages = self
             .states
             .averages(self.parts.group.ranks(), Receivers::All);
@@ -385,7 +387,7 @@ impl<R: Recipe> Trainer<R> {
         Ok((total, score.map(|score| score.value)))
     }
 
-    /// Measures and keeps count of the best; true if the weights are the best so far.
+    /// Validates and updates the best step; true if the weights are the best so far.
     fn validate(&mut self, observer: &mut dyn Observer) -> Result<bool, Error> {
         let measured = self.measure();
         let own = measured
@@ -394,9 +396,9 @@ impl<R: Recipe> Trainer<R> {
                 [*val_loss, score.unwrap_or(f64::NAN)]
             });
         let agreed = self.parts.group.agree(measured.map(Some), &own)?;
-        let ((_, score), said) = agreed.expect("nobody stops here");
+        let ((_, score), all) = agreed.expect("no rank stops here");
         // The first rank's measurement applies to all ranks, so that they decide alike.
-        let (val_loss, score) = (said[0][0], score.map(|_| said[0][1]));
+        let (val_loss, score) = (all[0][0], score.map(|_| all[0][1]));
         let best = match score {
             Some(score) => {
                 let before = self.progress.best_score.unwrap_or(f64::INFINITY);
@@ -420,10 +422,10 @@ impl<R: Recipe> Trainer<R> {
     }
 
     fn save(&mut self, observer: &mut dyn Observer) -> Result<(), Error> {
-        let weights = parameters::values(self.model.as_ref().expect("held between updates"));
+        let weights = parameters::values(self.model.as_ref().expect("present between updates"));
         let group = self.parts.group.clone();
         group.must_have_equal(self.step, &weights)?;
-        // The lines up to this step must not be lost once the checkpoint counts.
+        // The metrics up to this step must survive a crash once the checkpoint exists.
         let synced = match &mut self.record {
             Some((metrics, _)) => metrics.sync(),
             None => Ok(()),
@@ -447,7 +449,7 @@ impl<R: Recipe> Trainer<R> {
         Ok(())
     }
 
-    /// The error of `step`, in which `tensor` came to hold an infinity or NaN.
+    /// The error of `step`, in which `tensor` has an infinity or NaN.
     fn not_finite(&self, step: u64, tensor: String) -> Error {
         let last_good = match &self.last_saved {
             Some(path) => path.display().to_string(),

@@ -53,7 +53,7 @@ pub fn run(systems: Systems<'_>, arguments: TrainArguments) -> Result<ExitCode, 
         let stops = progress.end_training();
         let interrupted = outcome.ending == Some(Ending::Interrupted);
         if interrupted {
-            group.part();
+            group.barrier();
         }
         return Ok(ExitCode::from(if interrupted || stops { 130 } else { 0 }));
     }
@@ -72,7 +72,7 @@ pub fn run(systems: Systems<'_>, arguments: TrainArguments) -> Result<ExitCode, 
     };
     if outcome.ending == Some(Ending::Interrupted) {
         summary(0);
-        group.part();
+        group.barrier();
         return Ok(ExitCode::from(130));
     }
     if lacks_samples(&outcome) {

@@ -11,7 +11,7 @@ use super::{Best, Checkpoint, CheckpointRef, State};
 use crate::optim::Moments;
 use crate::{Error, run};
 
-/// Names of what is being written or removed begin with this.
+/// Prefix of unfinished and removed items.
 const UNFINISHED: &str = ".writing-";
 
 /// The folder `checkpoints` of a run.
@@ -38,8 +38,7 @@ impl Checkpoints {
         self.path.join(format!("step-{step:08}"))
     }
 
-    /// Steps that have a checkpoint, oldest first, whether it is good or not; none where there is
-    /// no folder.
+    /// Steps that have a checkpoint, valid or damaged, oldest first.
     ///
     /// # Errors
     /// If the folder cannot be listed.
@@ -50,7 +49,7 @@ impl Checkpoints {
         Ok(steps)
     }
 
-    /// The kind of the folder's contents.
+    /// Names of the folder's contents.
     fn names(&self) -> Result<Vec<String>, Error> {
         let entries = match fs::read_dir(&self.path) {
             Err(error) if error.kind() == ErrorKind::NotFound => return Ok(Vec::new()),
@@ -63,11 +62,10 @@ impl Checkpoints {
         entries.map(name).collect()
     }
 
-    /// The latest valid checkpoint, if there are any checkpoints; `skipped` is called
-    /// of each damaged one.
+    /// The latest valid checkpoint, if there are any; `skipped` is called for each damaged one.
     ///
     /// # Errors
-    /// If there are checkpoints and none is good, or one cannot be read, which may be a good one.
+    /// If all checkpoints are damaged, or one cannot be read.
     pub fn newest_good(
         &self,
         mut skipped: impl FnMut(&Error),
@@ -98,10 +96,10 @@ impl Checkpoints {
         serde_json::from_slice(&read_file(&self.path.join("best.json"), MAX_TEXT_BYTES).ok()?).ok()
     }
 
-    /// Writes a checkpoint; when this returns it survives a crash.
+    /// Writes a checkpoint, which survives a crash after this returns.
     ///
     /// # Errors
-    /// If it cannot be written; nothing is left of it then.
+    /// If it cannot be written; the partial checkpoint is removed.
     pub fn save(&self, checkpoint: CheckpointRef<'_>) -> Result<PathBuf, Error> {
         let CheckpointRef {
             state,
@@ -117,7 +115,7 @@ impl Checkpoints {
         unfinished.finish(state)
     }
 
-    /// Begins a checkpoint, of which one part after the other is in memory.
+    /// Starts a checkpoint that is written part by part.
     ///
     /// # Errors
     /// If its folder cannot be made.
@@ -149,8 +147,8 @@ impl Checkpoints {
         flush_folder(&self.path)
     }
 
-    /// Removes what a crash left half-written, and all checkpoints but the newest `keep_last`, the
-    /// best one and those beyond `current`, which a resumed run has not reached again.
+    /// Removes unfinished files, and all checkpoints but the newest `keep_last`, the best one and
+    /// those beyond `current`, which a resumed run has not reached again.
     ///
     /// # Errors
     /// If something cannot be removed.
@@ -177,7 +175,7 @@ impl Checkpoints {
     }
 }
 
-/// Rejects a folder that holds something.
+/// Rejects a folder that is not empty.
 pub fn must_be_free(out: &Path) -> Result<(), Error> {
     let taken = out
         .read_dir()
@@ -212,13 +210,13 @@ pub fn write_weights(
     match checkpoint.not_finite() {
         None => Checkpoints::of(out).save(checkpoint),
         Some(tensor) => Err(Error::usage(
-            format!("{tensor} holds a number that is not finite: nothing is written"),
-            "no motion can be drawn with such weights; take those of an earlier step",
+            format!("{tensor} contains a number that is not finite: nothing is written"),
+            "such weights cannot be sampled; take those of an earlier step",
         )),
     }
 }
 
-/// A checkpoint that is being written; nothing is left of it unless it is [finished](Self::finish).
+/// A checkpoint being written; removed unless it is [finished](Self::finish).
 pub(crate) struct Unfinished {
     temporary: PathBuf,
     target: PathBuf,
@@ -226,7 +224,7 @@ pub(crate) struct Unfinished {
 }
 
 impl Unfinished {
-    /// Writes the weights that are trained, or their average, in the order of `infos`.
+    /// Writes the trained weights or their average, in the order of `infos`.
     ///
     /// # Errors
     /// If they cannot be written.
@@ -275,7 +273,7 @@ impl Unfinished {
         Ok(())
     }
 
-    /// Ends it with its state, of which the checksums are filled in; when this returns it survives a crash.
+    /// Writes the state with checksums and moves the checkpoint into place.
     ///
     /// # Errors
     /// If it cannot be written.
@@ -289,7 +287,7 @@ impl Unfinished {
         flush_folder(&self.temporary)?;
         // An unreadable checkpoint must not replace a readable one.
         State::read(&self.temporary)?;
-        // One of the same step can only be damaged, or from before a fall back to an older.
+        // One of the same step is damaged, or from before a fall back to an older one.
         remove(&self.target)?;
         fs::rename(&self.temporary, &self.target).map_err(Error::io("rename", &self.temporary))?;
         flush_folder(self.target.parent().unwrap_or(&self.target))?;
@@ -304,8 +302,8 @@ impl Drop for Unfinished {
     }
 }
 
-/// Removes a file or folder; one that is not there is fine. A checkpoint is renamed first, so that
-/// a crash midway leaves none with files missing.
+/// Removes a file or folder if it exists. A checkpoint is renamed first, so that a crash never leaves
+/// one with files missing.
 fn remove(path: &Path) -> Result<(), Error> {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     if !path.is_dir() || name.starts_with(UNFINISHED) {

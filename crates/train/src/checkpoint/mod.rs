@@ -41,7 +41,7 @@ pub struct Checkpoint {
 }
 
 impl Checkpoint {
-    /// Reads and verifies all of the checkpoint in `path`.
+    /// Reads and verifies the complete checkpoint in `path`.
     ///
     /// # Errors
     /// If a file is missing or damaged.
@@ -68,7 +68,7 @@ impl Checkpoint {
 
 /// True if all values are finite.
 pub(crate) fn are_finite(values: &[f32]) -> bool {
-    // Without branches, which is quick.
+    // Without branches, which is faster.
     let values = values.iter();
     values.fold(true, |all, value| all & value.is_finite())
 }
@@ -84,13 +84,12 @@ pub struct CheckpointRef<'a> {
     pub model: &'a [Vec<f32>],
     /// Their moving average.
     pub ema: &'a [Vec<f32>],
-    /// The optimiser's running means; none of weights without an optimiser.
+    /// The optimiser's running means; empty without an optimiser.
     pub moments: &'a [Moments],
 }
 
 impl CheckpointRef<'_> {
-    /// In words, the first tensor that holds an infinity or NaN: with one a checkpoint would be
-    /// read as damaged.
+    /// A description of the first tensor with an infinity or NaN, which would be read as damage.
     pub(crate) fn not_finite(&self) -> Option<String> {
         broken_weights(Weights::Model, self.infos, self.model)
             .or_else(|| broken_weights(Weights::Ema, self.infos, self.ema))
@@ -98,7 +97,7 @@ impl CheckpointRef<'_> {
     }
 }
 
-/// In words, the first of some weights that holds an infinity or NaN.
+/// A description of the first weight with an infinity or NaN.
 pub(crate) fn broken_weights(
     weights: Weights,
     infos: &[ParameterInfo],
@@ -112,7 +111,7 @@ pub(crate) fn broken_weights(
     Some(format!("{what} `{}`", infos[index].name))
 }
 
-/// In words, the first of some running means that holds an infinity or NaN.
+/// A description of the first running mean with an infinity or NaN.
 pub(crate) fn broken_moments(infos: &[ParameterInfo], moments: &[Moments]) -> Option<String> {
     let means = |m: &Moments| are_finite(&m.exp_avg) && are_finite(&m.exp_avg_sq);
     let index = moments.iter().position(|moments| !means(moments))?;

@@ -24,7 +24,7 @@ pub struct Progress {
     pub best_step: Option<u64>,
     /// Its loss.
     pub best_val_loss: Option<f64>,
-    /// Its score, the less the better, where `validation.select_by` names a metric of samples.
+    /// Its score, lower is better, if `validation.select_by` names a metric of samples.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub best_score: Option<f64>,
     /// Validations since then.
@@ -50,7 +50,7 @@ impl Progress {
     }
 }
 
-/// `state.json`: what a checkpoint holds beside its tensors.
+/// `state.json`: a checkpoint without its tensors.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct State {
@@ -69,8 +69,8 @@ pub struct State {
     /// other than the stored channels, or statistics of crops.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub network_statistics: Option<Statistics>,
-    /// [`Digest`](kinegrad_data::Digest) of the dataset trained on, in hexadecimal; none in
-    /// checkpoints of before it was kept.
+    /// [`Digest`](kinegrad_data::Digest) of the training dataset, in hexadecimal; missing in old
+    /// checkpoints.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub dataset_sha256: Option<String>,
     /// The state of the search for the best weights.
@@ -79,7 +79,7 @@ pub struct State {
     pub checksums: BTreeMap<String, String>,
 }
 
-/// Between the state and the checksum of the text before it.
+/// Separates the state from the checksum of the text before it.
 const SEAL: &str = ",\n  \"state_sha256\": \"";
 
 impl State {

@@ -69,7 +69,7 @@ pub(super) fn write<'a>(
         .map(|(name, shape, values)| (name, HostView { shape, values }));
     // `format` is what the Python loaders of torch models look for.
     let metadata = HashMap::from([("format".to_string(), "pt".to_string())]);
-    // The library puts one of its own in the place of this one, for its owner alone.
+    // The library replaces this file by one that only its owner can read.
     let file = File::create(path).map_err(Error::io("create", path))?;
     let permissions = file
         .metadata()
@@ -95,7 +95,7 @@ pub(super) fn write_flushed(path: &Path, bytes: &[u8]) -> Result<(), Error> {
 /// Reads the weights of the checkpoint in `path`, verified against `state`.
 ///
 /// # Errors
-/// If the file is missing or damaged, or holds a number that is not finite.
+/// If the file is missing or damaged, or contains a number that is not finite.
 pub fn read_weights(
     path: &Path,
     state: &State,
@@ -104,8 +104,7 @@ pub fn read_weights(
     read(path, state, weights.file())
 }
 
-/// Reads the optimiser's running means in the order of `infos`; empty ones for a parameter that
-/// has none, as a frozen one.
+/// Reads the optimiser's running means in the order of `infos`; empty for frozen parameters.
 ///
 /// # Errors
 /// If the file is missing or damaged.
@@ -145,7 +144,7 @@ fn read(path: &Path, state: &State, file: &str) -> Result<Vec<HostParameter>, Er
             }
             let values: Vec<f32> = bytemuck::pod_collect_to_vec(view.data());
             if !are_finite(&values) {
-                let reason = format!("`{name}` holds a number that is not finite");
+                let reason = format!("`{name}` contains a number that is not finite");
                 return Err(damaged(reason));
             }
             let info = ParameterInfo {
@@ -155,28 +154,27 @@ fn read(path: &Path, state: &State, file: &str) -> Result<Vec<HostParameter>, Er
             Ok(HostParameter { info, values })
         })
         .collect::<Result<Vec<_>, Error>>()?;
-    // The library hands them out in any order.
+    // The library returns them in any order.
     parameters.sort_by(|a, b| a.info.name.cmp(&b.info.name));
     Ok(parameters)
 }
 
-/// The bytes of the file of tensors at `path`, if it is whole; otherwise what is wrong with it.
+/// The bytes of the intact file of tensors at `path`, or its fault.
 ///
-/// A damaged file may have any length: it is read into memory only if its header speaks of all of
-/// it, there is room, and its checksum is right.
+/// A damaged file may have any length: it is read into memory only if its header states its
+/// length, it fits, and its checksum matches.
 fn read_whole(path: &Path, checksum: Option<&str>) -> io::Result<Result<Vec<u8>, String>> {
     let length = regular(path)?;
     let mut file = File::open(path)?;
     match stated_length(&mut file)? {
         Some(stated) if stated == length => {}
         Some(stated) => {
-            let reason = format!("{length} bytes found, its header speaks of {stated}");
+            let reason = format!("{length} bytes found, its header states {stated}");
             return Ok(Err(reason));
         }
         None => return Ok(Err("its header cannot be read".into())),
     }
-    // Its numbers are copied out of it. That memory is short is no damage: no older checkpoint may
-    // take its place.
+    // The numbers are copied. Lack of memory is not damage: no older checkpoint replaces this one.
     let needed = length.saturating_mul(2);
     if let Some(free) = memory::available()
         && needed > free

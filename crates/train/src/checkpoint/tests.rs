@@ -53,7 +53,7 @@ fn averages_of_other_weights_are_damage() {
     let run = tempfile::tempdir().expect("a folder");
     let path = saved(run.path());
     Checkpoint::read(&path).expect("a good checkpoint");
-    // As long a file, with a checksum of its own.
+    // A file of the same length and with another checksum.
     let mut state = State::read(&path).expect("a state");
     let file = Weights::Ema.file();
     let one = [("b".to_string(), &[4][..], &[1.0f32, 2.0, 3.0, 4.0][..])];

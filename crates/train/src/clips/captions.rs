@@ -22,7 +22,7 @@ use serde::{Deserialize, Serialize};
 /// Most captions that an error lists.
 const LISTED: usize = 40;
 
-/// The table `text`: what the model knows of captions.
+/// The table `text`: the captions that a model knows.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct CaptionsConfig {
@@ -116,7 +116,7 @@ impl TextInput {
         }
     }
 
-    /// The known captions; none of a model that takes any sentence.
+    /// The known captions; `None` for a model that takes any sentence.
     pub fn labels(&self) -> Option<&CaptionLabels> {
         match self {
             Self::Embedding => None,
@@ -173,7 +173,7 @@ fn unknown(caption: &str, known: &[String]) -> Error {
     let names: Vec<&str> = known.iter().map(String::as_str).collect();
     let meant = nearest(caption, &names).map(|near| format!("did you mean `{near}`? "));
     Error::usage(
-        format!("`{caption}` is no caption that the run knows"),
+        format!("`{caption}` is not a caption of the run"),
         format!(
             "{}it was trained with `data.humanml3d.text = \"labels\"` and knows {}",
             meant.unwrap_or_default(),
@@ -192,11 +192,11 @@ fn listed(captions: &[String]) -> String {
     text
 }
 
-/// The text of a text condition, in the form that models with these `inputs` take.
+/// The text of a text condition, in the form that models with these `inputs` support.
 ///
 /// # Errors
-/// [`Error::Usage`] for a text that one of them does not know, and where the encoder that it needs is
-/// missing or superfluous; if a file cannot be read.
+/// [`Error::Usage`] for a text that one of them does not know, and for a missing or superfluous
+/// encoder; if a file cannot be read.
 pub fn text_of(
     condition: &Condition,
     inputs: &[TextInput],
@@ -216,7 +216,7 @@ pub fn text_of(
         _ => return Ok(None),
     }
     for input in inputs {
-        // Refuses a text that a model does not know before anything is read.
+        // An unknown text is refused before a file is read.
         input.values(&text)?;
     }
     let embeds = inputs.iter().any(|input| input.labels().is_none());
@@ -247,7 +247,7 @@ pub fn text_of(
 /// The table `text` with the captions of the training clips, if captions are labels and it lists none.
 ///
 /// # Errors
-/// If there are none or too many, or a clip has one that is not known.
+/// If there are none or too many, or a clip has an unknown one.
 pub fn with_captions(
     mut text: CaptionsConfig,
     context: &RunContext,

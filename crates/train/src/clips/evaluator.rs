@@ -1,4 +1,4 @@
-//! The text-motion evaluator: embeddings of captions and motions, close where they belong together.
+//! The text-motion evaluator: embeddings of captions and motions, close for matching pairs.
 
 use std::borrow::Cow;
 use std::fmt;
@@ -88,7 +88,7 @@ pub trait TextMotionEvaluator {
     /// [`Error::Features`] for features of another skeleton than the statistics'.
     fn must_take(&self, layout: FeatureLayout) -> Result<(), Error>;
 
-    /// The embedding of each clip, `[clips, width]`, with the root in either reading.
+    /// The embedding of each clip, `[clips, width]`, with a root of either representation.
     ///
     /// # Errors
     /// [`Error::Usage`] for a clip that is too short; [`Error::Features`] for features of another
@@ -106,13 +106,13 @@ pub trait TextMotionEvaluator {
     /// If features are of another layout than the evaluator's.
     fn reports(
         &self,
-        drawn: &[Features],
+        generated: &[Features],
         real: &[Features],
         clips: &[&Clip],
         labels: &ClipLabels,
         seed: u64,
     ) -> Result<TextMotionReports, Error> {
-        // In the order of their ids, neighbours would be of one kind.
+        // In the order of their ids, neighbours would be alike.
         let order = Key::new(seed, Purpose::Pools).permutation(clips.len());
         let words = |&clip: &usize| match clips[clip].caption() {
             Some(caption) => caption.words(),
@@ -125,7 +125,7 @@ pub trait TextMotionEvaluator {
             let clips: Vec<&Features> = order.iter().map(|&clip| &of[clip]).collect();
             self.motion_embeddings(&clips)
         };
-        let (truths, drawn) = (in_order(real)?, in_order(drawn)?);
+        let (truths, generated) = (in_order(real)?, in_order(generated)?);
         let labels = order.iter().map(|&clip| labels.get(&clips[clip].id));
         let labels: Vec<_> = labels.collect();
         let report = |motions: &[Vec<f64>]| {
@@ -133,7 +133,7 @@ pub trait TextMotionEvaluator {
             report.with_labels(&texts, motions, &labels)
         };
         Ok(TextMotionReports {
-            drawn: report(&drawn),
+            drawn: report(&generated),
             real: report(&truths),
         })
     }

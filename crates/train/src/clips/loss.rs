@@ -10,8 +10,8 @@ use kinegrad_diffusion::loss::elementwise;
 /// weights  sum over real frames and channels  w_c |target - output| / real frames      the w_c adding up to 1
 /// ```
 ///
-/// with the distance of `loss_type`, and to that of a frame `velocity` times the squared error of its
-/// difference from the frame before it.
+/// with the distance of `loss_type`, plus `velocity` times the squared error of each frame's difference
+/// from the frame before it.
 ///
 /// # Shapes
 /// - model_output, target: `[batch, channels, time]`
@@ -37,7 +37,7 @@ pub fn weighted_masked_loss(
         let error = model_output - target;
         let [later, earlier] = [1, 0].map(|first| error.clone().narrow(2, first, time - 1));
         let change = (later - earlier).powi_scalar(2) * velocity;
-        // The first frame follows none. Of two real frames the second is real.
+        // The first frame has no predecessor.
         let first = Tensor::zeros([batch, channels, 1], &device);
         distances = distances + Tensor::cat(vec![first, change], 2);
     }

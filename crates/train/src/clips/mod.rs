@@ -1,4 +1,4 @@
-//! Shared by the systems of clips: captions, goals, paths, plans of texts, the feature space, the
+//! Shared by the systems of clips: captions, goals, paths, prompt files, the feature space, the
 //! text-motion evaluator and the clips of a dataset.
 
 pub mod captions;
@@ -58,11 +58,11 @@ pub fn clips_named(dataset: &Dataset<Clip>, pattern: &str) -> Result<Vec<Arc<Cli
     Ok(chosen)
 }
 
-/// Clips with the dataset that they are of.
+/// Clips and their dataset.
 pub type RequestedClips = (DataConfig, Vec<Arc<Clip>>);
 
-/// The clips that a request names by id, or held-out ones, with the dataset they are of; none if it
-/// names neither.
+/// The clips that a request names by id, or held-out ones, with their dataset; `None` if it names
+/// neither.
 ///
 /// # Errors
 /// If there are none, or one cannot be read.

@@ -1,4 +1,4 @@
-//! Paths that generated motion follows, whatever generates it (docs/sources.md, section 7).
+//! Paths that generated motion follows (docs/sources.md, section 7).
 //!
 //! Clips start at the origin and face +z. The path is moved there for sampling, and the motion is
 //! moved to the path afterwards.
@@ -24,7 +24,7 @@ use crate::sampling::{PathFile, PathRecord};
 pub struct PathTarget {
     /// The path.
     pub line: Polyline,
-    /// Its place in each frame.
+    /// The position on it in each frame.
     pub course: Course,
     /// The heading in each frame, smoothed and unwrapped, radians.
     pub headings: Vec<f64>,
@@ -43,7 +43,7 @@ impl PathTarget {
     /// The target of a plan for `frames` frames at `fps` frames per second.
     ///
     /// # Errors
-    /// If the plan is no path.
+    /// If the plan is not a path.
     pub fn new(plan: &PathPlan, frames: usize, fps: f64) -> Result<Self, Error> {
         let unusable = |error: &dyn std::fmt::Display| {
             Error::usage(
@@ -57,10 +57,10 @@ impl PathTarget {
         Ok(Self::of(line, course))
     }
 
-    /// The target that is at `points`, one for each frame.
+    /// The target at `points`, one for each frame.
     ///
     /// # Errors
-    /// [`PathError`] for fewer than two of them.
+    /// [`PathError`] for fewer than two points.
     pub fn through(points: Vec<[f64; 2]>) -> Result<Self, PathError> {
         let line = Polyline::new(points.clone())?;
         Ok(Self::of(line, Course::through(points)))
@@ -76,7 +76,7 @@ impl PathTarget {
         }
     }
 
-    /// The largest speed that it asks for, metres per second.
+    /// Its largest speed, metres per second.
     pub fn speed(&self, fps: f64) -> f64 {
         let steps = self.course.metres.windows(2).map(|pair| pair[1] - pair[0]);
         steps.fold(0.0, f64::max) * fps
@@ -119,14 +119,14 @@ impl PathTarget {
         }
     }
 
-    /// Ground positions as they are seen from the path's start, on the path itself.
+    /// Ground positions relative to the path's start, moved onto the path.
     pub fn on_path(&self, points: &[[f64; 2]]) -> Vec<[f64; 2]> {
         let ([x0, z0], (sin, cos)) = (self.course.points[0], self.headings[0].sin_cos());
         let moved = |[x, z]: &[f64; 2]| [x0 + x * cos + z * sin, z0 - x * sin + z * cos];
         points.iter().map(moved).collect()
     }
 
-    /// Moves a motion that was sampled in the path's own frame onto the path.
+    /// Moves a motion that was sampled in the path's frame onto the path.
     ///
     /// # Errors
     /// If it is not of the skeleton.
@@ -185,8 +185,8 @@ impl PathTarget {
     ) -> Result<Followed, Error> {
         let (joints, legs_short) = match lock_feet {
             true => {
-                let held = lock_joints(&moved, before, skeleton, &ContactRule::default(), 0.0)?;
-                (held.joints, held.missed)
+                let locked = lock_joints(&moved, before, skeleton, &ContactRule::default(), 0.0)?;
+                (locked.joints, locked.missed)
             }
             false => (moved, 0.0),
         };
@@ -208,7 +208,7 @@ impl PathTarget {
         skeleton: &Skeleton,
         lock_feet: bool,
     ) -> Result<Followed, Error> {
-        // As far as its speed leads in so many frames.
+        // The part of the path that the motion reaches at its speed.
         let line = self
             .line
             .up_to(self.course.metres.last().copied().unwrap_or(0.0));
@@ -224,9 +224,9 @@ impl PathTarget {
 /// Speed of training roots along either ground axis, m/s.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Fastest {
-    /// At most.
+    /// The maximum.
     Measured(f64),
-    /// Five deviations from the mean: published statistics do not say what was the most.
+    /// Five deviations from the mean: published statistics have no maximum.
     Estimated(f64),
 }
 
@@ -266,7 +266,7 @@ pub struct Followed {
     pub legs_short: f64,
 }
 
-/// The features of joints on a path, whose bones stay as they are.
+/// The features of joints on a path, with their own bone lengths.
 ///
 /// # Errors
 /// If they are not joints of `skeleton`, or of a single frame.
@@ -284,7 +284,7 @@ pub fn features_of(joints: &Joints, skeleton: &Skeleton, root: Root) -> Result<F
 pub struct FollowedPath {
     file: PathBuf,
     plan: PathPlan,
-    /// The positions that the motion is to have.
+    /// The target positions.
     pub target: PathTarget,
 }
 
@@ -292,7 +292,7 @@ impl FollowedPath {
     /// The path of `file` for `frames` frames at `fps` frames per second.
     ///
     /// # Errors
-    /// If it is no path.
+    /// If it is not a path.
     pub fn read(file: &PathFile, frames: usize, fps: f64) -> Result<Self, Error> {
         let (file, plan) = read_path(file)?;
         let target = PathTarget::new(&plan, frames, fps)?;
@@ -304,7 +304,7 @@ impl FollowedPath {
         &self.file
     }
 
-    /// A doubt about a path that is faster than training motion.
+    /// The warning about a path that is faster than training motion.
     pub fn too_fast(&self, fps: f64, fastest: Fastest) -> Option<String> {
         self.target.too_fast(&self.file, fps, fastest)
     }
@@ -346,8 +346,8 @@ mod tests {
 
         let plan = PathPlan::line(vec![[0.0, 0.0], [0.0, 30.0]]);
         let target = PathTarget::new(&plan, 61, 20.0).expect("a path");
-        let said = |fastest| target.too_fast(Path::new("p.toml"), 20.0, fastest);
-        assert_eq!(said(Fastest::Measured(10.5)), None);
+        let warning = |fastest| target.too_fast(Path::new("p.toml"), 20.0, fastest);
+        assert_eq!(warning(Fastest::Measured(10.5)), None);
         for (fastest, expected) in [
             (Fastest::Measured(6.0), "4.00 m/s more than any motion"),
             (
@@ -355,9 +355,9 @@ mod tests {
                 "3.50 m/s more than five deviations",
             ),
         ] {
-            let said = said(fastest).expect("too fast");
-            assert!(said.contains("p.toml asks for 10.00 m/s"), "{said}");
-            assert!(said.contains(expected), "{said}");
+            let text = warning(fastest).expect("too fast");
+            assert!(text.contains("p.toml asks for 10.00 m/s"), "{text}");
+            assert!(text.contains(expected), "{text}");
         }
     }
 }

@@ -1,4 +1,4 @@
-//! Settings of the common tables that models of clips do not follow.
+//! Validation of common settings that models of clips do not support.
 
 use kinegrad_data::DataKind;
 use kinegrad_diffusion::{DiffusionConfig, PredictionType};
@@ -6,7 +6,7 @@ use kinegrad_settings::{InvalidSetting, Refused, in_range, require};
 
 use crate::config::{Config, SelectBy};
 
-/// Rejects data that are no clips, and selection by metrics of phrases.
+/// Rejects data other than clips, and selection by metrics of phrases.
 ///
 /// # Errors
 /// Names the key.
@@ -29,7 +29,7 @@ pub fn must_be_of_clips(config: &Config) -> Result<(), InvalidSetting> {
     )
 }
 
-/// Rejects settings of styles, which clips do not have, in sampler and `process`.
+/// Rejects style settings, which clips do not have, in the sampler and `process`.
 ///
 /// # Errors
 /// Names the key.
@@ -51,7 +51,7 @@ pub fn must_have_no_style(
     Ok(())
 }
 
-/// Validates `loss.velocity`, which is for networks that predict the clean motion.
+/// Validates `loss.velocity`, which needs a network that predicts the clean motion.
 ///
 /// # Errors
 /// Names the key.

@@ -7,10 +7,10 @@ use kinegrad_motion::emphasis::EmphasisProjection;
 use kinegrad_motion::goal::GROUND_X;
 
 /// The linear map from the network's channels to some centred channels of motion: `[rows,
-/// channels]`, which undoes `projection` and normalisation by `std`.
+/// channels]`. It inverts `projection` and normalisation by `std`.
 ///
 /// # Panics
-/// Panics if there is no such channel, or the projection has others.
+/// Panics if a row or the projection does not fit the channels.
 pub fn rows_to_motion(
     rows: &[usize],
     std: &[f64],
@@ -36,9 +36,8 @@ pub fn rows_to_motion(
 pub struct FeatureSpace {
     mean: Tensor<3>,
     std: Tensor<3>,
-    /// The matrix and its inverse, transposed. The published kind is undone by an inverse that makes
-    /// errors a thousand times larger, those of its own product as those of a projection before it:
-    /// both are multiplied in float32 also where a device would round.
+    /// The matrix and its inverse, transposed. The inverse of the published kind enlarges errors a
+    /// thousand times, so both products are float32 on every device.
     projection: Option<[Tensor<2>; 2]>,
     /// Ground x and z of a frame in metres from the network's channels: `[1, 2, channels]`.
     ground: Tensor<3>,
@@ -50,7 +49,7 @@ impl FeatureSpace {
     /// The space of a network for features of this `mean` and `std`, one number a channel.
     ///
     /// # Panics
-    /// Panics if there are fewer than the ground's channels, or the projection has others.
+    /// Panics if the ground's channels are missing, or the projection does not fit.
     pub fn new(
         mean: &[f64],
         std: &[f64],
@@ -151,7 +150,7 @@ mod tests {
             let error = largest(&found.try_into_vec_as::<f32>().unwrap());
             assert!(error < 1e-3, "{mode:?}: {error}");
         }
-        // With both products rounded as matrix units do, whole deviations are lost.
+        // With products rounded as matrix units do, the error would be whole deviations.
         let tf32 = |value: f32| f32::from_bits((value.to_bits() + 0x1000) & !0x1fff);
         let times = |rows: &[f32], matrix: &[f32]| -> Vec<f32> {
             let mut out = vec![0.0; rows.len()];

@@ -1,5 +1,4 @@
-//! Texts one after another: the file of `kinegrad sample --prompts`, for motion that goes on by changing
-//! texts and for motion that is composed of them.
+//! The file of `kinegrad sample --prompts`: successive texts with durations.
 
 use std::path::Path;
 
@@ -13,7 +12,7 @@ use super::captions::{ClipText, TextInput};
 use crate::error::Error;
 use crate::sampling::{Request, SaidRecord};
 
-/// Texts one after another, each with its length.
+/// Successive texts with durations.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TextPlan {
@@ -27,9 +26,9 @@ pub struct TextPlan {
 pub struct TextStep {
     /// Duration, seconds.
     pub seconds: f64,
-    /// The text, one of the run's captions; without one the motion continues unconditionally.
+    /// The text; without one the motion continues unconditionally.
     pub text: Option<String>,
-    /// Its embedding in place of it, `FILE#KEY`.
+    /// The text's embedding instead, `FILE#KEY`.
     pub text_embedding: Option<String>,
 }
 
@@ -37,7 +36,7 @@ impl TextPlan {
     /// Reads and checks a file.
     ///
     /// # Errors
-    /// With the file, its line and what is wrong.
+    /// Names the file, the line and the fault.
     pub fn read(path: &Path) -> Result<Self, Error> {
         let hint = "a plan is a list of `[[step]]`, each with `seconds` and `text` or \
                     `text_embedding`: docs/compose.md";
@@ -60,7 +59,7 @@ impl TextPlan {
         Ok(plan)
     }
 
-    /// The frame that each step ends before, at so many frames a second. `path` is the plan's file.
+    /// The end frame of each step at `fps` frames per second. `path` is the plan's file.
     ///
     /// # Errors
     /// [`Error::Usage`] for a step of no frame, and more frames than a motion may have.
@@ -91,7 +90,7 @@ impl TextPlan {
     /// # Errors
     /// [`Error::Usage`] for a text that the model does not know, with the file and the step; if an
     /// embedding cannot be read.
-    pub fn said(&self, path: &Path, input: &TextInput) -> Result<Vec<ClipText>, Error> {
+    pub fn texts(&self, path: &Path, input: &TextInput) -> Result<Vec<ClipText>, Error> {
         let of_step = |(number, step): (usize, &TextStep)| {
             let refused = |message: &str, hint: &str| {
                 let place = format!("{}: step[{number}]", path.display());
@@ -104,14 +103,14 @@ impl TextPlan {
                     hint,
                 ));
             }
-            let said = step.said()?.unwrap_or_default();
-            if said != ClipText::default() {
-                input.values(&said).map_err(|error| match error {
+            let text = step.clip_text()?.unwrap_or_default();
+            if text != ClipText::default() {
+                input.values(&text).map_err(|error| match error {
                     Error::Usage { message, hint } => refused(&message, &hint),
                     other => other,
                 })?;
             }
-            Ok(said)
+            Ok(text)
         };
         self.step.iter().enumerate().map(of_step).collect()
     }
@@ -120,14 +119,14 @@ impl TextPlan {
 /// A text for some frames of a motion.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TimedPrompt {
-    /// The text; none for motion without one.
+    /// The text; `None` for unconditional motion.
     pub text: Option<ClipText>,
     /// Its frames, at least 1.
     pub frames: usize,
 }
 
 impl TimedPrompt {
-    /// The texts of a motion and the frames in which they begin, for its record.
+    /// The texts of a motion with their first frames, for its record.
     pub fn records(prompts: &[Self]) -> Vec<SaidRecord> {
         let mut from = 0;
         let record = |prompt: &Self| {
@@ -141,11 +140,10 @@ impl TimedPrompt {
         prompts.iter().map(record).collect()
     }
 
-    /// The texts of the file that a request names, for a model with this text `input`; none if it
-    /// names no file.
+    /// The texts of a request's file for a model with this text `input`; `None` without a file.
     ///
     /// # Errors
-    /// If the request sets a length too, the file cannot be read, or a text is not known.
+    /// If the request also sets a length, the file cannot be read, or a text is unknown.
     pub fn requested(
         request: &Request,
         input: &TextInput,
@@ -163,7 +161,7 @@ impl TimedPrompt {
         let ends = plan.ends(path, fps)?;
         let begins = [0].into_iter().chain(ends.iter().copied());
         let lengths = ends.iter().zip(begins).map(|(end, begin)| end - begin);
-        let texts = plan.said(path, input)?.into_iter();
+        let texts = plan.texts(path, input)?.into_iter();
         let prompts = texts.zip(lengths).map(|(text, frames)| Self {
             text: (text != ClipText::default()).then_some(text),
             frames,
@@ -177,7 +175,7 @@ impl TextStep {
     ///
     /// # Errors
     /// If the embedding cannot be read.
-    pub fn said(&self) -> Result<Option<ClipText>, Error> {
+    pub fn clip_text(&self) -> Result<Option<ClipText>, Error> {
         let embedding = self.text_embedding.as_deref().map(read_embedding);
         let text = ClipText {
             caption: self.text.clone(),

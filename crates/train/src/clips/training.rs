@@ -1,4 +1,4 @@
-//! The beginning of a training on clips: what it starts from, its statistics and its samples.
+//! The start of training on clips: dataset, initial checkpoint, statistics and samples.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -15,10 +15,10 @@ use crate::run::RunContext;
 use crate::start::Start;
 use crate::system::System;
 
-/// Opens the dataset of the run and shows its warnings. Ranks read a part each. Collective.
+/// Opens the dataset of the run and shows its warnings. Each rank reads a part. Collective.
 ///
 /// # Errors
-/// If it cannot be opened, or is another than the one trained on so far.
+/// If it cannot be opened, or differs from the one trained on so far.
 pub fn open(context: &RunContext, observer: &mut dyn Observer) -> Result<Dataset<Clip>, Error> {
     let data = &context.config.data;
     let dataset = Dataset::open_among(data, &*observer.reading(), &*context.group)?;
@@ -26,7 +26,7 @@ pub fn open(context: &RunContext, observer: &mut dyn Observer) -> Result<Dataset
     Ok(dataset)
 }
 
-/// The checkpoint `init` that a new run starts from. A resumed run does not need it any more.
+/// The checkpoint `init` that a new run starts from; `None` for a resumed run.
 ///
 /// # Errors
 /// As [`Start::named`].
@@ -41,7 +41,7 @@ pub fn start_of(
     }
 }
 
-/// Rejects a start that was trained on other features or texts than those of `config`.
+/// Rejects a start that was trained on other features or texts than `config` has.
 ///
 /// # Errors
 /// Names the key of the start, and the keys that differ.
@@ -58,7 +58,7 @@ pub fn must_fit_clips(start: &Start, config: &Config) -> Result<(), Error> {
     Ok(())
 }
 
-/// The statistics of the resumed run or of `start`; without either those of the training clips.
+/// The statistics of the resumed run or of `start`, otherwise those of the training clips.
 ///
 /// # Errors
 /// [`Error::OtherRepresentation`] for statistics of other motion; if a clip cannot be read.
@@ -76,7 +76,7 @@ pub fn statistics(
     }
 }
 
-/// Samples of the first `channels` of the features of clips, with their texts as `text` says.
+/// Samples of the first `channels` features of clips, with texts in the form of `text`.
 pub fn samples(
     dataset: &Dataset<Clip>,
     statistics: &Statistics,

@@ -8,7 +8,7 @@ use serde_json::Value;
 pub struct Difference {
     /// Dotted key.
     pub key: String,
-    /// Value on the left side, as JSON; `unset` where there is none.
+    /// Value on the left side, as JSON, or `unset`.
     pub left: String,
     /// Value on the right side.
     pub right: String,

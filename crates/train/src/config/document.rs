@@ -1,5 +1,5 @@
-//! Tables of TOML: laid over each other, read into settings, changed key by key, with errors that
-//! name file, line, key, what was found and what is allowed.
+//! TOML tables: merging, deserialisation and overrides. Errors name file, line, key, the value found
+//! and the allowed values.
 
 use kinegrad_settings::{DocumentError, Place};
 use serde::de::DeserializeOwned;
@@ -7,7 +7,7 @@ use toml::{Table, Value};
 
 use super::{COMMON, Config, ConfigError, MODEL_KEYS};
 
-/// Puts the values of `above` into `table`, table by table.
+/// Merges the values of `above` into `table`, table by table.
 pub fn lay_over(table: &mut Table, above: Table) {
     for (key, value) in above {
         match (table.get_mut(&key), value) {

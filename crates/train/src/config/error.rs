@@ -7,7 +7,7 @@ use thiserror::Error;
 /// Errors about a config.
 #[derive(Debug, Error, Diagnostic)]
 pub enum ConfigError {
-    /// The file is not there or cannot be read.
+    /// The file is missing or cannot be read.
     #[error("cannot read the config {}: {source}", path.display())]
     #[diagnostic(help(
         "`kinegrad init` writes a config to start from; `kinegrad init` with option `list` lists those that \
@@ -19,11 +19,11 @@ pub enum ConfigError {
         /// The system's message.
         source: std::io::Error,
     },
-    /// The document, or a key of it, is refused.
+    /// The document or one of its keys is invalid.
     #[error(transparent)]
     #[diagnostic(transparent)]
     Document(#[from] DocumentError),
-    /// An override of what a trained model has been trained with.
+    /// An override of a training setting of a trained model.
     #[error("option `set {argument}`: the model is trained, only keys of {tables} can be set")]
     #[diagnostic(help("{hint}"))]
     Trained {

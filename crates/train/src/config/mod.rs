@@ -40,10 +40,10 @@ use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize};
 use toml::{Table, Value};
 
-/// Keys of the table `model` beside those of the network.
+/// Keys of the table `model` that are not of the network.
 const MODEL_KEYS: [&str; 3] = ["kind", "size", "activation_checkpointing"];
 
-/// Everything a run is made from.
+/// The config of a run.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default)]
 pub struct Config {
@@ -78,7 +78,7 @@ impl Config {
         self.system.get().expect("tables that the system has read")
     }
 
-    /// The same, with other tables of the system.
+    /// The config with other tables of the system.
     #[must_use]
     pub fn with_own<T: SystemTables>(self, tables: T) -> Self {
         let system = OwnTables::new(tables);
@@ -86,7 +86,7 @@ impl Config {
     }
 }
 
-/// Why a config can be written.
+/// The reason why serialisation of a config cannot fail.
 pub const PLAIN: &str = "configs are plain data";
 
 /// Names of the tables that every run has.
@@ -130,7 +130,7 @@ fn toml_value(json: serde_json::Value) -> Option<Value> {
     })
 }
 
-/// The config of `text` with `overrides`, for tests: of no system, whose own tables stay unread.
+/// The config of `text` with `overrides`, without a system, for tests.
 #[cfg(test)]
 pub(crate) fn plain(text: &str, overrides: &[String]) -> Config {
     let mut table: toml::Table = text.parse().expect("TOML");

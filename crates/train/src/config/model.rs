@@ -23,7 +23,7 @@ pub struct ModelTable<N> {
     pub activation_checkpointing: bool,
 }
 
-/// A kind of network that a system takes.
+/// A kind of network that a system supports.
 pub struct NetworkKind {
     name: &'static str,
     sizes: fn() -> Vec<&'static str>,
@@ -52,7 +52,7 @@ fn keys<N: NetworkConfig>(
     given: Table,
     place: Place<'_>,
 ) -> Result<Table, ConfigError> {
-    /// So that errors name the table.
+    /// Makes errors name the table.
     #[derive(Deserialize)]
     struct Under<N> {
         model: N,
@@ -67,7 +67,7 @@ fn keys<N: NetworkConfig>(
     Ok(Table::try_from(network).expect(PLAIN))
 }
 
-/// Says of `model.size` which names the sizes of each kind have.
+/// Lists the names of each kind's sizes at the key `model.size`.
 pub(super) fn name_sizes(kinds: &[NetworkKind], keys: &mut Vec<Key>) {
     let Some(place) = keys.iter().position(|key| key.name == "model.size") else {
         return;
@@ -81,10 +81,10 @@ pub(super) fn name_sizes(kinds: &[NetworkKind], keys: &mut Vec<Key>) {
     keys.extend(kinds.iter().map(of_kind));
 }
 
-/// The table `model` with every key that its kind and size imply written out.
+/// The table `model` with every key of its kind and size.
 ///
 /// # Errors
-/// Names the place of a kind, size or key that is not one of these `kinds`.
+/// Names the location of an unknown kind, size or key.
 pub(super) fn complete(
     kinds: &[NetworkKind],
     mut given: Table,
@@ -107,7 +107,7 @@ pub(super) fn complete(
     Ok(table)
 }
 
-/// Takes the value of `key` out of `given`: the one of `names` that it is, or the first.
+/// Removes `key` from `given` and returns its value, one of `names`; the first if it is missing.
 fn chosen<'a>(
     given: &mut Table,
     key: &str,
@@ -124,7 +124,7 @@ fn chosen<'a>(
     })
 }
 
-/// Says of an unknown key which kind it is of.
+/// Names the kind of network that has the unknown key.
 fn of_other_kind(kinds: &[NetworkKind], mut error: ConfigError) -> ConfigError {
     if let ConfigError::Document(DocumentError::UnknownKey { key, hint, .. }) = &mut error {
         let own = key.strip_prefix("model.").unwrap_or(key);
@@ -135,7 +135,7 @@ fn of_other_kind(kinds: &[NetworkKind], mut error: ConfigError) -> ConfigError {
     error
 }
 
-/// These names as what a key may hold.
+/// The values of a key that takes one of `names`.
 pub fn names(names: &[&str]) -> Values {
     let name = |name: &&str| Name {
         name: (*name).to_owned(),

@@ -6,8 +6,8 @@ use kinegrad_settings::InvalidSetting;
 
 use super::{Config, difference};
 
-/// Keys, or complete tables, that may differ. The location, transport and cache of motion change no
-/// batch; its identity is checked separately.
+/// Keys and tables that may differ. The location, transport and cache of motion do not affect batches;
+/// the dataset's digest is checked separately.
 const FREE: [&str; 12] = [
     "train.max_steps",
     "run.device",

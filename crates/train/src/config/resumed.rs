@@ -1,22 +1,22 @@
-//! The config of a resumed run: the saved one, and the changes of the command line.
+//! The config of a resumed run: the saved one with overrides.
 
 use toml::{Table, Value};
 
 use super::{Config, PLAIN, difference, may_differ};
 
-/// A key of the given file that a resumed run does not take.
+/// A key of the config file that a resumed run ignores.
 #[derive(Clone, Debug, PartialEq)]
 pub struct IgnoredKey {
     /// Dotted key.
     pub key: String,
     /// Its value in the run's saved config, as JSON.
     pub saved: String,
-    /// Its value in the given file, as JSON.
+    /// Its value in the config file, as JSON.
     pub given: String,
 }
 
-/// The config of a resumed run: `saved` with the `overrides` of the command line. `given` is the
-/// file with these overrides, `defaults` the config of neither.
+/// The config of a resumed run: `saved` with `overrides`. `given` is the config of the file and the
+/// overrides, `defaults` the config without both.
 ///
 /// Keys that [may differ](may_differ) and are only in the file are ignored and returned, so that a
 /// run started with overrides continues without them. Other keys of the file are included, so that
@@ -75,7 +75,7 @@ fn stands_in(table: &Table, key: &str) -> bool {
     }
 }
 
-/// Sets `key` of `table` to what it is in `from`, or to nothing where it has none.
+/// Copies `key` from `from` to `table`; removes it if `from` does not have it.
 fn take(table: &mut Table, from: &Table, key: &str) {
     match key.split_once('.') {
         None => match from.get(key) {

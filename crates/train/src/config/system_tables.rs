@@ -12,8 +12,8 @@ use toml::{Table, Value};
 
 use super::{ConfigError, NetworkKind, PLAIN, Place, document, model};
 
-/// The tables of the system in a config. A system reads them once, in
-/// [`System::complete`](crate::system::System::complete); from then on they are a struct of its own.
+/// The tables of the system in a config, as plain data until
+/// [`System::complete`](crate::system::System::complete) deserialises them.
 #[derive(Clone)]
 pub struct OwnTables(Arc<dyn AnyTables>);
 
@@ -22,7 +22,7 @@ trait AnyTables: Send + Sync {
     fn as_any(&self) -> &dyn Any;
 }
 
-/// Tables that no system has read.
+/// Tables that no system has deserialised.
 struct Unread(Table);
 
 impl AnyTables for Unread {
@@ -46,22 +46,22 @@ impl<T: SystemTables> AnyTables for T {
 }
 
 impl OwnTables {
-    /// Tables that a system has read.
+    /// Tables as a system's struct.
     pub fn new<T: SystemTables>(tables: T) -> Self {
         Self(Arc::new(tables))
     }
 
-    /// Tables as they were written.
+    /// Tables as plain data.
     pub fn unread(tables: Table) -> Self {
         Self(Arc::new(Unread(tables)))
     }
 
-    /// The struct of the system that read them; none of another system's.
+    /// The struct of the system; `None` if it is another type.
     pub fn get<T: SystemTables>(&self) -> Option<&T> {
         self.0.as_any().downcast_ref()
     }
 
-    /// The tables as plain data: every key written out once a system has read them.
+    /// The tables as plain data, with every key if they are a system's struct.
     pub fn to_table(&self) -> Table {
         self.0.to_table()
     }
@@ -97,16 +97,15 @@ impl<'de> Deserialize<'de> for OwnTables {
     }
 }
 
-/// The tables of a system as a struct: one field a table.
+/// The tables of a system as a struct with one field per table.
 pub trait SystemTables: Serialize + DeserializeOwned + Send + Sync + 'static {
-    /// Kinds of network that the table `model` may be of, the default first; none of a system
-    /// without that table.
+    /// Kinds of network for the table `model`, the default first; empty without that table.
     const NETWORKS: &'static [NetworkKind] = &[];
 
-    /// Reads them from `tables`; `place` locates a dotted key.
+    /// Deserialises `tables`; `place` locates a dotted key.
     ///
     /// # Errors
-    /// Names the place of a thing that is wrong.
+    /// Names the location of the fault.
     fn read(tables: &Table, place: Place<'_>) -> Result<Self, ConfigError> {
         let mut tables = tables.clone();
         if !Self::NETWORKS.is_empty() {
@@ -121,7 +120,7 @@ pub trait SystemTables: Serialize + DeserializeOwned + Send + Sync + 'static {
         document::from_table(&tables, place)
     }
 
-    /// Their keys, with what the doc comments of the struct say of them.
+    /// Their keys, described by the struct's doc comments.
     fn keys() -> Vec<Key>
     where
         Self: JsonSchema,

@@ -101,7 +101,7 @@ pub struct OptimConfig {
 }
 
 impl OptimConfig {
-    /// The rate after the warm-up of the group called `name`.
+    /// The rate after the warm-up for the group `name`.
     pub fn rate_of(&self, name: &str) -> f64 {
         self.groups.get(name).copied().unwrap_or(self.learning_rate)
     }
@@ -200,8 +200,8 @@ pub struct EmaConfig {
 
 impl Default for EmaConfig {
     fn default() -> Self {
-        // CC-MotionGen's 0.9999 every 10 steps keeps 85 % of the first weights after its whole
-        // training of 16400 steps, hence the warm-up.
+        // After 16400 steps, CC-MotionGen's 0.9999 every 10 steps still has 85 % of the initial weights,
+        // hence the warm-up.
         Self {
             decay: 0.9999,
             update_every: 10,
@@ -306,8 +306,8 @@ impl ClipSample {
         Ok(match self {
             Self::TrainingRange => {
                 let unknown = || {
-                    let allowed = "\"six\", \"unit\" or \"none\": the checkpoint does not hold the \
-                                   range of the motion it was trained on";
+                    let allowed = "\"six\", \"unit\" or \"none\": the checkpoint does not contain the \
+                                   range of the training motion";
                     InvalidSetting::new("sampling.clip", "\"training_range\"", allowed)
                         .hint("its statistics came with the dataset, or an older version wrote it")
                 };

@@ -8,12 +8,11 @@ use crate::TrainedModel;
 use crate::clips::dataset_or;
 use crate::error::Error;
 
-/// The clips of an evaluation, some of which are held out, and their config: `own`, or the request's
-/// dataset in its place. `purpose` is a clause for the error's hint. Each process reads a part.
-/// Collective.
+/// The clips of an evaluation and their config: `own`, or that of the request's dataset. `purpose` is
+/// a clause for the error's hint. Each process reads a part. Collective.
 ///
 /// # Errors
-/// [`Error::Usage`] if none is held out; if the dataset cannot be opened.
+/// [`Error::Usage`] without held-out clips; if the dataset cannot be opened.
 pub fn clips_with_held_out(
     own: &DataConfig,
     trained: &TrainedModel,
@@ -25,8 +24,8 @@ pub fn clips_with_held_out(
     Ok((data, must_hold_out(dataset, trained, purpose)?))
 }
 
-/// The phrases of an evaluation, as [`clips_with_held_out`]; the run's `data.validation` divides the
-/// request's dataset too.
+/// The phrases of an evaluation, as [`clips_with_held_out`]; the run's `data.validation` also splits the
+/// request's dataset.
 ///
 /// # Errors
 /// As [`clips_with_held_out`].
@@ -65,7 +64,7 @@ fn must_hold_out<T: Item>(
     Err(Error::usage(message, hint))
 }
 
-/// A note if `found` held-out clips are fewer than the `wanted` goals or rollouts, called `name`.
+/// A note if there are fewer held-out clips, `found`, than `wanted` goals or rollouts, called `name`.
 pub fn note_if_fewer(
     found: usize,
     wanted: usize,

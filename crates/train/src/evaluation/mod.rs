@@ -1,5 +1,4 @@
-//! Evaluating trained models on held-out motion: one shell around the settings, the samples and the
-//! metrics of each system.
+//! Evaluation of trained models on held-out motion: requests, reports and tables of all systems.
 
 mod held_out;
 mod replications;
@@ -38,7 +37,7 @@ pub struct Evaluation<'a> {
     pub report: &'static str,
     /// Bytes of main memory that each process needs, roughly; 0 for little.
     pub memory: u64,
-    /// Hint of the error when they are not free.
+    /// Hint of the error if memory is short.
     pub memory_hint: &'static str,
     /// Remarks on the request.
     pub remarks: Vec<String>,
@@ -48,16 +47,15 @@ pub struct Evaluation<'a> {
 
 /// The numbers of an evaluation.
 pub struct Results {
-    /// The content of the report beside run, seed and step: a JSON object.
+    /// The report without run, seed and step: a JSON object.
     pub json: Value,
-    /// Counts by name, of the samples and of real motion; none where one does not apply.
+    /// Counts by name, of the samples and of real motion; `None` if not applicable.
     pub facts: Vec<(&'static str, [Option<u64>; 2])>,
-    /// The metrics of the samples; none if the model generates nothing and is measured on real
-    /// motion.
+    /// The metrics of the samples; `None` for a model that does not generate motion.
     pub samples: Option<Vec<Group>>,
     /// The metrics of real motion.
     pub real: Vec<Group>,
-    /// Findings that do not fit into columns.
+    /// Remarks outside the table.
     pub remarks: Vec<String>,
 }
 
@@ -68,18 +66,18 @@ pub struct Evaluated {
     pub run: String,
     /// Stem of the report's files.
     pub report: &'static str,
-    /// Everything, as JSON.
+    /// The report, as JSON.
     pub json: Value,
     /// The metrics of the samples.
     pub samples: Column,
     /// The same metrics of real motion.
     pub real: Column,
-    /// Findings that do not fit into columns.
+    /// Remarks outside the table.
     pub remarks: Vec<String>,
 }
 
-/// The results for `count` items, of which each process computes a part; `item` gets an item's
-/// number and its progress callback. Collective.
+/// The results of `item` for `count` items, shared among the processes; `item` gets a number and a
+/// progress callback. Collective.
 ///
 /// # Errors
 /// The first error of `item`.
@@ -97,7 +95,7 @@ pub fn for_each_item<T: Serialize + DeserializeOwned>(
     })
 }
 
-/// `json`, an object, with the keys of the sampling settings beside its own.
+/// Adds the keys of the sampling settings to `json`, an object.
 pub fn with_sampling(mut json: Value, sampling: &SamplingConfig) -> Value {
     let settings = to_value(sampling).expect("plain data");
     let settings = settings.as_object().expect("a table").clone();

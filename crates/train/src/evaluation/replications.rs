@@ -1,4 +1,4 @@
-//! Evaluations that differ in their seed alone, combined to one.
+//! Combination of evaluations with several seeds.
 
 use kinegrad_motion::metrics::replication_interval;
 use serde::Serialize;
@@ -8,7 +8,7 @@ use serde_json::{Map, Value, from_value, to_value};
 use super::{Metrics, Number, OnStep};
 use crate::error::Error;
 
-/// The results of `count` evaluations by `one`, which gets the seed of each: `seed` and those after it.
+/// The results of `count` evaluations by `one`, which gets `seed` and the seeds after it.
 ///
 /// # Errors
 /// As `one`.
@@ -26,13 +26,13 @@ pub fn replicate<T>(
     replications.collect()
 }
 
-/// Reports of replications: their means, and half the width of the 95 % interval of each mean.
+/// The means of replicated reports, with half the width of the 95 % interval of each.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Replicated<T> {
     /// The mean of each metric. Counts are those of the first report.
     #[serde(flatten)]
     pub mean: T,
-    /// The [`replication_interval`] of each, where there are several.
+    /// The [`replication_interval`] of each; `None` for a single report.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub interval: Option<T>,
 }
@@ -41,7 +41,7 @@ impl<T: Serialize + DeserializeOwned> Replicated<T> {
     /// The reports combined. A metric that one of them lacks is missing.
     ///
     /// # Panics
-    /// Panics if there is no report, or a report is no plain struct of numbers.
+    /// Panics without a report, or if a report is not a plain struct of numbers.
     pub fn of(reports: &[T]) -> Self {
         let tables = reports.iter().map(|report| match to_value(report) {
             Ok(Value::Object(table)) => table,
@@ -58,7 +58,7 @@ impl<T: Serialize + DeserializeOwned> Replicated<T> {
         }
     }
 
-    /// [`of`](Self::of) reports that every replication has; none if one lacks it.
+    /// [`of`](Self::of) reports; `None` if a replication lacks it.
     pub fn of_all(reports: impl Iterator<Item = Option<T>>) -> Option<Self> {
         let reports: Option<Vec<T>> = reports.collect();
         Some(Self::of(&reports?))
@@ -78,7 +78,7 @@ impl<T: Metrics> Metrics for Replicated<T> {
     }
 }
 
-/// A table with the numbers of `tables` combined, and those of the tables in them.
+/// A table with the numbers of `tables` combined, recursively.
 fn combine(tables: &[&Map<String, Value>], of: &dyn Fn(&[f64]) -> f64) -> Value {
     let combined = tables[0].iter().map(|(key, first)| {
         let all = tables.iter().map(|table| table.get(key));

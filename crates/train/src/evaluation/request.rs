@@ -9,7 +9,7 @@ use crate::error::Error;
 use crate::memory::must_fit;
 use crate::process_group::ProcessGroup;
 
-/// The parts of an evaluation that a system's own tables do not state.
+/// The settings of an evaluation beyond the system's tables.
 #[derive(Clone, Debug, Default)]
 pub struct EvaluationRequest {
     /// Dataset whose held-out items are used, instead of the run's own.
@@ -21,9 +21,9 @@ pub struct EvaluationRequest {
     pub evaluator: Option<Rc<dyn TextMotionEvaluator>>,
     /// Seed of the noise.
     pub seed: u64,
-    /// Whether to compare the phrases' own music with silence and with altered music.
+    /// Compare the phrases' own music with silence and altered music.
     pub audio_ablation: bool,
-    /// The processes that generate a part of the samples each; all of them get the same results.
+    /// The processes that share sampling; all get the same results.
     pub group: Rc<ProcessGroup>,
 }
 
@@ -55,7 +55,7 @@ impl EvaluationRequest {
         Ok(())
     }
 
-    /// Rejects an evaluation that needs so many bytes of main memory in each process of a machine.
+    /// Rejects an evaluation that needs more than the free memory: `needed` bytes per process.
     ///
     /// # Errors
     /// As [`must_fit`].

@@ -6,13 +6,13 @@ use kinegrad_motion::metrics::text_motion::TextMotionReport;
 /// The numbers of one set of motions.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Column {
-    /// Counts by name; none where one does not apply.
+    /// Counts by name; `None` if not applicable.
     pub facts: Vec<(&'static str, Option<u64>)>,
     /// The metrics, in groups.
     pub groups: Vec<Group>,
 }
 
-/// Numbers that belong together.
+/// A group of numbers.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Group {
     /// Its name in files.
@@ -41,12 +41,12 @@ pub struct Number {
     pub name: String,
     /// None if it cannot be computed.
     pub value: Option<f64>,
-    /// Its row in tables: a title and the number as text; none if it is in files alone.
+    /// Its row in tables: a title and the number as text; `None` for files only.
     pub line: Option<(String, Option<String>)>,
 }
 
 impl Number {
-    /// A number with four decimals in tables, where its `unit` follows the name.
+    /// A number that tables show with four decimals and its `unit` after the name.
     pub fn new(name: impl Into<String>, value: Option<f64>, unit: &str) -> Self {
         let name = name.into();
         let title = format!("{name}{unit}");
@@ -54,7 +54,7 @@ impl Number {
         Self::shown(name, value, title, shown)
     }
 
-    /// [`new`](Self::new) of names, values and units.
+    /// [`new`](Self::new) for each name, value and unit.
     pub fn list<const N: usize>(rows: [(&str, Option<f64>, &str); N]) -> Vec<Self> {
         rows.map(|(name, value, unit)| Self::new(name, value, unit))
             .into()

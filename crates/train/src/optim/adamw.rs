@@ -20,8 +20,8 @@ impl Moments {
         }
     }
 
-    /// Updates a parameter in place by the numbers of a step ([`AdamW::step`]), and in the same pass its
-    /// moving average, if that moves ([`crate::ema::Ema::share_at`]).
+    /// Updates a parameter in place by an [`AdamW::step`] and, in the same pass, its moving average with
+    /// the share of [`crate::ema::Ema::share_at`].
     ///
     /// # Panics
     /// Panics if the lengths differ.
@@ -43,7 +43,7 @@ impl Moments {
 }
 
 /// Adam with decoupled weight decay (CC-MotionGen, section 6.3; docs/sources.md, section 1.10),
-/// over parameters in the module's order; their running means are kept where they are updated:
+/// over parameters in the module's order:
 ///
 /// ```text
 /// p -= lr decay p
@@ -52,8 +52,8 @@ impl Moments {
 /// p -= lr mhat / (sqrt(vhat) + eps)    with  mhat = m / (1 - b1^t),  vhat = v / (1 - b2^t)
 /// ```
 ///
-/// With CC-MotionGen's rate and decay of 1e-4 each, `1 - lr decay` rounds to 1 in single precision,
-/// so that decay does nothing; larger values of either work.
+/// With CC-MotionGen's rate and decay of 1e-4 each, `1 - lr decay` rounds to 1 in single precision, so
+/// that decay has no effect.
 #[derive(Clone, Debug)]
 pub struct AdamW {
     config: OptimConfig,
@@ -78,18 +78,17 @@ impl AdamW {
         Self { decaying, ..self }
     }
 
-    /// Counts a step; [`step`](Self::step) then belongs to it.
+    /// Starts a step, to which [`step`](Self::step) then belongs.
     pub fn begin_step(&mut self) {
         self.steps += 1;
     }
 
-    /// Steps that have begun.
+    /// Steps started.
     pub fn steps(&self) -> u64 {
         self.steps
     }
 
-    /// The numbers of this step for parameter `index`, whose gradient is multiplied by
-    /// `gradient_scale` first.
+    /// The settings of this step for parameter `index`, whose gradient is scaled by `gradient_scale`.
     pub fn step(&self, index: usize, gradient_scale: f64, learning_rate: f64) -> kernels::AdamW {
         let decays = self.decaying.get(index).copied().unwrap_or(true);
         kernels::AdamW {

@@ -6,12 +6,12 @@ pub fn squares(gradients: &[Vec<f32>]) -> Vec<f64> {
     squares.collect()
 }
 
-/// The global Euclidean norm from these [`squares`], in one order.
+/// The global Euclidean norm from [`squares`], in a fixed order.
 pub fn norm_of_squares(squares: &[f64]) -> f64 {
     squares.iter().sum::<f64>().sqrt()
 }
 
-/// The global Euclidean norm, in f64 and in one order.
+/// The global Euclidean norm, in f64 and in a fixed order.
 pub fn global_norm(gradients: &[Vec<f32>]) -> f64 {
     norm_of_squares(&squares(gradients))
 }

@@ -1,7 +1,7 @@
 //! The optimiser: AdamW over named parameters.
 //!
-//! Burn's own keys its state by identifiers that are random in each process and clips each tensor
-//! by itself; resuming bit for bit needs names, and the source clips by the global norm.
+//! Burn's AdamW keys its state by identifiers that are random in each process, and clips each tensor
+//! separately. Exact resuming needs names, and the source clips by the global norm.
 
 mod adamw;
 mod clip;

@@ -1,7 +1,7 @@
 //! Agreement of ranks: all continue, or all end at the same point.
 //!
-//! An event of one rank (a signal, a bad file, a full disk, a non-finite number) is reported to all
-//! ranks before the next collective operation, so that none waits for a rank that has ended.
+//! A failure of one rank is reported to all before the next collective operation, so that none waits
+//! for a rank that has ended.
 
 mod sharing;
 
@@ -17,10 +17,10 @@ use crate::error::Error;
 /// The status of a rank.
 #[derive(Clone, Copy, PartialEq)]
 enum Status {
-    Goes = 0,
+    Continues = 0,
     Stops = 1,
     Failed = 2,
-    /// It failed for its data: what was learned is worth keeping.
+    /// Its data failed, so progress should be saved.
     FailedData = 3,
 }
 
@@ -31,10 +31,10 @@ pub type Agreed<T, S = Vec<f64>> = Option<(T, Vec<S>)>;
 #[derive(Debug)]
 pub struct ProcessGroup {
     ranks: Rc<dyn Ranks>,
-    /// True if all ranks know of a failure.
-    knows: Cell<bool>,
+    /// True if a failure was reported to all ranks.
+    failure_reported: Cell<bool>,
     /// See [`saves_progress`](Self::saves_progress).
-    keeps: Cell<bool>,
+    saves_progress: Cell<bool>,
 }
 
 /// The kind of a message between ranks, its first byte.
@@ -49,14 +49,14 @@ pub(crate) enum Tag {
 }
 
 impl Default for ProcessGroup {
-    /// A process by itself.
+    /// A single process.
     fn default() -> Self {
         Self::of(Rc::new(Alone))
     }
 }
 
 impl ProcessGroup {
-    /// The ranks of a run that has not begun.
+    /// The group of `ranks`.
     pub fn new(ranks: Rc<dyn Ranks>) -> Rc<Self> {
         Rc::new(Self::of(ranks))
     }
@@ -64,12 +64,12 @@ impl ProcessGroup {
     fn of(ranks: Rc<dyn Ranks>) -> Self {
         Self {
             ranks,
-            knows: Cell::new(false),
-            keeps: Cell::new(false),
+            failure_reported: Cell::new(false),
+            saves_progress: Cell::new(false),
         }
     }
 
-    /// A process by itself.
+    /// A single process.
     pub fn alone() -> Rc<Self> {
         Rc::default()
     }
@@ -88,16 +88,16 @@ impl ProcessGroup {
     ///
     /// # Panics
     /// Panics if another rank has another tag: the ranks are out of step.
-    pub(crate) fn gather(&self, about: Tag, own: &[u8]) -> Vec<Vec<u8>> {
-        let mut message = vec![about as u8];
+    pub(crate) fn gather(&self, tag: Tag, own: &[u8]) -> Vec<Vec<u8>> {
+        let mut message = vec![tag as u8];
         message.extend(own);
         let mut all = self.ranks.gather(&message);
-        if let Some(other) = all.iter().position(|said| said[0] != about as u8) {
+        if let Some(other) = all.iter().position(|message| message[0] != tag as u8) {
             let own = self.ranks.rank();
-            panic!("rank {own} speaks of {about:?}, and rank {other} of something else");
+            panic!("rank {own} sends {tag:?}, rank {other} sends another tag");
         }
-        for said in &mut all {
-            said.remove(0);
+        for message in &mut all {
+            message.remove(0);
         }
         all
     }
@@ -110,52 +110,57 @@ impl ProcessGroup {
     pub fn agree<T>(
         &self,
         own: Result<Option<T>, Error>,
-        said: &[f64],
+        values: &[f64],
     ) -> Result<Agreed<T>, Error> {
-        let bytes = || said.iter().flat_map(|value| value.to_le_bytes()).collect();
+        let bytes = || {
+            values
+                .iter()
+                .flat_map(|value| value.to_le_bytes())
+                .collect()
+        };
         let agreed = self.verdict(own.map(|own| own.map(|own| (own, bytes()))))?;
-        let values = |message: &Vec<u8>| {
+        let decoded = |message: &Vec<u8>| {
             let (values, _) = message.as_chunks::<8>();
             let values = values.iter().map(|value| f64::from_le_bytes(*value));
             values.collect()
         };
-        Ok(agreed.map(|(own, said)| (own, said.iter().map(values).collect())))
+        Ok(agreed.map(|(own, all)| (own, all.iter().map(decoded).collect())))
     }
 
-    /// [`agree`](Self::agree), each rank saying some bytes with what it has.
+    /// [`agree`](Self::agree) with bytes as the values of each rank.
     fn verdict<T>(
         &self,
         own: Result<Option<(T, Vec<u8>)>, Error>,
     ) -> Result<Agreed<T, Vec<u8>>, Error> {
         if self.ranks.size() == 1 {
-            self.keeps.set(matches!(own, Err(Error::Data(_))));
-            return own.map(|own| own.map(|(own, said)| (own, vec![said])));
+            self.saves_progress.set(matches!(own, Err(Error::Data(_))));
+            return own.map(|own| own.map(|(own, bytes)| (own, vec![bytes])));
         }
-        let (status, code, said) = match &own {
-            Ok(Some((_, said))) => (Status::Goes, 0, said.as_slice()),
+        let (status, code, bytes) = match &own {
+            Ok(Some((_, bytes))) => (Status::Continues, 0, bytes.as_slice()),
             Ok(None) => (Status::Stops, 130, &[][..]),
             Err(error @ Error::Data(_)) => (Status::FailedData, error.exit_code(), &[][..]),
             Err(error) => (Status::Failed, error.exit_code(), &[][..]),
         };
         let mut message = vec![status as u8, code];
-        message.extend(said);
+        message.extend(bytes);
         let mut all = self.gather(Tag::Outcome, &message);
         let is = |message: &Vec<u8>, status: Status| message[0] == status as u8;
         let failed =
             |message: &Vec<u8>| is(message, Status::Failed) || is(message, Status::FailedData);
         let first = all.iter().position(failed);
-        // One verdict, the same on all ranks whatever each has met itself.
+        // The verdict is the same on all ranks.
         let by_data_alone = !all.iter().any(|message| is(message, Status::Failed));
-        self.keeps.set(first.is_some() && by_data_alone);
+        self.saves_progress.set(first.is_some() && by_data_alone);
         if let Some(rank) = first {
-            self.knows.set(true);
+            self.failure_reported.set(true);
             let code = all[rank][1];
             return Err(match own {
                 Err(error) => error,
                 Ok(_) => Error::OtherRank { rank, code },
             });
         }
-        if !all.iter().all(|message| is(message, Status::Goes)) {
+        if !all.iter().all(|message| is(message, Status::Continues)) {
             return Ok(None);
         }
         for message in &mut all {
@@ -164,18 +169,18 @@ impl ProcessGroup {
         Ok(own?.map(|(own, _)| (own, all)))
     }
 
-    /// True if progress before the error of [`agree`](Self::agree) should be saved, equal on all
-    /// ranks: only the data failed, on any of them.
+    /// True if only data failed, on any rank: progress before the error of [`agree`](Self::agree) should
+    /// be saved. Equal on all ranks.
     pub fn saves_progress(&self) -> bool {
-        self.keeps.get()
+        self.saves_progress.get()
     }
 
-    /// Rejects ranks of which one and the same work may come out differently. Collective.
+    /// Rejects ranks whose results could differ. Collective.
     ///
     /// # Errors
     /// As [`must_match`](Self::must_match).
     pub fn must_compute_alike(&self) -> Result<(), Error> {
-        // kinegrad's own kernels add in one order whatever the number of threads.
+        // Summation in kinegrad's kernels does not depend on the number of threads.
         let threads = match Mode::from_environment() {
             Ok(Mode::Composed) => rayon::current_num_threads().to_string(),
             _ => String::new(),
@@ -187,9 +192,9 @@ impl ProcessGroup {
         ])
     }
 
-    /// A warning if several processes of a machine compute on one card. Collective.
+    /// A warning if several processes of a machine share a card. Collective.
     pub(crate) fn shared_card(&self, name: &str) -> Option<String> {
-        // A launcher that gives each process a card shows it no other.
+        // Some launchers show each process only its own card.
         let shown = std::env::var("CUDA_VISIBLE_DEVICES").unwrap_or_default();
         let machine = sysinfo::System::host_name().unwrap_or_default();
         let own = format!("`{name}` of {machine} {shown}");
@@ -203,17 +208,17 @@ impl ProcessGroup {
         ))
     }
 
-    /// Rejects ranks that are not about to do the same. Collective.
+    /// Rejects ranks with different values of `what`. Collective.
     ///
     /// # Errors
-    /// [`Error::Usage`] names the first of `what` that differs, by its name.
+    /// [`Error::Usage`] names the first value that differs.
     pub fn must_match(&self, what: &[(&str, &str)]) -> Result<(), Error> {
         if self.ranks.size() == 1 {
             return Ok(());
         }
         for (name, own) in what {
             let all = self.gather(Tag::Plan, Digest::of(own.as_bytes()).to_string().as_bytes());
-            if let Some(rank) = all.iter().position(|said| said != &all[0]) {
+            if let Some(rank) = all.iter().position(|other| other != &all[0]) {
                 return Err(Error::usage(
                     format!("rank {rank} has another {name} than rank 0"),
                     "all ranks need the same program, command and environment, and see the same files: \
@@ -224,45 +229,42 @@ impl ProcessGroup {
         Ok(())
     }
 
-    /// The end of the run, if any rank failed: the first rank with an error of its own, and its
-    /// exit code. Collective.
+    /// The first rank that failed itself, and its exit code; `None` if none failed. Collective.
     pub fn first_failure(&self, own: Option<&Error>) -> Option<(usize, u8)> {
         let own = own.filter(|error| !matches!(error, Error::OtherRank { .. }));
         let message = own.map_or([0, 0], |error| [1, error.exit_code()]);
         let all = self.gather(Tag::End, &message);
-        let rank = all.iter().position(|said| said[0] == 1)?;
+        let rank = all.iter().position(|message| message[0] == 1)?;
         Some((rank, all[rank][1]))
     }
 
-    /// Waits until all ranks have come as far as this: launchers end the others as soon as one has returned a
-    /// code that is not 0. Collective.
-    pub fn part(&self) {
+    /// Waits for all ranks, because launchers end the others when one returns a nonzero code. Collective.
+    pub fn barrier(&self) {
         self.gather(Tag::End, &[]);
     }
 
-    /// Reports this rank's own failure to all ranks between two collective operations, unless they
-    /// know it. Collective if it has failed.
+    /// Reports a failure of this rank to all ranks, unless it was reported before. Collective if it failed.
     ///
     /// # Errors
     /// The error of `outcome`.
     pub fn report_failure<T>(&self, outcome: Result<T, Error>) -> Result<T, Error> {
         match &outcome {
-            Err(_) if !self.knows.get() => self.done(outcome),
+            Err(_) if !self.failure_reported.get() => self.done(outcome),
             _ => outcome,
         }
     }
 
-    /// [`agree`](Self::agree) of what either is done or fails.
+    /// [`agree`](Self::agree) on a result that cannot be a stop.
     ///
     /// # Errors
     /// As [`agree`](Self::agree).
     pub fn done<T>(&self, own: Result<T, Error>) -> Result<T, Error> {
         let agreed = self.agree(own.map(Some), &[])?;
-        let (own, _) = agreed.expect("nobody stops here");
+        let (own, _) = agreed.expect("no rank stops here");
         Ok(own)
     }
 
-    /// Rejects weights that are not the same on all ranks. Collective.
+    /// Rejects weights that differ between ranks. Collective.
     ///
     /// # Errors
     /// [`Error::RanksDiffer`].

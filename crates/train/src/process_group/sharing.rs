@@ -1,4 +1,4 @@
-//! Work that the ranks of a run share.
+//! Work shared by the ranks of a run.
 
 use kinegrad_ranks::{Sharing, shared};
 use serde::Serialize;
@@ -8,8 +8,8 @@ use super::ProcessGroup;
 use crate::error::Error;
 
 impl ProcessGroup {
-    /// The results of `make` for `count` items, in order: each rank computes every size-th, and all
-    /// get all. Collective.
+    /// The results of `make` for `count` items, in order. Each rank computes every size-th; all ranks get
+    /// all results. Collective.
     ///
     /// # Errors
     /// The first error of this rank, or [`Error::OtherRank`].
@@ -26,7 +26,7 @@ impl ProcessGroup {
         )
     }
 
-    /// This rank's share of `count` items before `number`, and in total.
+    /// The number of this rank's items before `number`, and in total.
     pub fn own_of(&self, number: usize, count: usize) -> [usize; 2] {
         let (rank, size) = (self.ranks().rank(), self.ranks().size());
         [number, count].map(|end| end.saturating_sub(rank).div_ceil(size))
@@ -43,9 +43,9 @@ impl Sharing<Error> for ProcessGroup {
     }
 
     fn exchange(&self, own: Result<Vec<u8>, Error>) -> Result<Vec<Vec<u8>>, Error> {
-        let said = self.verdict(own.map(|own| Some(((), own))))?;
-        let (_, said) = said.expect("nobody stops here");
-        Ok(said)
+        let all = self.verdict(own.map(|own| Some(((), own))))?;
+        let (_, all) = all.expect("no rank stops here");
+        Ok(all)
     }
 }
 
@@ -62,8 +62,8 @@ impl Sharing<kinegrad_data::Error> for ProcessGroup {
         &self,
         own: Result<Vec<u8>, kinegrad_data::Error>,
     ) -> Result<Vec<Vec<u8>>, kinegrad_data::Error> {
-        let said = Sharing::<Error>::exchange(self, own.map_err(Error::from));
-        said.map_err(|error| match error {
+        let all = Sharing::<Error>::exchange(self, own.map_err(Error::from));
+        all.map_err(|error| match error {
             Error::Data(own) => own,
             Error::Interrupted => kinegrad_data::Error::Interrupted,
             Error::OtherRank { rank, code } => kinegrad_data::Error::OtherReader { rank, code },

@@ -47,22 +47,22 @@ pub struct Outcome {
 pub struct RunContext {
     /// The resolved config.
     pub config: Config,
-    /// Its kind of training.
+    /// Its recipe.
     pub recipe: &'static RecipeInfo,
     /// The run's folder.
     pub folder: PathBuf,
     /// A dry run, which writes nothing.
     pub dry_run: bool,
-    /// The start of a resumed run.
+    /// The checkpoint of a resumed run.
     pub checkpoint: Option<Checkpoint>,
     /// The device, with gradients after [`with_gradients`](Self::with_gradients).
     pub device: Device,
     pub(super) device_name: String,
-    /// Bytes of main memory that training takes, roughly.
+    /// Estimated main memory for training, bytes.
     pub(super) memory: u64,
-    /// Bytes of main memory that the samples at the end take, roughly.
+    /// Estimated main memory for the samples at the end, bytes.
     pub(super) memory_of_samples: u64,
-    /// Taken already where the run existed before.
+    /// The lock of an existing run.
     pub(super) lock: Option<Arc<File>>,
     /// The processes that train it.
     pub group: Rc<ProcessGroup>,
@@ -70,11 +70,11 @@ pub struct RunContext {
 
 /// The training data of a run.
 pub struct TrainingData {
-    /// Items to train on.
+    /// Number of training items.
     pub train: usize,
     /// Number of held-out items.
     pub validation: usize,
-    /// Id and reason of each item that was left out as unusable.
+    /// Id and reason of each skipped unusable item.
     pub skipped: Vec<(String, String)>,
     /// The contents of the dataset.
     pub digest: Digest,
@@ -82,11 +82,11 @@ pub struct TrainingData {
     pub statistics: Statistics,
     /// The statistics of the networks' channels, if different.
     pub network_statistics: Option<Statistics>,
-    /// The stream of batches, or a share of it.
+    /// Creates the stream of batches, or a share of it.
     pub loader: Box<MakeLoader>,
 }
 
-/// Names that the parameters of a recipe's networks begin with; none for a single network.
+/// Prefixes of the parameters of a recipe's networks; empty for a single network.
 fn networks_of(recipe: &RecipeInfo) -> &'static [&'static str] {
     match recipe.groups {
         [_] => &[],
@@ -94,7 +94,7 @@ fn networks_of(recipe: &RecipeInfo) -> &'static [&'static str] {
     }
 }
 
-/// Makes the stream of batches of a config, or a share of it.
+/// Creates the stream of batches of a config, or a share of it.
 pub type MakeLoader = dyn FnOnce(&Config, BatchShare) -> Loader;
 
 /// The batches of a rank after `step` steps.
@@ -111,8 +111,8 @@ fn batches(config: &Config, step: u64, group: &ProcessGroup) -> BatchShare {
 }
 
 impl RunContext {
-    /// The same on the device with gradients; `activation_checkpointing` recomputes cheap
-    /// activations in the backward pass instead of keeping them.
+    /// The context on the device with gradients; `activation_checkpointing` recomputes cheap activations
+    /// in the backward pass.
     #[must_use]
     pub fn with_gradients(self, activation_checkpointing: bool) -> Self {
         let device = self.device.autodiff();
@@ -128,7 +128,7 @@ impl RunContext {
     /// Shows the warnings of the run's dataset.
     ///
     /// # Errors
-    /// If it is another than the one trained on so far.
+    /// If it differs from the one trained on so far.
     pub fn check_dataset<T: Item>(
         &self,
         dataset: &Dataset<T>,
@@ -140,12 +140,11 @@ impl RunContext {
         self.must_be_same_dataset(dataset.digest)
     }
 
-    /// The training data made of `dataset`, as the `samples` of its items, and the items held out,
-    /// which are in memory from now on.
+    /// The training data of `dataset` as `samples` of its items, and the held-out items, loaded into
+    /// memory.
     ///
     /// # Errors
-    /// If a held-out item cannot be read, or the samples at the end cannot be clipped as
-    /// configured.
+    /// If a held-out item cannot be read, or `sampling.clip` cannot be followed.
     pub fn training_data<T: Item, S: Samples>(
         &self,
         dataset: Dataset<T>,
@@ -154,7 +153,6 @@ impl RunContext {
     ) -> Result<(TrainingData, HeldOut), Error> {
         let config = &self.config;
         if config.sampling.count_at_end > 0 || config.sampling.preview_every_steps > 0 {
-            // The requirements of the samples are known here.
             config
                 .sampling
                 .clip
@@ -177,10 +175,10 @@ impl RunContext {
         Ok((training_data, held_out.among(&self.group)))
     }
 
-    /// Rejects to continue on another dataset than the one trained on so far.
+    /// Rejects a dataset that differs from the one trained on so far.
     ///
     /// # Errors
-    /// If it is another.
+    /// With both digests.
     pub fn must_be_same_dataset(&self, digest: Digest) -> Result<(), Error> {
         let found = digest.to_string();
         let saved = self.checkpoint.as_ref();
@@ -196,8 +194,7 @@ impl RunContext {
         }
     }
 
-    /// Trains `model`, which is on the device with gradients, to the end, or until stopped. Nothing
-    /// but the record of the best step is written before.
+    /// Trains `model`, which is on the device with gradients, to the end or until stopped.
     ///
     /// # Errors
     /// If the checkpoint does not fit the model, or the run fails.
@@ -213,7 +210,7 @@ impl RunContext {
             let path = Checkpoints::of(&self.folder).step_path(checkpoint.state.step);
             check_moments(&model, checkpoint, &path)?;
         }
-        // All ranks have come as far as this, or end here: nothing is written before.
+        // Nothing is written before all ranks get here.
         self.group.done(Ok(()))?;
         self.group
             .must_match(&[("dataset", &training_data.digest.to_string())])?;
@@ -362,18 +359,17 @@ struct Written<'a> {
 }
 
 impl Written<'_> {
-    /// Everything that can be refused has been: only now is something written. Returns the run's lock,
-    /// which may have been taken before.
+    /// Writes the files after all validation. Returns the run's lock, which an existing run already has.
     fn write(&self, lock: Option<Arc<File>>) -> Result<Option<Arc<File>>, Error> {
         let Self { folder, config, .. } = *self;
         let (step, progress) = (self.summary.step, self.progress);
         let checkpoints = Checkpoints::of(folder);
         if self.checkpoint.is_some() && checkpoints.best() != progress.best() {
-            // A crash came between the checkpoint and the record of its being the best.
+            // A crash came between the checkpoint and the record of the best step.
             checkpoints.set_best(progress.best().as_ref())?;
         }
         if self.nothing_left {
-            // Work that a kill after the last checkpoint left undone.
+            // A kill after the last checkpoint may have prevented this.
             checkpoints.prune(step, config.checkpoint.keep_last, progress.best_step)?;
             return Ok(lock);
         }
@@ -382,7 +378,7 @@ impl Written<'_> {
             Some(lock) => lock,
             None => {
                 let lock = super::folder::lock(folder)?;
-                // Another process may have begun or ended the run since this one looked.
+                // Another process may have started the run in the meantime.
                 if contains_run(folder)? {
                     return Err(exists_already(&config.run.name, folder));
                 }
@@ -391,7 +387,7 @@ impl Written<'_> {
         };
         write_config(folder, config)?;
         if config.sampling.count_at_end > 0 {
-            // From now on samples are owed, those of an earlier end being of other weights.
+            // Samples at an earlier end are of other weights.
             let owed = folder.join(UNFINISHED_SAMPLES);
             remove(&owed)?;
             fs::create_dir(&owed).map_err(Error::io("create", &owed))?;

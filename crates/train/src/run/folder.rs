@@ -19,7 +19,7 @@ const LOCK: &str = "lock";
 /// Folder of the samples at a run's end.
 pub const SAMPLES: &str = "samples";
 
-/// Folder that they are drawn into. It is there from when a run goes on until they are drawn.
+/// Folder for unfinished samples, from the start of a run until they are complete.
 pub const UNFINISHED_SAMPLES: &str = ".writing-samples";
 
 /// Folder of the previews during training.
@@ -38,10 +38,7 @@ pub fn contains_run(folder: &Path) -> Result<bool, Error> {
     Ok(folder.join(CONFIG).exists() || !Checkpoints::of(folder).steps()?.is_empty())
 }
 
-/// Rejects a folder that is a file, or would lie below one.
-///
-/// # Errors
-/// Names it.
+/// Rejects a folder that is a file or below one.
 pub(super) fn must_be_a_folder(folder: &Path) -> Result<(), Error> {
     let is_file = match fs::metadata(folder) {
         Ok(found) => !found.is_dir(),
@@ -51,7 +48,7 @@ pub(super) fn must_be_a_folder(folder: &Path) -> Result<(), Error> {
         false => Ok(()),
         true => Err(Error::usage(
             format!(
-                "{} cannot be a run's folder: a file is there, or in the place of a folder above it",
+                "{} cannot be a run's folder: it is a file, or below one",
                 folder.display()
             ),
             "choose another option `name` or option `runs_dir`",
@@ -72,12 +69,8 @@ const WRITTEN: [&str; 9] = [
     UNFINISHED_SAMPLES,
 ];
 
-/// Rejects the folder of a new run that holds what the run would overwrite. Other files, such as
-/// logs, may be there.
-///
-/// # Errors
-/// Names what it holds.
-pub(super) fn must_hold_no_other(folder: &Path) -> Result<(), Error> {
+/// Rejects the folder of a new run if it contains files that the run would overwrite.
+pub(super) fn must_be_unused(folder: &Path) -> Result<(), Error> {
     let entries = match fs::read_dir(folder) {
         Err(error) if error.kind() == ErrorKind::NotFound => return Ok(()),
         entries => entries.map_err(Error::io("list", folder))?,
@@ -87,7 +80,7 @@ pub(super) fn must_hold_no_other(folder: &Path) -> Result<(), Error> {
         if WRITTEN.iter().any(|written| name == *written) {
             return Err(Error::usage(
                 format!(
-                    "{} exists and is no run: it holds `{}` and no {CONFIG}",
+                    "{} exists and is not a run: it contains `{}` and no {CONFIG}",
                     folder.display(),
                     name.display()
                 ),
@@ -106,7 +99,7 @@ pub(super) fn write_config(folder: &Path, config: &Config) -> Result<(), Error> 
     fs::rename(&temporary, &target).map_err(Error::io("rename", &temporary))
 }
 
-/// Removes a file, or a folder with all it holds; one that is not there is fine.
+/// Removes a file, or a folder with its contents, if it exists.
 ///
 /// # Errors
 /// If it cannot be removed.
@@ -121,7 +114,7 @@ pub fn remove(path: &Path) -> Result<(), Error> {
     }
 }
 
-/// The error of a run that would be overwritten.
+/// The error for a run that would be overwritten.
 pub(super) fn exists_already(name: &str, folder: &Path) -> Error {
     Error::usage(
         format!("the run `{name}` exists already: {}", folder.display()),
@@ -138,7 +131,7 @@ pub fn is_in_use(folder: &Path) -> bool {
     matches!(file.try_lock_shared(), Err(TryLockError::WouldBlock))
 }
 
-/// Takes the run's lock, which ends with what is returned, or with this process however it ends.
+/// Takes the run's lock, which is released on drop and when the process ends.
 pub(super) fn lock(folder: &Path) -> Result<Arc<File>, Error> {
     let path = folder.join(LOCK);
     let file = lock_file(&path).map_err(Error::io("open", &path))?;

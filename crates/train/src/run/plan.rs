@@ -1,4 +1,4 @@
-//! The estimated resources of a run; nothing is written.
+//! The estimated resources of a run (`--dry-run`).
 
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
@@ -14,13 +14,13 @@ use crate::parameter_count::ParameterCount;
 use crate::recipe::Recipe;
 use crate::trainer::{Trainer, TrainerParts};
 
-/// Bytes of a number.
+/// Bytes per number.
 const NUMBER: u64 = 4;
 
-/// Most steps that are measured, after a first one that is not.
+/// Number of measured steps after the first, which is not measured.
 const STEPS: u32 = 5;
 
-/// No further step is begun after this time.
+/// Time after which no further step starts.
 const LONG_ENOUGH: Duration = Duration::from_secs(10);
 
 /// The estimated resources of a run.
@@ -28,7 +28,7 @@ const LONG_ENOUGH: Duration = Duration::from_secs(10);
 pub struct Plan {
     /// Name of the run.
     pub run: String,
-    /// The folder that it would write.
+    /// Its folder.
     pub folder: PathBuf,
     /// Its recipe.
     pub recipe: String,
@@ -36,37 +36,34 @@ pub struct Plan {
     pub device: String,
     /// Its parameters.
     pub parameters: ParameterCount,
-    /// Items to train on.
+    /// Number of training items.
     pub train_items: usize,
     /// Number of held-out items.
     pub validation_items: usize,
-    /// Unusable items that are skipped.
+    /// Number of skipped unusable items.
     pub skipped_items: usize,
-    /// Items in a batch.
+    /// Items per batch.
     pub batch_size: usize,
-    /// Frames of each.
+    /// Frames per item.
     pub frames: usize,
     /// Steps already done.
     pub step: u64,
-    /// Steps in all.
+    /// Steps in total.
     pub max_steps: u64,
-    /// Main memory that the process takes at its most, in bytes: what it has taken for the steps
-    /// and the validation measured, code and stacks included, and estimates of checkpoints and of
-    /// the samples at the end. Where nothing is measured, an estimate of the training alone.
+    /// Peak main memory, bytes: the measured peak plus estimates of checkpoints and of the samples at the
+    /// end, or without a measurement an estimate of training alone.
     pub memory_bytes: u64,
     /// Free main memory, if known.
     pub free_memory_bytes: Option<u64>,
-    /// Mean time of a step; nothing where none is left.
+    /// Mean time of a step; `None` if none is left.
     pub step_seconds: Option<f64>,
-    /// Steps that it is the mean of.
+    /// Number of measured steps.
     pub measured_steps: u32,
-    /// Time of a validation; nothing where there is none, or where it would take so long that it is
-    /// not measured.
+    /// Time of a validation; `None` without one, or if measuring it would take too long.
     pub validation_seconds: Option<f64>,
-    /// Validations that are left.
+    /// Remaining validations.
     pub validations: u64,
-    /// Time of the steps that are left, and of the validations if one was measured. Checkpoints are
-    /// not counted.
+    /// Time of the remaining steps, and of the validations if measured; without checkpoints.
     pub training_seconds: f64,
     /// Size of a checkpoint.
     pub checkpoint_bytes: u64,
@@ -74,7 +71,7 @@ pub struct Plan {
     pub checkpoints: u64,
     /// Size of the samples at the end.
     pub samples_bytes: u64,
-    /// All of that.
+    /// Total size on disk.
     pub disk_bytes: u64,
 }
 
@@ -82,19 +79,19 @@ pub struct Plan {
 pub(super) struct Planned<'a> {
     pub config: &'a Config,
     pub summary: &'a RunSummary,
-    /// Estimate of what training takes.
+    /// Estimated memory for training, bytes.
     pub memory: u64,
-    /// Estimate of what the samples at the end take.
+    /// Estimated memory for the samples at the end, bytes.
     pub memory_of_samples: u64,
     pub channels: usize,
     pub nothing_left: bool,
 }
 
 impl Plan {
-    /// Measures some steps of a run, and a validation.
+    /// Measures some steps and a validation of a run.
     ///
     /// # Errors
-    /// As a training step, and [`Error::Interrupted`].
+    /// As [`Trainer::run`], and [`Error::Interrupted`].
     pub(super) fn measure<R: Recipe>(
         planned: &Planned<'_>,
         parts: TrainerParts<R>,
@@ -122,7 +119,7 @@ impl Plan {
                 let Some(time) = trainer.time_step(&mut Silent(observer))? else {
                     return Err(Error::Interrupted);
                 };
-                // The first one allocates, and may read files that the others find in memory.
+                // The first step allocates memory and reads files that are cached afterwards.
                 match first {
                     None => first = Some(time),
                     Some(_) => times.push(time),
@@ -137,10 +134,10 @@ impl Plan {
             let every = config.validation.every_steps;
             if every > 0 && summary.validation_phrases > 0 {
                 let (done, all) = (summary.step, summary.max_steps);
-                // One in every so many steps, and one after the last.
+                // Validation runs every `every` steps and after the last.
                 validations = all / every - done / every + u64::from(!all.is_multiple_of(every));
                 validations += u64::from(done == 0 && trainer.measures_first());
-                // Forward passes of as many items.
+                // A validation is as many forward passes.
                 let items = summary.validation_phrases * config.validation.draws;
                 let step = times.iter().sum::<Duration>() / times.len() as u32;
                 let expected = step * items.div_ceil(config.data.batch_size) as u32;
@@ -155,11 +152,11 @@ impl Plan {
         let left = summary.max_steps.saturating_sub(summary.step);
         let parameters = &summary.parameters;
         let best = u64::from(config.validation.every_steps > 0);
-        // Of trained parameters there are two moments, and of all the average.
+        // Two moments of the trained parameters, weights and average of all.
         let checkpoint_bytes = NUMBER * (2 * parameters.all + 2 * parameters.trained) as u64;
         let written = left.div_ceil(config.checkpoint.every_steps.max(1)) + 1;
         let checkpoints = (config.checkpoint.keep_last as u64 + best).min(written);
-        // A copy of the weights.
+        // The copy of the weights for a checkpoint.
         let writing = NUMBER * parameters.all as u64;
         let memory = match (before, memory::taken()) {
             (Some(before), Some(after)) if measured > 0 => {
@@ -169,7 +166,7 @@ impl Plan {
         };
         let validation = validation.map(|time| time.as_secs_f64());
         let frames = config.data.target_frames;
-        // The motion, and the raw output or the features.
+        // The motion and the raw output or the features.
         let sample = 2 * NUMBER * (frames * channels) as u64;
         let samples_bytes = config.sampling.count_at_end as u64 * sample;
         Ok(Self {

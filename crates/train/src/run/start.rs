@@ -1,4 +1,4 @@
-//! Starting and resuming a run: validation before anything is written.
+//! Starting and resuming runs: validation before files are written.
 
 use std::path::{Path, PathBuf};
 use std::rc::Rc;
@@ -8,7 +8,7 @@ use kinegrad_settings::{Refused, require};
 use toml::Table;
 
 use super::context::{Outcome, RunContext};
-use super::folder::{contains_run, exists_already, lock, must_be_a_folder, must_hold_no_other};
+use super::folder::{contains_run, exists_already, lock, must_be_a_folder, must_be_unused};
 use crate::checkpoint::Checkpoints;
 use crate::config::{self, Config, ConfigError, OptimPlace};
 use crate::error::Error;
@@ -56,11 +56,11 @@ pub fn train(
     train_distributed(systems, request, &ProcessGroup::alone(), observer)
 }
 
-/// [`train`] by several processes, each with its `group`. The first writes the run; all return
-/// the same outcome, but only the first has the run's lock.
+/// [`train`] by the processes of `group`. The first writes the run and has its lock; all return the same
+/// outcome.
 ///
 /// # Errors
-/// As [`train`], on all ranks: those that have met nothing themselves return [`Error::OtherRank`].
+/// As [`train`]; ranks that did not fail themselves return [`Error::OtherRank`].
 pub fn train_distributed(
     systems: Systems<'_>,
     request: &TrainRequest,
@@ -196,7 +196,7 @@ pub fn load_config(
     }
 }
 
-/// The config that the run in `folder` was started with, if it was.
+/// The saved config of the run in `folder`, if there is one.
 fn saved_config(systems: Systems<'_>, folder: &Path) -> Result<Option<Config>, ConfigError> {
     let path = folder.join("config.toml");
     let exists = path.exists();
@@ -233,11 +233,11 @@ fn must_share(config: &Config, group: &ProcessGroup) -> Result<(), Error> {
         steps.is_multiple_of(size),
         "train.gradient_accumulation_steps",
         steps,
-        format!("a multiple of {size}, as so many ranks share the micro-batches of a step"),
+        format!("a multiple of {size}, because the ranks share the micro-batches of a step"),
     )
     .hint(
         "a step is the same whatever the number of ranks: set it to a multiple, with fewer \
-         `data.batch_size` to keep what a step sees, or start fewer ranks",
+         `data.batch_size` for the same items per step, or start fewer ranks",
     )?;
     Ok(require(
         size == 1 || config.optim.offload != OptimPlace::Device,
@@ -288,7 +288,6 @@ fn train_in(
         }
         _ => {}
     }
-    // Without writes no lock is needed.
     let locks = exists && !dry_run && group.writes();
     let lock = locks.then(|| lock(&folder)).transpose()?;
     let (checkpoint, saved) = match resume {
@@ -308,7 +307,7 @@ fn train_in(
         Some(saved) => config::must_continue(&system.moved(saved, &config, &folder)?, &config)?,
         None => {
             system.must_use(&config)?;
-            must_hold_no_other(&folder)?;
+            must_be_unused(&folder)?;
         }
     }
 
@@ -344,7 +343,7 @@ fn train_in(
     }
     group.must_match(&[
         ("config", &config::to_toml(&config)),
-        ("step that it goes on from", &step.unwrap_or(0).to_string()),
+        ("step to continue from", &step.unwrap_or(0).to_string()),
     ])?;
     let context = RunContext {
         dry_run,

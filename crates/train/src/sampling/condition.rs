@@ -1,4 +1,4 @@
-//! Conditions: what samples are generated for.
+//! The conditions of samples.
 
 use std::fmt;
 use std::path::PathBuf;
@@ -14,8 +14,7 @@ use crate::checkpoint::SavedCheckpoint;
 use crate::error::Error;
 use crate::song::KnownBeats;
 
-/// A condition of a sample: as it is asked for, as it was resolved, and as the record of the sample
-/// keeps it.
+/// A condition of a sample, in requests and in the sample's record.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Condition {
@@ -27,7 +26,7 @@ pub enum Condition {
         #[serde(default, skip_serializing_if = "Option::is_none")]
         source: Option<String>,
     },
-    /// The first so many held-out items of the run's dataset.
+    /// The first held-out items of the run's dataset, by their number.
     HeldOut(usize),
     /// A file of audio features.
     AudioFeatures(PathBuf),
@@ -37,7 +36,7 @@ pub enum Condition {
         file: PathBuf,
         /// Position in the song at which the motion starts, seconds.
         start: f64,
-        /// Facts about its beats that are given and not tracked.
+        /// Known facts about its beats, which are not tracked.
         #[serde(default, skip_serializing_if = "KnownBeats::is_empty")]
         beats: KnownBeats,
     },
@@ -47,7 +46,7 @@ pub enum Condition {
     Text {
         /// The text, in words.
         text: String,
-        /// Folder of the text encoder that embeds it, for models that are given embeddings.
+        /// Folder of the text encoder, for models that take embeddings.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         text_encoder: Option<PathBuf>,
     },
@@ -70,7 +69,7 @@ pub enum Condition {
     Other(OtherCondition),
 }
 
-/// A condition of a system outside of kinegrad: its name and its value, in one entry of a map.
+/// A condition of a system outside of kinegrad, in JSON a map with one entry.
 #[derive(Clone, Debug, PartialEq)]
 pub struct OtherCondition {
     /// Its name.
@@ -95,7 +94,9 @@ impl<'de> Deserialize<'de> for OtherCondition {
             (Some((name, value)), None) => {
                 Self::new(&name, value).map_err(serde::de::Error::custom)
             }
-            _ => Err(serde::de::Error::custom("one condition an entry")),
+            _ => Err(serde::de::Error::custom(
+                "a map with one condition is needed",
+            )),
         }
     }
 }
@@ -124,7 +125,7 @@ pub struct TrajectoryCondition {
 }
 
 impl TrajectoryCondition {
-    /// The condition on a checkpoint that was read.
+    /// The condition on the trajectory model of a checkpoint.
     pub fn new(saved: SavedCheckpoint) -> Self {
         Self {
             checkpoint: saved.path.clone(),
@@ -154,11 +155,11 @@ pub struct PathFile {
 pub struct KnownFramesCondition {
     /// The motion's file.
     pub motion: PathBuf,
-    /// First frame and end of each run of frames, ascending and apart. In a request of `continued` frames they are empty: the last
-    /// ones of the motion.
+    /// Start and end of each range, ascending and disjoint. Empty in a request with `continued`: the last
+    /// frames of the motion.
     pub frames: Vec<[usize; 2]>,
-    /// Whether the sample continues the motion: it begins with these frames. Otherwise they are at
-    /// the same positions in both.
+    /// True if the sample starts with these frames and continues the motion; otherwise they have the same
+    /// positions in both.
     pub continued: bool,
 }
 
@@ -183,10 +184,10 @@ const RESERVED: [&str; 16] = [
 ];
 
 impl OtherCondition {
-    /// A condition with a name of its own.
+    /// The condition `name`.
     ///
     /// # Errors
-    /// [`Error::Usage`] for a name that has another meaning.
+    /// [`Error::Usage`] for a reserved name.
     pub fn new(name: &str, value: Value) -> Result<Self, Error> {
         match RESERVED.contains(&name) {
             false => Ok(Self {
@@ -202,7 +203,7 @@ impl OtherCondition {
 }
 
 impl Condition {
-    /// Its name, which a recipe lists if it accepts the condition.
+    /// Its name; recipes list the names of the conditions that they accept.
     pub fn name(&self) -> &str {
         match self {
             Self::Item { .. } => "item",
@@ -223,7 +224,7 @@ impl Condition {
         }
     }
 
-    /// The subject of which a sample has one condition.
+    /// The group of conditions of which a sample has at most one.
     pub(super) fn role(&self) -> Option<&'static str> {
         match self {
             Self::AudioFeatures(_) | Self::Song { .. } => Some("audio"),
@@ -234,7 +235,7 @@ impl Condition {
     }
 }
 
-/// A request for samples of a condition, in JSON: one map, a condition an entry.
+/// Conditions in JSON: a map with one entry per condition.
 pub(super) mod as_map {
     use super::*;
 
@@ -246,7 +247,7 @@ pub(super) mod as_map {
         for condition in conditions {
             let entry = serde_json::to_value(condition).map_err(serde::ser::Error::custom)?;
             let Value::Object(entry) = entry else {
-                unreachable!("conditions have a value each");
+                unreachable!("a condition is a map");
             };
             for (name, value) in entry {
                 map.serialize_entry(&name, &value)?;

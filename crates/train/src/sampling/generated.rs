@@ -21,7 +21,7 @@ const BVH: &str = ".bvh";
 /// Extension of the ground path of a first stage.
 const PATH: &str = ".path.npy";
 
-/// What a sampler generates.
+/// Generated motion.
 #[derive(Clone, Debug)]
 pub enum Generated {
     /// A phrase, `[T, 25]`.
@@ -33,11 +33,11 @@ pub enum Generated {
     },
     /// A clip of a body.
     Clip {
-        /// Joint positions, which may be elsewhere on the ground than the features.
+        /// Joint positions; their ground position may differ from that of the features.
         joints: Joints,
         /// Its skeleton.
         skeleton: Box<Skeleton>,
-        /// Joint features, of models that generate them.
+        /// Joint features, for models that generate them.
         features: Option<Features>,
         /// The ground path of a first stage, x and z in metres.
         path: Option<Vec<[f64; 2]>>,
@@ -60,7 +60,7 @@ impl Generated {
     pub const JOINTS: &[&str] = &[MOTION, BVH];
     /// Extensions of the files of a clip.
     pub const CLIP: &[&str] = &[MOTION, FEATURES, BVH];
-    /// Extensions of the files of a clip of two stages.
+    /// Extensions of the files of a clip from two stages.
     pub const CLIP_OF_STAGES: &[&str] = &[MOTION, FEATURES, BVH, PATH];
     /// Extensions of the files of rows and ground paths.
     pub const ROWS: &[&str] = &[MOTION];

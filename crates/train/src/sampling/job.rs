@@ -1,4 +1,4 @@
-//! Samplers: what a system resolves a request to, and how it generates it.
+//! Samplers: resolved requests.
 
 use std::ops::ControlFlow;
 
@@ -11,7 +11,7 @@ use crate::error::Error;
 /// Samples of one condition.
 #[derive(Clone, Debug)]
 pub struct Job {
-    /// The condition in file names; none where it is the only one.
+    /// The condition in file names; `None` for a single one.
     pub name: Option<String>,
     /// The resolved conditions, for the record.
     pub conditions: Vec<Condition>,
@@ -19,18 +19,18 @@ pub struct Job {
     pub frames: usize,
 }
 
-/// Memory that sampling takes.
+/// Memory for sampling.
 #[derive(Clone, Debug)]
 pub struct Needs {
     /// The work, such as `sampling 4 clips of 60 frames`.
     pub work: String,
     /// Bytes of main memory.
     pub bytes: u64,
-    /// A hint for where they are not free.
+    /// The hint of the error if memory is short.
     pub hint: &'static str,
 }
 
-/// A request that a system has resolved: its conditions are read, and are known to fit the model.
+/// A request resolved by a system: its conditions are read and fit the model.
 pub trait Sampler {
     /// The jobs, in the order of their samples.
     fn jobs(&self) -> &[Job];
@@ -38,12 +38,12 @@ pub trait Sampler {
     /// Extensions of the files of a sample, the motion first.
     fn extensions(&self) -> &'static [&'static str];
 
-    /// Whether the samples of all jobs are one batch, and are numbered through.
+    /// True if the samples of all jobs are one batch with consecutive numbers.
     fn is_one_batch(&self) -> bool {
         false
     }
 
-    /// The memory that sampling takes, of each part.
+    /// The memory for each part of sampling.
     ///
     /// # Errors
     /// If a network cannot be built.
@@ -58,11 +58,11 @@ pub trait Sampler {
     fn sample(&self, run: &mut Run<'_>) -> Result<Option<Summary>, Error>;
 }
 
-/// A run of a sampler: the request, and where samples go.
+/// A run of a sampler: the request and the sink of samples.
 pub struct Run<'a> {
     /// The trained model.
     pub trained: &'a TrainedModel,
-    /// The request, its length in frames.
+    /// The request, with its length in frames.
     pub request: &'a Request,
     /// The receiver of samples, notes and progress.
     pub sink: &'a mut dyn SampleSink,
@@ -71,7 +71,7 @@ pub struct Run<'a> {
     pub(crate) jobs: &'a [Job],
     pub(crate) names: Names,
     pub(crate) is_one_batch: bool,
-    /// Distances from paths, a line a sample.
+    /// Distances from paths, one line per sample.
     pub(crate) paths: Vec<String>,
 }
 
@@ -84,7 +84,7 @@ impl Run<'_> {
         }
     }
 
-    /// Shows the progress of a stage, and whether to go on.
+    /// Reports the progress of a stage; `Break` stops sampling.
     pub fn step(&mut self, stage: &'static str, done: usize, all: usize) -> ControlFlow<()> {
         self.sink.advance(stage, done, all)
     }
@@ -106,7 +106,7 @@ impl Run<'_> {
         }
     }
 
-    /// Passes a sample on.
+    /// Passes a sample to the sink.
     ///
     /// # Errors
     /// If it cannot be stored.

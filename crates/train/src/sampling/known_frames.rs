@@ -14,9 +14,9 @@ use crate::error::Error;
 /// Known frames of a sample.
 #[derive(Clone, Debug, PartialEq)]
 pub struct KnownFrames {
-    /// As the stored numbers, `[frames, 25]`; zeros elsewhere.
+    /// Stored channels, `[frames, 25]`; zeros in unknown frames.
     pub motion: Phrase,
-    /// The frames of the sample that are given.
+    /// The ranges of known frames.
     pub frames: Vec<Range<usize>>,
 }
 
@@ -30,15 +30,15 @@ impl KnownFramesCondition {
         }
     }
 
-    /// The frames `text` of a phrase: ranges such as `0..30,90..120`, without their ends.
+    /// The frames `text` of a phrase: half-open ranges such as `0..30,90..120`.
     ///
     /// # Errors
     /// [`Error::Usage`] if these are not ascending ranges.
-    pub fn kept(motion: &Path, text: &str) -> Result<Self, Error> {
+    pub fn in_place(motion: &Path, text: &str) -> Result<Self, Error> {
         let wrong = |found: &str| {
             Error::usage(
                 format!(
-                    "option `keep {text}`: `{found}` is no range of frames after those before it"
+                    "option `keep {text}`: `{found}` is not a range of frames after the previous one"
                 ),
                 "ranges ascend and do not overlap, and their ends do not count: \
                  option `keep 0..30,90..120` keeps the frames 0 to 29 and 90 to 119",
@@ -68,12 +68,10 @@ impl KnownFramesCondition {
         }
     }
 
-    /// Reads the frames for a sample of `frames` frames; at most `most_last` of them continue
-    /// another phrase.
+    /// Reads the frames for a sample of `frames` frames; a continuation takes at most `most_last` frames.
     ///
     /// # Errors
-    /// If the file is not a phrase, is not finite, is too short for the frames, or leaves no frame
-    /// to sample.
+    /// If the file is not a finite phrase, is too short, or leaves no frame to sample.
     pub fn read(&self, frames: usize, most_last: usize) -> Result<KnownFrames, Error> {
         let phrase = read_motion(&self.motion)?;
         let (name, option) = (self.motion.display(), self.option());
@@ -113,7 +111,7 @@ impl KnownFramesCondition {
         }
         if known.iter().map(Range::len).sum::<usize>() == frames {
             return Err(Error::usage(
-                format!("option `{option}` gives all {frames} frames"),
+                format!("option `{option}` keeps all {frames} frames"),
                 "nothing is left to sample: keep fewer frames, or ask for a longer sample (option \
                  `frames`)",
             ));
@@ -130,25 +128,25 @@ impl KnownFramesCondition {
 }
 
 impl KnownFrames {
-    /// Number of given frames.
+    /// Number of known frames.
     pub fn count(&self) -> usize {
         self.frames.iter().map(Range::len).sum()
     }
 
-    /// The given frames with unit quaternions of continuous sign, `[25, frames]`.
+    /// The known frames with unit quaternions of continuous sign, `[25, frames]`.
     pub fn known(&self) -> stitch::KnownFrames {
         let mut is_known = vec![false; self.motion.frames()];
         self.frames
             .iter()
             .for_each(|range| is_known[range.clone()].fill(true));
         let mut motion = self.motion.clone();
-        let given: Vec<usize> = (0..is_known.len()).filter(|&t| is_known[t]).collect();
-        let mut quaternions: Vec<Quaternion> = given
+        let known: Vec<usize> = (0..is_known.len()).filter(|&t| is_known[t]).collect();
+        let mut quaternions: Vec<Quaternion> = known
             .iter()
             .map(|&t| motion.quaternion(t).normalised())
             .collect();
         make_sign_continuous(&mut quaternions);
-        for (t, quaternion) in given.into_iter().zip(quaternions) {
+        for (t, quaternion) in known.into_iter().zip(quaternions) {
             motion.set_quaternion(t, quaternion);
         }
         stitch::KnownFrames {
@@ -157,9 +155,8 @@ impl KnownFrames {
         }
     }
 
-    /// Writes the known frames into `motion`, and adapts the signs of other quaternions to the
-    /// first of them. If the motion turns around once more before a later range, that range gets
-    /// the continuous sign.
+    /// Writes the known frames into `motion`, whose other quaternions get the sign of the first known one.
+    /// If the motion makes another turn before a later range, that range gets the continuous sign.
     pub fn put_into(&self, motion: &mut Phrase) {
         let Some(first) = self.frames.first().map(|range| range.start) else {
             return;
@@ -170,8 +167,8 @@ impl KnownFrames {
             }
         }
         for range in self.frames.iter().cloned() {
-            let drawn = motion.quaternion(range.start);
-            let turned = drawn.dot(self.motion.quaternion(range.start)) < 0.0;
+            let sampled = motion.quaternion(range.start);
+            let turned = sampled.dot(self.motion.quaternion(range.start)) < 0.0;
             for t in range {
                 motion.frame_mut(t).copy_from_slice(self.motion.frame(t));
                 if turned {
@@ -188,7 +185,7 @@ mod tests {
 
     #[test]
     fn the_sign_of_quaternions_goes_on_into_later_ranges() {
-        // Known: facing +z in two ranges. Sampled: a whole turn between them.
+        // Known: facing +z in two ranges. Sampled: a full turn between them.
         let facing = |angle: f64| {
             let mut frame = vec![0.0; CHANNELS];
             let Quaternion { w, x, y, z } = Quaternion::from_yaw(angle);
@@ -218,7 +215,7 @@ mod tests {
 
     #[test]
     fn ranges_ascend() {
-        let these = |text: &str| KnownFramesCondition::kept(Path::new("m.npy"), text);
+        let these = |text: &str| KnownFramesCondition::in_place(Path::new("m.npy"), text);
         let given = these("0..30, 90..120").expect("ranges");
         assert_eq!(given.frames, [[0, 30], [90, 120]]);
         for bad in [

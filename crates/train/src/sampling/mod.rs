@@ -1,8 +1,8 @@
-//! Requests for samples, and what a system makes of them.
+//! Requests for samples.
 //!
-//! A [`Request`] lists [conditions](Condition). The system of the model resolves it to a [`Sampler`].
-//! [`Systems::sample`](crate::system::Systems::sample) does the rest once for all systems: it refuses
-//! conditions that the recipe does not accept, checks memory, names, records and passes samples on.
+//! A [`Request`] lists [conditions](Condition). The model's system resolves it to a [`Sampler`].
+//! [`Systems::sample`](crate::system::Systems::sample) rejects conditions that the recipe does not
+//! accept, checks memory, and names and records the samples.
 
 mod condition;
 mod generated;

@@ -1,16 +1,16 @@
 //! Names of the files of samples.
 
-/// Names of the samples of a request: `count` for each of the stems, numbered if there are several.
+/// Names of the samples of a request: `count` per stem, numbered if there are several.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Names {
-    /// The name of a condition; empty for a single one.
+    /// The names of the conditions; empty for a single one.
     pub stems: Vec<String>,
-    /// Samples of each.
+    /// Samples per stem.
     pub count: usize,
 }
 
 impl Names {
-    /// The name of a sample of a stem, from 0.
+    /// The name of sample `index` of a stem, from 0.
     pub fn of(&self, stem: &str, index: usize) -> String {
         match self.count {
             1 => stem.to_string(),

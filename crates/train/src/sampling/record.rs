@@ -32,8 +32,8 @@ pub struct Record {
     pub recipe: String,
     /// Seed of the noise.
     pub seed: u64,
-    /// Number of the sample among those of one condition or, for clips that are guided to goals,
-    /// of one batch, from 0: its noise depends on `seed`, this number and the condition's name.
+    /// Number of the sample, from 0, within its condition or, for clips guided to goals, its batch. The
+    /// noise depends on `seed`, this number and the condition's name.
     pub index: usize,
     /// Length in frames.
     pub frames: usize,
@@ -41,7 +41,7 @@ pub struct Record {
     pub fps: f64,
     /// The sampler.
     pub sampler: SamplerRecord,
-    /// Repairs of the generated motion; none for models without.
+    /// Post-processing; `None` for models without.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub post_processing: Option<PostProcessConfig>,
     /// The windows; `None` for a single one.
@@ -53,10 +53,10 @@ pub struct Record {
     /// The composition, for recipe `bpe_motion`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub composition: Option<CompositionRecord>,
-    /// The path that it follows.
+    /// The path that the motion follows.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub path: Option<PathRecord>,
-    /// The conditions, a map by their names; empty for an unconditional sample.
+    /// The conditions, a map by name; empty for an unconditional sample.
     #[serde(with = "condition::as_map")]
     pub condition: Vec<Condition>,
     /// The batch; omitted if irrelevant.
@@ -81,18 +81,18 @@ pub struct RolloutRecord {
 /// The segments of a composition.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct CompositionRecord {
-    /// When positions were relative.
+    /// The denoising step from which positions were relative.
     pub bpe_denoising_step: i64,
     /// The texts, in order.
     pub said: Vec<SaidRecord>,
 }
 
-/// A path, how a motion follows it, and how well.
+/// A path and the deviation of the motion from it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PathRecord {
     /// Its file.
     pub file: PathBuf,
-    /// The text.
+    /// The contents of the file.
     pub content: PathPlan,
     /// The table `evaluation.path`. `None` for models that follow the path as a goal.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -106,12 +106,12 @@ pub struct PathRecord {
 pub struct SaidRecord {
     /// The frame, from 0.
     pub from: usize,
-    /// The caption; none for none, or where an embedding was given alone.
+    /// The caption; `None` without one, or with an embedding only.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub text: Option<String>,
 }
 
-/// A batch of clips guided to goals. The guidance of each depends on the keyframes of all, so
+/// A batch of clips guided to goals. The guidance of each clip depends on the keyframes of all, so
 /// reproducing one needs the batch.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct BatchRecord {
@@ -124,7 +124,7 @@ pub struct BatchRecord {
 /// A goal file.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct GoalRecord {
-    /// Its path, as given.
+    /// Its path.
     pub file: PathBuf,
     /// SHA-256 of its contents.
     pub sha256: String,
@@ -152,14 +152,13 @@ pub struct SamplerRecord {
     /// The padding of a clip; only for clips of Guided Motion Diffusion.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub padding: Option<Value>,
-    /// Guidance and imputation for goals; none without a goal.
+    /// Guidance and imputation; `None` without a goal.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub steering: Option<Value>,
 }
 
 impl Record {
-    /// The record of a sample of `system` with the model of `trained`: number 0, no frames and no
-    /// condition, which the system fills in.
+    /// The record of sample 0 of `trained`, without frames and conditions, which the system fills in.
     pub fn new(system: &str, trained: &TrainedModel, seed: u64) -> Self {
         let config = trained.config();
         Self {

@@ -36,7 +36,7 @@ impl Request {
         }
     }
 
-    /// Rejects requests that contradict themselves, whatever the model.
+    /// Rejects contradictory requests, independently of the model.
     ///
     /// # Errors
     /// [`Error::Usage`] for the first contradiction.
@@ -44,7 +44,7 @@ impl Request {
         if self.count == 0 {
             return Err(Error::usage(
                 "option `count` is 0",
-                "ask for at least one sample",
+                "request at least one sample",
             ));
         }
         if let Some(frames) = self.frames {
@@ -74,7 +74,7 @@ impl Request {
                 let same = one.name() == other.name() && !matches!(one, Condition::Goal(_));
                 let role = one.role().filter(|role| other.role() == Some(role));
                 let role = role.filter(|_| one.name() != other.name());
-                // Items of phrases are their audio features; those of clips have none.
+                // An item of phrases has audio features; items of clips have none.
                 let audio = |a: &Condition, b: &Condition| {
                     matches!(a, Condition::Item { .. }) && b.role() == Some("audio")
                 };
@@ -103,10 +103,10 @@ impl Request {
         }
     }
 
-    /// The same with frames instead of seconds, at `fps` frames per second.
+    /// The request with frames instead of seconds, at `fps` frames per second.
     ///
     /// # Errors
-    /// If that is no frame or too many.
+    /// For less than a frame or too many.
     pub fn at(&self, fps: f64) -> Result<Self, Error> {
         let Some(seconds) = self.seconds else {
             return Ok(self.clone());
@@ -124,12 +124,12 @@ impl Request {
         })
     }
 
-    /// Whether the system chooses the condition.
+    /// True if the system chooses the condition.
     pub fn is_unconditional(&self) -> bool {
         self.conditions.is_empty()
     }
 
-    /// Id or pattern of an item, and its dataset where that is not the run's.
+    /// Id or pattern of an item, and its dataset if not the run's.
     pub fn item(&self) -> Option<(&str, Option<&str>)> {
         self.conditions
             .iter()
@@ -169,7 +169,7 @@ impl Request {
             })
     }
 
-    /// The file of a history.
+    /// The file of the history.
     pub fn history(&self) -> Option<&Path> {
         self.conditions
             .iter()
@@ -179,7 +179,7 @@ impl Request {
             })
     }
 
-    /// The file of texts over time.
+    /// The file of prompts.
     pub fn prompts(&self) -> Option<&Path> {
         self.conditions
             .iter()
@@ -219,7 +219,7 @@ impl Request {
             })
     }
 
-    /// The text conditions, as the record of a sample keeps them.
+    /// The text conditions, for the record of a sample.
     pub fn text_conditions(&self) -> impl Iterator<Item = Condition> {
         let texts = self.conditions.iter();
         texts
@@ -245,12 +245,12 @@ fn with_held_out(other: &Condition) -> Error {
     )
 }
 
-/// The error of a condition that no model can follow.
+/// The error of a condition that is invalid for every model.
 fn invalid(condition: &Condition) -> Option<Error> {
     match condition {
         Condition::HeldOut(0) => Some(Error::usage(
-            "0 held-out items are asked for",
-            "ask for at least one",
+            "0 held-out items are requested",
+            "request at least one",
         )),
         Condition::Song { start, .. } if !(start.is_finite() && *start >= 0.0) => {
             Some(Error::usage(

@@ -56,22 +56,21 @@ pub trait SampleSink {
     /// Called with each sample.
     ///
     /// # Errors
-    /// If it cannot be stored; sampling stops then.
+    /// If it cannot be stored, which stops sampling.
     fn sample(&mut self, sample: Sample) -> Result<(), Error>;
 
     /// Called before sampling with the names of all samples and the extensions of their files.
     ///
     /// # Errors
-    /// If they cannot be stored, for example because files of these names exist; sampling does not
-    /// start then.
+    /// If they cannot be stored, for example because such files exist; sampling does not start.
     fn reserve_outputs(&mut self, _names: &Names, _extensions: &[&str]) -> Result<(), Error> {
         Ok(())
     }
 
-    /// Called with a choice that the request leaves open.
+    /// Called with a choice that the request did not specify.
     fn note(&mut self, _text: &str) {}
 
-    /// Called with a doubt about the request.
+    /// Called with a warning about the request.
     fn warning(&mut self, _text: &str) {}
 
     /// Returns a callback for the progress of opening a dataset, as
@@ -80,8 +79,7 @@ pub trait SampleSink {
         Box::new(|_, _| ControlFlow::Continue(()))
     }
 
-    /// True to stop, called after each denoising step. Sampling then ends with
-    /// [`Error::Interrupted`].
+    /// True to stop with [`Error::Interrupted`]; called after each denoising step.
     fn stop_requested(&self) -> bool {
         false
     }

@@ -19,7 +19,7 @@ impl Style {
     /// The style of a text: eight numbers with commas between them, or a label.
     ///
     /// # Errors
-    /// [`Error::Usage`] for nothing, another number of numbers, and numbers that are not finite.
+    /// [`Error::Usage`] for an empty text, and for numbers that are not eight or not finite.
     pub fn parse(text: &str) -> Result<Self, Error> {
         let parts: Vec<&str> = text.split(',').map(str::trim).collect();
         let numbers: Vec<Option<f64>> = parts.iter().map(|part| part.parse().ok()).collect();
@@ -30,7 +30,7 @@ impl Style {
             return Ok(Self::Label(part.to_owned()));
         }
         match numbers.iter().position(Option::is_none) {
-            Some(place) => Err(wrong(text, &format!("`{}` is no number", parts[place]))),
+            Some(place) => Err(wrong(text, &format!("`{}` is not a number", parts[place]))),
             None => Self::numbers(&numbers.into_iter().flatten().collect::<Vec<_>>())
                 .map_err(|problem| wrong(text, &problem)),
         }
@@ -39,7 +39,7 @@ impl Style {
     /// The style of eight finite numbers.
     ///
     /// # Errors
-    /// In words, what else they are.
+    /// A description of the fault.
     pub fn numbers(numbers: &[f64]) -> Result<Self, String> {
         if let Some(odd) = numbers.iter().find(|number| !number.is_finite()) {
             return Err(format!("{odd} is not finite"));
@@ -70,14 +70,14 @@ mod tests {
         let eight = [0.1, -0.2, 3.0, 4e-1, 5.0, 6.0, 7.0, 8.0];
         assert_eq!(parsed("0.1,-0.2, 3,4e-1,5,6,7,8"), Style::Numbers(eight));
         for (text, problem) in [
-            ("", "`` is no number"),
+            ("", "`` is not a number"),
             ("1,2,3,4,5,6,7", "7 numbers found"),
             ("1,2,3,4,5,6,7,8,9", "9 numbers found"),
             ("0.5", "1 numbers found"),
             ("1,2,3,nan,5,6,7,8", "NaN is not finite"),
             ("1,2,3,inf,5,6,7,8", "inf is not finite"),
-            ("1,2,3,x,5,6,7,8", "`x` is no number"),
-            ("waltz,tango", "`waltz` is no number"),
+            ("1,2,3,x,5,6,7,8", "`x` is not a number"),
+            ("waltz,tango", "`waltz` is not a number"),
         ] {
             let error = Style::parse(text).expect_err(text).to_string();
             assert!(error.contains(problem), "{text}: {error}");

@@ -1,4 +1,4 @@
-//! Evaluations: the shell around what a system measures.
+//! Preparation of evaluations.
 
 use super::System;
 use crate::TrainedModel;
@@ -8,8 +8,8 @@ use crate::evaluation::{Column, Evaluate, Evaluated, EvaluationRequest};
 /// Validates the request and returns a function that evaluates a model of `system`.
 ///
 /// # Errors
-/// If the system does not accept an option of the request, if nothing is held out, or if main memory
-/// is too small.
+/// If the system does not accept an option of the request, without held-out items, or if memory is
+/// short.
 pub(super) fn prepare<'a>(
     system: &dyn System,
     trained: &'a TrainedModel,

@@ -1,4 +1,4 @@
-//! The description of the key in a config error.
+//! Hints for config errors.
 
 use kinegrad_settings::{DocumentError, Key, Values, not_among};
 use toml::{Table, Value};
@@ -8,7 +8,7 @@ use super::keys::value_at;
 use crate::config::{ConfigError, TrainConfig};
 
 impl Systems<'_> {
-    /// `error` of the config `given` with what is known of its key.
+    /// Adds a hint about the key to `error` of the config `given`.
     pub(super) fn guided(self, error: ConfigError, given: &Table) -> ConfigError {
         let named = given.get("train").and_then(|train| train.get("recipe"));
         let recipe = named.and_then(Value::as_str).map(str::to_owned);
@@ -35,7 +35,7 @@ impl Systems<'_> {
                     .iter()
                     .filter(|(known, recipes)| above(known) && recipes.contains(&recipe.as_str()));
                 if let Some((known, _)) = mine.max_by_key(|(known, _)| known.name.len()) {
-                    // A list that is no list has no name in the place of one.
+                    // The element of a list takes a name, the list itself does not.
                     let is_name = matches!(known.values, Values::Names(_)) || key.ends_with(']');
                     let names = known.values.names().iter();
                     let names: Vec<&str> = names.map(|name| name.name.as_str()).collect();
@@ -44,10 +44,8 @@ impl Systems<'_> {
                             error = not_among(place.clone(), key, &found.to_string(), &names);
                         }
                         _ => {
-                            *hint = format!(
-                                "`kinegrad config explain {}` says what it means",
-                                known.name
-                            );
+                            *hint =
+                                format!("`kinegrad config explain {}` describes it", known.name);
                         }
                     }
                 }
@@ -57,7 +55,7 @@ impl Systems<'_> {
         error.into()
     }
 
-    /// Suggestions for the unknown `key` in a config of `recipe` and of other tables.
+    /// A suggestion for the unknown `key` in a config of `recipe`.
     pub(super) fn suggestion(self, key: &str, recipe: &str) -> Option<String> {
         let last = last(key);
         let described = self.described();

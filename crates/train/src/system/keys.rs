@@ -1,4 +1,4 @@
-//! Every key of the configs, with its meaning, values and defaults.
+//! The config keys with meaning, values and defaults.
 
 use kinegrad_settings::{InvalidSetting, Key, Values, keys_of};
 use serde_json::Value as Json;
@@ -8,21 +8,20 @@ use super::Systems;
 use crate::config::{Config, PLAIN, TrainConfig, apply, names};
 use crate::error::Error;
 
-/// A key of the configs of some recipes.
+/// A config key of some recipes.
 #[derive(Clone, Debug)]
 pub struct ConfigKey {
-    /// The description of its type.
+    /// Its description.
     pub key: Key,
     /// The recipes that have it.
     pub recipes: Vec<&'static str>,
-    /// The default, as TOML writes it, with the recipes in which it is that; `not set` of a key
-    /// that may be left out. None of tables.
+    /// Each default, as TOML or `not set`, with its recipes; empty for tables.
     pub defaults: Vec<(Vec<&'static str>, String)>,
-    /// The accepted numbers, in words, if restricted; [`Systems::find_ranges`] fills it in.
+    /// A description of the accepted numbers, if restricted; see [`Systems::find_ranges`].
     pub range: Option<String>,
 }
 
-/// The keys of the recipe and of the kind of network.
+/// The keys of recipe and network.
 const RECIPE: &str = "train.recipe";
 const KIND: &str = "model.kind";
 
@@ -35,15 +34,15 @@ pub struct Variant {
     pub recipe: &'static str,
     /// The setting that enables it.
     given: Table,
-    /// Every key.
-    whole: Table,
+    /// The table with every key.
+    complete: Table,
 }
 
 impl Variant {
     /// The dotted names of all keys.
     pub fn names(&self) -> Vec<String> {
         let mut names = Vec::new();
-        flatten(&self.whole, "", &mut names);
+        flatten(&self.complete, "", &mut names);
         names
     }
 
@@ -53,12 +52,12 @@ impl Variant {
             return true;
         };
         let is_among = |found: &Value| value.split(", ").any(|value| found.to_string() == value);
-        value_at(&self.whole, key).is_some_and(is_among)
+        value_at(&self.complete, key).is_some_and(is_among)
     }
 }
 
 impl Systems<'_> {
-    /// Every key of the configs as its type describes it, with the recipes that have it.
+    /// The description of every config key, with its recipes.
     pub fn described(self) -> Vec<(Key, Vec<&'static str>)> {
         let every: Vec<&'static str> = self.recipes().map(|recipe| recipe.name).collect();
         let mut described: Vec<(Key, Vec<&'static str>)> = Vec::new();
@@ -81,7 +80,7 @@ impl Systems<'_> {
         described
     }
 
-    /// Every key of the configs, table by table.
+    /// Every config key, table by table.
     pub fn keys(self) -> Vec<ConfigKey> {
         let variants = self.variants();
         let mut order = Vec::new();
@@ -104,7 +103,7 @@ impl Systems<'_> {
                 range: None,
             })
             .collect();
-        // Tables as configs have them, each with its own keys before the tables in it.
+        // Tables in the order of configs, with their own keys before nested tables.
         keys.sort_by_key(|ConfigKey { key, .. }| {
             let table = key.name.rsplit_once('.').map_or("", |(table, _)| table);
             let home = if key.values.is_table() {
@@ -124,8 +123,7 @@ impl Systems<'_> {
         keys
     }
 
-    /// Fills in the [range](ConfigKey::range) of each of `keys`, by validating configs with far too
-    /// small and large numbers.
+    /// Fills in the [range](ConfigKey::range) of `keys`, by validating extreme values.
     pub fn find_ranges(self, keys: &mut [ConfigKey]) {
         let bases = self.bases();
         for key in keys {
@@ -153,7 +151,7 @@ impl Systems<'_> {
         }
     }
 
-    /// Configs that are accepted, of every recipe, kind of network and kind of dataset.
+    /// Valid configs of every recipe, kind of network and kind of dataset.
     fn bases(self) -> Vec<Variant> {
         let keys = keys_of::<Config>();
         let kinds = keys.iter().find(|key| key.name == "data.kind");
@@ -169,10 +167,10 @@ impl Systems<'_> {
                 given.extend(data.parse::<Table>().expect("TOML of this file"));
                 let config = self.read(&given, &|_| String::new());
                 if config.is_ok_and(|config| self.validate(&config).is_ok()) {
-                    let whole = variant.whole.clone();
+                    let complete = variant.complete.clone();
                     bases.push(Variant {
                         given,
-                        whole,
+                        complete,
                         ..variant
                     });
                 }
@@ -181,7 +179,7 @@ impl Systems<'_> {
         bases
     }
 
-    /// The setting of a config that is refused.
+    /// The invalid setting of a config.
     fn refused(self, given: &Table) -> Option<InvalidSetting> {
         let config = self.read(given, &|_| String::new()).ok()?;
         match self.validate(&config) {
@@ -210,13 +208,16 @@ impl Systems<'_> {
                 let Ok(config) = self.read(&given, &|_| String::new()) else {
                     continue;
                 };
-                let whole = Table::try_from(config).expect(PLAIN);
-                // The default kind, by its name, is the first again.
-                if !variants.iter().any(|known: &Variant| known.whole == whole) {
+                let complete = Table::try_from(config).expect(PLAIN);
+                // Naming the default kind gives the first variant again.
+                if !variants
+                    .iter()
+                    .any(|known: &Variant| known.complete == complete)
+                {
                     variants.push(Variant {
                         recipe,
                         given,
-                        whole,
+                        complete,
                     });
                 }
             }
@@ -239,14 +240,14 @@ fn defaults(
         return vec![(recipes.to_vec(), written(&recipe))];
     }
     for variant in variants {
-        // A requested kind is not a default.
+        // An explicit kind is not a default.
         if key.name == KIND && value_at(&variant.given, KIND).is_some() {
             continue;
         }
         if !recipes.contains(&variant.recipe) || !variant.has(key.only_with.as_deref()) {
             continue;
         }
-        let value = match value_at(&variant.whole, &key.name) {
+        let value = match value_at(&variant.complete, &key.name) {
             Some(value) => written(value),
             None => key.default.as_ref().map_or(NOT_SET.to_owned(), toml_text),
         };
@@ -259,7 +260,7 @@ fn defaults(
     defaults
 }
 
-/// JSON as TOML writes it.
+/// Formats JSON as TOML.
 pub fn toml_text(json: &Json) -> String {
     match json {
         Json::Null => NOT_SET.to_owned(),
@@ -267,7 +268,7 @@ pub fn toml_text(json: &Json) -> String {
     }
 }
 
-/// A value as TOML writes it, small numbers with an exponent.
+/// Formats a value as TOML, small numbers with an exponent.
 fn written(value: &Value) -> String {
     match value {
         Value::Float(number) => format!("{number:?}"),
@@ -289,7 +290,7 @@ pub(super) fn value_at<'a>(table: &'a Table, key: &str) -> Option<&'a Value> {
     }
 }
 
-/// All dotted keys, those of tables too, in their order.
+/// Appends all dotted keys, tables included, in order.
 fn flatten(table: &Table, prefix: &str, names: &mut Vec<String>) {
     for (name, value) in table {
         let name = format!("{prefix}{name}");
@@ -302,7 +303,7 @@ fn flatten(table: &Table, prefix: &str, names: &mut Vec<String>) {
     }
 }
 
-/// Values that a key of numbers may well refuse, as TOML writes them.
+/// Extreme values for a key of numbers, as TOML.
 fn probes(values: &Values) -> Vec<String> {
     let numbers: &[&str] = match values {
         Values::Count => &["0", "9223372036854775807"],

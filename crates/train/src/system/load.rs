@@ -18,7 +18,7 @@ impl Systems<'_> {
     /// Reads the config at `path` and applies `overrides` of the form `a.b=value` in order.
     ///
     /// # Errors
-    /// Names file and line, or the override, of a thing that is wrong.
+    /// Names file and line, or the override, of the fault.
     pub fn load(self, path: &Path, overrides: &[String]) -> Result<Config, ConfigError> {
         self.parse(&read(path)?, &path.display().to_string(), overrides)
     }
@@ -34,7 +34,7 @@ impl Systems<'_> {
         overrides: &[String],
         beneath: &Table,
     ) -> Result<Config, ConfigError> {
-        // Errors of the file by itself name its lines.
+        // Errors of the file itself name its lines.
         self.load(path, overrides)?;
         let text = read(path)?;
         let mut table = beneath.clone();
@@ -42,7 +42,7 @@ impl Systems<'_> {
         for argument in overrides {
             apply(&mut table, argument)?;
         }
-        self.whole(&table, &|_| path.display().to_string())
+        self.complete(&table, &|_| path.display().to_string())
     }
 
     /// [`load`](Self::load) from text; errors name `origin` instead of a file.
@@ -56,7 +56,7 @@ impl Systems<'_> {
         overrides: &[String],
     ) -> Result<Config, ConfigError> {
         let document = Document::parse(text, origin)?;
-        let mut config = self.whole(&document.table, &|key| document.place(key))?;
+        let mut config = self.complete(&document.table, &|key| document.place(key))?;
         if !overrides.is_empty() {
             let mut table = document.table;
             config = self.overridden(&mut table, overrides)?;
@@ -64,7 +64,7 @@ impl Systems<'_> {
         Ok(config)
     }
 
-    /// The config of `table` with `overrides`, which an error names.
+    /// The config of `table` with `overrides`; errors name the override.
     fn overridden(self, table: &mut Table, overrides: &[String]) -> Result<Config, ConfigError> {
         let before = table.clone();
         let place = |argument: &str| format!("option `set {argument}`");
@@ -72,17 +72,17 @@ impl Systems<'_> {
             apply(table, argument)?;
         }
         let last = overrides.last().map_or("", String::as_str);
-        self.whole(table, &|_| place(last)).map_err(|error| {
-            // The override without which the others can be read.
+        self.complete(table, &|_| place(last)).map_err(|error| {
+            // The override without which the others are valid.
             let is_blamed = |left_out: &usize| {
                 let mut table = before.clone();
                 let others = overrides.iter().enumerate();
                 let mut others = others.filter(|(index, _)| index != left_out);
                 others.all(|(_, argument)| apply(&mut table, argument).is_ok())
-                    && self.whole(&table, &|_| String::new()).is_ok()
+                    && self.complete(&table, &|_| String::new()).is_ok()
             };
             let blamed = (0..overrides.len()).find(is_blamed);
-            let read = |index: usize| self.whole(table, &|_| place(&overrides[index]));
+            let read = |index: usize| self.complete(table, &|_| place(&overrides[index]));
             blamed.and_then(|index| read(index).err()).unwrap_or(error)
         })
     }
@@ -90,7 +90,7 @@ impl Systems<'_> {
     /// A trained run's config with `overrides` of its sampling and evaluation settings.
     ///
     /// # Errors
-    /// Names the override that is wrong, or whose key is of another table.
+    /// Names the invalid override, or one of another table.
     pub fn override_trained(
         self,
         config: &Config,
@@ -126,7 +126,7 @@ impl Systems<'_> {
         }
     }
 
-    /// A hint for an override of a trained model that is of none of its tables that may change.
+    /// The hint for an override that trained models do not allow.
     fn of_trained(self, config: &Config, argument: &str, tables: &[&str]) -> String {
         let key = argument.split('=').next().unwrap_or_default().trim();
         let meant = self.suggestion(key, &config.train.recipe);
@@ -142,18 +142,18 @@ impl Systems<'_> {
         })
     }
 
-    /// The config of `given`, where what it leaves out is as its recipe has it.
-    pub(super) fn whole(self, given: &Table, place: Place<'_>) -> Result<Config, ConfigError> {
+    /// The config of `given` with the defaults of its recipe.
+    fn complete(self, given: &Table, place: Place<'_>) -> Result<Config, ConfigError> {
         let read = self.read(given, place);
         read.map_err(|error| self.guided(error, given))
     }
 
-    /// [`whole`](Self::whole) with errors as they come.
+    /// [`complete`](Self::complete) without hints in errors.
     pub(super) fn read(self, given: &Table, place: Place<'_>) -> Result<Config, ConfigError> {
         must_be_finite(given, place)?;
         let named = given.get("train").and_then(|train| train.get("recipe"));
         let default = TrainConfig::default().recipe;
-        // Values that are not text are refused below.
+        // Values of other types are rejected below.
         let name = named.and_then(Value::as_str).unwrap_or(&default);
         let (system, recipe) = self.of_recipe(name).ok_or_else(|| {
             let names: Vec<&str> = self.recipes().map(|recipe| recipe.name).collect();
@@ -169,10 +169,10 @@ impl Systems<'_> {
         Ok(config)
     }
 
-    /// Rejects values that cannot work and returns warnings.
+    /// Rejects invalid values and returns warnings.
     ///
     /// # Errors
-    /// Names the first key with a bad value, what it is, what is allowed and how to mend it.
+    /// Names the first invalid key, its value, the allowed values and a remedy.
     pub fn validate(self, config: &Config) -> Result<Vec<String>, Error> {
         let (system, recipe) = self.of(config)?;
         config.data.validate()?;
@@ -188,8 +188,8 @@ impl Systems<'_> {
         Ok(warnings)
     }
 
-    /// The trained model of the checkpoint `saved`, with `overrides` of its run's tables `sampling`
-    /// and `evaluation`, on `device` or by default that of its run.
+    /// The trained model of the checkpoint `saved`, with `overrides` of sampling and evaluation settings,
+    /// on `device` or its run's device.
     ///
     /// # Errors
     /// If an override is invalid, or the device is not available.
@@ -237,10 +237,10 @@ impl Systems<'_> {
 }
 
 impl dyn System + '_ {
-    /// The checkpoint with the tables of this system read.
+    /// The checkpoint with the tables of this system deserialised.
     ///
     /// # Errors
-    /// If the run is of another system, or its config is of another version and cannot be read.
+    /// If the run is of another system, or its config cannot be read by this version.
     pub fn read_tables(&self, mut saved: SavedCheckpoint) -> Result<SavedCheckpoint, Error> {
         let config = &mut saved.state.config;
         let name = &config.train.recipe;
@@ -258,7 +258,7 @@ impl dyn System + '_ {
     }
 }
 
-/// The names of tables, as in "`a`, `b` and `c`".
+/// The names of tables as a list: "`a`, `b` and `c`".
 fn listed(tables: &[&str]) -> String {
     let quoted: Vec<String> = tables.iter().map(|table| format!("`{table}`")).collect();
     let (last, others) = quoted.split_last().expect("a table");
@@ -280,7 +280,7 @@ fn sets_sampler(argument: &str) -> bool {
     key.trim() == "sampling.sampler.kind"
 }
 
-/// Leaves the keys of a run's own kind of sampler to the defaults of another kind.
+/// Removes keys that belong to the run's kind of sampler, so that another kind has its defaults.
 fn forget_sampler(table: &mut Table) {
     let sampling = table.get_mut("sampling").and_then(Value::as_table_mut);
     let sampler = sampling.and_then(|sampling| sampling.get_mut("sampler")?.as_table_mut());

@@ -38,10 +38,10 @@ pub trait System: Sync {
     /// Its recipes.
     fn recipes(&self) -> &'static [RecipeInfo];
 
-    /// The representations of motion that its models are trained on or generate.
+    /// The representations of motion of its models.
     fn representations(&self) -> Vec<Box<dyn Representation>>;
 
-    /// Frames a second of the motion that a run of `config` is trained on.
+    /// Frames per second of the training motion of `config`.
     fn fps(&self, config: &Config) -> f64 {
         config.data.humanml3d.skeleton.skeleton().description().fps
     }
@@ -51,9 +51,9 @@ pub trait System: Sync {
         Table::new()
     }
 
-    /// The keys of the system's own config tables, with what they mean:
-    /// [`SystemTables::keys`](crate::config::SystemTables::keys) has those of a struct that is
-    /// described. Of a system that does not say, errors and `kinegrad config explain` know less.
+    /// The keys of the system's own config tables with descriptions, usually
+    /// [`SystemTables::keys`](crate::config::SystemTables::keys). Without them errors and
+    /// `kinegrad config explain` show no descriptions.
     fn keys(&self) -> Vec<Key> {
         Vec::new()
     }
@@ -72,13 +72,13 @@ pub trait System: Sync {
     /// For the first invalid value; the error names the key.
     fn validate(&self, config: &Config) -> Result<Vec<String>, Error>;
 
-    /// The system's own tables, beside `evaluation`, whose keys may change once a model is trained.
+    /// The system's own tables, without `evaluation`, that may change after training.
     fn tables_of_sampling(&self) -> &'static [&'static str] {
         &[]
     }
 
-    /// Config values that follow from what a run starts from, used as defaults: from the `saved`
-    /// config of a resumed run, otherwise from the checkpoints that `config` names.
+    /// Defaults inherited from the `saved` config of a resumed run, otherwise from the initial
+    /// checkpoints of `config`.
     ///
     /// # Errors
     /// If such a checkpoint is missing or damaged.
@@ -86,8 +86,7 @@ pub trait System: Sync {
         Ok(None)
     }
 
-    /// Rejects settings that the recipe of a new run would not use. Existing runs are not checked:
-    /// they are resumed and sampled.
+    /// Rejects settings that the recipe of a new run does not use.
     ///
     /// # Errors
     /// Names the first such key.
@@ -95,14 +94,13 @@ pub trait System: Sync {
         Ok(())
     }
 
-    /// Names of the runs that a run trains before itself, in folders of these names in its own.
+    /// Names of the runs that a run trains first, in subfolders of these names.
     fn stages(&self) -> &'static [&'static str] {
         &[]
     }
 
-    /// The `saved` config of the run in `folder`, with paths between the [stages](Self::stages) of
-    /// a run as the `given` config has them: they are relative to the working directory of the
-    /// process that wrote them.
+    /// The `saved` config of the run in `folder`, with the paths between [stages](Self::stages) of the
+    /// `given` config, because saved paths are relative to another working directory.
     ///
     /// # Errors
     /// If the system cannot read its tables.
@@ -110,14 +108,13 @@ pub trait System: Sync {
         Ok(saved)
     }
 
-    /// The parameters of the networks of `config` as it trains them, adapters included.
+    /// The parameters of the networks of `config`, adapters included.
     ///
     /// # Errors
     /// If a network cannot be built.
     fn parameters(&self, config: &Config) -> Result<ParameterCount, Error>;
 
-    /// The training memory of its networks, for the estimate. By default activations are not
-    /// counted.
+    /// The estimated training memory of its networks; by default without activations.
     ///
     /// # Errors
     /// If a network cannot be built.
@@ -139,7 +136,7 @@ pub trait System: Sync {
     /// Converts weights of another program to a run with one checkpoint.
     ///
     /// # Errors
-    /// If they cannot be read or do not match; nothing is written then.
+    /// If they cannot be read or do not match.
     fn import(&self, request: &ImportRequest) -> Result<Imported, Error> {
         Err(Error::usage(
             format!("the system `{}` imports no weights", self.name()),
@@ -156,14 +153,14 @@ pub trait System: Sync {
         Err(Error::NoAdapters { path: saved.path })
     }
 
-    /// Names of the conditions that a recipe accepts ([`Condition::name`]), and `postprocess` if its
-    /// samples are post-processed; none of a recipe that generates nothing.
+    /// Names of the conditions that a recipe accepts ([`Condition::name`]), and `postprocess` if its samples
+    /// are post-processed; empty for a recipe that does not generate motion.
     ///
     /// [`Condition::name`]: crate::sampling::Condition::name
     fn accepts(&self, recipe: &str) -> &'static [&'static str];
 
-    /// Resolves a request, whose conditions are all accepted: reads what they name and checks that it
-    /// fits the model. Notes and doubts go to `sink`.
+    /// Resolves a request with accepted conditions: reads their files and checks that they fit the model.
+    /// Notes and warnings go to `sink`.
     ///
     /// # Errors
     /// If a condition cannot be read or does not fit the model.
@@ -174,13 +171,13 @@ pub trait System: Sync {
         sink: &mut dyn SampleSink,
     ) -> Result<Box<dyn Sampler + 'a>, Error>;
 
-    /// The text-motion evaluator that an evaluation of a run of `config` is to have.
+    /// The text-motion evaluator for an evaluation of `config`.
     fn evaluator_files<'a>(&self, _config: &'a Config) -> Option<&'a EvaluatorFiles> {
         None
     }
 
-    /// The text-motion evaluator in `source`, on `device`, which has no gradients; none of a system
-    /// that trains none.
+    /// The text-motion evaluator in `source` on `device`, which has no gradients; `None` for a system
+    /// without evaluators.
     ///
     /// # Errors
     /// If a file cannot be read, or its contents do not fit.
@@ -192,17 +189,16 @@ pub trait System: Sync {
         Ok(None)
     }
 
-    /// Names of the options of an evaluation that its models accept: `audio_ablation`,
-    /// `trajectory_run`.
+    /// Names of the evaluation options that its models accept: `audio_ablation`, `trajectory_run`.
     fn accepts_in_evaluation(&self) -> &'static [&'static str] {
         &[]
     }
 
-    /// Validates the request and prepares the evaluation of a trained model on held-out motion;
-    /// [`Systems::evaluate`] is what entry points call.
+    /// Validates the request and prepares the evaluation of a trained model on held-out motion; called by
+    /// [`Systems::evaluate`].
     ///
     /// # Errors
-    /// If the request does not suit the model, or nothing is held out.
+    /// If the request does not fit the model, or without held-out motion.
     fn evaluate<'a>(
         &self,
         trained: &'a TrainedModel,
@@ -212,7 +208,7 @@ pub trait System: Sync {
     /// Trains until the end or until interrupted, with [`RunContext::train`].
     ///
     /// # Errors
-    /// If the run is rejected, before anything is written, or if it fails.
+    /// If the run is rejected, before files are written, or fails.
     fn train(&self, context: RunContext, observer: &mut dyn Observer) -> Result<Outcome, Error>;
 }
 
@@ -252,8 +248,7 @@ impl<'a> Systems<'a> {
     /// The recipe of that name and its system.
     ///
     /// # Panics
-    /// Panics if two recipes have that name: a list of systems in which one hides another's recipe
-    /// is a fault of the program.
+    /// Panics if two recipes have that name.
     pub fn of_recipe(self, name: &str) -> Option<(&'a dyn System, &'static RecipeInfo)> {
         let all = self.0.iter().flat_map(|system| {
             let recipes = system.recipes().iter();

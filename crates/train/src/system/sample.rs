@@ -1,4 +1,4 @@
-//! From a request to samples.
+//! Sampling from requests.
 
 use super::{System, Systems};
 use crate::TrainedModel;
@@ -11,8 +11,8 @@ impl Systems<'_> {
     /// [`Record`](crate::sampling::Record), to `sink`. Returns a summary of all samples.
     ///
     /// # Errors
-    /// If the request contradicts itself, if the model does not accept a condition or it cannot be read,
-    /// if the sink fails, and [`Error::Interrupted`] if it asks to stop.
+    /// If the request is contradictory, a condition is not accepted or cannot be read, or the sink fails;
+    /// [`Error::Interrupted`] if the sink requests a stop.
     pub fn sample(
         self,
         trained: &TrainedModel,
@@ -78,7 +78,7 @@ fn must_accept(system: &dyn System, recipe: &str, request: &Request) -> Result<(
     }
 }
 
-/// Names of the samples: held-out items are named by their ids, several conditions by theirs.
+/// Names of the samples: those of held-out items are their ids.
 fn names(sampler: &dyn Sampler, request: &Request) -> Names {
     let (jobs, held_out) = (sampler.jobs(), request.held_out_items().is_some());
     if sampler.is_one_batch() {

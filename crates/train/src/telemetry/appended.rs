@@ -13,7 +13,7 @@ pub(super) struct Appended {
 }
 
 impl Appended {
-    /// Opens the file at `path`, or makes it; what earlier processes wrote stays.
+    /// Opens or creates the file at `path`.
     ///
     /// # Errors
     /// If it cannot be opened.
@@ -25,12 +25,12 @@ impl Appended {
         })
     }
 
-    /// Cuts the file back to its first `kept` bytes.
+    /// Truncates the file to `length` bytes.
     ///
     /// # Errors
     /// If the file system refuses.
-    pub fn cut_back(self, kept: u64) -> Result<Self, Error> {
-        let cut = self.file.set_len(kept);
+    pub fn truncate(self, length: u64) -> Result<Self, Error> {
+        let cut = self.file.set_len(length);
         cut.map_err(Error::io("cut back", &self.path))?;
         Ok(self)
     }
@@ -44,7 +44,7 @@ impl Appended {
         written.map_err(Error::io("write", &self.path))
     }
 
-    /// Makes sure that what was written survives a crash.
+    /// Flushes to disk.
     ///
     /// # Errors
     /// If the file system refuses.

@@ -50,7 +50,7 @@ pub struct Environment {
 }
 
 impl Environment {
-    /// This machine and build, with the device of that name; fields of the run are left empty.
+    /// This machine and build, without the fields of a run.
     pub fn here(device: &Device, device_name: &str) -> Self {
         let refresh = RefreshKind::nothing()
             .with_cpu(CpuRefreshKind::nothing())

@@ -7,8 +7,8 @@ use serde::Serialize;
 use super::appended::{Appended, now};
 use crate::Error;
 
-/// Writer of `loader.jsonl`: loading statistics. They depend on timing and cache contents, so they
-/// are not part of the metrics, which a resumed run must reproduce.
+/// Writer of `loader.jsonl`: loading statistics. They depend on timing and cache contents, so they are
+/// not part of the metrics, which a resumed run must reproduce.
 #[derive(Debug)]
 pub struct LoaderLog {
     file: Appended,
@@ -20,16 +20,16 @@ pub struct LoaderLog {
 struct Line {
     step: u64,
     time: f64,
-    /// Samples trained on per second since the line before.
+    /// Training samples per second since the previous line.
     samples_per_second: f64,
-    /// Share of that time that the trainer waited for them.
+    /// Share of that time spent waiting for samples.
     wait_share: f64,
     #[serde(flatten)]
     report: LoaderReport,
 }
 
 impl LoaderLog {
-    /// Opens the log of the run in `folder`; lines of earlier processes stay.
+    /// Opens the log of the run in `folder`.
     ///
     /// # Errors
     /// If it cannot be opened.

@@ -51,7 +51,7 @@ impl Record {
     }
 }
 
-/// Writer of `metrics.jsonl` and of the event file beside it.
+/// Writer of `metrics.jsonl` and the event file.
 ///
 /// Only `time` (seconds since 1970), `elapsed_seconds` (of this process) and `steps_per_second` of
 /// a line depend on the clock; the rest is a function of config, data and build.
@@ -64,27 +64,27 @@ pub struct Metrics {
 }
 
 impl Metrics {
-    /// Opens the metrics of the run in `folder`, cut back to `step`: later lines are from a process
-    /// that ended before its checkpoint. Earlier damaged lines stay and are reported to `warn`.
+    /// Opens the metrics of the run in `folder`, truncated after `step`: later lines are of a process that
+    /// ended before its checkpoint. Earlier damaged lines stay and are reported to `warn`.
     ///
     /// # Errors
     /// If a file cannot be read or written.
     pub fn open(folder: &Path, step: u64, warn: &mut dyn FnMut(&str)) -> Result<Self, Error> {
         let path = folder.join(FILE);
-        // At step 0 a run starts anew, and measures its start again.
-        let kept = match step {
+        // A run at step 0 measures its initial weights again.
+        let length = match step {
             0 => 0,
             _ => {
-                let (kept, damaged) = kept_bytes(&path, step)?;
+                let (length, damaged) = valid_bytes(&path, step)?;
                 if let Some(damage) = damaged.describe(&path) {
                     warn(&format!("{damage}; what was written after it stays too"));
                 }
-                kept
+                length
             }
         };
         let events = EventFile::open(&folder.join("events.out.tfevents.kinegrad"), step, warn)?;
         Ok(Self {
-            file: Appended::open(&path)?.cut_back(kept)?,
+            file: Appended::open(&path)?.truncate(length)?,
             events,
             started: Instant::now(),
             first_step: step,
@@ -127,7 +127,7 @@ impl Metrics {
         each.try_for_each(|preview| self.events.write_image(step, time, preview))
     }
 
-    /// Makes sure that what was written survives a crash.
+    /// Flushes to disk.
     ///
     /// # Errors
     /// If the file system refuses.
@@ -140,9 +140,8 @@ impl Metrics {
 /// Longest line that is read.
 const MAX_LINE: u64 = 1 << 20;
 
-/// Passes the whole lines of the file at `path` on, each with its number from 1, until `take` wants
-/// no more. What follows the last of them is of a process that died within a line, or is still
-/// writing.
+/// Calls `take` with each complete line of the file at `path` and its number, from 1, until it returns
+/// false. An incomplete last line is of a process that was killed or is still writing.
 fn each_line(path: &Path, mut take: impl FnMut(&[u8], usize) -> bool) -> io::Result<()> {
     regular(path)?;
     let mut reader = BufReader::new(File::open(path)?);
@@ -160,32 +159,31 @@ fn each_line(path: &Path, mut take: impl FnMut(&[u8], usize) -> bool) -> io::Res
     Ok(())
 }
 
-/// Length of the file's beginning whose lines are whole and not beyond `step`, and those of them
-/// that are damaged.
-fn kept_bytes(path: &Path, step: u64) -> Result<(u64, DamagedLines), Error> {
-    let (mut kept, mut damaged) = (0, DamagedLines::default());
-    let told = |bytes: &[u8], number: usize| {
+/// Length of the complete lines up to `step`, and the damaged ones among them.
+fn valid_bytes(path: &Path, step: u64) -> Result<(u64, DamagedLines), Error> {
+    let (mut length, mut damaged) = (0, DamagedLines::default());
+    let take = |bytes: &[u8], number: usize| {
         match parse(bytes) {
             Some(record) if record.step > step => return false,
             Some(_) => {}
             None => damaged.add(number),
         }
-        kept += bytes.len() as u64;
+        length += bytes.len() as u64;
         true
     };
-    match each_line(path, told) {
+    match each_line(path, take) {
         Err(error) if error.kind() != ErrorKind::NotFound => {
             return Err(Error::io("read", path)(error));
         }
         _ => {}
     }
-    Ok((kept, damaged))
+    Ok((length, damaged))
 }
 
-/// Most damaged lines that are named one by one.
+/// Largest number of damaged lines listed in a warning.
 const NAMED: usize = 5;
 
-/// The damaged lines of a file, of which there may be any number.
+/// The damaged lines of a file.
 #[derive(Default)]
 struct DamagedLines {
     /// Numbers of the first ones, from 1.
@@ -201,7 +199,7 @@ impl DamagedLines {
         }
     }
 
-    /// Says which lines of the file at `path` they are; nothing where there are none.
+    /// The warning for the file at `path`; `None` without damaged lines.
     fn describe(&self, path: &Path) -> Option<String> {
         let more = match self.count - self.named.len() {
             0 => String::new(),

@@ -1,5 +1,5 @@
-//! Telemetry of a run: metrics as JSON lines and TensorBoard events, loading statistics,
-//! and what it ran on.
+//! Telemetry of a run: metrics as JSON lines and TensorBoard events, loading statistics, and the
+//! environment.
 
 mod appended;
 mod environment;

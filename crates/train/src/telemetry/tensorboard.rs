@@ -20,8 +20,8 @@ pub struct EventFile {
 }
 
 impl EventFile {
-    /// Opens the file at `path` for appending, cut back to events up to `step`; a new file gets its
-    /// first record. The file is cut at a damaged event, which is reported to `warn`.
+    /// Opens the file at `path` for appending, truncated after `step`; a new file gets its first record.
+    /// The file is truncated at a damaged event, which is reported to `warn`.
     ///
     /// # Errors
     /// If the file cannot be read or written.
@@ -35,15 +35,15 @@ impl EventFile {
             found => found.and_then(|_| read()),
         };
         let found = found.map_err(Error::io("read", path))?;
-        let kept = found.bytes;
+        let length = found.bytes;
         if found.damaged {
             warn(&format!(
-                "{}: damaged after {kept} bytes: what follows is cut off, and is in metrics.jsonl",
+                "{}: damaged after {length} bytes: the rest is cut off, and is in metrics.jsonl",
                 path.display()
             ));
         }
-        let mut file = Appended::open(path)?.cut_back(kept)?;
-        if kept == 0 {
+        let mut file = Appended::open(path)?.truncate(length)?;
+        if length == 0 {
             let mut event = Vec::new();
             field_bytes(&mut event, 3, b"brain.Event:2");
             file.write(&record(&event))?;
@@ -67,8 +67,8 @@ impl EventFile {
         self.append(step, time, &summary)
     }
 
-    /// Appends a picture of one step; `time` in seconds since 1970. One that is larger than what is
-    /// read again is left out.
+    /// Appends a picture of one step; `time` in seconds since 1970. A picture too large to be read again
+    /// is omitted.
     ///
     /// # Errors
     /// If it cannot be written.
@@ -102,7 +102,7 @@ impl EventFile {
         self.file.write(&record(&event))
     }
 
-    /// Makes sure that what was written survives a crash.
+    /// Flushes to disk.
     ///
     /// # Errors
     /// If the file system refuses.
@@ -143,13 +143,13 @@ fn record(event: &[u8]) -> Vec<u8> {
     out
 }
 
-/// Longest event that is read: one has a value for each metric.
+/// Longest event that is read.
 const MAX_EVENT_BYTES: u64 = 16 << 20;
 
-/// The beginning of a file that a resumed run keeps.
+/// The part of a file that a resumed run continues.
 #[derive(Debug, Default, PartialEq)]
 struct ValidPrefix {
-    /// Its length: whole records not beyond a step.
+    /// Length of the complete records up to a step.
     bytes: u64,
     /// True if it ends at a damaged record. A truncated record is from a process that was killed.
     damaged: bool,
@@ -157,16 +157,16 @@ struct ValidPrefix {
 
 impl ValidPrefix {
     fn of(mut file: impl Read, step: u64) -> io::Result<Self> {
-        let mut kept = Self::default();
+        let mut prefix = Self::default();
         loop {
             match read_record(&mut file)? {
-                Record::Whole(event) if event_step(&event) <= step => {
-                    kept.bytes += event.len() as u64 + 16;
+                Record::Complete(event) if event_step(&event) <= step => {
+                    prefix.bytes += event.len() as u64 + 16;
                 }
-                Record::Whole(_) | Record::CutOff => return Ok(kept),
+                Record::Complete(_) | Record::End => return Ok(prefix),
                 Record::Damaged => {
-                    kept.damaged = true;
-                    return Ok(kept);
+                    prefix.damaged = true;
+                    return Ok(prefix);
                 }
             }
         }
@@ -175,9 +175,9 @@ impl ValidPrefix {
 
 /// The record at an offset of a file.
 enum Record {
-    Whole(Vec<u8>),
-    /// Nothing, or the beginning of a record.
-    CutOff,
+    Complete(Vec<u8>),
+    /// The end of the file, perhaps within a record.
+    End,
     Damaged,
 }
 
@@ -185,7 +185,7 @@ fn read_record(file: &mut impl Read) -> io::Result<Record> {
     let mut start = Vec::new();
     file.by_ref().take(12).read_to_end(&mut start)?;
     let Some((length, crc)) = start.split_first_chunk::<8>().filter(|_| start.len() == 12) else {
-        return Ok(Record::CutOff);
+        return Ok(Record::End);
     };
     let right = crc == masked_crc(length).to_le_bytes();
     let length = u64::from_le_bytes(*length);
@@ -195,11 +195,11 @@ fn read_record(file: &mut impl Read) -> io::Result<Record> {
     let mut event = Vec::new();
     file.take(length + 4).read_to_end(&mut event)?;
     if event.len() as u64 != length + 4 {
-        return Ok(Record::CutOff);
+        return Ok(Record::End);
     }
     let crc = event.split_off(length as usize);
     match crc == masked_crc(&event).to_le_bytes() {
-        true => Ok(Record::Whole(event)),
+        true => Ok(Record::Complete(event)),
         false => Ok(Record::Damaged),
     }
 }
@@ -228,8 +228,8 @@ mod tests {
         let mut steps = Vec::new();
         while !rest.is_empty() {
             match read_record(&mut rest).expect("in memory") {
-                Record::Whole(event) => steps.push(event_step(&event)),
-                _ => panic!("whole records only"),
+                Record::Complete(event) => steps.push(event_step(&event)),
+                _ => panic!("complete records only"),
             }
         }
         steps

@@ -1,5 +1,4 @@
-//! A published text encoder, read from a local folder: what embeds the texts that models of clips
-//! are conditioned on.
+//! CLIP's text encoder, read from a local folder, which embeds the texts for models of clips.
 
 mod tokenizer;
 
@@ -21,14 +20,14 @@ use crate::error::Error;
 use crate::published::{load_values, read_tensors, singles, values_of};
 use tokenizer::Tokenizer;
 
-/// Word tokens of a text that are kept, those of start and end not counted, as in the published
-/// trainings on HumanML3D and KIT-ML (docs/sources.md, section 4.3).
+/// Largest number of word tokens of a text, without start and end, as in the published trainings on
+/// HumanML3D and KIT-ML (docs/sources.md, section 4.3).
 pub const MAX_WORD_TOKENS: usize = 20;
 
 /// Batch size of texts.
 const GROUP: usize = 64;
 
-/// CLIP's text encoder, ready to use.
+/// CLIP's text encoder.
 pub struct TextEncoder {
     network: ClipTextModel,
     tokenizer: Tokenizer,
@@ -36,13 +35,13 @@ pub struct TextEncoder {
 }
 
 impl TextEncoder {
-    /// Reads the encoder in `folder` onto `device`, which is to have no gradients. The folder is
-    /// as the model hub has it: `config.json`, `model.safetensors` (or `pytorch_model.bin`), and
-    /// `vocab.json` with `merges.txt`, or `tokenizer.json`.
+    /// Reads the encoder in `folder` onto `device`, which has no gradients. The folder is as on the model
+    /// hub: `config.json`, `model.safetensors` (or `pytorch_model.bin`), and `vocab.json` with
+    /// `merges.txt`, or `tokenizer.json`.
     ///
     /// # Errors
-    /// [`Error::TextEncoder`] and [`Error::ForeignWeights`] for a folder that is not there, lacks a
-    /// file, or holds another network.
+    /// [`Error::TextEncoder`] and [`Error::ForeignWeights`] for a missing folder or file, or another
+    /// network.
     pub fn read(folder: &Path, device: &Device) -> Result<Self, Error> {
         if !folder.is_dir() {
             let reason = match folder.exists() {
@@ -80,7 +79,7 @@ impl TextEncoder {
         })
     }
 
-    /// The tokens of a text: start, at most [`MAX_WORD_TOKENS`] of its own, end.
+    /// The tokens of a text: start, at most [`MAX_WORD_TOKENS`] words, end.
     ///
     /// # Errors
     /// [`Error::Usage`] for a text that is too long to be a sentence.
@@ -100,13 +99,13 @@ impl TextEncoder {
     ) -> Result<Vec<Vec<f32>>, Error> {
         let tokens = texts.iter().map(|text| self.tokens(text));
         let tokens: Vec<Vec<u16>> = tokens.collect::<Result<_, _>>()?;
-        // Texts of one length form a batch, so padding is not computed.
+        // Batches of equal lengths need no padding.
         let mut order: Vec<usize> = (0..texts.len()).collect();
         order.sort_by_key(|&index| tokens[index].len());
         let mut embeddings = vec![Vec::new(); texts.len()];
         for (number, group) in order.chunks(GROUP).enumerate() {
-            let together: Vec<&[u16]> = group.iter().map(|&index| &tokens[index][..]).collect();
-            let output = self.network.forward(&together, &self.device);
+            let batch: Vec<&[u16]> = group.iter().map(|&index| &tokens[index][..]).collect();
+            let output = self.network.forward(&batch, &self.device);
             let values = output.try_into_vec_as::<f32>();
             let values = values.expect("embeddings are float32");
             for (&index, row) in group.iter().zip(values.chunks(TEXT_CHANNELS)) {
@@ -127,7 +126,7 @@ fn refused(path: &Path, reason: impl std::fmt::Display) -> Error {
     }
 }
 
-/// The sizes that a `config.json` states, of a text encoder alone or of one beside a vision encoder.
+/// The settings in a `config.json` of a text encoder, with or without a vision encoder.
 fn config_of(path: &Path) -> Result<ClipTextConfig, Error> {
     let all = json_of(path)?;
     let text = all.get("text_config").unwrap_or(&all);
@@ -140,7 +139,7 @@ fn config_of(path: &Path) -> Result<ClipTextConfig, Error> {
     }
     let mut config: ClipTextConfig = serde_json::from_value(text.clone())
         .map_err(|error| refused(path, format!("the text encoder's settings: {error}")))?;
-    // The one at the top counts, where there is one.
+    // A value at the top level takes precedence.
     if let Some(width) = all.get("projection_dim").and_then(Value::as_u64) {
         config.projection_dim = usize::try_from(width).unwrap_or(usize::MAX);
     }
@@ -151,7 +150,7 @@ fn config_of(path: &Path) -> Result<ClipTextConfig, Error> {
 /// A JSON file.
 fn json_of(path: &Path) -> Result<Value, Error> {
     let text = read_text(path).map_err(|error| refused(path, error))?;
-    serde_json::from_str(&text).map_err(|error| refused(path, format!("no JSON: {error}")))
+    serde_json::from_str(&text).map_err(|error| refused(path, format!("not JSON: {error}")))
 }
 
 /// The tensors of the text encoder.
@@ -166,7 +165,7 @@ enum Weights {
     },
 }
 
-/// The projection of a text, whose first axis is the embedding's width.
+/// The text projection, whose first axis is the embedding's width.
 const PROJECTION: &str = "text_projection.weight";
 
 /// True for a weight of the text encoder: not of the vision encoder, and not the table of
@@ -217,7 +216,7 @@ impl Weights {
         }
     }
 
-    /// Values of an embedding.
+    /// The width of an embedding.
     fn width(&self) -> Option<usize> {
         let infos = self.infos();
         let projection = infos.iter().find(|info| info.name == PROJECTION)?;
@@ -242,7 +241,7 @@ impl Weights {
     }
 }
 
-/// The tensors of bytes that were read before.
+/// The tensors of validated bytes.
 fn checked(bytes: &[u8]) -> SafeTensors<'_> {
     SafeTensors::deserialize(bytes).expect("checked when it was read")
 }

@@ -26,7 +26,7 @@ fn expected() -> (Vec<String>, Vec<Vec<u16>>) {
     (sentences, tokens)
 }
 
-fn unheard(_: usize) -> ControlFlow<()> {
+fn no_progress(_: usize) -> ControlFlow<()> {
     ControlFlow::Continue(())
 }
 
@@ -73,13 +73,13 @@ fn golden_embeddings_are_those_of_transformers() {
     let expected = singles(text.data(), DType::F32).expect("float32");
 
     let texts: Vec<&str> = sentences.iter().map(String::as_str).collect();
-    let mut told = 0;
+    let mut reported = 0;
     let mut progress = |done| {
-        told = done;
+        reported = done;
         ControlFlow::Continue(())
     };
     let by_length = encoder.embed(&texts, &mut progress).expect("embeddings");
-    assert_eq!(told, rows);
+    assert_eq!(reported, rows);
     // All lengths in one batch.
     let all: Vec<&[u16]> = tokens.iter().map(Vec::as_slice).collect();
     let padded = encoder.network.forward(&all, &encoder.device);
@@ -103,7 +103,7 @@ fn golden_embeddings_are_those_of_transformers() {
 fn other_layouts_of_the_same_encoder_are_read() {
     let sentence = "a person walks in a circle";
     let embedded = |folder: &Path| {
-        let all = encoder(folder).embed(&[sentence], &mut unheard);
+        let all = encoder(folder).embed(&[sentence], &mut no_progress);
         all.expect("an embedding").remove(0)
     };
     let expected = embedded(changed(|_| {}).path());

@@ -1,4 +1,4 @@
-//! CLIP's tokens of a text: byte pairs within words, with the vocabulary of the encoder's folder.
+//! CLIP's tokenizer: byte pairs within words, with the vocabulary of the encoder's folder.
 
 use std::collections::HashMap;
 use std::io::Cursor;
@@ -15,7 +15,7 @@ use crate::error::Error;
 /// Bytes of the longest text: merging the pairs of a word takes its length squared.
 const MAX_TEXT: usize = 4096;
 
-/// Tokens that are no merge: the bytes, alone and at the end of a word.
+/// Number of tokens that are not merges: the bytes, within and at the end of a word.
 const BYTES: usize = 512;
 
 /// Start and end of a text.
@@ -25,10 +25,10 @@ const MARKS: [&str; 2] = ["<|startoftext|>", "<|endoftext|>"];
 pub(super) struct Tokenizer(BytePairs);
 
 impl Tokenizer {
-    /// The tokenizer of the vocabulary in `folder`, which is to have so many tokens.
+    /// The tokenizer of the vocabulary in `folder`, which must have `vocab_size` tokens.
     ///
     /// # Errors
-    /// [`Error::TextEncoder`] for files that are missing or do not fit together.
+    /// [`Error::TextEncoder`] for missing or inconsistent files.
     pub fn read(folder: &Path, vocab_size: usize) -> Result<Self, Error> {
         let Vocabulary {
             path,
@@ -45,7 +45,7 @@ impl Tokenizer {
                 vocab_size.saturating_sub(BYTES + MARKS.len())
             ));
         }
-        // The tokenizer numbers its tokens by their place; the network knows them by the file's.
+        // The tokenizer numbers tokens by position, which must agree with the file's numbers.
         let merged = merges.iter().map(|[one, other]| format!("{one}{other}"));
         let named = merged.chain(MARKS.map(String::from));
         for (place, token) in named.enumerate() {
@@ -70,7 +70,7 @@ impl Tokenizer {
             .map_err(|error| refused(&path, format!("its merges: {error}")))
     }
 
-    /// The tokens of a text: start, at most `most` of its own, end.
+    /// The tokens of a text: start, at most `most` words, end.
     ///
     /// # Errors
     /// [`Error::Usage`] for a text that is too long to be a sentence.
@@ -82,7 +82,7 @@ impl Tokenizer {
                     "the text `{start}...` has {} bytes, allowed: at most {MAX_TEXT}",
                     text.len()
                 ),
-                "a text is a sentence: of longer ones the first words alone count",
+                "a text is a sentence: only the first words of longer texts count",
             ));
         }
         let text: String = text.nfc().collect();
@@ -95,7 +95,7 @@ impl Tokenizer {
     }
 }
 
-/// The pairs that are merged, in their order, and the number of each token.
+/// The merged pairs in order, and the number of each token.
 struct Vocabulary {
     path: PathBuf,
     merges: Vec<[String; 2]>,
@@ -103,9 +103,9 @@ struct Vocabulary {
 }
 
 impl Vocabulary {
-    /// That of `vocab.json` and `merges.txt`, else of `tokenizer.json`.
+    /// Reads `vocab.json` and `merges.txt`, or `tokenizer.json`.
     fn read(folder: &Path) -> Result<Self, Error> {
-        let [vocab, merges, whole] =
+        let [vocab, merges, single] =
             ["vocab.json", "merges.txt", "tokenizer.json"].map(|name| folder.join(name));
         if vocab.exists() && merges.exists() {
             let text = read_text(&merges).map_err(|error| refused(&merges, error))?;
@@ -118,26 +118,26 @@ impl Vocabulary {
                 path: vocab,
             });
         }
-        if !whole.exists() {
+        if !single.exists() {
             let reason = "it has no vocab.json with merges.txt, and no tokenizer.json";
             return Err(refused(folder, reason));
         }
-        let all = json_of(&whole)?;
+        let all = json_of(&single)?;
         let model = &all["model"];
         let pairs = model["merges"].as_array();
-        let pairs = pairs.ok_or_else(|| refused(&whole, "it has no `model.merges`"))?;
+        let pairs = pairs.ok_or_else(|| refused(&single, "it has no `model.merges`"))?;
         let pairs = pairs.iter().map(|pair| {
-            // Older files write a text, newer ones a list of two.
+            // A text in older files, a list of two in newer ones.
             let read = match pair {
                 Value::String(line) => pair_of(line),
                 other => serde_json::from_value(other.clone()).ok(),
             };
-            read.ok_or_else(|| no_pair(&whole, &pair.to_string()))
+            read.ok_or_else(|| no_pair(&single, &pair.to_string()))
         });
         Ok(Self {
             merges: pairs.collect::<Result<_, _>>()?,
-            numbers: numbers_of(&model["vocab"], &whole)?,
-            path: whole,
+            numbers: numbers_of(&model["vocab"], &single)?,
+            path: single,
         })
     }
 }
@@ -150,10 +150,10 @@ fn pair_of(line: &str) -> Option<[String; 2]> {
 
 fn no_pair(path: &Path, line: &str) -> Error {
     let start: String = line.chars().take(40).collect();
-    refused(path, format!("`{start}` is no pair of tokens"))
+    refused(path, format!("`{start}` is not a pair of tokens"))
 }
 
 fn numbers_of(value: &Value, path: &Path) -> Result<HashMap<String, u64>, Error> {
     serde_json::from_value(value.clone())
-        .map_err(|error| refused(path, format!("no table of tokens: {error}")))
+        .map_err(|error| refused(path, format!("not a table of tokens: {error}")))
 }

@@ -1,4 +1,4 @@
-//! The gradient of a step: that of its micro-batches, of which each rank takes a share.
+//! The gradient of a step, averaged over the micro-batches of all ranks.
 
 use std::ops::Range;
 
@@ -20,7 +20,7 @@ pub(super) struct Averaged {
     pub terms: Vec<(&'static str, f64)>,
 }
 
-/// The accumulated values of the micro-batches.
+/// Measurements of the micro-batches.
 #[derive(Default)]
 struct Measured {
     /// The weight of the first micro-batch of the step. One batch is in memory at a time, so the
@@ -37,7 +37,7 @@ impl<R: Recipe> Trainer<R> {
     /// between its batches.
     ///
     /// # Errors
-    /// If a number stops being one, or the data fails, on any rank.
+    /// If a number is not finite or the data fails, on any rank.
     pub(super) fn averaged(
         &mut self,
         observer: &mut dyn Observer,
@@ -101,8 +101,8 @@ impl<R: Recipe> Trainer<R> {
         }))
     }
 
-    /// The weighted gradients of some micro-batches, added according to [`split`]; `batch` is the
-    /// first of them if already loaded. `None` if a stop was requested before the last.
+    /// The weighted gradients of a range of micro-batches, added according to [`split`]; `batch` is the
+    /// first if already loaded. `None` if a stop was requested before the last.
     fn summed(
         &mut self,
         range: Range<u64>,
@@ -116,7 +116,7 @@ impl<R: Recipe> Trainer<R> {
                 Some(batch) => batch,
                 None => {
                     let stop = || observer.stop_requested();
-                    // A step of many batches is not waited for; it is done again on resuming.
+                    // A long step is not finished; resuming repeats it.
                     if stop() {
                         return Ok(None);
                     }
@@ -139,8 +139,8 @@ impl<R: Recipe> Trainer<R> {
         Ok(Some(sum))
     }
 
-    /// The weighted gradient of a micro-batch. The loss is read after the backward pass, so that a
-    /// device of its own does not wait between the two.
+    /// The weighted gradient of a micro-batch. The loss is read after the backward pass, so that a GPU
+    /// does not wait between the two.
     fn gradient(
         &self,
         micro_batch: u64,
@@ -154,7 +154,7 @@ impl<R: Recipe> Trainer<R> {
             step: self.step,
             micro_batch,
         };
-        let model = self.model.as_ref().expect("held between updates");
+        let model = self.model.as_ref().expect("present between updates");
         let precision = self.parts.config.train.precision.of_products();
         let (names, values, sum) = precision.scope(|| {
             let Loss {
@@ -178,7 +178,7 @@ impl<R: Recipe> Trainer<R> {
         let on_device = self.states.on_device();
         let (gradients, values) = StepGradients::of(sum, model, values, on_device, &device);
         if !values[0].is_finite() {
-            // Its tensors were not stored; the same random inputs give them again.
+            // The tensors were not stored; the same random inputs reproduce them.
             let again = precision.scope(|| recipe.loss(model, batch, key, &self.parts.device));
             let tensor = find_not_finite(model, batch, again);
             return Err(self.not_finite(self.step + 1, tensor));

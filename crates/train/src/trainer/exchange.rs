@@ -8,18 +8,17 @@ use kinegrad_ranks::Ranks;
 use super::owners::Owners;
 use crate::process_group::{ProcessGroup, Tag};
 
-/// The gradients of all parameters that are trained, one behind the other, in memory that is kept from step
-/// to step: pages that are new each time cost more than the copy.
+/// The concatenated gradients of all trained parameters, in memory that is reused between steps because
+/// new pages cost more than the copy.
 #[derive(Debug)]
 pub(super) struct Exchange {
-    /// The range of each parameter among all; empty for a frozen one.
+    /// The range of each parameter; empty for a frozen one.
     places: Vec<Range<usize>>,
-    /// Elements that each rank adds up, one behind the other.
+    /// Number of elements that each rank adds up, in order.
     lengths: Vec<usize>,
-    /// The first that this rank adds up.
+    /// The first element that this rank adds up.
     first: usize,
-    /// Whose parameters are whose, where ranks keep states of a part each: then each adds up those of its
-    /// own, and nobody has the others.
+    /// The owners of sharded states: each rank adds up the gradients of its own parameters only.
     owners: Option<Owners>,
     all: Vec<f32>,
     /// Buffers received from or sent to other ranks.
@@ -27,8 +26,8 @@ pub(super) struct Exchange {
 }
 
 impl Exchange {
-    /// The exchange of parameters of these lengths, none of frozen ones: each rank adds up those that it
-    /// owns or, without owners, as many elements as any other.
+    /// The exchange of parameters with these lengths, 0 for frozen ones. Each rank adds up the parameters
+    /// that it owns or, without owners, an equal share of the elements.
     pub fn new(ranks: &dyn Ranks, lengths: &[usize], owners: Option<Owners>) -> Self {
         let mut places = vec![0..0; lengths.len()];
         let mut end = 0;
@@ -58,7 +57,7 @@ impl Exchange {
         }
     }
 
-    /// The sums over ranks of `gradients`, by `divisor`. Collective.
+    /// Adds `gradients` over the ranks and divides by `divisor`. Collective.
     pub fn sum(&mut self, ranks: &dyn Ranks, gradients: Vec<Vec<f32>>, divisor: f64) {
         self.all.resize(self.lengths.iter().sum(), 0.0);
         for (gradient, place) in gradients.into_iter().zip(&self.places) {
@@ -79,7 +78,7 @@ impl Exchange {
         self.owners.as_ref().is_none_or(|owners| owners.has(index))
     }
 
-    /// The gradient of a parameter that this rank changes.
+    /// The gradient of a parameter that this rank updates.
     pub fn gradient(&self, index: usize) -> &[f32] {
         &self.all[self.places[index].clone()]
     }
@@ -96,9 +95,9 @@ impl Exchange {
             return squares;
         };
         let own = owners.of_rank(group.ranks().rank());
-        let said: Vec<u8> = own.flat_map(|index| squares[index].to_le_bytes()).collect();
-        for (rank, said) in group.gather(Tag::Squares, &said).iter().enumerate() {
-            let (numbers, _) = said.as_chunks::<8>();
+        let own: Vec<u8> = own.flat_map(|index| squares[index].to_le_bytes()).collect();
+        for (rank, squared) in group.gather(Tag::Squares, &own).iter().enumerate() {
+            let (numbers, _) = squared.as_chunks::<8>();
             for (index, number) in owners.of_rank(rank).zip(numbers) {
                 squares[index] = f64::from_le_bytes(*number);
             }
@@ -106,14 +105,14 @@ impl Exchange {
         squares
     }
 
-    /// Puts the new weights of a parameter that this rank has changed in the place of its gradient.
+    /// Replaces the gradient of a parameter by the new weights, if states are sharded.
     pub fn put(&mut self, index: usize, weights: &[f32]) {
         if self.owners.is_some() {
             self.all[self.places[index].clone()].copy_from_slice(weights);
         }
     }
 
-    /// Gathers the new weights, if ranks change some each; whether they do. Collective.
+    /// Gathers the new weights; returns false if states are not sharded. Collective.
     pub fn gather_weights(&mut self, ranks: &dyn Ranks) -> bool {
         let shares = self.owners.is_some();
         if shares {
@@ -122,7 +121,7 @@ impl Exchange {
         shares
     }
 
-    /// The gathered weights of a parameter that another rank has changed.
+    /// The gathered weights of a parameter that another rank updated.
     pub fn weights_of_other(&self, index: usize) -> Option<&[f32]> {
         (!self.has(index)).then(|| &self.all[self.places[index].clone()])
     }

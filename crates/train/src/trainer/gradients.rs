@@ -1,4 +1,4 @@
-//! The gradient of a step, where its optimiser works.
+//! The gradient of a step, in the optimiser's memory.
 
 use std::rc::Rc;
 
@@ -24,8 +24,8 @@ pub(super) enum StepGradients {
 }
 
 impl StepGradients {
-    /// Gradients of `model`, on its device where they are laid out there, else in main memory; and some
-    /// `numbers`, read from the device at once with them.
+    /// The gradients of `model`, on its device with the layout `on_device` or in main memory, and the values
+    /// of `numbers`.
     pub fn of<M: Module>(
         sum: GradientSum,
         model: &M,
@@ -46,7 +46,7 @@ impl StepGradients {
         }
     }
 
-    /// Adds the gradients of another micro-batch, which are in the same place.
+    /// Adds the gradients of another micro-batch, in the same memory.
     pub fn add(&mut self, other: Self) {
         match (self, other) {
             (Self::Host(sums), Self::Host(others)) => {
@@ -57,11 +57,11 @@ impl StepGradients {
                 let pairs = sums.rows.iter_mut().zip(others.rows);
                 pairs.for_each(|(sum, other)| *sum = sum.clone() + other);
             }
-            _ => unreachable!("one optimiser, one place"),
+            _ => unreachable!("gradients of one optimiser"),
         }
     }
 
-    /// Divides all of them.
+    /// Divides all gradients.
     pub fn divide(&mut self, divisor: f64) {
         match self {
             Self::Host(sums) => {
@@ -72,11 +72,11 @@ impl StepGradients {
                 let sums = sums.rows.iter_mut();
                 sums.for_each(|sum| *sum = sum.clone().div_scalar(divisor));
             }
-            Self::Ranks(_) => unreachable!("divided where they were added"),
+            Self::Ranks(_) => unreachable!("divided by the exchange"),
         }
     }
 
-    /// The sum of the squares of each parameter's gradient, or of each row of them. Collective.
+    /// The sum of the squares of each parameter's or row's gradient. Collective.
     pub fn squares(&self, group: &ProcessGroup) -> Vec<f64> {
         match self {
             Self::Host(gradients) => optim::squares(gradients),
@@ -97,27 +97,26 @@ impl StepGradients {
     }
 }
 
-/// Elements whose squares are added up on the device: in single precision a sum of many millions is off
-/// by more than its last digits.
+/// Number of squares added up on the device; longer sums in single precision are inexact.
 const PART: usize = 4096;
 
 /// The sums of the squares of a row, part by part.
 fn squares_of_parts(row: &Tensor<1>) -> Tensor<1> {
     let [length] = row.dims();
-    let (parts, whole) = (length / PART, length / PART * PART);
+    let (parts, full) = (length / PART, length / PART * PART);
     let square = |first, count| row.clone().narrow(0, first, count).square();
     let mut sums = Vec::new();
     if parts > 0 {
-        let squares = square(0, whole).reshape([parts, PART]);
+        let squares = square(0, full).reshape([parts, PART]);
         sums.push(squares.sum_dim(1).reshape([parts]));
     }
-    if whole < length {
-        sums.push(square(whole, length - whole).sum());
+    if full < length {
+        sums.push(square(full, length - full).sum());
     }
     Tensor::cat(sums, 0)
 }
 
-/// The values of tensors, one tensor after the other, in one read.
+/// The concatenated values of tensors, in one read.
 fn read(tensors: Vec<Tensor<1>>) -> Vec<f64> {
     let read = tensors
         .into_iter()
@@ -145,7 +144,7 @@ mod tests {
             let data = TensorData::new(values.clone(), [values.len()]);
             Some(Tensor::from_data(data, &device))
         });
-        // The last in a row of its own.
+        // The last has a separate row.
         let layout = Layout::new(&lengths, |index| index == 3);
         let rows = Rows::joined(&layout, &tensors.collect::<Vec<_>>(), &device);
         let sum = |squares: Vec<f64>| squares.iter().sum::<f64>();

@@ -1,6 +1,6 @@
-//! Optimiser states of which each rank keeps a part (ZeRO-1, Rajbhandari et al. 2020,
-//! <https://arxiv.org/abs/1910.02054>): whole parameters, so that norms are added in the same order as
-//! in one process.
+//! Sharding of optimiser states over ranks (ZeRO-1, Rajbhandari et al. 2020,
+//! <https://arxiv.org/abs/1910.02054>), by parameter, so that norms are added in the same order as in one
+//! process.
 
 use std::cmp::Reverse;
 
@@ -13,12 +13,12 @@ pub(super) struct Owners {
     size: usize,
     /// The rank of each parameter.
     of: Vec<usize>,
-    /// Elements of each parameter; none of a frozen one, whose state is no rank's alone.
+    /// Number of elements of each parameter; 0 for a frozen one, whose state all ranks have.
     lengths: Vec<usize>,
 }
 
 impl Owners {
-    /// Owners of parameters of these lengths: the longest first, to whom has least.
+    /// The owners of parameters with these lengths: the longest first, to the rank with the least load.
     pub fn new(ranks: &dyn Ranks, lengths: Vec<usize>) -> Self {
         let size = ranks.size();
         let mut order: Vec<usize> = (0..lengths.len()).collect();
@@ -42,7 +42,7 @@ impl Owners {
         self.of[index] == self.rank || self.lengths[index] == 0
     }
 
-    /// Elements of the parameters of each rank.
+    /// Number of elements of each rank.
     pub fn loads(&self) -> Vec<usize> {
         let of = |rank| self.of_rank(rank).map(|index| self.lengths[index]);
         (0..self.size).map(|rank| of(rank).sum()).collect()
@@ -53,8 +53,7 @@ impl Owners {
         (0..self.of.len()).filter(move |&index| self.of[index] == rank)
     }
 
-    /// All tensors, of those that each rank keeps, one after the other; to who does not receive them, the
-    /// frozen ones alone. Collective.
+    /// Gathers the tensors of all ranks; a rank that does not receive gets only frozen ones. Collective.
     pub fn gathered<'a>(
         &self,
         ranks: &dyn Ranks,

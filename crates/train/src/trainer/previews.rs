@@ -13,35 +13,35 @@ impl<R: Recipe> Trainer<R> {
         every > 0 && self.step > 0 && self.step.is_multiple_of(every)
     }
 
-    /// Draws what a process that ended at this step has left undone.
+    /// Samples the previews that a process ended at this step has not written.
     pub(super) fn preview_if_missing(&mut self, observer: &mut dyn Observer) -> Result<(), Error> {
         match self.previews_are_due() {
             true => {
-                let drawn = preview_page(&self.parts.folder, self.step).exists();
-                self.preview(drawn, observer)
+                let exist = preview_page(&self.parts.folder, self.step).exists();
+                self.preview(exist, observer)
             }
             false => Ok(()),
         }
     }
 
-    /// Lets the observer sample from this step's written checkpoint and records the pictures,
-    /// unless they are `drawn`. On failure training continues; before a stop, sampling is left to
-    /// the resume. The writing rank samples, and all ranks learn the outcome.
+    /// Lets the observer sample from this step's checkpoint and records the pictures, unless they `exist`.
+    /// If sampling fails, training continues; before a stop, sampling is left to the resumed run. The first
+    /// rank samples, and all ranks get the outcome.
     pub(super) fn preview(
         &mut self,
-        drawn: bool,
+        exist: bool,
         observer: &mut dyn Observer,
     ) -> Result<(), Error> {
         let group = self.parts.group.clone();
-        let draws = group.writes() && !drawn && !observer.stop_requested();
-        let recorded = match draws {
-            true => self.draw_previews(observer),
+        let samples = group.writes() && !exist && !observer.stop_requested();
+        let recorded = match samples {
+            true => self.sample_previews(observer),
             false => Ok(()),
         };
         group.done(recorded)
     }
 
-    fn draw_previews(&mut self, observer: &mut dyn Observer) -> Result<(), Error> {
+    fn sample_previews(&mut self, observer: &mut dyn Observer) -> Result<(), Error> {
         let checkpoint = self.checkpoints.step_path(self.step);
         match observer.preview(&checkpoint, self.step) {
             Ok(previews) => {

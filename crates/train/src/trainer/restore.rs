@@ -22,7 +22,7 @@ pub(super) fn order_of(infos: &[ParameterInfo], checkpoint: &Checkpoint) -> Vec<
         .collect()
 }
 
-/// Rejects a checkpoint whose running means are not those of the parameters that `model` trains.
+/// Rejects a checkpoint whose running means do not fit the trained parameters of `model`.
 ///
 /// # Errors
 /// Names the checkpoint in `path` and the parameter.

@@ -1,4 +1,4 @@
-//! Parameters side by side in rows on a device, which does one long operation sooner than hundreds of
+//! Parameters concatenated to rows on a device, because one long operation is faster than hundreds of
 //! short ones.
 
 use std::collections::BTreeMap;
@@ -12,12 +12,12 @@ use burn::tensor::{Device, Tensor, TensorData, Transaction};
 pub(super) struct Layout {
     /// The parameters of each row, in order.
     rows: Vec<Vec<usize>>,
-    /// Row and place of each parameter; none of a frozen one.
+    /// Row and range of each parameter; `None` for a frozen one.
     places: Vec<Option<(usize, Range<usize>)>>,
 }
 
 impl Layout {
-    /// Parameters of these lengths, those of one class in a row; frozen ones have no elements.
+    /// Parameters with these lengths, 0 for frozen ones, with one row per class.
     pub fn new<K: Ord>(lengths: &[usize], class_of: impl Fn(usize) -> K) -> Rc<Self> {
         let mut classes: BTreeMap<K, Vec<usize>> = BTreeMap::new();
         for index in (0..lengths.len()).filter(|&index| lengths[index] > 0) {
@@ -35,13 +35,13 @@ impl Layout {
         Rc::new(Self { rows, places })
     }
 
-    /// The first parameter of each row, like which the others are moved.
+    /// The first parameter of each row, whose settings apply to the row.
     pub fn first(&self) -> impl Iterator<Item = usize> {
         self.rows.iter().map(|parameters| parameters[0])
     }
 }
 
-/// A number for each element of each parameter that is trained, on a device.
+/// A number for each element of the trained parameters, on a device.
 #[derive(Clone, Debug)]
 pub(super) struct Rows {
     pub layout: Rc<Layout>,
@@ -49,7 +49,7 @@ pub(super) struct Rows {
 }
 
 impl Rows {
-    /// Rows of one tensor a parameter, in the module's order; zeros where there is none.
+    /// Rows of one tensor per parameter, in the module's order; zeros for a missing one.
     pub fn joined(layout: &Rc<Layout>, tensors: &[Option<Tensor<1>>], device: &Device) -> Self {
         let part = |index: usize| {
             let (_, place) = layout.places[index].clone().expect("a place in a row");
@@ -82,14 +82,14 @@ impl Rows {
         }
     }
 
-    /// The numbers of a parameter that is trained.
+    /// The numbers of a trained parameter.
     pub fn part(&self, index: usize) -> Tensor<1> {
         let place = self.layout.places[index].clone();
         let (row, place) = place.expect("a place in a row");
         self.rows[row].clone().slice([place])
     }
 
-    /// The numbers of every parameter in main memory, in one read; none of a frozen one.
+    /// The numbers of every parameter in main memory, in one read; empty for a frozen one.
     pub fn read(&self) -> Vec<Vec<f32>> {
         let reading = self.rows.iter().cloned();
         let reading = reading.fold(Transaction::default(), Transaction::register);
@@ -105,7 +105,7 @@ impl Rows {
         values.collect()
     }
 
-    /// The first parameter one of whose numbers is none.
+    /// The first parameter with a number that is not finite.
     pub fn broken(&self) -> Option<usize> {
         let values = self.read();
         values

@@ -1,4 +1,4 @@
-//! Writing a checkpoint, of which one part after the other is in memory.
+//! Writing a checkpoint part by part.
 
 use super::Trainer;
 use crate::checkpoint::{FORMAT, State, Unfinished, Weights, broken_moments, broken_weights};
@@ -6,14 +6,14 @@ use crate::error::Error;
 use crate::optim::Moments;
 use crate::recipe::Recipe;
 
-/// A checkpoint of a trainer that is being written, by the first rank alone.
+/// A checkpoint that the first rank is writing.
 pub(super) struct Saving<'a, R: Recipe> {
     trainer: &'a Trainer<R>,
     /// The partial checkpoint; `None` on other ranks.
     written: Result<Option<Unfinished>, Error>,
 }
 
-/// A checkpoint to write a part of.
+/// A checkpoint to which a part is written.
 pub(super) struct Writing<'a, R: Recipe> {
     trainer: &'a Trainer<R>,
     unfinished: &'a mut Unfinished,
@@ -23,14 +23,14 @@ impl<'a, R: Recipe> Saving<'a, R> {
     /// Starts a checkpoint of the current state.
     pub fn begin(trainer: &'a Trainer<R>) -> Self {
         let writes = trainer.parts.group.writes();
-        let begun = writes.then(|| trainer.checkpoints.begin(trainer.step));
+        let started = writes.then(|| trainer.checkpoints.begin(trainer.step));
         Self {
             trainer,
-            written: begun.transpose(),
+            written: started.transpose(),
         }
     }
 
-    /// Writes a part, unless this is not the first rank or one before could not be written.
+    /// Writes a part, on the first rank and unless an earlier part failed.
     pub fn put(&mut self, write: impl FnOnce(&mut Writing<'_, R>) -> Result<(), Error>) {
         let Ok(Some(unfinished)) = &mut self.written else {
             return;
@@ -44,7 +44,7 @@ impl<'a, R: Recipe> Saving<'a, R> {
         }
     }
 
-    /// Ends it, records the best step and removes older checkpoints.
+    /// Finishes it, records the best step and removes older checkpoints.
     pub fn finish(self) -> Result<(), Error> {
         let Self { trainer, written } = self;
         let Some(unfinished) = written? else {
@@ -72,7 +72,7 @@ impl<'a, R: Recipe> Saving<'a, R> {
 }
 
 impl<R: Recipe> Writing<'_, R> {
-    /// Writes the weights that are trained, or their average.
+    /// Writes the trained weights or their average.
     pub fn weights(&mut self, weights: Weights, values: &[Vec<f32>]) -> Result<(), Error> {
         let infos = &self.trainer.infos;
         self.must_be_finite(broken_weights(weights, infos, values))?;

@@ -21,7 +21,7 @@ use crate::ema::Ema;
 use crate::optim::{AdamW, Moments};
 use crate::parameter_count::is_adapter;
 
-/// The optimiser, the moving average and what they keep of each parameter.
+/// The optimiser and the moving average with their states.
 pub(super) struct States {
     optimizer: AdamW,
     ema: Ema,
@@ -38,13 +38,13 @@ enum Storage {
 
 /// States in main memory.
 struct OnHost {
-    /// State of the trained parameters of this rank.
+    /// Running means of the trained parameters of this rank.
     moments: Vec<Moments>,
-    /// State of all parameters of this rank.
+    /// Averages of all parameters of this rank.
     averages: Vec<Vec<f32>>,
-    /// Who keeps the states of which parameters, where ranks share them.
+    /// The owners of sharded states.
     owners: Option<Owners>,
-    /// The weights, where the networks are on another device: they go there and need not come back.
+    /// The weights, if the networks are on another device, to which they are only copied.
     weights: Option<Vec<Vec<f32>>>,
 }
 
@@ -58,7 +58,7 @@ struct OnDevice {
     frozen: Vec<Vec<f32>>,
 }
 
-/// The initial states of a training.
+/// The inputs of [`States::new`].
 pub(super) struct Inputs<'a> {
     pub config: &'a Config,
     pub infos: &'a [ParameterInfo],
@@ -72,7 +72,7 @@ pub(super) struct Inputs<'a> {
 }
 
 impl States {
-    /// States of `model` at step 0, or those of a checkpoint, whose weights it has.
+    /// The states of `model` at step 0 or of the checkpoint, whose weights it has.
     pub fn new<M: Module>(model: &M, checkpoint: Option<Checkpoint>, inputs: &Inputs<'_>) -> Self {
         let Inputs {
             config,
@@ -88,7 +88,7 @@ impl States {
         let has = |index: usize| owners.as_ref().is_none_or(|owners| owners.has(index));
         let (steps, moments, averages) = match checkpoint {
             Some(checkpoint) => {
-                // Files of tensors come back sorted by name; the module's order is another.
+                // The checkpoint is sorted by name.
                 let order = order_of(infos, &checkpoint);
                 let (mut moments, mut averages) = (checkpoint.moments, checkpoint.ema);
                 let taken = order.iter().enumerate().map(|(place, &index)| {
@@ -162,7 +162,7 @@ impl States {
         }
     }
 
-    /// The layout of gradients on the device of the networks, if they are needed there.
+    /// The layout of gradients on the device of the networks, if the states are there.
     pub fn on_device(&self) -> Option<&Rc<Layout>> {
         match &self.storage {
             Storage::Host(_) => None,
@@ -170,7 +170,7 @@ impl States {
         }
     }
 
-    /// The exchange between ranks in the steps of `model`, if there are several.
+    /// The exchange between several ranks in the steps of `model`.
     pub fn exchange<M: Module>(&self, model: &M, ranks: &dyn Ranks) -> Option<Exchange> {
         let owners = match &self.storage {
             Storage::Host(states) if ranks.size() > 1 => states.owners.clone(),
@@ -179,8 +179,8 @@ impl States {
         Some(Exchange::new(ranks, &trained_lengths(model), owners))
     }
 
-    /// AdamW and the moving average, parameter by parameter: with gradients times `gradient_scale` and
-    /// each parameter's learning rate.
+    /// A step of AdamW and the moving average, with gradients times `gradient_scale` and the learning
+    /// `rates` of the parameters.
     pub fn update<M: Module>(
         &mut self,
         model: M,
@@ -241,7 +241,7 @@ impl States {
         }
     }
 
-    /// The averaged weights of all parameters, on the ranks that receive them. Collective.
+    /// The averages of all parameters, on the ranks that receive them. Collective.
     pub fn averages(&self, ranks: &dyn Ranks, to: Receivers) -> Cow<'_, [Vec<f32>]> {
         match &self.storage {
             Storage::Host(states) => match &states.owners {
@@ -291,7 +291,7 @@ impl States {
 }
 
 impl OnHost {
-    /// Hands every parameter that is trained to `change`, with its running means and its average.
+    /// Calls `change` with every trained parameter, its running means and its average.
     fn update<M: Module>(
         &mut self,
         model: M,
@@ -309,7 +309,7 @@ impl OnHost {
     }
 }
 
-/// Elements of each parameter; none of a frozen one.
+/// Number of elements of each parameter; 0 for a frozen one.
 fn trained_lengths<M: Module>(model: &M) -> Vec<usize> {
     let infos = parameters::infos(model).into_iter();
     let trained = infos.zip(parameters::trainable(model));
@@ -317,7 +317,7 @@ fn trained_lengths<M: Module>(model: &M) -> Vec<usize> {
     lengths.collect()
 }
 
-/// Changes the parameters that are not frozen in main memory: in place, or in the copy of them there.
+/// Changes the trained parameters in main memory: in place, or in their copy `weights`.
 fn on_host<M: Module>(
     model: M,
     weights: Option<&mut Vec<Vec<f32>>>,
