@@ -104,7 +104,7 @@ pub fn read(systems: Systems<'_>, motions: &[PathBuf], reading: &Reading) -> Res
         .map(|(path, name)| figure(systems, path, name, reading))
         .collect::<Result<Vec<SceneObject>, Error>>()?;
     let floor = match &reading.goal {
-        Some(path) => floor(&read_goal(path)?),
+        Some(path) => floor(&read_goal(path)?.0),
         None => Floor::default(),
     };
     let seconds = figures.iter().map(SceneObject::seconds).fold(0.0, f64::max);

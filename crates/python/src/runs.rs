@@ -30,7 +30,7 @@ type Line = (u64, Vec<(String, f64)>);
 #[pyfunction]
 pub fn read_metrics(py: Python<'_>, folder: PathBuf) -> PyResult<Vec<Line>> {
     let records = call(py, || telemetry::read_metrics(&folder, &mut |_| {}))?;
-    let line = |record: &telemetry::Record| (record.step, record.scalars().to_vec());
+    let line = |record: &telemetry::Record| (record.step, record.scalars.clone());
     Ok(records.iter().map(line).collect())
 }
 
@@ -52,7 +52,7 @@ impl Model {
     pub fn open(&self) -> Result<TrainedModel, Error> {
         let weights = named("`weights`", &self.weights, "\"ema\" and \"model\"")?;
         let saved = checkpoint(&self.run)?;
-        BUILT_IN.trained(saved, &self.settings, weights, self.device.as_deref())
+        BUILT_IN.trained(saved, &self.settings, weights, self.device.as_deref(), 0)
     }
 }
 

@@ -79,23 +79,19 @@ impl Conditions {
         found.map(|(_, cond)| cond)
     }
 
-    /// The conditions with all but the style multiplied by `mask`, `[batch, 1, 1]`.
-    #[must_use]
-    pub fn with_dropout(self, mask: &Tensor<3>) -> Self {
-        let named = self.0.into_iter().map(|(name, cond)| match name {
-            STYLE | LABEL => (name, cond),
-            _ => (name, cond * mask.clone()),
-        });
-        Self::new(named)
-    }
-
-    /// The conditions with the style's numbers and label multiplied by their masks.
-    #[must_use]
-    pub fn with_style_dropout(self, mask: &StyleDropoutMask) -> Self {
-        let named = self.0.into_iter().map(|(name, cond)| match name {
-            STYLE => (name, cond * mask.numbers.clone()),
-            LABEL => (name, cond * mask.label.clone()),
-            _ => (name, cond),
+    /// The conditions multiplied by their dropout masks.
+    fn with_dropout(self, mask: Option<Tensor<3>>, style: Option<StyleDropoutMask>) -> Self {
+        let (numbers, label) = style.map(|style| (style.numbers, style.label)).unzip();
+        let named = self.0.into_iter().map(|(name, cond)| {
+            let mask = match name {
+                STYLE => &numbers,
+                LABEL => &label,
+                _ => &mask,
+            };
+            match mask {
+                Some(mask) => (name, cond * mask.clone()),
+                None => (name, cond),
+            }
         });
         Self::new(named)
     }
@@ -119,18 +115,14 @@ impl StyleDropoutMask {
         if probability <= 0.0 {
             return None;
         }
-        let kinds = if parts.iter().all(Option::is_some) {
-            3
-        } else {
-            1
-        };
-        // All, the numbers alone, the label alone, nothing.
-        let uniforms = key.uniforms(batch);
-        let dropped = uniforms
-            .iter()
-            .map(|&u| ((f64::from(u) / probability) as usize).min(3))
-            .map(|kind| if kind < kinds { kind } else { 3 });
-        let dropped: Vec<usize> = dropped.collect();
+        // All, the numbers alone, the label alone, nothing. Of one part only all or nothing.
+        let kinds = 1 + 2 * usize::from(parts.iter().all(Option::is_some));
+        let kind = |u| Some((f64::from(u) / probability) as usize).filter(|kind| *kind < kinds);
+        let dropped: Vec<usize> = key
+            .uniforms(batch)
+            .into_iter()
+            .map(|u| kind(u).unwrap_or(3))
+            .collect();
         let mask = |kinds: [usize; 2]| {
             let mask = dropped.iter().map(|kind| f32::from(!kinds.contains(kind)));
             Tensor::from_data(TensorData::new(mask.collect(), [batch, 1, 1]), device)
@@ -165,22 +157,15 @@ impl RandomInputs {
         key: StepKey,
         device: &Device,
     ) -> Self {
-        let config = &diffusion.config;
-        let shape = inputs.x_start.dims();
-        let batch = shape[0];
+        let (config, timesteps) = (&diffusion.config, key.of(Purpose::Timesteps));
+        let shape @ [batch, ..] = inputs.x_start.dims();
         let condition_dropout_mask = (config.cond_drop_prob > 0.0).then(|| {
-            let keep: Vec<f32> = key
-                .of(Purpose::CondDropout)
-                .uniforms(batch)
-                .iter()
-                .map(|&u| f32::from(f64::from(u) >= config.cond_drop_prob))
-                .collect();
-            Tensor::from_data(TensorData::new(keep, [batch, 1, 1]), device)
+            let uniforms = key.of(Purpose::CondDropout).uniforms(batch).into_iter();
+            let mask = uniforms.map(|u| f32::from(f64::from(u) >= config.cond_drop_prob));
+            Tensor::from_data(TensorData::new(mask.collect(), [batch, 1, 1]), device)
         });
         Self {
-            timesteps: key
-                .of(Purpose::Timesteps)
-                .integers(batch, config.num_train_timesteps),
+            timesteps: timesteps.integers(batch, config.num_train_timesteps),
             noise: noise(key.of(Purpose::Noise), shape, device),
             condition_dropout_mask,
             style_dropout_mask: {
@@ -227,14 +212,7 @@ pub fn denoising_loss(
         dropout,
     } = random;
     let x_t = diffusion.add_noise(x_start.clone(), noise.clone(), &timesteps);
-    let cond = match condition_dropout_mask {
-        Some(mask) => cond.with_dropout(&mask),
-        None => cond,
-    };
-    let cond = match style_dropout_mask {
-        Some(mask) => cond.with_style_dropout(&mask),
-        None => cond,
-    };
+    let cond = cond.with_dropout(condition_dropout_mask, style_dropout_mask);
     let model_output = network(x_t.clone(), &Time::of(&timesteps), &cond, dropout);
     let target = diffusion.target(x_start.clone(), noise, &timesteps);
     let total = distance(model_output.clone(), target, mask);
@@ -259,8 +237,7 @@ pub struct DenoisingRecipe<M> {
     measures_first: bool,
 }
 
-/// The loss of a network on a batch with random inputs; the flag is true in training, which uses
-/// the weights of timesteps and other training aids.
+/// The loss of a network on a batch with random inputs; the flag is true in training.
 pub type BatchLoss<M> = dyn Fn(&GaussianDiffusion, &M, Inputs, RandomInputs, bool) -> Loss;
 
 impl<M> DenoisingRecipe<M> {
@@ -437,8 +414,7 @@ impl HeldOut {
         })
     }
 
-    /// The mean of a loss over all items and draws. Ranks share the batches and add the losses in one
-    /// order.
+    /// The mean of a loss over all items and draws, added in one order. Ranks share the batches.
     pub fn mean(
         &self,
         device: &Device,
@@ -536,7 +512,7 @@ mod tests {
             counts[place] += 1.0 / batch as f64;
         }
         // Dropped values are zero, the others and the audio are unchanged.
-        let masked = cond.with_style_dropout(&mask);
+        let masked = cond.with_dropout(None, Some(mask));
         for (name, values) in masked.0 {
             let sum = values.sum().into_scalar::<f32>() / 2.0;
             let expected: f32 = match name {
@@ -572,7 +548,7 @@ mod tests {
     #[test]
     fn dropped_audio_leaves_the_style() {
         let cond = conditions(3, &["audio", STYLE, LABEL]);
-        let masked = cond.with_dropout(&Tensor::zeros([3, 1, 1], &Device::flex()));
+        let masked = cond.with_dropout(Some(Tensor::zeros([3, 1, 1], &Device::flex())), None);
         let sum = |name| masked.get(name).clone().sum().into_scalar::<f32>();
         assert_eq!([sum("audio"), sum(STYLE), sum(LABEL)], [0.0, 6.0, 6.0]);
     }

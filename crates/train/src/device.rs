@@ -83,7 +83,7 @@ const KINDS: &[Kind] = &[
 ];
 
 /// True if the device `name` computes on the CPU, in main memory.
-pub fn is_host(name: &str) -> bool {
+pub(crate) fn is_host(name: &str) -> bool {
     ["cpu", "ndarray"].iter().any(|host| name.starts_with(host))
 }
 
@@ -104,18 +104,13 @@ pub fn list() -> impl Iterator<Item = (&'static Kind, bool)> {
 /// index such as `cuda:1`. Returns it with the name it goes by.
 ///
 /// # Errors
-/// If this build has no such device, the machine cannot run it, or the environment names unknown
-/// kernels.
+/// If the device is missing or fails, or the environment names unknown kernels.
 pub fn open(name: &str) -> Result<(Device, String), InvalidSetting> {
     open_for(name, 0)
 }
 
-/// Like [`open`], for process `local` of a machine: if a kind has several devices and no index is
-/// given, each process takes its own.
-///
-/// # Errors
-/// As [`open`].
-pub fn open_for(name: &str, local: usize) -> Result<(Device, String), InvalidSetting> {
+/// Like [`open`], for process `local` of a machine, which takes its own device of a kind.
+pub(crate) fn open_for(name: &str, local: usize) -> Result<(Device, String), InvalidSetting> {
     Mode::from_environment().map_err(|error| {
         let found = format!("\"{}\" in the environment", error.found);
         InvalidSetting::new(VARIABLE, found, "\"fused\" or \"composed\"").hint(
@@ -128,6 +123,14 @@ pub fn open_for(name: &str, local: usize) -> Result<(Device, String), InvalidSet
         let allowed = format!("{} in this build", kinds.join(", "));
         InvalidSetting::new("run.device", format!("\"{name}\""), allowed).hint(reason)
     };
+    let own = |kind: &Kind| {
+        let too_few = format!(
+            "process {local} of this machine, counted from 0, finds no free device `{}`: start no more \
+             processes on a machine than it has cards",
+            kind.name
+        );
+        own(kind, local).ok_or_else(|| refuse(too_few))
+    };
     if name == "auto" {
         return KINDS
             .iter()
@@ -135,9 +138,7 @@ pub fn open_for(name: &str, local: usize) -> Result<(Device, String), InvalidSet
             .filter_map(|kind| works(kind, 0).map(|device| (kind, device)))
             .find(|(_, device)| !is_software(device))
             .ok_or_else(|| refuse("no device works on this machine".into()))
-            .and_then(|(kind, _)| {
-                own(kind, local).ok_or_else(|| refuse(too_few(kind.name, local)))
-            });
+            .and_then(|(kind, _)| own(kind));
     }
     let (kind_name, index) = match name.split_once(':') {
         Some((kind, index)) => {
@@ -160,29 +161,20 @@ pub fn open_for(name: &str, local: usize) -> Result<(Device, String), InvalidSet
     };
     let fails = || refuse("the machine has no such device, or its driver fails".into());
     match index {
-        Some(index) => {
-            let device = works(kind, index).ok_or_else(fails)?;
+        None if local > 0 => own(kind),
+        _ => {
+            let device = works(kind, index.unwrap_or(0)).ok_or_else(fails)?;
             Ok((device, name.to_string()))
         }
-        None if local == 0 => Ok((works(kind, 0).ok_or_else(fails)?, name.to_string())),
-        None => own(kind, local).ok_or_else(|| refuse(too_few(kind.name, local))),
     }
 }
 
-/// The device of process `local` of a machine: its own, or the only visible one, because launchers may
-/// show each process one card.
+/// The device of process `local`: its own, or the only one that its launcher shows it.
 fn own(kind: &Kind, local: usize) -> Option<(Device, String)> {
     let index = if kind.indexed { local } else { 0 };
     let found = works(kind, index).map(|device| (device, kind.name_of(index)));
     let alone = || works(kind, 1).is_none().then(|| works(kind, 0)).flatten();
     found.or_else(|| Some((alone()?, kind.name_of(0))))
-}
-
-fn too_few(kind: &str, local: usize) -> String {
-    format!(
-        "process {local} of this machine, counted from 0, finds no free device `{kind}`: start no more \
-         processes on a machine than it has cards"
-    )
 }
 
 /// The name of a graphics device.
@@ -192,7 +184,7 @@ fn too_few(kind: &str, local: usize) -> String {
     feature = "metal",
     feature = "cuda"
 ))]
-pub fn hardware(device: &Device) -> Option<String> {
+pub(crate) fn hardware(device: &Device) -> Option<String> {
     device.identity().map(|identity| identity.name)
 }
 
@@ -203,18 +195,15 @@ pub fn hardware(device: &Device) -> Option<String> {
     feature = "metal",
     feature = "cuda"
 )))]
-pub fn hardware(_: &Device) -> Option<String> {
+pub(crate) fn hardware(_: &Device) -> Option<String> {
     None
 }
 
 /// True if the device is a software graphics driver, which is far slower than Flex.
 fn is_software(device: &Device) -> bool {
-    hardware(device).is_some_and(|name| {
-        let name = name.to_lowercase();
-        ["llvmpipe", "swiftshader", "software"]
-            .iter()
-            .any(|software| name.contains(software))
-    })
+    let mut software = ["llvmpipe", "swiftshader", "software"].into_iter();
+    let name = hardware(device).unwrap_or_default().to_lowercase();
+    software.any(|software| name.contains(software))
 }
 
 /// Opens a device and adds two numbers on it; a missing driver panics inside the backend.
@@ -224,10 +213,8 @@ fn works(kind: &Kind, index: usize) -> Option<Device> {
     std::panic::set_hook(Box::new(|_| {}));
     let opened = std::panic::catch_unwind(move || {
         let device = open(index);
-        let sum = Tensor::<1>::ones([2], &device)
-            .add_scalar(1.0)
-            .try_into_vec_as::<f32>();
-        (sum.ok()? == [2.0, 2.0]).then_some(device)
+        let sum = Tensor::<1>::ones([2], &device).add_scalar(1.0);
+        (sum.try_into_vec_as::<f32>().ok()? == [2.0, 2.0]).then_some(device)
     });
     std::panic::set_hook(quiet);
     opened.ok().flatten()

@@ -1,47 +1,27 @@
-//! The moving average of the weights.
+//! The exponential moving average of the weights. It starts as a copy, and the optimiser's pass updates
+//! it:
+//!
+//! ```text
+//! average += (1 - decay) (parameter - average)
+//! ```
+//!
+//! which does not drift when `decay` and `1 - decay` are rounded separately.
 
 use crate::config::EmaConfig;
 
-/// The exponential moving average of the weights. It starts as a copy, and the optimiser's pass
-/// updates it:
-///
-/// ```text
-/// average += (1 - decay) (parameter - average)
-/// ```
-///
-/// which does not drift when `decay` and `1 - decay` are rounded apart.
-#[derive(Clone, Debug)]
-pub struct Ema {
-    config: EmaConfig,
-}
-
-impl Ema {
-    /// The average with the settings of `config`.
-    pub fn new(config: &EmaConfig) -> Self {
-        Self {
-            config: config.clone(),
-        }
-    }
-
+impl EmaConfig {
     /// The decay of optimiser step `step` (from 1), `min(decay, 1 - (1 + n / inv_gamma)^-power)` for
     /// update n; `None` without an update.
-    pub fn decay_at(&self, step: u64) -> Option<f64> {
-        let EmaConfig {
-            decay,
-            update_every,
-            inv_gamma,
-            power,
-        } = self.config;
-        if !step.is_multiple_of(update_every) {
+    fn decay_at(&self, step: u64) -> Option<f64> {
+        if !step.is_multiple_of(self.update_every) {
             return None;
         }
-        let update = (step / update_every) as f64;
-        let warmed = if inv_gamma > 0.0 {
-            1.0 - (1.0 + update / inv_gamma).powf(-power)
-        } else {
-            1.0
+        let update = (step / self.update_every) as f64;
+        let warmed = match self.inv_gamma > 0.0 {
+            true => 1.0 - (1.0 + update / self.inv_gamma).powf(-self.power),
+            false => 1.0,
         };
-        Some(decay.min(warmed))
+        Some(self.decay.min(warmed))
     }
 
     /// `1 - decay` of optimiser step `step` (from 1); `None` without an update.
@@ -56,14 +36,13 @@ mod tests {
     use crate::config::OptimConfig;
     use crate::optim::{AdamW, Moments};
 
-    fn ema(decay: f64, inv_gamma: f64) -> Ema {
-        let config = EmaConfig {
+    fn ema(decay: f64, inv_gamma: f64) -> EmaConfig {
+        EmaConfig {
             decay,
             update_every: 1,
             inv_gamma,
             power: 1.0,
-        };
-        Ema::new(&config)
+        }
     }
 
     #[test]

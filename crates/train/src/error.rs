@@ -280,8 +280,7 @@ impl Error {
         }
     }
 
-    /// The exit code of a program that ends with this error: 1 for a failure, 2 for invalid input,
-    /// 130 for an interruption.
+    /// The exit code: 1 for a failure, 2 for invalid input, 130 for an interruption.
     pub fn exit_code(&self) -> u8 {
         match self {
             Self::OtherRank { code, .. } => *code,

@@ -18,8 +18,7 @@ use crate::error::Error;
 pub struct ImportRequest {
     /// The file that `torch.save` wrote.
     pub weights: PathBuf,
-    /// The architecture, one of a system's
-    /// [`architectures`](crate::System::architectures).
+    /// One of a system's [`architectures`](crate::System::architectures).
     pub architecture: String,
     /// `.npy` file of the training data's mean, one number a channel.
     pub mean: Option<PathBuf>,

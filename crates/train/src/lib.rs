@@ -1,7 +1,7 @@
 //! Configs, systems, the training loop, checkpoints and telemetry.
 //!
 //! [`run::train`] validates a request, sets up the run and passes it to its [`System`].
-//! [`Trainer`] then loads a batch, computes the loss of the [recipe](Recipe), clips gradients,
+//! The trainer then loads a batch, computes the loss of the [recipe](Recipe), clips gradients,
 //! updates the weights ([`optim`], [`ema`]) and records ([`checkpoint`], [`telemetry`]).
 
 pub mod checkpoint;
@@ -38,4 +38,4 @@ pub use process_group::ProcessGroup;
 pub use recipe::{Loss, Measured, Recipe, RecipeInfo, Score, StepKey};
 pub use system::{System, Systems};
 pub use trained_model::TrainedModel;
-pub use trainer::{Ending, Trainer, TrainerParts};
+pub use trainer::Ending;

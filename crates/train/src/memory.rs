@@ -16,8 +16,7 @@ const NUMBER: u64 = 4;
 pub struct Footprint {
     /// Numbers of all parameters, adapters included.
     pub parameters: u64,
-    /// Estimated numbers that the backward pass stores per item of a batch and pass through the
-    /// networks.
+    /// Estimated numbers that the backward pass stores per item and pass.
     pub activations: u64,
     /// Passes that the backward pass stores at a time.
     pub passes: u64,
@@ -50,8 +49,7 @@ impl Footprint {
         }
     }
 
-    /// Estimated main memory for training, bytes; with `on_host`, gradients and activations are there
-    /// too.
+    /// Estimated main memory for training, bytes; `on_host` if the CPU trains.
     pub fn of_training(self, config: &Config, on_host: bool) -> u64 {
         // Weights, their average, two moments, the copy for a checkpoint and, on the host, gradients.
         let copies = if on_host { 6 } else { 5 };
@@ -82,10 +80,9 @@ impl Footprint {
             (true, true) => self.of_gradients(),
             (true, false) => self.activations.saturating_mul(NUMBER) / PARTS_OF_ACTIVATIONS,
         };
-        let copies = if guided {
-            COPIES_OF_ITEM
-        } else {
-            COPIES_WITHOUT_LOSS
+        let copies = match guided {
+            true => COPIES_OF_ITEM,
+            false => COPIES_WITHOUT_LOSS,
         };
         let around = self.item.saturating_mul(copies * NUMBER);
         inside

@@ -15,13 +15,11 @@ pub trait Observer {
     fn started(&mut self, summary: &RunSummary);
     /// An optimiser step was done.
     fn stepped(&mut self, report: &StepReport);
-    /// The validation loss was computed; `best` if these weights are the best so far, by
-    /// `validation.select_by`.
+    /// The validation loss was computed; `best` by `validation.select_by`.
     fn validated(&mut self, step: u64, val_loss: f64, best: bool);
     /// A checkpoint was written.
     fn saved(&mut self, path: &Path);
-    /// Samples previews from the checkpoint of `step` at `checkpoint` and returns pictures for
-    /// TensorBoard; by default none.
+    /// Samples previews from the checkpoint of `step` and returns pictures for TensorBoard.
     ///
     /// # Errors
     /// If sampling fails; training warns and continues.

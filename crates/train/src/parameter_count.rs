@@ -35,20 +35,15 @@ impl ParameterCount {
         is_trained: impl Fn(usize, &ParameterInfo) -> bool,
     ) -> Self {
         let mut count = Self::default();
-        fn network(info: &ParameterInfo) -> &str {
-            info.name.split('.').next().unwrap_or_default()
-        }
         for (index, info) in infos.iter().enumerate() {
             count.all += info.len();
-            count.trained += if is_trained(index, info) {
-                info.len()
-            } else {
-                0
-            };
-            count.adapters += if is_adapter(info) { info.len() } else { 0 };
+            count.trained += info.len() * usize::from(is_trained(index, info));
+            count.adapters += info.len() * usize::from(is_adapter(info));
         }
         for &name in networks {
-            let own = infos.iter().filter(|info| network(info) == name);
+            let own = infos
+                .iter()
+                .filter(|info| info.name.split('.').next() == Some(name));
             let own = own.map(ParameterInfo::len).sum();
             if own > 0 {
                 count.networks.push((name.to_string(), own));

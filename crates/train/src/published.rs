@@ -55,8 +55,7 @@ pub fn part_of(tensors: &BTreeMap<String, Tensor>, part: &str) -> BTreeMap<Strin
 /// Replaces every parameter of `module` by the tensor of its name, read from the file at `path`.
 ///
 /// # Errors
-/// [`Error::ForeignWeights`] with everything that is missing, superfluous, of another shape or
-/// type, or not finite.
+/// [`Error::ForeignWeights`] with all differences.
 pub fn load<M: Module>(
     path: &Path,
     module: M,
@@ -71,12 +70,8 @@ pub fn load<M: Module>(
     load_values(path, module, &found, values)
 }
 
-/// Replaces every parameter of `module` by the one `found` in the file at `path`, whose numbers `values`
-/// reads.
-///
-/// # Errors
-/// As [`load`].
-pub fn load_values<M: Module>(
+/// [`load`] of the parameters `found` in the file at `path`, whose numbers `values` reads.
+pub(crate) fn load_values<M: Module>(
     path: &Path,
     module: M,
     found: &[ParameterInfo],
@@ -111,13 +106,13 @@ pub fn load_values<M: Module>(
 }
 
 /// A tensor in single precision.
-pub fn values_of(tensor: &Tensor) -> Result<Vec<f32>, String> {
+pub(crate) fn values_of(tensor: &Tensor) -> Result<Vec<f32>, String> {
     let bytes = tensor.read().map_err(|error| error.to_string())?;
     singles(&bytes, tensor.dtype())
 }
 
 /// Numbers of type `dtype` in single precision.
-pub fn singles(bytes: &[u8], dtype: DType) -> Result<Vec<f32>, String> {
+pub(crate) fn singles(bytes: &[u8], dtype: DType) -> Result<Vec<f32>, String> {
     fn numbers<T: bytemuck::Pod>(bytes: &[u8], single: impl Fn(T) -> f32) -> Vec<f32> {
         let numbers: Vec<T> = bytemuck::pod_collect_to_vec(bytes);
         numbers.into_iter().map(single).collect()
@@ -151,8 +146,7 @@ pub fn array(
     }
 }
 
-/// Mean and deviation of features from two `.npy` files; published features in millimetres are
-/// converted to metres.
+/// Mean and deviation of features from two `.npy` files; published ones are converted to metres.
 ///
 /// # Errors
 /// [`Error::Array`] for files of different shapes.

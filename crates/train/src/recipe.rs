@@ -1,6 +1,6 @@
 //! The interface between a training recipe and the trainer.
 //!
-//! A recipe computes the loss of a batch; the [`crate::Trainer`] does the rest.
+//! A recipe computes the loss of a batch; the trainer does the rest.
 
 use burn::module::Module;
 use burn::tensor::{Device, Tensor};
@@ -39,8 +39,7 @@ impl StepKey {
     }
 }
 
-/// The loss of one batch. `P` is the state with which the backward pass continues after that of
-/// `total`.
+/// The loss of one batch. `P` is the state with which the backward pass continues.
 #[derive(Debug)]
 pub struct Loss<P = ()> {
     /// The minimised loss.
@@ -100,8 +99,7 @@ pub trait Recipe {
         false
     }
 
-    /// The weight of `batch` in the gradient average of a step: the number of terms of its mean loss, by
-    /// default its valid frames.
+    /// The weight of `batch` in the gradient average of a step, by default its valid frames.
     fn weight(&self, batch: &Batch) -> f64 {
         batch.mask.iter().map(|&valid| f64::from(valid)).sum()
     }
@@ -122,12 +120,10 @@ pub trait Recipe {
         sum
     }
 
-    /// The mean loss over held-out phrases, with fixed noise so that runs are comparable; `model`
-    /// is on the plain `device`.
+    /// The mean loss over held-out items, with fixed noise; `model` is on the plain `device`.
     fn validation_loss(&self, model: &Self::Model, device: &Device) -> Measured;
 
-    /// The criterion of the best step, if other than the validation loss; `model` as in
-    /// [`validation_loss`](Self::validation_loss).
+    /// The criterion of the best step, if other than the validation loss.
     ///
     /// # Errors
     /// If sampling fails.

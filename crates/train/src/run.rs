@@ -6,7 +6,8 @@ mod plan;
 mod start;
 
 pub use context::{Outcome, RunContext, TrainingData};
-pub use folder::contains_run;
-pub use folder::{PREVIEWS, SAMPLES, UNFINISHED_SAMPLES, is_in_use, preview_page, remove};
+pub use folder::{
+    PREVIEWS, SAMPLES, UNFINISHED_SAMPLES, contains_run, is_in_use, preview_page, remove,
+};
 pub use plan::Plan;
 pub use start::{Target, TrainRequest, load_config, train, train_config, train_distributed};

@@ -27,7 +27,8 @@ const FREE_KEYS: [&str; 9] = [
 /// A checkpoint that a key of `init` names.
 #[derive(Clone, Debug)]
 pub struct Start {
-    key: &'static str,
+    /// The key that names it.
+    pub key: &'static str,
     saved: SavedCheckpoint,
 }
 
@@ -48,11 +49,6 @@ impl Start {
         let saved = resolve_checkpoint(path, |_| {}).map_err(refused)?;
         let saved = system.read_tables(saved).map_err(refused)?;
         Ok(Some(Self { key, saved }))
-    }
-
-    /// The key that names it.
-    pub fn key(&self) -> &'static str {
-        self.key
     }
 
     /// Config, step, statistics.

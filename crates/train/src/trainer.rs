@@ -13,7 +13,6 @@ mod states;
 
 use std::path::PathBuf;
 use std::rc::Rc;
-use std::time::{Duration, Instant};
 
 use burn::module::Module;
 use burn::tensor::Device;
@@ -29,6 +28,7 @@ use crate::observer::{Observer, StepReport};
 use crate::optim::{clip_factor, learning_rate, norm_of_squares};
 use crate::process_group::ProcessGroup;
 use crate::recipe::{Measured, Recipe};
+use crate::run::preview_page;
 use crate::telemetry::{LoaderLog, Metrics, Record};
 use accumulation::Averaged;
 use exchange::Exchange;
@@ -58,8 +58,10 @@ pub struct Trainer<R: Recipe> {
     states: States,
     /// The exchange between ranks; borrowed during a step.
     exchange: Option<Exchange>,
-    step: u64,
-    progress: Progress,
+    /// Steps done.
+    pub step: u64,
+    /// The state of the search for the best weights.
+    pub progress: Progress,
     /// The writer of metrics; `None` for a trainer that only times its steps.
     record: Option<(Metrics, LoaderLog)>,
     checkpoints: Checkpoints,
@@ -93,11 +95,7 @@ pub struct TrainerParts<R: Recipe> {
 }
 
 impl<R: Recipe> Trainer<R> {
-    /// A trainer of `model`, on the autodiff device, at step 0 or at the step of `checkpoint`, whose
-    /// weights it has.
-    ///
-    /// # Errors
-    /// If the run's files cannot be opened.
+    /// A trainer of `model` at step 0 or at the step of `checkpoint`, whose weights it has.
     pub fn new(
         parts: TrainerParts<R>,
         model: R::Model,
@@ -116,8 +114,8 @@ impl<R: Recipe> Trainer<R> {
         Ok(trainer)
     }
 
-    /// [`new`](Self::new) without files: it can only [time steps](Self::time_step).
-    pub(crate) fn unrecorded(
+    /// [`new`](Self::new) without files, for measurements.
+    pub fn unrecorded(
         parts: TrainerParts<R>,
         model: R::Model,
         checkpoint: Option<Checkpoint>,
@@ -128,15 +126,7 @@ impl<R: Recipe> Trainer<R> {
         let checkpoint_step = state.map(|state| state.step);
         let groups = infos.iter().map(|info| parts.recipe.group_of(&info.name));
         let groups: Vec<usize> = groups.collect();
-        let inputs = states::Inputs {
-            groups: &groups,
-            config: &parts.config,
-            infos: &infos,
-            device: &parts.device,
-            on_host: parts.on_host,
-            ranks: parts.group.ranks(),
-        };
-        let states = States::new(&model, checkpoint, &inputs);
+        let states = States::new(&model, checkpoint, &parts, &infos, &groups);
         let exchange = states.exchange(&model, parts.group.ranks());
         let checkpoints = Checkpoints::of(&parts.folder);
         let last_saved = checkpoint_step.map(|step| checkpoints.step_path(step));
@@ -155,48 +145,7 @@ impl<R: Recipe> Trainer<R> {
         }
     }
 
-    /// Runs a step and returns its duration; `None` if a stop was requested while waiting for data.
-    ///
-    /// # Errors
-    /// As [`run`](Self::run).
-    pub(crate) fn time_step(
-        &mut self,
-        observer: &mut dyn Observer,
-    ) -> Result<Option<Duration>, Error> {
-        let began = Instant::now();
-        let done = self.train_step(observer)?;
-        Ok(done.map(|_| began.elapsed()))
-    }
-
-    /// Validates once and returns the duration.
-    ///
-    /// # Errors
-    /// If a number is not finite.
-    pub(crate) fn time_validation(&mut self) -> Result<Duration, Error> {
-        let began = Instant::now();
-        self.measure()?;
-        Ok(began.elapsed())
-    }
-
-    /// True if validation also runs before the first step.
-    pub(crate) fn measures_first(&self) -> bool {
-        self.parts.recipe.measures_first()
-    }
-
-    /// Steps done.
-    pub fn step(&self) -> u64 {
-        self.step
-    }
-
-    /// The state of the search for the best weights.
-    pub fn progress(&self) -> &Progress {
-        &self.progress
-    }
-
     /// Trains to the end or until stopped, with a checkpoint of the last step.
-    ///
-    /// # Errors
-    /// If a number is not finite, an item cannot be read, or a file cannot be written.
     pub fn run(&mut self, observer: &mut dyn Observer) -> Result<Ending, Error> {
         let max_steps = self.parts.config.train.max_steps;
         let validates = self.parts.config.validation.every_steps > 0;
@@ -212,7 +161,11 @@ impl<R: Recipe> Trainer<R> {
                 self.parts.group.done(marked)?;
             }
         }
-        self.preview_if_missing(observer)?;
+        if self.previews_are_due() {
+            // A process that ended at this step may not have written them.
+            let exist = preview_page(&self.parts.folder, self.step).exists();
+            self.preview(exist, observer)?;
+        }
         let mut written = Ok(());
         let ending = loop {
             if self.step >= max_steps {
@@ -234,7 +187,10 @@ impl<R: Recipe> Trainer<R> {
                     return Err(error);
                 }
                 outcome => match outcome? {
-                    Some(record) => record,
+                    Some((report, record)) => {
+                        observer.stepped(&report);
+                        record
+                    }
                     None => break Ending::Interrupted,
                 },
             };
@@ -284,11 +240,11 @@ impl<R: Recipe> Trainer<R> {
     }
 
     /// One step; `None` if a stop was requested while waiting for data or between its batches.
-    fn train_step(&mut self, observer: &mut dyn Observer) -> Result<Option<Record>, Error> {
-        let (train, optim) = (
-            self.parts.config.train.clone(),
-            self.parts.config.optim.clone(),
-        );
+    pub(crate) fn train_step(
+        &mut self,
+        observer: &mut dyn Observer,
+    ) -> Result<Option<(StepReport, Record)>, Error> {
+        let Config { train, optim, .. } = self.parts.config.clone();
         let Some(Averaged {
             mut gradients,
             loss,
@@ -311,11 +267,9 @@ impl<R: Recipe> Trainer<R> {
             });
             return Err(self.not_finite(self.step + 1, what));
         }
-        let names = self.parts.groups;
-        let rates: Vec<f64> = names
-            .iter()
-            .map(|name| learning_rate(&optim, optim.rate_of(name), self.step, train.max_steps))
-            .collect();
+        let names = self.parts.groups.iter();
+        let rate_of = |name| learning_rate(&optim, optim.rate_of(name), self.step, train.max_steps);
+        let rates: Vec<f64> = names.clone().map(|name| rate_of(name)).collect();
         let rate = rates[0];
         let of_parameters = self.groups.iter().map(|&group| rates[group]);
         let model = self.model.take().expect("present between updates");
@@ -330,30 +284,28 @@ impl<R: Recipe> Trainer<R> {
             self.exchange = Some(exchange);
         }
         self.step += 1;
-
-        observer.stepped(&StepReport {
+        let report = StepReport {
             step: self.step,
             max_steps: train.max_steps,
             loss,
             learning_rate: rate,
             grad_norm,
-        });
+        };
         let mut record = Record::new(self.step)
             .with("loss", loss)
             .with("lr", rate)
             .with("grad_norm", grad_norm);
-        for (name, rate) in names.iter().zip(rates) {
+        for (name, rate) in names.zip(rates) {
             record = record.with(format!("lr_{name}"), rate);
         }
         for (name, value) in terms {
             record = record.with(format!("loss_{name}"), value);
         }
-        Ok(Some(record))
+        Ok(Some((report, record)))
     }
 
-    /// Validates the EMA weights on the held-out phrases and records the loss, and the score that
-    /// selects the best step, if different.
-    fn measure(&mut self) -> Result<(f64, Option<f64>), Error> {
+    /// Validates the EMA weights and records the loss, and the score that selects the best step.
+    pub(crate) fn measure(&mut self) -> Result<(f64, Option<f64>), Error> {
         let device = self.parts.device.clone().inner();
         let model = self
             .model
@@ -390,30 +342,27 @@ impl<R: Recipe> Trainer<R> {
     /// Validates and updates the best step; true if the weights are the best so far.
     fn validate(&mut self, observer: &mut dyn Observer) -> Result<bool, Error> {
         let measured = self.measure();
-        let own = measured
-            .as_ref()
-            .map_or([f64::NAN; 2], |(val_loss, score)| {
-                [*val_loss, score.unwrap_or(f64::NAN)]
-            });
+        let numbers =
+            |(val_loss, score): &(f64, Option<f64>)| [*val_loss, score.unwrap_or(f64::NAN)];
+        let own = measured.as_ref().map_or([f64::NAN; 2], numbers);
         let agreed = self.parts.group.agree(measured.map(Some), &own)?;
         let ((_, score), all) = agreed.expect("no rank stops here");
         // The first rank's measurement applies to all ranks, so that they decide alike.
         let (val_loss, score) = (all[0][0], score.map(|_| all[0][1]));
         let best = match score {
-            Some(score) => {
-                let before = self.progress.best_score.unwrap_or(f64::INFINITY);
-                score < before
-            }
-            None => {
-                let before = self.progress.best_val_loss;
-                before.is_none_or(|best| val_loss < best)
-            }
+            Some(score) => score < self.progress.best_score.unwrap_or(f64::INFINITY),
+            None => self
+                .progress
+                .best_val_loss
+                .is_none_or(|best| val_loss < best),
         };
         if best {
-            self.progress.best_step = Some(self.step);
-            self.progress.best_val_loss = Some(val_loss);
-            self.progress.best_score = score;
-            self.progress.validations_since_best = 0;
+            self.progress = Progress {
+                best_step: Some(self.step),
+                best_val_loss: Some(val_loss),
+                best_score: score,
+                validations_since_best: 0,
+            };
         } else {
             self.progress.validations_since_best += 1;
         }
@@ -432,15 +381,15 @@ impl<R: Recipe> Trainer<R> {
         };
         group.done(synced)?;
         let mut saving = Saving::begin(self);
-        saving.put(|writing| writing.weights(Weights::Model, &weights));
+        saving.weights(Weights::Model, &weights);
         drop(weights);
         // The first rank gathers one part after the other, even if writing has failed.
         let (ranks, to) = (group.ranks(), Receivers::First);
         let averages = self.states.averages(ranks, to);
-        saving.put(|writing| writing.weights(Weights::Ema, &averages));
+        saving.weights(Weights::Ema, &averages);
         drop(averages);
         let moments = self.states.moments(ranks, to);
-        saving.put(|writing| writing.moments(&moments));
+        saving.moments(&moments);
         drop(moments);
         group.done(saving.finish())?;
         let path = self.checkpoints.step_path(self.step);
@@ -451,14 +400,11 @@ impl<R: Recipe> Trainer<R> {
 
     /// The error of `step`, in which `tensor` has an infinity or NaN.
     fn not_finite(&self, step: u64, tensor: String) -> Error {
-        let last_good = match &self.last_saved {
-            Some(path) => path.display().to_string(),
-            None => "none yet".to_string(),
-        };
+        let path = self.last_saved.as_ref();
         Error::NotFinite {
             step,
             tensor,
-            last_good,
+            last_good: path.map_or("none yet".into(), |path| path.display().to_string()),
         }
     }
 }

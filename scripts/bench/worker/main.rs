@@ -52,8 +52,7 @@ use kinegrad_motion::phrase::CHANNELS;
 use kinegrad_random::{Key, Purpose};
 use kinegrad_train::config::{EmaConfig, OptimConfig};
 use kinegrad_train::denoising::{DenoisingRecipe, HeldOut};
-use kinegrad_train::ema::Ema;
-use kinegrad_train::optim::{AdamW, Moments, clip_factor, global_norm};
+use kinegrad_train::optim::{AdamW, Moments, clip_factor, norm_of_squares, squares};
 use kinegrad_train::{Loss, Recipe};
 use serde::Deserialize;
 use serde_json::json;
@@ -177,7 +176,7 @@ struct Training<R: Recipe> {
     rates: Vec<f64>,
     max_grad_norm: f64,
     /// The moving average, if the row has one.
-    ema: Option<(Ema, Vec<Vec<f32>>)>,
+    ema: Option<(EmaConfig, Vec<Vec<f32>>)>,
 }
 
 impl<R: Recipe> Training<R> {
@@ -211,7 +210,7 @@ impl<R: Recipe> Training<R> {
     fn with_ema(self, config: &EmaConfig) -> Self {
         let model = self.model.as_ref().expect("held between updates");
         Self {
-            ema: Some((Ema::new(config), parameters::values(model))),
+            ema: Some((config.clone(), parameters::values(model))),
             ..self
         }
     }
@@ -228,7 +227,7 @@ impl<R: Recipe> Work for Training<R> {
         let value = loss.total.clone().into_scalar::<f32>();
         (loss.terms, loss.probes) = (Vec::new(), Vec::new());
         let gradients = self.recipe.backward(&model, loss).into_host(&model);
-        let scale = clip_factor(global_norm(&gradients), self.max_grad_norm);
+        let scale = clip_factor(norm_of_squares(&squares(&gradients)), self.max_grad_norm);
         self.optimizer.begin_step();
         let steps = self.optimizer.steps();
         let (optimizer, rates, moments) = (&self.optimizer, &self.rates, &mut self.moments);

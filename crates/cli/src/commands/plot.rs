@@ -39,7 +39,11 @@ pub fn run(systems: Systems<'_>, arguments: PlotArguments) -> Result<ExitCode, E
         }
         loss_panels(&records)
     } else if input.is_file() {
-        let goal = goal.as_deref().map(read_goal).transpose()?;
+        let goal = goal
+            .as_deref()
+            .map(read_goal)
+            .transpose()?
+            .map(|(goal, _)| goal);
         let floor = goal.as_ref().map(scene::floor).unwrap_or_default();
         motion_panels(systems, &input, &Reading::of(&reading), &floor)?
     } else if input.join("config.toml").exists() || input.join("checkpoints").exists() {

@@ -17,7 +17,7 @@
 //!
 //! fn main() -> Result<(), Error> {
 //!     let saved = resolve_checkpoint(Path::new("runs/phrases"), |damaged| eprintln!("{damaged}"))?;
-//!     let trained = BUILT_IN.trained(saved, &[], Weights::Ema, Some("cpu"))?;
+//!     let trained = BUILT_IN.trained(saved, &[], Weights::Ema, Some("cpu"), 0)?;
 //!     let generator = Generator::load(&trained)?;
 //!
 //!     let layout = generator.config().data.audio_layout();

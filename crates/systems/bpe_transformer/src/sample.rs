@@ -191,7 +191,7 @@ impl Sampler for Compositions<'_> {
                     &own.evaluation,
                     path.map(|path| &path.target),
                     key,
-                    &mut |done, steps| run.step("", before * steps + done, all * steps),
+                    &mut |done, steps| run.sink.advance("", before * steps + done, all * steps),
                 )?;
                 let mut record = Record {
                     composition: Some(CompositionRecord {

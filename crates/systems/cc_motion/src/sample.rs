@@ -227,7 +227,10 @@ impl<'a> Phrases<'a> {
             generator.sample_each(
                 conditions.into_iter(),
                 sampling,
-                &mut |done, steps| run.step("", first * steps + tasks.len() * done, all * steps),
+                &mut |done, steps| {
+                    run.sink
+                        .advance("", first * steps + tasks.len() * done, all * steps)
+                },
                 &mut |sample| {
                     samples.push(sample);
                     Ok(())
@@ -304,7 +307,8 @@ impl Sampler for Phrases<'_> {
                         &mut |done, all| {
                             let before = index.saturating_mul(all);
                             let wanted = count.saturating_mul(all);
-                            run.step("windows", before.saturating_add(done), wanted)
+                            run.sink
+                                .advance("windows", before.saturating_add(done), wanted)
                         },
                     )?;
                     let path = task.path.as_ref();

@@ -85,7 +85,7 @@ impl Starts {
     pub fn states(&self) -> impl Iterator<Item = (&'static str, &State)> {
         let starts = [Some(&self.diffusion), self.decoder.as_ref()];
         let starts = starts.into_iter().flatten();
-        starts.map(|start| (start.key(), start.state()))
+        starts.map(|start| (start.key, start.state()))
     }
 
     /// The networks with the start's averaged weights on an autodiff device.

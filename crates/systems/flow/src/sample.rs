@@ -234,7 +234,7 @@ impl Sampler for Rollouts<'_> {
                         let frame = FlowGenerator::next_frame(&mut rollout, &sample)?;
                         frames.extend(frame.expect("frames remain"));
                         done += 1;
-                        if run.step("", done, all).is_break() {
+                        if run.sink.advance("", done, all).is_break() {
                             return Err(Error::Interrupted);
                         }
                     }

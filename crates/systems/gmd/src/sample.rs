@@ -15,12 +15,12 @@ use kinegrad_train::System;
 use kinegrad_train::TrainedModel;
 use kinegrad_train::checkpoint::SavedCheckpoint;
 use kinegrad_train::clips::captions::{ClipText, must_know_texts, text_of};
-use kinegrad_train::clips::goals::read_goal_and_digest;
 use kinegrad_train::clips::path_target::{Fastest, FollowedPath};
+use kinegrad_train::clips::read_goal;
 use kinegrad_train::clips::requested;
 use kinegrad_train::sampling::{
-    BatchRecord, Condition, Generated, GoalCondition, GoalRecord, Job, Needs, PathFile, Record,
-    Request, Run, SampleSink, Sampler, SamplerRecord, Summary, item_seed,
+    BatchRecord, Condition, Generated, GoalCondition, GoalRecord, Job, Needs, Record, Request, Run,
+    SampleSink, Sampler, SamplerRecord, Summary, item_seed,
 };
 
 /// Conditions of clips, and of ground paths.
@@ -135,7 +135,7 @@ impl<'a> Clips<'a> {
         // Each with its file, for warnings.
         let mut goals = Vec::new();
         for GoalCondition { file, .. } in request.goals() {
-            let (goal, digest) = read_goal_and_digest(file)?;
+            let (goal, digest) = read_goal(file)?;
             let sha256 = digest.to_string();
             self.goals.push(GoalRecord {
                 file: file.clone(),
@@ -152,11 +152,7 @@ impl<'a> Clips<'a> {
             let frames = request.frames.unwrap_or(config.data.target_frames);
             let path = FollowedPath::read(file, frames, fps)?;
             let goal = along(&path);
-            let file = PathFile {
-                file: path.file().to_path_buf(),
-                ..file.clone()
-            };
-            goals.push((file.file.clone(), goal, Condition::Path(file)));
+            goals.push((file.file.clone(), goal, Condition::Path(file.clone())));
             self.path = Some(path);
         }
         if goals.is_empty() && request.trajectory().is_some() {
@@ -348,7 +344,7 @@ impl Sampler for Clips<'_> {
             &requests,
             &self.trained.config().sampling,
             &noise,
-            &mut |stage, done, all| run.step(stage, done, all),
+            &mut |stage, done, all| run.sink.advance(stage, done, all),
         )?;
         let skeleton = self.trained.config().data.humanml3d.skeleton.skeleton();
         for (number, sample) in samples.iter().enumerate() {

@@ -7,7 +7,7 @@ use kinegrad_data::file::{MAX_TEXT_BYTES, read_file};
 use kinegrad_models::parameters::ParameterInfo;
 
 use super::tensors::{OPTIMIZER, Weights, write, write_flushed};
-use super::{Best, Checkpoint, CheckpointRef, State};
+use super::{Best, Checkpoint, State, broken_weights};
 use crate::optim::Moments;
 use crate::{Error, run};
 
@@ -26,11 +26,6 @@ impl Checkpoints {
         Self {
             path: run.join("checkpoints"),
         }
-    }
-
-    /// The folder itself.
-    pub fn path(&self) -> &Path {
-        &self.path
     }
 
     /// The path of the checkpoint of `step`, existing or not.
@@ -96,29 +91,7 @@ impl Checkpoints {
         serde_json::from_slice(&read_file(&self.path.join("best.json"), MAX_TEXT_BYTES).ok()?).ok()
     }
 
-    /// Writes a checkpoint, which survives a crash after this returns.
-    ///
-    /// # Errors
-    /// If it cannot be written; the partial checkpoint is removed.
-    pub fn save(&self, checkpoint: CheckpointRef<'_>) -> Result<PathBuf, Error> {
-        let CheckpointRef {
-            state,
-            infos,
-            model,
-            ema,
-            moments,
-        } = checkpoint;
-        let mut unfinished = self.begin(state.step)?;
-        unfinished.write_weights(Weights::Model, infos, model)?;
-        unfinished.write_weights(Weights::Ema, infos, ema)?;
-        unfinished.write_moments(infos, moments)?;
-        unfinished.finish(state)
-    }
-
     /// Starts a checkpoint that is written part by part.
-    ///
-    /// # Errors
-    /// If its folder cannot be made.
     pub(crate) fn begin(&self, step: u64) -> Result<Unfinished, Error> {
         let temporary = self.path.join(format!("{UNFINISHED}{step:08}"));
         fs::create_dir_all(&self.path).map_err(Error::io("create", &self.path))?;
@@ -132,10 +105,7 @@ impl Checkpoints {
     }
 
     /// Records the best step, or removes the record.
-    ///
-    /// # Errors
-    /// If it cannot be written.
-    pub fn set_best(&self, best: Option<&Best>) -> Result<(), Error> {
+    pub(crate) fn set_best(&self, best: Option<&Best>) -> Result<(), Error> {
         let target = self.path.join("best.json");
         let Some(best) = best else {
             return remove(&target);
@@ -149,26 +119,20 @@ impl Checkpoints {
 
     /// Removes unfinished files, and all checkpoints but the newest `keep_last`, the best one and
     /// those beyond `current`, which a resumed run has not reached again.
-    ///
-    /// # Errors
-    /// If something cannot be removed.
-    pub fn prune(&self, current: u64, keep_last: usize, best: Option<u64>) -> Result<(), Error> {
+    pub(crate) fn prune(
+        &self,
+        current: u64,
+        keep_last: usize,
+        best: Option<u64>,
+    ) -> Result<(), Error> {
         for name in self.names()? {
             if name.starts_with(UNFINISHED) {
                 remove(&self.path.join(name))?;
             }
         }
-        let reached: Vec<u64> = self
-            .steps()?
-            .into_iter()
-            .filter(|&s| s <= current)
-            .collect();
-        let superfluous = reached
-            .iter()
-            .rev()
-            .skip(keep_last)
-            .filter(|&&s| Some(s) != best);
-        for &step in superfluous {
+        let steps = self.steps()?.into_iter().rev();
+        let superseded = steps.filter(|&step| step <= current).skip(keep_last);
+        for step in superseded.filter(|&step| Some(step) != best) {
             remove(&self.step_path(step))?;
         }
         Ok(())
@@ -200,20 +164,18 @@ pub fn write_weights(
     model: &[Vec<f32>],
     ema: &[Vec<f32>],
 ) -> Result<PathBuf, Error> {
-    let checkpoint = CheckpointRef {
-        state,
-        infos,
-        model,
-        ema,
-        moments: &[],
-    };
-    match checkpoint.not_finite() {
-        None => Checkpoints::of(out).save(checkpoint),
-        Some(tensor) => Err(Error::usage(
+    let broken = broken_weights(Weights::Model, infos, model);
+    if let Some(tensor) = broken.or_else(|| broken_weights(Weights::Ema, infos, ema)) {
+        return Err(Error::usage(
             format!("{tensor} contains a number that is not finite: nothing is written"),
             "such weights cannot be sampled; take those of an earlier step",
-        )),
+        ));
     }
+    let mut unfinished = Checkpoints::of(out).begin(state.step)?;
+    unfinished.write_weights(Weights::Model, infos, model)?;
+    unfinished.write_weights(Weights::Ema, infos, ema)?;
+    unfinished.write_moments(infos, &[])?;
+    unfinished.finish(state)
 }
 
 /// A checkpoint being written; removed unless it is [finished](Self::finish).
@@ -302,8 +264,7 @@ impl Drop for Unfinished {
     }
 }
 
-/// Removes a file or folder if it exists. A checkpoint is renamed first, so that a crash never leaves
-/// one with files missing.
+/// Removes a file or folder; a checkpoint is renamed first, so that a crash leaves no part of it.
 fn remove(path: &Path) -> Result<(), Error> {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     if !path.is_dir() || name.starts_with(UNFINISHED) {

@@ -11,14 +11,12 @@ mod tensors;
 #[cfg(test)]
 mod tests;
 
-pub use folder::Checkpoints;
+pub(crate) use folder::Unfinished;
+pub use folder::{Checkpoints, must_be_free, write_weights};
 pub use resolve::resolve_checkpoint;
 pub use saved::SavedCheckpoint;
 pub use state::{Best, FORMAT, Progress, State};
-pub use tensors::{Weights, read_optimizer, read_weights};
-
-pub(crate) use folder::Unfinished;
-pub use folder::{must_be_free, write_weights};
+pub use tensors::Weights;
 
 use std::path::Path;
 
@@ -47,8 +45,8 @@ impl Checkpoint {
     /// If a file is missing or damaged.
     pub fn read(path: &Path) -> Result<Self, Error> {
         let state = State::read(path)?;
-        let model = read_weights(path, &state, Weights::Model)?;
-        let ema = read_weights(path, &state, Weights::Ema)?;
+        let model = tensors::read(path, &state, Weights::Model.file())?;
+        let ema = tensors::read(path, &state, Weights::Ema.file())?;
         let infos: Vec<ParameterInfo> = model.iter().map(|p| p.info.clone()).collect();
         if !ema.iter().map(|p| &p.info).eq(&infos) {
             return Err(Error::CheckpointDamaged {
@@ -56,7 +54,7 @@ impl Checkpoint {
                 reason: "the averaged weights are of other tensors than the weights".into(),
             });
         }
-        let moments = read_optimizer(path, &state, &infos)?;
+        let moments = tensors::read_optimizer(path, &state, &infos)?;
         Ok(Self {
             state,
             model,
@@ -71,30 +69,6 @@ pub(crate) fn are_finite(values: &[f32]) -> bool {
     // Without branches, which is faster.
     let values = values.iter();
     values.fold(true, |all, value| all & value.is_finite())
-}
-
-/// Borrowed form of a [`Checkpoint`], for writing without copying the tensors.
-#[derive(Clone, Copy, Debug)]
-pub struct CheckpointRef<'a> {
-    /// Config, step, statistics, progress; the checksums are filled in by the writer.
-    pub state: &'a State,
-    /// Names and shapes, in the order of the rest.
-    pub infos: &'a [ParameterInfo],
-    /// The weights being trained.
-    pub model: &'a [Vec<f32>],
-    /// Their moving average.
-    pub ema: &'a [Vec<f32>],
-    /// The optimiser's running means; empty without an optimiser.
-    pub moments: &'a [Moments],
-}
-
-impl CheckpointRef<'_> {
-    /// A description of the first tensor with an infinity or NaN, which would be read as damage.
-    pub(crate) fn not_finite(&self) -> Option<String> {
-        broken_weights(Weights::Model, self.infos, self.model)
-            .or_else(|| broken_weights(Weights::Ema, self.infos, self.ema))
-            .or_else(|| broken_moments(self.infos, self.moments))
-    }
 }
 
 /// A description of the first weight with an infinity or NaN.

@@ -3,7 +3,7 @@ use std::path::{Path, PathBuf};
 use burn::module::Module;
 use kinegrad_models::parameters::{self, HostParameter};
 
-use super::{State, Weights, read_weights};
+use super::{State, Weights, tensors};
 use crate::error::Error;
 
 /// A checkpoint whose `state.json` has been read and verified.
@@ -40,6 +40,6 @@ impl SavedCheckpoint {
     /// # Errors
     /// If the file is missing or damaged.
     pub fn weights(&self, weights: Weights) -> Result<Vec<HostParameter>, Error> {
-        read_weights(&self.path, &self.state, weights)
+        tensors::read(&self.path, &self.state, weights.file())
     }
 }

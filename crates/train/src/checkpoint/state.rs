@@ -2,10 +2,11 @@ use std::collections::BTreeMap;
 use std::io::{self, ErrorKind, Read};
 use std::path::Path;
 
+use kinegrad_data::Digest;
 use kinegrad_data::file::{MAX_TEXT_BYTES, read_file};
 use kinegrad_motion::{Representation, Statistics};
 use serde::{Deserialize, Serialize};
-use sha2::{Digest, Sha256};
+use sha2::{Digest as _, Sha256};
 
 use crate::Error;
 use crate::config::{self, Config};
@@ -65,12 +66,10 @@ pub struct State {
     pub config: Config,
     /// Normalisation, clipping and checking bounds of the training phrases.
     pub statistics: Statistics,
-    /// The statistics of the networks' channels, if other than `statistics`: for prediction targets
-    /// other than the stored channels, or statistics of crops.
+    /// The statistics of the networks' channels, if other than `statistics`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub network_statistics: Option<Statistics>,
-    /// [`Digest`](kinegrad_data::Digest) of the training dataset, in hexadecimal; missing in old
-    /// checkpoints.
+    /// [`Digest`] of the training dataset, in hexadecimal; missing in old checkpoints.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub dataset_sha256: Option<String>,
     /// The state of the search for the best weights.
@@ -101,10 +100,7 @@ impl State {
     /// The text of `state.json`; its last key is the checksum of everything before that key.
     pub(super) fn to_text(&self) -> String {
         let text = serde_json::to_string_pretty(self).expect("the state is plain data");
-        let body = text
-            .strip_suffix("\n}")
-            .expect("a pretty JSON object ends so");
-        format!("{body}{SEAL}{}\"\n}}\n", sha256(body.as_bytes()))
+        sealed(text.strip_suffix("\n}").expect("the end of a JSON object"))
     }
 
     /// The statistics of the networks' channels.
@@ -145,19 +141,15 @@ impl State {
         };
         log::debug!("reading {}", path.join("state.json").display());
         let bytes = file_of(path, "state.json", |whole| read_file(whole, MAX_TEXT_BYTES))?;
-        let text =
-            String::from_utf8(bytes).map_err(|error| damaged(format!("state.json: {error}")))?;
+        let text = String::from_utf8(bytes);
+        let text = text.map_err(|error| damaged(format!("state.json: {error}")))?;
         let body = text.rfind(SEAL).map(|end| &text[..end]);
-        let sealed =
-            |body: &str| format!("{body}{SEAL}{}\"\n}}\n", sha256(body.as_bytes())) == text;
-        let Some(body) = body.filter(|body| sealed(body)) else {
+        let Some(body) = body.filter(|body| sealed(body) == text) else {
             return Err(damaged("state.json does not match its checksum".into()));
         };
-        let state: Self = serde_json::from_str(&format!("{body}\n}}")).map_err(|error| {
-            damaged(format!(
-                "state.json is of another version of kinegrad: {error}"
-            ))
-        })?;
+        let other = |error| format!("state.json is of another version of kinegrad: {error}");
+        let state: Self = serde_json::from_str(&format!("{body}\n}}"))
+            .map_err(|error: serde_json::Error| damaged(other(error)))?;
         if state.format != FORMAT {
             let reason = format!("layout {} is not {FORMAT}, this version's", state.format);
             return Err(damaged(reason));
@@ -166,10 +158,12 @@ impl State {
     }
 }
 
+/// The text of `state.json` with this `body`.
+fn sealed(body: &str) -> String {
+    format!("{body}{SEAL}{}\"\n}}\n", Digest::of(body.as_bytes()))
+}
+
 /// The result of `read` for one file of the checkpoint in `path`.
-///
-/// # Errors
-/// [`Error::CheckpointDamaged`] if it is missing or too long; [`Error::Io`] if it cannot be read.
 pub(super) fn file_of<T>(
     path: &Path,
     file: &str,
@@ -187,26 +181,16 @@ pub(super) fn file_of<T>(
     })
 }
 
-/// SHA-256 in hexadecimal.
-pub(super) fn sha256(bytes: &[u8]) -> String {
-    hexadecimal(Sha256::new_with_prefix(bytes))
-}
-
-/// [`sha256`] of a reader, block by block.
+/// SHA-256 of a reader, in hexadecimal.
 pub(super) fn sha256_of(source: &mut impl Read) -> io::Result<String> {
     let mut hash = Sha256::new();
     let mut block = vec![0; BLOCK];
     loop {
         match source.read(&mut block)? {
-            0 => return Ok(hexadecimal(hash)),
+            0 => break,
             read => hash.update(&block[..read]),
         }
     }
-}
-
-fn hexadecimal(hash: Sha256) -> String {
-    hash.finalize()
-        .iter()
-        .map(|byte| format!("{byte:02x}"))
-        .collect()
+    let bytes = hash.finalize();
+    Ok(bytes.iter().map(|byte| format!("{byte:02x}")).collect())
 }

@@ -92,23 +92,8 @@ pub(super) fn write_flushed(path: &Path, bytes: &[u8]) -> Result<(), Error> {
     file.sync_all().map_err(Error::io("flush", path))
 }
 
-/// Reads the weights of the checkpoint in `path`, verified against `state`.
-///
-/// # Errors
-/// If the file is missing or damaged, or contains a number that is not finite.
-pub fn read_weights(
-    path: &Path,
-    state: &State,
-    weights: Weights,
-) -> Result<Vec<HostParameter>, Error> {
-    read(path, state, weights.file())
-}
-
 /// Reads the optimiser's running means in the order of `infos`; empty for frozen parameters.
-///
-/// # Errors
-/// If the file is missing or damaged.
-pub fn read_optimizer(
+pub(super) fn read_optimizer(
     path: &Path,
     state: &State,
     infos: &[ParameterInfo],
@@ -127,7 +112,8 @@ pub fn read_optimizer(
     Ok(moments.collect())
 }
 
-fn read(path: &Path, state: &State, file: &str) -> Result<Vec<HostParameter>, Error> {
+/// Reads the tensors in `file` of the checkpoint in `path`, verified against `state`.
+pub(super) fn read(path: &Path, state: &State, file: &str) -> Result<Vec<HostParameter>, Error> {
     let damaged = |reason: String| Error::CheckpointDamaged {
         path: path.to_path_buf(),
         reason: format!("{file}: {reason}"),

@@ -30,14 +30,8 @@ fn info(name: &str) -> ParameterInfo {
 /// Saves two weights; returns the checkpoint's folder.
 fn saved(run: &Path) -> std::path::PathBuf {
     let values = vec![vec![1.0, 2.0], vec![3.0, 4.0]];
-    let checkpoint = CheckpointRef {
-        state: &state(),
-        infos: &[info("a"), info("b")],
-        model: &values,
-        ema: &values,
-        moments: &[],
-    };
-    Checkpoints::of(run).save(checkpoint).expect("saved")
+    let infos = [info("a"), info("b")];
+    write_weights(run, &state(), &infos, &values, &values).expect("saved")
 }
 
 /// The reason that the checkpoint in `path` is damaged.
@@ -85,49 +79,38 @@ fn numbers_that_are_not_finite_are_named_before_they_are_saved_and_never_read() 
         exp_avg_sq,
     };
     let good_means = [means(vec![0.0; 2])];
-    let first = State { step: 1, ..state() };
-    let later = State { step: 2, ..state() };
-    let whole = CheckpointRef {
-        state: &first,
-        infos: &infos,
-        model: &good,
-        ema: &good,
-        moments: &good_means,
+    let save = |step, model: &[_], ema: &[_], moments: &[_]| {
+        let mut unfinished = checkpoints.begin(step).expect("a folder");
+        for (weights, values) in [(Weights::Model, model), (Weights::Ema, ema)] {
+            let written = unfinished.write_weights(weights, &infos, values);
+            written.expect("written");
+        }
+        unfinished.write_moments(&infos, moments).expect("written");
+        let state = State { step, ..state() };
+        unfinished.finish(&state).expect("saved")
     };
-    assert_eq!(whole.not_finite(), None);
-    checkpoints.save(whole).expect("saved");
-    let whole = CheckpointRef {
-        state: &later,
-        ..whole
+    let broken = |model: &[_], ema: &[_], moments: &[_]| {
+        broken_weights(Weights::Model, &infos, model)
+            .or_else(|| broken_weights(Weights::Ema, &infos, ema))
+            .or_else(|| broken_moments(&infos, moments))
     };
+    assert_eq!(broken(&good, &good, &good_means), None);
+    save(1, &good, &good, &good_means);
 
     let bad = [vec![1.0f32, f32::NAN]];
     let bad_means = [means(vec![f32::INFINITY, 0.0])];
-    let cases = [
-        (
-            CheckpointRef {
-                model: &bad,
-                ..whole
-            },
-            "the parameter",
-        ),
-        (CheckpointRef { ema: &bad, ..whole }, "the averaged"),
-        (
-            CheckpointRef {
-                moments: &bad_means,
-                ..whole
-            },
-            "running mean",
-        ),
-    ];
-    for (broken, what) in cases {
-        let named = broken.not_finite().expect(what);
+    for (model, ema, moments, what) in [
+        (&bad, &good, &good_means, "the parameter"),
+        (&good, &bad, &good_means, "the averaged"),
+        (&good, &good, &bad_means, "running mean"),
+    ] {
+        let named = broken(model, ema, moments).expect(what);
         assert!(
             named.contains(what) && named.contains("`weight`"),
             "{named}"
         );
         // Its checksums are right.
-        let path = checkpoints.save(broken).expect("saved");
+        let path = save(2, model, ema, moments);
         let mut skipped = Vec::new();
         let newest = checkpoints.newest_good(|error| skipped.push(error.to_string()));
         let newest = newest.expect("listed").expect("a good one");

@@ -1,6 +1,5 @@
 //! The text condition of a clip model: an embedding, or the index of a learned caption.
 
-use std::collections::BTreeMap;
 use std::ops::ControlFlow;
 use std::sync::Arc;
 
@@ -50,22 +49,15 @@ impl CaptionsConfig {
         in_range(key, count, 0..=MAX_CAPTIONS)?;
         let mut sorted: Vec<&str> = self.captions.iter().map(String::as_str).collect();
         sorted.sort_unstable();
-        let twice = sorted.windows(2).find(|pair| pair[0] == pair[1]);
-        require(
-            twice.is_none(),
-            key,
-            format!("\"{}\" twice", twice.map_or("", |pair| pair[0])),
-            "each caption once",
-        )?;
-        let odd = sorted
-            .iter()
-            .find(|text| text.trim() != **text || text.is_empty());
-        require(
-            odd.is_none(),
-            key,
-            format!("\"{}\"", odd.unwrap_or(&"")),
-            "captions without spaces around them",
-        )
+        if let Some(pair) = sorted.windows(2).find(|pair| pair[0] == pair[1]) {
+            let found = format!("\"{}\" twice", pair[0]);
+            return Err(InvalidSetting::new(key, found, "each caption once"));
+        }
+        let odd = |text: &&&str| text.trim() != **text || text.is_empty();
+        sorted.iter().find(odd).map_or(Ok(()), |odd| {
+            let allowed = "captions without spaces around them";
+            Err(InvalidSetting::new(key, format!("\"{odd}\""), allowed))
+        })
     }
 }
 
@@ -99,8 +91,7 @@ pub enum TextInput {
 }
 
 impl TextInput {
-    /// The text input of the model of a config with this table `text`. No caption is known before
-    /// the training clips are read.
+    /// The text input of the model of a config with this table `text`.
     pub fn new(text: &CaptionsConfig, data: &DataConfig) -> Self {
         match data.humanml3d.text {
             CaptionText::Embeddings => Self::Embedding,
@@ -127,8 +118,7 @@ impl TextInput {
     /// The condition for `text`; `None` without one.
     ///
     /// # Errors
-    /// [`Error::Usage`] for a caption that the model does not know, with those it knows, and for an
-    /// embedding without its caption.
+    /// [`Error::Usage`] for an unknown caption, and for an embedding without its caption.
     pub fn values(&self, text: &ClipText) -> Result<Option<Vec<f32>>, Error> {
         let labels = match self {
             Self::Embedding => return Ok(text.embedding.clone()),
@@ -275,33 +265,23 @@ pub fn with_captions(
         ));
     }
     let known = CaptionLabels::new(text.captions.clone());
-    must_know(
-        &train,
-        &known,
-        "the model starts with other captions: leave `init.diffusion` out, or \
-                               give the clip one of those",
-    )?;
-    must_know(
-        &held_out,
-        &known,
-        "no training clip has it, so no embedding of it can be learned: \
-                                  hold out clips whose captions are also those of clips in \
-                                  `data.humanml3d.train_list`",
-    )?;
-    Ok(text)
-}
-
-/// Rejects captions, each with a clip that has it, that are not `known`.
-fn must_know(
-    captions: &BTreeMap<String, String>,
-    known: &CaptionLabels,
-    hint: &str,
-) -> Result<(), Error> {
-    match captions.iter().find(|(text, _)| known.row(text).is_none()) {
-        None => Ok(()),
-        Some((text, id)) => Err(Error::usage(
-            format!("clip `{id}` has the caption `{text}`, which the model does not know"),
-            hint,
-        )),
+    for (captions, hint) in [
+        (
+            train,
+            "the model starts with other captions: leave `init.diffusion` out, or give the clip one of \
+             those",
+        ),
+        (
+            held_out,
+            "no training clip has it, so no embedding of it can be learned: hold out clips whose \
+             captions are also those of clips in `data.humanml3d.train_list`",
+        ),
+    ] {
+        if let Some((text, id)) = captions.iter().find(|(text, _)| known.row(text).is_none()) {
+            let message =
+                format!("clip `{id}` has the caption `{text}`, which the model does not know");
+            return Err(Error::usage(message, hint));
+        }
     }
+    Ok(text)
 }

@@ -9,19 +9,11 @@ use kinegrad_settings::Document;
 
 use crate::error::Error;
 
-/// Reads a goal.
-///
-/// # Errors
-/// Names the file, the key, the value found and the allowed values.
-pub fn read_goal(path: &Path) -> Result<Goal, Error> {
-    Ok(read_goal_and_digest(path)?.0)
-}
-
 /// Reads a goal, with the checksum of its file.
 ///
 /// # Errors
-/// As [`read_goal`].
-pub fn read_goal_and_digest(path: &Path) -> Result<(Goal, Digest), Error> {
+/// Names the file, the key, the value found and the allowed values.
+pub fn read_goal(path: &Path) -> Result<(Goal, Digest), Error> {
     let hint = "docs/goals.md describes goals";
     let file = path.display().to_string();
     let text = read_text(path).map_err(|error| Error::usage(format!("{file}: {error}"), hint))?;

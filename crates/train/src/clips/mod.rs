@@ -3,7 +3,7 @@
 
 pub mod captions;
 pub mod evaluator;
-pub mod goals;
+mod goals;
 mod loss;
 pub mod path_target;
 pub mod settings;
@@ -15,7 +15,7 @@ pub use goals::read_goal;
 pub use loss::weighted_masked_loss;
 pub use path_target::{Followed, PathTarget};
 pub use space::FeatureSpace;
-pub use text_plan::{TextPlan, TextStep, TimedPrompt};
+pub use text_plan::TimedPrompt;
 
 use std::sync::Arc;
 
@@ -26,9 +26,8 @@ use crate::TrainedModel;
 use crate::error::Error;
 use crate::sampling::{Request, SampleSink};
 
-/// `own`, the dataset of a run on clips, or the one at `source`, whose lists define its held-out
-/// clips.
-pub fn dataset_or(own: &DataConfig, source: Option<&str>) -> DataConfig {
+/// `own`, or the dataset of clips at `source`, whose lists define its held-out clips.
+pub(crate) fn dataset_or(own: &DataConfig, source: Option<&str>) -> DataConfig {
     match source {
         None => own.clone(),
         Some(source) => DataConfig {
@@ -41,10 +40,7 @@ pub fn dataset_or(own: &DataConfig, source: Option<&str>) -> DataConfig {
 }
 
 /// The clips whose ids match `pattern`, held-out clips first.
-///
-/// # Errors
-/// [`Error::Usage`] if there are none; if one cannot be read.
-pub fn clips_named(dataset: &Dataset<Clip>, pattern: &str) -> Result<Vec<Arc<Clip>>, Error> {
+pub(crate) fn clips_named(dataset: &Dataset<Clip>, pattern: &str) -> Result<Vec<Arc<Clip>>, Error> {
     let mut chosen = Vec::new();
     for side in [&dataset.validation, &dataset.train] {
         let side = side.filter(|id| kinegrad_data::matches(pattern, id));
@@ -61,8 +57,7 @@ pub fn clips_named(dataset: &Dataset<Clip>, pattern: &str) -> Result<Vec<Arc<Cli
 /// Clips and their dataset.
 pub type RequestedClips = (DataConfig, Vec<Arc<Clip>>);
 
-/// The clips that a request names by id, or held-out ones, with their dataset; `None` if it names
-/// neither.
+/// The clips that a request names by id, or held-out ones, with their dataset.
 ///
 /// # Errors
 /// If there are none, or one cannot be read.

@@ -31,8 +31,7 @@ pub struct PathTarget {
 }
 
 impl PathTarget {
-    /// The rotation of bodies on it: with the heading of their root trajectory; a standing body is
-    /// not rotated by its sway.
+    /// Bodies turn with the heading of their root trajectory; sway does not turn a standing body.
     const WARP: Warp = Warp {
         along: ArcLengthMode::Stretch,
         turning: HeadingMode::Relative,
@@ -46,10 +45,8 @@ impl PathTarget {
     /// If the plan is not a path.
     pub fn new(plan: &PathPlan, frames: usize, fps: f64) -> Result<Self, Error> {
         let unusable = |error: &dyn std::fmt::Display| {
-            Error::usage(
-                format!("the path cannot be followed: {error}"),
-                "docs/paths.md",
-            )
+            let message = format!("the path cannot be followed: {error}");
+            Error::usage(message, "docs/paths.md")
         };
         plan.validate().map_err(|error| unusable(&error))?;
         let line = plan.polyline().map_err(|error| unusable(&error))?;
@@ -76,15 +73,10 @@ impl PathTarget {
         }
     }
 
-    /// Its largest speed, metres per second.
-    pub fn speed(&self, fps: f64) -> f64 {
-        let steps = self.course.metres.windows(2).map(|pair| pair[1] - pair[0]);
-        steps.fold(0.0, f64::max) * fps
-    }
-
     /// The warning about a path in `file` that exceeds the training motion.
     pub fn too_fast(&self, file: &Path, fps: f64, fastest: Fastest) -> Option<String> {
-        let speed = self.speed(fps);
+        let steps = self.course.metres.windows(2).map(|pair| pair[1] - pair[0]);
+        let speed = steps.fold(0.0, f64::max) * fps;
         let (limit, of) = match fastest {
             Fastest::Measured(limit) => (limit, "any motion of training"),
             Fastest::Estimated(limit) => (limit, "five deviations from the mean of training"),
@@ -294,14 +286,16 @@ impl FollowedPath {
     /// # Errors
     /// If it is not a path.
     pub fn read(file: &PathFile, frames: usize, fps: f64) -> Result<Self, Error> {
-        let (file, plan) = read_path(file)?;
-        let target = PathTarget::new(&plan, frames, fps)?;
-        Ok(Self { file, plan, target })
-    }
-
-    /// Its file.
-    pub fn file(&self) -> &Path {
-        &self.file
+        let name = file.file.display().to_string();
+        let refused = |message: String| Error::usage(message, "docs/paths.md describes paths");
+        let text = read_text(&file.file).map_err(|error| refused(format!("{name}: {error}")))?;
+        let plan = PathPlan::read(&text, &name, file.metres_per_unit);
+        let plan = plan.map_err(|error| refused(error.to_string()))?;
+        Ok(Self {
+            file: file.file.clone(),
+            target: PathTarget::new(&plan, frames, fps)?,
+            plan,
+        })
     }
 
     /// The warning about a path that is faster than training motion.
@@ -318,16 +312,6 @@ impl FollowedPath {
             report,
         }
     }
-}
-
-/// The path of a request, with its file.
-pub fn read_path(path: &PathFile) -> Result<(PathBuf, PathPlan), Error> {
-    let file = path.file.display().to_string();
-    let refused = |message: String| Error::usage(message, "docs/paths.md describes paths");
-    let text = read_text(&path.file).map_err(|error| refused(format!("{file}: {error}")))?;
-    let plan = PathPlan::read(&text, &file, path.metres_per_unit);
-    let plan = plan.map_err(|error| refused(error.to_string()))?;
-    Ok((path.file.clone(), plan))
 }
 
 #[cfg(test)]

@@ -13,31 +13,26 @@ use crate::error::Error;
 use crate::sampling::{Request, SaidRecord};
 
 /// Successive texts with durations.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
-pub struct TextPlan {
-    /// In order.
-    pub step: Vec<TextStep>,
+struct TextPlan {
+    step: Vec<TextStep>,
 }
 
 /// One prompt and its duration.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
-pub struct TextStep {
-    /// Duration, seconds.
-    pub seconds: f64,
+struct TextStep {
+    seconds: f64,
     /// The text; without one the motion continues unconditionally.
-    pub text: Option<String>,
+    text: Option<String>,
     /// The text's embedding instead, `FILE#KEY`.
-    pub text_embedding: Option<String>,
+    text_embedding: Option<String>,
 }
 
 impl TextPlan {
     /// Reads and checks a file.
-    ///
-    /// # Errors
-    /// Names the file, the line and the fault.
-    pub fn read(path: &Path) -> Result<Self, Error> {
+    fn read(path: &Path) -> Result<Self, Error> {
         let hint = "a plan is a list of `[[step]]`, each with `seconds` and `text` or \
                     `text_embedding`: docs/compose.md";
         let file = path.display().to_string();
@@ -59,38 +54,30 @@ impl TextPlan {
         Ok(plan)
     }
 
-    /// The end frame of each step at `fps` frames per second. `path` is the plan's file.
-    ///
-    /// # Errors
-    /// [`Error::Usage`] for a step of no frame, and more frames than a motion may have.
-    pub fn ends(&self, path: &Path, fps: f64) -> Result<Vec<usize>, Error> {
+    /// The number of frames of each step at `fps` frames per second. `path` is the file of prompts.
+    fn lengths(&self, path: &Path, fps: f64) -> Result<Vec<usize>, Error> {
         let file = path.display();
-        let mut seconds = 0.0;
-        let mut ends = Vec::with_capacity(self.step.len());
-        for (number, step) in self.step.iter().enumerate() {
+        let (mut seconds, mut begin) = (0.0, 0);
+        let length = |(number, step): (usize, &TextStep)| {
             seconds += step.seconds;
             let end = (seconds * fps).round();
             if end > MAX_FRAMES as f64 {
                 let message = format!("{file}: it has more than {MAX_FRAMES} frames");
                 return Err(Error::usage(message, "make it shorter"));
             }
-            let end = end as usize;
-            if end <= ends.last().copied().unwrap_or(0) {
+            let length = (end as usize).saturating_sub(begin);
+            if length == 0 {
                 let message = format!("{file}: step[{number}] is shorter than a frame");
                 return Err(Error::usage(message, format!("a second has {fps} frames")));
             }
-            ends.push(end);
-        }
-        Ok(ends)
+            begin += length;
+            Ok(length)
+        };
+        self.step.iter().enumerate().map(length).collect()
     }
 
-    /// The text condition of each step, in the form of `input`; `None` for a step without a text.
-    /// `path` is the file of prompts.
-    ///
-    /// # Errors
-    /// [`Error::Usage`] for a text that the model does not know, with the file and the step; if an
-    /// embedding cannot be read.
-    pub fn texts(&self, path: &Path, input: &TextInput) -> Result<Vec<ClipText>, Error> {
+    /// The text of each step, in the form of `input`. `path` is the file of prompts.
+    fn texts(&self, path: &Path, input: &TextInput) -> Result<Vec<Option<ClipText>>, Error> {
         let of_step = |(number, step): (usize, &TextStep)| {
             let refused = |message: &str, hint: &str| {
                 let place = format!("{}: step[{number}]", path.display());
@@ -103,14 +90,19 @@ impl TextPlan {
                     hint,
                 ));
             }
-            let text = step.clip_text()?.unwrap_or_default();
-            if text != ClipText::default() {
-                input.values(&text).map_err(|error| match error {
-                    Error::Usage { message, hint } => refused(&message, &hint),
-                    other => other,
-                })?;
+            let embedding = step.text_embedding.as_deref().map(read_embedding);
+            let text = ClipText {
+                caption: step.text.clone(),
+                embedding: embedding.transpose()?,
+            };
+            if text == ClipText::default() {
+                return Ok(None);
             }
-            Ok(text)
+            input.values(&text).map_err(|error| match error {
+                Error::Usage { message, hint } => refused(&message, &hint),
+                other => other,
+            })?;
+            Ok(Some(text))
         };
         self.step.iter().enumerate().map(of_step).collect()
     }
@@ -158,29 +150,11 @@ impl TimedPrompt {
             return Err(Error::usage("option `prompts` with a length", hint));
         }
         let plan = TextPlan::read(path)?;
-        let ends = plan.ends(path, fps)?;
-        let begins = [0].into_iter().chain(ends.iter().copied());
-        let lengths = ends.iter().zip(begins).map(|(end, begin)| end - begin);
+        let lengths = plan.lengths(path, fps)?;
         let texts = plan.texts(path, input)?.into_iter();
-        let prompts = texts.zip(lengths).map(|(text, frames)| Self {
-            text: (text != ClipText::default()).then_some(text),
-            frames,
-        });
+        let prompts = texts
+            .zip(lengths)
+            .map(|(text, frames)| Self { text, frames });
         Ok(Some(prompts.collect()))
-    }
-}
-
-impl TextStep {
-    /// The text.
-    ///
-    /// # Errors
-    /// If the embedding cannot be read.
-    pub fn clip_text(&self) -> Result<Option<ClipText>, Error> {
-        let embedding = self.text_embedding.as_deref().map(read_embedding);
-        let text = ClipText {
-            caption: self.text.clone(),
-            embedding: embedding.transpose()?,
-        };
-        Ok((text != ClipText::default()).then_some(text))
     }
 }

@@ -5,7 +5,7 @@ use serde_json::Value;
 
 /// A key with two values.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Difference {
+pub(crate) struct Difference {
     /// Dotted key.
     pub key: String,
     /// Value on the left side, as JSON, or `unset`.
@@ -15,7 +15,7 @@ pub struct Difference {
 }
 
 /// The keys whose values differ, in the order of the tables.
-pub fn difference<T: Serialize>(left: &T, right: &T) -> Vec<Difference> {
+pub(crate) fn difference<T: Serialize>(left: &T, right: &T) -> Vec<Difference> {
     let value = |side: &T| serde_json::to_value(side).expect(super::PLAIN);
     let mut found = Vec::new();
     compare(String::new(), &value(left), &value(right), &mut found);
@@ -28,10 +28,9 @@ fn compare(key: String, left: &Value, right: &Value, found: &mut Vec<Difference>
         names.sort_unstable();
         names.dedup();
         for name in names {
-            let child = if key.is_empty() {
-                name.clone()
-            } else {
-                format!("{key}.{name}")
+            let child = match key.is_empty() {
+                true => name.clone(),
+                false => format!("{key}.{name}"),
             };
             let side = |table: &serde_json::Map<String, Value>| {
                 table.get(name).cloned().unwrap_or(Value::Null)
@@ -39,14 +38,10 @@ fn compare(key: String, left: &Value, right: &Value, found: &mut Vec<Difference>
             compare(child, &side(left), &side(right), found);
         }
     } else if left != right {
-        let show = |value: &Value| match value {
+        let [left, right] = [left, right].map(|value| match value {
             Value::Null => "unset".to_string(),
             value => value.to_string(),
-        };
-        found.push(Difference {
-            key,
-            left: show(left),
-            right: show(right),
         });
+        found.push(Difference { key, left, right });
     }
 }

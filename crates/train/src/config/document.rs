@@ -19,6 +19,20 @@ pub fn lay_over(table: &mut Table, above: Table) {
     }
 }
 
+/// The value of a dotted key, or of an element of a list: `lora.targets[1]`.
+pub(crate) fn value_at<'a>(table: &'a Table, key: &str) -> Option<&'a Value> {
+    if let Some((name, rest)) = key.split_once('.') {
+        return value_at(table.get(name)?.as_table()?, rest);
+    }
+    match key.split_once('[') {
+        Some((name, index)) => {
+            let index: usize = index.strip_suffix(']')?.parse().ok()?;
+            table.get(name)?.as_array()?.get(index)
+        }
+        None => table.get(key),
+    }
+}
+
 /// The config as TOML text, every key written out.
 pub fn to_toml(config: &Config) -> String {
     toml::to_string(config).expect("a config is a table of plain values")

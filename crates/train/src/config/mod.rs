@@ -15,16 +15,14 @@ mod resumed;
 mod system_tables;
 mod tables;
 
-pub use difference::{Difference, difference};
-pub use document::lay_over;
-pub use document::to_toml;
-pub(crate) use document::{apply, from_table};
+pub(crate) use difference::difference;
+pub(crate) use document::{apply, from_table, value_at};
+pub use document::{lay_over, to_toml};
 pub use error::ConfigError;
 pub(crate) use model::names;
 pub use model::{ModelTable, NetworkKind};
-pub use resume::{may_differ, must_continue, must_have_recipe};
-pub use resumed::IgnoredKey;
-pub(crate) use resumed::resumed;
+pub(crate) use resume::{may_differ, must_continue, must_have_recipe};
+pub(crate) use resumed::{IgnoredKey, resumed};
 pub use system_tables::{OwnTables, SystemTables};
 pub(crate) use tables::validate;
 pub use tables::{

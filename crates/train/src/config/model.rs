@@ -82,9 +82,6 @@ pub(super) fn name_sizes(kinds: &[NetworkKind], keys: &mut Vec<Key>) {
 }
 
 /// The table `model` with every key of its kind and size.
-///
-/// # Errors
-/// Names the location of an unknown kind, size or key.
 pub(super) fn complete(
     kinds: &[NetworkKind],
     mut given: Table,

@@ -24,15 +24,12 @@ const FREE: [&str; 12] = [
 ];
 
 /// True if a dotted key may differ when a run is resumed.
-pub fn may_differ(key: &str) -> bool {
+pub(crate) fn may_differ(key: &str) -> bool {
     FREE.iter().any(|free| kinegrad_data::matches(free, key))
 }
 
 /// Rejects a config that would not continue the saved one.
-///
-/// # Errors
-/// Names the first key that differs and may not.
-pub fn must_continue(saved: &Config, given: &Config) -> Result<(), InvalidSetting> {
+pub(crate) fn must_continue(saved: &Config, given: &Config) -> Result<(), InvalidSetting> {
     must_have_recipe(saved, given)?;
     let mut differences = difference(saved, given).into_iter();
     match differences.find(|d| !may_differ(&d.key)) {
@@ -42,10 +39,7 @@ pub fn must_continue(saved: &Config, given: &Config) -> Result<(), InvalidSettin
 }
 
 /// Rejects a config of another recipe than that of the saved one.
-///
-/// # Errors
-/// Names both.
-pub fn must_have_recipe(saved: &Config, given: &Config) -> Result<(), InvalidSetting> {
+pub(crate) fn must_have_recipe(saved: &Config, given: &Config) -> Result<(), InvalidSetting> {
     let [saved, given] = [saved, given].map(|config| format!("\"{}\"", config.train.recipe));
     match saved == given {
         true => Ok(()),

@@ -2,11 +2,11 @@
 
 use toml::{Table, Value};
 
-use super::{Config, PLAIN, difference, may_differ};
+use super::{Config, PLAIN, difference, may_differ, value_at};
 
 /// A key of the config file that a resumed run ignores.
 #[derive(Clone, Debug, PartialEq)]
-pub struct IgnoredKey {
+pub(crate) struct IgnoredKey {
     /// Dotted key.
     pub key: String,
     /// Its value in the run's saved config, as JSON.
@@ -28,16 +28,15 @@ pub(crate) fn resumed(
     file: &Table,
     overrides: &[String],
 ) -> (Table, Vec<IgnoredKey>) {
-    let set: Vec<&str> = overrides
-        .iter()
-        .filter_map(|argument| Some(argument.split_once('=')?.0.trim()))
-        .collect();
-    let is_set = |key: &str| set.iter().any(|set| is_of(key, set));
-    let not_default: Vec<String> = difference(defaults, given)
-        .into_iter()
-        .map(|difference| difference.key)
-        .collect();
-    let is_in_file = |key: &str| stands_in(file, key);
+    let is_set = |key: &str| {
+        let mut set = overrides
+            .iter()
+            .filter_map(|argument| argument.split_once('='));
+        set.any(|(set, _)| is_of(key, set.trim()))
+    };
+    let not_default = difference(defaults, given).into_iter();
+    let not_default: Vec<String> = not_default.map(|difference| difference.key).collect();
+    let is_in_file = |key: &str| value_at(file, key).is_some();
     let mut ignored = Vec::new();
     let mut taken = Vec::new();
     for difference in difference(saved, given) {
@@ -63,16 +62,6 @@ pub(crate) fn resumed(
 fn is_of(key: &str, table: &str) -> bool {
     let rest = key.strip_prefix(table);
     rest.is_some_and(|rest| rest.is_empty() || rest.starts_with('.'))
-}
-
-fn stands_in(table: &Table, key: &str) -> bool {
-    match key.split_once('.') {
-        None => table.contains_key(key),
-        Some((name, rest)) => match table.get(name) {
-            Some(Value::Table(inner)) => stands_in(inner, rest),
-            Some(_) | None => false,
-        },
-    }
 }
 
 /// Copies `key` from `from` to `table`; removes it if `from` does not have it.

@@ -17,9 +17,8 @@ use super::{ConfigError, NetworkKind, PLAIN, Place, document, model};
 #[derive(Clone)]
 pub struct OwnTables(Arc<dyn AnyTables>);
 
-trait AnyTables: Send + Sync {
+trait AnyTables: Any + Send + Sync {
     fn to_table(&self) -> Table;
-    fn as_any(&self) -> &dyn Any;
 }
 
 /// Tables that no system has deserialised.
@@ -29,19 +28,11 @@ impl AnyTables for Unread {
     fn to_table(&self) -> Table {
         self.0.clone()
     }
-
-    fn as_any(&self) -> &dyn Any {
-        self
-    }
 }
 
 impl<T: SystemTables> AnyTables for T {
     fn to_table(&self) -> Table {
         Table::try_from(self).expect(PLAIN)
-    }
-
-    fn as_any(&self) -> &dyn Any {
-        self
     }
 }
 
@@ -58,7 +49,8 @@ impl OwnTables {
 
     /// The struct of the system; `None` if it is another type.
     pub fn get<T: SystemTables>(&self) -> Option<&T> {
-        self.0.as_any().downcast_ref()
+        let tables: &dyn Any = &*self.0;
+        tables.downcast_ref()
     }
 
     /// The tables as plain data, with every key if they are a system's struct.

@@ -24,8 +24,7 @@ pub fn clips_with_held_out(
     Ok((data, must_hold_out(dataset, trained, purpose)?))
 }
 
-/// The phrases of an evaluation, as [`clips_with_held_out`]; the run's `data.validation` also splits the
-/// request's dataset.
+/// [`clips_with_held_out`] for phrases; `data.validation` also splits the request's dataset.
 ///
 /// # Errors
 /// As [`clips_with_held_out`].

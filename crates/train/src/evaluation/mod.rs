@@ -12,8 +12,7 @@ use serde::de::DeserializeOwned;
 use serde_json::{Value, to_value};
 
 pub use held_out::{clips_with_held_out, note_if_fewer, phrases_with_held_out};
-pub use replications::Replicated;
-pub use replications::replicate;
+pub use replications::{Replicated, replicate};
 pub use request::EvaluationRequest;
 pub use table::{Column, Group, Metrics, Number};
 
@@ -21,8 +20,7 @@ use crate::config::SamplingConfig;
 use crate::error::Error;
 use crate::process_group::ProcessGroup;
 
-/// Progress callback: stage, denoising steps done and in total. `Break` ends with
-/// [`Error::Interrupted`].
+/// Progress callback: stage, steps done and in total. `Break` ends with [`Error::Interrupted`].
 pub type OnStep<'a> = dyn FnMut(&'static str, usize, usize) -> ControlFlow<()> + 'a;
 
 /// A validated evaluation, to be called with a progress callback.

@@ -6,7 +6,6 @@ use crate::TrainedModel;
 use crate::checkpoint::SavedCheckpoint;
 use crate::clips::evaluator::TextMotionEvaluator;
 use crate::error::Error;
-use crate::memory::must_fit;
 use crate::process_group::ProcessGroup;
 
 /// The settings of an evaluation beyond the system's tables.
@@ -16,8 +15,7 @@ pub struct EvaluationRequest {
     pub source: Option<String>,
     /// Checkpoint of the trajectory model for two-stage sampling.
     pub trajectory: Option<SavedCheckpoint>,
-    /// The text-motion evaluator that the run's config names, which
-    /// [`Systems::evaluate`](crate::Systems::evaluate) opens.
+    /// The text-motion evaluator, opened by [`Systems::evaluate`](crate::Systems::evaluate).
     pub evaluator: Option<Rc<dyn TextMotionEvaluator>>,
     /// Seed of the noise.
     pub seed: u64,
@@ -29,10 +27,11 @@ pub struct EvaluationRequest {
 
 impl EvaluationRequest {
     /// Rejects options that are not among the `accepted` ones.
-    ///
-    /// # Errors
-    /// [`Error::Usage`] names the first option and the model's recipe.
-    pub fn must_be_accepted(&self, accepted: &[&str], trained: &TrainedModel) -> Result<(), Error> {
+    pub(crate) fn must_be_accepted(
+        &self,
+        accepted: &[&str],
+        trained: &TrainedModel,
+    ) -> Result<(), Error> {
         for (name, given, hint) in [
             (
                 "audio_ablation",
@@ -53,14 +52,5 @@ impl EvaluationRequest {
             }
         }
         Ok(())
-    }
-
-    /// Rejects an evaluation that needs more than the free memory: `needed` bytes per process.
-    ///
-    /// # Errors
-    /// As [`must_fit`].
-    pub fn must_fit(&self, needed: u64, hint: &str) -> Result<(), Error> {
-        let processes = self.group.ranks().local().size as u64;
-        must_fit("the evaluation", needed.saturating_mul(processes), hint)
     }
 }

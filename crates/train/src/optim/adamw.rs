@@ -21,7 +21,7 @@ impl Moments {
     }
 
     /// Updates a parameter in place by an [`AdamW::step`] and, in the same pass, its moving average with
-    /// the share of [`crate::ema::Ema::share_at`].
+    /// the share of [`share_at`](crate::config::EmaConfig::share_at).
     ///
     /// # Panics
     /// Panics if the lengths differ.
@@ -94,10 +94,9 @@ impl AdamW {
         kernels::AdamW {
             betas: self.config.betas,
             eps: self.config.eps,
-            weight_decay: if decays {
-                self.config.weight_decay
-            } else {
-                0.0
+            weight_decay: match decays {
+                true => self.config.weight_decay,
+                false => 0.0,
             },
             learning_rate,
             steps: self.steps,

@@ -11,18 +11,11 @@ pub fn norm_of_squares(squares: &[f64]) -> f64 {
     squares.iter().sum::<f64>().sqrt()
 }
 
-/// The global Euclidean norm, in f64 and in a fixed order.
-pub fn global_norm(gradients: &[Vec<f32>]) -> f64 {
-    norm_of_squares(&squares(gradients))
-}
-
-/// The factor that limits gradients of global norm `norm` to `max_norm`; 1 if `max_norm` is 0,
-/// which disables clipping.
+/// The factor that limits gradients of norm `norm` to `max_norm`; 0 disables clipping.
 pub fn clip_factor(norm: f64, max_norm: f64) -> f64 {
-    if max_norm == 0.0 {
-        1.0
-    } else {
-        (max_norm / (norm + 1e-6)).min(1.0)
+    match max_norm == 0.0 {
+        true => 1.0,
+        false => (max_norm / (norm + 1e-6)).min(1.0),
     }
 }
 

@@ -8,5 +8,5 @@ mod clip;
 mod learning_rate;
 
 pub use adamw::{AdamW, Moments};
-pub use clip::{clip_factor, global_norm, norm_of_squares, squares};
+pub use clip::{clip_factor, norm_of_squares, squares};
 pub use learning_rate::learning_rate;

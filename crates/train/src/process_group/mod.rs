@@ -51,22 +51,21 @@ pub(crate) enum Tag {
 impl Default for ProcessGroup {
     /// A single process.
     fn default() -> Self {
-        Self::of(Rc::new(Alone))
+        Self {
+            ranks: Rc::new(Alone),
+            failure_reported: Cell::new(false),
+            saves_progress: Cell::new(false),
+        }
     }
 }
 
 impl ProcessGroup {
     /// The group of `ranks`.
     pub fn new(ranks: Rc<dyn Ranks>) -> Rc<Self> {
-        Rc::new(Self::of(ranks))
-    }
-
-    fn of(ranks: Rc<dyn Ranks>) -> Self {
-        Self {
+        Rc::new(Self {
             ranks,
-            failure_reported: Cell::new(false),
-            saves_progress: Cell::new(false),
-        }
+            ..Self::default()
+        })
     }
 
     /// A single process.
@@ -102,12 +101,8 @@ impl ProcessGroup {
         all
     }
 
-    /// This rank's outcome and the values of all ranks, if all continue; `None` if one stops.
-    /// Collective.
-    ///
-    /// # Errors
-    /// This rank's own error, or [`Error::OtherRank`].
-    pub fn agree<T>(
+    /// This rank's outcome and the values of all ranks; `None` if one stops. Collective.
+    pub(crate) fn agree<T>(
         &self,
         own: Result<Option<T>, Error>,
         values: &[f64],
@@ -171,7 +166,7 @@ impl ProcessGroup {
 
     /// True if only data failed, on any rank: progress before the error of [`agree`](Self::agree) should
     /// be saved. Equal on all ranks.
-    pub fn saves_progress(&self) -> bool {
+    pub(crate) fn saves_progress(&self) -> bool {
         self.saves_progress.get()
     }
 
@@ -265,20 +260,14 @@ impl ProcessGroup {
     }
 
     /// Rejects weights that differ between ranks. Collective.
-    ///
-    /// # Errors
-    /// [`Error::RanksDiffer`].
-    pub fn must_have_equal(&self, step: u64, weights: &[Vec<f32>]) -> Result<(), Error> {
+    pub(crate) fn must_have_equal(&self, step: u64, weights: &[Vec<f32>]) -> Result<(), Error> {
         if self.ranks.size() == 1 {
             return Ok(());
         }
         let parts = weights.iter().map(|values| bytemuck::cast_slice(values));
         let own = Digest::of_parts(parts).to_string();
         let all = self.gather(Tag::Weights, own.as_bytes());
-        let differs = |other: &Vec<u8>| other != &all[0];
-        match all.iter().position(differs) {
-            None => Ok(()),
-            Some(rank) => Err(Error::RanksDiffer { step, rank }),
-        }
+        let other = all.iter().position(|other| other != &all[0]);
+        other.map_or(Ok(()), |rank| Err(Error::RanksDiffer { step, rank }))
     }
 }

@@ -8,8 +8,7 @@ use super::ProcessGroup;
 use crate::error::Error;
 
 impl ProcessGroup {
-    /// The results of `make` for `count` items, in order. Each rank computes every size-th; all ranks get
-    /// all results. Collective.
+    /// The results of `make` for `count` items, in order, shared among the ranks. Collective.
     ///
     /// # Errors
     /// The first error of this rank, or [`Error::OtherRank`].
@@ -27,7 +26,7 @@ impl ProcessGroup {
     }
 
     /// The number of this rank's items before `number`, and in total.
-    pub fn own_of(&self, number: usize, count: usize) -> [usize; 2] {
+    pub(crate) fn own_of(&self, number: usize, count: usize) -> [usize; 2] {
         let (rank, size) = (self.ranks().rank(), self.ranks().size());
         [number, count].map(|end| end.saturating_sub(rank).div_ceil(size))
     }

@@ -1,7 +1,7 @@
 //! A validated run: its device, folder and checkpoint, and its training.
 
 use std::fs::{self, File};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::rc::Rc;
 use std::sync::Arc;
 
@@ -11,7 +11,7 @@ use kinegrad_models::parameters;
 use kinegrad_motion::Statistics;
 
 use super::folder::{UNFINISHED_SAMPLES, contains_run, exists_already, remove, write_config};
-use super::plan::{Plan, Planned};
+use super::plan::Plan;
 use crate::checkpoint::{Checkpoint, Checkpoints, Progress};
 use crate::config::Config;
 use crate::denoising::HeldOut;
@@ -86,14 +86,6 @@ pub struct TrainingData {
     pub loader: Box<MakeLoader>,
 }
 
-/// Prefixes of the parameters of a recipe's networks; empty for a single network.
-fn networks_of(recipe: &RecipeInfo) -> &'static [&'static str] {
-    match recipe.groups {
-        [_] => &[],
-        several => several,
-    }
-}
-
 /// Creates the stream of batches of a config, or a share of it.
 pub type MakeLoader = dyn FnOnce(&Config, BatchShare) -> Loader;
 
@@ -111,8 +103,7 @@ fn batches(config: &Config, step: u64, group: &ProcessGroup) -> BatchShare {
 }
 
 impl RunContext {
-    /// The context on the device with gradients; `activation_checkpointing` recomputes cheap activations
-    /// in the backward pass.
+    /// The context with gradients; checkpointing recomputes cheap activations in the backward pass.
     #[must_use]
     pub fn with_gradients(self, activation_checkpointing: bool) -> Self {
         let device = self.device.autodiff();
@@ -140,8 +131,7 @@ impl RunContext {
         self.must_be_same_dataset(dataset.digest)
     }
 
-    /// The training data of `dataset` as `samples` of its items, and the held-out items, loaded into
-    /// memory.
+    /// The training data of `dataset`, and the held-out items, loaded into memory.
     ///
     /// # Errors
     /// If a held-out item cannot be read, or `sampling.clip` cannot be followed.
@@ -211,196 +201,157 @@ impl RunContext {
             check_moments(&model, checkpoint, &path)?;
         }
         // Nothing is written before all ranks get here.
-        self.group.done(Ok(()))?;
-        self.group
-            .must_match(&[("dataset", &training_data.digest.to_string())])?;
-        let Self {
-            mut config,
-            recipe: info,
-            folder,
-            lock,
-            checkpoint,
-            device,
-            device_name,
-            dry_run,
-            memory,
-            memory_of_samples,
-            group,
-        } = self;
-        let on_host = crate::device::is_host(&device_name);
-        let (step, progress) = match &checkpoint {
-            Some(checkpoint) => (checkpoint.state.step, checkpoint.state.progress.clone()),
-            None => (0, Progress::default()),
+        let group = self.group;
+        group.done(Ok(()))?;
+        group.must_match(&[("dataset", &training_data.digest.to_string())])?;
+        let (info, checkpoint) = (self.recipe, self.checkpoint);
+        let state = checkpoint.as_ref().map(|checkpoint| &checkpoint.state);
+        let mut outcome = Outcome {
+            folder: self.folder,
+            ending: None,
+            step: state.map_or(0, |state| state.step),
+            progress: state.map_or_else(Progress::default, |state| state.progress.clone()),
+            config: self.config,
+            plan: None,
+            lock: self.lock,
         };
+        let on_host = crate::device::is_host(&self.device_name);
+        let max_steps = outcome.config.train.max_steps;
         let summary = RunSummary {
-            name: config.run.name.clone(),
-            folder: folder.clone(),
-            device: device_name,
+            name: outcome.config.run.name.clone(),
+            folder: outcome.folder.clone(),
+            device: self.device_name,
             parameters: {
                 let trained = parameters::trainable(&model);
                 let infos = parameters::infos(&model);
-                ParameterCount::of(&infos, networks_of(info), |index, _| trained[index])
+                // Names of a single network's parameters do not start with its name.
+                let networks: &[&str] = match info.groups {
+                    [_] => &[],
+                    several => several,
+                };
+                ParameterCount::of(&infos, networks, |index, _| trained[index])
             },
             train_phrases: training_data.train,
             validation_phrases: training_data.validation,
             skipped: training_data.skipped,
-            step,
-            max_steps: config.train.max_steps,
+            step: outcome.step,
+            max_steps,
         };
-        let patience = config.train.patience;
-        let stopped = patience > 0 && progress.validations_since_best >= patience;
-        let nothing_left = step > 0 && (step >= config.train.max_steps || stopped);
-        if dry_run {
-            let planned = Planned {
-                config: &config,
-                summary: &summary,
-                memory,
-                memory_of_samples,
-                channels: {
-                    let own = training_data.network_statistics.as_ref();
-                    own.unwrap_or(&training_data.statistics).channels()
-                },
-                nothing_left,
+        let patience = outcome.config.train.patience;
+        let stopped = patience > 0 && outcome.progress.validations_since_best >= patience;
+        let nothing_left = outcome.step > 0 && (outcome.step >= max_steps || stopped);
+        if !self.dry_run {
+            let written = match group.writes() {
+                true => write_start(
+                    &outcome,
+                    &summary,
+                    &self.device,
+                    state.is_some(),
+                    nothing_left,
+                ),
+                false => Ok(None),
             };
-            let share = batches(&config, step, &group);
-            let parts = TrainerParts {
-                recipe,
-                groups: info.groups,
-                config: config.clone(),
-                statistics: training_data.statistics,
-                network_statistics: training_data.network_statistics,
-                device,
-                on_host,
-                loader: (training_data.loader)(&config, share),
-                dataset: training_data.digest,
-                folder: folder.clone(),
-                group,
-            };
-            let plan = Plan::measure(&planned, parts, model, checkpoint, observer)?;
-            return Ok(Outcome {
-                folder,
-                ending: None,
-                step,
-                progress,
-                config,
-                plan: Some(Box::new(plan)),
-                lock,
-            });
-        }
-        let written = match group.writes() {
-            true => Written {
-                folder: &folder,
-                config: &config,
-                summary: &summary,
-                device: &device,
-                checkpoint: checkpoint.as_ref(),
-                progress: &progress,
-                nothing_left,
+            outcome.lock = group.done(written)?;
+            observer.started(&summary);
+            if nothing_left {
+                return Ok(outcome);
             }
-            .write(lock),
-            false => Ok(None),
-        };
-        let lock = group.done(written)?;
-        observer.started(&summary);
-        if nothing_left {
-            return Ok(Outcome {
-                folder,
-                ending: None,
-                step,
-                progress,
-                config,
-                plan: None,
-                lock,
-            });
+            let validation = &mut outcome.config.validation;
+            if validation.every_steps > 0 && training_data.validation == 0 {
+                observer.warning("nothing is held out: there is no validation and no best step");
+                validation.every_steps = 0;
+            }
         }
-        if config.validation.every_steps > 0 && training_data.validation == 0 {
-            observer.warning("nothing is held out: there is no validation and no best step");
-            config.validation.every_steps = 0;
-        }
-        let loader = (training_data.loader)(&config, batches(&config, step, &group));
+        let config = &outcome.config;
         let parts = TrainerParts {
             recipe,
             groups: info.groups,
-            config: config.clone(),
             statistics: training_data.statistics,
             network_statistics: training_data.network_statistics,
-            device,
+            device: self.device,
             on_host,
-            loader,
+            loader: (training_data.loader)(config, batches(config, outcome.step, &group)),
             dataset: training_data.digest,
-            folder: folder.clone(),
+            folder: outcome.folder.clone(),
             group: group.clone(),
+            config: config.clone(),
         };
+        if self.dry_run {
+            let memory = [self.memory, self.memory_of_samples];
+            let plan = Plan::measure(
+                parts,
+                model,
+                checkpoint,
+                &summary,
+                memory,
+                nothing_left,
+                observer,
+            )?;
+            outcome.plan = Some(Box::new(plan));
+            return Ok(outcome);
+        }
         let trainer = Trainer::new(parts, model, checkpoint, observer);
         let mut trainer = group.done(trainer)?;
-        let ending = trainer.run(observer)?;
-        let (step, progress) = (trainer.step(), trainer.progress().clone());
-        Ok(Outcome {
-            folder,
-            ending: Some(ending),
-            step,
-            progress,
-            config,
-            plan: None,
-            lock,
-        })
+        outcome.ending = Some(trainer.run(observer)?);
+        outcome.step = trainer.step;
+        outcome.progress = trainer.progress;
+        Ok(outcome)
     }
 }
 
-/// Files written before a run's first step.
-struct Written<'a> {
-    folder: &'a Path,
-    config: &'a Config,
-    summary: &'a RunSummary,
-    device: &'a Device,
-    checkpoint: Option<&'a Checkpoint>,
-    progress: &'a Progress,
+/// Writes the files before a run's first step, after all validation. Returns the run's lock.
+fn write_start(
+    outcome: &Outcome,
+    summary: &RunSummary,
+    device: &Device,
+    is_resumed: bool,
     nothing_left: bool,
-}
-
-impl Written<'_> {
-    /// Writes the files after all validation. Returns the run's lock, which an existing run already has.
-    fn write(&self, lock: Option<Arc<File>>) -> Result<Option<Arc<File>>, Error> {
-        let Self { folder, config, .. } = *self;
-        let (step, progress) = (self.summary.step, self.progress);
-        let checkpoints = Checkpoints::of(folder);
-        if self.checkpoint.is_some() && checkpoints.best() != progress.best() {
-            // A crash came between the checkpoint and the record of the best step.
-            checkpoints.set_best(progress.best().as_ref())?;
-        }
-        if self.nothing_left {
-            // A kill after the last checkpoint may have prevented this.
-            checkpoints.prune(step, config.checkpoint.keep_last, progress.best_step)?;
-            return Ok(lock);
-        }
-        fs::create_dir_all(folder).map_err(Error::io("create", folder))?;
-        let lock = match lock {
-            Some(lock) => lock,
-            None => {
-                let lock = super::folder::lock(folder)?;
-                // Another process may have started the run in the meantime.
-                if contains_run(folder)? {
-                    return Err(exists_already(&config.run.name, folder));
-                }
-                lock
-            }
-        };
-        write_config(folder, config)?;
-        if config.sampling.count_at_end > 0 {
-            // Samples at an earlier end are of other weights.
-            let owed = folder.join(UNFINISHED_SAMPLES);
-            remove(&owed)?;
-            fs::create_dir(&owed).map_err(Error::io("create", &owed))?;
-        }
-        let environment = Environment {
-            step,
-            parameters: self.summary.parameters.all,
-            train_items: self.summary.train_phrases,
-            validation_items: self.summary.validation_phrases,
-            skipped_items: self.summary.skipped.len(),
-            ..Environment::here(self.device, &self.summary.device)
-        };
-        environment.record(folder)?;
-        Ok(Some(lock))
+) -> Result<Option<Arc<File>>, Error> {
+    let Outcome {
+        folder,
+        step,
+        progress,
+        config,
+        lock,
+        ..
+    } = outcome;
+    let checkpoints = Checkpoints::of(folder);
+    if is_resumed && checkpoints.best() != progress.best() {
+        // A crash came between the checkpoint and the record of the best step.
+        checkpoints.set_best(progress.best().as_ref())?;
     }
+    if nothing_left {
+        // A kill after the last checkpoint may have prevented this.
+        checkpoints.prune(*step, config.checkpoint.keep_last, progress.best_step)?;
+        return Ok(lock.clone());
+    }
+    fs::create_dir_all(folder).map_err(Error::io("create", folder))?;
+    let lock = match lock {
+        Some(lock) => lock.clone(),
+        None => {
+            let lock = super::folder::lock(folder)?;
+            // Another process may have started the run in the meantime.
+            if contains_run(folder)? {
+                return Err(exists_already(&config.run.name, folder));
+            }
+            lock
+        }
+    };
+    write_config(folder, config)?;
+    if config.sampling.count_at_end > 0 {
+        // Samples at an earlier end are of other weights.
+        let unfinished = folder.join(UNFINISHED_SAMPLES);
+        remove(&unfinished)?;
+        fs::create_dir(&unfinished).map_err(Error::io("create", &unfinished))?;
+    }
+    let environment = Environment {
+        step: *step,
+        parameters: summary.parameters.all,
+        train_items: summary.train_phrases,
+        validation_items: summary.validation_phrases,
+        skipped_items: summary.skipped.len(),
+        ..Environment::here(device, &summary.device)
+    };
+    environment.record(folder)?;
+    Ok(Some(lock))
 }

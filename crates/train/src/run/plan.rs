@@ -6,10 +6,9 @@ use std::time::{Duration, Instant};
 use serde::Serialize;
 
 use crate::checkpoint::Checkpoint;
-use crate::config::Config;
 use crate::error::Error;
 use crate::memory;
-use crate::observer::{Observer, RunSummary, StepReport};
+use crate::observer::{Observer, RunSummary};
 use crate::parameter_count::ParameterCount;
 use crate::recipe::Recipe;
 use crate::trainer::{Trainer, TrainerParts};
@@ -18,7 +17,7 @@ use crate::trainer::{Trainer, TrainerParts};
 const NUMBER: u64 = 4;
 
 /// Number of measured steps after the first, which is not measured.
-const STEPS: u32 = 5;
+const STEPS: usize = 5;
 
 /// Time after which no further step starts.
 const LONG_ENOUGH: Duration = Duration::from_secs(10);
@@ -75,74 +74,53 @@ pub struct Plan {
     pub disk_bytes: u64,
 }
 
-/// The inputs of an estimate, in addition to networks and data.
-pub(super) struct Planned<'a> {
-    pub config: &'a Config,
-    pub summary: &'a RunSummary,
-    /// Estimated memory for training, bytes.
-    pub memory: u64,
-    /// Estimated memory for the samples at the end, bytes.
-    pub memory_of_samples: u64,
-    pub channels: usize,
-    pub nothing_left: bool,
-}
-
 impl Plan {
-    /// Measures some steps and a validation of a run.
-    ///
-    /// # Errors
-    /// As [`Trainer::run`], and [`Error::Interrupted`].
+    /// Measures some steps and a validation of a run; `memory` is the estimate for training and for the
+    /// samples at the end, bytes.
     pub(super) fn measure<R: Recipe>(
-        planned: &Planned<'_>,
         parts: TrainerParts<R>,
         model: R::Model,
         checkpoint: Option<Checkpoint>,
+        summary: &RunSummary,
+        [memory, memory_of_samples]: [u64; 2],
+        nothing_left: bool,
         observer: &mut dyn Observer,
     ) -> Result<Self, Error> {
-        let Planned {
-            config,
-            summary,
-            memory,
-            memory_of_samples,
-            channels,
-            nothing_left,
-        } = *planned;
+        let config = parts.config.clone();
+        let statistics = parts.network_statistics.as_ref();
+        let channels = statistics.unwrap_or(&parts.statistics).channels();
         let before = memory::taken();
         let mut times = Vec::new();
         let mut validation = None;
         let mut validations = 0;
         if !nothing_left {
+            let measures_first = parts.recipe.measures_first();
             let mut trainer = Trainer::unrecorded(parts, model, checkpoint);
             let began = Instant::now();
-            let mut first = None;
-            while times.len() < STEPS as usize {
-                let Some(time) = trainer.time_step(&mut Silent(observer))? else {
-                    return Err(Error::Interrupted);
-                };
-                // The first step allocates memory and reads files that are cached afterwards.
-                match first {
-                    None => first = Some(time),
-                    Some(_) => times.push(time),
-                }
-                if began.elapsed() > LONG_ENOUGH {
-                    break;
-                }
+            while times.len() <= STEPS && began.elapsed() <= LONG_ENOUGH {
+                let began = Instant::now();
+                let done = trainer.train_step(observer)?;
+                done.ok_or(Error::Interrupted)?;
+                times.push(began.elapsed());
             }
-            if times.is_empty() {
-                times.extend(first);
+            if times.len() > 1 {
+                // The first step allocates memory and reads files that are cached afterwards.
+                times.remove(0);
             }
             let every = config.validation.every_steps;
             if every > 0 && summary.validation_phrases > 0 {
                 let (done, all) = (summary.step, summary.max_steps);
                 // Validation runs every `every` steps and after the last.
                 validations = all / every - done / every + u64::from(!all.is_multiple_of(every));
-                validations += u64::from(done == 0 && trainer.measures_first());
+                validations += u64::from(done == 0 && measures_first);
                 // A validation is as many forward passes.
                 let items = summary.validation_phrases * config.validation.draws;
                 let step = times.iter().sum::<Duration>() / times.len() as u32;
                 let expected = step * items.div_ceil(config.data.batch_size) as u32;
                 if expected < 2 * LONG_ENOUGH {
-                    validation = Some(trainer.time_validation()?);
+                    let began = Instant::now();
+                    trainer.measure()?;
+                    validation = Some(began.elapsed());
                 }
             }
         }
@@ -195,22 +173,5 @@ impl Plan {
             samples_bytes,
             disk_bytes: checkpoints * checkpoint_bytes + samples_bytes,
         })
-    }
-}
-
-/// An observer that ignores the steps of an estimate.
-struct Silent<'a>(&'a mut dyn Observer);
-
-impl Observer for Silent<'_> {
-    fn started(&mut self, _: &RunSummary) {}
-    fn stepped(&mut self, _: &StepReport) {}
-    fn validated(&mut self, _: u64, _: f64, _: bool) {}
-    fn saved(&mut self, _: &std::path::Path) {}
-    fn note(&mut self, _: &str) {}
-    fn warning(&mut self, text: &str) {
-        self.0.warning(text);
-    }
-    fn stop_requested(&self) -> bool {
-        self.0.stop_requested()
     }
 }

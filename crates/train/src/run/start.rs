@@ -56,8 +56,7 @@ pub fn train(
     train_distributed(systems, request, &ProcessGroup::alone(), observer)
 }
 
-/// [`train`] by the processes of `group`. The first writes the run and has its lock; all return the same
-/// outcome.
+/// [`train`] by the processes of `group`. The first writes the run and has its lock.
 ///
 /// # Errors
 /// As [`train`]; ranks that did not fail themselves return [`Error::OtherRank`].
@@ -83,19 +82,14 @@ fn launch(
             "plan the run in one process, without the launcher",
         ));
     }
-    let overrides = &request.overrides;
-    let launch = |folder, resume| Launch {
-        folder,
-        resume,
-        dry_run: request.dry_run,
-    };
+    let (overrides, dry_run) = (&request.overrides, request.dry_run);
     let path = match &request.target {
         Target::New(path) | Target::Resumed(path) => path,
         Target::Folder(folder) => {
             let saved = saved_of(systems, folder)?;
             let given = systems.parse(&config::to_toml(&saved), SAVED, overrides)?;
-            let launch = launch(folder.clone(), true);
-            return train_in(systems, given, launch, group, observer);
+            let folder = folder.clone();
+            return train_in(systems, given, folder, true, dry_run, group, observer);
         }
     };
     let resume = matches!(request.target, Target::Resumed(_));
@@ -122,7 +116,7 @@ fn launch(
         let taken = system.moved(saved.clone(), &config, &folder)?;
         config = resumed(systems, &taken, &config, path, overrides, observer)?;
     }
-    train_in(systems, config, launch(folder, resume), group, observer)
+    train_in(systems, config, folder, resume, dry_run, group, observer)
 }
 
 /// The config of a resumed run, and warnings for other values in the file.
@@ -199,8 +193,7 @@ pub fn load_config(
 /// The saved config of the run in `folder`, if there is one.
 fn saved_config(systems: Systems<'_>, folder: &Path) -> Result<Option<Config>, ConfigError> {
     let path = folder.join("config.toml");
-    let exists = path.exists();
-    exists.then(|| systems.load(&path, &[])).transpose()
+    path.exists().then(|| systems.load(&path, &[])).transpose()
 }
 
 /// Trains the run of a resolved config, in the folder of its name under `runs_dir`. Collective.
@@ -215,20 +208,14 @@ pub fn train_config(
     group: &Rc<ProcessGroup>,
     observer: &mut dyn Observer,
 ) -> Result<Outcome, Error> {
-    let launch = Launch {
-        folder: runs_dir.join(&config.run.name),
-        resume,
-        dry_run: false,
-    };
-    train_in(systems, config, launch, group, observer)
+    let folder = runs_dir.join(&config.run.name);
+    train_in(systems, config, folder, resume, false, group, observer)
 }
 
 /// Rejects a number of ranks that cannot share the micro-batches of a step.
 fn must_share(config: &Config, group: &ProcessGroup) -> Result<(), Error> {
-    let (steps, size) = (
-        config.train.gradient_accumulation_steps,
-        group.ranks().size() as u64,
-    );
+    let steps = config.train.gradient_accumulation_steps;
+    let size = group.ranks().size() as u64;
     require(
         steps.is_multiple_of(size),
         "train.gradient_accumulation_steps",
@@ -247,28 +234,18 @@ fn must_share(config: &Config, group: &ProcessGroup) -> Result<(), Error> {
     )?)
 }
 
-/// The start of a new or resumed run.
-struct Launch {
-    folder: PathBuf,
-    resume: bool,
-    dry_run: bool,
-}
-
 /// Largest batch of samples.
 const SAMPLES_AT_ONCE: usize = 32;
 
 fn train_in(
     systems: Systems<'_>,
     config: Config,
-    launch: Launch,
+    folder: PathBuf,
+    resume: bool,
+    dry_run: bool,
     group: &Rc<ProcessGroup>,
     observer: &mut dyn Observer,
 ) -> Result<Outcome, Error> {
-    let Launch {
-        folder,
-        resume,
-        dry_run,
-    } = launch;
     for warning in systems.validate(&config)? {
         observer.warning(&warning);
     }
@@ -290,18 +267,16 @@ fn train_in(
     }
     let locks = exists && !dry_run && group.writes();
     let lock = locks.then(|| lock(&folder)).transpose()?;
-    let (checkpoint, saved) = match resume {
-        false => (None, None),
-        true => {
-            let checkpoint = Checkpoints::of(&folder).newest_good(|damaged| {
-                observer.warning(&format!("{damaged}; falling back to the one before"));
-            })?;
-            let saved = match &checkpoint {
-                Some(checkpoint) => Some(systems.completed(&checkpoint.state.config)?),
-                None => saved_config(systems, &folder)?,
-            };
-            (checkpoint, saved)
-        }
+    let checkpoint = match resume {
+        false => None,
+        true => Checkpoints::of(&folder).newest_good(|damaged| {
+            observer.warning(&format!("{damaged}; falling back to the one before"));
+        })?,
+    };
+    let saved = match &checkpoint {
+        Some(checkpoint) => Some(systems.completed(&checkpoint.state.config)?),
+        None if resume => saved_config(systems, &folder)?,
+        None => None,
     };
     match saved {
         Some(saved) => config::must_continue(&system.moved(saved, &config, &folder)?, &config)?,

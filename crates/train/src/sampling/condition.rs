@@ -155,11 +155,9 @@ pub struct PathFile {
 pub struct KnownFramesCondition {
     /// The motion's file.
     pub motion: PathBuf,
-    /// Start and end of each range, ascending and disjoint. Empty in a request with `continued`: the last
-    /// frames of the motion.
+    /// Start and end of each range, ascending and disjoint; empty for the last frames.
     pub frames: Vec<[usize; 2]>,
-    /// True if the sample starts with these frames and continues the motion; otherwise they have the same
-    /// positions in both.
+    /// True if the sample starts with these frames; otherwise they have the same positions in both.
     pub continued: bool,
 }
 

@@ -6,19 +6,12 @@ use kinegrad_motion::humanml::{Features, Joints, Skeleton};
 
 use super::Contents;
 
-/// Extension of the motion: a phrase, joint positions or a ground path.
+// Extensions of the motion (a phrase, joint positions or a ground path), of a phrase before
+// post-processing, of joint features, of the animated skeleton and of the path of a first stage.
 const MOTION: &str = ".npy";
-
-/// Extension of a phrase before post-processing.
 const RAW: &str = ".raw.npy";
-
-/// Extension of joint features.
 const FEATURES: &str = ".features.npy";
-
-/// Extension of the animated skeleton.
 const BVH: &str = ".bvh";
-
-/// Extension of the ground path of a first stage.
 const PATH: &str = ".path.npy";
 
 /// Generated motion.

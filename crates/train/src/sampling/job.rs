@@ -1,7 +1,5 @@
 //! Samplers: resolved requests.
 
-use std::ops::ControlFlow;
-
 use kinegrad_motion::path::PathReport;
 
 use super::{Condition, Generated, Names, Record, Request, Sample, SampleSink, Summary};
@@ -84,21 +82,14 @@ impl Run<'_> {
         }
     }
 
-    /// Reports the progress of a stage; `Break` stops sampling.
-    pub fn step(&mut self, stage: &'static str, done: usize, all: usize) -> ControlFlow<()> {
-        self.sink.advance(stage, done, all)
-    }
-
     /// The record of a sample of a job. The sampler fills in the fields of its system.
     pub fn record(&self, job: usize, index: usize) -> Record {
         let Job {
             conditions, frames, ..
         } = &self.jobs[job];
+        let before = usize::from(self.is_one_batch) * job * self.request.count;
         Record {
-            index: match self.is_one_batch {
-                true => job * self.request.count + index,
-                false => index,
-            },
+            index: before + index,
             frames: *frames,
             fps: self.fps,
             condition: conditions.clone(),
@@ -129,13 +120,9 @@ impl Run<'_> {
 
 /// A description of a motion's deviation from its path.
 fn deviation(report: &PathReport) -> String {
-    let heading = report
-        .heading_error
-        .map(|degrees| format!("; heading {degrees:.0} degrees from it"));
-    format!(
-        "{:.3} m from the path, at most {:.3} m{}",
-        report.mean_distance,
-        report.largest_distance,
-        heading.unwrap_or_default()
-    )
+    let heading = report.heading_error;
+    let heading = heading.map(|degrees| format!("; heading {degrees:.0} degrees from it"));
+    let (mean, largest) = (report.mean_distance, report.largest_distance);
+    let heading = heading.unwrap_or_default();
+    format!("{mean:.3} m from the path, at most {largest:.3} m{heading}")
 }

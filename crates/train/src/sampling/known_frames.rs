@@ -61,20 +61,13 @@ impl KnownFramesCondition {
         })
     }
 
-    fn option(&self) -> &'static str {
-        match self.continued {
-            true => "continue_from",
-            false => "keep",
-        }
-    }
-
     /// Reads the frames for a sample of `frames` frames; a continuation takes at most `most_last` frames.
     ///
     /// # Errors
     /// If the file is not a finite phrase, is too short, or leaves no frame to sample.
     pub fn read(&self, frames: usize, most_last: usize) -> Result<KnownFrames, Error> {
         let phrase = read_motion(&self.motion)?;
-        let (name, option) = (self.motion.display(), self.option());
+        let name = self.motion.display();
         if let Some((frame, channel)) = phrase.first_non_finite() {
             let channel = channel_name(channel);
             return Err(Error::usage(
@@ -82,23 +75,14 @@ impl KnownFramesCondition {
                 "`kinegrad check` reports which frames of a motion are sound",
             ));
         }
-        let (of, known) = match self.continued {
-            true => {
-                let last = phrase.frames().min(most_last.max(1));
-                (
-                    phrase.frames() - last,
-                    vec![Range {
-                        start: 0,
-                        end: last,
-                    }],
-                )
-            }
-            false => {
-                let ranges = self.frames.iter().map(|[start, end]| *start..*end);
-                (0, ranges.collect())
-            }
-        };
-        let end = known.last().map_or(0, |range: &Range<usize>| range.end);
+        let ranges = self.frames.iter().map(|[start, end]| *start..*end);
+        let (mut of, mut known, mut option) = (0, ranges.collect::<Vec<_>>(), "keep");
+        if self.continued {
+            let last = phrase.frames().min(most_last.max(1));
+            known = std::iter::once(0..last).collect();
+            (of, option) = (phrase.frames() - last, "continue_from");
+        }
+        let end = known.last().map_or(0, |range| range.end);
         if of + end > phrase.frames() || end > frames {
             let (what, has) = match of + end > phrase.frames() {
                 true => (name.to_string(), phrase.frames()),

@@ -20,17 +20,11 @@ impl Names {
 
     /// True if a sample has that name.
     pub fn contains(&self, name: &str) -> bool {
-        self.stems.iter().any(|stem| {
-            let index = name.strip_prefix(stem.as_str());
-            match (self.count, index) {
-                (_, None) => false,
-                (1, Some(rest)) => rest.is_empty(),
-                (count, Some(rest)) => rest
-                    .strip_prefix('-')
-                    .and_then(|number| number.parse().ok())
-                    .is_some_and(|index: usize| index < count && self.of(stem, index) == name),
-            }
-        })
+        let number = name
+            .rsplit_once('-')
+            .and_then(|(_, number)| number.parse().ok());
+        let index = number.filter(|&index| index < self.count).unwrap_or(0);
+        self.stems.iter().any(|stem| self.of(stem, index) == name)
     }
 }
 

@@ -111,8 +111,7 @@ pub struct SaidRecord {
     pub text: Option<String>,
 }
 
-/// A batch of clips guided to goals. The guidance of each clip depends on the keyframes of all, so
-/// reproducing one needs the batch.
+/// A batch of clips guided to goals; the guidance of each depends on the keyframes of all.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct BatchRecord {
     /// Clips for each goal.

@@ -42,22 +42,21 @@ impl Request {
     /// [`Error::Usage`] for the first contradiction.
     pub fn validate(&self) -> Result<(), Error> {
         if self.count == 0 {
-            return Err(Error::usage(
-                "option `count` is 0",
-                "request at least one sample",
-            ));
+            let hint = "request at least one sample";
+            return Err(Error::usage("option `count` is 0", hint));
         }
+        let hint = "leave it out for the length of the condition, or of the training";
         if let Some(frames) = self.frames {
-            in_range("option frames", frames, 1..=MAX_FRAMES)
-                .hint("leave it out for the length of the condition, or of the training")?;
+            in_range("option frames", frames, 1..=MAX_FRAMES).hint(hint)?;
         }
         if let Some(seconds) = self.seconds {
             if self.frames.is_some() {
-                let hint = "both set the length of the motion: leave out one of the two";
-                return Err(Error::usage("option `seconds` with option `frames`", hint));
+                return Err(Error::usage(
+                    "option `seconds` with option `frames`",
+                    "both set the length of the motion: leave out one of the two",
+                ));
             }
-            in_range("option seconds", seconds, ABOVE_ZERO)
-                .hint("leave it out for the length of the condition, or of the training")?;
+            in_range("option seconds", seconds, ABOVE_ZERO).hint(hint)?;
         }
         if self.held_out_items().is_some() && self.count != 1 {
             return Err(Error::usage(
@@ -82,11 +81,13 @@ impl Request {
                     true => Some("audio"),
                     false => role,
                 };
-                if let Condition::HeldOut(_) = one {
-                    return Err(with_held_out(other));
-                }
-                if let Condition::HeldOut(_) = other {
-                    return Err(with_held_out(one));
+                if let (Condition::HeldOut(_), second) | (second, Condition::HeldOut(_)) =
+                    (one, other)
+                {
+                    return Err(Error::usage(
+                        format!("option `{}` with held-out items", second.name()),
+                        "held-out items have their own conditions: leave out one of the two",
+                    ));
                 }
                 if same || role.is_some() {
                     let what = role.unwrap_or(one.name());
@@ -97,10 +98,7 @@ impl Request {
                 }
             }
         }
-        match self.conditions.iter().find_map(invalid) {
-            Some(error) => Err(error),
-            None => Ok(()),
-        }
+        self.find(invalid).map_or(Ok(()), Err)
     }
 
     /// The request with frames instead of seconds, at `fps` frames per second.
@@ -124,6 +122,10 @@ impl Request {
         })
     }
 
+    fn find<'a, T>(&'a self, of: impl FnMut(&'a Condition) -> Option<T>) -> Option<T> {
+        self.conditions.iter().find_map(of)
+    }
+
     /// True if the system chooses the condition.
     pub fn is_unconditional(&self) -> bool {
         self.conditions.is_empty()
@@ -131,22 +133,18 @@ impl Request {
 
     /// Id or pattern of an item, and its dataset if not the run's.
     pub fn item(&self) -> Option<(&str, Option<&str>)> {
-        self.conditions
-            .iter()
-            .find_map(|condition| match condition {
-                Condition::Item { id, source } => Some((id.as_str(), source.as_deref())),
-                _ => None,
-            })
+        self.find(|condition| match condition {
+            Condition::Item { id, source } => Some((id.as_str(), source.as_deref())),
+            _ => None,
+        })
     }
 
     /// Number of held-out items.
     pub fn held_out_items(&self) -> Option<usize> {
-        self.conditions
-            .iter()
-            .find_map(|condition| match condition {
-                Condition::HeldOut(count) => Some(*count),
-                _ => None,
-            })
+        self.find(|condition| match condition {
+            Condition::HeldOut(count) => Some(*count),
+            _ => None,
+        })
     }
 
     /// The goals.
@@ -161,88 +159,65 @@ impl Request {
 
     /// The trajectory model.
     pub fn trajectory(&self) -> Option<&TrajectoryCondition> {
-        self.conditions
-            .iter()
-            .find_map(|condition| match condition {
-                Condition::Trajectory(trajectory) => Some(trajectory),
-                _ => None,
-            })
+        self.find(|condition| match condition {
+            Condition::Trajectory(trajectory) => Some(trajectory),
+            _ => None,
+        })
     }
 
     /// The file of the history.
     pub fn history(&self) -> Option<&Path> {
-        self.conditions
-            .iter()
-            .find_map(|condition| match condition {
-                Condition::History(file) => Some(file.as_path()),
-                _ => None,
-            })
+        self.find(|condition| match condition {
+            Condition::History(file) => Some(file.as_path()),
+            _ => None,
+        })
     }
 
     /// The file of prompts.
     pub fn prompts(&self) -> Option<&Path> {
-        self.conditions
-            .iter()
-            .find_map(|condition| match condition {
-                Condition::Prompts(file) => Some(file.as_path()),
-                _ => None,
-            })
+        self.find(|condition| match condition {
+            Condition::Prompts(file) => Some(file.as_path()),
+            _ => None,
+        })
     }
 
     /// The path.
     pub fn path(&self) -> Option<&PathFile> {
-        self.conditions
-            .iter()
-            .find_map(|condition| match condition {
-                Condition::Path(path) => Some(path),
-                _ => None,
-            })
+        self.find(|condition| match condition {
+            Condition::Path(path) => Some(path),
+            _ => None,
+        })
     }
 
     /// The known frames.
     pub fn known_frames(&self) -> Option<&KnownFramesCondition> {
-        self.conditions
-            .iter()
-            .find_map(|condition| match condition {
-                Condition::KnownFrames(known) => Some(known),
-                _ => None,
-            })
+        self.find(|condition| match condition {
+            Condition::KnownFrames(known) => Some(known),
+            _ => None,
+        })
     }
 
     /// The style.
     pub fn style(&self) -> Option<&Style> {
-        self.conditions
-            .iter()
-            .find_map(|condition| match condition {
-                Condition::Style(style) => Some(style),
-                _ => None,
-            })
+        self.find(|condition| match condition {
+            Condition::Style(style) => Some(style),
+            _ => None,
+        })
     }
 
     /// The text conditions, for the record of a sample.
     pub fn text_conditions(&self) -> impl Iterator<Item = Condition> {
-        let texts = self.conditions.iter();
-        texts
-            .filter(|condition| condition.role() == Some("text"))
-            .cloned()
+        let texts = self.conditions.iter().cloned();
+        texts.filter(|condition| condition.role() == Some("text"))
     }
 
     /// The value of a condition of a system outside of kinegrad.
     pub fn other(&self, name: &str) -> Option<&serde_json::Value> {
-        self.conditions
-            .iter()
-            .find_map(|condition| match condition {
-                Condition::Other(other) if other.name == name => Some(&other.value),
-                _ => None,
-            })
+        self.find(|condition| match condition {
+            Condition::Other(other) if other.name == name => Some(&other.value),
+            _ => None,
+        })
     }
-}
-
-fn with_held_out(other: &Condition) -> Error {
-    Error::usage(
-        format!("option `{}` with held-out items", other.name()),
-        "held-out items have their own conditions: leave out one of the two",
-    )
 }
 
 /// The error of a condition that is invalid for every model.

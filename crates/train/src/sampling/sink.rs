@@ -49,8 +49,7 @@ pub enum Summary {
 
 /// Receives samples and progress.
 pub trait SampleSink {
-    /// Called after each denoising step with the number of steps done and in total; `stage` is
-    /// empty if there is only one.
+    /// Called after each denoising step with the steps done and in total; `stage` may be empty.
     fn stepped(&mut self, stage: &'static str, done: usize, all: usize);
 
     /// Called with each sample.
@@ -73,8 +72,7 @@ pub trait SampleSink {
     /// Called with a warning about the request.
     fn warning(&mut self, _text: &str) {}
 
-    /// Returns a callback for the progress of opening a dataset, as
-    /// [`Observer::reading`](crate::Observer::reading).
+    /// As [`Observer::reading`](crate::Observer::reading).
     fn reading(&self) -> Box<Reading> {
         Box::new(|_, _| ControlFlow::Continue(()))
     }

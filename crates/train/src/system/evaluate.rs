@@ -1,46 +1,100 @@
 //! Preparation of evaluations.
 
-use super::System;
+use std::rc::Rc;
+
+use burn::tensor::Device;
+
+use super::Systems;
 use crate::TrainedModel;
+use crate::checkpoint::resolve_checkpoint;
+use crate::clips::evaluator::{EvaluatorFiles, EvaluatorSource, TextMotionEvaluator};
 use crate::error::Error;
 use crate::evaluation::{Column, Evaluate, Evaluated, EvaluationRequest};
+use crate::memory::must_fit;
 
-/// Validates the request and returns a function that evaluates a model of `system`.
-///
-/// # Errors
-/// If the system does not accept an option of the request, without held-out items, or if memory is
-/// short.
-pub(super) fn prepare<'a>(
-    system: &dyn System,
-    trained: &'a TrainedModel,
-    request: &EvaluationRequest,
-) -> Result<Evaluate<'a>, Error> {
-    request.must_be_accepted(system.accepts_in_evaluation(), trained)?;
-    let evaluation = system.evaluate(trained, request)?;
-    request.must_fit(evaluation.memory, evaluation.memory_hint)?;
-    let seed = request.seed;
-    Ok(Box::new(move |on_step| {
-        let results = (evaluation.measure)(on_step)?;
-        let run = &trained.config().run.name;
-        let (mut json, mut facts) = (results.json, results.facts);
-        json["run"] = run.as_str().into();
-        json["seed"] = seed.into();
-        if results.samples.is_some() {
-            let step = trained.saved.state.step;
-            json["step"] = step.into();
-            facts.insert(0, ("step", [Some(step), None]));
-        }
-        let column = |side: usize, groups| Column {
-            facts: facts.iter().map(|(name, of)| (*name, of[side])).collect(),
-            groups,
+impl Systems<'_> {
+    /// The evaluation of a trained model by its system, with its config's text-motion evaluator.
+    ///
+    /// # Errors
+    /// As [`System::evaluate`](super::System::evaluate); if the evaluator cannot be opened.
+    pub fn evaluate<'m>(
+        self,
+        trained: &'m TrainedModel,
+        request: &EvaluationRequest,
+    ) -> Result<Evaluate<'m>, Error> {
+        let (system, _) = self.of(trained.config())?;
+        let evaluator = match system.evaluator_files(trained.config()) {
+            Some(files) => self.text_motion_evaluator(files, &trained.device)?,
+            None => None,
         };
-        Ok(Evaluated {
-            run: run.clone(),
-            report: evaluation.report,
-            json,
-            samples: column(0, results.samples.unwrap_or_else(|| results.real.clone())),
-            real: column(1, results.real),
-            remarks: [evaluation.remarks, results.remarks].concat(),
-        })
-    }))
+        let request = EvaluationRequest {
+            evaluator: evaluator.or_else(|| request.evaluator.clone()),
+            ..request.clone()
+        };
+        request.must_be_accepted(system.accepts_in_evaluation(), trained)?;
+        let evaluation = system.evaluate(trained, &request)?;
+        let processes = request.group.ranks().local().size as u64;
+        let memory = evaluation.memory.saturating_mul(processes);
+        must_fit("the evaluation", memory, evaluation.memory_hint)?;
+        let seed = request.seed;
+        Ok(Box::new(move |on_step| {
+            let results = (evaluation.measure)(on_step)?;
+            let run = &trained.config().run.name;
+            let (mut json, mut facts) = (results.json, results.facts);
+            json["run"] = run.as_str().into();
+            json["seed"] = seed.into();
+            if results.samples.is_some() {
+                let step = trained.saved.state.step;
+                json["step"] = step.into();
+                facts.insert(0, ("step", [Some(step), None]));
+            }
+            let column = |side: usize, groups| Column {
+                facts: facts.iter().map(|(name, of)| (*name, of[side])).collect(),
+                groups,
+            };
+            Ok(Evaluated {
+                run: run.clone(),
+                report: evaluation.report,
+                json,
+                samples: column(0, results.samples.unwrap_or_else(|| results.real.clone())),
+                real: column(1, results.real),
+                remarks: [evaluation.remarks, results.remarks].concat(),
+            })
+        }))
+    }
+
+    fn text_motion_evaluator(
+        self,
+        files: &EvaluatorFiles,
+        device: &Device,
+    ) -> Result<Option<Rc<dyn TextMotionEvaluator>>, Error> {
+        if !files.run.as_os_str().is_empty() {
+            let saved = resolve_checkpoint(&files.run, |_| {})?;
+            let (system, recipe) = self.of(&saved.state.config)?;
+            let saved = system.read_tables(saved)?;
+            let found = system.text_motion_evaluator(EvaluatorSource::Run(&saved), device)?;
+            return found.map(Some).ok_or_else(|| {
+                let message = format!(
+                    "{} is of a run of recipe `{}`",
+                    files.run.display(),
+                    recipe.name
+                );
+                let hint = "`evaluation.evaluator.run` takes a run of recipe `text_motion`";
+                Error::usage(message, hint)
+            });
+        }
+        if files.has_files() {
+            for system in self.0 {
+                let source = EvaluatorSource::Files(files);
+                if let Some(found) = system.text_motion_evaluator(source, device)? {
+                    return Ok(Some(found));
+                }
+            }
+            return Err(Error::usage(
+                "`evaluation.evaluator` names files of a text-motion evaluator",
+                "none of the systems of this program reads them: leave them out",
+            ));
+        }
+        Ok(None)
+    }
 }

@@ -1,24 +1,23 @@
 //! Hints for config errors.
 
-use kinegrad_settings::{DocumentError, Key, Values, not_among};
+use kinegrad_settings::{DocumentError, Values, not_among};
 use toml::{Table, Value};
 
 use super::Systems;
-use super::keys::value_at;
-use crate::config::{ConfigError, TrainConfig};
+use crate::config::{ConfigError, TrainConfig, value_at};
 
 impl Systems<'_> {
     /// Adds a hint about the key to `error` of the config `given`.
     pub(super) fn guided(self, error: ConfigError, given: &Table) -> ConfigError {
         let named = given.get("train").and_then(|train| train.get("recipe"));
-        let recipe = named.and_then(Value::as_str).map(str::to_owned);
-        let recipe = recipe.unwrap_or(TrainConfig::default().recipe);
+        let default = TrainConfig::default().recipe;
+        let recipe = named.and_then(Value::as_str).unwrap_or(&default);
         let ConfigError::Document(mut error) = error else {
             return error;
         };
         match &mut error {
             DocumentError::UnknownKey { key, hint, .. } => {
-                *hint = self.suggestion(key, &recipe).unwrap_or(hint.clone());
+                *hint = self.suggestion(key, recipe).unwrap_or(hint.clone());
             }
             DocumentError::Value {
                 place,
@@ -26,15 +25,15 @@ impl Systems<'_> {
                 message,
                 hint,
             } if message.starts_with("expected") => {
-                let described = self.described();
-                let above = |known: &Key| {
+                let mut described = self.described();
+                described.retain(|(known, recipes)| {
                     let below = key.strip_prefix(&known.name);
-                    below.is_some_and(|below| below.is_empty() || below.starts_with(['.', '[']))
-                };
-                let mine = described
-                    .iter()
-                    .filter(|(known, recipes)| above(known) && recipes.contains(&recipe.as_str()));
-                if let Some((known, _)) = mine.max_by_key(|(known, _)| known.name.len()) {
+                    recipes.contains(&recipe)
+                        && below
+                            .is_some_and(|below| below.is_empty() || below.starts_with(['.', '[']))
+                });
+                let described = described.iter();
+                if let Some((known, _)) = described.max_by_key(|(known, _)| known.name.len()) {
                     // The element of a list takes a name, the list itself does not.
                     let is_name = matches!(known.values, Values::Names(_)) || key.ends_with(']');
                     let names = known.values.names().iter();
@@ -58,13 +57,9 @@ impl Systems<'_> {
     /// A suggestion for the unknown `key` in a config of `recipe`.
     pub(super) fn suggestion(self, key: &str, recipe: &str) -> Option<String> {
         let last = last(key);
-        let described = self.described();
-        let others = || {
-            described
-                .iter()
-                .filter(|(known, _)| !known.name.contains("[]"))
-        };
-        if let Some((known, recipes)) = others().find(|(known, _)| known.name == key) {
+        let mut described = self.described();
+        described.retain(|(known, _)| !known.name.contains("[]"));
+        if let Some((known, recipes)) = described.iter().find(|(known, _)| known.name == key) {
             return match (&known.only_with, recipes.contains(&recipe)) {
                 (Some(with), true) => Some(format!("it is a key of `{with}`")),
                 (None, true) => None,
@@ -74,7 +69,8 @@ impl Systems<'_> {
                 )),
             };
         }
-        let mut same: Vec<String> = others()
+        let mut same: Vec<String> = described
+            .iter()
             .filter(|(known, recipes)| known.name.ends_with(last) && recipes.contains(&recipe))
             .filter(|(known, _)| self::last(&known.name) == last && !known.values.is_table())
             .map(|(known, _)| format!("`{}`", known.name))

@@ -5,7 +5,7 @@ use serde_json::Value as Json;
 use toml::{Table, Value};
 
 use super::Systems;
-use crate::config::{Config, PLAIN, TrainConfig, apply, names};
+use crate::config::{Config, PLAIN, TrainConfig, apply, names, value_at};
 use crate::error::Error;
 
 /// A config key of some recipes.
@@ -29,6 +29,7 @@ const KIND: &str = "model.kind";
 const NOT_SET: &str = "not set";
 
 /// A recipe with one kind of network and all of its defaults.
+#[derive(Clone)]
 pub struct Variant {
     /// Its name.
     pub recipe: &'static str,
@@ -68,8 +69,8 @@ impl Systems<'_> {
             described.push((key, every.clone()));
         }
         for system in self.0 {
-            let own: Vec<&'static str> =
-                system.recipes().iter().map(|recipe| recipe.name).collect();
+            let own = system.recipes().iter().map(|recipe| recipe.name);
+            let own: Vec<&'static str> = own.collect();
             for key in system.keys() {
                 match described.iter_mut().find(|(known, _)| *known == key) {
                     Some((_, recipes)) => recipes.extend(&own),
@@ -83,33 +84,24 @@ impl Systems<'_> {
     /// Every config key, table by table.
     pub fn keys(self) -> Vec<ConfigKey> {
         let variants = self.variants();
-        let mut order = Vec::new();
-        variants
-            .iter()
-            .for_each(|variant| order.extend(variant.names()));
+        let order: Vec<String> = variants.iter().flat_map(Variant::names).collect();
         let place = |name: &str| {
-            order
-                .iter()
-                .position(|known| known == name)
-                .unwrap_or(usize::MAX)
+            let place = order.iter().position(|known| known == name);
+            place.unwrap_or(usize::MAX)
         };
-        let mut keys: Vec<ConfigKey> = self
-            .described()
-            .into_iter()
-            .map(|(key, recipes)| ConfigKey {
-                defaults: defaults(&key, &recipes, &variants),
-                key,
-                recipes,
-                range: None,
-            })
-            .collect();
+        let keys = self.described().into_iter();
+        let keys = keys.map(|(key, recipes)| ConfigKey {
+            defaults: defaults(&key, &recipes, &variants),
+            key,
+            recipes,
+            range: None,
+        });
+        let mut keys: Vec<ConfigKey> = keys.collect();
         // Tables in the order of configs, with their own keys before nested tables.
         keys.sort_by_key(|ConfigKey { key, .. }| {
-            let table = key.name.rsplit_once('.').map_or("", |(table, _)| table);
-            let home = if key.values.is_table() {
-                &key.name
-            } else {
-                table
+            let home = match key.values.is_table() {
+                true => key.name.as_str(),
+                false => key.name.rsplit_once('.').map_or("", |(table, _)| table),
             };
             let first = home.split('.').next().unwrap_or_default();
             (
@@ -126,28 +118,25 @@ impl Systems<'_> {
     /// Fills in the [range](ConfigKey::range) of `keys`, by validating extreme values.
     pub fn find_ranges(self, keys: &mut [ConfigKey]) {
         let bases = self.bases();
-        for key in keys {
-            let ConfigKey {
-                key: described,
-                recipes,
-                ..
-            } = &*key;
+        for ConfigKey {
+            key,
+            recipes,
+            range,
+            ..
+        } in keys
+        {
             let mine = bases.iter().filter(|base| {
-                recipes.contains(&base.recipe) && base.has(described.only_with.as_deref())
+                recipes.contains(&base.recipe) && base.has(key.only_with.as_deref())
             });
-            let probes = probes(&described.values);
-            let tried = mine.flat_map(|base| probes.iter().map(move |value| (base, value)));
-            let mut ranges = tried.filter_map(|(base, value)| {
+            let probes = probes(&key.values);
+            let mut tried = mine.flat_map(|base| probes.iter().map(move |value| (base, value)));
+            *range = tried.find_map(|(base, value)| {
                 let mut given = base.given.clone();
-                apply(&mut given, &format!("{}={value}", described.name)).ok()?;
+                apply(&mut given, &format!("{}={value}", key.name)).ok()?;
                 let refused = self.refused(&given)?;
-                refused
-                    .key
-                    .starts_with(&described.name)
-                    .then_some(refused.allowed)
+                let is_own = refused.key.starts_with(&key.name);
+                is_own.then_some(refused.allowed)
             });
-            let range = ranges.next();
-            key.range = range;
         }
     }
 
@@ -167,11 +156,9 @@ impl Systems<'_> {
                 given.extend(data.parse::<Table>().expect("TOML of this file"));
                 let config = self.read(&given, &|_| String::new());
                 if config.is_ok_and(|config| self.validate(&config).is_ok()) {
-                    let complete = variant.complete.clone();
                     bases.push(Variant {
                         given,
-                        complete,
-                        ..variant
+                        ..variant.clone()
                     });
                 }
             }
@@ -276,29 +263,13 @@ fn written(value: &Value) -> String {
     }
 }
 
-/// The value of a dotted key, or of an element of a list: `lora.targets[1]`.
-pub(super) fn value_at<'a>(table: &'a Table, key: &str) -> Option<&'a Value> {
-    if let Some((name, rest)) = key.split_once('.') {
-        return value_at(table.get(name)?.as_table()?, rest);
-    }
-    match key.split_once('[') {
-        Some((name, index)) => {
-            let index: usize = index.strip_suffix(']')?.parse().ok()?;
-            table.get(name)?.as_array()?.get(index)
-        }
-        None => table.get(key),
-    }
-}
-
 /// Appends all dotted keys, tables included, in order.
 fn flatten(table: &Table, prefix: &str, names: &mut Vec<String>) {
     for (name, value) in table {
         let name = format!("{prefix}{name}");
+        names.push(name.clone());
         if let Value::Table(inner) = value {
-            names.push(name.clone());
             flatten(inner, &format!("{name}."), names);
-        } else {
-            names.push(name);
         }
     }
 }

@@ -23,12 +23,8 @@ impl Systems<'_> {
         self.parse(&read(path)?, &path.display().to_string(), overrides)
     }
 
-    /// [`load`](Self::load) with defaults from `beneath` for keys that the file and the overrides
-    /// omit.
-    ///
-    /// # Errors
-    /// As [`load`](Self::load).
-    pub fn load_over(
+    /// [`load`](Self::load) with defaults from `beneath`.
+    pub(crate) fn load_over(
         self,
         path: &Path,
         overrides: &[String],
@@ -88,10 +84,7 @@ impl Systems<'_> {
     }
 
     /// A trained run's config with `overrides` of its sampling and evaluation settings.
-    ///
-    /// # Errors
-    /// Names the invalid override, or one of another table.
-    pub fn override_trained(
+    pub(crate) fn override_trained(
         self,
         config: &Config,
         overrides: &[String],
@@ -118,9 +111,7 @@ impl Systems<'_> {
             true => Ok(config.clone()),
             false => {
                 let mut table = Table::try_from(config).expect(config::PLAIN);
-                if overrides.iter().any(|argument| sets_sampler(argument)) {
-                    forget_sampler(&mut table);
-                }
+                forget_sampler(&mut table, overrides);
                 self.overridden(&mut table, overrides)
             }
         }
@@ -130,16 +121,11 @@ impl Systems<'_> {
     fn of_trained(self, config: &Config, argument: &str, tables: &[&str]) -> String {
         let key = argument.split('=').next().unwrap_or_default().trim();
         let meant = self.suggestion(key, &config.train.recipe);
-        let meant = meant.filter(|hint| {
-            tables
-                .iter()
-                .any(|table| hint.contains(&format!("{table}.")))
-        });
-        meant.unwrap_or_else(|| {
-            "for example option `set sampling.sampler.num_inference_steps=50`; other settings are for \
-             `kinegrad train`"
-                .into()
-        })
+        let is_named = |hint: &String, table: &str| hint.contains(&format!("{table}."));
+        let meant = meant.filter(|hint| tables.iter().any(|table| is_named(hint, table)));
+        let example = "for example option `set sampling.sampler.num_inference_steps=50`; other settings are \
+                       for `kinegrad train`";
+        meant.unwrap_or_else(|| example.into())
     }
 
     /// The config of `given` with the defaults of its recipe.
@@ -189,25 +175,11 @@ impl Systems<'_> {
     }
 
     /// The trained model of the checkpoint `saved`, with `overrides` of sampling and evaluation settings,
-    /// on `device` or its run's device.
+    /// on `device` or its run's device, for process `local` of a machine: see [`open_for`].
     ///
     /// # Errors
     /// If an override is invalid, or the device is not available.
     pub fn trained(
-        self,
-        saved: SavedCheckpoint,
-        overrides: &[String],
-        weights: Weights,
-        device: Option<&str>,
-    ) -> Result<TrainedModel, Error> {
-        self.trained_for(saved, overrides, weights, device, 0)
-    }
-
-    /// [`trained`](Self::trained), for process `local` of a machine: see [`open_for`].
-    ///
-    /// # Errors
-    /// As [`trained`](Self::trained).
-    pub fn trained_for(
         self,
         mut saved: SavedCheckpoint,
         overrides: &[String],
@@ -220,11 +192,8 @@ impl Systems<'_> {
         let (system, _) = self.of(&config)?;
         system.validate(&config)?;
         let (device, name) = open_for(device.unwrap_or(&config.run.device), local)?;
-        log::debug!(
-            "checkpoint {}, step {}",
-            saved.path.display(),
-            saved.state.step
-        );
+        let (path, step) = (saved.path.display(), saved.state.step);
+        log::debug!("checkpoint {path}, step {step}");
         log::debug!("device {name}; {}", crate::device::kernels());
         saved.state.config = config;
         Ok(TrainedModel {
@@ -275,13 +244,14 @@ const OF_SAMPLER_KINDS: [&str; 6] = [
     "guidance_until",
 ];
 
-fn sets_sampler(argument: &str) -> bool {
-    let key = argument.split('=').next().unwrap_or_default();
-    key.trim() == "sampling.sampler.kind"
-}
-
-/// Removes keys that belong to the run's kind of sampler, so that another kind has its defaults.
-fn forget_sampler(table: &mut Table) {
+/// Removes keys of the run's kind of sampler if `overrides` select a kind.
+fn forget_sampler(table: &mut Table, overrides: &[String]) {
+    let mut keys = overrides
+        .iter()
+        .filter_map(|argument| argument.split('=').next());
+    if !keys.any(|key| key.trim() == "sampling.sampler.kind") {
+        return;
+    }
     let sampling = table.get_mut("sampling").and_then(Value::as_table_mut);
     let sampler = sampling.and_then(|sampling| sampling.get_mut("sampler")?.as_table_mut());
     if let Some(sampler) = sampler {

@@ -16,11 +16,11 @@ use kinegrad_motion::Representation;
 use kinegrad_settings::{InvalidSetting, Key};
 use toml::Table;
 
-use crate::checkpoint::{SavedCheckpoint, resolve_checkpoint};
+use crate::checkpoint::SavedCheckpoint;
 use crate::clips::evaluator::{EvaluatorFiles, EvaluatorSource, TextMotionEvaluator};
 use crate::config::{Config, ConfigError, OwnTables, Place};
 use crate::error::Error;
-use crate::evaluation::{Evaluate, Evaluation, EvaluationRequest};
+use crate::evaluation::{Evaluation, EvaluationRequest};
 use crate::import::{ImportRequest, Imported};
 use crate::memory::Footprint;
 use crate::observer::Observer;
@@ -58,15 +58,13 @@ pub trait System: Sync {
         Vec::new()
     }
 
-    /// The system's own config tables with all defaults filled in; `place` maps a dotted key to its
-    /// location in the file.
+    /// The system's own config tables with all defaults; `place` locates a dotted key.
     ///
     /// # Errors
     /// For an unknown key or a wrong type; the error names the location.
     fn complete(&self, tables: &Table, place: Place<'_>) -> Result<OwnTables, ConfigError>;
 
-    /// Validates the system's own tables and returns warnings; the common tables are validated
-    /// elsewhere.
+    /// Validates the system's own tables and returns warnings.
     ///
     /// # Errors
     /// For the first invalid value; the error names the key.
@@ -176,8 +174,7 @@ pub trait System: Sync {
         None
     }
 
-    /// The text-motion evaluator in `source` on `device`, which has no gradients; `None` for a system
-    /// without evaluators.
+    /// The text-motion evaluator in `source` on `device`; `None` for a system without evaluators.
     ///
     /// # Errors
     /// If a file cannot be read, or its contents do not fit.
@@ -194,8 +191,7 @@ pub trait System: Sync {
         &[]
     }
 
-    /// Validates the request and prepares the evaluation of a trained model on held-out motion; called by
-    /// [`Systems::evaluate`].
+    /// Validates the request and prepares the evaluation; called by [`Systems::evaluate`].
     ///
     /// # Errors
     /// If the request does not fit the model, or without held-out motion.
@@ -277,63 +273,6 @@ impl<'a> Systems<'a> {
             InvalidSetting::new("train.recipe", format!("\"{name}\""), known.join(", "))
                 .hint("the run is of another system; a newer kinegrad may know it")
         })
-    }
-
-    /// The evaluation of a trained model by its system, with the text-motion evaluator that its
-    /// config names.
-    ///
-    /// # Errors
-    /// As [`System::evaluate`]; if the evaluator cannot be opened.
-    pub fn evaluate<'m>(
-        self,
-        trained: &'m TrainedModel,
-        request: &EvaluationRequest,
-    ) -> Result<Evaluate<'m>, Error> {
-        let (system, _) = self.of(trained.config())?;
-        let evaluator = match system.evaluator_files(trained.config()) {
-            Some(files) => self.text_motion_evaluator(files, &trained.device)?,
-            None => None,
-        };
-        let request = EvaluationRequest {
-            evaluator: evaluator.or_else(|| request.evaluator.clone()),
-            ..request.clone()
-        };
-        evaluate::prepare(system, trained, &request)
-    }
-
-    fn text_motion_evaluator(
-        self,
-        files: &EvaluatorFiles,
-        device: &Device,
-    ) -> Result<Option<Rc<dyn TextMotionEvaluator>>, Error> {
-        if !files.run.as_os_str().is_empty() {
-            let saved = resolve_checkpoint(&files.run, |_| {})?;
-            let (system, recipe) = self.of(&saved.state.config)?;
-            let saved = system.read_tables(saved)?;
-            let found = system.text_motion_evaluator(EvaluatorSource::Run(&saved), device)?;
-            return found.map(Some).ok_or_else(|| {
-                let message = format!(
-                    "{} is of a run of recipe `{}`",
-                    files.run.display(),
-                    recipe.name
-                );
-                let hint = "`evaluation.evaluator.run` takes a run of recipe `text_motion`";
-                Error::usage(message, hint)
-            });
-        }
-        if files.has_files() {
-            for system in self.0 {
-                let source = EvaluatorSource::Files(files);
-                if let Some(found) = system.text_motion_evaluator(source, device)? {
-                    return Ok(Some(found));
-                }
-            }
-            return Err(Error::usage(
-                "`evaluation.evaluator` names files of a text-motion evaluator",
-                "none of the systems of this program reads them: leave them out",
-            ));
-        }
-        Ok(None)
     }
 
     /// A config that was saved by another version, with the defaults of this version filled in.

@@ -3,6 +3,8 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
+use serde::Serialize;
+
 use crate::Error;
 
 /// A file that grows at its end.
@@ -14,9 +16,6 @@ pub(super) struct Appended {
 
 impl Appended {
     /// Opens or creates the file at `path`.
-    ///
-    /// # Errors
-    /// If it cannot be opened.
     pub fn open(path: &Path) -> Result<Self, Error> {
         let file = OpenOptions::new().create(true).append(true).open(path);
         Ok(Self {
@@ -26,28 +25,25 @@ impl Appended {
     }
 
     /// Truncates the file to `length` bytes.
-    ///
-    /// # Errors
-    /// If the file system refuses.
     pub fn truncate(self, length: u64) -> Result<Self, Error> {
         let cut = self.file.set_len(length);
         cut.map_err(Error::io("cut back", &self.path))?;
         Ok(self)
     }
 
+    /// Appends a line of JSON.
+    pub fn write_line(&mut self, line: &impl Serialize) -> Result<(), Error> {
+        let text = serde_json::to_string(line).expect("plain data") + "\n";
+        self.write(text.as_bytes())
+    }
+
     /// Appends `bytes`.
-    ///
-    /// # Errors
-    /// If they cannot be written.
     pub fn write(&mut self, bytes: &[u8]) -> Result<(), Error> {
         let written = self.file.write_all(bytes);
         written.map_err(Error::io("write", &self.path))
     }
 
     /// Flushes to disk.
-    ///
-    /// # Errors
-    /// If the file system refuses.
     pub fn sync(&mut self) -> Result<(), Error> {
         let flushed = self.file.sync_data();
         flushed.map_err(Error::io("flush", &self.path))

@@ -14,8 +14,7 @@ pub(crate) const FILE: &str = "environment.jsonl";
 /// Version of Burn that this build trains with.
 pub const BURN: &str = "0.22.1";
 
-/// The environment of a process: one line of `environment.jsonl`, written when the process starts
-/// to train.
+/// The environment of a process that trains: one line of `environment.jsonl`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Environment {
@@ -78,14 +77,11 @@ impl Environment {
     /// # Errors
     /// If it cannot be written.
     pub fn record(&self, folder: &Path) -> Result<(), Error> {
-        let mut line = serde_json::to_string(self).expect("plain data");
-        line.push('\n');
-        Appended::open(&folder.join(FILE))?.write(line.as_bytes())
+        Appended::open(&folder.join(FILE))?.write_line(self)
     }
 }
 
-/// The environments of the processes of the run in `folder`, in order. Unreadable lines are
-/// skipped; imported and merged runs have none.
+/// The environments of the run in `folder`, in order. Unreadable lines are skipped.
 pub fn read_environments(folder: &Path) -> Vec<Environment> {
     let text = read_text(&folder.join(FILE)).unwrap_or_default();
     let lines = text.lines().map(serde_json::from_str);

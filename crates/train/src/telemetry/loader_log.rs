@@ -10,7 +10,7 @@ use crate::Error;
 /// Writer of `loader.jsonl`: loading statistics. They depend on timing and cache contents, so they are
 /// not part of the metrics, which a resumed run must reproduce.
 #[derive(Debug)]
-pub struct LoaderLog {
+pub(crate) struct LoaderLog {
     file: Appended,
     last: (Instant, LoaderReport),
 }
@@ -30,10 +30,7 @@ struct Line {
 
 impl LoaderLog {
     /// Opens the log of the run in `folder`.
-    ///
-    /// # Errors
-    /// If it cannot be opened.
-    pub fn open(folder: &Path, report: LoaderReport) -> Result<Self, Error> {
+    pub(crate) fn open(folder: &Path, report: LoaderReport) -> Result<Self, Error> {
         Ok(Self {
             file: Appended::open(&folder.join("loader.jsonl"))?,
             last: (Instant::now(), report),
@@ -41,10 +38,7 @@ impl LoaderLog {
     }
 
     /// Appends a line.
-    ///
-    /// # Errors
-    /// If it cannot be written.
-    pub fn write(&mut self, step: u64, report: LoaderReport) -> Result<(), Error> {
+    pub(crate) fn write(&mut self, step: u64, report: LoaderReport) -> Result<(), Error> {
         let (then, before) = self.last;
         let seconds = then.elapsed().as_secs_f64().max(1e-9);
         let line = Line {
@@ -54,9 +48,7 @@ impl LoaderLog {
             wait_share: (report.wait_seconds - before.wait_seconds) / seconds,
             report,
         };
-        let mut text = serde_json::to_string(&line).expect("plain numbers");
-        text.push('\n');
-        self.file.write(text.as_bytes())?;
+        self.file.write_line(&line)?;
         self.last = (Instant::now(), report);
         Ok(())
     }

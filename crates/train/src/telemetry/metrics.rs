@@ -18,12 +18,13 @@ const FILE: &str = "metrics.jsonl";
 pub struct Record {
     /// Optimiser steps done.
     pub step: u64,
-    scalars: Vec<(String, f64)>,
+    /// Named scalars.
+    pub scalars: Vec<(String, f64)>,
 }
 
 impl Record {
     /// A record of `step` without scalars.
-    pub fn new(step: u64) -> Self {
+    pub(crate) fn new(step: u64) -> Self {
         Self {
             step,
             scalars: Vec::new(),
@@ -32,22 +33,15 @@ impl Record {
 
     /// Adds a scalar.
     #[must_use]
-    pub fn with(mut self, name: impl Into<String>, value: f64) -> Self {
+    pub(crate) fn with(mut self, name: impl Into<String>, value: f64) -> Self {
         self.scalars.push((name.into(), value));
         self
     }
 
     /// The named scalar.
     pub fn get(&self, name: &str) -> Option<f64> {
-        self.scalars
-            .iter()
-            .find(|(n, _)| n == name)
-            .map(|(_, value)| *value)
-    }
-
-    /// All scalars.
-    pub fn scalars(&self) -> &[(String, f64)] {
-        &self.scalars
+        let found = self.scalars.iter().find(|(known, _)| known == name);
+        found.map(|(_, value)| *value)
     }
 }
 
@@ -56,7 +50,7 @@ impl Record {
 /// Only `time` (seconds since 1970), `elapsed_seconds` (of this process) and `steps_per_second` of
 /// a line depend on the clock; the rest is a function of config, data and build.
 #[derive(Debug)]
-pub struct Metrics {
+pub(crate) struct Metrics {
     file: Appended,
     events: EventFile,
     started: Instant,
@@ -66,10 +60,11 @@ pub struct Metrics {
 impl Metrics {
     /// Opens the metrics of the run in `folder`, truncated after `step`: later lines are of a process that
     /// ended before its checkpoint. Earlier damaged lines stay and are reported to `warn`.
-    ///
-    /// # Errors
-    /// If a file cannot be read or written.
-    pub fn open(folder: &Path, step: u64, warn: &mut dyn FnMut(&str)) -> Result<Self, Error> {
+    pub(crate) fn open(
+        folder: &Path,
+        step: u64,
+        warn: &mut dyn FnMut(&str),
+    ) -> Result<Self, Error> {
         let path = folder.join(FILE);
         // A run at step 0 measures its initial weights again.
         let length = match step {
@@ -92,10 +87,7 @@ impl Metrics {
     }
 
     /// Appends one line.
-    ///
-    /// # Errors
-    /// If it cannot be written.
-    pub fn write(&mut self, record: &Record) -> Result<(), Error> {
+    pub(crate) fn write(&mut self, record: &Record) -> Result<(), Error> {
         let time = now();
         let elapsed = self.started.elapsed().as_secs_f64();
         let speed = (record.step - self.first_step) as f64 / elapsed.max(1e-9);
@@ -105,10 +97,8 @@ impl Metrics {
             ("steps_per_second", speed),
         ];
         let mut line = format!("{{\"step\":{}", record.step);
-        let scalars = record
-            .scalars
-            .iter()
-            .map(|(name, value)| (name.as_str(), *value));
+        let scalars = record.scalars.iter();
+        let scalars = scalars.map(|(name, value)| (name.as_str(), *value));
         for (name, value) in scalars.chain(clock) {
             line.push_str(&format!(",{}:{}", Value::from(name), Value::from(value)));
         }
@@ -118,20 +108,14 @@ impl Metrics {
     }
 
     /// Appends pictures of samples to the event file.
-    ///
-    /// # Errors
-    /// If they cannot be written.
-    pub fn write_previews(&mut self, step: u64, previews: &[Preview]) -> Result<(), Error> {
+    pub(crate) fn write_previews(&mut self, step: u64, previews: &[Preview]) -> Result<(), Error> {
         let time = now();
         let mut each = previews.iter();
         each.try_for_each(|preview| self.events.write_image(step, time, preview))
     }
 
     /// Flushes to disk.
-    ///
-    /// # Errors
-    /// If the file system refuses.
-    pub fn sync(&mut self) -> Result<(), Error> {
+    pub(crate) fn sync(&mut self) -> Result<(), Error> {
         self.file.sync()?;
         self.events.sync()
     }
@@ -148,10 +132,8 @@ fn each_line(path: &Path, mut take: impl FnMut(&[u8], usize) -> bool) -> io::Res
     let mut line = Vec::new();
     for number in 1.. {
         line.clear();
-        reader
-            .by_ref()
-            .take(MAX_LINE)
-            .read_until(b'\n', &mut line)?;
+        let mut limited = reader.by_ref().take(MAX_LINE);
+        limited.read_until(b'\n', &mut line)?;
         if line.last() != Some(&b'\n') || !take(&line, number) {
             break;
         }
@@ -201,18 +183,17 @@ impl DamagedLines {
 
     /// The warning for the file at `path`; `None` without damaged lines.
     fn describe(&self, path: &Path) -> Option<String> {
-        let more = match self.count - self.named.len() {
-            0 => String::new(),
-            more => format!(" and {more} more"),
-        };
-        let (path, named) = (path.display(), self.named.join(", "));
+        let (path, mut named) = (path.display(), self.named.join(", "));
+        if self.count > self.named.len() {
+            named += &format!(" and {} more", self.count - self.named.len());
+        }
         match self.count {
             0 => None,
             1 => Some(format!(
                 "{path}: line {named} is damaged: it stays as it is and is not plotted"
             )),
             _ => Some(format!(
-                "{path}: lines {named}{more} are damaged: they stay as they are and are not plotted"
+                "{path}: lines {named} are damaged: they stay as they are and are not plotted"
             )),
         }
     }
@@ -221,13 +202,10 @@ impl DamagedLines {
 fn parse(line: &[u8]) -> Option<Record> {
     let mut object: Map<String, Value> = serde_json::from_slice(line).ok()?;
     let step = object.remove("step")?.as_u64()?;
-    let scalars = object
-        .into_iter()
-        .filter_map(|(name, value)| Some((name, value.as_f64()?)));
-    Some(Record {
-        step,
-        scalars: scalars.collect(),
-    })
+    let scalars = object.into_iter();
+    let scalars = scalars.filter_map(|(name, value)| Some((name, value.as_f64()?)));
+    let scalars = scalars.collect();
+    Some(Record { step, scalars })
 }
 
 /// Reads the metrics of the run in `folder`; damaged lines are skipped and reported to `warn`.

@@ -9,6 +9,7 @@ mod tensorboard;
 
 pub(crate) use environment::FILE as ENVIRONMENT;
 pub use environment::{BURN, Environment, read_environments};
-pub use loader_log::LoaderLog;
-pub use metrics::{Metrics, Record, read_metrics};
-pub use tensorboard::EventFile;
+pub(crate) use loader_log::LoaderLog;
+pub(crate) use metrics::Metrics;
+pub use metrics::{Record, read_metrics};
+use tensorboard::EventFile;

@@ -15,17 +15,14 @@ use crate::{Error, Preview};
 /// only) and `summary` (5), whose `value` entries (1) hold `tag` (1) and `simple_value` (2, float) or
 /// `image` (4): `height` (1), `width` (2), `colorspace` (3) and `encoded_image_string` (4).
 #[derive(Debug)]
-pub struct EventFile {
+pub(super) struct EventFile {
     file: Appended,
 }
 
 impl EventFile {
     /// Opens the file at `path` for appending, truncated after `step`; a new file gets its first record.
     /// The file is truncated at a damaged event, which is reported to `warn`.
-    ///
-    /// # Errors
-    /// If the file cannot be read or written.
-    pub fn open(path: &Path, step: u64, warn: &mut dyn FnMut(&str)) -> Result<Self, Error> {
+    pub(crate) fn open(path: &Path, step: u64, warn: &mut dyn FnMut(&str)) -> Result<Self, Error> {
         let read = || match step {
             0 => Ok(ValidPrefix::default()),
             _ => ValidPrefix::of(BufReader::new(File::open(path)?), step),
@@ -52,10 +49,12 @@ impl EventFile {
     }
 
     /// Appends the scalars of one step; `time` in seconds since 1970.
-    ///
-    /// # Errors
-    /// If they cannot be written.
-    pub fn write(&mut self, step: u64, time: f64, scalars: &[(String, f64)]) -> Result<(), Error> {
+    pub(crate) fn write(
+        &mut self,
+        step: u64,
+        time: f64,
+        scalars: &[(String, f64)],
+    ) -> Result<(), Error> {
         let mut summary = Vec::new();
         for (tag, value) in scalars {
             let mut entry = Vec::new();
@@ -67,12 +66,13 @@ impl EventFile {
         self.append(step, time, &summary)
     }
 
-    /// Appends a picture of one step; `time` in seconds since 1970. A picture too large to be read again
-    /// is omitted.
-    ///
-    /// # Errors
-    /// If it cannot be written.
-    pub fn write_image(&mut self, step: u64, time: f64, preview: &Preview) -> Result<(), Error> {
+    /// Appends a picture of one step, unless it is too large to be read again.
+    pub(crate) fn write_image(
+        &mut self,
+        step: u64,
+        time: f64,
+        preview: &Preview,
+    ) -> Result<(), Error> {
         if preview.png.len() as u64 + (1 << 16) > MAX_EVENT_BYTES {
             return Ok(());
         }
@@ -103,10 +103,7 @@ impl EventFile {
     }
 
     /// Flushes to disk.
-    ///
-    /// # Errors
-    /// If the file system refuses.
-    pub fn sync(&mut self) -> Result<(), Error> {
+    pub(crate) fn sync(&mut self) -> Result<(), Error> {
         self.file.sync()
     }
 }

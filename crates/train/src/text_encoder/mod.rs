@@ -2,7 +2,6 @@
 
 mod tokenizer;
 
-use std::collections::BTreeMap;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
@@ -40,8 +39,7 @@ impl TextEncoder {
     /// `merges.txt`, or `tokenizer.json`.
     ///
     /// # Errors
-    /// [`Error::TextEncoder`] and [`Error::ForeignWeights`] for a missing folder or file, or another
-    /// network.
+    /// [`Error::TextEncoder`] and [`Error::ForeignWeights`] for missing files or another network.
     pub fn read(folder: &Path, device: &Device) -> Result<Self, Error> {
         if !folder.is_dir() {
             let reason = match folder.exists() {
@@ -54,7 +52,8 @@ impl TextEncoder {
         let mut config = config_of(&path)?;
         let tokenizer = Tokenizer::read(folder, config.vocab_size)?;
         let weights = Weights::read(folder)?;
-        if let Some(width) = weights.width() {
+        let projection = weights.infos.iter().find(|info| info.name == PROJECTION);
+        if let Some(&width) = projection.and_then(|info| info.shape.first()) {
             config.projection_dim = width;
         }
         if config.projection_dim != TEXT_CHANNELS {
@@ -73,7 +72,7 @@ impl TextEncoder {
         let network = config.init(&Initializer::new(0, device));
         let network = network.map_err(|error| refused(&path, error))?;
         Ok(Self {
-            network: weights.load(network)?,
+            network: load_values(&weights.path, network, &weights.infos, weights.values)?,
             tokenizer,
             device: device.clone(),
         })
@@ -87,8 +86,7 @@ impl TextEncoder {
         self.tokenizer.tokens(text, MAX_WORD_TOKENS)
     }
 
-    /// The embeddings of `texts`, 512 values each, not normalised, in order. `progress` is called
-    /// with the number done.
+    /// The embeddings of `texts`, 512 values each, not normalised. `progress` gets the number done.
     ///
     /// # Errors
     /// As [`tokens`](Self::tokens), and [`Error::Interrupted`] if `progress` requests it.
@@ -153,23 +151,18 @@ fn json_of(path: &Path) -> Result<Value, Error> {
     serde_json::from_str(&text).map_err(|error| refused(path, format!("not JSON: {error}")))
 }
 
-/// The tensors of the text encoder.
-enum Weights {
-    Safe {
-        path: PathBuf,
-        bytes: Vec<u8>,
-    },
-    Pickled {
-        path: PathBuf,
-        tensors: BTreeMap<String, pytorch_reader::Tensor>,
-    },
+/// The weights of the text encoder in a file.
+struct Weights {
+    path: PathBuf,
+    infos: Vec<ParameterInfo>,
+    /// Reads the numbers of a tensor.
+    values: Box<dyn Fn(&str) -> Result<Vec<f32>, String>>,
 }
 
 /// The text projection, whose first axis is the embedding's width.
 const PROJECTION: &str = "text_projection.weight";
 
-/// True for a weight of the text encoder: not of the vision encoder, and not the table of
-/// positions.
+/// True for a weight of the text encoder, except the table of positions.
 fn is_weight(name: &str) -> bool {
     name == PROJECTION || (name.starts_with("text_model.") && !name.ends_with(".position_ids"))
 }
@@ -177,14 +170,28 @@ fn is_weight(name: &str) -> bool {
 impl Weights {
     fn read(folder: &Path) -> Result<Self, Error> {
         let (safe, pickled) = ("model.safetensors", "pytorch_model.bin");
+        let info = |(name, shape): (&str, &[usize])| ParameterInfo {
+            name: name.to_owned(),
+            shape: shape.to_vec(),
+        };
         let path = folder.join(safe);
         if path.exists() {
             let bytes = read_file(&path, MAX_TENSOR_BYTES);
             let bytes = bytes.map_err(|error| refused(&path, error))?;
-            if let Err(error) = SafeTensors::deserialize(&bytes) {
-                return Err(refused(&path, format!("no safetensors file ({error})")));
-            }
-            return Ok(Self::Safe { path, bytes });
+            let tensors = SafeTensors::deserialize(&bytes);
+            let tensors = tensors
+                .map_err(|error| refused(&path, format!("no safetensors file ({error})")))?;
+            let own = tensors.iter().filter(|(name, _)| is_weight(name));
+            let own = own.map(|(name, tensor)| info((name, tensor.shape())));
+            return Ok(Self {
+                infos: own.collect(),
+                path,
+                values: Box::new(move |name| {
+                    let tensors = SafeTensors::deserialize(&bytes).expect("deserialised before");
+                    let tensor = tensors.tensor(name).map_err(|error| error.to_string())?;
+                    singles(tensor.data(), dtype_of(tensor.dtype())?)
+                }),
+            });
         }
         let path = folder.join(pickled);
         if !path.exists() {
@@ -192,58 +199,14 @@ impl Weights {
         }
         let mut tensors = read_tensors(&path)?;
         tensors.retain(|name, _| is_weight(name));
-        Ok(Self::Pickled { path, tensors })
+        let own = tensors.iter();
+        let own = own.map(|(name, tensor)| info((name, tensor.shape())));
+        Ok(Self {
+            infos: own.collect(),
+            path,
+            values: Box::new(move |name| values_of(&tensors[name])),
+        })
     }
-
-    /// Names and shapes.
-    fn infos(&self) -> Vec<ParameterInfo> {
-        let info = |name: &str, shape: &[usize]| ParameterInfo {
-            name: name.to_owned(),
-            shape: shape.to_vec(),
-        };
-        match self {
-            Self::Safe { bytes, .. } => {
-                let tensors = checked(bytes);
-                let all = tensors.iter().filter(|(name, _)| is_weight(name));
-                all.map(|(name, tensor)| info(name, tensor.shape()))
-                    .collect()
-            }
-            Self::Pickled { tensors, .. } => {
-                let all = tensors.iter();
-                all.map(|(name, tensor)| info(name, tensor.shape()))
-                    .collect()
-            }
-        }
-    }
-
-    /// The width of an embedding.
-    fn width(&self) -> Option<usize> {
-        let infos = self.infos();
-        let projection = infos.iter().find(|info| info.name == PROJECTION)?;
-        projection.shape.first().copied()
-    }
-
-    /// The network with these weights.
-    fn load(&self, network: ClipTextModel) -> Result<ClipTextModel, Error> {
-        let found = self.infos();
-        match self {
-            Self::Safe { path, bytes } => {
-                let tensors = checked(bytes);
-                load_values(path, network, &found, |name| {
-                    let tensor = tensors.tensor(name).map_err(|error| error.to_string())?;
-                    singles(tensor.data(), dtype_of(tensor.dtype())?)
-                })
-            }
-            Self::Pickled { path, tensors } => {
-                load_values(path, network, &found, |name| values_of(&tensors[name]))
-            }
-        }
-    }
-}
-
-/// The tensors of validated bytes.
-fn checked(bytes: &[u8]) -> SafeTensors<'_> {
-    SafeTensors::deserialize(bytes).expect("checked when it was read")
 }
 
 fn dtype_of(dtype: Dtype) -> Result<DType, String> {

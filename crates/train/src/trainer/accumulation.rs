@@ -33,11 +33,7 @@ struct Measured {
 }
 
 impl<R: Recipe> Trainer<R> {
-    /// The gradient of the next step; `None` if a rank was interrupted while waiting for data or
-    /// between its batches.
-    ///
-    /// # Errors
-    /// If a number is not finite or the data fails, on any rank.
+    /// The gradient of the next step; `None` if a rank was interrupted.
     pub(super) fn averaged(
         &mut self,
         observer: &mut dyn Observer,
@@ -112,21 +108,15 @@ impl<R: Recipe> Trainer<R> {
     ) -> Result<Option<StepGradients>, Error> {
         let [first, second] = split(range.end - range.start);
         if second == 0 {
+            let stop = || observer.stop_requested();
             let batch = match batch {
-                Some(batch) => batch,
-                None => {
-                    let stop = || observer.stop_requested();
-                    // A long step is not finished; resuming repeats it.
-                    if stop() {
-                        return Ok(None);
-                    }
-                    match self.parts.loader.next_unless(&stop)? {
-                        Some(batch) => batch,
-                        None => return Ok(None),
-                    }
-                }
+                Some(batch) => Some(batch),
+                // A long step is not finished; resuming repeats it.
+                None if stop() => None,
+                None => self.parts.loader.next_unless(&stop)?,
             };
-            return self.gradient(range.start, &batch, measured).map(Some);
+            let gradient = batch.map(|batch| self.gradient(range.start, &batch, measured));
+            return gradient.transpose();
         }
         let middle = range.start + first;
         let Some(mut sum) = self.summed(range.start..middle, batch, measured, observer)? else {
@@ -139,8 +129,7 @@ impl<R: Recipe> Trainer<R> {
         Ok(Some(sum))
     }
 
-    /// The weighted gradient of a micro-batch. The loss is read after the backward pass, so that a GPU
-    /// does not wait between the two.
+    /// The weighted gradient of a micro-batch. The loss is read after the backward pass.
     fn gradient(
         &self,
         micro_batch: u64,

@@ -8,8 +8,7 @@ use kinegrad_ranks::Ranks;
 use super::owners::Owners;
 use crate::process_group::{ProcessGroup, Tag};
 
-/// The concatenated gradients of all trained parameters, in memory that is reused between steps because
-/// new pages cost more than the copy.
+/// The concatenated gradients of all trained parameters, in memory reused between steps.
 #[derive(Debug)]
 pub(super) struct Exchange {
     /// The range of each parameter; empty for a frozen one.

@@ -24,8 +24,7 @@ pub(super) enum StepGradients {
 }
 
 impl StepGradients {
-    /// The gradients of `model`, on its device with the layout `on_device` or in main memory, and the values
-    /// of `numbers`.
+    /// The gradients of `model`, with the layout `on_device` or in main memory, and `numbers`.
     pub fn of<M: Module>(
         sum: GradientSum,
         model: &M,

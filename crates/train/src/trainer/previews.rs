@@ -4,24 +4,12 @@ use super::Trainer;
 use crate::error::Error;
 use crate::observer::Observer;
 use crate::recipe::Recipe;
-use crate::run::preview_page;
 
 impl<R: Recipe> Trainer<R> {
     /// True if the last step is one of `sampling.preview_every_steps`.
     pub(super) fn previews_are_due(&self) -> bool {
         let every = self.parts.config.sampling.preview_every_steps;
         every > 0 && self.step > 0 && self.step.is_multiple_of(every)
-    }
-
-    /// Samples the previews that a process ended at this step has not written.
-    pub(super) fn preview_if_missing(&mut self, observer: &mut dyn Observer) -> Result<(), Error> {
-        match self.previews_are_due() {
-            true => {
-                let exist = preview_page(&self.parts.folder, self.step).exists();
-                self.preview(exist, observer)
-            }
-            false => Ok(()),
-        }
     }
 
     /// Lets the observer sample from this step's checkpoint and records the pictures, unless they `exist`.

@@ -1,5 +1,6 @@
 //! Reordering a checkpoint's tensors to match the module.
 
+use std::collections::HashMap;
 use std::path::Path;
 
 use burn::module::Module;
@@ -10,22 +11,15 @@ use crate::error::Error;
 
 /// For each parameter of the module, its index in the checkpoint.
 pub(super) fn order_of(infos: &[ParameterInfo], checkpoint: &Checkpoint) -> Vec<usize> {
-    let indices: std::collections::HashMap<&str, usize> = checkpoint
+    let names = checkpoint
         .model
         .iter()
-        .enumerate()
-        .map(|(i, p)| (p.info.name.as_str(), i))
-        .collect();
-    infos
-        .iter()
-        .map(|info| indices[info.name.as_str()])
-        .collect()
+        .map(|parameter| &parameter.info.name);
+    let indices: HashMap<&String, usize> = names.zip(0..).collect();
+    infos.iter().map(|info| indices[&info.name]).collect()
 }
 
 /// Rejects a checkpoint whose running means do not fit the trained parameters of `model`.
-///
-/// # Errors
-/// Names the checkpoint in `path` and the parameter.
 pub(crate) fn check_moments<M: Module>(
     model: &M,
     checkpoint: &Checkpoint,

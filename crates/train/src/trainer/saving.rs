@@ -13,12 +13,6 @@ pub(super) struct Saving<'a, R: Recipe> {
     written: Result<Option<Unfinished>, Error>,
 }
 
-/// A checkpoint to which a part is written.
-pub(super) struct Writing<'a, R: Recipe> {
-    trainer: &'a Trainer<R>,
-    unfinished: &'a mut Unfinished,
-}
-
 impl<'a, R: Recipe> Saving<'a, R> {
     /// Starts a checkpoint of the current state.
     pub fn begin(trainer: &'a Trainer<R>) -> Self {
@@ -30,16 +24,38 @@ impl<'a, R: Recipe> Saving<'a, R> {
         }
     }
 
-    /// Writes a part, on the first rank and unless an earlier part failed.
-    pub fn put(&mut self, write: impl FnOnce(&mut Writing<'_, R>) -> Result<(), Error>) {
+    /// Writes the trained weights or their average.
+    pub fn weights(&mut self, weights: Weights, values: &[Vec<f32>]) {
+        let infos = &self.trainer.infos;
+        self.write(
+            || broken_weights(weights, infos, values),
+            |unfinished| unfinished.write_weights(weights, infos, values),
+        );
+    }
+
+    /// Writes the optimiser's running means.
+    pub fn moments(&mut self, moments: &[Moments]) {
+        let infos = &self.trainer.infos;
+        self.write(
+            || broken_moments(infos, moments),
+            |unfinished| unfinished.write_moments(infos, moments),
+        );
+    }
+
+    /// Writes a finite part, on the first rank and unless an earlier part failed.
+    fn write(
+        &mut self,
+        broken: impl FnOnce() -> Option<String>,
+        write: impl FnOnce(&mut Unfinished) -> Result<(), Error>,
+    ) {
         let Ok(Some(unfinished)) = &mut self.written else {
             return;
         };
-        let mut writing = Writing {
-            trainer: self.trainer,
-            unfinished,
+        let written = match broken() {
+            Some(tensor) => Err(self.trainer.not_finite(self.trainer.step, tensor)),
+            None => write(unfinished),
         };
-        if let Err(error) = write(&mut writing) {
+        if let Err(error) = written {
             self.written = Err(error);
         }
     }
@@ -68,28 +84,5 @@ impl<'a, R: Recipe> Saving<'a, R> {
         checkpoints.prune(step, keep_last, progress.best_step)?;
         log::debug!("checkpoint of step {step} written: {}", path.display());
         Ok(())
-    }
-}
-
-impl<R: Recipe> Writing<'_, R> {
-    /// Writes the trained weights or their average.
-    pub fn weights(&mut self, weights: Weights, values: &[Vec<f32>]) -> Result<(), Error> {
-        let infos = &self.trainer.infos;
-        self.must_be_finite(broken_weights(weights, infos, values))?;
-        self.unfinished.write_weights(weights, infos, values)
-    }
-
-    /// Writes the optimiser's running means.
-    pub fn moments(&mut self, moments: &[Moments]) -> Result<(), Error> {
-        let infos = &self.trainer.infos;
-        self.must_be_finite(broken_moments(infos, moments))?;
-        self.unfinished.write_moments(infos, moments)
-    }
-
-    fn must_be_finite(&self, broken: Option<String>) -> Result<(), Error> {
-        match broken {
-            None => Ok(()),
-            Some(tensor) => Err(self.trainer.not_finite(self.trainer.step, tensor)),
-        }
     }
 }

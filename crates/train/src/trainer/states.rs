@@ -5,26 +5,27 @@ use std::borrow::Cow;
 use std::rc::Rc;
 
 use burn::module::Module;
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::{Tensor, TensorData};
 use kinegrad_kernels::optimizer::AdamWTensors;
 use kinegrad_models::parameters::{self, ParameterInfo};
 use kinegrad_ranks::{Ranks, Receivers};
 
+use super::TrainerParts;
 use super::exchange::Exchange;
 use super::gradients::StepGradients;
 use super::owners::Owners;
 use super::restore::order_of;
 use super::rows::{Layout, Rows};
 use crate::checkpoint::Checkpoint;
-use crate::config::{Config, OptimConfig, OptimPlace, WeightDecayGroups};
-use crate::ema::Ema;
+use crate::config::{EmaConfig, OptimConfig, OptimPlace, WeightDecayGroups};
 use crate::optim::{AdamW, Moments};
 use crate::parameter_count::is_adapter;
+use crate::recipe::Recipe;
 
 /// The optimiser and the moving average with their states.
 pub(super) struct States {
     optimizer: AdamW,
-    ema: Ema,
+    ema: EmaConfig,
     storage: Storage,
 }
 
@@ -58,33 +59,21 @@ struct OnDevice {
     frozen: Vec<Vec<f32>>,
 }
 
-/// The inputs of [`States::new`].
-pub(super) struct Inputs<'a> {
-    pub config: &'a Config,
-    pub infos: &'a [ParameterInfo],
-    /// The autodiff device of the networks.
-    pub device: &'a Device,
-    /// True if it computes in main memory.
-    pub on_host: bool,
-    pub ranks: &'a dyn Ranks,
-    /// Optimiser group of each parameter.
-    pub groups: &'a [usize],
-}
-
 impl States {
     /// The states of `model` at step 0 or of the checkpoint, whose weights it has.
-    pub fn new<M: Module>(model: &M, checkpoint: Option<Checkpoint>, inputs: &Inputs<'_>) -> Self {
-        let Inputs {
-            config,
-            infos,
-            ranks,
-            ..
-        } = inputs;
-        let optim = &config.optim;
+    /// `groups` has the optimiser group of each parameter.
+    pub fn new<R: Recipe>(
+        model: &R::Model,
+        checkpoint: Option<Checkpoint>,
+        parts: &TrainerParts<R>,
+        infos: &[ParameterInfo],
+        groups: &[usize],
+    ) -> Self {
+        let (optim, ranks) = (&parts.config.optim, parts.group.ranks());
         // Frozen parameters have no running means.
         let lengths = trained_lengths(model);
         let shares = optim.shard_states && ranks.size() > 1;
-        let owners = shares.then(|| Owners::new(*ranks, lengths.clone()));
+        let owners = shares.then(|| Owners::new(ranks, lengths.clone()));
         let has = |index: usize| owners.as_ref().is_none_or(|owners| owners.has(index));
         let (steps, moments, averages) = match checkpoint {
             Some(checkpoint) => {
@@ -94,10 +83,9 @@ impl States {
                 let taken = order.iter().enumerate().map(|(place, &index)| {
                     let average = std::mem::take(&mut averages[index].values);
                     let moments = std::mem::take(&mut moments[index]);
-                    if has(place) {
-                        (moments, average)
-                    } else {
-                        Default::default()
+                    match has(place) {
+                        true => (moments, average),
+                        false => Default::default(),
                     }
                 });
                 let (moments, averages) = taken.unzip();
@@ -118,21 +106,21 @@ impl States {
         let decaying = infos.iter().map(|info| decays(optim, info)).collect();
         let optimizer = AdamW::new(optim, steps).with_decay_on(decaying);
         let on_device = match optim.offload {
-            OptimPlace::Auto => !inputs.on_host && ranks.size() == 1,
+            OptimPlace::Auto => !parts.on_host && ranks.size() == 1,
             OptimPlace::Host => false,
             OptimPlace::Device => true,
         };
         let storage = if on_device {
             let layout = Layout::new(&lengths, |index| {
-                (inputs.groups[index], decays(optim, &infos[index]))
+                (groups[index], decays(optim, &infos[index]))
             });
-            let device = inputs.device.clone().inner();
+            let device = parts.device.clone().inner();
             let put = |values: &[Vec<f32>]| Rows::put(&layout, values, &device);
             let (exp_avg, exp_avg_sq): (Vec<_>, Vec<_>) = moments
                 .into_iter()
                 .map(|moments| (moments.exp_avg, moments.exp_avg_sq))
                 .unzip();
-            let on_device = OnDevice {
+            Storage::Device(OnDevice {
                 weights: put(&parameters::values(model)),
                 exp_avg: put(&exp_avg),
                 exp_avg_sq: put(&exp_avg_sq),
@@ -145,19 +133,18 @@ impl States {
                     });
                     frozen.collect()
                 },
-            };
-            Storage::Device(on_device)
+            })
         } else {
             Storage::Host(OnHost {
                 moments,
                 averages,
                 owners,
-                weights: (!inputs.on_host).then(|| parameters::values(model)),
+                weights: (!parts.on_host).then(|| parameters::values(model)),
             })
         };
         Self {
             optimizer,
-            ema: Ema::new(&config.ema),
+            ema: parts.config.ema.clone(),
             storage,
         }
     }
@@ -179,8 +166,7 @@ impl States {
         Some(Exchange::new(ranks, &trained_lengths(model), owners))
     }
 
-    /// A step of AdamW and the moving average, with gradients times `gradient_scale` and the learning
-    /// `rates` of the parameters.
+    /// A step of AdamW and the moving average, with gradients times `gradient_scale`.
     pub fn update<M: Module>(
         &mut self,
         model: M,
@@ -261,22 +247,14 @@ impl States {
     /// The optimiser's running means of all parameters, on the ranks that receive them. Collective.
     pub fn moments(&self, ranks: &dyn Ranks, to: Receivers) -> Cow<'_, [Moments]> {
         let [exp_avg, exp_avg_sq] = match &self.storage {
-            Storage::Host(OnHost {
-                moments,
-                owners: None,
-                ..
-            }) => return moments.as_slice().into(),
-            Storage::Host(OnHost {
-                moments,
-                owners: Some(owners),
-                ..
-            }) => {
-                let all = |of: fn(&Moments) -> &Vec<f32>| {
-                    owners.gathered(ranks, to, moments.iter().map(of))
+            Storage::Host(states) => {
+                let Some(owners) = &states.owners else {
+                    return states.moments.as_slice().into();
                 };
+                let moments = states.moments.iter();
                 [
-                    all(|moments| &moments.exp_avg),
-                    all(|moments| &moments.exp_avg_sq),
+                    owners.gathered(ranks, to, moments.clone().map(|each| &each.exp_avg)),
+                    owners.gathered(ranks, to, moments.map(|each| &each.exp_avg_sq)),
                 ]
             }
             Storage::Device(states) => [states.exp_avg.read(), states.exp_avg_sq.read()],

@@ -41,31 +41,29 @@ impl Recipe for Squares {
     }
 }
 
-/// Keeps the last step's report, and may ask for a stop at once.
+/// Requests a stop at once if true.
 #[derive(Default)]
-struct Watching(Option<StepReport>, bool);
+struct Watching(bool);
 
 impl Observer for Watching {
     fn started(&mut self, _: &RunSummary) {}
-    fn stepped(&mut self, report: &StepReport) {
-        self.0 = Some(*report);
-    }
+    fn stepped(&mut self, _: &StepReport) {}
     fn validated(&mut self, _: u64, _: f64, _: bool) {}
     fn saved(&mut self, _: &Path) {}
     fn note(&mut self, _: &str) {}
     fn warning(&mut self, _: &str) {}
     fn stop_requested(&self) -> bool {
-        self.1
+        self.0
     }
 }
 
 /// Report and weights of a step on three phrases of 9, 4 and 12 frames, in so many batches.
 fn step_in(batches: usize) -> (StepReport, Vec<Vec<f32>>) {
     let mut trainer = trainer(batches);
-    let mut watching = Watching::default();
-    trainer.time_step(&mut watching).unwrap().expect("a step");
+    let step = trainer.train_step(&mut Watching::default());
+    let (report, _) = step.unwrap().expect("a step");
     let weights = parameters::values(trainer.model.as_ref().unwrap());
-    (watching.0.expect("a report"), weights)
+    (report, weights)
 }
 
 /// A trainer whose steps are so many batches of three phrases of 9, 4 and 12 frames.
@@ -121,17 +119,12 @@ fn a_stop_between_the_batches_of_a_step_leaves_the_weights() {
     let weights = |trainer: &Trainer<Squares>| parameters::values(trainer.model.as_ref().unwrap());
     let mut stopped = trainer(3);
     let before = weights(&stopped);
-    let step = stopped.train_step(&mut Watching(None, true)).unwrap();
+    let step = stopped.train_step(&mut Watching(true)).unwrap();
     assert!(step.is_none() && stopped.step == 0);
     assert_eq!(weights(&stopped), before);
     // A step of one batch is done.
     let mut whole = trainer(1);
-    assert!(
-        whole
-            .train_step(&mut Watching(None, true))
-            .unwrap()
-            .is_some()
-    );
+    assert!(whole.train_step(&mut Watching(true)).unwrap().is_some());
     assert_ne!(weights(&whole), before);
 }
 
@@ -139,9 +132,10 @@ fn a_stop_between_the_batches_of_a_step_leaves_the_weights() {
 fn states_are_moved_alike_in_either_place() {
     let after = |batches, states, on_host| {
         let mut trainer = trainer_with(batches, states, on_host);
-        let mut watching = Watching::default();
+        let mut last = None;
         for _ in 0..4 {
-            trainer.time_step(&mut watching).unwrap().expect("a step");
+            last = trainer.train_step(&mut Watching::default()).unwrap();
+            assert!(last.is_some());
         }
         assert_eq!(
             trainer.states.on_device().is_some(),
@@ -153,7 +147,7 @@ fn states_are_moved_alike_in_either_place() {
         let mut all = parameters::values(trainer.model.as_ref().unwrap());
         all.extend(trainer.states.averages(ranks, Receivers::All).into_owned());
         all.extend(halves.flatten());
-        (watching.0.expect("a report"), all.concat())
+        (last.expect("a report").0, all.concat())
     };
     for batches in [1, 3] {
         let (report, reference) = after(batches, "auto", true);

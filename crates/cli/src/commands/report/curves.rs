@@ -15,7 +15,7 @@ const ORDER: [&str; 5] = ["loss", "val_loss", "lr", "grad_norm", SPEED];
 /// All scalars over steps, related ones in one chart. Terms of a loss are shown if there are several.
 pub fn charts(records: &[Record]) -> Vec<Panel> {
     let mut names: Vec<&str> = Vec::new();
-    for (name, _) in records.iter().flat_map(|record| record.scalars()) {
+    for (name, _) in records.iter().flat_map(|record| &record.scalars) {
         if !names.contains(&name.as_str()) && !CLOCK.contains(&name.as_str()) {
             names.push(name);
         }
