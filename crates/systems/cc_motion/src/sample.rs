@@ -324,7 +324,7 @@ impl Sampler for Phrases<'_> {
             generator.sample_each(
                 repeat_n(task.audio.clone(), count).zip(keys(seed, count)),
                 sampling,
-                &mut |done, all| run.borrow_mut().step("", done, all),
+                &mut |done, all| run.borrow_mut().sink.advance("", done, all),
                 &mut |sample| {
                     let mut run = run.borrow_mut();
                     let record = self.record(&run, job, index);

@@ -286,16 +286,9 @@ impl FollowedPath {
     /// # Errors
     /// If it is not a path.
     pub fn read(file: &PathFile, frames: usize, fps: f64) -> Result<Self, Error> {
-        let name = file.file.display().to_string();
-        let refused = |message: String| Error::usage(message, "docs/paths.md describes paths");
-        let text = read_text(&file.file).map_err(|error| refused(format!("{name}: {error}")))?;
-        let plan = PathPlan::read(&text, &name, file.metres_per_unit);
-        let plan = plan.map_err(|error| refused(error.to_string()))?;
-        Ok(Self {
-            file: file.file.clone(),
-            target: PathTarget::new(&plan, frames, fps)?,
-            plan,
-        })
+        let (file, plan) = read_path(file)?;
+        let target = PathTarget::new(&plan, frames, fps)?;
+        Ok(Self { file, plan, target })
     }
 
     /// The warning about a path that is faster than training motion.
@@ -312,6 +305,16 @@ impl FollowedPath {
             report,
         }
     }
+}
+
+/// The path of a request, with its file.
+pub fn read_path(path: &PathFile) -> Result<(PathBuf, PathPlan), Error> {
+    let file = path.file.display().to_string();
+    let refused = |message: String| Error::usage(message, "docs/paths.md describes paths");
+    let text = read_text(&path.file).map_err(|error| refused(format!("{file}: {error}")))?;
+    let plan = PathPlan::read(&text, &file, path.metres_per_unit);
+    let plan = plan.map_err(|error| refused(error.to_string()))?;
+    Ok((path.file.clone(), plan))
 }
 
 #[cfg(test)]
