@@ -24,7 +24,7 @@ pub struct Record {
 
 impl Record {
     /// A record of `step` without scalars.
-    pub(crate) fn new(step: u64) -> Self {
+    pub fn new(step: u64) -> Self {
         Self {
             step,
             scalars: Vec::new(),
@@ -33,7 +33,7 @@ impl Record {
 
     /// Adds a scalar.
     #[must_use]
-    pub(crate) fn with(mut self, name: impl Into<String>, value: f64) -> Self {
+    pub fn with(mut self, name: impl Into<String>, value: f64) -> Self {
         self.scalars.push((name.into(), value));
         self
     }
