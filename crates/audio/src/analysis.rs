@@ -73,14 +73,6 @@ impl Analysis {
         }
     }
 
-    /// The analysis with the beats of a tempo of about `bpm` beats per minute.
-    pub fn with_tempo_near(self, bpm: f64) -> Self {
-        Self {
-            beats: beats::track_near(&self.onset.median, bpm),
-            ..self
-        }
-    }
-
     /// Normalises and stacks the features.
     pub fn features(self) -> Features {
         Features::new(self)
@@ -110,7 +102,9 @@ pub fn extract(signal: &[f32]) -> Result<Features, Error> {
 /// # Errors
 /// As [`Analysis::new`].
 pub fn extract_near(signal: &[f32], bpm: f64) -> Result<Features, Error> {
-    Ok(Analysis::new(signal)?.with_tempo_near(bpm).features())
+    let analysis = Analysis::new(signal)?;
+    let beats = beats::track_near(&analysis.onset.median, bpm);
+    Ok(Analysis { beats, ..analysis }.features())
 }
 
 fn check(signal: &[f32]) -> Result<(), Error> {

@@ -14,10 +14,10 @@ use symphonia::core::io::{MediaSource, MediaSourceStream};
 use symphonia::core::meta::MetadataOptions;
 use symphonia::core::packet::Packet;
 
-use crate::Error;
 use crate::analysis::unusable_sample;
 use crate::guard::guarded;
 use crate::resample::Resampling;
+use crate::{DecodeError, Error};
 
 /// Longest recording.
 pub const MAX_HOURS: u64 = 2;
@@ -74,18 +74,12 @@ impl Waveform {
 /// # Errors
 /// All of [`Error`] but those of the analysis.
 pub fn decode(path: &Path) -> Result<Waveform, Error> {
-    let name = path.display().to_string();
-    let unreadable = |reason: String| Error::Read {
-        file: name.clone(),
-        reason,
-    };
-    // Opening a pipe would wait for a writer, and a device may never end.
-    if path.metadata().is_ok_and(|found| !found.is_file()) {
-        return Err(unreadable("it is not a file".into()));
-    }
-    let file = File::open(path).map_err(|e| unreadable(e.to_string()))?;
     let extension = path.extension().and_then(OsStr::to_str);
-    decode_reader(file, extension, &name)
+    let decoded = open(path).and_then(|file| decode_source(file, extension));
+    decoded.map_err(|error| Error::Decode {
+        file: path.display().to_string(),
+        error,
+    })
 }
 
 /// [`decode()`] from any reader. `extension` is a hint for the format; errors name the file `name`.
@@ -97,19 +91,38 @@ pub fn decode_reader(
     extension: Option<&str>,
     name: &str,
 ) -> Result<Waveform, Error> {
-    let source = Source::new(reader).map_err(|e| Error::Read {
+    decode_source(reader, extension).map_err(|error| Error::Decode {
         file: name.to_owned(),
-        reason: e.to_string(),
-    })?;
-    if source.bytes == 0 {
-        return Err(Error::Empty {
-            file: name.to_owned(),
-        });
+        error,
+    })
+}
+
+fn open(path: &Path) -> Result<File, DecodeError> {
+    // Opening a pipe would wait for a writer, and a device may never end.
+    if path.metadata().is_ok_and(|found| !found.is_file()) {
+        return Err(unreadable("it is not a file"));
     }
-    let mut mono = Mono::new(name);
+    File::open(path).map_err(unreadable)
+}
+
+fn unreadable(reason: impl ToString) -> DecodeError {
+    DecodeError::Read {
+        reason: reason.to_string(),
+    }
+}
+
+fn decode_source(
+    reader: impl Read + Seek + Send + Sync,
+    extension: Option<&str>,
+) -> Result<Waveform, DecodeError> {
+    let source = Source::new(reader).map_err(unreadable)?;
+    if source.bytes == 0 {
+        return Err(DecodeError::Empty);
+    }
+    let mut mono = Mono::default();
     // The format readers can panic on forged headers.
     let read = guarded(|| mono.read(source, extension));
-    read.unwrap_or_else(|| Err(mono.corrupt("its sizes contradict each other".to_owned())))?;
+    read.unwrap_or_else(|| Err(mono.corrupt("its sizes contradict each other")))?;
     Ok(Waveform {
         source_rate: mono.rate,
         source_channels: mono.channels,
@@ -123,8 +136,7 @@ pub fn decode_reader(
 fn open_format<'s>(
     source: impl MediaSource + 's,
     extension: Option<&str>,
-    name: &str,
-) -> Result<Box<dyn FormatReader + 's>, Error> {
+) -> Result<Box<dyn FormatReader + 's>, DecodeError> {
     let mut hint = Hint::new();
     if let Some(extension) = extension {
         hint.with_extension(extension);
@@ -138,50 +150,41 @@ fn open_format<'s>(
         )
         .map_err(|e| match e {
             // The readers load tags of any length into memory.
-            StreamError::IoError(e) if e.kind() == io::ErrorKind::OutOfMemory => Error::Memory {
-                file: name.to_owned(),
-                second: 0.0,
-            },
-            e => Error::UnknownFormat {
-                file: name.to_owned(),
+            StreamError::IoError(e) if e.kind() == io::ErrorKind::OutOfMemory => {
+                DecodeError::Memory { second: 0.0 }
+            }
+            e => DecodeError::UnknownFormat {
                 reason: e.to_string(),
             },
         })
 }
 
 /// The first audio track with a known codec, and its decoder.
-fn open_track<'f>(
-    format: &'f dyn FormatReader,
-    name: &str,
-) -> Result<(&'f Track, Box<dyn AudioDecoder>), Error> {
-    let file = || name.to_owned();
-    let no_track = || Error::NoAudioTrack { file: file() };
+fn open_track(format: &dyn FormatReader) -> Result<(&Track, Box<dyn AudioDecoder>), DecodeError> {
     let track = format
         .default_track(TrackType::Audio)
-        .ok_or_else(no_track)?;
+        .ok_or(DecodeError::NoAudioTrack)?;
     let parameters = track
         .codec_params
         .as_ref()
         .and_then(|parameters| parameters.audio())
-        .ok_or_else(no_track)?;
+        .ok_or(DecodeError::NoAudioTrack)?;
     if let Some(rate) = parameters.sample_rate {
-        check_rate(rate, name)?;
+        check_rate(rate)?;
     }
     let decoder = symphonia::default::get_codecs()
         .make_audio_decoder(parameters, &AudioDecoderOptions::default())
-        .map_err(|e| Error::UnsupportedCodec {
-            file: file(),
+        .map_err(|e| DecodeError::UnsupportedCodec {
             reason: e.to_string(),
         })?;
     Ok((track, decoder))
 }
 
-fn check_rate(rate: u32, name: &str) -> Result<(), Error> {
+fn check_rate(rate: u32) -> Result<(), DecodeError> {
     if (LOWEST_RATE..=HIGHEST_RATE).contains(&rate) {
         return Ok(());
     }
-    Err(Error::SampleRate {
-        file: name.to_owned(),
+    Err(DecodeError::SampleRate {
         found: rate,
         lowest: LOWEST_RATE,
         highest: HIGHEST_RATE,
@@ -190,8 +193,7 @@ fn check_rate(rate: u32, name: &str) -> Result<(), Error> {
 
 /// Averages the channels of packets.
 #[derive(Default)]
-struct Mono<'a> {
-    name: &'a str,
+struct Mono {
     /// Samples per second, 0 before the first packet.
     rate: u32,
     channels: usize,
@@ -205,16 +207,15 @@ struct Mono<'a> {
     interleaved: Vec<f32>,
 }
 
-impl<'a> Mono<'a> {
-    fn new(name: &'a str) -> Self {
-        let empty = Self::default();
-        Self { name, ..empty }
-    }
-
+impl Mono {
     /// Reads the audio track to its end.
-    fn read(&mut self, source: impl MediaSource, extension: Option<&str>) -> Result<(), Error> {
-        let mut format = open_format(source, extension, self.name)?;
-        let (track, mut decoder) = open_track(format.as_ref(), self.name)?;
+    fn read(
+        &mut self,
+        source: impl MediaSource,
+        extension: Option<&str>,
+    ) -> Result<(), DecodeError> {
+        let mut format = open_format(source, extension)?;
+        let (track, mut decoder) = open_track(format.as_ref())?;
         self.promised = track.num_frames;
         let track = track.id;
         loop {
@@ -225,7 +226,7 @@ impl<'a> Mono<'a> {
                     self.skipped_packets += usize::from(!self.is_endless());
                     break;
                 }
-                Err(e) => return Err(self.corrupt(e.to_string())),
+                Err(e) => return Err(self.corrupt(e)),
             };
             if packet.track_id != track {
                 continue;
@@ -233,36 +234,34 @@ impl<'a> Mono<'a> {
             match decoder.decode(&packet) {
                 Ok(decoded) => self.append(&decoded)?,
                 Err(StreamError::DecodeError(_) | StreamError::IoError(_)) => self.skip(&packet)?,
-                Err(e) => return Err(self.corrupt(e.to_string())),
+                Err(e) => return Err(self.corrupt(e)),
             }
         }
         if self.rate == 0 {
-            return Err(Error::NothingDecoded {
-                file: self.name.to_owned(),
+            return Err(DecodeError::NothingDecoded {
                 skipped_packets: self.skipped_packets,
             });
         }
         Ok(())
     }
 
-    fn append(&mut self, decoded: &GenericAudioBufferRef<'_>) -> Result<(), Error> {
+    fn append(&mut self, decoded: &GenericAudioBufferRef<'_>) -> Result<(), DecodeError> {
         let (rate, channels) = (decoded.spec().rate(), decoded.num_planes());
         if channels == 0 {
             return Ok(());
         }
         if self.rate == 0 {
-            check_rate(rate, self.name)?;
+            check_rate(rate)?;
             (self.rate, self.channels) = (rate, channels);
         } else if self.rate != rate {
-            return Err(Error::RateChanges {
-                file: self.name.to_owned(),
+            return Err(DecodeError::RateChanges {
                 second: self.seconds(),
                 before: self.rate,
                 after: rate,
             });
         }
         let start = self.received();
-        self.must_hold(decoded.frames())?;
+        self.check_length(decoded.frames())?;
         decoded.copy_to_vec_interleaved(&mut self.interleaved);
         let share = 1.0 / channels as f32;
         let frames = self.interleaved.chunks_exact(channels);
@@ -270,26 +269,24 @@ impl<'a> Mono<'a> {
         self.mono
             .extend(frames.map(|frame| frame.iter().sum::<f32>() * share));
         if let Some(offset) = unusable_sample(&self.mono) {
-            return Err(Error::DecodedSample {
-                file: self.name.to_owned(),
+            return Err(DecodeError::DecodedSample {
                 second: (start + offset as u64) as f64 / f64::from(rate),
                 found: self.mono[offset],
             });
         }
         let signal = self.signal.get_or_insert_with(|| Resampling::new(rate));
         if signal.reserve(self.mono.len()).is_err() {
-            return Err(self.no_room());
+            return Err(self.out_of_memory());
         }
         signal.push(&self.mono);
         Ok(())
     }
 
     /// Checks the limit of samples.
-    fn must_hold(&self, more: usize) -> Result<(), Error> {
+    fn check_length(&self, more: usize) -> Result<(), DecodeError> {
         let most = MAX_SAMPLES.min(MAX_HOURS * 3600 * u64::from(self.rate));
         match self.received() + more as u64 > most {
-            true => Err(Error::TooLong {
-                file: self.name.to_owned(),
+            true => Err(DecodeError::TooLong {
                 hours: MAX_HOURS,
                 samples: MAX_SAMPLES,
             }),
@@ -299,32 +296,30 @@ impl<'a> Mono<'a> {
 
     /// Replaces a damaged packet by silence, so that later packets keep their time. Damaged packets
     /// before the first good one are dropped.
-    fn skip(&mut self, packet: &Packet) -> Result<(), Error> {
+    fn skip(&mut self, packet: &Packet) -> Result<(), DecodeError> {
         self.skipped_packets += 1;
         // All supported formats count packets in samples. A forged duration adds at most a second.
         let silence = packet.dur.get().min(u64::from(self.rate)) as usize;
-        self.must_hold(silence)?;
+        self.check_length(silence)?;
         if let Some(signal) = &mut self.signal {
             if signal.reserve(silence).is_err() {
-                return Err(self.no_room());
+                return Err(self.out_of_memory());
             }
             signal.push(&vec![0.0; silence]);
         }
         Ok(())
     }
 
-    fn no_room(&self) -> Error {
-        Error::Memory {
-            file: self.name.to_owned(),
+    fn out_of_memory(&self) -> DecodeError {
+        DecodeError::Memory {
             second: self.seconds(),
         }
     }
 
-    fn corrupt(&self, reason: String) -> Error {
-        Error::Corrupt {
-            file: self.name.to_owned(),
+    fn corrupt(&self, reason: impl ToString) -> DecodeError {
+        DecodeError::Corrupt {
             second: self.seconds(),
-            reason,
+            reason: reason.to_string(),
         }
     }
 
@@ -393,17 +388,18 @@ mod tests {
 
     #[test]
     fn a_high_rate_makes_no_room_for_more_samples() {
-        let mut song = Mono::new("song.flac");
+        let mut song = Mono::default();
         // Two hours would be 4.7e9 samples.
         song.rate = 655_350;
-        song.must_hold(MAX_SAMPLES as usize)
+        song.check_length(MAX_SAMPLES as usize)
             .expect("as many as are read");
         let error = song
-            .must_hold(MAX_SAMPLES as usize + 1)
+            .check_length(MAX_SAMPLES as usize + 1)
             .expect_err("one more");
         assert!(error.to_string().contains("1073741824 samples"), "{error}");
         song.rate = 44_100;
-        song.must_hold(2 * 3600 * 44_100).expect("two hours");
-        song.must_hold(2 * 3600 * 44_100 + 1).expect_err("longer");
+        song.check_length(2 * 3600 * 44_100).expect("two hours");
+        song.check_length(2 * 3600 * 44_100 + 1)
+            .expect_err("longer");
     }
 }

@@ -3,132 +3,17 @@
 use miette::Diagnostic;
 use thiserror::Error;
 
-/// Errors of decoding and analysis. `file` is the path, or the name of a reader.
+/// Errors of decoding and analysis.
 #[derive(Clone, Debug, Diagnostic, Error, PartialEq)]
 pub enum Error {
-    /// The file could not be opened or read.
-    #[error("{file}: cannot be read: {reason}")]
-    #[diagnostic(help("check that the file exists and that you may read it"))]
-    Read {
-        /// The file.
+    /// A file cannot be decoded.
+    #[error("{file}: {error}")]
+    #[diagnostic(forward(error))]
+    Decode {
+        /// The path, or the name of a reader.
         file: String,
-        /// Reason from the operating system.
-        reason: String,
-    },
-
-    /// The file has no bytes.
-    #[error("{file}: the file is empty")]
-    #[diagnostic(help("copy or download it again"))]
-    Empty {
-        /// The file.
-        file: String,
-    },
-
-    /// The format of the file is unknown.
-    #[error("{file}: no known audio format: {reason}")]
-    #[diagnostic(help(
-        "MP3, WAV (PCM), FLAC and Ogg Vorbis can be read: convert the file to one, or copy it again if \
-         it is one and was cut off"
-    ))]
-    UnknownFormat {
-        /// The file.
-        file: String,
-        /// Reason from the reader.
-        reason: String,
-    },
-
-    /// The file contains no audio track.
-    #[error("{file}: no audio track found")]
-    #[diagnostic(help("name a file with music in it"))]
-    NoAudioTrack {
-        /// The file.
-        file: String,
-    },
-
-    /// The codec of the audio track is not supported.
-    #[error("{file}: the audio track cannot be decoded: {reason}")]
-    #[diagnostic(help(
-        "PCM, FLAC, MP3 and Vorbis can be decoded: convert the file to WAV, FLAC, MP3 or Ogg"
-    ))]
-    UnsupportedCodec {
-        /// The file.
-        file: String,
-        /// Reason from the decoder.
-        reason: String,
-    },
-
-    /// The file is damaged.
-    #[error("{file}: damaged at second {second:.2}: {reason}")]
-    #[diagnostic(help("the file is damaged or was cut off: copy or export it again"))]
-    Corrupt {
-        /// The file.
-        file: String,
-        /// Seconds decoded so far.
-        second: f64,
-        /// Reason from the reader or decoder.
-        reason: String,
-    },
-
-    /// The file contains no decodable packet.
-    #[error("{file}: nothing could be decoded; {skipped_packets} damaged packets found")]
-    #[diagnostic(help("the file is damaged or was cut off: copy or export it again"))]
-    NothingDecoded {
-        /// The file.
-        file: String,
-        /// Packets that could not be decoded.
-        skipped_packets: usize,
-    },
-
-    /// The sample rate is out of range.
-    #[error("{file}: a sample rate of {found} Hz found, {lowest} to {highest} Hz allowed")]
-    #[diagnostic(help("convert the file to 44100 Hz"))]
-    SampleRate {
-        /// The file.
-        file: String,
-        /// The sample rate found.
-        found: u32,
-        /// Smallest allowed.
-        lowest: u32,
-        /// Largest allowed.
-        highest: u32,
-    },
-
-    /// The sample rate changes inside the file.
-    #[error("{file}: the sample rate changes from {before} to {after} Hz at second {second:.2}")]
-    #[diagnostic(help("the file seems to be several files in a row: split or convert it"))]
-    RateChanges {
-        /// The file.
-        file: String,
-        /// Seconds decoded so far.
-        second: f64,
-        /// Rate at the beginning, in Hz.
-        before: u32,
-        /// Rate from here on, in Hz.
-        after: u32,
-    },
-
-    /// The file is too long.
-    #[error("{file}: longer than {hours} hours or {samples} samples")]
-    #[diagnostic(help("cut it into pieces: features are normalised over one whole file"))]
-    TooLong {
-        /// The file.
-        file: String,
-        /// Largest length allowed, in hours.
-        hours: u64,
-        /// Most samples of one channel allowed.
-        samples: u64,
-    },
-
-    /// Out of memory for the samples.
-    #[error("{file}: memory is full after second {second:.0}")]
-    #[diagnostic(help(
-        "a minute takes 10 MiB, and its features 8: cut the file into pieces, or free memory"
-    ))]
-    Memory {
-        /// The file.
-        file: String,
-        /// Seconds decoded so far.
-        second: f64,
+        /// The reason.
+        error: DecodeError,
     },
 
     /// Out of memory for the features.
@@ -143,24 +28,127 @@ pub enum Error {
         mebibytes: u64,
     },
 
-    /// A decoded sample is not finite or far beyond full scale.
-    #[error("{file}: the sample {found} found at second {second:.2}, -1 to 1 is full scale")]
-    #[diagnostic(help("export the file again as 16-bit PCM or as float between -1 and 1"))]
-    DecodedSample {
-        /// The file.
-        file: String,
-        /// Time in seconds.
-        second: f64,
-        /// The value.
-        found: f32,
-    },
-
     /// A sample for analysis is not finite or far beyond full scale.
     #[error("sample {index} is {found}, -1 to 1 is full scale")]
     #[diagnostic(help("scale the samples to full scale 1 and repair those that are not finite"))]
     Sample {
         /// Position, counted from 0.
         index: usize,
+        /// The value.
+        found: f32,
+    },
+}
+
+/// Reasons why a file cannot be decoded.
+#[derive(Clone, Debug, Diagnostic, Error, PartialEq)]
+pub enum DecodeError {
+    /// The file could not be opened or read.
+    #[error("cannot be read: {reason}")]
+    #[diagnostic(help("check that the file exists and that you may read it"))]
+    Read {
+        /// Reason from the operating system.
+        reason: String,
+    },
+
+    /// The file has no bytes.
+    #[error("the file is empty")]
+    #[diagnostic(help("copy or download it again"))]
+    Empty,
+
+    /// The format of the file is unknown.
+    #[error("no known audio format: {reason}")]
+    #[diagnostic(help(
+        "MP3, WAV (PCM), FLAC and Ogg Vorbis can be read: convert the file to one, or copy it again if \
+         it is one and was cut off"
+    ))]
+    UnknownFormat {
+        /// Reason from the reader.
+        reason: String,
+    },
+
+    /// The file contains no audio track.
+    #[error("no audio track found")]
+    #[diagnostic(help("name a file with music in it"))]
+    NoAudioTrack,
+
+    /// The codec of the audio track is not supported.
+    #[error("the audio track cannot be decoded: {reason}")]
+    #[diagnostic(help(
+        "PCM, FLAC, MP3 and Vorbis can be decoded: convert the file to WAV, FLAC, MP3 or Ogg"
+    ))]
+    UnsupportedCodec {
+        /// Reason from the decoder.
+        reason: String,
+    },
+
+    /// The file is damaged.
+    #[error("damaged at second {second:.2}: {reason}")]
+    #[diagnostic(help("the file is damaged or was cut off: copy or export it again"))]
+    Corrupt {
+        /// Seconds decoded so far.
+        second: f64,
+        /// Reason from the reader or decoder.
+        reason: String,
+    },
+
+    /// The file contains no decodable packet.
+    #[error("nothing could be decoded; {skipped_packets} damaged packets found")]
+    #[diagnostic(help("the file is damaged or was cut off: copy or export it again"))]
+    NothingDecoded {
+        /// Packets that could not be decoded.
+        skipped_packets: usize,
+    },
+
+    /// The sample rate is out of range.
+    #[error("a sample rate of {found} Hz found, {lowest} to {highest} Hz allowed")]
+    #[diagnostic(help("convert the file to 44100 Hz"))]
+    SampleRate {
+        /// The sample rate found.
+        found: u32,
+        /// Smallest allowed.
+        lowest: u32,
+        /// Largest allowed.
+        highest: u32,
+    },
+
+    /// The sample rate changes inside the file.
+    #[error("the sample rate changes from {before} to {after} Hz at second {second:.2}")]
+    #[diagnostic(help("the file seems to be several files in a row: split or convert it"))]
+    RateChanges {
+        /// Seconds decoded so far.
+        second: f64,
+        /// Rate at the beginning, in Hz.
+        before: u32,
+        /// Rate from here on, in Hz.
+        after: u32,
+    },
+
+    /// The file is too long.
+    #[error("longer than {hours} hours or {samples} samples")]
+    #[diagnostic(help("cut it into pieces: features are normalised over one whole file"))]
+    TooLong {
+        /// Largest length allowed, in hours.
+        hours: u64,
+        /// Most samples of one channel allowed.
+        samples: u64,
+    },
+
+    /// Out of memory for the samples.
+    #[error("memory is full after second {second:.0}")]
+    #[diagnostic(help(
+        "a minute takes 10 MiB, and its features 8: cut the file into pieces, or free memory"
+    ))]
+    Memory {
+        /// Seconds decoded so far.
+        second: f64,
+    },
+
+    /// A decoded sample is not finite or far beyond full scale.
+    #[error("the sample {found} found at second {second:.2}, -1 to 1 is full scale")]
+    #[diagnostic(help("export the file again as 16-bit PCM or as float between -1 and 1"))]
+    DecodedSample {
+        /// Time in seconds.
+        second: f64,
         /// The value.
         found: f32,
     },

@@ -37,7 +37,7 @@ mod wavelets;
 pub use analysis::{Analysis, extract, extract_near};
 pub use beats::Beats;
 pub use decode::{Waveform, decode, decode_reader};
-pub use error::Error;
+pub use error::{DecodeError, Error};
 pub use features::{CHANNELS, Features};
 pub use frames::FrameMatrix;
 pub use pulse::Pulse;

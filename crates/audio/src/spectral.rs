@@ -21,7 +21,7 @@ pub struct Spectral {
 /// Transforms every frame of `signal` once.
 pub fn analyse(signal: &[f32]) -> Spectral {
     let frames = num_frames(signal.len());
-    let stft = Stft::new();
+    let stft = Stft::default();
     let (conditioning, full_range) = (MelBank::conditioning(), MelBank::full_range());
     let frequencies: Vec<f64> = (0..BINS).map(bin_frequency).collect();
     let mut out = Spectral {

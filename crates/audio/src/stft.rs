@@ -36,16 +36,17 @@ pub struct Scratch {
     magnitudes: Vec<f32>,
 }
 
-impl Stft {
-    /// Plans the transform.
-    pub fn new() -> Self {
+impl Default for Stft {
+    fn default() -> Self {
         let window = (0..N_FFT).map(|n| 0.5 - 0.5 * (TAU * n as f64 / N_FFT as f64).cos());
         Self {
             transform: RealFftPlanner::new().plan_fft_forward(N_FFT),
             window: window.map(|w| w as f32).collect(),
         }
     }
+}
 
+impl Stft {
     /// Working memory for [`magnitudes`](Self::magnitudes).
     pub fn scratch(&self) -> Scratch {
         Scratch {
@@ -81,12 +82,6 @@ impl Stft {
     }
 }
 
-impl Default for Stft {
-    fn default() -> Self {
-        Self::new()
-    }
-}
-
 /// Fills `frame` with the samples around `centre`, zeros outside the signal.
 pub(crate) fn copy_centred(signal: &[f32], centre: usize, frame: &mut [f32]) {
     let half = frame.len() / 2;
@@ -106,7 +101,7 @@ mod tests {
         let signal: Vec<f32> = (0..N_FFT)
             .map(|n| (TAU * 40.0 * n as f64 / N_FFT as f64).sin() as f32)
             .collect();
-        let stft = Stft::new();
+        let stft = Stft::default();
         let mut scratch = stft.scratch();
         let magnitudes = stft.magnitudes(&signal, N_FFT / 2, &mut scratch);
         assert!((magnitudes[40] - N_FFT as f32 / 4.0).abs() < 1e-2);

@@ -28,7 +28,7 @@ struct Peak {
 /// The deviation from concert pitch in fractions of a 1/36-octave bin, a multiple of 0.01 in
 /// [-0.5, 0.5); 0 without peaks, arbitrary for noise.
 pub fn estimate(signal: &[f32]) -> f64 {
-    let stft = Stft::new();
+    let stft = Stft::default();
     let mut peaks: Vec<Peak> = (0..1 + signal.len() / HOP)
         .into_par_iter()
         .with_min_len(64)

@@ -158,13 +158,10 @@ impl DiffusionConfig {
         in_range("cond_drop_prob", self.cond_drop_prob, 0.0..1.0).hint(
             "0.1 is usual; 0 trains without a null condition, and then only guidance_scale 1 works",
         )?;
-        let of_style = "style_drop_prob";
-        in_range(
-            of_style,
-            self.style_drop_prob.unwrap_or(0.0),
-            0.0..=MAX_STYLE_DROP,
-        )
-        .hint("0.1 is usual; it falls on the style as a whole, on its numbers and on its label")?;
+        let style = self.style_drop_prob.unwrap_or(0.0);
+        in_range("style_drop_prob", style, 0.0..=MAX_STYLE_DROP).hint(
+            "0.1 is usual; it falls on the style as a whole, on its numbers and on its label",
+        )?;
         let left: f64 = self.betas().iter().map(|beta| 1.0 - beta).product();
         let allowed = format!(
             "as many as leave {MIN_SIGNAL:e} of the motion's variance at the last timestep; these \

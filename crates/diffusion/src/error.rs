@@ -1,3 +1,4 @@
+use burn::tensor::Tensor;
 use kinegrad_settings::InvalidSetting;
 use miette::Diagnostic;
 use thiserror::Error;
@@ -39,4 +40,16 @@ pub enum Error {
     /// The callback returned `Break`.
     #[error("sampling was stopped")]
     Stopped,
+}
+
+/// Checks that a network's output has the sizes of its input.
+pub(crate) fn check_output(output: &Tensor<3>, input: &Tensor<3>) -> Result<(), Error> {
+    let (found, expected) = (output.dims(), input.dims());
+    match found == expected {
+        true => Ok(()),
+        false => Err(Error::ModelOutput {
+            found: found.into(),
+            expected: expected.into(),
+        }),
+    }
 }

@@ -114,8 +114,8 @@ impl Rollout {
         let path = TimestepPath::to_clean(timesteps.to_vec());
         let graph_from = match mode {
             RolloutMode::Full => 0,
-            RolloutMode::Checkpointed => path.len(),
-            RolloutMode::LastK(k) => path.len().saturating_sub(k),
+            RolloutMode::Checkpointed => path.num_steps(),
+            RolloutMode::LastK(k) => path.num_steps().saturating_sub(k),
         };
         let strategy = x_start_noise.gradient_checkpointing_strategy();
         let mut states = Vec::new();
@@ -138,11 +138,8 @@ impl Rollout {
         };
         let start = x_start_noise.without_autodiff();
         let x = self.walk(&mut predict, start, &path)?;
-        // Without a graph the final state is where the gradient ends.
-        let entry = match entry {
-            Some(entry) => entry,
-            None => tracked(x.clone(), strategy),
-        };
+        // Without a graph the gradient ends at the final state.
+        let entry = entry.unwrap_or_else(|| tracked(x.clone(), strategy));
         let trace = (mode == RolloutMode::Checkpointed).then(|| Trace {
             states,
             path,
@@ -173,13 +170,8 @@ impl Rollout {
         cond: &D::Cond,
     ) -> Result<Prediction<'static>, Error> {
         let output = guided(network, x.clone(), time, cond, self.guidance);
-        Prediction::new(
-            &self.diffusion,
-            output,
-            x,
-            &Time::timesteps(time),
-            &self.clip,
-        )
+        let timesteps = Time::timesteps(time);
+        Prediction::new(&self.diffusion, output, x, &timesteps, &self.clip)
     }
 
     /// DDIM without noise.
@@ -189,17 +181,10 @@ impl Rollout {
         x: Tensor<3>,
         path: &TimestepPath,
     ) -> Result<Tensor<3>, Error> {
-        let config = Ddim::default();
+        let (diffusion, config) = (&self.diffusion, Ddim::default());
         let unused = Key::new(0, Purpose::Sampling).into();
-        ddim(
-            &self.diffusion,
-            predict,
-            x,
-            path,
-            &config,
-            unused,
-            &mut |_, _, _| ControlFlow::Continue(()),
-        )
+        let mut on_step = |_: usize, _: usize, _: &Tensor<3>| ControlFlow::Continue(());
+        ddim(diffusion, predict, x, path, &config, unused, &mut on_step)
     }
 }
 
@@ -211,29 +196,23 @@ impl Trace {
     /// # Errors
     /// As [`Rollout::run`].
     pub fn backward<D: Denoiser + ?Sized>(
-        self,
+        mut self,
         rollout: &Rollout,
         model: &D,
         cond: &D::Cond,
         gradients: &mut Gradients,
         each: &mut dyn FnMut(usize, Gradients),
     ) -> Result<Tensor<3>, Error> {
-        let Self {
-            mut states,
-            path,
-            entry,
-            strategy,
-        } = self;
-        let mut cotangent = match entry.grad_remove(gradients) {
+        let mut cotangent = match self.entry.grad_remove(gradients) {
             Some(gradient) => gradient.without_autodiff(),
-            None => entry.clone().without_autodiff().zeros_like(),
+            None => self.entry.clone().without_autodiff().zeros_like(),
         };
-        drop(entry);
+        drop(self.entry);
         let mut predict = |x: Tensor<3>, time: &[Time]| rollout.predict(model, x, time, cond);
-        for index in (0..path.len()).rev() {
-            let state = states.pop().expect("one state a step");
-            let x = tracked(state, strategy);
-            let y = rollout.walk(&mut predict, x.clone(), &path.step(index))?;
+        for index in (0..self.path.num_steps()).rev() {
+            let state = self.states.pop().expect("one state per step");
+            let x = tracked(state, self.strategy);
+            let y = rollout.walk(&mut predict, x.clone(), &self.path.step(index))?;
             // The gradient of this sum with respect to y is the cotangent.
             let mut local = (y * cotangent).sum().backward();
             cotangent = x

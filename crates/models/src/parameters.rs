@@ -39,54 +39,33 @@ pub struct HostParameter {
     pub values: Vec<f32>,
 }
 
-/// The path of the visited module.
-#[derive(Default)]
-struct Path(Vec<String>);
-
-impl Path {
-    /// Maps field names as [`crate::layers`] documents; an enum's variant is not part of a name.
-    fn enter(&mut self, name: &str, container: &str) {
-        let nameless = name.starts_with("flat_") || container.starts_with("Enum:");
-        let name = if nameless { "" } else { name };
-        let name = name.strip_prefix("at_").unwrap_or(name);
-        self.0.push(name.replace("_at_", "."));
-    }
-
-    fn exit(&mut self) {
-        self.0.pop();
-    }
-
-    fn name(&self) -> String {
-        let named = self.0.iter().filter(|name| !name.is_empty());
-        named.map(String::as_str).collect::<Vec<_>>().join(".")
-    }
-}
-
 /// Names and shapes of all parameters; initialises none.
 pub fn infos<M: Module>(module: &M) -> Vec<ParameterInfo> {
+    #[derive(Default)]
     struct Visitor {
-        path: Path,
+        path: Vec<String>,
         infos: Vec<ParameterInfo>,
     }
     impl ModuleVisitor for Visitor {
+        /// Maps field names as [`crate::layers`] documents; an enum's variant is not part of a name.
         fn enter_module(&mut self, name: &str, container: &str) {
-            self.path.enter(name, container);
+            let nameless = name.starts_with("flat_") || container.starts_with("Enum:");
+            let name = if nameless { "" } else { name };
+            let name = name.strip_prefix("at_").unwrap_or(name);
+            self.path.push(name.replace("_at_", "."));
         }
         fn exit_module(&mut self, _: &str, _: &str) {
-            self.path.exit();
+            self.path.pop();
         }
         fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
-            let shape = param.lazy_shape().iter().copied().collect();
+            let named = self.path.iter().filter(|name| !name.is_empty());
             self.infos.push(ParameterInfo {
-                name: self.path.name(),
-                shape,
+                name: named.map(String::as_str).collect::<Vec<_>>().join("."),
+                shape: param.lazy_shape().iter().copied().collect(),
             });
         }
     }
-    let mut visitor = Visitor {
-        path: Path::default(),
-        infos: Vec::new(),
-    };
+    let mut visitor = Visitor::default();
     module.visit(&mut visitor);
     visitor.infos
 }

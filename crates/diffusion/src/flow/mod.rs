@@ -22,6 +22,7 @@ use burn::tensor::Tensor;
 
 pub use process::{FlowPrediction, NEAREST_END};
 
+use crate::error::check_output;
 use crate::ode::Method;
 use crate::sampler::{Dopri5, SamplerConfig, SamplerKind, must_suit_flow};
 use crate::{Denoiser, Error, Time, guided};
@@ -98,13 +99,7 @@ pub fn sample_flow<D: Denoiser + ?Sized>(
     let mut velocity = |x: Tensor<3>, t: f64| {
         let time = vec![Time(t); batch];
         let output = guided(denoiser, x.clone(), &time, cond, config.guidance_scale);
-        let (found, expected) = (output.dims(), x.dims());
-        if found != expected {
-            return Err(Error::ModelOutput {
-                found: found.into(),
-                expected: expected.into(),
-            });
-        }
+        check_output(&output, &x)?;
         let t = prediction.readable(t);
         Ok(prediction.convert(output, x, &vec![t; batch], FlowPrediction::Velocity))
     };

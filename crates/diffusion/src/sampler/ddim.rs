@@ -4,10 +4,10 @@ use burn::tensor::Tensor;
 
 use super::config::Ddim;
 use super::noise::NoiseKeys;
-use super::on_step::{OnStep, continue_or_stop};
 use super::path::TimestepPath;
 use super::posterior::{Alphas, coefficients};
 use super::prediction::{Predict, Prediction};
+use super::{OnStep, continue_or_stop};
 use crate::per_sample::per_sample;
 use crate::{Error, GaussianDiffusion};
 
@@ -29,13 +29,13 @@ pub fn ddim(
     on_step: &mut OnStep<'_>,
 ) -> Result<Tensor<3>, Error> {
     let mut x = x_T;
-    for index in 0..path.len() {
+    for index in 0..path.num_steps() {
         let (now, next) = (path.timesteps(index), path.prev_timesteps(index));
         let prediction = predict(x, &path.time(index))?;
         let noise = (config.eta > 0.0 && path.stays_noisy(index))
             .then(|| keys.noise(index, None, &prediction.x_t));
         x = ddim_step(diffusion, &prediction, now, &next, noise, config);
-        continue_or_stop(on_step(index + 1, path.len(), &x))?;
+        continue_or_stop(on_step(index + 1, path.num_steps(), &x))?;
     }
     Ok(x)
 }

@@ -3,10 +3,10 @@
 use burn::tensor::Tensor;
 
 use super::noise::NoiseKeys;
-use super::on_step::{OnStep, continue_or_stop};
 use super::path::TimestepPath;
 use super::posterior::Posterior;
 use super::prediction::{Predict, Prediction};
+use super::{OnStep, continue_or_stop};
 use crate::{Error, GaussianDiffusion};
 
 /// Samples by DDPM along `path` (Ho et al. 2020, <https://arxiv.org/abs/2006.11239>), with the steering
@@ -26,7 +26,7 @@ pub fn ddpm(
     on_step: &mut OnStep<'_>,
 ) -> Result<Tensor<3>, Error> {
     let mut x = x_T;
-    for index in 0..path.len() {
+    for index in 0..path.num_steps() {
         let (now, next) = (path.timesteps(index), path.prev_timesteps(index));
         let prediction = predict(x, &path.time(index))?;
         let noise = path
@@ -38,7 +38,7 @@ pub fn ddpm(
             .filter(|steered| steered.imputation.is_some())
             .map(|_| keys.noise(index, Some("imputation"), &prediction.x_t));
         x = ddpm_step(diffusion, &prediction, now, &next, noise, imputation_noise);
-        continue_or_stop(on_step(index + 1, path.len(), &x))?;
+        continue_or_stop(on_step(index + 1, path.num_steps(), &x))?;
     }
     Ok(x)
 }

@@ -3,9 +3,9 @@
 use burn::tensor::Tensor;
 
 use super::level::Level;
-use super::on_step::{OnStep, continue_or_stop};
 use super::path::TimestepPath;
 use super::prediction::Predict;
+use super::{OnStep, continue_or_stop};
 use crate::per_sample::per_sample;
 use crate::{Error, GaussianDiffusion};
 
@@ -33,7 +33,7 @@ pub fn dpmpp_2m(
     // D              predicted clean motion, corrected by its change since the last step
     let mut x = x_T;
     let mut before: Option<(Tensor<3>, Vec<Level>)> = None;
-    for index in 0..path.len() {
+    for index in 0..path.num_steps() {
         let now = Level::of(diffusion, path.timesteps(index).iter().copied().map(Some));
         let next = Level::of(diffusion, path.prev_timesteps(index));
         let prediction = predict(x, &path.time(index))?;
@@ -41,8 +41,8 @@ pub fn dpmpp_2m(
 
         // 1. D = x_0 + (h / 2 h_before) (x_0 - x_0 before), of first order in the first step and in
         //    a last one that would overshoot.
-        let last = index + 1 == path.len();
-        let second_order = !last || path.len() >= STEPS_OF_SECOND_ORDER;
+        let last = index + 1 == path.num_steps();
+        let second_order = !last || path.num_steps() >= STEPS_OF_SECOND_ORDER;
         let corrected = match &before {
             Some((x_start_before, then)) if second_order => {
                 let share = |sample: usize| {
@@ -71,7 +71,7 @@ pub fn dpmpp_2m(
         let (of_x, of_x_start) = (per_sample(&of_x, &x_t), per_sample(&of_x_start, &corrected));
         x = x_t * of_x + corrected * of_x_start;
         before = Some((x_start, now));
-        continue_or_stop(on_step(index + 1, path.len(), &x))?;
+        continue_or_stop(on_step(index + 1, path.num_steps(), &x))?;
     }
     Ok(x)
 }

@@ -3,9 +3,9 @@
 use burn::tensor::Tensor;
 
 use super::level::Level;
-use super::on_step::{OnStep, continue_or_stop};
 use super::path::TimestepPath;
 use super::prediction::Predict;
+use super::{OnStep, continue_or_stop};
 use crate::ode::{Method, Ode};
 use crate::per_sample::per_sample;
 use crate::{Error, GaussianDiffusion, Time};
@@ -27,7 +27,7 @@ pub fn heun(
     on_step: &mut OnStep<'_>,
 ) -> Result<Tensor<3>, Error> {
     let mut x = x_T;
-    for index in 0..path.len() {
+    for index in 0..path.num_steps() {
         let (now, prev_timesteps) = (path.timesteps(index), path.prev_timesteps(index));
         let end: Option<Vec<usize>> = prev_timesteps.iter().copied().collect();
         let method = match end {
@@ -41,7 +41,7 @@ pub fn heun(
             predict: &mut *predict,
         };
         x = method.step(&mut step, &x)?;
-        continue_or_stop(on_step(index + 1, path.len(), &x))?;
+        continue_or_stop(on_step(index + 1, path.num_steps(), &x))?;
     }
     Ok(x)
 }

@@ -18,13 +18,14 @@ mod heun;
 mod imputation;
 mod level;
 mod noise;
-mod on_step;
 mod path;
 mod posterior;
 mod prediction;
 mod spacing;
 mod steered;
 mod table;
+
+use std::ops::ControlFlow;
 
 use burn::tensor::Tensor;
 
@@ -39,14 +40,24 @@ pub use dpm_solver::dpmpp_2m;
 pub use heun::heun;
 pub use imputation::{Imputation, Space};
 pub use noise::{FixedNoise, NoiseKeys, noise_of_parts};
-pub use on_step::OnStep;
-pub(crate) use on_step::continue_or_stop;
 pub use path::TimestepPath;
 pub use prediction::{Predict, Prediction};
 pub use spacing::timesteps;
 pub use steered::Steered;
 
 use crate::{Denoiser, Error, GaussianDiffusion, Time, guided};
+
+/// Callback after each step: the number of steps done, starting from 1, the total number of steps,
+/// and the new state `[batch, channels, time]`. `Break` ends the sampler with [`Error::Stopped`].
+pub type OnStep<'a> = dyn FnMut(usize, usize, &Tensor<3>) -> ControlFlow<()> + 'a;
+
+/// [`Error::Stopped`] if a callback returned `Break`.
+pub(crate) fn continue_or_stop(flow: ControlFlow<()>) -> Result<(), Error> {
+    match flow {
+        ControlFlow::Continue(()) => Ok(()),
+        ControlFlow::Break(()) => Err(Error::Stopped),
+    }
+}
 
 /// Generates one motion per sample of the start noise (CC-MotionGen, sections 3.2.4, 8.1 and 8.3;
 /// docs/sources.md, sections 1.3 and 1.9).

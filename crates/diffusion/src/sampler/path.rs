@@ -44,13 +44,8 @@ impl TimestepPath {
     }
 
     /// Number of steps.
-    pub fn len(&self) -> usize {
+    pub fn num_steps(&self) -> usize {
         self.steps.len()
-    }
-
-    /// True without steps.
-    pub fn is_empty(&self) -> bool {
-        self.steps.is_empty()
     }
 
     /// The timestep of each sample before step `index`.

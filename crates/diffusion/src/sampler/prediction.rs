@@ -4,6 +4,7 @@ use burn::tensor::Tensor;
 
 use super::clip::ClipRange;
 use super::steered::Steered;
+use crate::error::check_output;
 use crate::{Error, GaussianDiffusion, PredictionType, Time};
 
 /// Predicts the clean motion from a noisy motion `[batch, channels, time]` and one [`Time`] per sample.
@@ -38,13 +39,7 @@ impl<'s> Prediction<'s> {
         timesteps: &[usize],
         clip: &ClipRange,
     ) -> Result<Self, Error> {
-        let (found, expected) = (model_output.dims(), x_t.dims());
-        if found != expected {
-            return Err(Error::ModelOutput {
-                found: found.into(),
-                expected: expected.into(),
-            });
-        }
+        check_output(&model_output, &x_t)?;
         let x_start = diffusion.pred_original_sample(model_output.clone(), x_t.clone(), timesteps);
         Ok(Self {
             x_start: clip.apply(x_start)?,
@@ -67,11 +62,7 @@ impl<'s> Prediction<'s> {
             true => (&self.x_start, PredictionType::Sample),
             false => (&self.model_output, diffusion.config.prediction_type),
         };
-        let (prediction, x_t, to) = (
-            prediction.clone(),
-            self.x_t.clone(),
-            PredictionType::Epsilon,
-        );
-        diffusion.convert(prediction, x_t, timesteps, from, to)
+        let (prediction, x_t) = (prediction.clone(), self.x_t.clone());
+        diffusion.convert(prediction, x_t, timesteps, from, PredictionType::Epsilon)
     }
 }

@@ -2,7 +2,7 @@
 
 use burn::tensor::Tensor;
 
-use super::{Guidance, Networks, Steering};
+use super::{Networks, Steering};
 use crate::{
     ClipRange, Denoiser, Error, GaussianDiffusion, GuidanceScales, Prediction, Steered, Time,
     guided,
@@ -36,41 +36,34 @@ pub fn steered_prediction<'s, D: Denoiser<Cond = Tensor<3>> + ?Sized>(
         let output = guided(network, x_t.clone(), time, cond, scales);
         Prediction::new(diffusion, output, x_t, &timesteps, clip)
     };
+    let mut steered = Steered {
+        scaled_gradient: None,
+        max_shift: None,
+        imputation: steering.imputation,
+    };
     let Some(guidance) = steering.guidance else {
-        let steered = Steered {
-            scaled_gradient: None,
-            max_shift: None,
-            imputation: steering.imputation,
-        };
         return Ok(Prediction {
             steered: Some(steered),
             ..predict(networks.plain, x_t, cond)?
         });
     };
-    let Guidance {
-        objective,
-        scale,
-        max_shift,
-    } = guidance;
     let tracked = x_t.clone().autodiff().require_grad();
     let prediction = predict(networks.tracked, tracked.clone(), &cond.clone().autodiff())?;
     let x_start = prediction.x_start.clone().without_autodiff();
     // The gradient of this sum with respect to x_t is that of the loss.
-    let cotangent = objective.gradient(&x_start).autodiff();
+    let cotangent = guidance.objective.gradient(&x_start).autodiff();
     let mut gradients = (prediction.x_start * cotangent).sum().backward();
     let gradient = match tracked.grad_remove(&mut gradients) {
         Some(gradient) => gradient.without_autodiff(),
         None => x_t.zeros_like(),
     };
+    steered.scaled_gradient = Some(gradient * -guidance.scale);
+    steered.max_shift = guidance.max_shift;
     Ok(Prediction {
         x_t,
         x_start,
         model_output: prediction.model_output.without_autodiff(),
         clipped: prediction.clipped,
-        steered: Some(Steered {
-            scaled_gradient: Some(gradient * -scale),
-            max_shift,
-            imputation: steering.imputation,
-        }),
+        steered: Some(steered),
     })
 }

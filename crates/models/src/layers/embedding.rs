@@ -17,19 +17,12 @@ impl Embedding {
         }
     }
 
-    /// The layer with new initial rows of variance 1.
-    #[must_use]
-    pub fn with_unit_variance(self, init: &Initializer) -> Self {
-        let [things, features] = self.weight.lazy_shape().dims();
-        Self {
-            weight: init.bounded("weight", [things, features], 3f64.sqrt()),
-        }
-    }
-
     /// The rows of `captions` captions: `embed_captions` in `init`, of variance 1.
     pub fn of_captions(captions: usize, features: usize, init: &Initializer) -> Self {
         let init = init.at("embed_captions");
-        Self::new(captions, features, &init).with_unit_variance(&init)
+        Self {
+            weight: init.bounded("weight", [captions, features], 3f64.sqrt()),
+        }
     }
 
     /// The sum of all rows, each times its share.

@@ -56,17 +56,17 @@ impl Linear {
     /// - x: `[batch, in, time]`
     /// - output: `[batch, out, time]`
     pub fn forward_frames(&self, x: Tensor<3>) -> Tensor<3> {
-        Convolution::new(self.effective_weight().unsqueeze_dim(2), 1)
-            .bias(self.bias.val())
-            .forward(x)
+        self.operation().forward(x)
     }
 
     /// `residual`, `[batch, out, time]`, plus [`forward_frames`](Self::forward_frames).
     pub fn forward_frames_onto(&self, residual: Tensor<3>, x: Tensor<3>) -> Tensor<3> {
-        Convolution::new(self.effective_weight().unsqueeze_dim(2), 1)
-            .bias(self.bias.val())
-            .residual(residual)
-            .forward(x)
+        self.operation().residual(residual).forward(x)
+    }
+
+    fn operation(&self) -> Convolution {
+        let weight = self.effective_weight().unsqueeze_dim(2);
+        Convolution::new(weight, 1).bias(self.bias.val())
     }
 
     /// [`forward_frames`](Self::forward_frames) of the inputs `own` and `shared`; all frames of a sample
