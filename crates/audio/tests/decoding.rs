@@ -112,7 +112,7 @@ fn lost_audio_is_reported() {
     let flac = std::fs::read(fixture("flac")).expect("the fixture is readable");
     let found = read(flac[..flac.len() / 2].to_vec()).expect("the rest decodes");
     assert!(found.damage().is_some());
-    // Written into a pipe, a WAV does not know its length.
+    // A WAV written into a pipe does not state its length.
     let mut endless = stereo_wav();
     endless[4..8].fill(0xff);
     endless[40..44].fill(0xff);
@@ -212,7 +212,7 @@ proptest! {
     fn no_damage_makes_the_decoder_panic(
         format in 0usize..4,
         changes in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 0..24),
-        // Most of what can go wrong is in the first bytes.
+        // Most failures come from the first bytes.
         early in prop::collection::vec((0usize..200, any::<u8>()), 0..6),
         part in 0.0f64..1.2,
     ) {

@@ -1,4 +1,4 @@
-//! Memory of a long song, by the process's own account.
+//! Memory of a long song, as the process reports it.
 #![cfg(target_os = "linux")]
 
 use std::fs;
@@ -9,7 +9,7 @@ use kinegrad_audio::{Analysis, SAMPLE_RATE, decode_reader, extract};
 /// Seconds of the song.
 const SECONDS: usize = 600;
 
-/// The most bytes that this process has had at a time, from `/proc/self/status`.
+/// The peak memory of this process in bytes, from `/proc/self/status`.
 fn peak() -> u64 {
     let status = fs::read_to_string("/proc/self/status").expect("a status");
     let line = status.lines().find(|line| line.starts_with("VmHWM:"));

@@ -25,21 +25,21 @@ fn adaptive(tolerance: f64) -> SamplerConfig {
     SamplerConfig::new(SamplerKind::Dopri5(Dopri5 { tolerance }), 1)
 }
 
-/// The error at t = 1 of `dy/dt = -2y + t` from 1.3, `(y0 + 1/4) e^-2 + 1/4`, in float64, and how
-/// often the velocity was asked for.
+/// The error at t = 1 of `dy/dt = -2y + t` from 1.3, `(y0 + 1/4) e^-2 + 1/4`, in float64, and the
+/// number of velocities.
 fn error_of(config: &SamplerConfig) -> (f64, usize) {
     let (start, device) = (1.3, Device::flex());
     let y = Tensor::<1>::from_data([start], (&device, DType::F64));
-    let mut asked = 0;
+    let mut calls = 0;
     let mut velocity = |y: Tensor<1>, t: f64| {
-        asked += 1;
+        calls += 1;
         Ok(y * -2.0 + t)
     };
     let flowed = integrate(&mut velocity, y, config, &mut go).unwrap();
-    assert_eq!(flowed.evaluations, asked, "{config:?}");
+    assert_eq!(flowed.evaluations, calls, "{config:?}");
     let exact = (start + 0.25) * (-2.0f64).exp() + 0.25;
     let found = flowed.x.into_data().try_to_vec::<f64>().unwrap()[0];
-    ((found - exact).abs(), asked)
+    ((found - exact).abs(), calls)
 }
 
 #[test]
@@ -51,8 +51,8 @@ fn solvers_have_their_orders() {
         (DOPRI5, 5.0, 6),
     ] {
         let errors = [32, 64, 128].map(|steps| {
-            let (error, asked) = error_of(&SamplerConfig::new(kind, steps));
-            assert_eq!(asked, evaluations * steps, "{kind}");
+            let (error, calls) = error_of(&SamplerConfig::new(kind, steps));
+            assert_eq!(calls, evaluations * steps, "{kind}");
             error
         });
         for pair in errors.windows(2) {
@@ -65,9 +65,9 @@ fn solvers_have_their_orders() {
 #[test]
 fn a_tighter_tolerance_costs_more_and_is_kept() {
     let all = [1e-2, 1e-4, 1e-6].map(|tolerance| {
-        let (error, asked) = error_of(&adaptive(tolerance));
+        let (error, calls) = error_of(&adaptive(tolerance));
         assert!(error < 3.0 * tolerance, "{tolerance}: {error}");
-        (error, asked)
+        (error, calls)
     });
     assert!(all[0].1 < all[1].1 && all[1].1 < all[2].1, "{all:?}");
     assert!(all[0].0 > all[2].0, "{all:?}");
@@ -76,14 +76,14 @@ fn a_tighter_tolerance_costs_more_and_is_kept() {
 #[test]
 fn a_velocity_that_no_step_is_short_enough_for_is_an_error() {
     let start = || Tensor::<1>::ones([2], &Device::flex());
-    let mut asked = 0;
+    let mut calls = 0;
     let mut broken = |y: Tensor<1>, t: f64| {
-        asked += 1;
+        calls += 1;
         Ok(if t > 0.5 { y * f64::NAN } else { y })
     };
     let error = integrate(&mut broken, start(), &adaptive(1e-4), &mut go).unwrap_err();
     assert!(matches!(error, Error::NotFinite), "{error}");
-    assert!(asked < 200, "{asked}");
+    assert!(calls < 200, "{calls}");
     let mut wild = |y: Tensor<1>, t: f64| Ok(y.zeros_like() + if t < 0.5 { 0.0 } else { 1e12 });
     let error = integrate(&mut wild, start(), &adaptive(1e-6), &mut go).unwrap_err();
     assert!(
@@ -154,7 +154,7 @@ fn a_path_begins_in_noise_and_ends_on_data() {
     assert!(apart(x_t.narrow(0, 1, 1), x_start.narrow(0, 1, 1)) < 1e-6);
 }
 
-/// Predicts what leads straight to `cond`, and counts its calls.
+/// Predicts a straight path to `cond`, and counts its calls.
 struct Straight(FlowPrediction, Cell<usize>);
 
 impl Denoiser for Straight {
@@ -193,7 +193,7 @@ fn every_solver_follows_a_straight_flow_and_guidance_overshoots() {
             )
             .unwrap();
             assert_eq!(network.1.get(), calls * flowed.evaluations, "{kind}");
-            // Without guidance to the data; guided, to twice the data less what no condition gives.
+            // Without guidance the result is the data; with it, twice the data.
             let error = apart(flowed.x, data.clone() * guidance_scale);
             // A solver with a slope at t = 1 is deflected by the divisor's bound.
             let allowed = if kind == SamplerKind::Euler {

@@ -1,4 +1,4 @@
-//! Properties of the whole loop, with networks whose answer is known.
+//! Properties of the loops, with networks of known predictions.
 
 use burn::tensor::{Device, TensorData};
 use kinegrad_random::{Key, Purpose};
@@ -9,7 +9,7 @@ use std::ops::ControlFlow;
 use super::*;
 use crate::{BetaSchedule, DiffusionConfig, PredictionType};
 
-/// Answers as if every clean motion were `cond`: the best denoiser of a data set of one motion.
+/// Predicts `cond` as the clean motion: the best denoiser of a data set of one motion.
 struct Knows<'a>(&'a GaussianDiffusion);
 
 impl Denoiser for Knows<'_> {
@@ -31,7 +31,7 @@ impl Denoiser for Knows<'_> {
     }
 }
 
-/// Answers with something that depends on everything and is not linear.
+/// A nonlinear prediction that depends on all inputs.
 struct Waves;
 
 impl Denoiser for Waves {
@@ -169,7 +169,7 @@ fn any_config(total: usize) -> impl Strategy<Value = SamplerConfig> {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(48))]
 
-    /// Whatever the kind, spacing, number of steps and prediction type.
+    /// For every kind, spacing, number of steps and prediction type.
     #[test]
     fn a_network_that_knows_the_motion_leads_to_it(
         config in any_config(50),
@@ -269,12 +269,12 @@ fn parts_share_the_noise_of_their_frames() {
             assert!(!found.is_empty() && found.iter().all(|noise| *noise == expected));
         }
     }
-    // Without what comes before it is the same.
+    // The noise does not depend on the earlier parts.
     assert_eq!(noise_of_parts(key(9), &[4], [channels, time]), values[20..]);
 }
 
 #[test]
-fn guidance_scales_what_the_condition_adds() {
+fn guidance_scales_the_effect_of_the_condition() {
     let diffusion = process(50, PredictionType::Sample);
     let config = SamplerConfig {
         guidance_scale: 3.0,
@@ -342,7 +342,7 @@ fn on_step_can_stop_every_sampler() {
 }
 
 #[test]
-fn the_clipped_motion_is_what_the_last_step_lands_on() {
+fn the_last_step_ends_at_the_clipped_motion() {
     let diffusion = process(50, PredictionType::Epsilon);
     let clip = ClipRange::PerChannel {
         min: vec![-0.1, -0.2, -0.3],
@@ -380,7 +380,7 @@ fn recomputed_noise_belongs_to_the_clipped_motion() {
         };
         let now = [30, 30];
         let prediction = Prediction::new(&diffusion, normal(2), normal(1), &now, &clip).unwrap();
-        // Staying where it is gives back x_t if motion and noise belong together.
+        // A step to the same timestep gives back x_t if motion and noise are consistent.
         ddim_step(&diffusion, &prediction, &now, &now.map(Some), None, &config)
     };
     assert!(largest(step(true) - normal(1)) < 1e-6);
@@ -388,7 +388,7 @@ fn recomputed_noise_belongs_to_the_clipped_motion() {
 }
 
 #[test]
-fn what_does_not_fit_is_an_error() {
+fn wrong_sizes_are_errors() {
     let diffusion = process(50, PredictionType::Epsilon);
     let ignore = &mut |_: usize, _: usize, _: &Tensor<3>| ControlFlow::Continue(());
     let good = SamplerConfig::default();
@@ -452,7 +452,7 @@ fn a_schedule_that_ends_in_pure_noise_can_be_sampled() {
     for kind in kinds(timesteps, 0.5) {
         let config = SamplerConfig::new(kind, 20);
         if matches!(config.kind, SamplerKind::Heun(_)) {
-            // Its slope is that of x / alpha, which there is none of in pure noise.
+            // Its slope is that of x / alpha, which pure noise does not have.
             let network = Knows(&diffusion);
             let refused = try_run(&diffusion, &network, &normal(7), &config, key(3));
             assert!(matches!(refused, Err(Error::Setting(_))));

@@ -365,8 +365,8 @@ impl Columns<'_> {
     fn write(&self, place: [usize; 3], rows: &[f32], channels: usize) {
         let [sample, start, first] = place;
         for (time, row) in (start..).zip(rows.chunks_exact(channels)) {
-            // SAFETY: a task owns its head's columns of its sample, and queries, keys and values
-            // have columns or buffers of their own; this is the only slice of them.
+            // SAFETY: a task owns its head's columns of its sample, and queries, keys and values have
+            // separate columns or buffers; this is the only slice of them.
             #[allow(unsafe_code)]
             let out = unsafe {
                 self.rows

@@ -149,7 +149,7 @@ impl ConvolutionPlan {
         multiply_phases(&source, &phases, weight, addends, shape)
     }
 
-    /// The gradients of what is `wanted`, from the output's `gradient`.
+    /// The `wanted` gradients from the output's `gradient`.
     pub fn backward(
         &self,
         input: Input<'_>,

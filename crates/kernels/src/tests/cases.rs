@@ -39,7 +39,7 @@ pub enum Operation {
     CrossAttention {
         num_heads: usize,
         keys: usize,
-        /// Each query attends to the keys that are at most so many from it.
+        /// Largest distance of a query's keys.
         reach: Option<usize>,
     },
     SelfAttention {
@@ -61,7 +61,7 @@ pub struct Norm {
     pub mask: bool,
 }
 
-/// An operation on tensors of given sizes.
+/// An operation and the sizes of its tensors.
 #[derive(Clone, Debug)]
 pub struct Case {
     pub operation: Operation,
@@ -79,7 +79,7 @@ pub struct Case {
     pub seed: u64,
 }
 
-/// An output and the gradients of all that went in.
+/// An output and the gradients of all inputs.
 #[derive(Clone, Debug)]
 pub struct Outcome {
     pub output: Vec<f32>,
@@ -119,8 +119,7 @@ impl Case {
         elements < 4
     }
 
-    /// Frames of each sample that count, where there is padding: of the keys, or of the input as it
-    /// is multiplied.
+    /// Valid frames of each padded sample: of the keys, or of the prepared input.
     pub fn lengths(&self) -> Option<Lengths> {
         let time = match self.operation {
             Operation::CrossAttention { keys, .. } => keys,
@@ -135,7 +134,7 @@ impl Case {
             .then(|| Lengths::new((0..self.batch).map(of_sample)))
     }
 
-    /// Keys of each query, where those are near it alone: every fifth or so has none.
+    /// Keys of each query, if they are limited to those near it: about every fifth has none.
     pub fn ranges(&self) -> Option<KeyRanges> {
         let Operation::CrossAttention {
             keys,
@@ -162,7 +161,7 @@ impl Case {
         Some(KeyRanges::new(batch))
     }
 
-    /// Every tensor that goes in, `x` first.
+    /// Every input tensor, `x` first.
     pub fn leaves(&self) -> Vec<Leaf> {
         let (batch, inputs, outputs) = (self.batch, self.inputs, self.outputs);
         let x = [batch, inputs, self.time];
@@ -450,13 +449,13 @@ pub fn padding(kernel: usize) -> usize {
     (kernel - 1) / 2
 }
 
-/// The largest distance over the largest magnitude; infinite if anything is not a number.
+/// The largest distance over the largest magnitude; infinite if a value is not finite.
 pub fn distance(found: &[f32], expected: &[f32]) -> f64 {
     assert_eq!(found.len(), expected.len(), "elements");
     let (mut furthest, mut scale) = (0.0_f64, 0.0_f64);
     for (found, expected) in found.iter().zip(expected) {
         let (found, expected) = (f64::from(*found), f64::from(*expected));
-        // `f64::max` would pass over what is not a number.
+        // `f64::max` would ignore NaN.
         if !found.is_finite() || !expected.is_finite() {
             return f64::INFINITY;
         }

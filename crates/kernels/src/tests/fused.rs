@@ -87,7 +87,7 @@ fn operations() -> impl Strategy<Value = Operation> {
     ]
 }
 
-/// Sizes that are 1, odd, no multiple of a vector, of a tile or of a panel.
+/// Sizes that are 1, odd, or not a multiple of a vector, a tile or a panel.
 pub fn cases() -> impl Strategy<Value = Case> {
     let sizes = (1..4usize, 1..40usize, 1..50usize, 1..140usize);
     let settings = (memories(), any::<u16>(), any::<[bool; 2]>(), any::<u64>());
@@ -133,7 +133,7 @@ proptest! {
         let error = distance(&fused.output, &composed.output);
         prop_assert!(error < 2e-5, "output: {error:e}");
         for ((name, found), (_, expected)) in fused.gradients.iter().zip(&composed.gradients) {
-            // The gradient of a group of few elements is what is left of larger numbers.
+            // The gradient of a group of few elements is mostly rounding.
             let few = case.few();
             let error = distance(found, expected);
             prop_assert!(error < 2e-4 || few, "gradient of {name}: {error:e}");

@@ -43,7 +43,7 @@ fn a_weight_that_changes_is_another() {
                 // In place, unless the cache shares it.
                 weight = weight.mul_scalar(1.5);
             }
-            // The first channels of a weight lie where the weight does.
+            // The first channels of a weight have its address.
             let some = weight.clone().narrow(0, 0, 64);
             assert_eq!(convolved(&x, &some), outside(&x, &some));
             assert_eq!(convolved(&x, &weight), outside(&x, &weight));

@@ -1,4 +1,4 @@
-//! Padding changes nothing: samples of a padded batch against each of them alone.
+//! Samples of a padded batch against each of them alone.
 
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_random::{Key, Purpose};
@@ -68,7 +68,7 @@ fn a_convolution_sees_zeros_in_padding() {
                 .forward(x)
         });
     }
-    // Each sample's frames twice but for the last, which is an odd length in an even one.
+    // Twice the frames of each sample, less one.
     agrees(
         CHANNELS,
         |n| 2 * n - 1,

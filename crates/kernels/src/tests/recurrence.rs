@@ -14,13 +14,13 @@ struct Case {
     direction: Direction,
     /// From 1 to `time`.
     lengths: Option<Vec<usize>>,
-    /// Which of inputs, weight, bias and initial state have gradients.
+    /// True for those of inputs, weight, bias and initial state that have gradients.
     tracked: [bool; 4],
     seed: u64,
 }
 
 impl Case {
-    /// States and gradients of what is tracked.
+    /// States and the gradients of tracked tensors.
     fn run(&self, mode: Mode) -> Vec<Vec<f32>> {
         let (time, batch, width) = (self.time, self.batch, self.width);
         let device = Device::flex().autodiff();
@@ -80,7 +80,7 @@ impl Case {
     }
 }
 
-/// Sizes that are 1, odd, no multiple of a vector, of a tile or of a panel.
+/// Sizes that are 1, odd, or not a multiple of a vector, a tile or a panel.
 fn cases() -> impl Strategy<Value = Case> {
     let sizes = (1..12usize, 1..20usize, 1..70usize);
     let settings = (

@@ -1,5 +1,4 @@
-//! The operations written down once more, in double precision and without a thought for speed;
-//! their gradients are differences of its values.
+//! A slow reference of the operations in double precision; gradients are finite differences.
 
 use proptest::prelude::*;
 
@@ -189,12 +188,12 @@ fn evaluate(case: &Case, tensors: &Tensors<'_>) -> Frames {
     }
 }
 
-/// The error function by its series, which in double precision is exact to 1e-10 where it matters.
+/// The error function by its series, exact to 1e-10 in the range of the tests.
 fn erf(x: f64) -> f64 {
     if x.is_nan() || x.abs() > 5.0 {
         return if x.is_nan() { x } else { x.signum() };
     }
-    // The series whose terms have one sign: those of the other cancel to a few digits.
+    // The series with terms of one sign; those of the other cancel to a few digits.
     let (mut term, mut sum) = (x, x);
     for n in 1..200 {
         term *= 2.0 * x * x / f64::from(2 * n + 1);
@@ -317,7 +316,7 @@ proptest! {
             prop_assert!(error < 1e-5, "output {found} instead of {expected}");
         }
         let cotangent = Key::new(case.seed, Purpose::CondDropout).normals(expected.values.len());
-        // The gradient of a group of few elements is what is left of larger numbers.
+        // The gradient of a group of few elements is mostly rounding.
         if case.few() {
             return Ok(());
         }

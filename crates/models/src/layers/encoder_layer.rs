@@ -15,7 +15,7 @@ pub enum NormOrder {
     /// Each sum: `norm(x + f(x))` (Vaswani et al. 2017, <https://arxiv.org/abs/1706.03762>).
     #[default]
     Post,
-    /// What each part takes: `x + f(norm(x))` (Xiong et al. 2020,
+    /// Each part's input: `x + f(norm(x))` (Xiong et al. 2020,
     /// <https://arxiv.org/abs/2002.04745>).
     Pre,
 }
@@ -121,9 +121,8 @@ fn masked_attention(
     product(values, weights.swap_dims(2, 3)).reshape([batch, all / 3, tokens])
 }
 
-/// A layer of PyTorch's `nn.TransformerEncoder` with its names: attention, then two linear maps
-/// with GELU between them, each added to what goes in. Should be created with
-/// [`EncoderLayerConfig::init`].
+/// A layer of PyTorch's `nn.TransformerEncoder` with its names: attention, then two linear maps with
+/// GELU between them, both with a residual connection. Created by [`EncoderLayerConfig::init`].
 ///
 /// ```text
 /// post   h = norm1(x + attention(x))    y = norm2(h + linear2(gelu(linear1(h))))
@@ -219,7 +218,7 @@ mod tests {
         for norm in [NormOrder::Post, NormOrder::Pre] {
             let whole = answer(norm, 0.3, None);
             assert_eq!(answer(norm, 0.0, key(1)), whole);
-            // So rare that nothing is dropped: the attention of the masks is the same.
+            // So rare that no element is dropped: masked attention gives the same result.
             let rare = answer(norm, 1e-12, key(1));
             let near = |a: &[f32], b: &[f32]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-5);
             assert!(near(&rare, &whole));
