@@ -178,7 +178,7 @@ fn check_clip(clip: Clip) {
 
 fn check_stages(clip: &Clip, signal: &[f32], analysis: &Analysis) {
     if !clip.leaves_out("stft_mag_frames_idx") {
-        let stft = Stft::new();
+        let stft = Stft::default();
         let mut scratch = stft.scratch();
         let mut found = Vec::new();
         for t in clip.golden.get("stft_mag_frames_idx").indices() {
