@@ -8,9 +8,9 @@
 //! without its smallest values (1 % of the magnitude sum). A unit sine on a bin's centre gives
 //! `sqrt(L_k) / 2`.
 //!
-//! Each octave is computed from frames of 1024 samples of a band-limited signal, instead of frames of
-//! up to 65536 samples. Source: Schörkhuber and
-//! Klapuri, Constant-Q transform toolbox for music processing, 2010; librosa 0.11 `cqt`.
+//! Each octave is computed from frames of 1024 samples of a band-limited signal, instead of frames
+//! of up to 65536 samples. Source: Schörkhuber and Klapuri, Constant-Q transform toolbox for music
+//! processing, 2010; librosa 0.11 `cqt`.
 
 use rayon::prelude::*;
 use realfft::RealFftPlanner;
@@ -39,8 +39,8 @@ const FRAMES_AT_A_TIME: usize = 4096;
 /// Most samples that are band-limited at a time.
 pub(crate) const SAMPLES_AT_A_TIME: usize = FRAMES_AT_A_TIME * HOP + 2 * octaves::CONTEXT;
 
-/// Magnitudes of the constant-Q transform of `signal`, `[T, 252]`, for a deviation from concert pitch
-/// ([`tuning::estimate`](crate::tuning::estimate)).
+/// Magnitudes of the constant-Q transform of `signal`, `[T, 252]`, for a deviation from concert
+/// pitch ([`tuning::estimate`](crate::tuning::estimate)).
 pub fn magnitudes(signal: &[f32], tuning: f64) -> FrameMatrix {
     in_pieces(signal, tuning, FRAMES_AT_A_TIME)
 }

@@ -44,8 +44,8 @@ pub struct Waveform {
     pub source_rate: u32,
     /// Channels in the file, averaged.
     pub source_channels: usize,
-    /// Damaged packets, replaced by silence of the same length. A damaged part without packets, as in
-    /// MP3, is lost, and the music after it is early.
+    /// Damaged packets, replaced by silence of the same length. A damaged part without packets, as
+    /// in MP3, is lost, and the music after it is early.
     pub skipped_packets: usize,
     /// Seconds missing relative to the file's headers; 0 if they state no length.
     pub missing_seconds: f64,
@@ -68,8 +68,8 @@ impl Waveform {
     }
 }
 
-/// Decodes an MP3, WAV, FLAC or Ogg Vorbis file: channels averaged, encoder delay and padding removed,
-/// resampled to [`SAMPLE_RATE`](crate::SAMPLE_RATE).
+/// Decodes an MP3, WAV, FLAC or Ogg Vorbis file: channels averaged, encoder delay and padding
+/// removed, resampled to [`SAMPLE_RATE`](crate::SAMPLE_RATE).
 ///
 /// # Errors
 /// All of [`Error`] but those of the analysis.

@@ -7,9 +7,9 @@ use std::f64::consts::TAU;
 
 use crate::{Beats, FPS};
 
-/// The rows of the beat features: sine and cosine of the position in the beat; sine and cosine of the
-/// position in the bar, and 1 if it is known (all three 0 otherwise); 1 in the frame nearest to a beat;
-/// the tempo in octaves above [`REFERENCE_BPM`].
+/// The rows of the beat features: sine and cosine of the position in the beat; sine and cosine of
+/// the position in the bar, and 1 if it is known (all three 0 otherwise); 1 in the frame nearest to
+/// a beat; the tempo in octaves above [`REFERENCE_BPM`].
 pub const BEAT_FEATURES: [&str; 7] = [
     "beat_sin",
     "beat_cos",
@@ -82,7 +82,8 @@ impl Pulse {
         Self::new(smoothed)
     }
 
-    /// `count` beats (at least two) from position `first` on, extrapolated beyond the ends, without bars.
+    /// `count` beats (at least two) from position `first` on, extrapolated beyond the ends, without
+    /// bars.
     pub fn from_beat(&self, first: f64, count: usize) -> Self {
         let moment = |k: usize| self.moment(first + k as f64);
         Self {

@@ -7,12 +7,12 @@ use rubato::{Fft, FixedSync, Resampler, WindowFunction};
 
 use crate::SAMPLE_RATE;
 
-/// Fewest samples of a block at the lower rate: the filter then passes about 0.91 of the lower Nyquist
-/// frequency and stops everything above it, as soxr's "HQ" does.
+/// Fewest samples of a block at the lower rate: the filter then passes about 0.91 of the lower
+/// Nyquist frequency and stops everything above it, as soxr's "HQ" does.
 const BLOCK: usize = 288;
 
-/// Resamples pieces of a signal to [`SAMPLE_RATE`], with linear phase and without delay. It buffers less
-/// than a block.
+/// Resamples pieces of a signal to [`SAMPLE_RATE`], with linear phase and without delay. It buffers
+/// less than a block.
 pub(crate) struct Resampling {
     rate: u32,
     /// `None` if the signal has the rate already.

@@ -65,8 +65,8 @@ pub(crate) fn all(tuning: f64) -> Vec<Wavelet> {
 /// ```text
 /// h[n] = exp(2 pi i f n / sr') w[n] / sum w,  floor(-L/2) <= n < floor(L/2),  L = Q sr' / f
 /// ```
-/// `w` is a periodic Hann window. The working rate `sr'` is 44100 in the top octave, else 22050; frames
-/// contain every `stride`-th sample.
+/// `w` is a periodic Hann window. The working rate `sr'` is 44100 in the top octave, else 22050;
+/// frames contain every `stride`-th sample.
 struct Kernel {
     /// Cycles per sample at the working rate.
     frequency: f64,
@@ -100,8 +100,8 @@ impl Kernel {
         }
     }
 
-    /// Magnitude sum, relative to `gain`, of the bins that the frame lacks because of its stride. It
-    /// decides close calls of the sparsification.
+    /// Magnitude sum, relative to `gain`, of the bins that the frame lacks because of its stride.
+    /// It decides close calls of the sparsification.
     ///
     /// ```text
     /// |H(x)| = |sin(pi x)| / (pi x (x^2 - 1)),  x bins of a transform as long as the wavelet away
@@ -132,8 +132,8 @@ impl Kernel {
     }
 }
 
-/// Drops the smallest magnitudes and cuts the row to the rest. `tail` is the magnitude sum beyond the
-/// row.
+/// Drops the smallest magnitudes and cuts the row to the rest. `tail` is the magnitude sum beyond
+/// the row.
 fn sparsify(row: &[Complex64], tail: f64) -> Wavelet {
     let mut sorted: Vec<f64> = row.iter().map(|w| w.norm()).collect();
     let total = sorted.iter().sum::<f64>() + tail;

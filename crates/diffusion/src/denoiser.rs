@@ -66,12 +66,12 @@ impl From<f64> for GuidanceScales {
 /// section 1.9; Ho and Salimans 2022, <https://arxiv.org/abs/2207.12598>, equation 6):
 /// `uncond + guidance_scale (cond - uncond)`.
 ///
-/// A scale of 1 is the conditional, a scale of 0 the unconditional prediction. Both call the network
-/// once, other scales twice.
+/// A scale of 1 is the conditional, a scale of 0 the unconditional prediction. Both call the
+/// network once, other scales twice.
 ///
 /// The outputs are combined before any conversion. This gives the same result for every prediction
-/// type: for a fixed `x_t`, noise, clean motion and velocity are affine in each other, and the factors
-/// `1 - scale` and `scale` add up to 1. Clipping must follow the guidance.
+/// type: for a fixed `x_t`, noise, clean motion and velocity are affine in each other, and the
+/// factors `1 - scale` and `scale` add up to 1. Clipping must follow the guidance.
 ///
 /// If the style has another scale, the two are composed as in InstructPix2Pix (Brooks et al. 2023,
 /// <https://arxiv.org/abs/2211.09800>, equation 3); equal scales are the case above:

@@ -8,14 +8,15 @@
 //!                           rollout (gradients)        /
 //! ```
 //!
-//! [`flow`] is the other process: a straight path from noise to data, with solvers along its velocity
-//! and the same [`Denoiser`]s and guidance.
+//! [`flow`] is the other process: a straight path from noise to data, with solvers along its
+//! velocity and the same [`Denoiser`]s and guidance.
 //!
-//! A network implements [`Denoiser`]; the crate does not depend on the meaning of channels. Noise is an
-//! argument or comes from a [`kinegrad_random::Key`].
+//! A network implements [`Denoiser`]; the crate does not depend on the meaning of channels. Noise
+//! is an argument or comes from a [`kinegrad_random::Key`].
 //!
-//! Timesteps are host integers `0..num_train_timesteps`, 0 being the least noisy: the convention of the
-//! source's code (CC-MotionGen, section 5.3; docs/sources.md, section 1.2), whose formulas count from 1.
+//! Timesteps are host integers `0..num_train_timesteps`, 0 being the least noisy: the convention of
+//! the source's code (CC-MotionGen, section 5.3; docs/sources.md, section 1.2), whose formulas
+//! count from 1.
 //!
 //! Symbols of the papers:
 //!

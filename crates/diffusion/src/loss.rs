@@ -35,11 +35,12 @@ pub fn elementwise(model_output: Tensor<3>, target: Tensor<3>, loss_type: LossTy
 
 /// The mean distance over the valid elements: `sum(weight mask distance) / (channels sum(mask))`.
 ///
-/// Without a mask every element is valid. The weights scale the sum and not the count, as in min-SNR
-/// weighting. A batch without valid elements has loss 0.
+/// Without a mask every element is valid. The weights scale the sum and not the count, as in
+/// min-SNR weighting. A batch without valid elements has loss 0.
 ///
 /// The sums run over time, then channels, then the batch. A plain sum of 4,194,304 or more elements
-/// depends on thread scheduling on Burn's CPU backend, so a resumed run would not repeat it exactly.
+/// depends on thread scheduling on Burn's CPU backend, so a resumed run would not repeat it
+/// exactly.
 ///
 /// # Shapes
 /// - model_output, target: `[batch, channels, time]`

@@ -1,5 +1,5 @@
-//! Explicit Runge-Kutta methods for `dx / dt = f(x, t)` by their Butcher tableaus, shared by flows and
-//! Heun's sampler of a diffusion process.
+//! Explicit Runge-Kutta methods for `dx / dt = f(x, t)` by their Butcher tableaus, shared by flows
+//! and Heun's sampler of a diffusion process.
 
 use burn::tensor::Tensor;
 
@@ -81,8 +81,8 @@ impl Method {
         ],
     };
 
-    /// Shares of the slopes of [`Self::DOPRI5`], and of the slope at its end, in the difference from a
-    /// solution of order 4.
+    /// Shares of the slopes of [`Self::DOPRI5`], and of the slope at its end, in the difference
+    /// from a solution of order 4.
     pub const DOPRI5_ERROR: [f64; 7] = [
         71.0 / 57600.0,
         0.0,

@@ -1,8 +1,8 @@
 //! A differentiable sampler, with gradients from the motion back to the start noise and the network
 //! (CC-MotionGen, section 7.3; docs/sources.md, section 1.8).
 //!
-//! A rollout is deterministic DDIM over K timesteps during training. [`RolloutMode`] trades memory for
-//! compute.
+//! A rollout is deterministic DDIM over K timesteps during training. [`RolloutMode`] trades memory
+//! for compute.
 //!
 //! With the cosine schedule a naive rollout is unstable: at t = 999 of 1000 a noise prediction is
 //! multiplied by 1/sqrt(abar) = 64179. To stabilise it, predict the clean motion, clip it
@@ -70,8 +70,8 @@ pub struct Trace {
     strategy: Option<GradientCheckpointingStrategy>,
 }
 
-/// A state that gets a gradient, with the activation checkpointing of the network, because operations
-/// do not mix two settings.
+/// A state that gets a gradient, with the activation checkpointing of the network, because
+/// operations do not mix two settings.
 fn tracked(state: Tensor<3>, strategy: Option<GradientCheckpointingStrategy>) -> Tensor<3> {
     let state = state.autodiff().require_grad();
     match strategy {
@@ -93,8 +93,8 @@ pub fn rollout_timesteps(starts: &[usize], steps: usize) -> Vec<Vec<usize>> {
 }
 
 impl Rollout {
-    /// Runs the steps of `timesteps` ([`rollout_timesteps`]) from `x_start_noise`. `plain` is `model`
-    /// without gradients (Burn: `Module::valid`).
+    /// Runs the steps of `timesteps` ([`rollout_timesteps`]) from `x_start_noise`. `plain` is
+    /// `model` without gradients (Burn: `Module::valid`).
     ///
     /// # Shapes
     /// - x_start_noise: `[batch, channels, time]`, best on the device of `model`; detached
@@ -190,8 +190,8 @@ impl Rollout {
 
 impl Trace {
     /// Continues the backward pass: removes the gradient of the final state from `gradients`, calls
-    /// `each` with the index and gradients of each step, the last step first, and returns the gradient
-    /// of the start noise.
+    /// `each` with the index and gradients of each step, the last step first, and returns the
+    /// gradient of the start noise.
     ///
     /// # Errors
     /// As [`Rollout::run`].

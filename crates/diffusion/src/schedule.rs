@@ -112,8 +112,8 @@ impl NoiseSchedule {
     }
 }
 
-/// Algorithm 1 of Lin et al. 2023: shifts `sqrt(abar)` to 0 at the last timestep and rescales it to its
-/// old value at the first.
+/// Algorithm 1 of Lin et al. 2023: shifts `sqrt(abar)` to 0 at the last timestep and rescales it to
+/// its old value at the first.
 fn rescale_zero_terminal_snr(betas: &[f64]) -> Vec<f64> {
     let mut product = 1.0;
     let roots: Vec<f64> = betas

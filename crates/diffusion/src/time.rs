@@ -1,7 +1,7 @@
 //! The time input of a network: the noise level.
 
-/// The noise level of a sample in its network's units: the timestep of a diffusion process, 0 being the
-/// least noisy, or the flow time.
+/// The noise level of a sample in its network's units: the timestep of a diffusion process, 0 being
+/// the least noisy, or the flow time.
 #[derive(Clone, Copy, Debug, PartialEq, PartialOrd)]
 pub struct Time(pub f64);
 

@@ -10,8 +10,8 @@ use crate::{GroupNorm, Lengths, composed, product};
 
 /// A convolution over time, fused with the operations right before and after it.
 ///
-/// On the CPU this is one operation that stores its input and parameters. The backward pass recomputes
-/// the normalised or repeated input.
+/// On the CPU this is one operation that stores its input and parameters. The backward pass
+/// recomputes the normalised or repeated input.
 ///
 /// ```text
 /// y = conv(norm(x)) + bias + residual        or        y = conv(upsample(x)) + bias + residual
@@ -29,8 +29,8 @@ pub struct Convolution {
 }
 
 impl Convolution {
-    /// Weight `[out, in, kernel]`, padded by `(kernel - 1) / 2`. An odd kernel maps `time` frames to
-    /// `ceil(time / stride)`, a kernel of 4 with stride 2 to `floor(time / 2)`.
+    /// Weight `[out, in, kernel]`, padded by `(kernel - 1) / 2`. An odd kernel maps `time` frames
+    /// to `ceil(time / stride)`, a kernel of 4 with stride 2 to `floor(time / 2)`.
     pub fn new(weight: Tensor<3>, stride: usize) -> Self {
         let kernel = weight.dims()[2];
         Self {

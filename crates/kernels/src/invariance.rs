@@ -8,11 +8,11 @@ thread_local! {
     static SAMPLES: Cell<usize> = const { Cell::new(1) };
 }
 
-/// Runs `work` on this thread for batches of `samples` samples. Kernels give each sample the same bits
-/// as in a batch of one.
+/// Runs `work` on this thread for batches of `samples` samples. Kernels give each sample the same
+/// bits as in a batch of one.
 ///
-/// Products of few rows use another algorithm, which rounds differently. Outside this scope the rows
-/// of the whole batch choose the algorithm. Operations without a kernel are not affected.
+/// Products of few rows use another algorithm, which rounds differently. Outside this scope the
+/// rows of the whole batch choose the algorithm. Operations without a kernel are not affected.
 ///
 /// # Panics
 /// Panics if `samples` is 0.

@@ -7,8 +7,8 @@ use crate::host::norm::GroupNormPlan;
 use crate::mode::fuses;
 use crate::{Activation, Lengths};
 
-/// Group normalisation over channels and time (biased variance), then optionally FiLM, an activation
-/// and a mask:
+/// Group normalisation over channels and time (biased variance), then optionally FiLM, an
+/// activation and a mask:
 ///
 /// ```text
 /// u = (x - mean) / sqrt(variance + eps) weight + bias

@@ -1,5 +1,5 @@
-//! The optimiser's step in host memory: one pass over the gradients for their norm, then one in-place
-//! pass for clipping, AdamW and the moving average.
+//! The optimiser's step in host memory: one pass over the gradients for their norm, then one
+//! in-place pass for clipping, AdamW and the moving average.
 
 mod tensors;
 

@@ -13,8 +13,8 @@ pub enum Precision {
     /// 32 bits: 23 of mantissa, 8 of exponent.
     #[default]
     Float32,
-    /// 16 bits: 7 of mantissa, 8 of exponent. Factors, products and their gradients are rounded. The
-    /// CPU kernels are float32 only and are not used.
+    /// 16 bits: 7 of mantissa, 8 of exponent. Factors, products and their gradients are rounded.
+    /// The CPU kernels are float32 only and are not used.
     Bfloat16,
 }
 
@@ -28,8 +28,8 @@ impl Precision {
         CURRENT.get()
     }
 
-    /// Runs `work` with this precision on this thread. A backward pass has the precision of its forward
-    /// pass; one that recomputes parts of the forward pass must run inside the scope.
+    /// Runs `work` with this precision on this thread. A backward pass has the precision of its
+    /// forward pass; one that recomputes parts of the forward pass must run inside the scope.
     pub fn scope<R>(self, work: impl FnOnce() -> R) -> R {
         scoped(&CURRENT, self, work)
     }

@@ -9,9 +9,9 @@ const BLOCK: usize = 16;
 
 /// `W x` of every frame, each product in float32 whatever the device.
 ///
-/// GPU matrix units may use 10 of the 23 mantissa bits (TF32). Each factor then has a relative error of
-/// up to 1/2,000, which a matrix with a large inverse amplifies to the size of the values. Devices
-/// other than the CPU therefore multiply element by element, [`BLOCK`] channels at a time.
+/// GPU matrix units may use 10 of the 23 mantissa bits (TF32). Each factor then has a relative
+/// error of up to 1/2,000, which a matrix with a large inverse amplifies to the size of the values.
+/// Devices other than the CPU therefore multiply element by element, [`BLOCK`] channels at a time.
 ///
 /// # Shapes
 /// - matrix: `[channels_out, channels]`

@@ -4,8 +4,8 @@ use burn::module::Module;
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_random::Key;
 
-/// The key of a forward pass's masks: `Some` in training, by step, micro-batch and call; `None` disables
-/// dropout (validation, sampling, rollouts).
+/// The key of a forward pass's masks: `Some` in training, by step, micro-batch and call; `None`
+/// disables dropout (validation, sampling, rollouts).
 pub type DropoutKey = Option<Key>;
 
 /// Inverted dropout: elements are zeroed with probability `prob`, the rest scaled by

@@ -5,8 +5,8 @@ use burn::tensor::{Gradients, Tensor, Transaction};
 
 use crate::parameters;
 
-/// Removes the gradients of `module`'s parameters from `gradients`; zeros for a parameter that had no
-/// part in the loss or is frozen.
+/// Removes the gradients of `module`'s parameters from `gradients`; zeros for a parameter that had
+/// no part in the loss or is frozen.
 pub fn gradients<M: Module>(module: &M, gradients: &mut Gradients) -> Vec<Vec<f32>> {
     let mut sum = GradientSum::default();
     sum.add(module, gradients);
@@ -83,8 +83,8 @@ impl GradientSum {
         (values.collect(), read.collect())
     }
 
-    /// The sums on their device, in the module's order; `None` for a parameter that had no part in any
-    /// loss.
+    /// The sums on their device, in the module's order; `None` for a parameter that had no part in
+    /// any loss.
     pub fn into_tensors(self) -> Vec<Option<Tensor<1>>> {
         self.0
     }

@@ -1,7 +1,7 @@
 //! The low-rank change of one layer's weight (Hu et al. 2021, <https://arxiv.org/abs/2106.09685>).
 //!
-//! Burn's `LoraAdapter` covers weights of two dimensions only, not convolutions, and names its factors
-//! below the weight instead of beside it.
+//! Burn's `LoraAdapter` covers weights of two dimensions only, not convolutions, and names its
+//! factors below the weight instead of beside it.
 
 use burn::module::{Module, Param};
 use burn::tensor::Tensor;
@@ -14,9 +14,9 @@ use crate::{Initializer, LoraConfig};
 /// W' = W + (alpha / rank) reshape(b a)
 /// ```
 ///
-/// `a` is `[rank, fan_in]` and `b` `[out, rank]`; `fan_in` is `in` for a linear layer and `in * kernel`
-/// for a convolution. As in PEFT, `a` starts uniform in `+-1 / sqrt(fan_in)` and `b` at zero, so that
-/// the initial change is zero.
+/// `a` is `[rank, fan_in]` and `b` `[out, rank]`; `fan_in` is `in` for a linear layer and `in *
+/// kernel` for a convolution. As in PEFT, `a` starts uniform in `+-1 / sqrt(fan_in)` and `b` at
+/// zero, so that the initial change is zero.
 #[derive(Module, Debug)]
 pub struct LowRank {
     a: Param<Tensor<2>>,

@@ -47,7 +47,8 @@ pub fn infos<M: Module>(module: &M) -> Vec<ParameterInfo> {
         infos: Vec<ParameterInfo>,
     }
     impl ModuleVisitor for Visitor {
-        /// Maps field names as [`crate::layers`] documents; an enum's variant is not part of a name.
+        /// Maps field names as [`crate::layers`] documents; an enum's variant is not part of a
+        /// name.
         fn enter_module(&mut self, name: &str, container: &str) {
             let nameless = name.starts_with("flat_") || container.starts_with("Enum:");
             let name = if nameless { "" } else { name };
@@ -118,8 +119,8 @@ pub fn count<M: Module>(module: &M) -> usize {
     infos(module).iter().map(ParameterInfo::len).sum()
 }
 
-/// All differences of the `found` parameters from the `expected` ones: missing, of another shape, or not
-/// known.
+/// All differences of the `found` parameters from the `expected` ones: missing, of another shape,
+/// or not known.
 pub fn differences(expected: &[ParameterInfo], found: &[ParameterInfo]) -> Vec<String> {
     let mut found: BTreeMap<&str, &[usize]> = found
         .iter()
@@ -138,8 +139,8 @@ pub fn differences(expected: &[ParameterInfo], found: &[ParameterInfo]) -> Vec<S
     differences
 }
 
-/// Replaces every parameter by the one of its name in `weights`, whose names and shapes must be exactly
-/// those of the module.
+/// Replaces every parameter by the one of its name in `weights`, whose names and shapes must be
+/// exactly those of the module.
 ///
 /// # Errors
 /// [`Error::Weights`] with all [`differences`].
@@ -187,8 +188,8 @@ pub fn update<M: Module>(module: M, mut change: impl FnMut(usize, &mut [f32])) -
     })
 }
 
-/// Replaces the values of every trained parameter, one row on its device, by the result of `change`,
-/// which gets its index among all.
+/// Replaces the values of every trained parameter, one row on its device, by the result of
+/// `change`, which gets its index among all.
 pub fn map<M: Module>(module: M, change: impl FnMut(usize, Tensor<1>) -> Tensor<1>) -> M {
     struct Mapper<F> {
         change: F,

@@ -14,8 +14,8 @@ use crate::{Dropout, DropoutKey, Initializer};
 pub struct ResBlockConfig {
     /// Width of the time embedding.
     pub time_embed_dim: usize,
-    /// Apply the timestep as scale and shift after the second normalisation (FiLM) instead of adding it
-    /// before.
+    /// Apply the timestep as scale and shift after the second normalisation (FiLM) instead of
+    /// adding it before.
     pub use_scale_shift_norm: bool,
     /// Dropout before the second convolution.
     pub dropout: f64,

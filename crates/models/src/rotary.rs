@@ -21,8 +21,8 @@ pub struct Rotation {
 }
 
 impl Rotation {
-    /// Rotates the first `channels` (even) of each head in the motions of a batch whose entry in `turns`
-    /// is true; a single entry applies to all.
+    /// Rotates the first `channels` (even) of each head in the motions of a batch whose entry in
+    /// `turns` is true; a single entry applies to all.
     pub fn new(channels: usize, time: usize, turns: &[bool], device: &Device) -> Self {
         let half = channels / 2;
         // In double precision on the host, as the embedding of timesteps.

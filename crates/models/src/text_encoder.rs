@@ -38,8 +38,8 @@ impl Activation {
     }
 }
 
-/// The sizes of a [`ClipTextModel`]: `text_config` of the published `config.json`, by default those of
-/// ViT-B/32. Other keys are ignored.
+/// The sizes of a [`ClipTextModel`]: `text_config` of the published `config.json`, by default those
+/// of ViT-B/32. Other keys are ignored.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(default)]
 pub struct ClipTextConfig {

@@ -7,8 +7,8 @@
 //!
 //! As in Lipman et al. 2023, <https://arxiv.org/abs/2210.02747>, and Liu et al. 2023,
 //! <https://arxiv.org/abs/2209.03003>, t runs opposite to the timesteps of
-//! [`GaussianDiffusion`](crate::GaussianDiffusion). The papers' x_0 and x_1 are `noise` and `x_start`
-//! here. Source: docs/sources.md, section 5.
+//! [`GaussianDiffusion`](crate::GaussianDiffusion). The papers' x_0 and x_1 are `noise` and
+//! `x_start` here. Source: docs/sources.md, section 5.
 
 mod process;
 mod solver;
@@ -78,8 +78,9 @@ pub fn integrate<const D: usize>(
 
 /// Generates one pose or motion per sample of the start noise along a network's velocity.
 ///
-/// Run it on a plain device with a network of plain weights, as [`sample`](crate::sample). Predicted
-/// noise is converted to a velocity no nearer than [`NEAREST_END`] to t = 0, predicted data to t = 1.
+/// Run it on a plain device with a network of plain weights, as [`sample`](crate::sample).
+/// Predicted noise is converted to a velocity no nearer than [`NEAREST_END`] to t = 0, predicted
+/// data to t = 1.
 ///
 /// # Shapes
 /// - noise, standard normal, and the result: `[batch, channels, time]`

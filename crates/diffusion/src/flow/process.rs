@@ -6,8 +6,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::per_sample::per_sample;
 
-/// Least distance from t = 0 at which predicted noise is converted to a velocity, and from t = 1 for
-/// predicted data. Closer, the factors amplify the network's errors without bound.
+/// Least distance from t = 0 at which predicted noise is converted to a velocity, and from t = 1
+/// for predicted data. Closer, the factors amplify the network's errors without bound.
 pub const NEAREST_END: f64 = 0.05;
 
 /// The quantity that the network of a flow predicts.

@@ -62,16 +62,16 @@ pub(super) fn equal_steps<const D: usize>(
 /// The shortest step of the adaptive solver.
 const LEAST_STEP: f64 = 1e-6;
 
-/// Steps of [`Method::DOPRI5`] of adaptive size. For every sample, the estimated error of a step is at
-/// most `tolerance`: the root mean square over the sample's numbers, each divided by its size if that
-/// is above 1. All samples of a batch take the same steps, so a sample depends on the others within
-/// the tolerance.
+/// Steps of [`Method::DOPRI5`] of adaptive size. For every sample, the estimated error of a step is
+/// at most `tolerance`: the root mean square over the sample's numbers, each divided by its size if
+/// that is above 1. All samples of a batch take the same steps, so a sample depends on the others
+/// within the tolerance.
 ///
 /// Computes the velocity once at the start and six times per step, accepted or rejected.
 ///
 /// # Errors
-/// Those of `velocity`, [`Error::Stopped`], [`Error::FlowTolerance`] if no step is short enough, and
-/// [`Error::NotFinite`].
+/// Those of `velocity`, [`Error::Stopped`], [`Error::FlowTolerance`] if no step is short enough,
+/// and [`Error::NotFinite`].
 pub(super) fn adaptive_steps<const D: usize>(
     velocity: &mut Velocity<'_, D>,
     mut x: Tensor<D>,

@@ -6,8 +6,8 @@ use kinegrad_settings::{InvalidSetting, Refused, require};
 /// Bounds of the predicted clean motion, in the network's units (normalised motion).
 ///
 /// The source clips to [-1, 1] (CC-MotionGen, sections 3.2.4 and 8.1; docs/sources.md, sections 1.3
-/// and 1.9), which single channels of real motion exceed by far. Bounds per channel from the training
-/// data do not cut motion.
+/// and 1.9), which single channels of real motion exceed by far. Bounds per channel from the
+/// training data do not cut motion.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub enum ClipRange {
     /// No bounds.
@@ -22,9 +22,9 @@ pub enum ClipRange {
         /// Greatest value of each channel.
         max: Vec<f32>,
     },
-    /// To the inner bounds, with the gradient of the identity (the straight-through estimator, Bengio
-    /// et al. 2013, <https://arxiv.org/abs/1308.3432>). Otherwise a rollout whose early steps exceed
-    /// the bounds everywhere would lose its gradient.
+    /// To the inner bounds, with the gradient of the identity (the straight-through estimator,
+    /// Bengio et al. 2013, <https://arxiv.org/abs/1308.3432>). Otherwise a rollout whose early
+    /// steps exceed the bounds everywhere would lose its gradient.
     StraightThrough(Box<ClipRange>),
 }
 

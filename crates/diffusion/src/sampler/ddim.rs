@@ -46,8 +46,8 @@ pub fn ddim(
 /// `eta` and `recompute_epsilon` are read from `config`. With `eta` 1 and jumps of one timestep it
 /// is [`super::ddpm_step`].
 ///
-/// Each sample goes from its timestep in `timesteps` to that in `prev_timesteps`, which is not above
-/// it; `None` is the clean motion. Without noise the step gives its mean.
+/// Each sample goes from its timestep in `timesteps` to that in `prev_timesteps`, which is not
+/// above it; `None` is the clean motion. Without noise the step gives its mean.
 ///
 /// # Shapes
 /// - noise, standard normal, output: `[batch, channels, time]`

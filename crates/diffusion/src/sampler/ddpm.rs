@@ -9,8 +9,8 @@ use super::prediction::{Predict, Prediction};
 use super::{OnStep, continue_or_stop};
 use crate::{Error, GaussianDiffusion};
 
-/// Samples by DDPM along `path` (Ho et al. 2020, <https://arxiv.org/abs/2006.11239>), with the steering
-/// of the predictions.
+/// Samples by DDPM along `path` (Ho et al. 2020, <https://arxiv.org/abs/2006.11239>), with the
+/// steering of the predictions.
 ///
 /// # Shapes
 /// - x_T, output: `[batch, channels, time]`
@@ -49,7 +49,8 @@ pub fn ddpm(
 ///
 /// A jump over several timesteps is a step of the respaced process (Nichol and Dhariwal 2021,
 /// <https://arxiv.org/abs/2102.09672>, equation 19) with the beta `1 - abar / abar'`. A sample that
-/// goes to the clean motion gets no noise; the source decides this by the first sample of the batch.
+/// goes to the clean motion gets no noise; the source decides this by the first sample of the
+/// batch.
 ///
 /// Timesteps and noise are those of [`super::ddim_step`]. Under steering (docs/sources.md, sections
 /// 4.6 to 4.8) the mean is shifted by the gradient:
@@ -65,8 +66,8 @@ pub fn ddpm(
 /// mean  <- known entries of (coef1 put(x_0) + coef2 x_t), else mean
 /// ```
 ///
-/// If it predicts noise, they replace entries of the sample, noised by `imputation_noise` to the level
-/// of `prev_timesteps`.
+/// If it predicts noise, they replace entries of the sample, noised by `imputation_noise` to the
+/// level of `prev_timesteps`.
 ///
 /// # Shapes
 /// - noise, imputation_noise, both standard normal, output: `[batch, channels, time]`

@@ -9,8 +9,8 @@ use super::{OnStep, continue_or_stop};
 use crate::per_sample::per_sample;
 use crate::{Error, GaussianDiffusion};
 
-/// Fewest steps whose last is of second order, unless it ends at the clean motion; with fewer it would
-/// overshoot (as in diffusers' `lower_order_final`).
+/// Fewest steps whose last is of second order, unless it ends at the clean motion; with fewer it
+/// would overshoot (as in diffusers' `lower_order_final`).
 const STEPS_OF_SECOND_ORDER: usize = 15;
 
 /// Samples by DPM-Solver++(2M) along `path` (Lu et al. 2022, <https://arxiv.org/abs/2211.01095>,

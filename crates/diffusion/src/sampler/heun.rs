@@ -11,14 +11,15 @@ use crate::per_sample::per_sample;
 use crate::{Error, GaussianDiffusion, Time};
 
 /// Samples by Heun's method along `path` (Karras et al. 2022, <https://arxiv.org/abs/2206.00364>,
-/// algorithm 1). Calls the network twice per step, and once in the step to the clean motion, which uses
-/// Euler's method because there is no slope at its end.
+/// algorithm 1). Calls the network twice per step, and once in the step to the clean motion, which
+/// uses Euler's method because there is no slope at its end.
 ///
 /// # Shapes
 /// - x_T, output: `[batch, channels, time]`
 ///
 /// # Errors
-/// Those of `predict`. A path from pure noise gives NaN; [`must_suit`](super::must_suit) refuses it.
+/// Those of `predict`. A path from pure noise gives NaN; [`must_suit`](super::must_suit) refuses
+/// it.
 pub fn heun(
     diffusion: &GaussianDiffusion,
     predict: &mut Predict<'_, '_>,
@@ -46,8 +47,8 @@ pub fn heun(
     Ok(x)
 }
 
-/// A step of the probability flow of u = x / alpha, with the ratio r = sigma / alpha of the factors of
-/// noise and motion in x_t:
+/// A step of the probability flow of u = x / alpha, with the ratio r = sigma / alpha of the factors
+/// of noise and motion in x_t:
 ///
 /// ```text
 /// du / dr = (u - x_0) / r

@@ -1,8 +1,8 @@
 //! Samplers: from noise to motion.
 //!
-//! Each sampler is a loop in its own file that calls a [`Predict`] along a [`TimestepPath`]. [`sample`]
-//! runs the sampler of a config with a network, [`sample_with`] with any [`Predict`]. The steps of DDIM
-//! and DDPM are public for custom loops.
+//! Each sampler is a loop in its own file that calls a [`Predict`] along a [`TimestepPath`].
+//! [`sample`] runs the sampler of a config with a network, [`sample_with`] with any [`Predict`].
+//! The steps of DDIM and DDPM are public for custom loops.
 
 #![expect(
     non_snake_case,
@@ -65,8 +65,8 @@ pub(crate) fn continue_or_stop(flow: ControlFlow<()>) -> Result<(), Error> {
 /// Run it on a plain device with a network of plain weights (Burn: `Module::valid`). On an autodiff
 /// device every step stores its graph, and memory grows from call to call.
 ///
-/// `keys` seed the noise of the steps (`ddpm`, and `ddim` with `eta` above 0), generated on the host so
-/// that it does not depend on the device.
+/// `keys` seed the noise of the steps (`ddpm`, and `ddim` with `eta` above 0), generated on the
+/// host so that it does not depend on the device.
 ///
 /// # Shapes
 /// - x_T, the start noise, standard normal: `[batch, channels, time]`

@@ -14,8 +14,8 @@ pub enum NoiseKeys<'a> {
     Samples(&'a [Key]),
     /// One key per sample with its index in a [`Batch`](Self::Batch): `key.at(n).at(index)`.
     Numbered(&'a [(Key, u64)]),
-    /// The samples are parts of one motion, sample i from frame `starts[i]` on. Frame t of the motion
-    /// has the noise of `key.at(n).at(t)` in every sample that contains it.
+    /// The samples are parts of one motion, sample i from frame `starts[i]` on. Frame t of the
+    /// motion has the noise of `key.at(n).at(t)` in every sample that contains it.
     Parts {
         /// The motion's key.
         key: Key,
@@ -78,7 +78,8 @@ impl NoiseKeys<'_> {
     }
 }
 
-/// Standard normal noise `[parts, channels, time]` of parts of a motion; its frame t uses `key.at(t)`.
+/// Standard normal noise `[parts, channels, time]` of parts of a motion; its frame t uses
+/// `key.at(t)`.
 pub fn noise_of_parts(key: Key, starts: &[usize], [channels, time]: [usize; 2]) -> Vec<f32> {
     let mut values = vec![0.0; starts.len() * channels * time];
     let last = starts.iter().max().map_or(0, |start| start + time);

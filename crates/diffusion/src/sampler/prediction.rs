@@ -7,9 +7,11 @@ use super::steered::Steered;
 use crate::error::check_output;
 use crate::{Error, GaussianDiffusion, PredictionType, Time};
 
-/// Predicts the clean motion from a noisy motion `[batch, channels, time]` and one [`Time`] per sample.
+/// Predicts the clean motion from a noisy motion `[batch, channels, time]` and one [`Time`] per
+/// sample.
 ///
-/// Guidance, clipping, steering and rollouts act through this function, between network and sampler.
+/// Guidance, clipping, steering and rollouts act through this function, between network and
+/// sampler.
 pub type Predict<'p, 's> = dyn FnMut(Tensor<3>, &[Time]) -> Result<Prediction<'s>, Error> + 'p;
 
 /// A prediction of the clean motion at a noise level.
@@ -50,8 +52,8 @@ impl<'s> Prediction<'s> {
         })
     }
 
-    /// The predicted noise: that of the network or, with `recompute` and a clipped prediction, that of
-    /// the clipped motion.
+    /// The predicted noise: that of the network or, with `recompute` and a clipped prediction, that
+    /// of the clipped motion.
     pub fn epsilon(
         &self,
         diffusion: &GaussianDiffusion,

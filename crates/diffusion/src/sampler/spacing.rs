@@ -2,8 +2,8 @@
 
 use super::config::{SamplerConfig, TimestepSpacing};
 
-/// The timesteps of `config` out of `num_train_timesteps`, noisiest first: strictly decreasing for a
-/// valid config.
+/// The timesteps of `config` out of `num_train_timesteps`, noisiest first: strictly decreasing for
+/// a valid config.
 ///
 /// The formulas of [`TimestepSpacing`] are evaluated in integers; a linspace in single precision is
 /// wrong at some step counts (from 220 of 1000).

@@ -57,8 +57,8 @@ impl Default for Table {
 }
 
 impl Table {
-    /// Rejects keys of other kinds unless they have their default value: `--set` may change the kind of
-    /// a saved config, which contains all keys of its kind.
+    /// Rejects keys of other kinds unless they have their default value: `--set` may change the
+    /// kind of a saved config, which contains all keys of its kind.
     fn refuse_keys_of_other_kinds(&self) -> Result<(), String> {
         let usual = Self::default();
         let is_ddim = matches!(self.kind, Kind::Ddim);

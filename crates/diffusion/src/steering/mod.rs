@@ -21,7 +21,8 @@ pub trait Objective {
     /// The gradient of the loss with respect to the predicted clean motion.
     ///
     /// # Shapes
-    /// - pred_original_sample, output: `[batch, channels, time]`, in network space on a plain device
+    /// - pred_original_sample, output: `[batch, channels, time]`, in network space on a plain
+    ///   device
     fn gradient(&self, pred_original_sample: &Tensor<3>) -> Tensor<3>;
 }
 

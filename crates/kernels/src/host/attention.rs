@@ -1,8 +1,8 @@
 //! Scaled dot-product attention without a stored score matrix.
 //!
-//! A buffer contains the scores of one head; the backward pass recomputes them from queries and keys.
-//! The scores of some hundred frames fit in cache. Queries of longer sequences are processed in parts,
-//! so that memory is linear in the length.
+//! A buffer contains the scores of one head; the backward pass recomputes them from queries and
+//! keys. The scores of some hundred frames fit in cache. Queries of longer sequences are processed
+//! in parts, so that memory is linear in the length.
 
 use std::cell::RefCell;
 use std::ops::Range;
@@ -190,8 +190,8 @@ impl<'a> Heads<'a> {
         });
     }
 
-    /// The queries in parts whose scores fit into a buffer. With narrow ranges the parts are short, so
-    /// that each spans few keys.
+    /// The queries in parts whose scores fit into a buffer. With narrow ranges the parts are short,
+    /// so that each spans few keys.
     fn parts(&self) -> impl Iterator<Item = Range<usize>> + use<> {
         let (time, keys) = (self.queries.time, self.keys.time);
         let most = (MOST_SCORES / keys.max(1)).max(1);
@@ -283,7 +283,8 @@ impl<'a> Heads<'a> {
         output
     }
 
-    /// Writes the gradients of queries, keys and values; those of unattended keys are left as they are.
+    /// Writes the gradients of queries, keys and values; those of unattended keys are left as they
+    /// are.
     pub(crate) fn backward(&self, gradient: Rows<'a>, into: [Columns<'_>; 3]) {
         let [queries_into, keys_into, values_into] = into;
         let channels = self.head_channels();
@@ -365,8 +366,8 @@ impl Columns<'_> {
     fn write(&self, place: [usize; 3], rows: &[f32], channels: usize) {
         let [sample, start, first] = place;
         for (time, row) in (start..).zip(rows.chunks_exact(channels)) {
-            // SAFETY: a task owns its head's columns of its sample, and queries, keys and values have
-            // separate columns or buffers; this is the only slice of them.
+            // SAFETY: a task owns its head's columns of its sample, and queries, keys and values
+            // have separate columns or buffers; this is the only slice of them.
             #[allow(unsafe_code)]
             let out = unsafe {
                 self.rows

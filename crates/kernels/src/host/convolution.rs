@@ -226,8 +226,8 @@ impl<'a> Source<'a> {
         }
     }
 
-    /// `rows` with zeros around them where `phases` reach beyond their ends, and without gaps if windows
-    /// span several rows.
+    /// `rows` with zeros around them where `phases` reach beyond their ends, and without gaps if
+    /// windows span several rows.
     fn pad(rows: Rows<'a>, phases: &[Phase]) -> Self {
         let margins = margins(phases, rows.time);
         let single = phases.iter().all(|phase| phase.taps.len() <= 1);

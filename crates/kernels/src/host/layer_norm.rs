@@ -3,8 +3,8 @@
 use super::simd::vectorized;
 use super::team;
 
-/// Approximate elements of a chunk. The chunks, and so the sums over rows, do not depend on the number
-/// of threads.
+/// Approximate elements of a chunk. The chunks, and so the sums over rows, do not depend on the
+/// number of threads.
 const CHUNK: usize = 1 << 13;
 
 /// Fewest rows of a chunk, because each chunk has its own sums over them.

@@ -1,7 +1,7 @@
 //! Products of few windows with many weights.
 //!
-//! Packing the weights would cost as much as the product. Here the windows are packed instead, and the
-//! weights are read once, in place.
+//! Packing the weights would cost as much as the product. Here the windows are packed instead, and
+//! the weights are read once, in place.
 
 use pulp::{Arch, Simd, WithSimd};
 
@@ -27,8 +27,8 @@ pub(crate) fn is_narrow(rows: usize, channels: usize, taps: usize) -> bool {
     (1..=most).contains(&rows) && 2 * rows <= channels
 }
 
-/// `output = windows weight^T + addends` for a weight `[channels, inner, kernel]` and windows of all
-/// taps in order.
+/// `output = windows weight^T + addends` for a weight `[channels, inner, kernel]` and windows of
+/// all taps in order.
 ///
 /// The order of each sum does not depend on the number of threads.
 pub(crate) fn multiply_narrow(

@@ -1,5 +1,5 @@
-//! Group normalisation with FiLM and an activation: `activation(scale (x - mean) + shift)`, with one
-//! affine map per channel and sample.
+//! Group normalisation with FiLM and an activation: `activation(scale (x - mean) + shift)`, with
+//! one affine map per channel and sample.
 
 use std::mem::MaybeUninit;
 
@@ -62,8 +62,8 @@ struct Affine {
     mean: Vec<f32>,
 }
 
-/// The statistics of every sample's groups over its valid frames, in two passes, so that a large mean
-/// costs no digits.
+/// The statistics of every sample's groups over its valid frames, in two passes, so that a large
+/// mean costs no digits.
 pub fn statistics(x: Rows<'_>, plan: &GroupNormPlan, lengths: Option<&[usize]>) -> Statistics {
     let size = x.channels / plan.groups;
     let tasks = column_tasks(x.batch, x.channels, size);
@@ -207,9 +207,9 @@ fn forward_task(
 
 /// Replaces the dense `gradient` of the output by that of `x`, and returns those of the parameters.
 ///
-/// With `u` the affine part and `n` the normalised values, the sums `s1 = sum du` and `s2 = sum du n`
-/// over a channel's time give the parameters' gradients. Their sums over a group give the two means
-/// that are subtracted from the input's gradient.
+/// With `u` the affine part and `n` the normalised values, the sums `s1 = sum du` and `s2 = sum du
+/// n` over a channel's time give the parameters' gradients. Their sums over a group give the two
+/// means that are subtracted from the input's gradient.
 pub(crate) fn backward(x: Rows<'_>, norm: &Norm<'_>, gradient: &mut [f32]) -> NormGradients {
     let channels = x.channels;
     let tasks = column_tasks(x.batch, channels, channels / norm.plan.groups);

@@ -15,8 +15,8 @@ const PASS: usize = 128;
 /// Most sums of a task, so that they fit a second-level cache.
 const LARGEST_PART: usize = 1 << 19;
 
-/// `[a, c, k] = sum over rows of lhs[a] window[k, c]`, for one row of `lhs` per window, and windows of
-/// `taps` rows.
+/// `[a, c, k] = sum over rows of lhs[a] window[k, c]`, for one row of `lhs` per window, and windows
+/// of `taps` rows.
 ///
 /// Sums are in row order and do not depend on the number of threads.
 pub(crate) fn outer(lhs: Rows<'_>, windows: Windows<'_>, taps: usize) -> Vec<f32> {
@@ -151,8 +151,8 @@ impl TileWork for RunPart<'_, '_> {
     }
 }
 
-/// Adds the products of a tile's values, `TILE_ROWS` per row, and the rows' vectors to `sums`, which
-/// start at zero if `fresh`.
+/// Adds the products of a tile's values, `TILE_ROWS` per row, and the rows' vectors to `sums`,
+/// which start at zero if `fresh`.
 #[inline(always)]
 fn add_products<S: Simd, const NR: usize>(
     simd: S,

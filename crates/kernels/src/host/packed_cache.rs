@@ -1,7 +1,7 @@
 //! Weights that stay packed from product to product.
 //!
-//! With few rows, packing a weight takes about as long as multiplying it. A sampler that calls a small
-//! network repeatedly reuses the packed weights.
+//! With few rows, packing a weight takes about as long as multiplying it. A sampler that calls a
+//! small network repeatedly reuses the packed weights.
 
 use std::any::Any;
 use std::cell::RefCell;
@@ -34,8 +34,8 @@ struct CachedWeight {
     panels: Option<Arc<Vec<f32>>>,
 }
 
-/// Runs `work` on this thread. Products of few rows reuse the weights packed within it, up to 16 MiB.
-/// The results are identical.
+/// Runs `work` on this thread. Products of few rows reuse the weights packed within it, up to 16
+/// MiB. The results are identical.
 pub fn cache_packed_weights<R>(work: impl FnOnce() -> R) -> R {
     struct Outermost;
     impl Drop for Outermost {

@@ -13,8 +13,8 @@ use super::team;
 use crate::lengths::frames_of;
 use crate::recurrence::Direction;
 
-/// Vectors stored per step for the backward pass: reset, update and new gates, and the state's part of
-/// the new gate before its reset.
+/// Vectors stored per step for the backward pass: reset, update and new gates, and the state's part
+/// of the new gate before its reset.
 const SAVED: usize = 4;
 
 /// Sizes and direction of a recurrent layer.
@@ -46,8 +46,8 @@ pub struct GruValues<'a> {
 }
 
 impl GruPlan {
-    /// The state after each step, `[time, batch, width]`, and with `save` the gates for the backward
-    /// pass.
+    /// The state after each step, `[time, batch, width]`, and with `save` the gates for the
+    /// backward pass.
     pub fn forward(&self, values: &GruValues<'_>, save: bool) -> (Vec<f32>, Vec<f32>) {
         let (steps, width) = (self.time * self.batch, self.width);
         let mut states = vec![0.0; steps * width];
@@ -70,8 +70,8 @@ impl GruPlan {
         (states, gates)
     }
 
-    /// The gradients of inputs, weight, bias and initial state from that of all states, `[time, batch,
-    /// width]`, with the states and gates of [`forward`](Self::forward).
+    /// The gradients of inputs, weight, bias and initial state from that of all states, `[time,
+    /// batch, width]`, with the states and gates of [`forward`](Self::forward).
     pub fn backward(
         &self,
         values: &GruValues<'_>,
@@ -221,8 +221,8 @@ impl TileWork for ForwardBlock<'_> {
 }
 
 impl ForwardBlock<'_> {
-    /// Updates the state of one sequence by a step and saves its gates. `recurrent` is the state's part
-    /// of the gates.
+    /// Updates the state of one sequence by a step and saves its gates. `recurrent` is the state's
+    /// part of the gates.
     #[inline(always)]
     fn step(
         &self,
@@ -314,8 +314,8 @@ impl TileWork for BackwardBlock<'_> {
 }
 
 impl BackwardBlock<'_> {
-    /// The gradients of one sequence's gates in a step; `slopes` gets those of the state's part, and
-    /// `carry` keeps the part that bypasses the gates.
+    /// The gradients of one sequence's gates in a step; `slopes` gets those of the state's part,
+    /// and `carry` keeps the part that bypasses the gates.
     #[inline(always)]
     fn step(&mut self, step: usize, i: usize, slopes: &mut [f32]) {
         let width = self.plan.width;

@@ -93,8 +93,8 @@ impl<T> Clone for SharedRows<'_, T> {
 
 impl<T> Copy for SharedRows<'_, T> {}
 
-// SAFETY: only `segment` follows the pointer, and its callers keep the segments of two threads apart;
-// the elements may go to any thread.
+// SAFETY: only `segment` follows the pointer, and its callers keep the segments of two threads
+// apart; the elements may go to any thread.
 #[allow(unsafe_code)]
 unsafe impl<T: Send> Send for SharedRows<'_, T> {}
 // SAFETY: as above.
@@ -123,8 +123,8 @@ impl<'a, T> SharedRows<'a, T> {
     /// Channels `first..first + channels` of a row.
     ///
     /// # Safety
-    /// No other slice of these elements may exist at the same time: tasks own disjoint rows or columns,
-    /// and a task has one slice of an element at a time.
+    /// No other slice of these elements may exist at the same time: tasks own disjoint rows or
+    /// columns, and a task has one slice of an element at a time.
     #[inline(always)]
     #[allow(unsafe_code, clippy::mut_from_ref)]
     pub unsafe fn segment(
@@ -192,8 +192,8 @@ pub(crate) unsafe fn padded_rows_written_by(
     data
 }
 
-/// Divides `[batch, channels]` into tasks of one sample, or, with few samples, of some of its channels.
-/// The channels of a task are a multiple of `unit`.
+/// Divides `[batch, channels]` into tasks of one sample, or, with few samples, of some of its
+/// channels. The channels of a task are a multiple of `unit`.
 pub(crate) fn column_tasks(batch: usize, channels: usize, unit: usize) -> Vec<ColumnTask> {
     /// A part narrower than this does not fill vector registers.
     const LEAST: usize = 32;

@@ -29,8 +29,8 @@ pub(crate) fn fetch(values: &[f32]) {
     }
 }
 
-/// `e^x` to within 2 units in the last place, without branches or calls, so that loops vectorise. It
-/// overflows to infinity, underflows gradually to zero and keeps NaN.
+/// `e^x` to within 2 units in the last place, without branches or calls, so that loops vectorise.
+/// It overflows to infinity, underflows gradually to zero and keeps NaN.
 #[inline(always)]
 pub(crate) fn exp(x: f32) -> f32 {
     /// Adding it rounds to an integer in the low bits.

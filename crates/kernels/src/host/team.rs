@@ -1,8 +1,8 @@
 //! Threads that spin while they wait for the next kernel.
 //!
-//! A training step consists of some thousand short parallel sections. Sleeping and waking would take
-//! longer than many of them, so helpers spin for a moment before they sleep. The number of threads is
-//! Rayon's.
+//! A training step consists of some thousand short parallel sections. Sleeping and waking would
+//! take longer than many of them, so helpers spin for a moment before they sleep. The number of
+//! threads is Rayon's.
 
 use std::cell::UnsafeCell;
 use std::hint::spin_loop;
@@ -54,8 +54,8 @@ struct Team {
     helpers: Mutex<Vec<Helper>>,
 }
 
-/// Runs `work(0)` to `work(tasks - 1)` once each, on this thread and the helpers, and returns when all
-/// are done. Inside another section, or while another thread uses the helpers, all run on this
+/// Runs `work(0)` to `work(tasks - 1)` once each, on this thread and the helpers, and returns when
+/// all are done. Inside another section, or while another thread uses the helpers, all run on this
 /// thread.
 ///
 /// # Panics

@@ -32,9 +32,9 @@ fn with_value(leaves: &[Leaf], leaf: usize, element: usize, value: f32) -> Vec<L
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(300))]
 
-    /// A value that is not finite reaches all outputs that depend on it, as in the composed operations.
-    /// Excluded are weights and transposed convolutions, where the two multiply it by other zeros
-    /// beyond the ends.
+    /// A value that is not finite reaches all outputs that depend on it, as in the composed
+    /// operations. Excluded are weights and transposed convolutions, where the two multiply it by
+    /// other zeros beyond the ends.
     #[test]
     fn values_that_are_not_finite_are_passed_on(
         case in cases(),

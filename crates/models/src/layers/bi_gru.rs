@@ -4,8 +4,8 @@ use kinegrad_kernels::{Direction, Lengths, gru, linear};
 
 use crate::Initializer;
 
-/// A gated recurrent unit ([`gru`]) in both directions, or in one ([`forwards`](Self::forwards)), with
-/// `inputs = weight_ih x + bias_ih`.
+/// A gated recurrent unit ([`gru`]) in both directions, or in one ([`forwards`](Self::forwards)),
+/// with `inputs = weight_ih x + bias_ih`.
 ///
 /// Names and layouts are those of torch's bidirectional `GRU` of one layer: weights `[3 state, in]`
 /// and `[3 state, state]`, biases `[3 state]`.
@@ -50,8 +50,8 @@ impl BiGru {
         }
     }
 
-    /// The states of each sequence, its first `lengths[i]` steps; the backward direction begins at the
-    /// last of them.
+    /// The states of each sequence, its first `lengths[i]` steps; the backward direction begins at
+    /// the last of them.
     ///
     /// # Shapes
     /// - x: `[batch, in, time]`, `lengths` from 1 to `time`

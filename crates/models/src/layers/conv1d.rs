@@ -5,8 +5,8 @@ use kinegrad_kernels::Convolution;
 use crate::lora::Adaptable;
 use crate::{Initializer, LoraConfig, LowRank};
 
-/// A convolution over time with torch's layout: weight `[out, in, kernel]`, bias `[out]`. Kernels are
-/// padded by `(kernel - 1) / 2`. An optional adapter changes the weight.
+/// A convolution over time with torch's layout: weight `[out, in, kernel]`, bias `[out]`. Kernels
+/// are padded by `(kernel - 1) / 2`. An optional adapter changes the weight.
 #[derive(Module, Debug)]
 pub struct Conv1d {
     weight: Param<Tensor<3>>,

@@ -31,8 +31,8 @@ pub struct EncoderLayerConfig {
     pub ff_size: usize,
     /// Place of the normalisations.
     pub norm: NormOrder,
-    /// Dropout in training, as in PyTorch: of the attention weights, of the outputs of attention and
-    /// linear maps, and between the linear maps.
+    /// Dropout in training, as in PyTorch: of the attention weights, of the outputs of attention
+    /// and linear maps, and between the linear maps.
     pub dropout: f64,
 }
 
@@ -47,8 +47,8 @@ impl EncoderLayerConfig {
         let attention = init.at("self_attn");
         EncoderLayer {
             self_attn: SelfAttention {
-                // Xavier's bound for `width` inputs and `3 width` outputs, and biases of zero, as in
-                // `nn.MultiheadAttention`.
+                // Xavier's bound for `width` inputs and `3 width` outputs, and biases of zero, as
+                // in `nn.MultiheadAttention`.
                 in_proj_weight: attention.bounded(
                     "in_proj_weight",
                     [3 * width, width],
@@ -121,8 +121,9 @@ fn masked_attention(
     product(values, weights.swap_dims(2, 3)).reshape([batch, all / 3, tokens])
 }
 
-/// A layer of PyTorch's `nn.TransformerEncoder` with its names: attention, then two linear maps with
-/// GELU between them, both with a residual connection. Created by [`EncoderLayerConfig::init`].
+/// A layer of PyTorch's `nn.TransformerEncoder` with its names: attention, then two linear maps
+/// with GELU between them, both with a residual connection. Created by
+/// [`EncoderLayerConfig::init`].
 ///
 /// ```text
 /// post   h = norm1(x + attention(x))    y = norm2(h + linear2(gelu(linear1(h))))

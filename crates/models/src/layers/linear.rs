@@ -7,8 +7,8 @@ use kinegrad_kernels::{Convolution, linear};
 use crate::lora::Adaptable;
 use crate::{Initializer, LoraConfig, LowRank};
 
-/// `y = x W^T + b` with torch's layout: weight `[out, in]`, bias `[out]`. An optional adapter changes the
-/// weight.
+/// `y = x W^T + b` with torch's layout: weight `[out, in]`, bias `[out]`. An optional adapter
+/// changes the weight.
 #[derive(Module, Debug)]
 pub struct Linear {
     weight: Param<Tensor<2>>,
@@ -69,8 +69,8 @@ impl Linear {
         Convolution::new(weight, 1).bias(self.bias.val())
     }
 
-    /// [`forward_frames`](Self::forward_frames) of the inputs `own` and `shared`; all frames of a sample
-    /// share the latter, which is multiplied once.
+    /// [`forward_frames`](Self::forward_frames) of the inputs `own` and `shared`; all frames of a
+    /// sample share the latter, which is multiplied once.
     ///
     /// # Shapes
     /// - own: `[batch, some, time]`
@@ -85,8 +85,8 @@ impl Linear {
         self.forward_own(own, shared)
     }
 
-    /// [`forward_frames_sharing`](Self::forward_frames_sharing) in which each frame has the row of `cond`
-    /// with its index in `rows`.
+    /// [`forward_frames_sharing`](Self::forward_frames_sharing) in which each frame has the row of
+    /// `cond` with its index in `rows`.
     ///
     /// # Shapes
     /// - own: `[batch, some, time]`
