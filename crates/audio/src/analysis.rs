@@ -78,8 +78,7 @@ impl Analysis {
         Features::new(self)
     }
 
-    /// Approximate bytes of memory for the features of `samples` samples, in addition to the
-    /// samples.
+    /// Approximate bytes of memory for the features of `samples` samples, without the samples.
     pub fn memory(samples: usize) -> u64 {
         // All tensors of an analysis, the same again for their inputs, and one piece of the
         // band-limited samples.

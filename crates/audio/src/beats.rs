@@ -77,8 +77,7 @@ impl Search {
     /// Runs the dynamic programme at a fixed tempo.
     ///
     /// # Panics
-    /// Panics unless a beat of this tempo lasts 1 to [`LAGS`] frames, as those of
-    /// [`tempo::estimate`].
+    /// Panics unless a beat of this tempo lasts 1 to [`LAGS`] frames.
     pub fn new(onset_envelope: &[f32], tempo: &Tempo) -> Self {
         let frames_per_beat = (FRAMES_PER_MINUTE / tempo.bpm).round_ties_even() as usize;
         assert!((1..=LAGS).contains(&frames_per_beat), "a possible tempo");

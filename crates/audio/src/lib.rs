@@ -2,8 +2,7 @@
 //!
 //! [`decode()`] reads a file to mono samples at [`SAMPLE_RATE`]; [`extract`] computes the features
 //! at [`FPS`] frames per second, `T = 1 + floor(n / `[`HOP`]`)`. The definitions are librosa's
-//! (0.11) with CC-MotionGen's settings. Source: CC-MotionGen, section 4 (docs/sources.md, section
-//! 2).
+//! (0.11), the settings CC-MotionGen's (section 4; docs/sources.md, section 2).
 //!
 //! ```
 //! use kinegrad_audio::{CHANNELS, SAMPLE_RATE, extract};

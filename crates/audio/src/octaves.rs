@@ -133,8 +133,7 @@ fn padded(samples: impl Iterator<Item = f32>, len: usize) -> Vec<f32> {
     out
 }
 
-/// Calls `chunk(first, out)` for the parts of `out` at least `reach` from its ends, which stay
-/// zero.
+/// Calls `chunk(first, out)` for the parts of `out` but `reach` samples at its ends.
 fn filter(out: &mut [f32], reach: usize, chunk: impl Fn(usize, &mut [f32]) + Sync) {
     let end = out.len() - reach;
     out[reach..end]

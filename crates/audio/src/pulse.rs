@@ -82,8 +82,7 @@ impl Pulse {
         Self::new(smoothed)
     }
 
-    /// `count` beats (at least two) from position `first` on, extrapolated beyond the ends, without
-    /// bars.
+    /// `count` beats (at least two) from position `first` on, extrapolated, without bars.
     pub fn from_beat(&self, first: f64, count: usize) -> Self {
         let moment = |k: usize| self.moment(first + k as f64);
         Self {

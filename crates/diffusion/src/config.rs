@@ -213,8 +213,7 @@ fn linspace(start: f64, end: f64, n: usize) -> Vec<f64> {
 const COSINE_OFFSET: f64 = 0.008;
 
 /// `1 - cos^2(b) / cos^2(a)` with `a`, `b` the angles of t and t+1, as the sources compute it. The
-/// smallest beta loses 5 of its 16 digits; a more precise form would differ from published
-/// schedules.
+/// smallest beta loses 5 of its 16 digits; a more precise form would not match published ones.
 fn cosine_beta(t: usize, steps: usize) -> f64 {
     let cumulative = |t: usize| {
         let angle = (t as f64 / steps as f64 + COSINE_OFFSET) / (1.0 + COSINE_OFFSET) * FRAC_PI_2;

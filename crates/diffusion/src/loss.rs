@@ -39,8 +39,7 @@ pub fn elementwise(model_output: Tensor<3>, target: Tensor<3>, loss_type: LossTy
 /// min-SNR weighting. A batch without valid elements has loss 0.
 ///
 /// The sums run over time, then channels, then the batch. A plain sum of 4,194,304 or more elements
-/// depends on thread scheduling on Burn's CPU backend, so a resumed run would not repeat it
-/// exactly.
+/// depends on thread scheduling on Burn's CPU backend; a resumed run would not repeat it.
 ///
 /// # Shapes
 /// - model_output, target: `[batch, channels, time]`

@@ -95,8 +95,7 @@ pub trait FusedOps: Backend {
         options: Options,
     ) -> FloatTensor<Self>;
 
-    /// Attention of queries `[batch, channels, time]` to keys and values `[batch, 2 channels,
-    /// keys]`.
+    /// Attention of `[batch, channels, time]` to keys and values `[batch, 2 channels, keys]`.
     fn fused_cross_attention(
         queries: FloatTensor<Self>,
         keys_values: FloatTensor<Self>,
@@ -310,8 +309,7 @@ pub(crate) fn attend_backward<const N: usize>(
     tensors.map(|(values, shape)| from_rows(values, shape))
 }
 
-/// `map` of each sample of `x`, `[batch, channels, time]`, to a sample of these channels and
-/// frames.
+/// `map` of each sample of `x`, `[batch, channels, time]`, to these channels and frames.
 pub(crate) fn mapped(
     x: &FlexTensor,
     [channels, time]: [usize; 2],

@@ -8,8 +8,7 @@ use burn::tensor::{Bytes, DType, Shape};
 use crate::host::rows::Rows;
 use crate::host::team;
 
-/// The frames of a tensor `[batch, channels, time]`, copied only if its channels are not
-/// contiguous.
+/// The frames of `[batch, channels, time]`, copied only if the channels are not contiguous.
 pub(crate) struct HostRows {
     tensor: FlexTensor,
     shape: [usize; 3],

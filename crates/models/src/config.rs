@@ -13,8 +13,7 @@ pub const MAX_WIDTH: usize = 65_536;
 pub const MAX_LAYERS: usize = 1_024;
 
 /// The settings of one kind of network: the keys of a table `model` beside `kind` and `size`, with
-/// defaults. Sizes that depend on the data, such as the channels, are arguments of its
-/// construction.
+/// defaults. Sizes that depend on the data are not among them.
 pub trait NetworkConfig: Serialize + DeserializeOwned + 'static {
     /// Name of the kind, in `model.kind`.
     const KIND: &'static str;

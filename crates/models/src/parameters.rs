@@ -47,8 +47,7 @@ pub fn infos<M: Module>(module: &M) -> Vec<ParameterInfo> {
         infos: Vec<ParameterInfo>,
     }
     impl ModuleVisitor for Visitor {
-        /// Maps field names as [`crate::layers`] documents; an enum's variant is not part of a
-        /// name.
+        /// Maps field names as in [`crate::layers`]; an enum's variant is not part of a name.
         fn enter_module(&mut self, name: &str, container: &str) {
             let nameless = name.starts_with("flat_") || container.starts_with("Enum:");
             let name = if nameless { "" } else { name };

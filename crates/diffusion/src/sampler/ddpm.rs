@@ -49,8 +49,7 @@ pub fn ddpm(
 ///
 /// A jump over several timesteps is a step of the respaced process (Nichol and Dhariwal 2021,
 /// <https://arxiv.org/abs/2102.09672>, equation 19) with the beta `1 - abar / abar'`. A sample that
-/// goes to the clean motion gets no noise; the source decides this by the first sample of the
-/// batch.
+/// goes to the clean motion gets no noise; the source decides this by the first sample.
 ///
 /// Timesteps and noise are those of [`super::ddim_step`]. Under steering (docs/sources.md, sections
 /// 4.6 to 4.8) the mean is shifted by the gradient:

@@ -18,8 +18,7 @@ use crate::{Error, GaussianDiffusion, Time};
 /// - x_T, output: `[batch, channels, time]`
 ///
 /// # Errors
-/// Those of `predict`. A path from pure noise gives NaN; [`must_suit`](super::must_suit) refuses
-/// it.
+/// Those of `predict`. [`must_suit`](super::must_suit) refuses a path from pure noise: it gives NaN.
 pub fn heun(
     diffusion: &GaussianDiffusion,
     predict: &mut Predict<'_, '_>,

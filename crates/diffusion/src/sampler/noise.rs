@@ -78,8 +78,7 @@ impl NoiseKeys<'_> {
     }
 }
 
-/// Standard normal noise `[parts, channels, time]` of parts of a motion; its frame t uses
-/// `key.at(t)`.
+/// Standard normal noise `[parts, channels, time]` of parts of a motion; frame t uses `key.at(t)`.
 pub fn noise_of_parts(key: Key, starts: &[usize], [channels, time]: [usize; 2]) -> Vec<f32> {
     let mut values = vec![0.0; starts.len() * channels * time];
     let last = starts.iter().max().map_or(0, |start| start + time);

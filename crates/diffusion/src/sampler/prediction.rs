@@ -7,11 +7,9 @@ use super::steered::Steered;
 use crate::error::check_output;
 use crate::{Error, GaussianDiffusion, PredictionType, Time};
 
-/// Predicts the clean motion from a noisy motion `[batch, channels, time]` and one [`Time`] per
-/// sample.
+/// Predicts the clean motion from a noisy one, `[batch, channels, time]`, and a [`Time`] per sample.
 ///
-/// Guidance, clipping, steering and rollouts act through this function, between network and
-/// sampler.
+/// Guidance, clipping, steering and rollouts act in this function.
 pub type Predict<'p, 's> = dyn FnMut(Tensor<3>, &[Time]) -> Result<Prediction<'s>, Error> + 'p;
 
 /// A prediction of the clean motion at a noise level.

@@ -283,8 +283,7 @@ impl<'a> Heads<'a> {
         output
     }
 
-    /// Writes the gradients of queries, keys and values; those of unattended keys are left as they
-    /// are.
+    /// Writes the gradients of queries, keys and values, but not of unattended keys.
     pub(crate) fn backward(&self, gradient: Rows<'a>, into: [Columns<'_>; 3]) {
         let [queries_into, keys_into, values_into] = into;
         let channels = self.head_channels();

@@ -15,8 +15,7 @@ fn bits(x: Tensor<3>) -> Vec<u32> {
     values.into_iter().map(f32::to_bits).collect()
 }
 
-/// True if `operation` gives each sample the bits that it gets alone: inside the scope, and
-/// outside.
+/// True if `operation` gives each sample the bits that it gets alone, in the scope and outside.
 fn is_invariant(shape: [usize; 3], operation: impl Fn(Tensor<3>) -> Tensor<3>) -> [bool; 2] {
     let x = random(shape, 1);
     let alone: Vec<u32> = (0..shape[0])

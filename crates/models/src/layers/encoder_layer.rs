@@ -122,8 +122,7 @@ fn masked_attention(
 }
 
 /// A layer of PyTorch's `nn.TransformerEncoder` with its names: attention, then two linear maps
-/// with GELU between them, both with a residual connection. Created by
-/// [`EncoderLayerConfig::init`].
+/// with GELU between them, both with a residual connection.
 ///
 /// ```text
 /// post   h = norm1(x + attention(x))    y = norm2(h + linear2(gelu(linear1(h))))
