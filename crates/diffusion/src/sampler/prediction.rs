@@ -7,7 +7,7 @@ use super::steered::Steered;
 use crate::error::check_output;
 use crate::{Error, GaussianDiffusion, PredictionType, Time};
 
-/// Predicts the clean motion from a noisy one, `[batch, channels, time]`, and a [`Time`] per sample.
+/// Predicts the clean motion from a noisy one, `[batch, channels, time]`, at [`Time`]s per sample.
 ///
 /// Guidance, clipping, steering and rollouts act in this function.
 pub type Predict<'p, 's> = dyn FnMut(Tensor<3>, &[Time]) -> Result<Prediction<'s>, Error> + 'p;
