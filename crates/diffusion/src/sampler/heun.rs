@@ -18,7 +18,7 @@ use crate::{Error, GaussianDiffusion, Time};
 /// - x_T, output: `[batch, channels, time]`
 ///
 /// # Errors
-/// Those of `predict`. [`must_suit`](super::must_suit) refuses paths from pure noise, which give NaN.
+/// Those of `predict`. [`must_suit`](super::must_suit) refuses paths from pure noise (NaN).
 pub fn heun(
     diffusion: &GaussianDiffusion,
     predict: &mut Predict<'_, '_>,
