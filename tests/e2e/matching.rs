@@ -255,7 +255,7 @@ fn what_cannot_be_matched_is_refused_and_leaves_nothing() {
     let before = sandbox.list(".");
     for (options, texts) in [
         ("none.bvh", &["none.bvh cannot be read"][..]),
-        ("dance.c3d", &["dance.c3d is no .bvh or .npy file"]),
+        ("dance.c3d", &["dance.c3d is not a .bvh or .npy file"]),
         ("none.npy", &["none.npy"]),
         ("phrase.npy", &["phrase.npy", "has no body"]),
         ("odd.npy", &["odd.npy: an array of shape [40, 7]"]),

@@ -31,6 +31,7 @@ pub struct ConditionArguments {
     /// Position in the song, in seconds, at which the motion starts
     #[arg(long, value_name = "S", default_value_t = 0.0, requires = "audio")]
     pub start: f64,
+    /// Known beats of the song.
     #[command(flatten)]
     pub beats: BeatArguments,
     /// Goal of the root: key frames or a trajectory, and obstacles; several goals are sampled as one
