@@ -54,8 +54,8 @@ class _Reporting:
 
 
 def reporting(progress: ProgressArgument, unit: str) -> Bar | _Reporting:
-    """A context with the callable to report to: `progress` itself; for `None` a bar if standard error
-    is a terminal; for `False` none."""
+    """A context with the callable to report to: `progress` itself; for `None` a bar if standard
+    error is a terminal; for `False` none."""
     if progress is False:
         return _Reporting(None)
     if progress is None:

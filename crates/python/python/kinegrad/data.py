@@ -22,8 +22,8 @@ Item = dict[str, Any]
 class Dataset(Sequence[Item]):
     """One split of a dataset: a sequence of dictionaries.
 
-    A phrase has `id`, `motion` `[T, 25]` float32 and `audio` `[163, T]` float32 (`[170, T]` with the
-    beats in `data.audio_features`), as stored. A clip has `id`, `motion` `[T, 263]` or `[T, 251]`
+    A phrase has `id`, `motion` `[T, 25]` float32 and `audio` `[163, T]` float32 (`[170, T]` with
+    the beats in `data.audio_features`), as stored. A clip has `id`, `motion` `[T, 263]` or `[T, 251]`
     with the root encoding of the model, and `captions`. Items are read on demand and cached
     (`data.cache`).
 
@@ -145,7 +145,7 @@ class Dataset(Sequence[Item]):
             seed: Seed of order, crops and augmentation; by default `run.seed` of the config.
             batch_size: Samples in a batch; by default `data.batch_size`.
             first: Number of the first batch.
-            num_workers: Threads that prepare batches ahead; with 0 each batch is prepared on demand.
+            num_workers: Threads that prepare batches ahead; with 0 batches are prepared on demand.
         """
         return Batches(self, seed, batch_size, first, num_workers)
 

@@ -1,5 +1,5 @@
-"""Metrics of motion; docs/evaluation.md defines them. A metric is `None` if there are too few frames
-or items, or if a value is not finite."""
+"""Metrics of motion; docs/evaluation.md defines them. A metric is `None` if there are too few
+frames or items, or if a value is not finite."""
 
 from __future__ import annotations
 

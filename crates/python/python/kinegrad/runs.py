@@ -66,7 +66,7 @@ class Sample:
 
     @property
     def path(self) -> NDArray[np.float32] | None:
-        """The ground path of the first stage, `[T, 2]` in metres; `None` unless there are two stages."""
+        """The ground path of the first stage, `[T, 2]` in metres; `None` for a single stage."""
         return self._arrays.get(".path.npy")
 
     @property
@@ -194,8 +194,9 @@ class Run:
         """Generates motion, with the options and results of `kinegrad sample`.
 
         Args:
-            item: Item of the dataset that gives the condition: the audio features of a phrase, or the
-                first caption of a clip; `*` matches any text. By default the first held-out phrase.
+            item: Item of the dataset that gives the condition: the audio features of a phrase, or
+                the first caption of a clip; `*` matches any text. By default the first held-out
+                phrase.
             audio: Song to use as the condition, of any length; from `start` to its end if there is
                 no `frames`.
             start: Position in the song, in seconds, at which the motion starts.
@@ -207,10 +208,11 @@ class Run:
             text_embedding: Text embedding to use as the condition, `FILE#KEY`.
             history: Joint positions `[T, J, 3]` in metres that the motion continues, for runs of
                 recipe `flow`.
-            prompts: File of texts one after another, each with its length, for runs of recipe `flow` or
-                `bpe_motion`.
-            path: Path over the ground that the motion follows (.toml, .csv or .svg), for runs of recipe
-                `bpe_motion`; `{"evaluation.path.method": "override"}` in `settings` selects the method.
+            prompts: File of texts one after another, each with its length, for runs of recipe
+                `flow` or `bpe_motion`.
+            path: Path over the ground that the motion follows (.toml, .csv or .svg), for runs of
+                recipe `bpe_motion`; `{"evaluation.path.method": "override"}` in `settings` selects
+                the method.
             metres_per_unit: Metres in a unit of a path that is a drawing.
             trajectory_run: Run of recipe `gmd_trajectory` that generates the ground path first.
             held_out: Number of held-out items; each of the first ones gives a sample.
@@ -235,7 +237,8 @@ class Run:
             weights: `"ema"` for the exponential moving average, `"model"` for the trained weights.
             device: Device to run on, by default that of the run.
             progress: Called with stage, denoising steps done and in total; `None` for a bar if
-                standard error is a terminal, `False` for no progress. An exception that it raises ends the call.
+                standard error is a terminal, `False` for no progress. An exception that it raises
+                ends the call.
 
         Raises:
             UsageError: For conditions that the model does not support.
