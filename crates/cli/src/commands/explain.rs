@@ -115,8 +115,8 @@ fn bare(name: &str) -> String {
 
 /// The key or the keys of the table `requested`, else those with this last part.
 fn chosen(keys: &[ConfigKey], requested: &str) -> Vec<ConfigKey> {
-    let with = |holds: &dyn Fn(&str) -> bool| -> Vec<ConfigKey> {
-        let keys = keys.iter().filter(|key| holds(&bare(&key.key.name)));
+    let with = |is_match: &dyn Fn(&str) -> bool| -> Vec<ConfigKey> {
+        let keys = keys.iter().filter(|key| is_match(&bare(&key.key.name)));
         keys.cloned().collect()
     };
     let below = format!("{requested}.");

@@ -195,14 +195,14 @@ impl Panel {
 fn spans(frames: &[bool], fps: f64) -> Vec<Range<f64>> {
     let mut spans: Vec<Range<f64>> = Vec::new();
     let mut before = false;
-    for (t, &holds) in frames.iter().enumerate() {
+    for (t, &is_true) in frames.iter().enumerate() {
         let (from, to) = (t as f64 / fps, (t + 1) as f64 / fps);
         match spans.last_mut() {
-            Some(last) if holds && before => last.end = to,
-            _ if holds => spans.push(from..to),
+            Some(last) if is_true && before => last.end = to,
+            _ if is_true => spans.push(from..to),
             _ => {}
         }
-        before = holds;
+        before = is_true;
     }
     spans
 }
