@@ -40,14 +40,11 @@ pub fn write(path: &Path, bytes: &[u8]) -> Result<(), Error> {
 /// True if a file is the temporary file of an interrupted [`write()`].
 pub fn is_unfinished(path: &Path) -> bool {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
-    let Some((_, writer)) = name
+    let writer = name
         .strip_suffix(".tmp")
-        .and_then(|name| name.rsplit_once('.'))
-    else {
-        return false;
-    };
+        .and_then(|name| name.rsplit_once('.'));
     let is_number = |text: &str| !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit());
-    let parts = writer.split_once('-');
+    let parts = writer.and_then(|(_, writer)| writer.split_once('-'));
     parts.is_some_and(|(process, number)| is_number(process) && is_number(number))
 }
 

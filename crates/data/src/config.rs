@@ -328,14 +328,9 @@ impl DataConfig {
         if matches!(self.kind, DataKind::Humanml3d | DataKind::SyntheticWalks) {
             clips::validate(self)?;
         } else {
-            let prob = self.augment.path_warp_prob;
-            require(
-                prob == 0.0,
-                "data.augment.path_warp_prob",
-                prob,
-                "0 with phrases",
-            )
-            .hint("it is for clips of joint features")?;
+            let (key, prob) = ("data.augment.path_warp_prob", self.augment.path_warp_prob);
+            require(prob == 0.0, key, prob, "0 with phrases")
+                .hint("it is for clips of joint features")?;
         }
         check_patterns(&self.labels)?;
         self.validation.validate()?;
@@ -359,10 +354,10 @@ impl ValidationSplit {
         let share = self.fraction.unwrap_or_default();
         in_range("data.validation.fraction", share, 0.0..1.0)
             .hint("0.1 holds out a tenth of the phrases, 0 none")?;
-        let named = self
+        let named = !self
             .patterns
             .iter()
-            .all(|pattern| !pattern.trim().is_empty());
+            .any(|pattern| pattern.trim().is_empty());
         let allowed = "ids, or patterns with `*`";
         require(named, "data.validation.patterns", "\"\"", allowed).hint("remove the empty pattern")
     }
@@ -390,12 +385,9 @@ impl StoreConfig {
             )
             .hint("leave the key out to use the service itself")?;
         }
-        in_range(
-            "data.store.timeout_seconds",
-            self.timeout_seconds,
-            0.01..=3600.0,
-        )
-        .hint("30 suits most networks")?;
+        let seconds = self.timeout_seconds;
+        in_range("data.store.timeout_seconds", seconds, 0.01..=3600.0)
+            .hint("30 suits most networks")?;
         in_range("data.store.max_retries", self.max_retries, 0..=100)
             .hint("6 is some ten seconds of trying")?;
         in_range("data.store.concurrency", self.concurrency, 1..=1024)
@@ -406,12 +398,9 @@ impl StoreConfig {
 impl AugmentConfig {
     fn validate(&self, target_frames: usize) -> Result<(), InvalidSetting> {
         if let Some(min_frames) = self.min_frames {
-            in_range(
-                "data.augment.min_frames",
-                min_frames,
-                MIN_FRAMES..=target_frames,
-            )
-            .hint("at most `data.target_frames`; leave the key out to use whole crops")?;
+            let lengths = MIN_FRAMES..=target_frames;
+            in_range("data.augment.min_frames", min_frames, lengths)
+                .hint("at most `data.target_frames`; leave the key out to use whole crops")?;
         }
         in_range("data.augment.audio_noise", self.audio_noise, 0.0..=100.0)
             .hint("most features lie in [0, 1]: try 0.05")?;
@@ -422,12 +411,9 @@ impl AugmentConfig {
             .hint("0.5 trains for songs with and without a known downbeat")?;
         in_range("data.augment.speed", self.speed, 0.0..=1.0)
             .hint("0.25 plays at 0.8 to 1.25 times the recorded speed")?;
-        in_range(
-            "data.augment.path_warp_prob",
-            self.path_warp_prob,
-            0.0..=1.0,
-        )
-        .hint("0.5 bends half of the clips")?;
+        let warped = self.path_warp_prob;
+        in_range("data.augment.path_warp_prob", warped, 0.0..=1.0)
+            .hint("0.5 bends half of the clips")?;
         in_range("data.augment.audio_masks", self.audio_masks, 0..=16).hint("1 or 2 are usual")
     }
 }

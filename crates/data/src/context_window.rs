@@ -87,10 +87,9 @@ impl ContextWindow {
     pub(crate) fn starts(&self, target_frames: usize) -> Range<usize> {
         let frames = self.take.frames();
         let length = frames.min(target_frames);
-        let reach = if self.own.len() == frames {
-            0
-        } else {
-            reach(self.own.len())
+        let reach = match self.own.len() {
+            own if own == frames => 0,
+            own => reach(own),
         };
         let last_own = self.own.end.max(self.own.start + length) - length;
         let last = (last_own + reach).min(frames - length);
@@ -222,11 +221,7 @@ fn join(phrases: &[Arc<PhraseItem>]) -> PhraseItem {
     let mut motion = Phrase::new(values).expect("whole frames");
     rederive(&mut motion);
     let audio = (0..first.audio.channels())
-        .flat_map(|channel| {
-            phrases
-                .iter()
-                .flat_map(move |phrase| phrase.audio.channel(channel))
-        })
+        .flat_map(|channel| phrases.iter().flat_map(move |p| p.audio.channel(channel)))
         .copied()
         .collect();
     let audio = AudioFeatures::new(motion.frames(), audio).expect("as many frames as the motion");

@@ -93,11 +93,8 @@ impl Listing {
             groups.is_some_and(|groups| !AudioLayout::of(groups).beats)
         };
         let without_beats = rows.iter().find(lacking).map(|row| row.id.clone());
-        let labels = rows.iter().filter_map(|row| {
-            let label = row.label.clone()?;
-            Some((row.id.clone(), label))
-        });
-        let labels = labels.collect();
+        let label = |row: &ManifestRow| Some((row.id.clone(), row.label.clone()?));
+        let labels = rows.iter().filter_map(label).collect();
         let phrase = |row: ManifestRow| Listed {
             id: row.id,
             side: row.split,
@@ -122,15 +119,14 @@ fn prepared(store: &Store) -> Result<bool, Error> {
 }
 
 fn list(store: &Store) -> Result<Listing, Error> {
-    let objects = |(folder, file): (&str, &str)| match store.list(folder, file) {
-        Ok(objects) => Ok(objects),
-        Err(StoreError::Missing(object)) => Err(Error::MissingFolder(object.into())),
-        Err(error) => Err(error.into()),
+    let missing = |error| match error {
+        StoreError::Missing(object) => Error::MissingFolder(object.into()),
+        error => error.into(),
     };
     // By `ID/`, the order of listings.
     let mut found: BTreeMap<String, [Option<String>; 2]> = BTreeMap::new();
     for (kind, (folder, file)) in [MOTION_FILE, AUDIO_FILE].into_iter().enumerate() {
-        for object in objects((folder, file))? {
+        for object in store.list(folder, file).map_err(missing)? {
             let id = &object.path[folder.len() + 1..object.path.len() - file.len()];
             found.entry(id.to_owned()).or_default()[kind] = Some(object.version);
         }

@@ -14,12 +14,8 @@ pub(super) fn validate(data: &DataConfig) -> Result<(), InvalidSetting> {
     let lengths = least..=crate::MAX_FRAMES;
     in_range("data.humanml3d.min_frames", clips.min_frames, lengths)
         .hint("40 for HumanML3D, 24 for KIT-ML; at least `data.humanml3d.unit_frames`")?;
-    in_range(
-        "data.humanml3d.max_frames",
-        clips.max_frames,
-        clips.min_frames + 1..,
-    )
-    .hint(
+    let longer = clips.min_frames + 1..;
+    in_range("data.humanml3d.max_frames", clips.max_frames, longer).hint(
         "more than `data.humanml3d.min_frames`; clips of max_frames and more are left out: 200 \
          in the published training",
     )?;
@@ -43,13 +39,10 @@ fn validate_walks(data: &DataConfig) -> Result<(), InvalidSetting> {
         "\"humanml3d\" with data.kind = \"synthetic_walks\"",
     )
     .hint("leave the key out")?;
-    let frames = data.synthetic.frames;
-    in_range(
-        "data.synthetic.frames",
-        frames,
-        clips.min_frames..clips.max_frames,
+    let lengths = clips.min_frames..clips.max_frames;
+    in_range("data.synthetic.frames", data.synthetic.frames, lengths).hint(
+        "walks keep to `data.humanml3d.min_frames` and `max_frames`; 20 frames are one second",
     )
-    .hint("walks keep to `data.humanml3d.min_frames` and `max_frames`; 20 frames are one second")
 }
 
 /// The lists of a HumanML3D dataset alone decide the split.
@@ -70,22 +63,20 @@ fn validate_split(data: &DataConfig) -> Result<(), InvalidSetting> {
 /// Rejects settings of phrases.
 fn validate_no_phrase_settings(data: &DataConfig) -> Result<(), InvalidSetting> {
     let augment = &data.augment;
+    let alone = "clips have no neighbours";
+    let whole = "the statistics of clips are those of whole clips";
+    let silent = "clips have no music";
     let anchored = "every sample begins at the origin facing +z";
     let mirrored = "a HumanML3D copy lists its mirrored clips beside the others";
-    let turned = "features hold no quaternions";
+    let turned = "features contain no quaternions";
     let long = "data.humanml3d.unit_frames sets the length of samples";
-    let silent = "clips have no music";
+    let timed = "clips have the speed that their captions describe";
+    let measured = data.statistics != StatisticsOf::Phrases;
+    let replaced = augment.audio_replace_prob != 0.0;
+    let dropped = augment.bar_drop_prob != 0.0;
     for (key, set, hint) in [
-        (
-            "join_neighbours",
-            data.join_neighbours,
-            "clips have no neighbours",
-        ),
-        (
-            "statistics",
-            data.statistics != StatisticsOf::Phrases,
-            "whole clips normalise clips",
-        ),
+        ("join_neighbours", data.join_neighbours, alone),
+        ("statistics", measured, whole),
         ("audio_features", data.audio_layout().beats, silent),
         ("augment.rotate_yaw", augment.rotate_yaw, anchored),
         ("augment.mirror", augment.mirror, mirrored),
@@ -93,21 +84,9 @@ fn validate_no_phrase_settings(data: &DataConfig) -> Result<(), InvalidSetting> 
         ("augment.min_frames", augment.min_frames.is_some(), long),
         ("augment.audio_noise", augment.audio_noise != 0.0, silent),
         ("augment.audio_masks", augment.audio_masks != 0, silent),
-        (
-            "augment.audio_replace_prob",
-            augment.audio_replace_prob != 0.0,
-            silent,
-        ),
-        (
-            "augment.bar_drop_prob",
-            augment.bar_drop_prob != 0.0,
-            silent,
-        ),
-        (
-            "augment.speed",
-            augment.speed != 0.0,
-            "clips keep the speed that their words describe",
-        ),
+        ("augment.audio_replace_prob", replaced, silent),
+        ("augment.bar_drop_prob", dropped, silent),
+        ("augment.speed", augment.speed != 0.0, timed),
     ] {
         let found = "a setting of phrases";
         require(!set, key, found, "only the default with clips")

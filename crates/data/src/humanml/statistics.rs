@@ -9,6 +9,8 @@ use crate::{Digest, Error, FileError, npy};
 
 use super::clip::check_width;
 
+const HINT: &str = "without both files the statistics are taken from the training clips";
+
 /// The files of mean and deviation for features with this `root`.
 fn names(root: Root) -> [&'static str; 2] {
     match root {
@@ -43,28 +45,27 @@ pub(super) fn read_stored(
     let JointFeatures { skeleton, root } = representation;
     let [mean_file, std_file] = names(*root);
     let mean = read(files, mean_file, skeleton)?;
+    let std = read(files, std_file, skeleton)?;
     let (missing, there) = match mean {
         Some(_) => (std_file, mean_file),
         None => (mean_file, std_file),
     };
-    let ((mut mean, mean_digest), (mut std, std_digest)) =
-        match (mean, read(files, std_file, skeleton)?) {
-            (None, None) => return Ok(None),
-            (Some(mean), Some(std)) => (mean, std),
-            _ => {
-                let hint = "without both of them the statistics are taken from the training clips";
-                let missing = files.store.name_of(missing);
-                let beside = format!("it beside {there}");
-                return Err(FileError::unexpected(missing, "no such file", beside, hint).into());
-            }
-        };
+    let ((mut mean, mean_digest), (mut std, std_digest)) = match (mean, std) {
+        (None, None) => return Ok(None),
+        (Some(mean), Some(std)) => (mean, std),
+        _ => {
+            let missing = files.store.name_of(missing);
+            let beside = format!("it beside {there}");
+            return Err(FileError::unexpected(missing, "no such file", beside, HINT).into());
+        }
+    };
     skeleton.layout().statistics_in_metres(&mut mean, &mut std);
     let statistics = Statistics::new(mean, std, Some(*root)).map_err(|error| {
         FileError::unexpected(
             format!("{} and {std_file}", files.store.name_of(mean_file)),
             error,
             "finite means, and deviations greater than 0",
-            "without both files the statistics are taken from the training clips",
+            HINT,
         )
     })?;
     Ok(Some((statistics, [mean_digest, std_digest])))
@@ -85,9 +86,8 @@ fn read(
         let value = array.values[channel];
         let (allowed, _) = allowed(value);
         let channel = skeleton.layout().channel_name(channel);
-        let hint = "without both files the statistics are taken from the training clips";
         let found = format!("{value} in channel {channel}");
-        return Err(FileError::unexpected(name, found, allowed, hint).into());
+        return Err(FileError::unexpected(name, found, allowed, HINT).into());
     }
     let values = array.values.into_iter().map(f64::from).collect();
     Ok(Some((values, digest)))

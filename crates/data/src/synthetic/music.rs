@@ -1,5 +1,7 @@
 //! The music of a synthetic phrase: tempo, bars, moves, energy and features.
 
+use std::f64::consts::{PI, TAU};
+
 use kinegrad_audio::Pulse;
 use kinegrad_motion::FPS;
 use kinegrad_random::Key;
@@ -51,7 +53,7 @@ impl Music {
             beats_per_second: (84.0 + 48.0 * tempo) / 60.0,
             first_beat: BEATS_PER_BAR * (1.0 + beat),
             energy: 0.9 + 0.5 * energy,
-            swell: std::f64::consts::TAU * swell,
+            swell: TAU * swell,
             bars: phrase.at(BARS),
         }
     }
@@ -72,7 +74,7 @@ impl Music {
 
     /// Loudness and size of movement around 1, with a period of four bars.
     pub fn energy(&self, beat: f64) -> f64 {
-        self.energy + 0.12 * (std::f64::consts::TAU * beat / 16.0 + self.swell).sin()
+        self.energy + 0.12 * (TAU * beat / 16.0 + self.swell).sin()
     }
 
     /// Share of each move, adding to 1. A bar has one move; they blend over the beat around the bar
@@ -119,10 +121,9 @@ impl Music {
         let off_beat = (-((beat + 0.5).fract() / self.beats_per_second) / 0.06).exp();
         let nearest = beat.round();
         let frames_off = (beat - nearest) / self.beats_per_second * FPS;
-        let accent = if nearest % BEATS_PER_BAR == 0.0 {
-            1.0
-        } else {
-            0.65
+        let accent = match nearest % BEATS_PER_BAR == 0.0 {
+            true => 1.0,
+            false => 0.65,
         };
         let onset = accent * (-(frames_off / 1.2).powi(2)).exp();
 
@@ -157,22 +158,16 @@ fn fill_mfcc(features: &mut AudioFeatures) {
     for coefficient in 0..RMS - MFCC {
         let mut values = vec![0.0; frames];
         for band in MEL..CHROMA {
-            let angle = std::f64::consts::PI * coefficient as f64 * (band as f64 + 0.5) / 128.0;
+            let angle = PI * coefficient as f64 * (band as f64 + 0.5) / 128.0;
             for (sum, &value) in values.iter_mut().zip(features.channel(band)) {
                 *sum += angle.cos() * f64::from(value);
             }
         }
         let mean = values.iter().sum::<f64>() / frames as f64;
-        let square = values
-            .iter()
-            .map(|value| (value - mean).powi(2))
-            .sum::<f64>();
-        let std = (square / frames as f64).sqrt().max(1e-6);
-        for (target, value) in features
-            .channel_mut(MFCC + coefficient)
-            .iter_mut()
-            .zip(values)
-        {
+        let squares = values.iter().map(|value| (value - mean).powi(2));
+        let std = (squares.sum::<f64>() / frames as f64).sqrt().max(1e-6);
+        let row = features.channel_mut(MFCC + coefficient);
+        for (target, value) in row.iter_mut().zip(values) {
             *target = ((value - mean) / std) as f32;
         }
     }
