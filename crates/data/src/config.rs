@@ -114,6 +114,13 @@ pub enum DataKind {
     SyntheticWalks,
 }
 
+impl DataKind {
+    /// True for datasets of clips, false for those of phrases.
+    pub fn is_clips(self) -> bool {
+        matches!(self, Self::Humanml3d | Self::SyntheticWalks)
+    }
+}
+
 impl fmt::Display for DataKind {
     /// Its name in a config.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -325,7 +332,7 @@ impl DataConfig {
         } else {
             self.synthetic.validate()?;
         }
-        if matches!(self.kind, DataKind::Humanml3d | DataKind::SyntheticWalks) {
+        if self.kind.is_clips() {
             clips::validate(self)?;
         } else {
             let (key, prob) = ("data.augment.path_warp_prob", self.augment.path_warp_prob);

@@ -10,7 +10,7 @@ use crate::humanml::Clip;
 use crate::item::Item;
 use crate::progress::{OpenProgress, no_progress};
 use crate::scan::{Gathered, Listable};
-use crate::{DataConfig, DataKind, Dataset, Error, PhraseItem};
+use crate::{DataConfig, Dataset, Error, PhraseItem};
 
 /// Summary of a dataset. Numbers describe the usable items.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -146,9 +146,9 @@ impl Contents {
 /// As [`Dataset::open`], but never for a bad item or an empty split.
 pub fn inspect(config: &DataConfig, progress: OpenProgress) -> Result<Inspection, Error> {
     config.validate()?;
-    match config.kind {
-        DataKind::Phrases | DataKind::Synthetic => inspect_items::<PhraseItem>(config, progress),
-        DataKind::Humanml3d | DataKind::SyntheticWalks => inspect_items::<Clip>(config, progress),
+    match config.kind.is_clips() {
+        false => inspect_items::<PhraseItem>(config, progress),
+        true => inspect_items::<Clip>(config, progress),
     }
 }
 
@@ -157,13 +157,9 @@ pub fn inspect(config: &DataConfig, progress: OpenProgress) -> Result<Inspection
 /// # Errors
 /// As [`Dataset::open`].
 pub fn statistics(config: &DataConfig) -> Result<Statistics, Error> {
-    match config.kind {
-        DataKind::Phrases | DataKind::Synthetic => {
-            Dataset::<PhraseItem>::open(config)?.statistics()
-        }
-        DataKind::Humanml3d | DataKind::SyntheticWalks => {
-            Dataset::<Clip>::open(config)?.statistics()
-        }
+    match config.kind.is_clips() {
+        false => Dataset::<PhraseItem>::open(config)?.statistics(),
+        true => Dataset::<Clip>::open(config)?.statistics(),
     }
 }
 
@@ -227,25 +223,19 @@ fn inspect_items<T: Listable>(
     for side in [&train, &validation] {
         let failed = |item: &T| {
             let rows = item.rows(&representation);
-            let odd = representation.implausible(&rows).into_iter();
-            let profiles = [Profile::Strict, Profile::Ccmotion].into_iter();
-            let checks = profiles.flat_map(|profile| {
+            let checks = [Profile::Strict, Profile::Ccmotion].into_iter();
+            let checks = checks.flat_map(|profile| {
                 let report = representation.check(&rows, profile, statistics.as_ref());
                 let checks = report.map(|report| report.checks).unwrap_or_default();
                 let failed = checks.into_iter().filter(|check| !check.passed);
                 failed.map(move |check| {
-                    let (message, allowed) = (check.message, check.threshold);
-                    format!(
-                        "fails the {profile} check {}: {message}, {allowed} allowed",
-                        check.name
-                    )
+                    let (name, message, allowed) = (check.name, check.message, check.threshold);
+                    format!("fails the {profile} check {name}: {message}, {allowed} allowed")
                 })
             });
-            let problems = odd.chain(checks);
-            let id = item.id().to_owned();
-            problems
-                .map(|problem| (id.clone(), problem))
-                .collect::<Vec<_>>()
+            let problems = representation.implausible(&rows).into_iter().chain(checks);
+            let problems = problems.map(|problem| (item.id().to_owned(), problem));
+            problems.collect::<Vec<_>>()
         };
         let take = |failed: Vec<_>| problems.extend(failed.into_iter().map(problem(false)));
         side.measure_among(failed, take, &no_progress, &Alone)?;

@@ -106,36 +106,30 @@ impl<T: Item> Scan<T> {
                 }
             }))
         };
-        let some = |numbers: &[usize]| -> Result<Vec<Result<Outcome, FileError>>, Error> {
-            numbers.par_iter().map(|&number| read_one(number)).collect()
-        };
         let pool = pool(concurrency);
         let mut outcomes = Vec::with_capacity(total);
         // The first bad item of this rank.
         let mut bad = None;
         let chunk = CHUNK * ranks;
         for start in (0..total).step_by(chunk) {
+            let work = |own: Vec<usize>| -> Result<Vec<Outcome>, Error> {
+                report(progress, start, total)?;
+                let read = || own.par_iter().map(|&number| read_one(number)).collect();
+                let read: Result<Vec<_>, Error> = match &pool {
+                    Some(pool) => pool.install(read),
+                    None => read(),
+                };
+                let read = own.iter().zip(read?).map(|(&number, outcome)| {
+                    outcome.unwrap_or_else(|cause| {
+                        let bad_item = Outcome::Bad(cause.to_string());
+                        bad.get_or_insert((number, cause));
+                        bad_item
+                    })
+                });
+                Ok(read.collect())
+            };
             let numbers = start..(start + chunk).min(total);
-            outcomes.extend(shared(
-                sharing,
-                numbers,
-                |number| number,
-                |own| {
-                    report(progress, start, total)?;
-                    let read = match &pool {
-                        Some(pool) => pool.install(|| some(&own)),
-                        None => some(&own),
-                    }?;
-                    let read = own.into_iter().zip(read).map(|(number, outcome)| {
-                        outcome.unwrap_or_else(|cause| {
-                            let bad_item = Outcome::Bad(cause.to_string());
-                            bad.get_or_insert((number, cause));
-                            bad_item
-                        })
-                    });
-                    Ok(read.collect())
-                },
-            )?);
+            outcomes.extend(shared(sharing, numbers, |number| number, work)?);
             let is_bad = |outcome: &Outcome| matches!(outcome, Outcome::Bad(_));
             if on_bad == Some(OnBadPhrase::Error)
                 && let Some(number) = outcomes.iter().position(is_bad)
@@ -173,9 +167,6 @@ impl<T: Item> Scan<T> {
 
     /// Rejects datasets that ranks list differently.
     fn must_list_the_same(&self, sharing: &dyn Sharing<Error>) -> Result<(), Error> {
-        if sharing.size() == 1 {
-            return Ok(());
-        }
         let own = Digest::of_parts(self.listed.iter().map(|listed| listed.id.as_bytes()));
         let all = sharing.exchange(Ok(own.as_bytes().to_vec()))?;
         match all.iter().position(|listing| *listing != all[0]) {
