@@ -64,10 +64,7 @@ impl AudioLayout {
     }
 }
 
-/// Rejects unsupported lists of groups.
-///
-/// # Errors
-/// Names `key`, what was found and what is allowed.
+/// Rejects unsupported lists of groups. The error names `key`, what was found and what is allowed.
 pub fn check_groups(key: &str, groups: &[AudioGroup]) -> Result<(), InvalidSetting> {
     let named = serde_json::to_string(groups).unwrap_or_default();
     let allowed = "[\"ccmotion\"] or [\"ccmotion\", \"beats\"]";

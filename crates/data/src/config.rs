@@ -314,10 +314,8 @@ impl DataConfig {
         (synthetic + ahead) * NUMBERS_A_FRAME * size_of::<f32>() as u64
     }
 
-    /// Checks every value that can be checked without opening a file.
-    ///
-    /// # Errors
-    /// [`Error::Config`] with the key; [`Error::Scheme`] for an unknown kind of source.
+    /// Checks every value that can be checked without opening a file. Fails with [`Error::Config`]
+    /// with the key; [`Error::Scheme`] for an unknown kind of source.
     pub fn validate(&self) -> Result<(), Error> {
         in_range("data.target_frames", self.target_frames, FRAMES)
             .hint("30 frames are one second; 120 is the usual phrase")?;
@@ -380,8 +378,7 @@ impl CacheConfig {
 }
 
 impl StoreConfig {
-    /// # Errors
-    /// Names the first key out of its range.
+    /// The error names the first key out of its range.
     pub fn validate(&self) -> Result<(), InvalidSetting> {
         if let Some(endpoint) = &self.endpoint {
             require(
@@ -426,8 +423,7 @@ impl AugmentConfig {
 }
 
 impl SyntheticConfig {
-    /// # Errors
-    /// For no phrases, or phrases too short or too long.
+    /// Fails for no phrases, or phrases too short or too long.
     pub fn validate(&self) -> Result<(), InvalidSetting> {
         in_range("data.synthetic.phrases", self.phrases, 1..=1_000_000)
             .hint("64 phrases are enough to see a small model learn")?;

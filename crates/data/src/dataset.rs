@@ -39,23 +39,18 @@ pub struct Dataset<T: Item> {
 
 #[expect(private_bounds, reason = "configs list the items of this crate alone")]
 impl<T: Listable> Dataset<T> {
-    /// Opens the dataset of `config`, reading all items in parallel.
-    ///
-    /// # Errors
-    /// [`Error::Config`] for invalid settings or another `kind` of items; [`Error::Scheme`],
-    /// [`Error::Feature`], [`Error::MissingFolder`], [`Error::Manifest`], [`Error::File`],
-    /// [`Error::Store`], [`Error::Io`] for an unusable dataset; [`Error::BadItem`] for the first
-    /// bad item by id; [`Error::NothingToTrainOn`].
+    /// Opens the dataset of `config`, reading all items in parallel. Fails with [`Error::Config`]
+    /// for invalid settings or another `kind` of items; [`Error::Scheme`], [`Error::Feature`],
+    /// [`Error::MissingFolder`], [`Error::Manifest`], [`Error::File`], [`Error::Store`],
+    /// [`Error::Io`] for an unusable dataset; [`Error::BadItem`] for the first bad item by id;
+    /// [`Error::NothingToTrainOn`].
     pub fn open(config: &DataConfig) -> Result<Self, Error> {
         Self::open_among(config, &no_progress, &Alone)
     }
 
     /// [`open`](Self::open) with `progress`, by ranks that each read a part of the items.
-    /// Collective.
-    ///
-    /// # Errors
-    /// As there; [`Error::Interrupted`]; [`Error::OtherListing`] if ranks list different items;
-    /// [`Error::OtherReader`] if another rank failed.
+    /// Collective. Also fails with [`Error::Interrupted`]; [`Error::OtherListing`] if ranks list
+    /// different items; [`Error::OtherReader`] if another rank failed.
     pub fn open_among(
         config: &DataConfig,
         progress: OpenProgress,
@@ -121,10 +116,7 @@ impl<T: Listable> Dataset<T> {
 }
 
 impl<T: Item> Dataset<T> {
-    /// A dataset of items in memory.
-    ///
-    /// # Panics
-    /// Panics without training items.
+    /// A dataset of items in memory. Panics without training items.
     pub fn of_items(
         train: Vec<Arc<T>>,
         validation: Vec<Arc<T>>,
@@ -152,19 +144,14 @@ impl<T: Item> Dataset<T> {
         }
     }
 
-    /// Statistics of the normalisation: the dataset's own, or measured on the training items.
-    ///
-    /// # Errors
-    /// As [`ItemSet::get`].
+    /// Statistics of the normalisation: the dataset's own, or measured on the training items. Fails
+    /// as [`ItemSet::get`].
     pub fn statistics(&self) -> Result<Statistics, Error> {
         self.statistics_among(&no_progress, &Alone)
     }
 
     /// [`statistics`](Self::statistics) with `progress`, by ranks that each measure a part of the
-    /// items. Collective.
-    ///
-    /// # Errors
-    /// As there, [`Error::Interrupted`] and [`Error::OtherReader`].
+    /// items. Collective. Also fails with [`Error::Interrupted`] and [`Error::OtherReader`].
     pub fn statistics_among(
         &self,
         progress: OpenProgress,
@@ -180,10 +167,7 @@ impl<T: Item> Dataset<T> {
         }
     }
 
-    /// Reads the item `id` of either split.
-    ///
-    /// # Errors
-    /// As [`ItemSet::get`].
+    /// Reads the item `id` of either split. Fails as [`ItemSet::get`].
     pub fn find(&self, id: &str) -> Result<Option<Arc<T>>, Error> {
         match self.train.find(id)? {
             None => self.validation.find(id),

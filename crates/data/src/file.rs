@@ -10,10 +10,8 @@ pub const MAX_TEXT_BYTES: u64 = 64 << 20;
 /// Largest tensor file, which is read whole.
 pub const MAX_TENSOR_BYTES: u64 = 2 << 30;
 
-/// The bytes of the file at `path`, at most `limit`.
-///
-/// # Errors
-/// If it cannot be read, is a folder, pipe or device, or is longer.
+/// The bytes of the file at `path`, at most `limit`. Fails if it cannot be read, is a folder, pipe
+/// or device, or is longer.
 pub fn read_file(path: &Path, limit: u64) -> io::Result<Vec<u8>> {
     let too_long = |found: u64| {
         let message = format!("{found} bytes found, at most {limit} are read");
@@ -45,19 +43,15 @@ fn is_descriptor(path: &Path) -> bool {
         .any(|open| path.starts_with(open))
 }
 
-/// The text of the file at `path`.
-///
-/// # Errors
-/// As [`read_file`] with [`MAX_TEXT_BYTES`], and if it is not UTF-8.
+/// The text of the file at `path`. Fails as [`read_file`] with [`MAX_TEXT_BYTES`], and if it is not
+/// UTF-8.
 pub fn read_text(path: &Path) -> io::Result<String> {
     let bytes = read_file(path, MAX_TEXT_BYTES)?;
     String::from_utf8(bytes).map_err(|error| io::Error::new(io::ErrorKind::InvalidData, error))
 }
 
-/// Opens or creates the file at `path` for locking.
-///
-/// # Errors
-/// If it cannot be made, or is a folder, a pipe or a device.
+/// Opens or creates the file at `path` for locking. Fails if it cannot be made, or is a folder, a
+/// pipe or a device.
 pub fn lock_file(path: &Path) -> io::Result<File> {
     match regular(path) {
         Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
@@ -69,10 +63,7 @@ pub fn lock_file(path: &Path) -> io::Result<File> {
     }
 }
 
-/// The length of the file at `path`.
-///
-/// # Errors
-/// If it is missing, a folder, a pipe or a device.
+/// The length of the file at `path`. Fails if it is missing, a folder, a pipe or a device.
 pub fn regular(path: &Path) -> io::Result<u64> {
     let metadata = fs::metadata(path)?;
     match metadata.is_file() {

@@ -140,10 +140,7 @@ impl Contents {
 
 /// Reads every item of the dataset of `config`, regardless of `on_bad_phrase`, and checks each by
 /// both profiles, the strict one with the statistics of the training items (of all, if there are
-/// none).
-///
-/// # Errors
-/// As [`Dataset::open`], but never for a bad item or an empty split.
+/// none). Fails as [`Dataset::open`], but never for a bad item or an empty split.
 pub fn inspect(config: &DataConfig, progress: OpenProgress) -> Result<Inspection, Error> {
     config.validate()?;
     match config.kind.is_clips() {
@@ -152,10 +149,7 @@ pub fn inspect(config: &DataConfig, progress: OpenProgress) -> Result<Inspection
     }
 }
 
-/// The statistics of the training motion of the dataset of `config`.
-///
-/// # Errors
-/// As [`Dataset::open`].
+/// The statistics of the training motion of the dataset of `config`. Fails as [`Dataset::open`].
 pub fn statistics(config: &DataConfig) -> Result<Statistics, Error> {
     match config.kind.is_clips() {
         false => Dataset::<PhraseItem>::open(config)?.statistics(),

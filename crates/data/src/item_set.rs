@@ -86,18 +86,12 @@ impl<T: Item> ItemSet<T> {
         labels.collect()
     }
 
-    /// Item `position`.
-    ///
-    /// # Errors
-    /// [`Error::BadItem`] if its files are gone, changed or unreadable.
+    /// Item `position`. Fails with [`Error::BadItem`] if its files are gone, changed or unreadable.
     pub fn get(&self, position: usize) -> Result<Arc<T>, Error> {
         self.store.get(self.indices[position])
     }
 
     /// The item `id`; `None` if there is none.
-    ///
-    /// # Errors
-    /// As [`get`](Self::get).
     pub fn find(&self, id: &str) -> Result<Option<Arc<T>>, Error> {
         let position = self.ids().position(|found| found == id);
         position.map(|position| self.get(position)).transpose()
@@ -122,18 +116,12 @@ impl<T: Item> ItemSet<T> {
     }
 
     /// The first `count` of them.
-    ///
-    /// # Errors
-    /// As [`get`](Self::get).
     pub fn first(&self, count: usize) -> Result<Vec<Arc<T>>, Error> {
         let positions = 0..count.min(self.len());
         positions.map(|position| self.get(position)).collect()
     }
 
     /// `count` of them, evenly spaced, as neighbours are similar.
-    ///
-    /// # Errors
-    /// As [`get`](Self::get).
     pub fn evenly(&self, count: usize) -> Result<Vec<Arc<T>>, Error> {
         let taken = count.min(self.len());
         let positions = (0..taken).map(|index| index * self.len() / taken);
@@ -141,9 +129,6 @@ impl<T: Item> ItemSet<T> {
     }
 
     /// All of them, in memory.
-    ///
-    /// # Errors
-    /// As [`get`](Self::get).
     pub fn load(&self) -> Result<Vec<Arc<T>>, Error> {
         (0..self.len())
             .into_par_iter()
@@ -152,10 +137,7 @@ impl<T: Item> ItemSet<T> {
     }
 
     /// The statistics of their motion in `representation`; none of no items. Ranks measure a part
-    /// each. Collective.
-    ///
-    /// # Errors
-    /// As [`measure_among`](Self::measure_among).
+    /// each. Collective. Fails as [`measure_among`](Self::measure_among).
     pub fn statistics_among(
         &self,
         representation: &T::Representation,
@@ -173,10 +155,8 @@ impl<T: Item> ItemSet<T> {
     }
 
     /// Measures each item on all cores and passes the results to `take` in order. Ranks measure a
-    /// part each and take all. Collective.
-    ///
-    /// # Errors
-    /// As [`get`](Self::get); [`Error::Interrupted`]; [`Error::OtherReader`].
+    /// part each and take all. Collective. Fails as [`get`](Self::get); [`Error::Interrupted`];
+    /// [`Error::OtherReader`].
     pub fn measure_among<M: Send + Serialize + DeserializeOwned>(
         &self,
         measure: impl Fn(&T) -> M + Sync,

@@ -27,10 +27,7 @@ pub fn features_path(id: &str) -> String {
     format!("{}/{id}/{}", AUDIO_FILE.0, AUDIO_FILE.1)
 }
 
-/// Rejects ids that are not plain names.
-///
-/// # Errors
-/// [`StoreError::Path`].
+/// Rejects ids that are not plain names. Fails with [`StoreError::Path`].
 pub fn check_id(id: &str) -> Result<(), StoreError> {
     let reason = match id {
         _ if id.contains(['/', '\\']) => "an id has no slash in it",

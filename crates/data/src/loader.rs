@@ -32,20 +32,16 @@ pub trait Samples: Clone + Send + Sync + 'static {
         self.items().is_cached(position)
     }
 
-    /// Reads the data of a sample of item `position`.
-    ///
-    /// # Errors
-    /// [`Error::BadItem`] if its files are gone, changed or unreadable.
+    /// Reads the data of a sample of item `position`. Fails with [`Error::BadItem`] if its files
+    /// are gone, changed or unreadable.
     fn read(&self, position: usize) -> Result<Self::Read, Error>;
 
     /// Adds sample `number` of the stream, or, without a number, the deterministic validation
     /// sample.
     fn push(&self, batch: &mut Batch, read: &Self::Read, number: Option<u64>);
 
-    /// The validation samples of the items in `positions`, as one batch.
-    ///
-    /// # Errors
-    /// As [`read`](Self::read).
+    /// The validation samples of the items in `positions`, as one batch. Fails as
+    /// [`read`](Self::read).
     fn collate(&self, positions: std::ops::Range<usize>) -> Result<Batch, Error> {
         let mut batch = Batch::with_capacity(positions.len(), &self.shape());
         for position in positions {
@@ -102,10 +98,8 @@ impl Loader {
     /// A loader of `samples` that begins with batch `first_batch` of the stream of this `seed`.
     ///
     /// `data.num_workers` threads prefetch at most two batches each; with 0, or without threads,
-    /// [`next`](Self::next) makes them, on all cores.
-    ///
-    /// # Panics
-    /// Panics without items, or if `config` is not valid.
+    /// [`next`](Self::next) makes them, on all cores. Panics without items, or if `config` is not
+    /// valid.
     pub fn new(samples: impl Samples, config: &DataConfig, seed: u64, first_batch: u64) -> Self {
         Self::of_share(samples, config, seed, BatchShare::all(first_batch))
     }
@@ -135,14 +129,9 @@ impl Loader {
         }
     }
 
-    /// The next batch; blocks until it is ready.
-    ///
-    /// # Errors
-    /// [`Error::BadItem`] for an item whose files are gone, changed or unreadable since the dataset
-    /// was opened.
-    ///
-    /// # Panics
-    /// Resumes the panic of a worker.
+    /// The next batch; blocks until it is ready. Fails with [`Error::BadItem`] for an item whose
+    /// files are gone, changed or unreadable since the dataset was opened. Resumes the panic of a
+    /// worker.
     #[expect(
         clippy::should_implement_trait,
         reason = "the stream has no end, so no Option"
@@ -152,10 +141,8 @@ impl Loader {
         Ok(batch.expect("it never stops"))
     }
 
-    /// [`next`](Self::next), or `None` if `stop` becomes true while it waits.
-    ///
-    /// # Errors
-    /// As [`next`](Self::next).
+    /// [`next`](Self::next), or `None` if `stop` becomes true while it waits. Fails as
+    /// [`next`](Self::next).
     pub fn next_unless(&mut self, stop: &dyn Fn() -> bool) -> Result<Option<Batch>, Error> {
         let started = Instant::now();
         let batch = match &mut self.prefetch {

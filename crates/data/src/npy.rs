@@ -26,19 +26,14 @@ pub struct Array {
     pub values: Vec<f32>,
 }
 
-/// Reads the array of float32 or float64 numbers in the `.npy` file at `path`.
-///
-/// # Errors
+/// Reads the array of float32 or float64 numbers in the `.npy` file at `path`. Fails with
 /// [`FileError`] for a file that cannot be read or is no such array.
 pub fn read_array(path: &Path) -> Result<Array, FileError> {
     let bytes = read_file(path, MAX_ARRAY_BYTES).map_err(FileError::read(path))?;
     parse(&bytes, &path.display().to_string())
 }
 
-/// Writes an array of this shape as little-endian float32, atomically.
-///
-/// # Errors
-/// [`Error::Io`].
+/// Writes an array of this shape as little-endian float32, atomically. Fails with [`Error::Io`].
 pub fn write_values(path: &Path, shape: &[usize], values: &[f32]) -> Result<(), Error> {
     atomic::write(path, &array_bytes(shape, values))
 }
@@ -54,20 +49,14 @@ pub(crate) const fn max_bytes(rows: usize) -> u64 {
     (rows * MAX_FRAMES * 8 + MAX_HEADER_BYTES + 12) as u64
 }
 
-/// Reads a motion: `[frames, 25]`, at least two frames.
-///
-/// # Errors
-/// [`FileError`] for an unreadable file, another dtype or shape, or a truncated file. Values that
-/// are not finite are accepted.
+/// Reads a motion: `[frames, 25]`, at least two frames. Fails with [`FileError`] for an unreadable
+/// file, another dtype or shape, or a truncated file. Values that are not finite are accepted.
 pub fn read_motion(path: &Path) -> Result<Phrase, FileError> {
     let bytes = read_file(path, MAX_MOTION_BYTES).map_err(FileError::read(path))?;
     parse_motion(&bytes, &path.display().to_string())
 }
 
-/// Parses the bytes of a motion's `.npy` file; `file` names it in errors.
-///
-/// # Errors
-/// As [`read_motion`].
+/// Parses the bytes of a motion's `.npy` file; `file` names it in errors. Fails as [`read_motion`].
 pub fn parse_motion(bytes: &[u8], file: &str) -> Result<Phrase, FileError> {
     let array = parse(bytes, file)?;
     let shape = array.shape;
@@ -83,10 +72,7 @@ pub fn parse_motion(bytes: &[u8], file: &str) -> Result<Phrase, FileError> {
     }
 }
 
-/// Writes `motion` as `[frames, 25]` little-endian float32, atomically.
-///
-/// # Errors
-/// [`Error::Io`].
+/// Writes `motion` as `[frames, 25]` little-endian float32, atomically. Fails with [`Error::Io`].
 pub fn write_motion(path: &Path, motion: &Phrase) -> Result<(), Error> {
     atomic::write(path, &motion_bytes(motion))
 }
@@ -103,10 +89,8 @@ pub(crate) fn array_bytes(shape: &[usize], values: &[f32]) -> Vec<u8> {
     bytes
 }
 
-/// Parses the bytes of a `.npy` file; `file` names it in errors.
-///
-/// # Errors
-/// [`FileError`] if the bytes are not an array of float32 or float64 numbers.
+/// Parses the bytes of a `.npy` file; `file` names it in errors. Fails with [`FileError`] if the
+/// bytes are not an array of float32 or float64 numbers.
 pub fn parse(bytes: &[u8], file: &str) -> Result<Array, FileError> {
     let mut values = Vec::new();
     let shape = parse_onto(&mut values, bytes, file)?;

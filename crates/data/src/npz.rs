@@ -23,9 +23,7 @@ const METHOD: CompressionMethod = CompressionMethod::Stored;
 const MOST_UNPACKED: usize = 1032;
 
 /// Parses the bytes of a `features.npz` and stacks it to `[channels, frames]` of `layout`
-/// (CC-MotionGen, section 4.3). Other members are ignored; `file` names it in errors.
-///
-/// # Errors
+/// (CC-MotionGen, section 4.3). Other members are ignored; `file` names it in errors. Fails with
 /// [`FileError`] for an unreadable or truncated archive, a missing member, another dtype or shape,
 /// or members of unequal length. Values that are not finite are accepted (see
 /// [`crate::load_audio`]).
@@ -56,9 +54,7 @@ pub fn parse_features(
     Ok(features.unwrap_or_else(|| AudioFeatures::silence(layout, frames)))
 }
 
-/// Parses the named arrays of an archive: `[frames, width]` each, of equal length.
-///
-/// # Errors
+/// Parses the named arrays of an archive: `[frames, width]` each, of equal length. Fails with
 /// [`FileError`], as [`parse_features`].
 pub fn parse_arrays(
     bytes: &[u8],
@@ -88,19 +84,13 @@ pub fn parse_arrays(
     Ok(arrays)
 }
 
-/// Writes `features` as float32 members for NumPy, atomically.
-///
-/// # Errors
-/// [`Error::Io`].
+/// Writes `features` as float32 members for NumPy, atomically. Fails with [`Error::Io`].
 pub fn write_features(path: &Path, features: &AudioFeatures) -> Result<(), Error> {
     atomic::write(path, &features_bytes(features))
 }
 
 /// Writes a song's `stacked` features with its `tempo` `[1]` (beats per minute) and `beat_times`
-/// `[beats]` (seconds), atomically.
-///
-/// # Errors
-/// [`Error::Io`].
+/// `[beats]` (seconds), atomically. Fails with [`Error::Io`].
 pub fn write_song_features(
     path: &Path,
     features: &Features,

@@ -72,11 +72,8 @@ impl PhraseItem {
     }
 }
 
-/// Reads the audio features `[channels, frames]` of a `features.npz`.
-///
-/// # Errors
-/// [`FileError`] for an unusable file, or a value that is not finite or exceeds
-/// [`LARGEST`](crate::LARGEST).
+/// Reads the audio features `[channels, frames]` of a `features.npz`. Fails with [`FileError`] for
+/// an unusable file, or a value that is not finite or exceeds [`LARGEST`](crate::LARGEST).
 pub fn load_audio(path: &Path, layout: AudioLayout) -> Result<AudioFeatures, FileError> {
     let bytes = read_file(path, npz::MAX_FEATURES_BYTES).map_err(FileError::read(path))?;
     let file = path.display().to_string();

@@ -65,10 +65,8 @@ impl PhraseSamples {
 }
 
 /// Statistics of `phrases`, at least one, in the channels of `targets`: of whole phrases or
-/// training crops, by `config`. Ranks measure a part each. Collective.
-///
-/// # Errors
-/// As [`ItemSet::measure_among`](crate::ItemSet::measure_among).
+/// training crops, by `config`. Ranks measure a part each. Collective. Fails as
+/// [`ItemSet::measure_among`](crate::ItemSet::measure_among).
 pub fn target_statistics(
     phrases: PhraseSet,
     targets: ChannelEncoding,

@@ -71,13 +71,10 @@ enum Outcome {
 }
 
 impl<T: Item> Scan<T> {
-    /// Reads all items, caches as many as `config` allows, and handles bad ones by `on_bad`;
-    /// if `None`, all bad items are collected, including changed ones. Ranks read and cache a part
-    /// each.
-    ///
-    /// # Errors
-    /// [`Error::Store`] if the store fails; [`Error::BadItem`] for the first bad item by id;
-    /// [`Error::Interrupted`]; [`Error::OtherListing`]; [`Error::OtherReader`].
+    /// Reads all items, caches as many as `config` allows, and handles bad ones by `on_bad`; if
+    /// `None`, all bad items are collected, including changed ones. Ranks read and cache a part
+    /// each. Fails with [`Error::Store`] if the store fails; [`Error::BadItem`] for the first bad
+    /// item by id; [`Error::Interrupted`]; [`Error::OtherListing`]; [`Error::OtherReader`].
     pub fn gather(
         &self,
         config: &DataConfig,

@@ -164,10 +164,7 @@ impl Key {
         (0..n).map(|_| rng.random()).collect()
     }
 
-    /// `n` integers from `0..bound`, each equally likely.
-    ///
-    /// # Panics
-    /// Panics if `bound` is zero.
+    /// `n` integers from `0..bound`, each equally likely. Panics if `bound` is zero.
     pub fn integers(self, n: usize, bound: usize) -> Vec<usize> {
         let mut rng = self.rng();
         (0..n).map(|_| rng.random_range(0..bound)).collect()

@@ -80,10 +80,8 @@ pub trait Ranks: Debug {
         self.rank() == 0
     }
 
-    /// The consecutive part of `count` items of this rank, equal for all ranks.
-    ///
-    /// # Panics
-    /// Panics if the number of ranks does not divide them.
+    /// The consecutive part of `count` items of this rank, equal for all ranks. Panics if the
+    /// number of ranks does not divide them.
     fn share(&self, count: u64) -> Range<u64> {
         let (rank, size) = (self.rank() as u64, self.size() as u64);
         assert_eq!(count % size, 0, "{size} ranks share {count}");

@@ -15,10 +15,8 @@ pub trait Sharing<E> {
     /// Number of ranks.
     fn size(&self) -> usize;
 
-    /// Gathers a value of every rank, in rank order. Collective.
-    ///
-    /// # Errors
-    /// The own error, or the failure of another rank.
+    /// Gathers a value of every rank, in rank order. Collective. Fails with the own error, or the
+    /// failure of another rank.
     fn exchange(&self, own: Result<Vec<u8>, E>) -> Result<Vec<Vec<u8>>, E>;
 }
 
@@ -38,13 +36,8 @@ impl<E> Sharing<E> for Alone {
 
 /// Computes results of numbered items: `work` gets the items of this rank and returns one result
 /// each. Item n belongs to rank `owner(n)`, modulo the number of ranks. All ranks receive all
-/// results in order. Collective.
-///
-/// # Errors
-/// As [`Sharing::exchange`].
-///
-/// # Panics
-/// Panics if another rank shares something else.
+/// results in order. Collective. Fails as [`Sharing::exchange`]. Panics if another rank shares
+/// something else.
 pub fn shared<T, E>(
     sharing: &dyn Sharing<E>,
     numbers: Range<usize>,
@@ -78,10 +71,7 @@ pub fn to_bytes(value: &impl Serialize) -> Vec<u8> {
     bytes
 }
 
-/// The value that [`to_bytes`] wrote.
-///
-/// # Panics
-/// Panics for other bytes.
+/// The value that [`to_bytes`] wrote. Panics for other bytes.
 pub fn from_bytes<T: DeserializeOwned>(bytes: &[u8]) -> T {
     ciborium::from_reader(bytes).expect("bytes of another rank of this program")
 }

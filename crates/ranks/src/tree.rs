@@ -7,10 +7,7 @@ pub fn split(count: u64) -> [u64; 2] {
     [first, count - first]
 }
 
-/// Adds `other` to `sum`, term by term.
-///
-/// # Panics
-/// Panics if their lengths differ.
+/// Adds `other` to `sum`, term by term. Panics if their lengths differ.
 pub fn add(sum: &mut [f32], other: &[f32]) {
     assert_eq!(sum.len(), other.len(), "terms of a sum have one length");
     for (sum, other) in sum.iter_mut().zip(other) {
@@ -19,10 +16,7 @@ pub fn add(sum: &mut [f32], other: &[f32]) {
 }
 
 /// Adds concatenated rows of `each` terms in the order of [`split`]; the sum replaces the first
-/// row, the others are consumed.
-///
-/// # Panics
-/// Panics if `rows` is not whole rows, or empty.
+/// row, the others are consumed. Panics if `rows` is not whole rows, or empty.
 pub fn pairwise(rows: &mut [f32], each: usize) {
     let count = rows.len() / each;
     assert_eq!((count.max(1)) * each, rows.len(), "whole rows");
@@ -36,10 +30,8 @@ pub fn pairwise(rows: &mut [f32], each: usize) {
 }
 
 /// Adds row `own`, number `place` of all, and the concatenated `others`, which are consumed, in the
-/// order of [`pairwise`]. The sum replaces `own`.
-///
-/// # Panics
-/// Panics if `others` is not whole rows, or `place` is out of range.
+/// order of [`pairwise`]. The sum replaces `own`. Panics if `others` is not whole rows, or `place`
+/// is out of range.
 pub fn pairwise_with(own: &mut [f32], place: usize, others: &mut [f32]) {
     let each = own.len();
     if each == 0 {

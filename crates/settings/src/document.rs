@@ -73,10 +73,8 @@ pub struct Document<'a> {
 }
 
 impl<'a> Document<'a> {
-    /// The document in `text`; errors name `origin`, its file.
-    ///
-    /// # Errors
-    /// [`DocumentError::Syntax`] with the line.
+    /// The document in `text`; errors name `origin`, its file. Fails with [`DocumentError::Syntax`]
+    /// with the line.
     pub fn parse(text: &'a str, origin: &'a str) -> Result<Self, DocumentError> {
         let no_toml = |error: toml::de::Error| DocumentError::Syntax {
             place: error.span().map_or(origin.to_owned(), |span| {
@@ -104,10 +102,8 @@ impl<'a> Document<'a> {
         }
     }
 
-    /// Its values as a `T`. `help` is the hint of errors without a nearest valid name.
-    ///
-    /// # Errors
-    /// Names the first key that is unknown, or whose value is not finite, of another type, or a
+    /// Its values as a `T`. `help` is the hint of errors without a nearest valid name. The error
+    /// names the first key that is unknown, or whose value is not finite, of another type, or a
     /// list in the place of a table.
     pub fn read<T: DeserializeOwned + Serialize>(&self, help: &str) -> Result<T, DocumentError> {
         let place: Place<'_> = &|key| self.place(key);
@@ -126,10 +122,7 @@ impl<'a> Document<'a> {
     }
 }
 
-/// [`Document::parse`], then [`Document::read`].
-///
-/// # Errors
-/// As these.
+/// [`Document::parse`], then [`Document::read`]. Fails as these.
 pub fn read_toml<T: DeserializeOwned + Serialize>(
     text: &str,
     origin: &str,
@@ -138,11 +131,9 @@ pub fn read_toml<T: DeserializeOwned + Serialize>(
     Document::parse(text, origin)?.read(help)
 }
 
-/// Deserialises `table`. `beside` lists, by table, keys that another type reads.
-///
-/// # Errors
-/// Names the first key that is unknown or whose value is of another type; `help` is its hint
-/// unless a valid name is near.
+/// Deserialises `table`. `beside` lists, by table, keys that another type reads. The error names
+/// the first key that is unknown or whose value is of another type; `help` is its hint unless a
+/// valid name is near.
 pub fn from_table<T: DeserializeOwned>(
     table: &Table,
     place: Place<'_>,
@@ -229,10 +220,8 @@ pub fn nearest<'a>(found: &str, allowed: &[&'a str]) -> Option<&'a str> {
     near.max_by(|a, b| a.0.total_cmp(&b.0)).map(|near| near.1)
 }
 
-/// Rejects numbers that are not finite, which JSON cannot represent.
-///
-/// # Errors
-/// Names the first such key.
+/// Rejects numbers that are not finite, which JSON cannot represent. The error names the first such
+/// key.
 pub fn must_be_finite(table: &Table, place: Place<'_>) -> Result<(), DocumentError> {
     let mut entries = table.iter();
     match entries.find_map(|(key, value)| not_finite(key.clone(), value)) {
@@ -263,10 +252,7 @@ fn not_finite(key: String, value: &Value) -> Option<(String, f64)> {
 }
 
 /// Rejects lists in the place of tables, which serde reads by the order of a table's fields. `read`
-/// is what serde made of `table`.
-///
-/// # Errors
-/// Names the first such key.
+/// is what serde made of `table`. The error names the first such key.
 pub fn must_be_tables(
     table: &Table,
     read: &impl Serialize,

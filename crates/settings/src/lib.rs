@@ -90,10 +90,7 @@ impl<T> Refused for Result<T, InvalidSetting> {
     }
 }
 
-/// Rejects a setting unless `holds`.
-///
-/// # Errors
-/// [`InvalidSetting`] of `key`.
+/// Rejects a setting unless `holds`. Fails with [`InvalidSetting`] of `key`.
 pub fn require(
     holds: bool,
     key: impl Display,
@@ -109,10 +106,8 @@ pub fn require(
 /// Every number above 0.
 pub const ABOVE_ZERO: (Bound<f64>, Bound<f64>) = (Bound::Excluded(0.0), Bound::Unbounded);
 
-/// Rejects a number beyond `range`, and one that is not finite.
-///
-/// # Errors
-/// [`InvalidSetting`] of `key`.
+/// Rejects a number beyond `range`, and one that is not finite. Fails with [`InvalidSetting`] of
+/// `key`.
 pub fn in_range<N: Number>(
     key: impl Display,
     number: N,

@@ -78,10 +78,8 @@ fn plain(text: &str) -> String {
 
 impl ItemSet<Clip> {
     /// The distinct captions of the clips in alphabetical order, each with the id of its first
-    /// clip. Ranks each read a part of the clips. Collective.
-    ///
-    /// # Errors
-    /// As [`measure_among`](Self::measure_among).
+    /// clip. Ranks each read a part of the clips. Collective. Fails as
+    /// [`measure_among`](Self::measure_among).
     pub fn captions_among(
         &self,
         progress: OpenProgress,

@@ -109,10 +109,8 @@ pub fn features_path(id: &str) -> String {
 }
 
 /// Parses a `.npy` file of features with relative root, `[frames, channels]` of `skeleton`, in
-/// metres or (KIT-ML) millimetres; `file` names it in errors.
-///
-/// # Errors
-/// [`FileError`] for another array, another number of channels, and values that are not finite.
+/// metres or (KIT-ML) millimetres; `file` names it in errors. Fails with [`FileError`] for another
+/// array, another number of channels, and values that are not finite.
 pub fn parse_features(
     bytes: &[u8],
     file: &str,
@@ -181,9 +179,7 @@ pub(super) fn check_width(
     }
 }
 
-/// Writes `features` as `[frames, channels]` little-endian float32, atomically.
-///
-/// # Errors
+/// Writes `features` as `[frames, channels]` little-endian float32, atomically. Fails with
 /// [`Error::Io`].
 pub fn write_features(path: &Path, features: &Features) -> Result<(), Error> {
     atomic::write(path, &features_bytes(features))

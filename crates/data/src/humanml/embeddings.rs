@@ -28,9 +28,7 @@ pub(super) struct Embeddings {
 }
 
 impl Embeddings {
-    /// Parses the file called `file`, whose checksum is `digest`.
-    ///
-    /// # Errors
+    /// Parses the file called `file`, whose checksum is `digest`. Fails with
     /// [`FileError::Unusable`] for another kind of file, and a tensor of another shape or type, or
     /// with values that are not finite.
     pub fn parse(bytes: &[u8], file: &str, digest: Digest) -> Result<Self, FileError> {
@@ -52,10 +50,8 @@ impl Embeddings {
         })
     }
 
-    /// The embeddings of the captions of clip `id`.
-    ///
-    /// # Errors
-    /// [`FileError::Unusable`] if they are missing, of another number, or of other captions.
+    /// The embeddings of the captions of clip `id`. Fails with [`FileError::Unusable`] if they are
+    /// missing, of another number, or of other captions.
     pub fn of(&self, id: &str, captions: &[&str]) -> Result<&[Arc<[f32]>], FileError> {
         let found = match self.clips.get(id) {
             Some(rows) if rows.len() == captions.len() => {
@@ -80,10 +76,8 @@ impl Embeddings {
     }
 }
 
-/// One embedding by name: `FILE#KEY` for the first row of a tensor, `FILE#KEY:N` for row N.
-///
-/// # Errors
-/// [`FileError`] for another form of name, an unreadable file, and a tensor that is not an
+/// One embedding by name: `FILE#KEY` for the first row of a tensor, `FILE#KEY:N` for row N. Fails
+/// with [`FileError`] for another form of name, an unreadable file, and a tensor that is not an
 /// embedding.
 pub fn read_embedding(name: &str) -> Result<Vec<f32>, FileError> {
     let expected = "FILE#KEY or FILE#KEY:N, with the key of a tensor and a row";
@@ -157,13 +151,8 @@ fn checksum(captions: &[&str]) -> String {
 }
 
 /// Writes a file of embeddings atomically: `[texts, 512]` float32 under each name. `of` has the
-/// captions of clips; the file is rejected if they change.
-///
-/// # Errors
-/// [`Error::Io`].
-///
-/// # Panics
-/// Panics if a name occurs twice, or a row has another width.
+/// captions of clips; the file is rejected if they change. Fails with [`Error::Io`]. Panics if a
+/// name occurs twice, or a row has another width.
 pub fn write_embeddings(
     path: &Path,
     texts: Vec<(&str, Vec<&[f32]>)>,

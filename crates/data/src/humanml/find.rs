@@ -13,10 +13,8 @@ use crate::{DataConfig, Error};
 const LOOKED_AT: usize = 8;
 
 /// True if the dataset of `config` is in the HumanML3D layout, and its skeleton: `None` if it is
-/// not, `Some(None)` if the skeleton is unknown.
-///
-/// # Errors
-/// As [`Store::open`], and for an unreadable store.
+/// not, `Some(None)` if the skeleton is unknown. Fails as [`Store::open`], and for an unreadable
+/// store.
 pub fn find_clips(config: &DataConfig) -> Result<Option<Option<SkeletonName>>, Error> {
     let store = Store::open(config.source.as_deref().unwrap_or_default(), &config.store)?;
     if let Ok(Some(motion)) = store.place(MOTION_FILE.0)

@@ -18,10 +18,8 @@ pub fn labels_bytes(labels: &ClipLabels) -> Vec<u8> {
     serde_json::to_vec_pretty(labels).expect("plain data")
 }
 
-/// Reads the labels of the dataset in `store`; `None` if it has none.
-///
-/// # Errors
-/// [`Error::Store`]; [`Error::File`] for a file of another form.
+/// Reads the labels of the dataset in `store`; `None` if it has none. Fails with [`Error::Store`];
+/// [`Error::File`] for a file of another form.
 pub fn read_labels(store: &Store) -> Result<Option<ClipLabels>, Error> {
     let Some(bytes) = store.find(LABELS, MAX_BYTES)? else {
         return Ok(None);
@@ -37,10 +35,8 @@ pub fn read_labels(store: &Store) -> Result<Option<ClipLabels>, Error> {
     Ok(Some(labels))
 }
 
-/// The labels of the dataset of `config`; `None` if it has none.
-///
-/// # Errors
-/// As [`read_labels`], and if the dataset's place cannot be opened.
+/// The labels of the dataset of `config`; `None` if it has none. Fails as [`read_labels`], and if
+/// the dataset's place cannot be opened.
 pub fn labels_of(config: &DataConfig) -> Result<Option<ClipLabels>, Error> {
     match (config.kind, &config.source) {
         (DataKind::Humanml3d, Some(source)) => read_labels(&Store::open(source, &config.store)?),

@@ -15,11 +15,8 @@ use super::texts::{TEXTS, texts_path};
 /// Largest list.
 pub(super) const MAX_BYTES: u64 = 1 << 28;
 
-/// The clips of both lists, sorted by id.
-///
-/// # Errors
-/// [`Error::File`] for a list that is missing, empty or has invalid ids, and for a clip on both
-/// lists; [`Error::Store`].
+/// The clips of both lists, sorted by id. Fails with [`Error::File`] for a list that is missing,
+/// empty or has invalid ids, and for a clip on both lists; [`Error::Store`].
 pub(super) fn read_lists(
     files: &Files,
     config: &Humanml3dConfig,

@@ -35,10 +35,8 @@ pub struct ClipSamples {
 
 impl ClipSamples {
     /// Samples of the first `channels` of the features of `clips`, normalised by `statistics`,
-    /// cropped by `config` and `seed`.
-    ///
-    /// # Panics
-    /// Panics if `statistics` or `channels` are not of the `representation`.
+    /// cropped by `config` and `seed`. Panics if `statistics` or `channels` are not of the
+    /// `representation`.
     pub fn new(
         clips: ClipSet,
         representation: JointFeatures,

@@ -33,11 +33,8 @@ pub fn statistics_files(root: Root, statistics: &Statistics) -> [(&'static str, 
 }
 
 /// Reads the statistics of clips in this representation, if the dataset has them, with the
-/// checksums of both files.
-///
-/// # Errors
-/// [`Error::File`] for one file without the other, another layout, and unusable numbers;
-/// [`Error::Store`].
+/// checksums of both files. Fails with [`Error::File`] for one file without the other, another
+/// layout, and unusable numbers; [`Error::Store`].
 pub(super) fn read_stored(
     files: &Files,
     representation: &JointFeatures,

@@ -26,10 +26,8 @@ pub fn synthetic_id(index: usize) -> String {
 }
 
 /// Walk number `index` of this `seed`: `frames` frames of features of [`Skeleton::humanml3d`] at 20
-/// per second, with captions and unit-length embeddings keyed by the captions' words.
-///
-/// # Panics
-/// Panics if `frames` is zero.
+/// per second, with captions and unit-length embeddings keyed by the captions' words. Panics if
+/// `frames` is zero.
 pub fn walk(index: usize, frames: usize, seed: u64) -> Clip {
     let key = Key::new(seed, Purpose::Synthetic)
         .named("walk")
@@ -220,9 +218,7 @@ impl ItemSource<Clip> for Walks {
 }
 
 /// Writes `clips` walks of this `seed`, `frames` frames each, into `folder` in the layout of
-/// HumanML3D with embeddings. A tenth is held out, as with `kind = "synthetic_walks"`.
-///
-/// # Errors
+/// HumanML3D with embeddings. A tenth is held out, as with `kind = "synthetic_walks"`. Fails with
 /// [`Error::Config`] for sizes out of range, [`Error::Exists`] if `folder` contains a dataset,
 /// [`Error::Io`].
 pub fn write_walks(folder: &Path, clips: usize, frames: usize, seed: u64) -> Result<(), Error> {

@@ -74,10 +74,7 @@ impl Caption {
 ///
 /// A line is `CAPTION#TOKENS#FROM#TO`: sentence, words with parts of speech ([`Token::parse_all`]),
 /// and the range in seconds, where 0.0 and 0.0 (or NaN) are the whole clip. Empty lines are
-/// skipped.
-///
-/// # Errors
-/// [`FileError::Unusable`] with the line.
+/// skipped. Fails with [`FileError::Unusable`] with the line.
 pub fn parse_captions(bytes: &[u8], file: &str) -> Result<Vec<Caption>, FileError> {
     let text = str::from_utf8(bytes).map_err(|error| {
         let line = 1 + bytes[..error.valid_up_to()]
@@ -108,10 +105,8 @@ pub fn parse_captions(bytes: &[u8], file: &str) -> Result<Vec<Caption>, FileErro
         .collect()
 }
 
-/// The captions of every clip in a local dataset `folder`, by id.
-///
-/// # Errors
-/// [`FileError`] for a folder without texts, and as [`parse_captions`].
+/// The captions of every clip in a local dataset `folder`, by id. Fails with [`FileError`] for a
+/// folder without texts, and as [`parse_captions`].
 pub fn read_captions(folder: &Path) -> Result<Vec<(String, Vec<Caption>)>, FileError> {
     let texts = folder.join(TEXTS);
     let listed = fs::read_dir(&texts).and_then(Iterator::collect::<Result<Vec<_>, _>>);

@@ -28,29 +28,22 @@ pub const MAX_BYTES: u64 = 1 << 30;
 /// True if this build reads and writes manifests.
 pub const SUPPORTED: bool = cfg!(feature = "manifest");
 
-/// Reads the manifest of `store`; `None` if it has none.
-///
-/// # Errors
-/// [`Error::Store`]; [`Error::Manifest`] for another kind of file, a missing column, an invalid or
-/// repeated id, or an invalid checksum.
+/// Reads the manifest of `store`; `None` if it has none. Fails with [`Error::Store`];
+/// [`Error::Manifest`] for another kind of file, a missing column, an invalid or repeated id, or an
+/// invalid checksum.
 pub fn read(store: &Store) -> Result<Option<Vec<ManifestRow>>, Error> {
     let bytes = store.find(MANIFEST, MAX_BYTES)?;
     let rows = bytes.map(|bytes| parse(bytes, &store.name_of(MANIFEST)));
     rows.transpose()
 }
 
-/// Reads a Parquet file; `object` names it in errors.
-///
-/// # Errors
-/// [`Error::Manifest`], as [`read`].
+/// Reads a Parquet file; `object` names it in errors. Fails with [`Error::Manifest`], as [`read`].
 pub fn parse(bytes: Vec<u8>, object: &str) -> Result<Vec<ManifestRow>, Error> {
     attempt(object, || table::rows(bytes))
 }
 
-/// Writes the manifest of `rows`, sorted by id, into `store`; equal rows give equal bytes.
-///
-/// # Errors
-/// [`Error::Store`].
+/// Writes the manifest of `rows`, sorted by id, into `store`; equal rows give equal bytes. Fails
+/// with [`Error::Store`].
 pub fn write(store: &Store, rows: Vec<ManifestRow>) -> Result<(), Error> {
     let bytes = attempt(&store.name_of(MANIFEST), || table::encode(rows))?;
     Ok(store.write(MANIFEST, bytes)?)
@@ -70,10 +63,8 @@ pub enum Cells {
 }
 
 /// Writes a manifest of named columns of equal length into `store`, for datasets that are not of
-/// phrases.
-///
-/// # Errors
-/// [`Error::Store`]; [`Error::Manifest`] for columns of different lengths or the same name.
+/// phrases. Fails with [`Error::Store`]; [`Error::Manifest`] for columns of different lengths or
+/// the same name.
 pub fn write_columns(store: &Store, columns: Vec<(String, Cells)>) -> Result<(), Error> {
     let bytes = attempt(&store.name_of(MANIFEST), || table::encode_columns(columns))?;
     Ok(store.write(MANIFEST, bytes)?)
@@ -98,10 +89,8 @@ pub struct Selection {
 }
 
 impl Selection {
-    /// All rows of the manifest of `store`; `None` if it has none.
-    ///
-    /// # Errors
-    /// [`Error::Store`]; [`Error::Manifest`].
+    /// All rows of the manifest of `store`; `None` if it has none. Fails with [`Error::Store`];
+    /// [`Error::Manifest`].
     pub fn read(store: &Store) -> Result<Option<Self>, Error> {
         let Some(bytes) = store.find(MANIFEST, MAX_BYTES)? else {
             return Ok(None);
@@ -110,10 +99,8 @@ impl Selection {
         Ok(Some(Self { frame }))
     }
 
-    /// The rows that match `condition`, as `tempo > 100 and split = train`.
-    ///
-    /// # Errors
-    /// The problem of the condition.
+    /// The rows that match `condition`, as `tempo > 100 and split = train`. Fails with the problem
+    /// of the condition.
     pub fn filter(&self, condition: &str) -> Result<Self, String> {
         let frame = table::filter(&self.frame, condition)?;
         Ok(Self { frame })

@@ -12,10 +12,9 @@ pub struct Songs {
 }
 
 impl Songs {
-    /// Reads the manifest of the dataset of `config`; empty without one, or if this build cannot read it.
-    ///
-    /// # Errors
-    /// [`Error::Scheme`], [`Error::Store`], and [`Error::Manifest`] for an invalid manifest.
+    /// Reads the manifest of the dataset of `config`; empty without one, or if this build cannot
+    /// read it. Fails with [`Error::Scheme`], [`Error::Store`], and [`Error::Manifest`] for an
+    /// invalid manifest.
     pub fn read(config: &DataConfig) -> Result<Self, Error> {
         if config.kind != DataKind::Phrases {
             return Ok(Self::default());

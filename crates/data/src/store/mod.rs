@@ -68,11 +68,9 @@ pub struct Object {
 
 impl Store {
     /// The store of `source` (see [`crate::DataConfig::source`]). A local folder need not exist
-    /// yet.
-    ///
-    /// # Errors
-    /// [`Error::Scheme`] for another kind of source; [`Error::Feature`] for a remote source in a
-    /// build without `cloud`; [`Error::Store`] for unusable credentials or endpoints.
+    /// yet. Fails with [`Error::Scheme`] for another kind of source; [`Error::Feature`] for a
+    /// remote source in a build without `cloud`; [`Error::Store`] for unusable credentials or
+    /// endpoints.
     pub fn open(source: &str, config: &StoreConfig) -> Result<Self, Error> {
         let counters = Arc::new(Counters::default());
         let backend: Arc<dyn Backend> = match Location::parse(source)? {
@@ -119,18 +117,14 @@ impl Store {
         self.backend.is_remote()
     }
 
-    /// Reads the object at `path`, of at most `limit` bytes.
-    ///
-    /// # Errors
-    /// [`StoreError::Missing`], [`StoreError::TooLarge`] and others.
+    /// Reads the object at `path`, of at most `limit` bytes. Fails with [`StoreError::Missing`],
+    /// [`StoreError::TooLarge`] and others.
     pub fn read(&self, path: &str, limit: u64) -> Result<Vec<u8>, StoreError> {
         Ok(self.read_version(path, limit)?.0)
     }
 
-    /// Reads the object at `path`, if it exists.
-    ///
-    /// # Errors
-    /// As [`read`](Self::read), but for [`StoreError::Missing`].
+    /// Reads the object at `path`, if it exists. Fails as [`read`](Self::read), but for
+    /// [`StoreError::Missing`].
     pub fn find(&self, path: &str, limit: u64) -> Result<Option<Vec<u8>>, StoreError> {
         match self.read(path, limit) {
             Err(StoreError::Missing(_)) => Ok(None),
@@ -149,43 +143,33 @@ impl Store {
         Ok((bytes, version))
     }
 
-    /// Writes the object at `path`, atomically.
-    ///
-    /// # Errors
-    /// [`StoreError`]; [`StoreError::ReadOnly`] for a web server.
+    /// Writes the object at `path`, atomically. Fails with [`StoreError`]; [`StoreError::ReadOnly`]
+    /// for a web server.
     pub fn write(&self, path: &str, bytes: Vec<u8>) -> Result<(), StoreError> {
         self.backend.write(path, bytes)
     }
 
-    /// Removes the object at `path`, if it exists.
-    ///
-    /// # Errors
-    /// [`StoreError`]; [`StoreError::ReadOnly`] for a web server.
+    /// Removes the object at `path`, if it exists. Fails with [`StoreError`];
+    /// [`StoreError::ReadOnly`] for a web server.
     pub fn remove(&self, path: &str) -> Result<(), StoreError> {
         self.backend.remove(path)
     }
 
-    /// Local path of the object at `path`, existing or not; `None` for remote stores.
-    ///
-    /// # Errors
+    /// Local path of the object at `path`, existing or not; `None` for remote stores. Fails with
     /// [`StoreError::Outside`] if a link leads out of the folder.
     pub fn place(&self, path: &str) -> Result<Option<PathBuf>, StoreError> {
         self.backend.place(path)
     }
 
-    /// All objects named `FOLDER/ANY/FILE`, sorted by path.
-    ///
-    /// # Errors
-    /// [`StoreError`]; [`StoreError::NoListing`] for a web server.
+    /// All objects named `FOLDER/ANY/FILE`, sorted by path. Fails with [`StoreError`];
+    /// [`StoreError::NoListing`] for a web server.
     pub fn list(&self, folder: &str, file: &str) -> Result<Vec<Object>, StoreError> {
         let mut objects = self.backend.list(folder, Some(file))?;
         objects.sort_unstable_by(|a, b| a.path.cmp(&b.path));
         Ok(objects)
     }
 
-    /// All objects named `FOLDER/NAME.ENDING`, sorted by path; none without the folder.
-    ///
-    /// # Errors
+    /// All objects named `FOLDER/NAME.ENDING`, sorted by path; none without the folder. Fails with
     /// [`StoreError`]; [`StoreError::NoListing`] for a web server.
     pub fn list_files(&self, folder: &str, ending: &str) -> Result<Vec<Object>, StoreError> {
         let mut objects = match self.backend.list(folder, None) {

@@ -27,18 +27,13 @@ pub fn id(index: usize) -> String {
     format!("synthetic_{index:05}")
 }
 
-/// Phrase number `index` of this `seed`, `frames` frames at 30 per second.
-///
-/// # Panics
-/// Panics if `frames` is zero.
+/// Phrase number `index` of this `seed`, `frames` frames at 30 per second. Panics if `frames` is
+/// zero.
 pub fn phrase(index: usize, frames: usize, seed: u64) -> PhraseItem {
     phrase_in(AudioLayout::CCMOTION, index, frames, seed)
 }
 
-/// [`phrase`] with audio features in `layout`.
-///
-/// # Panics
-/// Panics if `frames` is zero.
+/// [`phrase`] with audio features in `layout`. Panics if `frames` is zero.
 pub fn phrase_in(layout: AudioLayout, index: usize, frames: usize, seed: u64) -> PhraseItem {
     let key = Key::new(seed, Purpose::Synthetic).at(index as u64);
     let music = Music::new(key);
@@ -54,10 +49,7 @@ pub fn phrase_in(layout: AudioLayout, index: usize, frames: usize, seed: u64) ->
     }
 }
 
-/// The first `phrases` phrases of this `seed`, made in parallel.
-///
-/// # Panics
-/// Panics if `frames` is zero.
+/// The first `phrases` phrases of this `seed`, made in parallel. Panics if `frames` is zero.
 pub fn phrases(phrases: usize, frames: usize, seed: u64) -> Vec<Arc<PhraseItem>> {
     (0..phrases)
         .into_par_iter()
@@ -66,11 +58,8 @@ pub fn phrases(phrases: usize, frames: usize, seed: u64) -> Vec<Arc<PhraseItem>>
 }
 
 /// Writes a synthetic dataset into `folder` in the phrase layout (CC-MotionGen, section 1.3), with
-/// audio features in `layout`, atomically.
-///
-/// # Errors
-/// [`Error::Config`] for sizes out of range, [`Error::Exists`] if `folder` contains a dataset,
-/// [`Error::Io`].
+/// audio features in `layout`, atomically. Fails with [`Error::Config`] for sizes out of range,
+/// [`Error::Exists`] if `folder` contains a dataset, [`Error::Io`].
 pub fn write_dataset(
     folder: &Path,
     layout: AudioLayout,
@@ -94,10 +83,8 @@ pub fn write_dataset(
 }
 
 /// Writes the `parts` of a dataset into `folder`: `fill` makes them in a temporary folder inside,
-/// and they are moved when complete.
-///
-/// # Errors
-/// [`Error::Exists`] if a part exists, [`Error::Io`], and those of `fill`.
+/// and they are moved when complete. Fails with [`Error::Exists`] if a part exists, [`Error::Io`],
+/// and those of `fill`.
 pub(crate) fn write_whole(
     folder: &Path,
     parts: &[&str],
