@@ -53,8 +53,7 @@ impl Augmentation {
         }
     }
 
-    /// Motion and audio of sample `n` from `context`: at most `target_frames` frames, in the
-    /// dataset's units.
+    /// Motion and audio of sample `n`, at most `target_frames` frames, in the dataset's units.
     pub fn windows<'a>(
         &self,
         context: &'a ContextWindow,
@@ -137,8 +136,7 @@ impl Augmentation {
         }
     }
 
-    /// The frames of sample `n` in a context: `target_frames` after playing at `speed`, or all of a
-    /// shorter recording.
+    /// The frames of sample `n`: `target_frames` after playing at `speed`, or all of a recording.
     fn crop(&self, context: &ContextWindow, speed: f64, n: u64) -> Range<usize> {
         let target_frames = played_by(self.target_frames, speed);
         let starts = context.starts(target_frames);
@@ -165,8 +163,7 @@ fn negate_quaternions(motion: &mut Phrase) {
     }
 }
 
-/// Sets one range of time and one band of adjacent features to zero. Beat features are plain: the
-/// motion follows them.
+/// Sets one range of time and one band of adjacent features, beats excepted, to zero.
 fn mask_audio(audio: &mut AudioFeatures, key: Key) {
     let range = |length: usize, longest: usize, key: Key| {
         let start = below(length, key.at(0));

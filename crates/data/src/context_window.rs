@@ -113,8 +113,7 @@ pub(crate) struct ContextWindows {
 }
 
 impl ContextWindows {
-    /// The contexts of `phrases`, sorted by id; `joined` with the neighbours of their recording, or
-    /// alone.
+    /// The contexts of `phrases`, sorted by id, alone or `joined` with their neighbours.
     pub fn new(phrases: PhraseSet, target_frames: usize, joined: bool) -> Self {
         let mut recordings = Vec::with_capacity(phrases.len());
         let mut first = 0;
@@ -174,8 +173,7 @@ impl ContextWindows {
     }
 }
 
-/// True if the phrase after `position` continues this one: ids `NAME_FIRSTFRAME` of the same
-/// recording.
+/// True if the phrase after `position` continues this one, by their ids `NAME_FIRSTFRAME`.
 fn follows(phrases: &PhraseSet, position: usize) -> bool {
     let parse = |id: &str| {
         let (name, first) = id.rsplit_once('_')?;
@@ -189,10 +187,8 @@ fn follows(phrases: &PhraseSet, position: usize) -> bool {
     }
 }
 
-/// Joins consecutive phrases.
-///
-/// Each phrase is anchored at its own first frame, so the next one is moved to continue with the
-/// mean velocity of both sides. Height is kept, and the sign of quaternions is continuous.
+/// Joins consecutive phrases. Each is anchored at its first frame, so it is moved horizontally to
+/// continue with the mean velocity of both sides. The sign of quaternions is continuous.
 fn join(phrases: &[Arc<PhraseItem>]) -> PhraseItem {
     let (first, rest) = phrases.split_first().expect("a run has a phrase");
     if rest.is_empty() {

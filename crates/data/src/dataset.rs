@@ -25,11 +25,9 @@ pub struct Dataset<T: Item> {
     pub representation: T::Representation,
     /// Id and reason of each bad item that is skipped under `on_bad_phrase = "skip"`.
     pub skipped: Vec<(String, String)>,
-    /// Id and reason of each valid item that is left out: clips that are too short, too long, or
-    /// have captions of short ranges only.
+    /// Id and reason of each valid item that is left out, such as a clip of another length.
     pub left_out: Vec<(String, String)>,
-    /// Warnings: unequal lengths of motion and audio, unpaired folders, unusable captions,
-    /// validation patterns without a match.
+    /// Warnings, such as those about unpaired folders and unusable captions.
     pub warnings: Vec<String>,
     /// Checksum of ids, files and split of all items, and of other files that decide the training
     /// data; independent of the location.

@@ -1,5 +1,4 @@
-//! Stored audio features: the 163 of CC-MotionGen, sections 4.1 and 4.3, and optional beat
-//! features.
+//! Stored audio features: the 163 of CC-MotionGen, sections 4.1 and 4.3, and optional beats.
 
 use std::ops::Range;
 
@@ -41,8 +40,7 @@ pub fn audio_channel_name(channel: usize) -> String {
     }
 }
 
-/// Audio features at 30 frames per second: `[channels, frames]`, channel-major, 163 or with beats
-/// 170 channels.
+/// Audio features at 30 frames per second: `[channels, frames]`, 163 or with beats 170 channels.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AudioFeatures {
     frames: usize,
@@ -51,8 +49,7 @@ pub struct AudioFeatures {
 }
 
 impl AudioFeatures {
-    /// Features from `[163, frames]` or `[170, frames]` values, channel-major; `None` for other
-    /// sizes.
+    /// Features from `[163, frames]` or `[170, frames]` values; `None` for other sizes.
     pub fn new(frames: usize, values: Vec<f32>) -> Option<Self> {
         let layouts = [AudioLayout::CCMOTION, AudioLayout::WITH_BEATS];
         let fits = |layout: &AudioLayout| values.len() == layout.channels() * frames;

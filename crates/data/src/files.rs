@@ -19,8 +19,7 @@ pub(crate) struct Files {
 }
 
 impl Files {
-    /// `store` with the disk cache of a valid `config`. A cache that cannot be opened is a warning,
-    /// unless the config names its folder.
+    /// `store` with the disk cache of `config`. A default cache that cannot be opened is a warning.
     pub fn open(
         store: Store,
         config: &DataConfig,

@@ -25,8 +25,7 @@ pub struct Inspection {
     pub items: usize,
     /// Unusable items.
     pub bad_items: usize,
-    /// Valid items that are left out: clips that are too short, too long, or have captions of short
-    /// ranges only.
+    /// Valid items that are left out, such as clips of another length.
     pub left_out: usize,
     /// Training items.
     pub train: usize,

@@ -1,8 +1,6 @@
-//! The items of an open dataset, read on demand.
-//!
-//! Opening a dataset reads every item once and records the checksums of its files. Later an item
-//! comes from memory, the disk cache or the store, with the same checksums: files that change
-//! during a run are never trained on.
+//! The items of an open dataset, read on demand. Opening a dataset reads every item once and
+//! records the checksums of its files. Later an item comes from memory, the disk cache or the
+//! store, with the same checksums: files that change during a run are never trained on.
 
 use std::fmt::Debug;
 use std::sync::Arc;

@@ -24,8 +24,7 @@ impl Labels {
         }
     }
 
-    /// The label of a phrase: that of the longest matching pattern, else that of the dataset. An
-    /// empty one is none.
+    /// The label of the longest matching pattern, else of the dataset. An empty one is none.
     pub fn of(&self, id: &str) -> Option<&str> {
         let matching = self.patterns.iter();
         let matching = matching.filter(|(pattern, _)| matches(pattern, id));

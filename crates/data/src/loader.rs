@@ -36,8 +36,7 @@ pub trait Samples: Clone + Send + Sync + 'static {
     /// are gone, changed or unreadable.
     fn read(&self, position: usize) -> Result<Self::Read, Error>;
 
-    /// Adds sample `number` of the stream, or, without a number, the deterministic validation
-    /// sample.
+    /// Adds sample `number` of the stream, or, without a number, the validation sample.
     fn push(&self, batch: &mut Batch, read: &Self::Read, number: Option<u64>);
 
     /// The validation samples of the items in `positions`, as one batch. Fails as
@@ -51,8 +50,7 @@ pub trait Samples: Clone + Send + Sync + 'static {
     }
 }
 
-/// The batches of the stream that a loader returns: in each cycle of `of` batches, `each` from
-/// `offset` on.
+/// The batches that a loader returns: in each cycle of `of` batches, `each` from `offset` on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct BatchShare {
     /// Number of batches returned before.
@@ -82,11 +80,10 @@ impl BatchShare {
     }
 }
 
-/// Returns training batches without end.
-///
-/// Sample `i` of batch `b` is sample `n = b * batch_size + i` of the stream: item `n mod P` of
-/// epoch `n / P` over the `P` items, cropped and augmented by randomness keyed by `n`. So a batch
-/// follows from its number alone, on resume and with any number of workers. Batches cross epochs.
+/// Returns training batches without end. Sample `i` of batch `b` is sample `n = b * batch_size + i`
+/// of the stream: item `n mod P` of epoch `n / P` over the `P` items, cropped and augmented by
+/// randomness keyed by `n`. So a batch follows from its number alone, on resume and with any number
+/// of workers. Batches cross epochs.
 pub struct Loader {
     make: Box<dyn FnMut(u64) -> Result<Batch, Error> + Send>,
     share: BatchShare,

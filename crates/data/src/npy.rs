@@ -1,7 +1,4 @@
-//! `.npy` arrays: validated reading, and writing.
-//!
-//! A file is read up to the size of an array of [`MAX_FRAMES`], and nothing is allocated by its
-//! header alone.
+//! Reading and writing of `.npy` arrays. No memory is allocated by a header alone.
 
 use std::path::Path;
 

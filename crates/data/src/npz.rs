@@ -90,7 +90,7 @@ pub fn write_features(path: &Path, features: &AudioFeatures) -> Result<(), Error
 }
 
 /// Writes a song's `stacked` features with its `tempo` `[1]` (beats per minute) and `beat_times`
-/// `[beats]` (seconds), atomically. Fails with [`Error::Io`].
+/// `[beats]` (seconds), atomically.
 pub fn write_song_features(
     path: &Path,
     features: &Features,

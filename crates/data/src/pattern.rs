@@ -1,4 +1,4 @@
-//! Patterns of ids: `*` stands for any run of characters.
+//! Patterns of ids.
 
 /// True if `text` matches `pattern`, in which `*` stands for any characters, in at most
 /// `pattern.len() * text.len()` steps.

@@ -31,8 +31,7 @@ pub struct PhraseSamples {
 }
 
 impl PhraseSamples {
-    /// Samples of `phrases`, normalised by `statistics`, cropped and augmented by `config` and
-    /// `seed`.
+    /// Samples of `phrases`, normalised by `statistics` and augmented by `config` and `seed`.
     pub fn new(
         phrases: PhraseSet,
         statistics: Arc<Statistics>,

@@ -156,8 +156,7 @@ fn phrase_files(config: &DataConfig) -> Result<Scan<PhraseItem>, Error> {
     })
 }
 
-/// Phrases in the layout of CC-MotionGen, section 1.3, with the layout of their audio features and
-/// their labels.
+/// Phrases in the layout of CC-MotionGen, section 1.3, with their audio layout and labels.
 #[derive(Debug)]
 pub(crate) struct PhraseFiles(pub Files, pub AudioLayout, pub Labels);
 
@@ -199,8 +198,7 @@ fn labelled(phrase: PhraseItem, labels: &Labels) -> PhraseItem {
     }
 }
 
-/// Phrases that are synthesised on demand, with the layout of their audio features and their
-/// labels.
+/// Phrases that are synthesised on demand, with their audio layout and labels.
 #[derive(Debug)]
 pub(crate) struct SyntheticPhrases(pub SyntheticConfig, pub AudioLayout, pub Labels);
 

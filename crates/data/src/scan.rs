@@ -197,8 +197,7 @@ impl<T: Item> Scan<T> {
     }
 }
 
-/// True if a store error concerns one item only; `here` for a local store, `tolerated` if changes
-/// are.
+/// True if a store error concerns one item only; `here` for a local store.
 fn concerns_one_item(error: &StoreError, here: bool, tolerated: bool) -> bool {
     match error {
         // Other local files may be accessible.

@@ -3,11 +3,10 @@
 use kinegrad_motion::Statistics;
 use kinegrad_motion::phrase::{CHANNELS, STYLE as STYLE_CHANNELS};
 
-/// Name of the condition on the eight style numbers, `[9, 1]`: normalised, and a 1. Zeros are no
-/// style.
+/// Name of the condition on the eight normalised style numbers and a 1, `[9, 1]`. Zeros are null.
 pub const STYLE: &str = "style";
 
-/// Name of the condition on the label, `[labels, 1]`, one-hot. Zeros are no label.
+/// Name of the condition on the label, `[labels, 1]`, one-hot. Zeros are null.
 pub const LABEL: &str = "label";
 
 /// Style numbers of a phrase.
@@ -79,10 +78,7 @@ impl StyleConditions {
     }
 }
 
-/// The style numbers of motion: the mean of its style channels.
-///
-/// # Shapes
-/// - rows: `[frames, 25]`, at least one frame
+/// The mean of the style channels of `rows`, `[frames, 25]`, at least one frame.
 pub fn mean_style(rows: &[f32]) -> [f64; STYLE_NUMBERS] {
     let mut sum = [0.0; STYLE_NUMBERS];
     for frame in rows.chunks_exact(CHANNELS) {

@@ -17,8 +17,7 @@ use rand::{Rng, RngExt, SeedableRng, seq::SliceRandom};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
-/// Purpose of a random number. Purposes never share a stream, so a new sample for one does not change
-/// another.
+/// Purpose of a random number. Each has its own stream, so a new sample for one changes no other.
 ///
 /// The discriminants are part of the reproducibility of existing runs: append, never renumber.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -64,8 +63,7 @@ pub enum Purpose {
     Pairs = 19,
     /// The caption of a motion, keyed by sample.
     Caption = 20,
-    /// Frames in another order and songs of others in the place of a phrase's music, keyed by its
-    /// id.
+    /// Shuffled frames and other songs in place of a phrase's music, keyed by its id.
     Listening = 21,
     /// Phrases of a bootstrap, keyed by resample.
     Bootstrap = 22,
@@ -91,8 +89,7 @@ pub enum Purpose {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Key([u64; 4]);
 
-/// The finaliser of SplitMix64: a bijection of 64-bit words whose every output bit depends on
-/// every input bit.
+/// The finaliser of SplitMix64, a bijection of 64-bit words.
 fn mix(mut x: u64) -> u64 {
     x = (x ^ (x >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
     x = (x ^ (x >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);

@@ -25,8 +25,7 @@ pub struct Local {
     pub rank: usize,
     /// Number of these processes.
     pub size: usize,
-    /// Number of them that may run on its cores, itself included: all, unless the launcher binds
-    /// them to separate cores.
+    /// Number of them that may run on its cores: all, unless the launcher binds them.
     pub sharing: usize,
 }
 

@@ -10,8 +10,7 @@ use crate::{Error, ItemSet};
 
 use super::Clip;
 
-/// Most captions with a learned embedding. HumanML3D has 45,000 distinct ones, most of which occur
-/// once.
+/// Most captions with a learned embedding. HumanML3D has 45,000, most of which occur once.
 pub const MAX_CAPTIONS: usize = 4096;
 
 /// The captions of a model, each with its row in the embedding table.
@@ -41,8 +40,7 @@ impl CaptionLabels {
         self.rows.get(caption).copied()
     }
 
-    /// The row of a typed caption: by exact match, else the only one that differs in capitals,
-    /// spaces and final punctuation.
+    /// [`row`](Self::row), else the only row that differs in capitals, spaces and last signs.
     pub fn row_of_typed(&self, text: &str) -> Option<usize> {
         let exact = self.row(text.trim());
         exact.or_else(|| {
@@ -56,10 +54,7 @@ impl CaptionLabels {
         })
     }
 
-    /// The one-hot condition of a row, or zeros for no caption.
-    ///
-    /// # Shapes
-    /// - output: `[captions]`
+    /// The one-hot condition of a row, `[captions]`, or zeros for no caption.
     pub fn values(&self, row: Option<usize>) -> Vec<f32> {
         let mut values = vec![0.0; self.captions.len()];
         if let Some(row) = row {

@@ -31,8 +31,7 @@ pub struct Clip {
     pub id: String,
     /// Features with relative root, as stored.
     pub features: Features,
-    /// Usable captions in order: those of ranges shorter than `data.humanml3d.min_frames` are
-    /// dropped. May be empty.
+    /// Captions in order, without those of ranges shorter than `data.humanml3d.min_frames`.
     pub captions: Vec<Caption>,
 }
 
@@ -140,8 +139,7 @@ pub fn parse_features(
     })
 }
 
-/// The width of an array of `axes` axes, if it is that of the skeleton's features and no axis is
-/// empty.
+/// The width of a non-empty array of `axes` axes, if it is that of the skeleton's features.
 pub(super) fn check_width(
     shape: &[usize],
     axes: usize,

@@ -16,8 +16,7 @@ use crate::{Batch, Crop, DataConfig, Error};
 use super::clip::NO_EMBEDDING;
 use super::{Caption, CaptionLabels, Clip, ClipSet};
 
-/// Samples of clips, conditioned on a caption by its embedding or [as a label](Self::with_labels);
-/// lengths are multiples of `data.humanml3d.unit_frames` if possible.
+/// Samples of clips, conditioned on a caption. Lengths are multiples of `unit_frames` if possible.
 #[derive(Clone, Debug)]
 pub struct ClipSamples {
     clips: ClipSet,
@@ -122,8 +121,7 @@ impl Samples for ClipSamples {
         self.clips.get(position)
     }
 
-    /// Validation takes the first caption and the leading crop. Samples begin at the origin facing
-    /// +z, as if they were extracted alone.
+    /// Validation takes the first caption and the leading crop. Samples begin at the origin, to +z.
     fn push(&self, batch: &mut Batch, clip: &Arc<Clip>, number: Option<u64>) {
         let below = |bound, purpose| {
             number.map_or(0, |n| {

@@ -1,5 +1,4 @@
-//! Synthetic clips: walks along random paths, with captions that describe them. All is a function
-//! of seed and index.
+//! Synthetic clips: walks along random paths with captions, a function of seed and index.
 
 use std::collections::HashMap;
 use std::f64::consts::{PI, TAU};

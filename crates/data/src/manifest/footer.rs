@@ -18,8 +18,7 @@ use super::pages::unpacked_bytes;
 /// Largest footer; it grows with columns and row groups, not with rows.
 const MAX_FOOTER_BYTES: usize = 4 << 20;
 
-/// Memory of a parsed footer per byte. An element of a list counts for 8 bytes, and takes at least
-/// 1 in the file.
+/// Memory of a parsed footer per byte. An element of a list counts for 8 bytes and takes 1 or more.
 const FOOTER_BUDGET: usize = 8;
 
 /// Most values per byte of the file. Nearly every row has an incompressible checksum of 32 bytes;
@@ -37,8 +36,7 @@ pub(super) fn most_unpacked(length: usize) -> usize {
     length.saturating_mul(MAX_UNPACKING) + SPARE_BYTES
 }
 
-/// The file with a footer of the `wanted` columns, or all; nested ones, dates and times are
-/// dropped.
+/// The file with a footer of the `wanted` columns, or all, without nested ones, dates and times.
 pub(super) fn rewritten(mut file: Vec<u8>, wanted: Option<&[&str]>) -> Result<Vec<u8>, String> {
     let [.., a, b, c, d, b'P', b'A', b'R', b'1'] = *file.as_slice() else {
         return Err("it does not end with PAR1".to_owned());

@@ -1,6 +1,5 @@
-//! `manifest.parquet`: one row for each phrase, with its sources and checksums.
-//!
-//! Needs the Cargo feature `manifest`; without it every attempt is [`Error::Feature`].
+//! `manifest.parquet`: one row for each phrase, with its sources and checksums. Without the Cargo
+//! feature `manifest` every attempt is [`Error::Feature`].
 
 #[cfg(feature = "manifest")]
 mod filter;

@@ -15,8 +15,7 @@ const ENCODINGS: [Encoding; 5] = [
     Encoding::BYTE_STREAM_SPLIT,
 ];
 
-/// The bytes that the pages of a flat column in one row group unpack to, if they contain exactly
-/// `values` values and at most `limit` bytes.
+/// Unpacked bytes, at most `limit`, of the `values` values of a flat column in one row group.
 pub(super) fn unpacked_bytes(
     mut pages: &[u8],
     values: usize,

@@ -15,8 +15,7 @@ pub struct ManifestRow {
     pub motion_source: String,
     /// The song, as named in the plan; none if the features are zeros.
     pub audio_source: Option<String>,
-    /// Its first frame on the take's time line: that of the song, or, without one, that of the used
-    /// motion, which begins at `audio_start_seconds`.
+    /// Its first frame in the song or, without one, in the used motion.
     pub first_frame: i64,
     /// Number of frames.
     pub frames: i64,

@@ -182,8 +182,7 @@ impl Store {
         Ok(objects)
     }
 
-    /// The version of each object directly in `folder`, by path, for the cache. Empty without a
-    /// cache or listing.
+    /// The version of each object in `folder`, by path; empty if local or without a listing.
     pub(crate) fn versions(&self, folder: &str) -> Result<HashMap<String, String>, StoreError> {
         if !self.is_remote() {
             return Ok(HashMap::new());

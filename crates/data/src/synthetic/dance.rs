@@ -23,8 +23,7 @@ struct Pose {
     roll: f64,
 }
 
-/// Move `kind` at a beat: sway, step to and fro, walk a circle, bounce. All are near their origin
-/// at bar lines, where moves change.
+/// Move `kind` at a beat: sway, step to and fro, walk a circle, bounce; at its origin at bar lines.
 fn pose(kind: usize, beat: f64) -> Pose {
     let (bar, half, whole) = (0.5 * PI * beat, PI * beat, TAU * beat);
     match kind {

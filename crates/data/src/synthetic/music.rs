@@ -77,8 +77,8 @@ impl Music {
         self.energy + 0.12 * (TAU * beat / 16.0 + self.swell).sin()
     }
 
-    /// Share of each move, adding to 1. A bar has one move; they blend over the beat around the bar
-    /// line, with two continuous derivatives.
+    /// Share of each move. A bar has one move; they blend over the beat at the bar line, with two
+    /// continuous derivatives.
     pub fn moves(&self, beat: f64) -> [f64; MOVES] {
         let line = (beat / BEATS_PER_BAR).round();
         let since_line = beat - BEATS_PER_BAR * line;
