@@ -68,13 +68,9 @@ impl AudioLayout {
 pub fn check_groups(key: &str, groups: &[AudioGroup]) -> Result<(), InvalidSetting> {
     let named = serde_json::to_string(groups).unwrap_or_default();
     let allowed = "[\"ccmotion\"] or [\"ccmotion\", \"beats\"]";
-    require(
-        AudioLayout::of(groups).groups() == groups,
-        key,
-        named,
-        allowed,
-    )
-    .hint("\"beats\" comes beside the 163 features of \"ccmotion\", not instead of them")
+    let valid = AudioLayout::of(groups).groups() == groups;
+    require(valid, key, named, allowed)
+        .hint("\"beats\" comes beside the 163 features of \"ccmotion\", not instead of them")
 }
 
 #[cfg(test)]

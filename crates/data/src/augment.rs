@@ -195,11 +195,8 @@ fn below(bound: usize, key: Key) -> usize {
 
 fn with_noise(audio: AudioFeatures, std: f64, key: Key) -> AudioFeatures {
     let noise = key.normals(audio.as_slice().len());
-    let noisy = audio
-        .as_slice()
-        .iter()
-        .zip(noise)
-        .map(|(value, noise)| value + std as f32 * noise);
+    let values = audio.as_slice().iter().zip(noise);
+    let noisy = values.map(|(value, noise)| value + std as f32 * noise);
     AudioFeatures::new(audio.frames(), noisy.collect()).unwrap_or(audio)
 }
 

@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use crate::humanml::Clip;
 use crate::item::Item;
 use crate::progress::{OpenProgress, no_progress};
-use crate::scan::{Gathered, Listable};
+use crate::scan::Listable;
 use crate::{DataConfig, Dataset, Error, PhraseItem};
 
 /// Summary of a dataset. Numbers describe the usable items.
@@ -161,21 +161,16 @@ fn inspect_items<T: Listable>(
     progress: OpenProgress,
 ) -> Result<Inspection, Error> {
     let mut scan = T::scan(config)?;
-    let Gathered {
-        entries,
-        skipped,
-        left_out,
-        notes,
-        memory,
-    } = scan.gather(config, None, progress, &Alone)?;
+    let gathered = scan.gather(config, None, progress, &Alone)?;
+    let (skipped, left_out) = (gathered.skipped, gathered.left_out);
     let (kind, representation) = (T::KIND, scan.representation.clone());
     let mut warnings = std::mem::take(&mut scan.warnings);
     let source = match scan.source.files() {
         Some(files) => files.store.uri(),
         None => config.kind.to_string(),
     };
-    let lengths: Vec<usize> = entries.iter().map(|entry| entry.frames).collect();
-    let (train, validation, _) = scan.divide(entries, memory);
+    let lengths: Vec<usize> = gathered.entries.iter().map(|entry| entry.frames).collect();
+    let (train, validation, _) = scan.divide(gathered.entries, gathered.memory);
 
     let problem = |unusable| {
         move |(id, problem)| Problem {
@@ -184,7 +179,7 @@ fn inspect_items<T: Listable>(
             unusable,
         }
     };
-    let mut problems: Vec<Problem> = notes.into_iter().map(problem(false)).collect();
+    let mut problems: Vec<Problem> = gathered.notes.into_iter().map(problem(false)).collect();
     let bad_items = skipped.len();
     problems.extend(skipped.into_iter().map(problem(true)));
     if train.is_empty() {

@@ -55,9 +55,7 @@ impl<T: Item> ItemSet<T> {
 
     /// Their ids, in order.
     pub fn ids(&self) -> impl Iterator<Item = &str> {
-        self.indices
-            .iter()
-            .map(|&index| self.store.entries[index].id.as_str())
+        (0..self.len()).map(|position| self.id(position))
     }
 
     /// Frames of item `position`, without reading it.

@@ -43,15 +43,14 @@ pub fn check_id(id: &str) -> Result<(), StoreError> {
 
 /// Rejects paths that are absolute, lead upwards or are ambiguous.
 pub(crate) fn check_path(path: &str) -> Result<(), StoreError> {
-    let odd = |part: &str| matches!(part, "" | "." | "..");
-    let reason = if path.starts_with('/') {
-        "it is absolute"
-    } else if path.contains('\\') || path.chars().any(char::is_control) {
-        "it holds a backslash or a control character"
-    } else if path.split('/').any(odd) {
-        "it has an empty part, `.` or `..`"
-    } else {
-        return Ok(());
+    let is_odd = |c: char| c == '\\' || c.is_control();
+    let reason = match path {
+        _ if path.starts_with('/') => "it is absolute",
+        _ if path.contains(is_odd) => "it contains a backslash or a control character",
+        _ if path.split('/').any(|part| matches!(part, "" | "." | "..")) => {
+            "it has an empty part, `.` or `..`"
+        }
+        _ => return Ok(()),
     };
     Err(StoreError::Path {
         path: path.to_owned(),

@@ -9,7 +9,7 @@ use crate::{Error, FileError, atomic};
 
 mod header;
 
-use header::{Header, MAX_HEADER_BYTES};
+use header::MAX_HEADER_BYTES;
 
 /// Hint for a truncated file.
 pub(crate) const CUT_OFF: &str = "the file is damaged or was cut off: copy or export it again";
@@ -100,23 +100,18 @@ pub(crate) fn parse_onto(
     bytes: &[u8],
     file: &str,
 ) -> Result<Vec<usize>, FileError> {
-    let Header {
-        double,
-        fortran_order,
-        shape,
-        length,
-        data_start,
-    } = header::read(bytes, file)?;
-    let data = &bytes[data_start..];
-    let needed = length.saturating_mul(if double { 8 } else { 4 });
+    let header = header::read(bytes, file)?;
+    let (shape, double) = (header.shape, header.double);
+    let data = &bytes[header.data_start..];
+    let needed = header.length.saturating_mul(if double { 8 } else { 4 });
     if data.len() as u64 != needed {
         let found = data.len();
         let problem =
             format!("{found} bytes of data found, {needed} needed for its shape and dtype");
         return Err(FileError::unusable(file, problem, CUT_OFF));
     }
-    match (fortran_order, &shape[..]) {
-        (true, [_, _, ..]) if length > 0 => {
+    match (header.fortran_order, &shape[..]) {
+        (true, [_, _, ..]) if header.length > 0 => {
             let mut stored = Vec::new();
             decode(&mut stored, data, double);
             values.extend((0..stored.len()).map(|at| stored[column_major(at, &shape)]));

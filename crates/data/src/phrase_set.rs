@@ -93,16 +93,9 @@ impl Listable for PhraseItem {
 fn phrase_files(config: &DataConfig) -> Result<Scan<PhraseItem>, Error> {
     let source = config.source.as_deref().unwrap_or_default();
     let store = Store::open(source, &config.store)?;
-    let Listing {
-        mut phrases,
-        only_motion,
-        only_audio,
-        mut warnings,
-        without_beats,
-        labels,
-    } = Listing::read(&store)?;
+    let mut listing = Listing::read(&store)?;
     let layout = config.audio_layout();
-    if let Some(id) = without_beats.filter(|_| layout.beats) {
+    if let Some(id) = listing.without_beats.filter(|_| layout.beats) {
         let found = "[\"ccmotion\", \"beats\"]";
         let allowed = format!(
             "[\"ccmotion\"]: {} was prepared without beat features (phrase `{id}`)",
@@ -116,8 +109,9 @@ fn phrase_files(config: &DataConfig) -> Result<Scan<PhraseItem>, Error> {
             )
             .into());
     }
-    if phrases.is_empty() {
-        let (source, motion, audio) = (store.uri(), only_motion.len(), only_audio.len());
+    let (motion, audio) = (&listing.only_motion, &listing.only_audio);
+    if listing.phrases.is_empty() {
+        let (source, motion, audio) = (store.uri(), motion.len(), audio.len());
         return Err(Error::NothingToTrainOn {
             problem: format!(
                 "data.source: {source} holds no phrase ({motion} only in motion/, {audio} only in \
@@ -129,29 +123,31 @@ fn phrase_files(config: &DataConfig) -> Result<Scan<PhraseItem>, Error> {
         });
     }
     for (alone, place, lacking) in [
-        (&only_motion, "motion", "audio_features"),
-        (&only_audio, "audio_features", "motion"),
+        (motion, "motion", "audio_features"),
+        (audio, "audio_features", "motion"),
     ] {
         if let Some(first) = alone.first() {
             let count = alone.len();
-            warnings.push(format!(
+            listing.warnings.push(format!(
                 "{count} folder(s) under {place}/ have no counterpart under {lacking}/ and \
                  are left out, the first: {first}"
             ));
         }
     }
-    phrases.truncate(config.num_phrases.unwrap_or(usize::MAX));
-    let files = Files::open(store, config, &mut warnings)?;
+    listing
+        .phrases
+        .truncate(config.num_phrases.unwrap_or(usize::MAX));
+    let files = Files::open(store, config, &mut listing.warnings)?;
     Ok(Scan {
         representation: Phrases,
         stored_statistics: None,
         split: None,
-        warnings,
-        listed: phrases,
+        warnings: listing.warnings,
+        listed: listing.phrases,
         source: Box::new(PhraseFiles(
             files,
             layout,
-            Labels::new(&config.labels, labels),
+            Labels::new(&config.labels, listing.labels),
         )),
     })
 }

@@ -36,15 +36,11 @@ pub(crate) struct Scan<T: Item> {
 }
 
 /// Items that a config can list.
-pub(crate) trait Listable: Item {
-    /// Lists the items of a valid `config`.
-    ///
-    /// [`Error::Config`] if `config` is of other items; [`Error::Scheme`], [`Error::Feature`],
+pub(crate) trait Listable: Item + Sized {
+    /// Lists the items of a valid `config`. Fails with [`Error::Config`] if `config` is of other items; [`Error::Scheme`], [`Error::Feature`],
     /// [`Error::Store`], [`Error::Manifest`], [`Error::File`], [`Error::MissingFolder`],
     /// [`Error::NothingToTrainOn`], [`Error::Io`].
-    fn scan(config: &DataConfig) -> Result<Scan<Self>, Error>
-    where
-        Self: Sized;
+    fn scan(config: &DataConfig) -> Result<Scan<Self>, Error>;
 }
 
 /// The result of reading a dataset.

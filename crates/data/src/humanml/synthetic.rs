@@ -102,16 +102,9 @@ impl Plan {
     }
 
     fn course(&self) -> Course {
-        let Self {
-            shape,
-            side,
-            speed,
-            ease,
-            sharpness,
-            turn_seconds,
-            ..
-        } = *self;
-        let turning: Box<dyn Fn(f64) -> f64> = match shape {
+        let (side, speed, ease) = (self.side, self.speed, self.ease);
+        let (sharpness, turn_seconds) = (self.sharpness, self.turn_seconds);
+        let turning: Box<dyn Fn(f64) -> f64> = match self.shape {
             Shape::Straight => Box::new(|_| 0.0),
             Shape::Circle => Box::new(move |_| side * (0.5 + 0.4 * sharpness)),
             Shape::Turn => Box::new(move |time| {

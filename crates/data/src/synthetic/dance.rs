@@ -75,13 +75,8 @@ pub fn perform(music: &Music, phrase: Key, frames: usize) -> Phrase {
     for t in 0..posed {
         let beat = music.beat(t);
         let size = music.energy(beat);
-        let Pose {
-            offset,
-            yaw,
-            pitch,
-            roll,
-        } = blended(music.moves(beat), beat);
-        let [right, up, forward] = offset.map(|metres| size * metres);
+        let pose = blended(music.moves(beat), beat);
+        let [right, up, forward] = pose.offset.map(|metres| size * metres);
         // A slow drift, independent of the music.
         let slow = (TAU * 0.1 * t as f64 / FPS).sin();
         let [x, y, z] = facing.rotate([right, up, forward]);
@@ -90,9 +85,9 @@ pub fn perform(music: &Music, phrase: Key, frames: usize) -> Phrase {
             y + height,
             z + 0.05 * drift_z * slow,
         ]);
-        let turn = Quaternion::from_yaw(heading + size * yaw)
-            * Quaternion::from_rotation_vector([size * pitch, 0.0, 0.0])
-            * Quaternion::from_rotation_vector([0.0, 0.0, size * roll]);
+        let turn = Quaternion::from_yaw(heading + size * pose.yaw)
+            * Quaternion::from_rotation_vector([size * pose.pitch, 0.0, 0.0])
+            * Quaternion::from_rotation_vector([0.0, 0.0, size * pose.roll]);
         quaternions.push(turn);
         phase.push((beat / BEATS_PER_BAR).fract());
     }
