@@ -136,9 +136,8 @@ impl Batch {
 
     /// The condition of that name.
     pub fn condition(&self, name: &str) -> Option<&Condition> {
-        self.conditions
-            .iter()
-            .find(|condition| condition.name == name)
+        let mut conditions = self.conditions.iter();
+        conditions.find(|condition| condition.name == name)
     }
 }
 

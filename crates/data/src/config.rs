@@ -304,10 +304,8 @@ impl DataConfig {
     pub fn memory(&self) -> u64 {
         let frames = |items: usize, frames: usize| items as u64 * frames as u64;
         let synthetic = match self.kind {
-            DataKind::Synthetic | DataKind::SyntheticWalks => {
-                frames(self.synthetic.phrases, self.synthetic.frames)
-            }
             DataKind::Phrases | DataKind::Humanml3d => 0,
+            _ => frames(self.synthetic.phrases, self.synthetic.frames),
         };
         let batches = 1 + LOOK_AHEAD_PER_WORKER * self.num_workers;
         let ahead = frames(batches * self.batch_size, self.target_frames);
@@ -326,7 +324,13 @@ impl DataConfig {
         in_range("data.num_phrases", self.num_phrases.unwrap_or(1), 1..)
             .hint("leave the key out to use every phrase")?;
         if matches!(self.kind, DataKind::Phrases | DataKind::Humanml3d) {
-            Location::parse(self.named_source()?)?;
+            let allowed = "a folder, file://, gs://, s3://, http:// or https:// URI";
+            let missing = || InvalidSetting::new("data.source", "(nothing)", allowed);
+            let source = self.source.as_deref().ok_or_else(missing).hint(
+                "name a folder: data.source = \"PATH\"; data.kind = \
+                 \"synthetic\" and \"synthetic_walks\" need none",
+            );
+            Location::parse(source?)?;
         } else {
             self.synthetic.validate()?;
         }
@@ -342,15 +346,6 @@ impl DataConfig {
         self.cache.validate()?;
         self.store.validate()?;
         Ok(self.augment.validate(self.target_frames)?)
-    }
-
-    fn named_source(&self) -> Result<&str, InvalidSetting> {
-        let allowed = "a folder, file://, gs://, s3://, http:// or https:// URI";
-        let missing = || InvalidSetting::new("data.source", "(nothing)", allowed);
-        self.source.as_deref().ok_or_else(missing).hint(
-            "name a folder: data.source = \"PATH\"; data.kind = \
-             \"synthetic\" and \"synthetic_walks\" need none",
-        )
     }
 }
 

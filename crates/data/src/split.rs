@@ -59,11 +59,8 @@ impl Split {
             let text = read_text(Path::new(file))
                 .map_err(|reason| Error::io("read data.validation.ids_file", file, reason))?;
             let lines = text.trim_start_matches('\u{feff}').lines().map(str::trim);
-            patterns.extend(
-                lines
-                    .filter(|line| !line.is_empty() && !line.starts_with('#'))
-                    .map(String::from),
-            );
+            let lines = lines.filter(|line| !line.is_empty() && !line.starts_with('#'));
+            patterns.extend(lines.map(String::from));
         }
         let rule = match config.fraction {
             _ if listed => Rule::Listed,

@@ -124,12 +124,8 @@ pub(super) fn table(rows: &[ManifestRow]) -> Result<DataFrame, PolarsError> {
 /// manifests can be written by hand.
 pub(super) fn rows(bytes: Vec<u8>) -> Result<Vec<ManifestRow>, String> {
     let written = table(&[]).map_err(|error| error.to_string())?;
-    let columns: Vec<&str> = written
-        .columns()
-        .iter()
-        .map(|c| c.name().as_str())
-        .chain([LABEL_COLUMN])
-        .collect();
+    let columns = written.columns().iter().map(|c| c.name().as_str());
+    let columns: Vec<&str> = columns.chain([LABEL_COLUMN]).collect();
     let frame = &decode(bytes, Some(&columns))?;
     for name in ["id", "motion_sha256", "audio_sha256"] {
         let missing = |_| format!("column `{name}` is missing");

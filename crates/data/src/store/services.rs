@@ -50,14 +50,11 @@ fn gcs(bucket: &str, config: &StoreConfig) -> object_store::Result<Box<dyn Objec
 
 /// The emulator in the environment, as for Google's libraries.
 fn emulator() -> Option<String> {
-    let host = std::env::var("STORAGE_EMULATOR_HOST").ok()?;
-    if host.is_empty() {
-        return None;
-    }
-    Some(if host.contains("://") {
-        host
-    } else {
-        format!("http://{host}")
+    let host = std::env::var("STORAGE_EMULATOR_HOST").ok();
+    let host = host.filter(|host| !host.is_empty())?;
+    Some(match host.contains("://") {
+        true => host,
+        false => format!("http://{host}"),
     })
 }
 
