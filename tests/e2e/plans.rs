@@ -148,7 +148,7 @@ fn wrong_plans_say_what_is_wrong_and_write_nothing() {
     sandbox.write("plan.toml", PLAN);
     sandbox
         .run("data prepare plan.toml --out foreign")
-        .failed(2, &["already holds a dataset"]);
+        .failed(2, &["already contains a dataset"]);
     let missing = PLAN.replace("captures/one.bvh", "captures/*.c3d");
     sandbox.write("plan.toml", missing);
     sandbox

@@ -100,7 +100,7 @@ pub enum Error {
     /// The dataset's folder, or a required one in it, is missing.
     #[error("data.source: folder {} not found", .0.display())]
     #[diagnostic(help(
-        "a dataset holds audio_features/ID/features.npz and motion/ID/trajectory.npy; `kinegrad \
+        "a dataset contains audio_features/ID/features.npz and motion/ID/trajectory.npy; `kinegrad \
          data synth` makes one to try"
     ))]
     MissingFolder(PathBuf),
@@ -154,7 +154,7 @@ pub enum Error {
         reason: std::io::Error,
     },
     /// The folder already contains a dataset.
-    #[error("{} already holds a dataset", .0.display())]
+    #[error("{} already contains a dataset", .0.display())]
     #[diagnostic(help("name a new folder, or remove the old dataset first"))]
     Exists(PathBuf),
 }

@@ -110,7 +110,7 @@ impl Loader {
     ) -> Self {
         let items = samples.items();
         assert!(!items.is_empty(), "a loader needs at least one item");
-        assert!(config.batch_size > 0, "a batch holds at least one sample");
+        assert!(config.batch_size > 0, "a batch has at least one sample");
         let counters = items.counters().clone();
         let mut maker = Maker::new(samples, config, seed);
         let make = move |done| maker.make(share.number(done));

@@ -64,7 +64,7 @@ impl Location {
         let (authority, path) = rest.split_once('/').unwrap_or((rest, ""));
         let (user, host) = authority.rsplit_once('@').unwrap_or(("", authority));
         let problem = match service {
-            _ if !user.is_empty() => Some("holds a user name or password"),
+            _ if !user.is_empty() => Some("contains a user name or password"),
             Service::Http if path.contains(['?', '#']) => {
                 Some("continues after its path (`?` or `#`)")
             }

@@ -74,12 +74,12 @@ pub fn write_motion(path: &Path, motion: &Phrase) -> Result<(), Error> {
     atomic::write(path, &motion_bytes(motion))
 }
 
-/// The bytes of the `.npy` file that holds `motion`.
+/// The bytes of the `.npy` file of `motion`.
 pub fn motion_bytes(motion: &Phrase) -> Vec<u8> {
     array_bytes(&[motion.frames(), CHANNELS], motion.as_slice())
 }
 
-/// The bytes of the `.npy` file that holds `values` in this `shape`.
+/// The bytes of the `.npy` file of `values` in this `shape`.
 pub(crate) fn array_bytes(shape: &[usize], values: &[f32]) -> Vec<u8> {
     let mut bytes = header::write(shape);
     bytes.extend(values.iter().flat_map(|value| value.to_le_bytes()));

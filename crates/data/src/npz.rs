@@ -257,7 +257,7 @@ impl<'a> Archive<'a> {
                  prepare the songs with them, or leave the key out to use the 163 features alone"
             }
             false => {
-                "features.npz holds mel, chroma, mfcc, rms, spectral_centroid and onset_strength"
+                "features.npz contains mel, chroma, mfcc, rms, spectral_centroid and onset_strength"
             }
         };
         FileError::unusable(self.file, problem, hint)

@@ -114,7 +114,7 @@ fn phrase_files(config: &DataConfig) -> Result<Scan<PhraseItem>, Error> {
         let (source, motion, audio) = (store.uri(), motion.len(), audio.len());
         return Err(Error::NothingToTrainOn {
             problem: format!(
-                "data.source: {source} holds no phrase ({motion} only in motion/, {audio} only in \
+                "data.source: {source} contains no phrase ({motion} only in motion/, {audio} only in \
                  audio_features/)"
             ),
             hint:

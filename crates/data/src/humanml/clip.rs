@@ -183,7 +183,7 @@ pub fn write_features(path: &Path, features: &Features) -> Result<(), Error> {
     atomic::write(path, &features_bytes(features))
 }
 
-/// The bytes of the `.npy` file that holds `features`, `[frames, channels]`.
+/// The bytes of the `.npy` file of `features`, `[frames, channels]`.
 pub fn features_bytes(features: &Features) -> Vec<u8> {
     let shape = [features.frames(), features.layout().channels()];
     npy::array_bytes(&shape, features.as_slice())

@@ -13,7 +13,7 @@ const MAX_BYTES: u64 = 1 << 28;
 /// The labels of each clip by id, as values by name: `content` is `walk`, `style` is `happy`.
 pub type ClipLabels = BTreeMap<String, BTreeMap<String, String>>;
 
-/// The bytes of the file that holds `labels`.
+/// The bytes of the file of `labels`.
 pub fn labels_bytes(labels: &ClipLabels) -> Vec<u8> {
     serde_json::to_vec_pretty(labels).expect("plain data")
 }

@@ -39,7 +39,7 @@ pub(super) fn read_lists(
         let mut twice = Vec::new();
         let Some((bytes, _)) = files.find(list, MAX_BYTES)? else {
             let hint = format!(
-                "a HumanML3D dataset holds new_joint_vecs/, texts/ and its lists; data.source \
+                "a HumanML3D dataset contains new_joint_vecs/, texts/ and its lists; data.source \
                  names the folder and data.humanml3d.{key} the list in it"
             );
             let expected = "a list of clips, one id a line";

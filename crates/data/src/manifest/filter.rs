@@ -120,11 +120,13 @@ fn compare(
     };
     if column.dtype().is_primitive_numeric() {
         if like {
-            return Err(format!("column `{name}` holds numbers: `like` is for text"));
+            return Err(format!(
+                "column `{name}` contains numbers: `like` is for text"
+            ));
         }
         let wanted: f64 = value
             .parse()
-            .map_err(|_| format!("column `{name}` holds numbers, `{value}` is none"))?;
+            .map_err(|_| format!("column `{name}` contains numbers, `{value}` is not one"))?;
         let matched = |found: Option<f64>| {
             found.is_some_and(|found| found.partial_cmp(&wanted).is_some_and(holds))
         };
@@ -230,7 +232,7 @@ mod tests {
             ("", "COLUMN OPERATOR VALUE"),
             ("tempo", "COLUMN OPERATOR VALUE"),
             ("tempo near 3", "`near` found"),
-            ("tempo > fast", "holds numbers"),
+            ("tempo > fast", "contains numbers"),
             ("tempo like 1*", "`like` is for text"),
             (
                 "speed > 3",
