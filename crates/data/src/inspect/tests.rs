@@ -1,4 +1,5 @@
 use super::*;
+use crate::DataKind;
 use crate::humanml::{walk, write_features, write_walks};
 use crate::{features_path, motion_path};
 use crate::{read_motion, synthetic, write_motion};
