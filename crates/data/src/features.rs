@@ -167,11 +167,14 @@ impl AudioFeatures {
         frames: usize,
         values: impl Fn(&'a [f32]) -> I,
     ) -> Self {
-        let channels = (0..self.channels()).map(|channel| self.channel(channel));
+        let mut selected = Vec::with_capacity(self.channels() * frames);
+        for channel in 0..self.channels() {
+            selected.extend(values(self.channel(channel)));
+        }
         Self {
             frames,
             layout: self.layout,
-            values: channels.flat_map(values).collect(),
+            values: selected,
         }
     }
 
