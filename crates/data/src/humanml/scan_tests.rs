@@ -154,8 +154,11 @@ fn statistics_come_from_the_dataset_where_they_are_of_the_root() {
         write_array(&folder.path().join(name), &[263]);
     }
     let stored = Dataset::<Clip>::open(&config).unwrap();
-    let given = stored.statistics().unwrap();
-    assert_eq!((given.std[0], given.root), (0.5, Some(Root::Absolute)));
+    let statistics = stored.statistics().unwrap();
+    assert_eq!(
+        (statistics.std[0], statistics.root),
+        (0.5, Some(Root::Absolute))
+    );
 }
 
 #[test]
