@@ -36,6 +36,48 @@ pub struct ImportRequest {
     pub out: PathBuf,
 }
 
+impl ImportRequest {
+    /// The `.npy` files of mean and deviation.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] with `hint` if one is missing.
+    pub fn statistics(&self, hint: &str) -> Result<[&Path; 2], Error> {
+        match (&self.mean, &self.std) {
+            (Some(mean), Some(std)) => Ok([mean, std]),
+            _ => {
+                let message = "the statistics of the weights' training data are missing";
+                Err(Error::usage(message, hint))
+            }
+        }
+    }
+
+    /// The error of an option that the architecture does not take.
+    pub fn refused(&self, option: &str, hint: &str) -> Error {
+        let message = format!("option `{option}` with option `arch {}`", self.architecture);
+        Error::usage(message, hint)
+    }
+
+    /// The error of weights of another network.
+    pub fn foreign(&self, reason: String) -> Error {
+        Error::Foreign {
+            path: self.weights.clone(),
+            reason,
+        }
+    }
+
+    /// The error of weights without the tensor `name`, which those of `network` have.
+    pub fn lacking(&self, name: &str, network: &str) -> Error {
+        self.foreign(format!(
+            "it has no `{name}`: these are not the weights of {network}"
+        ))
+    }
+}
+
+/// The size of a tensor along an axis, if it is there.
+pub fn size(tensors: &BTreeMap<String, Tensor>, name: &str, axis: usize) -> Option<usize> {
+    tensors.get(name)?.shape().get(axis).copied()
+}
+
 /// The imported run.
 #[derive(Clone, Debug)]
 pub struct Imported {
@@ -79,13 +121,21 @@ impl Imported {
     }
 }
 
-/// The tensors of a file without those that `is_skipped` names, and how many are skipped.
+/// The tensors of a file without the text encoder and the tables of positions, which are formulas;
+/// and how many are skipped. `tables` are names of more tables.
 pub fn needed(
     mut tensors: BTreeMap<String, Tensor>,
-    is_skipped: impl Fn(&str) -> bool,
+    tables: &[&str],
 ) -> (BTreeMap<String, Tensor>, usize) {
+    let positions = [
+        "sequence_pos_encoder.pe",
+        "embed_timestep.sequence_pos_encoder.pe",
+    ];
     let all = tensors.len();
-    tensors.retain(|name, _| !is_skipped(name));
+    tensors.retain(|name, _| {
+        let name = &name.as_str();
+        !name.starts_with("clip_model.") && !positions.contains(name) && !tables.contains(name)
+    });
     let skipped = all - tensors.len();
     (tensors, skipped)
 }

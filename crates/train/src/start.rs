@@ -87,6 +87,24 @@ fn refused(key: &str, path: &Path, reason: &dyn Display) -> Error {
     )
 }
 
+/// The tables `names` of the `saved` config of a resumed run, or of the checkpoint `init.diffusion`.
+///
+/// # Errors
+/// As [`Start::named`].
+pub fn inherited(
+    saved: Option<&Config>,
+    init: &Path,
+    names: &[&str],
+    system: &dyn System,
+) -> Result<Option<Table>, Error> {
+    // A resumed run does not need its start any more.
+    if let Some(saved) = saved {
+        return Ok(Some(tables_of(saved, names)));
+    }
+    let start = Start::named("init.diffusion", init, system)?;
+    Ok(start.map(|start| start.tables(names)))
+}
+
 /// The tables `names` of a config, with every key.
 pub fn tables_of(config: &Config, names: &[&str]) -> Table {
     let tables = config.system.to_table().into_iter();

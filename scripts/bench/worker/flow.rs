@@ -48,9 +48,12 @@ pub fn training(
     let draws = FlowRandomInputs {
         times: times.into_iter().map(f64::from).collect(),
         noise: inputs.tensor("noise")?,
-        keep_text: None,
+        text_mask: None,
     };
-    let recipe = FlowRecipe::new(PoseConfig::default(), HeldOut::nothing());
+    let recipe = FlowRecipe {
+        pose: PoseConfig::default(),
+        held_out: HeldOut::nothing(),
+    };
     let loss = move |recipe: &FlowRecipe, model: &FlowModel| {
         recipe.loss_of(model, windows.clone(), draws.clone())
     };

@@ -35,7 +35,7 @@ fn main() {
     let network = BlendedConfig::flowmdm()
         .init(263, 512, &init)
         .expect("valid");
-    // Draws the weights.
+    // RandomInputs the weights.
     let network = network.valid();
     let _ = kinegrad_models::parameters::values(&network).len();
     let texts = frames.div_ceil(SEGMENT);
@@ -62,7 +62,7 @@ fn main() {
         random("x", [1, 263, frames]),
         random("text", [texts, 512, 1]),
     );
-    // Draws the weights.
+    // RandomInputs the weights.
     let short = Composed {
         network: &network,
         path: None,

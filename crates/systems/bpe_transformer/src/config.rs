@@ -2,20 +2,20 @@
 
 use std::path::PathBuf;
 
-use crate::network::BlendedConfig;
 use kinegrad_diffusion::{DiffusionConfig, SamplerKind, must_suit};
 use kinegrad_motion::MAX_FRAMES;
 use kinegrad_motion::humanml::Root;
 use kinegrad_settings::{Refused, in_range, require};
+use kinegrad_train::Error;
+use kinegrad_train::clips::captions::CaptionsConfig;
+use kinegrad_train::clips::settings::{must_be_of_clips, must_have_no_style, validate_velocity};
+use kinegrad_train::config::{ClipSample, Config, ModelTable, NetworkKind, SystemTables};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
 
 use super::{ADAPTER, PathConfig, RECIPE};
-use kinegrad_train::Error;
-use kinegrad_train::clips::captions::CaptionsConfig;
-use kinegrad_train::clips::settings::{must_be_of_clips, must_have_no_style, validate_velocity};
-use kinegrad_train::config::{ClipSample, Config, ModelTable, NetworkKind, SystemTables};
+use crate::network::BlendedConfig;
 
 /// Values of the common tables: those of the published program where it has them.
 pub(super) const DEFAULTS: &str = r#"
@@ -48,7 +48,6 @@ num_inference_steps = 1000
 guidance_scale = 2.5
 "#;
 
-/// Additional tables of recipe `path_adapter`.
 pub(super) const ADAPTER_DEFAULTS: &str = "
 [model]
 path = true
@@ -203,102 +202,65 @@ impl SystemTables for BpeTables {
     const NETWORKS: &'static [NetworkKind] = &[NetworkKind::of::<BlendedConfig>()];
 }
 
-/// Validates the tables of this system.
-///
-/// # Errors
-/// For the first invalid value; the error names the key.
 pub(super) fn validate(config: &Config) -> Result<(), Error> {
     let own: &BpeTables = config.own();
     let Config { data, sampling, .. } = config;
-    own.model.network.sizes().validate()?;
+    let sizes = own.model.network.sizes();
+    sizes.validate()?;
     own.diffusion.validate()?;
     own.text.validate(data)?;
     let adapts = config.train.recipe == ADAPTER;
-    require(
-        !adapts || own.model.network.sizes().path,
-        "model.path",
-        false,
-        format!("true for recipe `{ADAPTER}`, which trains what reads the path"),
-    )?;
-    let layers = own.model.network.sizes().num_layers;
-    in_range("adapter.last_layers", own.adapter.last_layers, 0..=layers)?;
-    require(
-        adapts || own.adapter.last_layers == 0,
-        "adapter.last_layers",
-        own.adapter.last_layers,
-        format!("0 for recipe `{RECIPE}`, which trains all layers"),
-    )?;
+    let allowed = format!("true for recipe `{ADAPTER}`, which trains the layers of the path");
+    require(!adapts || sizes.path, "model.path", false, allowed)?;
+    let (key, layers) = ("adapter.last_layers", own.adapter.last_layers);
+    in_range(key, layers, 0..=sizes.num_layers)?;
+    let allowed = format!("0 for recipe `{RECIPE}`, which trains all layers");
+    require(adapts || layers == 0, key, layers, allowed)?;
     must_be_of_clips(config)?;
-    in_range("paths.drop_prob", own.paths.drop_prob, 0.0..=1.0)?;
-    require(
-        own.paths.drop_prob == 0.0 || own.model.network.sizes().path,
-        "paths.drop_prob",
-        own.paths.drop_prob,
-        "0 without `model.path`",
-    )?;
-    let positions = &own.positions;
-    in_range(
-        "positions.bpe_training_ratio",
-        positions.bpe_training_ratio,
-        0.0..=1.0,
-    )?;
-    let most = own.diffusion.num_train_timesteps as i64;
-    in_range(
-        "evaluation.bpe_denoising_step",
-        own.evaluation.bpe_denoising_step,
-        -1..=most,
-    )
-    .hint("-1 for absolute positions in all steps, 0 for relative ones")?;
+    let (key, prob) = ("paths.drop_prob", own.paths.drop_prob);
+    in_range(key, prob, 0.0..=1.0)?;
+    let allowed = "0 without `model.path`";
+    require(prob == 0.0 || sizes.path, key, prob, allowed)?;
+    let ratio = own.positions.bpe_training_ratio;
+    in_range("positions.bpe_training_ratio", ratio, 0.0..=1.0)?;
+    let evaluation = &own.evaluation;
+    let timesteps = own.diffusion.num_train_timesteps;
+    let (step, steps) = (evaluation.bpe_denoising_step, -1..=timesteps as i64);
+    in_range("evaluation.bpe_denoising_step", step, steps)
+        .hint("-1 for absolute positions in all steps, 0 for relative ones")?;
     validate_velocity(own.loss.velocity, &own.diffusion)?;
     must_have_no_style(config, &own.diffusion)?;
     must_suit(&sampling.sampler, &own.diffusion)?;
+    let clips = sampling.clip != ClipSample::None;
+    let allowed = format!("\"none\" for recipe `{RECIPE}`, whose clean motion is not clipped");
+    require(!clips, "sampling.clip", "a range", allowed)?;
+    let path = &evaluation.path;
+    path.validate(timesteps).within("evaluation.path")?;
+    let kind = &sampling.sampler.kind;
+    let guides = path.method.guides() && path.through_network;
+    let allowed = "\"ddpm\" for guidance through the network";
+    let fits = matches!(kind, SamplerKind::Ddpm(_)) || !guides;
     require(
-        sampling.clip == ClipSample::None,
-        "sampling.clip",
-        "a range",
-        format!("\"none\" for recipe `{RECIPE}`, whose clean motion is not clipped"),
-    )?;
-    let evaluation = &own.evaluation;
-    let timesteps = own.diffusion.num_train_timesteps;
-    evaluation
-        .path
-        .validate(timesteps)
-        .within("evaluation.path")?;
-    require(
-        matches!(sampling.sampler.kind, SamplerKind::Ddpm(_))
-            || !evaluation.path.method.guides()
-            || !evaluation.path.through_network,
+        fits,
         "sampling.sampler.kind",
-        format!("\"{}\"", sampling.sampler.kind),
-        "\"ddpm\" for guidance through the network",
+        format!("\"{kind}\""),
+        allowed,
     )
     .hint("its gradient is scaled by the variance of the step, which only DDPM has")?;
-    in_range(
-        "evaluation.compositions",
-        evaluation.compositions,
-        1..=10_000,
-    )?;
-    in_range("evaluation.num_paths", evaluation.num_paths, 0..=10_000)?;
-    in_range("evaluation.texts", evaluation.texts, 1..=10_000)?;
-    let absolute = data.humanml3d.root == Root::Absolute;
-    require(
-        evaluation.texts == 1 || !absolute,
-        "evaluation.texts",
-        evaluation.texts,
-        "1 with `data.humanml3d.root = \"absolute\"`",
-    )
-    .hint("every clip of training begins at the origin: an absolute root cannot continue with the next text")?;
-    require(
-        evaluation.transition_frames <= data.target_frames,
-        "evaluation.transition_frames",
-        evaluation.transition_frames,
-        format!("at most {}, `data.target_frames`", data.target_frames),
-    )
-    .hint("real clips are measured in windows of that length as well")?;
-    in_range(
-        "evaluation.transition_frames",
-        evaluation.transition_frames,
-        4..=MAX_FRAMES,
-    )?;
-    Ok(())
+    for (key, count, least) in [
+        ("evaluation.compositions", evaluation.compositions, 1),
+        ("evaluation.num_paths", evaluation.num_paths, 0),
+        ("evaluation.texts", evaluation.texts, 1),
+    ] {
+        in_range(key, count, least..=10_000)?;
+    }
+    let (texts, is_relative) = (evaluation.texts, data.humanml3d.root == Root::Relative);
+    let allowed = "1 with `data.humanml3d.root = \"absolute\"`";
+    require(texts == 1 || is_relative, "evaluation.texts", texts, allowed).hint("every clip of training begins at the origin: an absolute root cannot continue with the next text")?;
+    let (key, frames) = ("evaluation.transition_frames", evaluation.transition_frames);
+    let longest = data.target_frames;
+    let allowed = format!("at most {longest}, `data.target_frames`");
+    require(frames <= longest, key, frames, allowed)
+        .hint("real clips are measured in windows of that length as well")?;
+    Ok(in_range(key, frames, 4..=MAX_FRAMES)?)
 }

@@ -6,24 +6,18 @@ use std::sync::Arc;
 use kinegrad_data::humanml::Clip;
 use kinegrad_motion::humanml::{Features, Joints};
 use kinegrad_random::{Key, Purpose};
-use serde_json::json;
-
-use super::load::{footprint, text_input};
-use super::path_evaluation;
-use super::report::Measured;
-use super::{BpeTables, Composer};
-use kinegrad_train::Error;
-use kinegrad_train::TrainedModel;
 use kinegrad_train::clips::TimedPrompt;
 use kinegrad_train::clips::captions::{ClipText, must_know_texts};
 use kinegrad_train::evaluation::{
     Evaluation, EvaluationRequest, Group, OnStep, Results, clips_with_held_out, for_each_item,
 };
+use kinegrad_train::{Error, TrainedModel};
+use serde_json::json;
 
-/// An evaluation of compositions.
-///
-/// # Errors
-/// If nothing is held out, or the model does not know a text.
+use super::load::{footprint, text_input};
+use super::report::Measured;
+use super::{BpeTables, Composer, path_evaluation};
+
 pub(super) fn prepare<'a>(
     trained: &'a TrainedModel,
     request: &EvaluationRequest,
@@ -63,36 +57,26 @@ fn evaluate(
     let sampler = &config.sampling.sampler;
     let skeleton = config.data.humanml3d.skeleton.skeleton();
     let key = Key::new(request.seed, Purpose::Sampling);
-    let texts = key
-        .named("texts")
-        .integers(settings.compositions * settings.texts, held_out.len());
-    let compositions = texts.chunks(settings.texts).map(|clips| {
-        let lines = clips.iter().map(|&clip| TimedPrompt {
-            text: ClipText::of(&held_out[clip]),
-            frames: held_out[clip].features.frames().min(max_frames),
-        });
-        lines.collect()
-    });
-    let compositions: Vec<Vec<TimedPrompt>> = compositions.collect();
-    let composed: Vec<Features> = for_each_item(
-        &request.group,
-        compositions.len(),
-        on_step,
-        |number, on_step| {
-            composer.compose(
-                &compositions[number],
-                sampler,
-                settings,
-                None,
-                key.at(number as u64),
-                &mut |done, all| on_step("", done, all),
-            )
-        },
-    )?;
+    let count = settings.compositions * settings.texts;
+    let texts = key.named("texts").integers(count, held_out.len());
+    let prompt = |&clip: &usize| TimedPrompt {
+        text: ClipText::of(&held_out[clip]),
+        frames: held_out[clip].features.frames().min(max_frames),
+    };
+    let compositions = texts.chunks(settings.texts);
+    let compositions: Vec<Vec<TimedPrompt>> = compositions
+        .map(|clips| clips.iter().map(prompt).collect())
+        .collect();
+    let count = compositions.len();
+    let composed: Vec<Features> =
+        for_each_item(&request.group, count, on_step, |number, on_step| {
+            let (lines, key) = (&compositions[number], key.at(number as u64));
+            let on_step = &mut |done, all| on_step("", done, all);
+            composer.compose(lines, sampler, settings, None, key, on_step)
+        })?;
     let window = settings.transition_frames;
     let joints_of = |features: &Features, first: usize| {
-        let window = features.to_relative().slice(first..first + window);
-        window.joints()
+        features.to_relative().slice(first..first + window).joints()
     };
     let (mut windows, mut segments) = (Vec::new(), Vec::new());
     for (lines, features) in compositions.iter().zip(&composed) {
@@ -108,11 +92,10 @@ fn evaluate(
             begin += line.frames;
         }
     }
-    let real = held_out.iter().map(|clip| {
-        clip.features
-            .slice(0..clip.features.frames().min(max_frames))
-    });
-    let real: Vec<Features> = real.collect();
+    let features = held_out.iter().map(|clip| &clip.features);
+    let real: Vec<Features> = features
+        .map(|features| features.slice(0..features.frames().min(max_frames)))
+        .collect();
     let middle = |clip: &Features| {
         let first = clip.frames().checked_sub(window)? / 2;
         Some(joints_of(clip, first))
@@ -130,11 +113,12 @@ fn evaluate(
     };
     let statistics = composer.statistics()?;
     let real_jerk = of_real.window_jerk();
-    let paths = (settings.num_paths > 0)
-        .then(|| {
-            path_evaluation::evaluate(composer, held_out, settings, max_frames, request, on_step)
-        })
-        .transpose()?;
+    let paths = match settings.num_paths {
+        0 => None,
+        _ => Some(path_evaluation::evaluate(
+            composer, held_out, max_frames, request, on_step,
+        )?),
+    };
     let of_samples = of_samples.report(&skeleton, statistics, real_jerk, Some(&real));
     let of_real = of_real.report(&skeleton, statistics, real_jerk, None);
     let mut json = json!({

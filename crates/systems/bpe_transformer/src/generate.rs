@@ -2,28 +2,27 @@
 
 use std::ops::ControlFlow;
 
-use crate::network::{BlendedTransformer, Composed, Segment, Switch, TextSegments};
 use burn::module::Module;
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_diffusion::{
-    ClipRange, GaussianDiffusion, Guidance, Networks, NoiseKeys, SamplerConfig, Space as _,
-    Steering, Time, sample, sample_with, steered_prediction,
+    ClipRange, GaussianDiffusion, Guidance, Networks, NoiseKeys, SamplerConfig, Steering, Time,
+    sample, sample_with, steered_prediction,
 };
 use kinegrad_motion::humanml::Features;
 use kinegrad_motion::{Representation, Statistics};
 use kinegrad_random::Key;
-
-use super::load::{text_input, trained};
-use super::path::{PathControl, path_condition};
-use super::{BpeTables, ComposeEvaluationConfig};
-use kinegrad_train::Error;
-use kinegrad_train::TrainedModel;
 use kinegrad_train::checkpoint::State;
-use kinegrad_train::clips::FeatureSpace;
-use kinegrad_train::clips::TimedPrompt;
 use kinegrad_train::clips::captions::TextInput;
 use kinegrad_train::clips::path_target::{Fastest, PathTarget};
+use kinegrad_train::clips::{FeatureSpace, TimedPrompt};
 use kinegrad_train::config::Config;
+use kinegrad_train::{Error, TrainedModel};
+
+use super::load::{text_input, trained};
+use super::path::PathControl;
+use super::path_condition::of_path;
+use super::{BpeTables, ComposeEvaluationConfig};
+use crate::network::{BlendedTransformer, Composed, Segment, Switch, TextSegments};
 
 /// A trained network, ready to compose motion.
 pub struct Composer {
@@ -40,7 +39,7 @@ impl Composer {
     /// Loads the network of a trained model.
     ///
     /// # Errors
-    /// If the checkpoint is damaged or does not fit its own config.
+    /// If the checkpoint is damaged.
     pub fn load(model: &TrainedModel) -> Result<Self, Error> {
         let (device, state) = (&model.device, model.saved.state.clone());
         let network = trained(&model.saved, model.weights, &device.clone().autodiff())?;
@@ -57,38 +56,27 @@ impl Composer {
         })
     }
 
-    /// The config the model was trained with.
+    /// The run's config.
     pub fn config(&self) -> &Config {
         &self.state.config
     }
 
-    /// The statistics of its features.
-    ///
-    /// # Errors
-    /// If the run is of another system.
     pub(super) fn statistics(&self) -> Result<&Statistics, Error> {
         self.state.clip_statistics()
     }
 
-    /// The fastest that a root was in training, for what asks for more.
-    ///
-    /// # Errors
-    /// If the run is of another system.
-    pub(crate) fn fastest(&self) -> Result<Fastest, Error> {
+    /// The largest speed of a root in training.
+    pub(super) fn fastest(&self) -> Result<Fastest, Error> {
         let skeleton = self.config().data.humanml3d.skeleton.skeleton();
-        // Displacements of joint 0, in the facing frame, metres per frame.
-        let first = skeleton.layout().velocities().start;
-        let statistics = self.state.clip_statistics()?;
-        Ok(Fastest::of(statistics, first, skeleton.description().fps))
+        Ok(Fastest::of_clips(self.statistics()?, &skeleton))
     }
 
     /// One motion of all `lines`, without overlaps or transitions; each line starts where the
     /// previous one ends. With a `target` it is sampled along that according to `settings.path`,
-    /// and the caller moves it onto the target. `on_step` is called with the steps done and in total.
+    /// and the caller moves it onto the target.
     ///
     /// # Errors
-    /// If the model does not know a text, the sampler's settings cannot work, or the result is not
-    /// finite.
+    /// For an unknown text, an invalid setting, or a result that is not finite.
     ///
     /// # Panics
     /// Panics without a line, or for one without a frame.
@@ -107,14 +95,16 @@ impl Composer {
         });
         let segments = TextSegments::new([segments.collect()]);
         let humanml3d = &self.config().data.humanml3d;
-        let path = match target.filter(|_| settings.path.method.conditions()) {
-            Some(target) => {
-                self.must_know_paths()?;
-                let fps = humanml3d.skeleton.skeleton().description().fps;
-                Some(path_condition(target, fps, &self.device))
-            }
-            None => None,
-        };
+        let mut path = None;
+        if let Some(target) = target.filter(|_| settings.path.method.conditions()) {
+            self.must_have_path()?;
+            let fps = humanml3d.skeleton.skeleton().description().fps;
+            path = Some(of_path(
+                &target.at_origin().course.points,
+                fps,
+                &self.device,
+            ));
+        }
         let composed = |network| Composed {
             network,
             segments: segments.clone(),
@@ -191,35 +181,25 @@ impl Composer {
                     prediction.clipped = true;
                     Ok(prediction)
                 };
-                let diffusion = &self.diffusion;
-                control.last(sample_with(
-                    diffusion,
-                    &mut predict,
-                    start,
-                    &sampler,
-                    keys,
-                    &mut on_sampled,
-                )?)
+                let (diffusion, on_step) = (&self.diffusion, &mut on_sampled);
+                let x = sample_with(diffusion, &mut predict, start, &sampler, keys, on_step)?;
+                control.last(x)
             }
         };
-        let rows = self.space.to_motion(x).swap_dims(1, 2);
-        let values = rows.try_into_vec_as::<f32>().expect("samples are float32");
-        if !values.iter().all(|value| value.is_finite()) {
-            let sample = "the motion".to_owned();
-            return Err(Error::SampleNotFinite { sample });
-        }
-        let layout = humanml3d.skeleton.skeleton().layout();
-        Ok(Features::new(values, layout, humanml3d.root)?)
+        let mut found = self
+            .space
+            .features(x, humanml3d, |_| "the motion".to_owned())?;
+        Ok(found.pop().expect("one motion"))
     }
 
-    fn must_know_paths(&self) -> Result<(), Error> {
-        match self.plain.has_path() {
-            true => Ok(()),
-            false => Err(Error::usage(
-                "option `method tokens`, and a run whose network has no path condition",
-                "teach it with recipe `path_adapter`, or use another method (docs/compose.md)",
-            )),
+    fn must_have_path(&self) -> Result<(), Error> {
+        if self.plain.has_path() {
+            return Ok(());
         }
+        Err(Error::usage(
+            "option `method tokens`, and a run whose network has no path condition",
+            "teach it with recipe `path_adapter`, or use another method (docs/compose.md)",
+        ))
     }
 
     /// The text conditions of the lines, `[lines, text channels, 1]`; zeros without a text.
@@ -227,9 +207,7 @@ impl Composer {
         let channels = self.text.channels();
         let mut values = Vec::with_capacity(lines.len() * channels);
         for line in lines {
-            let value = line.text.as_ref().map(|text| self.text.values(text));
-            let value = value.transpose()?.flatten();
-            values.extend(value.unwrap_or_else(|| vec![0.0; channels]));
+            values.extend(self.text.values_or_zeros(line.text.as_ref())?);
         }
         let data = TensorData::new(values, [lines.len(), channels, 1]);
         Ok(Tensor::from_data(data, &self.device))

@@ -20,7 +20,6 @@ mod report;
 mod sample;
 mod train;
 
-use kinegrad_motion::Representation;
 use kinegrad_settings::Key;
 use toml::Table;
 
@@ -30,28 +29,20 @@ pub use config::{
 };
 pub use generate::Composer;
 pub use path::{OverrideTarget, PathConfig, PathMethod};
-pub use path_evaluation::PathFollowingReport;
-pub use report::ComposedReport;
 
-use kinegrad_train::Error;
-use kinegrad_train::Observer;
-use kinegrad_train::ParameterCount;
-use kinegrad_train::RecipeInfo;
-use kinegrad_train::System;
-use kinegrad_train::TrainedModel;
 use kinegrad_train::config::{Config, ConfigError, OwnTables, Place, SystemTables};
 use kinegrad_train::evaluation::{Evaluation, EvaluationRequest};
 use kinegrad_train::import::{ImportRequest, Imported};
 use kinegrad_train::memory::Footprint;
 use kinegrad_train::run::{Outcome, RunContext};
 use kinegrad_train::sampling::{Request, SampleSink, Sampler};
-use kinegrad_train::start::{Start, tables_of};
+use kinegrad_train::start;
+use kinegrad_train::{Error, Observer, ParameterCount, RecipeInfo, System, TrainedModel};
 
-/// Name of the recipe.
-pub(crate) const RECIPE: &str = "bpe_motion";
+const RECIPE: &str = "bpe_motion";
 
-/// Name of the recipe that teaches a trained network to follow paths.
-pub(crate) const ADAPTER: &str = "path_adapter";
+/// The recipe that adds path conditioning to a trained network.
+const ADAPTER: &str = "path_adapter";
 
 const RECIPES: [RecipeInfo; 2] = [
     RecipeInfo {
@@ -79,11 +70,6 @@ impl System for BpeTransformer {
         &RECIPES
     }
 
-    /// None of its own: it generates clips of joint features, which models of clips do too.
-    fn representations(&self) -> Vec<Box<dyn Representation>> {
-        Vec::new()
-    }
-
     fn defaults(&self, recipe: &RecipeInfo, _: &Table) -> Table {
         let defaults = match recipe.name {
             ADAPTER => format!("{}{}", config::DEFAULTS, config::ADAPTER_DEFAULTS),
@@ -101,20 +87,12 @@ impl System for BpeTransformer {
     }
 
     fn validate(&self, config: &Config) -> Result<Vec<String>, Error> {
-        config::validate(config)?;
-        Ok(Vec::new())
+        config::validate(config).map(|()| Vec::new())
     }
 
     fn inherited(&self, config: &Config, saved: Option<&Config>) -> Result<Option<Table>, Error> {
-        let tables = match saved {
-            // A resumed run does not need its start any more.
-            Some(saved) => Some(tables_of(saved, &INHERITED)),
-            None => {
-                let init = &config.own::<BpeTables>().init;
-                let start = Start::named("init.diffusion", &init.diffusion, self)?;
-                start.map(|start| start.tables(&INHERITED))
-            }
-        };
+        let init = &config.own::<BpeTables>().init.diffusion;
+        let tables = start::inherited(saved, init, &INHERITED, self)?;
         Ok(
             tables.map(|tables| match config::is_path_conditioned(config) {
                 true => config::with_paths(tables),
@@ -139,8 +117,15 @@ impl System for BpeTransformer {
         import::import(request)
     }
 
-    fn accepts(&self, recipe: &str) -> &'static [&'static str] {
-        sample::accepts(recipe)
+    fn accepts(&self, _: &str) -> &'static [&'static str] {
+        &[
+            "item",
+            "held_out",
+            "text",
+            "text_embedding",
+            "prompts",
+            "path",
+        ]
     }
 
     fn sampler<'a>(

@@ -2,53 +2,41 @@
 
 use std::collections::HashMap;
 
-use crate::network::BlendedTransformer;
 use burn::tensor::Device;
-use kinegrad_models::Initializer;
-use kinegrad_models::parameters;
+use kinegrad_models::{Initializer, parameters};
 use kinegrad_motion::Representation;
 use kinegrad_motion::humanml::TEXT_CHANNELS;
-
-use super::config::{is_path_conditioned, with_paths};
-use super::{ADAPTER, BpeTables, INHERITED};
-use kinegrad_train::Error;
-use kinegrad_train::ParameterCount;
 use kinegrad_train::checkpoint::{SavedCheckpoint, Weights};
 use kinegrad_train::clips::captions::TextInput;
 use kinegrad_train::clips::training::must_fit_clips;
 use kinegrad_train::config::{Config, OwnTables};
 use kinegrad_train::memory::Footprint;
 use kinegrad_train::start::{Start, must_agree};
+use kinegrad_train::{Error, ParameterCount};
 
-/// The text input of the network of a config.
+use super::config::{is_path_conditioned, with_paths};
+use super::{ADAPTER, BpeTables, INHERITED};
+use crate::network::BlendedTransformer;
+
 pub(super) fn text_input(config: &Config) -> TextInput {
     TextInput::new(&config.own::<BpeTables>().text, &config.data)
 }
 
-/// The network with fresh weights.
-///
-/// # Errors
-/// If it cannot be built.
+/// The network with initial weights.
 pub(super) fn network(config: &Config, device: &Device) -> Result<BlendedTransformer, Error> {
     let own: &BpeTables = config.own();
     let init = Initializer::new(config.run.seed, device);
     let channels = config.data.humanml3d.representation().channels();
-    let network = own
-        .model
-        .network
-        .sizes()
-        .init(channels, TEXT_CHANNELS, &init)?;
+    let sizes = own.model.network.sizes();
+    let network = sizes.init(channels, TEXT_CHANNELS, &init)?;
     Ok(match text_input(config).labels() {
         Some(labels) => network.with_captions(labels.captions().len(), &init),
         None => network,
     })
 }
 
-/// The network that training begins with: with the weights of `start`, where there is one, and frozen
-/// where recipe `path_adapter` trains nothing.
-///
-/// # Errors
-/// Names the key in which the start differs from `config`.
+/// The initial network of training: with the weights of `start`, if there is one, and frozen except for
+/// the trained part of recipe `path_adapter`.
 pub(super) fn initial_network(
     config: &Config,
     start: Option<&Start>,
@@ -64,7 +52,7 @@ pub(super) fn initial_network(
     })
 }
 
-/// The network of a config with the weights of `start`; what the start does not have is fresh.
+/// The network of a config with the weights of `start`; other weights are initialised.
 fn started(start: &Start, config: &Config, device: &Device) -> Result<BlendedTransformer, Error> {
     let state = start.state();
     let network = start.load(|saved| trained(saved, Weights::Ema, device))?;
@@ -78,7 +66,7 @@ fn started(start: &Start, config: &Config, device: &Device) -> Result<BlendedTra
     let fresh = self::network(config, device)?;
     let weights = parameters::export(&network).into_iter();
     let mut weights: HashMap<String, Vec<f32>> = weights
-        .map(|parameter| (parameter.info.name, parameter.values))
+        .map(|weight| (weight.info.name, weight.values))
         .collect();
     let values = parameters::export(&fresh).into_iter();
     let values = values.map(|own| weights.remove(&own.info.name).unwrap_or(own.values));
@@ -86,10 +74,6 @@ fn started(start: &Start, config: &Config, device: &Device) -> Result<BlendedTra
     Ok(parameters::replace(fresh, values))
 }
 
-/// The network of a checkpoint.
-///
-/// # Errors
-/// If the checkpoint is damaged or does not fit its own config.
 pub(super) fn trained(
     saved: &SavedCheckpoint,
     weights: Weights,
@@ -99,10 +83,6 @@ pub(super) fn trained(
     saved.load(network(&saved.state.config, device)?, weights)
 }
 
-/// The parameters, and which of them are trained.
-///
-/// # Errors
-/// As [`network`].
 pub(super) fn parameters(config: &Config) -> Result<ParameterCount, Error> {
     let network = initial_network(config, None, &Device::flex())?;
     let trained = parameters::trainable(&network);
@@ -110,22 +90,10 @@ pub(super) fn parameters(config: &Config) -> Result<ParameterCount, Error> {
     Ok(ParameterCount::of(&infos, &[], |index, _| trained[index]))
 }
 
-/// The memory of the network for motions of `frames` frames.
-///
-/// # Errors
-/// As [`network`].
 pub(super) fn footprint(config: &Config, frames: usize) -> Result<Footprint, Error> {
-    let activations = config
-        .own::<BpeTables>()
-        .model
-        .network
-        .sizes()
-        .activations(frames);
+    let sizes = config.own::<BpeTables>().model.network.sizes();
     let channels = config.data.humanml3d.representation().channels();
     let item = channels * frames + text_input(config).channels();
-    Ok(Footprint::of(
-        &network(config, &Device::flex())?,
-        activations,
-        item,
-    ))
+    let network = network(config, &Device::flex())?;
+    Ok(Footprint::of(&network, sizes.activations(frames), item))
 }

@@ -2,19 +2,17 @@
 
 use std::cell::RefCell;
 
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::{Tensor, TensorData};
 use kinegrad_diffusion::{GaussianDiffusion, Objective};
 use kinegrad_motion::Statistics;
 use kinegrad_motion::humanml::{Features, Root, Skeleton};
 use kinegrad_motion::path::{PathLoss, PathLossConfig, root_channels};
 use kinegrad_random::Key;
 use kinegrad_settings::{ABOVE_ZERO, InvalidSetting, Refused, in_range};
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
-
-use super::path_condition::of_path;
 use kinegrad_train::Error;
 use kinegrad_train::clips::path_target::{Followed, PathTarget};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
 
 /// Channels of the root's rotation and place on the ground.
 const ROOT: usize = 3;
@@ -96,10 +94,8 @@ impl PathMethod {
 
     /// True if a gradient guides.
     pub fn guides(self) -> bool {
-        matches!(
-            self,
-            Self::Guidance | Self::OverrideGuidance | Self::TokensGuidance
-        )
+        use PathMethod::{Guidance, OverrideGuidance, TokensGuidance};
+        matches!(self, Guidance | OverrideGuidance | TokensGuidance)
     }
 
     /// True if it acts during sampling.
@@ -135,12 +131,12 @@ pub enum OverrideTarget {
 impl PathConfig {
     /// Length of a step against the gradient, of motion with such a root.
     pub fn guidance_step_size(&self, root: Root) -> f64 {
-        self.guidance_step_size
-            .unwrap_or(match (self.through_network, root) {
-                (true, _) => 100.0,
-                (false, Root::Relative) => 1.0,
-                (false, Root::Absolute) => 0.05,
-            })
+        let default = match (self.through_network, root) {
+            (true, _) => 100.0,
+            (false, Root::Relative) => 1.0,
+            (false, Root::Absolute) => 0.05,
+        };
+        self.guidance_step_size.unwrap_or(default)
     }
 
     /// # Errors
@@ -155,15 +151,7 @@ impl PathConfig {
     }
 }
 
-/// The path condition, `[1, PATH_CHANNELS, frames]`.
-pub(super) fn path_condition(target: &PathTarget, fps: f64, device: &Device) -> Tensor<3> {
-    of_path(&target.at_origin().course.points, fps, device)
-}
-
 /// Moves a motion that was sampled according to `config` onto the path.
-///
-/// # Errors
-/// If it is not of the skeleton.
 pub(super) fn finish(
     target: &PathTarget,
     features: &Features,
@@ -181,7 +169,6 @@ pub(super) fn finish(
     }
 }
 
-/// The path control of one sample.
 pub(super) struct PathControl<'a> {
     config: &'a PathConfig,
     /// In the frame of sampling.
@@ -219,13 +206,12 @@ impl<'a> PathControl<'a> {
         t >= self.config.stop_timestep
     }
 
-    /// The noisy motion that the network is given, `[1, channels, time]`: with the path in it, or a step
-    /// nearer to it.
-    pub fn noisy(&self, x_t: Tensor<3>, t: usize, diffusion: &GaussianDiffusion) -> Tensor<3> {
+    /// The noisy motion for the network, `[1, channels, time]`: with the path in it, or a step nearer to
+    /// it.
+    pub fn noisy(&self, mut x_t: Tensor<3>, t: usize, diffusion: &GaussianDiffusion) -> Tensor<3> {
         if !self.acts(t) {
             return x_t;
         }
-        let mut x_t = x_t;
         let config = self.config;
         if config.method.guides() && !config.through_network {
             let gradient = self.gradient(&x_t);
@@ -241,26 +227,20 @@ impl<'a> PathControl<'a> {
             ),
             _ => (1.0, 0.0),
         };
-        let frames = x_t.dims()[2];
-        let normals = self.key.at(t as u64).normals(ROOT * frames);
-        let noised = self.channels().into_iter().enumerate().map(|(c, values)| {
-            let values = values.into_iter().enumerate();
-            let noised = values
-                .map(|(n, value)| signal * value + noise * f64::from(normals[c * frames + n]));
-            noised.collect()
-        });
-        self.put(x_t, noised.collect())
+        let normals = self.key.at(t as u64).normals(ROOT * x_t.dims()[2]);
+        let mut channels = self.channels();
+        for (value, normal) in channels.iter_mut().flatten().zip(normals) {
+            *value = signal * *value + noise * f64::from(normal);
+        }
+        self.put(x_t, channels)
     }
 
-    /// The predicted clean motion with the path in it, where that is the override_target; and its rotations,
-    /// noted for the next step.
+    /// The predicted clean motion, with the path in it if `override_target` is the sample. Notes its
+    /// rotations for the next step.
     pub fn clean(&self, x_start: Tensor<3>, t: usize) -> Tensor<3> {
-        let rotation = self.physical(&x_start).into_iter().map(|[a, ..]| a);
-        *self.turning.borrow_mut() = Some(rotation.collect());
-        let puts = self.config.method.replaces()
-            && self.config.override_target == OverrideTarget::Sample
-            && self.acts(t);
-        match puts {
+        self.note_rotation(&x_start);
+        let target = self.config.override_target;
+        match self.config.method.replaces() && target == OverrideTarget::Sample && self.acts(t) {
             true => self.put(x_start, self.channels()),
             false => x_start,
         }
@@ -271,46 +251,42 @@ impl<'a> PathControl<'a> {
         if !self.config.method.replaces() || !self.acts(0) {
             return x;
         }
-        let rotation = self.physical(&x).into_iter().map(|[a, ..]| a);
-        *self.turning.borrow_mut() = Some(rotation.collect());
+        self.note_rotation(&x);
         self.put(x, self.channels())
     }
 
-    /// Normalised root channels on the path, seen from its own headings or those of the sample.
+    fn note_rotation(&self, x: &Tensor<3>) {
+        let rotation = self.physical(x).into_iter().map(|[a, ..]| a);
+        *self.turning.borrow_mut() = Some(rotation.collect());
+    }
+
+    /// Normalised root channels on the path, relative to its own headings or those of the sample.
     fn channels(&self) -> Vec<Vec<f64>> {
         let points = &self.target.course.points;
         let turning = self.turning.borrow();
         let headings = match (&*turning, self.config.yaw) {
             (Some(rotations), false) => {
                 let rows: Vec<[f64; 4]> = rotations.iter().map(|a| [*a, 0.0, 0.0, 0.0]).collect();
-                self.root
-                    .half_angles(&rows)
-                    .iter()
-                    .map(|a| -2.0 * a)
-                    .collect()
+                let angles = self.root.half_angles(&rows);
+                angles.iter().map(|a| -2.0 * a).collect()
             }
             _ => self.target.headings.clone(),
         };
         let rows = root_channels(points, &headings, self.root);
-        (0..ROOT)
-            .map(|c| {
-                rows.iter()
-                    .map(|row| (row[c] - self.mean[c]) / self.std[c])
-                    .collect()
-            })
-            .collect()
+        let channel = |c: usize| {
+            let values = rows.iter().map(|row| (row[c] - self.mean[c]) / self.std[c]);
+            values.collect()
+        };
+        (0..ROOT).map(channel).collect()
     }
 
-    /// Puts normalised channels in the place of the motion's own; the rotation only with `yaw`.
+    /// Replaces root channels by normalised ones; the rotation only with `yaw`.
     fn put(&self, x: Tensor<3>, channels: Vec<Vec<f64>>) -> Tensor<3> {
         let [batch, all, frames] = x.dims();
         assert_eq!(batch, 1, "a path is of one motion");
         let first = usize::from(!self.config.yaw);
-        let values: Vec<f32> = channels[first..ROOT]
-            .concat()
-            .into_iter()
-            .map(|value| value as f32)
-            .collect();
+        let values = channels[first..].concat().into_iter();
+        let values: Vec<f32> = values.map(|value| value as f32).collect();
         let data = TensorData::new(values, [1, ROOT - first, frames]);
         let replaced = Tensor::from_data(data, &x.device());
         let mut parts = vec![replaced, x.clone().narrow(1, ROOT, all - ROOT)];
@@ -325,11 +301,10 @@ impl<'a> PathControl<'a> {
         let [_, _, frames] = x.dims();
         let values = x.clone().narrow(1, 0, ROOT).try_into_vec_as::<f32>();
         let values = values.expect("samples are float32");
-        let value =
-            |c: usize, n: usize| f64::from(values[c * frames + n]) * self.std[c] + self.mean[c];
-        (0..frames)
-            .map(|n| [0, 1, 2].map(|c| value(c, n)))
-            .collect()
+        let frame = |n: usize| {
+            [0, 1, 2].map(|c| f64::from(values[c * frames + n]) * self.std[c] + self.mean[c])
+        };
+        (0..frames).map(frame).collect()
     }
 }
 

@@ -1,12 +1,12 @@
 //! The path condition of the network (docs/sources.md, section 7, option C).
 
-use crate::network::PATH_CHANNELS;
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_motion::Statistics;
 use kinegrad_motion::humanml::Root;
 use kinegrad_motion::path::PathFeatures;
-
 use kinegrad_train::clips::path_target::root_trajectory;
+
+use crate::network::PATH_CHANNELS;
 
 /// Channels of the root: rotation, x, z, height.
 const ROOT: usize = 4;
@@ -59,11 +59,9 @@ impl RootTrajectories {
 
 /// The condition of one path, a point per frame: `[1, PATH_CHANNELS, frames]`.
 pub(super) fn of_path(points: &[[f64; 2]], fps: f64, device: &Device) -> Tensor<3> {
-    let values = numbers(points, fps, points.len());
-    Tensor::from_data(
-        TensorData::new(values, [1, PATH_CHANNELS, points.len()]),
-        device,
-    )
+    let frames = points.len();
+    let values = numbers(points, fps, frames);
+    Tensor::from_data(TensorData::new(values, [1, PATH_CHANNELS, frames]), device)
 }
 
 /// The numbers of each frame, channel by channel, zeros up to `time`.

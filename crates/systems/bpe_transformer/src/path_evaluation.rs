@@ -9,25 +9,24 @@ use kinegrad_motion::humanml::Joints;
 use kinegrad_motion::metrics::mean;
 use kinegrad_motion::path::PathReport;
 use kinegrad_random::{Key, Purpose};
-use serde::Serialize;
-
-use super::path::finish;
-use super::report::distance;
-use super::{ComposeEvaluationConfig, Composer};
 use kinegrad_train::Error;
 use kinegrad_train::clips::TimedPrompt;
 use kinegrad_train::clips::captions::ClipText;
 use kinegrad_train::clips::path_target::{PathTarget, features_of, root_trajectory};
 use kinegrad_train::evaluation::{EvaluationRequest, Metrics, Number, OnStep, for_each_item};
 use kinegrad_train::sampling::item_seed;
+use serde::Serialize;
+
+use super::path::finish;
+use super::report::distance;
+use super::{BpeTables, Composer};
 
 /// Length of the shortest path that a sample follows, metres: a clip in place has none.
 const SHORTEST: f64 = 2.0;
 
 /// Errors of motions along their paths, and their quality: means over motions.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct PathFollowingReport {
-    /// Motions.
+pub(super) struct PathFollowingReport {
     pub motions: usize,
     /// Mean distance of the root from the path, metres.
     pub mean_distance: Option<f64>,
@@ -41,11 +40,9 @@ pub struct PathFollowingReport {
     pub slide: Option<f64>,
     /// Share of the steps in which a toe slides, as published.
     pub foot_skating: Option<f64>,
-    /// Mean jerk of the joints, metres per second cubed.
     pub jerk: Option<f64>,
     /// Fréchet distance of the mean normalised features from those of the clips.
     pub frechet_distance: Option<f64>,
-    /// Seconds of sampling for a motion.
     pub seconds: Option<f64>,
 }
 
@@ -85,13 +82,10 @@ impl Metrics for PathFollowingReport {
 
 /// The metrics of samples and of the clips whose paths they follow.
 pub(super) struct PathEvaluation {
-    /// The samples.
     pub samples: PathFollowingReport,
-    /// The clips.
     pub real: PathFollowingReport,
 }
 
-/// A clip and its path.
 struct Walk {
     id: String,
     text: Option<ClipText>,
@@ -115,53 +109,42 @@ impl Walk {
     }
 }
 
-/// Generates motion along the paths of `settings.num_paths` clips, evenly chosen among those that
-/// walk, each as long as its clip and `max_frames` at most.
-///
-/// # Errors
-/// [`Error::Usage`] if no clip walks; as [`Composer::compose`].
+/// Generates motion along the paths of `num_paths` clips, evenly chosen among those that walk, each
+/// as long as its clip and `max_frames` at most.
 pub(super) fn evaluate(
     composer: &Composer,
     held_out: &[Arc<Clip>],
-    settings: &ComposeEvaluationConfig,
     max_frames: usize,
     request: &EvaluationRequest,
     on_step: &mut OnStep<'_>,
 ) -> Result<PathEvaluation, Error> {
     let config = composer.config();
-    let (skeleton, root) = (
-        config.data.humanml3d.skeleton.skeleton(),
-        config.data.humanml3d.root,
-    );
+    let settings = &config.own::<BpeTables>().evaluation;
+    let (humanml3d, sampler) = (&config.data.humanml3d, &config.sampling.sampler);
+    let skeleton = humanml3d.skeleton.skeleton();
     let fps = skeleton.description().fps;
-    let walks = held_out.iter();
-    let walks: Vec<Walk> = walks
-        .filter_map(|clip| Walk::of(clip, max_frames, fps))
-        .collect();
+    let walks = held_out
+        .iter()
+        .filter_map(|clip| Walk::of(clip, max_frames, fps));
+    let walks: Vec<Walk> = walks.collect();
     if walks.is_empty() {
-        return Err(Error::usage(
-            format!("no held-out clip walks {SHORTEST} m: there is no path to follow"),
-            "set `evaluation.num_paths = 0`",
-        ));
+        let message = format!("no held-out clip walks {SHORTEST} m: there is no path to follow");
+        return Err(Error::usage(message, "set `evaluation.num_paths = 0`"));
     }
     let count = settings.num_paths.min(walks.len());
-    let chosen: Vec<&Walk> = (0..count)
-        .map(|n| &walks[n * walks.len() / count])
-        .collect();
+    let chosen = (0..count).map(|n| &walks[n * walks.len() / count]);
+    let chosen: Vec<&Walk> = chosen.collect();
     let samples = for_each_item(&request.group, count, on_step, |number, on_step| {
         let (walk, start) = (chosen[number], Instant::now());
         let line = TimedPrompt {
             text: walk.text.clone(),
             frames: walk.joints.frames(),
         };
-        let features = composer.compose(
-            &[line],
-            &config.sampling.sampler,
-            settings,
-            Some(&walk.target),
-            Key::new(item_seed(request.seed, &walk.id), Purpose::Sampling),
-            &mut |done, all| on_step("paths", done, all),
-        )?;
+        let key = Key::new(item_seed(request.seed, &walk.id), Purpose::Sampling);
+        let (target, on_step) = (Some(&walk.target), &mut |done, all| {
+            on_step("paths", done, all)
+        });
+        let features = composer.compose(&[line], sampler, settings, target, key, on_step)?;
         let followed = finish(&walk.target, &features, &skeleton, &settings.path)?;
         let seconds = start.elapsed().as_secs_f64();
         Ok((followed.report, followed.joints, seconds))
@@ -175,7 +158,7 @@ pub(super) fn evaluate(
         let both = [(report, &joints), (real, &walk.joints)];
         for (side, (report, joints)) in both.into_iter().enumerate() {
             reports[side].push(report);
-            features[side].push(features_of(joints, &skeleton, root)?);
+            features[side].push(features_of(joints, &skeleton, humanml3d.root)?);
         }
     }
     let apart = distance(&features[0], &features[1], composer.statistics()?);

@@ -6,21 +6,19 @@
 //! ```
 //!
 //! Each sample is in a random mode, absolute or relative; frames do not attend to padding. A
-//! path-conditioned network is given each clip's trajectory.
-//!
-//! To the sum of a frame comes `loss.velocity` times the squared error of its difference from the frame
-//! before it.
+//! path-conditioned network is given each clip's trajectory. `loss.velocity` adds the squared error of
+//! differences from the frame before.
 
-use crate::network::{BlendedTransformer, Pass, Switch, TextSegments};
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_data::TEXT;
-use kinegrad_diffusion::GaussianDiffusion;
+use kinegrad_diffusion::{GaussianDiffusion, Time};
 use kinegrad_models::DropoutKey;
+use kinegrad_train::clips::clip_loss;
+use kinegrad_train::denoising::{Conditions, DenoisingRecipe, HeldOut};
 
 use super::BpeTables;
 use super::path_condition::RootTrajectories;
-use kinegrad_train::clips::weighted_masked_loss;
-use kinegrad_train::denoising::{DenoisingRecipe, HeldOut, denoising_loss};
+use crate::network::{BlendedTransformer, Pass, Switch, TextSegments};
 
 /// Trains a [`BlendedTransformer`] on clips of `channels` according to `own`, validated on
 /// `held_out` in the mode of sampling at each timestep.
@@ -47,9 +45,8 @@ pub(super) fn recipe(
                 Some(lengths) => lengths.frames().to_vec(),
                 None => vec![time; batch],
             };
-            let path = network
-                .has_path()
-                .then(|| trajectories.conditions(&inputs.x_start, &lengths));
+            let path = || trajectories.conditions(&inputs.x_start, &lengths);
+            let path = network.has_path().then(path);
             let path_mask = path_mask(draws.dropout, batch, drop_path, &inputs.x_start.device());
             let segments = TextSegments::single(lengths);
             let is_relative = match modes(draws.dropout, batch, ratio) {
@@ -59,33 +56,19 @@ pub(super) fn recipe(
                     timesteps.map(|&t| switch.is_relative(t)).collect()
                 }
             };
-            let weights = (weighted && diffusion.config.snr_gamma.is_some())
-                .then(|| diffusion.loss_weights(&draws.timesteps));
-            denoising_loss(
-                diffusion,
-                inputs,
-                draws,
-                |x_t, time, cond, dropout| {
-                    let pass = Pass {
-                        segments: &segments,
-                        is_relative: &is_relative,
-                        dropout,
-                        path: path.as_ref(),
-                        path_mask: path_mask.as_ref(),
-                    };
-                    network.forward(x_t, time, cond.get(TEXT).clone().squeeze_dim(2), pass)
-                },
-                |model_output, target, mask| {
-                    weighted_masked_loss(
-                        model_output,
-                        target,
-                        mask,
-                        &channel_weights,
-                        velocity,
-                        weights.as_deref(),
-                        diffusion.config.loss_type,
-                    )
-                },
+            let forward = |x_t, time: &[Time], cond: &Conditions, dropout| {
+                let pass = Pass {
+                    segments: &segments,
+                    is_relative: &is_relative,
+                    dropout,
+                    path: path.as_ref(),
+                    path_mask: path_mask.as_ref(),
+                };
+                network.forward(x_t, time, cond.get(TEXT).clone().squeeze_dim(2), pass)
+            };
+            let weights = &channel_weights;
+            clip_loss(
+                diffusion, inputs, draws, weights, velocity, weighted, forward,
             )
         },
     )
@@ -101,13 +84,9 @@ fn modes(key: DropoutKey, batch: usize, ratio: f64) -> Option<Vec<bool>> {
 /// The path dropout mask of a training step: 0 for dropped, else 1, `[batch, 1, 1]`; `None` without
 /// dropout.
 fn path_mask(key: DropoutKey, batch: usize, drop_prob: f64, device: &Device) -> Option<Tensor<3>> {
-    let uniforms = key
-        .filter(|_| drop_prob > 0.0)?
-        .named("path")
-        .uniforms(batch);
-    let mask = uniforms
-        .into_iter()
-        .map(|u| f32::from(f64::from(u) >= drop_prob));
+    let key = key.filter(|_| drop_prob > 0.0)?.named("path");
+    let uniforms = key.uniforms(batch).into_iter();
+    let mask = uniforms.map(|u| f32::from(f64::from(u) >= drop_prob));
     let data = TensorData::new(mask.collect(), [batch, 1, 1]);
     Some(Tensor::from_data(data, device))
 }

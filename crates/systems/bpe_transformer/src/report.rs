@@ -5,24 +5,19 @@ use kinegrad_motion::humanml::{Features, Joints, Skeleton};
 use kinegrad_motion::metrics::{
     FeatureMoments, TransitionJerk, frechet_distance, jerk_of_frames, mean_jerk, skating_ratio,
 };
-use serde::Serialize;
-
 use kinegrad_train::evaluation::{Metrics, Number};
+use serde::Serialize;
 
 /// Means over motions.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct ComposedReport {
-    /// Motions.
+pub(super) struct ComposedReport {
     pub motions: usize,
-    /// Mean jerk of the joints, metres per second cubed.
     pub jerk: Option<f64>,
     /// Share of the steps in which a toe slides, as published.
     pub foot_skating: Option<f64>,
     /// Height of the lowest joint of all frames above the floor, metres.
     pub lowest_joint: Option<f64>,
-    /// Mean speed of the root over the ground, metres per second.
     pub speed: Option<f64>,
-    /// Transitions.
     pub transitions: usize,
     /// Peak jerk around transitions ([`TransitionJerk::peak`]), metres per frame cubed; around the
     /// middles of real clips for those.
@@ -33,9 +28,8 @@ pub struct ComposedReport {
     pub frechet_distance: Option<f64>,
 }
 
-/// A set of motions to be measured.
 pub(super) struct Measured<'a> {
-    /// Complete motions.
+    /// Complete ones.
     pub motions: &'a [Joints],
     /// Windows around transitions, each decoded from its own first frame.
     pub windows: &'a [Joints],
@@ -46,8 +40,7 @@ pub(super) struct Measured<'a> {
 impl Measured<'_> {
     /// The mean jerk of all windows, metres per frame cubed; none without windows.
     pub fn window_jerk(&self) -> Option<f64> {
-        let curves: Vec<f64> = self.windows.iter().flat_map(jerk_of_frames).collect();
-        (!curves.is_empty()).then(|| curves.iter().sum::<f64>() / curves.len() as f64)
+        mean(self.windows.iter().flat_map(jerk_of_frames).collect())
     }
 
     /// The report; `real` are the segments that samples are compared with.
@@ -61,8 +54,7 @@ impl Measured<'_> {
         let fps = skeleton.description().fps;
         let feet = skeleton.contact_joints();
         let each = |of: &dyn Fn(&Joints) -> Option<f64>| {
-            let values: Vec<f64> = self.motions.iter().filter_map(of).collect();
-            (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
+            mean(self.motions.iter().filter_map(of).collect())
         };
         let curves: Vec<Vec<f64>> = self.windows.iter().map(jerk_of_frames).collect();
         let transition = TransitionJerk::of(&curves, real_jerk.unwrap_or(0.0));
@@ -77,20 +69,21 @@ impl Measured<'_> {
             }),
             speed: each(&|joints| {
                 let root = joints.track(0);
-                let steps = root.windows(2);
-                let metres: f64 = steps
-                    .map(|pair| (pair[1][0] - pair[0][0]).hypot(pair[1][2] - pair[0][2]))
-                    .sum();
+                let step =
+                    |pair: &[[f64; 3]]| (pair[1][0] - pair[0][0]).hypot(pair[1][2] - pair[0][2]);
+                let metres: f64 = root.windows(2).map(step).sum();
                 (root.len() > 1).then(|| metres * fps / (root.len() - 1) as f64)
             }),
             transitions: self.windows.len(),
             peak_jerk: transition.map(|found| found.peak),
-            area_under_jerk: transition
-                .filter(|_| real_jerk.is_some())
-                .map(|found| found.area),
+            area_under_jerk: transition.zip(real_jerk).map(|(found, _)| found.area),
             frechet_distance: real.and_then(|real| distance(self.segments, real, statistics)),
         }
     }
+}
+
+fn mean(values: Vec<f64>) -> Option<f64> {
+    (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
 }
 
 /// Fréchet distance of the mean normalised features of clips from those of real ones.
@@ -116,9 +109,8 @@ fn means(features: &Features, statistics: &Statistics) -> Vec<f64> {
             *sum += f64::from(*value);
         }
     }
-    sums.iter()
-        .map(|sum| sum / features.frames() as f64)
-        .collect()
+    let frames = features.frames() as f64;
+    sums.iter().map(|sum| sum / frames).collect()
 }
 
 impl Metrics for ComposedReport {

@@ -2,54 +2,33 @@
 
 use kinegrad_motion::humanml::Root;
 use kinegrad_random::{Key, Purpose};
+use kinegrad_train::clips::captions::{ClipText, must_know_texts, text_of};
+use kinegrad_train::clips::path_target::{FollowedPath, features_of};
+use kinegrad_train::clips::{TimedPrompt, requested};
+use kinegrad_train::sampling::{
+    CompositionRecord, Condition, Generated, Job, Needs, Record, Request, Run, SampleSink, Sampler,
+    Summary,
+};
+use kinegrad_train::{Error, System as _, TrainedModel};
 use serde_json::to_value;
 
 use super::load::{footprint, text_input};
 use super::path::finish;
 use super::{BpeTables, BpeTransformer, Composer, PathMethod};
-use kinegrad_train::Error;
-use kinegrad_train::System as _;
-use kinegrad_train::TrainedModel;
-use kinegrad_train::clips::TimedPrompt;
-use kinegrad_train::clips::captions::{ClipText, must_know_texts, text_of};
-use kinegrad_train::clips::path_target::{FollowedPath, features_of};
-use kinegrad_train::clips::requested;
-use kinegrad_train::sampling::{
-    CompositionRecord, Condition, Generated, Job, Needs, Record, Request, Run, SampleSink, Sampler,
-    Summary, item_seed,
-};
-
-/// Conditions of composed motion.
-pub(super) fn accepts(_: &str) -> &'static [&'static str] {
-    &[
-        "item",
-        "held_out",
-        "text",
-        "text_embedding",
-        "prompts",
-        "path",
-    ]
-}
 
 /// Length that a leg may lack without a warning, metres.
 const LEGS_SHORT: f64 = 0.02;
 
-/// A request for composed motion.
 pub(super) struct Compositions<'a> {
     trained: &'a TrainedModel,
     request: &'a Request,
     jobs: Vec<Job>,
-    /// The texts of each job.
     prompts: Vec<Vec<TimedPrompt>>,
-    /// The path of each job.
     paths: Vec<Option<FollowedPath>>,
 }
 
 impl<'a> Compositions<'a> {
     /// Reads the conditions of a request.
-    ///
-    /// # Errors
-    /// If one cannot be used.
     pub fn new(
         trained: &'a TrainedModel,
         request: &'a Request,
@@ -69,10 +48,10 @@ impl<'a> Compositions<'a> {
         let texts: Vec<Condition> = request.text_conditions().collect();
         if let Some((data, clips)) = clips {
             if let Some(text) = texts.first() {
-                return Err(Error::usage(
-                    format!("option `item` with option `{}`", text.name()),
-                    "an item stands for the first caption of its clip: leave out one of the two",
-                ));
+                let message = format!("option `item` with option `{}`", text.name());
+                let hint =
+                    "an item stands for the first caption of its clip: leave out one of the two";
+                return Err(Error::usage(message, hint));
             }
             must_know_texts(&input, &clips)?;
             for clip in &clips {
@@ -99,10 +78,8 @@ impl<'a> Compositions<'a> {
             if request.is_unconditional() {
                 sink.note("no condition given: sampling without a text");
             }
-            let text = texts.first();
-            let text = text.map(|text| text_of(text, &[input], &trained.device));
             let prompt = TimedPrompt {
-                text: text.transpose()?.flatten(),
+                text: text_of(request, &[input], &trained.device)?,
                 frames: request.frames.unwrap_or(config.data.target_frames),
             };
             resolved.push(None, texts, vec![prompt])?;
@@ -133,14 +110,6 @@ impl<'a> Compositions<'a> {
         });
         self.prompts.push(prompts);
         Ok(())
-    }
-
-    /// The seed of the noise of a job.
-    fn seed(&self, job: usize) -> u64 {
-        match &self.jobs[job].name {
-            Some(id) => item_seed(self.request.seed, id),
-            None => self.request.seed,
-        }
     }
 }
 
@@ -179,11 +148,12 @@ impl Sampler for Compositions<'_> {
         let all = self.jobs.len() * count;
         for (job, prompts) in self.prompts.iter().enumerate() {
             let path = self.paths[job].as_ref();
-            if let Some(doubt) = path.and_then(|path| path.too_fast(fps, fastest)) {
-                run.sink.warning(&doubt);
+            if let Some(warning) = path.and_then(|path| path.too_fast(fps, fastest)) {
+                run.sink.warning(&warning);
             }
             for index in 0..count {
-                let key = Key::new(self.seed(job), Purpose::Sampling).at(index as u64);
+                let key = Key::new(self.jobs[job].seed(self.request.seed), Purpose::Sampling)
+                    .at(index as u64);
                 let before = job * count + index;
                 let features = composer.compose(
                     prompts,
@@ -200,11 +170,8 @@ impl Sampler for Compositions<'_> {
                     }),
                     ..run.record(job, index)
                 };
-                let (features, joints) = match path {
-                    None => {
-                        let joints = features.joints();
-                        (features, joints)
-                    }
+                let (joints, features) = match path {
+                    None => (features.joints(), features),
                     Some(path) => {
                         let found = finish(&path.target, &features, &skeleton, settings)?;
                         if found.legs_short > LEGS_SHORT {
@@ -221,7 +188,7 @@ impl Sampler for Compositions<'_> {
                         };
                         let settings = to_value(settings).expect("plain data");
                         record.path = Some(path.record(found.report, Some(settings)));
-                        (features, found.joints)
+                        (found.joints, features)
                     }
                 };
                 let clip = Generated::Clip {

@@ -2,18 +2,16 @@
 
 use kinegrad_diffusion::GaussianDiffusion;
 use kinegrad_motion::Representation;
+use kinegrad_train::clips::captions::with_captions;
+use kinegrad_train::clips::training;
+use kinegrad_train::run::{Outcome, RunContext};
+use kinegrad_train::{Error, Observer};
 
 use super::load::{initial_network, text_input};
 use super::path_condition::RootTrajectories;
 use super::recipe::recipe;
 use super::{BpeTables, BpeTransformer};
-use kinegrad_train::Error;
-use kinegrad_train::Observer;
-use kinegrad_train::clips::captions::with_captions;
-use kinegrad_train::clips::training;
-use kinegrad_train::run::{Outcome, RunContext};
 
-/// Trains according to the context's config.
 pub(super) fn train(context: RunContext, observer: &mut dyn Observer) -> Result<Outcome, Error> {
     let mut own = context.config.own::<BpeTables>().clone();
     let mut context = context.with_gradients(own.model.activation_checkpointing);

@@ -14,9 +14,8 @@ use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_diffusion::{
     Dopri5, FlowPrediction, LossType, SamplerConfig, SamplerKind, Timesteps, diffusion_loss,
 };
-use kinegrad_flow::network::FlowConfig;
 use kinegrad_flow::network::{
-    FlowCondition, FlowRollout, FlowSpace, History, RolloutSettings, previous_state,
+    FlowCondition, FlowConfig, FlowRollout, FlowSpace, History, RolloutSettings, previous_state,
 };
 use kinegrad_kernels::Mode;
 use kinegrad_models::Initializer;

@@ -1,21 +1,20 @@
 //! The system's own config tables and their validation.
 
-use crate::network::FlowConfig;
 use kinegrad_data::Crop;
 use kinegrad_diffusion::{FlowPrediction, must_suit_flow};
 use kinegrad_motion::MAX_FRAMES;
 use kinegrad_motion::humanml::{NextPose, Root};
 use kinegrad_settings::{in_range, require};
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
-
-use super::{RECIPE, RolloutReport};
 use kinegrad_train::Error;
 use kinegrad_train::clips::captions::CaptionsConfig;
 use kinegrad_train::clips::settings::must_be_of_clips;
 use kinegrad_train::config::{ClipSample, Config, ModelTable, NetworkKind, SystemTables};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
 
-/// Values of the common tables.
+use super::{RECIPE, RolloutReport};
+use crate::network::FlowConfig;
+
 pub(super) const DEFAULTS: &str = r#"
 [data]
 kind = "humanml3d"
@@ -134,59 +133,46 @@ impl SystemTables for FlowTables {
     const NETWORKS: &'static [NetworkKind] = &[NetworkKind::of::<FlowConfig>()];
 }
 
-/// Validates the tables of this system.
-///
-/// # Errors
-/// For the first invalid value; the error names the key.
 pub(super) fn validate(config: &Config) -> Result<(), Error> {
     let own: &FlowTables = config.own();
     let Config { data, sampling, .. } = config;
     own.model.network.sizes().validate()?;
     own.text.validate(data)?;
     must_be_of_clips(config)?;
-    require(
-        data.humanml3d.root == Root::Relative,
-        "data.humanml3d.root",
-        "\"absolute\"",
-        format!("\"relative\" for recipe `{RECIPE}`, whose poses do not depend on the place"),
-    )?;
+    let is_relative = data.humanml3d.root == Root::Relative;
+    let allowed =
+        format!("\"relative\" for recipe `{RECIPE}`, whose poses do not depend on the place");
+    require(is_relative, "data.humanml3d.root", "\"absolute\"", allowed)?;
+    let allowed =
+        format!("\"random\" for recipe `{RECIPE}`, which samples windows anywhere in a clip");
     require(
         data.crop == Crop::Random,
         "data.crop",
         "\"leading\"",
-        format!("\"random\" for recipe `{RECIPE}`, which samples windows anywhere in a clip"),
+        allowed,
     )?;
-    let prob = data.augment.path_warp_prob;
-    require(
-        prob == 0.0,
-        "data.augment.path_warp_prob",
-        prob,
-        format!("0 for recipe `{RECIPE}`, which follows no path"),
-    )?;
+    let (key, prob) = ("data.augment.path_warp_prob", data.augment.path_warp_prob);
+    let allowed = format!("0 for recipe `{RECIPE}`, which follows no path");
+    require(prob == 0.0, key, prob, allowed)?;
     let pose = &own.pose;
     in_range("pose.history_frames", pose.history_frames, 1..=1000)?;
     in_range("pose.cond_drop_prob", pose.cond_drop_prob, 0.0..=1.0)?;
     in_range("pose.history_noise_std", pose.history_noise_std, 0.0..=1.0)?;
-    let shortest = pose.history_frames + 2;
+    let (frames, shortest) = (data.humanml3d.min_frames, pose.history_frames + 2);
+    let allowed =
+        format!("at least {shortest}: a history of `pose.history_frames` rows and the next frame");
     require(
-        data.humanml3d.min_frames >= shortest,
+        frames >= shortest,
         "data.humanml3d.min_frames",
-        data.humanml3d.min_frames,
-        format!("at least {shortest}: a history of `pose.history_frames` rows and the next frame"),
+        frames,
+        allowed,
     )?;
     must_suit_flow(&sampling.sampler)?;
-    require(
-        sampling.clip == ClipSample::None,
-        "sampling.clip",
-        "a range",
-        format!("\"none\" for recipe `{RECIPE}`, whose poses are not clipped"),
-    )?;
+    let clips = sampling.clip != ClipSample::None;
+    let allowed = format!("\"none\" for recipe `{RECIPE}`, whose poses are not clipped");
+    require(!clips, "sampling.clip", "a range", allowed)?;
     let evaluation = &own.evaluation;
     in_range("evaluation.rollouts", evaluation.rollouts, 1..=100_000)?;
-    in_range(
-        "evaluation.frames",
-        evaluation.frames,
-        RolloutReport::SHORTEST..=MAX_FRAMES,
-    )?;
-    Ok(())
+    let lengths = RolloutReport::SHORTEST..=MAX_FRAMES;
+    Ok(in_range("evaluation.frames", evaluation.frames, lengths)?)
 }

@@ -4,47 +4,38 @@ use std::ops::ControlFlow;
 use std::sync::Arc;
 
 use kinegrad_data::humanml::Clip;
-use kinegrad_diffusion::SamplerConfig;
 use kinegrad_motion::humanml::Joints;
 use kinegrad_random::{Key, Purpose};
-use serde_json::json;
-
-use super::load::text_input;
-use super::report::{RolloutReport, TextReport, bone_lengths};
-use super::sample::guidance_without_dropout;
-use super::{FlowGenerator, FlowTables, RolloutEvaluationConfig};
-use kinegrad_train::Error;
-use kinegrad_train::TrainedModel;
 use kinegrad_train::clips::captions::{ClipText, must_know_texts};
 use kinegrad_train::evaluation::{
     Evaluation, EvaluationRequest, Group, OnStep, Results, clips_with_held_out, for_each_item,
     note_if_fewer,
 };
 use kinegrad_train::sampling::item_seed;
+use kinegrad_train::{Error, TrainedModel};
+use serde_json::json;
 
-/// An evaluation of rollouts.
-///
-/// # Errors
-/// If no held-out clip is long enough, or the model does not know its text.
+use super::load::text_input;
+use super::report::{RolloutReport, TextReport, bone_lengths};
+use super::sample::guidance_without_dropout;
+use super::{FlowGenerator, FlowTables};
+
 pub(super) fn prepare<'a>(
     trained: &'a TrainedModel,
     request: &EvaluationRequest,
 ) -> Result<Evaluation<'a>, Error> {
     let own: &FlowTables = trained.config().own();
-    let sampler = trained.config().sampling.sampler.clone();
     let purpose = "rollouts continue held-out clips";
     let own_data = &trained.config().data;
     let (data, dataset) = clips_with_held_out(own_data, trained, request, purpose)?;
-    let settings = own.evaluation.clone();
+    let settings = &own.evaluation;
     let begin = beginning(own.pose.history_frames + 1);
     let chosen = dataset.validation.evenly(settings.rollouts)?;
     let long_enough = chosen.iter().filter(|clip| clip.features.frames() > begin);
     let held_out: Vec<Arc<Clip>> = long_enough.cloned().collect();
     if held_out.is_empty() {
-        let message = format!(
-            "no held-out clip of {} has more than {begin} frames",
-            trained.path().display()
-        );
+        let path = trained.path().display();
+        let message = format!("no held-out clip of {path} has more than {begin} frames");
         let hint = "a rollout continues so many frames: hold out longer clips, or give another \
                     dataset with option `source`";
         return Err(Error::usage(message, hint));
@@ -72,9 +63,7 @@ pub(super) fn prepare<'a>(
         remarks,
         measure: Box::new(move |on_step| {
             let generator = FlowGenerator::load(trained)?;
-            evaluate(
-                &generator, &held_out, &settings, &sampler, &request, on_step,
-            )
+            evaluate(&generator, &held_out, &request, on_step)
         }),
     })
 }
@@ -83,13 +72,14 @@ pub(super) fn prepare<'a>(
 fn evaluate(
     generator: &FlowGenerator,
     held_out: &[Arc<Clip>],
-    settings: &RolloutEvaluationConfig,
-    sampler: &SamplerConfig,
     request: &EvaluationRequest,
     on_step: &mut OnStep<'_>,
 ) -> Result<Results, Error> {
-    let skeleton = generator.space().skeleton.clone();
-    let history_frames = generator.shortest_history();
+    let config = generator.config();
+    let (own, sampler) = (config.own::<FlowTables>(), &config.sampling.sampler);
+    let settings = &own.evaluation;
+    let skeleton = config.data.humanml3d.skeleton.skeleton();
+    let history_frames = own.pose.history_frames + 1;
     let begin = beginning(history_frames);
     let texts: Vec<Option<ClipText>> = held_out.iter().map(|clip| ClipText::of(clip)).collect();
     let other_text = |number: usize| {
@@ -104,36 +94,32 @@ fn evaluate(
     };
     let frames = settings.frames;
     // The rollouts of each clip by text, and the velocity evaluations of the first.
-    let rollouts = for_each_item(
-        &request.group,
-        held_out.len(),
-        on_step,
-        |number, on_step| {
-            let clip = &held_out[number];
-            let (history, _) = split(clip);
-            let key = Key::new(item_seed(request.seed, &clip.id), Purpose::Sampling);
-            let (mut motions, mut evaluations, mut done) = (Vec::new(), 0, 0);
-            for text in [Some(&texts[number]), other_text(number)] {
-                let Some(text) = text else { continue };
-                let mut rollout = generator.rollout(&history, frames, sampler, settings, key)?;
-                rollout.push_text(&generator.text(text.as_ref())?)?;
-                let mut positions = Vec::with_capacity(frames * skeleton.joints());
-                let sample = || format!("after clip `{}`", clip.id);
-                while let Some(frame) = FlowGenerator::next_frame(&mut rollout, &sample)? {
-                    positions.extend(frame);
-                    done += 1;
-                    if let ControlFlow::Break(()) = on_step("", done, each * frames) {
-                        return Err(Error::Interrupted);
-                    }
+    let count = held_out.len();
+    let rollouts = for_each_item(&request.group, count, on_step, |number, on_step| {
+        let clip = &held_out[number];
+        let (history, _) = split(clip);
+        let key = Key::new(item_seed(request.seed, &clip.id), Purpose::Sampling);
+        let (mut motions, mut evaluations, mut done) = (Vec::new(), 0, 0);
+        for text in [Some(&texts[number]), other_text(number)] {
+            let Some(text) = text else { continue };
+            let mut rollout = generator.rollout(&history, frames, sampler, settings, key)?;
+            rollout.push_text(&generator.text(text.as_ref())?)?;
+            let mut positions = Vec::with_capacity(frames * skeleton.joints());
+            let sample = || format!("after clip `{}`", clip.id);
+            while let Some(frame) = FlowGenerator::next_frame(&mut rollout, &sample)? {
+                positions.extend(frame);
+                done += 1;
+                if let ControlFlow::Break(()) = on_step("", done, each * frames) {
+                    return Err(Error::Interrupted);
                 }
-                if motions.is_empty() {
-                    evaluations = rollout.evaluations();
-                }
-                motions.push(positions);
             }
-            Ok((motions, evaluations))
-        },
-    )?;
+            if motions.is_empty() {
+                evaluations = rollout.evaluations();
+            }
+            motions.push(positions);
+        }
+        Ok((motions, evaluations))
+    })?;
     let (mut samples, mut real) = (Vec::new(), Vec::new());
     let mut pairs = [Vec::new(), Vec::new()];
     let mut evaluations = 0;
@@ -156,7 +142,7 @@ fn evaluate(
         }
     }
     let [own, other] = pairs.map(|pairs| TextReport::compute(&skeleton, &pairs));
-    let per_frame = evaluations as f64 / (held_out.len() * frames) as f64;
+    let per_frame = evaluations as f64 / (count * frames) as f64;
     let of_samples = RolloutReport::compute(&skeleton, &samples, &real);
     let of_real = RolloutReport::compute(&skeleton, &real, &real);
     let groups = |report: &RolloutReport, own: &TextReport, other: &TextReport| {
@@ -184,7 +170,7 @@ fn evaluate(
     })
 }
 
-/// Frames of a clip before a rollout: the same number for all runs with short histories.
+/// Frames of a clip before a rollout, the same for all runs with short histories.
 fn beginning(history_frames: usize) -> usize {
     history_frames.max(RolloutReport::SHORTEST)
 }

@@ -1,20 +1,18 @@
 //! Autoregressive motion from a checkpoint.
 
-use crate::network::{FlowModel, FlowRollout, FlowSpace, RolloutError, RolloutSettings};
 use burn::module::Module;
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_diffusion::{Error as Diffusion, SamplerConfig};
 use kinegrad_motion::humanml::{Extraction, FeatureError, Joints, TEXT_CHANNELS};
 use kinegrad_random::Key;
-use miette::Diagnostic;
-
-use super::load::{model, text_input};
-use super::{FlowTables, RolloutEvaluationConfig, statistics_in};
-use kinegrad_train::Error;
-use kinegrad_train::TrainedModel;
 use kinegrad_train::checkpoint::State;
 use kinegrad_train::clips::captions::{ClipText, TextInput};
 use kinegrad_train::config::Config;
+use kinegrad_train::{Error, TrainedModel};
+
+use super::load::{model, text_input};
+use super::{FlowTables, RolloutEvaluationConfig, statistics_in};
+use crate::network::{FlowModel, FlowRollout, FlowSpace, RolloutSettings};
 
 /// A trained pair of networks that continues histories.
 pub struct FlowGenerator {
@@ -29,7 +27,7 @@ impl FlowGenerator {
     /// Loads the networks of a trained model.
     ///
     /// # Errors
-    /// If the checkpoint is damaged or does not fit its own config.
+    /// If the checkpoint is damaged.
     pub fn load(trained: &TrainedModel) -> Result<Self, Error> {
         let (device, state) = (&trained.device, trained.saved.state.clone());
         let own: &FlowTables = state.config.own();
@@ -52,19 +50,9 @@ impl FlowGenerator {
         })
     }
 
-    /// The config the model was trained with.
+    /// The run's config.
     pub fn config(&self) -> &Config {
         &self.state.config
-    }
-
-    /// The representation.
-    pub fn space(&self) -> &FlowSpace {
-        &self.space
-    }
-
-    /// Frames that a history has at least.
-    pub fn shortest_history(&self) -> usize {
-        self.space.history + 1
     }
 
     /// The 512 numbers of a text, for [`FlowRollout::push_text`]; zeros for none.
@@ -72,15 +60,11 @@ impl FlowGenerator {
     /// # Errors
     /// [`Error::Usage`] for a text that the model does not know.
     pub fn text(&self, text: Option<&ClipText>) -> Result<Vec<f32>, Error> {
-        let none = || vec![0.0; TEXT_CHANNELS];
         // A prompt may be empty.
         let text = text.filter(|text| **text != ClipText::default());
-        let values = text
-            .map(|text| self.text.values(text))
-            .transpose()?
-            .flatten();
-        let Some(values) = values else {
-            return Ok(none());
+        let values = text.map(|text| self.text.values(text)).transpose()?;
+        let Some(values) = values.flatten() else {
+            return Ok(vec![0.0; TEXT_CHANNELS]);
         };
         let shape = [1, values.len()];
         let values = Tensor::from_data(TensorData::new(values, shape), &self.device);
@@ -89,25 +73,21 @@ impl FlowGenerator {
     }
 
     /// The next frame of the motion called `sample`; none after the last.
-    ///
-    /// # Errors
-    /// [`Error::SampleNotFinite`], and those of [`FlowRollout::next_frame`].
     pub(super) fn next_frame(
         rollout: &mut FlowRollout,
         sample: &dyn Fn() -> String,
     ) -> Result<Option<Vec<[f64; 3]>>, Error> {
         rollout.next_frame().map_err(|error| match error {
-            RolloutError::Feature(FeatureError::NonFinite { .. })
-            | RolloutError::Sampler(Diffusion::NotFinite) => Error::SampleNotFinite {
+            Error::Features(FeatureError::NonFinite { .. })
+            | Error::Diffusion(Diffusion::NotFinite) => Error::SampleNotFinite {
                 sample: format!("{}, frame {}", sample(), rollout.generated()),
             },
-            other => other.into(),
+            other => other,
         })
     }
 
     /// A rollout before its first frame, without a text: `frames` frames will follow the `history`
-    /// (joints in metres above the floor at the skeleton's rate), sampled according to `how` with
-    /// the noise of `key`; its number of frames is ignored.
+    /// (joints in metres above the floor at the skeleton's rate), sampled according to `how`.
     ///
     /// # Errors
     /// If the history is too short or of another skeleton, or a setting cannot work.
@@ -118,7 +98,7 @@ impl FlowGenerator {
         sampler: &SamplerConfig,
         how: &RolloutEvaluationConfig,
         key: Key,
-    ) -> Result<FlowRollout, RolloutError> {
+    ) -> Result<FlowRollout, Error> {
         let settings = RolloutSettings {
             sampler: sampler.clone(),
             frames,
@@ -128,18 +108,5 @@ impl FlowGenerator {
         };
         let (model, space) = (self.model.clone(), self.space.clone());
         FlowRollout::new(model, space, settings, history, key, &self.device)
-    }
-}
-
-impl From<RolloutError> for Error {
-    fn from(error: RolloutError) -> Self {
-        match error {
-            RolloutError::Setting(error) => error.into(),
-            RolloutError::Feature(error) => error.into(),
-            other => {
-                let help = other.help().map(|help| help.to_string());
-                Error::usage(other.to_string(), help.unwrap_or_default())
-            }
-        }
     }
 }

@@ -16,31 +16,26 @@ mod train;
 mod windows;
 
 use burn::tensor::Device;
-use kinegrad_motion::humanml::Skeleton;
-use kinegrad_motion::{JointPositions, Representation};
+use kinegrad_motion::{JointPositions, Representation, Statistics};
 use kinegrad_settings::Key;
 use toml::Table;
 
 pub use config::{FlowNetwork, FlowTables, PoseConfig, RolloutEvaluationConfig};
 pub use generate::FlowGenerator;
-pub use report::{RolloutReport, bone_lengths};
-pub use windows::{HISTORY, PLACE, PoseSpace, PoseWindows};
+pub use windows::{HISTORY, PLACE};
 
-use kinegrad_train::Error;
-use kinegrad_train::Observer;
-use kinegrad_train::ParameterCount;
-use kinegrad_train::RecipeInfo;
-use kinegrad_train::System;
-use kinegrad_train::TrainedModel;
+use report::RolloutReport;
+use windows::PoseSpace;
+
 use kinegrad_train::checkpoint::State;
 use kinegrad_train::config::{Config, ConfigError, OwnTables, Place, SystemTables};
 use kinegrad_train::evaluation::{Evaluation, EvaluationRequest};
 use kinegrad_train::memory::Footprint;
 use kinegrad_train::run::{Outcome, RunContext};
 use kinegrad_train::sampling::{Request, SampleSink, Sampler};
+use kinegrad_train::{Error, Observer, ParameterCount, RecipeInfo, System, TrainedModel};
 
-/// Name of the recipe.
-pub(crate) const RECIPE: &str = "flow";
+const RECIPE: &str = "flow";
 
 const RECIPES: [RecipeInfo; 1] = [RecipeInfo {
     name: RECIPE,
@@ -59,11 +54,6 @@ impl System for Flow {
         &RECIPES
     }
 
-    /// None of its own: it generates joints, which models of clips do too.
-    fn representations(&self) -> Vec<Box<dyn Representation>> {
-        Vec::new()
-    }
-
     fn defaults(&self, _: &RecipeInfo, _: &Table) -> Table {
         config::DEFAULTS.parse().expect("text of a program")
     }
@@ -77,21 +67,29 @@ impl System for Flow {
     }
 
     fn validate(&self, config: &Config) -> Result<Vec<String>, Error> {
-        config::validate(config)?;
-        Ok(Vec::new())
+        config::validate(config).map(|()| Vec::new())
     }
 
     fn parameters(&self, config: &Config) -> Result<ParameterCount, Error> {
-        let network = load::model(config, &Device::flex())?;
-        Ok(ParameterCount::trained(&network))
+        Ok(ParameterCount::trained(&load::model(
+            config,
+            &Device::flex(),
+        )?))
     }
 
     fn footprint(&self, config: &Config) -> Result<Footprint, Error> {
         load::footprint(config)
     }
 
-    fn accepts(&self, recipe: &str) -> &'static [&'static str] {
-        sample::accepts(recipe)
+    fn accepts(&self, _: &str) -> &'static [&'static str] {
+        &[
+            "history",
+            "item",
+            "held_out",
+            "text",
+            "text_embedding",
+            "prompts",
+        ]
     }
 
     fn sampler<'a>(
@@ -117,13 +115,9 @@ impl System for Flow {
 }
 
 /// The statistics of features and poses of a run.
-///
-/// # Errors
-/// [`Error::OtherRepresentation`] for a run of another system.
-fn statistics_in(state: &State) -> Result<train::Both, Error> {
-    let humanml3d = &state.config.data.humanml3d;
+fn statistics_in(state: &State) -> Result<[Statistics; 2], Error> {
     let features = state.clip_statistics()?.clone();
-    let skeleton: Skeleton = humanml3d.skeleton.skeleton();
+    let skeleton = state.config.data.humanml3d.skeleton.skeleton();
     match &state.network_statistics {
         Some(target) if target.channels() == 3 * skeleton.joints() => {
             Ok([features, target.clone()])

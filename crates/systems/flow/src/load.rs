@@ -1,24 +1,20 @@
 //! The networks of a config.
 
-use crate::network::FlowModel;
 use burn::tensor::Device;
 use kinegrad_models::Initializer;
-
-use super::FlowTables;
 use kinegrad_train::Error;
 use kinegrad_train::clips::captions::TextInput;
 use kinegrad_train::config::Config;
 use kinegrad_train::memory::Footprint;
 
-/// The text input of the network of a config.
+use super::FlowTables;
+use crate::network::FlowModel;
+
 pub(super) fn text_input(config: &Config) -> TextInput {
     TextInput::new(&config.own::<FlowTables>().text, &config.data)
 }
 
-/// Both networks with fresh weights.
-///
-/// # Errors
-/// If they cannot be built.
+/// Both networks with initial weights.
 pub(super) fn model(config: &Config, device: &Device) -> Result<FlowModel, Error> {
     let own: &FlowTables = config.own();
     let skeleton = config.data.humanml3d.skeleton.skeleton();
@@ -30,10 +26,6 @@ pub(super) fn model(config: &Config, device: &Device) -> Result<FlowModel, Error
     })
 }
 
-/// The training memory.
-///
-/// # Errors
-/// As [`model`].
 pub(super) fn footprint(config: &Config) -> Result<Footprint, Error> {
     let own: &FlowTables = config.own();
     let skeleton = config.data.humanml3d.skeleton.skeleton();

@@ -8,21 +8,23 @@
 //! with the target of `pose.prediction_type` in the place of `v = x_start - noise` (docs/sources.md,
 //! section 5).
 
-use crate::network::{FlowCondition, FlowModel, History, previous_state};
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_data::{Batch, TEXT};
 use kinegrad_diffusion::FlowPrediction;
 use kinegrad_random::Purpose;
-
-use super::PoseConfig;
-use super::windows::{HISTORY, PLACE};
 use kinegrad_train::denoising::{HeldOut, Inputs, noise};
 use kinegrad_train::{Loss, Measured, Recipe, StepKey};
 
+use super::PoseConfig;
+use super::windows::{HISTORY, PLACE};
+use crate::network::{FlowCondition, FlowModel, History, previous_state};
+
 /// Trains a [`FlowModel`].
 pub struct FlowRecipe {
-    pose: PoseConfig,
-    held_out: HeldOut,
+    /// Inputs and target of the prediction.
+    pub pose: PoseConfig,
+    /// The validation windows.
+    pub held_out: HeldOut,
 }
 
 /// The random inputs of one batch's loss.
@@ -32,21 +34,16 @@ pub struct FlowRandomInputs {
     pub times: Vec<f64>,
     /// Standard normal: `[batch, 3, J]`.
     pub noise: Tensor<3>,
-    /// 0 where the text is dropped, else 1: `[batch, 1, 1]`. None drops none.
-    pub keep_text: Option<Tensor<3>>,
+    /// 0 where the text is dropped, else 1: `[batch, 1, 1]`. `None` drops none.
+    pub text_mask: Option<Tensor<3>>,
 }
 
 impl FlowRecipe {
-    /// A recipe that predicts according to `pose`, validated on `held_out`.
-    pub fn new(pose: PoseConfig, held_out: HeldOut) -> Self {
-        Self { pose, held_out }
-    }
-
     /// The loss of a batch of windows: poses as `x_start`, `[batch, 3 J, 1]`, joint by joint, and the
     /// conditions [`HISTORY`], [`PLACE`] and `text`.
     ///
     /// # Panics
-    /// Panics without one of the conditions.
+    /// Without one of the conditions.
     pub fn loss_of(&self, model: &FlowModel, inputs: Inputs, draws: FlowRandomInputs) -> Loss {
         let Inputs { x_start, cond, .. } = inputs;
         let prediction_type = self.pose.prediction_type;
@@ -54,8 +51,8 @@ impl FlowRecipe {
         let [batch, ..] = x_start.dims();
         let history = cond.get(HISTORY).clone();
         let mut text = cond.get(TEXT).clone();
-        if let Some(keep) = draws.keep_text {
-            text = text * keep;
+        if let Some(mask) = draws.text_mask {
+            text = text * mask;
         }
         let place = cond.get(PLACE).clone();
         let [_, channels, frames] = history.dims();
@@ -107,21 +104,17 @@ impl Recipe for FlowRecipe {
         let inputs = Inputs::new(batch, device);
         let size = batch.batch_size;
         let probability = self.pose.cond_drop_prob;
-        let keep_text = (probability > 0.0).then(|| {
+        let text_mask = (probability > 0.0).then(|| {
             let uniforms = key.of(Purpose::CondDropout).uniforms(size).into_iter();
-            let keep = uniforms.map(|u| f32::from(f64::from(u) >= probability));
-            Tensor::from_data(TensorData::new(keep.collect(), [size, 1, 1]), device)
+            let mask = uniforms.map(|u| f32::from(f64::from(u) >= probability));
+            Tensor::from_data(TensorData::new(mask.collect(), [size, 1, 1]), device)
         });
         let [_, numbers, _] = inputs.x_start.dims();
+        let times = key.of(Purpose::Timesteps).uniforms(size).into_iter();
         let draws = FlowRandomInputs {
-            times: key
-                .of(Purpose::Timesteps)
-                .uniforms(size)
-                .into_iter()
-                .map(f64::from)
-                .collect(),
+            times: times.map(f64::from).collect(),
             noise: noise(key.of(Purpose::Noise), [size, 3, numbers / 3], device),
-            keep_text,
+            text_mask,
         };
         self.loss_of(model, inputs, draws)
     }
@@ -135,7 +128,7 @@ impl Recipe for FlowRecipe {
             let draws = FlowRandomInputs {
                 times: range.clone().map(time).collect(),
                 noise: self.held_out.noise(range, repeat as u64, &like),
-                keep_text: None,
+                text_mask: None,
             };
             self.loss_of(model, inputs, draws).total
         });

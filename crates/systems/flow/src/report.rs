@@ -1,18 +1,17 @@
 //! Metrics of rollouts.
 
-use kinegrad_motion::humanml::{Extraction, FeatureLayout, FeatureStream, Joints, Skeleton};
+use kinegrad_motion::humanml::{FeatureLayout, Joints, Skeleton};
 use kinegrad_motion::metrics::{FeatureMoments, frechet_distance, mean_jerk, skating_ratio};
 use kinegrad_motion::vector::length;
+use kinegrad_train::evaluation::{Metrics, Number};
 use serde::Serialize;
 
-use kinegrad_train::evaluation::{Metrics, Number};
+use super::windows::rows;
 
 /// Means over motions.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct RolloutReport {
-    /// Motions.
+pub(super) struct RolloutReport {
     pub motions: usize,
-    /// Mean jerk of the joints, metres per second cubed.
     pub jerk: Option<f64>,
     /// The same in the last quarter of each motion.
     pub jerk_at_end: Option<f64>,
@@ -24,7 +23,6 @@ pub struct RolloutReport {
     pub lowest_joint: Option<f64>,
     /// Height of the root in the last quarter less that in the first, metres.
     pub height_drift: Option<f64>,
-    /// Mean speed of the root over the ground, metres per second.
     pub speed: Option<f64>,
     /// Mean speed of the heading's turns, degrees per second.
     pub turn_rate: Option<f64>,
@@ -33,7 +31,7 @@ pub struct RolloutReport {
 }
 
 impl RolloutReport {
-    /// Frames that a motion has at least.
+    /// Frames of the shortest motion.
     pub const SHORTEST: usize = 16;
 
     /// The report of motions of [`SHORTEST`](Self::SHORTEST) frames or more, each with the
@@ -62,12 +60,10 @@ impl RolloutReport {
             // The toes are the second of each pair of contacts.
             foot_skating: each(&|_, joints| skating_ratio(joints, fps, &[feet[1], feet[3]])),
             bone_change: each(&|bones, joints| {
-                let frames = (0..joints.frames()).map(|t| joints.frame(t));
-                let changes = frames.flat_map(|frame| {
-                    let pairs = bone_lengths(skeleton, frame).into_iter().zip(bones);
-                    pairs
-                        .map(|(now, then)| (now / then - 1.0).abs())
-                        .collect::<Vec<_>>()
+                let lengths = (0..joints.frames()).map(|t| bone_lengths(skeleton, joints.frame(t)));
+                let changes = lengths.flat_map(|lengths| {
+                    let change = |(now, then): (f64, &f64)| (now / then - 1.0).abs();
+                    lengths.into_iter().zip(bones).map(change)
                 });
                 changes.reduce(f64::max)
             }),
@@ -87,10 +83,13 @@ impl RolloutReport {
                 let turns = turns(skeleton, joints)?.into_iter();
                 mean(turns.map(f64::abs).collect())
             }),
-            // Real motion has none from itself.
-            frechet_distance: (!std::ptr::eq(motions, real))
-                .then(|| Some(frechet_distance(&moments(motions)?, &moments(real)?)))
-                .flatten(),
+            frechet_distance: match std::ptr::eq(motions, real) {
+                // Real motion has none from itself.
+                true => None,
+                false => moments(motions)
+                    .zip(moments(real))
+                    .map(|(a, b)| frechet_distance(&a, &b)),
+            },
         }
     }
 }
@@ -111,9 +110,9 @@ impl Metrics for RolloutReport {
     }
 }
 
-/// Differences between motions and those that they should be like.
+/// Differences between motions and their references.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
-pub struct TextReport {
+pub(super) struct TextReport {
     /// Mean difference of the root's mean speeds, metres per second.
     pub speed_error: Option<f64>,
     /// Mean difference of the mean turns to the left, degrees per second.
@@ -121,7 +120,7 @@ pub struct TextReport {
 }
 
 impl TextReport {
-    /// The report of motions, each beside the one of as many frames that it should be like.
+    /// The report of pairs of a motion and its reference, of as many frames.
     pub fn compute(skeleton: &Skeleton, pairs: &[(Joints, Joints)]) -> Self {
         let apart = |of: &dyn Fn(&Joints) -> Option<f64>| {
             let both = pairs.iter().filter_map(|(a, b)| of(a).zip(of(b)));
@@ -144,8 +143,8 @@ impl TextReport {
     }
 }
 
-/// Of each joint but the root the distance from its parent, metres, in one frame.
-pub fn bone_lengths(skeleton: &Skeleton, frame: &[[f64; 3]]) -> Vec<f64> {
+/// Distances of the joints but the root from their parents in one frame, metres.
+pub(super) fn bone_lengths(skeleton: &Skeleton, frame: &[[f64; 3]]) -> Vec<f64> {
     let offsets = skeleton.offsets_of_frame(frame).into_iter().skip(1);
     offsets.map(length).collect()
 }
@@ -161,22 +160,9 @@ fn quarter(joints: &Joints, number: usize) -> Joints {
     Joints::new(places.copied().collect(), joints.joints()).expect("whole frames")
 }
 
-/// Features with the heading of each frame by itself, wherever the first one faces; none of a motion
-/// that has no such.
-fn features(skeleton: &Skeleton, joints: &Joints) -> Option<Vec<Vec<f32>>> {
-    let threshold = Extraction::default().contact_threshold;
-    let stream = FeatureStream::new(skeleton.clone(), threshold).ok()?;
-    let mut stream = stream.with_own_heading();
-    let mut rows = Vec::with_capacity(joints.frames());
-    for t in 0..joints.frames() {
-        rows.extend(stream.push(joints.frame(t)).ok()?);
-    }
-    Some(rows)
-}
-
 /// Mean over time of each joint's place about the root.
 fn mean_places(skeleton: &Skeleton, joints: &Joints) -> Option<Vec<f64>> {
-    let rows = features(skeleton, joints)?;
+    let rows = rows(skeleton, joints).ok()?;
     let layout = skeleton.layout();
     let of = |channel: usize| {
         let values = rows.iter().map(|row| f64::from(row[channel]));
@@ -188,16 +174,13 @@ fn mean_places(skeleton: &Skeleton, joints: &Joints) -> Option<Vec<f64>> {
 /// Mean speed of the root over the ground, metres per second.
 fn speed(skeleton: &Skeleton, joints: &Joints) -> Option<f64> {
     let fps = skeleton.description().fps;
-    let root = joints.track(0);
-    let steps = root
-        .windows(2)
-        .map(|pair| fps * (pair[1][0] - pair[0][0]).hypot(pair[1][2] - pair[0][2]));
-    mean(steps.collect())
+    let step = |pair: &[[f64; 3]]| fps * (pair[1][0] - pair[0][0]).hypot(pair[1][2] - pair[0][2]);
+    mean(joints.track(0).windows(2).map(step).collect())
 }
 
-/// Turns of the heading from frame to frame, degrees per second, to the left above zero.
+/// Turns of the heading from frame to frame, degrees per second, positive to the left.
 fn turns(skeleton: &Skeleton, joints: &Joints) -> Option<Vec<f64>> {
-    let rows = features(skeleton, joints)?;
+    let rows = rows(skeleton, joints).ok()?;
     let turn = FeatureLayout::ROOT.start;
     let fps = skeleton.description().fps;
     // The channel is the arc sine of the quaternion's part along y: half of the turn.

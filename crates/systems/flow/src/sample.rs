@@ -10,34 +10,17 @@ use kinegrad_data::{Alone, Dataset, ItemSet, read_array};
 use kinegrad_diffusion::SamplerConfig;
 use kinegrad_motion::humanml::Joints;
 use kinegrad_random::{Key, Purpose};
+use kinegrad_train::clips::captions::{ClipText, must_know_texts, text_of};
+use kinegrad_train::clips::{TimedPrompt, requested};
+use kinegrad_train::sampling::{
+    Condition, Generated, Job, Record, Request, RolloutRecord, Run, SampleSink, Sampler, Summary,
+};
+use kinegrad_train::{Error, System as _, TrainedModel};
 
 use super::load::text_input;
 use super::report::bone_lengths;
 use super::{Flow, FlowGenerator, FlowTables, PoseSpace};
-use kinegrad_train::Error;
-use kinegrad_train::System as _;
-use kinegrad_train::TrainedModel;
-use kinegrad_train::clips::TimedPrompt;
-use kinegrad_train::clips::captions::{ClipText, must_know_texts, text_of};
-use kinegrad_train::clips::requested;
-use kinegrad_train::sampling::{
-    Condition, Generated, Job, Record, Request, RolloutRecord, Run, SampleSink, Sampler, Summary,
-    item_seed,
-};
 
-/// Conditions of rollouts.
-pub(super) fn accepts(_: &str) -> &'static [&'static str] {
-    &[
-        "history",
-        "item",
-        "held_out",
-        "text",
-        "text_embedding",
-        "prompts",
-    ]
-}
-
-/// A request for rollouts.
 pub(super) struct Rollouts<'a> {
     trained: &'a TrainedModel,
     request: &'a Request,
@@ -47,19 +30,13 @@ pub(super) struct Rollouts<'a> {
     starts: Vec<Start>,
 }
 
-/// The beginning of a rollout.
 struct Start {
     history: Joints,
     prompts: Vec<TimedPrompt>,
-    /// Seed of the noise.
-    seed: u64,
 }
 
 impl<'a> Rollouts<'a> {
     /// Reads the conditions of a request.
-    ///
-    /// # Errors
-    /// If one cannot be used.
     pub fn new(
         trained: &'a TrainedModel,
         request: &'a Request,
@@ -81,12 +58,12 @@ impl<'a> Rollouts<'a> {
         match &prompts {
             Some(prompts) => frames = prompts.iter().map(|prompt| prompt.frames).sum(),
             None => {
-                let text = texts.first();
-                let text = text.map(|text| text_of(text, from_ref(&input), &trained.device));
-                let text = text.transpose()?.flatten();
+                let text = text_of(request, from_ref(&input), &trained.device)?;
                 prompts = text.map(|text| {
-                    let text = Some(text);
-                    vec![TimedPrompt { text, frames }]
+                    vec![TimedPrompt {
+                        text: Some(text),
+                        frames,
+                    }]
                 });
             }
         }
@@ -100,10 +77,14 @@ impl<'a> Rollouts<'a> {
                 return Err(Error::usage(message, hint));
             }
             let history = read_history(file, &space)?;
-            let history_condition = Condition::History(file.to_path_buf());
             let prompts = prompts.unwrap_or_else(|| vec![TimedPrompt { text: None, frames }]);
-            let conditions = [history_condition].into_iter().chain(texts).collect();
-            rollouts.push(None, conditions, frames, history, prompts);
+            let condition = Condition::History(file.to_path_buf());
+            rollouts.jobs.push(Job {
+                name: None,
+                conditions: [condition].into_iter().chain(texts).collect(),
+                frames,
+            });
+            rollouts.starts.push(Start { history, prompts });
         } else {
             let needed = space.history + 1;
             let (source, clips) = match requested(trained, request, sink)? {
@@ -121,23 +102,14 @@ impl<'a> Rollouts<'a> {
                         format!("a rollout needs {needed} frames of history: name a longer clip");
                     return Err(Error::usage(message, hint));
                 }
-                let item = Condition::Item {
-                    id: clip.id.clone(),
-                    source: source.clone(),
-                };
-                let own = || {
-                    vec![TimedPrompt {
-                        text: ClipText::of(clip),
-                        frames,
-                    }]
-                };
-                rollouts.push(
-                    Some(clip.id.clone()),
-                    [item].into_iter().chain(texts.clone()).collect(),
-                    frames,
-                    clip.features.slice(0..needed).joints(),
-                    prompts.clone().unwrap_or_else(own),
-                );
+                let text = ClipText::of(clip);
+                let own = || vec![TimedPrompt { text, frames }];
+                let job = Job::of_clip(clip, source.clone(), &texts, frames);
+                rollouts.jobs.push(job);
+                rollouts.starts.push(Start {
+                    history: clip.features.slice(0..needed).joints(),
+                    prompts: prompts.clone().unwrap_or_else(own),
+                });
             }
         }
         if frames > longest {
@@ -146,8 +118,8 @@ impl<'a> Rollouts<'a> {
                  that the model is trained with: it is given that length"
             ));
         }
-        if let Some(doubt) = guidance_without_dropout(trained, own) {
-            sink.warning(&doubt);
+        if let Some(warning) = guidance_without_dropout(trained, own) {
+            sink.warning(&warning);
         }
         Ok(rollouts)
     }
@@ -167,39 +139,14 @@ impl<'a> Rollouts<'a> {
         let sets = [dataset.held_out(), &dataset.train];
         let clip = clip_with_caption(&sets, caption, needed)?;
         if let Some(clip) = &clip {
-            let caption = clip
-                .caption()
-                .map_or("without a caption", |caption| &caption.text);
+            let caption = clip.caption();
+            let caption = caption.map_or("without a caption", |caption| &caption.text);
             sink.note(&format!(
                 "no history given: continuing the beginning of clip `{}`: {caption}",
                 clip.id
             ));
         }
         Ok((data.source.clone(), clip.into_iter().collect()))
-    }
-
-    fn push(
-        &mut self,
-        name: Option<String>,
-        conditions: Vec<Condition>,
-        frames: usize,
-        history: Joints,
-        prompts: Vec<TimedPrompt>,
-    ) {
-        let seed = match &name {
-            Some(id) => item_seed(self.request.seed, id),
-            None => self.request.seed,
-        };
-        self.jobs.push(Job {
-            name,
-            conditions,
-            frames,
-        });
-        self.starts.push(Start {
-            history,
-            prompts,
-            seed,
-        });
     }
 }
 
@@ -222,8 +169,9 @@ impl Sampler for Rollouts<'_> {
         let (mut done, mut evaluations) = (0, 0);
         for (job, start) in self.starts.iter().enumerate() {
             let length = self.jobs[job].frames;
+            let seed = self.jobs[job].seed(self.request.seed);
             for index in 0..count {
-                let key = Key::new(start.seed, Purpose::Sampling).at(index as u64);
+                let key = Key::new(seed, Purpose::Sampling).at(index as u64);
                 let mut rollout =
                     generator.rollout(&start.history, length, &self.sampler, how, key)?;
                 let mut frames = Vec::with_capacity(length * skeleton.joints());
@@ -259,9 +207,8 @@ impl Sampler for Rollouts<'_> {
             }
         }
         let each = evaluations as f64 / all as f64;
-        Ok(Some(Summary::Text(format!(
-            "{all} frames, {each:.1} velocity evaluations each"
-        ))))
+        let summary = format!("{all} frames, {each:.1} velocity evaluations each");
+        Ok(Some(Summary::Text(summary)))
     }
 }
 
@@ -302,13 +249,13 @@ pub(super) fn guidance_without_dropout(trained: &TrainedModel, own: &FlowTables)
     })
 }
 
-/// Furthest place of a history from the origin, metres.
+/// Largest coordinate of a history, metres.
 const FURTHEST: f32 = 1e4;
 
-/// Lengths of bones, metres: of bodies, not of numbers in other units.
+/// Lengths of bones, metres.
 const BONES: RangeInclusive<f64> = 0.005..=3.0;
 
-/// Heights of the lowest joint, metres: of a body on the floor, or in a leap.
+/// Heights of the lowest joint, metres, on the floor or in a leap.
 const LOWEST: RangeInclusive<f64> = -0.5..=1.5;
 
 /// Joints `[T, J, 3]`.
@@ -341,35 +288,30 @@ fn read_history(path: &Path, space: &PoseSpace) -> Result<Joints, Error> {
     let names = &space.skeleton.description().joint_names;
     for frame in found.frames() - needed..found.frames() {
         let places = found.frame(frame);
-        let bones = bone_lengths(&space.skeleton, places)
-            .into_iter()
-            .enumerate();
-        for (bone, length) in bones {
+        let bones = bone_lengths(&space.skeleton, places);
+        for (bone, length) in bones.into_iter().enumerate() {
             if !BONES.contains(&length) {
+                let (joint, name) = (bone + 1, &names[bone + 1]);
+                let (least, most) = (BONES.start(), BONES.end());
                 return Err(refused(format!(
-                    "the bone to joint {} ({}) is {length:.4} m long in frame {frame}, allowed: {} to {} m",
-                    bone + 1,
-                    names[bone + 1],
-                    BONES.start(),
-                    BONES.end()
+                    "the bone to joint {joint} ({name}) is {length:.4} m long in frame {frame}, \
+                     allowed: {least} to {most} m"
                 )));
             }
         }
-        let lowest = places
-            .iter()
-            .map(|place| place[1])
-            .fold(f64::INFINITY, f64::min);
+        let heights = places.iter().map(|place| place[1]);
+        let lowest = heights.fold(f64::INFINITY, f64::min);
         if !LOWEST.contains(&lowest) {
+            let (least, most) = (LOWEST.start(), LOWEST.end());
             return Err(refused(format!(
-                "the lowest joint is at a height of {lowest:.2} m in frame {frame}, allowed: {} to {} m \
-                 above the floor, which is where y is 0",
-                LOWEST.start(),
-                LOWEST.end()
+                "the lowest joint is at a height of {lowest:.2} m in frame {frame}, allowed: {least} \
+                 to {most} m above the floor, which is where y is 0"
             )));
         }
     }
-    // Motion without features is refused with the file's name.
-    let rows = space.rows(&found);
-    rows.map_err(|error| refused(error.to_string()))?;
-    Ok(found)
+    // Motion without features is rejected with the file's name.
+    match space.rows(&found) {
+        Ok(_) => Ok(found),
+        Err(error) => Err(refused(error.to_string())),
+    }
 }

@@ -6,23 +6,17 @@ use kinegrad_data::Dataset;
 use kinegrad_data::humanml::Clip;
 use kinegrad_motion::humanml::Root;
 use kinegrad_motion::{ChannelMoments, Statistics};
+use kinegrad_train::clips::captions::with_captions;
+use kinegrad_train::clips::training;
+use kinegrad_train::config::Config;
+use kinegrad_train::run::{Outcome, RunContext, TrainingData};
+use kinegrad_train::{Error, Observer, ProcessGroup};
 
 use super::load::{model, text_input};
 use super::recipe::FlowRecipe;
 use super::windows::{PoseSpace, PoseWindows};
 use super::{FlowTables, statistics_in};
-use kinegrad_train::Error;
-use kinegrad_train::Observer;
-use kinegrad_train::ProcessGroup;
-use kinegrad_train::clips::captions::with_captions;
-use kinegrad_train::clips::training;
-use kinegrad_train::config::Config;
-use kinegrad_train::run::{Outcome, RunContext, TrainingData};
 
-/// Statistics of features and poses.
-pub(super) type Both = [Statistics; 2];
-
-/// Trains according to the context's config.
 pub(super) fn train(context: RunContext, observer: &mut dyn Observer) -> Result<Outcome, Error> {
     let mut own = context.config.own::<FlowTables>().clone();
     let mut context = context.with_gradients(own.model.activation_checkpointing);
@@ -41,31 +35,35 @@ pub(super) fn train(context: RunContext, observer: &mut dyn Observer) -> Result<
     let shared = [&features, &target].map(|statistics| Arc::new(statistics.clone()));
     let samples = move |clips, config: &Config| {
         let [features, target] = shared.clone();
-        let labels = text.labels().cloned();
-        let seed = config.run.seed;
-        PoseWindows::new(clips, space.clone(), features, target, labels, seed)
+        PoseWindows {
+            clips,
+            space: space.clone(),
+            features,
+            target,
+            text: text.clone(),
+            seed: config.run.seed,
+        }
     };
     let (training_data, held_out) = context.training_data(dataset, features, samples)?;
     let training_data = TrainingData {
         network_statistics: Some(target),
         ..training_data
     };
-    context.train(
-        training_data,
-        FlowRecipe::new(own.pose, held_out),
-        model,
-        observer,
-    )
+    let recipe = FlowRecipe {
+        pose: own.pose,
+        held_out,
+    };
+    context.train(training_data, recipe, model, observer)
 }
 
-/// The statistics of the training clips, each frame with a heading of its own: not those of the
-/// dataset's features, whose heading is smoothed.
+/// The statistics of the training clips with the heading of each frame, which is smoothed in those of
+/// the dataset.
 fn measured(
     dataset: &Dataset<Clip>,
     space: &PoseSpace,
     group: &ProcessGroup,
     observer: &mut dyn Observer,
-) -> Result<Both, Error> {
+) -> Result<[Statistics; 2], Error> {
     let mut all: Option<[ChannelMoments; 2]> = None;
     let take = |of_clip: [ChannelMoments; 2]| match &mut all {
         Some(all) => all
@@ -74,18 +72,10 @@ fn measured(
             .for_each(|(all, one)| all.merge(one)),
         None => all = Some(of_clip),
     };
-    let progress = observer.reading();
-    dataset
-        .train
-        .measure_among(|clip| space.moments(clip), take, &*progress, group)?;
-    let [features, target] = all
-        .expect("a dataset has training clips")
-        .map(Statistics::standard);
-    Ok([
-        Statistics {
-            root: Some(Root::Relative),
-            ..features
-        },
-        target,
-    ])
+    let (train, progress) = (&dataset.train, observer.reading());
+    train.measure_among(|clip| space.moments(clip), take, &*progress, group)?;
+    let all = all.expect("a dataset has training clips");
+    let [mut features, target] = all.map(Statistics::standard);
+    features.root = Some(Root::Relative);
+    Ok([features, target])
 }

@@ -3,32 +3,30 @@
 use std::f64::consts::TAU;
 use std::sync::Arc;
 
-use kinegrad_data::humanml::{Caption, CaptionLabels, Clip, ClipSet};
+use kinegrad_data::humanml::{Caption, Clip, ClipSet};
 use kinegrad_data::{Batch, ConditionRows, Error, SampleShape, Samples, TEXT};
 use kinegrad_motion::humanml::{
     Extraction, FeatureError, FeatureStream, Joints, NextPose, Skeleton, TEXT_CHANNELS,
 };
 use kinegrad_motion::{ChannelMoments, Quaternion, Statistics};
 use kinegrad_random::{Key, Purpose};
+use kinegrad_train::clips::captions::TextInput;
 
 use super::PoseConfig;
 
 /// Name of the condition on past frames, `[12 J - 1, history]`, normalised.
 pub const HISTORY: &str = "history";
 
-/// Name of the condition on where in the motion the next pose is, `[2, 1]`: progress, 1 at the first
-/// pose after the first history and 0 at the last, and the number of poses over those of the longest
-/// motion.
+/// Name of the condition on the place of the next pose in the motion, `[2, 1]`: progress, from 1 at the
+/// first pose to 0 at the last, and the number of poses over those of the longest motion.
 pub const PLACE: &str = "place";
 
 /// The representation of a sample.
 #[derive(Clone, Debug)]
-pub struct PoseSpace {
-    /// The skeleton.
+pub(super) struct PoseSpace {
     pub skeleton: Skeleton,
     /// Rows in a history.
     pub history: usize,
-    /// The target.
     pub target: NextPose,
     /// Number of poses at a duration of 1.
     pub longest: usize,
@@ -37,7 +35,6 @@ pub struct PoseSpace {
 }
 
 impl PoseSpace {
-    /// That of a config's table `pose`.
     pub fn new(skeleton: Skeleton, pose: &PoseConfig, longest: usize) -> Self {
         Self {
             skeleton,
@@ -48,32 +45,18 @@ impl PoseSpace {
         }
     }
 
-    /// Frames of which the last is a pose to predict and the others make its history.
+    /// Frames of a history and the next pose.
     pub fn window(&self) -> usize {
         self.history + 2
     }
 
-    /// The rows of features of `frames`, one less than those, each with its own heading and wherever
-    /// the first one faces.
-    ///
-    /// # Errors
-    /// For joints of another skeleton, and such as are not finite.
+    /// The rows of features of `frames` ([`rows`]).
     pub fn rows(&self, frames: &Joints) -> Result<Vec<Vec<f32>>, FeatureError> {
-        let threshold = Extraction::default().contact_threshold;
-        let stream = FeatureStream::new(self.skeleton.clone(), threshold)?;
-        let mut stream = stream.with_own_heading();
-        let mut rows = Vec::with_capacity(frames.frames());
-        for t in 0..frames.frames() {
-            rows.extend(stream.push(frames.frame(t))?);
-        }
-        Ok(rows)
+        rows(&self.skeleton, frames)
     }
 
     /// Moments of the features and of the target of a clip, turned by four angles: training turns
     /// windows by any angle, and rotations depend on it. With noise on histories, of noised windows.
-    ///
-    /// # Panics
-    /// Panics for a clip of another skeleton, and one that is shorter than a window.
     pub fn moments(&self, clip: &Clip) -> [ChannelMoments; 2] {
         let joints = clip.features.joints();
         let (mut histories, mut targets) = (Vec::new(), Vec::new());
@@ -114,46 +97,36 @@ impl PoseSpace {
     }
 }
 
+/// The rows of features of `frames`, one less than those, each with its own heading. The first frame
+/// may face anywhere.
+pub(super) fn rows(skeleton: &Skeleton, frames: &Joints) -> Result<Vec<Vec<f32>>, FeatureError> {
+    let threshold = Extraction::default().contact_threshold;
+    let mut stream = FeatureStream::new(skeleton.clone(), threshold)?.with_own_heading();
+    let mut rows = Vec::with_capacity(frames.frames());
+    for t in 0..frames.frames() {
+        rows.extend(stream.push(frames.frame(t))?);
+    }
+    Ok(rows)
+}
+
 /// Windows of clips: one per sample, at a new random position and heading in each epoch, because
 /// rotation features depend on the heading.
 #[derive(Clone, Debug)]
-pub struct PoseWindows {
-    clips: ClipSet,
-    space: PoseSpace,
-    features: Arc<Statistics>,
-    target: Arc<Statistics>,
-    labels: Option<CaptionLabels>,
-    seed: u64,
+pub(super) struct PoseWindows {
+    pub clips: ClipSet,
+    pub space: PoseSpace,
+    /// Normalises histories.
+    pub features: Arc<Statistics>,
+    /// Normalises poses.
+    pub target: Arc<Statistics>,
+    pub text: TextInput,
+    pub seed: u64,
 }
 
 impl PoseWindows {
-    /// Windows of `clips`, histories normalised by `features` and poses by `target`.
-    pub fn new(
-        clips: ClipSet,
-        space: PoseSpace,
-        features: Arc<Statistics>,
-        target: Arc<Statistics>,
-        labels: Option<CaptionLabels>,
-        seed: u64,
-    ) -> Self {
-        Self {
-            clips,
-            space,
-            features,
-            target,
-            labels,
-            seed,
-        }
-    }
-
-    fn text_channels(&self) -> usize {
-        let labels = self.labels.as_ref();
-        labels.map_or(TEXT_CHANNELS, |labels| labels.captions().len())
-    }
-
     fn text_of(&self, caption: Option<&Caption>) -> Vec<f32> {
         let none = || vec![0.0; TEXT_CHANNELS];
-        match &self.labels {
+        match self.text.labels() {
             Some(labels) => labels.values(caption.and_then(|caption| labels.row(&caption.text))),
             None => caption
                 .and_then(|caption| caption.embedding.as_deref())
@@ -177,7 +150,7 @@ impl Samples for PoseWindows {
             conditions: vec![
                 (HISTORY, self.features.channels(), self.space.history),
                 (PLACE, 2, 1),
-                (TEXT, self.text_channels(), 1),
+                (TEXT, self.text.channels(), 1),
             ],
         }
     }
@@ -219,24 +192,19 @@ impl Samples for PoseWindows {
         let mut rows = rows.expect("the reader takes clips of this skeleton alone");
         let last = rows.pop().expect("a window has a next pose");
         let (history, channels) = (rows.len(), self.features.channels());
-        let rows: Vec<f32> = rows
-            .iter()
-            .flat_map(|row| self.features.normalize(row))
-            .collect();
+        let rows = rows.iter().flat_map(|row| self.features.normalize(row));
+        let rows: Vec<f32> = rows.collect();
         let by_channel = (0..channels).flat_map(|c| rows.iter().skip(c).step_by(channels));
         let by_channel: Vec<f32> = by_channel.copied().collect();
         let place = place(pose, poses, self.space.longest);
         let text = self.text_of(caption);
-        batch.push(
-            &clip.id,
-            &self.space.target_of(&last),
-            &self.target,
-            &[
-                ConditionRows::all(&by_channel, history),
-                ConditionRows::all(&place, 1),
-                ConditionRows::all(&text, 1),
-            ],
-        );
+        let conditions = [
+            ConditionRows::all(&by_channel, history),
+            ConditionRows::all(&place, 1),
+            ConditionRows::all(&text, 1),
+        ];
+        let target = self.space.target_of(&last);
+        batch.push(&clip.id, &target, &self.target, &conditions);
     }
 }
 
@@ -273,8 +241,7 @@ fn drifting(window: &Joints, deviation: f64, key: Key) -> Joints {
     let mut places = Vec::with_capacity(frames * joints);
     for (t, normals) in normals.chunks_exact(3 * (joints + 1)).enumerate() {
         for (drift, normals) in drift.iter_mut().zip(normals.as_chunks::<3>().0) {
-            let moved = [0, 1, 2].map(|axis| drift[axis] + step * f64::from(normals[axis]));
-            *drift = moved;
+            *drift = [0, 1, 2].map(|axis| drift[axis] + step * f64::from(normals[axis]));
         }
         let (body, beside) = drift.split_first().expect("the body's");
         let of_frame = window.frame(t).iter().zip(beside);
@@ -331,7 +298,14 @@ mod tests {
     fn windows(target: NextPose) -> PoseWindows {
         let clips = Dataset::<Clip>::open(&config()).expect("walks").train;
         let [features, poses] = [263, 66].map(|channels| Arc::new(Statistics::unit(channels)));
-        PoseWindows::new(clips, space(target), features, poses, None, 3)
+        PoseWindows {
+            clips,
+            space: space(target),
+            features,
+            target: poses,
+            text: TextInput::Embedding,
+            seed: 3,
+        }
     }
 
     /// The rows of a sample's history.
@@ -397,7 +371,7 @@ mod tests {
                 let rows = space(NextPose::Displacement).rows(&clip.features.joints());
                 let rows = rows.expect("rows");
                 let found = history(&batch, sample);
-                // All but the rotations are as in the clip, wherever it faces.
+                // All but the rotations are as in the clip, in any direction.
                 let apart = |first: usize, range: std::ops::Range<usize>| {
                     let pairs = rows[first..].iter().zip(&found);
                     let each = pairs.flat_map(|(a, b)| {

@@ -16,9 +16,8 @@ use kinegrad_data::humanml::Clip;
 use kinegrad_gmd::{ClipGenerator, Gmd};
 use kinegrad_motion::humanml::Joints;
 use kinegrad_motion::metrics::mean_jerk;
-use kinegrad_train::Error;
-use kinegrad_train::Systems;
 use kinegrad_train::checkpoint::{Weights, resolve_checkpoint};
+use kinegrad_train::{Error, Systems};
 
 /// Held-out clips that are predicted.
 const CLIPS: usize = 32;

@@ -2,21 +2,12 @@
 
 use std::path::PathBuf;
 
-use crate::network::Backbone;
-use crate::network::GmdUnetConfig;
-use crate::network::transformer::EncoderConfig;
 use kinegrad_data::DataKind;
 use kinegrad_diffusion::{DiffusionConfig, PredictionType, must_suit};
 use kinegrad_motion::MAX_FRAMES;
 use kinegrad_motion::emphasis::{EmphasisConfig, EmphasisKind};
 use kinegrad_motion::humanml::Root;
 use kinegrad_settings::{ABOVE_ZERO, InvalidSetting, Refused, in_range, require};
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
-
-use super::evaluate::KeyframePlacement;
-use super::recipe_name::RecipeName;
-use super::steering::SteeringConfig;
 use kinegrad_train::Error;
 use kinegrad_train::clips::captions::CaptionsConfig;
 use kinegrad_train::clips::evaluator::EvaluatorFiles;
@@ -24,6 +15,14 @@ use kinegrad_train::clips::settings::{must_be_of_clips, must_have_no_style, vali
 use kinegrad_train::config::{
     ClipSample, Config, ModelTable, NetworkKind, SamplingConfig, SystemTables,
 };
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::evaluate::KeyframePlacement;
+use super::recipe_name::RecipeName;
+use super::steering::SteeringConfig;
+use crate::network::transformer::EncoderConfig;
+use crate::network::{Backbone, GmdUnetConfig};
 
 /// The tables of this system.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -152,10 +151,6 @@ impl SystemTables for GmdConfig {
     ];
 }
 
-/// Validates the tables of this system.
-///
-/// # Errors
-/// For the first invalid value; the error names the key.
 pub(super) fn validate(config: &Config) -> Result<(), Error> {
     let own: &GmdConfig = config.own();
     let Config { data, sampling, .. } = config;
@@ -165,8 +160,8 @@ pub(super) fn validate(config: &Config) -> Result<(), Error> {
     own.model.network.validate()?;
     if let Some(most) = own.model.network.longest() {
         let allowed = format!("at most `model.padded_frames` ({most})");
-        let found = data.target_frames;
-        require(found <= most, "data.target_frames", found, allowed)?;
+        let (key, found) = ("data.target_frames", data.target_frames);
+        require(found <= most, key, found, allowed)?;
     }
     must_suit(&sampling.sampler, &own.diffusion)?;
     must_suit_first_stage(own, sampling)?;
@@ -182,64 +177,53 @@ pub(super) fn validate(config: &Config) -> Result<(), Error> {
     ] {
         in_range(key, weight, 0.0..)?;
         let sample = own.diffusion.prediction_type == PredictionType::Sample;
-        require(
-            weight == 0.0 || (name == RecipeName::Motion && sample),
-            key,
-            weight,
-            "0 unless the recipe is `gmd_motion` and `diffusion.prediction_type = \"sample\"`",
-        )
-        .hint("noise has no joints, and neither have the root's four channels")?;
-        require(
-            weight == 0.0 || data.humanml3d.root == Root::Absolute,
-            key,
-            weight,
-            "0 unless `data.humanml3d.root = \"absolute\"`",
-        )
-        .hint("with a relative root, positions of joints are sums over all frames before")?;
+        let fits = weight == 0.0 || (name == RecipeName::Motion && sample);
+        let allowed =
+            "0 unless the recipe is `gmd_motion` and `diffusion.prediction_type = \"sample\"`";
+        require(fits, key, weight, allowed)
+            .hint("noise has no joints, and neither have the root's four channels")?;
+        let fits = weight == 0.0 || data.humanml3d.root == Root::Absolute;
+        let allowed = "0 unless `data.humanml3d.root = \"absolute\"`";
+        require(fits, key, weight, allowed)
+            .hint("with a relative root, positions of joints are sums over all frames before")?;
     }
     let projects = own.emphasis.kind != EmphasisKind::None;
+    let is_trajectory = name == RecipeName::Trajectory;
+    let allowed = "\"none\": the trajectory model's four channels are not projected";
     require(
-        !(name == RecipeName::Trajectory && projects),
+        !(is_trajectory && projects),
         "emphasis.kind",
         "a projection",
-        "\"none\": the trajectory model's four channels are not projected",
+        allowed,
     )?;
+    let clips_channels = sampling.clip == ClipSample::TrainingRange;
+    let allowed = "\"none\", \"six\" or \"unit\" in a projected space, whose channels are mixtures of \
+                   those whose range is known";
     require(
-        !(projects && sampling.clip == ClipSample::TrainingRange),
+        !(projects && clips_channels),
         "sampling.clip",
         "\"training_range\"",
-        "\"none\", \"six\" or \"unit\" in a projected space, whose channels are mixtures of those \
-         whose range is known",
+        allowed,
     )?;
-    require(
-        scale == 1.0 || !(projects || name == RecipeName::Trajectory),
-        "loss.trajectory_scale",
-        scale,
-        "1 in a projected space, where no channel is the trajectory's, and in recipe \
-         `gmd_trajectory`, where all are",
-    )?;
+    let fits = scale == 1.0 || !(projects || is_trajectory);
+    let allowed = "1 in a projected space, where no channel is the trajectory's, and in recipe \
+                   `gmd_trajectory`, where all are";
+    require(fits, "loss.trajectory_scale", scale, allowed)?;
     let evaluation = &own.evaluation;
     in_range("evaluation.goals", evaluation.goals, 1..)?;
     in_range("evaluation.batch_size", evaluation.batch_size, 1..)?;
     in_range("evaluation.replications", evaluation.replications, 1..=1000)?;
-    in_range(
-        "evaluation.variety_repeats",
-        evaluation.variety_repeats,
-        2..=1000,
-    )?;
-    require(
-        evaluation.split == EvaluationSplit::Validation || data.kind == DataKind::Humanml3d,
-        "evaluation.split",
-        "\"test\"",
-        "\"validation\" for `data.kind = \"synthetic_walks\"`, which has no list",
-    )?;
+    let repeats = evaluation.variety_repeats;
+    in_range("evaluation.variety_repeats", repeats, 2..=1000)?;
+    let has_lists = data.kind == DataKind::Humanml3d;
+    let fits = evaluation.split == EvaluationSplit::Validation || has_lists;
+    let allowed = "\"validation\" for `data.kind = \"synthetic_walks\"`, which has no list";
+    require(fits, "evaluation.split", "\"test\"", allowed)?;
     in_range("evaluation.keyframes", evaluation.keyframes, 0..=MAX_FRAMES)?;
     in_range("evaluation.obstacles", evaluation.obstacles, 0..=MAX_FRAMES)?;
     in_range("evaluation.margin", evaluation.margin, 0.0..=10.0)?;
-    evaluation
-        .evaluator
-        .validate()
-        .within("evaluation.evaluator")?;
+    let evaluator = evaluation.evaluator.validate();
+    evaluator.within("evaluation.evaluator")?;
     Ok(own.steering.validate().within("steering")?)
 }
 
@@ -254,13 +238,10 @@ fn must_suit_first_stage(own: &GmdConfig, sampling: &SamplingConfig) -> Result<(
     must_suit(&first, process)
 }
 
-/// Warnings.
 pub(super) fn warnings(config: &Config) -> Option<String> {
     let overtrains = config.train.recipe == RecipeName::Trajectory.name()
         && (config.train.patience == 0 || config.validation.every_steps == 0);
-    overtrains.then(|| {
-        "an overfitted trajectory model responds poorly to guidance, and this run \
-         never stops early: set `train.patience` and `validation.every_steps`"
-            .to_string()
-    })
+    let warning = "an overfitted trajectory model responds poorly to guidance, and this run \
+                   never stops early: set `train.patience` and `validation.every_steps`";
+    overtrains.then(|| warning.to_string())
 }

@@ -1,12 +1,12 @@
 //! Default values of the recipes, from the paper.
 
-use crate::network::GmdUnetConfig;
 use kinegrad_models::NetworkConfig;
+use kinegrad_train::RecipeInfo;
+use kinegrad_train::config::lay_over;
 use toml::Table;
 
 use super::recipe_name::RecipeName;
-use kinegrad_train::RecipeInfo;
-use kinegrad_train::config::lay_over;
+use crate::network::GmdUnetConfig;
 
 /// Defaults of both models (Guided Motion Diffusion, table D.1 and appendix E and F;
 /// docs/sources.md, sections 4.3, 4.5 and 4.11).

@@ -9,7 +9,6 @@ mod once;
 use std::iter::repeat;
 use std::ops::ControlFlow;
 
-use crate::network::TextDenoiser;
 use burn::module::Module;
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_diffusion::{
@@ -20,6 +19,12 @@ use kinegrad_motion::goal::Goal;
 use kinegrad_motion::humanml::{Features, Root};
 use kinegrad_random::{Key, Purpose};
 use kinegrad_settings::{Refused, in_range, require};
+use kinegrad_train::checkpoint::State;
+use kinegrad_train::clips::FeatureSpace;
+use kinegrad_train::clips::captions::{ClipText, TextInput};
+use kinegrad_train::config::{Config, SamplingConfig};
+use kinegrad_train::evaluation::OnStep;
+use kinegrad_train::{Error, TrainedModel};
 use serde::{Deserialize, Serialize};
 
 use super::GmdConfig;
@@ -28,18 +33,11 @@ use super::padding::Padded;
 use super::recipe_name::RecipeName;
 use super::stage::{StageModel, StageSteering};
 use super::steering::{Padding, SteeringConfig};
-use kinegrad_train::Error;
-use kinegrad_train::TrainedModel;
-use kinegrad_train::checkpoint::State;
-use kinegrad_train::clips::FeatureSpace;
-use kinegrad_train::clips::captions::{ClipText, TextInput};
-use kinegrad_train::config::{Config, SamplingConfig};
-use kinegrad_train::evaluation::OnStep;
+use crate::network::TextDenoiser;
 
 /// The key of a clip's noise, and its number among the clips of that key.
 pub type NoiseKey = (Key, u64);
 
-/// Keys of the noise of the first `count` clips of one condition.
 pub(super) fn keys(seed: u64, count: usize) -> impl Iterator<Item = NoiseKey> {
     let key = Key::new(seed, Purpose::Sampling);
     (0..count as u64).map(move |number| (key, number))
@@ -74,7 +72,6 @@ pub struct GeneratedClip {
 }
 
 impl GeneratedClip {
-    /// The first `frames` frames.
     fn cut(mut self, frames: usize) -> Self {
         self.features = self.features.map(|features| features.slice(0..frames));
         self.ground.truncate(frames);
@@ -84,7 +81,6 @@ impl GeneratedClip {
         self
     }
 
-    /// The clip of these features.
     pub(super) fn of(features: Features) -> Self {
         let positions = features.root_positions().into_iter();
         Self {
@@ -95,19 +91,18 @@ impl GeneratedClip {
     }
 }
 
-/// The steering targets of a sample.
 #[derive(Clone, Copy)]
-struct Aim<'a> {
-    /// One per clip.
+struct Stage<'a> {
+    texts: &'a [Option<&'a ClipText>],
+    /// One per clip, or none.
     goals: &'a [Goal],
     /// The paths of a first stage, one per clip: of the sampled length, or of the clip's.
     paths: Option<&'a [Vec<[f64; 2]>]>,
-}
-
-impl<'a> Aim<'a> {
-    fn of(goals: &'a [Goal], paths: Option<&'a [Vec<[f64; 2]>]>) -> Option<Self> {
-        (!goals.is_empty()).then_some(Self { goals, paths })
-    }
+    frames: usize,
+    lengths: &'a [usize],
+    sampling: &'a SamplingConfig,
+    steering: &'a SteeringConfig,
+    keys: &'a [NoiseKey],
 }
 
 /// Sampled frames for clips of `frames` frames: those of training, or more if requested.
@@ -133,7 +128,7 @@ impl ClipGenerator {
     /// Loads the networks of a trained model.
     ///
     /// # Errors
-    /// If the checkpoint is damaged or does not fit its own config.
+    /// If the checkpoint is damaged.
     pub fn load(trained: &TrainedModel) -> Result<Self, Error> {
         let device = &trained.device;
         let TrainedClips {
@@ -143,26 +138,21 @@ impl ClipGenerator {
         } = TrainedClips::load(&trained.saved, trained.weights, &device.clone().autodiff())?;
         let channels = channels_of(&state.config);
         let own: &GmdConfig = state.config.own();
-        let longest = own.model.network.longest();
+        let [mean, std] = [&state.statistics.mean, &state.statistics.std].map(|s| &s[..channels]);
         Ok(Self {
             plain: model.valid(),
             tracked: model.no_grad(),
             diffusion: GaussianDiffusion::new(&own.diffusion)?,
-            space: FeatureSpace::new(
-                &state.statistics.mean[..channels],
-                &state.statistics.std[..channels],
-                projection.as_ref(),
-                device,
-            ),
+            space: FeatureSpace::new(mean, std, projection.as_ref(), device),
             text: text_input(&state.config),
-            state,
             channels,
-            longest,
+            longest: own.model.network.longest(),
             device: device.clone(),
+            state,
         })
     }
 
-    /// The config the model was trained with.
+    /// The run's config.
     pub fn config(&self) -> &Config {
         &self.state.config
     }
@@ -171,36 +161,17 @@ impl ClipGenerator {
         &self.config().own::<GmdConfig>().steering
     }
 
-    /// [`sample_keyed`](Self::sample_keyed), where clip i depends on `seed`, i and its request.
+    /// Generates the clips of `requests` as one batch, after their ground paths by `trajectory` if
+    /// it is given. A clip depends on its key, its request and the sampled number of frames; one
+    /// with a goal also on the number of keyframes of its batch, the divisor of the published
+    /// guidance. `on_step` gets the stage, `trajectory` or `motion`.
+    ///
+    /// At least the training length is sampled, and the rest is cut off: shorter noise would give
+    /// the network more padding than in training (docs/sources.md, section 4.13).
     ///
     /// # Errors
-    /// As [`sample_keyed`](Self::sample_keyed).
+    /// For a goal, setting or text that one of the models does not support.
     pub fn sample(
-        &self,
-        trajectory: Option<&Self>,
-        requests: &[ClipRequest],
-        sampling: &SamplingConfig,
-        seed: u64,
-        on_step: &mut OnStep<'_>,
-    ) -> Result<Vec<GeneratedClip>, Error> {
-        let keys: Vec<NoiseKey> = keys(seed, requests.len()).collect();
-        self.sample_keyed(trajectory, requests, sampling, &keys, on_step)
-    }
-
-    /// Generates the clips of `requests` as one batch; `trajectory`, if given, generates their
-    /// ground paths first. A clip depends on its key, its request and the sampled number of frames,
-    /// exactly on the CPU; one with a goal also on the number of keyframes of its batch, by the
-    /// published guidance's divisor. `on_step` is called with the stage, `trajectory` or `motion`,
-    /// and its steps done and in total.
-    ///
-    /// The models' training length is sampled, or the longest clip's length, and the rest is cut
-    /// off: shorter noise would give the network more padding than in training (docs/sources.md,
-    /// section 4.13). The padding is `steering.padding`.
-    ///
-    /// # Errors
-    /// If a goal cannot be followed in so many frames, the sampler's settings cannot work, one of the
-    /// models cannot follow goals, or does not know a text.
-    pub fn sample_keyed(
         &self,
         trajectory: Option<&Self>,
         requests: &[ClipRequest],
@@ -215,14 +186,22 @@ impl ClipGenerator {
         let frames = lengths.iter().copied().max().unwrap_or(0);
         let own = sampled_frames(self.config(), frames);
         let steering = self.steering();
+        let stage = Stage {
+            texts: &texts,
+            goals: &goals,
+            paths: None,
+            frames: own,
+            lengths: &lengths,
+            sampling,
+            steering,
+            keys,
+        };
         let mut paths = None;
         if let (Some(model), false) = (trajectory, goals.is_empty()) {
             self.must_match(model)?;
             // If the motion model samples the padding, it follows a path there too.
             let follows_behind = steering.padding == Padding::Drawn;
             let followed = if follows_behind { own } else { frames };
-            let frames = sampled_frames(model.config(), followed);
-            let mut on_path_step = |done, all| on_step("trajectory", done, all);
             let named = |(key, number): &NoiseKey| (key.named("trajectory"), *number);
             let keys: Vec<NoiseKey> = keys.iter().map(named).collect();
             // The first stage is clipped and padded according to its own run, except for a path
@@ -239,31 +218,25 @@ impl ClipGenerator {
                 },
                 ..steering.clone()
             };
-            let aim = Aim::of(&goals, None);
-            let x = model.sampled(
-                &texts,
-                aim,
-                (frames, &lengths),
-                (&first, &of_first),
-                &keys,
-                &mut on_path_step,
-            )?;
+            let stage = Stage {
+                frames: sampled_frames(model.config(), followed),
+                sampling: &first,
+                steering: &of_first,
+                keys: &keys,
+                ..stage
+            };
+            let x = model.sampled(stage, &mut |done, all| on_step("trajectory", done, all))?;
             let mut sampled = model.paths(x);
             for (path, &length) in sampled.iter_mut().zip(&lengths) {
                 path.truncate(if follows_behind { own } else { length });
             }
             paths = Some(sampled);
         }
-        let mut on_motion_step = |done, all| on_step("motion", done, all);
-        let aim = Aim::of(&goals, paths.as_deref());
-        let x = self.sampled(
-            &texts,
-            aim,
-            (own, &lengths),
-            (sampling, steering),
-            keys,
-            &mut on_motion_step,
-        )?;
+        let stage = Stage {
+            paths: paths.as_deref(),
+            ..stage
+        };
+        let x = self.sampled(stage, &mut |done, all| on_step("motion", done, all))?;
         let samples: Vec<GeneratedClip> = match RecipeName::of(self.config()) {
             RecipeName::Trajectory => {
                 let of_path = |ground| GeneratedClip {
@@ -276,18 +249,15 @@ impl ClipGenerator {
             RecipeName::Motion => {
                 let features = self.features(x)?.into_iter();
                 let paths = paths.into_iter().flatten().map(Some);
-                features
+                let samples = features
                     .map(GeneratedClip::of)
-                    .zip(paths.chain(repeat(None)))
-                    .map(|(sample, path)| GeneratedClip { path, ..sample })
-                    .collect()
+                    .zip(paths.chain(repeat(None)));
+                let samples = samples.map(|(sample, path)| GeneratedClip { path, ..sample });
+                samples.collect()
             }
         };
-        Ok(samples
-            .into_iter()
-            .zip(lengths)
-            .map(|(sample, length)| sample.cut(length))
-            .collect())
+        let samples = samples.into_iter().zip(lengths);
+        Ok(samples.map(|(sample, length)| sample.cut(length)).collect())
     }
 
     /// Rejects a trajectory model of other clips, or before another trajectory model.
@@ -295,30 +265,31 @@ impl ClipGenerator {
         let (own, other) = (self.config(), trajectory.config());
         let same = (own.data.humanml3d.skeleton, own.data.humanml3d.root)
             == (other.data.humanml3d.skeleton, other.data.humanml3d.root);
-        match RecipeName::of(own) == RecipeName::Motion && same {
-            true => Ok(()),
-            false => Err(Error::usage(
-                format!(
-                    "`{}` cannot generate paths for `{}`",
-                    other.run.name, own.run.name
-                ),
-                "the first must be a run of recipe `gmd_trajectory`, the second one of \
-                 `gmd_motion`, on clips of the same `data.humanml3d.skeleton` and `root`",
-            )),
+        if RecipeName::of(own) == RecipeName::Motion && same {
+            return Ok(());
         }
+        let (path_run, run) = (&other.run.name, &own.run.name);
+        Err(Error::usage(
+            format!("`{path_run}` cannot generate paths for `{run}`"),
+            "the first must be a run of recipe `gmd_trajectory`, the second one of \
+             `gmd_motion`, on clips of the same `data.humanml3d.skeleton` and `root`",
+        ))
     }
 
-    /// Motion in the network's space, steered to an aim if there is one: of so many frames, for clips
-    /// of these lengths.
+    /// Motion in the network's space, steered to the goals if there are any.
     fn sampled(
         &self,
-        texts: &[Option<&ClipText>],
-        aim: Option<Aim<'_>>,
-        (frames, lengths): (usize, &[usize]),
-        (sampling, steering): (&SamplingConfig, &SteeringConfig),
-        keys: &[NoiseKey],
+        stage: Stage<'_>,
         on_step: &mut dyn FnMut(usize, usize) -> ControlFlow<()>,
     ) -> Result<Tensor<3>, Error> {
+        let Stage {
+            texts,
+            frames,
+            sampling,
+            steering,
+            keys,
+            ..
+        } = stage;
         if let Some(most) = self.longest {
             in_range("frames", frames, 1..=most).hint(
                 "`model.padded_frames` is the maximum length of the network: shorten the goal, or use \
@@ -332,20 +303,15 @@ impl ClipGenerator {
             .collect();
         let data = TensorData::new(values, [batch, channels, frames]);
         let start = Tensor::from_data(data, &self.device);
-        let values = |text: &Option<&ClipText>| match text {
-            Some(text) => self.text.values(text),
-            None => Ok(None),
-        };
-        let texts: Vec<Option<Vec<f32>>> = texts.iter().map(values).collect::<Result<_, _>>()?;
-        let has_text = texts.iter().any(Option::is_some);
-        let values = self.text.channels();
-        let text = texts.into_iter();
-        let text = text.flat_map(|text| text.unwrap_or_else(|| vec![0.0; values]));
-        let data = TensorData::new(text.collect::<Vec<f32>>(), [batch, values, 1]);
+        let mut text = Vec::new();
+        for each in texts {
+            text.extend(self.text.values_or_zeros(*each)?);
+        }
+        let data = TensorData::new(text, [batch, self.text.channels(), 1]);
         let cond = Tensor::from_data(data, &self.device);
         let sampler = SamplerConfig {
             // Without any text both passes of the guidance are the same one.
-            guidance_scale: match has_text {
+            guidance_scale: match texts.iter().any(Option::is_some) {
                 true => sampling.sampler.guidance_scale,
                 false => 0.0,
             },
@@ -354,11 +320,11 @@ impl ClipGenerator {
         let clip = sampling.clip.range(&self.state.statistics, channels)?;
         let mut on_sampled = |done, all, _: &Tensor<3>| on_step(done, all);
         let lengths = match steering.padding {
-            Padding::Zeros => lengths.to_vec(),
+            Padding::Zeros => stage.lengths.to_vec(),
             Padding::Drawn => vec![frames; batch],
         };
         let plain = Padded::new(&self.plain, &self.diffusion, &lengths, &start);
-        let Some(aim) = aim else {
+        if stage.goals.is_empty() {
             // Each clip equals the one sampled alone, to the bit.
             let x = batch_invariant(batch, || {
                 sample(
@@ -373,7 +339,7 @@ impl ClipGenerator {
                 )
             })?;
             return Ok(x);
-        };
+        }
         require(
             self.config().data.humanml3d.root == Root::Absolute,
             "data.humanml3d.root",
@@ -388,9 +354,9 @@ impl ClipGenerator {
             frames,
             device: &self.device,
         };
-        let steering = match aim.paths {
-            Some(paths) => StageSteering::along(steering, aim.goals, paths, model)?,
-            None => StageSteering::of_goals(steering, aim.goals, model)?,
+        let steering = match stage.paths {
+            Some(paths) => StageSteering::along(steering, stage.goals, paths, model)?,
+            None => StageSteering::of_goals(steering, stage.goals, model)?,
         };
         let at = |timestep| steering.at(timestep);
         let like = start.clone().autodiff();
@@ -422,20 +388,8 @@ impl ClipGenerator {
     }
 
     fn features(&self, x: Tensor<3>) -> Result<Vec<Features>, Error> {
-        use kinegrad_diffusion::Space as _;
-        let [_, channels, frames] = x.dims();
-        let rows = self.space.to_motion(x).swap_dims(1, 2);
-        let values = rows.try_into_vec_as::<f32>().expect("samples are float32");
-        let humanml3d = &self.config().data.humanml3d;
-        let (layout, root) = (humanml3d.skeleton.skeleton().layout(), humanml3d.root);
-        let clips = values.chunks(channels * frames).enumerate();
-        let features = clips.map(|(index, clip)| {
-            if !clip.iter().all(|value| value.is_finite()) {
-                let sample = format!("{} of {}", index + 1, values.len() / clip.len());
-                return Err(Error::SampleNotFinite { sample });
-            }
-            Ok(Features::new(clip.to_vec(), layout, root)?)
-        });
-        features.collect()
+        let count = x.dims()[0];
+        let name = |index| format!("{} of {count}", index + 1);
+        self.space.features(x, &self.config().data.humanml3d, name)
     }
 }

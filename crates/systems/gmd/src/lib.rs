@@ -6,7 +6,7 @@
 
 mod config;
 mod defaults;
-pub mod evaluate;
+mod evaluate;
 mod generate;
 mod import;
 mod load;
@@ -30,12 +30,6 @@ pub use load::{TrainedClips, channels_of, model_in_space, text_denoiser};
 pub use stage::{GroundObjective, StageModel, StageSteering};
 pub use steering::{Padding, SteeringConfig};
 
-use kinegrad_train::Error;
-use kinegrad_train::Observer;
-use kinegrad_train::ParameterCount;
-use kinegrad_train::RecipeInfo;
-use kinegrad_train::System;
-use kinegrad_train::TrainedModel;
 use kinegrad_train::clips::evaluator::EvaluatorFiles;
 use kinegrad_train::config::{Config, ConfigError, OwnTables, Place, SystemTables};
 use kinegrad_train::evaluation::{Evaluation, EvaluationRequest};
@@ -43,7 +37,8 @@ use kinegrad_train::import::{ImportRequest, Imported};
 use kinegrad_train::memory::Footprint;
 use kinegrad_train::run::{Outcome, RunContext};
 use kinegrad_train::sampling::{Request, SampleSink, Sampler};
-use kinegrad_train::start::{Start, tables_of};
+use kinegrad_train::start;
+use kinegrad_train::{Error, Observer, ParameterCount, RecipeInfo, System, TrainedModel};
 use load::INHERITED;
 use recipe_name::RECIPES;
 
@@ -94,15 +89,8 @@ impl System for Gmd {
     }
 
     fn inherited(&self, config: &Config, saved: Option<&Config>) -> Result<Option<Table>, Error> {
-        match saved {
-            // A resumed run does not need its start any more.
-            Some(saved) => Ok(Some(tables_of(saved, &INHERITED))),
-            None => {
-                let init = &config.own::<GmdConfig>().init;
-                let start = Start::named("init.diffusion", &init.diffusion, self)?;
-                Ok(start.map(|start| start.tables(&INHERITED)))
-            }
-        }
+        let init = &config.own::<GmdConfig>().init.diffusion;
+        start::inherited(saved, init, &INHERITED, self)
     }
 
     fn parameters(&self, config: &Config) -> Result<ParameterCount, Error> {

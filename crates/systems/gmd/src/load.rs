@@ -1,28 +1,25 @@
-//! The networks of runs on clips: built from a config, read from a checkpoint, started from one.
+//! The networks of a config or a checkpoint.
 
-use crate::network::TextDenoiser;
 use burn::tensor::Device;
-use kinegrad_models::Initializer;
-use kinegrad_models::parameters;
+use kinegrad_models::{Initializer, parameters};
 use kinegrad_motion::Representation;
-use kinegrad_motion::emphasis::EmphasisProjection;
+use kinegrad_motion::emphasis::{EmphasisConfig, EmphasisProjection};
 use kinegrad_motion::goal::TRAJECTORY_CHANNELS;
-
-use super::GmdConfig;
-use super::recipe_name::RecipeName;
-use kinegrad_train::Error;
-use kinegrad_train::ParameterCount;
 use kinegrad_train::checkpoint::{SavedCheckpoint, State, Weights};
 use kinegrad_train::clips::captions::TextInput;
 use kinegrad_train::clips::training::must_fit_clips;
 use kinegrad_train::config::Config;
 use kinegrad_train::memory::Footprint;
 use kinegrad_train::start::{Start, must_agree};
+use kinegrad_train::{Error, ParameterCount};
 
-/// Parameter of the matrix of a projected space.
+use super::GmdConfig;
+use super::recipe_name::RecipeName;
+use crate::network::TextDenoiser;
+
 pub(super) const MATRIX: &str = "projection.matrix";
 
-/// Channels that the networks of a run of `config` take and give.
+/// Channels of inputs and outputs of the networks.
 pub fn channels_of(config: &Config) -> usize {
     match RecipeName::of(config) {
         RecipeName::Motion => config.data.humanml3d.representation().channels(),
@@ -30,12 +27,11 @@ pub fn channels_of(config: &Config) -> usize {
     }
 }
 
-/// The text input of the network of a config.
 pub(super) fn text_input(config: &Config) -> TextInput {
     TextInput::new(&config.own::<GmdConfig>().text, &config.data)
 }
 
-/// The denoiser of a config with fresh weights, in the space of normalised motion.
+/// The denoiser with initial weights, in the space of normalised motion.
 ///
 /// # Errors
 /// If it cannot be built.
@@ -53,22 +49,15 @@ pub fn text_denoiser(
     })
 }
 
-/// The parameters of a config's denoiser as it is trained: with the matrix of its space, which
-/// stays as it is.
-///
-/// # Errors
-/// If it cannot be built.
+/// The parameters of a config's denoiser, of which the matrix of its space is not trained.
 pub(super) fn parameters_in_space(config: &Config) -> Result<ParameterCount, Error> {
     let infos = parameters::infos(&model_in_space(config, &Device::flex())?);
-    Ok(ParameterCount::of(&infos, &[], |_, info| {
-        info.name != MATRIX
+    let is_trained = |index: usize| infos[index].name != MATRIX;
+    Ok(ParameterCount::of(&infos, &[], |index, _| {
+        is_trained(index)
     }))
 }
 
-/// The memory of a config's networks for clips of `frames` frames.
-///
-/// # Errors
-/// If one cannot be built.
 pub(super) fn footprint(config: &Config, frames: usize) -> Result<Footprint, Error> {
     let channels = channels_of(config);
     let item = channels * frames + text_input(config).channels();
@@ -77,7 +66,7 @@ pub(super) fn footprint(config: &Config, frames: usize) -> Result<Footprint, Err
     Ok(Footprint::of(&network, activations, item))
 }
 
-/// [`text_denoiser`] in the space that `emphasis` of the config makes.
+/// [`text_denoiser`] in the space of the config's `emphasis`.
 ///
 /// # Errors
 /// If it cannot be built.
@@ -94,13 +83,25 @@ pub fn model_in_space(config: &Config, device: &Device) -> Result<TextDenoiser, 
     })
 }
 
+/// The projection with a stored matrix.
+pub(super) fn projection_of(
+    emphasis: &EmphasisConfig,
+    matrix: &[f32],
+    channels: usize,
+) -> Result<EmphasisProjection, Error> {
+    let (scale, emphasised) = (emphasis.scale, &emphasis.channels);
+    Ok(EmphasisProjection::from_matrix(
+        matrix, channels, scale, emphasised,
+    )?)
+}
+
 /// A trained denoiser of clips.
 pub struct TrainedClips {
     /// The network.
     pub model: TextDenoiser,
-    /// The space it works in, where that is a projected one.
+    /// The projection of its space, if there is one.
     pub projection: Option<EmphasisProjection>,
-    /// Config, step, statistics of its training clips.
+    /// Config, step and statistics.
     pub state: State,
 }
 
@@ -108,28 +109,20 @@ impl TrainedClips {
     /// Loads a checkpoint onto `device`.
     ///
     /// # Errors
-    /// If the checkpoint is damaged or does not fit its own config.
+    /// If the checkpoint is damaged.
     pub fn load(saved: &SavedCheckpoint, weights: Weights, device: &Device) -> Result<Self, Error> {
         let channels = channels_of(&saved.state.config);
         let state = saved.state.clone();
         let values = saved.weights(weights)?;
         let mut model = text_denoiser(&state.config, channels, device)?;
-        // The stored matrix counts, whatever the config would make today.
+        // The stored matrix, not that of the config.
         let matrix = values.iter().find(|p| p.info.name == MATRIX);
-        let projection = match matrix {
-            Some(matrix) => {
-                let emphasis = &state.config.own::<GmdConfig>().emphasis;
-                let projection = EmphasisProjection::from_matrix(
-                    &matrix.values,
-                    channels,
-                    emphasis.scale,
-                    &emphasis.channels,
-                )?;
-                model = model.in_space_of(matrix.values.clone(), device);
-                Some(projection)
-            }
-            None => None,
-        };
+        let mut projection = None;
+        if let Some(matrix) = matrix {
+            let emphasis = &state.config.own::<GmdConfig>().emphasis;
+            projection = Some(projection_of(emphasis, &matrix.values, channels)?);
+            model = model.in_space_of(matrix.values.clone(), device);
+        }
         let model = parameters::load(model, values)?;
         state.clip_statistics()?;
         Ok(Self {
@@ -141,9 +134,6 @@ impl TrainedClips {
 }
 
 /// The averaged weights of `start`, in its space, on an autodiff device.
-///
-/// # Errors
-/// Names the key in which the start differs from `config`.
 pub(super) fn started(
     start: &Start,
     config: &Config,
@@ -151,9 +141,9 @@ pub(super) fn started(
 ) -> Result<TextDenoiser, Error> {
     let trained = start.load(|saved| TrainedClips::load(saved, Weights::Ema, device))?;
     let base = &trained.state.config;
-    let (given, recipe) = (&config.train.recipe, &base.train.recipe);
-    if given != recipe {
-        return Err(start.refused(&format!("its recipe is `{recipe}`, not `{given}`")));
+    let (recipe, found) = (&config.train.recipe, &base.train.recipe);
+    if recipe != found {
+        return Err(start.refused(&format!("its recipe is `{found}`, not `{recipe}`")));
     }
     must_agree(config, base, &INHERITED)?;
     must_fit_clips(start, config)?;
@@ -166,5 +156,5 @@ pub(super) fn started(
     Ok(parameters::replace(fresh, weights))
 }
 
-/// Tables that follow from what a run starts from.
+/// Tables that a run inherits from its start.
 pub(super) const INHERITED: [&str; 4] = ["model", "text", "diffusion", "emphasis"];

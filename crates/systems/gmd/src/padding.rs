@@ -3,16 +3,13 @@
 use burn::tensor::{Tensor, TensorData};
 use kinegrad_diffusion::{Denoiser, GaussianDiffusion, PredictionType, Time};
 
-/// A network with each clip's length, as in training: after a clip's last frame its input is noised
-/// zeros of normalised motion, and its output is replaced by zeros.
-///
-/// Training has only such padding, and the loss ignores its output there. Sampled padding would be
-/// an input that the network has never seen.
+/// A network that pads clips as in training: after a clip's last frame its input is noised zeros of
+/// normalised motion, and its output is replaced by zeros.
 pub struct Padded<'a, D> {
     network: &'a D,
     diffusion: &'a GaussianDiffusion,
-    /// 1 in frames of the clip, 0 after it: `[batch, 1, frames]`, on the network's device; `None`
-    /// if every clip has the sampled length.
+    /// 1 in frames of the clip, else 0, `[batch, 1, frames]`; `None` if every clip has the sampled
+    /// length.
     real: Option<Tensor<3>>,
 }
 
@@ -27,8 +24,8 @@ impl<'a, D> Padded<'a, D> {
         let [batch, _, frames] = like.dims();
         let is_full = lengths.iter().all(|&length| length >= frames);
         let real = (!is_full).then(|| {
-            let of_clip =
-                |&length: &usize| (0..frames).map(move |t| f32::from(u8::from(t < length)));
+            let is_real = |length: usize, t: usize| f32::from(u8::from(t < length));
+            let of_clip = |&length: &usize| (0..frames).map(move |t| is_real(length, t));
             let values: Vec<f32> = lengths.iter().flat_map(of_clip).collect();
             Tensor::from_data(TensorData::new(values, [batch, 1, frames]), &like.device())
         });
@@ -53,13 +50,12 @@ impl<D: Denoiser<Cond = Tensor<3>>> Denoiser for Padded<'_, D> {
         let seen = x_t * real.clone() + behind.clone();
         let output = self.network.predict(seen, time, cond);
         let timesteps: Vec<usize> = time.iter().map(|time| time.timestep()).collect();
-        let zeros = self.diffusion.convert(
-            behind.zeros_like(),
-            behind,
-            &timesteps,
+        let (from, to) = (
             PredictionType::Sample,
             self.diffusion.config.prediction_type,
         );
+        let zeros = behind.zeros_like();
+        let zeros = self.diffusion.convert(zeros, behind, &timesteps, from, to);
         output * real.clone() + zeros * padding
     }
 

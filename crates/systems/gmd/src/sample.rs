@@ -5,14 +5,6 @@ use std::iter::repeat_n;
 use kinegrad_motion::goal::{Goal, Trajectory};
 use kinegrad_motion::humanml::Skeleton;
 use kinegrad_motion::metrics::{GoalReport, GoalSample};
-
-use super::generate::{ClipGenerator, ClipRequest, GeneratedClip, keys, sampled_frames};
-use super::load::{footprint, text_input};
-use super::recipe_name::RecipeName;
-use super::{Gmd, GmdConfig};
-use kinegrad_train::Error;
-use kinegrad_train::System;
-use kinegrad_train::TrainedModel;
 use kinegrad_train::checkpoint::SavedCheckpoint;
 use kinegrad_train::clips::captions::{ClipText, must_know_texts, text_of};
 use kinegrad_train::clips::path_target::{Fastest, FollowedPath};
@@ -20,22 +12,28 @@ use kinegrad_train::clips::read_goal;
 use kinegrad_train::clips::requested;
 use kinegrad_train::sampling::{
     BatchRecord, Condition, Generated, GoalCondition, GoalRecord, Job, Needs, Record, Request, Run,
-    SampleSink, Sampler, SamplerRecord, Summary, item_seed,
+    SampleSink, Sampler, Summary,
 };
+use kinegrad_train::{Error, System, TrainedModel};
 
-/// Conditions of clips, and of ground paths.
+use super::generate::{ClipGenerator, ClipRequest, GeneratedClip, keys, sampled_frames};
+use super::load::{footprint, text_input};
+use super::recipe_name::RecipeName;
+use super::{Gmd, GmdConfig};
+
 pub(super) fn accepts(recipe: &str) -> &'static [&'static str] {
+    let all = &[
+        "item",
+        "held_out",
+        "text",
+        "text_embedding",
+        "goal",
+        "path",
+        "trajectory",
+    ];
     match recipe == RecipeName::Trajectory.name() {
-        true => &["item", "held_out", "text", "text_embedding", "goal"],
-        false => &[
-            "item",
-            "held_out",
-            "text",
-            "text_embedding",
-            "goal",
-            "path",
-            "trajectory",
-        ],
+        true => &all[..5],
+        false => all,
     }
 }
 
@@ -65,9 +63,6 @@ pub(super) struct Clips<'a> {
 
 impl<'a> Clips<'a> {
     /// Reads the conditions of a request.
-    ///
-    /// # Errors
-    /// If one cannot be used.
     pub fn new(
         trained: &'a TrainedModel,
         request: &'a Request,
@@ -90,19 +85,14 @@ impl<'a> Clips<'a> {
                 clips.longest = request.frames.unwrap_or(data.target_frames);
                 for clip in &chosen {
                     let own = || clip.features.frames().min(data.target_frames);
-                    let condition = Condition::Item {
-                        id: clip.id.clone(),
-                        source: data.source.clone(),
-                    };
-                    clips.push(
-                        Some(clip.id.clone()),
-                        vec![condition],
-                        ClipRequest {
-                            frames: request.frames.unwrap_or_else(own),
-                            goal: None,
-                            text: ClipText::of(clip),
-                        },
-                    );
+                    let frames = request.frames.unwrap_or_else(own);
+                    let source = data.source.clone();
+                    clips.jobs.push(Job::of_clip(clip, source, &[], frames));
+                    clips.clips.push(ClipRequest {
+                        frames,
+                        goal: None,
+                        text: ClipText::of(clip),
+                    });
                 }
             }
             None => clips.resolve(sink)?,
@@ -116,14 +106,13 @@ impl<'a> Clips<'a> {
         let mut others = others.filter(|condition| {
             !matches!(condition, Condition::Item { .. } | Condition::HeldOut(_))
         });
-        match others.next() {
-            None => Ok(()),
-            Some(other) => Err(Error::usage(
-                format!("option `item` with option `{}`", other.name()),
-                "an item stands for the first caption of its clip; beside a goal, name the caption \
-                 with option `text` or option `text_embedding`",
-            )),
-        }
+        let Some(other) = others.next() else {
+            return Ok(());
+        };
+        let message = format!("option `item` with option `{}`", other.name());
+        let hint = "an item stands for the first caption of its clip; beside a goal, name the caption \
+                    with option `text` or option `text_embedding`";
+        Err(Error::usage(message, hint))
     }
 
     /// Reads goals, path and text.
@@ -162,14 +151,10 @@ impl<'a> Clips<'a> {
         }
         if let (Some(_), Some(goal)) = (request.frames, request.goals().next()) {
             let frames = goals[0].1.frames;
-            let hint = format!(
-                "{} sets the length of the clip: `frames = {frames}`",
-                goal.file.display()
-            );
-            return Err(Error::usage(
-                "option `frames` or option `seconds` with option `goal`",
-                hint,
-            ));
+            let file = goal.file.display();
+            let hint = format!("{file} sets the length of the clip: `frames = {frames}`");
+            let message = "option `frames` or option `seconds` with option `goal`";
+            return Err(Error::usage(message, hint));
         }
         if request.is_unconditional() {
             sink.note("no condition given: sampling without a text and without a goal");
@@ -181,37 +166,32 @@ impl<'a> Clips<'a> {
             };
             self.trajectory = Some(trajectory_model(trained, saved)?);
         }
-        let mut inputs = vec![text_input(config)];
-        let of_stage = self.trajectory.iter();
-        inputs.extend(of_stage.map(|model| text_input(model.config())));
-        let text = request.text_conditions().next();
-        let text = text.map(|condition| text_of(&condition, &inputs, &trained.device));
-        let text = text.transpose()?.flatten();
+        let models = [config]
+            .into_iter()
+            .chain(self.trajectory.iter().map(TrainedModel::config));
+        let inputs: Vec<_> = models.map(text_input).collect();
+        let text = text_of(request, &inputs, &trained.device)?;
         for (file, goal, _) in &goals {
-            for doubt in goal.feasibility_warnings(fps) {
-                sink.warning(&format!("{}: {doubt}", file.display()));
+            for warning in goal.feasibility_warnings(fps) {
+                sink.warning(&format!("{}: {warning}", file.display()));
             }
         }
         if let Some(path) = &self.path {
-            // Displacements of joint 0, metres per frame.
-            let first = skeleton.layout().velocities().start;
-            let fastest = Fastest::of(&trained.saved.state.statistics, first, fps);
-            if let Some(doubt) = path.too_fast(fps, fastest) {
-                sink.warning(&doubt);
+            let fastest = Fastest::of_clips(&trained.saved.state.statistics, &skeleton);
+            if let Some(warning) = path.too_fast(fps, fastest) {
+                sink.warning(&warning);
             }
         }
-        let shared: Vec<Condition> = request.text_conditions().collect();
         let stage = request.trajectory().cloned().map(Condition::Trajectory);
-        let shared = shared.into_iter().chain(stage);
+        let shared: Vec<Condition> = request.text_conditions().chain(stage).collect();
         let frames = request.frames.unwrap_or(config.data.target_frames);
-        let goals: Vec<_> = goals
-            .into_iter()
+        let goals = goals.into_iter();
+        let mut goals: Vec<_> = goals
             .map(|(_, goal, condition)| (Some(goal), Some(condition)))
             .collect();
-        let goals = match goals.is_empty() {
-            true => vec![(None, None)],
-            false => goals,
-        };
+        if goals.is_empty() {
+            goals.push((None, None));
+        }
         for (goal, condition) in goals {
             let request = ClipRequest {
                 frames,
@@ -219,73 +199,56 @@ impl<'a> Clips<'a> {
                 text: text.clone(),
             };
             self.longest = self.longest.max(request.length());
-            let conditions = condition.into_iter().chain(shared.clone()).collect();
-            self.push(None, conditions, request);
+            self.jobs.push(Job {
+                name: None,
+                conditions: condition.into_iter().chain(shared.clone()).collect(),
+                frames: request.length(),
+            });
+            self.clips.push(request);
         }
         Ok(())
-    }
-
-    fn push(&mut self, name: Option<String>, conditions: Vec<Condition>, clip: ClipRequest) {
-        self.jobs.push(Job {
-            name,
-            conditions,
-            frames: clip.length(),
-        });
-        self.clips.push(clip);
     }
 
     fn steered(&self) -> bool {
         self.clips.iter().any(|clip| clip.goal.is_some())
     }
 
-    /// The record of a clip.
     fn record(&self, run: &Run<'_>, job: usize, index: usize) -> Record {
         let own = &self.trained.config().own::<GmdConfig>().steering;
         let (padding, steering) = own.record();
         let steered = self.clips[job].goal.is_some();
-        let record = run.record(job, index);
-        Record {
-            sampler: SamplerRecord {
-                padding: Some(padding),
-                steering: steered.then_some(steering),
-                ..record.sampler
-            },
-            batch: steered.then(|| BatchRecord {
-                count: self.request.count,
-                goals: self.goals.clone(),
-            }),
-            ..record
-        }
+        let mut record = run.record(job, index);
+        record.sampler.padding = Some(padding);
+        record.sampler.steering = steered.then_some(steering);
+        record.batch = steered.then(|| BatchRecord {
+            count: self.request.count,
+            goals: self.goals.clone(),
+        });
+        record
     }
 
-    /// A clip cut to its length, on its path, with its record.
+    /// A clip on its path, with its record.
     fn finished(
         &self,
-        sample: &GeneratedClip,
-        record: Record,
+        sample: GeneratedClip,
+        mut record: Record,
         skeleton: &Skeleton,
     ) -> Result<(Generated, Record), Error> {
-        let frames = record.frames;
-        let Some(features) = &sample.features else {
-            return Ok((Generated::Ground(sample.ground[..frames].to_vec()), record));
+        let Some(features) = sample.features else {
+            return Ok((Generated::Ground(sample.ground), record));
         };
-        let features = features.slice(0..frames);
-        let first = sample.path.as_ref().map(|path| path[..frames].to_vec());
-        let mut record = record;
-        let (joints, first) = match &self.path {
-            None => (features.joints(), first),
-            Some(path) => {
-                let placed = path.target.placed(&features.joints(), skeleton)?;
-                record.path = Some(path.record(placed.report, None));
-                let first = first.map(|first| path.target.on_path(&first));
-                (placed.joints, first)
-            }
-        };
+        let (mut joints, mut path) = (features.joints(), sample.path);
+        if let Some(followed) = &self.path {
+            let placed = followed.target.placed(&joints, skeleton)?;
+            record.path = Some(followed.record(placed.report, None));
+            joints = placed.joints;
+            path = path.map(|points| followed.target.on_path(&points));
+        }
         let clip = Generated::Clip {
             joints,
             skeleton: Box::new(skeleton.clone()),
             features: Some(features),
-            path: first,
+            path,
         };
         Ok((clip, record))
     }
@@ -325,21 +288,15 @@ impl Sampler for Clips<'_> {
 
     fn sample(&self, run: &mut Run<'_>) -> Result<Option<Summary>, Error> {
         let (count, seed) = (self.request.count, self.request.seed);
-        let mut requests = Vec::new();
-        for clip in &self.clips {
-            requests.extend(repeat_n(clip.clone(), count));
-        }
+        let repeated = |clip: &ClipRequest| repeat_n(clip.clone(), count);
+        let requests: Vec<ClipRequest> = self.clips.iter().flat_map(repeated).collect();
+        let of_job = |job: &Job| keys(job.seed(seed), count);
         let noise: Vec<_> = match self.is_one_batch() {
             true => keys(seed, requests.len()).collect(),
-            false => {
-                let names = self.jobs.iter().filter_map(|job| job.name.as_deref());
-                names
-                    .flat_map(|id| keys(item_seed(seed, id), count))
-                    .collect()
-            }
+            false => self.jobs.iter().flat_map(of_job).collect(),
         };
         let trajectory = self.trajectory.as_ref().map(ClipGenerator::load);
-        let samples = ClipGenerator::load(self.trained)?.sample_keyed(
+        let samples = ClipGenerator::load(self.trained)?.sample(
             trajectory.transpose()?.as_ref(),
             &requests,
             &self.trained.config().sampling,
@@ -347,13 +304,14 @@ impl Sampler for Clips<'_> {
             &mut |stage, done, all| run.sink.advance(stage, done, all),
         )?;
         let skeleton = self.trained.config().data.humanml3d.skeleton.skeleton();
-        for (number, sample) in samples.iter().enumerate() {
+        let summary = report(&samples, &requests, &skeleton).map(Summary::Text);
+        for (number, sample) in samples.into_iter().enumerate() {
             let (job, index) = (number / count, number % count);
             let record = self.record(run, job, index);
             let (clip, record) = self.finished(sample, record, &skeleton)?;
             run.pass(job, index, clip, record)?;
         }
-        Ok(report(&samples, &requests, &skeleton).map(Summary::Text))
+        Ok(summary)
     }
 }
 
@@ -370,9 +328,6 @@ fn along(path: &FollowedPath) -> Goal {
 }
 
 /// The trajectory model of a checkpoint, beside the motion model `trained`.
-///
-/// # Errors
-/// [`Error::Usage`] for a checkpoint of another recipe.
 pub(super) fn trajectory_model(
     trained: &TrainedModel,
     saved: SavedCheckpoint,
@@ -381,10 +336,8 @@ pub(super) fn trajectory_model(
     if recipe == RecipeName::Trajectory.name() {
         return Ok(trained.beside((&Gmd as &dyn System).read_tables(saved)?));
     }
-    let message = format!(
-        "option `trajectory` is {}, a run of recipe `{recipe}`",
-        saved.path.display()
-    );
+    let path = saved.path.display();
+    let message = format!("option `trajectory` is {path}, a run of recipe `{recipe}`");
     Err(Error::usage(
         message,
         "give a run of recipe `gmd_trajectory`",
@@ -397,7 +350,7 @@ fn report(
     requests: &[ClipRequest],
     skeleton: &Skeleton,
 ) -> Option<String> {
-    let measured: Vec<GoalSample> = samples
+    let measured = samples
         .iter()
         .zip(requests)
         .filter_map(|(sample, request)| {
@@ -406,8 +359,8 @@ fn report(
                 ground: &sample.ground,
                 joints: None,
             })
-        })
-        .collect();
+        });
+    let measured: Vec<GoalSample> = measured.collect();
     let (fps, feet) = (skeleton.description().fps, skeleton.contact_joints());
     (!measured.is_empty()).then(|| GoalReport::compute(&measured, fps, &feet).to_string())
 }

@@ -3,31 +3,28 @@
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_diffusion::{Guidance, Imputation, Objective, Steering};
 use kinegrad_motion::goal::{Goal, GroundTargets, GuidanceLoss, Phase};
-
-use super::SteeringConfig;
 use kinegrad_train::Error;
 use kinegrad_train::clips::FeatureSpace;
+
+use super::SteeringConfig;
 
 /// The guidance loss of the root's ground path.
 #[derive(Clone, Debug)]
 pub struct GroundObjective<'a> {
-    /// The device of the network.
+    /// The space of the network.
     pub space: &'a FeatureSpace,
-    /// The path loss.
+    /// The loss of paths.
     pub loss: GuidanceLoss,
 }
 
 impl Objective for GroundObjective<'_> {
     fn gradient(&self, pred_original_sample: &Tensor<3>) -> Tensor<3> {
         let [batch, _, time] = pred_original_sample.dims();
-        let positions = self
-            .space
-            .ground(pred_original_sample.clone())
-            .swap_dims(1, 2);
-        let positions = positions.try_into_vec_as::<f32>();
+        let positions = self.space.ground(pred_original_sample.clone());
+        let positions = positions.swap_dims(1, 2).try_into_vec_as::<f32>();
         let positions = positions.expect("samples are float32").into_iter();
         let positions: Vec<f64> = positions.map(f64::from).collect();
-        // On the host and in double precision: a few thousand numbers, and obstacles branch.
+        // A few thousand numbers and branches: on the host and in double precision.
         let (_, gradient) = self.loss.evaluate(&positions);
         let gradient: Vec<f32> = gradient.into_iter().map(|value| value as f32).collect();
         let device = pred_original_sample.device();
@@ -37,7 +34,7 @@ impl Objective for GroundObjective<'_> {
     }
 }
 
-/// A network's motion, which goals steer.
+/// The model of a stage.
 #[derive(Clone, Copy, Debug)]
 pub struct StageModel<'a> {
     /// Its space.
@@ -48,7 +45,7 @@ pub struct StageModel<'a> {
     pub of_motion: bool,
     /// Sampled frames, at least those of the longest goal.
     pub frames: usize,
-    /// The plain device.
+    /// The device without gradients.
     pub device: &'a Device,
 }
 
@@ -60,21 +57,17 @@ pub struct StageSteering<'a> {
     objective: GroundObjective<'a>,
     scale: f64,
     of_motion: bool,
-    /// True if single frames are targets; without steering to the end, motion would jump there.
+    /// True if single frames are targets: imputing them to the end would make the motion jump.
     of_points: bool,
     dense: KnownPositions,
     points: KnownPositions,
 }
 
-/// Positions to impute, `[batch, channels, frames]`, in metres, and where they are known.
-#[derive(Clone, Debug)]
-struct KnownPositions {
-    target: Tensor<3>,
-    mask: Tensor<3>,
-}
+/// Positions to impute in metres and their mask, `[batch, channels, frames]`.
+type KnownPositions = [Tensor<3>; 2];
 
 impl<'a> StageSteering<'a> {
-    /// Steers to the positions that `goals` ask for: a trajectory model's stage, or the only one.
+    /// Steers to the positions of `goals`: the stage of a trajectory model, or the only one.
     ///
     /// # Errors
     /// If a goal is not valid or longer than the motion.
@@ -84,10 +77,7 @@ impl<'a> StageSteering<'a> {
         model: StageModel<'a>,
     ) -> Result<Self, Error> {
         let loss = GuidanceLoss::new(&config.guidance, goals, model.frames)?;
-        let known = |phase| {
-            let targets = goals.iter().filter_map(|goal| goal.targets(phase));
-            KnownPositions::new(targets, model)
-        };
+        let known = |phase| model.known(goals.iter().filter_map(|goal| goal.targets(phase)));
         Ok(Self {
             config,
             scale: config.scale,
@@ -109,7 +99,7 @@ impl<'a> StageSteering<'a> {
     /// As [`of_goals`](Self::of_goals).
     ///
     /// # Panics
-    /// Panics if there is not one path of at most the model's frames for each goal.
+    /// Unless each goal has one path of at most the model's frames.
     pub fn along(
         config: &'a SteeringConfig,
         goals: &[Goal],
@@ -117,10 +107,9 @@ impl<'a> StageSteering<'a> {
         model: StageModel<'a>,
     ) -> Result<Self, Error> {
         let loss = GuidanceLoss::along(&config.guidance, goals, paths, model.frames)?;
-        let targets = paths
-            .iter()
-            .map(|path| GroundTargets::trajectory(path, 0, path.len()));
-        let known = KnownPositions::new(targets, model);
+        let targets = paths.iter();
+        let targets = targets.map(|path| GroundTargets::trajectory(path, 0, path.len()));
+        let known = model.known(targets);
         Ok(Self {
             config,
             scale: match config.second_stage_guidance {
@@ -159,31 +148,26 @@ impl<'a> StageSteering<'a> {
                 scale: self.scale,
                 max_shift: self.config.max_shift,
             }),
-            imputation: known.map(|known| Imputation {
+            imputation: known.cloned().map(|[target, mask]| Imputation {
                 space: self.objective.space,
-                target: known.target.clone(),
-                mask: known.mask.clone(),
+                target,
+                mask,
             }),
         }
     }
 }
 
-impl KnownPositions {
-    fn new(targets: impl Iterator<Item = GroundTargets>, model: StageModel<'_>) -> Self {
-        let StageModel {
+impl StageModel<'_> {
+    fn known(self, targets: impl Iterator<Item = GroundTargets>) -> KnownPositions {
+        let Self {
             channels, frames, ..
-        } = model;
-        let (targets, masks): (Vec<_>, Vec<_>) = targets
-            .map(|targets| targets.in_channels(channels, frames).into())
-            .unzip();
-        let tensor = |values: Vec<Vec<f32>>| {
+        } = self;
+        let targets = targets.map(|targets| targets.in_channels(channels, frames).into());
+        let (targets, masks): (Vec<_>, Vec<_>) = targets.unzip();
+        [targets, masks].map(|values: Vec<Vec<f32>>| {
             let data = TensorData::new(values.concat(), [values.len(), channels, frames]);
-            Tensor::from_data(data, model.device)
-        };
-        Self {
-            target: tensor(targets),
-            mask: tensor(masks),
-        }
+            Tensor::from_data(data, self.device)
+        })
     }
 }
 

@@ -3,11 +3,10 @@
 use kinegrad_diffusion::SamplerConfig;
 use kinegrad_motion::goal::{GuidanceConfig, GuidanceSchedule};
 use kinegrad_settings::{ABOVE_ZERO, InvalidSetting, Refused, in_range};
+use kinegrad_train::config::PLAIN;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, to_value};
-
-use kinegrad_train::config::PLAIN;
 
 /// The padding of a clip that is shorter than the sampled length.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -70,15 +69,12 @@ impl Default for SteeringConfig {
 impl SteeringConfig {
     /// The sampler of the first of two stages, where `sampler` is that of the second.
     pub fn first_stage(&self, sampler: &SamplerConfig) -> SamplerConfig {
-        SamplerConfig {
-            num_inference_steps: self
-                .first_stage_steps
-                .unwrap_or(sampler.num_inference_steps),
-            guidance_scale: self
-                .first_stage_guidance_scale
-                .unwrap_or(sampler.guidance_scale),
-            ..sampler.clone()
-        }
+        let mut first = sampler.clone();
+        let scale = &mut first.guidance_scale;
+        *scale = self.first_stage_guidance_scale.unwrap_or(*scale);
+        let steps = &mut first.num_inference_steps;
+        *steps = self.first_stage_steps.unwrap_or(*steps);
+        first
     }
 
     /// The padding and the other settings, for a record.
@@ -88,8 +84,6 @@ impl SteeringConfig {
         (padding.expect("a key"), rest)
     }
 
-    /// Validates the settings.
-    ///
     /// # Errors
     /// Names the first key with a bad value.
     pub fn validate(&self) -> Result<(), InvalidSetting> {

@@ -1,21 +1,18 @@
 //! Runs on clips of joint features: recipes `gmd_motion` and `gmd_trajectory`.
 
-use crate::network::TextDenoiser;
 use kinegrad_diffusion::GaussianDiffusion;
 use kinegrad_motion::Statistics;
-use kinegrad_motion::emphasis::EmphasisProjection;
-
-use super::load::{channels_of, model_in_space, started, text_input};
-use super::recipes::{JointMotion, clip_recipe};
-use super::{Gmd, GmdConfig};
-use kinegrad_train::Error;
-use kinegrad_train::Observer;
 use kinegrad_train::clips::captions::with_captions;
 use kinegrad_train::clips::training;
 use kinegrad_train::config::Config;
 use kinegrad_train::run::{Outcome, RunContext};
+use kinegrad_train::{Error, Observer};
 
-/// The loss of the joints that `own` asks for, in the space of `model`.
+use super::load::{channels_of, model_in_space, projection_of, started, text_input};
+use super::recipes::{JointMotion, clip_recipe};
+use super::{Gmd, GmdConfig};
+use crate::network::TextDenoiser;
+
 fn joint_motion(
     own: &GmdConfig,
     config: &Config,
@@ -23,16 +20,10 @@ fn joint_motion(
     statistics: &Statistics,
 ) -> Result<Option<JointMotion>, Error> {
     let channels = statistics.channels();
-    let projection = model.projection().map(|projection| {
-        let matrix = projection.to_host();
-        EmphasisProjection::from_matrix(
-            &matrix,
-            channels,
-            own.emphasis.scale,
-            &own.emphasis.channels,
-        )
-    });
-    let projection = projection.transpose()?;
+    let projection = model
+        .projection()
+        .map(|projection| projection_of(&own.emphasis, &projection.to_host(), channels))
+        .transpose()?;
     let skeleton = config.data.humanml3d.skeleton.skeleton();
     let projection = projection.as_ref();
     Ok(JointMotion::new(
@@ -40,7 +31,6 @@ fn joint_motion(
     ))
 }
 
-/// Trains according to the context's config.
 pub(super) fn train(context: RunContext, observer: &mut dyn Observer) -> Result<Outcome, Error> {
     let mut own = context.config.own::<GmdConfig>().clone();
     let mut context = context.with_gradients(own.model.activation_checkpointing);

@@ -2,18 +2,17 @@
 
 use std::path::PathBuf;
 
-use crate::network::TextMotionSizes;
 use kinegrad_motion::humanml::Root;
 use kinegrad_settings::{ABOVE_ZERO, in_range, require};
+use kinegrad_train::Error;
+use kinegrad_train::clips::settings::must_be_of_clips;
+use kinegrad_train::config::{Config, ModelTable, NetworkKind, SystemTables};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::RECIPE;
-use kinegrad_train::Error;
-use kinegrad_train::clips::settings::must_be_of_clips;
-use kinegrad_train::config::{Config, ModelTable, NetworkKind, SystemTables};
+use crate::network::TextMotionSizes;
 
-/// Values of the common tables.
 pub(super) const DEFAULTS: &str = r#"
 [data]
 kind = "humanml3d"
@@ -95,7 +94,6 @@ pub struct TextMotionLossConfig {
 }
 
 impl Default for TextMotionLossConfig {
-    /// The published margin.
     fn default() -> Self {
         Self { margin: 10.0 }
     }
@@ -105,10 +103,6 @@ impl SystemTables for TextMotionTables {
     const NETWORKS: &'static [NetworkKind] = &[NetworkKind::of::<TextMotionSizes>()];
 }
 
-/// Validates the tables of this system.
-///
-/// # Errors
-/// For the first invalid value; the error names the key.
 pub(super) fn validate(config: &Config) -> Result<(), Error> {
     let own: &TextMotionTables = config.own();
     let data = &config.data;
@@ -116,19 +110,12 @@ pub(super) fn validate(config: &Config) -> Result<(), Error> {
     in_range("words.width", own.words.width, 1..=4096)?;
     in_range("loss.margin", own.loss.margin, ABOVE_ZERO)?;
     must_be_of_clips(config)?;
-    require(
-        data.humanml3d.root == Root::Relative,
-        "data.humanml3d.root",
-        "\"absolute\"",
-        format!("\"relative\" for recipe `{RECIPE}`, whose embeddings do not depend on the place"),
-    )?;
-    let longest = "8 or more: two movements";
-    require(
-        data.target_frames >= 8,
-        "data.target_frames",
-        data.target_frames,
-        longest,
-    )?;
+    let is_relative = data.humanml3d.root == Root::Relative;
+    let allowed =
+        format!("\"relative\" for recipe `{RECIPE}`, whose embeddings do not depend on the place");
+    require(is_relative, "data.humanml3d.root", "\"absolute\"", allowed)?;
+    let (key, frames) = ("data.target_frames", data.target_frames);
+    require(frames >= 8, key, frames, "8 or more: two movements")?;
     let sampling = &config.sampling;
     for (key, count) in [
         ("sampling.count_at_end", sampling.count_at_end as u64),

@@ -3,20 +3,16 @@
 use std::sync::Arc;
 
 use kinegrad_data::humanml::{Clip, labels_of};
-use serde_json::json;
-
-use super::TextMotion;
-use kinegrad_train::Error;
-use kinegrad_train::TrainedModel;
 use kinegrad_train::clips::evaluator::TextMotionEvaluator as _;
 use kinegrad_train::evaluation::{
     Evaluation, EvaluationRequest, Group, Results, clips_with_held_out,
 };
+use kinegrad_train::{Error, TrainedModel};
+use serde_json::json;
+
+use super::TextMotion;
 
 /// An evaluation of the encoders on the held-out clips themselves.
-///
-/// # Errors
-/// If nothing is held out, or a clip or the labels cannot be read.
 pub(super) fn prepare<'a>(
     trained: &'a TrainedModel,
     request: &EvaluationRequest,
@@ -35,10 +31,8 @@ pub(super) fn prepare<'a>(
         measure: Box::new(move |_| {
             let evaluator = TextMotion::of_run(&trained.saved, trained.weights, &trained.device)?;
             let clips: Vec<&Clip> = held_out.iter().map(Arc::as_ref).collect();
-            let cut = clips.iter().map(|clip| {
-                let length = clip.features.frames().min(frames);
-                clip.features.slice(0..length)
-            });
+            let features = clips.iter().map(|clip| &clip.features);
+            let cut = features.map(|features| features.slice(0..features.frames().min(frames)));
             let real: Vec<_> = cut.collect();
             let report = evaluator.reports(&real, &real, &clips, &labels, seed)?.real;
             let count = |count: usize| [Some(count as u64); 2];

@@ -1,25 +1,24 @@
 //! A text-motion evaluator: of published files or of a run, and the embeddings of clips and
 //! captions.
 
-use crate::network::{PARTS, TextMotionConfig, TextMotionEncoders, UNIT_FRAMES};
 use burn::tensor::{Device, Int, Tensor, TensorData};
 use kinegrad_data::humanml::read_word_vectors;
 use kinegrad_models::Initializer;
 use kinegrad_motion::Statistics;
 use kinegrad_motion::humanml::{FeatureError, FeatureLayout, Features, Root};
 use kinegrad_motion::metrics::text_motion::{MAX_WORDS, Token, WordVectors};
-
-use super::TextMotionTables;
-use super::load::{encoders, word_vectors};
 use kinegrad_train::Error;
 use kinegrad_train::checkpoint::{SavedCheckpoint, Weights};
 use kinegrad_train::clips::evaluator::{EvaluatorFiles, TextMotionEvaluator};
 use kinegrad_train::published::{load, mean_and_deviation, read_tensors};
 
+use super::TextMotionTables;
+use super::load::{encoders, word_vectors};
+use crate::network::{PARTS, TextMotionConfig, TextMotionEncoders, UNIT_FRAMES};
+
 /// Frames that the published evaluator is trained with.
 const PUBLISHED_FRAMES: usize = 196;
 
-/// Batch size of encoding.
 const GROUP: usize = 32;
 
 /// The evaluator, ready to use.
@@ -27,20 +26,16 @@ pub struct TextMotion {
     encoders: TextMotionEncoders,
     statistics: Statistics,
     words: WordVectors,
-    /// A shorter clip is followed by frames of zeros, after normalisation, up to this many: those
-    /// of training.
+    /// Shorter clips are padded to the frames of training, with zeros after normalisation.
     padded_frames: usize,
     device: Device,
 }
 
 impl TextMotion {
-    /// Reads the evaluator onto `device`, which is to have no gradients. Its files are the weights
-    /// as published, `.npy` files of the mean and deviation that it normalises by, of the relative
-    /// root, and the word vectors as safetensors (docs/dataset.md).
+    /// Reads the published evaluator onto `device`, which has no gradients.
     ///
     /// # Errors
-    /// If a file cannot be read, or its contents do not fit; all differences of the weights are
-    /// listed.
+    /// If a file cannot be read, or its contents do not fit.
     pub fn read(files: &EvaluatorFiles, device: &Device) -> Result<Self, Error> {
         let mut tensors = read_tensors(&files.weights)?;
         tensors.retain(|name, _| PARTS.iter().any(|part| name.starts_with(part)));
@@ -53,7 +48,7 @@ impl TextMotion {
         Self::new(encoders, statistics, words, PUBLISHED_FRAMES, device)
     }
 
-    /// The evaluator of a checkpoint of recipe `text_motion`, its config read.
+    /// The evaluator of a checkpoint of recipe `text_motion`.
     ///
     /// # Errors
     /// If the checkpoint is damaged, or its word vectors cannot be read.
@@ -64,20 +59,19 @@ impl TextMotion {
     ) -> Result<Self, Error> {
         let state = &saved.state;
         let words = word_vectors(&state.config.own::<TextMotionTables>().words)?;
-        let fresh = encoders(&state.config, words.width(), device)?;
+        let fresh = encoders(&state.config, words.width(), device);
         let encoders = saved.load(fresh, weights)?;
         let statistics = state.clip_statistics()?.clone();
         let padded_frames = state.config.data.target_frames;
         Self::new(encoders, statistics, words, padded_frames, device)
     }
 
-    /// The evaluator of these parts, the encoders on `device`. `statistics` are the mean and
-    /// deviation that they were trained with, for features with relative root, and
-    /// `padded_frames` the frames.
+    /// The evaluator of these parts, the encoders on `device`; statistics and frames are those of
+    /// their training, with relative root.
     ///
     /// # Errors
-    /// [`Error::Usage`] where the parts do not fit each other; [`Error::Features`] for
-    /// statistics of the absolute root.
+    /// [`Error::Usage`] for parts that do not fit each other; [`Error::Features`] for statistics of
+    /// the absolute root.
     pub fn new(
         encoders: TextMotionEncoders,
         statistics: Statistics,
@@ -91,15 +85,16 @@ impl TextMotion {
         }
         let layout = FeatureLayout::of_channels(statistics.channels())?;
         let frame = layout.contacts().start;
-        let (of_frame, of_word) = (encoders.config().channels, encoders.config().word_vector);
+        let (word, config) = (words.width(), encoders.config());
+        let (frames, sentences) = ("movement_encoder", "text_encoder");
         for (what, found, reader, expected) in [
             (
                 "a frame without contact flags",
                 frame,
-                "movement_encoder",
-                of_frame,
+                frames,
+                config.channels,
             ),
-            ("a word vector", words.width(), "text_encoder", of_word),
+            ("a word vector", word, sentences, config.word_vector),
         ] {
             if found != expected {
                 return Err(Error::usage(
@@ -122,11 +117,8 @@ impl TextMotion {
 impl TextMotionEvaluator for TextMotion {
     fn must_take(&self, layout: FeatureLayout) -> Result<(), Error> {
         let (expected, found) = (self.statistics.channels(), layout.channels());
-        Ok(FeatureError::unless_equal(
-            "channels of a frame",
-            expected,
-            found,
-        )?)
+        FeatureError::unless_equal("channels of a frame", expected, found)?;
+        Ok(())
     }
 
     fn motion_embeddings(&self, clips: &[&Features]) -> Result<Vec<Vec<f64>>, Error> {
@@ -134,13 +126,11 @@ impl TextMotionEvaluator for TextMotion {
         for (clip, features) in clips.iter().enumerate() {
             let found = features.frames();
             if found < UNIT_FRAMES {
-                return Err(Error::usage(
-                    format!(
-                        "clip {clip} (counted from 0) has {found} frames, at least {UNIT_FRAMES} \
-                         needed"
-                    ),
-                    "leave out such clips; the published evaluation uses 40 frames or more",
-                ));
+                let message = format!(
+                    "clip {clip} (counted from 0) has {found} frames, at least {UNIT_FRAMES} needed"
+                );
+                let hint = "leave out such clips; the published evaluation uses 40 frames or more";
+                return Err(Error::usage(message, hint));
             }
             self.must_take(features.layout())?;
             normalized.push(self.statistics.normalize(features.to_relative().as_slice()));
@@ -167,27 +157,23 @@ impl TextMotionEvaluator for TextMotion {
         let sentences = captions.iter().map(|tokens| self.words.sentence(tokens));
         let sentences: Vec<_> = sentences.collect();
         let lengths: Vec<usize> = sentences.iter().map(Vec::len).collect();
-        let width = self.words.width();
-        in_groups(
-            &lengths,
-            |_| MAX_WORDS + 2,
-            |group, lengths, padded| {
-                let (mut vectors, mut classes) = (Vec::new(), Vec::new());
-                for (row, &caption) in group.iter().enumerate() {
-                    for (vector, class) in &sentences[caption] {
-                        vectors.extend_from_slice(vector);
-                        classes.push(*class as i32);
-                    }
-                    vectors.resize((row + 1) * padded * width, 0.0);
-                    classes.resize((row + 1) * padded, 0);
+        let (width, padded) = (self.words.width(), |_| MAX_WORDS + 2);
+        in_groups(&lengths, padded, |group, lengths, padded| {
+            let (mut vectors, mut classes) = (Vec::new(), Vec::new());
+            for (row, &caption) in group.iter().enumerate() {
+                for (vector, class) in &sentences[caption] {
+                    vectors.extend_from_slice(vector);
+                    classes.push(*class as i32);
                 }
-                let vectors = TensorData::new(vectors, [group.len(), padded, width]);
-                let classes = TensorData::new(classes, [group.len(), padded]);
-                let classes = Tensor::<2, Int>::from_data(classes, &self.device);
-                let vectors = Tensor::from_data(vectors, &self.device);
-                self.encoders.texts(vectors, classes, lengths)
-            },
-        )
+                vectors.resize((row + 1) * padded * width, 0.0);
+                classes.resize((row + 1) * padded, 0);
+            }
+            let vectors = TensorData::new(vectors, [group.len(), padded, width]);
+            let classes = TensorData::new(classes, [group.len(), padded]);
+            let classes = Tensor::<2, Int>::from_data(classes, &self.device);
+            let vectors = Tensor::from_data(vectors, &self.device);
+            self.encoders.texts(vectors, classes, lengths)
+        })
     }
 }
 

@@ -1,44 +1,35 @@
 //! Text-motion evaluators: encoders of clips and captions whose embeddings are close if the caption
 //! describes the clip (docs/sources.md, section 4.12).
 //!
-//! Recipe `text_motion` trains them on a dataset of clips, so that models of the same clips can be
-//! measured where no published evaluator fits. [`TextMotion`] is one ready to use, of such a run or
-//! of published weights.
+//! Recipe `text_motion` trains them on a dataset of clips for which there is no published evaluator.
+//! [`TextMotion`] is an evaluator of such a run or of published weights.
 
 mod config;
 mod evaluate;
 mod evaluator;
 mod load;
 pub mod network;
-pub mod recipe;
+mod recipe;
 mod train;
 
 use std::rc::Rc;
 
 use burn::tensor::Device;
-use kinegrad_motion::Representation;
 use kinegrad_settings::Key;
 use toml::Table;
 
 pub use config::{TextMotionLossConfig, TextMotionNetwork, TextMotionTables, WordsConfig};
 pub use evaluator::TextMotion;
 
-use kinegrad_train::Error;
-use kinegrad_train::Observer;
-use kinegrad_train::ParameterCount;
-use kinegrad_train::RecipeInfo;
-use kinegrad_train::System;
-use kinegrad_train::TrainedModel;
 use kinegrad_train::checkpoint::Weights;
 use kinegrad_train::clips::evaluator::{EvaluatorSource, TextMotionEvaluator};
 use kinegrad_train::config::{Config, ConfigError, OwnTables, Place, SystemTables};
 use kinegrad_train::evaluation::{Evaluation, EvaluationRequest};
 use kinegrad_train::memory::Footprint;
 use kinegrad_train::run::{Outcome, RunContext};
-use kinegrad_train::sampling::{Request, SampleSink, Sampler};
+use kinegrad_train::{Error, Observer, ParameterCount, RecipeInfo, System, TrainedModel};
 
-/// Name of the recipe.
-pub(crate) const RECIPE: &str = "text_motion";
+const RECIPE: &str = "text_motion";
 
 const RECIPES: [RecipeInfo; 1] = [RecipeInfo {
     name: RECIPE,
@@ -57,11 +48,6 @@ impl System for TextMotionSystem {
         &RECIPES
     }
 
-    /// None of its own: its clips are those of the systems that generate them.
-    fn representations(&self) -> Vec<Box<dyn Representation>> {
-        Vec::new()
-    }
-
     fn defaults(&self, _: &RecipeInfo, _: &Table) -> Table {
         config::DEFAULTS.parse().expect("text of a program")
     }
@@ -75,31 +61,17 @@ impl System for TextMotionSystem {
     }
 
     fn validate(&self, config: &Config) -> Result<Vec<String>, Error> {
-        config::validate(config)?;
-        Ok(Vec::new())
+        config::validate(config).map(|()| Vec::new())
     }
 
     fn parameters(&self, config: &Config) -> Result<ParameterCount, Error> {
         let words = load::word_vectors(&config.own::<TextMotionTables>().words)?;
-        let encoders = load::encoders(config, words.width(), &Device::flex())?;
+        let encoders = load::encoders(config, words.width(), &Device::flex());
         Ok(ParameterCount::trained(&encoders))
     }
 
     fn footprint(&self, config: &Config) -> Result<Footprint, Error> {
         load::footprint(config)
-    }
-
-    fn accepts(&self, _: &str) -> &'static [&'static str] {
-        &[]
-    }
-
-    fn sampler<'a>(
-        &self,
-        _: &'a TrainedModel,
-        _: &'a Request,
-        _: &mut dyn SampleSink,
-    ) -> Result<Box<dyn Sampler + 'a>, Error> {
-        unreachable!("a recipe that accepts no conditions is not sampled")
     }
 
     fn text_motion_evaluator(

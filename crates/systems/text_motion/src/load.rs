@@ -1,15 +1,15 @@
 //! The encoders of a config, and the vectors of its words.
 
-use crate::network::{TextMotionConfig, TextMotionEncoders};
 use burn::tensor::Device;
 use kinegrad_data::humanml::read_word_vectors;
 use kinegrad_models::Initializer;
 use kinegrad_motion::metrics::text_motion::{MAX_WORDS, WordVectors};
-
-use super::{TextMotionTables, WordsConfig};
 use kinegrad_train::Error;
 use kinegrad_train::config::Config;
 use kinegrad_train::memory::Footprint;
+
+use super::{TextMotionTables, WordsConfig};
+use crate::network::{TextMotionConfig, TextMotionEncoders};
 
 /// Channels of a frame that the encoders read: all but the contact flags.
 pub(super) fn channels(config: &Config) -> usize {
@@ -17,10 +17,6 @@ pub(super) fn channels(config: &Config) -> usize {
     skeleton.layout().contacts().start
 }
 
-/// The word vectors of a config.
-///
-/// # Errors
-/// If there is a file that cannot be read.
 pub(super) fn word_vectors(words: &WordsConfig) -> Result<WordVectors, Error> {
     Ok(match words.vectors.as_os_str().is_empty() {
         true => WordVectors::random(words.width),
@@ -29,33 +25,28 @@ pub(super) fn word_vectors(words: &WordsConfig) -> Result<WordVectors, Error> {
 }
 
 /// The sizes of the encoders for word vectors of `width`.
-pub(super) fn sizes(config: &Config, width: usize) -> Result<TextMotionConfig, Error> {
-    let own: &TextMotionTables = config.own();
-    Ok(own.model.network.sizes().config(channels(config), width))
+fn sizes(config: &Config, width: usize) -> TextMotionConfig {
+    TextMotionConfig {
+        channels: channels(config),
+        word_vector: width,
+        sizes: *config.own::<TextMotionTables>().model.network.sizes(),
+    }
 }
 
-/// The encoders with fresh weights.
-pub(super) fn encoders(
-    config: &Config,
-    width: usize,
-    device: &Device,
-) -> Result<TextMotionEncoders, Error> {
-    let init = Initializer::new(config.run.seed, device);
-    Ok(sizes(config, width)?.init(&init))
+pub(super) fn encoders(config: &Config, width: usize, device: &Device) -> TextMotionEncoders {
+    sizes(config, width).init(&Initializer::new(config.run.seed, device))
 }
 
-/// The training memory.
-///
-/// # Errors
-/// If the word vectors cannot be read, whose width counts.
 pub(super) fn footprint(config: &Config) -> Result<Footprint, Error> {
     let width = word_vectors(&config.own::<TextMotionTables>().words)?.width();
-    let sizes = sizes(config, width)?;
+    let TextMotionConfig {
+        channels, sizes, ..
+    } = sizes(config, width);
     let (frames, words) = (config.data.target_frames, MAX_WORDS + 2);
     let motion =
         frames * (2 * sizes.convolution) + frames / 4 * (sizes.movement + 8 * sizes.motion_state);
     let text = words * (2 * width + 8 * sizes.text_state);
-    let item = sizes.channels * frames + (width + 1) * words;
-    let encoders = encoders(config, width, &Device::flex())?;
+    let item = channels * frames + (width + 1) * words;
+    let encoders = encoders(config, width, &Device::flex());
     Ok(Footprint::of(&encoders, (motion + text) as u64, item))
 }

@@ -6,41 +6,34 @@
 //! ```
 //!
 //! d is the Euclidean distance of the embeddings of a caption and a motion. The published program
-//! (Guo et al. 2022, section 5) takes one other motion per caption; here all pairs of the batch are
-//! used, and a caption is a positive for all clips with the captions of its own clip or the same
-//! sentence. The movement encoder is trained jointly, not first.
+//! (Guo et al. 2022, section 5) uses one other motion per caption and trains the movement encoder
+//! first; here all pairs of the batch are used, and a caption belongs to all clips with the captions of
+//! its clip or the same sentence.
 
-use crate::network::TextMotionEncoders;
 use burn::tensor::{Device, Int, Tensor, TensorData};
 use kinegrad_data::{Batch, CAPTIONS, Condition, WORDS};
-
 use kinegrad_train::denoising::HeldOut;
 use kinegrad_train::{Loss, Measured, Recipe, StepKey};
 
-/// So that the distance of equal embeddings has a gradient.
+use crate::network::TextMotionEncoders;
+
+/// Gives the distance of equal embeddings a gradient.
 const EPSILON: f64 = 1e-6;
 
 /// Trains [`TextMotionEncoders`].
-pub struct ContrastiveRecipe {
-    margin: f64,
-    held_out: HeldOut,
+pub(super) struct ContrastiveRecipe {
+    pub margin: f64,
+    pub held_out: HeldOut,
 }
 
 impl ContrastiveRecipe {
-    /// A recipe whose captions keep a distance of `margin` from the motions of others, validated on
-    /// `held_out`.
-    pub fn new(margin: f64, held_out: HeldOut) -> Self {
-        Self { margin, held_out }
-    }
-
     fn terms(
         &self,
         model: &TextMotionEncoders,
         batch: &Batch,
         device: &Device,
     ) -> [(&'static str, Tensor<1>); 2] {
-        let captions = Captions::of(batch);
-        let texts = captions.encode(model, device);
+        let texts = texts(model, batch, device);
         let frames = [batch.batch_size, batch.channels, batch.frames];
         let frames = Tensor::from_data(TensorData::new(batch.x_start.clone(), frames), device);
         let lengths = batch.mask.chunks(batch.frames);
@@ -77,48 +70,22 @@ fn contrast(
     ]
 }
 
-/// The captions of a batch.
-struct Captions {
-    /// `[batch, words, width]`.
-    vectors: Vec<f32>,
-    /// `[batch, words]`.
-    classes: Vec<i32>,
-    /// Words of each.
-    lengths: Vec<usize>,
-    words: usize,
-    width: usize,
-}
-
-impl Captions {
-    fn of(batch: &Batch) -> Self {
-        let condition = condition(batch, WORDS);
-        let (words, width) = (condition.frames, condition.channels - 1);
-        let (mut vectors, mut classes) = (Vec::new(), Vec::new());
-        let mut lengths = Vec::with_capacity(batch.batch_size);
-        for rows in condition.values.chunks(condition.channels * words) {
-            let (of_channels, of_classes) = rows.split_at(width * words);
-            for word in 0..words {
-                vectors.extend((0..width).map(|channel| of_channels[channel * words + word]));
-                classes.push((of_classes[word] as i32 - 1).max(0));
-            }
-            lengths.push(of_classes.iter().filter(|&&class| class > 0.0).count());
+fn texts(model: &TextMotionEncoders, batch: &Batch, device: &Device) -> Tensor<2> {
+    let condition = condition(batch, WORDS);
+    let (words, width) = (condition.frames, condition.channels - 1);
+    let (mut vectors, mut classes, mut lengths) = (Vec::new(), Vec::new(), Vec::new());
+    for rows in condition.values.chunks(condition.channels * words) {
+        let (of_channels, of_classes) = rows.split_at(width * words);
+        for word in 0..words {
+            vectors.extend((0..width).map(|channel| of_channels[channel * words + word]));
+            classes.push((of_classes[word] as i32 - 1).max(0));
         }
-        Self {
-            vectors,
-            classes,
-            lengths,
-            words,
-            width,
-        }
+        lengths.push(of_classes.iter().filter(|&&class| class > 0.0).count());
     }
-
-    fn encode(&self, model: &TextMotionEncoders, device: &Device) -> Tensor<2> {
-        let batch = self.lengths.len();
-        let vectors = TensorData::new(self.vectors.clone(), [batch, self.words, self.width]);
-        let classes = TensorData::new(self.classes.clone(), [batch, self.words]);
-        let classes = Tensor::<2, Int>::from_data(classes, device);
-        model.texts(Tensor::from_data(vectors, device), classes, &self.lengths)
-    }
+    let vectors = TensorData::new(vectors, [lengths.len(), words, width]);
+    let classes = TensorData::new(classes, [lengths.len(), words]);
+    let classes = Tensor::<2, Int>::from_data(classes, device);
+    model.texts(Tensor::from_data(vectors, device), classes, &lengths)
 }
 
 /// For each pair, true if its clips have the same captions, or the same sentence of them.

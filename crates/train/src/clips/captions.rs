@@ -6,7 +6,7 @@ use std::sync::Arc;
 use crate::error::Error;
 use crate::observer::Observer;
 use crate::run::RunContext;
-use crate::sampling::Condition;
+use crate::sampling::{Condition, Request};
 use crate::text_encoder::TextEncoder;
 use burn::tensor::Device;
 use kinegrad_data::humanml::{
@@ -138,6 +138,15 @@ impl TextInput {
             None => Err(unknown(caption, labels.captions())),
         }
     }
+
+    /// The condition for `text`, or zeros.
+    ///
+    /// # Errors
+    /// As [`values`](Self::values).
+    pub fn values_or_zeros(&self, text: Option<&ClipText>) -> Result<Vec<f32>, Error> {
+        let values = text.map(|text| self.values(text)).transpose()?.flatten();
+        Ok(values.unwrap_or_else(|| vec![0.0; self.channels()]))
+    }
 }
 
 /// Rejects clips whose captions a model with this `input` does not know.
@@ -182,27 +191,28 @@ fn listed(captions: &[String]) -> String {
     text
 }
 
-/// The text of a text condition, in the form that models with these `inputs` support.
+/// The text of a request, in the form that models with these `inputs` support.
 ///
 /// # Errors
 /// [`Error::Usage`] for a text that one of them does not know, and for a missing or superfluous
 /// encoder; if a file cannot be read.
 pub fn text_of(
-    condition: &Condition,
+    request: &Request,
     inputs: &[TextInput],
     device: &Device,
 ) -> Result<Option<ClipText>, Error> {
     let mut text = ClipText::default();
+    let condition = request.text_conditions().next();
     let mut encoder = None;
-    match condition {
-        Condition::Text {
+    match &condition {
+        Some(Condition::Text {
             text: caption,
             text_encoder,
-        } => {
+        }) => {
             text.caption = Some(caption.clone());
             encoder = text_encoder.as_deref();
         }
-        Condition::TextEmbedding(embedding) => text.embedding = Some(read_embedding(embedding)?),
+        Some(Condition::TextEmbedding(file)) => text.embedding = Some(read_embedding(file)?),
         _ => return Ok(None),
     }
     for input in inputs {

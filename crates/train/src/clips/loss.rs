@@ -1,8 +1,12 @@
 //! The squared error of clips of several lengths.
 
 use burn::tensor::{Tensor, TensorData};
-use kinegrad_diffusion::LossType;
 use kinegrad_diffusion::loss::elementwise;
+use kinegrad_diffusion::{GaussianDiffusion, LossType, Time};
+use kinegrad_models::DropoutKey;
+
+use crate::denoising::{Conditions, Inputs, RandomInputs, denoising_loss};
+use crate::recipe::Loss;
 
 /// The mean over the batch of the error of a network's output:
 ///
@@ -54,4 +58,24 @@ pub fn weighted_masked_loss(
         None => samples,
     };
     samples.sum() / batch as f64
+}
+
+/// The loss of a batch of clips: that of [`denoising_loss`], with the distance of
+/// [`weighted_masked_loss`] and, if `weighted`, the weights of `diffusion.snr_gamma`.
+pub fn clip_loss(
+    diffusion: &GaussianDiffusion,
+    inputs: Inputs,
+    draws: RandomInputs,
+    channel_weights: &[f64],
+    velocity: f64,
+    weighted: bool,
+    network: impl FnOnce(Tensor<3>, &[Time], &Conditions, DropoutKey) -> Tensor<3>,
+) -> Loss {
+    let kind = diffusion.config.loss_type;
+    let weighted = weighted && diffusion.config.snr_gamma.is_some();
+    let weights = weighted.then(|| diffusion.loss_weights(&draws.timesteps));
+    denoising_loss(diffusion, inputs, draws, network, |output, target, mask| {
+        let (each, weights) = (channel_weights, weights.as_deref());
+        weighted_masked_loss(output, target, mask, each, velocity, weights, kind)
+    })
 }

@@ -12,7 +12,7 @@ mod text_plan;
 pub mod training;
 
 pub use goals::read_goal;
-pub use loss::weighted_masked_loss;
+pub use loss::{clip_loss, weighted_masked_loss};
 pub use path_target::{Followed, PathTarget};
 pub use space::FeatureSpace;
 pub use text_plan::TimedPrompt;

@@ -223,6 +223,13 @@ pub enum Fastest {
 }
 
 impl Fastest {
+    /// The speed of the root in features of `skeleton`.
+    pub fn of_clips(statistics: &Statistics, skeleton: &Skeleton) -> Self {
+        // Displacements of joint 0 in the facing frame, metres per frame.
+        let first = skeleton.layout().velocities().start;
+        Self::of(statistics, first, skeleton.description().fps)
+    }
+
     /// The speed from velocity channels starting at `first`, times `scale`.
     pub fn of(statistics: &Statistics, first: usize, scale: f64) -> Self {
         let most = |of: &dyn Fn(usize) -> f64| of(first).max(of(first + 2)) * scale;

@@ -1,10 +1,14 @@
 //! Conversion between the network's feature space and metres.
 
 use burn::tensor::{Device, Tensor, TensorData};
+use kinegrad_data::humanml::Humanml3dConfig;
 use kinegrad_diffusion::Space;
 use kinegrad_kernels::float32_product;
 use kinegrad_motion::emphasis::EmphasisProjection;
 use kinegrad_motion::goal::GROUND_X;
+use kinegrad_motion::humanml::Features;
+
+use crate::error::Error;
 
 /// The linear map from the network's channels to some centred channels of motion: `[rows,
 /// channels]`. It inverts `projection` and normalisation by `std`.
@@ -85,6 +89,31 @@ impl FeatureSpace {
     pub fn ground(&self, x: Tensor<3>) -> Tensor<3> {
         let ground = self.ground.clone().squeeze_dim::<2>(0);
         float32_product(ground, x) + self.ground_mean.clone()
+    }
+
+    /// The features of motion in the network's space, `[batch, channels, time]`, of clips of `data`.
+    ///
+    /// # Errors
+    /// [`Error::SampleNotFinite`] with the `name` of the first such clip.
+    pub fn features(
+        &self,
+        x: Tensor<3>,
+        data: &Humanml3dConfig,
+        name: impl Fn(usize) -> String,
+    ) -> Result<Vec<Features>, Error> {
+        let [_, channels, frames] = x.dims();
+        let rows = self.to_motion(x).swap_dims(1, 2);
+        let values = rows.try_into_vec_as::<f32>().expect("samples are float32");
+        let (layout, root) = (data.skeleton.skeleton().layout(), data.root);
+        let clips = values.chunks(channels * frames).enumerate();
+        let features = clips.map(|(index, clip)| {
+            if !clip.iter().all(|value| value.is_finite()) {
+                let sample = name(index);
+                return Err(Error::SampleNotFinite { sample });
+            }
+            Ok(Features::new(clip.to_vec(), layout, root)?)
+        });
+        features.collect()
     }
 
     /// A gradient by ground positions as one by the network's channels.

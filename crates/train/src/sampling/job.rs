@@ -1,8 +1,9 @@
 //! Samplers: resolved requests.
 
+use kinegrad_data::humanml::Clip;
 use kinegrad_motion::path::PathReport;
 
-use super::{Condition, Generated, Names, Record, Request, Sample, SampleSink, Summary};
+use super::{Condition, Generated, Names, Record, Request, Sample, SampleSink, Summary, item_seed};
 use crate::TrainedModel;
 use crate::error::Error;
 
@@ -15,6 +16,30 @@ pub struct Job {
     pub conditions: Vec<Condition>,
     /// Frames of a sample.
     pub frames: usize,
+}
+
+impl Job {
+    /// A job for a clip of the dataset at `source`, with more conditions.
+    pub fn of_clip(
+        clip: &Clip,
+        source: Option<String>,
+        others: &[Condition],
+        frames: usize,
+    ) -> Self {
+        let id = clip.id.clone();
+        let item = Condition::Item { id, source };
+        Self {
+            name: Some(clip.id.clone()),
+            conditions: [&[item][..], others].concat(),
+            frames,
+        }
+    }
+
+    /// The seed of its noise, which depends on the item that names it.
+    pub fn seed(&self, seed: u64) -> u64 {
+        let id = self.name.as_deref();
+        id.map_or(seed, |id| item_seed(seed, id))
+    }
 }
 
 /// Memory for sampling.

@@ -38,8 +38,10 @@ pub trait System: Sync {
     /// Its recipes.
     fn recipes(&self) -> &'static [RecipeInfo];
 
-    /// The representations of motion of its models.
-    fn representations(&self) -> Vec<Box<dyn Representation>>;
+    /// The representations of motion of its models, beside those of other systems.
+    fn representations(&self) -> Vec<Box<dyn Representation>> {
+        Vec::new()
+    }
 
     /// Frames per second of the training motion of `config`.
     fn fps(&self, config: &Config) -> f64 {
@@ -155,19 +157,26 @@ pub trait System: Sync {
     /// are post-processed; empty for a recipe that does not generate motion.
     ///
     /// [`Condition::name`]: crate::sampling::Condition::name
-    fn accepts(&self, recipe: &str) -> &'static [&'static str];
+    fn accepts(&self, _recipe: &str) -> &'static [&'static str] {
+        &[]
+    }
 
     /// Resolves a request with accepted conditions: reads their files and checks that they fit the model.
     /// Notes and warnings go to `sink`.
     ///
     /// # Errors
     /// If a condition cannot be read or does not fit the model.
+    ///
+    /// # Panics
+    /// By default: a recipe that accepts no conditions is not sampled.
     fn sampler<'a>(
         &self,
-        trained: &'a TrainedModel,
-        request: &'a Request,
-        sink: &mut dyn SampleSink,
-    ) -> Result<Box<dyn Sampler + 'a>, Error>;
+        _trained: &'a TrainedModel,
+        _request: &'a Request,
+        _sink: &mut dyn SampleSink,
+    ) -> Result<Box<dyn Sampler + 'a>, Error> {
+        unreachable!("a recipe that accepts no conditions is not sampled")
+    }
 
     /// The text-motion evaluator for an evaluation of `config`.
     fn evaluator_files<'a>(&self, _config: &'a Config) -> Option<&'a EvaluatorFiles> {

@@ -3,9 +3,10 @@
 use std::fs;
 use std::path::Path;
 
-use crate::BUILT_IN;
 use kinegrad_cc_motion::CcMotion;
 use kinegrad_train::Systems;
+
+use crate::BUILT_IN;
 
 #[test]
 fn every_recipe_is_of_one_system() {

@@ -1,7 +1,8 @@
 //! Reading configs.
 
-use crate::BUILT_IN;
 use kinegrad_train::config::to_toml;
+
+use crate::BUILT_IN;
 
 fn error(text: &str, overrides: &[&str]) -> String {
     let overrides: Vec<String> = overrides.iter().map(|s| s.to_string()).collect();

@@ -1,10 +1,8 @@
-use kinegrad_settings::{InvalidSetting, Refused, in_range, require};
+use kinegrad_models::config::{MAX_LAYERS, MAX_WIDTH, must_be_even};
+use kinegrad_models::{NamedSizes, NetworkConfig};
+use kinegrad_settings::{InvalidSetting, Refused, in_range};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-
-use kinegrad_models::NamedSizes;
-use kinegrad_models::NetworkConfig;
-use kinegrad_models::config::{MAX_LAYERS, MAX_WIDTH};
 
 /// Channels of an attention head.
 pub const HEAD_CHANNELS: usize = 64;
@@ -84,30 +82,19 @@ impl BlendedConfig {
             num_heads: 1,
             ff_size: 128,
             horizon: 40,
-            dropout: 0.1,
-            path: false,
+            ..Self::flowmdm()
         }
     }
 
     /// # Errors
     /// Names the key that no network can be built from.
     pub fn validate(&self) -> Result<(), InvalidSetting> {
-        let width = self.latent_dim;
-        require(
-            (2..=MAX_WIDTH).contains(&width) && width.is_multiple_of(2),
-            "model.latent_dim",
-            width,
-            format!("an even number, 2 to {MAX_WIDTH}"),
-        )
-        .hint("the published model has 512")?;
+        must_be_even(self.latent_dim, "the published model has 512")?;
         in_range("model.num_layers", self.num_layers, 1..=MAX_LAYERS)
             .hint("the published model has 8")?;
-        in_range(
-            "model.num_heads",
-            self.num_heads,
-            1..=MAX_WIDTH / HEAD_CHANNELS,
-        )
-        .hint("the published model has 4, of 64 channels each")?;
+        let most = MAX_WIDTH / HEAD_CHANNELS;
+        in_range("model.num_heads", self.num_heads, 1..=most)
+            .hint("the published model has 4, of 64 channels each")?;
         in_range("model.ff_size", self.ff_size, 1..=MAX_WIDTH)
             .hint("the published model has 1024")?;
         in_range("model.horizon", self.horizon, 1..=MAX_HORIZON)
@@ -124,13 +111,8 @@ impl BlendedConfig {
 
     /// Numbers that the backward pass keeps of one item of `frames` frames, roughly.
     pub fn activations(&self, frames: usize) -> u64 {
-        let [width, inner, heads] = [
-            self.latent_dim,
-            self.inner_width(),
-            self.num_heads * HEAD_CHANNELS,
-        ]
-        .map(|size| size as u64);
-        let a_token = self.num_layers as u64 * (8 * width + 8 * heads + 2 * inner);
-        frames as u64 * a_token
+        let heads = self.num_heads * HEAD_CHANNELS;
+        let layer = 8 * self.latent_dim + 8 * heads + 2 * self.inner_width();
+        frames as u64 * self.num_layers as u64 * layer as u64
     }
 }

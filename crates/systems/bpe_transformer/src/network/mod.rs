@@ -11,7 +11,6 @@
 )]
 
 mod config;
-
 mod sublayers;
 mod text_segments;
 
@@ -22,23 +21,17 @@ use burn::module::{Module, Param};
 use burn::tensor::activation::silu;
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_diffusion::{Denoiser, Time};
+use kinegrad_models::layers::{Embedding, LayerNorm, Linear};
+use kinegrad_models::time_embedding::interleaved_sinusoidal;
+use kinegrad_models::{Dropout, DropoutKey, Initializer, Stages, parameters};
 use kinegrad_random::Key;
 use kinegrad_settings::InvalidSetting;
 
 pub use config::{BlendedConfig, HEAD_CHANNELS, ROTATED_CHANNELS};
+pub use sublayers::{PoseCentricAttention, Shared};
 pub use text_segments::{Segment, TextSegments};
 
-pub use sublayers::{PoseCentricAttention, Shared};
-
 use sublayers::SubLayer;
-
-use kinegrad_models::Dropout;
-use kinegrad_models::DropoutKey;
-use kinegrad_models::Initializer;
-use kinegrad_models::Stages;
-use kinegrad_models::layers::{Embedding, LayerNorm, Linear};
-use kinegrad_models::parameters;
-use kinegrad_models::time_embedding::interleaved_sinusoidal;
 
 /// Channels of a path in a frame: position x and z, metres; velocity along both, metres per second;
 /// sine and cosine of the heading; curvature, 1 / metre.
@@ -82,7 +75,7 @@ pub struct Pass<'a> {
     pub path_mask: Option<&'a Tensor<3>>,
 }
 
-/// The network. Should be created with [`BlendedConfig::init`].
+/// The network, made by [`BlendedConfig::init`].
 #[derive(Module, Debug)]
 pub struct BlendedTransformer {
     embed_captions: Option<Embedding>,
@@ -105,8 +98,7 @@ pub struct BlendedTransformer {
 }
 
 impl BlendedConfig {
-    /// Builds the network for motion of `in_channels` and texts of `text_channels`; its parameters
-    /// are initialised when they are first used.
+    /// The network for motion of `in_channels` and texts of `text_channels`.
     ///
     /// # Errors
     /// As [`validate`](Self::validate).
@@ -117,23 +109,7 @@ impl BlendedConfig {
         init: &Initializer,
     ) -> Result<BlendedTransformer, InvalidSetting> {
         self.validate()?;
-        Ok(BlendedTransformer::new(
-            self,
-            in_channels,
-            text_channels,
-            init,
-        ))
-    }
-}
-
-impl BlendedTransformer {
-    fn new(
-        config: &BlendedConfig,
-        in_channels: usize,
-        text_channels: usize,
-        init: &Initializer,
-    ) -> Self {
-        let width = config.latent_dim;
+        let width = self.latent_dim;
         let square = |init: &Initializer| Linear::new(width, width, init);
         let time = init.at("embed_timestep").at("time_embed");
         let encoder = init.at("seqTransEncoder");
@@ -142,23 +118,25 @@ impl BlendedTransformer {
         let path = init.at("embed_path");
         let last = init.at("output_process").at("poseFinal");
         let layers = attention.at("layers");
-        let sub_layer = |index: usize| SubLayer::new(index, config, &layers.at(&index.to_string()));
-        Self {
+        let sub_layer = |index: usize| SubLayer::new(index, self, &layers.at(&index.to_string()));
+        let embed_path = || {
+            let last = path.at("2");
+            let inner = Linear::new(PATH_CHANNELS, width, &path.at("0"));
+            (inner, square(&last).zeroed(&last))
+        };
+        let (embed_path_at_0, embed_path_at_2) = self.path.then(embed_path).unzip();
+        Ok(BlendedTransformer {
             embed_captions: None,
             embed_timestep_at_time_embed_at_0: square(&time.at("0")),
             embed_timestep_at_time_embed_at_2: square(&time.at("2")),
             embed_text: Linear::new(text_channels, width, &init.at("embed_text")),
             input_process_at_poseEmbedding: Linear::new(in_channels, width, &pose),
-            embed_path_at_0: config
-                .path
-                .then(|| Linear::new(PATH_CHANNELS, width, &path.at("0"))),
-            embed_path_at_2: config
-                .path
-                .then(|| square(&path.at("2")).zeroed(&path.at("2"))),
+            embed_path_at_0,
+            embed_path_at_2,
             seqTransEncoder_at_pos_emb_at_absolute_at_scale: encoder
                 .constant([1], (width as f32).sqrt().recip()),
             seqTransEncoder_at_project_in: square(&encoder.at("project_in")),
-            seqTransEncoder_at_attn_layers_at_layers: (0..2 * config.num_layers)
+            seqTransEncoder_at_attn_layers_at_layers: (0..2 * self.num_layers)
                 .map(sub_layer)
                 .collect(),
             seqTransEncoder_at_attn_layers_at_final_norm: LayerNorm::new(
@@ -167,13 +145,15 @@ impl BlendedTransformer {
             ),
             seqTransEncoder_at_project_out: square(&encoder.at("project_out")),
             output_process_at_poseFinal: Linear::new(width, in_channels, &last),
-            dropout: Dropout::new(config.dropout, 0),
-            depth: config.dropout,
-            horizon: config.horizon,
+            dropout: Dropout::new(self.dropout, 0),
+            depth: self.dropout,
+            horizon: self.horizon,
             width,
-        }
+        })
     }
+}
 
+impl BlendedTransformer {
     /// The same network with a learned embedding for each of so many captions.
     #[must_use]
     pub fn with_captions(self, captions: usize, init: &Initializer) -> Self {
@@ -189,7 +169,7 @@ impl BlendedTransformer {
     /// - texts: `[texts, text channels]`, or `[texts, captions]`; zeros stand for no text
     ///
     /// # Panics
-    /// Panics if the sizes do not fit.
+    /// If the sizes do not fit.
     pub fn forward(
         &self,
         x_t: Tensor<3>,
@@ -200,8 +180,7 @@ impl BlendedTransformer {
         self.forward_stages(x_t, time, texts, pass, &mut ())
     }
 
-    /// [`forward`](Self::forward), and what each stage gives, `[batch, width, time]`: `cond`,
-    /// `pose_embedding`, `project_in`, `absolute`, `tokens`, `layerI.branch` and `layerI.sum` of
+    /// [`forward`](Self::forward) with its stages, `[batch, width, time]`: `cond`, `pose_embedding`, `project_in`, `absolute`, `tokens`, `layerI.branch` and `layerI.sum` of
     /// sub-layer I, `final_norm`, `project_out`.
     ///
     /// # Panics
@@ -360,10 +339,8 @@ impl BlendedTransformer {
         let Some(uniforms) = dropout.filter(|_| self.depth > 0.0).map(uniforms) else {
             return vec![false; count];
         };
-        uniforms
-            .into_iter()
-            .map(|u| f64::from(u) < self.depth)
-            .collect()
+        let uniforms = uniforms.into_iter();
+        uniforms.map(|u| f64::from(u) < self.depth).collect()
     }
 }
 
@@ -397,12 +374,11 @@ impl Denoiser for Composed<'_> {
     type Cond = Tensor<3>;
 
     fn predict(&self, x_t: Tensor<3>, time: &[Time], cond: &Tensor<3>) -> Tensor<3> {
-        let is_relative = time
-            .iter()
-            .map(|time| self.switch.is_relative(time.timestep()));
+        let timesteps = time.iter().map(|time| time.timestep());
+        let is_relative: Vec<bool> = timesteps.map(|t| self.switch.is_relative(t)).collect();
         let pass = Pass {
             segments: &self.segments,
-            is_relative: &is_relative.collect::<Vec<_>>(),
+            is_relative: &is_relative,
             dropout: None,
             path: self.path.as_ref(),
             path_mask: None,

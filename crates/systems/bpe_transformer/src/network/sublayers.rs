@@ -2,11 +2,11 @@
 use burn::module::Module;
 use burn::tensor::{Int, Tensor};
 use kinegrad_kernels::{KeyRanges, concat_channels, gelu, ranged_attention};
-
-use super::config::{BlendedConfig, HEAD_CHANNELS, ROTATED_CHANNELS};
 use kinegrad_models::Initializer;
 use kinegrad_models::layers::{LayerNorm, Linear, Unbiased};
 use kinegrad_models::rotary::Rotation;
+
+use super::config::{BlendedConfig, HEAD_CHANNELS, ROTATED_CHANNELS};
 
 /// The inputs that all sub-layers of a forward pass share.
 #[derive(Clone, Debug)]
@@ -19,11 +19,11 @@ pub struct Shared {
 }
 
 impl Shared {
+    /// `ranges` are the frames that each frame attends to, `is_relative` the mode of each motion.
+    ///
     /// # Shapes
     /// - cond: `[conditions, width]`
     /// - rows: `[batch * time]`, the row of `cond` of each frame
-    ///
-    /// `ranges` are the frames that each frame attends to, `is_relative` the mode of each motion.
     pub fn new(
         cond: Tensor<2>,
         rows: Tensor<1, Int>,
@@ -88,9 +88,8 @@ impl PoseCentricAttention {
     /// All heads: `[batch, heads * HEAD_CHANNELS, time]`.
     fn attended(&self, u: Tensor<3>, shared: &Shared) -> Tensor<3> {
         let (cond, rows) = (shared.cond.clone(), shared.rows.clone());
-        let merged = self
-            .custom_query_fn
-            .forward_frames_cond(u.clone(), cond, rows);
+        let merge = &self.custom_query_fn;
+        let merged = merge.forward_frames_cond(u.clone(), cond, rows);
         let mut queries = self.to_q.forward_frames(merged);
         let mut keys = self.to_k.forward_frames(u.clone());
         if let Some(rotation) = &shared.rotation {
@@ -102,7 +101,6 @@ impl PoseCentricAttention {
     }
 }
 
-/// Linear, GELU, linear.
 #[derive(Module, Debug)]
 pub(super) struct FeedForward {
     ff_at_0_at_0: Linear,

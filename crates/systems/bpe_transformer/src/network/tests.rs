@@ -1,9 +1,9 @@
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_diffusion::Time;
+use kinegrad_models::parameters;
 use kinegrad_random::{Key, Purpose};
 
 use super::*;
-use kinegrad_models::parameters;
 
 const CHANNELS: usize = 5;
 const FRAMES: usize = 14;

@@ -17,8 +17,8 @@ pub struct Segment {
 
 /// The texts of a batch of motions, each of which is one sequence without overlaps.
 ///
-/// The padding of a motion with a single text has that text and continues its positions; with
-/// several texts it has none. Neither changes the valid frames.
+/// The padding of a motion with a single text has that text and continues its positions; with several
+/// texts it has none. Valid frames do not depend on it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TextSegments(Arc<[Vec<Segment>]>);
 
@@ -26,7 +26,7 @@ impl TextSegments {
     /// The segments of each motion.
     ///
     /// # Panics
-    /// Panics for a motion without a segment, or a segment without a frame.
+    /// For a motion without a segment, or a segment without a frame.
     pub fn new(motions: impl IntoIterator<Item = Vec<Segment>>) -> Self {
         let motions: Arc<[Vec<Segment>]> = motions.into_iter().collect();
         let valid = |motion: &Vec<Segment>| {
@@ -36,7 +36,7 @@ impl TextSegments {
         Self(motions)
     }
 
-    /// One text for each motion, each with a row of its own, for so many frames.
+    /// One text for each motion.
     pub fn single(frames: impl IntoIterator<Item = usize>) -> Self {
         let motions = frames.into_iter().enumerate();
         Self::new(motions.map(|(text, frames)| vec![Segment { text, frames }]))
@@ -54,9 +54,8 @@ impl TextSegments {
 
     /// Valid frames of each motion.
     pub fn frames(&self) -> impl Iterator<Item = usize> {
-        self.0
-            .iter()
-            .map(|motion| motion.iter().map(|segment| segment.frames).sum())
+        let frames = |motion: &Vec<Segment>| motion.iter().map(|segment| segment.frames).sum();
+        self.0.iter().map(frames)
     }
 
     /// The range of the segment of each of `time` frames; `None` for padding.
@@ -69,10 +68,6 @@ impl TextSegments {
         assert!(frames.len() <= time, "{} frames in {time}", frames.len());
         frames.resize(time, None);
         frames
-    }
-
-    fn is_single(&self, motion: usize) -> bool {
-        self.0[motion].len() == 1
     }
 
     /// The motion and the text of each condition: motion by motion, one for each segment, then one
@@ -111,15 +106,14 @@ impl TextSegments {
     /// The position of each frame in its segment, `[batch][time]`.
     pub fn places(&self, time: usize) -> Vec<Vec<usize>> {
         let of_motion = |motion: usize| {
-            let runs_on = self.is_single(motion);
+            let runs_on = self.0[motion].len() == 1;
+            let place = |(t, frame): (usize, Option<Range<usize>>)| match frame {
+                Some(segment) => t - segment.start,
+                None if runs_on => t,
+                None => 0,
+            };
             let frames = self.of(motion, time).into_iter().enumerate();
-            frames
-                .map(|(t, frame)| match frame {
-                    Some(segment) => t - segment.start,
-                    None if runs_on => t,
-                    None => 0,
-                })
-                .collect()
+            frames.map(place).collect()
         };
         (0..self.len()).map(of_motion).collect()
     }

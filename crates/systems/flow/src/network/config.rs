@@ -1,11 +1,9 @@
-use kinegrad_settings::{InvalidSetting, Refused, in_range, require};
+use kinegrad_models::config::{MAX_LAYERS, MAX_WIDTH, must_divide};
+use kinegrad_models::layers::NormOrder;
+use kinegrad_models::{NamedSizes, NetworkConfig};
+use kinegrad_settings::{InvalidSetting, Refused, in_range};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-
-use kinegrad_models::NamedSizes;
-use kinegrad_models::NetworkConfig;
-use kinegrad_models::config::{MAX_LAYERS, MAX_WIDTH};
-use kinegrad_models::layers::NormOrder;
 
 /// The sizes of a [`FlowModel`](super::FlowModel).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -27,7 +25,7 @@ pub struct FlowConfig {
     pub num_heads: usize,
     /// Width inside each layer's two linear maps.
     pub ff_size: usize,
-    /// Where the predictor's layers normalise: `post` or `pre`.
+    /// Position of normalisation in the predictor's layers: `post` or `pre`.
     pub norm: NormOrder,
     /// Read the history backwards too.
     pub bidirectional: bool,
@@ -78,12 +76,8 @@ impl FlowConfig {
             decoder_dim: 64,
             latent_dim: 32,
             num_layers: 2,
-            num_heads: 4,
             ff_size: 64,
-            norm: NormOrder::Post,
-            bidirectional: true,
-            hierarchy: true,
-            progress: true,
+            ..Self::published()
         }
     }
 
@@ -100,13 +94,7 @@ impl FlowConfig {
         ] {
             in_range(key, width, 1..=MAX_WIDTH).hint(format!("the source has {published}"))?;
         }
-        require(
-            self.num_heads > 0 && self.latent_dim.is_multiple_of(self.num_heads),
-            "model.num_heads",
-            self.num_heads,
-            format!("a divisor of model.latent_dim ({})", self.latent_dim),
-        )
-        .hint("4 divides the source's 128")?;
+        must_divide(self.num_heads, self.latent_dim).hint("4 divides the source's 128")?;
         in_range("model.num_layers", self.num_layers, 1..=MAX_LAYERS).hint("the source has 4")
     }
 }

@@ -6,12 +6,11 @@ use kinegrad_motion::humanml::FeatureLayout;
 /// Channels of a joint's previous state: position 3, rotation 6, velocity 3.
 pub const PREVIOUS_STATE: usize = 12;
 
-/// The layout of features of so many joints.
-pub(super) fn layout(joints: usize) -> FeatureLayout {
+fn layout(joints: usize) -> FeatureLayout {
     FeatureLayout::of_joints(joints).expect("the joints of a skeleton")
 }
 
-/// Channels `range` of rows of features, `width` for each of the joints that have them.
+/// Channels `range` of rows of features, `width` for each joint.
 fn each(rows: &Tensor<2>, range: std::ops::Range<usize>, width: usize) -> Tensor<3> {
     let (count, joints) = (rows.dims()[0], range.len() / width);
     rows.clone()
@@ -19,11 +18,8 @@ fn each(rows: &Tensor<2>, range: std::ops::Range<usize>, width: usize) -> Tensor
         .reshape([count, joints, width])
 }
 
-/// The position of each joint: the root at (0, its height, 0), the others in the facing frame.
-///
-/// # Shapes
-/// - rows: `[rows, channels]`
-/// - output: `[rows, J, 3]`
+/// The positions of the joints, `[rows, J, 3]`, for rows `[rows, channels]`: the root at (0, its height,
+/// 0), the others in the facing frame.
 pub(super) fn positions(rows: &Tensor<2>, joints: usize) -> Tensor<3> {
     let height = rows.clone().narrow(1, FeatureLayout::ROOT.end - 1, 1);
     let ground = height.zeros_like();
@@ -31,21 +27,12 @@ pub(super) fn positions(rows: &Tensor<2>, joints: usize) -> Tensor<3> {
     Tensor::cat(vec![root, each(rows, layout(joints).positions(), 3)], 1)
 }
 
-/// The displacement of each joint to the next frame in the facing frame.
-///
-/// # Shapes
-/// - rows: `[rows, channels]`
-/// - output: `[rows, J, 3]`
+/// The displacements of the joints to the next frame in the facing frame, `[rows, J, 3]`.
 pub(super) fn velocities(rows: &Tensor<2>, joints: usize) -> Tensor<3> {
     each(rows, layout(joints).velocities(), 3)
 }
 
-/// Features of the whole body: root rotation, ground velocity and height, and the contact
-/// flags.
-///
-/// # Shapes
-/// - rows: `[rows, channels]`
-/// - output: `[rows, 8]`
+/// Root rotation, ground velocity and height, and the contact flags, `[rows, 8]`.
 pub(super) fn whole_body(rows: &Tensor<2>, joints: usize) -> Tensor<2> {
     let part = |range: std::ops::Range<usize>| rows.clone().narrow(1, range.start, range.len());
     let contacts = layout(joints).contacts();
@@ -61,22 +48,14 @@ pub(super) fn whole_body(rows: &Tensor<2>, joints: usize) -> Tensor<2> {
 /// - output: `[batch, 12, J]`
 ///
 /// # Panics
-/// Panics if no skeleton has features of so many channels.
+/// If no skeleton has so many channels.
 pub fn previous_state(last: Tensor<2>) -> Tensor<3> {
     let [batch, channels] = last.dims();
     let joints = (channels + 1) / PREVIOUS_STATE;
     let unturned = Tensor::<3>::from_data([[[1.0f32, 0.0, 0.0, 0.0, 1.0, 0.0]]], &last.device());
-    let rotations = Tensor::cat(
-        vec![
-            unturned.expand([batch, 1, 6]),
-            each(&last, layout(joints).rotations(), 6),
-        ],
-        1,
-    );
-    let parts = vec![
-        positions(&last, joints),
-        rotations,
-        velocities(&last, joints),
-    ];
-    Tensor::cat(parts, 2).swap_dims(1, 2)
+    let unturned = unturned.expand([batch, 1, 6]);
+    let others = each(&last, layout(joints).rotations(), 6);
+    let (positions, velocities) = (positions(&last, joints), velocities(&last, joints));
+    let rotations = Tensor::cat(vec![unturned, others], 1);
+    Tensor::cat(vec![positions, rotations, velocities], 2).swap_dims(1, 2)
 }

@@ -1,18 +1,18 @@
 use kinegrad_motion::humanml::Skeleton;
 
-/// Where each joint of a skeleton stands in its tree: on which limb, and how far from the root
-/// ("kinematic hierarchy"; docs/sources.md, section 5).
+/// The limb of each joint of a skeleton and its depth ("kinematic hierarchy"; docs/sources.md, section
+/// 5).
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Hierarchy {
-    /// The chain of each joint, `[J]`: the one that it is on without being its first joint; the
-    /// root is on the longest of those that it begins.
+    /// The chain of each joint, `[J]`, except those that begin at it; the root is on the longest chain
+    /// that begins at it.
     pub chains: Vec<usize>,
     /// Steps from the root to each joint, `[J]`.
     pub depths: Vec<usize>,
 }
 
 impl Hierarchy {
-    /// That of a skeleton.
+    /// The hierarchy of a skeleton.
     pub fn of(skeleton: &Skeleton) -> Self {
         let all = &skeleton.description().chains;
         let root = skeleton.parents().iter().position(Option::is_none);

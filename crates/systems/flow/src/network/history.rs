@@ -1,13 +1,12 @@
 use burn::module::Module;
 use burn::tensor::Tensor;
 use kinegrad_kernels::gelu;
+use kinegrad_models::layers::{BiGru, Linear};
+use kinegrad_models::{Initializer, Stages};
 use kinegrad_motion::humanml::TEXT_CHANNELS;
 
 use super::FlowConfig;
 use super::features::{positions, velocities, whole_body};
-use kinegrad_models::Initializer;
-use kinegrad_models::Stages;
-use kinegrad_models::layers::{BiGru, Linear};
 
 /// Numbers that the text becomes for each joint.
 const TEXT: usize = 32;
@@ -18,7 +17,6 @@ const OWN: usize = 3 + 3;
 /// Features that all joints of a frame share: the whole body 8, duration 1, text.
 const SHARED: usize = 8 + 1 + TEXT;
 
-/// All features of a joint in a frame.
 const INPUTS: usize = OWN + SHARED;
 
 /// The inputs of the encoder.
@@ -26,7 +24,7 @@ const INPUTS: usize = OWN + SHARED;
 pub struct History {
     /// Past frames in HumanML3D's features: `[batch, 12 J - 1, time]`.
     pub frames: Tensor<3>,
-    /// Frames of each history, from 1 to `time`; what follows them is not seen.
+    /// Frames of each history, from 1 to `time`; the rest is ignored.
     pub lengths: Vec<usize>,
     /// The text's pooled feature: `[batch, 512]`; zeros stand for no text.
     pub text: Tensor<2>,
@@ -57,7 +55,6 @@ pub struct HistoryEncoder {
 }
 
 impl HistoryEncoder {
-    /// An encoder of histories of `joints` joints.
     pub(super) fn new(config: &FlowConfig, joints: usize, init: &Initializer) -> Self {
         let FlowConfig {
             joint_dim,
@@ -91,9 +88,9 @@ impl HistoryEncoder {
         self.forward_stages(history, &mut ())
     }
 
-    /// [`forward`](Self::forward), and what each stage gives: `joint_inputs` `[batch, time, J,
-    /// 47]`, `joint_latents` `[batch, time, J, context_dim]`, `gru_sequence` `[batch, time, 2
-    /// gru_dim]`, `summary` `[batch, 2 gru_dim]`.
+    /// [`forward`](Self::forward) with its stages: `joint_inputs` `[batch, time, J, 47]`, `joint_latents`
+    /// `[batch, time, J, context_dim]`, `gru_sequence` `[batch, time, 2 gru_dim]`, `summary` `[batch, 2
+    /// gru_dim]`.
     pub fn forward_stages(&self, history: History, stages: &mut impl Stages) -> Tensor<3> {
         let History {
             frames,
@@ -121,25 +118,23 @@ impl HistoryEncoder {
             let shared = shared.clone().unsqueeze_dim::<3>(1);
             let shared = shared.expand([count, joints, SHARED]);
             let inputs = Tensor::cat(vec![own.clone(), shared], 2);
-            let inputs = inputs.reshape([time, batch, joints, INPUTS]);
-            inputs.swap_dims(0, 1)
+            inputs
+                .reshape([time, batch, joints, INPUTS])
+                .swap_dims(0, 1)
         });
 
         // 2. Over time. Inputs that all joints share are multiplied once a frame.
-        let latents = self
-            .joint_mlp_at_0
-            .forward_frames_sharing(own.swap_dims(1, 2), shared);
+        let own = own.swap_dims(1, 2);
+        let latents = self.joint_mlp_at_0.forward_frames_sharing(own, shared);
         let latents = self.joint_mlp_at_2.forward_frames(gelu(latents));
         let context_dim = latents.dims()[1];
         let latents = latents.swap_dims(1, 2);
         stages.stage(format_args!("joint_latents"), || {
-            let latents = latents.clone();
-            let latents = latents.reshape([time, batch, joints, context_dim]);
-            latents.swap_dims(0, 1)
+            let by_frame = [time, batch, joints, context_dim];
+            latents.clone().reshape(by_frame).swap_dims(0, 1)
         });
-        let sequence = latents
-            .reshape([time, batch, joints * context_dim])
-            .permute([1, 2, 0]);
+        let sequence = latents.reshape([time, batch, joints * context_dim]);
+        let sequence = sequence.permute([1, 2, 0]);
         let initial = Tensor::zeros([2, 1, self.gru_dim], &sequence.device());
         let states = self.gru.forward(sequence, &lengths, initial);
         stages.stage(format_args!("gru_sequence"), || {
@@ -150,9 +145,8 @@ impl HistoryEncoder {
         stages.stage(format_args!("summary"), || states.last.clone());
 
         // 3. To each joint.
-        let contexts = self
-            .decoder_at_2
-            .forward(gelu(self.decoder_at_0.forward(states.last)));
+        let contexts = gelu(self.decoder_at_0.forward(states.last));
+        let contexts = self.decoder_at_2.forward(contexts);
         contexts
             .reshape([batch, joints, context_dim])
             .swap_dims(1, 2)

@@ -33,13 +33,13 @@ pub use features::{PREVIOUS_STATE, previous_state};
 pub use hierarchy::Hierarchy;
 pub use history::{History, HistoryEncoder};
 pub use predictor::{FlowCondition, FlowPredictor, PreparedCondition};
-pub use rollout::{FlowRollout, FlowSpace, RolloutError, RolloutSettings};
+pub use rollout::{FlowRollout, FlowSpace, RolloutSettings};
 
 use kinegrad_models::Initializer;
 use kinegrad_models::layers::Embedding;
 
-/// The two networks: parameters `encoder.*` and `predictor.*`, and `embed_captions.weight` if an
-/// embedding of each caption is learned. Should be created with [`FlowConfig::init`].
+/// The two networks, made by [`FlowConfig::init`]: parameters `encoder.*`, `predictor.*`, and optionally
+/// `embed_captions.weight`.
 #[derive(Module, Debug)]
 pub struct FlowModel {
     embed_captions: Option<Embedding>,
@@ -50,7 +50,7 @@ pub struct FlowModel {
 }
 
 impl FlowConfig {
-    /// Both networks for a skeleton; their parameters are initialised when they are first used.
+    /// Both networks for a skeleton.
     ///
     /// # Errors
     /// Names the key that no network can be built from.
@@ -69,8 +69,8 @@ impl FlowConfig {
 }
 
 impl FlowModel {
-    /// The same networks with a learned embedding for each of so many captions:
-    /// `[captions, 512]`, of variance 1 at first.
+    /// The same networks with a learned embedding of each caption: `[captions, 512]`, initially of
+    /// variance 1.
     #[must_use]
     pub fn with_captions(self, captions: usize, init: &Initializer) -> Self {
         Self {

@@ -4,19 +4,17 @@ use burn::module::Module;
 use burn::tensor::{Int, Tensor, TensorData};
 use kinegrad_diffusion::{Denoiser, FlowPrediction, Flowed, SamplerConfig, Time, sample_flow};
 use kinegrad_kernels::{Convolution, cache_packed_weights, gelu};
-use kinegrad_motion::humanml::Skeleton;
-
-use super::{FlowConfig, Hierarchy, PREVIOUS_STATE};
-use kinegrad_models::Initializer;
-use kinegrad_models::Stages;
 use kinegrad_models::layers::{
     Embedding, EncoderLayer, EncoderLayerConfig, LayerNorm, Linear, NormOrder,
 };
+use kinegrad_models::{Initializer, Stages};
+use kinegrad_motion::humanml::Skeleton;
+
+use super::{FlowConfig, Hierarchy, PREVIOUS_STATE};
 
 /// Numbers that the context becomes for each joint.
 const CONTEXT: usize = 32;
 
-/// Numbers of a noisy position.
 const POSITION: usize = 3;
 
 /// Inputs of each joint: context, previous state, noisy position, progress, flow time.
@@ -46,9 +44,8 @@ pub struct PreparedCondition {
     weight: Tensor<3>,
 }
 
-/// The velocity of a noisy pose at a flow time, 0 for noise and 1 for data (docs/sources.md,
-/// section 5): a transformer encoder over joints. Should be created with
-/// [`FlowConfig::init`](super::FlowConfig::init).
+/// The velocity of a noisy pose at a flow time, 0 for noise and 1 for data (docs/sources.md, section 5):
+/// a transformer encoder over joints, made by [`FlowConfig::init`](super::FlowConfig::init).
 ///
 /// ```text
 /// joint:  ctx_proj(context), previous state, x_t, progress, t
@@ -72,7 +69,6 @@ pub struct FlowPredictor {
 }
 
 impl FlowPredictor {
-    /// A predictor of poses of `skeleton`.
     pub(super) fn new(config: &FlowConfig, skeleton: &Skeleton, init: &Initializer) -> Self {
         let width = config.latent_dim;
         let hierarchy = Hierarchy::of(skeleton);
@@ -85,21 +81,19 @@ impl FlowPredictor {
             norm: config.norm,
             dropout: 0.0,
         };
-        let final_norm =
-            (config.norm == NormOrder::Pre).then(|| LayerNorm::new(width, &transformer.at("norm")));
-        let embedding = |things, name| {
-            let embedding = || Embedding::new(things, width, &init.at(name));
+        let final_norm = || LayerNorm::new(width, &transformer.at("norm"));
+        let embedding = |count, name| {
+            let embedding = || Embedding::new(count, width, &init.at(name));
             config.hierarchy.then(embedding)
         };
+        let layer = |index: usize| sizes.init(index, &layers.at(&index.to_string()));
         Self {
             ctx_proj: Linear::new(config.context_dim, CONTEXT, &init.at("ctx_proj")),
             in_proj: Linear::new(INPUTS, width, &init.at("in_proj")),
             chain_emb: embedding(hierarchy.num_chains(), "chain_emb"),
             depth_emb: embedding(hierarchy.num_depths(), "depth_emb"),
-            transformer_at_layers: (0..config.num_layers)
-                .map(|index| sizes.init(index, &layers.at(&index.to_string())))
-                .collect(),
-            transformer_at_norm: final_norm,
+            transformer_at_layers: (0..config.num_layers).map(layer).collect(),
+            transformer_at_norm: (config.norm == NormOrder::Pre).then(final_norm),
             head_at_0: Linear::new(width, width, &head.at("0")),
             head_at_2: Linear::new(width, POSITION, &head.at("2")),
             hierarchy,
@@ -114,8 +108,8 @@ impl FlowPredictor {
         self.forward_stages(x_t, t, cond, &mut ())
     }
 
-    /// [`forward`](Self::forward), and what each stage gives: `inputs49` `[batch, 49, J]`, `tokens`
-    /// and `encoded` `[batch, latent_dim, J]`.
+    /// [`forward`](Self::forward) with its stages: `inputs49` `[batch, 49, J]`, `tokens` and `encoded`
+    /// `[batch, latent_dim, J]`.
     pub fn forward_stages(
         &self,
         x_t: Tensor<3>,
@@ -201,7 +195,7 @@ impl FlowPredictor {
             .forward_frames(gelu(self.head_at_0.forward_frames(h)))
     }
 
-    /// `[batch, latent_dim, J]` of `[batch, 49, J]`: with each joint's place in the tree.
+    /// Tokens `[batch, latent_dim, J]` of inputs `[batch, 49, J]`, with each joint's place in the tree.
     fn tokens(&self, inputs: Tensor<3>) -> Tensor<3> {
         let device = inputs.device();
         let tokens = self.in_proj.forward_frames(inputs);
@@ -209,11 +203,9 @@ impl FlowPredictor {
             return tokens;
         };
         let of = |places: &[usize], embedding: &Embedding| {
-            let places = places.iter().map(|&place| place as i64).collect();
-            let count = self.hierarchy.chains.len();
-            let indices: Tensor<1, Int> =
-                Tensor::from_data(TensorData::new(places, [count]), &device);
-            embedding.forward(indices)
+            let indices: Vec<i64> = places.iter().map(|&place| place as i64).collect();
+            let indices = TensorData::new(indices, [places.len()]);
+            embedding.forward(Tensor::<1, Int>::from_data(indices, &device))
         };
         let place = of(&self.hierarchy.chains, chains) + of(&self.hierarchy.depths, depths);
         tokens + place.transpose().unsqueeze::<3>()
@@ -243,7 +235,7 @@ impl Denoiser for FlowPredictor {
     /// The condition of the same history without its text.
     ///
     /// # Panics
-    /// Panics if the condition was prepared without a [`null_context`](FlowCondition::null_context).
+    /// Without a [`null_context`](FlowCondition::null_context).
     fn null_cond(&self, cond: &PreparedCondition) -> PreparedCondition {
         let tokens = cond.null_tokens.clone();
         PreparedCondition {

@@ -1,11 +1,10 @@
 use burn::tensor::{Device, Tensor, TensorData};
+use kinegrad_models::layers::NormOrder;
+use kinegrad_models::{Initializer, parameters};
 use kinegrad_motion::humanml::Skeleton;
 use kinegrad_random::{Key, Purpose};
 
 use super::{FlowCondition, FlowConfig, FlowModel, Hierarchy, History, previous_state};
-use kinegrad_models::Initializer;
-use kinegrad_models::layers::NormOrder;
-use kinegrad_models::parameters;
 
 fn normal<const D: usize>(seed: u64, shape: [usize; D]) -> Tensor<D> {
     let values = Key::new(seed, Purpose::Noise).normals(shape.iter().product());

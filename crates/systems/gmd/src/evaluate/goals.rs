@@ -9,50 +9,35 @@ use kinegrad_motion::humanml::{Features, Joints};
 use kinegrad_motion::metrics::text_motion::TextMotionReport;
 use kinegrad_motion::metrics::{FeatureMoments, GoalReport, GoalSample, frechet_distance};
 use kinegrad_random::{Key, Purpose};
+use kinegrad_train::Error;
+use kinegrad_train::clips::captions::ClipText;
+use kinegrad_train::clips::evaluator::TextMotionReports;
+use kinegrad_train::evaluation::{
+    EvaluationRequest, Group, Metrics, OnStep, Replicated, Results, for_each_item, replicate,
+    with_sampling,
+};
+use kinegrad_train::sampling::item_seed;
 use serde_json::json;
 
 use super::{GoalTask, VarietyReport};
 use crate::generate::keys;
-use crate::{ClipGenerator, ClipRequest, GeneratedClip, GmdConfig, GmdEvaluationConfig};
-use kinegrad_train::Error;
-use kinegrad_train::ProcessGroup;
-use kinegrad_train::clips::captions::ClipText;
-use kinegrad_train::clips::evaluator::{TextMotionEvaluator, TextMotionReports};
-use kinegrad_train::config::SamplingConfig;
-use kinegrad_train::evaluation::{
-    Group, Metrics, OnStep, Replicated, Results, for_each_item, replicate, with_sampling,
-};
-use kinegrad_train::sampling::item_seed;
+use crate::{ClipGenerator, ClipRequest, GeneratedClip, GmdConfig};
 
-/// Pairs of samples whose distance the diversity is the mean of.
 const DIVERSITY_PAIRS: usize = 200;
 
 /// Divisions of the held-out clips into halves, over which the distance is averaged.
 const DIVISIONS: u64 = 20;
 
-/// A goal evaluation: its settings and the held-out clips that goals are derived from.
 pub(super) struct GoalEvaluation<'a> {
-    /// The sampler, guidance and imputation.
-    pub sampling: &'a SamplingConfig,
-    /// The other settings.
-    pub settings: &'a GmdEvaluationConfig,
-    /// The derivation of goals.
+    pub request: &'a EvaluationRequest,
     pub task: GoalTask,
-    /// The held-out clips.
     pub held_out: &'a [Arc<Clip>],
-    /// Generates the clips.
+    pub labels: &'a ClipLabels,
     pub generator: &'a ClipGenerator,
     /// Generates the ground paths of the first of two stages.
     pub trajectory: Option<&'a ClipGenerator>,
-    /// Embeds clips and captions.
-    pub evaluator: Option<&'a dyn TextMotionEvaluator>,
-    /// The labels of clips.
-    pub labels: &'a ClipLabels,
-    /// The processes that generate some batches each.
-    pub group: &'a ProcessGroup,
 }
 
-/// One replication.
 struct Replication {
     samples: GoalReport,
     real: GoalReport,
@@ -61,15 +46,17 @@ struct Replication {
 }
 
 impl GoalEvaluation<'_> {
+    fn own(&self) -> &GmdConfig {
+        self.generator.config().own()
+    }
+
     /// Generates a clip for each held-out clip and computes their metrics, in every replication.
     /// The sample of a clip depends on the seed, its id and, with goals, on the batch that it is
     /// generated in.
-    ///
-    /// # Errors
-    /// As [`ClipGenerator::sample`].
-    pub fn run(&self, seed: u64, on_step: &mut OnStep<'_>) -> Result<Results, Error> {
-        let count = self.settings.replications;
-        let replications = replicate(count, seed, on_step, |seed, on_step| {
+    pub fn run(&self, on_step: &mut OnStep<'_>) -> Result<Results, Error> {
+        let settings = &self.own().evaluation;
+        let count = settings.replications;
+        let replications = replicate(count, self.request.seed, on_step, |seed, on_step| {
             self.replicate(seed, on_step)
         })?;
         let all = || replications.iter();
@@ -89,8 +76,10 @@ impl GoalEvaluation<'_> {
         }
         let groups = |goals: &Replicated<GoalReport>, variety: Option<&dyn Metrics>| {
             let variety = variety.map(|variety| Group::new("variety", "", variety));
-            let goals = Group::new("goals", "", goals);
-            [goals].into_iter().chain(variety).collect()
+            [Group::new("goals", "", goals)]
+                .into_iter()
+                .chain(variety)
+                .collect()
         };
         // Real motion has one clip of each condition.
         let no_variety = variety.as_ref().map(|variety| VarietyReport {
@@ -102,14 +91,14 @@ impl GoalEvaluation<'_> {
         let of_real = groups(&real, no_variety.as_ref().map(|each| each as &dyn Metrics));
         let mut json = json!({
             "task": self.task,
-            "batch_size": self.settings.batch_size,
+            "batch_size": settings.batch_size,
             "replications": count,
-            "variety_clips": self.settings.variety_clips,
-            "variety_repeats": self.settings.variety_repeats,
+            "variety_clips": settings.variety_clips,
+            "variety_repeats": settings.variety_repeats,
             "drawn": samples,
             "real": real,
         });
-        json["steering"] = json!(self.generator.config().own::<GmdConfig>().steering);
+        json["steering"] = json!(self.own().steering);
         if let Some(trajectory) = self.trajectory {
             json["trajectory_run"] = json!(trajectory.config().run.name);
         }
@@ -120,7 +109,7 @@ impl GoalEvaluation<'_> {
             json["variety"] = json!(variety);
         }
         Ok(Results {
-            json: with_sampling(json, self.sampling),
+            json: with_sampling(json, &self.generator.config().sampling),
             facts: Vec::new(),
             samples: Some(of_samples),
             real: of_real,
@@ -146,59 +135,58 @@ impl GoalEvaluation<'_> {
             repeat_n(request, repeats).zip(keys(item_seed(seed, &clip.id), repeats))
         });
         let (requests, noise): (Vec<_>, Vec<_>) = all.unzip();
-        let size = self.settings.batch_size;
+        let size = self.own().evaluation.batch_size;
         let batches: Vec<_> = requests.chunks(size).zip(noise.chunks(size)).collect();
-        let samples = for_each_item(self.group, batches.len(), on_step, |batch, on_step| {
+        let (group, sampling) = (&self.request.group, &self.generator.config().sampling);
+        let samples = for_each_item(group, batches.len(), on_step, |batch, on_step| {
             let (requests, noise) = batches[batch];
-            let trajectory = self.trajectory;
             self.generator
-                .sample_keyed(trajectory, requests, self.sampling, noise, on_step)
+                .sample(self.trajectory, requests, sampling, noise, on_step)
         })?;
         Ok(samples.concat())
     }
 
-    /// One replication.
     fn replicate(&self, seed: u64, on_step: &mut OnStep<'_>) -> Result<Replication, Error> {
-        let (held_out, generator, evaluator) = (self.held_out, self.generator, self.evaluator);
+        let (held_out, evaluator) = (self.held_out, self.request.evaluator.as_deref());
+        let settings = &self.own().evaluation;
         let goals = held_out.iter().map(|clip| self.task.goal(clip, seed));
         let goals: Vec<Goal> = goals.collect();
         let clips: Vec<(&Arc<Clip>, &Goal)> = held_out.iter().zip(&goals).collect();
         let samples = self.sample(&clips, 1, seed, on_step)?;
         // Evenly from all clips, because neighbours are of one kind.
-        let count = self.settings.variety_clips.min(clips.len());
+        let count = settings.variety_clips.min(clips.len());
         let varied = (0..count).map(|index| clips[index * clips.len() / count]);
         let varied: Vec<_> = varied.collect();
-        let variety = match varied.is_empty() {
-            true => None,
-            false => {
-                let repeats = self.settings.variety_repeats;
-                let goals: Vec<&Goal> = varied.iter().map(|(_, goal)| *goal).collect();
-                let samples = self.sample(&varied, repeats, seed, on_step)?;
-                Some(VarietyReport::compute(
-                    &samples, &goals, repeats, evaluator, seed,
-                )?)
-            }
-        };
+        let mut variety = None;
+        if !varied.is_empty() {
+            let repeats = settings.variety_repeats;
+            let samples = self.sample(&varied, repeats, seed, on_step)?;
+            variety = Some(VarietyReport::compute(&samples, repeats, evaluator, seed)?);
+        }
         let real = clips.iter().map(|(clip, goal)| {
-            let features = clip.features.slice(0..goal.frames).to_absolute();
-            GeneratedClip::of(features)
+            GeneratedClip::of(clip.features.slice(0..goal.frames).to_absolute())
         });
         let real: Vec<GeneratedClip> = real.collect();
-        let samples = Measured::new(&samples, &goals);
-        let real = Measured::new(&real, &goals);
-        let text_motion = match (evaluator, samples.cut.len() == held_out.len()) {
+        let (samples, real) = (Measured::new(&samples), Measured::new(&real));
+        let text_motion = match (evaluator, samples.clips.len() == held_out.len()) {
             (Some(evaluator), true) => {
                 let captions: Vec<&Clip> = held_out.iter().map(Arc::as_ref).collect();
-                Some(evaluator.reports(&samples.cut, &real.cut, &captions, self.labels, seed)?)
+                Some(evaluator.reports(
+                    &samples.clips,
+                    &real.clips,
+                    &captions,
+                    self.labels,
+                    seed,
+                )?)
             }
             _ => None,
         };
         Ok(Replication {
-            samples: samples.report(generator, &goals, &real),
+            samples: samples.report(self.generator, &goals, &real),
             real: GoalReport {
-                // The distance from itself would be 0: it is that between halves of the clips.
+                // In place of the distance from itself, which is 0.
                 frechet_distance: between_halves(&real.features, seed),
-                ..real.report(generator, &goals, &real)
+                ..real.report(self.generator, &goals, &real)
             },
             text_motion,
             variety,
@@ -206,9 +194,8 @@ impl GoalEvaluation<'_> {
     }
 }
 
-/// The mean distance between two halves of the feature vectors, over [`DIVISIONS`] divisions at
-/// random. Every second one would not do: clips beside each other in a list are often of one take,
-/// so that both halves would be the same.
+/// The mean distance between two halves of the feature vectors, over [`DIVISIONS`] random divisions:
+/// neighbours in a list are often of one take.
 fn between_halves(features: &[Vec<f64>], seed: u64) -> Option<f64> {
     let key = Key::new(seed, Purpose::Halves);
     let distance = |division| {
@@ -225,28 +212,25 @@ fn between_halves(features: &[Vec<f64>], seed: u64) -> Option<f64> {
     Some(distances?.iter().sum::<f64>() / DIVISIONS as f64)
 }
 
-/// Clips in the form that metrics take, generated and real ones alike: cut to their goals' lengths.
+/// Generated or real clips of the lengths of their goals.
 struct Measured<'a> {
     samples: &'a [GeneratedClip],
-    /// None of a trajectory model.
-    cut: Vec<Features>,
+    /// Empty for a trajectory model.
+    clips: Vec<Features>,
     joints: Vec<Joints>,
-    /// Mean position of each joint about the root: what diversity and Fréchet distance compare.
+    /// Of each clip, for diversity and Fréchet distance ([`mean_positions`]).
     features: Vec<Vec<f64>>,
 }
 
 impl<'a> Measured<'a> {
-    fn new(samples: &'a [GeneratedClip], goals: &[Goal]) -> Self {
-        let cut = samples.iter().zip(goals).filter_map(|(sample, goal)| {
-            let features = sample.features.as_ref()?;
-            Some(features.slice(0..goal.frames))
-        });
-        let cut: Vec<Features> = cut.collect();
+    fn new(samples: &'a [GeneratedClip]) -> Self {
+        let clips = samples.iter().filter_map(|sample| sample.features.clone());
+        let clips: Vec<Features> = clips.collect();
         Self {
             samples,
-            joints: cut.iter().map(Features::joints).collect(),
-            features: cut.iter().map(mean_positions).collect(),
-            cut,
+            joints: clips.iter().map(Features::joints).collect(),
+            features: clips.iter().map(mean_positions).collect(),
+            clips,
         }
     }
 
@@ -254,13 +238,12 @@ impl<'a> Measured<'a> {
         let skeleton = generator.config().data.humanml3d.skeleton.skeleton();
         let bodies = self.joints.iter().map(Some).chain(repeat(None));
         let samples = self.samples.iter().zip(goals).zip(bodies);
-        let samples: Vec<GoalSample> = samples
-            .map(|((sample, goal), joints)| GoalSample {
-                goal,
-                ground: &sample.ground,
-                joints,
-            })
-            .collect();
+        let samples = samples.map(|((sample, goal), joints)| GoalSample {
+            goal,
+            ground: &sample.ground,
+            joints,
+        });
+        let samples: Vec<GoalSample> = samples.collect();
         let feet = skeleton.contact_joints();
         // Left and right toe: the second of each pair of contacts.
         let fps = skeleton.description().fps;
@@ -270,7 +253,7 @@ impl<'a> Measured<'a> {
     }
 }
 
-/// The mean over time of each joint's position about the root; the goal determines the root itself.
+/// The mean over time of each joint's position relative to the root, which the goal determines.
 fn mean_positions(features: &Features) -> Vec<f64> {
     let frames = features.frames();
     let body = features.layout().positions();

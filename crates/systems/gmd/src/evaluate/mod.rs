@@ -6,5 +6,7 @@ mod task;
 mod variety;
 
 pub(super) use run::prepare;
-pub use task::{GoalTask, KeyframePlacement};
-pub use variety::VarietyReport;
+pub use task::KeyframePlacement;
+
+use task::GoalTask;
+use variety::VarietyReport;

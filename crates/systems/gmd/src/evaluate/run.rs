@@ -2,6 +2,11 @@
 
 use kinegrad_data::ValidationSplit;
 use kinegrad_data::humanml::labels_of;
+use kinegrad_train::clips::captions::must_know_texts;
+use kinegrad_train::evaluation::{
+    Evaluation, EvaluationRequest, clips_with_held_out, note_if_fewer,
+};
+use kinegrad_train::{Error, TrainedModel};
 
 use super::super::load::text_input;
 use super::GoalTask;
@@ -10,18 +15,8 @@ use crate::generate::sampled_frames;
 use crate::load::footprint;
 use crate::sample::trajectory_model;
 use crate::{ClipGenerator, EvaluationSplit, GmdConfig};
-use kinegrad_train::Error;
-use kinegrad_train::TrainedModel;
-use kinegrad_train::clips::captions::must_know_texts;
-use kinegrad_train::evaluation::{
-    Evaluation, EvaluationRequest, clips_with_held_out, note_if_fewer,
-};
 
 /// An evaluation of position control.
-///
-/// # Errors
-/// If nothing is held out, the model does not know a text, or another model of the evaluation cannot
-/// be used.
 pub fn prepare<'a>(
     trained: &'a TrainedModel,
     request: &EvaluationRequest,
@@ -41,19 +36,16 @@ pub fn prepare<'a>(
     let repeated = settings.variety_clips.min(held_out.len()) * settings.variety_repeats;
     let at_once = settings.batch_size.min(held_out.len().max(repeated));
     let networks = footprint(trained.config(), frames)?;
-    let trajectory = request.trajectory.clone();
-    let trajectory = trajectory
-        .map(|saved| trajectory_model(trained, saved))
-        .transpose()?;
-    let group = request.group.clone();
-    let evaluator = request.evaluator.clone();
-    if let Some(evaluator) = &evaluator {
+    let trajectory = request
+        .trajectory
+        .clone()
+        .map(|saved| trajectory_model(trained, saved));
+    let trajectory = trajectory.transpose()?;
+    let mut labels = Default::default();
+    if let Some(evaluator) = &request.evaluator {
         evaluator.must_take(held_out[0].features.layout())?;
+        labels = labels_of(&data)?.unwrap_or_default();
     }
-    let labels = match evaluator {
-        Some(_) => labels_of(&data)?.unwrap_or_default(),
-        None => Default::default(),
-    };
     let task = GoalTask {
         keyframes: settings.keyframes,
         keyframe_placement: settings.keyframe_placement,
@@ -61,7 +53,7 @@ pub fn prepare<'a>(
         margin: settings.margin,
         frames: data.target_frames,
     };
-    let seed = request.seed;
+    let request = request.clone();
     Ok(Evaluation {
         // The two are compared: neither replaces the other's report.
         report: match trajectory {
@@ -75,17 +67,14 @@ pub fn prepare<'a>(
             let generator = ClipGenerator::load(trained)?;
             let trajectory = trajectory.as_ref().map(ClipGenerator::load).transpose()?;
             let evaluation = GoalEvaluation {
-                sampling: &trained.config().sampling,
-                settings,
+                request: &request,
                 task,
                 held_out: &held_out,
+                labels: &labels,
                 generator: &generator,
                 trajectory: trajectory.as_ref(),
-                evaluator: evaluator.as_deref(),
-                labels: &labels,
-                group: &group,
             };
-            evaluation.run(seed, on_step)
+            evaluation.run(on_step)
         }),
     })
 }

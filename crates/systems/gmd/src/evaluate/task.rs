@@ -9,8 +9,7 @@ use serde::{Deserialize, Serialize};
 /// Radius of the obstacles, metres: a person with some room.
 const OBSTACLE_RADIUS: f64 = 0.35;
 
-/// Least distance of an obstacle's edge from both ends of the path, metres. A larger margin counts
-/// instead: otherwise the ends could not be reached.
+/// Least distance of an obstacle's edge from both ends of the path, metres, unless the margin is larger.
 const CLEARANCE: f64 = 0.1;
 
 /// The choice of keyframes.
@@ -26,15 +25,12 @@ pub enum KeyframePlacement {
 
 /// The derivation of a goal from a held-out clip.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct GoalTask {
-    /// Number of keyframes.
+pub(super) struct GoalTask {
     pub keyframes: usize,
-    /// Their choice.
     pub keyframe_placement: KeyframePlacement,
     /// Number of discs of 35 cm on the path, evenly spaced in time; those that would cover its
     /// start or end are left out. With obstacles, only the last frame is a keyframe.
     pub obstacles: usize,
-    /// Clearance around the obstacles that guidance keeps, metres.
     pub margin: f64,
     /// Maximum number of frames.
     pub frames: usize,
@@ -58,8 +54,8 @@ impl GoalTask {
                     .named(&clip.id)
                     .integers(self.keyframes, frames),
                 KeyframePlacement::Even => {
-                    let parts = self.keyframes.max(1);
-                    (1..=self.keyframes).map(|k| k * last / parts).collect()
+                    let parts = self.keyframes;
+                    (1..=parts).map(|k| k * last / parts).collect()
                 }
             };
             places.sort_unstable();
@@ -75,15 +71,13 @@ impl GoalTask {
             let far = |[ex, _, ez]: &[f64; 3]| (x - ex).hypot(z - ez) > least;
             ends.iter().all(far)
         };
-        goal.obstacles = (1..=self.obstacles)
-            .map(|k| path[k * last / (self.obstacles + 1)])
-            .filter(clear)
-            .map(|[x, _, z]| Obstacle::Disc {
-                x,
-                z,
-                radius: OBSTACLE_RADIUS,
-            })
-            .collect();
+        let disc = |[x, _, z]: [f64; 3]| Obstacle::Disc {
+            x,
+            z,
+            radius: OBSTACLE_RADIUS,
+        };
+        let places = (1..=self.obstacles).map(|k| path[k * last / (self.obstacles + 1)]);
+        goal.obstacles = places.filter(clear).map(disc).collect();
         goal
     }
 }

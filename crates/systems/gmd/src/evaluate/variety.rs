@@ -1,69 +1,53 @@
 //! Differences between several clips of one condition.
 
-use kinegrad_motion::goal::Goal;
 use kinegrad_motion::humanml::Features;
 use kinegrad_motion::metrics::{multimodality, trajectory_diversity};
-use serde::{Deserialize, Serialize};
-
-use crate::GeneratedClip;
 use kinegrad_train::Error;
 use kinegrad_train::clips::evaluator::TextMotionEvaluator;
 use kinegrad_train::evaluation::{Metrics, Number};
+use serde::{Deserialize, Serialize};
+
+use crate::GeneratedClip;
 
 /// Pairs of clips of a condition whose distance multimodality is the mean of, as published.
 const PAIRS: usize = 10;
 
-/// Differences between several clips of one condition.
+/// Means over conditions with several clips each.
 #[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
-pub struct VarietyReport {
-    /// Number of conditions.
+pub(super) struct VarietyReport {
     pub conditions: usize,
-    /// Clips of each.
+    /// Clips of each condition.
     pub repeats: usize,
-    /// [`trajectory_diversity`], metres.
+    /// Metres.
     pub trajectory_diversity: Option<f64>,
-    /// [`multimodality`], if the evaluator is given.
+    /// `None` without an evaluator.
     pub multimodality: Option<f64>,
 }
 
 impl VarietyReport {
-    /// Measures `samples`, `repeats` for each of the `goals`, one after the other.
-    ///
-    /// # Errors
-    /// If features are of another layout than the evaluator's.
+    /// Measures `samples`, `repeats` for each condition in turn.
     pub(super) fn compute(
         samples: &[GeneratedClip],
-        goals: &[&Goal],
         repeats: usize,
         evaluator: Option<&dyn TextMotionEvaluator>,
         seed: u64,
     ) -> Result<Self, Error> {
-        let conditions = || samples.chunks(repeats).zip(goals);
-        let paths = conditions().map(|(samples, goal)| {
-            let cut = samples
-                .iter()
-                .map(|sample| sample.ground[..goal.frames].to_vec());
-            cut.collect::<Vec<_>>()
-        });
-        let cut = conditions().flat_map(|(samples, goal)| {
-            let features = samples.iter().map(|sample| sample.features.as_ref());
-            features.map(|features| Some(features?.slice(0..goal.frames)))
-        });
-        let cut: Option<Vec<Features>> = cut.collect();
-        let embeddings = match (evaluator, cut) {
-            (Some(evaluator), Some(cut)) => {
-                let embeddings = evaluator.motion_embeddings(&cut.iter().collect::<Vec<_>>())?;
-                let conditions = embeddings.chunks(repeats).map(<[_]>::to_vec);
-                Some(conditions.collect::<Vec<_>>())
-            }
-            _ => None,
-        };
+        let ground = samples.iter().map(|sample| sample.ground.clone());
+        let ground: Vec<_> = ground.collect();
+        let paths: Vec<_> = ground.chunks(repeats).map(<[_]>::to_vec).collect();
+        let clips: Option<Vec<&Features>> = samples.iter().map(|s| s.features.as_ref()).collect();
+        let mut multimodality_of = None;
+        if let (Some(evaluator), Some(clips)) = (evaluator, clips) {
+            let embeddings = evaluator.motion_embeddings(&clips)?;
+            let conditions = embeddings.chunks(repeats).map(<[_]>::to_vec);
+            let conditions: Vec<_> = conditions.collect();
+            multimodality_of = multimodality(&conditions, PAIRS.min(repeats), seed);
+        }
         Ok(Self {
-            conditions: goals.len(),
+            conditions: paths.len(),
             repeats,
-            trajectory_diversity: trajectory_diversity(&paths.collect::<Vec<_>>()),
-            multimodality: embeddings
-                .and_then(|embeddings| multimodality(&embeddings, PAIRS.min(repeats), seed)),
+            trajectory_diversity: trajectory_diversity(&paths),
+            multimodality: multimodality_of,
         })
     }
 }

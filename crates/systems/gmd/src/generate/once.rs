@@ -8,13 +8,12 @@ use kinegrad_diffusion::{ClipRange, Prediction, Space as _, Time, guided};
 use kinegrad_motion::humanml::Features;
 use kinegrad_random::{Key, Purpose};
 use kinegrad_settings::in_range;
-
-use super::ClipGenerator;
-use crate::GmdConfig;
-use crate::recipe_name::RecipeName;
 use kinegrad_train::Error;
 use kinegrad_train::clips::captions::ClipText;
 use kinegrad_train::sampling::item_seed;
+
+use super::ClipGenerator;
+use crate::recipe_name::RecipeName;
 
 impl ClipGenerator {
     /// The clean motion that a motion model predicts of each clip noised to `timestep`, in one step:
@@ -37,12 +36,7 @@ impl ClipGenerator {
                 "name a run of recipe `gmd_motion`",
             ));
         }
-        let last = self
-            .config()
-            .own::<GmdConfig>()
-            .diffusion
-            .num_train_timesteps
-            - 1;
+        let last = self.diffusion.config.num_train_timesteps - 1;
         in_range("timestep", timestep, 0..=last)?;
         let (batch, channels) = (clips.len(), self.channels);
         let humanml3d = &self.config().data.humanml3d;
@@ -61,9 +55,7 @@ impl ClipGenerator {
             starts.push(Tensor::cat(vec![known, padding], 2));
             let key = Key::new(item_seed(seed, &clip.id), Purpose::Noise);
             noise.extend(key.normals(channels * frames));
-            let text = ClipText::of(clip).map(|text| self.text.values(&text));
-            let text = text.transpose()?.flatten();
-            texts.extend(text.unwrap_or_else(|| vec![0.0; self.text.channels()]));
+            texts.extend(self.text.values_or_zeros(ClipText::of(clip).as_ref())?);
         }
         let noise = on_device(noise, [batch, channels, frames]);
         let cond = on_device(texts, [batch, self.text.channels(), 1]);
@@ -72,12 +64,11 @@ impl ClipGenerator {
         let x_t = self.diffusion.add_noise(x_start, noise, &timesteps);
         let time = Time::of(&timesteps);
         let output = guided(&self.plain, x_t.clone(), &time, &cond, guidance_scale);
-        let clip = ClipRange::None;
-        let prediction = Prediction::new(&self.diffusion, output, x_t, &timesteps, &clip)?;
+        let range = ClipRange::None;
+        let prediction = Prediction::new(&self.diffusion, output, x_t, &timesteps, &range)?;
         let predicted = self.features(prediction.x_start)?;
         let cut = predicted.iter().zip(clips);
-        Ok(cut
-            .map(|(features, clip)| features.slice(0..clip.features.frames().min(frames)))
-            .collect())
+        let cut = cut.map(|(features, clip)| features.slice(0..clip.features.frames().min(frames)));
+        Ok(cut.collect())
     }
 }

@@ -4,11 +4,10 @@ use burn::module::Module;
 use burn::tensor::activation::silu;
 use burn::tensor::{Device, Tensor};
 use kinegrad_diffusion::Time;
-use kinegrad_motion::humanml::TEXT_CHANNELS;
-
 use kinegrad_models::Initializer;
 use kinegrad_models::layers::Linear;
 use kinegrad_models::time_embedding::interleaved_sinusoidal;
+use kinegrad_motion::humanml::TEXT_CHANNELS;
 
 /// `time_embed(sinusoid(t)) + embed_text(text)`, the first being linear, SiLU, linear over a row of
 /// the sinusoid table.

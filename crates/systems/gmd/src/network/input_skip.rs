@@ -3,7 +3,6 @@
 use burn::module::Module;
 use burn::tensor::Tensor;
 use kinegrad_diffusion::Time;
-
 use kinegrad_models::Initializer;
 use kinegrad_models::layers::{Conv1d, Linear};
 use kinegrad_models::time_embedding::interleaved_sinusoidal;
@@ -16,13 +15,11 @@ use kinegrad_models::time_embedding::interleaved_sinusoidal;
 /// ```
 ///
 /// The published UNet halves its input's length before the first skip that it uses, and group
-/// normalisation takes the level and the scale of a clip away: where little noise is left, a small
-/// network of that shape returns neither the finest detail of its input nor where the root stands
-/// (docs/gmd.md). How much of a noisy input is worth returning depends on its noise and not on the
-/// text: a gain that the text sets too is arbitrary for captions of few clips, and guidance
-/// multiplies what is arbitrary, step after step.
+/// normalisation removes the mean and the scale of a clip: at low noise, a small network loses the
+/// finest detail of its input and the place of the root (docs/gmd.md). The gain does not depend on the
+/// text, because guidance would multiply its errors for captions of few clips.
 #[derive(Module, Debug)]
-pub struct InputSkip {
+pub(super) struct InputSkip {
     gain: Linear,
     mix: Conv1d,
     width: usize,

@@ -14,8 +14,8 @@ pub mod transformer;
 mod unet;
 
 pub use conditioner::Conditioner;
-pub use input_skip::InputSkip;
 pub use projection::Projection;
-pub use res_block::GmdResBlock;
 pub use text_denoiser::{Backbone, TextDenoiser};
 pub use unet::{GmdUnet, GmdUnetConfig};
+
+use input_skip::InputSkip;

@@ -2,12 +2,11 @@
 
 use burn::module::{Module, Param};
 use burn::tensor::Tensor;
-
 use kinegrad_models::Initializer;
 
-/// The matrix of the space a network works in, `[channels, channels]`, frozen: a frame is a row
-/// vector and `y = x P` (Guided Motion Diffusion, appendix C). It stands among the weights, so that
-/// a checkpoint cannot be taken for one of another space.
+/// The frozen matrix of a network's space, `[channels, channels]`: a frame is a row vector and `y = x P`
+/// (Guided Motion Diffusion, appendix C). It is one of the weights, so that a checkpoint determines its
+/// space.
 #[derive(Module, Debug)]
 pub struct Projection {
     matrix: Param<Tensor<2>>,
@@ -17,7 +16,7 @@ impl Projection {
     /// The given matrix, row by row.
     ///
     /// # Panics
-    /// Panics if there are not `channels * channels` values.
+    /// If it is not square.
     pub fn new(matrix: Vec<f32>, channels: usize, init: &Initializer) -> Self {
         assert_eq!(matrix.len(), channels * channels, "a square matrix");
         let matrix = init.values([channels, channels], matrix);
@@ -37,7 +36,7 @@ impl Projection {
     /// The matrix on the host, row by row.
     ///
     /// # Panics
-    /// Panics if the parameter is not of single precision.
+    /// If the parameter is not of single precision.
     pub fn to_host(&self) -> Vec<f32> {
         let values = self.matrix.val().inner().try_into_vec_as::<f32>();
         values.expect("parameters are float32")

@@ -3,15 +3,13 @@
 use burn::module::Module;
 use burn::tensor::Tensor;
 use kinegrad_kernels::{Activation, Convolution, GroupNorm as NormOperation};
-
 use kinegrad_models::Initializer;
 use kinegrad_models::layers::{Conv1d, GroupNorm, Linear};
 
-/// Groups of every normalisation.
-pub const GROUPS: usize = 8;
+pub(super) const GROUPS: usize = 8;
 
-/// Taps of every convolution that keeps the length, shortcuts left out.
-pub(super) const KERNEL: usize = 5;
+/// Taps of convolutions that keep the length, except shortcuts.
+const KERNEL: usize = 5;
 
 /// A convolution (child 0) and its normalisation (child 2).
 #[derive(Module, Debug)]
@@ -54,11 +52,10 @@ impl ConvNorm {
 /// out = mish(norm(conv(h))) + shortcut(x)
 /// ```
 ///
-/// Nothing follows the sum. With AdaGN the linear layer begins at zero; with `zero_init` the second
-/// convolution too. The published models name the first half `block1` where it has AdaGN, else
-/// `block`.
+/// With AdaGN the linear layer is initialised to zero; with `zero_init` the second convolution too. The
+/// published models name the first half `block1` with AdaGN, else `block`.
 #[derive(Module, Debug)]
-pub struct GmdResBlock {
+pub(super) struct GmdResBlock {
     blocks_at_0_at_block1: Option<ConvNorm>,
     blocks_at_0_at_block: Option<ConvNorm>,
     blocks_at_1_at_block: ConvNorm,
@@ -77,13 +74,12 @@ impl GmdResBlock {
         zero_init: bool,
         init: &Initializer,
     ) -> Self {
-        let first = |name: &str| {
-            let place = init.at("blocks").at("0").at(name);
-            ConvNorm::new(inputs, outputs, &place)
-        };
-        let place = init.at("blocks").at("1").at("block");
+        let blocks = init.at("blocks");
+        let first = |name: &str| ConvNorm::new(inputs, outputs, &blocks.at("0").at(name));
+        let place = blocks.at("1").at("block");
         let second = ConvNorm::new(outputs, outputs, &place);
         let time = init.at("time_mlp").at("1");
+        let shortcut = || Conv1d::new(inputs, outputs, 1, &init.at("residual_conv"));
         Self {
             blocks_at_0_at_block1: adagn.then(|| first("block1")),
             blocks_at_0_at_block: (!adagn).then(|| first("block")),
@@ -95,8 +91,7 @@ impl GmdResBlock {
                 true => Linear::new(width, 2 * outputs, &time).zeroed(&time),
                 false => Linear::new(width, outputs, &time),
             },
-            residual_conv: (inputs != outputs)
-                .then(|| Conv1d::new(inputs, outputs, 1, &init.at("residual_conv"))),
+            residual_conv: (inputs != outputs).then(shortcut),
         }
     }
 

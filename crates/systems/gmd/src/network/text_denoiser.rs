@@ -3,6 +3,8 @@
 use burn::module::Module;
 use burn::tensor::{Device, Tensor};
 use kinegrad_diffusion::{Denoiser, Time};
+use kinegrad_models::layers::Embedding;
+use kinegrad_models::{DropoutKey, Initializer, Stages};
 use kinegrad_motion::humanml::TEXT_CHANNELS;
 use kinegrad_settings::InvalidSetting;
 use schemars::JsonSchema;
@@ -10,10 +12,6 @@ use serde::{Deserialize, Serialize};
 
 use crate::network::transformer::{Encoder, EncoderConfig};
 use crate::network::{Conditioner, GmdUnet, GmdUnetConfig, InputSkip, Projection};
-use kinegrad_models::DropoutKey;
-use kinegrad_models::Initializer;
-use kinegrad_models::Stages;
-use kinegrad_models::layers::Embedding;
 
 /// The backbone and its sizes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -76,12 +74,10 @@ enum Network {
 }
 
 /// A denoiser conditioned on timestep and text: parameters `embed_timestep.*`, `embed_text.*`,
-/// those of the backbone, `embed_captions.weight` if it learns an embedding of each caption, and
-/// `projection.matrix` if it works in a projected space.
+/// those of the backbone, and optionally `embed_captions.weight` and `projection.matrix`.
 ///
 /// The condition is the text's pooled feature `[batch, 512, 1]`, or with
-/// [captions](Self::with_captions) `[batch, captions, 1]`, 1 in the place of the caption and 0
-/// elsewhere. Zeros stand for no text.
+/// [captions](Self::with_captions) one-hot, `[batch, captions, 1]`; zeros stand for no text.
 #[derive(Module, Debug)]
 pub struct TextDenoiser {
     embed_captions: Option<Embedding>,
@@ -91,7 +87,7 @@ pub struct TextDenoiser {
 }
 
 impl TextDenoiser {
-    /// A network for motion of `in_channels` with newly initialised weights and no projection.
+    /// A network for motion of `in_channels`, without a projection.
     ///
     /// # Errors
     /// Names the key that no network can be built from.
@@ -103,11 +99,10 @@ impl TextDenoiser {
         let (network, width) = match backbone {
             Backbone::GmdUnet(config) => {
                 let width = config.latent_dim;
+                let skip = || InputSkip::new(in_channels, width, &init.at("input_skip"));
                 let unet = UnetDenoiser {
                     unet: config.init(in_channels, width, &init.at("unet"))?,
-                    input_skip: config
-                        .input_skip
-                        .then(|| InputSkip::new(in_channels, width, &init.at("input_skip"))),
+                    input_skip: config.input_skip.then(skip),
                     padded_frames: config.padded_frames,
                 };
                 (Network::Unet(unet), width)
@@ -125,8 +120,8 @@ impl TextDenoiser {
         })
     }
 
-    /// The same network, conditioned on one of so many captions, of which it learns an embedding
-    /// each: `[captions, 512]`, of variance 1 at first.
+    /// The same network with a learned embedding of each caption: `[captions, 512]`, initially of
+    /// variance 1.
     #[must_use]
     pub fn with_captions(self, captions: usize, init: &Initializer) -> Self {
         Self {
@@ -135,8 +130,7 @@ impl TextDenoiser {
         }
     }
 
-    /// The same network, working in the space of `matrix`, `[channels, channels]` row by row, on
-    /// its `device`.
+    /// The same network in the space of `matrix`, `[channels, channels]` row by row.
     #[must_use]
     pub fn in_space_of(self, matrix: Vec<f32>, device: &Device) -> Self {
         let (channels, init) = (matrix.len().isqrt(), Initializer::new(0, device));
@@ -146,7 +140,7 @@ impl TextDenoiser {
         }
     }
 
-    /// The space it works in, where that is a projected one.
+    /// The projection of its space, if there is one.
     pub fn projection(&self) -> Option<&Projection> {
         self.projection.as_ref()
     }
@@ -164,39 +158,16 @@ impl TextDenoiser {
     /// # Panics
     /// Panics if a clip is longer than the UNet's padded length.
     pub fn forward(&self, x_t: Tensor<3>, time: &[Time], text: Tensor<3>) -> Tensor<3> {
-        self.run(x_t, time, text, None, &mut ())
+        self.forward_stages(x_t, time, text, None, &mut ())
     }
 
-    /// [`forward`](Self::forward) in training: with the dropout of a transformer. A UNet has none.
-    ///
-    /// # Panics
-    /// As [`forward`](Self::forward).
-    pub fn forward_training(
-        &self,
-        x_t: Tensor<3>,
-        time: &[Time],
-        text: Tensor<3>,
-        dropout: DropoutKey,
-    ) -> Tensor<3> {
-        self.run(x_t, time, text, dropout, &mut ())
-    }
-
-    /// [`forward`](Self::forward), and what each stage of a UNet gives: `unet_in_padded` and
-    /// `unet_out_padded`, of the padded length, and those of [`GmdUnet::forward_stages`].
+    /// [`forward`](Self::forward) with the dropout of a transformer in training, and the stages of a UNet:
+    /// `unet_in_padded` and `unet_out_padded`, of the padded length, and those of
+    /// [`GmdUnet::forward_stages`].
     ///
     /// # Panics
     /// As [`forward`](Self::forward).
     pub fn forward_stages(
-        &self,
-        x_t: Tensor<3>,
-        time: &[Time],
-        text: Tensor<3>,
-        stages: &mut impl Stages,
-    ) -> Tensor<3> {
-        self.run(x_t, time, text, None, stages)
-    }
-
-    fn run(
         &self,
         x_t: Tensor<3>,
         time: &[Time],
@@ -223,8 +194,7 @@ impl TextDenoiser {
 }
 
 impl UnetDenoiser {
-    /// Pads with zeros of the noisy space on the right, as the published models do: the network
-    /// sees no mask.
+    /// Pads with zeros of the noisy space on the right, without a mask, as the published models do.
     fn forward(&self, x: Tensor<3>, cond: Tensor<2>, stages: &mut impl Stages) -> Tensor<3> {
         let [batch, channels, time] = x.dims();
         assert!(

@@ -10,18 +10,13 @@
 
 use burn::module::Module;
 use burn::tensor::Tensor;
-use kinegrad_settings::{InvalidSetting, Refused, in_range, require};
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
-
-use kinegrad_models::Dropout;
-use kinegrad_models::DropoutKey;
-use kinegrad_models::Initializer;
-use kinegrad_models::NamedSizes;
-use kinegrad_models::NetworkConfig;
-use kinegrad_models::config::{MAX_LAYERS, MAX_WIDTH};
+use kinegrad_models::config::{MAX_LAYERS, MAX_WIDTH, must_be_even, must_divide};
 use kinegrad_models::layers::{EncoderLayer, EncoderLayerConfig, Linear, NormOrder};
 use kinegrad_models::time_embedding::interleaved_sinusoidal;
+use kinegrad_models::{Dropout, DropoutKey, Initializer, NamedSizes, NetworkConfig};
+use kinegrad_settings::{InvalidSetting, Refused, in_range};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
 
 /// The sizes of an [`Encoder`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -76,21 +71,8 @@ impl EncoderConfig {
     /// # Errors
     /// Names the key that no network can be built from.
     pub fn validate(&self) -> Result<(), InvalidSetting> {
-        let width = self.latent_dim;
-        require(
-            (2..=MAX_WIDTH).contains(&width) && width.is_multiple_of(2),
-            "model.latent_dim",
-            width,
-            format!("an even number, 2 to {MAX_WIDTH}"),
-        )
-        .hint("the published model has 512")?;
-        require(
-            self.num_heads > 0 && width.is_multiple_of(self.num_heads),
-            "model.num_heads",
-            self.num_heads,
-            format!("a divisor of model.latent_dim ({width})"),
-        )
-        .hint("the published model has 4")?;
+        must_be_even(self.latent_dim, "the published model has 512")?;
+        must_divide(self.num_heads, self.latent_dim).hint("the published model has 4")?;
         in_range("model.num_layers", self.num_layers, 1..=MAX_LAYERS)
             .hint("the published model has 8")?;
         in_range("model.ff_size", self.ff_size, 1..=MAX_WIDTH)
@@ -101,13 +83,11 @@ impl EncoderConfig {
 
     /// Numbers that the backward pass keeps of one item of `frames` frames, roughly.
     pub fn activations(&self, frames: usize) -> u64 {
-        let [width, ff_size] = [self.latent_dim, self.ff_size].map(|size| size as u64);
-        let a_token = self.num_layers as u64 * (12 * width + 3 * ff_size);
-        (frames as u64 + 1) * a_token
+        let layer = 12 * self.latent_dim + 3 * self.ff_size;
+        (frames as u64 + 1) * self.num_layers as u64 * layer as u64
     }
 
-    /// Builds the network for motion of `in_channels`; its parameters are initialised when they are first
-    /// used.
+    /// The network for motion of `in_channels`.
     ///
     /// # Errors
     /// As [`validate`](Self::validate).
@@ -121,13 +101,12 @@ impl EncoderConfig {
             dropout: self.dropout,
         };
         let layers = init.at("seqTransEncoder").at("layers");
+        let layer = |index: usize| sizes.init(index + 1, &layers.at(&index.to_string()));
         let pose = init.at("input_process").at("poseEmbedding");
         let last = init.at("output_process").at("poseFinal");
         Ok(Encoder {
             input_process_at_poseEmbedding: Linear::new(in_channels, self.latent_dim, &pose),
-            seqTransEncoder_at_layers: (0..self.num_layers)
-                .map(|index| sizes.init(index + 1, &layers.at(&index.to_string())))
-                .collect(),
+            seqTransEncoder_at_layers: (0..self.num_layers).map(layer).collect(),
             output_process_at_poseFinal: Linear::new(self.latent_dim, in_channels, &last),
             // The numbers of the layers' own follow.
             dropout: Dropout::new(self.dropout, 0),
@@ -135,8 +114,7 @@ impl EncoderConfig {
     }
 }
 
-/// A transformer encoder over `[condition, frame 0, frame 1, ..]`. Should be created with
-/// [`EncoderConfig::init`].
+/// A transformer encoder over `[condition, frame 0, frame 1, ..]`, made by [`EncoderConfig::init`].
 #[derive(Module, Debug)]
 pub struct Encoder {
     input_process_at_poseEmbedding: Linear,

@@ -4,19 +4,15 @@ use burn::module::Module;
 use burn::tensor::Tensor;
 use burn::tensor::activation::mish;
 use kinegrad_kernels::concat_channels;
+use kinegrad_models::config::{MAX_WIDTH, must_be_even};
+use kinegrad_models::layers::{Conv1d, ConvTranspose1d, Linear};
+use kinegrad_models::{Initializer, NamedSizes, NetworkConfig, Stages};
 use kinegrad_settings::{InvalidSetting, Refused, require};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::res_block::{ConvNorm, GROUPS, GmdResBlock};
-use kinegrad_models::Initializer;
-use kinegrad_models::NamedSizes;
-use kinegrad_models::NetworkConfig;
-use kinegrad_models::Stages;
-use kinegrad_models::config::MAX_WIDTH;
-use kinegrad_models::layers::{Conv1d, ConvTranspose1d, Linear};
 
-/// Longest clip that the network may be padded to.
 const MAX_PADDED_FRAMES: usize = 1 << 20;
 
 /// The sizes of a [`GmdUnet`].
@@ -57,8 +53,8 @@ impl NetworkConfig for GmdUnetConfig {
     ];
 }
 
-/// Named sizes. Parameter counts are for the 263 or 4 channels of the published models under a text
-/// (Guided Motion Diffusion, table D.1).
+/// Named sizes (Guided Motion Diffusion, table D.1), with the parameters of the published models of 263
+/// and 4 channels.
 impl GmdUnetConfig {
     /// 233,507,079 parameters.
     pub fn motion() -> Self {
@@ -97,59 +93,40 @@ impl GmdUnetConfig {
             ..Self::motion()
         }
     }
-}
 
-impl GmdUnetConfig {
     /// Channels of each level.
     pub fn channels(&self) -> Vec<usize> {
-        self.dim_mults
-            .iter()
-            .map(|mult| (self.latent_dim as f64 * mult).round() as usize)
-            .collect()
-    }
-
-    /// Lengths must be a multiple of this.
-    pub fn length_multiple(&self) -> usize {
-        1 << self.dim_mults.len().saturating_sub(1)
+        let channels = |mult: &f64| (self.latent_dim as f64 * mult).round() as usize;
+        self.dim_mults.iter().map(channels).collect()
     }
 
     /// # Errors
     /// Names the key that no network can be built from.
     pub fn validate(&self) -> Result<(), InvalidSetting> {
         let (width, mults) = (self.latent_dim, &self.dim_mults);
+        let (key, count) = ("model.dim_mults", mults.len());
+        let allowed = "1 to 16 numbers, one a level";
         require(
-            (1..=16).contains(&mults.len()),
-            "model.dim_mults",
+            (1..=16).contains(&count),
+            key,
             format!("{mults:?}"),
-            "1 to 16 numbers, one a level",
+            allowed,
         )
         .hint("the motion model has [2.0, 2.0, 2.0, 2.0]")?;
-        require(
-            (2..=MAX_WIDTH).contains(&width) && width.is_multiple_of(2),
-            "model.latent_dim",
-            width,
-            format!("an even number, 2 to {MAX_WIDTH}"),
-        )
-        .hint("the published models have 512")?;
+        must_be_even(width, "the published models have 512")?;
         for (channels, mult) in self.channels().into_iter().zip(mults) {
             let exact = (width as f64 * mult - channels as f64).abs() < 1e-6;
-            require(
-                exact && (1..=MAX_WIDTH).contains(&channels) && channels.is_multiple_of(GROUPS),
-                "model.dim_mults",
-                format!("{mults:?} of {width}"),
-                format!("levels of a multiple of {GROUPS} channels, at most {MAX_WIDTH}"),
-            )
-            .hint(format!("a level has {channels}"))?;
+            let fits = (1..=MAX_WIDTH).contains(&channels) && channels.is_multiple_of(GROUPS);
+            let allowed = format!("levels of a multiple of {GROUPS} channels, at most {MAX_WIDTH}");
+            require(exact && fits, key, format!("{mults:?} of {width}"), allowed)
+                .hint(format!("a level has {channels}"))?;
         }
-        let multiple = self.length_multiple();
-        require(
-            (1..=MAX_PADDED_FRAMES).contains(&self.padded_frames)
-                && self.padded_frames.is_multiple_of(multiple),
-            "model.padded_frames",
-            self.padded_frames,
-            format!("a multiple of {multiple}, at most {MAX_PADDED_FRAMES}"),
-        )
-        .hint("every level but the last halves the length; the published models have 224")
+        let multiple = 1 << mults.len().saturating_sub(1);
+        let (key, frames) = ("model.padded_frames", self.padded_frames);
+        let fits = (1..=MAX_PADDED_FRAMES).contains(&frames) && frames.is_multiple_of(multiple);
+        let allowed = format!("a multiple of {multiple}, at most {MAX_PADDED_FRAMES}");
+        require(fits, key, frames, allowed)
+            .hint("every level but the last halves the length; the published models have 224")
     }
 
     /// Numbers that the backward pass keeps of one item, roughly.
@@ -162,8 +139,7 @@ impl GmdUnetConfig {
         self.channels().into_iter().enumerate().map(of_level).sum()
     }
 
-    /// Builds the network for motion of `in_channels`, conditioned on a vector of width `cond_dim`;
-    /// its parameters are initialised when they are first used.
+    /// The network for motion of `in_channels`, conditioned on a vector of width `cond_dim`.
     ///
     /// # Errors
     /// As [`validate`](Self::validate).
@@ -180,20 +156,19 @@ impl GmdUnetConfig {
         let block = |inputs, outputs, init: &Initializer| {
             GmdResBlock::new(inputs, outputs, width, self.adagn, self.zero_init, init)
         };
-        let downs = (0..channels.len()).map(|level| {
-            let place = init.at("downs").at(&level.to_string());
-            let inputs = match level {
-                0 => in_channels,
-                _ => channels[level - 1],
-            };
-            let outputs = channels[level];
-            let halving = || Conv1d::strided(outputs, outputs, 3, 2, &place.at("3").at("conv"));
-            DownLevel {
-                at_0: block(inputs, outputs, &place.at("0")),
-                at_1: block(outputs, outputs, &place.at("1")),
-                at_3_at_conv: (level < coarsest).then(halving),
-            }
-        });
+        let inputs = [in_channels].into_iter().chain(channels.iter().copied());
+        let downs = inputs
+            .zip(&channels)
+            .enumerate()
+            .map(|(level, (inputs, &outputs))| {
+                let place = init.at("downs").at(&level.to_string());
+                let halving = || Conv1d::strided(outputs, outputs, 3, 2, &place.at("3").at("conv"));
+                DownLevel {
+                    at_0: block(inputs, outputs, &place.at("0")),
+                    at_1: block(outputs, outputs, &place.at("1")),
+                    at_3_at_conv: (level < coarsest).then(halving),
+                }
+            });
         let ups = (1..channels.len()).rev().enumerate().map(|(index, level)| {
             let place = init.at("ups").at(&index.to_string());
             let (inputs, outputs) = (2 * channels[level], channels[level - 1]);
@@ -203,9 +178,9 @@ impl GmdUnetConfig {
                 at_3_at_conv: ConvTranspose1d::doubling(outputs, &place.at("3").at("conv")),
             }
         });
-        let middle = channels[coarsest];
+        let (finest, middle) = (channels[0], channels[coarsest]);
         let (time, last) = (init.at("time_mlp"), init.at("final_conv"));
-        let output = Conv1d::new(channels[0], in_channels, 1, &last.at("1"));
+        let output = Conv1d::new(finest, in_channels, 1, &last.at("1"));
         Ok(GmdUnet {
             time_mlp_at_0: Linear::new(cond_dim, 4 * width, &time.at("0")),
             time_mlp_at_2: Linear::new(4 * width, width, &time.at("2")),
@@ -213,11 +188,7 @@ impl GmdUnetConfig {
             mid_block1: block(middle, middle, &init.at("mid_block1")),
             mid_block2: block(middle, middle, &init.at("mid_block2")),
             ups: ups.collect(),
-            final_conv_at_0_at_block: ConvNorm::new(
-                channels[0],
-                channels[0],
-                &last.at("0").at("block"),
-            ),
+            final_conv_at_0_at_block: ConvNorm::new(finest, finest, &last.at("0").at("block")),
             final_conv_at_1: match self.zero_init {
                 true => output.zeroed(&last.at("1")),
                 false => output,
@@ -226,7 +197,6 @@ impl GmdUnetConfig {
     }
 }
 
-/// Two blocks, then half the length: kernel 3, stride 2, padding 1.
 #[derive(Module, Debug)]
 struct DownLevel {
     at_0: GmdResBlock,
@@ -241,13 +211,11 @@ struct UpLevel {
     at_3_at_conv: ConvTranspose1d,
 }
 
-/// The UNet without the embeddings of timestep and text. Should be created with
-/// [`GmdUnetConfig::init`].
+/// The UNet without the embeddings of timestep and text, made by [`GmdUnetConfig::init`].
 ///
-/// There are as many levels down as multipliers and one less up; the skip of the finest level is
-/// not used, as in the published models. Up level `i` of the module tree counts from the coarsest.
-///
-/// The condition that every block receives is `Linear, Mish, Linear` of the one given.
+/// It has as many levels down as multipliers and one less up, counted from the coarsest; the skip of
+/// the finest level is not used, as in the published models. The condition of the blocks is `Linear,
+/// Mish, Linear` of the input.
 #[derive(Module, Debug)]
 pub struct GmdUnet {
     time_mlp_at_0: Linear,
@@ -261,20 +229,15 @@ pub struct GmdUnet {
 }
 
 impl GmdUnet {
+    /// Passes each stage to `stages`: `c [batch, latent_dim]`, `downI.res0`, `downI.res1` (the skip),
+    /// `downI.down`, `mid1`, `mid2`, `upI.res0`, `upI.res1`, `upI.up`, and `final0`, the last activation.
+    ///
     /// # Shapes
-    /// - x, output: `[batch, in_channels, time]`, time a multiple of
-    ///   [`GmdUnetConfig::length_multiple`]
+    /// - x, output: `[batch, in_channels, time]`, time a multiple of `2^(levels - 1)`
     /// - cond: `[batch, cond_dim]`
-    pub fn forward(&self, x: Tensor<3>, cond: Tensor<2>) -> Tensor<3> {
-        self.forward_stages(x, cond, &mut ())
-    }
-
-    /// [`forward`](Self::forward), and what each stage gives: `c [batch, latent_dim]`,
-    /// `downI.res0`, `downI.res1` (the skip), `downI.down`, `mid1`, `mid2`, `upI.res0`, `upI.res1`,
-    /// `upI.up`, and `final0`, the last activation.
     pub fn forward_stages(
         &self,
-        x: Tensor<3>,
+        mut x: Tensor<3>,
         cond: Tensor<2>,
         stages: &mut impl Stages,
     ) -> Tensor<3> {
@@ -282,7 +245,6 @@ impl GmdUnet {
         let c = self.time_mlp_at_2.forward(mish(c));
         stages.stage(format_args!("c"), || c.clone());
         let c = mish(c);
-        let mut x = x;
         let mut skips = Vec::with_capacity(self.downs.len());
         for (index, level) in self.downs.iter().enumerate() {
             x = level.at_0.forward(x, c.clone());

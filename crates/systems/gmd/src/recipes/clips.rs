@@ -1,34 +1,37 @@
 //! The motion and the trajectory model of Guided Motion Diffusion (appendix A, C and E).
 //!
-//! The motion model: clips of joint features with an absolute root, normalised, then projected so
-//! that the root's three channels weigh as much as all others:
+//! The motion model: clips of joint features with an absolute root, projected so that the root's three
+//! channels weigh as much as all others:
 //!
 //! ```text
 //! x = ((u - mean) / std) P          P from `emphasis`, stored with the weights
-//! L = clip_loss(x)                  sample prediction unless `diffusion.prediction_type` is set
+//! L = mean over the batch of  w(t) sum over real frames and channels  w_c |target - f(x_t, t, text)|
+//!                                  / real frames                      with the w_c adding up to 1
 //! ```
 //!
-//! `loss.joint_velocity` and `loss.foot_contact` add terms of the joints ([`JointMotion`]).
+//! with the distance of `diffusion.loss_type` and the weights w(t) of `diffusion.snr_gamma`. GMD's
+//! published program has squares and no w(t) (docs/sources.md, section 4.10). `loss.velocity` adds the
+//! squared error of differences from the frame before.
 //!
-//! Without a projection, `loss.trajectory_scale` k weighs the first four channels by k^2 instead
-//! (appendix C.1; the height among them, as in the published program).
+//! `loss.joint_velocity` and `loss.foot_contact` add terms of the joints ([`JointMotion`]). Without a
+//! projection, `loss.trajectory_scale` k weighs the first four channels by k^2 instead (appendix C.1).
 //!
-//! The trajectory model: those four channels alone, the root's rotation, x, z and height,
-//! normalised and not projected, predicting the noise. A model of four channels overfits quickly
-//! and then responds poorly to guidance, so its recipe uses early stopping on held-out paths
-//! (`train.patience`).
+//! The trajectory model predicts the noise of those four channels alone, the root's rotation, x, z and
+//! height. It overfits quickly and then responds poorly to guidance, so its recipe uses early stopping
+//! on held-out paths (`train.patience`).
 
-use crate::network::TextDenoiser;
-use kinegrad_diffusion::GaussianDiffusion;
+use kinegrad_data::TEXT;
+use kinegrad_diffusion::{GaussianDiffusion, Time};
 use kinegrad_motion::goal::TRAJECTORY_CHANNELS;
+use kinegrad_train::clips::clip_loss;
+use kinegrad_train::denoising::{Conditions, DenoisingRecipe, HeldOut, Inputs};
 
 use super::JointMotion;
-use super::loss::clip_loss;
 use crate::GmdLossConfig;
-use kinegrad_train::denoising::{DenoisingRecipe, HeldOut, Inputs};
+use crate::network::TextDenoiser;
 
-/// Trains a [`TextDenoiser`] on clips of `channels`, complete motion or the root trajectory, over
-/// `diffusion`, validated on `held_out`. Random inputs are noise of the network's space.
+/// Trains a [`TextDenoiser`] on clips of `channels`, validated on `held_out`. The noise is that of the
+/// network's space.
 pub fn clip_recipe(
     diffusion: GaussianDiffusion,
     channels: usize,
@@ -49,14 +52,12 @@ pub fn clip_recipe(
             };
             let inputs = Inputs { x_start, ..inputs };
             let (target, mask) = (inputs.x_start.clone(), inputs.mask.clone());
+            let network = |x_t, time: &[Time], cond: &Conditions, dropout| {
+                model.forward_stages(x_t, time, cond.get(TEXT).clone(), dropout, &mut ())
+            };
+            let weights = &channel_weights;
             let mut loss = clip_loss(
-                diffusion,
-                model,
-                inputs,
-                draws,
-                &channel_weights,
-                velocity,
-                weighted,
+                diffusion, inputs, draws, weights, velocity, weighted, network,
             );
             if let Some(joint_motion) = &joint_motion {
                 let output = loss.probes.iter().find(|(name, _)| *name == "model_output");

@@ -4,9 +4,9 @@ use burn::tensor::{Int, Tensor, TensorData};
 use kinegrad_motion::Statistics;
 use kinegrad_motion::emphasis::EmphasisProjection;
 use kinegrad_motion::humanml::{FeatureLayout, Skeleton};
+use kinegrad_train::clips::space::rows_to_motion;
 
 use crate::GmdLossConfig;
-use kinegrad_train::clips::space::rows_to_motion;
 
 /// Contact flags of the target above this mark standing feet.
 const STANDING: f32 = 0.5;
@@ -26,8 +26,8 @@ const STANDING: f32 = 0.5;
 pub struct JointMotion {
     joint_velocity: f64,
     foot_contact: f64,
-    /// Root, positions and contact flags from the network's channels, `[rows, channels]`, and what
-    /// they begin at.
+    /// The affine map from the network's channels to root, positions and contact flags, `[rows,
+    /// channels]`.
     rows: Vec<f32>,
     offsets: Vec<f32>,
     channels: usize,
@@ -37,8 +37,7 @@ pub struct JointMotion {
 }
 
 impl JointMotion {
-    /// The loss of networks for features of `skeleton` with these `statistics`; none where `loss`
-    /// weighs neither term.
+    /// The loss for features of `skeleton`; `None` if both weights are 0.
     pub fn new(
         loss: &GmdLossConfig,
         skeleton: &Skeleton,
@@ -50,18 +49,14 @@ impl JointMotion {
         }
         let layout = skeleton.layout();
         let channels = layout.channels();
-        let wanted = FeatureLayout::ROOT
-            .chain(layout.positions())
-            .chain(layout.contacts());
-        let wanted: Vec<usize> = wanted.collect();
+        let positions = FeatureLayout::ROOT.chain(layout.positions());
+        let wanted: Vec<usize> = positions.chain(layout.contacts()).collect();
+        let offset = |&row: &usize| statistics.mean[row] as f32;
         Some(Self {
             joint_velocity: loss.joint_velocity,
             foot_contact: loss.foot_contact,
             rows: rows_to_motion(&wanted, &statistics.std, projection),
-            offsets: wanted
-                .iter()
-                .map(|&row| statistics.mean[row] as f32)
-                .collect(),
+            offsets: wanted.iter().map(offset).collect(),
             channels,
             layout,
             feet: skeleton.contact_joints(),
@@ -69,7 +64,7 @@ impl JointMotion {
         })
     }
 
-    /// The terms, each with its weight in it.
+    /// The weighted terms.
     ///
     /// # Shapes
     /// - prediction, target: clean motion in the network's space, `[batch, channels, time]`
@@ -108,10 +103,8 @@ impl JointMotion {
             let squares = velocities.select(1, chosen).powi_scalar(2);
             let stands = contacts.greater_scalar(STANDING).float();
             let stands = stands.narrow(2, 0, time - 1).repeat_dim(1, 3);
-            terms.push((
-                "foot_contact",
-                over_frames(squares * stands, self.foot_contact / 4.0),
-            ));
+            let weight = self.foot_contact / 4.0;
+            terms.push(("foot_contact", over_frames(squares * stands, weight)));
         }
         terms
     }
@@ -128,9 +121,8 @@ impl JointMotion {
         let motion = rows.matmul(x) + Tensor::<3>::from_data(offsets, &device);
         let root = |channel: usize| motion.clone().narrow(1, channel, 1);
         let bodies = self.layout.joints() - 1;
-        let places = motion
-            .clone()
-            .narrow(1, FeatureLayout::ROOT.end, 3 * bodies);
+        let end = FeatureLayout::ROOT.end;
+        let places = motion.clone().narrow(1, end, 3 * bodies);
         let places = places.reshape([batch, bodies, 3, time]);
         let along = |axis| {
             places
@@ -139,15 +131,14 @@ impl JointMotion {
                 .reshape([batch, bodies, time])
         };
         let [x, y, z] = [along(0), along(1), along(2)];
-        // The root quaternion turns the world to the facing frame by twice the angle; this is back.
+        // The inverse of the root quaternion, which turns the world to the facing frame.
         let angle = root(0) * 2.0;
         let (cos, sin) = (angle.clone().cos(), angle.sin());
         let world_x = x.clone() * cos.clone() - z.clone() * sin.clone() + root(1);
         let world_z = x * sin + z * cos + root(2);
-        let world = vec![root(1), world_x, root(3), y, root(2), world_z];
-        let world = Tensor::cat(world, 1);
+        let world = Tensor::cat(vec![root(1), world_x, root(3), y, root(2), world_z], 1);
         let [later, earlier] = [1, 0].map(|first| world.clone().narrow(2, first, time - 1));
-        let contacts = motion.narrow(1, FeatureLayout::ROOT.end + 3 * bodies, 4);
+        let contacts = motion.narrow(1, end + 3 * bodies, 4);
         ((later - earlier) * self.fps, contacts)
     }
 }

@@ -1,8 +1,7 @@
-//! The recipe of both models, and its loss.
+//! The recipe of both models and its losses.
 
 mod clips;
 mod joint_motion;
-pub mod loss;
 
 pub use clips::clip_recipe;
 pub use joint_motion::JointMotion;

@@ -3,11 +3,11 @@
 use burn::module::{Module, Param};
 use burn::tensor::activation::leaky_relu;
 use burn::tensor::{Int, Tensor};
+use kinegrad_models::Initializer;
+use kinegrad_models::layers::{BiGru, Conv1d, LayerNorm, Linear};
 use kinegrad_motion::metrics::text_motion::PartOfSpeech;
 
 use super::TextMotionConfig;
-use kinegrad_models::Initializer;
-use kinegrad_models::layers::{BiGru, Conv1d, LayerNorm, Linear};
 
 /// The slope of every leaky rectifier for negative numbers.
 const SLOPE: f64 = 0.2;
@@ -23,11 +23,12 @@ pub(super) struct MovementEncoder {
 impl MovementEncoder {
     pub fn new(config: &TextMotionConfig, init: &Initializer) -> Self {
         let main = init.at("main");
+        let (convolution, movement) = (config.sizes.convolution, config.sizes.movement);
         let halving = |inputs, outputs, at| Conv1d::strided(inputs, outputs, 4, 2, &main.at(at));
         Self {
-            main_at_0: halving(config.channels, config.convolution, "0"),
-            main_at_3: halving(config.convolution, config.movement, "3"),
-            out_net: Linear::new(config.movement, config.movement, &init.at("out_net")),
+            main_at_0: halving(config.channels, convolution, "0"),
+            main_at_3: halving(convolution, movement, "3"),
+            out_net: Linear::new(movement, movement, &init.at("out_net")),
         }
     }
 
@@ -69,9 +70,8 @@ impl SequenceEncoder {
         let longest = lengths.iter().max().copied().unwrap_or(0);
         let x = self.input_emb.forward_frames(x.narrow(2, 0, longest));
         let x = self.gru.forward(x, lengths, self.hidden.val()).last;
-        let x = self
-            .output_net_at_1
-            .forward(self.output_net_at_0.forward(x));
+        let x = self.output_net_at_0.forward(x);
+        let x = self.output_net_at_1.forward(x);
         self.output_net_at_3.forward(leaky_relu(x, SLOPE))
     }
 }
@@ -86,10 +86,10 @@ pub(super) struct TextEncoder {
 impl TextEncoder {
     pub fn new(config: &TextMotionConfig, init: &Initializer) -> Self {
         let classes = PartOfSpeech::ALL.len();
-        let (vector, state) = (config.word_vector, config.text_state);
+        let (vector, sizes) = (config.word_vector, config.sizes);
         Self {
             pos_emb: Linear::new(classes, vector, &init.at("pos_emb")),
-            flat_sequence: SequenceEncoder::new(vector, state, config.embedding, init),
+            flat_sequence: SequenceEncoder::new(vector, sizes.text_state, sizes.embedding, init),
         }
     }
 

@@ -1,9 +1,8 @@
 //! Text-motion evaluators: encoders that measure how well motions match captions.
 //!
-//! One encodes clips of HumanML3D features, the other captions, to embeddings that are close
-//! together if the caption describes the clip. Those of published weights have their widths, others
-//! are trained with [`TextMotionSizes`]. Source: C. Guo et al., "Generating Diverse and Natural 3D
-//! Human Motions from Text" (2022), section 5, as its published program computes it.
+//! One encodes clips of HumanML3D features, the other captions, to embeddings that are close if the
+//! caption describes the clip. Source: C. Guo et al., "Generating Diverse and Natural 3D Human Motions
+//! from Text" (2022), section 5, and its published program.
 //!
 //! ```text
 //! clip     normalised frames without contact flags -> two convolutions (4 wide, 2 apart), linear
@@ -22,10 +21,10 @@ pub use sizes::TextMotionSizes;
 use encoders::{MovementEncoder, SequenceEncoder, TextEncoder};
 use kinegrad_models::Initializer;
 
-/// Frames of a movement: what is left over at a clip's end is no movement of its own.
+/// Frames of a movement; remaining frames at a clip's end are ignored.
 pub const UNIT_FRAMES: usize = 4;
 
-/// The parts of the published file that are the weights, beside its optimisers and counters.
+/// The parts of the published file that contain weights.
 pub const PARTS: [&str; 3] = ["movement_encoder", "motion_encoder", "text_encoder"];
 
 /// Widths of the networks.
@@ -33,53 +32,45 @@ pub const PARTS: [&str; 3] = ["movement_encoder", "motion_encoder", "text_encode
 pub struct TextMotionConfig {
     /// Numbers of a frame, without contact flags.
     pub channels: usize,
-    /// Channels between the two convolutions.
-    pub convolution: usize,
-    /// Numbers of a movement.
-    pub movement: usize,
-    /// State of the motion encoder.
-    pub motion_state: usize,
     /// Numbers of a word vector.
     pub word_vector: usize,
-    /// State of the text encoder.
-    pub text_state: usize,
-    /// Numbers of an embedding.
-    pub embedding: usize,
+    /// The widths that a config chooses.
+    pub sizes: TextMotionSizes,
 }
 
 impl TextMotionConfig {
-    /// The widths of weights with the named shapes `shape`. A width without such a weight is
+    /// The widths of weights with the named shapes `shape`. A width without a weight is
     /// that of the published networks for HumanML3D.
     pub fn of_weights<'a>(shape: impl Fn(&str) -> Option<&'a [usize]>) -> Self {
         let width = |name: &str, axis: usize, published: usize| {
-            let found = shape(name).and_then(|shape| shape.get(axis));
-            found
-                .copied()
-                .filter(|&found| found > 0)
-                .unwrap_or(published)
+            let found = shape(name).and_then(|shape| shape.get(axis)).copied();
+            found.filter(|&found| found > 0).unwrap_or(published)
         };
         Self {
             channels: width("movement_encoder.main.0.weight", 1, 259),
-            convolution: width("movement_encoder.main.0.weight", 0, 512),
-            movement: width("movement_encoder.main.3.weight", 0, 512),
-            motion_state: width("motion_encoder.hidden", 2, 1024),
             word_vector: width("text_encoder.pos_emb.weight", 0, 300),
-            text_state: width("text_encoder.hidden", 2, 512),
-            embedding: width("motion_encoder.output_net.3.weight", 0, 512),
+            sizes: TextMotionSizes {
+                convolution: width("movement_encoder.main.0.weight", 0, 512),
+                movement: width("movement_encoder.main.3.weight", 0, 512),
+                motion_state: width("motion_encoder.hidden", 2, 1024),
+                text_state: width("text_encoder.hidden", 2, 512),
+                embedding: width("motion_encoder.output_net.3.weight", 0, 512),
+            },
         }
     }
 
-    /// Encoders with fresh weights.
+    /// Encoders with initial weights.
     pub fn init(&self, init: &Initializer) -> TextMotionEncoders {
         let [movement, motion, text] = PARTS.map(|part| init.at(part));
+        let TextMotionSizes {
+            movement: inputs,
+            motion_state,
+            embedding,
+            ..
+        } = self.sizes;
         TextMotionEncoders {
             movement_encoder: MovementEncoder::new(self, &movement),
-            motion_encoder: SequenceEncoder::new(
-                self.movement,
-                self.motion_state,
-                self.embedding,
-                &motion,
-            ),
+            motion_encoder: SequenceEncoder::new(inputs, motion_state, embedding, &motion),
             text_encoder: TextEncoder::new(self, &text),
             config: *self,
         }
@@ -88,7 +79,7 @@ impl TextMotionConfig {
 
 /// The pair of encoders, with the parameters of the published file's [`PARTS`].
 ///
-/// An embedding does not depend on what else is in its batch, but for rounding.
+/// Except for rounding, an embedding does not depend on the other items of its batch.
 #[derive(Module, Debug)]
 pub struct TextMotionEncoders {
     movement_encoder: MovementEncoder,

@@ -1,19 +1,15 @@
 //! The widths that a config chooses.
 
+use kinegrad_models::config::MAX_WIDTH;
+use kinegrad_models::{NamedSizes, NetworkConfig};
 use kinegrad_settings::{InvalidSetting, Refused, in_range};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::TextMotionConfig;
-use kinegrad_models::NamedSizes;
-use kinegrad_models::NetworkConfig;
-use kinegrad_models::config::MAX_WIDTH;
-
-/// Most numbers of an embedding.
 const MAX_EMBEDDING: usize = 4096;
 
 /// Widths of a text-motion evaluator that is trained.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct TextMotionSizes {
     /// Channels between the two convolutions over frames.
@@ -44,7 +40,7 @@ impl NetworkConfig for TextMotionSizes {
 }
 
 impl TextMotionSizes {
-    /// Those of the published evaluator for HumanML3D.
+    /// The sizes of the published evaluator for HumanML3D.
     pub fn published() -> Self {
         Self {
             convolution: 512,
@@ -63,27 +59,6 @@ impl TextMotionSizes {
             motion_state: 64,
             text_state: 32,
             embedding: 32,
-        }
-    }
-
-    /// The networks of these sizes for frames of `channels` numbers and word vectors of
-    /// `word_vector`.
-    pub fn config(&self, channels: usize, word_vector: usize) -> TextMotionConfig {
-        let Self {
-            convolution,
-            movement,
-            motion_state,
-            text_state,
-            embedding,
-        } = *self;
-        TextMotionConfig {
-            channels,
-            convolution,
-            movement,
-            motion_state,
-            word_vector,
-            text_state,
-            embedding,
         }
     }
 

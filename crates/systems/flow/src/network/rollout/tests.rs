@@ -1,11 +1,11 @@
 use kinegrad_diffusion::SamplerKind;
+use kinegrad_models::Initializer;
 use kinegrad_motion::ChannelMoments;
 use kinegrad_motion::humanml::walk::{self, Course};
 use kinegrad_random::Purpose;
 
 use super::*;
 use crate::network::FlowConfig;
-use kinegrad_models::Initializer;
 
 /// A walk straight on.
 fn walked(frames: usize) -> Joints {
@@ -55,7 +55,7 @@ fn begin(
     settings: RolloutSettings,
     history: &Joints,
     seed: u64,
-) -> Result<FlowRollout, RolloutError> {
+) -> Result<FlowRollout, Error> {
     let device = Device::flex();
     let init = Initializer::new(2, &device);
     let model = FlowConfig::tiny()
