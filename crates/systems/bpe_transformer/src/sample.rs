@@ -166,7 +166,7 @@ impl Sampler for Compositions<'_> {
                 let mut record = Record {
                     composition: Some(CompositionRecord {
                         bpe_denoising_step: own.evaluation.bpe_denoising_step,
-                        said: TimedPrompt::records(prompts),
+                        prompts: TimedPrompt::records(prompts),
                     }),
                     ..run.record(job, index)
                 };

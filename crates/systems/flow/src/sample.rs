@@ -193,7 +193,7 @@ impl Sampler for Rollouts<'_> {
                         constant_bones: how.constant_bones,
                         same_noise: how.same_noise,
                         evaluations_per_frame: rollout.evaluations() as f64 / length as f64,
-                        said: TimedPrompt::records(&start.prompts),
+                        prompts: TimedPrompt::records(&start.prompts),
                     }),
                     ..run.record(job, index)
                 };

@@ -140,7 +140,7 @@ impl State {
             reason,
         };
         log::debug!("reading {}", path.join("state.json").display());
-        let bytes = file_of(path, "state.json", |whole| read_file(whole, MAX_TEXT_BYTES))?;
+        let bytes = file_of(path, "state.json", |file| read_file(file, MAX_TEXT_BYTES))?;
         let text = String::from_utf8(bytes);
         let text = text.map_err(|error| damaged(format!("state.json: {error}")))?;
         let body = text.rfind(SEAL).map(|end| &text[..end]);
@@ -169,15 +169,15 @@ pub(super) fn file_of<T>(
     file: &str,
     read: impl FnOnce(&Path) -> io::Result<T>,
 ) -> Result<T, Error> {
-    let whole = path.join(file);
-    read(&whole).map_err(|error| match error.kind() {
+    let full = path.join(file);
+    read(&full).map_err(|error| match error.kind() {
         ErrorKind::NotFound | ErrorKind::NotADirectory | ErrorKind::FileTooLarge => {
             Error::CheckpointDamaged {
                 path: path.to_path_buf(),
                 reason: format!("{file}: {error}"),
             }
         }
-        _ => Error::io("read", &whole)(error),
+        _ => Error::io("read", &full)(error),
     })
 }
 

@@ -119,8 +119,8 @@ pub(super) fn read(path: &Path, state: &State, file: &str) -> Result<Vec<HostPar
         reason: format!("{file}: {reason}"),
     };
     let checksum = state.checksums.get(file).map(String::as_str);
-    let whole = file_of(path, file, |whole| read_whole(whole, checksum))?;
-    let bytes = whole.map_err(damaged)?;
+    let intact = file_of(path, file, |file| read_intact(file, checksum))?;
+    let bytes = intact.map_err(damaged)?;
     let parsed = SafeTensors::deserialize(&bytes).map_err(|error| damaged(error.to_string()))?;
     let mut parameters = parsed
         .iter()
@@ -149,7 +149,7 @@ pub(super) fn read(path: &Path, state: &State, file: &str) -> Result<Vec<HostPar
 ///
 /// A damaged file may have any length: it is read into memory only if its header states its
 /// length, it fits, and its checksum matches.
-fn read_whole(path: &Path, checksum: Option<&str>) -> io::Result<Result<Vec<u8>, String>> {
+fn read_intact(path: &Path, checksum: Option<&str>) -> io::Result<Result<Vec<u8>, String>> {
     let length = regular(path)?;
     let mut file = File::open(path)?;
     match stated_length(&mut file)? {

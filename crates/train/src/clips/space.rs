@@ -179,7 +179,7 @@ mod tests {
             let error = largest(&found.try_into_vec_as::<f32>().unwrap());
             assert!(error < 1e-3, "{mode:?}: {error}");
         }
-        // With products rounded as matrix units do, the error would be whole deviations.
+        // With products rounded as matrix units do, the error would be several deviations.
         let tf32 = |value: f32| f32::from_bits((value.to_bits() + 0x1000) & !0x1fff);
         let times = |rows: &[f32], matrix: &[f32]| -> Vec<f32> {
             let mut out = vec![0.0; rows.len()];

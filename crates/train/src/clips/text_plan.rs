@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 
 use super::captions::{ClipText, TextInput};
 use crate::error::Error;
-use crate::sampling::{Request, SaidRecord};
+use crate::sampling::{PromptRecord, Request};
 
 /// Successive texts with durations.
 #[derive(Deserialize, Serialize)]
@@ -119,12 +119,12 @@ pub struct TimedPrompt {
 
 impl TimedPrompt {
     /// The texts of a motion with their first frames, for its record.
-    pub fn records(prompts: &[Self]) -> Vec<SaidRecord> {
+    pub fn records(prompts: &[Self]) -> Vec<PromptRecord> {
         let mut from = 0;
         let record = |prompt: &Self| {
             let begins = from;
             from += prompt.frames;
-            SaidRecord {
+            PromptRecord {
                 from: begins,
                 text: prompt.text.as_ref().and_then(|text| text.caption.clone()),
             }

@@ -185,16 +185,16 @@ mod tests {
             frames: vec![0..2, 10..12],
         };
         let turn = |t: usize| std::f64::consts::TAU * (t.clamp(1, 10) - 1) as f64 / 9.0;
-        let mut drawn = motion(&(0..12).map(turn).collect::<Vec<f64>>());
-        given.put_into(&mut drawn);
+        let mut sampled = motion(&(0..12).map(turn).collect::<Vec<f64>>());
+        given.put_into(&mut sampled);
         for t in 1..12 {
             assert!(
-                drawn.quaternion(t).dot(drawn.quaternion(t - 1)) > 0.9,
+                sampled.quaternion(t).dot(sampled.quaternion(t - 1)) > 0.9,
                 "{t}"
             );
         }
-        assert_eq!(drawn.frame(1), given.motion.frame(1));
-        assert_eq!(drawn.quaternion(11).w, -1.0);
+        assert_eq!(sampled.frame(1), given.motion.frame(1));
+        assert_eq!(sampled.quaternion(11).w, -1.0);
     }
 
     #[test]

@@ -23,7 +23,7 @@ pub use job::{Job, Needs, Run, Sampler};
 pub use known_frames::KnownFrames;
 pub use names::Names;
 pub use record::{
-    BatchRecord, CompositionRecord, GoalRecord, PathRecord, Record, RolloutRecord, SaidRecord,
+    BatchRecord, CompositionRecord, GoalRecord, PathRecord, PromptRecord, Record, RolloutRecord,
     SamplerRecord, WindowsRecord,
 };
 pub use request::Request;

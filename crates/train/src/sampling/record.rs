@@ -75,7 +75,8 @@ pub struct RolloutRecord {
     #[serde(default)]
     pub evaluations_per_frame: f64,
     /// The texts, in order.
-    pub said: Vec<SaidRecord>,
+    #[serde(rename = "said")]
+    pub prompts: Vec<PromptRecord>,
 }
 
 /// The segments of a composition.
@@ -84,7 +85,8 @@ pub struct CompositionRecord {
     /// The denoising step from which positions were relative.
     pub bpe_denoising_step: i64,
     /// The texts, in order.
-    pub said: Vec<SaidRecord>,
+    #[serde(rename = "said")]
+    pub prompts: Vec<PromptRecord>,
 }
 
 /// A path and the deviation of the motion from it.
@@ -103,7 +105,7 @@ pub struct PathRecord {
 
 /// A text and its first frame.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct SaidRecord {
+pub struct PromptRecord {
     /// The frame, from 0.
     pub from: usize,
     /// The caption; `None` without one, or with an embedding only.

@@ -12,7 +12,7 @@ use crate::{Error, Preview};
 /// The file is a sequence of records: length (u64), masked CRC-32C of the length, the bytes,
 /// masked CRC-32C of the bytes; all little-endian. The bytes are a protocol-buffer `Event` with
 /// `wall_time` (field 1, double), `step` (2, varint), `file_version` (3, in the first record
-/// only) and `summary` (5), whose `value` entries (1) hold `tag` (1) and `simple_value` (2, float) or
+/// only) and `summary` (5), whose `value` entries (1) contain `tag` (1) and `simple_value` (2, float) or
 /// `image` (4): `height` (1), `width` (2), `colorspace` (3) and `encoded_image_string` (4).
 #[derive(Debug)]
 pub(super) struct EventFile {

@@ -6,7 +6,7 @@ use kinegrad_models::parameters;
 
 use crate::recipe::Loss;
 
-/// The first tensor, in the order of computation, that holds an infinity or NaN.
+/// The first tensor, in the order of computation, with an infinity or NaN.
 pub(super) fn find_not_finite<M: Module, P>(model: &M, batch: &Batch, loss: Loss<P>) -> String {
     let broken = |values: &[f32]| values.iter().any(|v| !v.is_finite());
     if broken(&batch.x_start) {
