@@ -1,7 +1,7 @@
 //! The config of a run: plain data with a schema.
 //!
 //! A config has the tables that every run has ([`Config`]) and those of the run's
-//! [system](crate::systems). Every key has a default.
+//! [system](crate::System). Every key has a default.
 //! [`Systems::load`](crate::system::Systems::load) reads a file with overrides,
 //! [`Systems::validate`](crate::system::Systems::validate) rejects what cannot work before any work
 //! starts, and the resolved config is saved beside the run.
