@@ -10,8 +10,6 @@ pub struct Kind {
     pub name: &'static str,
     /// A description.
     pub description: &'static str,
-    /// True if `auto` may select it; it selects the first that works.
-    automatic: bool,
     /// True if a machine may have several, each with an index.
     indexed: bool,
     open: fn(index: usize) -> Device,
@@ -27,13 +25,12 @@ impl Kind {
     }
 }
 
-/// The kinds in order of preference.
+/// The kinds in order of preference; `auto` takes the first that works.
 const KINDS: &[Kind] = &[
     #[cfg(feature = "cuda")]
     Kind {
         name: "cuda",
         description: "NVIDIA GPU; cuda:1 is the second",
-        automatic: true,
         indexed: true,
         open: |index| Device::cuda(index),
     },
@@ -41,7 +38,6 @@ const KINDS: &[Kind] = &[
     Kind {
         name: "metal",
         description: "Apple GPU",
-        automatic: true,
         indexed: false,
         open: |_| Device::metal(burn::tensor::DeviceKind::DefaultDevice),
     },
@@ -49,7 +45,6 @@ const KINDS: &[Kind] = &[
     Kind {
         name: "vulkan",
         description: "GPU through Vulkan and SPIR-V",
-        automatic: true,
         indexed: false,
         open: |_| Device::vulkan(burn::tensor::DeviceKind::DefaultDevice),
     },
@@ -57,14 +52,12 @@ const KINDS: &[Kind] = &[
     Kind {
         name: "wgpu",
         description: "GPU through wgpu and WGSL",
-        automatic: true,
         indexed: false,
         open: |_| Device::wgpu(burn::tensor::DeviceKind::DefaultDevice),
     },
     Kind {
         name: "cpu",
         description: "CPU, Burn's Flex backend",
-        automatic: true,
         indexed: false,
         open: |_| Device::flex(),
     },
@@ -72,7 +65,6 @@ const KINDS: &[Kind] = &[
     Kind {
         name: "ndarray",
         description: "CPU, Burn's NdArray backend (deprecated there)",
-        automatic: false,
         indexed: false,
         open: |_| {
             // Burn deprecates the backend; it stays for comparison as long as Burn has it.
@@ -134,7 +126,6 @@ pub(crate) fn open_for(name: &str, local: usize) -> Result<(Device, String), Inv
     if name == "auto" {
         return KINDS
             .iter()
-            .filter(|kind| kind.automatic)
             .filter_map(|kind| works(kind, 0).map(|device| (kind, device)))
             .find(|(_, device)| !is_software(device))
             .ok_or_else(|| refuse("no device works on this machine".into()))
