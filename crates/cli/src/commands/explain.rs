@@ -22,8 +22,8 @@ const PAGE: &str = "\
 # Config keys
 
 Every key of a training config, of a plan for `kinegrad data prepare` and of a goal for
-`kinegrad sample --goal`, with its meaning, allowed values and default. If defaults differ between
-recipes, each is listed. `kinegrad config explain --markdown` generates this page from the types that
+`kinegrad sample --goal`, with its meaning, allowed values and default. Defaults of
+single recipes come before that of the others. `kinegrad config explain --markdown` generates this page from the types that
 read the files; `kinegrad config explain KEY` prints one key or one table.
 
 Units are in the names of keys (`_seconds`, `_frames`, `_metres`, `_steps`) or in their meanings.
@@ -160,7 +160,7 @@ fn allowed(key: &ConfigKey) -> String {
     }
 }
 
-/// The default between two `quote`s; several with their recipes.
+/// The default between two `quote`s; several with their recipes, that of most recipes as the last.
 fn default(key: &ConfigKey, quote: &str) -> String {
     let quoted = |value: &str| match value {
         "not set" => value.to_owned(),
@@ -171,10 +171,19 @@ fn default(key: &ConfigKey, quote: &str) -> String {
         [] => String::new(),
         [(_, one)] => quoted(one),
         several => {
-            let one = |(recipes, value): &(Vec<_>, String)| {
-                format!("{} ({})", quoted(value), recipes.join(", "))
+            let mut several: Vec<_> = several.iter().collect();
+            several.sort_by_key(|(recipes, _)| recipes.len());
+            let last = several.len() - 1;
+            let one = |(place, (recipes, value)): (usize, &&(Vec<&str>, String))| match place {
+                place if place == last && recipes.len() > 2 => format!("else {}", quoted(value)),
+                _ => format!("{} ({})", quoted(value), recipes.join(", ")),
             };
-            several.iter().map(one).collect::<Vec<_>>().join("; ")
+            several
+                .iter()
+                .enumerate()
+                .map(one)
+                .collect::<Vec<_>>()
+                .join("; ")
         }
     }
 }
@@ -231,15 +240,22 @@ fn markdown(files: &[ConfigFile]) -> String {
         let _ = write!(page, "\n## The {title}\n\n{about}\n");
         for (table, group) in groups(keys) {
             section(&mut page, keys, group[0], table);
+            let mut above = String::new();
             for key in group {
+                let choices = choices(key);
+                let shown = match choices == above && choices.contains("<br>") {
+                    true => "as above",
+                    false => &choices,
+                };
                 let _ = writeln!(
                     page,
                     "| `{}` | {} | {} | {} |",
                     key.key.name,
                     cell(&key.key.meaning),
-                    cell(&choices(key)),
+                    cell(shown),
                     cell(&default(key, "`")),
                 );
+                above = choices;
             }
         }
     }
@@ -297,11 +313,26 @@ fn longest(keys: &[ConfigKey]) -> usize {
     counts.max().unwrap_or_default()
 }
 
+/// Kinds of values as the page has them.
+const SHORT: [(&str, &str); 7] = [
+    ("a whole number, 0 or more", "integer ≥ 0"),
+    ("a whole number", "integer"),
+    ("a number", "number"),
+    ("text in quotes", "text"),
+    ("true or false", "boolean"),
+    ("a table of `name = value` entries; each: ", "table of "),
+    ("a list; each: ", "list of "),
+];
+
 /// The allowed values; names with their meanings.
 fn choices(key: &ConfigKey) -> String {
     let names = key.key.values.names();
     if names.iter().all(|name| name.meaning.is_empty()) {
-        return allowed(key);
+        let mut allowed = allowed(key);
+        for (words, short) in SHORT {
+            allowed = allowed.replace(words, short);
+        }
+        return allowed;
     }
     let named = names.iter().map(|name| match name.meaning.as_str() {
         "" => format!("`\"{}\"`", name.name),
