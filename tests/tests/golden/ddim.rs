@@ -59,7 +59,7 @@ fn golden_ddim_sampling(golden: Golden) {
         let to = |final_alpha| SamplerConfig {
             kind: SamplerKind::Ddim(Ddim {
                 timesteps: Timesteps {
-                    timestep_spacing: TimestepSpacing::Document,
+                    timestep_spacing: TimestepSpacing::CcMotion,
                     guidance_until: 0,
                 },
                 eta: 0.0,

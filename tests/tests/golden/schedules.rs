@@ -60,10 +60,10 @@ fn golden_schedules_match_in_double_precision(golden: Golden) {
     }
 }
 
-/// `out.timesteps_8_1` is the spacing `document`, `out.timesteps_7_3` is `linspace`.
+/// `out.timesteps_8_1` is the spacing `ccmotion`, `out.timesteps_7_3` is `linspace`.
 fn golden_timesteps_match_exactly(golden: Golden) {
     for (section, timestep_spacing) in [
-        ("8_1", TimestepSpacing::Document),
+        ("8_1", TimestepSpacing::CcMotion),
         ("7_3", TimestepSpacing::Linspace),
     ] {
         let prefix = format!("out.timesteps_{section}.");

@@ -211,7 +211,7 @@ impl Maker for PhraseMaker<'_> {
                 Err(rejection) => unmade.push(rejection),
             }
         }
-        let failing = |row: &&ManifestRow| row.flags.contains(&Flag::FailsDocumentChecks);
+        let failing = |row: &&ManifestRow| row.flags.contains(&Flag::FailsCcmotionChecks);
         let failing = rows.iter().filter(failing).count();
         let report = aligned.report(unmade, failing);
         Ok((rows, report))

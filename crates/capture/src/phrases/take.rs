@@ -237,7 +237,7 @@ impl AlignedTake<'_> {
             (self.timeline.beats.is_none(), Flag::NoBeats),
             (joined, Flag::JoinedUnits),
             (self.aligned.filled_gaps, Flag::FilledGaps),
-            (!sane, Flag::FailsDocumentChecks),
+            (!sane, Flag::FailsCcmotionChecks),
             (damaged, Flag::DamagedAudio),
         ];
         let set = flags.into_iter().filter(|(holds, _)| *holds);
@@ -281,7 +281,7 @@ impl AlignedTake<'_> {
         if failing_checks > 0 {
             notes.push(format!(
                 "{failing_checks} of its phrases fail CC-MotionGen's sanity checks (flag \
-                 fails_document_checks)"
+                 fails_ccmotion_checks)"
             ));
         }
         TakeReport {

@@ -58,7 +58,7 @@ pub enum Flag {
     /// Short gaps of markers were interpolated.
     FilledGaps,
     /// It fails CC-MotionGen's sanity checks.
-    FailsDocumentChecks,
+    FailsCcmotionChecks,
     /// A part of its song was damaged or missing: what follows may be early.
     DamagedAudio,
 }

@@ -97,7 +97,8 @@ pub struct Dopri5 {
 pub enum TimestepSpacing {
     /// `T-1 - i floor(T/N)`: the source's rule (CC-MotionGen, section 8.1; docs/sources.md, section
     /// 1.9). It begins at T-1 and ends above 0; where N does not divide T the low end is left out.
-    Document,
+    #[serde(rename = "ccmotion")]
+    CcMotion,
     /// `(N-1-i) floor(T/N)`: ends at 0, does not reach T-1.
     Leading,
     /// `floor((T-1) (N-1-i) / (N-1))`, in integers; T-1 for N = 1. Both ends (section 7.3).

@@ -15,7 +15,7 @@ pub fn timesteps(config: &SamplerConfig, num_train_timesteps: usize) -> Vec<usiz
     let stride = total.checked_div(steps).unwrap_or(0);
     (0..steps)
         .map(|i| match spacing {
-            TimestepSpacing::Document => last - i * stride,
+            TimestepSpacing::CcMotion => last - i * stride,
             TimestepSpacing::Leading => (steps - 1 - i) * stride,
             TimestepSpacing::Linspace if steps == 1 => last,
             TimestepSpacing::Linspace => last * (steps - 1 - i) / (steps - 1),
@@ -41,7 +41,7 @@ mod tests {
     use crate::sampler::{SamplerKind, Timesteps};
 
     const SPACINGS: [TimestepSpacing; 4] = [
-        TimestepSpacing::Document,
+        TimestepSpacing::CcMotion,
         TimestepSpacing::Leading,
         TimestepSpacing::Linspace,
         TimestepSpacing::Trailing,

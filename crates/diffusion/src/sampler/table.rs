@@ -152,7 +152,7 @@ mod tests {
     fn each_kind_is_read_with_its_own_keys_and_written_with_them() {
         for table in [
             json!({"kind": "ddim", "eta": 0.5, "final_alpha": "first", "recompute_epsilon": false,
-                "timestep_spacing": "document", "guidance_until": 7}),
+                "timestep_spacing": "ccmotion", "guidance_until": 7}),
             json!({"kind": "ddpm", "timestep_spacing": "leading", "guidance_until": 7}),
             json!({"kind": "dpmpp_2m", "timestep_spacing": "linspace", "guidance_until": 0}),
             json!({"kind": "heun", "timestep_spacing": "trailing", "guidance_until": 7}),

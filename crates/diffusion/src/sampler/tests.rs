@@ -146,7 +146,7 @@ fn any_type() -> impl Strategy<Value = PredictionType> {
 
 fn any_config(total: usize) -> impl Strategy<Value = SamplerConfig> {
     let spacing = prop_oneof![
-        Just(TimestepSpacing::Document),
+        Just(TimestepSpacing::CcMotion),
         Just(TimestepSpacing::Leading),
         Just(TimestepSpacing::Linspace),
         Just(TimestepSpacing::Trailing)
