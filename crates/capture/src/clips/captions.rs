@@ -17,35 +17,30 @@ impl CaptionsPlan {
     pub fn of(&self, labels: &Labels) -> Result<Vec<String>, String> {
         let templates = self.templates.iter().map(|template| parts(template));
         let templates: Vec<Vec<Part<'_>>> = templates.collect::<Result<_, _>>()?;
-        let phrases = |label: &str, value: &str| -> Vec<String> {
+        let phrases = |label: &str, value: &str| {
             let words = self.words.get(label).and_then(|words| words.get(value));
-            match words {
-                Some(phrases) => phrases.all().to_vec(),
-                None => vec![value.replace(['-', '_'], " ")],
-            }
+            let value = || vec![value.replace(['-', '_'], " ")];
+            words.map_or_else(value, |phrases| phrases.all().to_vec())
         };
         let mut most = templates.len();
         for name in templates.iter().flatten() {
             if let Part::Name(name) = name {
-                let value = labels
-                    .get(*name)
-                    .ok_or_else(|| format!("it has no label `{name}`, which a template names"))?;
+                let missing = || format!("it has no label `{name}`, which a template names");
+                let value = labels.get(*name).ok_or_else(missing)?;
                 most = most.max(phrases(name, value).len());
             }
         }
         let mut captions: Vec<String> = Vec::new();
         for turn in 0..if templates.is_empty() { 0 } else { most } {
             let template = &templates[turn % templates.len()];
-            let text: String = template
-                .iter()
-                .map(|part| match part {
-                    Part::Text(text) => (*text).to_owned(),
-                    Part::Name(name) => {
-                        let phrases = phrases(name, &labels[*name]);
-                        phrases[turn % phrases.len()].clone()
-                    }
-                })
-                .collect();
+            let part = |part: &Part<'_>| match part {
+                Part::Text(text) => (*text).to_owned(),
+                Part::Name(name) => {
+                    let phrases = phrases(name, &labels[*name]);
+                    phrases[turn % phrases.len()].clone()
+                }
+            };
+            let text: String = template.iter().map(part).collect();
             // An empty wording leaves a gap.
             let text = text.split_whitespace().collect::<Vec<_>>().join(" ");
             if text.contains('#') {

@@ -65,11 +65,10 @@ pub(super) struct ClipRow {
 
 impl Row for ClipRow {
     fn files(&self) -> [(String, i64, Digest); 2] {
-        let features = (self.features_bytes, self.features_sha256);
-        let texts = (self.texts_bytes, self.texts_sha256);
+        let (features, texts) = (features_path(&self.id), texts_path(&self.id));
         [
-            (features_path(&self.id), features.0, features.1),
-            (texts_path(&self.id), texts.0, texts.1),
+            (features, self.features_bytes, self.features_sha256),
+            (texts, self.texts_bytes, self.texts_sha256),
         ]
     }
 }
@@ -107,10 +106,8 @@ pub(super) fn write_index(store: &Store, rows: &[(ClipRow, Part)]) -> Result<(),
             store.write(path, bytes)?;
         }
     }
-    let labels = rows
-        .iter()
-        .map(|(row, _)| (row.id.clone(), row.labels.clone()));
-    let labels: ClipLabels = labels.collect();
+    let labels = rows.iter().map(|(row, _)| (&row.id, &row.labels));
+    let labels: ClipLabels = labels.map(|(id, own)| (id.clone(), own.clone())).collect();
     store.write(LABELS, labels_bytes(&labels))?;
     if manifest::SUPPORTED {
         manifest::write_columns(store, columns(rows))?;
@@ -137,26 +134,19 @@ fn statistics(
 ) -> Result<[(&'static str, Vec<u8>); 2], Error> {
     let skeleton = Skeleton::humanml3d();
     let representation = JointFeatures { skeleton, root };
-    let train: Vec<&ClipRow> = rows
-        .iter()
-        .filter(|(_, part)| *part == Part::Train)
-        .map(|(row, _)| row)
-        .collect();
+    let train = rows.iter().filter(|(_, part)| *part == Part::Train);
+    let train: Vec<&ClipRow> = train.map(|(row, _)| row).collect();
     let mut all: Option<Measured> = None;
     for chunk in train.chunks(CHUNK) {
-        let measured: Vec<Measured> = chunk
-            .par_iter()
-            .map(|row| {
-                let path = features_path(&row.id);
-                let bytes = store.read(&path, row.features_bytes.unsigned_abs())?;
-                let features =
-                    parse_features(&bytes, &store.name_of(&path), &representation.skeleton)
-                        .map_err(DataError::from)?;
-                let features = features.with_root(root);
-                Ok(Measured::of(&representation, features.as_slice()))
-            })
-            .collect::<Result<_, Error>>()?;
-        for measured in measured {
+        let measured = chunk.par_iter().map(|row| {
+            let path = features_path(&row.id);
+            let bytes = store.read(&path, row.features_bytes.unsigned_abs())?;
+            let file = store.name_of(&path);
+            let features = parse_features(&bytes, &file, &representation.skeleton);
+            let features = features.map_err(DataError::from)?.with_root(root);
+            Ok(Measured::of(&representation, features.as_slice()))
+        });
+        for measured in measured.collect::<Result<Vec<_>, Error>>()? {
             match &mut all {
                 Some(all) => all.merge(measured),
                 None => all = Some(measured),
@@ -182,7 +172,6 @@ fn columns(rows: &[(ClipRow, Part)]) -> Vec<(String, Cells)> {
     let split = rows.iter().map(|(_, part)| Some(part.to_string()));
     let mirrored = rows.iter().map(|(row, _)| row.mirrored);
     let labels: BTreeSet<&String> = rows.iter().flat_map(|(row, _)| row.labels.keys()).collect();
-    let labels = labels.into_iter();
     let before = [
         ("id", text(&|row| Some(row.id.clone()))),
         ("take", text(&|row| Some(row.take.clone()))),
@@ -202,10 +191,9 @@ fn columns(rows: &[(ClipRow, Part)]) -> Vec<(String, Cells)> {
         ("features_bytes", integer(&|row| row.features_bytes)),
         ("features_sha256", sha256),
     ];
-    let labels = labels.map(|name| (name.clone(), text(&|row| row.labels.get(name).cloned())));
-    let before = before.into_iter().map(named);
-    before
-        .chain(labels)
-        .chain(after.into_iter().map(named))
-        .collect()
+    let label = |name: &String| (name.clone(), text(&|row| row.labels.get(name).cloned()));
+    let mut columns: Vec<(String, Cells)> = before.into_iter().map(named).collect();
+    columns.extend(labels.into_iter().map(label));
+    columns.extend(after.into_iter().map(named));
+    columns
 }

@@ -32,7 +32,7 @@ impl CaptionTable {
     /// Reads a CSV file with a column `file`, columns that begin with `caption`, and labels.
     ///
     /// # Errors
-    /// Names the file, what was found and what is allowed.
+    /// Names the file and the problem.
     pub fn read(path: &Path) -> Result<Self, String> {
         let file = path.display().to_string();
         let in_file = |problem: String| format!("{file}: {problem}");
@@ -44,14 +44,13 @@ impl CaptionTable {
             .headers()
             .map_err(|e| in_file(e.to_string()))?
             .clone();
-        let file_column = header.iter().position(|column| column == "file");
-        let file_column = file_column.ok_or_else(|| {
-            let found: Vec<&str> = header.iter().collect();
-            in_file(format!(
-                "no column `file`, found: {}; allowed: file, caption, and labels",
-                found.join(", ")
-            ))
-        })?;
+        let Some(file_column) = header.iter().position(|column| column == "file") else {
+            let found = header.iter().collect::<Vec<_>>().join(", ");
+            let allowed = "allowed: file, caption, and labels";
+            return Err(in_file(format!(
+                "no column `file`, found: {found}; {allowed}"
+            )));
+        };
         let is_caption = |column: &str| column.starts_with("caption");
         for (place, column) in header.iter().enumerate() {
             if place != file_column && !is_caption(column) {
@@ -88,13 +87,9 @@ impl CaptionTable {
 /// The name of a motion file without its ending.
 fn without_ending(name: &str) -> String {
     let ending = Path::new(name).extension().unwrap_or_default();
-    match ["bvh", "c3d"]
-        .iter()
-        .any(|known| ending.eq_ignore_ascii_case(known))
-    {
-        true => name[..name.len() - 4].to_owned(),
-        false => name.to_owned(),
-    }
+    let is = |known: &str| ending.eq_ignore_ascii_case(known);
+    let length = name.len() - if is("bvh") || is("c3d") { 4 } else { 0 };
+    name[..length].to_owned()
 }
 
 impl LabelsPlan {
@@ -114,10 +109,8 @@ impl LabelsPlan {
                 .ok_or_else(|| format!("its name does not fit labels.name = \"{pattern}\""))?;
             for (name, value) in values {
                 if name == TAKE {
-                    let number = value.parse().map_err(|_| {
-                        format!("take `{value}` in its name: a whole number allowed")
-                    })?;
-                    found.take = Some(number);
+                    let problem = || format!("take `{value}` in its name: a whole number allowed");
+                    found.take = Some(value.parse().map_err(|_| problem())?);
                 } else {
                     found.labels.insert(name, value);
                 }
@@ -129,9 +122,8 @@ impl LabelsPlan {
                 .map_err(|problem| format!("{}: {problem}", path.display()))?;
         }
         if let Some(table) = table {
-            let row = table.rows.get(stem);
-            let (labels, captions) =
-                row.ok_or_else(|| format!("{} has no row for it", table.file))?;
+            let missing = || format!("{} has no row for it", table.file);
+            let (labels, captions) = table.rows.get(stem).ok_or_else(missing)?;
             found.labels.extend(labels.clone());
             found.captions.clone_from(captions);
         }
@@ -146,11 +138,8 @@ impl LabelsPlan {
         let Value::Object(entries) = read else {
             return Err("an object of labels allowed".to_owned());
         };
-        if let Some(absent) = self
-            .json_names
-            .keys()
-            .find(|name| !entries.contains_key(*name))
-        {
+        let mut names = self.json_names.keys();
+        if let Some(absent) = names.find(|name| !entries.contains_key(*name)) {
             return Err(format!(
                 "it has no `{absent}`, which labels.json_names names"
             ));
@@ -162,12 +151,8 @@ impl LabelsPlan {
                     let names = names.read(plan)?;
                     let place = number.as_u64().and_then(|n| usize::try_from(n).ok());
                     let value = place.and_then(|place| names.get(place)).cloned();
-                    value.ok_or_else(|| {
-                        format!(
-                            "{name} = {number}: 0 to {} allowed",
-                            names.len().saturating_sub(1)
-                        )
-                    })?
+                    let last = names.len().saturating_sub(1);
+                    value.ok_or_else(|| format!("{name} = {number}: 0 to {last} allowed"))?
                 }
                 (Value::Number(number), None) => number.to_string(),
                 _ => continue,
@@ -186,11 +171,8 @@ impl Names {
             Self::File(file) => {
                 let path = plan.resolve(file);
                 let text = read_text(&path).map_err(|e| format!("{}: {e}", path.display()))?;
-                let lines = text.lines().map(str::trim);
-                Ok(lines
-                    .filter(|line| !line.is_empty())
-                    .map(str::to_owned)
-                    .collect())
+                let lines = text.lines().map(str::trim).filter(|line| !line.is_empty());
+                Ok(lines.map(str::to_owned).collect())
             }
         }
     }
@@ -198,9 +180,6 @@ impl Names {
 
 /// The values of the names in the braces of `pattern` in `text`; none if it does not fit. A name
 /// stands for the shortest text, of at least one character, that fits; a `*` for any text.
-///
-/// # Errors
-/// If the braces of the pattern do not pair.
 fn named_parts(pattern: &str, text: &str) -> Result<Option<Vec<(String, String)>>, String> {
     let mut pieces = Vec::new();
     for part in parts(pattern)? {

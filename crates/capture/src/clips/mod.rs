@@ -109,12 +109,6 @@ impl Maker for ClipMaker<'_> {
     }
 }
 
-/// The absolute path of a motion file of the plan.
-fn one_file(plan: &Plan, file: &str) -> String {
-    let path = plan.resolve(file).canonicalize();
-    path.map_or_else(|_| file.to_owned(), |path| path.display().to_string())
-}
-
 /// Divides the clips into sets and writes index and report.
 fn finish(
     plan: &Plan,
@@ -123,22 +117,21 @@ fn finish(
     options: PrepareOptions,
     journals: Journals<ClipMaker<'_>>,
 ) -> Result<ClipsReport, Error> {
-    let usable = journals.iter().filter(|journal| !journal.rows.is_empty());
-    let takes: Vec<SplitTake<'_>> = usable
-        .map(|journal| SplitTake {
+    let takes = journals.iter().filter_map(|journal| {
+        // Every row has the file.
+        let file = &journal.rows.first()?.file;
+        let path = plan.resolve(file).canonicalize();
+        Some(SplitTake {
             name: &journal.report.name,
             labels: &journal.report.labels,
             number: journal.report.number,
-            // Every row has the file.
-            file: one_file(plan, &journal.rows[0].file),
+            file: path.map_or_else(|_| file.clone(), |path| path.display().to_string()),
         })
-        .collect();
+    });
+    let takes: Vec<SplitTake<'_>> = takes.collect();
     let parts = plan.split.parts(&takes);
-    let part_of: HashMap<String, Part> = takes
-        .iter()
-        .zip(parts.lists)
-        .map(|(take, part)| (take.name.to_owned(), part))
-        .collect();
+    let names = takes.iter().map(|take| take.name.to_owned());
+    let part_of: HashMap<String, Part> = names.zip(parts.lists).collect();
     if !part_of.values().any(|part| *part == Part::Train) {
         let problem = "split names every take that gave a clip: at least one to train on is needed";
         return Err(Error::plan(plan_file, problem));

@@ -65,10 +65,10 @@ pub(crate) struct Parts {
 }
 
 impl SplitPlan {
-    /// The set of each of the `takes`. Patterns name the takes of a set. A set without patterns
-    /// gets the last takes of each group by number: the test set the very last, the validation set
-    /// those before. Neighbours may be of one actor, so ranges are held out, not every n-th take. A
-    /// group keeps at least one take for training, and takes of one file stay together.
+    /// The set of each of the `takes`. A set without patterns gets the last takes of each group by
+    /// number: the test set the very last, the validation set those before. Neighbours may be of one
+    /// actor, so ranges are held out, not every n-th take. A group has at least one take for training,
+    /// and takes of one file stay together.
     pub(crate) fn parts(&self, takes: &[SplitTake<'_>]) -> Parts {
         let mut lists: Vec<Part> = takes.iter().map(|take| self.named(take.name)).collect();
         let fraction = |patterns: &[String], fraction: f64| match patterns.is_empty() {
@@ -83,14 +83,14 @@ impl SplitPlan {
                 groups.entry(take.labels).or_default().push(place);
             }
         }
-        let of_file = files(takes);
+        let mut of_file: BTreeMap<&str, Vec<usize>> = BTreeMap::new();
+        for (place, take) in takes.iter().enumerate() {
+            of_file.entry(take.file.as_str()).or_default().push(place);
+        }
         let (mut count, mut too_small) = (0, 0);
-        for group in groups.into_values() {
+        for mut group in groups.into_values() {
             // The takes of a file count as one, in the group of the last of them.
-            let mut group: Vec<usize> = group
-                .into_iter()
-                .filter(|&place| of_file[takes[place].file.as_str()].last() == Some(&place))
-                .collect();
+            group.retain(|place| of_file[takes[*place].file.as_str()].last() == Some(place));
             if group.is_empty() {
                 continue;
             }
@@ -140,10 +140,11 @@ impl SplitPlan {
 
     /// The set that patterns name for the take of this name.
     fn named(&self, name: &str) -> Part {
-        match () {
-            () if any_matches(&self.test, name) => Part::Test,
-            () if any_matches(&self.validation, name) => Part::Val,
-            () => Part::Train,
+        let any = |patterns: &[String]| patterns.iter().any(|pattern| matches(pattern, name));
+        match (any(&self.test), any(&self.validation)) {
+            (true, _) => Part::Test,
+            (false, true) => Part::Val,
+            (false, false) => Part::Train,
         }
     }
 
@@ -151,19 +152,6 @@ impl SplitPlan {
     pub(crate) fn names(&self, name: &str) -> bool {
         self.named(name) != Part::Train
     }
-}
-
-/// Indices of the takes of each file.
-fn files<'a>(takes: &'a [SplitTake<'_>]) -> BTreeMap<&'a str, Vec<usize>> {
-    let mut files: BTreeMap<&str, Vec<usize>> = BTreeMap::new();
-    for (place, take) in takes.iter().enumerate() {
-        files.entry(take.file.as_str()).or_default().push(place);
-    }
-    files
-}
-
-fn any_matches(patterns: &[String], name: &str) -> bool {
-    patterns.iter().any(|pattern| matches(pattern, name))
 }
 
 #[cfg(test)]

@@ -20,19 +20,22 @@ pub(super) fn takes(plan: &Plan) -> Result<Vec<Take>, String> {
     let mut names = BTreeSet::new();
     let mut takes = Vec::new();
     for capture in &plan.captures {
-        let map = capture.map.as_deref().map(|map| read_map(plan, map));
-        let map = map.transpose()?;
+        let map = capture
+            .map
+            .as_deref()
+            .map(|map| read_map(plan, map))
+            .transpose()?;
         for motion in matching(&plan.resolve(&capture.motion), &["bvh", "c3d"])? {
             let ending = motion.extension().unwrap_or_default();
             let is = |known: &str| ending.eq_ignore_ascii_case(known);
             if !is("bvh") && !is("c3d") {
                 return Err(format!("{}: .bvh and .c3d files allowed", motion.display()));
             }
-            let bvh_keys = [
-                ("map", capture.map.is_some()),
-                ("units", capture.units.is_some()),
-            ];
-            if let Some((key, _)) = bvh_keys.iter().find(|(_, is_set)| *is_set && is("c3d")) {
+            let map_key = capture.map.as_ref().map(|_| "map");
+            if let Some(key) = map_key
+                .or(capture.units.map(|_| "units"))
+                .filter(|_| is("c3d"))
+            {
                 return Err(format!(
                     "capture `{}`: `{key}` is for .bvh files, and {} is none",
                     capture.motion,

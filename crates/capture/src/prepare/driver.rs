@@ -161,7 +161,7 @@ fn one<M: Maker>(
 }
 
 /// The reasons why the first takes gave nothing.
-fn reasons<M: Maker>(journals: &Journals<M>) -> String {
+fn reasons<M: Maker>(journals: &[Journal<M::Row, M::Report>]) -> String {
     const SHOWN: usize = 5;
     let reason = |journal: &Journal<M::Row, M::Report>| {
         let (failure, rejected) = journal.report.problems();
