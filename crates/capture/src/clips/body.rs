@@ -23,7 +23,7 @@ const SLOWEST: f64 = 10.0;
 
 /// The joints of a body over a take.
 #[derive(Clone, Debug)]
-pub struct Body {
+pub(super) struct Body {
     /// Joint positions, `[frames, J]`, metres, +y up.
     pub joints: Joints,
     /// Frames per second.
@@ -39,9 +39,6 @@ pub struct Body {
 impl Body {
     /// The body of a capture with the joints that `map` names. The default of `units` is found from
     /// the length of the legs, that of `up` from the place of the head.
-    ///
-    /// # Errors
-    /// Names the missing joints or markers, or the reason why they are not a body.
     pub fn of_bvh(
         bvh: &Bvh,
         map: &JointMap,
@@ -55,9 +52,6 @@ impl Body {
 
     /// The body of a capture of markers, with estimated joint centres ([`Centres`]). Every marker
     /// must be seen in the frames that are `used`.
-    ///
-    /// # Errors
-    /// Names the missing joints or markers, or the reason why they are not a body.
     pub fn of_markers(
         take: &C3d,
         used: Range<usize>,

@@ -10,11 +10,8 @@ pub type Labels = BTreeMap<String, String>;
 impl CaptionsPlan {
     /// The captions of a clip with these labels: as many as there are templates, or wordings of one
     /// of its labels. Both are used in turn.
-    ///
-    /// # Errors
-    /// If the clip lacks a label of a template, or a label's value contains `#`, which ends
-    /// captions in their files.
-    pub fn of(&self, labels: &Labels) -> Result<Vec<String>, String> {
+    /// No caption may contain `#`, which ends captions in their files.
+    pub(super) fn of(&self, labels: &Labels) -> Result<Vec<String>, String> {
         let templates = self.templates.iter().map(|template| parts(template));
         let templates: Vec<Vec<Part<'_>>> = templates.collect::<Result<_, _>>()?;
         let phrases = |label: &str, value: &str| {
@@ -58,7 +55,7 @@ impl CaptionsPlan {
 }
 
 /// The text of a mirrored clip: left and right exchanged, in any spelling.
-pub fn mirrored(text: &str) -> String {
+pub(super) fn mirrored(text: &str) -> String {
     let mut result = String::with_capacity(text.len());
     let mut word = String::new();
     let exchange = |word: &str| {

@@ -51,9 +51,6 @@ pub(super) struct Centres {
 impl Centres {
     /// The joint centres of each frame. Outside of the frames that are `used`, a marker that is not
     /// seen stays where it is seen next.
-    ///
-    /// # Errors
-    /// In words, which markers the file lacks, and where they were not seen.
     pub fn of(take: &C3d, used: Range<usize>) -> Result<Self, String> {
         let mut tracks = Vec::with_capacity(MARKERS.len());
         let (mut lacking, mut notes) = (Vec::new(), Vec::new());
@@ -233,7 +230,7 @@ mod tests {
     use super::*;
     use crate::UpAxis;
     use crate::c3d::tests::writer::Example;
-    use crate::clips::Body;
+    use crate::clips::body::Body;
     use crate::clips::tests::walking;
 
     /// The joint that a marker of the left side is beside, and where beside it if the body faces +z,

@@ -14,8 +14,7 @@ const ENOUGH: usize = 5;
 const BELOW: f64 = 0.05;
 
 /// The joints of a take with its feet on the floor, to cut clips from.
-#[derive(Clone, Debug)]
-pub struct Grounded {
+pub(super) struct Grounded {
     /// `[frames, J]`, metres; the floor is y = 0.
     joints: Joints,
 }
@@ -25,9 +24,6 @@ impl Grounded {
     /// `retarget`, with the bones of `skeleton` ([`rescale`]). Other bones lift standing feet or
     /// push them into the floor, so a retargeted body is moved up or down in each frame until its
     /// lower toes are as high as before, in proportion to its legs.
-    ///
-    /// # Errors
-    /// As [`rescale`].
     pub fn new(skeleton: &Skeleton, joints: &Joints, retarget: bool) -> Result<Self, FeatureError> {
         let joints = match retarget {
             true => on_its_toes(skeleton, joints, &rescale(skeleton, joints)?)?,
@@ -45,9 +41,6 @@ impl Grounded {
 
     /// The features of a part of the take, moved to begin at x = z = 0 facing +z. The floor is that
     /// of the whole take, because the feet may not touch it in each part.
-    ///
-    /// # Errors
-    /// As [`Extraction::features_in_place`].
     pub fn clip(
         &self,
         skeleton: &Skeleton,

@@ -4,7 +4,11 @@ use std::ops::Range;
 
 /// The frames of `frames` that become clips of `least` to `most` frames, in order, and those that
 /// become none. Clips of one take are about equally long and follow each other.
-pub fn cut(frames: usize, least: usize, most: usize) -> (Vec<Range<usize>>, Option<Range<usize>>) {
+pub(super) fn cut(
+    frames: usize,
+    least: usize,
+    most: usize,
+) -> (Vec<Range<usize>>, Option<Range<usize>>) {
     if frames < least {
         return (Vec::new(), (frames > 0).then_some(0..frames));
     }

@@ -11,18 +11,17 @@ use crate::plan::{LabelsPlan, Names, Part, Plan, TAKE, check_label, parts};
 
 /// Labels and captions of one capture.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct CaptureLabels {
-    /// Its labels.
+pub(super) struct CaptureLabels {
     pub labels: Labels,
     /// The number of its take.
     pub take: Option<u64>,
-    /// The captions of a table.
+    /// The captions of the table.
     pub captions: Vec<String>,
 }
 
 /// A table of captions.
 #[derive(Clone, Debug, Default)]
-pub struct CaptionTable {
+pub(super) struct CaptionTable {
     file: String,
     /// Labels and captions by the name of the motion file without ending.
     rows: HashMap<String, (Labels, Vec<String>)>,
@@ -30,9 +29,6 @@ pub struct CaptionTable {
 
 impl CaptionTable {
     /// Reads a CSV file with a column `file`, columns that begin with `caption`, and labels.
-    ///
-    /// # Errors
-    /// Names the file and the problem.
     pub fn read(path: &Path) -> Result<Self, String> {
         let file = path.display().to_string();
         let in_file = |problem: String| format!("{file}: {problem}");
@@ -94,10 +90,7 @@ fn without_ending(name: &str) -> String {
 
 impl LabelsPlan {
     /// The labels of the capture whose file is called `stem`.
-    ///
-    /// # Errors
-    /// Names the file or label that does not fit.
-    pub fn of(
+    pub(super) fn of(
         &self,
         stem: &str,
         plan: &Plan,

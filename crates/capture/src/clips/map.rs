@@ -28,7 +28,7 @@ const SHOWN: usize = 8;
 
 /// The place of each joint of a skeleton in a capture.
 #[derive(Clone, Debug, PartialEq)]
-pub struct JointMap {
+pub(super) struct JointMap {
     name: String,
     /// Sources of the skeleton's joints, in its order.
     joints: Vec<(String, Source)>,
@@ -169,9 +169,6 @@ impl Place {
 
 impl JointMap {
     /// The map in the TOML text of `file`, whose stem is its name.
-    ///
-    /// # Errors
-    /// Names the file and the key, with the value found and what is allowed.
     pub fn parse(file: &str, text: &str, skeleton: &Skeleton) -> Result<Self, String> {
         let map = read_toml::<MapFile>(text, file, "docs/dataset.md describes joint maps");
         let mut sources = map.map_err(|error| error.to_string())?.joints;
@@ -199,9 +196,6 @@ impl JointMap {
     }
 
     /// The built-in map of this name.
-    ///
-    /// # Errors
-    /// Names the built-in maps.
     pub fn built_in(name: &str) -> Result<Self, String> {
         let mut maps = Self::all_built_in().into_iter();
         maps.find(|map| map.name == name).ok_or_else(|| {
@@ -221,9 +215,6 @@ impl JointMap {
     }
 
     /// The built-in map that fits a capture; of several, the one that names most joints.
-    ///
-    /// # Errors
-    /// Names the joints that the capture lacks of the best map.
     pub fn fitting(bvh: &Bvh) -> Result<Self, String> {
         let named = |map: &Self| {
             let names = map.joints.iter().flat_map(|(_, source)| source.names());
@@ -278,9 +269,6 @@ impl JointMap {
     }
 
     /// The skeleton's joints in each frame of a capture, `[frames, J]`, in its units and axes.
-    ///
-    /// # Errors
-    /// Names the joints that the capture lacks.
     pub fn joints_of(&self, bvh: &Bvh) -> Result<Vec<[f64; 3]>, String> {
         let places = self.joints.iter().map(|(_, source)| source.place(bvh));
         let places: Option<Vec<Place>> = places.collect();

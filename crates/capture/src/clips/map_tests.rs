@@ -3,6 +3,7 @@
 use kinegrad_motion::humanml::Skeleton;
 use kinegrad_motion::vector::length;
 
+use super::map::JointMap;
 use super::tests::{body_of, capture, walking};
 use super::*;
 use crate::Bvh;

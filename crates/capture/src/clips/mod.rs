@@ -1,11 +1,10 @@
 //! Datasets of clips: full-body captures become a dataset in the layout of HumanML3D.
 //!
-//! A [joint map](JointMap) names the joints of a BVH capture that are the 22 of the dataset's
-//! skeleton; those of a C3D capture are estimated from its markers. The [body](Body) is resampled to
-//! 20 frames per second, retargeted to one skeleton, put on the floor and [cut](cut()) into
-//! clips. Labels come from file names, JSON, a table or the plan, and captions are made of them. A
-//! mirrored copy of each clip has left and right exchanged in both. Whole takes are held out by their
-//! numbers.
+//! A [joint map](map::JointMap) names the joints of a BVH capture that are the 22 of the dataset's
+//! skeleton; those of a C3D capture are estimated from its markers. The [body](body::Body) is
+//! resampled to 20 frames per second, retargeted to one skeleton, put on the floor and cut into
+//! clips. Labels come from file names, JSON, a table or the plan, and captions are made of them. In a
+//! mirrored copy of each clip left and right are exchanged.
 
 mod body;
 mod captions;
@@ -29,20 +28,15 @@ use std::path::Path;
 
 use kinegrad_data::{Digest, Store, manifest, matches};
 
-pub use body::Body;
-pub use captions::{Labels, mirrored};
-pub use clip::Grounded;
-pub use cut::cut;
-pub use map::JointMap;
+pub use captions::Labels;
 pub use report::{ClipTakeReport, ClipsReport};
-pub use split::Part;
 
 use crate::Error;
 use crate::plan::Plan;
 use crate::prepare::output::Output;
 use crate::prepare::{Journals, Maker, PrepareObserver, PrepareOptions, Row, make_takes};
 use dataset::{CLIPS, ClipRow, write_index};
-use split::SplitTake;
+use split::{Part, SplitTake};
 use take::{Take, TakeInput};
 use takes::{Tables, tables, takes};
 

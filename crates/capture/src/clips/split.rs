@@ -12,17 +12,13 @@ use crate::plan::SplitPlan;
 /// The set of a clip.
 #[derive(Clone, Copy, Debug, Deserialize, Eq, Ord, PartialEq, PartialOrd, Serialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Part {
-    /// The training set.
+pub(super) enum Part {
     Train,
-    /// The validation set.
     Val,
-    /// The test set.
     Test,
 }
 
 impl Part {
-    /// All sets.
     pub const ALL: [Self; 3] = [Self::Train, Self::Val, Self::Test];
 
     /// The file with the ids of its clips.
@@ -44,20 +40,19 @@ impl fmt::Display for Part {
 
 /// The properties of a take that decide its set.
 #[derive(Clone, Debug)]
-pub struct SplitTake<'a> {
-    /// Its name.
+pub(super) struct SplitTake<'a> {
     pub name: &'a str,
-    /// Its labels. Takes with the same labels are a group.
+    /// Takes with the same labels are a group.
     pub labels: &'a Labels,
     /// Its number within the group.
     pub number: Option<u64>,
-    /// The motion file. Takes of one file are in the same set.
+    /// Takes of one motion file are in the same set.
     pub file: String,
 }
 
 /// The sets of a plan's takes.
 #[derive(Clone, Debug, Eq, PartialEq)]
-pub(crate) struct Parts {
+pub(super) struct Parts {
     /// The set of each take, in their order.
     pub lists: Vec<Part>,
     /// Notes for the report.
@@ -69,7 +64,7 @@ impl SplitPlan {
     /// number: the test set the very last, the validation set those before. Neighbours may be of one
     /// actor, so ranges are held out, not every n-th take. A group has at least one take for training,
     /// and takes of one file stay together.
-    pub(crate) fn parts(&self, takes: &[SplitTake<'_>]) -> Parts {
+    pub(super) fn parts(&self, takes: &[SplitTake<'_>]) -> Parts {
         let mut lists: Vec<Part> = takes.iter().map(|take| self.named(take.name)).collect();
         let fraction = |patterns: &[String], fraction: f64| match patterns.is_empty() {
             true => fraction,
@@ -149,7 +144,7 @@ impl SplitPlan {
     }
 
     /// True if a pattern holds out the take of this name.
-    pub(crate) fn names(&self, name: &str) -> bool {
+    pub(super) fn names(&self, name: &str) -> bool {
         self.named(name) != Part::Train
     }
 }

@@ -10,6 +10,8 @@ use kinegrad_motion::humanml::walk::{self, Course};
 use kinegrad_motion::humanml::{Joints, Skeleton};
 use kinegrad_motion::vector::length;
 
+use super::body::Body;
+use super::map::JointMap;
 use super::*;
 use crate::{Bvh, UpAxis};
 

@@ -33,11 +33,7 @@ struct Interval {
     end_frame: f64,
 }
 
-/// The takes of a plan's choreographies. A unit without an interval (START, HOLD) is a segment of
-/// no file, and so a gap.
-///
-/// # Errors
-/// [`Error::Plan`] for a file that is missing or not of that form.
+/// The takes of a plan's choreographies. A unit without an interval (START, HOLD) is a gap.
 pub(super) fn takes(plan: &Plan, choreonet: &ChoreonetPlan) -> Result<Vec<TakePlan>, Error> {
     let dances = plan.resolve(&choreonet.choreography);
     let bytes =
@@ -53,12 +49,11 @@ pub(super) fn takes(plan: &Plan, choreonet: &ChoreonetPlan) -> Result<Vec<TakePl
 
 /// The first interval of each movement.
 fn intervals(path: &Path) -> Result<HashMap<String, Interval>, Error> {
-    let wrong = |problem| Error::plan(path, problem);
     let bytes = read_file(path, MAX_TEXT_BYTES).map_err(|problem| Error::plan(path, problem))?;
     let mut reader = csv::Reader::from_reader(bytes.as_slice());
     let mut intervals = HashMap::new();
     for row in reader.deserialize::<Interval>() {
-        let row = row.map_err(wrong)?;
+        let row = row.map_err(|problem| Error::plan(path, problem))?;
         intervals.entry(row.movement_tag.clone()).or_insert(row);
     }
     Ok(intervals)
@@ -72,50 +67,37 @@ fn take(
     let name = format!("{}_{}", dance.dance_type, dance.dance_id);
     let beats: f64 = dance.durations.iter().sum();
     let seconds = (dance.end_pos - dance.start_pos) / POSITIONS_PER_SECOND;
-    let sound = dance.durations.iter().all(|&beats| beats > 0.0);
-    if dance.movements.len() != dance.durations.len()
-        || !sound
-        || seconds.is_nan()
-        || seconds <= 0.0
-    {
+    let positive = dance.durations.iter().all(|&beats| beats > 0.0) && seconds > 0.0;
+    let (movements, durations) = (dance.movements.len(), dance.durations.len());
+    if !positive || movements != durations {
         let problem = format!(
             "dance {name}: as many positive durations as movements and an end after its start \
-             allowed; {} movements, {} durations, {seconds} s found",
-            dance.movements.len(),
-            dance.durations.len()
+             allowed; {movements} movements, {durations} durations, {seconds} s found"
         );
         return Err(Error::plan(Path::new(&choreonet.choreography), problem));
     }
-    let segments = dance
-        .movements
-        .iter()
-        .zip(&dance.durations)
-        .map(|(tag, &beats)| {
-            let (motion, frames) = match intervals.get(tag) {
-                Some(interval) => (
-                    format!("{}/{}.c3d", choreonet.captures, interval.c3d_file),
-                    [interval.start_frame, interval.end_frame],
-                ),
-                None => (format!("{tag} (no interval)"), [0.0, 1.0]),
-            };
-            SegmentPlan {
-                motion,
-                frames,
-                beats,
-            }
-        });
+    let units = dance.movements.iter().zip(&dance.durations);
+    let segments = units.map(|(tag, &beats)| match intervals.get(tag) {
+        Some(interval) => SegmentPlan {
+            motion: format!("{}/{}.c3d", choreonet.captures, interval.c3d_file),
+            frames: [interval.start_frame, interval.end_frame],
+            beats,
+        },
+        None => SegmentPlan {
+            motion: format!("{tag} (no interval)"),
+            frames: [0.0, 1.0],
+            beats,
+        },
+    });
     let waltz = choreonet.three_beats_per_bar.contains(&dance.dance_type);
-    let beats_per_bar = if waltz { 3 } else { 4 };
+    let audio = choreonet.music.replace("{type}", &dance.dance_type);
     Ok(TakePlan {
         segments: segments.collect(),
-        audio: choreonet
-            .music
-            .replace("{type}", &dance.dance_type)
-            .replace("{id}", &dance.dance_id.to_string()),
+        audio: audio.replace("{id}", &dance.dance_id.to_string()),
         beats: Some(BeatGrid {
             start_seconds: dance.start_pos / POSITIONS_PER_SECOND,
             seconds_per_beat: seconds / beats,
-            beats_per_bar,
+            beats_per_bar: if waltz { 3 } else { 4 },
             beats: Some(beats),
         }),
         markers: Some(choreonet.markers.clone()),

@@ -74,10 +74,7 @@ impl Timeline {
     }
 
     /// The beats for segments of `count` beats, which are stated to be even. If the song has as
-    /// many, its own are used, unless `wanted` excludes them.
-    ///
-    /// # Errors
-    /// If the song's beats are `wanted` and cannot be used.
+    /// many, its own are used, unless `wanted` excludes them; an error if it requires them.
     pub fn of_segments(
         stated: BeatGrid,
         count: f64,

@@ -10,10 +10,7 @@ use crate::prepare::files::{matching, named};
 /// Endings of songs; a `*` in a song's name finds no other file.
 const SONGS: [&str; 5] = ["mp3", "wav", "flac", "ogg", "oga"];
 
-/// Any ending.
-const ANY: [&str; 0] = [];
-
-/// A take with its files known.
+/// A take with its files.
 #[derive(Clone, Debug)]
 pub(super) struct Take {
     pub name: String,
@@ -24,20 +21,17 @@ pub(super) struct Take {
     pub audio: Option<PathBuf>,
 }
 
-/// The takes of a plan, patterns in file names resolved.
-///
-/// # Errors
-/// For a pattern without a file, a song that does not exist, and a name given twice.
+/// The takes of a plan, patterns in file names resolved. Names must differ.
 pub(super) fn resolve(plan: &Plan, takes: Vec<TakePlan>) -> Result<Vec<Take>, String> {
     let mut resolved: Vec<Take> = Vec::new();
     for take in takes {
         let name = take.name.as_deref().unwrap_or_default();
-        let checked = take.check();
-        checked.map_err(|refused| format!("take `{name}`: {refused}"))?;
+        take.check()
+            .map_err(|refused| format!("take `{name}`: {refused}"))?;
         let motions: Vec<Option<PathBuf>> = match &take.motion {
             None => vec![None],
             Some(pattern) => {
-                let found = matching(&plan.resolve(pattern), &ANY)?;
+                let found = matching(&plan.resolve(pattern), &[])?;
                 found.into_iter().map(Some).collect()
             }
         };
@@ -66,11 +60,8 @@ pub(super) fn resolve(plan: &Plan, takes: Vec<TakePlan>) -> Result<Vec<Take>, St
                     let path = plan.resolve(&pattern.replace("{name}", &stem));
                     let mut found = matching(&path, &SONGS)?;
                     if found.len() > 1 {
-                        return Err(format!(
-                            "take `{name}`: {} songs match {}",
-                            found.len(),
-                            path.display()
-                        ));
+                        let (count, path) = (found.len(), path.display());
+                        return Err(format!("take `{name}`: {count} songs match {path}"));
                     }
                     found.pop()
                 }

@@ -11,9 +11,6 @@ use crate::prepare::files::bytes;
 use crate::{Bvh, C3d, Error, RootPose, RootSource, RootTrack};
 
 /// Reads a capture file of any known kind, with the take's settings.
-///
-/// # Errors
-/// Names the file, what was found and what is allowed.
 pub(super) fn read(path: &Path, take: &TakePlan) -> Result<Box<dyn RootSource>, String> {
     let file = path.display().to_string();
     let bytes = bytes(path)?;

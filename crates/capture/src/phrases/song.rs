@@ -20,9 +20,6 @@ pub(super) struct Song {
 
 impl Song {
     /// Reads the song at `path`.
-    ///
-    /// # Errors
-    /// Names the file and the reason why it cannot be used.
     pub fn read(path: &Path) -> Result<Self, String> {
         let waveform = kinegrad_audio::decode(path).map_err(|error| error.to_string())?;
         let analysis = Analysis::new(&waveform.samples)

@@ -47,11 +47,7 @@ pub(super) struct AlignedTake<'a> {
 }
 
 impl Take {
-    /// A checksum of the take's files and its part of the plan; it does not depend on the plan's
-    /// folder.
-    ///
-    /// # Errors
-    /// Names a file that cannot be read.
+    /// A checksum of the take's files and its part of the plan, whatever the plan's folder is.
     pub fn key(&self, plan: &Plan) -> Result<Digest, String> {
         let wanted = (&self.name, &self.plan, &plan.phrases, &plan.joining);
         let text = serde_json::to_string(&wanted).expect("plain data");
@@ -71,9 +67,6 @@ impl Take {
 
     /// Reads the take's files, and the song unless another take has read it, and aligns the motion
     /// with the music.
-    ///
-    /// # Errors
-    /// Names the file and the reason why the take cannot be used.
     pub fn align<'a>(
         &'a self,
         plan: &Plan,
@@ -179,9 +172,6 @@ impl AlignedTake<'_> {
     }
 
     /// Makes phrase `index`.
-    ///
-    /// # Errors
-    /// The frames, and the reason why they give no phrase.
     pub fn phrase(&self, index: usize) -> Result<NewPhrase, Rejection> {
         let (stretch, start) = self.places[index];
         let stretch = &self.stretches[stretch];

@@ -13,9 +13,6 @@ pub(crate) enum Part<'a> {
 }
 
 /// The parts of a text with names in braces.
-///
-/// # Errors
-/// If its braces do not pair.
 pub(crate) fn parts(text: &str) -> Result<Vec<Part<'_>>, String> {
     let wrong = || format!("`{text}`: names in pairs of braces allowed, as in {{style}}");
     let mut parts = Vec::new();
@@ -40,9 +37,6 @@ pub(crate) fn parts(text: &str) -> Result<Vec<Part<'_>>, String> {
 }
 
 /// The names in braces of a text.
-///
-/// # Errors
-/// As [`parts`].
 pub(super) fn placeholders(text: &str) -> Result<BTreeSet<String>, String> {
     let names = parts(text)?.into_iter().filter_map(|part| match part {
         Part::Name(name) => Some(name.to_owned()),
