@@ -38,10 +38,10 @@ impl Default for Joining {
 }
 
 impl Joining {
-    /// Checks every number.
+    /// Checks that `max_step_seconds` is positive.
     ///
     /// # Errors
-    /// If `max_step_seconds` is not positive.
+    /// If it is not.
     pub fn check(&self) -> Result<(), InvalidSetting> {
         let seconds = self.max_step_seconds;
         let allowed = "a positive number of seconds of capture";
@@ -131,11 +131,10 @@ impl Shift {
 
     fn apply(&self, captured: RootPose, t: usize, fade_frames: usize) -> RootPose {
         let age = t - self.border;
-        let weight = if age < fade_frames {
-            let u = age as f64 / fade_frames as f64;
-            1.0 - u.powi(3) * (10.0 - 15.0 * u + 6.0 * u * u)
-        } else {
-            0.0
+        let u = age as f64 / fade_frames as f64;
+        let weight = match age < fade_frames {
+            true => 1.0 - u.powi(3) * (10.0 - 15.0 * u + 6.0 * u * u),
+            false => 0.0,
         };
         let [x, y, z] = self.turn.rotate(captured.position);
         let tilt = Quaternion::from_rotation_vector(self.tilt.map(|v| v * weight));

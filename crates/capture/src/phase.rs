@@ -24,8 +24,7 @@ pub struct BeatGrid {
 }
 
 /// Beats as a beat tracker found them.
-#[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
-#[serde(deny_unknown_fields)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct TrackedBeats {
     /// Times of the beats in seconds of music, at least two, increasing; the first starts a bar.
     /// Before it and after the last, beats continue at the distance of the nearest two.
@@ -35,8 +34,7 @@ pub struct TrackedBeats {
 }
 
 /// The beats of a piece of music.
-#[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
-#[serde(rename_all = "snake_case")]
+#[derive(Clone, Debug, PartialEq)]
 pub enum Beats {
     /// Even beats.
     Grid(BeatGrid),
@@ -52,11 +50,18 @@ impl Beats {
     /// [`Error::Setting`] if a number is out of range.
     pub fn phase(&self, frames: usize, fps: f64) -> Result<Vec<f64>, Error> {
         self.check()?;
-        let seconds = (0..frames).map(|t| t as f64 / fps);
-        Ok(match self {
-            Self::Grid(grid) => seconds.map(|s| grid.phase(s)).collect(),
-            Self::Tracked(beats) => seconds.map(|s| beats.phase(s)).collect(),
-        })
+        let phase = |seconds: f64| match self {
+            Self::Grid(grid) => {
+                let beat = (seconds - grid.start_seconds) / grid.seconds_per_beat;
+                let outside = beat < 0.0 || grid.beats.is_some_and(|beats| beat >= beats);
+                let beat = if outside { 0.0 } else { beat };
+                part_of_bar(beat, grid.beats_per_bar)
+            }
+            Self::Tracked(beats) => {
+                part_of_bar(position(&beats.seconds, seconds), beats.beats_per_bar)
+            }
+        };
+        Ok((0..frames).map(|t| phase(t as f64 / fps)).collect())
     }
 
     /// Checks every number.
@@ -76,42 +81,20 @@ impl Beats {
                 require(beats >= 0.0, "beats", beats, allowed)?;
                 grid.beats_per_bar
             }
-            Self::Tracked(TrackedBeats {
-                seconds,
-                beats_per_bar,
-            }) => {
-                // Not a number is not smaller either.
+            Self::Tracked(beats) => {
+                let seconds = &beats.seconds;
+                // False for NaN.
                 let increasing = seconds.windows(2).all(|pair| pair[0] < pair[1]);
                 let finite = seconds.iter().all(|s| s.is_finite());
                 let found = format!("a list of {} times", seconds.len());
                 let allowed = "at least two finite times, each after the last";
                 let sound = increasing && finite && seconds.len() >= 2;
                 require(sound, "seconds", found, allowed)?;
-                *beats_per_bar
+                beats.beats_per_bar
             }
         };
-        require(
-            beats_per_bar > 0,
-            "beats_per_bar",
-            beats_per_bar,
-            "at least 1",
-        )
-    }
-}
-
-impl BeatGrid {
-    fn phase(&self, seconds: f64) -> f64 {
-        let beat = (seconds - self.start_seconds) / self.seconds_per_beat;
-        if beat < 0.0 || self.beats.is_some_and(|beats| beat >= beats) {
-            return 0.0;
-        }
-        part_of_bar(beat, self.beats_per_bar)
-    }
-}
-
-impl TrackedBeats {
-    fn phase(&self, seconds: f64) -> f64 {
-        part_of_bar(position(&self.seconds, seconds), self.beats_per_bar)
+        let key = "beats_per_bar";
+        require(beats_per_bar > 0, key, beats_per_bar, "at least 1")
     }
 }
 

@@ -14,7 +14,8 @@ const DERIVATIVE_FRAMES: usize = 2;
 /// derivatives. Made by [`stretches`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct Stretch {
-    first_frame: usize,
+    /// First frame on the track's time line.
+    pub first_frame: usize,
     positions: Vec<[f64; 3]>,
     orientations: Vec<Quaternion>,
     phase: Vec<f64>,
@@ -25,8 +26,7 @@ pub struct Stretch {
 /// `[frames]` is that of the whole track; style is measured over each run ([`style::describe`]).
 ///
 /// # Errors
-/// [`Error::Setting`] for a track at another rate,
-/// [`kinegrad_motion::Error::LengthMismatch`] for a phase of another length.
+/// [`Error::Setting`] for a track at another rate, [`Error::Motion`] for a phase of another length.
 pub fn stretches(track: &RootTrack, phase: &[f64]) -> Result<Vec<Stretch>, Error> {
     let allowed = "30 frames per second, as of all phrases: resample the track first";
     require(track.rate() == FPS, "rate", track.rate(), allowed)?;
@@ -52,11 +52,6 @@ pub fn stretches(track: &RootTrack, phase: &[f64]) -> Result<Vec<Stretch>, Error
 }
 
 impl Stretch {
-    /// First frame on the track's time line.
-    pub fn first_frame(&self) -> usize {
-        self.first_frame
-    }
-
     /// Number of frames, at least 1.
     pub fn frames(&self) -> usize {
         self.positions.len()
@@ -99,11 +94,8 @@ impl Stretch {
         Ok(complete.collect())
     }
 
-    /// The phrases that begin at [`starts`](Self::starts), each with its first frame on the track's
-    /// time line.
-    ///
-    /// # Errors
-    /// As there.
+    /// The phrases that begin at [`starts`](Self::starts), with the same errors, each with its first
+    /// frame on the track's time line.
     pub fn phrases(
         &self,
         first: usize,
@@ -147,7 +139,7 @@ mod tests {
     #[test]
     fn phrases_stay_within_the_valid_runs() {
         let all = stretches(&track(), &phase()).unwrap();
-        let places: Vec<_> = all.iter().map(|s| (s.first_frame(), s.frames())).collect();
+        let places: Vec<_> = all.iter().map(|s| (s.first_frame, s.frames())).collect();
         assert_eq!(places, [(0, 40), (42, 58)]);
         let starts = |first, length, hop| -> Vec<usize> {
             let phrases = all

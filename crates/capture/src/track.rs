@@ -72,9 +72,8 @@ impl RootTrack {
     /// `[frames]` of any norm and sign, `rate` in frames per second.
     ///
     /// # Errors
-    /// [`kinegrad_motion::Error::LengthMismatch`] for arrays of different length,
-    /// [`Error::Setting`] for no frames or a rate out of 0.1 to 100000,
-    /// [`Error::NoPose`] for a frame that is not finite or a quaternion of next to no length.
+    /// [`Error::Motion`] for arrays of different length, [`Error::Setting`] for no frames or a rate out
+    /// of 0.1 to 100000, [`Error::NoPose`] for a frame that is not finite or a quaternion of length 0.
     pub fn new(
         positions: Vec<[f64; 3]>,
         orientations: Vec<Quaternion>,
@@ -87,14 +86,12 @@ impl RootTrack {
                 found: orientations.len(),
             }));
         }
-        let pose = |(position, orientation)| {
-            Some(RootPose {
-                position,
-                orientation,
-            })
+        let poses = positions.into_iter().zip(orientations);
+        let pose = |(position, orientation)| RootPose {
+            position,
+            orientation,
         };
-        let poses = positions.into_iter().zip(orientations).map(pose);
-        Self::from_poses(poses.collect(), rate)
+        Self::from_poses(poses.map(pose).map(Some).collect(), rate)
     }
 
     /// A track from poses `[frames]`, not valid where there is none; the pose there is the origin
@@ -103,6 +100,7 @@ impl RootTrack {
     /// # Errors
     /// As [`new`](Self::new).
     pub fn from_poses(poses: Vec<Option<RootPose>>, rate: f64) -> Result<Self, Error> {
+        const PLACE: &str = "(counted from 0) of the root track";
         check_rate(rate)?;
         let frames = poses.len();
         require(frames > 0, "frames", frames, "at least one")?;
@@ -110,30 +108,23 @@ impl RootTrack {
             let Some(pose) = pose else { continue };
             let norm = pose.orientation.norm();
             if !(pose.position.iter().all(|value| value.is_finite()) && norm.is_finite()) {
-                return Err(Error::NoPose {
-                    problem: format!(
-                        "frame {frame} (counted from 0) of the root track is not finite"
-                    ),
-                    hint: "look at this frame in the capture file: a value is far out of range",
-                });
+                let hint = "look at this frame in the capture file: a value is far out of range";
+                let problem = format!("frame {frame} {PLACE} is not finite");
+                return Err(Error::NoPose { problem, hint });
             }
             if norm < SHORTEST {
-                let place = "(counted from 0) of the root track";
-                return Err(Error::NoPose {
-                    problem: format!("the quaternion of frame {frame} {place} is zero"),
-                    hint: "a frame without a rotation, perhaps one that was not captured: leave it \
-                           out, or fill it before",
-                });
+                let hint = "a frame without a rotation, perhaps one that was not captured: leave it \
+                            out, or fill it before";
+                let problem = format!("the quaternion of frame {frame} {PLACE} is zero");
+                return Err(Error::NoPose { problem, hint });
             }
         }
         let valid: Vec<bool> = poses.iter().map(Option::is_some).collect();
-        let (positions, mut orientations): (Vec<_>, Vec<_>) = poses
-            .into_iter()
-            .map(|pose| match pose {
-                Some(pose) => (pose.position, pose.orientation.normalised()),
-                None => ([0.0; 3], Quaternion::IDENTITY),
-            })
-            .unzip();
+        let pose = |pose: Option<RootPose>| match pose {
+            Some(pose) => (pose.position, pose.orientation.normalised()),
+            None => ([0.0; 3], Quaternion::IDENTITY),
+        };
+        let (positions, mut orientations): (Vec<_>, Vec<_>) = poses.into_iter().map(pose).unzip();
         for run in runs(&valid) {
             let first = &mut orientations[run.start];
             if first.w < 0.0 {
@@ -227,9 +218,8 @@ fn check_rate(rate: f64) -> Result<(), InvalidSetting> {
 /// Integer and fractional part of a frame number within `frames` frames.
 pub(super) fn split(frame: f64, frames: usize) -> Option<(usize, f64)> {
     let last = frames.checked_sub(1)? as f64;
-    (0.0..=last)
-        .contains(&frame)
-        .then(|| (frame as usize, frame.fract()))
+    let inside = (0.0..=last).contains(&frame);
+    inside.then(|| (frame as usize, frame.fract()))
 }
 
 /// The point between `a` and `b`.

@@ -26,7 +26,7 @@ impl WithSimd for Diagonals<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(mut self, simd: S) {
-        let (p, width) = (self.pool.patch_size(), self.pool.frames().frames());
+        let (p, width) = (self.pool.patch_size, self.pool.frames.frames());
         let lanes = S::F32_LANES;
         for i in self.patches.clone() {
             let mut still = 0.0;
@@ -64,7 +64,7 @@ impl Diagonals<'_> {
         to: usize,
         count: usize,
     ) -> usize {
-        let (p, width) = (self.pool.patch_size(), self.pool.frames().frames());
+        let (p, width) = (self.pool.patch_size, self.pool.frames.frames());
         let lanes = S::F32_LANES;
         let mut sums = [still; R];
         for k in 0..p {
@@ -78,7 +78,7 @@ impl Diagonals<'_> {
                 *sum = simd.add_f32s(*sum, values);
             }
         }
-        let values = simd.splat_f32s((self.pool.frames().channels() * p) as f32);
+        let values = simd.splat_f32s((self.pool.frames.channels() * p) as f32);
         let out = &mut self.distances[to..to + count];
         for (sum, out) in sums.iter().zip(out.chunks_mut(lanes)) {
             let distance = match self.distance {

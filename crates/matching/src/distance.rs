@@ -40,12 +40,10 @@ impl Moving {
         // At least one channel moves, for the layout.
         let (still, moving): (Vec<usize>, Vec<usize>) =
             (1..examples.channels()).partition(|c| stands(c));
+        let still = still.into_iter().map(|c| (c, 0.5 * (low[c] + high[c])));
         Self {
             moving: [0].into_iter().chain(moving).collect(),
-            still: still
-                .into_iter()
-                .map(|c| (c, 0.5 * (low[c] + high[c])))
-                .collect(),
+            still: still.collect(),
         }
     }
 
@@ -100,8 +98,8 @@ pub(crate) struct Padded {
     values: Vec<f32>,
     /// Offset of the first frame.
     first: usize,
-    /// Squared distance of each frame in the constant channels.
-    still: Vec<f32>,
+    /// Squared distance of each frame to any example frame in the constant channels.
+    pub(crate) still: Vec<f32>,
 }
 
 impl Padded {
@@ -116,11 +114,6 @@ impl Padded {
 
     pub(crate) fn frames(&self) -> usize {
         self.still.len()
-    }
-
-    /// Squared distance of each frame to any example frame in the constant channels.
-    pub(crate) fn still(&self) -> &[f32] {
-        &self.still
     }
 
     /// `frames` frames from `first` on.
@@ -263,7 +256,7 @@ mod tests {
                 let x_padded = moving.padded(&x);
                 squared(&x_padded, first, &moving.padded(&y), &mut found);
                 for (index, found) in found.iter().enumerate() {
-                    let found = found + x_padded.still()[first + index / m];
+                    let found = found + x_padded.still[first + index / m];
                     let pairs = x.frame(first + index / m).iter().zip(y.frame(index % m));
                     let exact = pairs.map(|(a, b)| f64::from(a - b).powi(2)).sum::<f64>();
                     prop_assert!((f64::from(found) - exact).abs() < 1e-5 * exact.max(1.0));

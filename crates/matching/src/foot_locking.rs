@@ -35,7 +35,7 @@ pub(crate) fn lock_feet(
     if legs.is_empty() {
         let problem = "no joint with two bones above it is called a foot, toe or ankle";
         let hint = "leave option `lock_feet` out: the feet of this skeleton are not known";
-        return Err(Error::file(layout.file(), problem, hint));
+        return Err(Error::file(&layout.file, problem, hint));
     }
     let rests = examples
         .iter()
@@ -100,7 +100,7 @@ fn resting(layout: &MotionMatrix, bvh: &Bvh, legs: &[Leg]) -> Vec<Vec<bool>> {
     let rests = |leg: &Leg| {
         let size = length(joints[leg.knee].offset) + length(joints[leg.ankle].offset);
         let place = |t: usize| world[t][leg.sole].position;
-        let height = |t: usize| place(t)[layout.up()];
+        let height = |t: usize| place(t)[layout.up as usize];
         let floor = (0..world.len()).map(height).fold(f64::INFINITY, f64::min);
         let still = |t: usize| {
             let before = place(t.saturating_sub(1));

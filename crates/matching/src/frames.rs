@@ -19,10 +19,7 @@ impl Frames {
         Self { channels, values }
     }
 
-    /// A matrix of zeros, `[frames, channels]`.
-    ///
-    /// # Panics
-    /// As [`new`](Self::new).
+    /// A matrix of zeros, `[frames, channels]`. It panics like [`new`](Self::new).
     pub fn zeros(frames: usize, channels: usize) -> Self {
         Self::new(channels, vec![0.0; frames * channels])
     }
@@ -50,15 +47,12 @@ impl Frames {
     /// Frame `t`, `[channels]`.
     ///
     /// # Panics
-    /// Panics if there is none.
+    /// If there is none.
     pub fn frame(&self, t: usize) -> &[f32] {
         &self.values[t * self.channels..(t + 1) * self.channels]
     }
 
-    /// Frame `t`, `[channels]`, mutable.
-    ///
-    /// # Panics
-    /// Panics if there is none.
+    /// Frame `t`, `[channels]`, mutable. It panics like [`frame`](Self::frame).
     pub fn frame_mut(&mut self, t: usize) -> &mut [f32] {
         &mut self.values[t * self.channels..(t + 1) * self.channels]
     }

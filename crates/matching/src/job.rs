@@ -92,10 +92,8 @@ impl Job {
             contacts,
             heading: self.heading,
         };
-        let sources = self
-            .keyframes
-            .iter()
-            .filter_map(|(_, source)| source.as_ref());
+        let sources = self.keyframes.iter();
+        let sources = sources.filter_map(|(_, source)| source.as_ref());
         // The fixed motions and the content set the length.
         let conditions: Vec<&Example> = self.fixed.iter().map(|fixed| &fixed.motion).collect();
         let conditions = [conditions, self.content.iter().collect()].concat();
@@ -111,7 +109,15 @@ impl Job {
         let condition_matrices: Vec<Frames> = condition_matrices.collect::<Result<_, _>>()?;
         let motions = examples.iter().chain(conditions.iter().copied());
         for (example, frames) in motions.zip(matrices.iter().chain(&condition_matrices)) {
-            self.must_have_a_patch(example, frames, &layout)?;
+            let (found, p) = (frames.frames(), self.settings.patch_size);
+            if found < p {
+                let rate = 1.0 / layout.frame_time();
+                let problem = format!(
+                    "frames: {found} at {rate:.0} a second, allowed: at least `patch_size`, which is {p}"
+                );
+                let hint = "use a longer motion, or a smaller option `patch_size`";
+                return Err(Error::file(&example.file, problem, hint));
+            }
         }
         let (fixed, content) = condition_matrices.split_at(self.fixed.len());
         let content = content.first();
@@ -124,10 +130,8 @@ impl Job {
             PartChoice::Whole => &Part::automatic(&layout),
             _ => &parts,
         };
-        let lengths: Vec<(&Example, usize)> = conditions
-            .into_iter()
-            .zip(condition_matrices.iter().map(Frames::frames))
-            .collect();
+        let lengths = condition_matrices.iter().map(Frames::frames);
+        let lengths: Vec<(&Example, usize)> = conditions.into_iter().zip(lengths).collect();
         let frames = self.frames(&layout, &matrices, &lengths)?;
         let mut constraints = Vec::new();
         for (keyframe, source) in &self.keyframes {
@@ -153,10 +157,13 @@ impl Job {
             groups: &groups,
             constraints: &constraints,
         };
-        let usual = match fixed.is_empty() {
-            true => None,
-            false => Some(usual_jerk(&layout, matrices.iter().chain(fixed))?),
-        };
+        let mut usual = None;
+        if !fixed.is_empty() {
+            for motion in matrices.iter().chain(fixed) {
+                let jerk = percentile_95(&jerks(&layout.to_bvh(motion)?));
+                usual = Some(f64::max(usual.unwrap_or(0.0), jerk));
+            }
+        }
         let is_loop = self.settings.looping != Looping::Off;
         // A loop with key frames cannot begin elsewhere: the first of several with a smooth seam is
         // taken, or the smoothest.
@@ -179,10 +186,7 @@ impl Job {
             }
             let mut layout = layout.clone();
             let bvh = self.finished(&mut layout, &mut synthesis.frames, &constraints, usual)?;
-            let seam = match attempts {
-                1 => None,
-                _ => Seam::of(&layout, &bvh),
-            };
+            let seam = (attempts > 1).then(|| Seam::of(&layout, &bvh)).flatten();
             let jump = seam.map_or(0.0, |seam| seam.jump());
             if best.as_ref().is_none_or(|(least, ..)| jump < *least) {
                 best = Some((jump, layout, synthesis, bvh));
@@ -209,8 +213,8 @@ impl Job {
         })
     }
 
-    /// Warps the trajectory through the places of key frames, limits jerk around key frames and over
-    /// fixed parts, and converts to BVH. `usual`: the jerk of the source motions, with fixed parts.
+    /// Warps the trajectory through the places of key frames, limits jerk, and converts to BVH.
+    /// `usual`: the largest 95th percentile of jerk of the source motions, with fixed parts.
     fn finished(
         &self,
         layout: &mut MotionMatrix,
@@ -243,24 +247,6 @@ impl Job {
         layout.to_bvh(frames)
     }
 
-    fn must_have_a_patch(
-        &self,
-        example: &Example,
-        frames: &Frames,
-        layout: &MotionMatrix,
-    ) -> Result<(), Error> {
-        let (found, p) = (frames.frames(), self.settings.patch_size);
-        if found >= p {
-            return Ok(());
-        }
-        let rate = 1.0 / layout.frame_time();
-        let problem = format!(
-            "frames: {found} at {rate:.0} a second, allowed: at least `patch_size`, which is {p}"
-        );
-        let hint = "use a longer motion, or a smaller option `patch_size`";
-        Err(Error::file(&example.file, problem, hint))
-    }
-
     /// Length of the new motion; `conditions` are the motions that set it, with their frames.
     fn frames(
         &self,
@@ -269,14 +255,13 @@ impl Job {
         conditions: &[(&Example, usize)],
     ) -> Result<usize, Error> {
         let all = examples.iter().map(Frames::frames).sum();
-        let requested = self
-            .length
-            .map(|length| length.frames(all, layout.frame_time()));
+        let requested = self.length;
+        let requested = requested.map(|length| length.frames(all, layout.frame_time()));
         let frames = conditions.first().map(|(_, frames)| *frames);
         let frames = frames.or(requested).unwrap_or(2 * all);
         let others = conditions
             .iter()
-            .map(|(other, frames)| (other.file.as_str(), *frames));
+            .map(|(other, found)| (other.file.as_str(), *found));
         let mut others = others.chain(requested.map(|frames| ("option `length`", frames)));
         if let Some((other, found)) = others.find(|(_, found)| *found != frames) {
             let problem = format!("has {frames} frames, and {other} {found}");
@@ -288,16 +273,6 @@ impl Job {
             .hint("a motion has at least one patch, `patch_size`, and at most two hours")?;
         Ok(frames)
     }
-}
-
-/// The largest 95th percentile of jerk of the motions.
-fn usual_jerk<'a>(
-    layout: &MotionMatrix,
-    motions: impl Iterator<Item = &'a Frames>,
-) -> Result<f64, Error> {
-    let usual = motions.map(|motion| Ok(percentile_95(&jerks(&layout.to_bvh(motion)?))));
-    let usual: Vec<f64> = usual.collect::<Result<_, Error>>()?;
-    Ok(usual.into_iter().fold(0.0, f64::max))
 }
 
 #[cfg(test)]

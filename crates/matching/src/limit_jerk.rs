@@ -37,21 +37,16 @@ const ROUNDS: usize = 4;
 /// Jerk of each frame from the third on: the mean length of the joints' third differences, in file
 /// units, `[frames - 3]`.
 pub fn jerks(bvh: &Bvh) -> Vec<f64> {
-    let places = |t: usize| -> Vec<[f64; 3]> {
-        let world = bvh.world(t).into_iter();
-        world.map(|pose| pose.position).collect()
-    };
-    let places: Vec<Vec<[f64; 3]>> = (0..bvh.frames()).map(places).collect();
-    let jerk = |four: &[Vec<[f64; 3]>]| {
-        let joints = 0..four[0].len();
-        let count = joints.len() as f64;
+    let world: Vec<Vec<RootPose>> = (0..bvh.frames()).map(|t| bvh.world(t)).collect();
+    let jerk = |four: &[Vec<RootPose>]| {
+        let joints = four[0].len();
         let of = |joint: usize| {
-            let [a, b, c, d] = [0, 1, 2, 3].map(|t| four[t][joint]);
+            let [a, b, c, d] = [0, 1, 2, 3].map(|t| four[t][joint].position);
             length([0, 1, 2].map(|i| d[i] - 3.0 * c[i] + 3.0 * b[i] - a[i]))
         };
-        joints.map(of).sum::<f64>() / count
+        (0..joints).map(of).sum::<f64>() / joints as f64
     };
-    places.windows(4).map(jerk).collect()
+    world.windows(4).map(jerk).collect()
 }
 
 /// The 95th percentile; 0 of no values.
@@ -88,47 +83,36 @@ pub(crate) fn around_keyframes(
     }
     // Smoothing one key frame lowers the reference of the others.
     for _ in 0..ROUNDS {
-        if !around_each(layout, frames, constraints, is_loop)? {
+        let mut changed = false;
+        for constraint in constraints {
+            let Constraint::Keyframe { at, .. } = constraint else {
+                continue;
+            };
+            let key = Constraint::frame(*at, n);
+            if !is_loop {
+                changed |= around_one(layout, frames, constraints, key, false)?;
+                continue;
+            }
+            // A loop can be rotated: with the key frame in its middle, both ends are far away.
+            let (middle, channels) = (n / 2, frames.channels());
+            let shift = (key + n - middle) % n;
+            let mut moved = constraints.to_vec();
+            for constraint in &mut moved {
+                if let Constraint::Keyframe { at, .. } = constraint {
+                    let t = (Constraint::frame(*at, n) + n - shift) % n;
+                    *at = (t as f64 + 0.5) / n as f64;
+                }
+            }
+            frames.values_mut().rotate_left(shift * channels);
+            let smoothed = around_one(layout, frames, &moved, middle, true);
+            frames.values_mut().rotate_right(shift * channels);
+            changed |= smoothed?;
+        }
+        if !changed {
             break;
         }
     }
     Ok(())
-}
-
-/// One pass over the key frames; returns whether anything changed.
-fn around_each(
-    layout: &MotionMatrix,
-    frames: &mut Frames,
-    constraints: &[Constraint],
-    is_loop: bool,
-) -> Result<bool, Error> {
-    let n = frames.frames();
-    let mut changed = false;
-    for constraint in constraints {
-        let Constraint::Keyframe { at, .. } = constraint else {
-            continue;
-        };
-        let key = Constraint::frame(*at, n);
-        if !is_loop {
-            changed |= around_one(layout, frames, constraints, key, false)?;
-            continue;
-        }
-        // A loop can be rotated: with the key frame in its middle there is no end nearby.
-        let (middle, channels) = (n / 2, frames.channels());
-        let shift = (key + n - middle) % n;
-        let mut moved = constraints.to_vec();
-        for constraint in &mut moved {
-            if let Constraint::Keyframe { at, .. } = constraint {
-                let t = (Constraint::frame(*at, n) + n - shift) % n;
-                *at = (t as f64 + 0.5) / n as f64;
-            }
-        }
-        frames.values_mut().rotate_left(shift * channels);
-        let smoothed = around_one(layout, frames, &moved, middle, true);
-        frames.values_mut().rotate_right(shift * channels);
-        changed |= smoothed?;
-    }
-    Ok(changed)
 }
 
 /// Smooths around the key frame `key`; returns whether it was needed. `keep_ends`: the ends do not
@@ -181,7 +165,8 @@ pub(crate) fn over_fixed_parts(
     }
     let border = Border::of(layout, frames, constraints)?;
     let mut voted = frames.clone();
-    border.to_world(&mut voted);
+    // To world rotations, and back below.
+    border.turn(&mut voted, |parent| parent);
     let mut strengths = vec![0.0; frames.frames() - 3];
     for _ in 0..MOST_OVER {
         let jerks = jerks(&layout.to_bvh(frames)?);
@@ -197,7 +182,7 @@ pub(crate) fn over_fixed_parts(
         }
         *frames = voted.clone();
         smooth(frames, &strengths, constraints);
-        border.to_parents(frames);
+        border.turn(frames, Quaternion::conjugate);
     }
     Ok(())
 }
@@ -222,28 +207,19 @@ impl Border {
             })
         };
         let bvh = layout.to_bvh(frames)?;
-        let world = (0..bvh.frames()).map(|t| bvh.world(t));
-        let world: Vec<Vec<RootPose>> = world.collect();
+        let world: Vec<Vec<RootPose>> = (0..bvh.frames()).map(|t| bvh.world(t)).collect();
         let joints = layout.joints().iter().enumerate();
         let joints = joints.filter_map(|(joint, own)| {
             let parent = own.parent.filter(|&p| is_fixed(p) && !is_fixed(joint))?;
             let turns = world.iter().map(|poses| poses[parent].orientation);
             Some((layout.rotation_of(joint).start, turns.collect()))
         });
-        let joints = joints.collect();
-        Ok(Self { joints })
+        Ok(Self {
+            joints: joints.collect(),
+        })
     }
 
-    /// Local to world rotations.
-    fn to_world(&self, frames: &mut Frames) {
-        self.turn(frames, |parent| parent);
-    }
-
-    /// World to local rotations.
-    fn to_parents(&self, frames: &mut Frames) {
-        self.turn(frames, Quaternion::conjugate);
-    }
-
+    /// Rotates the joints, by the parents' rotations as changed with `by`.
     fn turn(&self, frames: &mut Frames, by: impl Fn(Quaternion) -> Quaternion) {
         for (first, parents) in &self.joints {
             for (t, &parent) in parents.iter().enumerate() {

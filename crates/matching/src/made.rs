@@ -30,18 +30,14 @@ pub struct Made {
 impl Made {
     /// Measures over the rotations of these joints, by index; of all if empty.
     pub fn measures(&self, joints: &[usize]) -> Option<Measures> {
-        let channels = rotations(&self.layout, joints);
-        let examples = self.examples.iter();
-        let examples: Vec<Frames> = examples.map(|each| each.columns(&channels)).collect();
-        Measures::of(&self.synthesis.frames.columns(&channels), &examples)
+        let (motion, examples) = self.rotations(joints);
+        Measures::of(&motion, &examples)
     }
 
     /// Novelty of each part.
     pub fn novelty(&self) -> Vec<Novelty> {
-        let origins = self.synthesis.origins.iter();
-        origins
-            .map(|origins| Novelty::of(origins, self.layout.frame_time()))
-            .collect()
+        let of = |origins: &Vec<(usize, usize)>| Novelty::of(origins, self.layout.frame_time());
+        self.synthesis.origins.iter().map(of).collect()
     }
 
     /// Runs of each part that follow an example.
@@ -52,27 +48,25 @@ impl Made {
 
     /// Still frames of the motion and the examples.
     pub fn stillness(&self) -> Option<Stillness> {
-        let channels = rotations(&self.layout, &[]);
-        let examples = self.examples.iter();
-        let examples: Vec<Frames> = examples.map(|each| each.columns(&channels)).collect();
-        Stillness::of(&self.synthesis.frames.columns(&channels), &examples)
+        let (motion, examples) = self.rotations(&[]);
+        Stillness::of(&motion, &examples)
     }
 
     /// The seam of a loop; none of other motions.
     pub fn seam(&self, looping: Looping) -> Option<Seam> {
-        match looping {
-            Looping::Off => None,
-            _ => Seam::of(&self.layout, &self.bvh),
-        }
+        let is_loop = looping != Looping::Off;
+        is_loop.then(|| Seam::of(&self.layout, &self.bvh)).flatten()
     }
-}
 
-/// Rotation channels of these joints; of all if empty.
-fn rotations(layout: &MotionMatrix, joints: &[usize]) -> Vec<usize> {
-    let all: Vec<usize> = (0..layout.joints().len()).collect();
-    let joints = if joints.is_empty() { &all } else { joints };
-    joints
-        .iter()
-        .flat_map(|&joint| layout.rotation_of(joint))
-        .collect()
+    /// Rotations of these joints in the motion and the examples; of all if empty.
+    fn rotations(&self, joints: &[usize]) -> (Frames, Vec<Frames>) {
+        let all: Vec<usize> = (0..self.layout.joints().len()).collect();
+        let joints = if joints.is_empty() { &all } else { joints };
+        let channels = joints
+            .iter()
+            .flat_map(|&joint| self.layout.rotation_of(joint));
+        let channels: Vec<usize> = channels.collect();
+        let examples = self.examples.iter().map(|each| each.columns(&channels));
+        (self.synthesis.frames.columns(&channels), examples.collect())
+    }
 }

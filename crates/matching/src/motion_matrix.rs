@@ -2,11 +2,10 @@
 //!
 //! A frame contains, in this order: the local rotation of each joint as six numbers
 //! ([`rotation6d`](crate::rotation6d)); the local position of every other joint whose position
-//! changes; the contact of each foot, in the first of six channels; and the root trajectory, its
-//! height absolute and its horizontal position as the displacement from the frame before.
-//! Optionally the root's rotation and displacement are relative to its heading, and the change of
-//! heading since the frame before precedes the trajectory. Lengths are scaled by 1 / ceil(largest
-//! component of an offset). Source: GenMM; docs/sources/genmm.md.
+//! changes; the contact of each foot, in the first of six channels; optionally the change of heading,
+//! to which root rotation and displacement are then relative; the root trajectory, its height
+//! absolute and its horizontal position as the displacement from the frame before. Lengths are
+//! scaled by 1 / ceil(largest component of an offset). Source: GenMM; docs/sources/genmm.md.
 
 use kinegrad_capture::{Axis, Bvh, RootPose, UpAxis};
 use kinegrad_motion::Quaternion;
@@ -53,18 +52,21 @@ pub struct MatrixOptions {
 /// The layout of the motions of one skeleton as matrices.
 #[derive(Clone, Debug)]
 pub struct MotionMatrix {
-    file: String,
+    /// File of the first example, for messages.
+    pub(crate) file: String,
     bvh: Bvh,
-    up: Axis,
+    pub(crate) up: Axis,
     scale: f64,
     frame_time: f64,
-    root_joint: usize,
+    /// The joint whose trajectory carries the body.
+    pub(crate) root_joint: usize,
     /// Joints above the root joint, if nothing else hangs on them.
     ancestors: Vec<usize>,
     /// Position of the ancestors in a new motion, with no rotation.
     base: [f64; 3],
     translated: Vec<usize>,
-    contacts: Vec<usize>,
+    /// Indices of the joints whose contact is matched.
+    pub(crate) contacts: Vec<usize>,
     /// Heading of the first frame of the first example, in radians; none in world coordinates.
     heading: Option<f64>,
     start: [f64; 3],
@@ -81,11 +83,8 @@ impl MotionMatrix {
         Self::with(examples, &[], options)
     }
 
-    /// [`new`](Self::new) with further motions that parts or poses are taken from: the root joint
-    /// and the joints whose position changes are those of all motions.
-    ///
-    /// # Errors
-    /// As [`new`](Self::new).
+    /// [`new`](Self::new), with the same errors, with further motions that parts or poses are taken
+    /// from: the root joint and the joints whose position changes are those of all motions.
     pub fn with(
         examples: &[Example],
         others: &[&Example],
@@ -141,9 +140,8 @@ impl MotionMatrix {
         let shifts = |joint: &usize| ranges[*joint] * layout.scale > STILL;
         let carries =
             |joint: &usize| *joint == layout.root_joint || layout.ancestors.contains(joint);
-        layout.translated = (0..ranges.len())
-            .filter(|joint| shifts(joint) && !carries(joint))
-            .collect();
+        let translated = (0..ranges.len()).filter(|joint| shifts(joint) && !carries(joint));
+        layout.translated = translated.collect();
         let pose = layout.locals(&first.bvh, 0)[layout.root_joint];
         layout.start = pose.position;
         layout.heading = options.heading.then(|| layout.heading_of(pose.orientation));
@@ -160,11 +158,6 @@ impl MotionMatrix {
         self.frame_time
     }
 
-    /// The joint whose trajectory carries the body.
-    pub fn root_joint(&self) -> usize {
-        self.root_joint
-    }
-
     /// Number of channels.
     pub fn channels(&self) -> usize {
         let joints = ROTATION * (self.joints().len() + self.contacts.len());
@@ -176,11 +169,7 @@ impl MotionMatrix {
     pub fn channels_of(&self, joint: usize) -> Vec<usize> {
         let mut channels: Vec<usize> = self.rotation_of(joint).collect();
         let places = ROTATION * self.joints().len();
-        if let Some(place) = self
-            .translated
-            .iter()
-            .position(|&translated| translated == joint)
-        {
+        if let Some(place) = self.translated.iter().position(|&other| other == joint) {
             channels.extend(places + 3 * place..places + 3 * place + 3);
         }
         let contacts = places + 3 * self.translated.len();
@@ -204,22 +193,7 @@ impl MotionMatrix {
 
     /// The channel of the root height.
     pub fn height(&self) -> usize {
-        self.channels() - 3 + self.up()
-    }
-
-    /// File of the first example, for messages.
-    pub(crate) fn file(&self) -> &str {
-        &self.file
-    }
-
-    /// The index of the vertical axis.
-    pub(crate) fn up(&self) -> usize {
-        self.up as usize
-    }
-
-    /// Indices of the joints whose contact is matched.
-    pub fn contacts(&self) -> &[usize] {
-        &self.contacts
+        self.channels() - 3 + self.up as usize
     }
 
     /// Local poses. Motion of the ancestors is moved into the root joint: in some files the hips
@@ -262,15 +236,14 @@ impl MotionMatrix {
         let start = poses[0][self.root_joint].position;
         let trajectory = poses.iter().map(|pose| {
             let place = pose[self.root_joint].position;
-            [0, 1, 2].map(|axis| match axis == self.up() {
+            [0, 1, 2].map(|axis| match axis == self.up as usize {
                 true => place[axis] * self.scale,
                 false => (place[axis] - start[axis]) * self.scale,
             })
         });
         let mut trajectory = displacements(&trajectory.collect::<Vec<_>>(), Some(self.up));
-        let turns = self
-            .heading
-            .map(|_| self.to_heading_frame(&mut poses, &mut trajectory));
+        let turns = self.heading;
+        let turns = turns.map(|_| self.to_heading_frame(&mut poses, &mut trajectory));
         let contacts = self.contacts_of(bvh, &times);
         let mut values: Vec<f32> = Vec::with_capacity(times.len() * self.channels());
         for (t, pose) in poses.iter().enumerate() {
@@ -296,14 +269,11 @@ impl MotionMatrix {
         Ok(Frames::new(self.channels(), values))
     }
 
-    /// A matrix, `[frames, channels]`, as a motion with the joints, channels and units of the first
-    /// example, which starts where that does.
+    /// A matrix, `[frames, channels]`, as a motion with the joints, channels, units and start of the
+    /// first example.
     ///
     /// # Errors
-    /// If it is not finite.
-    ///
-    /// # Panics
-    /// Panics if it has other channels.
+    /// If it is not finite. It panics if it has other channels.
     pub fn to_bvh(&self, frames: &Frames) -> Result<Bvh, Error> {
         assert_eq!(frames.channels(), self.channels());
         let joints = self.joints().len();

@@ -69,10 +69,10 @@ struct Cache {
 impl<'a> Search<'a> {
     /// A search among the patches of `pool`.
     pub fn new(pool: &'a Pool, distance: Distance) -> Self {
-        let moving = Moving::of(pool.frames());
+        let moving = Moving::of(&pool.frames);
         Self {
             pool,
-            padded: moving.padded(pool.frames()),
+            padded: moving.padded(&pool.frames),
             moving,
             distance,
             cache_bytes: CACHE_BYTES,
@@ -100,8 +100,8 @@ impl<'a> Search<'a> {
     /// # Panics
     /// Panics if the channels differ, or either side is shorter than a patch.
     pub fn nearest(&mut self, synthesis: &Frames, alpha: Option<f64>, bent: &[bool]) -> Matches {
-        let p = self.pool.patch_size();
-        assert!(synthesis.frames() >= p && self.pool.patches() > 0);
+        let p = self.pool.patch_size;
+        assert!(synthesis.frames() >= p && self.pool.patches > 0);
         assert!(bent.is_empty() || bent.len() == synthesis.frames());
         let mut counts: Vec<bool> = bent.windows(p).map(|bent| !bent.contains(&true)).collect();
         if !counts.contains(&true) {
@@ -150,14 +150,14 @@ impl<'a> Search<'a> {
                 .zip(&firsts)
                 .map(|(tile, &first)| search.smallest(&tile, &counts[first..]))
                 .reduce(
-                    || vec![f32::INFINITY; search.pool.patches()],
+                    || vec![f32::INFINITY; search.pool.patches],
                     |a, b| a.iter().zip(b).map(|(a, b)| a.min(b)).collect(),
                 ),
             None => Vec::new(),
         };
         let scale: Vec<f32> = match alpha {
             Some(alpha) => smallest.iter().map(|&min| alpha as f32 + min).collect(),
-            None => vec![1.0; self.pool.patches()],
+            None => vec![1.0; self.pool.patches],
         };
         let found: Vec<(usize, f32)> = tiles
             .flat_map_iter(|tile| search.first_smallest(&tile, &scale))
@@ -178,7 +178,7 @@ impl<'a> Search<'a> {
     /// Recomputes the rows of a tile whose patches have a frame that `changed`; `first` is the
     /// first patch of the tile.
     fn renew(&self, tile: &mut [f32], synthesis: &Padded, first: usize, changed: &[bool]) {
-        let (p, width) = (self.pool.patch_size(), self.padded.frames());
+        let (p, width) = (self.pool.patch_size, self.padded.frames());
         let rows = tile.len() / width;
         let stale = |row: usize| changed[first + row..first + row + p].contains(&true);
         let mut renewed = Vec::new();
@@ -214,7 +214,7 @@ impl<'a> Search<'a> {
 
     /// Writes a [`tile`](Self::tile) to the beginning of `distances`.
     fn fill(&self, distances: &mut Vec<f32>, synthesis: &Padded, first: usize, rows: usize) {
-        let (p, width) = (self.pool.patch_size(), self.padded.frames());
+        let (p, width) = (self.pool.patch_size, self.padded.frames());
         let frames = rows + p - 1;
         distances.resize(frames * width, 0.0);
         let mut summed = 0;
@@ -229,7 +229,7 @@ impl<'a> Search<'a> {
                 distance: self.distance,
                 distances,
                 patches: summed..ready,
-                still: &synthesis.still()[first..],
+                still: &synthesis.still[first..],
             });
             summed = ready;
         }
@@ -237,14 +237,14 @@ impl<'a> Search<'a> {
 
     /// The rows of a tile.
     fn rows<'b>(&self, distances: &'b [f32]) -> impl Iterator<Item = &'b [f32]> + use<'b> {
-        let patches = self.pool.patches();
+        let patches = self.pool.patches;
         let rows = distances.chunks_exact(self.padded.frames());
         rows.map(move |row| &row[..patches])
     }
 
     /// The distance of each example patch to the nearest counted patch of the tile.
     fn smallest(&self, distances: &[f32], counts: &[bool]) -> Vec<f32> {
-        let mut smallest = vec![f32::INFINITY; self.pool.patches()];
+        let mut smallest = vec![f32::INFINITY; self.pool.patches];
         pulp::Arch::new().dispatch(
             #[inline(always)]
             || {
@@ -261,7 +261,7 @@ impl<'a> Search<'a> {
 
     /// The first example patch with the smallest scaled distance, for each patch of the tile.
     fn first_smallest(&self, distances: &[f32], scale: &[f32]) -> Vec<(usize, f32)> {
-        let mut scaled = vec![0.0; self.pool.patches()];
+        let mut scaled = vec![0.0; self.pool.patches];
         let rows = self.rows(distances);
         let found = rows.map(|row| {
             Arch::new().dispatch(Scaled {

@@ -102,7 +102,7 @@ impl Part {
                 limbs.push(Self {
                     name: bare(&joints[joint].name).to_string(),
                     joints: [vec![parent], subtree].concat(),
-                    root_trajectory: parent == layout.root_joint(),
+                    root_trajectory: parent == layout.root_joint,
                 });
             }
         }
@@ -173,7 +173,7 @@ impl Part {
             }
             parts.push(rest);
         } else if rest.root_trajectory {
-            let travels = layout.root_joint();
+            let travels = layout.root_joint;
             for part in &mut parts {
                 part.root_trajectory = part.joints.contains(&travels);
             }
@@ -218,13 +218,13 @@ impl Part {
                     && COMMON.iter().all(only_legs)
             };
             let mut found: Vec<usize> = (1..joints.len())
-                .filter(|&joint| joint != layout.root_joint())
+                .filter(|&joint| joint != layout.root_joint)
                 .filter(|&joint| called(joint, words) || thigh(joint))
                 .flat_map(|joint| subtree(joints, joint))
                 .collect();
             if !found.is_empty() {
                 // The joint above the legs turns them, so it belongs to them.
-                found.extend(has_root.then(|| layout.root_joint()));
+                found.extend(has_root.then(|| layout.root_joint));
                 found.sort_unstable();
                 found.dedup();
                 return Ok(of(found, *has_root));
@@ -232,7 +232,7 @@ impl Part {
         }
         if let Some(joint) = find(joints, name) {
             let below = subtree(joints, joint);
-            let has_root = below.contains(&layout.root_joint());
+            let has_root = below.contains(&layout.root_joint);
             return Ok(of(below, has_root));
         }
         let parts: Vec<String> = parts

@@ -8,12 +8,15 @@ use crate::Frames;
 /// one example; patches are numbered through all examples.
 #[derive(Clone, Debug)]
 pub struct Pool {
-    frames: Frames,
+    /// All frames, `[frames, channels]`.
+    pub frames: Frames,
+    /// Frames of a patch.
+    pub patch_size: usize,
+    /// Number of patches.
+    pub patches: usize,
     examples: Vec<Range<usize>>,
-    patch_size: usize,
     /// Number of each example's first patch.
     first_patches: Vec<usize>,
-    patches: usize,
 }
 
 impl Pool {
@@ -40,30 +43,14 @@ impl Pool {
         }
     }
 
-    /// All frames, `[frames, channels]`.
-    pub fn frames(&self) -> &Frames {
-        &self.frames
-    }
-
-    /// Frames of a patch.
-    pub fn patch_size(&self) -> usize {
-        self.patch_size
-    }
-
-    /// Number of patches.
-    pub fn patches(&self) -> usize {
-        self.patches
-    }
-
     /// Runs of consecutive patches: number of the first, its first frame in the pool, and their
     /// count.
     pub fn runs(&self) -> impl Iterator<Item = (usize, usize, usize)> + '_ {
-        let runs = self.examples.iter().zip(&self.first_patches);
-        runs.filter(|(example, _)| example.len() >= self.patch_size)
-            .map(|(example, &first)| {
-                let patches = example.len() + 1 - self.patch_size;
-                (first, example.start, patches)
-            })
+        let examples = self.examples.iter().zip(&self.first_patches);
+        examples.filter_map(|(example, &first)| {
+            let patches = (example.len() + 1).checked_sub(self.patch_size)?;
+            (patches > 0).then_some((first, example.start, patches))
+        })
     }
 
     /// The example of a patch, and its first frame there.
@@ -77,10 +64,7 @@ impl Pool {
         (example, patch - self.first_patches[example])
     }
 
-    /// The first frame of a patch in the pool.
-    ///
-    /// # Panics
-    /// As [`origin`](Self::origin).
+    /// The first frame of a patch in the pool. It panics like [`origin`](Self::origin).
     pub fn start(&self, patch: usize) -> usize {
         let (example, frame) = self.origin(patch);
         self.examples[example].start + frame
@@ -96,7 +80,7 @@ mod tests {
         let lengths = [7, 3, 5];
         let examples = lengths.map(|frames| Frames::zeros(frames, 2));
         let pool = Pool::new(&examples, 5);
-        assert_eq!(pool.patches(), 4);
+        assert_eq!(pool.patches, 4);
         let origins: Vec<_> = (0..4).map(|patch| pool.origin(patch)).collect();
         assert_eq!(origins, [(0, 0), (0, 1), (0, 2), (2, 0)]);
         assert_eq!(pool.start(3), 10);

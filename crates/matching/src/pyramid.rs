@@ -2,9 +2,7 @@
 
 /// Level lengths of a motion of `frames` frames, the coarsest first: `frames * coarse_ratio`, then
 /// each `1 / pyr_factor` times as long, rounded half to even and strictly increasing, up to
-/// `frames`. A ratio of 1 or more gives one level.
-///
-/// Source: GenMM; docs/sources/genmm.md.
+/// `frames`. A ratio of 1 or more gives one level. Source: GenMM; docs/sources/genmm.md.
 pub fn pyramid_lengths(frames: usize, coarse_ratio: f64, pyr_factor: f64) -> Vec<usize> {
     let rounded = |value: f64| value.round_ties_even() as usize;
     let mut lengths = vec![rounded(frames as f64 * coarse_ratio)];
@@ -30,10 +28,9 @@ pub struct Levels {
 impl Levels {
     /// Levels of examples and a synthesis of these lengths.
     ///
-    /// All examples have as many levels as the one with the fewest, counted from the finest; levels
-    /// at which no example has a patch are dropped. If rounding gives the synthesis another number
-    /// of levels, its lengths are proportional to those of the longest example. No level of the
-    /// synthesis is shorter than a patch.
+    /// The example with the fewest levels determines their number; levels without a patch are
+    /// dropped. If rounding gives the synthesis another number of levels, its lengths are
+    /// proportional to those of the longest example, and at least a patch.
     ///
     /// # Panics
     /// Panics if there are no examples.
@@ -62,10 +59,8 @@ impl Levels {
             let longest = all.iter().max_by_key(|lengths| lengths[levels - 1]);
             let longest = longest.expect("an example");
             let scale = synthesis as f64 / longest[levels - 1] as f64;
-            let scaled = longest.iter().map(|&length| length as f64 * scale);
-            own = scaled
-                .map(|length| length.round_ties_even() as usize)
-                .collect();
+            let scaled = |length: &usize| (*length as f64 * scale).round_ties_even() as usize;
+            own = longest.iter().map(scaled).collect();
         }
         for length in &mut own {
             *length = (*length).max(patch_size.min(synthesis));
@@ -74,11 +69,6 @@ impl Levels {
             examples: all,
             synthesis: own,
         }
-    }
-
-    /// Number of levels.
-    pub fn count(&self) -> usize {
-        self.synthesis.len()
     }
 }
 
@@ -111,10 +101,10 @@ mod tests {
             let ratio = 11.0 * patches / longest as f64;
             let levels = Levels::new(&examples, synthesis, ratio, factor, 11);
             for (lengths, frames) in levels.examples.iter().zip(&examples) {
-                prop_assert_eq!(lengths.len(), levels.count());
+                prop_assert_eq!(lengths.len(), levels.synthesis.len());
                 prop_assert_eq!(lengths.last(), Some(frames));
             }
-            for level in 0..levels.count() {
+            for level in 0..levels.synthesis.len() {
                 prop_assert!(levels.examples.iter().any(|lengths| lengths[level] >= 11));
             }
             prop_assert_eq!(levels.synthesis.last(), Some(&synthesis));

@@ -17,14 +17,10 @@ const FIXED: f64 = 1e9;
 ///
 /// where y equals x in key frames. Fixed channels do not change, nor do frames that no strength
 /// above 0 reaches.
-///
-/// # Panics
-/// If there is not a strength for each third difference.
 pub(crate) fn smooth(frames: &mut Frames, strength: &[f64], constraints: &[Constraint]) {
     let n = frames.frames();
-    assert_eq!(
-        strength.len() + 3,
-        n,
+    assert!(
+        strength.len() + 3 == n,
         "a strength for each third difference"
     );
     let active = |t: &usize| strength[*t] > 0.0;
@@ -53,11 +49,8 @@ pub(crate) fn smooth(frames: &mut Frames, strength: &[f64], constraints: &[Const
     for run in runs {
         let strength = &strength[run.start..run.end - 3];
         for channel in (0..frames.channels()).filter(|&channel| !follows[channel]) {
-            let fixed = key_frames[channel].iter();
-            let fixed: Vec<usize> = fixed
-                .filter(|&t| run.contains(t))
-                .map(|t| t - run.start)
-                .collect();
+            let fixed = key_frames[channel].iter().filter(|&t| run.contains(t));
+            let fixed: Vec<usize> = fixed.map(|t| t - run.start).collect();
             let course = run.clone().map(|t| f64::from(frames.frame(t)[channel]));
             let smoothed = smoothed(&course.collect::<Vec<_>>(), strength, &fixed);
             for (t, value) in run.clone().zip(smoothed) {
@@ -71,9 +64,8 @@ pub(crate) fn smooth(frames: &mut Frames, strength: &[f64], constraints: &[Const
 
 fn smoothed(course: &[f64], strength: &[f64], fixed: &[usize]) -> Vec<f64> {
     let weight = |t: usize| if fixed.contains(&t) { FIXED } else { 1.0 };
-    let mut matrix: Vec<[f64; 4]> = (0..course.len())
-        .map(|t| [weight(t), 0.0, 0.0, 0.0])
-        .collect();
+    let diagonal = (0..course.len()).map(|t| [weight(t), 0.0, 0.0, 0.0]);
+    let mut matrix: Vec<[f64; 4]> = diagonal.collect();
     for (t, strength) in strength.iter().enumerate() {
         for a in 0..4 {
             for b in 0..=a {
@@ -81,11 +73,8 @@ fn smoothed(course: &[f64], strength: &[f64], fixed: &[usize]) -> Vec<f64> {
             }
         }
     }
-    let mut solution: Vec<f64> = course
-        .iter()
-        .enumerate()
-        .map(|(t, x)| weight(t) * x)
-        .collect();
+    let weighted = course.iter().enumerate().map(|(t, x)| weight(t) * x);
+    let mut solution: Vec<f64> = weighted.collect();
     Cholesky::new(matrix).solve(&mut solution);
     solution
 }

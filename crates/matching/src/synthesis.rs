@@ -49,12 +49,9 @@ impl Synthesis {
         let n = self.frames.frames();
         let apart = |terms: [(usize, f32); 3]| {
             let [a, b, c] = terms.map(|(t, weight)| (self.frames.frame(t % n), weight));
-            let values = (0..self.frames.channels())
-                .map(|channel| a.1 * a.0[channel] + b.1 * b.0[channel] + c.1 * c.0[channel]);
-            values
-                .map(|value| f64::from(value).powi(2))
-                .sum::<f64>()
-                .sqrt()
+            let sum = |i: usize| f64::from(a.1 * a.0[i] + b.1 * b.0[i] + c.1 * c.0[i]);
+            let squares = (0..self.frames.channels()).map(|i| sum(i).powi(2));
+            squares.sum::<f64>().sqrt()
         };
         // The step from frame t and the change of velocity at t + 1.
         let step = |t: usize| apart([(t, -1.0), (t + 1, 1.0), (t, 0.0)]);
@@ -72,9 +69,9 @@ impl Synthesis {
         let first = first.unwrap_or(0);
         let channels = self.frames.channels();
         self.frames.values_mut().rotate_left(first * channels);
-        self.origins
-            .iter_mut()
-            .for_each(|origins| origins.rotate_left(first));
+        for origins in &mut self.origins {
+            origins.rotate_left(first);
+        }
     }
 }
 
@@ -112,13 +109,8 @@ impl Request<'_> {
         }
         in_range("length", self.frames, p..).hint("a motion has at least one patch")?;
         let coarse = settings.coarse_ratio.ratio(p, longest);
-        Ok(Levels::new(
-            &lengths,
-            self.frames,
-            coarse,
-            settings.pyr_factor,
-            p,
-        ))
+        let levels = Levels::new(&lengths, self.frames, coarse, settings.pyr_factor, p);
+        Ok(levels)
     }
 }
 
@@ -131,12 +123,10 @@ pub fn start_noise(seed: u64, attempt: u64, frames: usize, channels: usize) -> F
 }
 
 /// The start of the coarsest level from the coarsest `examples` and standard normal `noise` of its
-/// length.
-///
-/// Source: GenMM; docs/sources/genmm.md.
+/// length. Source: GenMM; docs/sources/genmm.md.
 ///
 /// # Panics
-/// Panics if the channels differ.
+/// If the channels differ.
 pub fn start(examples: &[Frames], noise: &Frames, sigma: f64, start: Start) -> Frames {
     let sigma = sigma as f32;
     let scaled = noise.values().iter().map(|value| sigma * value);
@@ -146,11 +136,9 @@ pub fn start(examples: &[Frames], noise: &Frames, sigma: f64, start: Start) -> F
     let mut first = Frames::joined(examples).resampled_aligned(noise.frames());
     assert_eq!(first.channels(), noise.channels());
     if sigma > 0.0 {
-        let values = first.values_mut().iter_mut();
         // The remainder has the sign of the sum.
-        values
-            .zip(scaled)
-            .for_each(|(value, noise)| *value = (*value + noise) % 1.0);
+        let values = first.values_mut().iter_mut().zip(scaled);
+        values.for_each(|(value, noise)| *value = (*value + noise) % 1.0);
     }
     first
 }
@@ -168,7 +156,7 @@ pub fn step(
     looping: Looping,
     bent: &[bool],
 ) -> (Frames, Matches) {
-    let p = pool.patch_size();
+    let p = pool.patch_size;
     if looping == Looping::Off {
         let matches = search.nearest(current, alpha, bent);
         return (vote(pool, &matches.nearest), matches);
@@ -201,45 +189,47 @@ pub fn synthesize(request: &Request<'_>, seed: u64) -> Result<Synthesis, Invalid
 /// [`synthesize`] from standard normal `noise` as long as the coarsest level.
 ///
 /// # Errors
-/// As [`synthesize`].
-///
-/// # Panics
-/// As [`synthesize`], and if the noise has another length.
+/// As [`synthesize`]. It panics as well if the noise has another length.
 pub fn synthesize_from(request: &Request<'_>, noise: &Frames) -> Result<Synthesis, InvalidSetting> {
-    refined(request, CoarseStart::Noise(noise))
+    refined(request, |examples, length| {
+        assert_eq!(noise.frames(), length, "frames of noise");
+        let settings = request.settings;
+        start(examples, noise, settings.sigma, settings.start)
+    })
 }
 
 /// [`synthesize`] from the coarse level of `content` in place of noise: `content` in the style of
 /// the examples.
 ///
 /// # Errors
-/// As [`synthesize`].
-///
-/// # Panics
-/// As [`synthesize`], and if the content has other channels.
+/// As [`synthesize`]. It panics as well if the content has other channels.
 pub fn synthesize_like(
     request: &Request<'_>,
     content: &Frames,
 ) -> Result<Synthesis, InvalidSetting> {
-    refined(request, CoarseStart::Content(content))
+    refined(request, |examples, length| {
+        assert_eq!(content.channels(), examples[0].channels());
+        content.resampled(length)
+    })
 }
 
-/// The motion that the coarsest level starts from.
-#[derive(Clone, Copy)]
-enum CoarseStart<'a> {
-    Noise(&'a Frames),
-    Content(&'a Frames),
-}
-
-/// Refines the start of the coarsest level at every level.
-fn refined(request: &Request<'_>, from: CoarseStart<'_>) -> Result<Synthesis, InvalidSetting> {
+/// Refines the start of the coarsest level, made by `coarsest` from the examples at its length, at
+/// every level.
+fn refined(
+    request: &Request<'_>,
+    coarsest: impl Fn(&[Frames], usize) -> Frames + Sync,
+) -> Result<Synthesis, InvalidSetting> {
     let levels = request.levels()?;
     // On a thread of the pool: from outside, each of many short loops would wait to be scheduled.
-    Ok(rayon::scope(|_| refined_over(&levels, request, from)))
+    Ok(rayon::scope(|_| refined_over(&levels, request, coarsest)))
 }
 
 /// [`refined`] over `levels`.
-fn refined_over(levels: &Levels, request: &Request<'_>, from: CoarseStart<'_>) -> Synthesis {
+fn refined_over(
+    levels: &Levels,
+    request: &Request<'_>,
+    coarsest: impl Fn(&[Frames], usize) -> Frames,
+) -> Synthesis {
     let settings = request.settings;
     let (looping, is_loop) = (settings.looping, settings.looping != Looping::Off);
     let channels = request.examples[0].channels();
@@ -255,20 +245,12 @@ fn refined_over(levels: &Levels, request: &Request<'_>, from: CoarseStart<'_>) -
     let mut origins = Vec::new();
     for (level, &length) in levels.synthesis.iter().enumerate() {
         let examples = request.examples.iter().zip(&levels.examples);
-        let examples: Vec<Frames> = examples
-            .map(|(example, lengths)| example.resampled(lengths[level]))
-            .collect();
-        let mut frames = match (current, from) {
-            (None, CoarseStart::Noise(noise)) => {
-                assert_eq!(noise.frames(), length, "frames of noise");
-                start(&examples, noise, settings.sigma, settings.start)
-            }
-            (None, CoarseStart::Content(content)) => {
-                assert_eq!(content.channels(), channels);
-                content.resampled(length)
-            }
-            (Some(coarser), _) if looping == Looping::Even => coarser.resampled_loop(length),
-            (Some(coarser), _) => coarser.resampled(length),
+        let examples = examples.map(|(example, lengths)| example.resampled(lengths[level]));
+        let examples: Vec<Frames> = examples.collect();
+        let mut frames = match current {
+            None => coarsest(&examples, length),
+            Some(coarser) if looping == Looping::Even => coarser.resampled_loop(length),
+            Some(coarser) => coarser.resampled(length),
         };
         let bent = Constraint::apply_all(request.constraints, &mut frames, is_loop);
         let pools = groups.iter().map(|group| {
@@ -278,10 +260,8 @@ fn refined_over(levels: &Levels, request: &Request<'_>, from: CoarseStart<'_>) -
             Pool::new(&own.collect::<Vec<_>>(), settings.patch_size)
         });
         let pools: Vec<Pool> = pools.collect();
-        let searches = pools
-            .iter()
-            .map(|pool| Search::new(pool, settings.distance));
-        let mut searches: Vec<Search<'_>> = searches.map(|s| s.among(pools.len())).collect();
+        let search = |pool| Search::new(pool, settings.distance).among(pools.len());
+        let mut searches: Vec<Search<'_>> = pools.iter().map(search).collect();
         for _ in 0..settings.num_steps {
             let voted = groups.iter().zip(pools.iter().zip(&mut searches));
             let (voted, matches): (Vec<Frames>, Vec<Matches>) = voted
@@ -334,7 +314,7 @@ fn merged(groups: &[Channels], mut voted: Vec<Frames>, channels: usize) -> Frame
 
 /// The example and frame that each frame continues: its place in the patch around it.
 fn origins_of(matches: &Matches, pool: &Pool, frames: usize, is_loop: bool) -> Vec<(usize, usize)> {
-    let half = pool.patch_size() / 2;
+    let half = pool.patch_size / 2;
     let last = matches.nearest.len() - 1;
     let origin = |t: usize| {
         // A loop has a patch around every frame, the first around frame 0.

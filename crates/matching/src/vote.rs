@@ -12,16 +12,11 @@ use crate::{Frames, Pool};
 /// # Panics
 /// Panics if `nearest` is empty or names no patch of `pool`.
 pub fn vote(pool: &Pool, nearest: &[usize]) -> Frames {
-    let p = pool.patch_size();
-    let channels = pool.frames().channels();
-    let starts: Vec<usize> = nearest.iter().map(|&patch| pool.start(patch)).collect();
-    let mut voted = Frames::zeros(starts.len() + p - 1, channels);
-    let frames = voted.values_mut().par_chunks_exact_mut(channels);
-    frames.enumerate().for_each(|(t, frame)| {
+    let p = pool.patch_size;
+    means(pool, nearest, nearest.len() + p - 1, |starts, t, frame| {
         let covering = t.saturating_sub(p - 1)..(t + 1).min(starts.len());
         mean(pool, covering.map(|i| starts[i] + t - i), frame);
-    });
-    voted
+    })
 }
 
 /// The loop of `nearest.len()` frames in which the example patch `nearest[i]` is centred on frame
@@ -30,20 +25,28 @@ pub fn vote(pool: &Pool, nearest: &[usize]) -> Frames {
 /// # Panics
 /// As [`vote`].
 pub fn vote_loop(pool: &Pool, nearest: &[usize]) -> Frames {
-    let (p, n) = (pool.patch_size(), nearest.len());
-    let channels = pool.frames().channels();
-    let starts: Vec<usize> = nearest.iter().map(|&patch| pool.start(patch)).collect();
-    let mut voted = Frames::zeros(n, channels);
-    let frames = voted.values_mut().par_chunks_exact_mut(channels);
-    frames.enumerate().for_each(|(t, frame)| {
+    let (p, n) = (pool.patch_size, nearest.len());
+    means(pool, nearest, n, |starts, t, frame| {
         // The patch with this frame at `within`; a short motion wraps twice.
         let patch = |within: usize| (t + p / 2 + (p / n + 1) * n - within) % n;
-        mean(
-            pool,
-            (0..p).map(|within| starts[patch(within)] + within),
-            frame,
-        );
-    });
+        let sources = (0..p).map(|within| starts[patch(within)] + within);
+        mean(pool, sources, frame);
+    })
+}
+
+/// `frames` frames, each filled by `fill` from the first pool frames of the `nearest` patches.
+fn means(
+    pool: &Pool,
+    nearest: &[usize],
+    frames: usize,
+    fill: impl Fn(&[usize], usize, &mut [f32]) + Sync,
+) -> Frames {
+    let channels = pool.frames.channels();
+    let starts: Vec<usize> = nearest.iter().map(|&patch| pool.start(patch)).collect();
+    let mut voted = Frames::zeros(frames, channels);
+    let rows = voted.values_mut().par_chunks_exact_mut(channels);
+    rows.enumerate()
+        .for_each(|(t, frame)| fill(&starts, t, frame));
     voted
 }
 
@@ -58,7 +61,7 @@ fn mean(pool: &Pool, sources: impl ExactSizeIterator<Item = usize>, frame: &mut 
             same += 1.0;
         }
         Arch::new().dispatch(Add {
-            values: pool.frames().frame(source),
+            values: pool.frames.frame(source),
             weight: same / count,
             sums: frame,
         });
@@ -127,7 +130,7 @@ mod tests {
         ) {
             let example = numbered(frames);
             let pool = Pool::new(std::slice::from_ref(&example), 2 * half + 1);
-            let own: Vec<usize> = (0..pool.patches()).collect();
+            let own: Vec<usize> = (0..pool.patches).collect();
             prop_assert_eq!(&vote(&pool, &own), &example);
         }
 

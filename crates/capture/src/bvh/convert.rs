@@ -11,11 +11,8 @@ impl Bvh {
     /// # Errors
     /// [`Error::Setting`] if `scale` is not positive or a length overflows.
     pub fn converted(&self, scale: f64, up: UpAxis) -> Result<Self, Error> {
-        require_positive(
-            "scale",
-            scale,
-            "a positive number: 0.01 for centimetres to metres",
-        )?;
+        let allowed = "a positive number: 0.01 for centimetres to metres";
+        require_positive("scale", scale, allowed)?;
         let lengths = |offset: [f64; 3]| up.to_y_up(offset.map(|value| scale * value));
         let mut converted = self.clone();
         let mut factors = vec![1.0; self.channels];
@@ -24,18 +21,12 @@ impl Bvh {
             for end in &mut joint.end_sites {
                 *end = lengths(*end);
             }
-            let channels = joint
-                .channels
-                .iter_mut()
-                .zip(&mut factors[joint.first_channel..]);
-            for (channel, factor) in channels {
-                let axis = match channel {
-                    Channel::Position(axis) => {
-                        *factor = scale;
-                        axis
-                    }
-                    Channel::Rotation(axis) => axis,
-                };
+            let factors = &mut factors[joint.first_channel..];
+            for (channel, factor) in joint.channels.iter_mut().zip(factors) {
+                if matches!(channel, Channel::Position(_)) {
+                    *factor = scale;
+                }
+                let (Channel::Position(axis) | Channel::Rotation(axis)) = channel;
                 let (named, sign) = y_up(up, *axis);
                 *axis = named;
                 *factor *= sign;
@@ -49,11 +40,8 @@ impl Bvh {
         let offsets = converted.joints.iter().flat_map(|joint| joint.offset);
         let mut numbers = converted.values.iter().copied().chain(offsets);
         let largest = numbers.find(|value| !value.is_finite()).unwrap_or(1.0);
-        require_positive(
-            "scale",
-            largest.abs(),
-            "a number with which all lengths are finite",
-        )?;
+        let allowed = "a number with which all lengths are finite";
+        require_positive("scale", largest.abs(), allowed)?;
         Ok(converted)
     }
 }

@@ -17,8 +17,8 @@ pub struct Deviation {
 }
 
 impl Bvh {
-    /// The joints of `skeleton` in the file, in metres, as [`Bvh::from_joints`] wrote them: bones
-    /// have one length each. None if one is missing or not finite.
+    /// The joints of `skeleton` in the file, in metres, as [`Bvh::from_joints`] wrote them. None if one
+    /// is missing or not finite.
     pub fn joints_of(&self, skeleton: &Skeleton, units_per_metre: f64) -> Option<Joints> {
         let names = skeleton.description().joint_names.iter();
         let places: Option<Vec<usize>> = names.map(|name| self.joint(name)).collect();
@@ -31,9 +31,8 @@ impl Bvh {
         Joints::new(frames.collect(), places.len()).ok()
     }
 
-    /// The largest distance of a joint from that of the clip that [`Bvh::from_joints`] wrote: bones
-    /// whose length changes in the clip have one length here. None if a frame or a joint is
-    /// missing.
+    /// The largest distance of a joint from that of the `clip` that [`Bvh::from_joints`] wrote. None
+    /// if a frame or a joint is missing.
     pub fn deviation(
         &self,
         clip: &Joints,

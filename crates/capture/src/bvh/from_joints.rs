@@ -14,18 +14,16 @@ use crate::error::require_positive;
 const END: f64 = 0.25;
 
 impl Bvh {
-    /// A clip of `skeleton`'s joints as a file, `units_per_metre` of the file's units to the metre:
-    /// 100 for the centimetres of most files.
+    /// A clip of `skeleton`'s joints as a file, with `units_per_metre`: 100 for centimetres.
     ///
-    /// Rest pose and directions are those of the skeleton's reference pose. Each bone has its mean
-    /// length in the clip, so joints of bones of constant length are exact. The root has the body's
-    /// heading; every other bone takes the smallest rotation from its parent's. A BVH joint rotates
-    /// all of its bones alike, so each bone at a branch begins with an additional joint in the same
-    /// place, named as `pelvis_to_left_hip`.
+    /// The rest pose is the skeleton's reference pose, with the mean length of each bone in the clip.
+    /// The root has the body's heading; every other bone takes the smallest rotation from its
+    /// parent's. A BVH joint rotates all of its bones alike, so each bone at a branch begins with an
+    /// additional joint in the same place, named as `pelvis_to_left_hip`.
     ///
     /// # Errors
-    /// [`Error::Features`] if they are not joints of `skeleton`; [`Error::Setting`] if
-    /// `units_per_metre` is not positive, for a name that BVH cannot hold or values that overflow.
+    /// [`Error::Features`] for joints of another skeleton; [`Error::Setting`] if `units_per_metre` is
+    /// not positive, for a name that BVH cannot contain or values that overflow.
     pub fn from_joints(
         clip: &Joints,
         skeleton: &Skeleton,
@@ -36,12 +34,10 @@ impl Bvh {
         require_positive("units_per_metre", units_per_metre, allowed)?;
         let writer = BvhWriter::new(skeleton, clip, units_per_metre);
         let frames = || (0..clip.frames()).map(|t| clip.frame(t));
-        let rotations: Vec<Quaternion> = frames()
-            .flat_map(|frame| writer.rotations(skeleton, frame))
-            .collect();
-        let roots: Vec<[f64; 3]> = frames()
-            .map(|frame| frame[0].map(|value| value * units_per_metre))
-            .collect();
+        let rotations = frames().flat_map(|frame| writer.rotations(skeleton, frame));
+        let rotations: Vec<Quaternion> = rotations.collect();
+        let roots = frames().map(|frame| frame[0].map(|value| value * units_per_metre));
+        let roots: Vec<[f64; 3]> = roots.collect();
         let frame_time = 1.0 / skeleton.description().fps;
         Self::from_rotations(&writer.joints, frame_time, &roots, &rotations)
     }
@@ -87,12 +83,8 @@ impl BvhWriter {
             let offset = rest.map(|value| value / length(rest) * mean * units_per_metre);
             let end_site = (children(end) == 0).then(|| offset.map(|value| value * END));
             place[end] = joints.len();
-            joints.push(Joint::new(
-                names[end].clone(),
-                Some(turned_by),
-                offset,
-                end_site,
-            ));
+            let name = names[end].clone();
+            joints.push(Joint::new(name, Some(turned_by), offset, end_site));
             bones.push(Bone {
                 start,
                 end,

@@ -1,8 +1,8 @@
 //! Biovision hierarchies (BVH): a tree of joints and their channels, frame by frame, as text.
 //!
 //! Format: "Biovision BVH", M. Meredith and S. Maddock, Motion Capture File Formats Explained
-//! (2001), section 2.2, with what exporters make of it: any channel order, position channels on
-//! any joint, rotations before positions, joints without channels or End Site.
+//! (2001), section 2.2, and the variants of exporters: any channel order, position channels on any
+//! joint, joints without channels or End Site.
 
 mod convert;
 mod deviation;
@@ -55,7 +55,7 @@ const CHANNELS: [(&str, Channel); 6] = [
 pub struct Joint {
     /// Name, with any prefix, as it stands in the file.
     pub name: String,
-    /// Index of the parent, always smaller than its own; none for the root.
+    /// Index of the parent, smaller than that of the joint; none for the root.
     pub parent: Option<usize>,
     /// Place within the parent in file units, unless a position channel replaces it.
     pub offset: [f64; 3],
@@ -67,9 +67,7 @@ pub struct Joint {
     first_channel: usize,
 }
 
-/// A BVH file: the hierarchy and all frames. Read by [`Bvh::parse`] or made of a figure's rotations
-/// by [`Bvh::from_rotations`], [`Bvh::from_joints`] and [`Bvh::from_phrase`]; [`Bvh::reposed`] is
-/// another motion of the same hierarchy.
+/// A BVH file: the hierarchy and all frames.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Bvh {
     joints: Vec<Joint>,

@@ -7,19 +7,14 @@ use super::{Bvh, Joint};
 use crate::Error;
 use crate::error::require_positive;
 
-/// Name of the joint of a file with one.
-const ROOT: &str = "root";
 /// End of the bone of a lone root, metres: in front of it, so that programs that draw bones show
 /// its heading.
 const FRONT: [f64; 3] = [0.0, 0.0, 0.3];
 
 impl Bvh {
-    /// A phrase as a file of one joint, `root`, that moves and turns, at 30 frames per second:
-    /// `units_per_metre` of the file's units to the metre, 100 for the centimetres of most files.
-    ///
-    /// The quaternion becomes the joint's rotation, whose identity faces +z. Velocities, phase and
-    /// style have no place in BVH. [`root_track`](Self::root_track) with the inverse scale, or a
-    /// plan of `data prepare` with it as `metres_per_unit`, reads place and rotation back.
+    /// Place and orientation of a phrase as a file of one joint, `root`, at 30 frames per second, with
+    /// `units_per_metre`: 100 for centimetres. [`root_track`](Self::root_track) with the inverse scale
+    /// reads it back.
     ///
     /// # Errors
     /// [`Error::Setting`] if `units_per_metre` is not positive or the phrase is not finite.
@@ -34,8 +29,7 @@ impl Bvh {
     /// `orientations` `[frames]` at `fps` frames per second.
     ///
     /// # Errors
-    /// As there; also for no frames, another number of orientations than positions, and a rate that
-    /// is not positive.
+    /// [`Error::Setting`] also for no frames, lists of different length, and a rate that is not positive.
     pub fn from_root(
         positions: &[[f64; 3]],
         orientations: &[Quaternion],
@@ -46,11 +40,11 @@ impl Bvh {
         require_positive("units_per_metre", units_per_metre, allowed)?;
         require_positive("fps", fps, "a positive number of frames per second")?;
         let front = FRONT.map(|value| value * units_per_metre);
-        let root = Joint::new(ROOT.to_string(), None, [0.0; 3], Some(front));
-        let places: Vec<[f64; 3]> = positions
+        let root = Joint::new("root".to_string(), None, [0.0; 3], Some(front));
+        let places = positions
             .iter()
-            .map(|place| place.map(|value| value * units_per_metre))
-            .collect();
+            .map(|place| place.map(|value| value * units_per_metre));
+        let places: Vec<[f64; 3]> = places.collect();
         Self::from_rotations(&[root], 1.0 / fps, &places, orientations)
     }
 }

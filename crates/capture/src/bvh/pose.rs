@@ -7,8 +7,7 @@ use crate::error::{require, require_positive};
 use crate::{Error, RootPose, RootTrack, UpAxis};
 
 impl Bvh {
-    /// Place and orientation of every joint in frame `t`, `[joints]`, in the file's own units and
-    /// axes.
+    /// Place and orientation of every joint in frame `t`, `[joints]`, in the file's units and axes.
     ///
     /// # Panics
     /// Panics if there is no frame `t`.
@@ -57,15 +56,12 @@ impl Bvh {
         pose
     }
 
-    /// The track of one joint in metres and y-up, at the file's own rate.
-    ///
-    /// The orientation is that of the file: the identity is the joint in its rest pose, which
-    /// faces +z in files that follow the convention of the phrases.
+    /// The track of one joint in metres and y-up, at the file's rate. The identity is the joint in its
+    /// rest pose, which must face +z for phrases.
     ///
     /// # Errors
-    /// [`Error::Setting`] if `metres_per_unit` is not positive, there is no such
-    /// joint or the frame time is out of the range of rates; [`Error::NoPose`] if a
-    /// number of the file is so large that the place overflows.
+    /// [`Error::Setting`] if `metres_per_unit` is not positive, the joint does not exist or the frame
+    /// time is out of the range of rates; [`Error::NoPose`] if a place overflows.
     pub fn joint_track(
         &self,
         joint: usize,
@@ -88,10 +84,7 @@ impl Bvh {
         RootTrack::from_poses(poses, 1.0 / self.frame_time)
     }
 
-    /// [`joint_track`](Self::joint_track) of the root.
-    ///
-    /// # Errors
-    /// As there.
+    /// [`joint_track`](Self::joint_track) of the root, with the same errors.
     pub fn root_track(&self, metres_per_unit: f64, up: UpAxis) -> Result<RootTrack, Error> {
         self.joint_track(0, metres_per_unit, up)
     }

@@ -5,8 +5,7 @@ use crate::error::{require, require_positive};
 use crate::{Error, RootPose};
 
 impl Bvh {
-    /// Place and orientation of every joint within its parent in frame `t`, `[joints]`, in the
-    /// file's units and axes.
+    /// Like [`world`](Self::world), but relative to the parents.
     ///
     /// # Panics
     /// Panics if there is no frame `t`.
@@ -15,12 +14,9 @@ impl Bvh {
         joints.map(|joint| self.local(joint, t)).collect()
     }
 
-    /// Another motion of the same joints, with their names, offsets, End Sites and channels:
-    /// `locals`, `[frames, joints]` row by row, as [`locals`](Self::locals) returns them. Positions
-    /// of joints without position channels and rotations about a missing axis are dropped.
-    ///
-    /// Angles are unwrapped from frame to frame; the first are as near as possible to those of this
-    /// file's first frame.
+    /// The same joints and channels with the motion `locals`, `[frames, joints]` row by row, as
+    /// [`locals`](Self::locals) returns them. Positions and rotations without a channel are dropped.
+    /// Angles are unwrapped from frame to frame, the first from this file's first frame.
     ///
     /// # Errors
     /// [`Error::Setting`] for a frame time that is not positive, no frames or half a frame, or a
@@ -37,9 +33,8 @@ impl Bvh {
             found,
             "one pose for each joint and frame",
         )?;
-        let finite = locals.iter().all(|pose| {
-            pose.orientation.norm().is_finite() && pose.position.iter().all(|v| v.is_finite())
-        });
+        let numbers = |pose: &RootPose| pose.position.into_iter().chain([pose.orientation.norm()]);
+        let finite = locals.iter().flat_map(numbers).all(f64::is_finite);
         require(finite, "locals", "not finite", "finite numbers")?;
         let mut values: Vec<f64> = Vec::with_capacity(locals.len() / joints * self.channels);
         let mut before = self.frame(0).to_vec();

@@ -13,17 +13,10 @@ use crate::error::{require, require_positive};
 
 /// Turns of every written joint, in the order of most BVH files.
 const ZXY: [Axis; 3] = [Axis::Z, Axis::X, Axis::Y];
-/// Coordinates of the written root.
-const POSITION: [Channel; 3] = [
-    Channel::Position(Axis::X),
-    Channel::Position(Axis::Y),
-    Channel::Position(Axis::Z),
-];
 
 impl Joint {
-    /// A joint for [`Bvh::from_rotations`]: `name` of one line without braces, a `parent` before
-    /// it, its `offset` within the parent in the file's units (unused for the root), and the end of
-    /// its bone, if it has no child.
+    /// A joint for [`Bvh::from_rotations`]: `name` of one line without braces, an earlier `parent`, its
+    /// `offset` in the file's units (unused for the root), and the end of its bone without a child.
     pub fn new(
         name: String,
         parent: Option<usize>,
@@ -43,16 +36,15 @@ impl Joint {
 
 impl Bvh {
     /// A file of `root` positions `[frames, 3]` in the file's units and `rotations` `[frames,
-    /// joints]`, row by row, each within the parent.
+    /// joints]`, row by row, relative to the parents.
     ///
     /// The joints are in depth-first order. The root has six channels, every other joint three,
-    /// `Zrotation Xrotation Yrotation`. Angles are unwrapped: they change as little as possible
-    /// from frame to frame, so that programs that interpolate them do not spin.
+    /// `Zrotation Xrotation Yrotation`. Angles are unwrapped, so that they can be interpolated.
     ///
     /// # Errors
-    /// [`Error::Setting`] for a frame time that is not positive, joints that make no
-    /// tree, a name that the text cannot hold, no frames, another number of rotations than
-    /// joints and frames make, or a value that is not finite.
+    /// [`Error::Setting`] for a frame time that is not positive, joints that are not a tree, a name
+    /// that the text cannot contain, no frames, a wrong number of rotations, or a value that is not
+    /// finite.
     pub fn from_rotations(
         figure: &[Joint],
         frame_time: f64,
@@ -72,7 +64,8 @@ impl Bvh {
                 Some(parent) => *parent = place[*parent],
                 None => {
                     joint.offset = [0.0; 3];
-                    joint.channels = [POSITION, ZXY.map(Channel::Rotation)].concat();
+                    let position = [Axis::X, Axis::Y, Axis::Z].map(Channel::Position);
+                    joint.channels.splice(0..0, position);
                 }
             }
             joint.first_channel = first_channel;

@@ -37,8 +37,8 @@ pub(super) struct Body {
 }
 
 impl Body {
-    /// The body of a capture with the joints that `map` names. The default of `units` is found from
-    /// the length of the legs, that of `up` from the place of the head.
+    /// The body of a capture with the joints of `map`. By default `units` follow from the length of
+    /// the legs, `up` from the place of the head.
     pub fn of_bvh(
         bvh: &Bvh,
         map: &JointMap,
@@ -203,24 +203,20 @@ fn legs(raw: &Joints, skeleton: &Skeleton) -> f64 {
 /// over the quarter of the frames in which the foot is lowest: a raised foot may trail.
 fn toes_ahead(joints: &Joints, skeleton: &Skeleton) -> [f64; 2] {
     let [left_ankle, left_toes, right_ankle, right_toes] = skeleton.contact_joints();
-    let of_foot = |ankle: usize, toes: usize| {
-        let mut feet: Vec<(f64, f64)> = (0..joints.frames())
-            .map(|t| {
-                let frame = joints.frame(t);
-                let facing = forward(skeleton, frame, Across::Consistent);
-                let foot = minus(frame[toes], frame[ankle]);
-                let ahead = facing[0] * foot[0] + facing[2] * foot[2];
-                (frame[ankle][1], ahead)
-            })
-            .collect();
+    let of_foot = |(ankle, toes): (usize, usize)| {
+        let of_frame = |t: usize| {
+            let frame = joints.frame(t);
+            let facing = forward(skeleton, frame, Across::Consistent);
+            let foot = minus(frame[toes], frame[ankle]);
+            let ahead = facing[0] * foot[0] + facing[2] * foot[2];
+            (frame[ankle][1], ahead)
+        };
+        let mut feet: Vec<(f64, f64)> = (0..joints.frames()).map(of_frame).collect();
         feet.sort_by(|(a, _), (b, _)| a.total_cmp(b));
         let standing = &feet[..feet.len().div_ceil(4)];
         standing.iter().map(|(_, ahead)| ahead).sum::<f64>() / standing.len() as f64
     };
-    [
-        of_foot(left_ankle, left_toes),
-        of_foot(right_ankle, right_toes),
-    ]
+    [(left_ankle, left_toes), (right_ankle, right_toes)].map(of_foot)
 }
 
 /// The index of a joint of the skeleton.

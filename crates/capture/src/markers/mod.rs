@@ -62,8 +62,7 @@ impl MarkerMap {
     ///
     /// # Errors
     /// [`Error::Setting`] if a group is empty, [`Error::Name`] for names that the file lacks or has
-    /// several times,
-    /// [`Error::NoPose`] if the root is nowhere known.
+    /// several times, [`Error::NoPose`] if no frame has the root.
     pub fn root(&self, take: &C3d) -> Result<MarkerRoot, Error> {
         let mut gaps = Vec::new();
         let mut means = Vec::new();
@@ -102,11 +101,9 @@ impl MarkerMap {
         };
         let frames = (0..take.frames()).map(axes).collect();
         let root = MarkerRoot::new(frames, take.rate, gaps, self.remove_mean_tilt);
+        let lacks = "has all markers of the marker map in a usable place";
         root.ok_or_else(|| Error::NoPose {
-            problem: format!(
-                "no frame of `{}` has all markers of the marker map in a usable place",
-                take.file
-            ),
+            problem: format!("no frame of `{}` {lacks}", take.file),
             hint: "raise `max_gap_frames`, or choose markers that are seen; `front` must lie \
                    before `back` and `left` beside `right`",
         })

@@ -175,7 +175,7 @@ impl AlignedTake<'_> {
     pub fn phrase(&self, index: usize) -> Result<NewPhrase, Rejection> {
         let (stretch, start) = self.places[index];
         let stretch = &self.stretches[stretch];
-        let first_frame = stretch.first_frame() + start;
+        let first_frame = stretch.first_frame + start;
         let frames = first_frame..first_frame + self.length;
         let rejected = |reason: String| Rejection {
             first_frame,
@@ -259,7 +259,7 @@ impl AlignedTake<'_> {
     /// the others fail CC-MotionGen's checks.
     pub fn report(&self, unmade: Vec<Rejection>, failing_checks: usize) -> TakeReport {
         let first_frame =
-            |&(stretch, start): &(usize, usize)| self.stretches[stretch].first_frame() + start;
+            |&(stretch, start): &(usize, usize)| self.stretches[stretch].first_frame + start;
         let starts: Vec<usize> = self.places.iter().map(first_frame).collect();
         let mut rejected = self.aligned.rejections(&starts, self.length);
         let phrases = self.phrases() - unmade.len();

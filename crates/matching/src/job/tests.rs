@@ -42,7 +42,7 @@ fn the_paper_divides_the_body_and_matches_contacts() {
     };
     let made = paper.make(&[walk(70)]).unwrap();
     assert_eq!(made.synthesis.origins.len(), 3);
-    assert_eq!(made.layout.contacts(), [3, 5]);
+    assert_eq!(made.layout.contacts, [3, 5]);
     assert_eq!(made.bvh.frames(), 140);
 }
 

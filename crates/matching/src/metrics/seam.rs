@@ -1,6 +1,6 @@
 //! Seams of loops.
 
-use kinegrad_capture::Bvh;
+use kinegrad_capture::{Bvh, RootPose};
 use kinegrad_motion::vector::length;
 use serde::Serialize;
 
@@ -28,29 +28,24 @@ impl Seam {
         let mut travel = vec![false; layout.joints().len()];
         for (joint, own) in layout.joints().iter().enumerate() {
             let with = own.parent.is_some_and(|parent| travel[parent]);
-            travel[joint] = joint == layout.root_joint() || with;
+            travel[joint] = joint == layout.root_joint || with;
         }
-        let places: Vec<Vec<[f64; 3]>> = (0..n)
-            .map(|t| {
-                let world = bvh.world(t);
-                let (x, y) = layout.top_view(world[layout.root_joint()].position);
-                let seen = world.iter().zip(&travel).filter(|(_, travels)| **travels);
-                let seen = seen.map(|(pose, _)| {
-                    let (a, b) = layout.top_view(pose.position);
-                    [a - x, b - y, pose.position[layout.up()]]
-                });
-                seen.collect()
-            })
-            .collect();
+        let places = |t: usize| -> Vec<[f64; 3]> {
+            let world = bvh.world(t);
+            let (x, y) = layout.top_view(world[layout.root_joint].position);
+            let place = |(pose, travels): (&RootPose, &bool)| {
+                let (a, b) = layout.top_view(pose.position);
+                travels.then_some([a - x, b - y, pose.position[layout.up as usize]])
+            };
+            world.iter().zip(&travel).filter_map(place).collect()
+        };
+        let places: Vec<Vec<[f64; 3]>> = (0..n).map(places).collect();
         let mean = |terms: &[(usize, f64)]| {
             let joints = places[0].len();
             let of = |joint: usize| {
-                length([0, 1, 2].map(|axis| {
-                    let terms = terms.iter();
-                    terms
-                        .map(|(t, weight)| weight * places[t % n][joint][axis])
-                        .sum::<f64>()
-                }))
+                let term =
+                    |axis: usize, (t, weight): &(usize, f64)| weight * places[t % n][joint][axis];
+                length([0, 1, 2].map(|axis| terms.iter().map(|each| term(axis, each)).sum()))
             };
             (0..joints).map(of).sum::<f64>() / joints as f64
         };

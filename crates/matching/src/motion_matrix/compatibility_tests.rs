@@ -79,7 +79,7 @@ fn a_motion_with_another_root_joint_keeps_its_trajectory() {
                 ..MatrixOptions::default()
             };
             let layout = MotionMatrix::with(&examples, &[other], options).unwrap();
-            assert_eq!(layout.root_joint(), 1);
+            assert_eq!(layout.root_joint, 1);
             let back = layout.to_bvh(&layout.to_frames(other).unwrap()).unwrap();
             let start = [&back, &other.bvh].map(|bvh| bvh.world(0)[3].position);
             for t in 0..40 {
@@ -215,5 +215,5 @@ fn a_trajectory_within_a_turning_joint_has_no_heading() {
     );
     MotionMatrix::new(&[upright], by_heading()).unwrap();
     let layout = MotionMatrix::new(&[turned], MatrixOptions::default()).unwrap();
-    assert_eq!(layout.root_joint(), 1);
+    assert_eq!(layout.root_joint, 1);
 }

@@ -11,10 +11,8 @@ use crate::{Frames, places, rotation6d};
 impl MotionMatrix {
     /// Root positions, `[frames]`, in file units.
     pub fn path(&self, frames: &Frames) -> Vec<[f64; 3]> {
-        self.root_trajectory(frames)
-            .into_iter()
-            .map(|(place, _)| place)
-            .collect()
+        let trajectory = self.root_trajectory(frames).into_iter();
+        trajectory.map(|(place, _)| place).collect()
     }
 
     /// Sets the start of motions to `place`, horizontal, in file units.
@@ -87,15 +85,15 @@ impl MotionMatrix {
             return None;
         }
         let six = self.rotation_of(self.root_joint);
-        let headings = motions.iter().flat_map(|frames| {
-            (0..frames.frames()).map(|t| {
-                let values = &frames.frame(t)[six.clone()];
-                let rotation =
-                    rotation6d::to_quaternion(std::array::from_fn(|i| f64::from(values[i])));
-                self.heading_of(rotation).rem_euclid(TAU)
-            })
-        });
-        let mut headings: Vec<f64> = headings.collect();
+        let rows = motions
+            .iter()
+            .flat_map(|frames| frames.values().chunks_exact(frames.channels()));
+        let heading = |row: &[f32]| {
+            let six = std::array::from_fn(|i| f64::from(row[six.start + i]));
+            self.heading_of(rotation6d::to_quaternion(six))
+                .rem_euclid(TAU)
+        };
+        let mut headings: Vec<f64> = rows.map(heading).collect();
         headings.sort_unstable_by(f64::total_cmp);
         let (first, last) = (headings.first()?, headings.last()?);
         let gaps = headings.windows(2).map(|pair| pair[1] - pair[0]);
@@ -109,10 +107,8 @@ impl MotionMatrix {
         poses: &mut [Vec<RootPose>],
         trajectory: &mut [[f64; 3]],
     ) -> Vec<f64> {
-        let headings: Vec<f64> = poses
-            .iter()
-            .map(|pose| self.heading_of(pose[self.root_joint].orientation))
-            .collect();
+        let headings = poses.iter().map(|pose| pose[self.root_joint].orientation);
+        let headings: Vec<f64> = headings.map(|turn| self.heading_of(turn)).collect();
         for ((pose, moved), heading) in poses.iter_mut().zip(trajectory.iter_mut()).zip(&headings) {
             let back = self.heading_rotation(-heading);
             *moved = back.rotate(*moved);

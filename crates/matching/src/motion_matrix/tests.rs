@@ -64,7 +64,7 @@ fn layout(examples: &[Example]) -> MotionMatrix {
 fn a_motion_comes_back_as_it_was() {
     let walk = example("walk.bvh", 60, 1.0 / 30.0);
     let layout = layout(std::slice::from_ref(&walk));
-    assert_eq!(layout.joints()[layout.root_joint()].name, "Hips");
+    assert_eq!(layout.joints()[layout.root_joint].name, "Hips");
     let frames = layout.to_frames(&walk).unwrap();
     assert_eq!((frames.frames(), frames.channels()), (60, 6 * 6 + 3));
     let back = layout.to_bvh(&frames).unwrap();
@@ -295,7 +295,7 @@ fn the_arc_of_headings_wraps() {
         };
         let layout = MotionMatrix::new(std::slice::from_ref(&walk), options).unwrap();
         let mut frames = layout.to_frames(&walk).unwrap();
-        let six = layout.rotation_of(layout.root_joint());
+        let six = layout.rotation_of(layout.root_joint);
         for t in 0..60 {
             let turned = Quaternion::from_yaw(facing(t as f64 / 59.0));
             let values = rotation6d::from_quaternion(turned).map(|value| value as f32);

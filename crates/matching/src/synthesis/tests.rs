@@ -100,7 +100,7 @@ proptest! {
             .map(|(index, &frames)| motion(seed + 1 + index as u64, frames, 4))
             .collect();
         let pool = Pool::new(&examples, p);
-        prop_assume!(pool.patches() > 0);
+        prop_assume!(pool.patches > 0);
         let distance = if l2 { Distance::L2 } else { Distance::MeanSquare };
         let alpha = completeness.then_some(0.01);
         let bent = key.map(|key| (0..n).map(|t| t.abs_diff(key) < 3).collect::<Vec<bool>>());
@@ -127,9 +127,9 @@ proptest! {
             }
             None => 1.0,
         };
-        let scales: Vec<f64> = (0..pool.patches()).map(scale).collect();
+        let scales: Vec<f64> = (0..pool.patches).map(scale).collect();
         for i in 0..patches {
-            let row: Vec<f64> = (0..pool.patches()).map(|j| apart(i, j) / scales[j]).collect();
+            let row: Vec<f64> = (0..pool.patches).map(|j| apart(i, j) / scales[j]).collect();
             let least = row.iter().copied().fold(f64::INFINITY, f64::min);
             prop_assert!(row[found.nearest[i]] <= least * (1.0 + 1e-4) + 1e-6);
             prop_assert!((f64::from(found.distances[i]) - least).abs() <= 1e-4 * (1.0 + least));
