@@ -1,11 +1,11 @@
 //! Motion capture: from capture files to datasets of phrases and of clips.
 //!
 //! A capture file ([`Bvh`], [`C3d`]) becomes a [`RootSource`]: place and orientation of the pelvis
-//! over time. [`assemble`] aligns [`Segment`]s of takes with the time line of the music and [`join`]
-//! removes the jumps between them; [`resample`] is for whole takes. The track at 30 frames per
-//! second, with its musical phase ([`Beats`]), gives phrases ([`stretches`], [`Stretch::phrases`]).
-//! [`phrases`] and [`clips`] write the dataset of a [`Plan`]. The parsers take bytes and a name for
-//! their messages, never panic and allocate no more than a small multiple of their input.
+//! over time. [`assemble`] aligns [`Segment`]s with the music and [`join`] removes the jumps between
+//! them; [`resample`] is for takes without segments. The track at 30 frames per second, with its
+//! musical phase ([`Beats`]), gives phrases ([`stretches`], [`Stretch::phrases`]). [`phrases`] and
+//! [`clips`] write the dataset of a [`Plan`]. The parsers never panic and allocate no more than a
+//! small multiple of their input.
 //!
 //! ```
 //! use kinegrad_capture::{BeatGrid, Beats, Bvh, UpAxis, resample, stretches};

@@ -71,10 +71,9 @@ impl Stretch {
         let seen = frames.start..(frames.end + DERIVATIVE_FRAMES).min(self.frames());
         let [x0, _, z0] = self.positions[frames.start];
         // Moved before it is rounded to single precision: the origin is where that is finest.
-        let positions: Vec<[f64; 3]> = self.positions[seen.clone()]
-            .iter()
-            .map(|[x, y, z]| [x - x0, *y, z - z0])
-            .collect();
+        let positions = self.positions[seen.clone()].iter();
+        let positions = positions.map(|[x, y, z]| [x - x0, *y, z - z0]);
+        let positions: Vec<[f64; 3]> = positions.collect();
         let (orientations, phase) = (&self.orientations[seen.clone()], &self.phase[seen.clone()]);
         let motion = derive(&positions, orientations, phase, &self.style[seen])?;
         Ok(motion.slice(0..frames.len()))

@@ -204,10 +204,9 @@ pub fn resample(source: &dyn RootSource, rate: f64) -> Result<RootTrack, Error> 
     let last = source.frames().saturating_sub(1) as f64;
     // Rounding may put the last moment just beyond the end.
     let frames = (last / source.rate() * rate + 1e-6).floor() as usize + 1;
-    let poses = (0..frames)
-        .map(|t| source.sample((t as f64 / rate * source.rate()).min(last)))
-        .collect();
-    RootTrack::from_poses(poses, rate)
+    let frame = |t: usize| (t as f64 / rate * source.rate()).min(last);
+    let poses = (0..frames).map(|t| source.sample(frame(t)));
+    RootTrack::from_poses(poses.collect(), rate)
 }
 
 fn check_rate(rate: f64) -> Result<(), InvalidSetting> {

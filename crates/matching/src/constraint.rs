@@ -40,12 +40,11 @@ impl Constraint {
 
     /// Applies `constraints` to the motion of a level, `[frames, channels]`.
     ///
-    /// Key frames are exact. Their neighbours blend into the neighbours in the source, with a
-    /// smooth weight that falls to 0 within the reach or before the next key frame of the same
-    /// channel: patches of the source then match there at every level. Key frames that fall into
-    /// one frame of a coarse level are averaged. `is_loop`: the last frame is followed by the
-    /// first. Fixed channels are set last. Returns whether each frame was blended; empty without
-    /// key frames.
+    /// Key frames are exact, or averaged if they fall into one frame of a coarse level. Frames around
+    /// them blend into those of the source, with a weight that falls to 0 within the reach or before
+    /// the next key frame of the channel, so that patches of the source match at every level. Fixed
+    /// channels are set last. `is_loop`: the last frame is followed by the first. Returns true for
+    /// each blended frame; empty without key frames.
     ///
     /// # Panics
     /// If a channel does not exist.

@@ -4,18 +4,15 @@ use kinegrad_capture::Axis;
 
 /// The displacements of a path, `[frames]`: the difference to the frame before, on every axis but
 /// `absolute`, which keeps its value. Frame 0 gets the place of frame 1, as in the published program:
-/// for a path from the origin this is its first displacement.
-///
-/// Source: GenMM; docs/sources/genmm.md.
+/// for a path from the origin this is its first displacement. Source: docs/sources/genmm.md.
 pub fn displacements(path: &[[f64; 3]], absolute: Option<Axis>) -> Vec<[f64; 3]> {
     let of = |t: usize, axis: usize| match t {
         _ if absolute.is_some_and(|absolute| absolute as usize == axis) => path[t][axis],
         0 => path[1.min(path.len() - 1)][axis],
         _ => path[t][axis] - path[t - 1][axis],
     };
-    (0..path.len())
-        .map(|t| [0, 1, 2].map(|axis| of(t, axis)))
-        .collect()
+    let of_frame = |t: usize| [0, 1, 2].map(|axis| of(t, axis));
+    (0..path.len()).map(of_frame).collect()
 }
 
 /// The path of displacements, `[frames]`, from `start`: their running sum on every axis but `absolute`.
@@ -26,8 +23,7 @@ pub fn places(
     absolute: Option<Axis>,
 ) -> Vec<[f64; 3]> {
     let mut place = start;
-    let mut path = Vec::with_capacity(displacements.len());
-    for (t, moved) in displacements.iter().enumerate() {
+    let next = |(t, moved): (usize, &[f64; 3])| {
         for axis in 0..3 {
             match absolute.is_some_and(|absolute| absolute as usize == axis) {
                 true => place[axis] = moved[axis],
@@ -35,9 +31,9 @@ pub fn places(
                 false => {}
             }
         }
-        path.push(place);
-    }
-    path
+        place
+    };
+    displacements.iter().enumerate().map(next).collect()
 }
 
 #[cfg(test)]

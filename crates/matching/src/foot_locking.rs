@@ -18,10 +18,7 @@ const SHORTEST: usize = 3;
 const BLEND: usize = 5;
 
 /// The motion `bvh` with its feet locked where those of the examples rest. `origins`: for each
-/// part the example and frame that each frame continues.
-///
-/// # Errors
-/// If no foot has two bones above it.
+/// part the example and frame that each frame continues. An error if no foot has two bones above it.
 pub(crate) fn lock_feet(
     layout: &MotionMatrix,
     bvh: &Bvh,
@@ -37,10 +34,8 @@ pub(crate) fn lock_feet(
         let hint = "leave option `lock_feet` out: the feet of this skeleton are not known";
         return Err(Error::file(&layout.file, problem, hint));
     }
-    let rests = examples
-        .iter()
-        .map(|each| resting(layout, &each.bvh, &legs));
-    let rests: Vec<Vec<Vec<bool>>> = rests.collect();
+    let rests = |example: &Example| resting(layout, &example.bvh, &legs);
+    let rests: Vec<Vec<Vec<bool>>> = examples.iter().map(rests).collect();
     let contacts = legs.iter().enumerate().map(|(index, leg)| {
         let part = parts.iter().position(|p| p.joints.contains(&leg.ankle));
         let origins = &origins[part.unwrap_or(0)];
@@ -49,10 +44,8 @@ pub(crate) fn lock_feet(
     });
     let contacts: Vec<Vec<bool>> = contacts.collect();
     let world: Vec<Vec<RootPose>> = (0..bvh.frames()).map(|t| bvh.world(t)).collect();
-    let places = world
-        .iter()
-        .map(|frame| frame.iter().map(|pose| pose.position).collect());
-    let places: Vec<Vec<[f64; 3]>> = places.collect();
+    let place = |frame: &Vec<RootPose>| frame.iter().map(|pose| pose.position).collect();
+    let places: Vec<Vec<[f64; 3]>> = world.iter().map(place).collect();
     let locked = lock(&places, &parents, &legs, &contacts, BLEND);
     let mut locals = Vec::with_capacity(world.len() * joints.len());
     for (t, world) in world.iter().enumerate() {

@@ -259,9 +259,8 @@ impl Job {
         let requested = requested.map(|length| length.frames(all, layout.frame_time()));
         let frames = conditions.first().map(|(_, frames)| *frames);
         let frames = frames.or(requested).unwrap_or(2 * all);
-        let others = conditions
-            .iter()
-            .map(|(other, found)| (other.file.as_str(), *found));
+        let others = conditions.iter();
+        let others = others.map(|(other, found)| (other.file.as_str(), *found));
         let mut others = others.chain(requested.map(|frames| ("option `length`", frames)));
         if let Some((other, found)) = others.find(|(_, found)| *found != frames) {
             let problem = format!("has {frames} frames, and {other} {found}");

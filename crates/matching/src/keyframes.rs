@@ -59,8 +59,8 @@ impl Keyframe {
             let name = &keyframe.name;
             let is_near = |place: &[f64; 2]| place.iter().all(|v| v.abs() <= FURTHEST);
             if let Some(place) = keyframe.place.filter(|place| !is_near(place)) {
-                let problem =
-                    format!("`place` is {place:?}, allowed: two numbers of at most {FURTHEST:e}");
+                let allowed = format!("two numbers of at most {FURTHEST:e}");
+                let problem = format!("`place` is {place:?}, allowed: {allowed}");
                 return Err(Error::file(name, problem, hint));
             }
             for (field, number) in [

@@ -1,9 +1,8 @@
 //! New motion from one or a few examples, without training: GenMM, generative motion matching.
 //!
-//! Short stretches of the examples, the patches, are matched with a coarse start of noise and
-//! averaged where they overlap, from coarse to fine: the result recombines the movements of the
-//! examples. Source: W. Li and others, Example-based Motion Synthesis via Generative Motion
-//! Matching (2023), and its published program; docs/sources/genmm.md.
+//! Patches, short stretches of the examples, are matched with a coarse start of noise and averaged
+//! where they overlap, from coarse to fine. Source: W. Li and others, Example-based Motion Synthesis
+//! via Generative Motion Matching (2023), and its published program; docs/sources/genmm.md.
 //!
 //! ```
 //! use kinegrad_matching::{Frames, Preset, Request, Settings, synthesize};

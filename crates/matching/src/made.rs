@@ -62,10 +62,8 @@ impl Made {
     fn rotations(&self, joints: &[usize]) -> (Frames, Vec<Frames>) {
         let all: Vec<usize> = (0..self.layout.joints().len()).collect();
         let joints = if joints.is_empty() { &all } else { joints };
-        let channels = joints
-            .iter()
-            .flat_map(|&joint| self.layout.rotation_of(joint));
-        let channels: Vec<usize> = channels.collect();
+        let rotation = |&joint: &usize| self.layout.rotation_of(joint);
+        let channels: Vec<usize> = joints.iter().flat_map(rotation).collect();
         let examples = self.examples.iter().map(|each| each.columns(&channels));
         (self.synthesis.frames.columns(&channels), examples.collect())
     }

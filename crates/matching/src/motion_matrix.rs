@@ -226,7 +226,7 @@ impl MotionMatrix {
     /// The matrix of an example, `[frames, channels]`, after downsampling.
     ///
     /// # Errors
-    /// Those of [`must_match`](Self::must_match), and numbers beyond single precision.
+    /// For another skeleton or frame rate, and numbers beyond single precision.
     pub fn to_frames(&self, example: &Example) -> Result<Frames, Error> {
         self.must_match(example)?;
         let bvh = &example.bvh;

@@ -44,10 +44,8 @@ const TILE_BYTES: usize = 8 << 20;
 /// Frames compared before their distances are summed.
 const AT_A_TIME: usize = 32;
 
-/// Example patches, prepared for searches.
-///
-/// Distances of patches that did not change since the last search are reused: most of a motion does
-/// not change from step to step of a level.
+/// Example patches, prepared for searches. Distances of patches that did not change since the last
+/// search are reused.
 pub struct Search<'a> {
     pool: &'a Pool,
     moving: Moving,
@@ -93,9 +91,9 @@ impl<'a> Search<'a> {
     /// smallest D[i, j] / (`alpha` + min over i of D[i, j]), or without `alpha` the smallest D[i,
     /// j]. The result depends neither on the number of threads nor on earlier searches.
     ///
-    /// `bent`: whether each frame was blended into a key frame, or empty. Patches with such frames
-    /// do not count for the minimum over i, if others are left: they equal the example from the
-    /// first step on, and the rest of the motion would avoid that part of the example.
+    /// `bent`: true for frames blended into a key frame, or empty. Patches with such frames do not
+    /// count for the minimum over i, if others are left: they equal the example from the first step
+    /// on, and the rest of the motion would avoid that part of the example.
     ///
     /// # Panics
     /// Panics if the channels differ, or either side is shorter than a patch.
@@ -144,25 +142,20 @@ impl<'a> Search<'a> {
             Some(tiles) => Cow::Borrowed(tiles[index].as_slice()),
             None => Cow::Owned(tile(&synthesis, first)),
         });
-        let smallest: Vec<f32> = match alpha {
-            Some(_) => tiles
-                .clone()
-                .zip(&firsts)
+        let pool_patches = search.pool.patches;
+        let (mut smallest, mut scale) = (Vec::new(), vec![1.0; pool_patches]);
+        if let Some(alpha) = alpha {
+            let of_tiles = tiles.clone().zip(&firsts);
+            smallest = of_tiles
                 .map(|(tile, &first)| search.smallest(&tile, &counts[first..]))
                 .reduce(
-                    || vec![f32::INFINITY; search.pool.patches],
+                    || vec![f32::INFINITY; pool_patches],
                     |a, b| a.iter().zip(b).map(|(a, b)| a.min(b)).collect(),
-                ),
-            None => Vec::new(),
-        };
-        let scale: Vec<f32> = match alpha {
-            Some(alpha) => smallest.iter().map(|&min| alpha as f32 + min).collect(),
-            None => vec![1.0; self.pool.patches],
-        };
-        let found: Vec<(usize, f32)> = tiles
-            .flat_map_iter(|tile| search.first_smallest(&tile, &scale))
-            .collect();
-        let (nearest, distances) = found.into_iter().unzip();
+                );
+            scale = smallest.iter().map(|&min| alpha as f32 + min).collect();
+        }
+        let found = tiles.flat_map_iter(|tile| search.first_smallest(&tile, &scale));
+        let (nearest, distances) = found.collect::<Vec<(usize, f32)>>().into_iter().unzip();
         self.cache = cached.map(|tiles| Cache {
             synthesis,
             rows,
@@ -203,8 +196,8 @@ impl<'a> Search<'a> {
         }
     }
 
-    /// Distances of `rows` patches of the synthesis from `first` on to all example patches, `[rows,
-    /// frames of the pool]`; columns beyond the number of patches are undefined.
+    /// Distances of `rows` patches from `first` on to all example patches, `[rows, frames of the
+    /// pool]`; columns beyond the number of patches are undefined.
     fn tile(&self, synthesis: &Padded, first: usize, rows: usize) -> Vec<f32> {
         let mut distances = Vec::new();
         self.fill(&mut distances, synthesis, first, rows);

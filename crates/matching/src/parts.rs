@@ -43,24 +43,16 @@ struct Entry {
     root_trajectory: bool,
 }
 
-/// Common part names: words in the names of their joints, and whether the root trajectory belongs
-/// to them.
-const COMMON: [(&str, &[&str], bool); 3] = [
-    (
-        "legs",
-        &[
-            "leg", "thigh", "shin", "knee", "ankle", "foot", "toe", "hipjoint",
-        ],
-        true,
-    ),
+/// Common part names: words in the names of their joints; true if the root trajectory belongs to
+/// them.
+const COMMON: [(&str, &str, bool); 3] = [
+    ("legs", "leg thigh shin knee ankle foot toe hipjoint", true),
     (
         "arms",
-        &[
-            "arm", "shoulder", "elbow", "wrist", "hand", "clavicle", "collar",
-        ],
+        "arm shoulder elbow wrist hand clavicle collar",
         false,
     ),
-    ("head", &["neck", "head"], false),
+    ("head", "neck head", false),
 ];
 
 impl Part {
@@ -88,9 +80,8 @@ impl Part {
         let children = |parent: usize| {
             (parent + 1..joints.len()).filter(move |&joint| joints[joint].parent == Some(parent))
         };
-        let branches: Vec<bool> = (0..joints.len())
-            .map(|joint| children(joint).filter(|&child| long(child)).count() > 1)
-            .collect();
+        let is_branch = |joint| children(joint).filter(|&child| long(child)).count() > 1;
+        let branches: Vec<bool> = (0..joints.len()).map(is_branch).collect();
         let mut limbs = Vec::new();
         let mut in_trunk = vec![true; joints.len()];
         for joint in 1..joints.len() {
@@ -196,24 +187,24 @@ impl Part {
             return Ok(part.clone());
         }
         let joints = layout.joints();
-        let of = |found: Vec<usize>, root_trajectory| Self {
+        let of = |joints: Vec<usize>, root_trajectory| Self {
             name: name.to_string(),
-            joints: found,
+            joints,
             root_trajectory,
         };
         if let Some((_, words, has_root)) = COMMON.iter().find(|(common, ..)| *common == name) {
-            let called = |joint: usize, words: &[&str]| {
+            let called = |joint: usize, words: &str| {
                 let joint = bare(&joints[joint].name).to_lowercase();
-                words.iter().any(|word| joint.contains(word))
+                words.split(' ').any(|word| joint.contains(word))
             };
             // A hip is the joint of a thigh, or that of the whole body.
             let thigh = |hip: usize| {
                 let below = subtree(joints, hip);
-                let only_legs = |other: &(&str, &[&str], bool)| {
-                    other.0 == name || !below.iter().any(|&joint| called(joint, other.1))
+                let only_legs = |(other, words, _): &(&str, &str, bool)| {
+                    *other == name || !below.iter().any(|&joint| called(joint, words))
                 };
                 name == "legs"
-                    && called(hip, &["hip"])
+                    && called(hip, "hip")
                     && below.iter().any(|&joint| called(joint, words))
                     && COMMON.iter().all(only_legs)
             };
@@ -235,20 +226,15 @@ impl Part {
             let has_root = below.contains(&layout.root_joint);
             return Ok(of(below, has_root));
         }
-        let parts: Vec<String> = parts
-            .iter()
-            .map(|part| format!("`{}`", part.name))
-            .collect();
+        let parts = parts.iter().map(|part| format!("`{}`", part.name));
+        let parts: Vec<String> = parts.collect();
         let hint = format!(
             "parts: {}; or a joint, with its descendants; or `legs`, `arms`, `head`, where joints are \
              called so",
             parts.join(", ")
         );
-        Err(Error::file(
-            asks,
-            format!("there is no part or joint `{name}`"),
-            hint,
-        ))
+        let problem = format!("there is no part or joint `{name}`");
+        Err(Error::file(asks, problem, hint))
     }
 }
 
@@ -256,20 +242,16 @@ impl Part {
 pub fn feet(joints: &[Joint]) -> Vec<usize> {
     let is_foot = |joint: &usize| {
         let name = bare(&joints[*joint].name).to_lowercase();
-        ["foot", "toe", "ankle"]
-            .iter()
-            .any(|word| name.contains(word))
+        let mut words = ["foot", "toe", "ankle"].iter();
+        words.any(|word| name.contains(word))
     };
     (0..joints.len()).filter(is_foot).collect()
 }
 
 fn joint(layout: &MotionMatrix, name: &str, file: &str) -> Result<usize, Error> {
     find(layout.joints(), name).ok_or_else(|| {
-        let names: Vec<&str> = layout
-            .joints()
-            .iter()
-            .map(|joint| bare(&joint.name))
-            .collect();
+        let names = layout.joints().iter().map(|joint| bare(&joint.name));
+        let names: Vec<&str> = names.collect();
         let problem = format!("there is no joint `{name}`");
         Error::file(file, problem, format!("joints: {}", names.join(", ")))
     })
@@ -299,11 +281,8 @@ fn subtree(joints: &[Joint], top: usize) -> Vec<usize> {
 /// Length of the longest bone chain below each joint.
 fn reach(joints: &[Joint]) -> Vec<f64> {
     let end = |joint: &Joint| {
-        joint
-            .end_sites
-            .iter()
-            .map(|&end| length(end))
-            .fold(0.0, f64::max)
+        let ends = joint.end_sites.iter().map(|&end| length(end));
+        ends.fold(0.0, f64::max)
     };
     let mut reach: Vec<f64> = joints.iter().map(end).collect();
     for joint in (1..joints.len()).rev() {

@@ -84,9 +84,8 @@ pub enum Looping {
     /// No loop.
     #[default]
     Off,
-    /// As in the published program: near the seam a frame is the mean of two means, those of the
-    /// patches on either side, regardless of their number. Half a patch away from the seam the
-    /// motion jumps.
+    /// As in the published program: near the seam a frame is the mean of the means of both sides,
+    /// and half a patch away from it the motion jumps.
     Halves,
     /// Every frame is the mean of all patches that cover it around the loop, and levels are
     /// resampled around it: the seam is not special.
@@ -165,8 +164,7 @@ impl Settings {
     }
 
     /// One control from mixing (0) to copying (1) in place of K and alpha: K falls from 12 to 2
-    /// patch sizes and alpha rises from 0.001 to 0.1, both geometrically. Beyond 0.1 less of the
-    /// example appears and no more is copied.
+    /// patch sizes and alpha rises from 0.001 to 0.1, both geometrically.
     ///
     /// # Errors
     /// If `coherence` is not between 0 and 1.
@@ -184,7 +182,7 @@ impl Settings {
     /// Checks the ranges of all settings.
     ///
     /// # Errors
-    /// Names the first such setting.
+    /// Names the setting.
     pub fn validate(&self) -> Result<(), InvalidSetting> {
         let odd = self.patch_size % 2 == 1 && self.patch_size > 1;
         require(odd, "patch_size", self.patch_size, "an odd number from 3")

@@ -39,10 +39,9 @@ pub(crate) fn smooth(frames: &mut Frames, strength: &[f64], constraints: &[Const
                 channels.iter().for_each(|&channel| follows[channel] = true);
             }
             Constraint::Keyframe { at, channels, .. } => {
-                let t = Constraint::frame(*at, n);
-                channels
-                    .iter()
-                    .for_each(|&channel| key_frames[channel].push(t));
+                for &channel in channels {
+                    key_frames[channel].push(Constraint::frame(*at, n));
+                }
             }
         }
     }

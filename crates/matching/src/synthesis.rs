@@ -217,7 +217,7 @@ pub fn synthesize_like(
 /// every level.
 fn refined(
     request: &Request<'_>,
-    coarsest: impl Fn(&[Frames], usize) -> Frames + Sync,
+    coarsest: impl Fn(&[Frames], usize) -> Frames + Send,
 ) -> Result<Synthesis, InvalidSetting> {
     let levels = request.levels()?;
     // On a thread of the pool: from outside, each of many short loops would wait to be scheduled.
@@ -254,10 +254,9 @@ fn refined_over(
         };
         let bent = Constraint::apply_all(request.constraints, &mut frames, is_loop);
         let pools = groups.iter().map(|group| {
-            let own = examples
-                .iter()
-                .map(|example| group.of(example).into_owned());
-            Pool::new(&own.collect::<Vec<_>>(), settings.patch_size)
+            let own = |example: &Frames| group.of(example).into_owned();
+            let own: Vec<Frames> = examples.iter().map(own).collect();
+            Pool::new(&own, settings.patch_size)
         });
         let pools: Vec<Pool> = pools.collect();
         let search = |pool| Search::new(pool, settings.distance).among(pools.len());

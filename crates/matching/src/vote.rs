@@ -45,8 +45,8 @@ fn means(
     let starts: Vec<usize> = nearest.iter().map(|&patch| pool.start(patch)).collect();
     let mut voted = Frames::zeros(frames, channels);
     let rows = voted.values_mut().par_chunks_exact_mut(channels);
-    rows.enumerate()
-        .for_each(|(t, frame)| fill(&starts, t, frame));
+    let fill = |(t, frame): (usize, &mut [f32])| fill(&starts, t, frame);
+    rows.enumerate().for_each(fill);
     voted
 }
 

@@ -41,10 +41,8 @@ impl Bvh {
         require_positive("fps", fps, "a positive number of frames per second")?;
         let front = FRONT.map(|value| value * units_per_metre);
         let root = Joint::new("root".to_string(), None, [0.0; 3], Some(front));
-        let places = positions
-            .iter()
-            .map(|place| place.map(|value| value * units_per_metre));
-        let places: Vec<[f64; 3]> = places.collect();
+        let scaled = |place: &[f64; 3]| place.map(|value| value * units_per_metre);
+        let places: Vec<[f64; 3]> = positions.iter().map(scaled).collect();
         Self::from_rotations(&[root], 1.0 / fps, &places, orientations)
     }
 }

@@ -65,11 +65,13 @@ fn write(joint: &Joint, pose: &RootPose, channels: &mut [f64]) {
     if turns.is_empty() {
         return;
     }
-    let missing = [Axis::X, Axis::Y, Axis::Z]
-        .into_iter()
-        .filter(|axis| turns.iter().all(|(turn, _)| turn != axis));
-    let mut axes = turns.iter().map(|(axis, _)| *axis).chain(missing);
-    let axes = [(); 3].map(|()| axes.next().expect("three axes"));
+    let mut axes: Vec<Axis> = turns.iter().map(|(axis, _)| *axis).collect();
+    for axis in [Axis::X, Axis::Y, Axis::Z] {
+        if !axes.contains(&axis) {
+            axes.push(axis);
+        }
+    }
+    let axes = [axes[0], axes[1], axes[2]];
     let mut before = [0.0; 3];
     for (before, (_, place)) in before.iter_mut().zip(&turns) {
         *before = channels[*place];

@@ -218,9 +218,8 @@ impl<'a> Reader<'a> {
             let hint = "the file may be cut off";
             return Err(self.point_error("DATA_START", 16, found, &allowed, hint));
         }
-        let frames = self.bytes[start..]
-            .chunks(frame_bytes)
-            .take(frames as usize);
+        let data = self.bytes[start..].chunks(frame_bytes);
+        let frames = data.take(frames as usize);
         let points = frames.flat_map(|frame| frame[..POINT * points * width].chunks(POINT * width));
         Ok(points.map(|point| self.point(point, scale)).collect())
     }

@@ -151,9 +151,8 @@ impl Body {
         // digits.
         let last = (frames - 1) as f64;
         let resampled = (last / self.rate * fps + 0.01).floor() as usize + 1;
-        let moments: Vec<f64> = (0..resampled)
-            .map(|t| (t as f64 / fps * self.rate).min(last))
-            .collect();
+        let moment = |t: usize| (t as f64 / fps * self.rate).min(last);
+        let moments: Vec<f64> = (0..resampled).map(moment).collect();
         let mut places = vec![[0.0; 3]; resampled * count];
         for joint in 0..count {
             let track = self.joints.track(joint);

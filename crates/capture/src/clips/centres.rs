@@ -114,20 +114,18 @@ impl Centres {
             let name = &description.joint_names[*joint];
             limbs.iter().any(|limb| name.ends_with(limb))
         });
-        bones
-            .map(|end| {
-                let start = skeleton.parents()[end].expect("a limb has a parent");
-                let frames = self.joints.chunks_exact(skeleton.joints());
-                let lengths: Vec<f64> = frames
-                    .map(|frame| (Place::from(frame[end]) - Place::from(frame[start])).norm())
-                    .collect();
-                let count = lengths.len() as f64;
-                let mean = lengths.iter().sum::<f64>() / count;
-                let squares = lengths.iter().map(|length| (length - mean).powi(2));
-                let deviation = (squares.sum::<f64>() / count).sqrt();
-                (description.joint_names[end].clone(), deviation)
-            })
-            .collect()
+        let deviation = |end: usize| {
+            let start = skeleton.parents()[end].expect("a limb has a parent");
+            let frames = self.joints.chunks_exact(skeleton.joints());
+            let bone = |frame: &[[f64; 3]]| Place::from(frame[end]) - Place::from(frame[start]);
+            let lengths: Vec<f64> = frames.map(|frame| bone(frame).norm()).collect();
+            let count = lengths.len() as f64;
+            let mean = lengths.iter().sum::<f64>() / count;
+            let squares = lengths.iter().map(|length| (length - mean).powi(2));
+            let deviation = (squares.sum::<f64>() / count).sqrt();
+            (description.joint_names[end].clone(), deviation)
+        };
+        bones.map(deviation).collect()
     }
 }
 

@@ -79,14 +79,12 @@ fn on_its_toes(
 /// of a take in which no toes stand.
 fn floor(skeleton: &Skeleton, joints: &Joints) -> f64 {
     let [_, left, _, right] = skeleton.contact_joints();
-    let mut standing: Vec<f64> = (1..joints.frames())
-        .flat_map(|t| [(t, left), (t, right)])
-        .filter(|&(t, toes)| {
-            let step = minus(joints.frame(t)[toes], joints.frame(t - 1)[toes]);
-            length(step) < STANDING
-        })
-        .map(|(t, toes)| joints.frame(t)[toes][1])
-        .collect();
+    let height = |(t, toes): (usize, usize)| {
+        let [now, before] = [t, t - 1].map(|t| joints.frame(t)[toes]);
+        (length(minus(now, before)) < STANDING).then_some(now[1])
+    };
+    let toes = (1..joints.frames()).flat_map(|t| [(t, left), (t, right)]);
+    let mut standing: Vec<f64> = toes.filter_map(height).collect();
     if standing.len() < ENOUGH {
         return lowest(joints);
     }

@@ -33,13 +33,10 @@ impl CaptionTable {
         let file = path.display().to_string();
         let in_file = |problem: String| format!("{file}: {problem}");
         let bytes = read_file(path, MAX_TEXT_BYTES).map_err(|e| in_file(e.to_string()))?;
-        let mut reader = csv::ReaderBuilder::new()
-            .trim(csv::Trim::All)
-            .from_reader(bytes.as_slice());
-        let header = reader
-            .headers()
-            .map_err(|e| in_file(e.to_string()))?
-            .clone();
+        let mut reader = csv::ReaderBuilder::new();
+        let mut reader = reader.trim(csv::Trim::All).from_reader(bytes.as_slice());
+        let header = reader.headers().map_err(|e| in_file(e.to_string()));
+        let header = header?.clone();
         let Some(file_column) = header.iter().position(|column| column == "file") else {
             let found = header.iter().collect::<Vec<_>>().join(", ");
             let allowed = "allowed: file, caption, and labels";
@@ -98,9 +95,8 @@ impl LabelsPlan {
     ) -> Result<CaptureLabels, String> {
         let mut found = CaptureLabels::default();
         if let Some(pattern) = &self.name {
-            let values = named_parts(pattern, stem)?
-                .ok_or_else(|| format!("its name does not fit labels.name = \"{pattern}\""))?;
-            for (name, value) in values {
+            let misfit = || format!("its name does not fit labels.name = \"{pattern}\"");
+            for (name, value) in named_parts(pattern, stem)?.ok_or_else(misfit)? {
                 if name == TAKE {
                     let problem = || format!("take `{value}` in its name: a whole number allowed");
                     found.take = Some(value.parse().map_err(|_| problem())?);

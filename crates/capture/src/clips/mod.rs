@@ -64,9 +64,8 @@ pub fn prepare(
     let maker = ClipMaker { plan, tables };
     let groups: Vec<Vec<&Take>> = takes.iter().map(|take| vec![take]).collect();
     let journals = make_takes(&maker, &groups, plan_file, &output, options, observer)?;
-    journals
-        .map(|journals| finish(plan, plan_file, &output, options, journals))
-        .transpose()
+    let finish = |journals| finish(plan, plan_file, &output, options, journals);
+    journals.map(finish).transpose()
 }
 
 struct ClipMaker<'a> {

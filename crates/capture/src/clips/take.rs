@@ -53,11 +53,8 @@ impl Take {
         let stem = self.motion.file_stem().unwrap_or_default();
         let stem = stem.to_string_lossy();
         let in_file = |problem: String| format!("{}: {problem}", self.motion.display());
-        let found = self
-            .capture
-            .labels
-            .of(&stem, plan, table)
-            .map_err(in_file)?;
+        let labels = &self.capture.labels;
+        let found = labels.of(&stem, plan, table).map_err(in_file)?;
         let mut captions = found.captions.clone();
         for caption in plan.captions().of(&found.labels).map_err(in_file)? {
             if !captions.contains(&caption) {

@@ -20,11 +20,8 @@ pub(super) fn takes(plan: &Plan) -> Result<Vec<Take>, String> {
     let mut names = BTreeSet::new();
     let mut takes = Vec::new();
     for capture in &plan.captures {
-        let map = capture
-            .map
-            .as_deref()
-            .map(|map| read_map(plan, map))
-            .transpose()?;
+        let map = capture.map.as_deref();
+        let map = map.map(|map| read_map(plan, map)).transpose()?;
         for motion in matching(&plan.resolve(&capture.motion), &["bvh", "c3d"])? {
             let ending = motion.extension().unwrap_or_default();
             let is = |known: &str| ending.eq_ignore_ascii_case(known);
@@ -32,10 +29,8 @@ pub(super) fn takes(plan: &Plan) -> Result<Vec<Take>, String> {
                 return Err(format!("{}: .bvh and .c3d files allowed", motion.display()));
             }
             let map_key = capture.map.as_ref().map(|_| "map");
-            if let Some(key) = map_key
-                .or(capture.units.map(|_| "units"))
-                .filter(|_| is("c3d"))
-            {
+            let key = map_key.or(capture.units.map(|_| "units"));
+            if let Some(key) = key.filter(|_| is("c3d")) {
                 return Err(format!(
                     "capture `{}`: `{key}` is for .bvh files, and {} is none",
                     capture.motion,
@@ -76,10 +71,8 @@ pub(super) fn takes(plan: &Plan) -> Result<Vec<Take>, String> {
 
 /// The joint map that a plan names.
 fn read_map(plan: &Plan, map: &str) -> Result<JointMap, String> {
-    if Path::new(map)
-        .extension()
-        .is_none_or(|ending| ending != "toml")
-    {
+    let ending = Path::new(map).extension();
+    if ending.is_none_or(|ending| ending != "toml") {
         return JointMap::built_in(map);
     }
     let path = plan.resolve(map);
@@ -91,11 +84,7 @@ fn read_map(plan: &Plan, map: &str) -> Result<JointMap, String> {
 /// The tables of captions of a plan.
 pub(super) fn tables(plan: &Plan) -> Result<Tables, String> {
     let mut tables = Tables::new();
-    for file in plan
-        .captures
-        .iter()
-        .filter_map(|capture| capture.captions.as_ref())
-    {
+    for file in plan.captures.iter().filter_map(|c| c.captions.as_ref()) {
         if !tables.contains_key(file) {
             tables.insert(file.clone(), CaptionTable::read(&plan.resolve(file))?);
         }

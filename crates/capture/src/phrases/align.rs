@@ -100,9 +100,9 @@ impl AlignedTrack {
         }
         let to = to.min(ends);
         if from > to {
+            let file = path.display();
             return Err(format!(
-                "{}: it ends at {ends:.3} s, motion_start_seconds is {from}",
-                path.display()
+                "{file}: it ends at {ends:.3} s, motion_start_seconds is {from}"
             ));
         }
         let start = take.plan.audio_start_seconds;
@@ -137,10 +137,8 @@ impl AlignedTrack {
         song: Option<&Song>,
         timeline: &Timeline,
     ) -> Result<Self, String> {
-        let segment_beats = timeline
-            .segment_beats
-            .as_ref()
-            .ok_or("segments without beats")?;
+        let segment_beats = timeline.segment_beats.as_ref();
+        let segment_beats = segment_beats.ok_or("segments without beats")?;
         let (mut files, mut captures) = (Vec::new(), Vec::new());
         // Index of each file among the captures; none if it is missing.
         let mut known: HashMap<&str, Option<usize>> = HashMap::new();
@@ -187,17 +185,15 @@ impl AlignedTrack {
         let wanted = frame_at(segment_beats.moment(begins)).max(1);
         let frames = frames_until(wanted, song)?;
         let sources: Vec<&dyn RootSource> = captures.iter().map(Box::as_ref).collect();
-        let aligned = assemble(&sources, &segments, frames);
-        let aligned =
-            aligned.and_then(|aligned| Ok((join(&aligned, &plan.joining)?, aligned.moments)));
-        let ((track, borders), moments) = aligned.map_err(|error| error.with_hint())?;
+        let assembly = assemble(&sources, &segments, frames).map_err(|e| e.with_hint())?;
+        let (track, borders) = join(&assembly, &plan.joining).map_err(|e| e.with_hint())?;
         let named = files.iter().zip(&sources);
         let mut notes: Vec<String> = named.flat_map(|(f, s)| gap_notes(f, *s)).collect();
         notes.extend(height_note(&track));
         Ok(Self {
             track,
             borders,
-            sources: moments.iter().map(|m| m.map(|m| m.take)).collect(),
+            sources: assembly.moments.iter().map(|m| m.map(|m| m.take)).collect(),
             files,
             filled_gaps: sources.iter().any(|source| filled(*source)),
             span: frame_at(segment_beats.moment(0.0)).min(wanted)..wanted,
@@ -218,12 +214,9 @@ fn height_note(track: &RootTrack) -> Option<String> {
     let mut heights: Vec<f64> = poses.map(|pose| pose.position[1]).collect();
     heights.sort_by(f64::total_cmp);
     let median = heights.get(heights.len() / 2)?;
-    (!HEIGHTS.contains(median)).then(|| {
-        format!(
-            "the root is {median:.3} m high (median): are its units and the axis that points up \
-             right?"
-        )
-    })
+    let right = "are its units and the axis that points up right?";
+    let note = || format!("the root is {median:.3} m high (median): {right}");
+    (!HEIGHTS.contains(median)).then(note)
 }
 
 /// The number of frames, at most those of the song.

@@ -41,10 +41,8 @@ pub(super) fn takes(plan: &Plan, choreonet: &ChoreonetPlan) -> Result<Vec<TakePl
     let dances: Vec<Dance> =
         serde_json::from_slice(&bytes).map_err(|problem| Error::plan(&dances, problem))?;
     let intervals = intervals(&plan.resolve(&choreonet.intervals))?;
-    dances
-        .into_iter()
-        .map(|dance| take(choreonet, &intervals, dance))
-        .collect()
+    let take = |dance| take(choreonet, &intervals, dance);
+    dances.into_iter().map(take).collect()
 }
 
 /// The first interval of each movement.

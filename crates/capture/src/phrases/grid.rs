@@ -6,7 +6,7 @@ use kinegrad_audio::Pulse;
 use super::report::GridReport;
 use super::song::Song;
 use super::span::{Span, TOLERANCE};
-use crate::plan::Grid;
+use crate::plan::{Grid, TakePlan};
 use crate::{BeatGrid, Beats, TrackedBeats};
 
 /// Beats in a bar if a plan does not state them.
@@ -30,15 +30,10 @@ pub(super) struct Timeline {
 }
 
 impl Timeline {
-    /// The beats of a whole recording: the stated ones, else those of the song, of which the one
-    /// nearest to `downbeat` seconds starts a bar.
-    pub fn of_recording(
-        stated: Option<BeatGrid>,
-        song: Option<&Song>,
-        beats_per_bar: Option<u32>,
-        downbeat: Option<f64>,
-    ) -> Self {
-        if let Some(grid) = stated {
+    /// The beats of a recording: the stated ones, else those of the song, of which the one nearest to
+    /// the stated downbeat starts a bar.
+    pub fn of_recording(plan: &TakePlan, song: Option<&Song>) -> Self {
+        if let Some(grid) = plan.beats {
             let even = Pulse::even(grid.start_seconds, grid.seconds_per_beat);
             return Self {
                 beats: Some(Beats::Grid(grid)),
@@ -46,9 +41,9 @@ impl Timeline {
                 ..Self::default()
             };
         }
-        let beats_per_bar = beats_per_bar.unwrap_or(BEATS_PER_BAR);
+        let beats_per_bar = plan.beats_per_bar.unwrap_or(BEATS_PER_BAR);
         let song_beats = song.and_then(|song| Pulse::tracked(&song.beats));
-        let pulse = song_beats.map(|pulse| match downbeat {
+        let pulse = song_beats.map(|pulse| match plan.downbeat_seconds {
             Some(downbeat) => pulse.with_downbeat(beats_per_bar, downbeat),
             None => pulse,
         });
@@ -86,9 +81,9 @@ impl Timeline {
                 "grid = \"tracked\": {problem} (correct `beats`, or align the segments with even \
                  beats: grid = \"uniform\")"
             )),
-            _ => Ok(vec![format!(
+            _ => Ok(format!(
                 "{problem}: its segments are aligned with even beats"
-            )]),
+            )),
         };
         let mut timeline = Self {
             beats: Some(Beats::Grid(stated)),
@@ -104,7 +99,8 @@ impl Timeline {
         let span = Span::new(stated, count, song.features.frames());
         let song_beats = span.song_beats(song);
         let Some(pulse) = Pulse::tracked(&song_beats) else {
-            timeline.notes = refused("no beats are tracked in the song")?;
+            let note = refused("no beats are tracked in the song")?;
+            timeline.notes.push(note);
             return Ok(timeline);
         };
         let origin = pulse.position(stated.start_seconds).round();
@@ -112,11 +108,11 @@ impl Timeline {
         let tracked = report.tracked_beats;
         let agree = span.agree(tracked);
         if !agree {
-            timeline.notes = refused(&format!(
-                "{tracked} beats are tracked where {:.1} are stated, more than {:.0} % apart",
-                report.stated_beats,
-                100.0 * TOLERANCE
-            ))?;
+            let (stated, percent) = (report.stated_beats, 100.0 * TOLERANCE);
+            timeline.notes.push(refused(&format!(
+                "{tracked} beats are tracked where {stated:.1} are stated, more than {percent:.0} % \
+                 apart"
+            ))?);
         }
         if !agree || wanted == Some(Grid::Uniform) {
             timeline.pulse = Some(pulse);

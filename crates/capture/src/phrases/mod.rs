@@ -29,7 +29,7 @@ use crate::Error;
 use crate::plan::Plan;
 use crate::prepare::output::{Output, Parts};
 use crate::prepare::{Maker, PrepareObserver, PrepareOptions, Rejection, Report, Row, make_takes};
-use resolve::Take;
+use resolve::{Take, resolve};
 use song::Song;
 
 /// The files of a dataset of phrases.
@@ -57,7 +57,11 @@ pub fn prepare(
         let feature = "manifest";
         return Err(kinegrad_data::Error::Feature { what, feature }.into());
     }
-    let takes = takes(plan, plan_file)?;
+    let mut takes = plan.takes.clone();
+    for choreonet in &plan.choreonet {
+        takes.extend(choreonet::takes(plan, choreonet)?);
+    }
+    let takes = resolve(plan, takes).map_err(|problem| Error::plan(plan_file, problem))?;
     let output = Output::open(plan, PHRASES)?;
     // Threads that wait for a network are not limited to the number of cores.
     let uploads = ThreadPoolBuilder::new().num_threads(plan.store.concurrency);
@@ -72,31 +76,32 @@ pub fn prepare(
         return Ok(None);
     };
     let kept = journals.iter().filter(|journal| journal.reused).count();
-    let (rows, takes): (Vec<Vec<ManifestRow>>, Vec<TakeReport>) = journals
-        .into_iter()
-        .map(|journal| (journal.rows, journal.report))
-        .unzip();
-    let mut rows: Vec<ManifestRow> = rows.into_iter().flatten().collect();
+    let (mut rows, mut takes) = (Vec::new(), Vec::new());
+    for journal in journals {
+        rows.extend(journal.rows);
+        takes.push(journal.report);
+    }
     let divided = plan.split.divide(&mut rows);
     let made = rows.iter().flat_map(Row::files).map(|(path, ..)| path);
     let made: BTreeSet<String> = made.collect();
     let frames: i64 = rows.iter().map(|row| row.frames).sum();
+    let entries = plan.split.validation.iter();
+    let idle = entries.filter(|entry| !rows.iter().any(|row| matches(entry, &row.id)));
     let report = PhrasesReport {
         output: output.store.uri(),
         phrases: rows.len(),
         hours: frames as f64 / kinegrad_motion::FPS / 3600.0,
         kept,
         stale: 0,
-        idle_entries: idle_entries(plan, &rows),
+        idle_entries: idle.cloned().collect(),
         held_out_songs: divided.held_out,
         split_note: divided.note,
         takes,
     };
     let report = |stale| PhrasesReport { stale, ..report };
     let write_index = |store: &Store| Ok(manifest::write(store, rows)?);
-    output
-        .finish(&made, options.prune, report, write_index)
-        .map(Some)
+    let report = output.finish(&made, options.prune, report, write_index)?;
+    Ok(Some(report))
 }
 
 /// The files of phrases in `store`.
@@ -116,22 +121,6 @@ fn phrase_files(store: &Store) -> Result<Vec<Object>, StoreError> {
 fn phrase_id(path: &str) -> Option<&str> {
     let (folder, _) = path.rsplit_once('/')?;
     folder.rsplit_once('/').map(|(_, id)| id)
-}
-
-/// Entries of the plan's split that match no phrase.
-fn idle_entries(plan: &Plan, rows: &[ManifestRow]) -> Vec<String> {
-    let entries = plan.split.validation.iter();
-    let idle = entries.filter(|entry| !rows.iter().any(|row| matches(entry, &row.id)));
-    idle.cloned().collect()
-}
-
-/// All takes of a plan.
-fn takes(plan: &Plan, plan_file: &Path) -> Result<Vec<Take>, Error> {
-    let mut wanted = plan.takes.clone();
-    for choreonet in &plan.choreonet {
-        wanted.extend(choreonet::takes(plan, choreonet)?);
-    }
-    resolve::resolve(plan, wanted).map_err(|problem| Error::plan(plan_file, problem))
 }
 
 /// The takes in groups with the same song, which is read once for all of them.
@@ -199,7 +188,7 @@ impl Maker for PhraseMaker<'_> {
             // A rejection is a result; a file that cannot be written is an error.
             written.map_or_else(|rejection| Ok(Err(rejection)), |row| row.map(Ok))
         };
-        let all = 0..aligned.phrases();
+        let all = aligned.phrases();
         let made: Vec<Result<ManifestRow, Rejection>> = match &self.uploads {
             Some(uploads) => uploads.install(|| all.into_par_iter().map(make).collect()),
             None => all.map(make).collect::<Result<_, Error>>(),

@@ -12,7 +12,7 @@ use crate::{BeatGrid, Beats};
 /// Largest share by which stated and tracked beats may differ in number.
 pub(super) const TOLERANCE: f64 = 0.02;
 
-/// The part of a take that its song plays.
+/// The part of a take within its song.
 pub(super) struct Span {
     stated: BeatGrid,
     /// Its end in seconds of music.
@@ -81,23 +81,18 @@ impl Span {
             (a.min(d), b.max(d))
         });
         let concentration = self.concentration(&Beats::Grid(self.stated), pulse);
+        let [from, to] = [start_seconds, self.end];
         GridReport {
             grid: Grid::Uniform,
             stated_beats: self.stated_beats(),
             tracked_beats: self.count(tracked),
-            tracked_tempo: self.tempo(pulse),
+            tracked_tempo: 60.0 * (pulse.position(to) - pulse.position(from)) / (to - from),
             offset_seconds: apart(0.0),
             drift_seconds: most - least,
             drift_beats: (most - least) / seconds_per_beat,
             uniform_concentration: concentration,
             concentration,
         }
-    }
-
-    /// Mean tempo of `pulse` within it, in beats per minute.
-    fn tempo(&self, pulse: &Pulse) -> f64 {
-        let [from, to] = [self.stated.start_seconds, self.end];
-        60.0 * (pulse.position(to) - pulse.position(from)) / (to - from)
     }
 
     /// Length of the mean of `exp(i d)` over the frames of the span, `d` the difference between the

@@ -13,7 +13,7 @@ use super::grid::Timeline;
 use super::report::TakeReport;
 use super::resolve::Take;
 use super::song::Song;
-use crate::plan::{Plan, TakePlan};
+use crate::plan::Plan;
 use crate::prepare::Rejection;
 use crate::prepare::files::bytes;
 use crate::{Beats, Stretch, stretches};
@@ -21,12 +21,10 @@ use crate::{Beats, Stretch, stretches};
 /// Version of the algorithm. A change makes all takes again.
 const MAKER: &str = "kinegrad phrases 5";
 
-/// A phrase with the contents of its files.
+/// A phrase with the contents of its files of motion and audio features.
 pub(super) struct NewPhrase {
     pub row: ManifestRow,
-    /// Contents of its motion file.
     pub motion: Vec<u8>,
-    /// Contents of its file of audio features.
     pub audio: Vec<u8>,
 }
 
@@ -118,25 +116,13 @@ impl Take {
 
     /// The stated and tracked beats of the take.
     fn timeline(&self, song: Option<&Song>) -> Result<Timeline, String> {
-        let TakePlan {
-            beats,
-            segments,
-            grid,
-            beats_per_bar,
-            downbeat_seconds,
-            ..
-        } = &self.plan;
-        match beats {
+        let plan = &self.plan;
+        match plan.beats {
             Some(stated) if self.motion.is_none() => {
-                let count = segments.iter().map(|segment| segment.beats).sum();
-                Timeline::of_segments(*stated, count, song, *grid)
+                let count = plan.segments.iter().map(|segment| segment.beats).sum();
+                Timeline::of_segments(stated, count, song, plan.grid)
             }
-            stated => Ok(Timeline::of_recording(
-                *stated,
-                song,
-                *beats_per_bar,
-                *downbeat_seconds,
-            )),
+            _ => Ok(Timeline::of_recording(plan, song)),
         }
     }
 
@@ -166,9 +152,9 @@ impl Take {
 }
 
 impl AlignedTake<'_> {
-    /// Number of phrases.
-    pub fn phrases(&self) -> usize {
-        self.places.len()
+    /// The range of phrase numbers.
+    pub fn phrases(&self) -> Range<usize> {
+        0..self.places.len()
     }
 
     /// Makes phrase `index`.
@@ -182,14 +168,13 @@ impl AlignedTake<'_> {
             frames: self.length,
             reason,
         };
-        let motion = stretch
-            .phrase(start..start + self.length)
-            .map_err(|error| rejected(error.with_hint()))?;
+        let motion = stretch.phrase(start..start + self.length);
+        let motion = motion.map_err(|error| rejected(error.with_hint()))?;
         if !motion.as_slice().iter().all(|value| value.is_finite()) {
             let reason = "its numbers are too large for single precision";
             return Err(rejected(reason.to_owned()));
         }
-        let (beats, tempo) = self.beats_within(frames.start as f64, frames.end as f64);
+        let (beats, tempo) = self.beats_within(&frames);
         let flags = self.flags(&motion, &frames);
         let motion = motion_bytes(&motion);
         let audio = features_bytes(&match &self.features {
@@ -234,9 +219,9 @@ impl AlignedTake<'_> {
         set.map(|(_, flag)| flag).collect()
     }
 
-    /// Beats between two frames, and the tempo.
-    fn beats_within(&self, start: f64, end: f64) -> (Option<f64>, Option<f64>) {
-        let (seconds, until) = (start / FPS, end / FPS);
+    /// Beats in some frames, and the tempo.
+    fn beats_within(&self, frames: &Range<usize>) -> (Option<f64>, Option<f64>) {
+        let (seconds, until) = (frames.start as f64 / FPS, frames.end as f64 / FPS);
         match &self.timeline.beats {
             None => (None, None),
             Some(Beats::Grid(grid)) => {
@@ -255,18 +240,17 @@ impl AlignedTake<'_> {
         }
     }
 
-    /// The report of the take. `unmade` are the phrases that could not be made; `failing_checks` of
-    /// the others fail CC-MotionGen's checks.
+    /// The report of the take, with the phrases that could not be made and the number of phrases that
+    /// fail CC-MotionGen's checks.
     pub fn report(&self, unmade: Vec<Rejection>, failing_checks: usize) -> TakeReport {
-        let first_frame =
-            |&(stretch, start): &(usize, usize)| self.stretches[stretch].first_frame + start;
-        let starts: Vec<usize> = self.places.iter().map(first_frame).collect();
+        let places = self.places.iter();
+        let starts = places.map(|&(stretch, start)| self.stretches[stretch].first_frame + start);
+        let starts: Vec<usize> = starts.collect();
         let mut rejected = self.aligned.rejections(&starts, self.length);
-        let phrases = self.phrases() - unmade.len();
+        let phrases = self.places.len() - unmade.len();
         rejected.extend(unmade);
         rejected.sort_by_key(|rejection| rejection.first_frame);
-        let mut notes = self.aligned.notes.clone();
-        notes.extend(self.timeline.notes.clone());
+        let mut notes = [&self.aligned.notes[..], &self.timeline.notes].concat();
         notes.extend(self.song.and_then(|song| song.damage.clone()));
         if failing_checks > 0 {
             notes.push(format!(

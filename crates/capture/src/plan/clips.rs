@@ -115,9 +115,10 @@ impl TryFrom<toml::Value> for Names {
     fn try_from(value: toml::Value) -> Result<Self, String> {
         match value {
             toml::Value::String(file) => Ok(Self::File(file)),
-            value => texts(value)
-                .map(Self::List)
-                .ok_or_else(|| "expected a list of names, or a text file with one a line".into()),
+            value => {
+                let expected = "expected a list of names, or a text file with one a line";
+                Ok(Self::List(texts(value).ok_or(expected)?))
+            }
         }
     }
 }
@@ -162,9 +163,10 @@ impl TryFrom<toml::Value> for Wordings {
     fn try_from(value: toml::Value) -> Result<Self, String> {
         match value {
             toml::Value::String(phrase) => Ok(Self::One(phrase)),
-            value => texts(value)
-                .map(Self::Several)
-                .ok_or_else(|| "expected a wording, or a list of wordings".into()),
+            value => {
+                let expected = "expected a wording, or a list of wordings";
+                Ok(Self::Several(texts(value).ok_or(expected)?))
+            }
         }
     }
 }

@@ -115,10 +115,7 @@ impl Output {
     /// be wrong, and this preparation's mark is written.
     pub fn write(&self, path: &str, bytes: Vec<u8>) -> Result<(), Error> {
         {
-            let mut state = self
-                .state
-                .lock()
-                .expect("no thread panics while it locks this");
+            let mut state = self.state.lock().expect("no thread panics");
             if !state.written {
                 if state.lock.is_none() {
                     state.lock = lock(&self.store)?;
@@ -148,10 +145,7 @@ impl Output {
         let ids = stale.iter().filter_map(|path| (self.parts.id)(path));
         let left = ids.collect::<BTreeSet<&str>>().len();
         let report = report(if prune { 0 } else { left });
-        let mut state = self
-            .state
-            .lock()
-            .expect("no thread panics while it locks this");
+        let mut state = self.state.lock().expect("no thread panics");
         if state.lock.is_none() {
             state.lock = lock(&self.store)?;
         }

@@ -25,30 +25,28 @@ struct Key<'a> {
 pub(super) fn apply(constraints: &[Constraint], frames: &mut Frames, is_loop: bool) -> Vec<bool> {
     let n = frames.frames();
     let least = LEAST_REACH.min(n / FRAMES_PER_REACH);
-    let keys = constraints
-        .iter()
-        .filter_map(|constraint| match constraint {
-            Constraint::Channels { .. } => None,
-            Constraint::Keyframe {
-                at,
+    let mut keys = Vec::new();
+    for constraint in constraints {
+        if let Constraint::Keyframe {
+            at,
+            channels,
+            source,
+            from,
+            frames: finest,
+            reach,
+        } = constraint
+        {
+            let pace = (*finest as f64 / n as f64).max(1.0);
+            keys.push(Key {
+                t: Constraint::frame(*at, n),
                 channels,
                 source,
-                from,
-                frames: finest,
-                reach,
-            } => {
-                let pace = (*finest as f64 / n as f64).max(1.0);
-                Some(Key {
-                    t: Constraint::frame(*at, n),
-                    channels,
-                    source,
-                    from: *from,
-                    pace,
-                    reach: ((*reach as f64 / pace).ceil() as usize).max(least),
-                })
-            }
-        });
-    let keys: Vec<Key<'_>> = keys.collect();
+                from: *from,
+                pace,
+                reach: ((*reach as f64 / pace).ceil() as usize).max(least),
+            });
+        }
+    }
     if keys.is_empty() {
         return Vec::new();
     }
@@ -62,8 +60,8 @@ pub(super) fn apply(constraints: &[Constraint], frames: &mut Frames, is_loop: bo
     let mut weights = Frames::zeros(n, frames.channels());
     let mut sums = Frames::zeros(n, frames.channels());
     for key in &keys {
-        let together = |channel: usize| moments[channel].iter().filter(|&&t| t == key.t).count();
-        let shares = key.channels.iter().map(|&c| 1.0 / together(c) as f32);
+        let sharing = |channel: usize| moments[channel].iter().filter(|&&t| t == key.t).count();
+        let shares = key.channels.iter().map(|&c| 1.0 / sharing(c) as f32);
         let shares: Vec<f32> = shares.collect();
         for ahead in [false, true] {
             let reaches = key.channels.iter().map(|&channel| {
@@ -109,11 +107,7 @@ pub(super) fn apply(constraints: &[Constraint], frames: &mut Frames, is_loop: bo
 fn nearest(moments: &[usize], t: usize, ahead: bool, loop_frames: Option<usize>) -> Option<usize> {
     let others = moments.iter().copied().filter(|&other| other != t);
     let apart = others.filter_map(|other| {
-        let apart = if ahead {
-            other as i64 - t as i64
-        } else {
-            t as i64 - other as i64
-        };
+        let apart = (other as i64 - t as i64) * if ahead { 1 } else { -1 };
         match loop_frames {
             Some(n) => Some(apart.rem_euclid(n as i64) as usize),
             None => usize::try_from(apart).ok(),

@@ -1,38 +1,31 @@
 //! Contradictory constraints.
 
-use super::Job;
+use super::{Fixed, Job};
 use crate::{Constraint, Error, Looping, MotionMatrix};
 
 impl Job {
-    /// Rejects contradictory constraints. `constraints` of the motion of `frames` frames: key frames
-    /// first, in the order of the job.
+    /// Rejects contradictory `constraints` of a motion of `frames` frames, key frames first.
     pub(super) fn must_agree(
         &self,
         layout: &MotionMatrix,
         constraints: &[Constraint],
         frames: usize,
     ) -> Result<(), Error> {
-        if let Some(fixed) = self
-            .fixed
-            .first()
-            .filter(|_| self.settings.looping != Looping::Off)
-        {
-            let part = &fixed.part;
+        let is_loop = self.settings.looping != Looping::Off;
+        if let Some(Fixed { part, motion }) = self.fixed.first().filter(|_| is_loop) {
             let problem =
                 format!("`{part}` follows it, whose end need not lead into its beginning");
             let hint = "leave option `loop` or option `fix` out";
-            return Err(Error::file(&fixed.motion.file, problem, hint));
+            return Err(Error::file(&motion.file, problem, hint));
         }
         let (keys, fixed) = constraints.split_at(self.keyframes.len());
         for (index, one) in fixed.iter().enumerate() {
             for (other, before) in fixed[..index].iter().zip(&self.fixed) {
-                let differs = |channel: &usize| match (one, other) {
-                    (
-                        Constraint::Channels { motion: a, .. },
-                        Constraint::Channels { motion: b, .. },
-                    ) => a.columns(&[*channel]) != b.columns(&[*channel]),
-                    _ => false,
+                let values = |fixed: &Constraint, channel: usize| match fixed {
+                    Constraint::Channels { motion, .. } => Some(motion.columns(&[channel])),
+                    Constraint::Keyframe { .. } => None,
                 };
+                let differs = |channel: &usize| values(one, *channel) != values(other, *channel);
                 if let Some(channel) = shared(one, other).into_iter().find(differs) {
                     let own = &self.fixed[index];
                     let problem = format!(
@@ -109,13 +102,8 @@ fn channels(constraint: &Constraint) -> &[usize] {
 /// A channel with different values in two key frames.
 fn contradiction(one: &Constraint, other: &Constraint) -> Option<usize> {
     let value = |key: &Constraint, channel: usize| match key {
-        Constraint::Keyframe {
-            channels,
-            source,
-            from,
-            ..
-        } => {
-            let place = channels.iter().position(|&other| other == channel)?;
+        Constraint::Keyframe { source, from, .. } => {
+            let place = channels(key).iter().position(|&other| other == channel)?;
             Some(source.frame(*from)[place])
         }
         Constraint::Channels { .. } => None,
@@ -137,7 +125,7 @@ fn named(layout: &MotionMatrix, channel: usize) -> String {
 mod tests {
     use super::*;
     use crate::motion_matrix::tests::example;
-    use crate::{Example, Fixed, Keyframe};
+    use crate::{Example, Keyframe};
 
     fn walk(file: &str, frames: usize) -> Example {
         example(file, frames, 1.0 / 30.0)

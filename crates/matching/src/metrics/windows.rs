@@ -33,9 +33,9 @@ impl Targets {
     fn distances(&self, motion: &Padded, first: usize, rows: usize) -> Vec<f32> {
         let mut distances = vec![0.0; rows * self.frames.frames()];
         squared(motion, first, &self.frames, &mut distances);
-        distances
-            .iter_mut()
-            .for_each(|distance| *distance = distance.sqrt());
+        for distance in &mut distances {
+            *distance = distance.sqrt();
+        }
         distances
     }
 }
@@ -48,24 +48,22 @@ pub(super) fn cheapest(motion: &Frames, targets: &[Frames], window: usize) -> Ve
     let windows = motion.frames() + 1 - window;
     let width = targets.frames.frames();
     let firsts: Vec<usize> = (0..windows).step_by(ROWS).collect();
-    firsts
-        .par_iter()
-        .flat_map_iter(|&first| {
-            let rows = ROWS.min(windows - first);
-            let distances = targets.distances(&motion, first, rows + window - 1);
-            let of = |i: usize| {
-                let mut least = f64::INFINITY;
-                for &(start, frames) in &targets.ranges {
-                    for j in start..(start + frames + 1).saturating_sub(window) {
-                        let along = (0..window).map(|k| distances[(i + k) * width + j + k]);
-                        least = least.min(along.map(f64::from).sum());
-                    }
+    let nearest = |&first: &usize| {
+        let rows = ROWS.min(windows - first);
+        let distances = targets.distances(&motion, first, rows + window - 1);
+        let of = |i: usize| {
+            let mut least = f64::INFINITY;
+            for &(start, frames) in &targets.ranges {
+                for j in start..(start + frames + 1).saturating_sub(window) {
+                    let along = (0..window).map(|k| distances[(i + k) * width + j + k]);
+                    least = least.min(along.map(f64::from).sum());
                 }
-                least / window as f64
-            };
-            (0..rows).map(of).collect::<Vec<_>>()
-        })
-        .collect()
+            }
+            least / window as f64
+        };
+        (0..rows).map(of).collect::<Vec<_>>()
+    };
+    firsts.par_iter().flat_map_iter(nearest).collect()
 }
 
 /// Mean distance of the frames of `motion` to the targets, minimised over cuts into segments of at
@@ -80,31 +78,29 @@ pub(super) fn segmented(motion: &Frames, targets: &[Frames], shortest: usize) ->
     let width = targets.frames.frames();
     let firsts: Vec<usize> = (0..frames).step_by(ROWS).collect();
     // For each end the smallest sums of segments of `shortest..=longest` frames.
-    let sums: Vec<Vec<f64>> = firsts
-        .par_iter()
-        .flat_map_iter(|&first| {
-            let before = first.min(longest);
-            let rows = ROWS.min(frames - first) + before;
-            let distances = targets.distances(&motion, first - before, rows);
-            let of = |end: usize| {
-                let mut least = vec![f64::INFINITY; longest - shortest + 1];
-                for &(start, frames) in &targets.ranges {
-                    for j in 0..frames {
-                        let mut sum = 0.0;
-                        for k in 0..longest.min(j + 1).min(end + 1) {
-                            sum += f64::from(distances[(end - k) * width + start + j - k]);
-                            if k + 1 >= shortest {
-                                let least = &mut least[k + 1 - shortest];
-                                *least = least.min(sum);
-                            }
+    let sums = |&first: &usize| {
+        let before = first.min(longest);
+        let rows = ROWS.min(frames - first) + before;
+        let distances = targets.distances(&motion, first - before, rows);
+        let of = |end: usize| {
+            let mut least = vec![f64::INFINITY; longest - shortest + 1];
+            for &(start, frames) in &targets.ranges {
+                for j in 0..frames {
+                    let mut sum = 0.0;
+                    for k in 0..longest.min(j + 1).min(end + 1) {
+                        sum += f64::from(distances[(end - k) * width + start + j - k]);
+                        if k + 1 >= shortest {
+                            let least = &mut least[k + 1 - shortest];
+                            *least = least.min(sum);
                         }
                     }
                 }
-                least
-            };
-            (before..rows).map(of).collect::<Vec<_>>()
-        })
-        .collect();
+            }
+            least
+        };
+        (before..rows).map(of).collect::<Vec<_>>()
+    };
+    let sums: Vec<Vec<f64>> = firsts.par_iter().flat_map_iter(sums).collect();
     let mut total = vec![f64::INFINITY; frames + 1];
     total[0] = 0.0;
     for end in 1..=frames {

@@ -9,19 +9,15 @@ use crate::Error;
 
 /// Largest relative difference of frame rates.
 const SAME_RATE: f64 = 0.01;
-/// Largest difference of a joint offset, as a part of the longest bone. Bodies of two people differ
-/// by up to a sixth in captures with equal names; a change of units or of the rest pose differs by
-/// more.
+/// Largest difference of a joint offset, as a part of the longest bone. Two people differ by up to a
+/// sixth; another unit or rest pose differs by more.
 const SAME_BONES: f64 = 0.25;
 /// Rotation (vector part of a quaternion) and distance (scaled units) that cannot be seen.
 const UNSEEN: f64 = 1e-3;
 
 impl MotionMatrix {
     /// Checks skeleton and frame rate.
-    ///
-    /// # Errors
-    /// Names the first joint that differs.
-    pub fn must_match(&self, example: &Example) -> Result<(), Error> {
+    pub(super) fn must_match(&self, example: &Example) -> Result<(), Error> {
         let (own, other) = (self.bvh.joints(), example.bvh.joints());
         let hint = "motions of one skeleton can be matched: the same joints in the same order";
         for (index, joint) in other.iter().enumerate() {
@@ -129,11 +125,11 @@ impl MotionMatrix {
                 length([turn.x, turn.y, turn.z]) < UNSEEN && length(moved) * self.scale < UNSEEN
             };
             if !(0..motion.bvh.frames()).all(stands) {
-                let [own, above] =
-                    [self.root_joint, parent].map(|joint| &self.joints()[joint].name);
+                let names = [self.root_joint, parent].map(|joint| &self.joints()[joint].name);
+                let [own, above] = names;
                 let problem = format!("`{own}` travels within `{above}`, which turns or moves");
-                let hint =
-                    format!("{option} needs a joint that travels over the ground: leave it out");
+                let need = "needs a joint that travels over the ground: leave it out";
+                let hint = format!("{option} {need}");
                 return Err(Error::file(&motion.file, problem, hint));
             }
         }

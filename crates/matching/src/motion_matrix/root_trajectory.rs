@@ -60,9 +60,8 @@ impl MotionMatrix {
         }
         let start = self.start.map(|value| value * self.scale);
         let path = places(&displaced, start, Some(self.up)).into_iter();
-        path.map(|place| place.map(|value| value / self.scale))
-            .zip(headings)
-            .collect()
+        let path = path.map(|place| place.map(|value| value / self.scale));
+        path.zip(headings).collect()
     }
 
     /// The rotation about the vertical by `heading` radians.
@@ -85,9 +84,8 @@ impl MotionMatrix {
             return None;
         }
         let six = self.rotation_of(self.root_joint);
-        let rows = motions
-            .iter()
-            .flat_map(|frames| frames.values().chunks_exact(frames.channels()));
+        let rows = motions.iter();
+        let rows = rows.flat_map(|frames| frames.values().chunks_exact(frames.channels()));
         let heading = |row: &[f32]| {
             let six = std::array::from_fn(|i| f64::from(row[six.start + i]));
             self.heading_of(rotation6d::to_quaternion(six))

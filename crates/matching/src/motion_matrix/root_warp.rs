@@ -24,10 +24,9 @@ impl MotionMatrix {
     /// sum over t of (x[t+1] - x[t])^2 / fade^4 + sum over t of (x[t+3] - 3 x[t+2] + 3 x[t+1] - x[t])^2
     /// ```
     ///
-    /// subject to the points. The first term keeps the speed even between points; the second, the
-    /// jerk, spreads changes of speed over a quarter of a second, or half the time between close
-    /// points. `is_loop`: the last frame is followed by the first, and the steps around the seam
-    /// keep their values.
+    /// subject to the points. The first term evens the speed between points; the second, the jerk,
+    /// spreads changes of speed over a quarter of a second, or half the time between close points.
+    /// `is_loop`: the last frame is followed by the first; the steps around the seam do not change.
     pub(crate) fn warp_root(
         &self,
         frames: &mut Frames,
@@ -40,8 +39,7 @@ impl MotionMatrix {
         if points.is_empty() {
             return;
         }
-        let axes = (0..3).filter(|&axis| axis != self.up as usize);
-        let axes: Vec<usize> = axes.collect();
+        let axes: Vec<usize> = (0..3).filter(|&axis| axis != self.up as usize).collect();
         let trajectory = self.root_trajectory(frames);
         let fade = FADE / self.frame_time;
         let moved = axes.iter().enumerate().map(|(place, &axis)| {
@@ -84,10 +82,8 @@ fn offsets(n: usize, points: &[(usize, f64)], fade: f64, is_loop: bool) -> Vec<f
     }
     let even = linear(n, &knots);
     let slow = step_weights(n, points, fade);
-    let mut matrix: Vec<[f64; 4]> = slow
-        .iter()
-        .map(|slow| [NEAR * slow, 0.0, 0.0, 0.0])
-        .collect();
+    let diagonal = slow.iter().map(|slow| [NEAR * slow, 0.0, 0.0, 0.0]);
+    let mut matrix: Vec<[f64; 4]> = diagonal.collect();
     let mut bend = vec![0.0; n];
     let mut add = |from: usize, weights: &[f64], strength: f64| {
         let pairs = weights.iter().zip(&even[from..]);
@@ -109,26 +105,22 @@ fn offsets(n: usize, points: &[(usize, f64)], fade: f64, is_loop: bool) -> Vec<f
         bend[t] = 0.0;
     }
     Cholesky::new(matrix).solve(&mut bend);
-    even.iter()
-        .zip(bend)
-        .map(|(even, bend)| even + bend)
-        .collect()
+    let offsets = even.iter().zip(bend).map(|(even, bend)| even + bend);
+    offsets.collect()
 }
 
 /// The weight of the squared step to each frame. A change of speed longer than the time to the next
 /// point would overshoot it, so it is quicker between close points and beside them.
 fn step_weights(n: usize, points: &[(usize, f64)], fade: f64) -> Vec<f64> {
-    let times = std::iter::once(0).chain(points.iter().map(|(t, _)| *t));
-    let times: Vec<usize> = times.collect();
+    let mut times = vec![0];
+    times.extend(points.iter().map(|(t, _)| *t));
     let gaps: Vec<usize> = times.windows(2).map(|pair| pair[1] - pair[0]).collect();
     let mut weights = Vec::with_capacity(n);
     for (place, &from) in times.iter().enumerate() {
         let to = times.get(place + 1).copied().unwrap_or(n - 1);
         let around = place.saturating_sub(1)..(place + 2).min(gaps.len());
-        let least = gaps[around]
-            .iter()
-            .min()
-            .map_or(fade, |gap| *gap as f64 / 2.0);
+        let least = gaps[around].iter().min();
+        let least = least.map_or(fade, |gap| *gap as f64 / 2.0);
         let weight = fade.min(least).max(1.0).powi(-4);
         weights.resize(if place == 0 { 1 } else { from + 1 }, weight);
         weights.resize(to + 1, weight);

@@ -199,7 +199,12 @@ fn a_downbeat_turns_the_bars_of_a_recording() {
     let beats: Vec<f64> = (0..40).map(|k| 0.5 + 0.5 * f64::from(k)).collect();
     let song = song(&beats_of(&beats), 24.0);
     let phase = |downbeat| {
-        let timeline = Timeline::of_recording(None, Some(&song), Some(3), downbeat);
+        let plan = TakePlan {
+            beats_per_bar: Some(3),
+            downbeat_seconds: downbeat,
+            ..TakePlan::default()
+        };
+        let timeline = Timeline::of_recording(&plan, Some(&song));
         let bars = timeline.pulse.as_ref().unwrap().bars();
         (timeline.beats.unwrap().phase(600, FPS).unwrap(), bars)
     };
