@@ -51,15 +51,13 @@ pub struct Moment {
     pub seconds: f64,
 }
 
-/// Plays segments of `takes` on a time line of `frames` frames at 30 per second. Coordinates stay
-/// those of the capture: [`super::join`] removes the jumps.
-///
-/// Segments follow each other in time; what lies between them is a gap. A missing capture file is
-/// a segment left out. A frame on the border of two segments belongs to the later one.
+/// Plays `segments`, in order of time, of `takes` on a time line of `frames` frames at 30 per second,
+/// in coordinates of the capture: [`super::join`] removes the jumps. A frame on the border of two
+/// segments belongs to the later one.
 ///
 /// # Errors
-/// [`Error::Setting`] for a take that does not exist, a number that is not finite, a length that is
-/// not positive, a segment that begins before the one before it ends, and for no frames.
+/// [`Error::Setting`] for a take that does not exist, numbers that are not finite, lengths that are
+/// not positive, overlapping segments, and no frames.
 pub fn assemble(
     takes: &[&dyn RootSource],
     segments: &[Segment],

@@ -1,9 +1,8 @@
 //! Joins between segments, so that the root is continuous.
 //!
-//! If two successive frames are not neighbours in the capture, all frames after them are turned
-//! about the vertical so that the heading is continuous, and moved on the floor so that the
-//! velocity is. The remaining jumps in height and tilt are removed in the first frame and return
-//! over `fade_frames`, by the fifth-order step
+//! After two successive frames that are not neighbours in the capture, all frames are turned about
+//! the vertical and moved on the floor, so that heading and velocity are continuous. The jumps in
+//! height and tilt are removed in the first frame and return over `fade_frames`, by the step
 //! ```text
 //! w = 1 - u^3 (10 - 15 u + 6 u^2),    u = frames since the border / fade_frames
 //! ```

@@ -1,7 +1,7 @@
 //! Limits jerk at constraints to that of the rest of the motion.
 //!
-//! A pose from a fast part of an example in a quiet motion, and a body over the legs of another,
-//! jerk more than their surroundings. Both are smoothed as much as needed; constraints stay exact.
+//! Motion around key frames and next to fixed parts is smoothed as much as needed; constraints stay
+//! exact.
 
 use kinegrad_capture::{Bvh, RootPose};
 use kinegrad_motion::Quaternion;

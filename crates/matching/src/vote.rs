@@ -6,11 +6,10 @@ use rayon::prelude::*;
 use crate::{Frames, Pool};
 
 /// The motion of `nearest.len() + patch_size - 1` frames whose patch i is the example patch
-/// `nearest[i]`, `[frames, channels]`. A frame is the mean of the patches that cover it: one at
-/// either end, `patch_size` in the middle.
+/// `nearest[i]`, `[frames, channels]`. A frame is the mean of the patches that cover it.
 ///
 /// # Panics
-/// Panics if `nearest` is empty or names no patch of `pool`.
+/// If `nearest` is empty or names no patch of `pool`.
 pub fn vote(pool: &Pool, nearest: &[usize]) -> Frames {
     let p = pool.patch_size;
     means(pool, nearest, nearest.len() + p - 1, |starts, t, frame| {

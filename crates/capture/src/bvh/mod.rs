@@ -32,11 +32,9 @@ pub enum Axis {
 /// The meaning of one number of a frame.
 #[derive(Clone, Copy, Debug, Eq, PartialEq)]
 pub enum Channel {
-    /// A coordinate of the place within the parent, in file units. It replaces that of the
-    /// joint's OFFSET; it is not added to it.
+    /// A coordinate relative to the parent, in file units. It replaces that of the joint's OFFSET.
     Position(Axis),
-    /// A turn in degrees. Turns are about the axes as the turns before them leave them: with
-    /// `Zrotation Xrotation` the rotation is `Rz Rx`.
+    /// A rotation in degrees, intrinsic: `Zrotation Xrotation` is `Rz Rx`.
     Rotation(Axis),
 }
 

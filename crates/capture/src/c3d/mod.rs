@@ -1,8 +1,7 @@
 //! C3D files: marker places frame by frame, binary.
 //!
-//! Format: The C3D File Format User Guide, Motion Lab Systems (<https://www.c3d.org>): blocks of
-//! 512 bytes, a header, a parameter section, and frames of points followed by analog samples. All
-//! three processor types and both storage forms are read; analog samples are passed over.
+//! Format: The C3D File Format User Guide, Motion Lab Systems (<https://www.c3d.org>). All three
+//! processor types and both storage forms are read; analog samples are skipped.
 
 mod bytes;
 mod parameters;

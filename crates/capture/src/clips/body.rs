@@ -8,9 +8,8 @@ use kinegrad_motion::time_stretch::spline;
 use kinegrad_motion::vector::{length, minus, plus};
 
 use super::centres::Centres;
-use super::map::JointMap;
 use crate::plan::Units;
-use crate::{Bvh, C3d, UpAxis};
+use crate::{C3d, UpAxis};
 
 /// Usual length of a leg, hip to ankle, metres.
 const LEGS: std::ops::RangeInclusive<f64> = 0.5..=1.1;
@@ -37,19 +36,6 @@ pub(super) struct Body {
 }
 
 impl Body {
-    /// The body of a capture with the joints of `map`. By default `units` follow from the length of
-    /// the legs, `up` from the place of the head.
-    pub fn of_bvh(
-        bvh: &Bvh,
-        map: &JointMap,
-        skeleton: &Skeleton,
-        rate: f64,
-        units: Option<Units>,
-        up: Option<UpAxis>,
-    ) -> Result<Self, String> {
-        Self::of_places(map.joints_of(bvh)?, skeleton, rate, units, up)
-    }
-
     /// The body of a capture of markers, with estimated joint centres ([`Centres`]). Every marker
     /// must be seen in the frames that are `used`.
     pub fn of_markers(
@@ -78,8 +64,9 @@ impl Body {
         Ok(body)
     }
 
-    /// The body with its joints at `places`, `[frames, J]`, in units and axes of a file.
-    fn of_places(
+    /// The body with its joints at `places`, `[frames, J]`, in units and axes of a file. By default
+    /// `units` follow from the length of the legs, `up` from the place of the head.
+    pub fn of_places(
         places: Vec<[f64; 3]>,
         skeleton: &Skeleton,
         rate: f64,

@@ -1,12 +1,11 @@
-//! Joint centres from the markers on the skin, for the usual full-body sets: the names of Plug-in
-//! Gait, or waist markers called `LFWT`, `RFWT`, `LBWT` and `RBWT`.
+//! Joint centres from the markers of Plug-in Gait, the waist ones also as `LFWT`, `RFWT`, `LBWT` and
+//! `RBWT`.
 //!
 //! Hips follow the regression of Harrington et al., "Prediction of the hip joint centre in adults,
 //! children, and patients with cerebral palsy based on magnetic resonance imaging" (J. Biomech. 40,
-//! 2007), whose error is 1 to 2 cm. Knees and ankles lie half a usual width inwards of the markers at
-//! their outer sides, elbows in the plane across the bent arm, shoulders below the markers on them;
-//! without the body's own measures they may be off by 1 to 3 cm. [`Centres::spread`] measures a
-//! part of the error: the variation of bone lengths.
+//! 2007), whose error is 1 to 2 cm. Knees and ankles lie half a usual width inwards of their markers,
+//! elbows in the plane across the bent arm, shoulders below their markers; these may be off by 1 to
+//! 3 cm. [`Centres::spread`] measures a part of the error: the variation of bone lengths.
 
 use std::ops::Range;
 

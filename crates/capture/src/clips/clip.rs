@@ -21,9 +21,8 @@ pub(super) struct Grounded {
 
 impl Grounded {
     /// Puts the joints of a take on the floor, at the height at which its toes stand; with
-    /// `retarget`, with the bones of `skeleton` ([`rescale`]). Other bones lift standing feet or
-    /// push them into the floor, so a retargeted body is moved up or down in each frame until its
-    /// lower toes are as high as before, in proportion to its legs.
+    /// `retarget`, with the bones of `skeleton` ([`rescale`]). A retargeted body is moved up or down
+    /// in each frame until its lower toes are as high as before, in proportion to its legs.
     pub fn new(skeleton: &Skeleton, joints: &Joints, retarget: bool) -> Result<Self, FeatureError> {
         let joints = match retarget {
             true => on_its_toes(skeleton, joints, &rescale(skeleton, joints)?)?,

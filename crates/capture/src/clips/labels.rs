@@ -96,7 +96,7 @@ impl LabelsPlan {
         let mut found = CaptureLabels::default();
         if let Some(pattern) = &self.name {
             let misfit = || format!("its name does not fit labels.name = \"{pattern}\"");
-            for (name, value) in named_parts(pattern, stem)?.ok_or_else(misfit)? {
+            for (name, value) in fit(&parts(pattern)?, stem).ok_or_else(misfit)? {
                 if name == TAKE {
                     let problem = || format!("take `{value}` in its name: a whole number allowed");
                     found.take = Some(value.parse().map_err(|_| problem())?);
@@ -107,8 +107,8 @@ impl LabelsPlan {
         }
         if let Some(path) = &self.json {
             let path = plan.resolve(&path.replace("{name}", stem));
-            self.read_json(&path, plan, &mut found.labels)
-                .map_err(|problem| format!("{}: {problem}", path.display()))?;
+            let read = self.read_json(&path, plan, &mut found.labels);
+            read.map_err(|problem| format!("{}: {problem}", path.display()))?;
         }
         if let Some(table) = table {
             let missing = || format!("{} has no row for it", table.file);
@@ -167,53 +167,31 @@ impl Names {
     }
 }
 
-/// The values of the names in the braces of `pattern` in `text`; none if it does not fit. A name
-/// stands for the shortest text, of at least one character, that fits; a `*` for any text.
-fn named_parts(pattern: &str, text: &str) -> Result<Option<Vec<(String, String)>>, String> {
-    let mut pieces = Vec::new();
-    for part in parts(pattern)? {
-        match part {
-            Part::Name(name) => pieces.push(Piece::Any(Some(name))),
-            Part::Text(literal) => {
-                for (place, literal) in literal.split('*').enumerate() {
-                    if place > 0 {
-                        pieces.push(Piece::Any(None));
-                    }
-                    if !literal.is_empty() {
-                        pieces.push(Piece::Literal(literal));
-                    }
-                }
-            }
-        }
-    }
-    Ok(fit(&pieces, text))
-}
-
-/// A part of a pattern.
-enum Piece<'a> {
-    Literal(&'a str),
-    /// Any text; at least a letter where it has a name.
-    Any(Option<&'a str>),
-}
-
-fn fit(pieces: &[Piece<'_>], text: &str) -> Option<Vec<(String, String)>> {
-    let Some((first, rest)) = pieces.split_first() else {
+/// The values of the names in braces of `pattern` in `text`; none if it does not fit. A name stands
+/// for the shortest text, of at least one character, that fits; a `*` for any text.
+fn fit(pattern: &[Part<'_>], text: &str) -> Option<Vec<(String, String)>> {
+    let Some((first, rest)) = pattern.split_first() else {
         return text.is_empty().then(Vec::new);
     };
-    match first {
-        Piece::Literal(literal) => fit(rest, text.strip_prefix(literal)?),
-        Piece::Any(name) => {
-            let ends = text.char_indices().map(|(end, _)| end).chain([text.len()]);
-            let mut ends = ends.filter(|end| *end > 0 || name.is_none());
-            ends.find_map(|end| {
-                let mut found = fit(rest, &text[end..])?;
-                if let Some(name) = name {
-                    found.insert(0, ((*name).to_owned(), text[..end].to_owned()));
-                }
-                Some(found)
-            })
+    let (text, name, rest) = match first {
+        Part::Name(name) => (text, Some(*name), rest.to_vec()),
+        Part::Text(literal) => match literal.split_once('*') {
+            None => return fit(rest, text.strip_prefix(literal)?),
+            Some((before, after)) => {
+                let rest = [&[Part::Text(after)][..], rest].concat();
+                (text.strip_prefix(before)?, None, rest)
+            }
+        },
+    };
+    let ends = text.char_indices().map(|(end, _)| end).chain([text.len()]);
+    let mut ends = ends.filter(|end| *end > 0 || name.is_none());
+    ends.find_map(|end| {
+        let mut found = fit(&rest, &text[end..])?;
+        if let Some(name) = name {
+            found.insert(0, (name.to_owned(), text[..end].to_owned()));
         }
-    }
+        Some(found)
+    })
 }
 
 #[cfg(test)]
@@ -223,7 +201,7 @@ mod tests {
     use super::*;
 
     fn named(pattern: &str, text: &str) -> Option<Vec<(String, String)>> {
-        named_parts(pattern, text).unwrap()
+        fit(&parts(pattern).unwrap(), text)
     }
 
     fn pairs(texts: &[(&str, &str)]) -> Vec<(String, String)> {

@@ -40,13 +40,10 @@ use split::{Part, SplitTake};
 use take::{Take, TakeInput};
 use takes::{Tables, tables, takes};
 
-/// Makes the dataset of clips of `plan`. `None` if it was stopped: finished takes are recorded, and
-/// the next preparation continues with the others.
+/// Like [`phrases::prepare`](crate::phrases::prepare), for the clips of `plan`.
 ///
 /// # Errors
-/// [`Error::Plan`] for missing or malformed files, or without a training clip;
-/// [`Error::Busy`] if another preparation is writing to the output, [`Error::Data`] if that contains
-/// a dataset of another origin or cannot be written. The report lists takes that cannot be used.
+/// As there; [`Error::Plan`] also without a training clip.
 pub fn prepare(
     plan: &Plan,
     plan_file: &Path,

@@ -187,7 +187,7 @@ impl Take {
             None => JointMap::fitting(&bvh)?,
         };
         let rate = fps.unwrap_or(1.0 / bvh.frame_time());
-        let body = Body::of_bvh(&bvh, &map, skeleton, rate, units, up)?;
+        let body = Body::of_places(map.joints_of(&bvh)?, skeleton, rate, units, up)?;
         Ok((map.name().to_owned(), body))
     }
 

@@ -77,7 +77,8 @@ pub(super) fn capture(joints: &Joints, map: &str, rate: f64) -> String {
 pub(super) fn body_of(text: &str, map: &JointMap) -> Result<Body, String> {
     let bvh = Bvh::parse(text.as_bytes(), "take.bvh").unwrap();
     let rate = 1.0 / bvh.frame_time();
-    Body::of_bvh(&bvh, map, &Skeleton::humanml3d(), rate, None, None)
+    let places = map.joints_of(&bvh)?;
+    Body::of_places(places, &Skeleton::humanml3d(), rate, None, None)
 }
 
 #[test]
@@ -91,7 +92,9 @@ fn a_body_is_where_its_joints_were_with_unit_and_axis_found() {
         // The file in inches and with +z up is the same body.
         let inches = bvh.converted(1.0 / 2.54, UpAxis::Y).unwrap();
         for (bvh, metres) in [(&bvh, 0.01), (&inches, 0.0254)] {
-            let body = Body::of_bvh(bvh, &found, &Skeleton::humanml3d(), 30.0, None, None).unwrap();
+            let places = found.joints_of(bvh).unwrap();
+            let skeleton = Skeleton::humanml3d();
+            let body = Body::of_places(places, &skeleton, 30.0, None, None).unwrap();
             assert_eq!((body.metres_per_unit, body.up), (metres, UpAxis::Y));
             assert_eq!(body.notes, Vec::<String>::new());
             for t in 0..31 {
@@ -152,11 +155,12 @@ fn legs_of_no_known_unit_are_taken_for_usual_ones() {
     let map = JointMap::built_in("mixamo").unwrap();
     let odd = bvh.converted(2.0, UpAxis::Y).unwrap();
     let skeleton = Skeleton::humanml3d();
-    let body = Body::of_bvh(&odd, &map, &skeleton, 30.0, None, None).unwrap();
+    let body = Body::of_places(map.joints_of(&odd).unwrap(), &skeleton, 30.0, None, None).unwrap();
     assert!((body.metres_per_unit - 0.005).abs() < 1e-5);
     assert!(body.notes[0].contains("state `units`"), "{:?}", body.notes);
     let stated = Some(crate::Units::Cm);
-    let body = Body::of_bvh(&odd, &map, &skeleton, 30.0, stated, None).unwrap();
+    let body =
+        Body::of_places(map.joints_of(&odd).unwrap(), &skeleton, 30.0, stated, None).unwrap();
     assert_eq!((body.metres_per_unit, body.notes.len()), (0.01, 0));
 }
 

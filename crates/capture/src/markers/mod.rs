@@ -5,6 +5,7 @@ mod root;
 #[cfg(test)]
 mod tests;
 
+use kinegrad_motion::vector::minus;
 use nalgebra::Vector3;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -88,15 +89,15 @@ impl MarkerMap {
             }
             means.push(mean(&tracks));
         }
-        let place = |group: usize, t: usize| -> Option<Vector3<f64>> {
-            let metres: [f64; 3] = (means[group][t]? * take.metres_per_unit).into();
-            Some(Vector3::from(self.up.to_y_up(metres)))
+        let place = |group: usize, t: usize| {
+            let metres = means[group][t]? * take.metres_per_unit;
+            Some(self.up.to_y_up(metres.into()))
         };
         let axes = |t| {
             Some(Axes {
-                center: place(0, t)?.into(),
-                forward: (place(1, t)? - place(2, t)?).into(),
-                left: (place(3, t)? - place(4, t)?).into(),
+                center: place(0, t)?,
+                forward: minus(place(1, t)?, place(2, t)?),
+                left: minus(place(3, t)?, place(4, t)?),
             })
         };
         let frames = (0..take.frames()).map(axes).collect();

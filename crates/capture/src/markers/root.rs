@@ -1,14 +1,10 @@
 //! The pelvis pose from markers.
 //!
-//! With `f` from the mean of the back markers to that of the front ones and `l` from the right to
-//! the left ones, the body axes are
-//!
+//! With `f` from the back to the front markers and `l` from the right to the left ones, the columns
+//! of the rotation matrix are the body axes
 //! ```text
 //! z_b = f / |f|    x_b = (l - (l . z_b) z_b) / |...|    y_b = z_b x x_b
 //! ```
-//!
-//! and the orientation is the rotation matrix `[x_b y_b z_b]`: the identity faces +z with +x to
-//! the body's left.
 
 use kinegrad_motion::Quaternion;
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
@@ -19,10 +15,8 @@ use crate::{RootPose, RootSource};
 /// A direction shorter than this, in metres, is none.
 const SHORTEST: f64 = 1e-6;
 
-/// The root of a C3D take. Made by [`MarkerMap::root`](super::MarkerMap::root).
-///
-/// Between frames, the markers move on straight lines and the root follows from them; that differs
-/// slightly from interpolating the root.
+/// The root of a C3D take, from [`MarkerMap::root`](super::MarkerMap::root). Between frames, the
+/// markers are interpolated, not the root.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MarkerRoot {
     frames: Vec<Option<Axes>>,

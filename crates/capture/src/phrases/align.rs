@@ -1,7 +1,5 @@
 //! Aligning the motion of a take with the timeline of its music.
 
-use std::collections::HashMap;
-use std::collections::hash_map::Entry;
 use std::ops::Range;
 use std::path::Path;
 
@@ -140,29 +138,22 @@ impl AlignedTrack {
         let segment_beats = timeline.segment_beats.as_ref();
         let segment_beats = segment_beats.ok_or("segments without beats")?;
         let (mut files, mut captures) = (Vec::new(), Vec::new());
-        // Index of each file among the captures; none if it is missing.
-        let mut known: HashMap<&str, Option<usize>> = HashMap::new();
         let (mut segments, mut missing) = (Vec::new(), Vec::new());
         let mut begins = 0.0;
         for segment in &take.plan.segments {
             let ends = begins + segment.beats;
-            let capture = match known.entry(&segment.motion) {
-                Entry::Occupied(place) => *place.get(),
-                Entry::Vacant(place) => {
-                    let path = plan.resolve(&segment.motion);
-                    let present = path.exists();
-                    if present {
-                        captures.push(root_source::read(&path, &take.plan)?);
-                        files.push(segment.motion.clone());
-                    }
-                    *place.insert(present.then(|| files.len() - 1))
-                }
-            };
+            let mut capture = files.iter().position(|file| *file == segment.motion);
+            let path = plan.resolve(&segment.motion);
+            if capture.is_none() && path.exists() {
+                captures.push(root_source::read(&path, &take.plan)?);
+                files.push(segment.motion.clone());
+                capture = Some(files.len() - 1);
+            }
             match capture {
                 Some(take) => {
                     let [first, last] = segment.frames;
-                    let frame =
-                        |beat: f64| first + (beat - begins) / segment.beats * (last - first);
+                    let part = |beat: f64| (beat - begins) / segment.beats;
+                    let frame = |beat: f64| first + part(beat) * (last - first);
                     // Between two beats, motion keeps its pace.
                     for pair in timeline.knots(begins, ends).windows(2) {
                         let [from, to] = [pair[0], pair[1]].map(|beat| segment_beats.moment(beat));
@@ -175,9 +166,8 @@ impl AlignedTrack {
                     }
                 }
                 None => {
-                    let [from, to] =
-                        [begins, ends].map(|beat| frame_at(segment_beats.moment(beat)));
-                    missing.push((from..to, segment.motion.clone()));
+                    let frame = |beat: f64| frame_at(segment_beats.moment(beat));
+                    missing.push((frame(begins)..frame(ends), segment.motion.clone()));
                 }
             }
             begins = ends;

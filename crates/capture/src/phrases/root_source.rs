@@ -10,7 +10,7 @@ use crate::plan::TakePlan;
 use crate::prepare::files::bytes;
 use crate::{Bvh, C3d, Error, RootPose, RootSource, RootTrack};
 
-/// Reads a capture file of any known kind, with the take's settings.
+/// Reads a capture file with the take's settings.
 pub(super) fn read(path: &Path, take: &TakePlan) -> Result<Box<dyn RootSource>, String> {
     let file = path.display().to_string();
     let bytes = bytes(path)?;

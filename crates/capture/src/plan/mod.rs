@@ -13,7 +13,6 @@ use kinegrad_data::{MAX_FRAMES, MIN_FRAMES, StoreConfig, check_groups};
 use kinegrad_settings::{Document, InvalidSetting, Refused, in_range, require};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use toml::Table;
 
 pub(crate) use clips::check_label;
 pub use clips::{CaptionsPlan, CapturePlan, ClipsPlan, LabelsPlan, Names, Wordings};
@@ -110,7 +109,15 @@ impl Plan {
         let parsed = Document::parse(&text, &file)?;
         let mut plan: Self = parsed.read(PLANS)?;
         plan.folder = path.parent().unwrap_or(Path::new("")).to_owned();
-        one_kind(&parsed.table).map_err(|problem| Error::plan(path, problem))?;
+        let has = |key: &&&str| parsed.table.contains_key(**key);
+        let (phrases, clips) = (OF_PHRASES.iter().find(has), OF_CLIPS.iter().find(has));
+        if let (Some(phrases), Some(clips)) = (phrases, clips) {
+            let problem = format!(
+                "`{phrases}` is for phrases and `{clips}` for clips: a plan makes one of them, so \
+                 write two plans"
+            );
+            return Err(Error::plan(path, problem));
+        }
         let checked = plan.check().hint(PLANS);
         checked.map_err(|setting| parsed.refuse(setting))?;
         if !plan.is_of_clips() && plan.takes.is_empty() && plan.choreonet.is_empty() {
@@ -162,17 +169,5 @@ impl Plan {
     /// A path of the plan, from the plan's folder.
     pub fn resolve(&self, path: &str) -> PathBuf {
         self.folder.join(path)
-    }
-}
-
-/// Rejects a plan with keys of phrases and keys of clips.
-fn one_kind(table: &Table) -> Result<(), String> {
-    let first = |keys: &[&'static str]| keys.iter().copied().find(|key| table.contains_key(*key));
-    match (first(&OF_PHRASES), first(&OF_CLIPS)) {
-        (Some(phrases), Some(clips)) => Err(format!(
-            "`{phrases}` is for phrases and `{clips}` for clips: a plan makes one of them, so write \
-             two plans"
-        )),
-        _ => Ok(()),
     }
 }

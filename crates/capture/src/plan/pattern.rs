@@ -6,7 +6,7 @@ use std::collections::BTreeSet;
 pub(crate) const TAKE: &str = "take";
 
 /// A part of a text with names in braces.
-#[derive(Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Part<'a> {
     Text(&'a str),
     Name(&'a str),

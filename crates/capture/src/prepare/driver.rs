@@ -5,12 +5,11 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use kinegrad_data::Digest;
 use rayon::prelude::*;
-use serde::Serialize;
 use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
 
 use super::journal::Journal;
 use super::output::Output;
-use super::report::Rejection;
 use crate::Error;
 
 /// Options of a preparation.
@@ -28,6 +27,17 @@ pub trait PrepareObserver: Sync {
     fn done(&self, takes: usize, total: usize);
     /// Returns true to stop after the takes under way.
     fn stop_requested(&self) -> bool;
+}
+
+/// Frames of a take that no phrase or clip has.
+#[derive(Clone, Debug, Deserialize, Serialize)]
+pub struct Rejection {
+    /// First of them on the take's time line.
+    pub first_frame: usize,
+    /// Number of frames.
+    pub frames: usize,
+    /// The reason.
+    pub reason: String,
 }
 
 /// An item of a dataset, as the journal of its take lists it.

@@ -1,7 +1,7 @@
 //! Contradictory constraints.
 
 use super::{Fixed, Job};
-use crate::{Constraint, Error, Looping, MotionMatrix};
+use crate::{Constraint, Error, Frames, Looping, MotionMatrix};
 
 impl Job {
     /// Rejects contradictory `constraints` of a motion of `frames` frames, key frames first.
@@ -21,12 +21,7 @@ impl Job {
         let (keys, fixed) = constraints.split_at(self.keyframes.len());
         for (index, one) in fixed.iter().enumerate() {
             for (other, before) in fixed[..index].iter().zip(&self.fixed) {
-                let values = |fixed: &Constraint, channel: usize| match fixed {
-                    Constraint::Channels { motion, .. } => Some(motion.columns(&[channel])),
-                    Constraint::Keyframe { .. } => None,
-                };
-                let differs = |channel: &usize| values(one, *channel) != values(other, *channel);
-                if let Some(channel) = shared(one, other).into_iter().find(differs) {
+                if let Some(channel) = contradiction(one, other) {
                     let own = &self.fixed[index];
                     let problem = format!(
                         "`{}` follows it, and {}, which is of `{}` too, follows {}",
@@ -99,17 +94,18 @@ fn channels(constraint: &Constraint) -> &[usize] {
     }
 }
 
-/// A channel with different values in two key frames.
+/// A channel with different values in two constraints of one kind.
 fn contradiction(one: &Constraint, other: &Constraint) -> Option<usize> {
-    let value = |key: &Constraint, channel: usize| match key {
+    let values = |constraint: &Constraint, channel: usize| match constraint {
+        Constraint::Channels { motion, .. } => Some(motion.columns(&[channel])),
         Constraint::Keyframe { source, from, .. } => {
-            let place = channels(key).iter().position(|&other| other == channel)?;
-            Some(source.frame(*from)[place])
+            let mut channels = channels(constraint).iter();
+            let place = channels.position(|&other| other == channel)?;
+            Some(Frames::new(1, vec![source.frame(*from)[place]]))
         }
-        Constraint::Channels { .. } => None,
     };
     let mut shared = shared(one, other).into_iter();
-    shared.find(|&channel| value(one, channel) != value(other, channel))
+    shared.find(|&channel| values(one, channel) != values(other, channel))
 }
 
 /// Name of the joint of a channel.

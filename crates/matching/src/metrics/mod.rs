@@ -26,13 +26,11 @@ const THRESHOLD: f64 = 2.0;
 const MOST_PAIRS: usize = 20_000_000;
 
 /// Measures of a new motion. Distances are Euclidean over the six numbers of each joint's rotation,
-/// averaged over the frames of a window. Definitions: the evaluation published with GANimator,
-/// which the paper follows; docs/sources/genmm.md.
+/// averaged over the frames of a window. Source: GANimator's evaluation; docs/sources/genmm.md.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Measures {
     /// Part of the examples' windows of 30 frames, the last of each left out, whose distance to the
-    /// nearest window of the motion is below 2. The threshold is loose: two frames of a dance are 2
-    /// to 3 apart on average.
+    /// nearest window of the motion is below 2, which is loose: frames of a dance are 2 to 3 apart.
     pub coverage: f64,
     /// Mean of these distances.
     pub window_cost: f64,
@@ -41,9 +39,8 @@ pub struct Measures {
     pub local_diversity: f64,
     /// Largest of these distances.
     pub furthest_window: f64,
-    /// Mean distance of the motion's frames to the examples', minimised over cuts of the motion
-    /// into segments of at least 30 frames that each follow one stretch of an example. None if all
-    /// examples are too short for a cut.
+    /// Mean distance of the motion's frames to the examples', minimised over cuts into segments of at
+    /// least 30 frames that each follow an example. None if all examples are too short for a cut.
     pub global_diversity: Option<f64>,
 }
 

@@ -6,14 +6,13 @@ use serde::Serialize;
 
 use crate::{MotionMatrix, percentile_95};
 
-/// The seam of a loop: the step from the last frame to the first and the change of velocity there,
-/// relative to the 95th percentiles of the rest. Means over the joints, in coordinates relative to
-/// the root.
+/// The seam of a loop, relative to the 95th percentiles of the rest. Means over the joints, in
+/// coordinates relative to the root.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Seam {
-    /// The step.
+    /// The step from the last frame to the first.
     pub step: f64,
-    /// The change of velocity.
+    /// The change of velocity there.
     pub velocity: f64,
 }
 

@@ -11,8 +11,7 @@ const STILL: f64 = 0.1;
 const UNCHANGED: f64 = 1e-5;
 
 /// Part of still frames: frames whose rotations differ from the frame before by less than a tenth
-/// of the examples' median. Means of many different patches move less than any of them, which
-/// neither coverage nor diversity shows.
+/// of the examples' median. Means of many different patches are still.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Stillness {
     /// Of the new motion.

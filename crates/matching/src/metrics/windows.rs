@@ -67,8 +67,8 @@ pub(super) fn cheapest(motion: &Frames, targets: &[Frames], window: usize) -> Ve
 }
 
 /// Mean distance of the frames of `motion` to the targets, minimised over cuts into segments of at
-/// least `shortest` frames that each follow a stretch of a target: G(e) = min over s <= e -
-/// shortest of G(s) + the smallest sum for the frames from s to e.
+/// least `shortest` frames that each follow a target: G(e) = min over s <= e - shortest of G(s) +
+/// the smallest sum for the frames from s to e.
 pub(super) fn segmented(motion: &Frames, targets: &[Frames], shortest: usize) -> f64 {
     let targets = Targets::new(targets);
     let motion = Padded::all_channels(motion);

@@ -57,8 +57,7 @@ pub(super) fn root_joint(bvh: &Bvh, ranges: &[f64]) -> usize {
 }
 
 /// [`root_joint`] of several motions with the ranges `all`, `[motions][joints]`, and `ranges` over
-/// all of them. If the root joint of one motion is below that of the others in a chain without
-/// branches, it is the root joint of all: its world position contains the whole trajectory.
+/// all of them: the lowest one in a chain without branches, which has the whole trajectory.
 pub(super) fn common_root_joint(bvh: &Bvh, all: &[Vec<f64>], ranges: &[f64]) -> usize {
     let own = all.iter().map(|ranges| root_joint(bvh, ranges));
     own.fold(root_joint(bvh, ranges), |joint, own| {
