@@ -45,7 +45,6 @@ impl Bvh {
 struct Reader<'a> {
     file: &'a str,
     lines: std::iter::Enumerate<std::str::Lines<'a>>,
-    /// The rest of the current line.
     rest: &'a str,
     /// The current line, counted from 1.
     line: usize,

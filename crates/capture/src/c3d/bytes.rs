@@ -12,7 +12,6 @@ pub enum Processor {
 }
 
 impl Processor {
-    /// The processor of the type byte of the parameter section.
     pub(super) fn from_type(byte: u8) -> Option<Self> {
         match byte {
             84 => Some(Self::Intel),

@@ -14,7 +14,6 @@ pub(super) struct Parameter<'a> {
     pub offset: usize,
 }
 
-/// All parameters of a file.
 pub(super) struct Parameters<'a> {
     processor: Processor,
     groups: Vec<(i8, String)>,

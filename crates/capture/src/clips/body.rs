@@ -205,7 +205,6 @@ fn toes_ahead(joints: &Joints, skeleton: &Skeleton) -> [f64; 2] {
     [(left_ankle, left_toes), (right_ankle, right_toes)].map(of_foot)
 }
 
-/// The index of a joint of the skeleton.
 fn named(skeleton: &Skeleton, joint: &str) -> usize {
     let names = &skeleton.description().joint_names;
     let place = names.iter().position(|name| name == joint);

@@ -91,13 +91,11 @@ fn floor(skeleton: &Skeleton, joints: &Joints) -> f64 {
     standing[(BELOW * standing.len() as f64) as usize]
 }
 
-/// The height of the lowest joint.
 fn lowest(joints: &Joints) -> f64 {
     let heights = joints.as_slice().iter().map(|[_, y, _]| *y);
     heights.fold(f64::INFINITY, f64::min)
 }
 
-/// The joints, moved up.
 fn raised(joints: &Joints, by: f64) -> Result<Joints, FeatureError> {
     let places = joints.as_slice().iter().map(|[x, y, z]| [*x, y + by, *z]);
     Joints::new(places.collect(), joints.joints())

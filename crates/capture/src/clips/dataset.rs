@@ -36,7 +36,6 @@ fn clip_files(store: &Store) -> Result<Vec<Object>, StoreError> {
     Ok(files)
 }
 
-/// The id of the clip that a file belongs to.
 fn clip_id(path: &str) -> Option<&str> {
     let (_, name) = path.rsplit_once('/')?;
     name.rsplit_once('.').map(|(id, _)| id)
@@ -157,7 +156,6 @@ fn statistics(
     Ok(statistics_files(root, &statistics))
 }
 
-/// The columns of the manifest.
 fn columns(rows: &[(ClipRow, Part)]) -> Vec<(String, Cells)> {
     let text = |value: &dyn Fn(&ClipRow) -> Option<String>| {
         Cells::Texts(rows.iter().map(|(row, _)| value(row)).collect())

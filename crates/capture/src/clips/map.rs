@@ -9,7 +9,6 @@ use serde::{Deserialize, Serialize};
 
 use crate::{Bvh, RootPose};
 
-/// The built-in maps by their names.
 const BUILT_IN: [(&str, &str); 6] = [
     ("bandai", include_str!("maps/bandai.toml")),
     ("cmu", include_str!("maps/cmu.toml")),
@@ -29,7 +28,7 @@ const SHOWN: usize = 8;
 /// The place of each joint of a skeleton in a capture.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct JointMap {
-    name: String,
+    pub name: String,
     /// Sources of the skeleton's joints, in its order.
     joints: Vec<(String, Source)>,
 }
@@ -38,12 +37,18 @@ pub(super) struct JointMap {
 #[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
 #[serde(try_from = "toml::Value")]
 enum Source {
-    /// A joint of the capture.
     Joint(String),
     /// A fraction `at` of the line between two joints.
-    Between { from: String, to: String, at: f64 },
+    Between {
+        from: String,
+        to: String,
+        at: f64,
+    },
     /// A fraction `at` of the line from a joint to its first End Site that is not at the joint.
-    EndSite { end_site: String, at: f64 },
+    EndSite {
+        end_site: String,
+        at: f64,
+    },
 }
 
 impl TryFrom<toml::Value> for Source {
@@ -87,7 +92,6 @@ impl TryFrom<toml::Value> for Source {
 }
 
 impl Source {
-    /// The joints of the capture that it names.
     fn names(&self) -> Vec<&str> {
         match self {
             Self::Joint(joint) => vec![joint],
@@ -231,11 +235,6 @@ impl JointMap {
                 best.lacking(bvh)
             )),
         }
-    }
-
-    /// Its name.
-    pub fn name(&self) -> &str {
-        &self.name
     }
 
     /// A text that changes with the content of the map.

@@ -32,7 +32,6 @@ impl Part {
 }
 
 impl fmt::Display for Part {
-    /// `train`, `val` or `test`.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         self.serialize(f)
     }
@@ -134,18 +133,13 @@ impl SplitPlan {
     }
 
     /// The set that patterns name for the take of this name.
-    fn named(&self, name: &str) -> Part {
+    pub(super) fn named(&self, name: &str) -> Part {
         let any = |patterns: &[String]| patterns.iter().any(|pattern| matches(pattern, name));
         match (any(&self.test), any(&self.validation)) {
             (true, _) => Part::Test,
             (false, true) => Part::Val,
             (false, false) => Part::Train,
         }
-    }
-
-    /// True if a pattern holds out the take of this name.
-    pub(super) fn names(&self, name: &str) -> bool {
-        self.named(name) != Part::Train
     }
 }
 

@@ -37,7 +37,6 @@ pub(super) struct Take {
     pub map: Option<JointMap>,
 }
 
-/// The inputs of a take.
 pub(super) struct TakeInput {
     labels: Labels,
     number: Option<u64>,
@@ -62,7 +61,7 @@ impl Take {
             }
         }
         let bytes = bytes(&self.motion)?;
-        let map = self.map.as_ref().map(|map| (map.name(), map.fingerprint()));
+        let map = self.map.as_ref().map(|map| (&map.name, map.fingerprint()));
         let wanted = (&self.name, &self.capture, plan.clips(), map);
         let derived = (&found.labels, found.take, &captions);
         let text = serde_json::to_string(&(wanted, derived)).expect("plain data");
@@ -188,7 +187,7 @@ impl Take {
         };
         let rate = fps.unwrap_or(1.0 / bvh.frame_time());
         let body = Body::of_places(map.joints_of(&bvh)?, skeleton, rate, units, up)?;
-        Ok((map.name().to_owned(), body))
+        Ok((map.name.clone(), body))
     }
 
     /// The file's frames, at `rate` per second, of the part that the plan asks for.

@@ -69,7 +69,6 @@ pub(super) fn takes(plan: &Plan) -> Result<Vec<Take>, String> {
     Ok(takes)
 }
 
-/// The joint map that a plan names.
 fn read_map(plan: &Plan, map: &str) -> Result<JointMap, String> {
     let ending = Path::new(map).extension();
     if ending.is_none_or(|ending| ending != "toml") {
@@ -81,7 +80,6 @@ fn read_map(plan: &Plan, map: &str) -> Result<JointMap, String> {
     JointMap::parse(&file, &text, &Skeleton::humanml3d())
 }
 
-/// The tables of captions of a plan.
 pub(super) fn tables(plan: &Plan) -> Result<Tables, String> {
     let mut tables = Tables::new();
     for file in plan.captures.iter().filter_map(|c| c.captions.as_ref()) {

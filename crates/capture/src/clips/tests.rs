@@ -88,7 +88,7 @@ fn a_body_is_where_its_joints_were_with_unit_and_axis_found() {
         let text = capture(&joints, map, 30.0);
         let bvh = Bvh::parse(text.as_bytes(), "take.bvh").unwrap();
         let found = JointMap::fitting(&bvh).unwrap();
-        assert_eq!(found.name(), map);
+        assert_eq!(found.name, map);
         // The file in inches and with +z up is the same body.
         let inches = bvh.converted(1.0 / 2.54, UpAxis::Y).unwrap();
         for (bvh, metres) in [(&bvh, 0.01), (&inches, 0.0254)] {

@@ -36,13 +36,12 @@ struct Interval {
 /// The takes of a plan's choreographies. A unit without an interval (START, HOLD) is a gap.
 pub(super) fn takes(plan: &Plan, choreonet: &ChoreonetPlan) -> Result<Vec<TakePlan>, Error> {
     let dances = plan.resolve(&choreonet.choreography);
-    let bytes =
-        read_file(&dances, MAX_TEXT_BYTES).map_err(|problem| Error::plan(&dances, problem))?;
-    let dances: Vec<Dance> =
-        serde_json::from_slice(&bytes).map_err(|problem| Error::plan(&dances, problem))?;
+    let bytes = read_file(&dances, MAX_TEXT_BYTES).map_err(|e| Error::plan(&dances, e))?;
+    let all = serde_json::from_slice::<Vec<Dance>>(&bytes);
+    let all = all.map_err(|problem| Error::plan(&dances, problem))?;
     let intervals = intervals(&plan.resolve(&choreonet.intervals))?;
     let take = |dance| take(choreonet, &intervals, dance);
-    dances.into_iter().map(take).collect()
+    all.into_iter().map(take).collect()
 }
 
 /// The first interval of each movement.

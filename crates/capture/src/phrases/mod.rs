@@ -32,7 +32,6 @@ use crate::prepare::{Maker, PrepareObserver, PrepareOptions, Rejection, Report, 
 use resolve::{Take, resolve};
 use song::Song;
 
-/// The files of a dataset of phrases.
 const PHRASES: Parts = Parts {
     list: phrase_files,
     id: phrase_id,
@@ -104,7 +103,6 @@ pub fn prepare(
     Ok(Some(report))
 }
 
-/// The files of phrases in `store`.
 fn phrase_files(store: &Store) -> Result<Vec<Object>, StoreError> {
     let mut files = Vec::new();
     for (folder, file) in [MOTION_FILE, AUDIO_FILE] {
@@ -117,7 +115,6 @@ fn phrase_files(store: &Store) -> Result<Vec<Object>, StoreError> {
     Ok(files)
 }
 
-/// The id of the phrase that a file belongs to.
 fn phrase_id(path: &str) -> Option<&str> {
     let (folder, _) = path.rsplit_once('/')?;
     folder.rsplit_once('/').map(|(_, id)| id)

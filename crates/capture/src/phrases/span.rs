@@ -32,7 +32,6 @@ impl Span {
         }
     }
 
-    /// Stated beats within it.
     fn stated_beats(&self) -> f64 {
         let seconds = self.end - self.stated.start_seconds;
         (seconds / self.stated.seconds_per_beat).max(0.0)

@@ -37,12 +37,10 @@ impl SplitPlan {
         for row in rows {
             row.split = side(held_out.contains(&song(row)));
         }
+        let note = "one song alone: no phrase is held out, because phrases of a training song do not \
+                    measure generalisation (name some in `split.validation` to hold them out)";
         SplitResult {
-            note: alone.then(|| {
-                "one song alone: no phrase is held out, because phrases of a training song do not \
-                 measure generalisation (name some in `split.validation` to hold them out)"
-                    .to_owned()
-            }),
+            note: alone.then(|| note.to_owned()),
             held_out,
         }
     }

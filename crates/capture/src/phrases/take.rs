@@ -33,7 +33,6 @@ pub(super) struct AlignedTake<'a> {
     take: &'a Take,
     song: Option<&'a Song>,
     timeline: Timeline,
-    /// The audio features of the whole song.
     features: Option<AudioFeatures>,
     layout: AudioLayout,
     aligned: AlignedTrack,
@@ -114,7 +113,6 @@ impl Take {
         })
     }
 
-    /// The stated and tracked beats of the take.
     fn timeline(&self, song: Option<&Song>) -> Result<Timeline, String> {
         let plan = &self.plan;
         match plan.beats {

@@ -28,22 +28,20 @@ impl TryFrom<toml::Value> for Units {
     type Error = String;
 
     fn try_from(value: toml::Value) -> Result<Self, String> {
-        let found = match value {
-            toml::Value::Float(metres) => return Ok(Self::Metres(metres)),
-            toml::Value::Integer(metres) => return Ok(Self::Metres(metres as f64)),
-            toml::Value::String(name) => match name.as_str() {
-                "m" => return Ok(Self::M),
-                "cm" => return Ok(Self::Cm),
-                "mm" => return Ok(Self::Mm),
-                "inch" => return Ok(Self::Inch),
-                "cmu" => return Ok(Self::Cmu),
-                _ => format!("value: string {name:?}"),
-            },
-            other => format!("type: {} `{other}`", other.type_str()),
+        let found = match (value.as_str(), &value) {
+            (_, toml::Value::Float(metres)) => return Ok(Self::Metres(*metres)),
+            (_, toml::Value::Integer(metres)) => return Ok(Self::Metres(*metres as f64)),
+            (Some("m"), _) => return Ok(Self::M),
+            (Some("cm"), _) => return Ok(Self::Cm),
+            (Some("mm"), _) => return Ok(Self::Mm),
+            (Some("inch"), _) => return Ok(Self::Inch),
+            (Some("cmu"), _) => return Ok(Self::Cmu),
+            (Some(name), _) => format!("value: string {name:?}"),
+            (None, other) => format!("type: {} `{other}`", other.type_str()),
         };
+        let names = "\"m\", \"cm\", \"mm\", \"inch\", \"cmu\"";
         Err(format!(
-            "invalid {found}, expected units: \"m\", \"cm\", \"mm\", \"inch\", \"cmu\", or a \
-             number of metres"
+            "invalid {found}, expected units: {names}, or a number of metres"
         ))
     }
 }

@@ -46,7 +46,6 @@ pub(crate) trait Row: DeserializeOwned + Serialize + Send {
     fn files(&self) -> [(String, i64, Digest); 2];
 }
 
-/// The report of a take.
 pub(crate) trait Report: DeserializeOwned + Serialize + Send {
     /// The report of the take `name`, which cannot be used.
     fn failed(name: &str, problem: String) -> Self;
@@ -58,7 +57,6 @@ pub(crate) trait Report: DeserializeOwned + Serialize + Send {
 pub(crate) trait Maker: Sync {
     /// The kind of item, for messages.
     const ITEM: &'static str;
-    /// A take of the plan.
     type Take: Sync;
     /// Data that is read before it is known if the take must be made again.
     type Input;

@@ -86,6 +86,9 @@ impl Output {
         let files = (parts.list)(&store)?.into_iter();
         let present: HashMap<_, _> = files.map(|file| (file.path, file.bytes)).collect();
         refuse_foreign(&store, parts, present.is_empty())?;
+        let now = UNIX_EPOCH.elapsed().unwrap_or_default().as_nanos();
+        let text = format!("{now} {}", std::process::id());
+        let mark = serde_json::json!({ "preparation": Digest::of(text.as_bytes()) });
         let mut state = WriteState::default();
         // An empty folder stays empty if nothing can be made.
         if store.place(LOCK)?.is_some_and(|lock| lock.exists()) {
@@ -95,7 +98,7 @@ impl Output {
         Ok(Self {
             present,
             parts,
-            mark: mark(),
+            mark: mark.to_string().into_bytes(),
             state: Mutex::new(state),
             store,
         })
@@ -167,14 +170,6 @@ impl Output {
         }
         Ok(report)
     }
-}
-
-/// See [`Output::mark`].
-fn mark() -> Vec<u8> {
-    let now = UNIX_EPOCH.elapsed().unwrap_or_default().as_nanos();
-    let text = format!("{now} {}", std::process::id());
-    let mark = serde_json::json!({ "preparation": Digest::of(text.as_bytes()) });
-    mark.to_string().into_bytes()
 }
 
 fn busy(store: &Store) -> Error {
