@@ -102,8 +102,10 @@ impl Stretch {
         hop: usize,
     ) -> Result<Vec<(usize, Phrase)>, Error> {
         let phrase = |start| {
-            let motion = self.phrase(start..start + length)?;
-            Ok((self.first_frame + start, motion))
+            Ok((
+                self.first_frame + start,
+                self.phrase(start..start + length)?,
+            ))
         };
         let starts = self.starts(first, length, hop)?;
         starts.into_iter().map(phrase).collect()

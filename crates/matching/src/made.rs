@@ -22,8 +22,7 @@ pub struct Made {
     pub parts: Vec<Part>,
     /// Foot sliding, if feet are locked.
     pub sliding: Option<Sliding>,
-    /// With fixed parts: the 95th percentile of jerk, relative to the largest of the examples and
-    /// fixed motions.
+    /// With fixed parts: the 95th percentile of jerk, relative to that of the source motions.
     pub jerk: Option<f64>,
 }
 

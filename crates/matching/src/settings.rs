@@ -70,8 +70,7 @@ impl TryFrom<String> for CoarseRatio {
 #[derive(Clone, Copy, Debug, Deserialize, Eq, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Start {
-    /// The examples joined end to end, resampled, plus noise, modulo 1, as in the published
-    /// program.
+    /// The joined examples, resampled, plus noise, modulo 1, as in the published program.
     Examples,
     /// Noise alone, as in the paper.
     Noise,
@@ -87,8 +86,7 @@ pub enum Looping {
     /// As in the published program: near the seam a frame is the mean of the means of both sides,
     /// and half a patch away from it the motion jumps.
     Halves,
-    /// Every frame is the mean of all patches that cover it around the loop, and levels are
-    /// resampled around it: the seam is not special.
+    /// Every frame is the mean of all patches that cover it around the loop; the seam is not special.
     Even,
 }
 
@@ -96,8 +94,7 @@ pub enum Looping {
 #[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Preset {
-    /// The published program: K 5, 3 steps, mean square, examples with noise, the whole body as one
-    /// part.
+    /// The published program: K 5, 3 steps, mean square, examples with noise, one part.
     #[default]
     Published,
     /// The paper: K 4, 5 steps, Euclidean distance, noise alone, body parts, foot contacts.
@@ -108,8 +105,7 @@ pub enum Preset {
 #[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct Settings {
-    /// Frames of a patch, p; odd. A smaller patch sees less of the motion and makes transitions
-    /// more frequent.
+    /// Frames of a patch, p; odd. Smaller patches make transitions more frequent.
     pub patch_size: usize,
     /// Length of a level divided by that of the next finer one.
     pub pyr_factor: f64,

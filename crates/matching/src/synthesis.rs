@@ -217,19 +217,9 @@ pub fn synthesize_like(
 /// every level.
 fn refined(
     request: &Request<'_>,
-    coarsest: impl Fn(&[Frames], usize) -> Frames + Send,
+    coarsest: impl Fn(&[Frames], usize) -> Frames + Sync,
 ) -> Result<Synthesis, InvalidSetting> {
     let levels = request.levels()?;
-    // On a thread of the pool: from outside, each of many short loops would wait to be scheduled.
-    Ok(rayon::scope(|_| refined_over(&levels, request, coarsest)))
-}
-
-/// [`refined`] over `levels`.
-fn refined_over(
-    levels: &Levels,
-    request: &Request<'_>,
-    coarsest: impl Fn(&[Frames], usize) -> Frames,
-) -> Synthesis {
     let settings = request.settings;
     let (looping, is_loop) = (settings.looping, settings.looping != Looping::Off);
     let channels = request.examples[0].channels();
@@ -241,46 +231,49 @@ fn refined_over(
         [] => &body[..],
         groups => groups,
     };
-    let mut current: Option<Frames> = None;
-    let mut origins = Vec::new();
-    for (level, &length) in levels.synthesis.iter().enumerate() {
-        let examples = request.examples.iter().zip(&levels.examples);
-        let examples = examples.map(|(example, lengths)| example.resampled(lengths[level]));
-        let examples: Vec<Frames> = examples.collect();
-        let mut frames = match current {
-            None => coarsest(&examples, length),
-            Some(coarser) if looping == Looping::Even => coarser.resampled_loop(length),
-            Some(coarser) => coarser.resampled(length),
-        };
-        let bent = Constraint::apply_all(request.constraints, &mut frames, is_loop);
-        let pools = groups.iter().map(|group| {
-            let own = |example: &Frames| group.of(example).into_owned();
-            let own: Vec<Frames> = examples.iter().map(own).collect();
-            Pool::new(&own, settings.patch_size)
-        });
-        let pools: Vec<Pool> = pools.collect();
-        let search = |pool| Search::new(pool, settings.distance).among(pools.len());
-        let mut searches: Vec<Search<'_>> = pools.iter().map(search).collect();
-        for _ in 0..settings.num_steps {
-            let voted = groups.iter().zip(pools.iter().zip(&mut searches));
-            let (voted, matches): (Vec<Frames>, Vec<Matches>) = voted
-                .map(|(group, (pool, search))| {
-                    let own = group.of(&frames);
-                    step(&own, pool, search, settings.alpha, looping, &bent)
-                })
-                .unzip();
-            frames = merged(groups, voted, channels);
-            Constraint::apply_all(request.constraints, &mut frames, is_loop);
-            let found = matches.iter().zip(&pools);
-            let found = found.map(|(matches, pool)| origins_of(matches, pool, length, is_loop));
-            origins = found.collect();
+    // On a thread of the pool: from outside, each of many short loops would wait to be scheduled.
+    Ok(rayon::scope(|_| {
+        let mut current: Option<Frames> = None;
+        let mut origins = Vec::new();
+        for (level, &length) in levels.synthesis.iter().enumerate() {
+            let examples = request.examples.iter().zip(&levels.examples);
+            let examples = examples.map(|(example, lengths)| example.resampled(lengths[level]));
+            let examples: Vec<Frames> = examples.collect();
+            let mut frames = match current {
+                None => coarsest(&examples, length),
+                Some(coarser) if looping == Looping::Even => coarser.resampled_loop(length),
+                Some(coarser) => coarser.resampled(length),
+            };
+            let bent = Constraint::apply_all(request.constraints, &mut frames, is_loop);
+            let pools = groups.iter().map(|group| {
+                let own = |example: &Frames| group.of(example).into_owned();
+                let own: Vec<Frames> = examples.iter().map(own).collect();
+                Pool::new(&own, settings.patch_size)
+            });
+            let pools: Vec<Pool> = pools.collect();
+            let search = |pool| Search::new(pool, settings.distance).among(pools.len());
+            let mut searches: Vec<Search<'_>> = pools.iter().map(search).collect();
+            for _ in 0..settings.num_steps {
+                let voted = groups.iter().zip(pools.iter().zip(&mut searches));
+                let (voted, matches): (Vec<Frames>, Vec<Matches>) = voted
+                    .map(|(group, (pool, search))| {
+                        let own = group.of(&frames);
+                        step(&own, pool, search, settings.alpha, looping, &bent)
+                    })
+                    .unzip();
+                frames = merged(groups, voted, channels);
+                Constraint::apply_all(request.constraints, &mut frames, is_loop);
+                let found = matches.iter().zip(&pools);
+                let found = found.map(|(matches, pool)| origins_of(matches, pool, length, is_loop));
+                origins = found.collect();
+            }
+            current = Some(frames);
         }
-        current = Some(frames);
-    }
-    Synthesis {
-        frames: current.expect("a level"),
-        origins,
-    }
+        Synthesis {
+            frames: current.expect("a level"),
+            origins,
+        }
+    }))
 }
 
 /// Merges the motions of groups; shared channels are averaged.

@@ -50,12 +50,10 @@ struct BvhWriter {
     bones: Vec<Bone>,
 }
 
-/// A bone of the skeleton in the tree of the file.
+/// A bone between two joints of the skeleton, and the joint of the file that rotates it.
 struct Bone {
-    /// Its ends among the skeleton's joints.
     start: usize,
     end: usize,
-    /// The joint of the file that rotates it.
     turned_by: usize,
 }
 

@@ -1,7 +1,5 @@
 //! Writing BVH text.
 
-use std::fmt::Write;
-
 use kinegrad_motion::Quaternion;
 
 use kinegrad_settings::InvalidSetting;
@@ -119,8 +117,7 @@ impl Bvh {
             line(&mut text, depth, "}");
         }
         let (frames, frame_time) = (self.frames(), self.frame_time);
-        writeln!(text, "MOTION\nFrames: {frames}\nFrame Time: {frame_time}")
-            .expect("text grows without fail");
+        text += &format!("MOTION\nFrames: {frames}\nFrame Time: {frame_time}\n");
         for t in 0..frames {
             let numbers: Vec<String> = self.frame(t).iter().map(|v| format!("{v:.6}")).collect();
             line(&mut text, 0, &numbers.join(" "));
@@ -166,7 +163,7 @@ fn check(
     require(finite, "rotations", "not finite", "unit quaternions")
 }
 
-/// The joints in the order of the text: each followed by all that hangs on it.
+/// The joints in the order of the text: each followed by its descendants.
 fn depth_first(figure: &[Joint]) -> Vec<usize> {
     let mut order = Vec::with_capacity(figure.len());
     let mut waiting = vec![0];

@@ -21,17 +21,15 @@ const UNITS: [Units; 5] = [Units::M, Units::Cm, Units::Mm, Units::Inch, Units::C
 const SLOWEST: f64 = 10.0;
 
 /// The joints of a body over a take.
-#[derive(Clone, Debug)]
+#[derive(Debug)]
 pub(super) struct Body {
     /// Joint positions, `[frames, J]`, metres, +y up.
     pub joints: Joints,
     /// Frames per second.
     pub rate: f64,
-    /// Metres of a unit of the file.
     pub metres_per_unit: f64,
     /// The axis of the file that points up.
     pub up: UpAxis,
-    /// Notes for the report.
     pub notes: Vec<String>,
 }
 

@@ -9,18 +9,16 @@ use serde_json::Value;
 use super::captions::Labels;
 use crate::plan::{LabelsPlan, Names, Part, Plan, TAKE, check_label, parts};
 
-/// Labels and captions of one capture.
-#[derive(Clone, Debug, Default, PartialEq)]
+/// Labels, take number and captions of one capture.
+#[derive(Debug, Default)]
 pub(super) struct CaptureLabels {
     pub labels: Labels,
-    /// The number of its take.
     pub take: Option<u64>,
-    /// The captions of the table.
     pub captions: Vec<String>,
 }
 
 /// A table of captions.
-#[derive(Clone, Debug, Default)]
+#[derive(Debug)]
 pub(super) struct CaptionTable {
     file: String,
     /// Labels and captions by the name of the motion file without ending.

@@ -211,11 +211,10 @@ fn height_note(track: &RootTrack) -> Option<String> {
 
 /// The number of frames, at most those of the song.
 fn frames_until(wanted: usize, song: Option<&Song>) -> Result<usize, String> {
-    let frames = song.map_or(wanted, |song| wanted.min(song.features.frames()));
-    if wanted > MAX_FRAMES {
-        return Err(format!("{wanted} frames found, {MAX_FRAMES} allowed"));
+    match wanted {
+        0..=MAX_FRAMES => Ok(song.map_or(wanted, |song| wanted.min(song.features.frames()))),
+        _ => Err(format!("{wanted} frames found, {MAX_FRAMES} allowed")),
     }
-    Ok(frames)
 }
 
 /// True if any marker was interpolated.

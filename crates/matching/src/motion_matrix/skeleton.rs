@@ -27,8 +27,7 @@ pub(crate) fn thinning(bvh: &Bvh) -> (usize, f64) {
 /// each joint within its parent.
 pub(super) fn root_joint(bvh: &Bvh, ranges: &[f64]) -> usize {
     let joints = bvh.joints();
-    // A collar bone that slides further than the body sways does not carry it, nor does a back that
-    // sways behind a still pelvis.
+    // A sliding collar bone does not carry the body, nor does a back that sways behind a pelvis.
     let mut below = vec![1; joints.len()];
     for joint in (0..joints.len()).rev() {
         if let Some(parent) = joints[joint].parent {
