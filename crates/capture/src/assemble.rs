@@ -167,7 +167,7 @@ mod tests {
         for (t, moment) in assembly.moments.iter().enumerate() {
             assert_eq!(moment.unwrap().segment, t / 3);
         }
-        assert!(assembly.track.valid().iter().all(|valid| *valid));
+        assert!(assembly.track.valid.iter().all(|valid| *valid));
     }
 
     #[test]
@@ -175,7 +175,7 @@ mod tests {
         let assembly =
             assemble(&[&counting(10, 30.0)], &[segment(5.0..20.0, 0.0, 0.5)], 15).unwrap();
         let valid: Vec<bool> = (0..15).map(|t| t < 5).collect();
-        assert_eq!(assembly.track.valid(), valid);
+        assert_eq!(assembly.track.valid, valid);
         assert!(
             assembly
                 .moments

@@ -190,10 +190,10 @@ mod tests {
             let assembly = pieces(&takes, &[(0, 0), (0, second)]);
             let (track, borders) = join(&assembly, &Joining::default()).unwrap();
             prop_assert_eq!(borders, vec![30]);
-            let velocity = forward_differences(track.positions(), FPS);
+            let velocity = forward_differences(&track.positions, FPS);
             let jump = [0, 1, 2].map(|i| velocity[29][i] - velocity[28][i]);
             prop_assert!(length(jump) < 1e-9, "the velocity is continuous: {jump:?}");
-            let turning = angular_velocity(track.orientations(), FPS);
+            let turning = angular_velocity(&track.orientations, FPS);
             prop_assert!(length(turning[29]) < 1e-9, "the orientation is continuous: {turning:?}");
             // After the fade, nothing but a turn about the vertical and a move on the floor is
             // left.
@@ -237,10 +237,10 @@ mod tests {
             ..Joining::default()
         };
         let (track, _) = join(&pieces(&takes, &[(0, 50), (0, 0)]), &sharp).unwrap();
-        let [_, height, _] = track.positions()[30];
-        assert!((height - takes[0].positions()[0][1]).abs() < 1e-12);
+        let [_, height, _] = track.positions[30];
+        assert!((height - takes[0].positions[0][1]).abs() < 1e-12);
         // The heading continues all the same.
-        let yaws = [29, 30].map(|t| track.orientations()[t].yaw());
+        let yaws = [29, 30].map(|t| track.orientations[t].yaw());
         assert!((yaws[0] - yaws[1]).abs() < 1e-9);
     }
 
@@ -253,7 +253,7 @@ mod tests {
         let (track, borders) = join(&assembly, &Joining::default()).unwrap();
         assert!(borders.is_empty());
         assert_eq!(track.stretches(), [0..29, 30..60]);
-        assert_eq!(track.positions()[30], takes[0].positions()[0]);
+        assert_eq!(track.positions[30], takes[0].positions[0]);
         let never = Joining {
             max_step_seconds: 0.0,
             ..Joining::default()

@@ -24,7 +24,7 @@
 //!     beats_per_bar: 4,
 //!     beats: None,
 //! });
-//! let phase = beats.phase(track.positions().len(), FPS)?;
+//! let phase = beats.phase(track.positions.len(), FPS)?;
 //! let phrases = stretches(&track, &phase)?[0].phrases(0, 60, 30)?;
 //! assert_eq!(phrases.len(), 3);
 //! for (_, phrase) in &phrases {

@@ -38,8 +38,8 @@ pub fn stretches(track: &RootTrack, phase: &[f64]) -> Result<Vec<Stretch>, Error
         }));
     }
     let of_run = |frames: Range<usize>| {
-        let positions = track.positions()[frames.clone()].to_vec();
-        let orientations = track.orientations()[frames.clone()].to_vec();
+        let positions = track.positions[frames.clone()].to_vec();
+        let orientations = track.orientations[frames.clone()].to_vec();
         Stretch {
             first_frame: frames.start,
             style: style::describe(&positions, &orientations),

@@ -61,9 +61,12 @@ pub trait RootSource {
 /// frames, with w >= 0 in the first frame of the run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RootTrack {
-    positions: Vec<[f64; 3]>,
-    orientations: Vec<Quaternion>,
-    valid: Vec<bool>,
+    /// Places, `[frames, 3]`, metres; the origin where not valid.
+    pub positions: Vec<[f64; 3]>,
+    /// Orientations, `[frames]`; the identity where not valid.
+    pub orientations: Vec<Quaternion>,
+    /// True for each known frame, `[frames]`.
+    pub valid: Vec<bool>,
     rate: f64,
 }
 
@@ -138,21 +141,6 @@ impl RootTrack {
             valid,
             rate,
         })
-    }
-
-    /// Places, `[frames, 3]`, metres; the origin where not valid.
-    pub fn positions(&self) -> &[[f64; 3]] {
-        &self.positions
-    }
-
-    /// Orientations, `[frames]`; the identity where not valid.
-    pub fn orientations(&self) -> &[Quaternion] {
-        &self.orientations
-    }
-
-    /// True for each known frame, `[frames]`.
-    pub fn valid(&self) -> &[bool] {
-        &self.valid
     }
 
     /// The pose of frame `t`, none where it is not valid or beyond the end.
@@ -316,7 +304,7 @@ mod tests {
     fn signs_start_positive_and_stay_continuous() {
         let spins = (0..400).map(|t| spin(3.0, f64::from(t) / 30.0).orientation.scale(-2.0));
         let track = RootTrack::new(vec![[0.0; 3]; 400], spins.collect(), 30.0).unwrap();
-        let orientations = track.orientations();
+        let orientations = &track.orientations;
         assert!(orientations[0].w > 0.0 && orientations.iter().any(|q| q.w < -0.5));
         assert!(
             orientations

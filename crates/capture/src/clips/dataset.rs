@@ -167,7 +167,7 @@ fn columns(rows: &[(ClipRow, Part)]) -> Vec<(String, Cells)> {
         Cells::Numbers(rows.iter().map(|(row, _)| value(row)).collect())
     };
     let named = |(name, cells): (&str, Cells)| (name.to_owned(), cells);
-    let split = rows.iter().map(|(_, part)| Some(part.to_string()));
+    let split = rows.iter().map(|(_, part)| Some(part.name().to_owned()));
     let mirrored = rows.iter().map(|(row, _)| row.mirrored);
     let labels: BTreeSet<&String> = rows.iter().flat_map(|(row, _)| row.labels.keys()).collect();
     let before = [

@@ -146,7 +146,7 @@ fn finish(
     let made: BTreeSet<String> = made.map(|(path, ..)| path).collect();
     let mut counts = BTreeMap::new();
     for (_, part) in &rows {
-        *counts.entry(part.to_string()).or_default() += 1;
+        *counts.entry(part.name().to_owned()).or_default() += 1;
     }
     let seconds = rows.iter().map(|(row, _)| row.frames as f64 / row.fps);
     let report = |stale| ClipsReport {

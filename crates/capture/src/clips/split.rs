@@ -1,17 +1,14 @@
 //! Division of takes into training, validation and test sets.
 
 use std::collections::BTreeMap;
-use std::fmt;
 
 use kinegrad_data::matches;
-use serde::{Deserialize, Serialize};
 
 use super::captions::Labels;
 use crate::plan::SplitPlan;
 
 /// The set of a clip.
-#[derive(Clone, Copy, Debug, Deserialize, Eq, Ord, PartialEq, PartialOrd, Serialize)]
-#[serde(rename_all = "snake_case")]
+#[derive(Clone, Copy, Debug, Eq, PartialEq)]
 pub(super) enum Part {
     Train,
     Val,
@@ -29,11 +26,10 @@ impl Part {
             Self::Test => "test.txt",
         }
     }
-}
 
-impl fmt::Display for Part {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        self.serialize(f)
+    /// `train`, `val` or `test`.
+    pub fn name(self) -> &'static str {
+        self.list().trim_end_matches(".txt")
     }
 }
 
@@ -124,9 +120,10 @@ impl SplitPlan {
             let Some(other) = windows.iter().find(|&&w| lists[w] != lists[windows[0]]) else {
                 continue;
             };
+            let [one, two] = [windows[0], *other].map(|w| (takes[w].name, lists[w].name()));
             notes.push(format!(
                 "takes `{}` and `{}` are of one file and on different lists: {} and {}",
-                takes[windows[0]].name, takes[*other].name, lists[windows[0]], lists[*other]
+                one.0, two.0, one.1, two.1
             ));
         }
         Parts { lists, notes }

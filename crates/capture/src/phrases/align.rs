@@ -42,7 +42,7 @@ impl AlignedTrack {
         if let Some((_, file)) = self.missing.iter().find(|(frames, _)| frames.contains(&t)) {
             return format!("no capture: {file}");
         }
-        match (self.track.valid()[t], alone) {
+        match (self.track.valid[t], alone) {
             (true, true) => format!("too short for a phrase of {length} frames"),
             (true, false) => format!("left over: phrases have {length} frames"),
             (false, _) => "the root is missing in the capture".to_owned(),

@@ -80,11 +80,11 @@ impl Take {
             None => AlignedTrack::segments(self, plan, song, &timeline)?,
         };
         let (length, hop) = (plan.phrases.frames, plan.phrases.hop);
-        if !aligned.track.valid().contains(&true) {
+        if !aligned.track.valid.contains(&true) {
             let reason = aligned.reason(aligned.span.start, true, length);
             return Err(format!("no frame of it can be used: {reason}"));
         }
-        let frames = aligned.track.positions().len();
+        let frames = aligned.track.positions.len();
         let phase = match &timeline.beats {
             Some(beats) => beats.phase(frames, FPS).map_err(|e| e.with_hint())?,
             None => vec![0.0; frames],
