@@ -10,8 +10,7 @@ use kinegrad_settings::InvalidSetting;
 use crate::Error;
 use crate::error::require;
 
-/// Rates of tracks in frames per second. The lower bound keeps the resampled track within a few
-/// hundred times the length of the original.
+/// Rates of tracks in frames per second. The lower bound limits the length of resampled tracks.
 const RATES: RangeInclusive<f64> = 0.1..=100_000.0;
 
 /// Shortest quaternion that has a direction; shorter ones are placeholders.
@@ -47,8 +46,8 @@ pub trait RootSource {
     /// Frames per second.
     fn rate(&self) -> f64;
 
-    /// The root at a fractional frame, counted from 0, in metres and y-up. None beyond the first
-    /// and last frame and where a neighbouring frame is not valid.
+    /// The root at a fractional frame, counted from 0, in metres and y-up. None outside of the frames
+    /// and where a neighbouring frame is not valid.
     fn sample(&self, frame: f64) -> Option<RootPose>;
 
     /// Gaps of each marker that was not seen throughout.

@@ -165,8 +165,7 @@ impl Job {
             }
         }
         let is_loop = self.settings.looping != Looping::Off;
-        // A loop with key frames cannot begin elsewhere: the first of several with a smooth seam is
-        // taken, or the smoothest.
+        // A loop with key frames cannot be rotated: the first with a smooth seam is taken.
         let attempts = match is_loop && !constraints.is_empty() && content.is_none() {
             true => MAX_LOOPS,
             false => 1,

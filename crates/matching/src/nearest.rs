@@ -1,9 +1,8 @@
 //! Nearest example patches.
 //!
 //! The distance of two patches is a sum of frame distances along a diagonal: D[i, j] is the sum
-//! over k of ||x[i + k] - y[j + k]||^2, so each pair of frames is compared once. The p terms are
-//! added anew for each patch: differences of a running sum would reorder close neighbours. Rows are
-//! computed in tiles; if all tiles exceed the cache, they are computed twice instead of stored.
+//! over k of ||x[i + k] - y[j + k]||^2, so each pair of frames is compared once. A running sum would
+//! reorder close neighbours. Tiles of rows that exceed the cache are computed twice.
 
 use std::borrow::Cow;
 

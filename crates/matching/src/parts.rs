@@ -71,8 +71,7 @@ impl Part {
     }
 
     /// Parts by the branches of the skeleton: the trunk, and a limb for each long chain below it,
-    /// with the trunk joint above. The root trajectory belongs to the trunk and to the limbs below
-    /// the root joint, the legs. A skeleton that does not branch is one part.
+    /// with the trunk joint above. The root trajectory belongs to the trunk and the legs.
     pub fn automatic(layout: &MotionMatrix) -> Vec<Self> {
         let joints = layout.joints();
         let reach = reach(joints);

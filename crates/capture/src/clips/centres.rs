@@ -87,12 +87,10 @@ impl Centres {
             tracks.push(track.into_iter().flatten().map(metres).collect::<Vec<_>>());
         }
         if !lacking.is_empty() {
+            let (count, all, names) = (lacking.len(), MARKERS.len(), lacking.join(", "));
             return Err(format!(
-                "no marker set that is known: it lacks {} of the {} markers needed, or has them \
-                 several times: {}",
-                lacking.len(),
-                MARKERS.len(),
-                lacking.join(", ")
+                "no marker set that is known: it lacks {count} of the {all} markers needed, or has \
+                 them several times: {names}"
             ));
         }
         let mut joints = Vec::with_capacity(take.frames() * 22);

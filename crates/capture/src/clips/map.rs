@@ -22,7 +22,7 @@ const BUILT_IN: [(&str, &str); 6] = [
 /// Range of `at`, which may extrapolate the bone.
 const PARTS: std::ops::RangeInclusive<f64> = -1.0..=2.0;
 
-/// Most missing joints that a message names.
+/// Most missing joints in a message.
 const SHOWN: usize = 8;
 
 /// The place of each joint of a skeleton in a capture.
@@ -203,11 +203,8 @@ impl JointMap {
     pub fn built_in(name: &str) -> Result<Self, String> {
         let mut maps = Self::all_built_in().into_iter();
         maps.find(|map| map.name == name).ok_or_else(|| {
-            let names: Vec<&str> = BUILT_IN.iter().map(|(name, _)| *name).collect();
-            format!(
-                "there is no joint map `{name}`, allowed: {}, or a file ending in .toml",
-                names.join(", ")
-            )
+            let names = BUILT_IN.map(|(name, _)| name).join(", ");
+            format!("there is no joint map `{name}`, allowed: {names}, or a file ending in .toml")
         })
     }
 
@@ -258,13 +255,9 @@ impl JointMap {
         if missing.len() > SHOWN {
             names.push(format!("{} more", missing.len() - SHOWN));
         }
-        format!(
-            "it lacks {} of the {} joints of `{}`: {}",
-            missing.len(),
-            self.joints.len(),
-            self.name,
-            names.join(", ")
-        )
+        let (count, all, name) = (missing.len(), self.joints.len(), &self.name);
+        let names = names.join(", ");
+        format!("it lacks {count} of the {all} joints of `{name}`: {names}")
     }
 
     /// The skeleton's joints in each frame of a capture, `[frames, J]`, in its units and axes.

@@ -114,16 +114,13 @@ impl Take {
         report.notes = body.notes;
         let (ranges, rest) = cut(frames, clips.min_frames, clips.max_frames);
         if let Some(rest) = rest {
-            let reason = format!(
-                "{} frames ({:.2} s) left over; a clip has at least {}",
-                rest.len(),
-                rest.len() as f64 / fps,
-                clips.min_frames
-            );
+            let (frames, least) = (rest.len(), clips.min_frames);
+            let seconds = frames as f64 / fps;
+            let left = format!("{frames} frames ({seconds:.2} s) left over");
             report.skipped.push(Rejection {
                 first_frame: rest.start,
-                frames: rest.len(),
-                reason,
+                frames,
+                reason: format!("{left}; a clip has at least {least}"),
             });
         }
         // Before the first is written: a take gives all of its clips or none.
@@ -206,10 +203,9 @@ impl Take {
         let end = ((end * fps).round() as usize).saturating_add(1);
         let end = end.min(joints.frames());
         if start.saturating_add(1) >= end {
+            let (frames, from) = (end.saturating_sub(start), self.capture.motion_start_seconds);
             return Err(format!(
-                "{} frames of it from second {}: at least 2 are needed",
-                end.saturating_sub(start),
-                self.capture.motion_start_seconds
+                "{frames} frames of it from second {from}: at least 2 are needed"
             ));
         }
         let count = joints.joints();

@@ -31,11 +31,9 @@ pub(super) fn takes(plan: &Plan) -> Result<Vec<Take>, String> {
             let map_key = capture.map.as_ref().map(|_| "map");
             let key = map_key.or(capture.units.map(|_| "units"));
             if let Some(key) = key.filter(|_| is("c3d")) {
-                return Err(format!(
-                    "capture `{}`: `{key}` is for .bvh files, and {} is none",
-                    capture.motion,
-                    motion.display()
-                ));
+                let (capture, file) = (&capture.motion, motion.display());
+                let problem = format!("`{key}` is for .bvh files, and {file} is none");
+                return Err(format!("capture `{capture}`: {problem}"));
             }
             let stem = motion.file_stem().unwrap_or_default().to_string_lossy();
             let name = capture.name.as_deref().unwrap_or("{name}");

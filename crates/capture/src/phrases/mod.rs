@@ -190,16 +190,13 @@ impl Maker for PhraseMaker<'_> {
             Some(uploads) => uploads.install(|| all.into_par_iter().map(make).collect()),
             None => all.map(make).collect::<Result<_, Error>>(),
         }?;
-        let (mut rows, mut unmade) = (Vec::new(), Vec::new());
-        for phrase in made {
-            match phrase {
-                Ok(row) => rows.push(row),
-                Err(rejection) => unmade.push(rejection),
-            }
-        }
+        let unmade = made
+            .iter()
+            .filter_map(|phrase| phrase.as_ref().err().cloned());
+        let unmade: Vec<Rejection> = unmade.collect();
+        let rows: Vec<ManifestRow> = made.into_iter().flatten().collect();
         let failing = |row: &&ManifestRow| row.flags.contains(&Flag::FailsCcmotionChecks);
         let failing = rows.iter().filter(failing).count();
-        let report = aligned.report(unmade, failing);
-        Ok((rows, report))
+        Ok((rows, aligned.report(unmade, failing)))
     }
 }

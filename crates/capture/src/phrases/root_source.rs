@@ -32,9 +32,8 @@ pub(super) fn read(path: &Path, take: &TakePlan) -> Result<Box<dyn RootSource>, 
         "npy" => array(&bytes, &file, take).map_err(|error| error.to_string())?,
         "npz" => arrays(&bytes, &file, take).map_err(|error| error.to_string())?,
         other => {
-            return Err(format!(
-                "{file}: ending `{other}` found; bvh, c3d, npy and npz allowed"
-            ));
+            let allowed = "bvh, c3d, npy and npz allowed";
+            return Err(format!("{file}: ending `{other}` found; {allowed}"));
         }
     };
     Ok(Box::new(track))

@@ -117,22 +117,10 @@ impl TryFrom<toml::Value> for Names {
             toml::Value::String(file) => Ok(Self::File(file)),
             value => {
                 let expected = "expected a list of names, or a text file with one a line";
-                Ok(Self::List(texts(value).ok_or(expected)?))
+                Ok(Self::List(value.try_into().map_err(|_| expected)?))
             }
         }
     }
-}
-
-/// The texts of a list of them.
-fn texts(value: toml::Value) -> Option<Vec<String>> {
-    let toml::Value::Array(values) = value else {
-        return None;
-    };
-    let texts = values.into_iter().map(|value| match value {
-        toml::Value::String(text) => Some(text),
-        _ => None,
-    });
-    texts.collect()
 }
 
 /// Captions that are made from labels.
@@ -165,7 +153,7 @@ impl TryFrom<toml::Value> for Wordings {
             toml::Value::String(phrase) => Ok(Self::One(phrase)),
             value => {
                 let expected = "expected a wording, or a list of wordings";
-                Ok(Self::Several(texts(value).ok_or(expected)?))
+                Ok(Self::Several(value.try_into().map_err(|_| expected)?))
             }
         }
     }

@@ -99,10 +99,10 @@ impl Default for SplitPlan {
 }
 
 impl Plan {
-    /// Reads the plan at `path` and checks what can be checked without opening another file.
+    /// Reads the plan at `path` and checks it without opening another file.
     ///
     /// # Errors
-    /// [`Error::Plan`] with the line or key, what was found and what is allowed.
+    /// [`Error::Plan`] or [`Error::Document`] with the line or key.
     pub fn read(path: &Path) -> Result<Self, Error> {
         let text = read_text(path).map_err(|problem| Error::plan(path, problem))?;
         let file = path.display().to_string();

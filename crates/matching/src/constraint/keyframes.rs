@@ -20,8 +20,7 @@ struct Key<'a> {
     reach: usize,
 }
 
-/// Blends a motion into its key frames. Weights are summed before any frame changes, so order does
-/// not matter. Returns whether each frame was blended; empty without key frames.
+/// [`Constraint::apply_all`] of key frames. Weights are summed before any frame changes.
 pub(super) fn apply(constraints: &[Constraint], frames: &mut Frames, is_loop: bool) -> Vec<bool> {
     let n = frames.frames();
     let least = LEAST_REACH.min(n / FRAMES_PER_REACH);
