@@ -27,7 +27,6 @@ pub(crate) struct Moving {
 }
 
 impl Moving {
-    /// Splits the channels of `examples`.
     pub(crate) fn of(examples: &Frames) -> Self {
         let mut low = examples.frame(0).to_vec();
         let mut high = low.clone();

@@ -78,7 +78,6 @@ impl Keyframe {
         Ok(parsed.keyframe)
     }
 
-    /// Its name in messages.
     pub(crate) fn called(&self) -> &str {
         match self.name.as_str() {
             "" => "key frame",
@@ -87,10 +86,8 @@ impl Keyframe {
     }
 
     /// The constraint of a motion of `frames` frames: the pose of `source`, whose matrix is
-    /// `poses`, without the horizontal trajectory.
-    ///
-    /// # Errors
-    /// For a time outside of the motion or the source, and an unknown part.
+    /// `poses`, without the horizontal trajectory. An error for a time outside of the motion or the
+    /// source, and an unknown part.
     pub fn constraint(
         &self,
         layout: &MotionMatrix,

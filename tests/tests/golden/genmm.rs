@@ -244,7 +244,7 @@ fn run(golden: Golden) {
         true => frames(&golden, "noise"),
         false => Frames::zeros(lengths[0], examples[0].channels()),
     };
-    for level in 0..levels.count() {
+    for level in 0..levels.synthesis.len() {
         let at = |name: &str| format!("level_{level}_{name}");
         let own: Vec<Frames> = (0..examples.len())
             .map(|index| examples[index].resampled(levels.examples[index][level]))

@@ -46,7 +46,7 @@ struct Reader<'a> {
     file: &'a str,
     lines: std::iter::Enumerate<std::str::Lines<'a>>,
     rest: &'a str,
-    /// The current line, counted from 1.
+    /// Counted from 1.
     line: usize,
 }
 

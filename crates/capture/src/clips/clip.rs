@@ -74,8 +74,7 @@ fn on_its_toes(
     Joints::new(places.collect(), rescaled.joints())
 }
 
-/// The height of the floor: a low percentile of the heights of standing toes, or the lowest joint
-/// of a take in which no toes stand.
+/// The height of the floor: a low percentile of the heights of standing toes, or the lowest joint.
 fn floor(skeleton: &Skeleton, joints: &Joints) -> f64 {
     let [_, left, _, right] = skeleton.contact_joints();
     let height = |(t, toes): (usize, usize)| {

@@ -175,7 +175,7 @@ impl Maker for PhraseMaker<'_> {
             Ok(aligned) => aligned,
             Err(problem) => return Ok((Vec::new(), TakeReport::failed(&take.name, problem))),
         };
-        // One phrase after the other, so that a long take need not fit into memory.
+        // Each phrase is written at once: a long take need not fit into memory.
         let make = |index| {
             let written = aligned.phrase(index).map(|made| {
                 output.write(&motion_path(&made.row.id), made.motion)?;

@@ -20,8 +20,8 @@ pub(crate) fn named(pattern: &str, found: &Path) -> String {
     named.to_string_lossy().into_owned()
 }
 
-/// The files whose names match the last part of `path` and, where a pattern found them, have one
-/// of the `endings`; sorted, at least one. Hidden files do not match a pattern.
+/// The file at `path`, or those that match a pattern in its name and have one of the `endings`;
+/// sorted, at least one, no hidden ones.
 pub(crate) fn matching(path: &Path, endings: &[&str]) -> Result<Vec<PathBuf>, String> {
     let missing = || format!("there is no file {}", path.display());
     let pattern = path.file_name().unwrap_or_default().to_string_lossy();
