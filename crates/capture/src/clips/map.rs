@@ -37,18 +37,12 @@ pub(super) struct JointMap {
 #[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
 #[serde(try_from = "toml::Value")]
 enum Source {
+    /// A joint of the capture.
     Joint(String),
     /// A fraction `at` of the line between two joints.
-    Between {
-        from: String,
-        to: String,
-        at: f64,
-    },
+    Between { from: String, to: String, at: f64 },
     /// A fraction `at` of the line from a joint to its first End Site that is not at the joint.
-    EndSite {
-        end_site: String,
-        at: f64,
-    },
+    EndSite { end_site: String, at: f64 },
 }
 
 impl TryFrom<toml::Value> for Source {

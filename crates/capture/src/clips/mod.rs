@@ -53,10 +53,8 @@ pub fn prepare(
     let wrong = |problem: String| Error::plan(plan_file, problem);
     let takes = takes(plan).map_err(wrong)?;
     let tables = tables(plan).map_err(wrong)?;
-    if takes
-        .iter()
-        .all(|take| plan.split.named(&take.name) != Part::Train)
-    {
+    let trains = |take: &Take| plan.split.named(&take.name) == Part::Train;
+    if !takes.iter().any(trains) {
         let problem = "split names every take: at least one to train on is needed";
         return Err(wrong(problem.to_owned()));
     }
