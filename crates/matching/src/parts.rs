@@ -172,7 +172,7 @@ impl Part {
     }
 
     /// The part of a name: one of `parts`; `legs`, `arms` or `head` by the words in joint names; or
-    /// a joint with its descendants. `asks`: the source of the name, for messages.
+    /// a joint with its descendants. `origin`: that of the name, for messages.
     ///
     /// # Errors
     /// Lists the known names.
@@ -180,7 +180,7 @@ impl Part {
         name: &str,
         parts: &[Self],
         layout: &MotionMatrix,
-        asks: &str,
+        origin: &str,
     ) -> Result<Self, Error> {
         if let Some(part) = parts.iter().find(|part| part.name == name) {
             return Ok(part.clone());
@@ -233,7 +233,7 @@ impl Part {
             parts.join(", ")
         );
         let problem = format!("there is no part or joint `{name}`");
-        Err(Error::file(asks, problem, hint))
+        Err(Error::file(origin, problem, hint))
     }
 }
 

@@ -187,7 +187,7 @@ impl Take {
         Ok((map.name.clone(), body))
     }
 
-    /// The file's frames, at `rate` per second, of the part that the plan asks for.
+    /// The file's frames, at `rate` per second, of the plan's part of it.
     fn frames_used(&self, rate: f64, frames: usize) -> Range<usize> {
         let start = (self.capture.motion_start_seconds * rate).floor() as usize;
         let end = self.capture.motion_end_seconds.unwrap_or(f64::INFINITY);
@@ -195,7 +195,7 @@ impl Take {
         start.min(end.saturating_sub(1))..end
     }
 
-    /// The joints at `fps` frames per second of the part that the plan asks for.
+    /// The joints at `fps` frames per second of the plan's part of it.
     fn within(&self, body: &Body, fps: f64) -> Result<Joints, String> {
         let joints = body.at_rate(fps);
         let start = (self.capture.motion_start_seconds * fps).round() as usize;

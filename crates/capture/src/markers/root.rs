@@ -93,7 +93,7 @@ impl RootSource for MarkerRoot {
 }
 
 impl Axes {
-    /// None where forward or left is no direction or both are the same.
+    /// None where forward or left has no length or both are parallel.
     fn orientation(&self) -> Option<Quaternion> {
         let z = Vector3::from(self.forward).try_normalize(SHORTEST)?;
         let left = Vector3::from(self.left);

@@ -23,7 +23,7 @@ pub(super) struct AlignedTrack {
     /// Frames that begin after a border between segments.
     pub borders: Vec<usize>,
     pub filled_gaps: bool,
-    /// The frames that the plan asks for; the track may end before.
+    /// The frames of the plan; the track may end before.
     pub span: Range<usize>,
     pub notes: Vec<String>,
     /// Index of each frame's capture file in `files`.
@@ -80,7 +80,7 @@ impl AlignedTrack {
         names.join(", ")
     }
 
-    /// The part of a capture file that the plan asks for, at its time in the song.
+    /// The part of a capture file that the plan names, at its time in the song.
     pub fn recording(take: &Take, path: &Path, song: Option<&Song>) -> Result<Self, String> {
         let source = root_source::read(path, &take.plan)?;
         let rate = source.rate();

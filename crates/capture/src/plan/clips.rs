@@ -15,7 +15,7 @@ use crate::UpAxis;
 const COLUMNS: &str = "id, take, file, map, first_frame, frames, seconds, fps, mirrored, split, \
      caption, captions, features_bytes, features_sha256";
 
-/// The fewest and most frames that a plan can ask of a clip.
+/// The fewest and most frames of a clip that a plan can set.
 const FRAMES: std::ops::RangeInclusive<usize> = 4..=10_000;
 
 /// Length of clips, frame rate and bones.

@@ -111,7 +111,7 @@ mod tests {
         assert!(Measures::of(&line(0..100), &[line(0..100), line(0..30)]).is_none());
         assert!(Measures::of(&line(0..100), &[]).is_none());
         assert!(Measures::of(&line(0..5000), &[line(0..5000)]).is_none());
-        // 40 frames are no two segments of 30, and no one of an example of 31.
+        // 40 frames are neither two segments of 30 nor one of an example of 31.
         let uncut = Measures::of(&line(0..40), &[line(0..31)]).unwrap();
         assert!(uncut.global_diversity.is_none() && uncut.local_diversity.is_finite());
     }

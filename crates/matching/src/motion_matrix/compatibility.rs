@@ -137,7 +137,7 @@ impl MotionMatrix {
     }
 }
 
-/// The offset of each joint. None where the position changes and the offset is no bone, as for hips
+/// The offset of each joint. None where the position changes and the offset is not a bone, as for hips
 /// that move below a root.
 fn bones(bvh: &Bvh) -> Vec<Option<[f64; 3]>> {
     let (still, ranges) = (bvh.locals(0), position_ranges(bvh));

@@ -376,6 +376,6 @@ fn a_ratio_of_one_has_one_level() {
         groups: &[],
         constraints: &[],
     };
-    assert_eq!(request.levels().unwrap().count(), 1);
+    assert_eq!(request.levels().unwrap().synthesis.len(), 1);
     synthesize(&request, 0).unwrap();
 }
