@@ -21,7 +21,7 @@ const UNITS: [Units; 5] = [Units::M, Units::Cm, Units::Mm, Units::Inch, Units::C
 const SLOWEST: f64 = 10.0;
 
 /// The joints of a body over a take.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct Body {
     /// Joint positions, `[frames, J]`, metres, +y up.
     pub joints: Joints,

@@ -3,9 +3,9 @@
 use kinegrad_motion::humanml::Skeleton;
 use kinegrad_motion::vector::length;
 
+use super::body::Body;
 use super::map::JointMap;
 use super::tests::{body_of, capture, walking};
-use super::*;
 use crate::Bvh;
 
 #[test]
