@@ -185,9 +185,8 @@ impl RolloutConfig {
         }
     }
 
-    /// Passes of the denoiser whose activations are kept at a time, the one of the diffusion loss
-    /// among them.
-    pub(super) fn steps_kept(&self) -> u64 {
+    /// Passes of the denoiser whose activations are stored at a time, including the diffusion loss's.
+    pub(super) fn stored_passes(&self) -> u64 {
         let steps = match self.mode {
             RolloutMode::Full => self.steps,
             RolloutMode::Checkpointed => 1,
@@ -305,10 +304,7 @@ impl Default for EvaluationConfig {
     }
 }
 
-/// Validates the tables of this system.
-///
-/// # Errors
-/// For the first invalid value; the error names the key.
+/// Rejects the first invalid value of the tables of this system.
 pub(super) fn validate(config: &Config) -> Result<(), Error> {
     let own: &CcMotionConfig = config.own();
     let (name, recipe) = (RecipeName::of(config), &config.train.recipe);
@@ -427,14 +423,15 @@ impl CcMotionConfig {
         in_range("loss.w_temp", loss.w_temp, 0.0..)?;
         in_range("loss.w_components", loss.w_components, 0.0..)?;
         // Every weight and target.
-        let temporal = Table::try_from(&loss.temporal).expect(PLAIN);
-        let numbers = temporal.iter();
-        for (key, value) in numbers.filter_map(|(key, value)| Some((key, value.as_float()?))) {
+        for (key, value) in Table::try_from(&loss.temporal).expect(PLAIN) {
+            let Some(value) = value.as_float() else {
+                continue;
+            };
             let allowed = match key.starts_with("target_") {
                 true => ABOVE_ZERO,
                 false => (Bound::Included(0.0), Bound::Unbounded),
             };
-            in_range(key.as_str(), value, allowed).within("loss.temporal")?;
+            in_range(key, value, allowed).within("loss.temporal")?;
         }
         Ok(())
     }

@@ -11,8 +11,7 @@ use super::start::Starts;
 /// Most phrases or songs that a warning names.
 const NAMED: usize = 5;
 
-/// Warns about held-out phrases of `dataset` that an initial run was trained on, else about such
-/// songs: their measures are not of new data.
+/// Warns about held-out phrases and songs of `dataset` that an initial run was trained on.
 pub(super) fn warn(
     starts: &Starts,
     dataset: &Dataset<PhraseItem>,
@@ -38,9 +37,11 @@ fn warnings(
         return Vec::new();
     }
     let mut before = state.config.data.clone();
-    let made = |data: &DataConfig| data.kind == DataKind::Synthetic;
-    if made(&before) != made(data) || (made(data) && before.synthetic.seed != data.synthetic.seed) {
-        // Phrases that are made up of different seeds share their ids alone.
+    let is_synthetic = |data: &DataConfig| data.kind == DataKind::Synthetic;
+    if is_synthetic(&before) != is_synthetic(data)
+        || (is_synthetic(data) && before.synthetic.seed != data.synthetic.seed)
+    {
+        // Synthetic phrases of different seeds share their ids alone.
         return Vec::new();
     }
     before.cache.memory_mib = 0;
@@ -70,8 +71,8 @@ fn warnings(
             named(&leaked)
         ));
     }
-    // Other phrases of a song have its music and its dancer. Of two datasets one may state songs and
-    // the other not: the takes that ids name are compared too.
+    // Other phrases of a song have its music and its dancer. The takes in ids are compared too, because
+    // one of the datasets may not state songs.
     let names = |songs: &Songs, id: &str| [songs.song(id), song_of(id, None)];
     let [before, own] = songs;
     let trained: BTreeSet<String> = trained.ids().flat_map(|id| names(&before, id)).collect();

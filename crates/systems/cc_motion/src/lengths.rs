@@ -1,4 +1,4 @@
-//! Lengths that a model was trained on, and those that it was not.
+//! Lengths of samples, within and beyond those of training.
 
 use std::sync::Arc;
 
@@ -9,7 +9,7 @@ use kinegrad_train::config::Config;
 
 use super::load::targets;
 
-/// The first frames of a phrase, at most `longest`: as validation has it.
+/// The first frames of a phrase, at most `longest`, as in validation.
 pub(super) fn leading(phrase: &Arc<PhraseItem>, longest: usize) -> Arc<PhraseItem> {
     match phrase.frames() > longest {
         false => phrase.clone(),
@@ -22,17 +22,16 @@ pub(super) fn leading(phrase: &Arc<PhraseItem>, longest: usize) -> Arc<PhraseIte
     }
 }
 
-/// The windows of the training length for a motion of `frames` frames; `None` if it is not longer,
-/// or if samples of the model have their own first heading as frame, because such windows do not
-/// fit together.
+/// The windows of the training length for a motion of `frames` frames; `None` if it is not longer, or
+/// if each sample is in the frame of its own first heading, so that windows cannot be joined.
 pub(super) fn windows(config: &Config, frames: usize) -> Option<Windows> {
     let longest = config.data.target_frames;
     let fit = targets(config).orientation != OrientationEncoding::CanonicalQuaternion;
     (fit && frames > longest).then(|| Windows::new(frames, longest))
 }
 
-/// A warning about the lengths in `frames`, of windows or samples, outside the range of training; none
-/// if all are within.
+/// A warning about `frames` of windows or samples outside the range of training; none if there are
+/// none.
 pub(super) fn untrained(
     config: &Config,
     frames: impl IntoIterator<Item = usize>,
@@ -44,8 +43,7 @@ pub(super) fn untrained(
     let other = frames
         .iter()
         .filter(|frames| !(shortest..=longest).contains(*frames));
-    let other: Vec<usize> = other.copied().collect();
-    let (least, most) = (other.iter().min()?, other.iter().max()?);
+    let (least, most) = (other.clone().min()?, other.clone().max()?);
     let trained = match shortest {
         0 => format!("at most {longest} frames"),
         _ => format!("{shortest} to {longest} frames"),
@@ -57,7 +55,7 @@ pub(super) fn untrained(
     Some(format!(
         "{} of {} samples are of {sampled}, and training saw {trained} (`data.target_frames`, \
          `data.augment.min_frames`): samples of other lengths are worse",
-        other.len(),
+        other.count(),
         frames.len()
     ))
 }

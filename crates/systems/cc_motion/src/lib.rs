@@ -85,17 +85,13 @@ impl System for CcMotion {
         if !RecipeName::of(config).trains_through_sampler() {
             return Ok(None);
         }
-        match saved {
-            // A resumed run does not need its start any more.
-            Some(saved) => Ok(Some(tables_of(
-                saved,
-                &[start::OF_BASE.as_slice(), &start::OF_DECODER].concat(),
-            ))),
-            None => {
-                let starts = Starts::named(&config.own::<CcMotionConfig>().init)?;
-                Ok(starts.map(|starts| starts.tables_for(config)))
-            }
+        // A resumed run does not need its start any more.
+        if let Some(saved) = saved {
+            let tables = [start::OF_BASE.as_slice(), &start::OF_DECODER].concat();
+            return Ok(Some(tables_of(saved, &tables)));
         }
+        let starts = Starts::named(&config.own::<CcMotionConfig>().init)?;
+        Ok(starts.map(|starts| starts.tables_for(config)))
     }
 
     fn must_use(&self, config: &Config) -> Result<(), Error> {

@@ -18,7 +18,7 @@ use crate::network::{DecoderConfig, MotionDecoder, MotionModel, UNet1d, UNet1dCo
 /// Names of the networks of a model that has both.
 const NETWORKS: &[&str] = &["unet", "decoder"];
 
-/// Trained networks, adapters merged, and what is known of their training.
+/// Trained networks, with merged adapters, and the state of their training.
 pub struct Trained {
     /// The denoiser.
     pub unet: UNet1d,
@@ -36,14 +36,13 @@ impl Trained {
     pub fn load(saved: &SavedCheckpoint, weights: Weights, device: &Device) -> Result<Self, Error> {
         let state = saved.state.clone();
         let config = &state.config;
-        let (unet, decoder) = match RecipeName::of(config).trains_through_sampler() {
-            false => (saved.load(denoiser(config, device)?, weights)?, None),
-            true => {
-                state.statistics_of(&Phrases)?;
-                let fresh = networks(config, state.normalization(), device)?;
-                let MotionModel { unet, decoder } = saved.load(fresh, weights)?;
-                (unet.merge_adapters(), Some(decoder))
-            }
+        let (unet, decoder) = if RecipeName::of(config).trains_through_sampler() {
+            state.statistics_of(&Phrases)?;
+            let fresh = networks(config, state.normalization(), device)?;
+            let MotionModel { unet, decoder } = saved.load(fresh, weights)?;
+            (unet.merge_adapters(), Some(decoder))
+        } else {
+            (saved.load(denoiser(config, device)?, weights)?, None)
         };
         Ok(Self {
             unet,
@@ -54,9 +53,6 @@ impl Trained {
 }
 
 /// The denoiser of a config, with fresh weights.
-///
-/// # Errors
-/// If it cannot be built.
 pub(crate) fn denoiser(config: &Config, device: &Device) -> Result<UNet1d, Error> {
     let unet = unet1d(config);
     let init = Initializer::new(config.run.seed, device);
@@ -76,9 +72,6 @@ pub(crate) fn targets(config: &Config) -> ChannelEncoding {
 }
 
 /// The decoder of a config, with fresh weights; `statistics` normalised the networks' channels.
-///
-/// # Errors
-/// If it cannot be built.
 pub(crate) fn decoder(
     config: &Config,
     statistics: &Statistics,
@@ -94,51 +87,48 @@ pub(crate) fn decoder(
 }
 
 /// The parameters of a config's networks as its recipe trains them.
-///
-/// # Errors
-/// If one cannot be built.
 pub(super) fn parameter_count(config: &Config) -> Result<ParameterCount, Error> {
     let unet = denoiser(config, &Device::flex())?;
     let recipe = RecipeName::of(config);
     if !recipe.trains_through_sampler() {
         return Ok(ParameterCount::trained(&unet));
     }
-    let lora = &config.own::<CcMotionConfig>().lora;
-    let unet = match lora {
-        Some(lora) => unet.with_adapters(lora, &Initializer::new(0, &Device::flex()))?,
-        None => unet,
-    };
-    let decoder = lazy_decoder(config)?;
-    let infos = parameters::infos(&MotionModel { unet, decoder });
+    let adapts = config.own::<CcMotionConfig>().lora.is_some();
+    let infos = parameters::infos(&lazy_model(config, unet)?);
     // As in `trainable`, without initialising weights.
-    let trains = |info: &ParameterInfo| match (lora, recipe) {
-        (Some(_), _) => is_adapter(info),
-        (None, RecipeName::Decoder) => false,
-        (None, RecipeName::Diffusion | RecipeName::E2e) => true,
+    let trains = |info: &ParameterInfo| match adapts {
+        true => is_adapter(info),
+        false => recipe != RecipeName::Decoder,
     };
     Ok(ParameterCount::of(&infos, NETWORKS, |_, info| {
         !info.name.starts_with("unet.") || trains(info)
     }))
 }
 
-/// The decoder of a config with lazy parameters, without memory.
-fn lazy_decoder(config: &Config) -> Result<MotionDecoder, Error> {
+/// `unet` with the adapters and the decoder of a config, of lazy parameters.
+fn lazy_model(config: &Config, unet: UNet1d) -> Result<MotionModel, Error> {
+    let (own, init) = (
+        config.own::<CcMotionConfig>(),
+        Initializer::new(0, &Device::flex()),
+    );
+    let unet = match &own.lora {
+        Some(lora) => unet.with_adapters(lora, &init)?,
+        None => unet,
+    };
     let random = DecoderConfig {
         init: DecoderInit::Random,
-        ..config.own::<CcMotionConfig>().decoder.clone()
+        ..own.decoder.clone()
     };
     let targets = targets(config);
     let unit = Normalization {
         mean: vec![0.0; targets.channels()],
         std: vec![1.0; targets.channels()],
     };
-    Ok(random.init_for(targets, unit, &Initializer::new(0, &Device::flex()))?)
+    let decoder = random.init_for(targets, unit, &init)?;
+    Ok(MotionModel { unet, decoder })
 }
 
 /// The training memory of a config's networks.
-///
-/// # Errors
-/// If one cannot be built.
 pub(super) fn footprint(config: &Config, frames: usize) -> Result<Footprint, Error> {
     let own: &CcMotionConfig = config.own();
     let network = unet1d(config);
@@ -149,23 +139,15 @@ pub(super) fn footprint(config: &Config, frames: usize) -> Result<Footprint, Err
     if !RecipeName::of(config).trains_through_sampler() {
         return Ok(Footprint::of(&unet, a_pass, item));
     }
-    let unet = match &own.lora {
-        Some(lora) => unet.with_adapters(lora, &Initializer::new(0, &Device::flex()))?,
-        None => unet,
-    };
-    let decoder = lazy_decoder(config)?;
     let activations = a_pass + own.decoder.activations(frames);
     Ok(Footprint {
-        passes: own.rollout.steps_kept(),
+        passes: own.rollout.stored_passes(),
         shared: own.decoder.shared(frames),
-        ..Footprint::of(&MotionModel { unet, decoder }, activations, item)
+        ..Footprint::of(&lazy_model(config, unet)?, activations, item)
     })
 }
 
 /// Denoiser and decoder as the config's recipe trains them, with fresh weights.
-///
-/// # Errors
-/// If one cannot be built.
 pub(crate) fn networks(
     config: &Config,
     statistics: &Statistics,
@@ -178,11 +160,8 @@ pub(crate) fn networks(
     trainable(model, config, device)
 }
 
-/// `model`, which has its weights, as the config's recipe trains it: with a denoiser that does not
-/// change under recipe `decoder`, or is changed by the config's adapters.
-///
-/// # Errors
-/// If the adapters cannot be built.
+/// `model` as the config's recipe trains it: recipe `decoder` freezes the denoiser, and adapters freeze
+/// its weights.
 pub(crate) fn trainable(
     model: MotionModel,
     config: &Config,
@@ -194,10 +173,8 @@ pub(crate) fn trainable(
             let init = Initializer::new(config.run.seed, device).at("unet");
             unet.with_adapters(lora, &init)?
         }
-        None => match RecipeName::of(config) {
-            RecipeName::Decoder => unet.no_grad(),
-            RecipeName::Diffusion | RecipeName::E2e => unet,
-        },
+        None if RecipeName::of(config) == RecipeName::Decoder => unet.no_grad(),
+        None => unet,
     };
     Ok(MotionModel { unet, decoder })
 }

@@ -12,12 +12,9 @@ use super::{CcMotion, CcMotionConfig};
 use crate::network::MotionModel;
 
 /// Merges the adapters of the checkpoint `saved` into their weights, and writes the result as the
-/// only checkpoint of a run in `out`, a new or empty folder, for sampling and initialisation; it
-/// has no optimiser to resume with. Returns the path of the checkpoint.
-///
-/// # Errors
-/// If the checkpoint is damaged or has no adapters, or `out` cannot be written.
-pub fn merge(saved: SavedCheckpoint, out: &Path) -> Result<PathBuf, Error> {
+/// only checkpoint of a run in `out`, a new or empty folder, without optimiser state. Returns the
+/// path of the checkpoint.
+pub(super) fn merge(saved: SavedCheckpoint, out: &Path) -> Result<PathBuf, Error> {
     let saved = (&CcMotion as &dyn System).read_tables(saved)?;
     let mut state = saved.state.clone();
     let mut config = state.config.own::<CcMotionConfig>().clone();

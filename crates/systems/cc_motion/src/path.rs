@@ -3,7 +3,6 @@
 //!
 //! As training phrases, the path is moved to the origin in each window, and not turned.
 
-use std::ops::Range;
 use std::path::PathBuf;
 
 use kinegrad_motion::path::{PathPlan, PathReport};
@@ -81,14 +80,10 @@ pub(super) struct PathCondition {
     target: PathTarget,
     /// In the frame of sampling.
     pub followed: PhrasePath,
-    config: PhrasePathConfig,
 }
 
 impl PathCondition {
     /// The path of a file for `frames` frames.
-    ///
-    /// # Errors
-    /// If it is no path.
     pub fn new(
         (file, plan): &(PathBuf, PathPlan),
         frames: usize,
@@ -100,7 +95,6 @@ impl PathCondition {
             plan: plan.clone(),
             followed: PhrasePath::new(&target, config.clone()),
             target,
-            config: config.clone(),
         })
     }
 
@@ -118,7 +112,7 @@ impl PathCondition {
         PathRecord {
             file: self.file.clone(),
             content: self.plan.clone(),
-            settings: Some(to_value(&self.config).expect("plain data")),
+            settings: Some(to_value(&self.followed.config).expect("plain data")),
             report: PathReport::of_root(&track, &self.target.line, &self.target.course),
         }
     }
@@ -156,19 +150,19 @@ impl PhrasePath {
         let channels = noisy.len() / (windows.len() * length);
         let mut step = vec![0.0; noisy.len()];
         for window in 0..windows.len() {
-            let wanted = self.seen(windows.of(window));
-            for (t, wanted) in wanted.iter().enumerate() {
+            let points = &self.points[windows.of(window)];
+            for (t, point) in points.iter().enumerate() {
                 let at = GROUND.map(|axis| (window * channels + axis) * length + t);
                 let std = GROUND.map(|axis| statistics.std[axis]);
                 let away = [0, 1].map(|i| {
                     let place = f64::from(noisy[at[i]]) * std[i] + statistics.mean[GROUND[i]];
-                    place - wanted[i]
+                    place - (point[i] - points[0][i])
                 });
                 let distance = away[0].hypot(away[1]);
                 let over = (distance - self.config.tolerance).max(0.0);
                 let share = if distance > 0.0 { over / distance } else { 0.0 };
                 for i in [0, 1] {
-                    // d/dx of the square, by the normalised channel.
+                    // The gradient of the square by the normalised channel.
                     step[at[i]] =
                         (self.config.guidance_step_size * 2.0 * share * away[i] * std[i]) as f32;
                 }
@@ -177,8 +171,8 @@ impl PhrasePath {
         Some(step)
     }
 
-    /// Puts the path into predicted clean windows, `[windows, channels, frames of a window]`,
-    /// normalised, where that is the method.
+    /// Replaces the path in predicted clean windows, `[windows, channels, frames of a window]`,
+    /// normalised, if that is the method.
     pub fn put(
         &self,
         predicted: &mut [f32],
@@ -196,11 +190,10 @@ impl PhrasePath {
             let frames = windows.of(window);
             for (channel, values) in &all {
                 let (channel, values) = (*channel, &values[frames.clone()]);
-                // Places are seen from the window's beginning.
-                let origin = if POSITION.contains(&channel) {
-                    values[0]
-                } else {
-                    0.0
+                // Positions are relative to the window's start.
+                let origin = match POSITION.contains(&channel) {
+                    true => values[0],
+                    false => 0.0,
                 };
                 let (mean, std) = (statistics.mean[channel], statistics.std[channel]);
                 let first = (window * channels + channel) * length;
@@ -230,25 +223,13 @@ impl PhrasePath {
             }
         }
     }
-
-    /// The points of some frames from the first of them on.
-    fn seen(&self, frames: Range<usize>) -> Vec<[f64; 2]> {
-        let points = &self.points[frames];
-        let [x, z] = points[0];
-        points
-            .iter()
-            .map(|point| [point[0] - x, point[1] - z])
-            .collect()
-    }
 }
 
 /// Position, velocity and acceleration along the ground of a root at `points`, with their channels.
 fn channels_of(points: &[[f64; 2]]) -> Vec<(usize, Vec<f64>)> {
     let change = |values: &[f64]| -> Vec<f64> {
-        let mut changes: Vec<f64> = values
-            .windows(2)
-            .map(|pair| FPS * (pair[1] - pair[0]))
-            .collect();
+        let changes = values.windows(2).map(|pair| FPS * (pair[1] - pair[0]));
+        let mut changes: Vec<f64> = changes.collect();
         // The last frame repeats the derivatives of the one before.
         changes.push(changes.last().copied().unwrap_or(0.0));
         changes

@@ -10,12 +10,10 @@ use kinegrad_train::{Ending, Error, Observer, ProcessGroup, Systems};
 use super::recipe_name::RecipeName;
 use super::{CcMotion, CcMotionConfig, InitConfig, PretrainConfig};
 
-/// Names of the two runs, inside the folder of the run that needs them.
+/// Names of the two runs, in the folder of the run that starts from them.
+pub(super) const STAGES: [&str; 2] = [BASE, DECODER];
 const BASE: &str = "base";
 const DECODER: &str = "decoder";
-
-/// Both, in their order.
-pub(super) const STAGES: [&str; 2] = [BASE, DECODER];
 
 /// Validations of each of the two.
 const VALIDATIONS: u64 = 4;
@@ -55,15 +53,15 @@ fn must_have_base(folder: &Path) -> Result<(), Error> {
     }
 }
 
-/// Trains, continues or finds both initial runs, and returns their settings. The inner error is the
-/// outcome of an interrupted run; resuming the outer one continues it.
+/// Trains or resumes both initial runs, and returns their settings. The inner error is the outcome of
+/// an interrupted run; resuming the outer one continues it.
 pub(super) fn run(
     config: &Config,
     folder: &Path,
     group: &Rc<ProcessGroup>,
     observer: &mut dyn Observer,
 ) -> Result<Result<InitConfig, Box<Outcome>>, Error> {
-    let pretrain = announce(config, folder, observer)?;
+    let pretrain = announce(config, folder, observer);
     if pretrain.diffusion_steps > 0 {
         must_have_base(folder)?;
     }
@@ -77,7 +75,7 @@ pub(super) fn run(
         if steps == 0 {
             continue;
         }
-        let stage = stage(config, name, recipe, &init, steps, rate)?;
+        let stage = stage(config, name, recipe, &init, steps, rate);
         let run = folder.join(name);
         let resume = contains_run(&run)?;
         let systems = Systems(&[&CcMotion]);
@@ -94,12 +92,12 @@ pub(super) fn run(
 }
 
 /// Notes that both are trained first, and their steps.
-pub(super) fn announce(
-    config: &Config,
+pub(super) fn announce<'a>(
+    config: &'a Config,
     folder: &Path,
     observer: &mut dyn Observer,
-) -> Result<PretrainConfig, Error> {
-    let pretrain = config.own::<CcMotionConfig>().init.pretrain.clone();
+) -> &'a PretrainConfig {
+    let pretrain = &config.own::<CcMotionConfig>().init.pretrain;
     observer.note(&format!(
         "`init.diffusion` is empty: a base model is trained first ({} steps), then a decoder ({} \
          steps), in {}",
@@ -107,7 +105,7 @@ pub(super) fn announce(
         pretrain.decoder_steps,
         folder.display()
     ));
-    Ok(pretrain)
+    pretrain
 }
 
 /// The config of one of the two: `config` with another recipe, starting from `init`.
@@ -118,7 +116,7 @@ fn stage(
     init: &InitConfig,
     steps: u64,
     rate: f64,
-) -> Result<Config, Error> {
+) -> Config {
     let own = CcMotionConfig {
         init: init.clone(),
         lora: None,
@@ -148,5 +146,5 @@ fn stage(
     if stage.validation.every_steps > 0 {
         stage.validation.every_steps = (steps / VALIDATIONS).max(1);
     }
-    Ok(stage)
+    stage
 }

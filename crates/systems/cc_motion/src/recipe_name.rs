@@ -31,14 +31,11 @@ pub(super) enum RecipeName {
 }
 
 impl RecipeName {
-    /// The recipe of a config of this system.
-    ///
-    /// # Panics
-    /// Panics for a config of another system.
+    /// The recipe of a config of this system; panics for another system's.
     pub fn of(config: &Config) -> Self {
-        let all = [Self::Diffusion, Self::Decoder, Self::E2e].into_iter();
-        let mut found = all.filter(|recipe| recipe.name() == config.train.recipe);
-        found.next().expect("a recipe of this system")
+        let mut all = [Self::Diffusion, Self::Decoder, Self::E2e].into_iter();
+        all.find(|recipe| recipe.name() == config.train.recipe)
+            .expect("a recipe of this system")
     }
 
     /// Its name in configs.
@@ -48,9 +45,6 @@ impl RecipeName {
 
     /// True if it runs the sampler in training, so that `rollout`, `decoder` and `loss` apply.
     pub fn trains_through_sampler(self) -> bool {
-        match self {
-            Self::Diffusion => false,
-            Self::Decoder | Self::E2e => true,
-        }
+        self != Self::Diffusion
     }
 }

@@ -10,7 +10,6 @@ use kinegrad_motion::path::PathPlan;
 use kinegrad_motion::postprocess::PostProcessConfig;
 use kinegrad_motion::stitch::Windows;
 use kinegrad_motion::{OrientationEncoding, Phrase, Profile, Report, Statistics, check};
-use kinegrad_random::{Key, Purpose};
 use kinegrad_train::clips::path_target::read_path;
 use kinegrad_train::config::Config;
 use kinegrad_train::sampling::{
@@ -80,9 +79,6 @@ struct Audio {
 
 impl<'a> Phrases<'a> {
     /// Reads the conditions of a request.
-    ///
-    /// # Errors
-    /// If one cannot be used.
     pub fn new(
         trained: &'a TrainedModel,
         request: &'a Request,
@@ -99,13 +95,8 @@ impl<'a> Phrases<'a> {
             let dataset =
                 Dataset::<PhraseItem>::open_among(&config.data, &*sink.reading(), &Alone)?;
             for phrase in dataset.held_out().first(count)? {
-                let windows = windows(config, phrase.audio.frames());
-                resolved.push(
-                    of_phrase(&phrase, &config.data),
-                    Vec::new(),
-                    windows.map(|windows| (windows, None)),
-                    None,
-                );
+                let windows = windows(config, phrase.audio.frames()).map(|windows| (windows, None));
+                resolved.push(of_phrase(&phrase, &config.data), Vec::new(), windows, None);
             }
             return Ok(resolved);
         }
@@ -146,8 +137,8 @@ impl<'a> Phrases<'a> {
         });
     }
 
-    /// Adds the job of an audio condition: in windows, if it is longer than the training length, if
-    /// frames are known or if it follows a path.
+    /// Adds the job of an audio condition: in windows if it is longer than in training, has known frames
+    /// or follows a path.
     fn resolve(&mut self, audio: Audio, path: Option<&(PathBuf, PathPlan)>) -> Result<(), Error> {
         let (request, config) = (self.request, self.trained.config());
         let (frames, trained) = (audio.features.frames(), config.data.target_frames);
@@ -164,8 +155,9 @@ impl<'a> Phrases<'a> {
             known = Some(read);
         }
         let evaluation = &config.own::<CcMotionConfig>().evaluation;
-        let path = path.map(|path| PathCondition::new(path, frames, &evaluation.path));
-        let path = path.transpose()?;
+        let path = path
+            .map(|path| PathCondition::new(path, frames, &evaluation.path))
+            .transpose()?;
         let must_join = known.is_some() || path.is_some();
         if (must_join || (is_song && frames > length))
             && targets(config).orientation == OrientationEncoding::CanonicalQuaternion
@@ -204,28 +196,24 @@ impl<'a> Phrases<'a> {
         self.request.post_processing.unwrap_or_default().into()
     }
 
-    /// One sample for each held-out phrase, with a table of its checks. They are the first samples
-    /// that a request for the phrases by their ids generates with the same seed.
+    /// One sample for each held-out phrase, with a table of its checks. They equal the first samples
+    /// requested by the ids of the phrases with the same seed.
     fn held_out(&self, run: &mut Run<'_>, generator: &Generator) -> Result<Summary, Error> {
         let sampling = &self.trained.config().sampling;
         let header = ["sample", "ccmotion", "strict", "fails"];
         let mut rows = vec![header.map(String::from).to_vec()];
         let (mut first, all) = (0, self.tasks.len());
         // Phrases of one length form a batch.
-        for tasks in self
-            .tasks
-            .chunk_by(|a, b| a.audio.frames() == b.audio.frames())
-        {
-            let conditions: Vec<_> = tasks
-                .iter()
-                .flat_map(|task| {
-                    let seed = item_seed(self.request.seed, &task.name);
-                    keys(seed, 1).map(|key| (task.audio.clone(), key))
-                })
-                .collect();
+        let same_length = |a: &Task, b: &Task| a.audio.frames() == b.audio.frames();
+        for tasks in self.tasks.chunk_by(same_length) {
+            let conditions = tasks.iter().map(|task| {
+                let seed = item_seed(self.request.seed, &task.name);
+                let key = keys(seed, 1).next().expect("one key");
+                (task.audio.clone(), key)
+            });
             let mut samples = Vec::with_capacity(tasks.len());
             generator.sample_each(
-                conditions.into_iter(),
+                conditions,
                 sampling,
                 &mut |done, steps| {
                     run.sink
@@ -261,11 +249,8 @@ impl Sampler for Phrases<'_> {
     fn needs(&self) -> Result<Vec<Needs>, Error> {
         if self.request.held_out_items().is_some() {
             let lengths: BTreeSet<usize> = self.jobs.iter().map(|job| job.frames).collect();
-            let (trained, count) = (self.trained, self.jobs.len());
-            let lengths = lengths.into_iter();
-            return lengths
-                .map(|frames| needs(trained, count, frames, HELD_OUT_HINT))
-                .collect();
+            let needs = |frames| needs(self.trained, self.jobs.len(), frames, HELD_OUT_HINT);
+            return lengths.into_iter().map(needs).collect();
         }
         let of_task = |task: &Task| {
             let (count, frames) = match &task.windows {
@@ -298,19 +283,13 @@ impl Sampler for Phrases<'_> {
                     path: task.path.as_ref().map(|path| &path.followed),
                     in_flight: WINDOWS_IN_FLIGHT,
                 };
-                let key = Key::new(seed, Purpose::Sampling);
-                for index in 0..count {
-                    let sample = generator.sample_windowed(
-                        &windowed,
-                        sampling,
-                        key.at(index as u64),
-                        &mut |done, all| {
-                            let before = index.saturating_mul(all);
-                            let wanted = count.saturating_mul(all);
-                            run.sink
-                                .advance("windows", before.saturating_add(done), wanted)
-                        },
-                    )?;
+                for (index, key) in keys(seed, count).enumerate() {
+                    let on_windows = &mut |done, all| {
+                        let before = index.saturating_mul(all);
+                        let wanted = count.saturating_mul(all);
+                        run.sink.advance("windows", before.saturating_add(done), wanted)
+                    };
+                    let sample = generator.sample_windowed(&windowed, sampling, key, on_windows)?;
                     let path = task.path.as_ref();
                     let record = Record {
                         path: path.map(|path| path.record(&sample.motion)),
@@ -346,28 +325,24 @@ fn generated(sample: Sample) -> Generated {
 
 /// A line of both profiles' verdicts.
 fn checked(name: &str, motion: &Phrase, statistics: &Statistics) -> Result<Vec<String>, Error> {
-    let ccmotion = Some(check(motion, Profile::Ccmotion, None)?);
+    let ccmotion = Some(check(motion, Profile::Document, None)?);
     // Statistics without movement measures are insufficient.
     let strict = check(motion, Profile::Strict, Some(statistics)).ok();
     let reports = ccmotion.iter().chain(&strict);
     let checks = reports.flat_map(|report| &report.checks);
-    let failed = checks.filter(|check| !check.passed);
-    let mut failed: Vec<&str> = failed.map(|check| check.name).collect();
+    let mut failed: Vec<&str> = checks
+        .filter(|check| !check.passed)
+        .map(|check| check.name)
+        .collect();
     failed.dedup();
-    let verdict = |report: &Option<Report>| {
-        let verdict = match report {
-            Some(report) if report.passed => "ok",
-            Some(_) => "FAIL",
-            None => "-",
-        };
-        verdict.to_string()
+    let verdict = |report: &Option<Report>| match report {
+        Some(report) if report.passed => "ok",
+        Some(_) => "FAIL",
+        None => "-",
     };
-    Ok(vec![
-        name.to_string(),
-        verdict(&ccmotion),
-        verdict(&strict),
-        failed.join(", "),
-    ])
+    let failed = failed.join(", ");
+    let row = [name, verdict(&ccmotion), verdict(&strict), &failed];
+    Ok(row.map(String::from).to_vec())
 }
 
 /// The condition of a phrase of a dataset.
@@ -388,24 +363,22 @@ fn audio(
     config: &Config,
     sink: &mut dyn SampleSink,
 ) -> Result<Vec<Audio>, Error> {
-    let condition = request
-        .conditions
-        .iter()
-        .find_map(|condition| match condition {
-            Condition::AudioFeatures(file) => Some(of_features(file, config)),
-            Condition::Song { file, start, beats } => {
-                Some(of_song(file, *start, beats, request.frames, config))
-            }
-            _ => None,
-        });
-    let found = match condition {
+    let conditions = request.conditions.iter();
+    let mut single = conditions.filter_map(|condition| match condition {
+        Condition::AudioFeatures(file) => Some(of_features(file, config)),
+        Condition::Song { file, start, beats } => {
+            Some(of_song(file, *start, beats, request.frames, config))
+        }
+        _ => None,
+    });
+    let mut found = match single.next() {
         Some(audio) => vec![audio?],
         None => of_phrases(request, config, sink)?,
     };
     let Some(frames) = request.frames else {
         return Ok(found);
     };
-    let cut = |audio: Audio| {
+    for audio in &mut found {
         let found = audio.features.frames();
         if frames == 0 || frames > found {
             let message = format!(
@@ -414,12 +387,9 @@ fn audio(
             );
             return Err(Error::usage(message, "ask for 1 up to that many"));
         }
-        Ok(Audio {
-            features: audio.features.slice(0..frames),
-            ..audio
-        })
-    };
-    found.into_iter().map(cut).collect()
+        audio.features = audio.features.slice(0..frames);
+    }
+    Ok(found)
 }
 
 fn of_features(file: &Path, config: &Config) -> Result<Audio, Error> {
@@ -440,17 +410,19 @@ fn of_song(
     config: &Config,
 ) -> Result<Audio, Error> {
     let layout = config.data.audio_layout();
-    if let (false, Some(option)) = (layout.beats, known.given().first()) {
-        return Err(Error::usage(
-            format!("option `{option}` with a run without beat features"),
-            "leave it out; data.audio_features = [\"ccmotion\", \"beats\"] trains with them",
-        ));
-    }
-    if let (Beats::Tracked, Some(option)) = (unet1d(config).beats, known.given().first()) {
-        return Err(Error::usage(
-            format!("option `{option}` with a run that tracks the beats itself"),
-            "leave it out; `model.beats = \"given\"` trains models on known beats",
-        ));
+    if let Some(option) = known.given().first() {
+        if !layout.beats {
+            return Err(Error::usage(
+                format!("option `{option}` with a run without beat features"),
+                "leave it out; data.audio_features = [\"ccmotion\", \"beats\"] trains with them",
+            ));
+        }
+        if unet1d(config).beats == Beats::Tracked {
+            return Err(Error::usage(
+                format!("option `{option}` with a run that tracks the beats itself"),
+                "leave it out; `model.beats = \"given\"` trains models on known beats",
+            ));
+        }
     }
     let features = song_features(song, known)?.1;
     let audio = AudioFeatures::of_song(&features, layout, known.pulse(&features).as_ref());
@@ -465,13 +437,10 @@ fn of_song(
         return Err(Error::usage(message, "give a moment within the song"));
     }
     let start = start.round() as usize;
-    let end = match frames {
-        Some(frames) => audio.frames().min(start + frames),
-        None => audio.frames(),
-    };
+    let end = frames.map_or(usize::MAX, |frames| start + frames);
     Ok(Audio {
         name: name.into_owned(),
-        features: audio.slice(start..end),
+        features: audio.slice(start..end.min(audio.frames())),
         condition: Condition::Song {
             file: song.to_path_buf(),
             start: begins,
@@ -518,8 +487,6 @@ fn of_phrases(
         let id = &found[0].id;
         sink.note(&format!("no condition given: using {side} {id}"));
     }
-    Ok(found
-        .iter()
-        .map(|phrase| of_phrase(phrase, &data))
-        .collect())
+    let found = found.iter();
+    Ok(found.map(|phrase| of_phrase(phrase, &data)).collect())
 }

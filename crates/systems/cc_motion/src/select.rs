@@ -16,28 +16,13 @@ use super::CondSource;
 use super::evaluate::{EvaluationReport, SampleSettings, evaluate};
 use super::generate::Generator;
 use super::lengths::leading;
-use crate::network::{MotionDecoder, MotionModel, UNet1d};
+use crate::network::{MotionDecoder, UNet1d};
 
 /// Seed of the samples, the same at each validation and in all runs, so that only weights differ.
 const SEED: u64 = 0;
 
-/// The networks of sampling.
-pub(super) trait Networks {
-    /// Denoiser and decoder, if there is one.
-    fn networks(&self) -> (UNet1d, Option<MotionDecoder>);
-}
-
-impl Networks for UNet1d {
-    fn networks(&self) -> (UNet1d, Option<MotionDecoder>) {
-        (self.clone(), None)
-    }
-}
-
-impl Networks for MotionModel {
-    fn networks(&self) -> (UNet1d, Option<MotionDecoder>) {
-        (self.unet.clone(), Some(self.decoder.clone()))
-    }
-}
+/// Denoiser and decoder, if there is one, of a trained model.
+pub(super) type NetworksOf<M> = fn(&M) -> (UNet1d, Option<MotionDecoder>);
 
 /// The held-out phrases of the samples.
 pub(super) struct Selection {
@@ -51,11 +36,8 @@ pub(super) struct Selection {
 }
 
 impl Selection {
-    /// The selection that `validation.select_by` of the state's config names, on the first of the
-    /// phrases `held_out`; none where that is the loss, or nothing is validated.
-    ///
-    /// # Errors
-    /// If fewer than two phrases are held out, or if one cannot be read.
+    /// The selection by `validation.select_by` of the state's config, on the first of the phrases
+    /// `held_out`, at least two; none by the loss or without validation.
     pub fn new(
         held_out: &PhraseSet,
         diffusion: &GaussianDiffusion,
@@ -85,8 +67,11 @@ impl Selection {
     }
 
     /// The score of networks on the plain `device`, by one sample for each phrase.
-    fn score(&self, networks: &impl Networks, device: &Device) -> Result<Score, Error> {
-        let (unet, decoder) = networks.networks();
+    fn score(
+        &self,
+        (unet, decoder): (UNet1d, Option<MotionDecoder>),
+        device: &Device,
+    ) -> Result<Score, Error> {
         let (diffusion, state) = (self.diffusion.clone(), self.state.clone());
         let generator = Generator::of(unet, decoder, diffusion, state, device);
         let settings = SampleSettings {
@@ -104,37 +89,38 @@ impl Selection {
 /// The score of an evaluation; infinite if samples are not finite.
 fn score(by: SelectBy, report: &EvaluationReport) -> Score {
     let (sampled, real) = (&report.processed, &report.real);
-    let metrics = [
-        ("frechet", sampled.frechet_held_out),
-        ("diversity", sampled.diversity),
-    ];
     let ratio = sampled.diversity.zip(real.diversity);
     let value = match by {
         SelectBy::Loss => None,
         SelectBy::Frechet => sampled.frechet_held_out,
         SelectBy::Diversity => ratio.map(|(sampled, real)| (sampled / real).ln().abs()),
     };
-    let finite = |metric: (&'static str, Option<f64>)| {
-        let value = metric.1.filter(|value| value.is_finite())?;
-        Some((metric.0, value))
-    };
+    let metrics = [
+        ("frechet", sampled.frechet_held_out),
+        ("diversity", sampled.diversity),
+    ];
+    let metrics = metrics.into_iter();
     Score {
         value: value
             .filter(|value| !value.is_nan())
             .unwrap_or(f64::INFINITY),
-        metrics: metrics.into_iter().filter_map(finite).collect(),
+        metrics: metrics
+            .filter_map(|(name, value)| Some((name, value.filter(|value| value.is_finite())?)))
+            .collect(),
     }
 }
 
-/// A recipe whose best step is selected by samples, if so.
-pub(super) struct Selecting<R> {
+/// A recipe whose best step can be selected by samples.
+pub(super) struct Selecting<R: Recipe> {
     /// The trained part.
     pub recipe: R,
     /// The criterion of the best step, if other than the loss.
     pub selection: Option<Selection>,
+    /// The networks of its samples.
+    pub networks: NetworksOf<R::Model>,
 }
 
-impl<R: Recipe<Model: Networks>> Recipe for Selecting<R> {
+impl<R: Recipe> Recipe for Selecting<R> {
     type Model = R::Model;
     type Pending = R::Pending;
 
@@ -169,7 +155,7 @@ impl<R: Recipe<Model: Networks>> Recipe for Selecting<R> {
     }
 
     fn score(&self, model: &Self::Model, device: &Device) -> Result<Option<Score>, Error> {
-        let selection = self.selection.as_ref();
-        selection.map(|by| by.score(model, device)).transpose()
+        let score = |selection: &Selection| selection.score((self.networks)(model), device);
+        self.selection.as_ref().map(score).transpose()
     }
 }

@@ -1,6 +1,6 @@
 //! The initial checkpoints of fine-tuning: `init.diffusion` and `init.decoder`.
 
-use std::path::PathBuf;
+use std::fs::canonicalize;
 
 use burn::tensor::Device;
 use kinegrad_data::{DataConfig, DataKind};
@@ -33,9 +33,6 @@ pub(crate) struct Starts {
 
 impl Starts {
     /// The checkpoints that `init` names; none where `init.diffusion` is empty.
-    ///
-    /// # Errors
-    /// If one is not there.
     pub fn named(init: &InitConfig) -> Result<Option<Self>, Error> {
         let Some(diffusion) = Start::named("init.diffusion", &init.diffusion, &CcMotion)? else {
             return Ok(None);
@@ -44,19 +41,13 @@ impl Starts {
         Ok(Some(Self { diffusion, decoder }))
     }
 
-    /// The tables of networks and process of the start's configs: defaults of the new config.
-    pub fn tables(&self) -> Table {
+    /// Defaults of the new config: the tables of networks and process, and the split and labels of a
+    /// base that was trained on the dataset of `config`, so that its training items are not held out.
+    pub fn tables_for(&self, config: &Config) -> Table {
         let mut tables = self.diffusion.tables(&OF_BASE);
         if let Some(decoder) = &self.decoder {
             tables.extend(decoder.tables(&OF_DECODER));
         }
-        tables
-    }
-
-    /// [`tables`](Self::tables), and the split and labels of a base that was trained on the dataset
-    /// of `config`, so that its training items are not held out.
-    pub fn tables_for(&self, config: &Config) -> Table {
-        let mut tables = self.tables();
         let base = &self.diffusion.state().config.data;
         if is_of_one_source(base, &config.data) {
             let split = Table::try_from(&base.validation).expect(PLAIN);
@@ -70,11 +61,7 @@ impl Starts {
         tables
     }
 
-    /// The state of the denoiser's checkpoint: what its data were normalised by, and how they were
-    /// augmented and split.
-    ///
-    /// # Errors
-    /// If it is of other motion than phrases.
+    /// The state of the denoiser's checkpoint, which is of phrases.
     pub fn state(&self) -> Result<&State, Error> {
         let state = self.diffusion.state();
         state.statistics_of(&Phrases)?;
@@ -88,10 +75,8 @@ impl Starts {
         starts.map(|start| (start.key, start.state()))
     }
 
-    /// The networks with the start's averaged weights on an autodiff device.
-    ///
-    /// # Errors
-    /// Names the key whose checkpoint does not fit, and why.
+    /// The networks with the start's EMA weights on an autodiff device. Errors name the key whose
+    /// checkpoint does not fit.
     pub fn networks(&self, config: &Config, device: &Device) -> Result<MotionModel, Error> {
         let load = |saved: &_| Trained::load(saved, Weights::Ema, device);
         let base = self.diffusion.load(load)?;
@@ -99,8 +84,7 @@ impl Starts {
         must_have_features(config, &base.state.config)?;
         base.state.statistics_of(&Phrases)?;
         let statistics = base.state.normalization();
-        // Networks of this config, whose dropout and coherence may be others, with the values of
-        // the start.
+        // The dropout and the coherence of this config, with the weights of the start.
         let unet = parameters::replace(denoiser(config, device)?, parameters::values(&base.unet));
         let mut decoder = decoder(config, statistics, device)?;
         if let Some(given) = &self.decoder {
@@ -123,9 +107,6 @@ impl Starts {
 }
 
 /// Rejects a config whose model has other audio features than its initial model.
-///
-/// # Errors
-/// Names `data.audio_features`, and what the start has.
 fn must_have_features(config: &Config, start: &Config) -> Result<(), Error> {
     let [given, start] = [config, start]
         .map(|config| serde_json::to_string(&config.data.audio_features).unwrap_or_default());
@@ -140,21 +121,15 @@ pub(super) fn is_of_one_source(a: &DataConfig, b: &DataConfig) -> bool {
         && match a.kind {
             DataKind::Synthetic => a.synthetic == b.synthetic,
             _ => {
+                // Folders by their canonical paths.
+                let place = |source: &str| canonicalize(source).unwrap_or_else(|_| source.into());
                 let [a, b] = [a, b].map(|data| data.source.as_deref().map(place));
                 a.is_some() && a == b
             }
         }
 }
 
-/// A folder by its one name, however it is spelled; other sources as they are.
-fn place(source: &str) -> PathBuf {
-    std::fs::canonicalize(source).unwrap_or_else(|_| source.into())
-}
-
-/// Rejects keys of `init` that the recipe of a new run would not use.
-///
-/// # Errors
-/// Names the first.
+/// Rejects keys that a new run would not use.
 pub(super) fn must_use(config: &Config) -> Result<(), Error> {
     let (recipe, init) = (RecipeName::of(config), &config.own::<CcMotionConfig>().init);
     let name = recipe.name();
@@ -171,14 +146,10 @@ pub(super) fn must_use(config: &Config) -> Result<(), Error> {
     }
     let unet = unet1d(config);
     let learns = unet.beats == Beats::Given || config.data.audio_layout().beats;
+    let found = "\"tracked\" without known beats";
     let allowed = "\"given\", or `data.audio_features = [\"ccmotion\", \"beats\"]`";
-    require(
-        learns,
-        "model.beats",
-        "\"tracked\" without known beats",
-        allowed,
-    )
-    .hint("the tracker learns from the beats of the training songs; samples need none")?;
+    require(learns, "model.beats", found, allowed)
+        .hint("the tracker learns from the beats of the training songs; samples need none")?;
     let noise = config.data.augment.audio_noise;
     let learns = unet.beats == Beats::Given || noise == 0.0;
     let allowed = "0 with `model.beats = \"tracked\"`";

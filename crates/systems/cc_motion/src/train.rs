@@ -20,6 +20,7 @@ use super::recipes::{DecoderRecipe, E2eRecipe, Rollouts, diffusion_recipe};
 use super::select::{Selecting, Selection};
 use super::start::Starts;
 use super::{CcMotionConfig, leaks, pretrain, style};
+use crate::network::MotionModel;
 
 /// Trains according to the context's config.
 pub(super) fn train(context: RunContext, observer: &mut dyn Observer) -> Result<Outcome, Error> {
@@ -34,29 +35,26 @@ pub(super) fn train(context: RunContext, observer: &mut dyn Observer) -> Result<
     let recipe = RecipeName::of(&config);
     let pretrains = recipe == RecipeName::E2e && own.init.diffusion.as_os_str().is_empty();
     if context.dry_run && pretrains {
-        pretrain::announce(&config, &context.folder, observer)?;
+        pretrain::announce(&config, &context.folder, observer);
         observer.note("the estimate does not include these two, but only the last training");
     }
-    let planned = context.dry_run && pretrains;
-    let starts_anew = context.checkpoint.is_none() && !planned;
-    let starts = match recipe.trains_through_sampler() && starts_anew {
-        false => None,
-        true => {
-            let mut init = own.init.clone();
-            if pretrains {
-                init = match pretrain::run(&config, &context.folder, &group, observer)? {
-                    Ok(trained) => trained,
-                    Err(interrupted) => return Ok(*interrupted),
-                };
-            }
-            let missing = || {
-                let allowed = format!("a trained denoiser for recipe `{}`", recipe.name());
-                InvalidSetting::new("init.diffusion", "empty", allowed)
-                    .hint("name a run or checkpoint: option `set init.diffusion=runs/phrases`")
+    let starts_anew = context.checkpoint.is_none() && !(context.dry_run && pretrains);
+    let mut starts = None;
+    if recipe.trains_through_sampler() && starts_anew {
+        let mut init = own.init.clone();
+        if pretrains {
+            init = match pretrain::run(&config, &context.folder, &group, observer)? {
+                Ok(trained) => trained,
+                Err(interrupted) => return Ok(*interrupted),
             };
-            Some(Starts::named(&init)?.ok_or_else(missing)?)
         }
-    };
+        let missing = || {
+            let allowed = format!("a trained denoiser for recipe `{}`", recipe.name());
+            InvalidSetting::new("init.diffusion", "empty", allowed)
+                .hint("name a run or checkpoint: option `set init.diffusion=runs/phrases`")
+        };
+        starts = Some(Starts::named(&init)?.ok_or_else(missing)?);
+    }
     if let Some(starts) = &starts
         && group.writes()
     {
@@ -65,6 +63,10 @@ pub(super) fn train(context: RunContext, observer: &mut dyn Observer) -> Result<
     }
     let targets = targets(&config);
     let measured = |dataset: &Dataset<PhraseItem>| dataset.statistics_among(&*reading, &*group);
+    let augment = &config.data.augment;
+    let wide =
+        |targets, statistics, before: &AugmentConfig| widened(statistics, targets, augment, before);
+    let stored = ChannelEncoding::default();
     let (statistics, network_statistics) = match (&context.checkpoint, &starts) {
         (Some(checkpoint), _) => {
             let stored = checkpoint.state.statistics_of(&Phrases)?.clone();
@@ -73,44 +75,31 @@ pub(super) fn train(context: RunContext, observer: &mut dyn Observer) -> Result<
         (None, Some(starts)) => {
             let state = starts.state()?;
             let before = &state.config.data.augment;
-            let wide =
-                |targets, statistics| widened(statistics, targets, &config.data.augment, before);
-            let own = state
-                .network_statistics
-                .clone()
-                .map(|own| wide(targets, own));
+            let own = state.network_statistics.clone();
             let mut statistics = state.statistics.clone();
             if statistics.movement.is_empty() {
-                // Of a start of before it was measured.
+                // Old checkpoints do not contain it.
                 statistics.movement = measured(&dataset)?.movement;
             }
-            (wide(ChannelEncoding::default(), statistics), own)
+            (
+                wide(stored, statistics, before),
+                own.map(|own| wide(targets, own, before)),
+            )
         }
         (None, None) => {
-            let wide = |targets, statistics, before: &AugmentConfig| {
-                widened(statistics, targets, &config.data.augment, before)
-            };
             let none = AugmentConfig::default();
+            let of_crops = config.data.statistics != StatisticsOf::Phrases;
             // Crops are measured at the speeds that they are played at.
-            let measured_at = match config.data.statistics {
-                StatisticsOf::Phrases => 0.0,
-                StatisticsOf::Crops => config.data.augment.speed,
-            };
-            let of_crops = AugmentConfig {
-                speed: measured_at,
+            let before = AugmentConfig {
+                speed: if of_crops { augment.speed } else { 0.0 },
                 ..none.clone()
             };
-            let differ =
-                !targets.are_stored_channels() || config.data.statistics != StatisticsOf::Phrases;
-            let own = differ.then(|| {
-                let measured =
-                    target_statistics(dataset.train.clone(), targets, &config.data, &*group);
-                Ok::<_, Error>(wide(targets, measured?, &of_crops))
+            let own = (of_crops || !targets.are_stored_channels()).then(|| {
+                let train = dataset.train.clone();
+                let own = target_statistics(train, targets, &config.data, &*group)?;
+                Ok::<_, Error>(wide(targets, own, &before))
             });
-            (
-                wide(ChannelEncoding::default(), measured(&dataset)?, &none),
-                own.transpose()?,
-            )
+            (wide(stored, measured(&dataset)?, &none), own.transpose()?)
         }
     };
     let normalized = Arc::new(network_statistics.as_ref().unwrap_or(&statistics).clone());
@@ -142,42 +131,40 @@ pub(super) fn train(context: RunContext, observer: &mut dyn Observer) -> Result<
         let rollouts = Rollouts::new(diffusion, &own.rollout, normalized)?;
         Ok::<_, Error>((model, rollouts.with_targets(targets, &statistics)))
     };
+    let of_both = |model: &MotionModel| (model.unet.clone(), Some(model.decoder.clone()));
     match recipe {
         RecipeName::Diffusion => {
             let model = denoiser(&config, &context.device)?;
-            let recipe = diffusion_recipe(diffusion, held_out);
-            context.train(
-                training_data,
-                Selecting { recipe, selection },
-                model,
-                observer,
-            )
+            let selecting = Selecting {
+                recipe: diffusion_recipe(diffusion, held_out),
+                selection,
+                networks: |unet| (unet.clone(), None),
+            };
+            context.train(training_data, selecting, model, observer)
         }
         RecipeName::Decoder => {
             let (model, rollouts) = through_sampler(diffusion)?;
-            let recipe = DecoderRecipe::new(rollouts, &own.loss, held_out);
-            context.train(
-                training_data,
-                Selecting { recipe, selection },
-                model,
-                observer,
-            )
+            let selecting = Selecting {
+                recipe: DecoderRecipe::new(rollouts, &own.loss, held_out),
+                selection,
+                networks: of_both,
+            };
+            context.train(training_data, selecting, model, observer)
         }
         RecipeName::E2e => {
             let (model, rollouts) = through_sampler(diffusion)?;
-            let recipe = E2eRecipe::new(rollouts, &own.loss, held_out);
-            context.train(
-                training_data,
-                Selecting { recipe, selection },
-                model,
-                observer,
-            )
+            let selecting = Selecting {
+                recipe: E2eRecipe::new(rollouts, &own.loss, held_out),
+                selection,
+                networks: of_both,
+            };
+            context.train(training_data, selecting, model, observer)
         }
     }
 }
 
-/// The statistics of the channels of `targets` with the range that augmented phrases reach, which
-/// predicted ones are clipped to; `before` is the augmentation that the range takes in already.
+/// The statistics of the channels of `targets` with the range of augmented phrases, to which predicted
+/// ones are clipped; the range includes that of the augmentation `before` already.
 fn widened(
     mut statistics: Statistics,
     targets: ChannelEncoding,
@@ -201,15 +188,9 @@ fn widened(
         statistics.widen_range_for_signs(targets.orientation_channels());
     }
     if augment.rotate_yaw && !before.rotate_yaw {
-        statistics.widen_range_for_yaw(
-            &[
-                POSITION,
-                VELOCITY,
-                ACCELERATION,
-                targets.angular_velocity_channels(),
-            ],
-            targets.orientation_channels(),
-        );
+        let turning = targets.angular_velocity_channels();
+        let vectors = [POSITION, VELOCITY, ACCELERATION, turning];
+        statistics.widen_range_for_yaw(&vectors, targets.orientation_channels());
     }
     statistics
 }

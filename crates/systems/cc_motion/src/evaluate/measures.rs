@@ -72,8 +72,8 @@ impl ProfileRates {
             if checks.iter().any(|rate| rate.name == named.name) {
                 continue;
             }
-            // Reports of the profile `ccmotion` have the line `finite` only if it fails: a report
-            // without the line passes it with a value of 0.
+            // Reports of the profile `ccmotion` have the check `finite` only if it fails; without it
+            // the value is 0.
             let lines = || reports.iter().filter_map(|report| report.check(named.name));
             let failed = lines().filter(|check| !check.passed).count();
             checks.push(CheckRate {
@@ -119,8 +119,8 @@ pub(super) struct Reference<'a> {
 }
 
 impl<'a> Reference<'a> {
-    /// The reference of these phrases, in units of the run's `statistics`. If those lack the movement
-    /// of training motion, it is that of the `training` phrases, or without them of the held-out ones.
+    /// The reference of these phrases, in units of the run's `statistics`. Missing movement measures of
+    /// the statistics are those of the `training` phrases, or without them of the held-out ones.
     pub fn new(
         held_out: &'a [Arc<PhraseItem>],
         training: &[Arc<PhraseItem>],
@@ -130,26 +130,24 @@ impl<'a> Reference<'a> {
             let motions = phrases.iter().map(|phrase| &phrase.motion);
             feature_moments(motions, statistics)
         };
-        let music = held_out
-            .iter()
-            .map(|phrase| track(phrase.audio.onset_strength()).times())
-            .collect();
-        let mut statistics_with_movement = statistics.clone();
+        let beats = |phrase: &Arc<PhraseItem>| track(phrase.audio.onset_strength()).times();
+        let mut with_movement = statistics.clone();
         if statistics.movement.is_empty() {
-            let phrases = match training.is_empty() {
-                true => held_out,
-                false => training,
+            let phrases = if training.is_empty() {
+                held_out
+            } else {
+                training
             };
             let measured = phrase_statistics(phrases.iter().map(|phrase| &phrase.motion));
             let movement = measured.map(|measured| measured.movement);
-            statistics_with_movement.movement = movement.unwrap_or_default();
+            with_movement.movement = movement.unwrap_or_default();
         }
         Self {
-            statistics: statistics_with_movement,
+            statistics: with_movement,
             phrases: held_out,
             held_out: moments(held_out),
             training: moments(training),
-            music,
+            music: held_out.iter().map(beats).collect(),
         }
     }
 
@@ -163,22 +161,20 @@ impl<'a> Reference<'a> {
             ProfileRates::of(&reports.expect("the statistics are known"))
         };
         let seeds = motions.first().map_or(0, Vec::len);
+        let diversity = |samples: Vec<&Phrase>| diversity(&samples, &self.statistics);
         let by_seed = (0..seeds).map(|seed| {
-            let samples: Vec<&Phrase> = motions.iter().map(|samples| &samples[seed]).collect();
-            diversity(&samples, &self.statistics)
+            let samples = motions.iter().map(|samples| &samples[seed]);
+            diversity(samples.collect())
         });
-        let by_phrase = motions.iter().map(|samples| {
-            let samples: Vec<&Phrase> = samples.iter().collect();
-            diversity(&samples, &self.statistics)
-        });
+        let by_phrase = motions
+            .iter()
+            .map(|samples| diversity(samples.iter().collect()));
         let alignment = motions
             .iter()
             .zip(&self.music)
             .flat_map(|(samples, music)| {
-                samples
-                    .iter()
-                    .filter_map(|motion| beat_alignment(&kinematic_beats(motion), music))
-                    .map(Some)
+                let aligned = move |motion| beat_alignment(&kinematic_beats(motion), music);
+                samples.iter().filter_map(aligned).map(Some)
             });
         let moments = feature_moments(all(), &self.statistics);
         let frechet = |reference: &Option<FeatureMoments>| {
@@ -203,10 +199,8 @@ fn feature_moments<'a>(
     motions: impl Iterator<Item = &'a Phrase>,
     statistics: &Statistics,
 ) -> Option<FeatureMoments> {
-    let features: Vec<_> = motions
-        .map(|motion| trajectory_features(motion, statistics))
-        .collect();
-    FeatureMoments::compute(&features)
+    let features = motions.map(|motion| trajectory_features(motion, statistics));
+    FeatureMoments::compute(&features.collect::<Vec<_>>())
 }
 
 #[cfg(test)]

@@ -28,8 +28,8 @@ pub use measures::{CheckRate, Measures, ProfileRates};
 pub use movement::MovementSpread;
 pub use terms::LossTerm;
 
-/// Bytes of memory for a frame of a sample: the raw motion, the post-processed one, and the
-/// derivatives that are measured of each.
+/// Bytes of memory for a frame of a sample: raw and post-processed motion, and the derivatives of
+/// both.
 const BYTES_PER_FRAME: u64 = 800;
 
 /// Hint of the error if the samples of a phrase do not fit into memory.
@@ -61,9 +61,6 @@ pub(super) struct EvaluationReport {
 }
 
 /// An evaluation on the held-out phrases.
-///
-/// # Errors
-/// If nothing is held out, or the request does not suit the model.
 pub(super) fn prepare<'a>(
     trained: &'a TrainedModel,
     request: &EvaluationRequest,
@@ -96,9 +93,9 @@ pub(super) fn prepare<'a>(
     let training = dataset.train.load()?;
     let generated = held_out.iter().map(|phrase| {
         let windows = windows(config, phrase.frames());
-        Ok(windows.map_or(phrase.frames(), |windows| windows.length()))
+        windows.map_or(phrase.frames(), |windows| windows.length())
     });
-    let odd_lengths = untrained(config, generated.collect::<Result<Vec<_>, Error>>()?);
+    let odd_lengths = untrained(config, generated);
     let report = match settings.cond {
         CondSource::Phrases => "eval",
         CondSource::Noise => "eval-noise",
@@ -128,11 +125,8 @@ pub(super) fn prepare<'a>(
 }
 
 /// Generates samples for each held-out phrase and compares them with the held-out and the training
-/// phrases. Sample k of a phrase depends on the seed, the phrase's id and k alone: it is that of
-/// `kinegrad sample`. Each process generates those of some phrases.
-///
-/// # Errors
-/// If the sampler's settings cannot work.
+/// phrases. Sample k of a phrase depends on the seed, the phrase's id and k alone, as in `kinegrad
+/// sample`. Each process generates the samples of some phrases.
 pub(super) fn evaluate(
     generator: &Generator,
     held_out: &[Arc<PhraseItem>],
@@ -161,14 +155,13 @@ pub(super) fn evaluate(
     })?;
     let (raw, processed): (Vec<Vec<Phrase>>, Vec<Vec<Phrase>>) = samples.into_iter().unzip();
     let real = held_out.iter().map(|phrase| vec![phrase.motion.clone()]);
-    let real: Vec<Vec<Phrase>> = real.collect();
     let reference = Reference::new(held_out, training, generator.statistics());
     Ok(EvaluationReport {
         phrases: held_out.len(),
         settings,
         processed: reference.measure(&processed),
         raw: reference.measure(&raw),
-        real: reference.measure(&real),
+        real: reference.measure(&real.collect::<Vec<_>>()),
     })
 }
 

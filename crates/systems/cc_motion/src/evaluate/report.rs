@@ -45,37 +45,37 @@ impl Metrics for Measures {
     /// the share of phrases that pass a check, and its mean value.
     fn rows(&self) -> Vec<Number> {
         let mut rows = Vec::new();
-        for (name, title, decimals, value) in [
-            ("diversity", "diversity", 3, self.diversity),
-            (
-                "same_phrase_diversity",
-                "same-phrase diversity",
-                3,
-                self.same_phrase_diversity,
-            ),
-            (
-                "frechet_held_out",
-                "Fréchet to held-out",
-                4,
-                self.frechet_held_out,
-            ),
-            (
-                "frechet_training",
-                "Fréchet to training",
-                4,
-                self.frechet_training,
-            ),
-            ("beat_alignment", "beat alignment", 3, self.beat_alignment),
-            (
-                "mean_jerk",
-                "mean jerk by the channels, m/s^3",
-                1,
-                self.mean_jerk,
-            ),
-        ] {
+        let mut add = |name: &str, title: &str, decimals, value: Option<f64>| {
             let shown = value.map(|value| format!("{value:.decimals$}"));
             rows.push(Number::shown(name, value, title, shown));
-        }
+        };
+        let same_phrase = self.same_phrase_diversity;
+        add("diversity", "diversity", 3, self.diversity);
+        add(
+            "same_phrase_diversity",
+            "same-phrase diversity",
+            3,
+            same_phrase,
+        );
+        add(
+            "frechet_held_out",
+            "Fréchet to held-out",
+            4,
+            self.frechet_held_out,
+        );
+        add(
+            "frechet_training",
+            "Fréchet to training",
+            4,
+            self.frechet_training,
+        );
+        add("beat_alignment", "beat alignment", 3, self.beat_alignment);
+        add(
+            "mean_jerk",
+            "mean jerk by the channels, m/s^3",
+            1,
+            self.mean_jerk,
+        );
         for spread in &self.movement {
             let name = |statistic| format!("movement.{}.{statistic}", spread.name);
             let both = spread.median.zip(spread.p1.zip(spread.p99));

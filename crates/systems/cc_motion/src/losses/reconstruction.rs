@@ -1,6 +1,8 @@
 //! Reconstruction losses (CC-MotionGen, sections 7.1 and 7.5; docs/sources.md, section 1.8:
 //! "decoder position" and "decoder quaternion").
 
+use std::ops::Range;
+
 use burn::tensor::{Tensor, s};
 use kinegrad_motion::phrase::{PHASE, POSITION, QUATERNION};
 use schemars::JsonSchema;
@@ -30,10 +32,8 @@ pub struct ReconstructionLoss {
 }
 
 impl ReconstructionLoss {
-    /// Compares `decoded` with `target`.
-    ///
-    /// `weights`, one per sample, scale a sample's part in the mean and not the count: a sample of
-    /// weight 0 has nothing in common with its ground truth, such as a rollout from pure noise.
+    /// Compares `decoded` with `target`. `weights`, one per sample, scale the errors in the mean, not
+    /// the count: weight 0 is for samples without signal of the ground truth.
     ///
     /// # Shapes
     /// - decoded, target: `[batch, 25, time]`, physical units
@@ -52,9 +52,8 @@ impl ReconstructionLoss {
         };
         let mask = mask.clone().unsqueeze_dim::<3>(1);
         let squared = (decoded.clone() - target).square() * weights;
-        let mean = |channels: std::ops::Range<usize>| {
-            mean_frames(squared.clone().slice(s![.., channels]), &mask)
-        };
+        let mean =
+            |channels: Range<usize>| mean_frames(squared.clone().slice(s![.., channels]), &mask);
         Self {
             position: mean(POSITION),
             quaternion: mean(QUATERNION),
@@ -63,7 +62,7 @@ impl ReconstructionLoss {
 }
 
 /// The mean over all channels of the squared error in units of each channel's deviation, the
-/// quaternion up to its sign: what a decoder alone is trained on.
+/// quaternion up to its sign: the loss of recipe `decoder`.
 ///
 /// # Shapes
 /// - decoded, target: `[batch, 25, time]`, physical units
@@ -85,20 +84,20 @@ pub fn normalized_error(
     )
 }
 
-/// `target` with each phase moved by whole bars to where it is nearest to that of `decoded`, so that
-/// 0.99 and 0.01 differ by 0.02.
+/// `target` with each phase moved by whole bars to the one nearest to that of `decoded`: 0.99 and 0.01
+/// differ by 0.02.
 pub fn with_nearer_phase(target: &Tensor<3>, decoded: &Tensor<3>) -> Tensor<3> {
     let phase = |x: &Tensor<3>| x.clone().without_autodiff().narrow(1, PHASE, 1);
     let reference = phase(target);
     let bars = (phase(decoded) - reference.clone()).round();
-    Tensor::cat(
-        vec![
-            target.clone().slice(s![.., ..PHASE]),
-            reference + bars,
-            target.clone().slice(s![.., PHASE + 1..]),
-        ],
-        1,
-    )
+    with(target, PHASE..PHASE + 1, reference + bars)
+}
+
+/// `x` with other values in some `channels`.
+fn with(x: &Tensor<3>, channels: Range<usize>, values: Tensor<3>) -> Tensor<3> {
+    let before = x.clone().slice(s![.., ..channels.start]);
+    let after = x.clone().slice(s![.., channels.end..]);
+    Tensor::cat(vec![before, values, after], 1)
 }
 
 /// `target` with the sign of each quaternion that is nearer to that of `decoded`.
@@ -106,13 +105,5 @@ fn with_nearer_sign(target: &Tensor<3>, decoded: &Tensor<3>) -> Tensor<3> {
     let quaternion = |x: &Tensor<3>| x.clone().without_autodiff().slice(s![.., QUATERNION]);
     let reference = quaternion(target);
     let dot = (quaternion(decoded) * reference.clone()).sum_dim(1);
-    let reference = reference * hemisphere(dot);
-    Tensor::cat(
-        vec![
-            target.clone().slice(s![.., ..QUATERNION.start]),
-            reference,
-            target.clone().slice(s![.., QUATERNION.end..]),
-        ],
-        1,
-    )
+    with(target, QUATERNION, reference * hemisphere(dot))
 }

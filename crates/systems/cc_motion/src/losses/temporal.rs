@@ -15,9 +15,8 @@
 //! position_smoothness  |fps^3 d d d p|^2 / target_jerk^2
 //! ```
 //!
-//! The last three are not CC-MotionGen's. CC-MotionGen takes the root of the squared jerk and
-//! squares it again, whose gradient is NaN where two accelerations are equal; here the squares are
-//! summed directly, which is the same value.
+//! The last three are not CC-MotionGen's. It squares the root of the squared jerk, whose gradient is
+//! NaN where two accelerations are equal; here the squares are summed directly, to the same value.
 
 use burn::tensor::activation::relu;
 use burn::tensor::{Bool, Tensor};
@@ -88,8 +87,8 @@ impl Default for TemporalLossConfig {
             acceleration_weight: 5.0,
             jerk_weight: 1.0,
             quat_delta_weight: 2.0,
-            // A sum over time, not a mean: at weight 1 trembling phases outweigh all else, and the
-            // model learns a phase that stands still.
+            // A sum over time, not a mean: at weight 1 it outweighs all else for phases with jitter,
+            // and the model learns a constant phase.
             phase_monotonic_weight: 0.001,
             quat_norm_weight: 0.0,
             angular_velocity_weight: 0.01,
@@ -188,9 +187,8 @@ pub fn temporal_losses(
             &|| {
                 let jerk = differences(differences(differences(p.clone())));
                 let square = (jerk / config.target_jerk).square().sum_dim(1);
-                let whole =
-                    frames.clone().narrow(2, 0, time - 3) * frames.clone().narrow(2, 3, time - 3);
-                mean_frames(square, &whole)
+                let part = |first| frames.clone().narrow(2, first, time - 3);
+                mean_frames(square, &(part(0) * part(3)))
             },
         );
     }

@@ -6,10 +6,9 @@
 //! ```
 //!
 //! There is no temporal term: the decoder sees one frame at a time, so it could only reduce jitter
-//! by reducing motion. It is trained on two latents of each phrase that have a ground truth: the
-//! phrase with the low noise that a sampler may leave, and a DDIM sample started from the phrase
-//! with high noise (`rollout`), whose error is weighted by the signal remaining in its start. The
-//! denoiser is part of the checkpoint and is not trained.
+//! by reducing motion. It is trained on two latents of each phrase: the phrase with low noise, and a
+//! DDIM sample started from the phrase with high noise (`rollout`), whose error is weighted by the
+//! signal remaining in its start. The denoiser is part of the checkpoint and is not trained.
 
 use burn::module::Module;
 use burn::tensor::{Device, Tensor};
@@ -51,9 +50,8 @@ impl DecoderRecipe {
     ) -> Tensor<3> {
         let diffusion = &self.rollouts.rollout.diffusion;
         let below = diffusion.config.num_train_timesteps as f64 * NOISED_SHARE;
-        let timesteps: Vec<usize> = (0..x_start.dims()[0])
-            .map(|i| (place(i) * below) as usize)
-            .collect();
+        let timesteps = (0..x_start.dims()[0]).map(|i| (place(i) * below) as usize);
+        let timesteps: Vec<usize> = timesteps.collect();
         diffusion.add_noise(x_start.clone(), noise, &timesteps)
     }
 
@@ -66,26 +64,20 @@ impl DecoderRecipe {
         starts: &[usize],
         dropout: Option<Key>,
     ) -> [(&'static str, Tensor<1>); 2] {
-        let device = inputs.x_start.device();
-        let target = self.rollouts.physical(&inputs.x_start);
+        let (rollouts, device) = (&self.rollouts, inputs.x_start.device());
+        let target = rollouts.physical(&inputs.x_start);
         let error = |call: u64, latent: Tensor<3>, weighting| {
-            let decoded = model
-                .decoder
-                .forward(latent, dropout.map(|key| key.at(call)));
-            let weights = self.rollouts.weights(starts, weighting, &device);
-            let rollouts = &self.rollouts;
+            let dropout = dropout.map(|key| key.at(call));
+            let decoded = model.decoder.forward(latent, dropout);
+            let weights = rollouts.weights(starts, weighting, &device);
             rollouts.normalized_error(&decoded, &target, &inputs.mask, weights) * self.loss.w_dec
         };
         let [noised, sampled] = latents;
+        let noised = error(0, noised, ReconstructionWeighting::Uniform);
+        let sampled = error(1, sampled, self.loss.reconstruction_weighting);
         [
-            (
-                "reconstruction_noised",
-                error(0, noised, ReconstructionWeighting::Uniform),
-            ),
-            (
-                "reconstruction_sampled",
-                error(1, sampled, self.loss.reconstruction_weighting),
-            ),
+            ("reconstruction_noised", noised),
+            ("reconstruction_sampled", sampled),
         ]
     }
 }
@@ -104,14 +96,10 @@ impl Recipe for DecoderRecipe {
         let places = key.of(Purpose::Timesteps).uniforms(shape[0]);
         let little = noise(key.of(Purpose::Noise), shape, device);
         let noised = self.noised(&inputs.x_start, little, |i| f64::from(places[i]));
-        let starts = self
-            .rollouts
-            .sample_starts(shape[0], key.of(Purpose::RolloutTimesteps));
+        let rollouts = &self.rollouts;
+        let starts = rollouts.sample_starts(shape[0], key.of(Purpose::RolloutTimesteps));
         let much = noise(key.of(Purpose::RolloutNoise), shape, device);
-        let sampled = self
-            .rollouts
-            .sample(&model.unet.valid(), &inputs, much, &starts);
-
+        let sampled = rollouts.sample(&model.unet.valid(), &inputs, much, &starts);
         let dropout = Some(key.of(Purpose::DecoderDropout));
         let latents = [noised.clone(), sampled.clone()];
         let terms = self.terms(model, &inputs, latents, &starts, dropout);

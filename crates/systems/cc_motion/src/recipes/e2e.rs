@@ -85,31 +85,27 @@ impl E2eRecipe {
             decoder_dropout,
         } = draws;
         // 1. The diffusion loss.
-        let diffusion = &self.rollouts.rollout.diffusion;
+        let (rollouts, w_diff) = (&self.rollouts, self.loss.w_diff);
+        let diffusion = &rollouts.rollout.diffusion;
         let denoising = denoising_loss(diffusion, &model.unet, inputs.clone(), denoising, true);
-        let mut total = denoising.total * self.loss.w_diff;
+        let mut total = denoising.total * w_diff;
         let weighted = denoising.terms.into_iter();
-        let mut terms: Vec<_> = weighted
-            .map(|(name, term)| (name, term * self.loss.w_diff))
-            .collect();
+        let mut terms: Vec<_> = weighted.map(|(name, term)| (name, term * w_diff)).collect();
 
-        // 2. A rollout, with gradients as `rollout.mode` keeps them.
+        // 2. A rollout, with gradients by `rollout.mode`.
         let cond = condition(&inputs.cond, inputs.lengths.clone());
-        let output = self
-            .rollouts
-            .rollout
-            .run(
-                &model.unet,
-                &model.unet.valid(),
-                self.rollouts.start(&inputs.x_start, start_noise, &starts),
-                &cond,
-                &rollout_timesteps(&starts, self.rollouts.config.steps),
-                self.rollouts.config.graph(),
-            )
-            .expect("bounds of all channels");
+        let output = rollouts.rollout.run(
+            &model.unet,
+            &model.unet.valid(),
+            rollouts.start(&inputs.x_start, start_noise, &starts),
+            &cond,
+            &rollout_timesteps(&starts, rollouts.config.steps),
+            rollouts.config.graph(),
+        );
+        let output = output.expect("bounds of all channels");
         let pending = output.trace.map(|trace| PendingRollout { trace, cond });
 
-        // 3. Its latent decoded, compared with the ground truth, and with itself.
+        // 3. The losses of the decoded latent.
         let decoded = model.decoder.forward(output.x.clone(), decoder_dropout);
         for (name, term) in self.decoded_terms(&decoded, &inputs, &starts) {
             total = total + term.clone();
@@ -132,24 +128,21 @@ impl E2eRecipe {
         inputs: &Inputs,
         starts: &[usize],
     ) -> Vec<(&'static str, Tensor<1>)> {
-        let target = self.rollouts.physical(&inputs.x_start);
-        let weighting = self.loss.reconstruction_weighting;
-        let weights = self.rollouts.weights(starts, weighting, &decoded.device());
-        let sign = self.loss.quaternion_sign;
-        let ReconstructionLoss {
-            position,
-            quaternion,
-        } = ReconstructionLoss::new(decoded, &target, &inputs.mask, weights.clone(), sign);
+        let (rollouts, loss, mask) = (&self.rollouts, &self.loss, &inputs.mask);
+        let target = rollouts.physical(&inputs.x_start);
+        let weighting = loss.reconstruction_weighting;
+        let weights = rollouts.weights(starts, weighting, &decoded.device());
+        let sign = loss.quaternion_sign;
+        let error = ReconstructionLoss::new(decoded, &target, mask, weights.clone(), sign);
         let mut terms = vec![
-            ("position", position * self.loss.w_dec),
-            ("quaternion", quaternion * self.loss.w_dec),
+            ("position", error.position * loss.w_dec),
+            ("quaternion", error.quaternion * loss.w_dec),
         ];
-        if self.loss.w_components > 0.0 {
-            let rollouts = &self.rollouts;
-            let error = rollouts.normalized_error(decoded, &target, &inputs.mask, weights);
-            terms.push(("components", error * self.loss.w_components));
+        if loss.w_components > 0.0 {
+            let error = rollouts.normalized_error(decoded, &target, mask, weights);
+            terms.push(("components", error * loss.w_components));
         }
-        let temporal = temporal_losses(decoded, &inputs.mask, &self.loss.temporal);
+        let temporal = temporal_losses(decoded, mask, &loss.temporal);
         terms.extend(
             temporal
                 .into_iter()
@@ -179,13 +172,11 @@ impl Recipe for E2eRecipe {
         device: &Device,
     ) -> Loss<Self::Pending> {
         let inputs = Inputs::new(batch, device);
-        let shape = inputs.x_start.dims();
-        let diffusion = &self.rollouts.rollout.diffusion;
+        let (rollouts, shape) = (&self.rollouts, inputs.x_start.dims());
+        let diffusion = &rollouts.rollout.diffusion;
         let draws = E2eRandomInputs {
             denoising: RandomInputs::new(diffusion, &inputs, key, device),
-            starts: self
-                .rollouts
-                .sample_starts(shape[0], key.of(Purpose::RolloutTimesteps)),
+            starts: rollouts.sample_starts(shape[0], key.of(Purpose::RolloutTimesteps)),
             start_noise: noise(key.of(Purpose::RolloutNoise), shape, device),
             decoder_dropout: Some(key.of(Purpose::DecoderDropout)),
         };
@@ -207,8 +198,7 @@ impl Recipe for E2eRecipe {
         sum
     }
 
-    /// The same loss without dropout, the start timesteps of the phrases covering their range
-    /// evenly.
+    /// The same loss without dropout, with start timesteps that cover their range evenly.
     fn validation_loss(&self, model: &MotionModel, device: &Device) -> Measured {
         let diffusion = &self.rollouts.rollout.diffusion;
         let phrases = self.held_out.len();

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use burn::tensor::{Device, Tensor, TensorData};
-use kinegrad_diffusion::{GaussianDiffusion, Rollout, RolloutMode, rollout_timesteps};
+use kinegrad_diffusion::{ClipRange, GaussianDiffusion, Rollout, RolloutMode, rollout_timesteps};
 use kinegrad_motion::{ChannelEncoding, PhaseEncoding, Statistics};
 use kinegrad_random::Key;
 use kinegrad_train::Error;
@@ -35,11 +35,10 @@ impl Rollouts {
         config: &RolloutConfig,
         statistics: Arc<Statistics>,
     ) -> Result<Self, Error> {
-        let clip = config.clip.range(&statistics, statistics.channels())?;
-        let clip = match config.straight_through {
-            true => kinegrad_diffusion::ClipRange::StraightThrough(Box::new(clip)),
-            false => clip,
-        };
+        let mut clip = config.clip.range(&statistics, statistics.channels())?;
+        if config.straight_through {
+            clip = ClipRange::StraightThrough(Box::new(clip));
+        }
         Ok(Self {
             rollout: Rollout {
                 diffusion,
@@ -74,12 +73,11 @@ impl Rollouts {
         }
         let [lowest, highest] = self.config.start_timesteps.map(|t| t.min(last));
         let width = (highest - lowest + 1) as f64;
-        (0..batch)
-            .map(|i| {
-                let part = (i as f64 + place(i)) / batch as f64;
-                lowest + ((part * width) as usize).min(highest - lowest)
-            })
-            .collect()
+        let start = |i: usize| {
+            let part = (i as f64 + place(i)) / batch as f64;
+            lowest + ((part * width) as usize).min(highest - lowest)
+        };
+        (0..batch).map(start).collect()
     }
 
     /// As [`starts`](Self::starts), at timesteps sampled from `key`.
@@ -132,22 +130,22 @@ impl Rollouts {
         device: &Device,
     ) -> Tensor<3> {
         let abar = &self.rollout.diffusion.schedule.alphas_cumprod;
-        let weights: Vec<f32> = starts
-            .iter()
-            .map(|&t| match weighting {
-                ReconstructionWeighting::Uniform => 1.0,
-                ReconstructionWeighting::Signal => abar[t] as f32,
-            })
-            .collect();
+        let weight = |&t: &usize| match weighting {
+            ReconstructionWeighting::Uniform => 1.0,
+            ReconstructionWeighting::Signal => abar[t] as f32,
+        };
+        let weights: Vec<f32> = starts.iter().map(weight).collect();
         Tensor::from_data(TensorData::new(weights, [starts.len(), 1, 1]), device)
     }
 
     /// Normalised motion in physical units: `[batch, 25, time]`.
     pub(super) fn physical(&self, x: &Tensor<3>) -> Tensor<3> {
-        let device = x.device();
-        let x = x.clone() * channels(&self.statistics.std, &device)
-            + channels(&self.statistics.mean, &device);
-        decode(self.targets, x)
+        let of_channels = |values: &[f64]| channels(values, &x.device());
+        let std = of_channels(&self.statistics.std);
+        decode(
+            self.targets,
+            x.clone() * std + of_channels(&self.statistics.mean),
+        )
     }
 
     /// The mean squared error of all components in units of their deviations.
@@ -159,13 +157,11 @@ impl Rollouts {
         weights: Tensor<3>,
     ) -> Tensor<1> {
         let std = channels(&self.std, &decoded.device());
-        match self.targets.phase {
-            PhaseEncoding::Scalar => normalized_error(decoded, target, mask, weights, &std),
-            PhaseEncoding::SinCos | PhaseEncoding::Harmonics => {
-                let target = with_nearer_phase(target, decoded);
-                normalized_error(decoded, &target, mask, weights, &std)
-            }
-        }
+        let target = match self.targets.phase {
+            PhaseEncoding::Scalar => target.clone(),
+            PhaseEncoding::SinCos | PhaseEncoding::Harmonics => with_nearer_phase(target, decoded),
+        };
+        normalized_error(decoded, &target, mask, weights, &std)
     }
 }
 

@@ -69,58 +69,47 @@ impl BeatPhrase {
         let audio = &self.phrase.audio;
         let frames = audio.frames();
         let key = Key::new(seed, Purpose::Listening).named(&self.phrase.id);
-        let own = (self.bars.clone(), self.beats_per_bar);
+        let with_beats = |of: &BeatPhrase, order: Vec<usize>| Music {
+            audio: of.phrase.audio.at_frames(&order),
+            bars: Some((
+                order.iter().map(|&frame| of.bars[frame]).collect(),
+                of.beats_per_bar,
+            )),
+        };
+        let without_beats = |audio| Music { audio, bars: None };
+        let reordered = |order: Vec<usize>| without_beats(audio.at_frames(&order));
         Some(match variant {
-            AudioVariant::Own => Music {
-                audio: audio.clone(),
-                bars: Some(own),
-            },
-            AudioVariant::Silence => Music {
-                audio: AudioFeatures::silence(audio.layout(), frames),
-                bars: None,
-            },
-            AudioVariant::Shuffled => Music {
-                audio: audio.at_frames(&key.at(0).permutation(frames)),
-                bars: None,
-            },
-            AudioVariant::Reversed => Music {
-                audio: audio.at_frames(&(0..frames).rev().collect::<Vec<_>>()),
-                bars: None,
-            },
+            AudioVariant::Own => with_beats(self, (0..frames).collect()),
+            AudioVariant::Silence => without_beats(AudioFeatures::silence(audio.layout(), frames)),
+            AudioVariant::Shuffled => reordered(key.at(0).permutation(frames)),
+            AudioVariant::Reversed => reordered((0..frames).rev().collect()),
             AudioVariant::HalfBeat => {
-                let later = half_a_beat_later(&self.beats(), self.beats_per_bar);
-                let bars = later.iter().map(|&frame| self.bars[frame]).collect();
-                Music {
-                    audio: audio.at_frames(&later),
-                    bars: Some((bars, self.beats_per_bar)),
-                }
+                with_beats(self, half_a_beat_later(&self.beats(), self.beats_per_bar))
             }
             AudioVariant::OtherSong => {
                 let other = self.donor(donors, key.at(1))?;
-                let again: Vec<usize> = (0..frames).map(|t| t % other.phrase.frames()).collect();
-                let bars = again.iter().map(|&frame| other.bars[frame]).collect();
-                Music {
-                    audio: other.phrase.audio.at_frames(&again),
-                    bars: Some((bars, other.beats_per_bar)),
-                }
+                let length = other.phrase.frames();
+                with_beats(other, (0..frames).map(|t| t % length).collect())
             }
         })
     }
 
     /// One of the `donors` that is of another song, and as long if there is one.
     fn donor<'a>(&self, donors: &'a [BeatPhrase], key: Key) -> Option<&'a BeatPhrase> {
-        let of_others = donors.iter().filter(|other| other.song != self.song);
-        let of_others: Vec<_> = of_others.collect();
+        let others: Vec<_> = donors
+            .iter()
+            .filter(|other| other.song != self.song)
+            .collect();
         let long = |other: &&BeatPhrase| other.phrase.frames() >= self.phrase.frames();
-        let long: Vec<_> = of_others.iter().copied().filter(long).collect();
-        let among = if long.is_empty() { of_others } else { long };
+        let long: Vec<_> = others.iter().copied().filter(long).collect();
+        let among = if long.is_empty() { others } else { long };
         (!among.is_empty()).then(|| among[key.integers(1, among.len())[0]])
     }
 }
 
 /// The source frame of each frame, for music half a beat ahead: the one nearest to half a beat later.
-/// Past the end of the phrase, the music continues with that of a bar before, or, in a shorter
-/// phrase, of as few beats before as possible.
+/// Past the end of the phrase, the music continues with that of a bar before, in a shorter phrase of
+/// as few beats before as possible.
 fn half_a_beat_later(beats: &[f64], beats_per_bar: f64) -> Vec<usize> {
     let (first, last) = (beats[0], beats[beats.len() - 1]);
     let nearest = |beat: f64| {

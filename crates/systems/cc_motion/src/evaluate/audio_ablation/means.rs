@@ -14,11 +14,11 @@ type Metric<T> = (&'static str, &'static str, fn(&T) -> Option<f64>);
 
 /// Distances between the phases of the samples and those of the phrases' own music.
 pub(super) const PHASE_ERRORS: [Metric<Score>; 2] = [
-    ("beat_phase_error", "beat-phase error, beats", |score| {
-        Some(score.beat_phase_error)
+    ("beat_phase_error", "beat-phase error, beats", |s| {
+        Some(s.beat_phase_error)
     }),
-    ("bar_phase_error", "bar-phase error, bars", |score| {
-        Some(score.bar_phase_error)
+    ("bar_phase_error", "bar-phase error, bars", |s| {
+        Some(s.bar_phase_error)
     }),
 ];
 
@@ -27,62 +27,58 @@ const CONDITION_PHASE_ERRORS: [Metric<Score>; 2] = [
     (
         "condition_beat_phase_error",
         "beat-phase error to the conditioning music, beats",
-        |score| score.condition_beat_phase_error,
+        |s| s.condition_beat_phase_error,
     ),
     (
         "condition_bar_phase_error",
         "bar-phase error to the conditioning music, bars",
-        |score| score.condition_bar_phase_error,
+        |s| s.condition_bar_phase_error,
     ),
 ];
 
 /// Alignments of moments of the motions with the beats of the phrases' own music: the score, the
 /// score of the same moments moved by random offsets, and the difference, motion by motion.
 pub(super) const ALIGNMENTS: [Metric<Score>; 6] = [
-    ("beat_alignment.score", "beat alignment", |score| {
-        score.beat_alignment
+    ("beat_alignment.score", "beat alignment", |s| {
+        s.beat_alignment
     }),
-    (
-        "beat_alignment.chance",
-        "beat alignment by chance",
-        |score| score.chance_alignment,
-    ),
+    ("beat_alignment.chance", "beat alignment by chance", |s| {
+        s.chance_alignment
+    }),
     (
         "beat_alignment.above_chance",
         "beat alignment above chance",
-        |score| Some(score.beat_alignment? - score.chance_alignment?),
+        |s| Some(s.beat_alignment? - s.chance_alignment?),
     ),
     (
         "peak_alignment.score",
         "beat alignment of speed peaks",
-        |score| score.peak_alignment,
+        |s| s.peak_alignment,
     ),
     (
         "peak_alignment.chance",
         "beat alignment of speed peaks by chance",
-        |score| score.chance_peak_alignment,
+        |s| s.chance_peak_alignment,
     ),
     (
         "peak_alignment.above_chance",
         "beat alignment of speed peaks above chance",
-        |score| Some(score.peak_alignment? - score.chance_peak_alignment?),
+        |s| Some(s.peak_alignment? - s.chance_peak_alignment?),
     ),
 ];
 
 /// Metrics of which the values of each phrase with its own music and with other audio are compared.
 const DIFFERENCES: [Metric<MeasuredCondition>; 3] = [
-    ("own_minus.loss", "own minus this: loss", |condition| {
-        Some(condition.loss)
-    }),
+    ("own_minus.loss", "own minus this: loss", |c| Some(c.loss)),
     (
         "own_minus.beat_phase_error",
         "own minus this: beat-phase error",
-        |condition| Some(condition.score.beat_phase_error),
+        |c| Some(c.score.beat_phase_error),
     ),
     (
         "own_minus.bar_phase_error",
         "own minus this: bar-phase error",
-        |condition| Some(condition.score.bar_phase_error),
+        |c| Some(c.score.bar_phase_error),
     ),
 ];
 

@@ -10,6 +10,7 @@ mod report;
 mod scores;
 
 use std::collections::BTreeSet;
+use std::slice::from_ref;
 use std::sync::Arc;
 
 use kinegrad_data::{AudioFeatures, DataConfig, PhraseItem, PhraseSet, Songs};
@@ -24,16 +25,13 @@ use super::{BATCH_HINT, CondSource, Measures};
 use crate::generate::{self, Generator, keys};
 use crate::lengths::leading;
 use crate::{CcMotionConfig, EvaluationConfig};
-use audio_variant::{AudioVariant, Music, donors};
+use audio_variant::{AudioVariant, donors};
 use beat_phrase::BeatPhrase;
 use means::{ALIGNMENTS, Mean, PHASE_ERRORS, means_by_variant};
 use report::AblationReport;
 use scores::{MeasuredCondition, MeasuredPhrase, Score};
 
 /// An ablation of audio on the held-out phrases with beats, each cut to the training length.
-///
-/// # Errors
-/// If the config asks for noise as the audio condition, or no phrase has beats.
 pub(super) fn prepare<'a>(
     trained: &'a TrainedModel,
     request: &EvaluationRequest,
@@ -142,12 +140,8 @@ struct Ablation<'a> {
 }
 
 impl<'a> Ablation<'a> {
-    /// Computes losses and samples. All audio variants of a phrase share their noise, so that they
-    /// differ by the audio alone; sample k of a phrase with its own music is that of `kinegrad
-    /// sample`, unless the phrase was cut.
-    ///
-    /// # Errors
-    /// If the sampler's settings cannot work, and [`Error::Interrupted`] after `Break`.
+    /// Computes losses and samples. All audio variants of a phrase have the same noise. Sample k of a
+    /// phrase with its own music equals that of `kinegrad sample`, unless the phrase was cut.
     fn run(&self, on_step: &mut OnStep<'_>) -> Result<AblationReport, Error> {
         let (held_out, seed) = (self.held_out, self.request.seed);
         let group = &self.request.group;
@@ -155,11 +149,8 @@ impl<'a> Ablation<'a> {
             self.measure(&held_out[index], on_step)
         })?;
         let guidance = self.guidance(on_step)?;
-        let real = held_out.iter().map(|phrase| {
-            let motion = std::slice::from_ref(&phrase.phrase.motion);
-            phrase.score(motion, None, seed)
-        });
-        let real: Vec<Score> = real.collect();
+        let score = |phrase: &BeatPhrase| phrase.score(from_ref(&phrase.phrase.motion), None, seed);
+        let real: Vec<Score> = held_out.iter().map(score).collect();
         let songs: BTreeSet<&str> = held_out.iter().map(|one| one.song.as_str()).collect();
         let tracked = measured.iter();
         let tracked =
@@ -196,10 +187,8 @@ impl<'a> Ablation<'a> {
         on_step: &mut OnStep<'_>,
     ) -> Result<MeasuredPhrase, Error> {
         let (generator, seed) = (self.generator, self.request.seed);
-        let variants = AudioVariant::ALL.into_iter();
-        let variants: Vec<(AudioVariant, Music)> = variants
-            .filter_map(|variant| Some((variant, phrase.music(variant, seed, self.donors)?)))
-            .collect();
+        let music = |variant| Some((variant, phrase.music(variant, seed, self.donors)?));
+        let variants: Vec<_> = AudioVariant::ALL.into_iter().filter_map(music).collect();
         let audio: Vec<_> = variants.iter().map(|(_, music)| &music.audio).collect();
         let samples = self.sample("samples", phrase, &audio, self.sampling(), on_step)?;
         let conditions = variants.iter().zip(samples.chunks(self.settings.seeds));

@@ -88,46 +88,41 @@ impl AblationReport {
     fn rows(&self, variant: AudioVariant) -> Vec<Number> {
         let own = variant == AudioVariant::Own;
         let of_variant = self.conditions.iter().find(|(found, _)| *found == variant);
-        let means = of_variant
-            .map(|(_, means)| means.clone())
-            .unwrap_or_default();
-        let tracked = Some(self.tracked_beat_error.clone());
+        let means = of_variant.into_iter().flat_map(|(_, means)| means);
+        let tracked = Some(&self.tracked_beat_error);
         let tracked = tracked.filter(|mean| own && mean.estimate.is_some());
-        let shown =
-            |mean: &Mean| !mean.name.starts_with("condition_") || (!own && mean.estimate.is_some());
-        let means: Vec<Mean> = means.into_iter().filter(shown).chain(tracked).collect();
-        means.rows()
+        let shown = |mean: &&Mean| {
+            !mean.name.starts_with("condition_") || (!own && mean.estimate.is_some())
+        };
+        means
+            .filter(shown)
+            .chain(tracked)
+            .flat_map(Mean::rows)
+            .collect()
     }
 }
 
 /// A group for each audio variant and one for the guidance scales.
 fn groups(numbers: impl Fn(AudioVariant) -> Vec<Number>, guidance: Vec<Number>) -> Vec<Group> {
-    let variants = AudioVariant::ALL.into_iter().map(|variant| {
-        let (key, title) = variant.names();
-        let numbers = numbers(variant);
-        Group {
-            key,
-            title,
-            numbers,
-        }
-    });
-    let guidance = Group {
-        key: "guidance",
-        title: "GUIDANCE SCALES, OWN MUSIC",
-        numbers: guidance,
+    let group = |(key, title), numbers| Group {
+        key,
+        title,
+        numbers,
     };
-    variants.chain([guidance]).collect()
+    let variants = AudioVariant::ALL.map(|variant| group(variant.names(), numbers(variant)));
+    let guidance = group(("guidance", "GUIDANCE SCALES, OWN MUSIC"), guidance);
+    variants.into_iter().chain([guidance]).collect()
 }
 
 /// Names and titles begin with the scale.
 fn guidance_rows((scale, means, measures): &(f64, Vec<Mean>, Measures)) -> Vec<Number> {
-    let rows = means.rows().into_iter().chain(measures.rows());
-    let prefixed = rows.map(|row| Number {
+    let prefixed = |row: Number| Number {
         name: format!("{scale}.{}", row.name),
         line: row
             .line
             .map(|(title, shown)| (format!("{scale}: {title}"), shown)),
         ..row
-    });
-    prefixed.collect()
+    };
+    let rows = means.rows().into_iter().chain(measures.rows());
+    rows.map(prefixed).collect()
 }

@@ -10,8 +10,8 @@ use serde::{Deserialize, Serialize};
 use super::audio_variant::AudioVariant;
 use super::beat_phrase::{BeatPhrase, bars};
 
-/// Agreement of the samples of a phrase and one audio variant with the music: means over the samples.
-/// Phases are compared in cycles, 0 to 0.5; NaN if a sample's is not finite.
+/// Means over the samples of a phrase and one audio variant. Phases are compared in cycles, 0 to 0.5;
+/// NaN if a sample's is not finite.
 #[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
 pub struct Score {
     /// Distance of the beat phase from that of the phrase's own music, beats.
@@ -22,14 +22,14 @@ pub struct Score {
     pub condition_beat_phase_error: Option<f64>,
     /// The same of the bar phase, bars.
     pub condition_bar_phase_error: Option<f64>,
-    /// Alignment of the moments at which the root is slowest with the beats of the phrase's own music;
-    /// mean over the samples that have such moments.
+    /// Alignment of the root's speed minima with the beats of the phrase's own music; mean over the
+    /// samples with minima.
     pub beat_alignment: Option<f64>,
-    /// The same of their moments moved by random offsets.
+    /// The same of minima moved by random offsets.
     pub chance_alignment: Option<f64>,
-    /// Alignment of the moments at which it is fastest.
+    /// Alignment of the speed maxima.
     pub peak_alignment: Option<f64>,
-    /// The same of those moved by random offsets.
+    /// The same of maxima moved by random offsets.
     pub chance_peak_alignment: Option<f64>,
 }
 
@@ -52,15 +52,11 @@ impl BeatPhrase {
         let seconds = self.phrase.frames() as f64 / FPS;
         let key = Key::new(seed, Purpose::BeatOffset).named(&self.phrase.id);
         let aligned = |moments: fn(&Phrase) -> Vec<f64>| {
-            let (scores, chances): (Vec<f64>, Vec<f64>) = samples
-                .iter()
-                .filter_map(|motion| {
-                    let moments = moments(motion);
-                    let score = beat_alignment(&moments, &music)?;
-                    let chance = chance_alignment(&moments, &music, seconds, key)?;
-                    Some((score, chance))
-                })
-                .unzip();
+            let both = samples.iter().map(moments).filter_map(|moments| {
+                let score = beat_alignment(&moments, &music)?;
+                Some((score, chance_alignment(&moments, &music, seconds, key)?))
+            });
+            let (scores, chances): (Vec<f64>, Vec<f64>) = both.unzip();
             [scores, chances].map(|values| {
                 let sum = values.iter().sum::<f64>();
                 (!values.is_empty()).then(|| sum / values.len() as f64)
@@ -90,8 +86,7 @@ pub struct MeasuredPhrase {
     pub song: String,
     /// Beats in a bar of it.
     pub beats_per_bar: f64,
-    /// Distance between the beat phase of the network's own tracker and that of the music, beats; none
-    /// without a tracker.
+    /// Error of the beat phase of the network's tracker, beats; none without a tracker.
     pub tracked_beat_error: Option<f64>,
     /// The values for each audio variant.
     pub conditions: Vec<MeasuredCondition>,

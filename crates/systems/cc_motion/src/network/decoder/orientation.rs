@@ -76,7 +76,7 @@ mod tests {
     use burn::tensor::Device;
     use kinegrad_motion::Quaternion;
     use kinegrad_motion::coherence::fit_orientation;
-    use kinegrad_motion::phrase::{ANGULAR_VELOCITY, CHANNELS, QUATERNION};
+    use kinegrad_motion::phrase::{ANGULAR_VELOCITY, CHANNELS};
     use kinegrad_random::{Key, Purpose};
 
     use super::super::tests::{assert_gradients, shaken, tensors};
