@@ -287,7 +287,8 @@ impl Sampler for Phrases<'_> {
                     let on_windows = &mut |done, all| {
                         let before = index.saturating_mul(all);
                         let wanted = count.saturating_mul(all);
-                        run.sink.advance("windows", before.saturating_add(done), wanted)
+                        run.sink
+                            .advance("windows", before.saturating_add(done), wanted)
                     };
                     let sample = generator.sample_windowed(&windowed, sampling, key, on_windows)?;
                     let path = task.path.as_ref();
