@@ -40,8 +40,7 @@ pub(super) fn needs(
     })
 }
 
-/// Rejects `count` samples of `frames` frames by each of `processes` if a batch of them takes more
-/// memory than is free.
+/// Rejects `count` samples of `frames` frames by each of `processes` if a batch exceeds the memory.
 pub(super) fn must_fit(
     trained: &TrainedModel,
     count: usize,

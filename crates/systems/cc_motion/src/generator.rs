@@ -117,8 +117,7 @@ impl Generator {
         &self.state.statistics
     }
 
-    /// The motion of the network's normalised output, `[channels, frames]`, and the confidence of each
-    /// frame's heading, 0 to 1.
+    /// The motion of a normalised output `[channels, frames]`, and each heading's confidence, 0 to 1.
     pub(super) fn predicted(&self, values: &[f32]) -> Result<(Phrase, Vec<f64>), Error> {
         let rows = self.state.normalization().denormalize(values);
         let confidence = self.targets.confidence(&rows);

@@ -30,8 +30,7 @@ pub(super) fn windows(config: &Config, frames: usize) -> Option<Windows> {
     (fit && frames > longest).then(|| Windows::new(frames, longest))
 }
 
-/// A warning about `frames` of windows or samples outside the range of training; none if there are
-/// none.
+/// A warning if some `frames` of windows or samples are outside the range of training.
 pub(super) fn untrained(
     config: &Config,
     frames: impl IntoIterator<Item = usize>,

@@ -1,7 +1,6 @@
 //! CC-MotionGen: dance phrases conditioned on audio features (docs/sources.md, section 1).
 //!
-//! Recipe `diffusion` trains the denoiser, `decoder` a motion decoder on its latents, `e2e` both
-//! end to end through the sampler.
+//! Recipe `diffusion` trains the denoiser, `decoder` a decoder on its latents, `e2e` both end to end.
 
 mod config;
 pub mod evaluate;

@@ -160,8 +160,7 @@ pub(crate) fn networks(
     trainable(model, config, device)
 }
 
-/// `model` as the config's recipe trains it: recipe `decoder` freezes the denoiser, and adapters freeze
-/// its weights.
+/// `model` as its recipe trains it: recipe `decoder` and adapters freeze the denoiser's weights.
 pub(crate) fn trainable(
     model: MotionModel,
     config: &Config,

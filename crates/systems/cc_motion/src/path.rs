@@ -1,5 +1,4 @@
-//! A path over the ground that the root of a phrase follows (docs/sources.md, section 7, options B
-//! and D).
+//! A ground path that the root of a phrase follows (docs/sources.md, section 7, options B and D).
 //!
 //! As training phrases, the path is moved to the origin in each window, and not turned.
 
@@ -171,8 +170,7 @@ impl PhrasePath {
         Some(step)
     }
 
-    /// Replaces the path in predicted clean windows, `[windows, channels, frames of a window]`,
-    /// normalised, if that is the method.
+    /// `override` in predicted clean windows, `[windows, channels, frames of a window]`, normalised.
     pub fn put(
         &self,
         predicted: &mut [f32],
@@ -204,8 +202,7 @@ impl PhrasePath {
         }
     }
 
-    /// Moves a generated phrase to the start of the path, and with `override` onto it in every
-    /// frame.
+    /// Moves a phrase to the start of the path, and with `override` onto it in every frame.
     pub fn finish(&self, motion: &mut Phrase) {
         let start = self.points[0];
         for t in 0..motion.frames() {

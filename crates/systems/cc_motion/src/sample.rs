@@ -137,8 +137,7 @@ impl<'a> Phrases<'a> {
         });
     }
 
-    /// Adds the job of an audio condition: in windows if it is longer than in training, has known frames
-    /// or follows a path.
+    /// Adds the job of an audio condition; a long one, known frames and a path need windows.
     fn resolve(&mut self, audio: Audio, path: Option<&(PathBuf, PathPlan)>) -> Result<(), Error> {
         let (request, config) = (self.request, self.trained.config());
         let (frames, trained) = (audio.features.frames(), config.data.target_frames);

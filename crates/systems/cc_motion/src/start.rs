@@ -75,8 +75,7 @@ impl Starts {
         starts.map(|start| (start.key, start.state()))
     }
 
-    /// The networks with the start's EMA weights on an autodiff device. Errors name the key whose
-    /// checkpoint does not fit.
+    /// The networks with the start's EMA weights, on an autodiff device.
     pub fn networks(&self, config: &Config, device: &Device) -> Result<MotionModel, Error> {
         let load = |saved: &_| Trained::load(saved, Weights::Ema, device);
         let base = self.diffusion.load(load)?;

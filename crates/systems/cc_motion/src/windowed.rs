@@ -128,8 +128,7 @@ impl Generator {
     }
 
     /// Stitches windows to one motion; each window becomes its part, in its own place and heading.
-    /// Windows of a model trained on one heading, and windows along a path, agree and stay as they
-    /// are.
+    /// Windows of a model trained on one heading, and windows along a path, are not rotated.
     fn turned_and_stitched(
         &self,
         turning: HeadingAlignment<'_>,

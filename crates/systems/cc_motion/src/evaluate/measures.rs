@@ -27,8 +27,7 @@ pub struct Measures {
     pub frechet_held_out: Option<f64>,
     /// Fréchet distance to the training phrases. Needs two of each.
     pub frechet_training: Option<f64>,
-    /// Beat alignment with the phrase's own music, regardless of the condition; mean over the
-    /// motions that have beats.
+    /// Beat alignment with the phrase's own music, whatever the condition; mean over motions with beats.
     pub beat_alignment: Option<f64>,
     /// Mean jerk norm of the acceleration channels, metres per second cubed.
     pub mean_jerk: Option<f64>,
@@ -72,8 +71,7 @@ impl ProfileRates {
             if checks.iter().any(|rate| rate.name == named.name) {
                 continue;
             }
-            // Reports of the profile `ccmotion` have the check `finite` only if it fails; without it
-            // the value is 0.
+            // Reports of `ccmotion` have the check `finite` only if it fails; else the value is 0.
             let lines = || reports.iter().filter_map(|report| report.check(named.name));
             let failed = lines().filter(|check| !check.passed).count();
             checks.push(CheckRate {

@@ -28,8 +28,7 @@ pub use measures::{CheckRate, Measures, ProfileRates};
 pub use movement::MovementSpread;
 pub use terms::LossTerm;
 
-/// Bytes of memory for a frame of a sample: raw and post-processed motion, and the derivatives of
-/// both.
+/// Bytes of memory for a frame of a sample: raw and post-processed motion, and their derivatives.
 const BYTES_PER_FRAME: u64 = 800;
 
 /// Hint of the error if the samples of a phrase do not fit into memory.

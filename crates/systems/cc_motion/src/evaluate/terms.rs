@@ -1,5 +1,4 @@
-//! The losses of end-to-end fine-tuning, as measures of motion: the rows of CC-MotionGen's table
-//! 7.5.
+//! The losses of end-to-end fine-tuning as measures: the rows of CC-MotionGen's table 7.5.
 
 use std::sync::Arc;
 

@@ -12,14 +12,12 @@ use burn::tensor::Tensor;
 pub use reconstruction::{ReconstructionLoss, SignMatching};
 pub use temporal::{PhaseLoss, TemporalLossConfig, temporal_losses};
 
-/// Sum of `values [batch, channels, time]` over the frames of `mask [batch, 1, time]`, per sample:
-/// `[batch, 1, 1]`.
+/// `[batch, 1, 1]`, the sums of `values [batch, channels, time]` over the `mask [batch, 1, time]`.
 fn sum_frames(values: Tensor<3>, mask: &Tensor<3>) -> Tensor<3> {
     (values * mask.clone()).sum_dim(2).sum_dim(1)
 }
 
-/// Mean of `values [batch, channels, time]` over channels and the frames of `mask [batch, 1,
-/// time]`; 0 where no frame counts.
+/// Mean of `values [batch, channels, time]` over channels and `mask [batch, 1, time]`; 0 if empty.
 fn mean_frames(values: Tensor<3>, mask: &Tensor<3>) -> Tensor<1> {
     let channels = values.dims()[1] as f64;
     let frames = mask.clone().sum_dim(2).sum_dim(0);

@@ -115,8 +115,7 @@ impl TemporalLossConfig {
     }
 }
 
-/// The weighted terms of `decoded`, by name; those of weight 0 are left out. A motion of one frame
-/// has none.
+/// The weighted terms of `decoded` by name, except of weight 0; none for motion of one frame.
 ///
 /// # Shapes
 /// - decoded: `[batch, 25, time]`, physical units

@@ -1,5 +1,4 @@
-//! [`ChannelEncoding::decode`] on tensors, with gradients: from the channels that a denoiser predicts
-//! to the 25 channels of a phrase.
+//! [`ChannelEncoding::decode`] on tensors, with gradients: from predicted channels to the 25.
 
 use std::f64::consts::TAU;
 

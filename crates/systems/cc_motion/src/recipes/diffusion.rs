@@ -29,8 +29,7 @@ pub fn diffusion_recipe(
     DenoisingRecipe::new(diffusion, held_out, denoising_loss)
 }
 
-/// The loss above. For `training`, with the weights w(t), the tracker's loss and teacher forcing of
-/// beats.
+/// The loss above; for `training` with the weights w(t), the tracker's loss and teacher forcing.
 pub(in super::super) fn denoising_loss(
     diffusion: &GaussianDiffusion,
     unet: &UNet1d,
@@ -70,8 +69,7 @@ pub(in super::super) fn denoising_loss(
     loss
 }
 
-/// The mean squared error of the network's beat tracker, over frames with beat labels; `None`
-/// without a tracker.
+/// The mean squared error of the beat tracker, if any, over frames with beat labels.
 fn tracking_loss(unet: &UNet1d, inputs: &Inputs) -> Option<Tensor<1>> {
     let cond = condition(&inputs.cond, inputs.lengths.clone());
     let found = unet.track_beats(&cond)?;

@@ -53,8 +53,7 @@ impl Rollouts {
         })
     }
 
-    /// The same over motion in the channels of `targets` and their statistics; `stored` are those
-    /// of the 25 channels.
+    /// The same over motion in the channels of `targets`; `stored` are statistics of the 25 channels.
     #[must_use]
     pub fn with_targets(self, targets: ChannelEncoding, stored: &Statistics) -> Self {
         Self {
@@ -102,8 +101,7 @@ impl Rollouts {
         }
     }
 
-    /// Latents sampled for the batch with plain weights, without gradients: `[batch, channels,
-    /// time]`.
+    /// Latents sampled for the batch, without gradients: `[batch, channels, time]`.
     pub(super) fn sample(
         &self,
         unet: &UNet1d,

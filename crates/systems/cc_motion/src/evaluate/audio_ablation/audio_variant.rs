@@ -58,8 +58,7 @@ pub(super) struct Music {
 }
 
 impl BeatPhrase {
-    /// The music of this phrase's `variant`; another song's is that of one of the `donors`, and none
-    /// if they are all of this song.
+    /// The music of this phrase's `variant`; another song's is of one of the `donors`, if any.
     pub(super) fn music(
         &self,
         variant: AudioVariant,
@@ -132,8 +131,7 @@ fn half_a_beat_later(beats: &[f64], beats_per_bar: f64) -> Vec<usize> {
     later.collect()
 }
 
-/// The phrases that another song's music is taken from: the `held_out` ones, or, if these are of one
-/// song, the training phrases.
+/// The phrases with other music: the `held_out` ones or, if these are of one song, the training ones.
 pub(super) fn donors<'a>(
     held_out: &'a [BeatPhrase],
     training: &'a [BeatPhrase],

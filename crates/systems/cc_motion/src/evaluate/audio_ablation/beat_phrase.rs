@@ -33,8 +33,7 @@ pub(super) struct BeatPhrase {
 
 impl BeatPhrase {
     /// The phrase with its song's name and tempo. The beats in a bar are those `stated`, else as
-    /// measured, else four. None if its phase advances by less than a beat: nothing can be off the
-    /// beat then.
+    /// measured, else four. None if its phase advances by less than a beat.
     pub fn new(phrase: Arc<PhraseItem>, songs: &Songs, stated: Option<f64>) -> Option<Self> {
         let measured = || {
             let tempo = songs.tempo(&phrase.id);

@@ -19,8 +19,7 @@ pub(super) fn error(generator: &Generator, phrase: &BeatPhrase) -> Option<f64> {
     Some(error_of(&found, &phrase.bars, phrase.beats_per_bar))
 }
 
-/// Mean distance in beats between the angles of `found`, all sines and then all cosines, and the beat
-/// phase of bar phases.
+/// Mean distance in beats of the angles of `found`, all sines, then all cosines, from those of `bars`.
 fn error_of(found: &[f32], bars: &[f64], beats_per_bar: f64) -> f64 {
     let (sines, cosines) = found.split_at(bars.len());
     let found = sines.iter().zip(cosines);

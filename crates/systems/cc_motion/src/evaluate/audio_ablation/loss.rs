@@ -22,9 +22,8 @@ pub(super) fn high_noise(num_train_timesteps: usize) -> Vec<usize> {
 }
 
 /// The validation loss of a phrase's motion conditioned on `audio` of as many frames: not weighted,
-/// with the beats of the network's own tracker if it has one, mean over the levels of
-/// [`high_noise`]. Noise depends on the phrase's id and the level alone, so that losses of one phrase
-/// differ by the audio.
+/// with tracked beats, mean over the levels of [`high_noise`]. Noise depends on the phrase's id and
+/// the level alone, so that losses of one phrase differ by the audio.
 pub(super) fn loss(generator: &Generator, phrase: &PhraseItem, audio: &AudioFeatures) -> f64 {
     let device = &generator.device;
     let timesteps = high_noise(generator.diffusion.config.num_train_timesteps);

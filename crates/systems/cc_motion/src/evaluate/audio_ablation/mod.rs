@@ -238,8 +238,7 @@ impl<'a> Ablation<'a> {
         Ok(guidance)
     }
 
-    /// The post-processed samples of a phrase, `seeds` of them for each of the audio conditions;
-    /// `stage` is for `on_step`.
+    /// The post-processed samples of a phrase, `seeds` for each of the audio conditions.
     fn sample(
         &self,
         stage: &'static str,

@@ -83,8 +83,7 @@ impl AblationReport {
         with_sampling(json, ablation.sampling())
     }
 
-    /// The numbers of an audio variant. The errors to the conditioning music are left out if it has
-    /// no beats or is the own music.
+    /// The numbers of an audio variant, with errors to the conditioning music if it is another's.
     fn rows(&self, variant: AudioVariant) -> Vec<Number> {
         let own = variant == AudioVariant::Own;
         let of_variant = self.conditions.iter().find(|(found, _)| *found == variant);

@@ -22,8 +22,7 @@ pub struct Score {
     pub condition_beat_phase_error: Option<f64>,
     /// The same of the bar phase, bars.
     pub condition_bar_phase_error: Option<f64>,
-    /// Alignment of the root's speed minima with the beats of the phrase's own music; mean over the
-    /// samples with minima.
+    /// Alignment of the root's speed minima with the beats of the own music; mean over samples with any.
     pub beat_alignment: Option<f64>,
     /// The same of minima moved by random offsets.
     pub chance_alignment: Option<f64>,

@@ -1,5 +1,4 @@
-//! The projection of decoded headings onto the integrals of their angular velocities, with
-//! gradients.
+//! The projection of decoded headings onto integrated angular velocities, with gradients.
 
 use std::f64::consts::TAU;
 use std::sync::Arc;
@@ -119,8 +118,7 @@ fn turned_by(direction: Tensor<3>, angle: Tensor<3>) -> Tensor<3> {
     add_angle(direction, angle.clone().sin(), angle.cos())
 }
 
-/// Places in turns `[batch, 1, time]`, moved by whole turns to less than half of one from the place
-/// before.
+/// Places in turns `[batch, 1, time]`, moved by whole turns to less than half of one from the previous.
 fn unwrapped(places: Tensor<3>) -> Tensor<3> {
     let time = places.dims()[2];
     if time < 2 {

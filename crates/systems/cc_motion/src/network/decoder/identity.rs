@@ -9,8 +9,7 @@ use kinegrad_motion::phrase::{ACCELERATION, POSITION, VELOCITY};
 
 use super::{MotionDecoder, Normalization, OutputActivation};
 
-/// The error is at most 0.06 between 0 and 1. A slope of 4 is right at the middle and worse at the
-/// ends.
+/// The error is at most 0.06 between 0 and 1; a slope of 4 has a larger one at the ends.
 const SIGMOID_SLOPE: f64 = 6.0;
 
 /// Sets the weights of `decoder`; its random input projection gives the directions.

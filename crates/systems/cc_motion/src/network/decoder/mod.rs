@@ -30,8 +30,7 @@ pub use config::{
 /// A quaternion of a smaller norm is not divided by it.
 const LEAST_NORM: f64 = 1e-12;
 
-/// Mean and deviation of each channel of the latent: `[channels]` each, in the denoiser's
-/// [`ChannelEncoding`].
+/// Mean and deviation of each channel of the latent, in the denoiser's [`ChannelEncoding`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct Normalization {
     /// Subtracted mean.

@@ -1,5 +1,4 @@
-//! The projection of decoded orientations onto the integrals of their angular velocities, with
-//! gradients.
+//! The projection of decoded orientations onto integrated angular velocities, with gradients.
 
 use std::sync::Arc;
 

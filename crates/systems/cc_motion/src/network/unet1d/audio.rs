@@ -141,8 +141,7 @@ fn direction(beats: Tensor<3>) -> Tensor<3> {
     beats / norm
 }
 
-/// The audio encoder: features of the UNet's own lengths and of its levels' widths, at most
-/// `context_dim`.
+/// The audio encoder: features of the lengths and widths of the UNet's levels, at most `context_dim`.
 ///
 /// ```text
 /// a_0 = block(conv5(features))        block(a) = a + conv5(silu(norm(a)))
@@ -235,8 +234,7 @@ impl AudioEncoder {
         AudioContext(context)
     }
 
-    /// Sine and cosine of the place of each frame in its beat, `[batch, 2, time]`, as the tracker
-    /// finds it; none without a tracker.
+    /// Sine and cosine of each frame's place in its beat by the tracker, if any: `[batch, 2, time]`.
     pub fn track(&self, features: Tensor<3>, lengths: Option<&Lengths>) -> Option<Tensor<3>> {
         let beats = self.beats.as_ref()?;
         Some(beats.forward(without_labels(features), lengths))

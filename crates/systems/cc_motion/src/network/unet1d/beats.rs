@@ -28,8 +28,7 @@ impl Beats {
     }
 }
 
-/// Features of beats and bars, the last ones of a frame: sine and cosine of the place in the beat
-/// come first.
+/// The last features of a frame, of beats and bars; the first two are sine and cosine of the beat.
 pub const BEAT_CHANNELS: usize = 7;
 
 /// Channels of a frame's place in its beat: sine and cosine.
