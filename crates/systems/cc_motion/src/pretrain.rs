@@ -35,22 +35,18 @@ pub(super) fn moved(saved: Config, given: &Config, folder: &Path) -> Result<Conf
 /// Refuses to train a new base model for a decoder that was trained on another one.
 fn must_have_base(folder: &Path) -> Result<(), Error> {
     let [base, decoder] = STAGES.map(|stage| folder.join(stage));
-    match contains_run(&decoder)? && !contains_run(&base)? {
-        false => Ok(()),
-        true => Err(Error::usage(
-            format!(
-                "{} and the checkpoints next to it are missing: the decoder in {} was trained on \
-                 that base model",
-                base.join("config.toml").display(),
-                decoder.display()
-            ),
-            format!(
-                "put the folder {} back, or remove {} to train both again",
-                base.display(),
-                decoder.display()
-            ),
-        )),
+    if !contains_run(&decoder)? || contains_run(&base)? {
+        return Ok(());
     }
+    let config = base.join("config.toml");
+    let (config, base, decoder) = (config.display(), base.display(), decoder.display());
+    Err(Error::usage(
+        format!(
+            "{config} and the checkpoints next to it are missing: the decoder in {decoder} was \
+             trained on that base model"
+        ),
+        format!("put the folder {base} back, or remove {decoder} to train both again"),
+    ))
 }
 
 /// Trains or resumes both initial runs, and returns their settings. The inner error is the outcome of
