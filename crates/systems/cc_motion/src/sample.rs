@@ -325,7 +325,7 @@ fn generated(sample: Sample) -> Generated {
 
 /// A line of both profiles' verdicts.
 fn checked(name: &str, motion: &Phrase, statistics: &Statistics) -> Result<Vec<String>, Error> {
-    let ccmotion = Some(check(motion, Profile::Document, None)?);
+    let ccmotion = Some(check(motion, Profile::Ccmotion, None)?);
     // Statistics without movement measures are insufficient.
     let strict = check(motion, Profile::Strict, Some(statistics)).ok();
     let reports = ccmotion.iter().chain(&strict);
