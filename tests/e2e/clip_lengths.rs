@@ -17,7 +17,7 @@ fn a_clip_is_drawn_at_the_length_of_training_and_cut() {
         let features = read_array(&sandbox.path(format!("{out}.features.npy")));
         features.expect("features").values
     };
-    let features = |frames| drawn(frames, "drawn");
+    let features = |frames| drawn(frames, "sampled");
     // 16 is the length of training; the network is padded to 20.
     let (short, cut, whole) = (features(7), features(13), features(16));
     assert_eq!(short[..], whole[..7 * 263]);
@@ -41,7 +41,7 @@ fn a_clip_is_drawn_at_the_length_of_training_and_cut() {
     );
     let two_stages = "sample runs/gmd_motion --trajectory-run runs/gmd_trajectory \
                       --goal goal.toml --goal short.toml";
-    for padding in ["zeros", "drawn"] {
+    for padding in ["zeros", "sampled"] {
         let set = format!("--set steering.padding={padding}");
         sandbox
             .run(&format!("{two_stages} --out {padding} {set}"))
@@ -59,5 +59,5 @@ fn a_clip_is_drawn_at_the_length_of_training_and_cut() {
         let path = sandbox.path(format!("{padding}-{index:03}.path.npy"));
         read_array(&path).expect("a path").values
     };
-    assert_ne!(path("zeros", 1), path("drawn", 1));
+    assert_ne!(path("zeros", 1), path("sampled", 1));
 }

@@ -302,7 +302,7 @@ fn rollouts_are_measured_beside_what_follows_in_held_out_clips() {
     };
     let with = report("");
     assert_eq!(with["evaluations_per_frame"], 4.0);
-    assert!(number(&with, "drawn", "bone_change") < 1e-3);
+    assert!(number(&with, "sampled", "bone_change") < 1e-3);
     // The effect of a text is measured against another text.
     for texts in ["own_texts", "other_texts"] {
         assert!(number(&with, texts, "speed_error") > 0.0);
@@ -311,13 +311,13 @@ fn rollouts_are_measured_beside_what_follows_in_held_out_clips() {
     assert_ne!(with["own_texts"], with["other_texts"]);
     // After 60 training steps, bone lengths are not constant by themselves.
     let without = report("--set evaluation.constant_bones=false");
-    assert!(number(&without, "drawn", "bone_change") > 0.01);
+    assert!(number(&without, "sampled", "bone_change") > 0.01);
     for name in ["jerk", "speed", "turn_rate", "lowest_joint", "height_drift"] {
-        number(&with, "drawn", name);
+        number(&with, "sampled", name);
         number(&with, "real", name);
     }
     assert!(number(&with, "real", "bone_change") < 1e-3);
-    assert!(number(&with, "drawn", "frechet_distance") > 0.0);
+    assert!(number(&with, "sampled", "frechet_distance") > 0.0);
     let solver = report("--set sampling.sampler.kind=dopri5 --steps 2");
     assert_eq!(solver["evaluations_per_frame"], 12.0);
     sandbox
@@ -387,7 +387,10 @@ fn settings_that_cannot_work_are_refused_by_name() {
             ["sampling.sampler.kind", "euler"],
         ),
         ("sampling.clip=six", ["sampling.clip", "none"]),
-        ("steering.padding=drawn", ["steering.padding", "gmd_motion"]),
+        (
+            "steering.padding=sampled",
+            ["steering.padding", "gmd_motion"],
+        ),
         ("steering.scale=3", ["steering", "gmd_motion"]),
         (
             "sampling.sampler.recompute_epsilon=false",

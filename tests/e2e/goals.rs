@@ -171,7 +171,7 @@ fn runs_are_measured_on_goals_of_held_out_clips() {
     let report: Value = serde_json::from_slice(&fs::read(report).expect("a report")).expect("JSON");
     let report = &report["evaluations"][0];
     assert_eq!(report["real"]["average_error"], 0.0);
-    assert!(report["drawn"]["average_error"].as_f64() > Some(0.0));
+    assert!(report["sampled"]["average_error"].as_f64() > Some(0.0));
     // Without the first stage the report has another name, so both can be compared.
     sandbox
         .run("eval runs/gmd_motion --set evaluation.goals=2 --set evaluation.keyframes=3")
@@ -288,9 +288,13 @@ fn goals_are_taken_from_the_list_that_is_named() {
         report["evaluations"][0].clone()
     };
     let (test, validation) = (report(test), report(""));
-    assert_eq!(test["drawn"], validation["drawn"], "the same clips");
+    assert_eq!(test["sampled"], validation["sampled"], "the same clips");
     // Other keyframes, and another seed.
-    let error = |report: &Value| report["drawn"]["average_error"].as_f64().expect("an error");
+    let error = |report: &Value| {
+        report["sampled"]["average_error"]
+            .as_f64()
+            .expect("an error")
+    };
     let even = report("--set evaluation.keyframe_placement=even");
     let other = report("--seed 3");
     assert_ne!(error(&even), error(&validation));
@@ -301,14 +305,14 @@ fn goals_are_taken_from_the_list_that_is_named() {
     let mean = (error(&validation) + error(&next)) / 2.0;
     assert!((error(&both) - mean).abs() < 1e-12);
     let half = (error(&validation) - error(&next)).abs() / 2.0;
-    let interval = both["drawn"]["interval"]["average_error"].as_f64();
+    let interval = both["sampled"]["interval"]["average_error"].as_f64();
     assert!((interval.expect("an interval") - 1.96 * half / 2f64.sqrt()).abs() < 1e-12);
-    assert!(validation["drawn"]["interval"].is_null());
+    assert!(validation["sampled"]["interval"].is_null());
     // Without goals a clip does not depend on its batch.
     let free = "--set evaluation.keyframes=0";
     let together = report(free);
     let alone = report(&format!("{free} --set evaluation.batch_size=1"));
-    assert_eq!(together["drawn"], alone["drawn"]);
+    assert_eq!(together["sampled"], alone["sampled"]);
 }
 
 /// A dataset of walks on disk, and a config that reads it.

@@ -52,7 +52,7 @@ fn published_weights_become_a_run() {
         state["config"]["steering"].clone()
     };
     // As in the published program, unless set otherwise.
-    assert_eq!(steering_of("gmd")["padding"], "drawn");
+    assert_eq!(steering_of("gmd")["padding"], "sampled");
     let steering = steering_of("other");
     assert_eq!(steering["padding"], "zeros");
     assert_eq!(steering["guidance"]["norm"], "mse");

@@ -45,7 +45,7 @@ fn record(sandbox: &Sandbox, file: &str) -> Value {
 fn within<'v>(value: &'v Value, name: &str) -> Option<&'v Value> {
     match value {
         Value::Object(table) => match table.get(name) {
-            Some(found) if found.get("drawn").is_some() => Some(found),
+            Some(found) if found.get("sampled").is_some() => Some(found),
             _ => table.values().find_map(|value| within(value, name)),
         },
         Value::Array(list) => list.iter().find_map(|value| within(value, name)),
@@ -69,13 +69,13 @@ fn ways_of_held_out_clips_are_followed_and_measured() {
     };
     let free = eval("none");
     let number = |found: &Value, key: &str| found[key].as_f64().expect("a number");
-    assert_eq!(free["drawn"]["motions"], 2);
+    assert_eq!(free["sampled"]["motions"], 2);
     assert!(number(&free["real"], "mean_distance") < 0.1, "{free}");
-    assert!(number(&free["drawn"], "mean_error") > 0.2, "{free}");
+    assert!(number(&free["sampled"], "mean_error") > 0.2, "{free}");
     for method in ["override", "warp"] {
         let found = eval(method);
         assert!(
-            number(&found["drawn"], "mean_distance") < 1e-3,
+            number(&found["sampled"], "mean_distance") < 1e-3,
             "{method}: {found}"
         );
         assert_eq!(found["real"], free["real"]);
@@ -94,7 +94,7 @@ fn ways_of_held_out_clips_are_followed_and_measured() {
         ))
         .succeeded();
     let told = eval("tokens");
-    assert_ne!(told["drawn"], free["drawn"]);
+    assert_ne!(told["sampled"], free["sampled"]);
     // Features and joints describe the same motion after the move.
     sandbox.write("quarter.toml", quarter());
     for method in ["warp", "override", "tokens", "tokens_warp"] {

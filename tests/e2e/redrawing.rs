@@ -170,7 +170,7 @@ fn clips_are_drawn_again_from_their_records() {
     let ten = format!("{}*", &clip[..clip.len() - 1]);
     for draw in [
         "--out drawn/free --count 3 --frames 12 --seed 2".to_string(),
-        "--out drawn/whole --frames 12 --seed 5 --set steering.padding=drawn".to_string(),
+        "--out drawn/whole --frames 12 --seed 5 --set steering.padding=sampled".to_string(),
         format!(
             "--out drawn/told --text-embedding walks/text_embeddings.safetensors#{clip} --count 2"
         ),

@@ -124,13 +124,13 @@ fn evaluate(
     let mut json = json!({
         "settings": settings,
         "sampler": sampler,
-        "drawn": of_samples,
+        "sampled": of_samples,
         "real": of_real,
     });
     let mut samples = vec![Group::new("compositions", "", &of_samples)];
     let mut real = vec![Group::new("compositions", "", &of_real)];
     if let Some(paths) = paths {
-        json["paths"] = json!({ "drawn": paths.samples, "real": paths.real });
+        json["paths"] = json!({ "sampled": paths.samples, "real": paths.real });
         samples.push(Group::new("paths", "along paths", &paths.samples));
         real.push(Group::new("paths", "along paths", &paths.real));
     }

@@ -156,7 +156,7 @@ fn evaluate(
             "settings": settings,
             "sampler": sampler,
             "evaluations_per_frame": per_frame,
-            "drawn": of_samples,
+            "sampled": of_samples,
             "own_texts": own,
             "other_texts": other,
             "real": of_real,

@@ -200,7 +200,7 @@ impl ClipGenerator {
         if let (Some(model), false) = (trajectory, goals.is_empty()) {
             self.must_match(model)?;
             // If the motion model samples the padding, it follows a path there too.
-            let follows_behind = steering.padding == Padding::Drawn;
+            let follows_behind = steering.padding == Padding::Sampled;
             let followed = if follows_behind { own } else { frames };
             let named = |(key, number): &NoiseKey| (key.named("trajectory"), *number);
             let keys: Vec<NoiseKey> = keys.iter().map(named).collect();
@@ -213,7 +213,7 @@ impl ClipGenerator {
             };
             let of_first = SteeringConfig {
                 padding: match follows_behind {
-                    true => Padding::Drawn,
+                    true => Padding::Sampled,
                     false => model.steering().padding,
                 },
                 ..steering.clone()
@@ -321,7 +321,7 @@ impl ClipGenerator {
         let mut on_sampled = |done, all, _: &Tensor<3>| on_step(done, all);
         let lengths = match steering.padding {
             Padding::Zeros => stage.lengths.to_vec(),
-            Padding::Drawn => vec![frames; batch],
+            Padding::Sampled => vec![frames; batch],
         };
         let plain = Padded::new(&self.plain, &self.diffusion, &lengths, &start);
         if stage.goals.is_empty() {

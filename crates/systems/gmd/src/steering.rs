@@ -18,7 +18,7 @@ pub enum Padding {
     Zeros,
     /// Padding is sampled as motion and cut off, as in the published program of GMD: for models
     /// whose training clips were never shorter than `data.target_frames`.
-    Drawn,
+    Sampled,
 }
 
 /// The table `steering`: guidance and imputation for goals (Guided Motion Diffusion, appendix F).

@@ -95,7 +95,7 @@ impl GoalEvaluation<'_> {
             "replications": count,
             "variety_clips": settings.variety_clips,
             "variety_repeats": settings.variety_repeats,
-            "drawn": samples,
+            "sampled": samples,
             "real": real,
         });
         json["steering"] = json!(self.own().steering);
@@ -103,7 +103,7 @@ impl GoalEvaluation<'_> {
             json["trajectory_run"] = json!(trajectory.config().run.name);
         }
         if let Some((samples, real)) = &text_motion {
-            json["text_motion"] = json!({ "drawn": samples, "real": real });
+            json["text_motion"] = json!({ "sampled": samples, "real": real });
         }
         if let Some(variety) = &variety {
             json["variety"] = json!(variety);
