@@ -75,7 +75,7 @@ pub enum EvaluatorSource<'a> {
 #[derive(Clone, Debug, Serialize)]
 pub struct TextMotionReports {
     /// The generated clips.
-    pub drawn: TextMotionReport,
+    pub sampled: TextMotionReport,
     /// The held-out clips.
     pub real: TextMotionReport,
 }
@@ -133,7 +133,7 @@ pub trait TextMotionEvaluator {
             report.with_labels(&texts, motions, &labels)
         };
         Ok(TextMotionReports {
-            drawn: report(&generated),
+            sampled: report(&generated),
             real: report(&truths),
         })
     }

@@ -66,7 +66,7 @@ impl GoalEvaluation<'_> {
         let text_motion = |of: fn(&TextMotionReports) -> &TextMotionReport| {
             Replicated::of_all(all().map(|each| each.text_motion.as_ref().map(of).cloned()))
         };
-        let text_motion = text_motion(|both| &both.drawn).zip(text_motion(|both| &both.real));
+        let text_motion = text_motion(|both| &both.sampled).zip(text_motion(|both| &both.real));
         let variety = Replicated::of_all(all().map(|each| each.variety.clone()));
         let mut remarks = Vec::new();
         if let Some((samples, real)) = &text_motion {
