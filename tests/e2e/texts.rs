@@ -108,7 +108,7 @@ fn a_dataset_is_embedded_trained_on_and_asked_in_words() {
         "3",
         "--overwrite",
         "--out",
-        "sampled",
+        "drawn",
     ];
     let drawn = |options: &[&str]| {
         run(&sandbox, &[&draw[..], options].concat()).succeeded();
