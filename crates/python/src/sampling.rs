@@ -121,7 +121,7 @@ impl Sample {
         call(py, || {
             let mut files = self.0.files.iter();
             let text = files.find_map(|(_, contents)| match contents {
-                Contents::Figure { joints, skeleton } => Some(bvh_text(joints, skeleton)),
+                Contents::Body { joints, skeleton } => Some(bvh_text(joints, skeleton)),
                 Contents::Array { .. } => None,
             });
             text.transpose()

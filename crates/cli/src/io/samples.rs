@@ -98,7 +98,7 @@ impl Files {
                 shape: shape.clone(),
                 values,
             },
-            Contents::Figure { joints, skeleton } => Content::Text(match self.is_silent {
+            Contents::Body { joints, skeleton } => Content::Text(match self.is_silent {
                 true => bvh_text(joints, skeleton)?,
                 false => bvh_file(path, joints, skeleton, self.lock_feet)?.to_text(),
             }),

@@ -9,13 +9,13 @@ use crate::distance::{Padded, squared};
 const ROWS: usize = 64;
 
 /// The frames of all targets, joined.
-struct Targets {
+struct ReferenceWindows {
     frames: Padded,
     /// First frame and length of each.
     ranges: Vec<(usize, usize)>,
 }
 
-impl Targets {
+impl ReferenceWindows {
     fn new(targets: &[Frames]) -> Self {
         let mut start = 0;
         let ranges = targets.iter().map(|target| {
@@ -43,7 +43,7 @@ impl Targets {
 /// The distance of each window of `window` frames of `motion` to the nearest window of the targets:
 /// the mean distance of their frames. No window spans two targets.
 pub(super) fn cheapest(motion: &Frames, targets: &[Frames], window: usize) -> Vec<f64> {
-    let targets = Targets::new(targets);
+    let targets = ReferenceWindows::new(targets);
     let motion = Padded::all_channels(motion);
     let windows = motion.frames() + 1 - window;
     let width = targets.frames.frames();
@@ -70,7 +70,7 @@ pub(super) fn cheapest(motion: &Frames, targets: &[Frames], window: usize) -> Ve
 /// least `shortest` frames that each follow a target: G(e) = min over s <= e - shortest of G(s) +
 /// the smallest sum for the frames from s to e.
 pub(super) fn segmented(motion: &Frames, targets: &[Frames], shortest: usize) -> f64 {
-    let targets = Targets::new(targets);
+    let targets = ReferenceWindows::new(targets);
     let motion = Padded::all_channels(motion);
     let frames = motion.frames();
     // A segment of twice the shortest length costs no less than its halves.

@@ -82,7 +82,7 @@ impl Generated {
                     shape: vec![features.frames(), features.layout().channels()],
                     values: features.into_vec(),
                 });
-                let figure = Contents::Figure { joints, skeleton };
+                let figure = Contents::Body { joints, skeleton };
                 let mut files = vec![(MOTION, positions)];
                 files.extend(rows.map(|rows| (FEATURES, rows)));
                 files.push((BVH, figure));

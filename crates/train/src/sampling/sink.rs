@@ -30,7 +30,7 @@ pub enum Contents {
         values: Vec<f32>,
     },
     /// An animated skeleton, written as BVH.
-    Figure {
+    Body {
         /// Joint positions.
         joints: Joints,
         /// The skeleton.
