@@ -105,7 +105,7 @@ fn a_lost_config_of_a_base_model_is_no_lost_run() {
     fs::rename(&base, &kept).expect("moved");
     fs::create_dir(&base).expect("an empty folder");
     let texts = [
-        "runs/smallest/base/config.toml is missing",
+        "runs/smallest/base/config.toml and the checkpoints next to it are missing",
         "put the folder runs/smallest/base back",
         "remove runs/smallest/decoder",
     ];

@@ -335,6 +335,6 @@ fn labels_of_a_plan_are_those_of_the_manifest_and_train() {
         sandbox.write("bad.toml", text);
         sandbox
             .run("data prepare bad.toml")
-            .failed(2, &["`take[0].label`", "has no comma"]);
+            .failed(2, &["`take[0].label`", "without a comma"]);
     }
 }

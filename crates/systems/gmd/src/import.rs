@@ -226,7 +226,7 @@ fn settings(
 ) -> Result<(Config, Statistics), Error> {
     let recipe = architecture.recipe().name();
     // The published programs sample the padding.
-    let text = format!("[train]\nrecipe = \"{recipe}\"\n[steering]\npadding = \"drawn\"\n");
+    let text = format!("[train]\nrecipe = \"{recipe}\"\n[steering]\npadding = \"sampled\"\n");
     let mut config = Systems(&[&Gmd]).parse(&text, "the recipe's defaults", &request.overrides)?;
     let [mean, std] = mean_and_deviation(mean_path, std_path)?;
     let skeleton = skeleton_of(&mean, mean_path)?;
