@@ -388,9 +388,11 @@ mod tests {
 
     #[test]
     fn a_high_rate_makes_no_room_for_more_samples() {
-        let mut song = Mono::default();
         // Two hours would be 4.7e9 samples.
-        song.rate = 655_350;
+        let song = Mono {
+            rate: 655_350,
+            ..Mono::default()
+        };
         song.check_length(MAX_SAMPLES as usize)
             .expect("as many as are read");
         let error = song

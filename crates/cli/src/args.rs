@@ -30,7 +30,12 @@ use values::number;
 
 /// Train and fine-tune motion-generation models.
 #[derive(Debug, Parser)]
-#[command(name = "kinegrad", version, arg_required_else_help = true, max_term_width = 100)]
+#[command(
+    name = "kinegrad",
+    version,
+    arg_required_else_help = true,
+    max_term_width = 100
+)]
 #[command(after_help = "\
 Exit codes:
   0    success

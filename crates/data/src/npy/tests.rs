@@ -74,7 +74,7 @@ fn broken_files_are_named_with_what_was_found() {
     let four = floats(&[0.0; 4]);
     let deep = format!("{}{}", "(".repeat(2000), ")".repeat(2000));
     for (bytes, expected) in [
-        (b"no array".to_vec(), "does not begin as one"),
+        (b"no array".to_vec(), "it lacks the magic string"),
         (
             b"\x93NUMPY\x02\x00\xff\xff\xff".to_vec(),
             "header is cut off",
@@ -173,14 +173,14 @@ fn every_spelling_of_a_header_that_python_reads_is_read() {
         assert_eq!(header.length, shape.iter().product::<usize>() as u64);
     }
     for (dictionary, expected) in [
-        ("", "no dictionary"),
+        ("", "not a dictionary"),
         (
             "{'descr': '<f4', 'fortran_order': False}",
             "no entry 'shape'",
         ),
         (
             "{'descr': '<f4',, 'fortran_order': False, 'shape': (3,)}",
-            "no dictionary",
+            "not a dictionary",
         ),
         (
             "{'descr': '<f4', 'fortran_order': 0, 'shape': (3,)}",

@@ -84,7 +84,7 @@ fn key(name: &str) -> Key {
 
 #[test]
 fn meanings_are_the_doc_comments_without_links() {
-    assert_eq!(key("bright").meaning, "Whether `Colour` counts, see there.");
+    assert_eq!(key("bright").meaning, "True if `Colour` counts, see there.");
     assert_eq!(key("colour").meaning, "The colour, in [0, 1].");
 }
 

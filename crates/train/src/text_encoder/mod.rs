@@ -151,12 +151,14 @@ fn json_of(path: &Path) -> Result<Value, Error> {
     serde_json::from_str(&text).map_err(|error| refused(path, format!("not JSON: {error}")))
 }
 
+/// Reads the numbers of a tensor by its name.
+type ReadTensor = Box<dyn Fn(&str) -> Result<Vec<f32>, String>>;
+
 /// The weights of the text encoder in a file.
 struct Weights {
     path: PathBuf,
     infos: Vec<ParameterInfo>,
-    /// Reads the numbers of a tensor.
-    values: Box<dyn Fn(&str) -> Result<Vec<f32>, String>>,
+    values: ReadTensor,
 }
 
 /// The text projection, whose first axis is the embedding's width.
