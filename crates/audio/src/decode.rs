@@ -389,7 +389,7 @@ mod tests {
     #[test]
     fn a_high_rate_makes_no_room_for_more_samples() {
         // Two hours would be 4.7e9 samples.
-        let song = Mono {
+        let mut song = Mono {
             rate: 655_350,
             ..Mono::default()
         };
