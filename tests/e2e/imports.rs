@@ -122,7 +122,8 @@ fn weights_that_do_not_fit_are_refused_with_all_differences() {
     import("checkpoint_tiny.pt", "gmd_motion", statistics).failed(2, &["4 channels", "263"]);
     import("goal.toml", "gmd_trajectory", statistics).failed(2, &["goal.toml"]);
     // A tensor of 4 GiB that repeats one number.
-    import("checkpoint_expanded.pt", "gmd_trajectory", statistics).failed(2, &["its tensors need more than its"]);
+    import("checkpoint_expanded.pt", "gmd_trajectory", statistics)
+        .failed(2, &["its tensors need more than its"]);
     // A pickle that declares the remaining 20 GiB of the file as one value.
     let mut claim = vec![0x80, 4, 0x8e];
     claim.extend((20_u64 << 30).to_le_bytes());

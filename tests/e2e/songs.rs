@@ -142,7 +142,7 @@ fn windows_in_flight_change_nothing_and_ddpm_shares_its_noise() {
     let audio = audio.slice(0..95);
     let checkpoint = sandbox.path("runs/smallest/checkpoints/step-00000004");
     let saved = SavedCheckpoint::read(&checkpoint).expect("a checkpoint");
-    let trained = BUILT_IN.trained(saved, &[], Weights::Ema, Some("cpu"), 0);
+    let trained = BUILT_IN.trained(saved, &[], Weights::Ema, Some("cpu"));
     let generator = Generator::load(&trained.expect("a model")).expect("a generator");
     for kind in ["ddim", "ddpm", "dpmpp_2m", "heun"] {
         let mut sampling = generator.config().sampling.clone();

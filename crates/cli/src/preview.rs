@@ -26,7 +26,7 @@ const CURVES: usize = 3;
 /// page is left then.
 pub fn write(systems: Systems<'_>, checkpoint: &Path, step: u64) -> Result<Vec<Preview>, Error> {
     let saved = SavedCheckpoint::read(checkpoint)?;
-    let trained = systems.trained(saved, &[], Weights::Ema, None, 0)?;
+    let trained = systems.trained(saved, &[], Weights::Ema, None)?;
     let count = match trained.config().sampling.count_at_end {
         0 => COUNT,
         count => count,

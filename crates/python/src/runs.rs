@@ -52,7 +52,7 @@ impl Model {
     pub fn open(&self) -> Result<TrainedModel, Error> {
         let weights = named("`weights`", &self.weights, "\"ema\" and \"model\"")?;
         let saved = checkpoint(&self.run)?;
-        BUILT_IN.trained(saved, &self.settings, weights, self.device.as_deref(), 0)
+        BUILT_IN.trained(saved, &self.settings, weights, self.device.as_deref())
     }
 }
 

@@ -128,7 +128,7 @@ pub fn trained_for(
         false => Weights::Ema,
     };
     let (saved, local) = (checkpoint(run)?, group.ranks().local().rank);
-    systems.trained(saved, &overrides, weights, device.as_deref(), local)
+    systems.trained_on_rank(saved, &overrides, weights, device.as_deref(), local)
 }
 
 /// Prints a summary of all samples.

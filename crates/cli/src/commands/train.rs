@@ -178,7 +178,7 @@ type FinalSamples = (usize, u64, Option<sampling::Summary>);
 /// Writes samples for the first held-out items to the run's folder, all or none.
 fn write_final_samples(systems: Systems<'_>, outcome: &Outcome) -> Result<FinalSamples, Error> {
     let saved = checkpoint(&outcome.folder)?;
-    let trained = systems.trained(saved, &[], Weights::Ema, None, 0)?;
+    let trained = systems.trained(saved, &[], Weights::Ema, None)?;
     let count = outcome.config.sampling.count_at_end;
     let request = Request::held_out(count, outcome.config.run.seed);
     let folder = outcome.folder.join(SAMPLES);

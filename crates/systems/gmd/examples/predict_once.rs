@@ -41,7 +41,7 @@ fn main() -> ExitCode {
 
 fn report(run: &Path, timesteps: &[usize]) -> Result<(), Error> {
     let saved = resolve_checkpoint(run, |_| {})?;
-    let trained = Systems(&[&Gmd]).trained(saved, &[], Weights::Ema, Some("cpu"), 0)?;
+    let trained = Systems(&[&Gmd]).trained(saved, &[], Weights::Ema, Some("cpu"))?;
     let generator = ClipGenerator::load(&trained)?;
     let data = &generator.config().data;
     let clips = Dataset::<Clip>::open(data)?.validation.evenly(CLIPS)?;

@@ -175,11 +175,25 @@ impl Systems<'_> {
     }
 
     /// The trained model of the checkpoint `saved`, with `overrides` of sampling and evaluation settings,
-    /// on `device` or its run's device, for process `local` of a machine: see [`open_for`].
+    /// on `device` or its run's device.
     ///
     /// # Errors
     /// If an override is invalid, or the device is not available.
     pub fn trained(
+        self,
+        saved: SavedCheckpoint,
+        overrides: &[String],
+        weights: Weights,
+        device: Option<&str>,
+    ) -> Result<TrainedModel, Error> {
+        self.trained_on_rank(saved, overrides, weights, device, 0)
+    }
+
+    /// [`trained`](Self::trained) for process `local` of a machine: see [`open_for`].
+    ///
+    /// # Errors
+    /// As [`trained`](Self::trained).
+    pub fn trained_on_rank(
         self,
         mut saved: SavedCheckpoint,
         overrides: &[String],
