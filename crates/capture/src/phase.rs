@@ -12,7 +12,7 @@ use crate::error::{require, require_positive};
 #[derive(Clone, Copy, Debug, Deserialize, PartialEq, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct BeatGrid {
-    /// Seconds of music to the first beat, the first of a bar.
+    /// Time of the first beat in seconds of the music. It begins a bar.
     pub start_seconds: f64,
     /// Length of a beat in seconds, positive.
     pub seconds_per_beat: f64,

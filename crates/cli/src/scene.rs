@@ -173,7 +173,7 @@ fn no_legs(path: &Path, what: &str) -> Error {
     )
 }
 
-/// A motion as BVH in centimetres with +y up, which will be at `out`. With `lock_feet`, feet stay
+/// A motion as BVH in centimetres with +y up, for the file `out`. With `lock_feet`, feet stay
 /// where they stand. Fails if it cannot be read, or its skeleton is unknown.
 pub fn as_bvh(
     systems: Systems<'_>,

@@ -26,7 +26,7 @@ pub struct Levels {
 }
 
 impl Levels {
-    /// Levels of examples and a synthesis of these lengths.
+    /// The levels for examples and a result of these lengths.
     ///
     /// The example with the fewest levels determines their number; levels without a patch are
     /// dropped. If rounding gives the synthesis another number of levels, its lengths are

@@ -251,7 +251,7 @@ fn not_finite(key: String, value: &Value) -> Option<(String, f64)> {
     }
 }
 
-/// Rejects lists in the place of tables, which serde reads by the order of a table's fields. `read`
+/// Rejects a list where a table is expected: serde would assign its elements to fields in order. `read`
 /// is what serde made of `table`. The error names the first such key.
 pub fn must_be_tables(
     table: &Table,

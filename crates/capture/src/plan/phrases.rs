@@ -45,7 +45,7 @@ pub struct TakePlan {
     pub name: Option<String>,
     /// A capture file (.bvh, .c3d, .npy, .npz). With `*` in its name, each matching file is a take.
     pub motion: Option<String>,
-    /// Segments of capture files on the beats of the music, instead of `motion`.
+    /// Segments of capture files, each placed on beats of the music; replaces `motion`.
     #[serde(default, rename = "segment")]
     pub segments: Vec<SegmentPlan>,
     /// Start in the motion file, seconds.

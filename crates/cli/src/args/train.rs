@@ -33,8 +33,8 @@ pub struct TrainArguments {
     /// Training device, see `kinegrad devices` [default: `run.device`]
     #[arg(long)]
     pub device: Option<String>,
-    /// Resume from the latest valid checkpoint: of the folder RUN, without a config file, or of the
-    /// config file's run
+    /// Resume from the latest valid checkpoint of the folder RUN, or of the run that the config file
+    /// names
     #[arg(long, value_name = "RUN", num_args = 0..=1)]
     pub resume: Option<Option<PathBuf>>,
     /// Validate everything, time a few steps, and print an estimate of parameters, memory, time and

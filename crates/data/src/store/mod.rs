@@ -123,8 +123,7 @@ impl Store {
         Ok(self.read_version(path, limit)?.0)
     }
 
-    /// Reads the object at `path`, if it exists. Fails as [`read`](Self::read), but for
-    /// [`StoreError::Missing`].
+    /// Reads the object at `path`, if it exists. Fails as [`read`](Self::read) does, except with [`StoreError::Missing`].
     pub fn find(&self, path: &str, limit: u64) -> Result<Option<Vec<u8>>, StoreError> {
         match self.read(path, limit) {
             Err(StoreError::Missing(_)) => Ok(None),

@@ -19,7 +19,7 @@ mod tests {
 
     use super::*;
 
-    /// A phase of so many frames that begins at `start` and advances by 0.019 bars a frame.
+    /// Phases of `frames` frames from `start` on, advancing by 0.019 bars a frame.
     fn phase(start: f64, frames: usize) -> Vec<f64> {
         (0..frames)
             .map(|t| (start + 0.019 * t as f64).rem_euclid(1.0))

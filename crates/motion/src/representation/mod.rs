@@ -77,7 +77,7 @@ pub trait Representation: Debug + Send + Sync {
         jerk.unwrap_or_default()
     }
 
-    /// Measures of how finite rows move, by name.
+    /// Measures of movement by name, of rows whose values are finite.
     fn movement(&self, _rows: &[f32]) -> Vec<(&'static str, f64)> {
         Vec::new()
     }

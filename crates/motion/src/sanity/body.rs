@@ -106,7 +106,7 @@ mod tests {
         }
     }
 
-    /// The checks that a good clip fails after a change of its joints, `[frames, 22, 3]`.
+    /// The checks that fail after `change` was applied to the joints of a good clip, `[frames, 22, 3]`.
     fn failing(change: impl Fn(usize, usize, &mut [f32; 3])) -> Vec<&'static str> {
         let representation = representation();
         let mut good = test_clip(&representation.skeleton, 40).to_f32();

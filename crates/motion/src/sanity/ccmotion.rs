@@ -11,10 +11,10 @@ const QUATERNION_NORM: [f64; 2] = [0.95, 1.05];
 /// Bound of the mean jerk norm, metres per second cubed.
 const MAX_JERK: f64 = 50_000.0;
 
-/// Bound of the mean absolute component of the velocity error, metres per second.
+/// Upper bound of the mean absolute velocity error per component, metres per second.
 const MAX_VELOCITY_ERROR: f64 = 5.0;
 
-/// Bound of the mean absolute component of the acceleration error, metres per second squared.
+/// Upper bound of the mean absolute acceleration error per component, metres per second squared.
 const MAX_ACCELERATION_ERROR: f64 = 100.0;
 
 /// Makes the five checks of [`Profile::Ccmotion`](super::Profile::Ccmotion) (CC-MotionGen, section

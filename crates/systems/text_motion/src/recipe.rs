@@ -88,7 +88,7 @@ fn texts(model: &TextMotionEncoders, batch: &Batch, device: &Device) -> Tensor<2
     model.texts(Tensor::from_data(vectors, device), classes, &lengths)
 }
 
-/// For each pair, true if its clips have the same captions, or the same sentence of them.
+/// For each pair of clips, true if their captions are the same, or the one drawn for both.
 fn positive(batch: &Batch) -> Vec<bool> {
     let captions = &condition(batch, CAPTIONS).values;
     let words = condition(batch, WORDS);

@@ -1,4 +1,4 @@
-//! The interface of a system to the entry points, and the registry.
+//! The interface that systems offer to entry points, and the list of systems.
 
 mod evaluate;
 mod guide;

@@ -115,7 +115,7 @@ impl TemporalLossConfig {
     }
 }
 
-/// The weighted terms of `decoded` by name, except of weight 0; none for motion of one frame.
+/// The weighted terms of `decoded` by name. Terms of weight 0 are left out, and all for one frame.
 ///
 /// # Shapes
 /// - decoded: `[batch, 25, time]`, physical units
